@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from forms.kinematics import MANDEL, ROOT2
 from forms.law import BulkLaw
 from forms.tangent import (
     Array,
@@ -50,6 +51,22 @@ class AtRest:
     @cached_property
     def _over(self) -> dict[float, list[Array | None]]:
         return {}
+
+    def through(self, y: Array) -> tuple[Array, Array]:
+        """Phi_N and Phi_T at heights -1/2 <= y <= 1/2: displacements <u> + Phi [u] of sublayers in series.
+
+        Linear where a tangent is not known.
+        """
+        n = np.pad(self.n, (0, 3 - len(self.n)))
+        t = np.cross(n, np.eye(3)[np.abs(n).argmin()])
+        shares, found = np.array([share for share, _, _ in self.sublayers]), []
+        knots = np.concatenate([[0.0], np.cumsum(shares)]) - 0.5
+        for way in (n, t / np.linalg.norm(t)):
+            e = np.array([(way[i] * n[j] + way[j] * n[i]) / 2 * (1 if i == j else ROOT2) for i, j in MANDEL])
+            stiffness = [1.0 if C is None else float(e @ C @ e) for _, _, C in self.sublayers]
+            grown = np.concatenate([[0.0], np.cumsum(shares / stiffness)])
+            found.append(np.interp(y, knots, grown / grown[-1] - 0.5))
+        return found[0], found[1]
 
     def require_stable(self) -> None:
         """Raise LawError if a stiffness at rest is negative: equilibria would be unstable."""

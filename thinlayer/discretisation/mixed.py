@@ -25,7 +25,7 @@ from thinlayer.discretisation.layer import Layers, ThinLayer, layers_of
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
 from thinlayer.discretisation.setup import Setup
-from thinlayer.errors import ModelError
+from thinlayer.errors import ModelError, warn
 from thinlayer.identity.described import described
 from thinlayer.parallel.agreement import on_all
 
@@ -40,7 +40,7 @@ class MixedModel(FullModel):
 
     The bodies stand where those of the full model do. Where there are no cells laws act between the sides of a gap: their
     nodal forces are those of an interface model with the same bodies. Where cells end their nodes between both faces move
-    as the law of order 1 has it, linearly from face to face.
+    as the law of order 1 has it.
 
     Attributes:
         by_law: the interface model of the same layers; of order 0 where seams meet.
@@ -56,7 +56,7 @@ class MixedModel(FullModel):
         self.by_law = self._law_beside(InterfaceModel(structure, _on_all_of_s(structure, layer), bodies=bodies))
         options = {"bodies": bodies, "cells_through": cells_through, "meshed": described(self.meshed)}
         super(FullModel, self).__init__(structure, layer, **options)
-        self.followers = Followers.at_cuts(self.domain, self.V)
+        self.followers = Followers.at_cuts(self.domain, self.V, self.layers)
 
     def _data(self) -> dict[str, Any]:
         return super()._data() | {"meshed": described(self.meshed)}
@@ -73,6 +73,7 @@ class MixedModel(FullModel):
             _require(self.structure, layer, self.meshed)
         new = super().with_layer(layer)
         new.by_law = self._law_beside(self.by_law.with_layer(_on_all_of_s(self.structure, layer)))
+        new.followers = Followers.at_cuts(new.domain, new.V, new.layers)
         return new
 
     def _law_beside(self, model: InterfaceModel) -> InterfaceModel:
@@ -231,10 +232,18 @@ def _knows_ends_of_cells(model: InterfaceModel, one: SeamLayer, meshed: BoolArra
     rim = free_rim(model, sheet)
     has_cells = meshed[sheet.parts[0][rim.simplex]]
     by_law = np.unique(joint.table.vertices[joint.surface_rows[sheet.facets][~meshed[sheet.facets]]])
-    if has_cells.all() or not (has_cells.any() and len(by_law)):
+    if not (has_cells.any() and len(by_law)):
         return bool(has_cells.all())
     x = joint.points[rim[has_cells].vertices].mean(axis=1)
     near, at = cKDTree(x).query(joint.points[by_law])
+    if has_cells.all():
+        if near.min() < REACH * one.thin.eps:
+            warn(
+                f"{one} is meshed over {near.min() / one.thin.eps:.2g} thicknesses at its free end at "
+                f"{place(x[at[near.argmin()]])}: the end's stresses reach the law beyond; mesh {REACH:g} or more",
+                model.comm,
+            )
+        return True
     if near.min() < REACH * one.thin.eps:
         raise ModelError(
             f"{one} is meshed at its free end at {place(x[at[near.argmin()]])} over {near.min():.3g} only; the law there, "

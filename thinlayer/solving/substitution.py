@@ -25,7 +25,7 @@ class Substitution:
     """Displacements u = C (Q y + sum of R q), for unknowns y and some parts' own unknowns q. All methods are collective.
 
     y are as many as u: at a node that follows a plate u = R q, and y, zero there, is held. C is the identity but for
-    displacements that are means of two others (`Followers`), where y is zero and held, too. With T = [[C Q, C R], [0, 1]]
+    displacements that are means of others (`Followers`), where y is zero and held, too. With T = [[C Q, C R], [0, 1]]
     the residual is T^t f and the tangent T^t A T, so that what is conjugate to q are the resultants of the forces.
 
     Args:
@@ -172,9 +172,9 @@ class Substitution:
         of = followers.of - first_u[rank] + first[rank]
         every, own = np.arange(size), np.ones(size)
         own[followers.rows] = 0.0  # stored, as products need diagonal entries
-        i = np.concatenate([every, followers.rows, followers.rows])
-        j = np.concatenate([every + first[self.comm.rank], of[:, 0], of[:, 1]]).astype(PETSc.IntType)
-        return self._assembled(i, j, np.concatenate([own, *followers.shares.T]), size)
+        i = np.concatenate([every, followers.rows.repeat(of.shape[1])])
+        j = np.concatenate([every + first[self.comm.rank], of.ravel()]).astype(PETSc.IntType)
+        return self._assembled(i, j, np.concatenate([own, followers.shares.ravel()]), size)
 
     def followed(self, motion: Array) -> dict[str, Array]:
         """Own unknowns of parts for which the displacements that follow them are nearest to those of a motion (n,)."""
