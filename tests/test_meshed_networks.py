@@ -538,6 +538,8 @@ def test_refused_models():
         "LAYER/JUNCTIONS": "HEAD"
     }
     with pytest.raises(GeometryError, match=r"S branches at \(.*sublayers"):
-        bricks.full({"BED": ThinLayer(Stack((0.5, elastic.law), (0.5, elastic.law)), eps), "HEAD": elastic})
+        bricks.full(
+            {"BED": ThinLayer(Stack((0.5, elastic.law), (0.5, springs(1.0, 0.7, eps).law)), eps), "HEAD": elastic}
+        )
     with pytest.raises(ModelError, match=r"order=1 needs an S without junctions"):
         bricks.full(replace(elastic, order=1))

@@ -50,7 +50,7 @@ def test_a_uniform_jump_passes_the_cuts_of_sublayers(turned):
     state = solve(moved.mixed(layer, where=lambda x: abs(c * x[0] + s * x[1] - 0.5) < 0.2, cells_through=10))
     energy = 0.02**2 / (2 * sum(a / (m.lmbda + 2 * m.mu) for a, m in sublayers))
     energy += 0.01**2 / (2 * sum(a / m.mu for a, m in sublayers))
-    assert state.energies()["layer"] == pytest.approx(energy, rel=1e-6)  # nodes on straight lines between the faces: 6 % too much
+    assert state.energies()["layer"] == pytest.approx(energy, rel=1e-6)  # straight between the faces: 6 % too much
 
 
 @cache

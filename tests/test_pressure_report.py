@@ -136,7 +136,7 @@ def test_layers_without_a_number():
     for layer, reason in (
         (ThinLayer(elastic, eps, eigenstrain=0.01), "eigenstrain"),
         (ThinLayer(LinearElastic(lambda x: 60 + x[0], 40.0), eps), "functions"),
-        (ThinLayer(Stack((0.5, elastic), (0.5, elastic)), eps), "one linear elastic material"),
+        (ThinLayer(Stack((0.5, elastic), (0.5, LinearElastic(50.0, 40.0))), eps), "one linear elastic material"),
         (ThinLayer(Anisotropic.springs(3.0, 2.0), eps), "not isotropic"),
         (ThinLayer(LinearElastic(-1.0, 40.0), eps), "lmbda is -0.1"),
     ):

@@ -78,7 +78,9 @@ def test_disc_of_revolution():
     work, shear = law.lmbda * eps, law.mu / eps * R**2 / 2  # over pi R^2, of upper faces that move by r
     wanted = work * (1 - share) / (work * share + shear)
     assert excess(model, lambda x: (1e-3 * x[0], 0 * x[0])) == pytest.approx(wanted, rel=3e-3)
-    halves = Structure(joint, **setup).interface(ThinLayer(Stack((0.5, law), (0.5, law)), eps))
+    halves = Structure(joint, **setup).interface(
+        ThinLayer(Stack((0.5, law), (0.5, LinearElastic.shear(3.1, 0.499))), eps)
+    )
     assert "free ends (0.4)" in told(lambda: solve(halves))[1][0]
 
 
@@ -236,8 +238,9 @@ def test_a_viscous_layer_is_not_yet_what_it_is_at_rest():
     spring = LinearElastic.shear(16.0, 0.499)
     layer = ThinLayer(KelvinVoigt(spring.lmbda, spring.mu, 0.0, 10.0), eps)
     model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.0, -1.0)}).interface(layer)
-    assert told(lambda: march(model, [0.1, 0.2]))[1] == []
-    assert len(told(lambda: march(model, [100.0, 200.0]))[1]) == 2
+    short, long = (told(lambda times=times: march(model, times))[1] for times in ([0.1, 0.2], [100.0, 200.0]))
+    assert not any("incompressible" in one for one in short)
+    assert sum("incompressible" in one for one in long) == 2
 
 
 def test_relaxing_behind_a_closed_surface():
