@@ -47,34 +47,23 @@ class Rim:
         return np.asarray(np.isin(ridge_keys(self.vertices), np.concatenate(found)))
 
 
-def component_at(joint: Joint, cells: IntArray, vertices: IntArray) -> IntArray:
-    """(n, k) component, around vertices (n, k), of the cells (n,) that have them; -1 for cells < 0."""
-    corner = (joint.corners[cells][:, None, :] == vertices[:, :, None]).argmax(axis=2)
-    found = np.take_along_axis(joint.splitting.of_nodes[cells], corner, axis=1)
-    return np.where(cells[:, None] < 0, -1, found)
-
-
 def continued(joint: Joint, facets: IntArray) -> IntArray:
-    """Keys of the ridges of S where outer facets go on over the layer's side: they are on the bodies at both its faces.
+    """Keys of the ridges of S where facets go on over the layer's side: they are all outer facets there.
 
-    On a rigid base there is one body. The facets of one body of two end where S begins.
+    So they are on the bodies at both its faces, or beside layers that meet in the ridge. On a rigid base there is one
+    body. The facets of one body of two end where S begins.
     """
 
-    def around(rows: IntArray, cells: IntArray) -> tuple[IntArray, IntArray]:
-        pairs = list(combinations(range(rows.shape[1]), joint.dim - 1))
-        ridges, cells = np.concatenate([rows[:, list(pair)] for pair in pairs]), np.tile(cells, len(pairs))
-        return ridge_keys(ridges), component_at(joint, cells, ridges[:, :1])[:, 0]
+    def around(rows: IntArray) -> IntArray:
+        vertices = joint.table.vertices[rows]
+        pairs = combinations(range(vertices.shape[1]), joint.dim - 1)
+        return np.concatenate([ridge_keys(vertices[:, list(pair)]) for pair in pairs])
 
-    rows = joint.table.index(facets)
-    outer = joint.table.cells[rows, 1] < 0
-    own, count = around(facets[outer], joint.table.cells[rows[outer], 0]), len(joint.cells)
-    (keys, below), (_, above) = (
-        around(joint.table.vertices[joint.surface_rows], cells) for cells in joint.surface_cells.T
-    )
-    number = np.unique(np.concatenate([own[0], keys]), return_inverse=True)[1].ravel()
-    known, asked = number[: len(own[0])] * count + own[1], number[len(own[0]) :] * count
-    on = [(side < 0) | np.isin(asked + side, known) for side in (below, above)]
-    return np.unique(keys[on[0] & on[1]])
+    outer = np.setdiff1d(np.flatnonzero(joint.table.cells[:, 1] < 0), joint.surface_rows)
+    others = np.setdiff1d(outer, rows := joint.table.index(facets))
+    of_s = ridge_keys(ridges(joint.surface, joint.cell_type)[0])
+    found = np.intersect1d(around(np.intersect1d(outer, rows)), of_s)
+    return np.setdiff1d(found, around(others))
 
 
 @dataclass(frozen=True)

@@ -169,6 +169,8 @@ def test_layers_that_meet_on_the_boundary(cell):
     eps = 0.01
     opened = inflate(base, eps, bodies="extended")
     check(base, opened)
+    one = replace(base, facets=base.facets | {"SIDE": facets["SIDE"][:4]})  # of B0 alone: it ends where S begins
+    assert "SIDE/LAYER" not in inflate(one, eps, bodies="extended").facets
     assert areas(opened)["LAYER/JUNCTIONS"] == pytest.approx(eps**2 / 2, rel=1e-9)
     x = opened.points[opened.facets["SIDE/LAYER"]]
     assert x[..., 0] == pytest.approx(0.0, abs=1e-12)

@@ -11,12 +11,18 @@ from geometry.compat import cell_nodes
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.seam import S
-from geometry.sheet import component_at
 from thinlayer.compiling.compat import create_submesh
 from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.parallel.exchange import carry
 
 IntArray = npt.NDArray[np.int64]
+
+
+def component_at(joint: Joint, cells: IntArray, vertices: IntArray) -> IntArray:
+    """(n, k) component, around vertices (n, k), of the cells (n,) that have them; -1 for cells < 0."""
+    corner = (joint.corners[cells][:, None, :] == vertices[:, :, None]).argmax(axis=2)
+    found = np.take_along_axis(joint.splitting.of_nodes[cells], corner, axis=1)
+    return np.where(cells[:, None] < 0, -1, found)
 
 
 def pair_numbers(joint: Joint) -> IntArray:
