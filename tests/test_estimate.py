@@ -77,6 +77,17 @@ def test_the_mean_traction_is_that_of_the_load(kind, every):
     assert [found.value, found.better] == pytest.approx([math.hypot(0.3, 1.0)] * 2, rel=1e-9)
 
 
+def test_the_mean_traction_has_nothing_of_supports_at_ends_of_s():
+    """Over nodes that nothing holds: within a cell's share of the mean of the law's tractions."""
+    held = Structure(structure("between").joint, body=LOWER, supports={"LEFT": 0}, tractions={"TOP": (0.3, -1.0)})
+    state = solve(held.interface(ThinLayer(GLUE, EPS)))
+    surface = Surface(state.model)
+    for k, stiffness in enumerate((GLUE.mu, GLUE.lmbda + 2 * GLUE.mu)):
+        mean = surface.integral(surface.jump(state)[k]) * stiffness / surface.integral(ufl.as_ufl(1.0))
+        found = goals.MeanTraction([k == 0, k == 1]).value(state, state.model)
+        assert found == pytest.approx(mean, rel=0.04), k
+
+
 def test_a_goal_that_is_not_linear_has_a_density_to_first_order():
     square = goals.Functional("square", lambda u, model: ufl.inner(u, u) * model.dx)
     found = estimate(solve(structure("between").interface(ThinLayer(GLUE, EPS))), goals=[square])

@@ -28,7 +28,6 @@ from thinlayer.estimating.places import nodes_of_sides
 from thinlayer.output.locating import Located
 from thinlayer.output.probe import Probe
 from thinlayer.output.surface import Surface
-from thinlayer.ranges.areas import Areas
 from thinlayer.solving.adjoint import Adjoint
 
 Array = npt.NDArray[np.float64]
@@ -104,6 +103,8 @@ class Reaction(Goal):
 class MeanTraction(Goal):
     """The mean over a seam of the traction along a direction: the bodies' reactions on S over its area.
 
+    Where supports or plates hold nodes of S the bodies' reactions contain theirs: the mean is over the other nodes.
+
     Attributes:
         direction: (d,) not zero.
         seam: name of the seam; "S" where there is one.
@@ -149,18 +150,26 @@ class MeanTraction(Goal):
     def _test(self, model: InterfaceModel) -> fem.Function:
         """Displacements in which the reactions of the bodies on the seam do the mean traction's work."""
         e, d = unit(self.direction, model.joint.dim, self.name), model.joint.dim
-        names = [self.seam] if self.seam in model.layers else [*model.layers]
-        area = sum(Areas(model.layers[name].sheet, model.kinematics).total for name in names)
         v, count = fem.Function(model.V), fem.Function(model.V)
+        names = [self.seam] if self.seam in model.layers else [*model.layers]
         for name in names:
-            base = name in model.joint.base_seams
-            for factor, nodes in zip((-1.0, 1.0), nodes_of_sides(model, name), strict=True):
-                v.x.array.reshape(-1, d)[nodes] = factor * e / area * (1.0 if base else 0.5)
+            for factor, nodes in zip((-0.5, 0.5), nodes_of_sides(model, name), strict=True):
+                v.x.array.reshape(-1, d)[nodes] = factor * e
                 count.x.array.reshape(-1, d)[nodes] = 1.0
         for f in (v, count):  # nodes that this rank sees, but another one has
             f.x.scatter_reverse(la.InsertMode.add)
             f.x.scatter_forward()
         v.x.array[:] /= np.maximum(count.x.array, 1.0)
+        v.x.array[model.held_in(model.V)] = 0.0
+        sums = np.zeros(d)
+        for name in names:
+            surface = Surface(model, name)
+            sums += [-surface.integral(part) for part in surface.sides.jump(v)]
+        if ((sums == 0.0) & (e != 0.0)).any():
+            raise ModelError(
+                f"{self.name}: supports hold all of the seam's nodes, and nothing tells tractions from reactions"
+            )
+        v.x.array.reshape(-1, d)[:] *= np.divide(e, sums, out=np.zeros(d), where=sums != 0.0)
         return v
 
 
