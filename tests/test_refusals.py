@@ -48,6 +48,24 @@ def test_tractions_inside_are_refused():
 
 
 @pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"joint": "joint.msh"}, "joint is 'joint.msh'; it must be a Joint"),
+        ({"parts": LAYER}, "parts is .* must be a list"),
+        ({"comm": "world"}, "comm is 'world'"),
+    ],
+)
+def test_arguments_of_another_kind(wrong, words):
+    with pytest.raises(ModelError, match=words):
+        Structure(**({"joint": JOINT, **SETUP} | wrong))
+
+
+def test_thicknesses_that_coordinates_do_not_resolve():
+    with pytest.raises(GeometryError, match="1e-300, which coordinates do not resolve beside bodies of 2"):
+        Structure(JOINT, **SETUP).full(ThinLayer(GLUE, 1e-300))
+
+
+@pytest.mark.parametrize(
     "load", [lambda x, t: (x[0] > 1, 0), lambda x, t: x[0], lambda x, t: (1.0,), ("a", 0), {"x": 5}, lambda x, t: 3.0]
 )
 def test_loads_that_are_no_vectors(load):

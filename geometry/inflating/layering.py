@@ -15,6 +15,7 @@ from geometry.joint import Joint, Profile
 from geometry.topology import BoolArray, FloatArray, IntArray, ridges
 
 WAYS = ("kept", "extended")
+THINNEST = 1e-11  # thickness of a meshed layer over the size of its joint
 Given = TypeVar("Given")
 
 
@@ -130,6 +131,11 @@ class Layering:
             which = "" if len(joint.seams) == 1 else f" of {name!r}"
             if not is_finite(one) or one <= 0:
                 raise GeometryError(f"the layer's thickness eps{which} is {one!r}; it must be > 0")
+            if one < THINNEST * (size := float(np.ptp(joint.points, axis=0).max())):
+                raise GeometryError(
+                    f"the layer's thickness eps{which} is {one:.3g}, which coordinates do not resolve beside bodies of "
+                    f"{size:.3g}; use the interface model"
+                )
             if len(some) and not (all(map(is_finite, some)) and min(some) > 0 and abs(sum(some) - 1) <= 1e-12):
                 raise GeometryError(
                     f"the sublayers' fractions {tuple(some)}{which} must be numbers > 0 and add up to 1"

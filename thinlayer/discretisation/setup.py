@@ -64,10 +64,17 @@ class Setup:
         eigenstrain: Eigenstrains | None = None,
         comm: MPI.Intracomm | None = None,
     ) -> None:
+        if not (comm is None or isinstance(comm, MPI.Intracomm)):
+            raise ModelError(f"comm is {comm!r}; it must be an MPI communicator, or None")
         self.joint, self.plane, self.comm = joint, plane, comm
         self.supports, self.tractions, self.body_force = supports, tractions, body_force
-        self.parts, self.strain, self.stress = tuple(parts), strain, stress
+        self.strain, self.stress = strain, stress
         with on_all(comm):
+            if not isinstance(joint, Joint):
+                raise ModelError(f"joint is {joint!r:.80}; it must be a Joint, such as geometry.sandwich gives")
+            if not isinstance(parts, Sequence):
+                raise ModelError(f"parts is {parts!r:.80}; it must be a list of parts")
+            self.parts = tuple(parts)
             self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
             self.loads = check_loads(loads)
             self._check_choices()
