@@ -275,6 +275,8 @@ def test_layers_that_are_not_known_are_refused():
     blocks = Structure(joint(), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0, 1)})
     with pytest.raises(ModelError, match="bodies='kept'"):
         Zoom(solve(blocks.interface(ThinLayer(GLUE, EPS), bodies="extended")))
+    with pytest.raises(ModelError, match="body force in the layer"):
+        Zoom(state(FREE, body_force={"S": (0, -1)}))
 
 
 def test_places_and_heights_out_of_range_are_refused():
@@ -301,6 +303,7 @@ def test_places_and_heights_out_of_range_are_refused():
         (ThinLayer(Rubber.shear(3.0, 0.48), EPS, order=1), {}, "longer than the fall"),
         (ThinLayer(LinearElastic.shear(400.0, 0.3), EPS), {}, "rigid faces"),
         (ThinLayer(GLUE, EPS), {"plane": "axisymmetric", "supports": {"BOTTOM": {"y": 0}}}, "revolution"),
+        (FREE, {"tractions": {"TOP": (0, -1), "RIGHT/LAYER": (0.4, 0.2)}}, "'RIGHT/LAYER' acts on the layer's side"),
         (ThinLayer(GLUE, EPS, profile=lambda x: 1 + x[0] / 5), {}, "varies"),
     ],
 )

@@ -25,6 +25,8 @@ from thinlayer.errors import ModelError, warn
 
 BodyForce = Load | Mapping[str, Load]
 
+WEIGHT = "body force in the layer {!r}"  # the words for it, by the name of the seam
+
 
 @dataclass(frozen=True)
 class Weighted:
@@ -116,11 +118,15 @@ class Forces:
             places: where the layer is: its weight, and how the work of displacements there is told, see `Weighted`.
             at: coordinates there, with the time of the other loads.
         """
-        what = f"body force in the layer {name!r}"
+        what = WEIGHT.format(name)
         self.given[what] = load
         force = vector(load, at, self.domain.joint.dim, what)
         for one in places:
             self.add_weighted(name, what, force, one)
+
+    def weighs(self, name: str) -> bool:
+        """Whether a body force acts in the layer of a seam."""
+        return WEIGHT.format(name) in self.given
 
     def add_weighted(self, name: str, what: str, force: Expr, place: Weighted) -> None:
         """Add a force, a UFL vector, at a place of the layer of a seam."""

@@ -23,6 +23,7 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import real_law
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.discretisation.side_loads import SideLoad
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.output.faces_at import FacesAt
@@ -73,6 +74,8 @@ class Zoomable:
             raise ModelError(f"{start}{type(one.layer).__name__} is a law on S, without a thickness")
         if thin.eigenstrain is not None:
             raise ModelError(f"{start}its eigenstrain is not in the fields of the zoom")
+        if model.forces.weighs(name):
+            raise ModelError(f"{start}the stresses of a body force in the layer are not in the fields of the zoom")
         if model.domain.joint.parted is not None:
             raise ModelError(f"{start}it needs bodies='kept', which meet on S")
         try:
@@ -153,6 +156,8 @@ class Zoomable:
         assert one.thin
         if moduli is None:
             return "the fields of free ends are those of a layer of one law"
+        for load in SideLoad.of(self.model, one):
+            return f"the {load.what} acts on the layer's side"
         if self.inside.flows and one.thin.order == 0:
             return "the pressure of order 0 does not fall there"
         if self.inside.flows and len(free_of_pressure(self.model, one)[1].vertices):
