@@ -12,7 +12,6 @@ from forms import Anisotropic, HolonomicCoulomb, LinearElastic, Stack, VonMises
 from forms.law import BulkLaw
 from forms.work import work
 from geometry import block, periodic, sandwich
-from tests.documents import PAGES
 from tests.dry_walls import dry_wall
 from tests.ranks import mpirun
 from thinlayer import (
@@ -318,18 +317,6 @@ def test_stiffness_of_a_cell_whose_family_has_eigenstrains():
     assert homogenised_stiffness(other) == pytest.approx(homogenised_stiffness(plain), rel=1e-11, abs=1e-11)
     assert np.array_equal(solve(other).mean_stress(), before)
     assert np.abs(before - solve(plain).mean_stress()).max() > 1e-3
-
-
-def test_what_the_guide_writes():
-    section = (
-        PAGES["thinlayer/guide/loads.md"].partition("## Heat, shrinkage, in-situ stress\n")[2].partition("\n## ")[0]
-    )
-    code = "\n".join(line[4:] for line in section.splitlines() if line.startswith("    "))
-    given = {"joint": FLAT, "steel": LAW, "glue": GLUE, "supports": AT_REST}
-    names = {one: globals()[one] for one in ("Structure", "ThinLayer", "ThermalExpansion", "Prestress", "ufl")} | given
-    exec(code, names)
-    for structure in (names["strips"], names["stones"]):
-        march(structure.interface(names["setting"]), [1.0])
 
 
 # ---------------------------------------------------------------- ranks, refusals

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from functools import partial
 from random import Random
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests import ensemble_run
-from tests.ranks import CLONE, mpirun
+from tests.ranks import mpirun
 from thinlayer import ModelError, SolveError, Table, ensemble
 
 CASES = [{"E": 1.5 + k, "name": f"n{k}"} for k in range(5)]
@@ -165,19 +164,6 @@ def test_rows_drawn_from_seeds_of_their_cases_are_resumed(tmp_path):
     again = ensemble(make, CASES, tmp_path / "t.csv", resume=True)
     assert again.rows[:2] == first.rows
     assert len({*again["u"]}) == 5
-
-
-def test_the_script_of_the_page(tmp_path, monkeypatch):
-    """As printed, with three of its two hundred cases; a softer and thicker layer opens more."""
-    page = (CLONE / "studies" / "ensembles.md").read_text()
-    script = re.search(r"```python\n(.*?)```", page, re.DOTALL)[1]
-    assert "range(200)" in script
-    monkeypatch.chdir(tmp_path)
-    exec(script.replace("range(200)", "range(3)"), {})
-    table = Table.load("glue.csv")
-    assert table.columns == ["run", "E", "eps", "traction", "jump"]
-    assert np.argsort(table["jump"]).tolist() == np.argsort(table["eps"] / table["E"]).tolist()
-    assert np.ptp(table["traction"]) < 0.1 * table["traction"].min()
 
 
 @pytest.mark.parametrize(

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from pathlib import Path
 
 import pytest
 
 from studies import which_law
 from studies.transfer import Wave
 from tests import reference
-from thinlayer import RangeWarning
+from tests.documents import PAGES
 from thinlayer.running.catalogue import studies
 from thinlayer.running.record import Record
 
@@ -79,12 +78,11 @@ def test_errors_at_free_ends(row):
         assert all(a < 0.3 * b for a, b in zip(errors(found, "edges"), errors(found, "order_1"), strict=True))
 
 
-CLONE = Path(__file__).parent.parent
-PAGE = (CLONE / "forms" / "which_law.md").read_text()
+PAGE = PAGES["forms/which_law.md"]
 
 
 def test_the_table_of_the_page(row):
-    """Two of its columns computed once more, its errors of two digits; files and studies that it names exist."""
+    """Two of its columns computed once more, its errors of two digits; studies that it names exist."""
     cells = re.findall(r"^\| (rollers|free), ([\d,]+) \| (.*?) \|(.*)\|$", PAGE, re.MULTILINE)
     assert len(cells) == 16
     ratios = [float(nu) for nu in re.search(r"E/mu \| law \|(.*)\|", PAGE)[1].replace("nu =", "").split("|")]
@@ -101,21 +99,5 @@ def test_the_table_of_the_page(row):
             cell = line.split("|")[ratios.index(nu)].strip()
             printed = [None, None] if cell == "-" else [float(number) / 100 for number in cell.split(";")]
             assert errors(found, law)[:2] == pytest.approx(printed, rel=0.07), (name, law)
-    for path in re.findall(r"\]\(([\w/.]+)\)", PAGE):
-        assert (CLONE / "forms" / path).is_file(), path
     named = set(re.findall(r"`run (\w+)`", PAGE)) | {"sweep_kelvin_voigt", "sweep_norton"}
     assert named <= set(studies())
-
-
-def test_the_script_of_the_page(tmp_path, monkeypatch, capsys):
-    """As printed; the law alone is as much too stiff as the report says."""
-    monkeypatch.chdir(tmp_path)
-    with pytest.warns(RangeWarning):
-        exec(re.search(r"```python\n(.*?)```", PAGE, re.DOTALL)[1], {})
-    printed = re.findall(r"^    (the layer alone .*\n)    (closes by .*\n)", PAGE, re.MULTILINE)
-    lines = capsys.readouterr().out
-    number = r"\d+\.\d+"
-    assert re.sub(number, "", lines) == re.sub(number, "", "".join(printed[0]))
-    found, wanted = ([float(x) for x in re.findall(number, text)] for text in (lines, "".join(printed[0])))
-    assert found == pytest.approx(wanted, rel=5e-3)
-    assert found[0] == pytest.approx(found[3], rel=0.03)

@@ -1,0 +1,133 @@
+"""Blocks of all pages run as they are pasted and print what the pages say; links, pictures and studies exist."""
+
+from __future__ import annotations
+
+import io
+import re
+import runpy
+import shlex
+import sys
+import warnings
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+
+from tests.documents import CLONE, GUIDES, PAGES, anchors, sections
+from thinlayer import RangeWarning, compare, solve
+from thinlayer.describing.case import Case
+from thinlayer.describing.description import KEYS, Description
+from thinlayer.describing.source import OF_MESH, OPTIONS, PLAIN, Source
+from thinlayer.running.arguments import command_line
+from thinlayer.running.asked import Asked
+from thinlayer.running.catalogue import studies
+from thinlayer.running.cli import main
+
+SECTIONS = sections()
+LONG: set[str] = set()
+NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d*)?(?:e[-+]?\d+)?")
+WRITTEN = re.compile(r'(?:save=|write\(\w+, |out=)"([\w.]+)"')
+LAP = CLONE / "studies/data/lap.toml"
+
+
+def numbers(text: str) -> list[float]:
+    return [float(one) for one in NUMBER.findall(text)]
+
+
+def assert_says(page: str, printed: str) -> None:
+    """The words are the same, and numbers but for 2 %, as another gmsh may mesh a little differently."""
+    assert NUMBER.sub("#", printed).split() == NUMBER.sub("#", page).split()
+    assert numbers(printed) == pytest.approx(numbers(page), rel=2e-2, abs=1e-12)
+
+
+def run_script(path: Path, blocks: list) -> None:
+    """Hold what each line of a section's code prints against the numbers of its comment, or the text below its block."""
+    text, printed = "", defaultdict(str)
+    for block in blocks:
+        text += "\n" * (block.line - text.count("\n")) + block.code  # lines as in the page
+    path.write_text(text)
+
+    def told(*args, **options):
+        print(*args, file=(out := io.StringIO()), **options)
+        printed[sys._getframe(1).f_lineno] += out.getvalue()
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", RangeWarning)
+        runpy.run_path(str(path), {"print": told}, run_name="__main__")
+    assert ("# warns" in text) == any(issubclass(one.category, RangeWarning) for one in caught)
+    below = defaultdict(str)
+    for line, words in printed.items():
+        comment = numbers(text.splitlines()[line - 1].partition("  # ")[2])
+        if comment:
+            found = numbers(words)
+            assert comment[: len(found)] == pytest.approx(found, rel=2e-2), f"line {line}"
+        else:
+            below[max((one for one in blocks if one.line < line), key=lambda one: one.line)] += words
+    for block in blocks:
+        assert_says(block.shown, below[block])
+    for name in WRITTEN.findall(text):
+        assert path.with_name(name).stat().st_size > 300, name
+
+
+@pytest.mark.parametrize("name", [pytest.param(one, marks=[pytest.mark.long][: one in LONG]) for one in SECTIONS])
+def test_blocks_print_what_the_page_says(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("studies").symlink_to(CLONE / "studies")
+    code = {kind: [one for one in SECTIONS[name] if one.language == kind] for kind in ("python", "sh", "toml")}
+    assert sum(map(len, code.values())) == len(SECTIONS[name])
+    commands = [
+        (block, shlex.split(line, comments=True))
+        for block in code["sh"]
+        for line in block.code.replace("\\\n", "").splitlines()
+    ]
+    (script,) = {word for _, words in commands for word in words if word.endswith(".py")} or {"script.py"}
+    if code["python"]:
+        run_script(tmp_path / script, code["python"])
+    for block, words in commands:
+        capsys.readouterr()
+        assert words[:4] == ["./fenicsx", "python3", "-m", "thinlayer"]
+        assert main(words[4:]) == 0
+        if block.shown:
+            assert_says(block.shown, capsys.readouterr().out)
+    assert all(block.code == LAP.read_text() for block in code["toml"])
+
+
+def test_errors_of_the_first_example_are_those_of_a_meshed_layer():
+    """And option by option its command says what the file says."""
+    file = Description.of(Source.read(LAP).section())
+    given = Case.of(file)
+    full, limit = (solve(make(given.layer)) for make in (given.structure.full, given.structure.interface))
+    row = compare(full, limit, where=lambda x: abs(x[0] - 12.5) < 12.5 - 0.9)
+    work = [state.energies()["loads"] for state in (full, limit)]
+    said = re.search(r"errors are\s(\S+) % in traction, (\S+) % in jump and\s(\S+) % in compliance", PAGES["README.md"])
+    true = (row["error_traction"], row["error_jump"], 1 - work[1] / work[0])
+    assert tuple(f"{100 * one:.2g}" for one in true) == said.groups()
+
+
+def test_keys_and_options_of_descriptions_are_those_of_the_guide():
+    page = PAGES[GUIDES["estimate"]]
+    assert set(re.findall(r"--([A-Za-z][\w-]*)", page)) - {"out"} == {*OPTIONS, *PLAIN, *OF_MESH, "bonded"}
+    table = page.partition("| Key |")[2].partition("\n\n")[0]
+    keys = re.findall(r"`(\w+)`", " ".join(line.split("|")[1] for line in table.splitlines()[2:]))
+    assert sorted(keys) == sorted(KEYS)
+    (command,) = re.findall(r"thinlayer (estimate studies/data/lap.msh .*)", page.replace("\\\n", " "))
+    words = [str(CLONE / word) if word.startswith("studies/") else word for word in shlex.split(command)]
+    asked, file = Asked.of(command_line().parse_args(words)).description, Description.of(Source.read(LAP).section())
+    assert asked.layer[None].law == file.layer[None].law
+    for name in ("supports", "tractions", "mesh"):
+        assert getattr(asked, name) == getattr(file, name)
+
+
+def test_links_lead_somewhere():
+    """Pages, pictures, files and headings; the README has all pages of the guide, and each study its row."""
+    for name, text in PAGES.items():
+        for path, anchor in re.findall(r"\]\(([\w/.]*)(?:#([\w-]+))?\)", text):
+            target = (CLONE / name).parent / path if path else CLONE / name
+            assert target.is_file(), (name, path)
+            assert not anchor or anchor in anchors(target.read_text()), (name, path, anchor)
+    assert {path.stem for path in (CLONE / "thinlayer/guide").iterdir()} == set(GUIDES)
+    assert all(f"]({page})" in PAGES["README.md"] for page in GUIDES.values())
+    rows = re.findall(
+        r"^\|.*\| `(\w+)` \| `\./fenicsx python3 -m thinlayer run (\w+)", PAGES["README.md"], re.MULTILINE
+    )
+    assert sorted(rows) == [(name, name) for name in sorted(studies())]
