@@ -1,4 +1,4 @@
-"""A dry wall, pressed and pushed along: Newton steps and time of each solver, over that of one linear solve."""
+"""Benchmark: a dry wall, pressed and pushed along: Newton steps and time of each solver, over that of one linear solve."""
 
 from __future__ import annotations
 

@@ -12,12 +12,10 @@ from scipy.spatial import cKDTree
 from forms import LinearElastic
 from geometry import GeometryError, Joint, faults, fibre, grains, inflate, periodic
 from geometry.topology import node_jacobians
-from studies import junctions
 from tests.meshes import volumes
 from tests.network_cases import shifted, springs
 from tests.test_networks import counts, cut_at
 from thinlayer import Structure, homogenised_stiffness
-from thinlayer.running.cli import main
 
 SIDES = {"BOTTOM", "TOP", "LEFT", "RIGHT"}
 POINTS = [(0.4, 0.3), (1.9, 0.4), (2.6, 1.2), (1.1, 1.4), (0.3, 1.6)]
@@ -266,13 +264,3 @@ def test_refused_fibres():
     ):
         with pytest.raises(GeometryError, match=message):
             fibre(0.4, **given)
-
-
-# ---------------------------------------------------------------- study
-def test_study_of_junctions(tmp_path, monkeypatch):
-    """A star and grains converge to their interface laws away from junctions, a refined bond on all of S."""
-    names = ("star of five layers", "grains", "bond, refined")
-    monkeypatch.setattr(junctions, "CASES", {name: junctions.CASES[name] for name in names})
-    assert main(["run", "junctions", "--quick", "--eps", "0.02", "0.01", "--out", str(tmp_path)]) == 0
-    drawn = {"jump", "inner_jump", "inner_traction", "star", "grains"}
-    assert {path.name for path in tmp_path.glob("*.png")} == {f"{name}.png" for name in drawn}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import csv
 import json
 import subprocess
@@ -139,32 +138,8 @@ def test_limits_and_drawing_again(tmp_path):
     assert f"the run in {tmp_path} is of the study limits, not sweep_mohr_coulomb" in other.stderr
 
 
-@pytest.mark.parametrize(
-    ("name", "options"), [("sweep_order1", ()), ("hard_layer", ()), ("sweep_elastic", ("--order", "1"))]
-)
-def test_next_order_studies(tmp_path, name, options):
-    done = thinlayer("run", name, "--quick", "--eps", "0.03125", "0.015625", "--out", tmp_path, *options)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert float(rows(tmp_path / "table.csv")[-1]["order_traction"]) > 1.9
-    assert_drawn(next(tmp_path.glob("*.png")))
-
-
-@pytest.mark.parametrize("name", sorted(studies()))
-def test_every_study_can_be_drawn_again(name):
-    assert "draw" in {
-        node.name for node in ast.parse((CLONE / "studies" / f"{name}.py").read_text()).body if hasattr(node, "name")
-    }
-
-
-@pytest.mark.parametrize("name", ["ring", "tapered", "own_mesh", "butt_joint"])
-def test_studies_of_any_joint(tmp_path, name):
-    """First order in eps on curved S (also second), under a wedge, on a mesh file, in 3D; their pictures are drawn."""
-    eps = {"tapered": ("0.0625", "0.03125"), "own_mesh": ("0.01", "0.005")}.get(name, ("0.2", "0.1"))
-    done = thinlayer("run", name, "--quick", "--eps", *eps, "--out", tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("ok   last observed order") == (4 if name == "ring" else 2)
-    assert [float(row["eps"]) for row in rows(tmp_path / "table.csv")] == [float(e) for e in eps]
-    assert {path.name for path in tmp_path.glob("*.png")} == {"deformed.png", "rates.png"}
+def test_every_study_can_be_drawn_again():
+    assert {name for name in studies() if "\ndef draw(" not in (CLONE / "studies" / f"{name}.py").read_text()} == set()
 
 
 @pytest.mark.parametrize(

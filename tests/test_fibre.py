@@ -12,7 +12,6 @@ from geometry import fibre
 from studies.concentric import Cylinders
 from tests.network_cases import springs
 from thinlayer import Structure, solve
-from thinlayer.running.cli import main
 
 BODY, GLASS = LinearElastic.young(1.0, 0.2), LinearElastic.young(5.0, 0.3)
 
@@ -56,8 +55,3 @@ def test_curved_cells_follow_the_circle(cell):
     assert abs(found / wrong - 1) > 1e-3
     straight = stretched(fibre(0.4, 1.0, 0.1, cell=cell), (GLASS, BODY), 2.0, 0.7, (0.1, -0.03))
     assert abs(straight / right - 1) > 1e-3
-
-
-def test_study(tmp_path):
-    assert main(["run", "fibre", "--quick", "--out", str(tmp_path)]) == 0
-    assert {path.name for path in tmp_path.glob("*.png")} == {"axis.png", "deformed.png", "rates.png", "refinement.png"}

@@ -18,12 +18,11 @@ from mpi4py import MPI
 
 from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic, MohrCoulombMonodirectional, Stack
 from geometry import sandwich
-from studies import sweep_friction, sweep_monodirectional
+from studies import sweep_friction
 from studies.problems import pressed
 from tests.own_laws import layer_of
 from tests.ranks import mpirun
-from thinlayer import Structure, Surface, Table, ThinLayer, compare, march, observed_orders, solve
-from thinlayer.running.cli import main
+from thinlayer import Structure, Surface, ThinLayer, compare, march, observed_orders, solve
 
 # layers whose thickness tends to zero under the same load, and columns of any height
 pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
@@ -277,37 +276,6 @@ def test_two_ranks():
     done = mpirun(2, "-m", "tests.test_friction_band")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == pytest.approx(norms(), rel=1e-7)
-
-
-# ------------------------------------------------------------------------ studies
-def study(name, folder, *eps):
-    return main(["run", name, "--quick", "--eps", *map(str, eps), "--out", str(folder)])
-
-
-def test_friction_study(tmp_path):
-    assert study("sweep_friction", tmp_path, 1 / 64, 1 / 128) == 0
-    for case in ("", "_history"):
-        table = Table.load(tmp_path / f"table{case}.csv")
-        assert table["h"] == pytest.approx(0.0)
-        assert [row["method"] for row in table.rows] == ["condensed"] * 2
-        profile = Table.load(tmp_path / f"profile{case}_0.015625.csv")
-        assert {row["status_contact"] for row in profile.rows} == {"separated", "sliding", "stick"}
-        assert profile["p_contact"].min() >= -1e-9
-        excess = np.abs(profile["t_T_contact"]) - FRICTION * profile["p_contact"]
-        assert excess.max() < 1e-9
-    for name in ("along_S", "rates", "rates_jump", "deformed", "deformed_history"):
-        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
-
-
-def test_monodirectional_study(tmp_path, monkeypatch):
-    """Without the stack, which columns have."""
-    kept = {case: rest for case, rest in sweep_monodirectional.CASES.items() if case != "stack"}
-    monkeypatch.setattr(sweep_monodirectional, "CASES", kept)
-    assert study("sweep_monodirectional", tmp_path, 1 / 64, 1 / 128) == 0
-    fractions = {"": 0.0, "_unilateral": 0.01, "_pulled": 0.01, "_pulled_less": 1e-4}
-    for case, h in fractions.items():
-        assert Table.load(tmp_path / f"table{case}.csv")["h"] == pytest.approx(h)
-    assert (tmp_path / "rates.png").stat().st_size > 10_000
 
 
 if __name__ == "__main__":

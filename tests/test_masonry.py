@@ -16,7 +16,6 @@ from tests.meshed_cases import SHARES, bricks, inner, mortar, panel
 from tests.network_cases import BED, springs, three_bricks
 from tests.test_networks import cut_at, on
 from thinlayer import LayerReport, LimitLoad, ModelError, Structure, Surface, ThinLayer, march, plotting, solve
-from thinlayer.running.cli import main
 
 FAR = 0.2  # from junctions and ends: a traction of degree 1 takes their values one cell (0.125) farther
 STEPS = 1 / 1024  # of the last planned step, to which a limit is found
@@ -224,9 +223,3 @@ def test_no_status_of_contact():
     assert set(LayerReport(state, "HEAD").status) == {"elastic"}
     with pytest.raises(ModelError, match="the seam 'BED' has a contact law"):
         LayerReport(state)
-
-
-def test_triplet_study(tmp_path):
-    """Three bricks, two beds, two pressures."""
-    assert main(["run", "triplet", "--quick", "--out", str(tmp_path)]) == 0
-    assert (tmp_path / "strength.png").stat().st_size > 10_000

@@ -10,13 +10,13 @@ import ufl
 
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack, limits
 from geometry import block, sandwich
-from studies.fig3_mohr_coulomb import glue
-from studies.sweep_mohr_coulomb import bar_r1
+from studies.fig3_mohr_coulomb import R_X, glue
+from studies.sweep_mohr_coulomb import COULOMB, FLOOR, LAYERS, bar_r1, sheared_blocks
 from tests.columns_in_time import both, check_balance, check_same
 from tests.columns_in_time import column as tall_column
 from tests.mohr_coulomb_run import numbers
 from tests.ranks import mpirun
-from thinlayer import Structure, Surface, ThinLayer, march, solve
+from thinlayer import Structure, Surface, ThinLayer, compare, march, solve
 from thinlayer.pointwise.drive import PointHistory, drive
 
 # layers whose thickness tends to zero under the same load, and columns of any height
@@ -155,7 +155,7 @@ def test_plane_strain_is_a_slice_of_three_dimensions():
     assert deep.stress == pytest.approx(flat.stress, abs=1e-13)
 
 
-# ---------------------------------------------------------------- ranks, studies
+# ---------------------------------------------------------------- ranks, problems of the studies
 def test_ranks():
     """Layers that yield, meshed and on S, in 2D and 3D, and one opened beyond its apex: the same numbers."""
     one, two = numbers(), mpirun(2, "-m", "tests.mohr_coulomb_run")
@@ -165,28 +165,33 @@ def test_ranks():
     assert min(value for name, value in one.items() if "dissipated" in name) > 0
 
 
-def test_studies(tmp_path):
-    """Quick versions hold their own checks; every table has the elastic fraction."""
-    from thinlayer.running.cli import main
-
-    for study, options in {
-        "fig3_mohr_coulomb": ["--loads", "R1"],
-        "sweep_mohr_coulomb": ["--eps", "0.015625", "0.0078125"],
-    }.items():
-        out = tmp_path / study
-        assert main(["run", study, "--quick", *options, "--out", str(out)]) == 0, study
-        for table in out.glob("table*.csv"):
-            assert "h" in table.read_text().splitlines()[0].split(","), table
-        assert main(["draw", study, "--out", str(out)]) == 0
+def test_order_1_and_the_floor_that_coulombs_law_leaves():
+    """Blocks that are sheared to and fro: |t_T| <= C - tan(Omega) t_N on S is not the limit."""
+    (joint, setup), law, times = sheared_blocks(1 / 8), LAYERS[""], (0.5, 1.0, 1.5)
+    plates, rows = Structure(joint, **setup), {"right": [], "wrong": []}
+    for eps in (1 / 64, 1 / 128):
+        full = march(plates.full(ThinLayer(law, eps)), times)
+        for name, limit in (("right", law), ("wrong", COULOMB)):
+            rows[name].append(compare(full, march(plates.interface(ThinLayer(limit, eps)), times)))
+    for error, (low, high) in FLOOR.items():
+        right, wrong = ([row[f"error_{error}"] for row in rows[name]] for name in rows)
+        assert 0.9 < np.log2(right[0] / right[1]) < 1.3  # it comes down to 1
+        assert low < wrong[1] < high
+        assert wrong[1] > 4 * right[1]
 
 
 def test_newton_is_quadratic(capfd):
-    """The bar of Fig. 2 without cohesion, all loads in one step: the residual's exponent doubles at the end."""
+    """The bar of Fig. 2 without cohesion, all loads in one step: the residual's exponent doubles at the end.
+
+    The shear force on S is that of an independent code.
+    """
     joint, setup, _ = bar_r1(quick=True)
     model = Structure(joint, **setup).interface(ThinLayer(glue(0.0), 1.0))
     state = solve(model, options={"snes_monitor": None})
     norms = [float(line.split()[-1]) for line in capfd.readouterr().out.splitlines() if "SNES Function norm" in line]
     assert state.report.iterations <= 7
+    surface = Surface(model)
+    assert surface.integral(surface.frame(surface.traction(state))[0]) == pytest.approx(R_X, rel=2e-4)
     assert state.report.eased == 0
     exponents = np.log10(np.array(norms) / norms[0])
     exponents = exponents[exponents > -9][-3:]  # before rounding

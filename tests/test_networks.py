@@ -31,7 +31,6 @@ from tests.network_cases import (
 )
 from tests.ranks import mpirun
 from thinlayer import ContactReport, ModelError, Structure, Surface, ThinLayer, march, solve
-from thinlayer.running.cli import main
 
 ROCK = LinearElastic.young(10.0, 0.25)
 
@@ -323,9 +322,3 @@ def test_a_base_without_a_layer_holds_nothing():
     assert solve(bodies.interface({"GLUE": glue, "BOTTOM": glue})).energies()["layer"] > 0
     with pytest.raises(ModelError, match="no support against rigid motion"):
         bodies.interface({"GLUE": glue, "BOTTOM": None})
-
-
-def test_study(tmp_path):
-    """The wall carries what a bed does that slides along all of its length, and is softer with open heads."""
-    assert main(["run", "wall", "--quick", "--out", str(tmp_path)]) == 0
-    assert (tmp_path / "joints.png").stat().st_size > 10_000

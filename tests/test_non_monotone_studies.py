@@ -2,61 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import json
-
 import numpy as np
 import pytest
 
 from forms import LinearElastic
 from geometry import block
-from studies.fig4_bar import BAR, meet, straight
+from studies.fig4_bar import meet, straight
 from studies.measured import MeanJump, SupportForce
 from studies.snap_structures import distance
 from thinlayer import Structure, Surface, ThinLayer, solve
-from thinlayer.running.cli import main
-
-
-def rows(path):
-    with path.open() as file:
-        return list(csv.DictReader(file))
-
-
-def test_fig4_bar(tmp_path):
-    """The quick version holds its checks, and its tables the paper's numbers; it is drawn again from them."""
-    assert main(["run", "fig4_bar", "--quick", "--out", str(tmp_path)]) == 0
-    at = next(row for row in rows(tmp_path / "table.csv") if (row["eps"], row["delta"]) == ("0.1", "1.6"))
-    assert float(at["U"]) == pytest.approx(0.8575, rel=1e-9)
-    assert float(at["phase"]) == pytest.approx(1 - 0.23125, rel=1e-9)
-    lost = [float(row["lost"]) for row in rows(tmp_path / "table_loop.csv") if row["lost"] and row["eps"] == "0.1"]
-    assert sum(lost) == pytest.approx(BAR.loop_area, rel=1e-9)
-    assert main(["draw", "fig4_bar", "--out", str(tmp_path)]) == 0
-    for name in ("energies.png", "response.png", "elongation.png"):
-        assert (tmp_path / name).stat().st_size > 10_000, name
-
-
-def test_sweep(tmp_path):
-    """The quick version holds its checks: order 1, and the floors of three wrong laws."""
-    eps = ["--eps", "0.015625", "0.0078125"]
-    assert main(["run", "sweep_non_monotone", "--quick", *eps, "--out", str(tmp_path)]) == 0
-    for name in ("rates.png", "phases.png"):
-        assert (tmp_path / name).stat().st_size > 10_000, name
-
-
-def test_snap(tmp_path):
-    """The quick version holds its checks; the table has a row for each snap, whose energies are lost, never gained."""
-    assert main(["run", "snap", "--quick", "--out", str(tmp_path)]) == 0
-    snaps = rows(tmp_path / "table.csv")
-    assert {row["structure"] for row in snaps} == {"strip", "block"}
-    assert min(float(row["lost"]) for row in snaps) > 0
-    for row in snaps:
-        up = float(row["t"]) < 2.4
-        assert (float(row["phase after"]) > float(row["phase before"])) == up
-        assert (float(row["force after"]) < float(row["force before"])) == up
-    assert json.loads((tmp_path / "run.json").read_text())["error"] is None
-    assert main(["draw", "snap", "--out", str(tmp_path)]) == 0
-    for name in ("response.png", "phases.png", "largest_snap.png"):
-        assert (tmp_path / name).stat().st_size > 10_000, name
 
 
 @pytest.mark.parametrize("kind", [Structure.full, Structure.interface])

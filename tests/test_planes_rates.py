@@ -1,4 +1,4 @@
-"""Sheets and bodies of revolution: the interface law against the meshed layer over eps, and the studies of planes."""
+"""Sheets and bodies of revolution: the interface law against the meshed layer over eps, and a sheet in 3D."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from forms import KelvinVoigt, Maxwell, MohrCoulomb
+from studies import plane_stress
 from studies.problems import FOURIER_BODY, fourier
 from thinlayer import Structure, ThinLayer, compare, march
-from thinlayer.running.cli import main
+from thinlayer.running.record import Record
 
 LAWS = {"Maxwell": Maxwell(6.0, 4.0, 0.7, 1.5), "Mohr-Coulomb": MohrCoulomb(6.0, 4.0, 0.3, 30.0, 0.05)}
 
@@ -47,8 +48,12 @@ def test_the_next_order_is_one_more(plane, order, rate):
         assert np.log2(errors[0][key] / errors[1][key]) == pytest.approx(rate, abs=0.1), key
 
 
-@pytest.mark.parametrize(("name", "checks"), [("tubes", 6), ("plane_stress", 4)])
-def test_studies_of_planes(tmp_path, capsys, name, checks):
-    assert main(["run", name, "--quick", "--out", str(tmp_path / "out")]) == 0
-    assert capsys.readouterr().out.count("ok   ") == checks
-    assert list((tmp_path / "out").glob("*.png"))
+def test_a_thin_sheet_in_three_dimensions_is_in_plane_stress(tmp_path):
+    """A lap joint with a meshed layer: work of its load; plane strain is another one."""
+    with Record("plane_stress", tmp_path, {}) as record:
+        sheet, stress, strain = (
+            plane_stress._compliance(record, plane_stress.LAWS["elastic"], 3.0, **one)
+            for one in ({"depth": 0.5}, {"plane": "stress"}, {"plane": "strain"})
+        )
+    assert sheet == pytest.approx(stress, rel=plane_stress.SAME)
+    assert sheet > 1.03 * strain
