@@ -24,7 +24,13 @@ from thinlayer.running.catalogue import studies
 from thinlayer.running.cli import main
 
 SECTIONS = sections()
-LONG: set[str] = set()
+LONG = {
+    "thinlayer/guide/joints.md#networks-of-layers",
+    "thinlayer/guide/results.md#results",
+    "thinlayer/guide/estimate.md#in-a-script",
+    "studies/ensembles.md#an-ensemble",
+}
+assert SECTIONS.keys() >= LONG
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d*)?(?:e[-+]?\d+)?")
 WRITTEN = re.compile(r'(?:save=|write\(\w+, |out=)"([\w.]+)"')
 LAP = CLONE / "studies/data/lap.toml"
@@ -90,6 +96,13 @@ def test_blocks_print_what_the_page_says(name, tmp_path, monkeypatch, capsys):
         if block.shown:
             assert_says(block.shown, capsys.readouterr().out)
     assert all(block.code == LAP.read_text() for block in code["toml"])
+
+
+def test_the_first_scripts_are_short():
+    creep = SECTIONS[f"{GUIDES['time']}#in-time-with-a-law-of-ones-own"][0].code
+    law = creep[creep.index("@dataclass") : creep.index("steel =")]
+    for code, most in ((SECTIONS["README.md#a-script"][0].code, 20), (law, 17)):
+        assert len([line for line in code.splitlines() if line.strip()]) <= most
 
 
 def test_errors_of_the_first_example_are_those_of_a_meshed_layer():
