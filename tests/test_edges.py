@@ -28,6 +28,7 @@ from thinlayer import ModelError, RigidPlate, Springs, Structure, ThinLayer, com
 from thinlayer.discretisation.end_weights import FacetWeights
 from thinlayer.discretisation.free_rim import side_kinds
 from thinlayer.errors import RangeWarning
+from thinlayer.output.zoom import Zoom
 
 BODY = LinearElastic.young(E=100.0, nu=0.3)
 EPS = (1 / 16, 1 / 32)
@@ -367,6 +368,7 @@ def kinds(joint, supports, parts=(), **data):
         (0.5, {"LEFT": {"n": 0.0}}, "symmetric"),
         (0.0, {"LEFT/LOWER": 0.0}, "free"),
         (0.5, {"LEFT": {"x": 0.0}}, "oblique"),
+        (0.02, {"LEFT": {"x": 0.0}}, "symmetric"),
         (0.5, {"LEFT": 0.0}, "held"),
         (0.0, {(0.0, 0.0): 0.0}, "free"),
     ],
@@ -408,6 +410,8 @@ def test_an_oblique_side_has_no_constants():
     law = ThinLayer(LinearElastic.young(1.0, 0.35).per_thickness(0.1), 0.1, order=1)
     model = Structure(joint, body=BODY, supports={"BOTTOM": 0.0, "LEFT": {"x": 0.0}}, tractions=PULL).interface(law)
     assert "neither along S nor across it" in model.free_ends("S")
+    with pytest.raises(ModelError, match="neither along S nor across it"):
+        _ = Zoom(solve(model)).ends
 
 
 def test_rubber_between_plates_is_held():

@@ -211,7 +211,7 @@ def test_free_ends():
     ):
         structure = Structure(joint, body=stiff, supports={"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": -0.01}, **sides})
         state, said = told(lambda structure=structure: solve(structure.interface(layer)))
-        assert said == []
+        assert ["holds the side of the layer alone" in one for one in said] == [True] * ("LEFT/LAYER" in sides)
         x = state.p.function_space.tabulate_dof_coordinates()[:, 0]
         ends = np.abs(state.p.x.array[[np.argmin(x), np.argmax(x)]]) < 1e-12 * np.abs(state.p.x.array).max()
         assert tuple(ends) == zero

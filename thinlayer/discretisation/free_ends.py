@@ -14,7 +14,7 @@ from geometry.ends import straight_ends
 from geometry.errors import GeometryError, place
 from geometry.sheet import Rim
 from thinlayer.discretisation.end_weights import FacetWeights
-from thinlayer.discretisation.free_rim import fall_of_pressure, free_rim, rim_of_kinds
+from thinlayer.discretisation.free_rim import fall_of_pressure, free_rim, why_oblique
 from thinlayer.discretisation.layer import ThinLayer, real_law
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
@@ -55,9 +55,8 @@ class SeamEnds:
         rim = free_rim(model, one.sheet)
         if not len(rim.vertices):
             return cls()
-        if len(oblique := rim_of_kinds(model, one.sheet, "oblique").vertices):
-            at = place(one.structure.joint.points[oblique[0, 0]])
-            return cls(f"something holds the layer's side at {at} in a direction neither along S nor across it")
+        if reason := why_oblique(model, one.sheet):
+            return cls(reason)
         strips = real_law(one.layer, one.structure.kinematics).end_strips()
         if reason := _why_without_constants(one, one.thin, strips) or _why_not_here(one, rim, bodies):
             return cls(reason)

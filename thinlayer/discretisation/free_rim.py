@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from geometry.errors import place as place_of
 from geometry.seam import LAYER, S
 from geometry.sheet import Rim, Sheet, continued
 from geometry.topology import FloatArray, ridge_keys
@@ -19,7 +20,8 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import ModelError
 
-SLIGHT = 1e-6  # share of a direction, cos^2, that counts as none
+ROUNDING = 1e-6  # of squares of cosines between directions
+SLIGHT = 1e-3  # share of a direction, cos^2, that counts as none: 2 degrees
 BENT = 0.03  # the same where S is curved: straight facets are 10 degrees off it
 
 
@@ -30,6 +32,18 @@ def side_kinds(model: Model, sheet: Sheet) -> npt.NDArray[np.str_]:
     hold both ("held"), m alone ("symmetric": as in a plane of symmetry), n alone ("antisymmetric"), neither ("free"), or
     a direction between them ("oblique"). What is held along the end does not matter.
     """
+    rim, held = sheet.rim, _held(model, sheet)
+    normals = model.joint.interface_normals[sheet.parts[0][rim.simplex]]
+    shares = np.stack([np.einsum("ni,nij,nj->n", way, held, way) for way in (rim.outward, normals)], axis=1)
+    slight = SLIGHT if sheet.planar else BENT
+    along, across = (shares > slight).T
+    found = np.array([["free", "antisymmetric"], ["symmetric", "held"]])[along.astype(int), across.astype(int)]
+    clear = ((shares <= slight) | (shares >= 1 - slight)).all(axis=1)
+    return np.where(clear, found, "oblique")
+
+
+def _held(model: Model, sheet: Sheet, of_layer: bool = True) -> FloatArray:
+    """(n, d, d) projections onto what holds the layer's side at the rim; `of_layer`: places NAME/LAYER as well."""
     rim, joint, supports = sheet.rim, model.joint, model.supports
     d, keys = joint.dim, ridge_keys(rim.vertices)
     held = np.zeros((len(keys), d, d))
@@ -42,18 +56,13 @@ def side_kinds(model: Model, sheet: Sheet) -> npt.NDArray[np.str_]:
         name = place.removesuffix(f"/{LAYER}") if isinstance(place, str) else S
         if name in (S, *joint.seams) or name not in joint.facets:  # a vertex, or the side of one body
             continue
+        if name != place and not of_layer:
+            continue
         on = np.isin(keys, continued(joint, joint.facets[name]))
         for axis in components:
             way = np.eye(d)[supports.axes.index(axis)] if axis in supports.axes else rim.outward
             held += np.where(on[:, None], way, 0.0)[:, :, None] * way[..., None, :]
-    held = held @ np.linalg.pinv(held, rcond=SLIGHT, hermitian=True)  # onto all directions that are held
-    normals = joint.interface_normals[sheet.parts[0][rim.simplex]]
-    shares = np.stack([np.einsum("ni,nij,nj->n", way, held, way) for way in (rim.outward, normals)], axis=1)
-    slight = SLIGHT if sheet.planar else BENT
-    along, across = (shares > slight).T
-    found = np.array([["free", "antisymmetric"], ["symmetric", "held"]])[along.astype(int), across.astype(int)]
-    clear = ((shares <= slight) | (shares >= 1 - slight)).all(axis=1)
-    return np.where(clear, found, "oblique")
+    return np.asarray(held @ np.linalg.pinv(held, rcond=ROUNDING, hermitian=True))  # onto all directions that are held
 
 
 def rim_of_kinds(model: Model, sheet: Sheet, *kinds: str) -> Rim:
@@ -72,6 +81,29 @@ def free_rim(model: Model, sheet: Sheet) -> Rim:
 def loose_rim(model: Model, sheet: Sheet) -> Rim:
     """Where the layer's side is not held along m: loads on it reach the layer, and a pressure falls to zero."""
     return rim_of_kinds(model, sheet, "free", "antisymmetric", "oblique")
+
+
+def why_oblique(model: Model, sheet: Sheet) -> str | None:
+    """Why fields and constants of free ends are not those of this seam, where its side is held obliquely; None: nowhere."""
+    oblique = rim_of_kinds(model, sheet, "oblique").vertices
+    if not len(oblique):
+        return None
+    at = place_of(model.joint.points[oblique[0, 0]])
+    return f"something holds the layer's side at {at} in a direction neither along S nor across it"
+
+
+def why_alone(model: Model, one: SeamLayer, meshed: npt.NDArray[np.bool_] | None = None) -> str | None:
+    """Where supports hold the layer's own side, NAME/LAYER, and not the bodies beside it, in words; None: nowhere.
+
+    `meshed` (n_S,) are facets of S with cells, which do know of it.
+    """
+    apart = np.abs(_held(model, one.sheet) - _held(model, one.sheet, of_layer=False)).max(axis=(1, 2)) > SLIGHT
+    if meshed is not None:
+        apart &= ~meshed[one.sheet.parts[0][one.sheet.rim.simplex]]
+    if not apart.any():
+        return None
+    at = place_of(model.joint.points[one.sheet.rim.vertices[apart][0, 0]])
+    return f"a support holds the side of {one} alone, at {at}, of which no law on S knows"
 
 
 def neglected_rim(model: Model, one: SeamLayer) -> Rim:

@@ -17,7 +17,7 @@ from geometry.errors import place
 from geometry.seam import LAYER, S
 from thinlayer.compiling.compat import exterior_facet_entities
 from thinlayer.discretisation.followers import Followers
-from thinlayer.discretisation.free_rim import free_rim
+from thinlayer.discretisation.free_rim import free_rim, why_alone
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.joint_fields import cellwise
@@ -54,6 +54,10 @@ class MixedModel(FullModel):
             _require(structure, layer, self.meshed)
         self.layer, self._bodies, self._cells_through, self._junctions = layer, bodies, cells_through, None
         self.by_law = self._law_beside(InterfaceModel(structure, _on_all_of_s(structure, layer), bodies=bodies))
+        with on_all(structure.comm):
+            for one in self.by_law.layers.values():
+                if reason := why_alone(self.by_law, one, self.meshed):
+                    raise ModelError(f"{reason}: mesh all of the layer there")
         options = {"bodies": bodies, "cells_through": cells_through, "meshed": described(self.meshed)}
         super(FullModel, self).__init__(structure, layer, **options)
         self.followers = Followers.at_cuts(self.domain, self.V, self.layers)

@@ -12,9 +12,8 @@ from forms.base import InputError
 from forms.law import BulkLaw
 from forms.next_order import for_next_order
 from forms.tangent import average_lame
-from geometry.seam import LAYER
 from thinlayer.discretisation.free_ends import LEAST_CONTRAST, softest_body
-from thinlayer.discretisation.free_rim import free_rim
+from thinlayer.discretisation.free_rim import free_rim, why_alone
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.seams import SeamLayer
@@ -77,14 +76,6 @@ def _better(one: SeamLayer) -> ThinLayer:
         raise ModelError(
             f"estimate: {one} has a law on S, {type(law).__name__}, without a thickness: there is no mesh that it replaces"
         )
-    places = [str(place) for place in one.structure.supports]
-    if held := [
-        place for place in places if place.endswith(f"/{LAYER}") and place.removesuffix(f"/{LAYER}") not in places
-    ]:
-        raise ModelError(
-            f"estimate: the support on {held[0]!r} holds the side of the layer alone, of which no law on S knows: mesh the "
-            "layer (structure.full, structure.mixed)"
-        )
     if thin.order == 1:
         raise ModelError(f"estimate: {one} has order=1 already, and an estimate needs a better law; give it order=0")
     if law.traits.phases or law.traits.softens:
@@ -103,6 +94,9 @@ def better_model(model: InterfaceModel) -> tuple[InterfaceModel, dict[str, Bette
         ModelError: there are none.
     """
     with on_all(model.comm):
+        for one in model.layers.values():
+            if reason := why_alone(model, one):
+                raise ModelError(f"estimate: {reason}: mesh the layer (structure.full, structure.mixed)")
         layers = better_layers(model.layers)
     try:
         better = model.with_layer({**dict.fromkeys(model.joint.seams), **layers})

@@ -18,7 +18,7 @@ from geometry.seam import S
 from geometry.sheet import Rim
 from geometry.topology import IntArray
 from thinlayer.discretisation.free_ends import LEAST_CONTRAST, softest_body
-from thinlayer.discretisation.free_rim import free_of_pressure, free_rim
+from thinlayer.discretisation.free_rim import free_of_pressure, free_rim, why_oblique
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import real_law
 from thinlayer.discretisation.model import Model
@@ -168,6 +168,8 @@ class Zoomable:
             return "the thickness varies"
         if self.model.kinematics.degree:
             return "free ends of a body of revolution are curved"
+        if reason := why_oblique(self.model, one.sheet):
+            return reason
         try:
             straight_ends(self.rim, one.sheet)
         except GeometryError as error:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from forms.tangent import in_plane_modulus
+from thinlayer.discretisation.free_rim import why_alone
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
@@ -44,6 +45,8 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
     for one in model.layers.values() if model.broken else ():
         if one.flows:
             warn_of_coarse_ends(model, one)
+        if reason := why_alone(model, one):
+            warn(f"{reason}: what it bears is left out; support the bodies too, or mesh the layer", model.comm)
 
 
 def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
