@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
+import random
 from functools import partial
-from random import Random
 
 import numpy as np
 import pytest
@@ -128,13 +128,36 @@ def of_the_module(seed):
     return lambda: lambda case: {"u": float(GENERATOR.random())}
 
 
+def shared_by_all(seed):
+    random.seed(seed)
+    return partial(drawing, lambda: random.random())
+
+
+def of_a_child(seeds):
+    return np.random.default_rng(*seeds.spawn(1)).random()
+
+
+def of_scipy(seed):
+    from scipy.stats import qmc  # slow
+
+    return partial(drawing, partial(of_sequence, qmc.Halton(1, seed=seed)))
+
+
+def of_sequence(points):
+    return points.random(1)[0, 0]
+
+
 DRAWN = {
     "of the module": of_the_module,
     "attribute": lambda seed: Drawing(np.random.default_rng(seed)),
     "legacy": lambda seed: Drawing(np.random.RandomState(seed)),
     "method, argument": lambda seed: partial(drawing, np.random.default_rng(seed).random),
-    "Python's": lambda seed: partial(drawing, random=Random(seed).random),
+    "Python's": lambda seed: partial(drawing, random=random.Random(seed).random),
     "of the run": only_the_run_draws,
+    "shared by all": shared_by_all,
+    "iterator": lambda seed: partial(drawing, partial(next, iter(np.random.default_rng(seed).random(9)))),
+    "seeds": lambda seed: partial(drawing, partial(of_a_child, np.random.SeedSequence(seed))),
+    "of scipy": of_scipy,
 }
 
 
@@ -156,9 +179,15 @@ def test_parts_that_would_draw_the_same_are_told(tmp_path):
             ensemble(only_the_run_draws(1), CASES, tmp_path / "t.csv", resume=True, part=(part, 2))
 
 
-def test_rows_drawn_from_seeds_of_their_cases_are_resumed(tmp_path):
+def legacy(seed):
+    random.seed(seed)
+    return random
+
+
+@pytest.mark.parametrize("generator", [np.random.default_rng, legacy])
+def test_rows_drawn_from_seeds_of_their_cases_are_resumed(tmp_path, generator):
     def make():
-        return lambda case: {"u": float(np.random.default_rng(int(case["E"])).random())}
+        return lambda case: {"u": float(generator(int(case["E"])).random())}
 
     first = ensemble(make, CASES[:2], tmp_path / "t.csv")
     again = ensemble(make, CASES, tmp_path / "t.csv", resume=True)

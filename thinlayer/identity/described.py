@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import random
 from typing import Any
+
+import numpy as np
 
 from thinlayer.identity.containers import Brief
 from thinlayer.identity.describer import SAME, Describer, followed
@@ -44,11 +47,16 @@ def referred(function: Any) -> dict[str, Any]:
     return found if isinstance(found, dict) else {"(function)": found}
 
 
-def random_states(value: Any) -> list[str]:
-    """The states of the generators of random numbers that a value refers to, not those of whole modules."""
+def random_states(value: Any, shared: bool = False) -> list[str]:
+    """The states of the generators of random numbers and iterators that a value refers to.
+
+    With `shared` also of those that `random` and `numpy.random` share with all, unless its code seeds them.
+    """
     found = Describer()
     with followed(name_of(type(value))):
         found.of(value)
+        if shared and not found.seeds:
+            found.of([random.random, np.random.random])
     return found.random
 
 

@@ -19,6 +19,7 @@ from thinlayer.identity.classes import written
 from thinlayer.identity.containers import Containers
 from thinlayer.identity.functions import (
     bytecode,
+    calls,
     closed_over,
     function_of,
     imported,
@@ -26,7 +27,7 @@ from thinlayer.identity.functions import (
     passed_on,
     referred_to,
 )
-from thinlayer.identity.known import OPAQUE, RANDOM, known_as
+from thinlayer.identity.known import GOES_ON, OPAQUE, known_as
 from thinlayer.identity.owners import is_ours, is_own, is_readable
 from thinlayer.identity.values import attributes, digest, name_of, place_of, plain, text_of
 
@@ -41,7 +42,8 @@ class Describer(Containers):
     def __init__(self, remembers: bool = True, whole: bool = False) -> None:
         super().__init__(whole)
         self._remembers = remembers
-        self.random: list[str] = []  # states of the generators of random numbers that it has met
+        self.random: list[str] = []  # states of the generators of random numbers and iterators that it has met
+        self.seeds = False  # whether code that it has met seeds a generator
         self._known: dict[Any, tuple[Any, Any]] = {}  # by id; the value is kept, so that its id stays its own
 
     def of(self, value: Any, home: str = "") -> Any:
@@ -155,7 +157,7 @@ class Describer(Containers):
             found = self.as_one(kind, lambda: [self.of(one, home) for one in shown])
         except Exception:  # the object cannot be copied, or is nested too deeply
             return self.only_here(value)
-        if isinstance(value, RANDOM):
+        if isinstance(value, GOES_ON) or any(one.__name__ == "QMCEngine" for one in kind.__mro__):  # of scipy.stats
             self.random.append(found)
         return found
 
@@ -177,6 +179,7 @@ class Describer(Containers):
         }
         shown = {CODE: digest(bytecode(function))} | {n: self.of(one, home) for n, one in given.items() if any(one)}
         read = frozenset(names_read(function.__code__))
+        self.seeds |= calls(function.__code__, "seed")
         for name, value in referred_to(function).items():
             names = None if passed_on(function.__code__, name) else read
             with followed(name):

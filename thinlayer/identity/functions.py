@@ -80,6 +80,11 @@ def _names(code: types.CodeType) -> Iterator[str]:
         yield from one.co_names
 
 
+def calls(code: types.CodeType, name: str) -> bool:
+    """Whether a code, or a function within it, may call something of this name."""
+    return name in _names(code)
+
+
 def names_read(code: types.CodeType) -> Iterator[str]:
     """Names that a code may read of a module, by a dot or as a text."""
     yield from _names(code)

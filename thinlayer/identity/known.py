@@ -6,6 +6,7 @@ import random
 import sys
 import types
 import uuid
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,9 @@ from ufl.corealg.traversal import traverse_unique_terminals
 from thinlayer.identity.values import name_of
 
 OPAQUE = ("basix", "dolfinx", "petsc4py", "ufl")  # packages whose objects differ from one process to the next
-RANDOM = (np.random.Generator, np.random.BitGenerator, np.random.RandomState, random.Random)
+GOES_ON = (  # what gives other numbers each time
+    np.random.Generator, np.random.BitGenerator, np.random.RandomState, np.random.SeedSequence, random.Random, Iterator,
+)  # fmt: skip
 LOCKS = ("_thread.lock", "_thread.RLock")
 STREAMS = (sys.__stdin__, sys.__stdout__, sys.__stderr__)
 PROCESS = uuid.uuid4().hex[:8]

@@ -51,8 +51,8 @@ def ensemble(
         out: csv file. Each row is on the disk, in the folder out.parts, before the next one is computed; `out` has all rows
             that are there. What rows were made from (`make`, and what it refers to) is kept beside them.
         resume: keep the rows that are there, and compute the others, on any number of ranks, groups and parts. Rows drawn
-            from a generator that goes on from run to run are refused: make one in each run, from a seed in the case. The
-            generators that `random` and `numpy.random` share with all are not looked at.
+            from a generator or iterator that goes on from run to run are refused: make one in each run, from a seed in the
+            case. Those that `random` and `numpy.random` share with all are, unless code of the runs seeds them.
         ranks: number of ranks of a group (default: all ranks are one group); it divides the number of ranks.
         part: (k, n), this process does the k-th of n parts of the cases, k = 0, ..., n - 1: for n jobs that run at the same
             time or one after the other, with the same `out` and `resume=True`.

@@ -16,8 +16,8 @@ from thinlayer.identity.describer import CODE, SAME
 from thinlayer.identity.differences import MISSING, differences
 
 GENERATOR = (
-    "a generator of random numbers that goes on from row to row; make one in each run, from a number of the case, "
-    "np.random.default_rng(int(case['seed']))"
+    "an iterator or generator of random numbers that goes on from row to row; make one in each run, from a number of the "
+    "case, np.random.default_rng(int(case['seed']))"
 )
 
 
@@ -25,7 +25,7 @@ class RowFile:
     """A csv file of rows that a user's function gives, and beside it what they were made from; on one rank.
 
     The description leaves out data that the function itself changes, such as a list of its results. Where rows are drawn
-    from a generator of random numbers that goes on from row to row, they cannot be resumed.
+    from a generator of random numbers, or an iterator, that goes on from row to row, they cannot be resumed.
 
     Args:
         path: the csv file; the description is path.json.
@@ -44,7 +44,7 @@ class RowFile:
 
     def watch(self, run: Any) -> None:
         """Look at the generators of this function from now on, or of several."""
-        self._watched, self._states = run, random_states(run)
+        self._watched, self._states = run, random_states(run, shared=True)
 
     def begin(self, resume: bool) -> list[Row]:
         """The rows that are kept.
@@ -98,7 +98,7 @@ class RowFile:
         """Replace the table. The file beside it names the old and the new one, and is written first."""
         changed = (_changed(*one) for one in differences(self._made_from, referred(self._run)))
         self._changing |= {path for path in changed if path}
-        self._drawn |= random_states(self._watched) != self._states
+        self._drawn |= random_states(self._watched, shared=True) != self._states
         hashes = [hash_of(self.path), hashlib.sha256(table.content()).hexdigest()]
         content = {
             "made from": self._made_from,
