@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import ufl
+from dolfinx import fem
 
 from forms import (
     Anisotropic,
@@ -94,8 +97,18 @@ def test_integrals_of_users_are_over_the_whole_revolution():
     loads = by_part.energies()["loads"]
     assert state.integral(work(state.u, state.model)) == pytest.approx(loads, rel=EXACT)
     assert goals.Functional("work", work).value(state, state.model) == pytest.approx(loads, rel=EXACT)
-    with pytest.raises(ModelError, match="nothing in the mesh has this tag"):
-        state.integral(state.u[1] * state.model.ds(999))
+    u, model = state.u[1], state.model
+    for form, message in (
+        (u * ufl.ds(999), r"ds\(999\), which is nothing here"),
+        (u * model.dx(999), r"dx\(999\), which is nothing here"),
+        (ufl.avg(u) * model.dS(999), r"dS\(999\), which is nothing here; tags: dS\(k \+ 1\)"),
+        (u * on(model, "S"), "which is nothing here"),  # inside
+        (3.0, "it must be a UFL form"),
+        (math.nan * u * ufl.dx, "not finite"),
+        (fem.Constant(model.domain.mesh, math.nan) * ufl.dx, "not finite"),
+    ):
+        with pytest.raises(ModelError, match=message):
+            state.integral(form)
 
 
 @pytest.mark.parametrize("order", [0, 1])

@@ -421,6 +421,7 @@ def test_what_has_no_estimate():
         (lambda: estimate(limit).density("traction"), "no goal"),
         (lambda: estimate(limit, goals=[goals.Functional("mean", 3)]), "must be a function"),
         (lambda: estimate(limit, goals=[goals.Functional("mean", lambda u, model: u[5] * model.dx)]), "fails"),
+        (lambda: estimate(limit, goals=[goals.Functional("m", lambda u, model: 1j * u[0] * model.dx)]), "not real"),
         (lambda: thin_enough(limit.model, layer, 0.1), "takes a Structure"),
         (lambda: thin_enough(made, layer, 0.1, bonded=True, bodies="extended"), "meet on S"),
     ]:

@@ -90,3 +90,5 @@ def test_errors_of_ours_in_what_is_observed_say_themselves_what_is_allowed(tmp_p
         march(model, [0.1], out=tmp_path, observe={"again": lambda state: len(march(model, [0.1], out=tmp_path))})
     assert "observe['again'] at t = " in str(caught.value)
     assert "returns a number" not in str(caught.value)
+    with pytest.raises(ModelError, match="no real number"):
+        march(model, [0.1], observe={"complex": lambda state: np.complex128(1 + 2j)})

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial import Voronoi, cKDTree
 
 from forms.base import is_finite
+from forms.temperature import real
 from geometry.errors import GeometryError, place
 from geometry.periods import SAME_PLACE
 from geometry.seam import LEAST_COSINE, Seam
@@ -137,7 +138,7 @@ def faulted(cells: Cells, width: float, height: float, faults: Mapping[str, Any]
 def _points(given: Any, what: str) -> FloatArray:
     """(n, 2) points; raises GeometryError."""
     try:
-        x = np.array(given, np.float64)
+        x = real(given)
     except (TypeError, ValueError):
         x = np.empty(0)
     if x.ndim != 2 or x.shape[1] != 2 or len(x) < 2 or not np.isfinite(x).all():

@@ -15,6 +15,7 @@ from dolfinx import fem
 from forms.base import is_finite, is_number
 from forms.kinematics import MANDEL, ROOT2, Expr
 from forms.tangent import tangent_at_rest
+from forms.temperature import real
 from thinlayer.discretisation.given import summed
 from thinlayer.discretisation.loads import called
 from thinlayer.discretisation.matter import Matter, Rows, component, lifted, require_symmetric
@@ -61,13 +62,13 @@ class ThermalExpansion(Eigenstrain):
 
     def __post_init__(self) -> None:
         try:
-            alpha = np.array(self.alpha, float)
+            alpha = real(self.alpha)
         except (TypeError, ValueError):
             alpha = np.full(0, np.nan)
         if alpha.shape not in ((), (3,), (3, 3)) or not np.isfinite(alpha).all():
             raise ModelError(f"alpha is {self.alpha!r}; allowed: a finite number, three, or a symmetric (3, 3)")
         if alpha.ndim == 2:
-            require_symmetric(alpha.tolist(), "alpha")
+            require_symmetric([[*map(float, row)] for row in alpha], "alpha")
         if not (callable(self.T) or is_finite(self.T)):
             raise ModelError(
                 f"T is {self.T!r}; allowed: a finite number or a function (x, t), the change of temperature"

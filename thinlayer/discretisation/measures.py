@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 import ufl
 from dolfinx import fem
+from dolfinx.mesh import exterior_facet_indices
 from ufl.algorithms import estimate_total_polynomial_degree
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 
 from forms.kinematics import Expr
+from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.errors import ModelError
 
 SHORT = {"cell": "dx", "exterior_facet": "ds", "interior_facet": "dS"}
@@ -32,25 +34,54 @@ def compiled(form: Expr) -> fem.Form:
     return fem.form(first)
 
 
-def whole(form: ufl.Form, model: Any) -> ufl.Form:
+def whole(form: Any, model: Any, what: str = "a form") -> ufl.Form:
     """A form that a user writes on a model's mesh, over the whole structure: in axisymmetry with the factor 2 pi r.
 
     Raises:
-        ModelError: a tag that no cell or facet has. Collective.
+        ModelError: no form, or one that depends on the time; numbers that are not finite or not real; a tag that no cell
+            or facet has. Collective.
     """
+    if not isinstance(form, ufl.Form):
+        raise ModelError(f"{what} is {form!r:.80}; it must be a UFL form, such as f * model.dx")
+    if model.coordinates.t in form.constants():
+        raise ModelError(f"{what} depends on the time; only loads and supports may")
+    constants = [constant.value for constant in form.constants()]
+    real = all(np.isrealobj(value) and np.isfinite(value).all() for value in constants)
+    if not (real and all(has_finite_numbers(part.integrand()) for part in form.integrals())):
+        raise ModelError(f"{what} has a number that is not finite, or not real: {str(form)[:80]}")
     for integral in form.integrals():
         kind = integral.integral_type()
-        asked = {tag for tag in np.atleast_1d(np.array(integral.subdomain_id(), object)) if not isinstance(tag, str)}
-        tags = [data for data in form.subdomain_data()[integral.ufl_domain()][kind] if data is not None]
-        present = {int(tag) for data in tags for tag in (data.values if hasattr(data, "values") else dict(data))}
-        missing = sorted(asked.difference(*model.comm.allgather(present)))
+        name, asked = SHORT.get(kind, kind), [*np.atleast_1d(np.array(integral.subdomain_id(), object))]
+        if any(isinstance(tag, bool) for tag in asked):
+            raise ModelError(f"{what} integrates over {name}{(*asked,)}; tags are whole numbers")
+        present = model.comm.allgather(
+            {"everywhere", "otherwise"}.union(
+                *(_tags(data, kind, model) for data in form.subdomain_data()[integral.ufl_domain()][kind])
+            )
+        )
+        missing = [str(tag) for tag in asked if tag not in set[Any]().union(*present)]
         if missing:
+            names = "dS(k + 1) is the k-th of joint.seams" if kind == "interior_facet" else "model.domain.values(name)"
+            names = "model.domain.cell_values(name)" if kind == "cell" else names
             raise ModelError(
-                f"a form integrates over {SHORT.get(kind, kind)}({', '.join(map(str, missing))}): nothing in the mesh has "
-                f"this tag; model.domain.values(name) and cell_values(name) are the tags of names"
+                f"{what} integrates over {name}({', '.join(missing)}), which is nothing here; tags: {names}"
             )
     factor = model.kinematics.factor
     return ufl.Form([part.reconstruct(integrand=factor * part.integrand()) for part in form.integrals()])
+
+
+def _tags(data: Any, kind: str, model: Any) -> set[Any]:
+    """Tags of a measure's cells or facets on this rank that it reads: ds the outer ones."""
+    if data is None:
+        return set()
+    if not hasattr(data, "values"):
+        return {tag for tag, rows in data if len(rows)}
+    values = data.values
+    if kind == "exterior_facet":
+        topology = model.domain.mesh.topology
+        topology.create_connectivity(topology.dim - 1, topology.dim)
+        values = values[np.isin(data.indices, exterior_facet_indices(topology))]
+    return {*values.tolist()}
 
 
 def compiled_summands(form: Expr) -> list[fem.Form]:

@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 from forms.kinematics import Expr
 from forms.planes import Kinematics
+from forms.temperature import real
 from geometry.domain import Domain
 from geometry.errors import place as at_place
 from geometry.joint import Joint
@@ -112,7 +113,7 @@ class Resultant:
 def require_point(about: Sequence[float] | Array, dim: int) -> Array:
     """A point (d,) as an array; raises ModelError if it is none."""
     try:
-        point = np.array(about, float)
+        point = real(about)
     except (TypeError, ValueError):
         point = np.empty(0)
     if point.shape != (dim,) or not np.isfinite(point).all():

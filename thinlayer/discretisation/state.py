@@ -16,7 +16,6 @@ from forms.kinematics import Expr, lift
 from forms.work import Term, energy
 from thinlayer.discretisation.given import added, at_time
 from thinlayer.discretisation.layer import BODIES, LAYER, PRESSURE
-from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.mean_strain import MEAN_STRAIN, PAIRS
 from thinlayer.discretisation.measures import compiled, compiled_scalars, whole
 from thinlayer.discretisation.model import Model
@@ -151,11 +150,9 @@ class State(Configuration):
         """Value of a UFL form without arguments, in axisymmetry with the factor 2 pi r of the whole revolution. Collective.
 
         Raises:
-            ModelError: a number in it is not finite; a tag that the mesh has nowhere; measures of one kind with two sets
-                of tags.
+            ModelError: it is no form; a number in it is not finite; a tag that the mesh has nowhere; measures of one kind
+                with two sets of tags.
         """
-        if isinstance(form, ufl.Form) and not all(has_finite_numbers(part.integrand()) for part in form.integrals()):
-            raise ModelError(f"a form has a number that is not finite, or not real: {str(form)[:80]}")
         return self._sum(whole(form, self.model))
 
     def _sum(self, form: Any) -> float:

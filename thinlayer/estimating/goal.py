@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
+from forms.temperature import real
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
@@ -58,7 +59,7 @@ def unit(direction: Sequence[float], dim: int, goal: str) -> Array:
         ModelError: it is none.
     """
     try:
-        found = np.array(direction, float)
+        found = real(direction)
     except (TypeError, ValueError):
         found = np.empty(0)
     if found.shape != (dim,) or not np.isfinite(found).all() or not found.any():

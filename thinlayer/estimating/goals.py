@@ -250,7 +250,7 @@ class Functional(Goal):
             raise ModelError(f"the goal {self.name!r}: its function (u, model) fails: {error}") from error
         if not isinstance(form, ufl.Form) or form.arguments():
             raise ModelError(f"the goal {self.name!r} is {form!r:.80}; it must be a UFL form without test functions")
-        return whole(form, model)
+        return whole(form, model, f"the goal {self.name!r}")
 
     def value(self, state: State, model: InterfaceModel) -> float:
         form = self._form(displacements_of(state, model), model)

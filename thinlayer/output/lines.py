@@ -9,6 +9,7 @@ import basix
 import numpy as np
 import numpy.typing as npt
 
+from forms.temperature import real
 from geometry.joint import Joint
 from geometry.order import by_place
 from geometry.topology import IntArray, is_tensor, lagrange
@@ -217,7 +218,7 @@ def _crossed(ring: IntArray, x: Array, values: Array, height: Array, above: npt.
 def _plane(plane: object) -> tuple[Array, Array]:
     """Point and unit normal of a plane; raises ModelError."""
     try:
-        point, normal = (np.array(one, float) for one in plane)  # type: ignore[attr-defined]
+        point, normal = map(real, plane)  # type: ignore[call-overload]
         if point.shape == normal.shape == (3,) and np.isfinite([point, normal]).all() and normal.any():
             return point, normal / np.linalg.norm(normal)
     except (TypeError, ValueError):

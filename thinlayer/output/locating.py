@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from forms.temperature import real
 from geometry.errors import place, unknown
 from geometry.joint import Joint
 from geometry.seam import S
@@ -49,7 +50,7 @@ class Located:
             ModelError: no finite numbers of this shape; a place that is in no cell.
         """
         try:
-            found = np.atleast_2d(np.array(x, float))
+            found = np.atleast_2d(real(x))
         except (TypeError, ValueError):
             found = np.empty((0, 0))
         if found.ndim != 2 or not found.size or found.shape[1] != joint.dim or not np.isfinite(found).all():

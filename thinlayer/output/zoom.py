@@ -12,6 +12,7 @@ import numpy.typing as npt
 from forms.ends.fields import EVEN, EndFields
 from forms.kinematics import MANDEL
 from forms.law import BulkLaw
+from forms.temperature import real
 from geometry.ends import StraightEnd
 from geometry.errors import place
 from thinlayer.discretisation.state import State
@@ -119,7 +120,7 @@ class Zoom:
 
     def _heights(self, height: Any, n: int) -> Array:
         try:
-            y = np.asarray(height, float)
+            y = real(height)
         except (TypeError, ValueError):
             y = np.array([np.nan])
         if y.shape not in ((), (n,)) or not (np.abs(y) <= 0.5).all():

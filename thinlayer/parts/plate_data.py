@@ -12,6 +12,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from forms.base import is_number
 from forms.kinematics import Expr
+from forms.temperature import real
 from geometry.errors import unknown
 from thinlayer.discretisation.addition import Host
 from thinlayer.discretisation.loads import AXES, Coordinates, called, refuse_periodic, refuse_seam
@@ -97,7 +98,7 @@ class PlateData:
             raise ModelError(f"{self.what}: a value is {given!r}; it must be a number or a function (x, t)")
         found = called(given, at, self.what, t) if callable(given) else given
         try:
-            value = np.array(found, float)
+            value = np.array(found, float) if callable(given) and not np.iscomplexobj(found) else real(found)
         except (TypeError, ValueError):
             value = np.array([np.nan])
         if value.shape != shape or not np.isfinite(value).all():

@@ -11,7 +11,6 @@ import basix.ufl
 import numpy as np
 import ufl
 from dolfinx import fem
-from ufl.conditional import Condition
 
 from forms.base import is_number
 from forms.kinematics import Expr
@@ -20,7 +19,7 @@ from thinlayer.compiling.compat import interpolation_points
 from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.axis import refuse_axis
 from thinlayer.discretisation.load_curves import symbols
-from thinlayer.discretisation.loads import has_finite_numbers, refuse_seam
+from thinlayer.discretisation.loads import refuse_seam, scalar
 from thinlayer.discretisation.reactions import Array, count, rigid_expression, work_in_motions
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
@@ -43,12 +42,11 @@ def _in_ufl(given: Callable[[Any], Any], model: Host, what: str) -> Expr | None:
     """What a function gives for UFL coordinates; None if it is one of arrays."""
     try:
         with symbols():
-            found = ufl.as_ufl(given(model.coordinates.x))
+            found = given(model.coordinates.x)
+            ufl.as_ufl(found)
     except Exception:
         return None
-    if found.ufl_shape or isinstance(found, Condition) or not has_finite_numbers(found):
-        raise ModelError(f"{what} gives {found}; it must be a finite number for each place")
-    return found
+    return scalar(found, what)
 
 
 def interpolated(given: Callable[[Any], Any], model: Host, what: str) -> fem.Function:

@@ -15,7 +15,6 @@ from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
 
 from forms.kinematics import Expr
 from thinlayer.discretisation.addition import Addition, Host
-from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.measures import whole
 from thinlayer.errors import ModelError
 from thinlayer.parts.forms import FormPart, matrix
@@ -66,16 +65,12 @@ class UflPart(Addition):
             raise ModelError(f"{what} gives {form!r}; it must be a UFL form {wanted}")
         if not all(domain is model.V.mesh.ufl_domain() for domain in form.ufl_domains()):
             raise ModelError(f"{what} is a form on another mesh than the model's; use model.dx and model.ds")
-        if not all(has_finite_numbers(integral.integrand()) for integral in form.integrals()):
-            raise ModelError(f"{what} has a number that is not finite, or not real: {str(form)[:80]}")
-        if model.coordinates.t in form.constants():
-            raise ModelError(f"{what} depends on the time; only loads and supports may")
+        whole(form, model, what)
         if form.arguments() != arguments or not _has_arity(form):
             raise ModelError(f"{what} is {str(form)[:80]}; it must be a form {wanted}")
         forces = ufl.derivative(form, u, v) if self.energy else form
         if expand_derivatives(ufl.derivative(expand_derivatives(forces), u, ufl.TrialFunction(model.V))).empty():
             raise ModelError(f"the forces of {what} do not depend on u; loads are `tractions` and `body_force`")
-        whole(form, model)
 
     def _given(self, model: Host, u: Expr, v: Expr) -> Any:
         return self.virtual_work(u, v, model) if self.virtual_work else self.energy(u, model)  # type: ignore[misc]

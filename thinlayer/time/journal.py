@@ -141,7 +141,10 @@ class Journal:
         comm, place = self.model.comm, f"observe[{name!r}] at t = {state.t:g}"
         try:
             with on_all(comm):
-                value = float(self._observe[name](state))
+                found = self._observe[name](state)
+                if np.iscomplexobj(found):
+                    raise TypeError(f"it gives {found!r}, no real number")
+                value = float(found)
         except Exception as error:
             raise ModelError(f"{place}: {_problem(error)}") from error
         values = np.array(comm.allgather(value))
