@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import io
 import logging
+import re
 
 import pytest
 
+from forms import LinearElastic
+from tests.viscous_joints import JOINT, SETUP
+from thinlayer import ArcLength, Structure, ThinLayer, ensemble, march, plotting, sweep, thin_enough
+from thinlayer.files import progress
 from thinlayer.files.progress import Teller
 
 
@@ -73,3 +78,26 @@ def test_work_of_unknown_length_counts_what_is_done():
     assert stream.getvalue().splitlines() == [
         "thin_enough: 2 done, estimate, 80 s so far",
     ]
+
+
+def test_all_long_work_tells(monkeypatch, capsys, tmp_path):
+    """Each function tells of itself and of the work within it, here at once."""
+    for wait in (progress.AFTER, progress.AGAIN):
+        monkeypatch.setitem(wait, False, 0.0)
+    layer, load = ThinLayer(LinearElastic(6.0, 4.0), 0.1), {"TOP": lambda x, t: (0.0, t)}
+    structure = Structure(JOINT, tractions=load, **SETUP)
+    model = structure.interface(layer)
+    errors = {"error_traction": 0.1, "error_jump": 0.1}
+    work = {
+        r"march: t = 1 of 2, .*left": lambda: march(model, [1.0, 2.0]),
+        r"path: t = 1 of 1, \d states": lambda: march(model, ArcLength(1.0, 0.5)),
+        r"ensemble: 2 of 2, run 1, .*march: t = 1 of 1": lambda: ensemble(
+            lambda: lambda case: {"u": len(march(model, [1.0]))}, [{"k": 1}, {"k": 2}]
+        ),
+        r"sweep: 2 of 2, eps = 0.1": lambda: sweep(lambda eps: errors | {"eps": eps}, [0.2, 0.1]),
+        r"thin_enough: \d+ done, estimate": lambda: thin_enough(structure, layer, 0.02, t=1.0),
+        r"movie: 2 of 2, a frame": lambda: plotting.movie(march(model, [1.0]), save=tmp_path / "a.gif"),
+    }
+    for told, run in work.items():
+        run()
+        assert re.search(told, capsys.readouterr().err), told

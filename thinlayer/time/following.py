@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, SolveError
+from thinlayer.files.progress import telling
 from thinlayer.parallel.log import logger
 from thinlayer.solving.options import OptionValue
 from thinlayer.solving.solvers import Solver
@@ -73,8 +74,14 @@ class PathFollowing:
 
     def _travel(self) -> None:
         """Make steps until the path ends."""
-        while self.plan.lowest(self.start) <= self._history.last.t < self.plan.end - self._near:
-            self._go_on()
+        with telling("path") as tell:
+            while self.plan.lowest(self.start) <= self._history.last.t < self.plan.end - self._near:
+                self._go_on()
+                share = (self._history.last.t - self.start) / (self.plan.end - self.start)  # falls where t turns back
+                tell(
+                    max(share, 0.0),
+                    f"t = {self._history.last.t:.4g} of {self.plan.end:.4g}, {len(self._history)} states",
+                )
         if self._history.last.t < self.plan.end - self._near and self.plan.back is None:
             raise SolveError(
                 f"the path has come back to t = {self._history.last.t:g} and has not reached end = {self.plan.end:g}",

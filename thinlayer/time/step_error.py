@@ -10,6 +10,7 @@ import numpy as np
 
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import SolveError, warn
+from thinlayer.files.progress import telling
 from thinlayer.solving.solvers import Solver
 from thinlayer.time.checkpoint import Pace
 from thinlayer.time.error import QUANTITIES, ErrorEstimate
@@ -41,7 +42,8 @@ def tell_steps(solver: Solver, history: History, plan: Plan, start: float, theta
     journal = Journal(solver.equations, Pace(None), {}, "last", None, {"theta": theta})
     remedy = "take more steps, or times=Adaptive(end=..., first=..., tolerance=...)"
     try:
-        other = TimeStepping(solver, journal, Plan(again, None, length), start, theta).run(False).last
+        with telling("error of the steps"):
+            other = TimeStepping(solver, journal, Plan(again, None, length), start, theta).run(False).last
     except SolveError as error:
         history.step_errors = dict.fromkeys(QUANTITIES, np.nan)
         warn(
