@@ -303,4 +303,5 @@ def test_two_ranks_end_with_the_same_error():
     one, two = numbers(), mpirun(2, "-m", "tests.limit_load_run")
     assert two.returncode == 0, two.stderr
     assert json.loads(two.stdout) == pytest.approx(one, rel=1e-8)
-    assert one["eased"] == 1.0
+    assert one["eased"] == one["wall BED > 0.5"] == 1.0
+    assert one["block t"] < 0.9 < one["block failed at"]
