@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import ufl
 
 from forms import Anisotropic, LinearElastic
 from forms.ends import free_end
@@ -15,6 +16,7 @@ from tests.ranks import mpirun
 from tests.side_loads_run import BODY, EPS, GLUE, SIDES, box, loaded, numbers
 from thinlayer import ModelError, Pressure, Structure, ThinLayer, compare, observed_orders, solve
 from thinlayer.errors import RangeWarning
+from thinlayer.output.surface_mass import nodal_forces
 
 HALVES = pytest.mark.filterwarnings("ignore:traction on:thinlayer.errors.RangeWarning")
 THICKNESSES = (1 / 16, 1 / 32)
@@ -158,6 +160,20 @@ def test_a_plate_in_plane_strain_is_its_section():
         top = state.model.ds(state.model.domain.values("TOP"))
         found.append([state.integral(state.u[k] * top) / depth.get("depth", 1.0) for k in range(2)])
     assert found[1] == pytest.approx(found[0], rel=2e-2)
+
+
+def test_how_far_from_its_end_a_load_along_it_reaches_the_faces():
+    """0.271 thicknesses, as tractions of a half strip are 4/(k pi) exp(-k pi d), k odd; here that is half a cell."""
+    k = np.pi * (2 * np.arange(10**5) + 1)
+    mean = (4 / k**3).sum() / 0.5
+    joint = sandwich(2.0, 0.3, 0.3, 0.2, depth=0.2, cell="hexahedron", structured=True)
+    held = {"BOTTOM": 0, "FRONT": {"x": 0, "y": 0}, "BACK": {"x": 0, "y": 0}}
+    setup = Structure(joint, body=BODY, supports=held, tractions={"RIGHT/LAYER": (0.0, 0.0, 0.7)})
+    model = setup.interface(ThinLayer(GLUE, 0.1 / mean, order=1, edges="free"))
+    f = nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V), 0.0)).x.array.reshape(-1, 3)
+    x = model.V.tabulate_dof_coordinates()
+    assert f.sum(axis=0) == pytest.approx([0, 0, 0.7 * 0.2 * 0.1 / mean], rel=1e-9, abs=1e-12)
+    assert (2 - x[:, 0]) @ f[:, 2] / f[:, 2].sum() == pytest.approx(0.1, rel=1e-5)
 
 
 @HALVES

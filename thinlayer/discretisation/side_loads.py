@@ -48,7 +48,7 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import warn
 
 ANTIPLANE = (
-    0.2713834  # 7 zeta(3)/pi^3: mean distance over the thickness of the tractions that balance a load along the end
+    0.2713773  # 7 zeta(3)/pi^3: mean distance over the thickness of the tractions that balance a load along the end
 )
 
 
