@@ -10,11 +10,10 @@ from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
 
-import matplotlib.image
-import numpy as np
 import pytest
 from petsc4py import PETSc
 
+from tests.pictures import assert_drawn
 from thinlayer.running import cli
 from thinlayer.running.catalogue import studies
 
@@ -46,13 +45,6 @@ def thinlayer(*arguments: object) -> subprocess.CompletedProcess:
 def rows(path: Path) -> list[dict[str, str]]:
     with path.open(newline="") as file:
         return list(csv.DictReader(file))
-
-
-def assert_drawn(path: Path) -> None:
-    """A picture with more than a background: many different colours."""
-    image = matplotlib.image.imread(path)
-    assert min(image.shape[:2]) > 400
-    assert len(np.unique((image[..., :3] * 255).astype(int) @ [1, 256, 65536])) > 50
 
 
 def test_list_is_light_and_matches_the_readme():

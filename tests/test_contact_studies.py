@@ -23,6 +23,5 @@ def test_benchmark_runs(monkeypatch):
     bench = performance.Bench(6, depth=True)
     rows = bench.compare("3D", 1)
     assert [row["work"] for row in rows] == ["friction 3D", "friction 3D, status predicted"]
-    assert {"work", "dim", "dofs", "seconds", "reference_seconds", "ratio", "peak_mb"} <= rows[0].keys()
     assert rows[0]["dofs"] == 3 * 7**3
     bench.close()

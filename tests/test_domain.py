@@ -25,4 +25,3 @@ def test_benchmark():
     rows = setup_time.compare("2D", 20, 1)
     assert [row["work"] for row in rows] == ["joint", "structure", "model", "stiffness", "plain script"]
     assert rows[0]["dofs"] == 2 * 21 * 22
-    assert all(row["seconds"] > 0 for row in rows)

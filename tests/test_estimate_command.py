@@ -8,8 +8,9 @@ import math
 import pytest
 
 from tests import lap_files
+from tests.pictures import assert_drawn
 from tests.ranks import mpirun
-from tests.test_cli import assert_drawn, rows, thinlayer
+from tests.test_cli import rows, thinlayer
 from thinlayer import estimate, solve
 from thinlayer.estimating import goals
 from thinlayer.files.table import hash_of
