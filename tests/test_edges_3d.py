@@ -32,13 +32,14 @@ def cut(joint, kept):
 
 
 def plate(shape, eps, cell="hexahedron"):
-    """A plate on a base: an L of two squares by 0.5 and one more, or a square with a hole of 0.3."""
-    parts = {"L": (0.0, 0.5, 1.0), "hole": (0.0, 0.35, 0.65, 1.0)}[shape]
+    """A plate on a base: an L of two squares by 0.5 and one more, a square with a hole or a notch of 0.3."""
+    parts = {"L": (0.0, 0.5, 1.0)}.get(shape, (0.0, 0.35, 0.65, 1.0))
     x = np.unique(np.concatenate([a + (b - a) * np.linspace(0, 1, 5) for a, b in pairwise(parts)]))
     joint = grid(x, graded(0.3, eps, 0.15), x, cell=cell)
     centre = joint.points[joint.corners].mean(axis=1)[:, [0, 2]]
-    out = (centre > 0.5).all(axis=1) if shape == "L" else (abs(centre - 0.5) < 0.15).all(axis=1)
-    return cut(joint, ~out)
+    amid = abs(centre - 0.5) < 0.15
+    out = {"L": centre > 0.5, "hole": amid, "notch": np.column_stack([centre[:, 0] > 0.65, amid[:, 1]])}[shape]
+    return cut(joint, ~out.all(axis=1))
 
 
 def weights(joint, eps):
@@ -49,9 +50,9 @@ def weights(joint, eps):
 
 
 @pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron"])
-@pytest.mark.parametrize(("shape", "count", "length"), [("L", 6, 4.0), ("hole", 8, 5.2)])
+@pytest.mark.parametrize(("shape", "count", "length"), [("L", 6, 4.0), ("hole", 8, 5.2), ("notch", 8, 4.7)])
 def test_ends_of_an_angular_plate(shape, count, length, cell):
-    """Each side is an end, of its own length; where strips overlap at corners their weights add up, below 1."""
+    """Each side is an end, the two in line beside a notch, too; where strips overlap their weights add up, below 1."""
     eps = 0.05
     ends, found, area, strips, sheet = weights(plate(shape, eps, cell), eps)
     assert len(ends) == count
@@ -98,6 +99,15 @@ def test_angular_plates(shape):
 
 
 def test_strips_that_lie_on_one_another_are_refused():
-    structure = Structure(plate("hole", 0.1, "tetrahedron"), body=BODY, supports={}, tractions={})
-    with pytest.raises(ModelError, match="S is short"):
-        structure.interface(ThinLayer(LAW, 0.1, order=1, edges="free"))
+    """All of S, or where three ends of a tongue of 0.02 are nearer to one another than 0.56 thicknesses."""
+    x = np.concatenate([[0.0, 0.25], np.linspace(0.5, 0.52, 5), [0.56, 0.6], np.linspace(0.605, 0.61, 2)])
+    tongue = grid(x, np.array([0.0, 0.1]), x, cell="hexahedron")
+    centre = tongue.points[tongue.corners].mean(axis=1)[:, [0, 2]]
+    tongue = cut(tongue, (centre[:, 0] < 0.52) | (abs(centre[:, 1] - 0.51) < 0.01))
+    for joint, eps, nu, words in (
+        (plate("hole", 0.1, "tetrahedron"), 0.1, 0.3, "S is short"),
+        (tongue, 0.04, 0.05, "lie on one another"),
+    ):
+        structure, law = Structure(joint, body=BODY, supports={}, tractions={}), LinearElastic.shear(8.0, nu)
+        with pytest.raises(ModelError, match=words):
+            structure.interface(ThinLayer(law, eps, order=1, edges="free"))

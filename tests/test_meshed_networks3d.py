@@ -128,6 +128,11 @@ def test_bodies_that_touch_along_an_edge_only():
     y, z = base.points[base.corners].mean(axis=1).T[1:]
     with pytest.raises(GeometryError, match=r"at \(.*, 0, 0\) bodies touch at a vertex or along an edge only"):
         inflate(parted(base, (y > z).astype(int)), 0.01, bodies="extended")
+    block = grid([np.arange(4.0), *[np.arange(5.0)] * 2], lambda x: x[:, 0] > 1, "tetrahedron")
+    at = np.floor(block.points[block.corners].mean(axis=1)).astype(int)
+    cubes = sum(k * (at == place).all(axis=1) for k, place in ((1, (1, 1, 1)), (2, (1, 2, 2))))  # in a third body
+    with pytest.raises(GeometryError, match=r"at \(1.5, 2, 2\) bodies touch at a vertex or along an edge only"):
+        inflate(parted(block, cubes), 0.01, bodies="extended")
 
 
 @pytest.mark.parametrize("cell", CELLS)

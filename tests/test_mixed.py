@@ -18,6 +18,7 @@ from tests.ranks import mpirun
 from thinlayer import ModelError, RangeWarning, Structure, Surface, ThinLayer, compare, estimate, observed_orders, solve
 from thinlayer.output.concentration import most_of
 
+SOFT = LinearElastic.shear(8.0, 0.3)  # free ends of which the law of order 1 knows
 M, MU = 140.0, 40.0  # of the layer, per thickness
 
 
@@ -187,6 +188,11 @@ def test_facets_without_cells_leave_the_thickness_empty():
         (ThinLayer(LAYER, EPS), lambda x: x.nothing, "no numpy function of places"),
         (ThinLayer(Incompressible(40.0), EPS), near_ends, "which has a pressure"),
         (LAYER, near_ends, "a ThinLayer on each seam"),
+        (
+            ThinLayer(SOFT, EPS, order=1),
+            lambda x: x[0] > 1 - 2.5 * EPS,
+            r"at \(1, 0\) over 0.313 only; .* needs 3 thick",
+        ),
     ],
 )
 def test_what_cannot_be_mixed_is_refused(layer, where, message):

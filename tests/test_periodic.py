@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -28,10 +29,14 @@ from tests.periodic_cases import (
     under_stress,
     yielded,
 )
+from tests.pictures import assert_drawn
 from tests.ranks import mpirun
 from thinlayer import (
     ModelError,
+    PointLoad,
+    SolveError,
     Springs,
+    State,
     Structure,
     Surface,
     ThinLayer,
@@ -40,6 +45,7 @@ from thinlayer import (
     piecewise,
     solve,
 )
+from thinlayer.output.surface_mass import nodal_forces
 from thinlayer.running.cli import main
 
 SIDES = (("LEFT", "RIGHT"), ("BOTTOM", "TOP"))
@@ -119,6 +125,25 @@ def test_a_laminate_is_in_series(cell):
     assert pytest.approx(layered(ROCK, 4.0, 1.5, joint.dim), rel=1e-11, abs=1e-11) == A
     whole = homogenised_stiffness(structure.bonded())
     assert pytest.approx(layered(ROCK, 1e15, 1e15, joint.dim), rel=1e-11, abs=1e-11) == whole
+
+
+def test_a_stiffness_that_is_not_symmetric_is_told(monkeypatch):
+    """As of a wrong law; by a hundred millionth of it."""
+    whole = State.mean_stress
+    monkeypatch.setattr(State, "mean_stress", lambda self: (found := whole(self)) + 1e-7 * np.diag([found[1, 1], 0.0]))
+    with pytest.raises(SolveError, match=r"not symmetric: entries of 8\.0e\+00 differ by 5\.0e-07"):
+        stiffness(bond_cell(BRICK, 0.25), 1e3)
+
+
+def test_a_load_at_a_periodic_place_may_be_named_by_either_of_its_copies():
+    """On top of one course, which is the bottom of the other: one node of one body."""
+    found = []
+    for y, body in product((0.0, 1.0), ("COURSE 1", "COURSE 2")):
+        load = PointLoad((0.5, y), (0.3, -1.0), body=body)
+        model = Structure(laminate(), body=ROCK, supports={}, loads=[load]).interface(springs(4.0, 1.5))
+        found.append(nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V), 0.0)).x.array)
+    assert np.sort(found[0])[[0, 1, -2, -1]] == pytest.approx([-1.0, 0.0, 0.0, 0.3], abs=1e-12)
+    np.testing.assert_allclose(found, found[:1] * 4, atol=1e-12)
 
 
 def test_a_wall_of_some_depth_is_free_in_front():
@@ -355,7 +380,7 @@ def test_same_on_several_ranks(ranks):
 
 def test_the_study_holds_and_can_fail(tmp_path, monkeypatch):
     assert main(["run", "homogenised_bond", "--quick", "--out", str(tmp_path / "right")]) == 0
-    assert (tmp_path / "right" / "rigid_bricks.png").stat().st_size > 10_000
+    assert_drawn(tmp_path / "right" / "rigid_bricks.png")
     monkeypatch.setattr(homogenised_bond, "NU", 0.25)
     assert main(["run", "homogenised_bond", "--quick", "--out", str(tmp_path / "wrong")]) == 1
 

@@ -97,6 +97,17 @@ def test_shear_does_not_hide_it(plates):
     }
 
 
+def test_the_traction_of_a_compressible_layer(plates):
+    """Its pressure is in excess near the ends; of the traction it is lmbda/(lmbda + 2 mu), beside that of the slip."""
+    eps, law, slip = 1 / 16, LinearElastic.shear(1.0, 0.4).per_thickness(1 / 16), 0.7
+    model = plates.interface(ThinLayer(law, eps))
+    (layer,) = sublayers_of(model.layers["S"])
+    found = pressure_excess(opened(model, lambda x: (slip * 1e-3 + 0 * x[0], 1e-3 + 0 * x[0])), layer)
+    far, (lmbda, M) = 0.5 / (eps * layer.length), (law.lmbda, law.lmbda + 2 * law.mu)
+    of_pressure = np.sqrt((1 + np.sinh(2 * far) / (2 * far)) / 2) / np.cosh(far)
+    assert found.traction == pytest.approx(lmbda * of_pressure / np.hypot(M, slip * law.mu), rel=2e-2)
+
+
 @pytest.fixture(scope="module")
 def by_ranks():
     return [json.loads(mpirun(ranks, "-m", "tests.pressure_run").stdout) for ranks in (1, 2)]

@@ -39,10 +39,10 @@ def joint(bearing, h_ends):
     return sandwich(end - start, 1.0, 1.0, 2.0, h_S=1.0, h_ends=h_ends, cell="quadrilateral").moved((start, 0.0))
 
 
-def structure(bearing, *, motion=(0.0, OPENING), h_ends=0.2):
+def structure(bearing, *, motion=(0.0, OPENING), h_ends=0.2, body=PLATES):
     plane = "strain" if bearing == "strip" else "axisymmetric"
     supports = {"BOTTOM": 0.0, "TOP": dict(zip("xy", motion, strict=True))}
-    return Structure(joint(bearing, h_ends), body=PLATES, supports=supports, plane=plane)
+    return Structure(joint(bearing, h_ends), body=body, supports=supports, plane=plane)
 
 
 def layer(law, order=1, edges="plain"):
@@ -135,6 +135,11 @@ def test_narrow_or_soft_bearings_have_the_flow_of_an_infinite_layer():
     assert strips.of_spread(9.9).resistance.c == 0
     assert strips.of_spread(10.1) is strips
     assert rubber(0.45).end_strips().of_spread(1.0) == rubber(0.45).end_strips()
+    for factor, known in ((0.97, False), (1.03, True)):
+        # half-spaces give way to a pressure of wave number k as the layer does where (eps k)^3 = 48 (1 - nu^2) mu/E
+        soft = LinearElastic.young(factor * 48 * (1 - 0.3**2) * 1e3 * MU, 0.3)
+        wide = structure("strip", body=soft).interface(layer(rubber(0.499), edges="free"))
+        assert (wide.ends["S"].strips.resistance.c < 0) == known
 
 
 def test_pressure_along_the_radius():
