@@ -173,7 +173,8 @@ class Sheet:
     def heights(self) -> tuple[float, ...]:
         """Volume over the area of S, of the lower side (none on a rigid base) and of the upper side.
 
-        If both sides are one body, the only value is for this body.
+        Where S is planar at most the distance from it, as bodies may go on beside it. If both sides are one body, the only
+        value is for this body.
         """
         joint = self.joint
         volumes = np.abs(node_jacobians(joint.points, joint.corners, joint.cell_type)).mean(axis=1)
@@ -181,4 +182,11 @@ class Sheet:
         pieces, cells = joint.splitting.pieces, joint.surface_cells[self.facets]
         sides = [np.unique(pieces[side[side >= 0]]) for side in cells.T]
         sides = [np.union1d(*sides)] if len(np.intersect1d(*sides)) else [side for side in sides if len(side)]
-        return tuple(float(volumes[np.isin(pieces, side)].sum() / self.areas.sum()) for side in sides)
+        found = []
+        for side in sides:
+            inside = np.isin(pieces, side)
+            away = np.abs(
+                (joint.points[joint.corners[inside]] - joint.points[self.vertices[0, 0]]) @ self.mean_normal
+            ).max()
+            found.append(min(volumes[inside].sum() / self.areas.sum(), away if self.planar else math.inf))
+        return tuple(map(float, found))

@@ -23,6 +23,7 @@ from geometry import GeometryError, block, disc, sandwich
 from geometry.ends import share_within, straight_ends
 from geometry.sheet import Sheet
 from tests.edges_run import numbers, structure
+from tests.meshes import grid
 from tests.ranks import mpirun
 from thinlayer import ModelError, RigidPlate, Springs, Structure, ThinLayer, compare, estimate, observed_orders, solve
 from thinlayer.discretisation.end_weights import FacetWeights
@@ -111,6 +112,14 @@ def weights_on(joint, eps, ends=None):
     strips = Strips.of(free_end(0.3))
     area = np.bincount(np.searchsorted(sheet.facets, sheet.parts[0]), sheet.areas)
     return FacetWeights.of(ends, sheet, eps, strips), area, strips, ends
+
+
+def test_bodies_that_go_on_beside_s_are_as_high_as_they_are():
+    """A plate of height 1 and three times the length of S; turned, too."""
+    axes = [np.linspace(-2.0, 1.0, 7), np.linspace(-1.0, 0.5, 4)]
+    joint = grid(axes, lambda x: x[:, 1] > 0, "quadrilateral", keep=lambda x: (x[:, 1] < 0) | (x[:, 0] > 0))
+    for one in (joint, joint.rotated(0.3)):
+        assert Sheet(one).heights == pytest.approx((1.0, 0.5))
 
 
 def test_ends_reach_their_own_part_of_s():

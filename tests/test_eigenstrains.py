@@ -8,7 +8,7 @@ import pytest
 import ufl
 from dolfinx import fem
 
-from forms import Anisotropic, HolonomicCoulomb, LinearElastic, Stack, VonMises
+from forms import Anisotropic, HolonomicCoulomb, Incompressible, LinearElastic, Rubber, Stack, VonMises
 from forms.law import BulkLaw
 from forms.work import work
 from geometry import block, periodic, sandwich
@@ -235,6 +235,20 @@ def test_a_prestress_of_two_components_has_the_third_of_plane_strain():
     assert energy < 1e-20
     other = Structure(FLAT, body=LAW, supports=AT_REST, eigenstrain=Prestress(np.diag([0.3, -0.2, 0.1 * nu + 0.06])))
     assert solve(other.bonded()).energies()["bodies"] == pytest.approx(0.06**2 / 30.0 / 2 * 2.5, rel=1e-10)
+
+
+@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
+@pytest.mark.parametrize("law", [GLUE, Rubber.shear(5.0, 0.49), Incompressible(5.0)])
+def test_a_stress_that_balances_the_loads_moves_no_layer(law):
+    """Uniform, with a mean part: of an incompressible layer the pressure bears it."""
+    sigma = ((-1.0, 0.0), (0.0, -2.3))
+    loads = {"TOP": (0, -2.3), "BOTTOM": (0, 2.3), "LEFT": (1.0, 0), "RIGHT": (-1.0, 0)}
+    insitu = {"eigenstrain": Prestress(sigma)}
+    data, layer = {"body": LAW, "supports": AT_REST, **insitu}, ThinLayer(law, 0.1, **insitu)
+    sides = {f"{name}/LAYER": loads[name] for name in ("LEFT", "RIGHT")}
+    meshed = Structure(FLAT, tractions=loads | sides, **data).full(layer)
+    for model in (meshed, Structure(FLAT, tractions=loads, **data).interface(layer)):
+        assert np.abs(solve(model).u.x.array).max() < 1e-12
 
 
 # ---------------------------------------------------------------- energies in time

@@ -146,7 +146,12 @@ class Prestress(Eigenstrain):
             raise ModelError(
                 f"the prestress of {matter.name}: no strain of {type(matter.law).__name__} causes some stresses{hint}"
             )
-        return np.asarray(np.linalg.inv(C))
+        found = np.asarray(np.linalg.inv(C))
+        if matter.law.traits.constrained and not matter.law.volume_compliance:
+            volume = np.array(slots) < 3  # the pressure bears what would change it
+            shear = np.eye(len(slots)) - np.outer(volume, volume) / volume.sum()
+            found = shear @ found @ shear
+        return found
 
 
 Given = Tensor | Eigenstrain | Sequence[Tensor | Eigenstrain]
