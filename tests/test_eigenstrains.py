@@ -1,5 +1,6 @@
 """Eigenstrains of bodies: free and confined expansion, in-situ stress, energies in time, contact, cells; refusals."""
 
+import itertools
 import json
 from dataclasses import dataclass, replace
 
@@ -13,6 +14,7 @@ from forms.law import BulkLaw
 from forms.work import work
 from geometry import block, periodic, sandwich
 from tests.dry_walls import dry_wall
+from tests.eigenstrain_cases import computed
 from tests.ranks import mpirun
 from thinlayer import (
     ModelError,
@@ -337,6 +339,28 @@ def test_stiffness_of_a_cell_whose_family_has_eigenstrains():
 def test_ranks():
     found, alone = (json.loads(mpirun(n, "-m", "tests.eigenstrain_cases").stdout) for n in (2, 1))
     assert found == pytest.approx(alone, rel=1e-10)
+    for kind, what in itertools.product(("full", "interface"), ("u", "supplied", "stored")):
+        assert alone[f"{kind} computed {what}"] == pytest.approx(alone[f"{kind} {what}"], rel=1e-7)
+
+
+def test_a_layer_between_bodies_of_two_temperatures_has_their_mean():
+    halves = computed(lambda x: 2.0 + np.sign(x[1]), ("DG", 0))
+    data = {"body": LAW, "supports": {"BOTTOM": 0.0}}
+    pair = [
+        solve(Structure(FLAT, **data).interface(ThinLayer(LAW, 0.1, eigenstrain=hot)))
+        for hot in (ThermalExpansion(1e-3, halves), 2e-3)
+    ]
+    assert pair[0].u.x.array == pytest.approx(pair[1].u.x.array, abs=1e-9 * np.abs(pair[1].u.x.array).max())
+
+
+def test_temperatures_that_do_not_cover_the_bodies_or_are_no_scalars_are_refused():
+    for T, message in (
+        (computed(lambda x: x[0], width=1.5), r"a function is not known at \(1\.\d+, "),
+        (computed(lambda x: x[:2], ("Lagrange", 1, (2,))), "needs finite numbers, or UFL scalars"),
+    ):
+        hot = Structure(FLAT, body=LAW, supports={"BOTTOM": 0.0}, eigenstrain=ThermalExpansion(1e-3, T))
+        with pytest.raises(ModelError, match=message):
+            hot.bonded()
 
 
 @pytest.mark.parametrize(

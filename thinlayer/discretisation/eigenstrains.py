@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import uuid
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,9 @@ from forms.temperature import real
 from thinlayer.discretisation.given import summed
 from thinlayer.discretisation.loads import called
 from thinlayer.discretisation.matter import Matter, Rows, component, lifted, require_symmetric
+from thinlayer.discretisation.sampling import on_mesh
 from thinlayer.errors import ModelError
+from thinlayer.parallel.communicator import communicator
 
 Array = npt.NDArray[np.float64]
 Tensor = float | Sequence[Sequence[float]] | Array | Callable[[Expr, Any], Any]
@@ -51,14 +54,19 @@ class ThermalExpansion(Eigenstrain):
 
     Attributes:
         alpha: coefficient of expansion, per degree: a number, three of them along the axes x, y, z, or a symmetric (3, 3).
-        T: change of temperature, degrees: a number, a function (x, t) of UFL coordinates, or `piecewise`.
+        T: change of temperature, degrees: a number, a function (x, t) of UFL coordinates, `piecewise`, or a scalar
+            dolfinx Function on a mesh that covers the bodies. A layer on S takes the mean of its values on both sides.
+        factor: of T, a number or a function (x, t): how a Function grows, which comes suddenly otherwise.
+
+    With a Function this is collective, and no other process takes it for the same.
 
     Raises:
-        ModelError: alpha of another shape, not finite or not symmetric; T that is no number or function.
+        ModelError: alpha of another shape, not finite or not symmetric; T or factor that is no number or function.
     """
 
     alpha: float | Sequence[float] | Sequence[Sequence[float]] | Array
-    T: float | Callable[[Expr, Any], Any]
+    T: float | Callable[[Expr, Any], Any] | fem.Function
+    factor: float | Callable[[Expr, Any], Any] = 1.0
 
     def __post_init__(self) -> None:
         try:
@@ -69,15 +77,27 @@ class ThermalExpansion(Eigenstrain):
             raise ModelError(f"alpha is {self.alpha!r}; allowed: a finite number, three, or a symmetric (3, 3)")
         if alpha.ndim == 2:
             require_symmetric([[*map(float, row)] for row in alpha], "alpha")
-        if not (callable(self.T) or is_finite(self.T)):
-            raise ModelError(
-                f"T is {self.T!r}; allowed: a finite number or a function (x, t), the change of temperature"
-            )
+        for name, given, meant in (("T", self.T, ", the change of temperature"), ("factor", self.factor, "")):
+            if not (callable(given) or is_finite(given)):
+                raise ModelError(f"{name} is {given!r}; allowed: a finite number or a function (x, t){meant}")
+        if isinstance(self.T, fem.Function):  # its values differ from rank to rank
+            name = communicator(self.T.function_space.mesh).bcast(uuid.uuid4().hex)
+            object.__setattr__(self, "_name", name)
+
+    def identity(self) -> dict[str, Any]:
+        """What it consists of; a Function counts as itself."""
+        return {"alpha": self.alpha, "factor": self.factor, "T": getattr(self, "_name", self.T)}
 
     def components(self, matter: Matter) -> Rows:
         """As in `Eigenstrain`."""
         what, alpha = f"the change of temperature T of {matter.name}", np.array(self.alpha, float)
-        T = component(called(self.T, matter.at, what) if callable(self.T) else self.T, what)
+        factor, T = (
+            component(
+                called(one, matter.at, what) if callable(one) and not isinstance(one, fem.Function) else one, what
+            )
+            for one in (self.factor, self.T)
+        )
+        T = factor * (T if isinstance(T, float) else on_mesh(T, matter.at, what))
         table = alpha if alpha.ndim == 2 else np.diag(np.broadcast_to(alpha, 3))
         return [[a * T if a else 0.0 for a in row] for row in table.tolist()]
 

@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 import ufl
 from dolfinx import fem
+from ufl.algorithms.analysis import extract_coefficients
 
 from forms import work as forms
 from forms.interface import Interface
@@ -89,7 +90,12 @@ class InterfaceModel(LayeredModel):
 
     def _given_on(self, one: SeamLayer) -> Expr | None:
         given = one.given(self._coordinates_on(self.coordinates))
-        return self.sides_of(one.name).upper(given) if given is not None and self._middle else given
+        if given is None or not (self._middle or extract_coefficients(given)):
+            return given
+        sides = self.sides_of(one.name)
+        if self._middle or one.name in self.joint.base_seams:
+            return sides.upper(given)
+        return (sides.upper(given) + sides.lower(given)) / 2
 
     @cached_property
     def dS(self) -> ufl.Measure:
