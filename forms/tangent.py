@@ -141,7 +141,7 @@ def _stress(law: BulkLaw, e: Array, n: Array) -> Array | None:
             stress = numbers(expand_derivatives(ufl.as_ufl(named.stress(step))))
     except Exception:  # whatever a law contains that has no number: the model says what is wrong with it
         return None
-    return mandel(stress) if np.isfinite(stress).all() else None
+    return mandel(stress) if np.shape(stress) == (3, 3) and np.isfinite(stress).all() else None
 
 
 def uncoupled_axes(law: BulkLaw, n: Array) -> npt.NDArray[np.bool_] | None:

@@ -128,8 +128,8 @@ def _warn_of_thickness(model: Model, one: SeamLayer) -> None:
     height, layer = min(one.sheet.heights), one.thin
     if layer and layer.eps > height:
         warn(
-            f"{one} is {layer.eps:.4g} thick, the thinner body {height:.4g} high: the interface law is for thicknesses well "
-            "below that of the bodies; mesh the layer (structure.full), or check eps",
+            f"{one} is {layer.eps:.4g} thick, the thinner body {height:.4g} high: the interface law is for thicknesses "
+            "well below that of the bodies; mesh the layer (structure.full), or check eps",
             model.comm,
         )
 
