@@ -43,9 +43,9 @@ def away_from_ends(model: InterfaceModel, one: SeamLayer, length: float) -> Expr
         return ufl.as_ufl(1.0)
     vertices = np.unique(one.sheet.vertices)
     values = np.zeros(len(joint.points))
-    values[vertices] = distance_to(joint, rim, joint.points[vertices])
-    distance = cellwise(model.domain, ("Lagrange", 1), values[joint.corners][..., None])
-    return ufl.conditional(ufl.gt(model.sides_of(one.name).upper(distance), length * (1 + SAME_PLACE)), 1.0, 0.0)
+    values[vertices] = distance_to(joint, rim, joint.points[vertices]) - length * (1 + SAME_PLACE)
+    beyond = cellwise(model.domain, ("Lagrange", 1), values[joint.corners][..., None])
+    return ufl.conditional(ufl.gt(model.sides_of(one.name).upper(beyond), 0.0), 1.0, 0.0)
 
 
 def density_of(adjoint: Adjoint, summands: dict[str, FloatArray]) -> SurfaceDensity:
