@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,6 +19,7 @@ from tests.non_monotone_run import LAWS
 from tests.ranks import mpirun
 from thinlayer import (
     ModelError,
+    RangeWarning,
     Structure,
     Surface,
     ThinLayer,
@@ -28,10 +30,10 @@ from thinlayer import (
     solve,
     thin_enough,
 )
-from thinlayer.estimating import yielding
+from thinlayer.estimating import thickness, yielding
 from thinlayer.estimating.better import better_layers
 from thinlayer.estimating.places import away_from_ends, distance_to
-from thinlayer.estimating.result import GoalError
+from thinlayer.estimating.result import GoalError, _said
 from thinlayer.estimating.thickness import _error, _search
 from thinlayer.output.layer_report import ELASTIC, LayerReport
 
@@ -240,6 +242,7 @@ def test_sentences(every):
     assert math.isnan(every["bonded"].jump)
     assert every["between"].laws == {"S": "order 1 of LinearElastic, with its free ends"}
     assert every["rubber"].laws["S"].startswith("order 1 of Rubber")
+    assert not any(math.isfinite(row["error"]) and math.isnan(row["noise"]) for row in every["between"].table.rows)
 
 
 @pytest.mark.parametrize(
@@ -269,6 +272,24 @@ def test_goals_that_are_zero(every):
     assert "reaction BOTTOM along (1, 0) is zero" in str(found)
 
 
+def test_reactions_to_loads_without_a_resultant_are_zero():
+    loads = {"LEFT/UPPER": (0.3, 0.1), "RIGHT/UPPER": (-0.3, -0.1)}
+    made = Structure(graded().joint, body=LOWER, supports={"BOTTOM": 0}, tractions=loads)
+    (goal,) = estimate(
+        solve(made.interface(ThinLayer(GLUE, EPS))), goals=[goals.Reaction("BOTTOM", (0, 1))]
+    ).goals.values()
+    assert goal.zero
+
+
+def test_reactions_beside_a_rigid_base_are_not_known_where_the_layer_is_held():
+    """Meshed, the support has the whole force on the layer's side; a law on S gives a half of it to the base."""
+    held = Structure(structure("base").joint, body=LOWER, supports={"LEFT": {"x": 0}}, tractions={"TOP": (0.3, -1.0)})
+    wanted = [goals.Reaction("LEFT", (1, 0)), goals.Compliance()]
+    found = estimate(solve(held.interface(ThinLayer(GLUE, EPS))), goals=wanted)
+    assert [one.known for one in found.goals.values()] == [False, True]
+    assert "laws on S leave out a part" in str(found)
+
+
 def test_a_functional_whose_parts_cancel_is_zero():
     joint = sandwich(1.2, 0.3, 0.4, 0.2, cell="quadrilateral", structured=True)
     made = Structure(joint, body=LOWER, supports={"BOTTOM": 0}, tractions={"TOP": (0, -1)})
@@ -284,12 +305,16 @@ def test_a_goal_whose_change_is_noise_is_only_bounded():
     assert not small.zero
     assert not small.told
     assert small.least > 100
+    assert _said("small", small) == "small is nearly zero: its error is noise"
     fixed, clear = GoalError(1.0, 1.0 + 1e-13, 2.0, 0.05), GoalError(1.0, 1.02, 2.0, 0.05)
     assert (fixed.told, fixed.relative) == (True, 0.0)
     assert clear.told
     law = SimpleNamespace(off=0.5)
     found = SimpleNamespace(unknown="", layers={"S": SimpleNamespace(law=law)}, goals={"small": small, "clear": clear})
-    assert _error(found, "small") == small.least / 0.5
+    assert _error(found, "small") == (small.relative + small.least) / 0.5
+    assert not GoalError(1.0, 1.01, 2.0, math.nan).told  # of tractions nothing is known
+    below = GoalError(1.0, 1.001, 2.0, 0.05)  # the change and what it may be wrong by
+    assert (below.told, _said("it", below)) == (False, "below 1.1 % in it")
     assert _error(found, "clear") == clear.relative / 0.5
 
 
@@ -391,6 +416,22 @@ def test_thin_enough_counts_in_what_estimates_lack():
     told = estimate(solve(graded().interface(layer), 1.0)).goals["compliance"].relative
     assert "off by up to a half" in str(found)
     assert told <= 0.0251
+
+
+def test_thin_enough_passes_on_what_its_estimate_says(monkeypatch):
+    """The caveats and the warnings of the thickness that it answers; not those of others that it tried."""
+
+    def warned(state, *given, **options):
+        warnings.warn(f"tried {state.model.layers['S'].thin.eps:.6g}", RangeWarning, stacklevel=1)
+        return estimate(state, *given, **options)
+
+    monkeypatch.setattr(thickness, "estimate", warned)
+    sides = {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
+    made = Structure(sandwich(1.3, 0.3, 0.4, 0.3), body=LOWER, supports=sides, tractions={"TOP": (0, -1.0)})
+    with pytest.warns(RangeWarning) as heard:
+        found = thin_enough(made, ThinLayer(Maxwell(3.0, 2.0, 0.5), EPS), 0.9, goals.Compliance())
+    assert [str(one.message) for one in heard if "tried" in str(one.message)] == [f"tried {found.eps:.6g}"]
+    assert "t = 0+" in str(found)
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,14 @@ import numpy as np
 
 from geometry.seam import LAYER
 from thinlayer.discretisation.bonded_model import BondedModel
+from thinlayer.discretisation.free_rim import side_kinds
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Layers
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.estimating.better import BetterLaw, better_model
 from thinlayer.estimating.goal import Goal
-from thinlayer.estimating.goals import Compliance
+from thinlayer.estimating.goals import Compliance, Reaction
 from thinlayer.estimating.norms import Norms, field_of_ends
 from thinlayer.estimating.places import NEAR_ENDS
 from thinlayer.estimating.result import Estimate, GoalError, LayerError
@@ -85,11 +86,12 @@ def estimate(
             LayerError(law, near, *norms.errors, field_of_ends(model, model.layers[name])),
         )
     traction, jump = total.errors
+    largest = max([traction, *(one.ends for one in layers.values())])
     found = {}
     for name, goal in checked.items():
         scale = max(goal.scale(given, model), goal.scale(better, model))
-        known = not unknown and not (isinstance(goal, Compliance) and _has_side_loads(model))
-        found[name] = GoalError(goal.value(given, model), goal.value(better, model), scale, traction, known)
+        known = not unknown and _is_known(goal, model)
+        found[name] = GoalError(goal.value(given, model), goal.value(better, model), scale, largest, known)
     return Estimate(
         given, better, layers, found, traction, jump, unknown, time.perf_counter() - start, checked, before, options
     )
@@ -105,9 +107,15 @@ def _require_no_memory(state: State) -> None:
             )
 
 
-def _has_side_loads(model: InterfaceModel) -> bool:
-    """Whether tractions act on a layer's own side: they do work in the layer itself, which no law on S knows."""
-    return any(name.endswith(f"/{LAYER}") for name in model.structure.tractions or {})
+def _is_known(goal: Goal, model: InterfaceModel) -> bool:
+    """Whether laws on S leave out nothing of a goal that forces on a layer's own side bring about.
+
+    Tractions there do work inside the layer; of what supports hold there, a rigid base takes a half.
+    """
+    if isinstance(goal, Compliance):
+        return not any(name.endswith(f"/{LAYER}") for name in model.structure.tractions or {})
+    based = [one for name, one in model.layers.items() if name in model.joint.base_seams]
+    return not isinstance(goal, Reaction) or all((side_kinds(model, one.sheet) == "free").all() for one in based)
 
 
 def _checked_goals(goals: Any) -> dict[str, Goal]:

@@ -56,6 +56,11 @@ class Compliance(Goal):
         return adjoint.of_loads(), adjoint.of_prescribed()
 
 
+def _mean_size(surface: Surface, state: State) -> float:
+    """Root mean square of the tractions on a surface."""
+    return surface.norm(surface.traction(state)) / math.sqrt(surface.integral(ufl.as_ufl(1.0)))
+
+
 def _moves(model: InterfaceModel) -> bool:
     """Whether a support or a plate has prescribed displacements that are not zero."""
     given = [value for _, components in model.supports.entries for value in components.values()]
@@ -88,7 +93,9 @@ class Reaction(Goal):
 
     def scale(self, state: State, model: InterfaceModel) -> float:
         forces = [one.force for one in state.reactions_by_place().values()]
-        return float(sum(np.linalg.norm(one) for one in [*forces, state.applied().force]))
+        found = float(sum(np.linalg.norm(one) for one in [*forces, state.applied().force]))
+        surfaces = [Surface(model, name) for name in model.layers]  # of moments all resultants are zero
+        return max(found, sum(_mean_size(one, state) * one.integral(ufl.as_ufl(1.0)) for one in surfaces))
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         model = adjoint.model
@@ -136,8 +143,7 @@ class MeanTraction(Goal):
         return sum(state.model.comm.allreduce(fem.assemble_scalar(compiled(one))) for one in works if one.integrals())
 
     def scale(self, state: State, model: InterfaceModel) -> float:
-        surface = Surface(model, self.seam)
-        return surface.norm(surface.traction(state)) / np.sqrt(surface.integral(ufl.as_ufl(1.0)))
+        return _mean_size(Surface(model, self.seam), state)
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         model = adjoint.model

@@ -53,7 +53,8 @@ class Norms:
     def errors(self) -> tuple[float, float]:
         """Relative errors of traction and jump; nan: not known."""
         of_t, t, of_w, w = (float(root) for root in np.sqrt(self.squares))
-        return of_t / t if t else math.nan, of_w / w if w else math.nan
+        found = of_t / t if t else math.nan, of_w / w if w else math.nan
+        return found[0] * (found[0] > NOTHING[1]), found[1] * (found[1] > NOTHING[1])
 
 
 def field_of_ends(model: InterfaceModel, one: SeamLayer) -> float:

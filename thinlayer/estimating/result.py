@@ -34,7 +34,7 @@ class GoalError:
         value: Q(u_0), of the given state.
         better: Q(u_1), of the better law.
         scale: what both are compared with to see whether they are only rounding.
-        traction: the error of the traction.
+        traction: the error of the traction, or what is not told of it where that is more.
         known: whether what both laws leave out of Q is of a higher order.
     """
 
@@ -47,7 +47,9 @@ class GoalError:
     @property
     def least(self) -> float:
         """The noise of `relative`: leading terms cancel in an error below it, and the estimate is none."""
-        noise = NOISE * min(self.traction, 1.0) * self.scale
+        if self.fixed:
+            return 0.0
+        noise = NOISE * min(1.0, self.traction) * self.scale  # 1 where that is nan
         return noise / abs(self.better) if self.better else math.inf
 
     @property
@@ -70,7 +72,12 @@ class GoalError:
     @property
     def told(self) -> bool:
         """Whether `relative` is an estimate."""
-        return self.known and not self.zero and (self.fixed or not self.relative < self.least)
+        return self.known and not self.zero and not self.relative < self.least
+
+    @property
+    def at_most(self) -> float:
+        """What the true error is at most, relative: the estimate, or with its noise where it is none."""
+        return at_most(self.relative, self.least)
 
     @property
     def fixed(self) -> bool:
@@ -96,6 +103,11 @@ class LayerError:
     traction: float
     jump: float
     ends: float
+
+    @property
+    def floors(self) -> tuple[float, float]:
+        """As of `Estimate`, of this layer."""
+        return self.ends, OF_JUMPS * min(1.0, self.traction)
 
 
 @dataclass(frozen=True, repr=False)
@@ -127,7 +139,7 @@ class Estimate:
     @property
     def floors(self) -> tuple[float, float]:
         """Errors of traction and jump below which they are not told: the field of free ends, and where changes cancel."""
-        return max(one.ends for one in self.layers.values()), OF_JUMPS * min(self.traction, 1.0)
+        return max(one.ends for one in self.layers.values()), OF_JUMPS * min(1.0, self.traction)
 
     @property
     def cost(self) -> float:
@@ -181,40 +193,48 @@ class Estimate:
     # ---------------------------------------------------------------- words
     @property
     def table(self) -> Table:
-        """A row for each quantity: its value with the given law, with the better one, and the relative error."""
+        """A row for each quantity: values with the given and the better law, relative error, and its noise."""
         nan, rows = math.nan, []
         for name, one in self.layers.items():
             of = f" {name}" if len(self.layers) > 1 else ""
-            rows.append({"quantity": f"traction{of}", "value": nan, "better": nan, "error": one.traction})
-            rows.append({"quantity": f"jump{of}", "value": nan, "better": nan, "error": one.jump})
+            for which, error, noise in zip(("traction", "jump"), (one.traction, one.jump), one.floors, strict=True):
+                row = {"quantity": f"{which}{of}", "value": nan, "better": nan, "error": error, "noise": noise}
+                rows.append(row if math.isfinite(error) else row | {"noise": nan})
         for name, goal in self.goals.items():
-            error = goal.relative if not self.unknown else nan
-            rows.append({"quantity": name, "value": goal.value, "better": goal.better, "error": error})
+            noise = goal.least if math.isfinite(goal.relative) else nan
+            row = {"quantity": name, "value": goal.value, "better": goal.better, "error": goal.relative, "noise": noise}
+            rows.append(row)
         return Table(rows)
+
+    @property
+    def caveats(self) -> list[str]:
+        """What the estimate leaves out, in words."""
+        found = []
+        if self.state.sudden and any(creeps(term.law) for term in self.better.model.terms):
+            found.append("at t = 0+, just after sudden loads; for later times march, and give the history")
+        if self.unknown:
+            return found
+        found += dict.fromkeys(one.law.lacks for one in self.layers.values() if one.law.lacks)
+        if not all(goal.known for goal in self.goals.values()):
+            found.append("laws on S leave out a part of what forces on the layer's own side do")
+        return found
 
     @cached_property
     def sentences(self) -> list[str]:
         """What the estimate says."""
-        at = ["at t = 0+, just after sudden loads; for later times march, and give the history"]
-        creeping = any(creeps(term.law) for term in self.better.model.terms)
-        found = at if self.state.sudden and creeping else []
         if self.unknown:
-            return [f"{self.dropped}: {self.unknown}", *found]
+            return [f"{self.dropped}: {self.unknown}", *self.caveats]
         pairs = zip(("traction", "jump"), (self.traction, self.jump), self.floors, strict=True)
         errors = [f"{_or_below(error, least)} in {name}" for name, error, least in pairs if math.isfinite(error)]
         errors += [_said(name, goal) for name, goal in self.goals.items()]
-        found = [f"{self.dropped}: {', '.join(errors)}", *found]
+        found = [f"{self.dropped}: {', '.join(errors)}"]
         for name, one in self.layers.items():
             where = f" of {name}" if len(self.layers) > 1 else ""
             if one.near:
                 found.append(f"within {one.near:.3g} of free ends{where}: not known")
             if math.isnan(one.traction):
                 found.append(f"the layer{where} is nowhere farther from its free ends, or bears no traction there")
-            if one.law.lacks:
-                found.append(one.law.lacks)
-        if not all(goal.known for goal in self.goals.values()):
-            found.append("what tractions on the layer's own side do inside it is left out: their work is not known")
-        return found
+        return found + self.caveats
 
     def __str__(self) -> str:
         return "; ".join(self.sentences)
@@ -226,14 +246,21 @@ class Estimate:
 def _said(name: str, goal: GoalError) -> str:
     if goal.zero or not goal.known:
         return f"{name} is zero" if goal.zero else f"not known in {name}"
-    if goal.fixed:
-        return f"no change in {name}"
+    if not goal.told and goal.least >= 1:
+        return f"{name} is nearly zero: its error is noise"
     return f"{_or_below(goal.relative, goal.least)} in {name}"
 
 
-def _or_below(error: float, least: float) -> str:
-    """An error, or what it is below: its noise."""
-    return f"below {_percent(least)}" if error < least else _percent(error)
+def at_most(error: float, noise: float) -> float:
+    """What a true error is at most: its estimate, or with its noise where that is larger."""
+    return error + noise if error < noise else error
+
+
+def _or_below(error: float, noise: float) -> str:
+    """An error, or what it is below."""
+    if error == 0 and not noise:
+        return "no change"
+    return f"{'below ' if error < noise else ''}{_percent(at_most(error, noise))}"
 
 
 def _percent(x: float) -> str:

@@ -20,7 +20,7 @@ from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.goal import Goal
 from thinlayer.estimating.goals import Compliance
 from thinlayer.estimating.places import NEAR_ENDS
-from thinlayer.estimating.result import Estimate
+from thinlayer.estimating.result import Estimate, at_most
 from thinlayer.files.progress import telling
 from thinlayer.files.table import Table
 from thinlayer.parallel.agreement import on_all
@@ -50,7 +50,7 @@ class ThinEnough:
         quantity: "traction", "jump", or the name of a goal.
         table: a row for each thickness that was tried: eps, error (with what the estimate may be off).
         found: whether the error is equal to the tolerance at `eps`, to one percent of the thickness.
-        lacks: what the estimate leaves out, in words, and by how much it may be off, which the errors contain; "": nothing.
+        lacks: the caveats of the estimate; what they say it may be off is in the errors. "": none.
         bonded: whether the layer is ignored altogether.
     """
 
@@ -64,7 +64,7 @@ class ThinEnough:
 
     def __str__(self) -> str:
         allowed = f"{100 * self.tolerance:.3g} % in {self.quantity}, at the {len(self.table)} thicknesses tried"
-        allowed += f" ({self.lacks}; counted in)" if self.lacks else ""
+        allowed += f" ({self.lacks})" if self.lacks else ""
         layer = "the layer may be ignored" if self.bonded else "the layer's mesh may be dropped"
         if self.found:
             return f"thinner than {self.eps:.3g} {layer}: at most {allowed}"
@@ -119,24 +119,27 @@ def thin_enough(
     begun = structure.interface(layer, bodies=bodies)
     alone = solved(structure.bonded()) if bonded else None
 
-    lacking: dict[float, str] = {}
+    heard: dict[float, list[warnings.WarningMessage]] = {}
+    caveats: dict[float, list[str]] = {}
 
     def error(eps: float) -> float:
-        if alone is not None:
-            found = estimate(alone, scaled(eps), goals, options=options)
-        else:
-            model = (
-                begun.with_layer(scaled(eps)) if bodies == "kept" else structure.interface(scaled(eps), bodies=bodies)
-            )
-            found = estimate(solved(model), goals=goals, options=options)
-        lacking[eps] = "; ".join(dict.fromkeys(one.law.lacks for one in found.layers.values() if one.law.lacks))
+        with warnings.catch_warnings(record=True) as heard[eps]:  # those of the answer are passed on
+            warnings.simplefilter("always", RangeWarning)
+            if alone is not None:
+                found = estimate(alone, scaled(eps), goals, options=options)
+            else:
+                kept = bodies == "kept"
+                model = begun.with_layer(scaled(eps)) if kept else structure.interface(scaled(eps), bodies=bodies)
+                found = estimate(solved(model), goals=goals, options=options)
+        caveats[eps] = found.caveats
         return _error(found, quantity)
 
     rows: dict[float, float] = {}
-    with warnings.catch_warnings(action="ignore", category=RangeWarning):  # of thicknesses that are only tried
-        eps, found = _search(error, _thickest(begun, quantity), tolerance, rows)
+    eps, found = _search(error, _thickest(begun, quantity), tolerance, rows)
+    for one in heard[eps]:
+        warnings.warn(one.message, stacklevel=3)
     table = Table([{"eps": one, "error": rows[one]} for one in sorted(rows, reverse=True)])
-    return ThinEnough(eps, tolerance, quantity, table, found, lacking[eps], bonded)
+    return ThinEnough(eps, tolerance, quantity, table, found, "; ".join(caveats[eps]), bonded)
 
 
 def _check(
@@ -175,14 +178,14 @@ def _error(found: Estimate, quantity: str) -> float:
         raise ModelError(f"thin_enough: {found.unknown}")
     shown = 1 - max(one.law.off for one in found.layers.values())
     if quantity in FIELDS:
-        error, least = (found.traction, found.floors[0]) if quantity == "traction" else (found.jump, found.floors[1])
-        return max(error, least) / shown if math.isfinite(error) else math.inf
+        error, noise = (found.traction, found.floors[0]) if quantity == "traction" else (found.jump, found.floors[1])
+        return at_most(error, noise) / shown if math.isfinite(error) else math.inf
     goal = found.goals[quantity]
     if goal.zero:
         raise ModelError(f"thin_enough: {quantity} is zero, and so has no relative error")
     if not goal.known:
         raise ModelError(f"thin_enough: the error of {quantity} is not known: {found}")
-    return (goal.relative if goal.told else goal.least) / shown
+    return goal.at_most / shown
 
 
 def _search(
