@@ -12,6 +12,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from petsc4py import PETSc
+from scipy.spatial import cKDTree
 from ufl.algorithms import expand_derivatives
 
 from forms import work as forms
@@ -28,6 +29,7 @@ from thinlayer.estimating.places import nodes_of_sides
 from thinlayer.output.locating import Located
 from thinlayer.output.probe import Probe
 from thinlayer.output.surface import Surface
+from thinlayer.ranges.areas import Areas
 from thinlayer.solving.adjoint import Adjoint
 
 Array = npt.NDArray[np.float64]
@@ -110,7 +112,7 @@ class Reaction(Goal):
 class MeanTraction(Goal):
     """The mean over a seam of the traction along a direction: the bodies' reactions on S over its area.
 
-    Where supports or plates hold nodes of S the bodies' reactions contain theirs: the mean is over the other nodes.
+    Reactions at nodes that supports or plates hold, which contain theirs, are left out.
 
     Attributes:
         direction: (d,) not zero.
@@ -147,35 +149,39 @@ class MeanTraction(Goal):
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         model = adjoint.model
-        if not all(term.law.traits.linear and not term.law.traits.compiled for term in model.bodies):
-            raise ModelError(f"{self.name}: there is no map of it, as a law of the bodies is not linear")
+        linear = all(term.law.traits.linear and not term.law.traits.compiled for term in model.bodies)
+        if not linear or not all(part.is_linear(model) for part in model.parts):
+            raise ModelError(f"{self.name}: there is no map of it, as a law of the bodies, or a part, is not linear")
         du, v = ufl.TestFunction(model.V), self._test(model)
-        bodies = [replace(term, given=None) for term in model.bodies]
-        return adjoint.of_form(forms.work(bodies, v, du)), adjoint.nothing()
+        works = forms.work([replace(term, given=None) for term in model.bodies], v, du)
+        if model.parts:
+            u = fem.Function(model.V)
+            works += ufl.derivative(model.added_work(u, v), u, du)
+        return adjoint.of_form(works), adjoint.nothing()
 
     def _test(self, model: InterfaceModel) -> fem.Function:
-        """Displacements in which the reactions of the bodies on the seam do the mean traction's work."""
+        """Displacements in which the reactions of the bodies on the seam do the mean traction's work.
+
+        Those of both sides are halves of it. Where supports or plates hold one side, its reaction contains theirs, and the
+        other side's is taken; where they hold both, nothing jumps but what they prescribe.
+        """
         e, d = unit(self.direction, model.joint.dim, self.name), model.joint.dim
-        v, count = fem.Function(model.V), fem.Function(model.V)
         names = [self.seam] if self.seam in model.layers else [*model.layers]
+        area = sum(Areas(model.layers[name].sheet, model.kinematics).total for name in names)
+        v, count = fem.Function(model.V), fem.Function(model.V)
+        held = np.isin(np.arange(len(v.x.array)), model.held_in(model.V))
+        free, x = 1.0 - held.reshape(-1, d), model.V.tabulate_dof_coordinates()
         for name in names:
-            for factor, nodes in zip((-0.5, 0.5), nodes_of_sides(model, name), strict=True):
-                v.x.array.reshape(-1, d)[nodes] = factor * e
+            upper, lower = nodes_of_sides(model, name)
+            for sign, nodes, others in ((-1.0, upper, lower), (1.0, lower, upper)):
+                own = free[nodes]
+                beside = free[others[cKDTree(x[others]).query(x[nodes])[1]]] if len(others) else 0.0 * own
+                v.x.array.reshape(-1, d)[nodes] = sign * e / area * own / np.maximum(own + beside, 1.0)
                 count.x.array.reshape(-1, d)[nodes] = 1.0
         for f in (v, count):  # nodes that this rank sees, but another one has
             f.x.scatter_reverse(la.InsertMode.add)
             f.x.scatter_forward()
         v.x.array[:] /= np.maximum(count.x.array, 1.0)
-        v.x.array[model.held_in(model.V)] = 0.0
-        sums = np.zeros(d)
-        for name in names:
-            surface = Surface(model, name)
-            sums += [-surface.integral(part) for part in surface.sides.jump(v)]
-        if ((sums == 0.0) & (e != 0.0)).any():
-            raise ModelError(
-                f"{self.name}: supports hold all of the seam's nodes, and nothing tells tractions from reactions"
-            )
-        v.x.array.reshape(-1, d)[:] *= np.divide(e, sums, out=np.zeros(d), where=sums != 0.0)
         return v
 
 
