@@ -303,6 +303,8 @@ def test_places_that_are_none():
         turned(parts=[Springs("BOTTEM", normal=1.0)])
     with pytest.raises(ModelError, match="its facets lie inside"):
         turned(parts=[BED, Springs("S", normal=1.0)])
+    with pytest.raises(ModelError, match="facet set is empty, as the layer is a surface here"):
+        turned(parts=[BED, Springs("LEFT/LAYER", normal=1.0)])
     with pytest.raises(ModelError, match="two parts are called 'springs BOTTOM'"):
         turned(parts=[BED, Springs("BOTTOM", normal=1.0)])
 

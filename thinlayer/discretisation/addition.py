@@ -52,6 +52,9 @@ class Host(Protocol):
     supports: Supports
     prescribed: Prescribed
 
+    def shifts(self) -> npt.NDArray[np.float64] | None:
+        """See `Model.shifts`."""
+
 
 class Addition(ABC):
     """A description of a part of the balance of forces, given to a model as one of `parts`: a frozen dataclass.

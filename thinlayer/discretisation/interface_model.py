@@ -15,10 +15,12 @@ from forms import work as forms
 from forms.interface import Interface
 from forms.kinematics import Expr
 from forms.law import BulkLaw
-from geometry.errors import unknown
+from geometry.errors import GeometryError, unknown
 from geometry.inflating.layering import check_layering
+from geometry.inflating.motion import kept_motion
 from geometry.joint import Joint
 from geometry.seam import S
+from geometry.topology import FloatArray
 from thinlayer.discretisation.apart import Middle, apart, require_same_room
 from thinlayer.discretisation.axis import require_revolution
 from thinlayer.discretisation.forces import Forces, Weighted
@@ -153,6 +155,19 @@ class InterfaceModel(LayeredModel):
         """What was chosen at the free ends of layers of order 1."""
         some = [(one, self.ends[name].said) for name, one in self.layers.items() if one.thin and one.thin.order]
         return [f"free ends of {one}: {said}" for one, said in some]
+
+    def shifts(self) -> FloatArray | None:
+        """As in `Model`: by layers of order 1, whose law knows that faces stand apart, between bodies that meet on S."""
+        eps = np.zeros(len(self.joint.surface_rows))
+        for one in self.layers.values():
+            if one.thin and one.thin.order:
+                eps[one.sheet.facets] = np.nan if one.thin.profile else float(one.thin.eps)
+        if self._middle or not eps.any() or np.isnan(eps).any():
+            return None
+        try:
+            return kept_motion(self.joint, eps)[self.joint.splitting.pieces]
+        except GeometryError:  # bodies that do not part in one piece
+            return None
 
     def free_ends(self, name: str) -> str | None:
         """Why the interface law of a seam knows nothing of its free ends; None: it does, or there are none.

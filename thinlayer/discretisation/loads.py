@@ -20,7 +20,7 @@ from forms.kinematics import Expr
 from forms.temperature import real
 from geometry.domain import Domain
 from geometry.joint import Joint
-from geometry.seam import S
+from geometry.seam import LAYER, S
 from thinlayer.discretisation.joint_fields import shift
 from thinlayer.discretisation.load_curves import LoadCurve, Moment, Time, symbols
 from thinlayer.errors import ModelError
@@ -184,6 +184,13 @@ def refuse_periodic(joint: Joint, name: str, what: str) -> None:
             f"{what} on {name!r}: this side is identified with another one, the structure goes on there; a periodic cell "
             "is loaded by a mean strain, Structure(..., strain=...)"
         )
+
+
+def require_facets(domain: Domain, name: str, what: str) -> None:
+    """Raise ModelError if a facet set is empty, as the side of a layer is while S is a surface."""
+    if not domain.values(name):
+        why = ", as the layer is a surface here: mesh it (structure.full)" * name.endswith(f"/{LAYER}")
+        raise ModelError(f"{what}: this facet set is empty{why}")
 
 
 def refuse_seam(joint: Joint, name: str, message: str) -> None:

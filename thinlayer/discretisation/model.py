@@ -21,7 +21,7 @@ from forms.law import BulkLaw, Law
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.splitting import Splitting
-from geometry.topology import is_tensor
+from geometry.topology import FloatArray, is_tensor
 from thinlayer.discretisation.addition import check_additions
 from thinlayer.discretisation.eigenstrains import given_strain
 from thinlayer.discretisation.family import Family
@@ -317,6 +317,10 @@ class Model(ABC):
 
     def free_ends(self, name: str) -> str | None:
         """Why the layer of a seam is taken for an infinite one at its free ends; None: it is not."""
+        return None
+
+    def shifts(self) -> FloatArray | None:
+        """(n_cells, d) how far layers that have no cells part the bodies, by cell of the joint; None: not, or not known."""
         return None
 
     # ---------------------------------------------------------------- spaces

@@ -15,7 +15,7 @@ from forms.kinematics import Expr
 from forms.temperature import real
 from geometry.errors import unknown
 from thinlayer.discretisation.addition import Host
-from thinlayer.discretisation.loads import AXES, Coordinates, called, refuse_periodic, refuse_seam
+from thinlayer.discretisation.loads import AXES, Coordinates, called, refuse_periodic, refuse_seam, require_facets
 from thinlayer.discretisation.reactions import Array, balanced_motions, centroid, count, on_centre, require_point
 from thinlayer.errors import ModelError
 
@@ -55,8 +55,7 @@ class PlateData:
         inside = f"{self.what}: its facets lie inside, or below a layer; plates lie on the outer boundary"
         refuse_seam(model.joint, self.place, inside)
         refuse_periodic(model.joint, self.place, "rigid plate")
-        if not model.domain.values(self.place):
-            raise ModelError(f"{self.what}: this facet set is empty")
+        require_facets(model.domain, self.place, self.what)
         if not model.domain.is_outer(self.place):
             raise ModelError(inside)
         d = model.joint.dim

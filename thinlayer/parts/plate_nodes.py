@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse
 from dolfinx import fem
+from mpi4py import MPI
 
 from geometry.errors import place as at_place
 from thinlayer.discretisation.addition import Host
@@ -20,7 +21,10 @@ FOLLOWS = 1e-9  # share of a free motion in a displacement that counts as roundi
 
 
 def tie(plate: PlateData, model: Host, about: Array, size: float) -> Any:
-    """(n, k) sparse: displacements of this rank by the plate's motions, rotations times a length. Collective."""
+    """(n, k) sparse: displacements of this rank by the plate's motions, rotations times a length. Collective.
+
+    A plate that turns moves bodies on both sides of a layer apart along S, by the layer's thickness as an arm.
+    """
     V, d = model.V, model.joint.dim
     facets = model.domain.facets(plate.place, layer_sides=True)
     owned = V.dofmap.index_map.size_local
@@ -30,6 +34,14 @@ def tie(plate: PlateData, model: Host, about: Array, size: float) -> Any:
         x = V.tabulate_dof_coordinates()[blocks, :d]
     except RuntimeError as error:
         raise ModelError(f"{plate.what} needs nodal displacements, not elements S2") from error
+    if (shifts := model.shifts()) is not None:
+        by_node = np.zeros((owned + V.dofmap.index_map.num_ghosts, d))
+        by_node[V.dofmap.list] = shifts[model.domain.original_cells][:, None]
+        least, most = by_node[blocks].min(axis=0, initial=np.inf), by_node[blocks].max(axis=0, initial=-np.inf)
+        middle = (
+            model.comm.allreduce(least, MPI.MIN) + model.comm.allreduce(most, MPI.MAX)
+        ) / 2  # the plate's point stays
+        x = x + by_node[blocks] - middle
     values = rigid(x, about)
     values[:, :, d:] /= size
     k = values.shape[2]

@@ -19,7 +19,7 @@ from thinlayer.compiling.compat import interpolation_points
 from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.axis import refuse_axis
 from thinlayer.discretisation.load_curves import symbols
-from thinlayer.discretisation.loads import refuse_seam, scalar
+from thinlayer.discretisation.loads import refuse_seam, require_facets, scalar
 from thinlayer.discretisation.reactions import Array, count, rigid_expression, work_in_motions
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
@@ -130,8 +130,7 @@ class Springs(Addition):
             f"springs on {self.place!r}: its facets lie inside, or below a layer; springs act on the outer boundary"
         )
         refuse_seam(model.joint, self.place, inside)
-        if not model.domain.values(self.place):
-            raise ModelError(f"springs on {self.place!r}: this facet set is empty")
+        require_facets(model.domain, self.place, f"springs on {self.place!r}")
         if not model.domain.is_outer(self.place):
             raise ModelError(inside)
         refuse_axis(model.kinematics, model.joint, self.place, "springs")
