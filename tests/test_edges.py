@@ -19,7 +19,7 @@ from forms.ends.weights import EndWeights, Strips
 from forms.law import Step
 from forms.planes import Kinematics
 from forms.stations import Faces
-from geometry import GeometryError, block, disc, sandwich
+from geometry import GeometryError, block, disc, faults, sandwich
 from geometry.ends import share_within, straight_ends
 from geometry.sheet import Sheet
 from tests.edges_run import numbers, structure
@@ -406,6 +406,12 @@ def test_sides_held_across_s_are_no_free_ends():
         assert max(error["error_traction"], error["error_jump"]) < 1e-9  # rounding of the layer's stiffness
     found = estimate(solve(sheared.interface(ThinLayer(law, eps))))
     assert max(found.traction, found.jump) < 1e-9
+
+
+def test_rollers_on_the_end_of_a_scarf_are_oblique_to_s():
+    """The layer's side is square to S, and rollers on the bodies' sides are not."""
+    scarf = faults(1.0, 1.0, {"S": [(0.0, 0.3), (1.0, 0.7)]}, 0.25)
+    assert kinds(scarf, {"LEFT": {"n": 0.0}}) == ["oblique", "free"]
 
 
 def test_an_oblique_side_has_no_constants():

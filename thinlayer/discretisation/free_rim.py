@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from geometry.errors import place as place_of
+from geometry.joint import Joint
 from geometry.seam import LAYER, S
 from geometry.sheet import Rim, Sheet, continued
 from geometry.topology import FloatArray, ridge_keys
@@ -60,9 +61,23 @@ def _held(model: Model, sheet: Sheet, of_layer: bool = True) -> FloatArray:
             continue
         on = np.isin(keys, continued(joint, joint.facets[name]))
         for axis in components:
-            way = np.eye(d)[supports.axes.index(axis)] if axis in supports.axes else rim.outward
+            way = np.eye(d)[supports.axes.index(axis)] if axis in supports.axes else _normals(joint, rim, name)
             held += np.where(on[:, None], way, 0.0)[:, :, None] * way[..., None, :]
     return np.asarray(held @ np.linalg.pinv(held, rcond=ROUNDING, hermitian=True))  # onto all directions that are held
+
+
+def _normals(joint: Joint, rim: Rim, name: str) -> FloatArray:
+    """(n, d) mean unit normal of the facets of a name at each ridge: that of a layer's side if S ends at right angles."""
+    rows, out = joint.facets[name], rim.outward.copy()
+    edges = np.diff(joint.points[rows[:, : joint.dim]], axis=1)
+    normals = edges[:, 0, ::-1] * [1.0, -1.0] if joint.dim == 2 else np.cross(edges[:, 0], edges[:, 1])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    for k, ridge in enumerate(rim.vertices):
+        at = normals[np.isin(rows, ridge).sum(axis=1) == joint.dim - 1]
+        mean = (at * np.sign(at @ rim.outward[k])[:, None]).sum(axis=0)
+        if length := np.linalg.norm(mean):
+            out[k] = mean / length
+    return out
 
 
 def rim_of_kinds(model: Model, sheet: Sheet, *kinds: str) -> Rim:
