@@ -71,7 +71,7 @@ class EndFields:
             y: (n,) heights, from -1/2 to 1/2.
         """
         lower = np.stack([x, MIDDLE - np.abs(y)], axis=1)
-        found = np.stack([values_at(one, lower)[1] for one in self._solutions])
+        found = values_at(self._solutions, lower)[1]
         mirrored = found * (EVEN[:, None, None] * SIGNS)
         return np.where((y > 0)[:, None], mirrored, found)
 
@@ -82,8 +82,7 @@ class EndFields:
             return np.full(4, np.nan)
         corner, arc = self.corner, self.corner.arc(RADIUS)
         found = []
-        for solution, (component, power, _) in zip(self._solutions, LOADS, strict=True):
-            u, stress = values_at(solution, arc)
+        for u, stress, (component, power, _) in zip(*values_at(self._solutions, arc), LOADS, strict=True):
             load = np.eye(2)[component]
             found.append(corner.strength(RADIUS, u, stress, load * (-MIDDLE) ** power, load * power))
         return np.array(found)

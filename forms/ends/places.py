@@ -1,6 +1,8 @@
-"""Displacements and stresses of a solution on quadrilaterals, at places."""
+"""Displacements and stresses of solutions on quadrilaterals, at places."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,16 +14,23 @@ BILINEAR = Square(1)
 ORDER = [0, 2, 1, 3]  # of the corners, a first
 
 
-def values_at(solution: Solution, x: Array) -> tuple[Array, Array]:
-    """Displacements (n, 2) and stresses 11, 22, 12 (n, 3) at places (n, 2); zero outside the grid."""
-    u, stress = np.zeros((len(x), 2)), np.zeros((len(x), 3))
-    for cell, unknowns in zip(solution.grid.cells, solution.unknowns, strict=True):
-        low, high = cell.corners.min(axis=0), cell.corners.max(axis=0)
-        margin = INSIDE * (high - low)
-        near = np.flatnonzero(((x >= low - margin) & (x <= high + margin)).all(axis=1))
-        at = _pulled_back(cell, x[near])
+def values_at(solutions: Sequence[Solution], x: Array) -> tuple[Array, Array]:
+    """Displacements (m, n, 2) and stresses 11, 22, 12 (m, n, 3) of solutions on one grid at places (n, 2).
+
+    They are zero outside the grid.
+    """
+    u, stress = np.zeros((len(solutions), len(x), 2)), np.zeros((len(solutions), len(x), 3))
+    grid = solutions[0].grid
+    corners = np.stack([cell.corners for cell in grid.cells])
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    margin = INSIDE * (high - low)
+    near = ((x[:, None] >= low - margin) & (x[:, None] <= high + margin)).all(axis=2)
+    for k in np.flatnonzero(near.any(axis=0)):
+        places = np.flatnonzero(near[:, k])
+        at = _pulled_back(grid.cells[k], x[places])
         inside = (np.abs(at) <= 1 + 10 * INSIDE).all(axis=1)
-        u[near[inside]], stress[near[inside]] = _values(cell, unknowns, at[inside])
+        unknowns = np.stack([one.unknowns[k] for one in solutions])
+        u[:, places[inside]], stress[:, places[inside]] = _values(grid.cells[k], unknowns, at[inside])
     return u, stress
 
 
@@ -48,13 +57,14 @@ def _pulled_back(cell: Quadrilateral, x: Array) -> Array:
 
 
 def _values(cell: Quadrilateral, unknowns: Array, at: Array) -> tuple[Array, Array]:
+    """Displacements (m, n, 2) and stresses (m, n, 3) from the unknowns (m, size) at places (n, 2) of the square."""
     square, n = cell.square, 2 * (cell.square.degree + 1) ** 2
     (A, dA), (B, dB) = square.line(at[:, 0]), square.line(at[:, 1])
-    nodal = unknowns[:n].reshape(-1, 2)
+    nodal = unknowns[:, :n].reshape(len(unknowns), -1, 2)
     u = _products(A, B) @ nodal
-    along = np.stack([_products(dA, B) @ nodal, _products(A, dB) @ nodal], axis=1)  # (n, square, component)
-    gradient = np.linalg.solve(_jacobians(cell, at)[1], along)  # (n, along, component)
-    volume = gradient[:, 0, 0] + gradient[:, 1, 1]
-    rest = np.einsum("nk,k->n", square.pressures_at(at), unknowns[n:]) + SPLIT * volume
-    shear = gradient[:, 0, 1] + gradient[:, 1, 0]
-    return u, np.stack([rest + 2 * gradient[:, 0, 0], rest + 2 * gradient[:, 1, 1], shear], axis=1)
+    along = np.stack([_products(dA, B) @ nodal, _products(A, dB) @ nodal], axis=2)  # (m, n, square, component)
+    gradient = np.linalg.solve(_jacobians(cell, at)[1], along)  # (m, n, along, component)
+    volume = gradient[..., 0, 0] + gradient[..., 1, 1]
+    rest = unknowns[:, n:] @ square.pressures_at(at).T + SPLIT * volume
+    shear = gradient[..., 0, 1] + gradient[..., 1, 0]
+    return u, np.stack([rest + 2 * gradient[..., 0, 0], rest + 2 * gradient[..., 1, 1], shear], axis=2)

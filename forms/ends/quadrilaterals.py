@@ -48,10 +48,15 @@ class Square:
 
     def line(self, x: Array) -> tuple[Array, Array]:
         """Values and slopes of the functions of the nodes at places x, each (len(x), p + 1)."""
-        p = self.degree
-        inverse = np.linalg.inv(legendre.legvander(self.nodes, p))
-        slopes = np.stack([legendre.legval(x, legendre.legder(one)) * np.ones(len(x)) for one in np.eye(p + 1)], axis=1)
-        return np.asarray(legendre.legvander(x, p) @ inverse), np.asarray(slopes @ inverse)
+        functions, derivatives = self._coefficients
+        powers = legendre.legvander(x, self.degree)
+        return np.asarray(powers @ functions), np.asarray(powers[:, :-1] @ derivatives)
+
+    @cached_property
+    def _coefficients(self) -> tuple[Array, Array]:
+        """Legendre coefficients of the functions of the nodes, (p + 1, p + 1), and of their slopes, (p, p + 1)."""
+        functions = np.linalg.inv(legendre.legvander(self.nodes, self.degree))
+        return np.asarray(functions, float), np.asarray(legendre.legder(functions), float)
 
     def slopes(self, a: Array, b: Array) -> tuple[Array, Array]:
         """Slopes along a and along b at the places a X b, each (places, (p + 1)^2)."""
