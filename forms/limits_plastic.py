@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq
 
 from forms.declarations import LawError
 
@@ -78,6 +77,8 @@ class PlasticCylinder:
             return self.a
         if pressure > self.pressure(self.b):
             raise LawError(f"the pressure is {pressure:g}; the cylinder bears {self.pressure(self.b):g}")
+        from scipy.optimize import brentq  # takes a while to import
+
         return float(brentq(lambda c: self.pressure(c) - pressure, self.a, self.b, xtol=1e-14 * self.b))
 
     def displacement(self, pressure: float, r: Array) -> Array:

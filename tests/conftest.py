@@ -2,6 +2,7 @@
 
 import gc
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,9 @@ from mpi4py import MPI
 
 # -O1: forms compile in half the time, the largest in a third, and small meshes assemble as fast
 os.environ["XDG_CONFIG_HOME"] = str(Path(__file__).parent / "config")
+# else each of many processes compiles all our sources again
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 # what fails in an assertion of these is shown as it is in a test
 pytest.register_assert_rewrite("tests.at_points", "tests.columns_in_time")
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import chebyshev
-from scipy.optimize import brentq
 
 from forms.declarations import LawError
 
@@ -131,5 +130,7 @@ def flow_factor(delta: float, excess: float) -> float:
     def missing(r: float) -> float:
         t = math.tanh(1 / (r * delta))
         return delta * t * (r**2 - 1) / (t + r) - excess
+
+    from scipy.optimize import brentq  # takes a while to import
 
     return float(brentq(missing, 1e-9, 3.0, xtol=1e-15, rtol=1e-14)) ** 2

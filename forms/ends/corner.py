@@ -16,7 +16,6 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import legendre
-from scipy.optimize import brentq
 
 from forms.ends.constants import lame_over_mu
 
@@ -51,6 +50,8 @@ class Corner:
 
         def excess(power: float) -> float:
             return 4 * k * math.sin(power * math.pi / 2) ** 2 - (k + 1) ** 2 + 4 * power**2
+
+        from scipy.optimize import brentq  # takes a while to import
 
         return float(brentq(excess, 0.0, 1.0, xtol=1e-15, rtol=1e-14)) if excess(1.0) > 0 else 1.0
 

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Self
 
-import gmsh
-
 from geometry.seam import S
+from geometry.shapes import gmsh
 from geometry.shapes.drawing import Drawing
 from geometry.shapes.prism import Prism
 from geometry.shapes.sizing import Grading, times

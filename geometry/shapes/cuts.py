@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from math import degrees
 from typing import Any, Self
 
-import gmsh
 import numpy as np
 from scipy.spatial import Voronoi, cKDTree
 
@@ -16,6 +15,7 @@ from forms.temperature import real
 from geometry.errors import GeometryError, place
 from geometry.periods import SAME_PLACE
 from geometry.seam import LEAST_COSINE, Seam
+from geometry.shapes import gmsh
 from geometry.shapes.drawing import Drawing, Shape
 from geometry.shapes.lines import Lines
 from geometry.shapes.sizing import Cells, times

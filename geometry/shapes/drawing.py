@@ -11,12 +11,12 @@ from math import floor, log10
 from typing import Any, Self
 
 import dolfinx
-import gmsh
 import numpy as np
 
 from geometry.errors import GeometryError
 from geometry.joint import Joint
 from geometry.seam import S, Seam
+from geometry.shapes import gmsh
 from geometry.shapes.sizing import CELLS, RANGE, Cells, Grading, require_wide
 from geometry.topology import FACET_TYPES, FloatArray, IntArray, corner_count, is_tensor
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from math import pi, tau
 from typing import Self
 
-import gmsh
-
 from geometry.errors import GeometryError
 from geometry.seam import S
+from geometry.shapes import gmsh
 from geometry.shapes.drawing import Drawing, Shape
 from geometry.shapes.polar import Web, curve_grid, surface
 from geometry.shapes.rounds import CORE, TURN

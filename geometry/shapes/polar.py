@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from math import cos, isclose, pi, sin, tau
 
-import gmsh
 import numpy as np
 
+from geometry.shapes import gmsh
 from geometry.topology import FloatArray, IntArray, corner_count, lagrange
 
 

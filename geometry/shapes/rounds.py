@@ -7,10 +7,9 @@ from itertools import chain
 from math import pi, tau
 from typing import Self
 
-import gmsh
-
 from geometry.errors import GeometryError
 from geometry.seam import S
+from geometry.shapes import gmsh
 from geometry.shapes.drawing import Drawing, Shape, walls
 from geometry.shapes.polar import Web, curve_grid, is_circle, surface
 from geometry.shapes.prism import Prism

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import gmsh
 import numpy as np
 
 from forms.base import is_finite, is_number
 from geometry.errors import GeometryError, unknown
+from geometry.shapes import gmsh
 
 CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
 PARTS = {2: 10, 3: 5}  # default number of cells across the thinnest part, by dimension
