@@ -31,9 +31,12 @@ from ffcx.codegeneration import jit as ffcx_jit
 import thinlayer.parallel.abort  # noqa: F401  # before DOLFINx, which starts PETSc
 from forms.base import ThinlayerError
 
+State = tuple[int, int, int]  # of a file: its number on the disk, its length, the time of its last change in ns
 # Folder -> descriptor of its lock file. They are never closed, as that would free all locks of the process on the file.
 _LOCKS: dict[Path, int] = {}
 SEAL = b"thinlayer: a library of "  # first words of a seal
+# Library and file beside it -> their states when the library matched its seal, so that each is read once in a process.
+_WHOLE: dict[tuple[Path, Path], tuple[State, State]] = {}
 
 
 class CacheError(ThinlayerError, OSError):
@@ -95,10 +98,23 @@ def seal(library: Path, beside: Path) -> None:
 def is_whole(library: Path, beside: Path, *, unsealed: bool = False) -> bool:
     """Whether a library is there and matches its seal; `unsealed` is the answer for a library without a seal."""
     try:
+        states = _state(library), _state(beside)
+        if _WHOLE.get((library, beside)) == states:
+            return True
         known = beside.read_bytes()
-        return known.endswith(_seal_of(library)) if SEAL in known else unsealed
+        if SEAL not in known:
+            return unsealed
+        if known.endswith(_seal_of(library)):
+            _WHOLE[library, beside] = states
+            return True
+        return False
     except OSError:
         return False
+
+
+def _state(file: Path) -> State:
+    found = file.stat()
+    return found.st_ino, found.st_size, found.st_mtime_ns
 
 
 def _seal_of(library: Path) -> bytes:
