@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 from mpi4py import MPI
 
 # -O1: forms compile in half the time, the largest in a third, and small meshes assemble as fast
@@ -13,6 +14,10 @@ os.environ["XDG_CONFIG_HOME"] = str(Path(__file__).parent / "config")
 # else each of many processes compiles all our sources again
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+# the same examples in every run; others with --hypothesis-profile=random
+settings.register_profile("same", deadline=None, derandomize=True)
+settings.register_profile("random", deadline=None)
+settings.load_profile("same")
 # what fails in an assertion of these is shown as it is in a test
 pytest.register_assert_rewrite("tests.at_points", "tests.columns_in_time")
 

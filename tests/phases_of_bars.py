@@ -10,7 +10,7 @@ from forms import limits
 
 BAR = limits.Bar(l=1, K=2, kbar=3, alpha=1.2, cbar=0.9, eps=0.1)
 LONG = limits.Bar(l=1.7, K=2.3, kbar=3.1, alpha=1.3, cbar=0.8, eps=0.3)  # no parameter is 1, none equals another
-SLOW = settings(deadline=None, max_examples=60)
+SLOW = settings(max_examples=60)
 DELTAS = np.array([-4.1, -3.0, -0.2, 0.0, 0.4, 2.6, 2.9, 3.4, 4.8])  # of LONG: all phases, and mixtures
 
 

@@ -126,14 +126,14 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 import thinlayer.compiling.compilation
 
-def compiled(folder, timeout=1):
+def compiled(folder):
     domain = mesh.create_unit_interval(MPI.COMM_SELF, 2)
-    return fem.form(ufl.SpatialCoordinate(domain)[0] ** 2 * ufl.dx, jit_options=dict(cache_dir=folder, timeout=timeout))
+    return fem.form(ufl.SpatialCoordinate(domain)[0] ** 2 * ufl.dx, jit_options=dict(cache_dir=folder, timeout=0))
 """
 KILLED = FORM + "cffi.FFI.compile = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)\ncompiled(sys.argv[1])"
 SLOW = FORM + (
     "build = cffi.FFI.compile\n"
-    "cffi.FFI.compile = lambda *a, **k: (os.write(1, b'#\\n'), time.sleep(2.5), build(*a, **k))[2]\n"
+    "cffi.FFI.compile = lambda *a, **k: (os.write(1, b'#\\n'), time.sleep(0.5), build(*a, **k))[2]\n"
     "compiled(sys.argv[1])"
 )
 
@@ -150,7 +150,7 @@ def kept(folder):
 
 
 def test_a_killed_compilation_is_repeated(tmp_path, compiled):
-    done = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], cwd=CLONE, timeout=60)
+    done = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], cwd=CLONE, timeout=240)
     assert done.returncode == -signal.SIGKILL
     assert kept(tmp_path) == []
     assert any(file.is_dir() for file in tmp_path.iterdir())
@@ -170,7 +170,7 @@ def test_a_killed_compilation_is_repeated(tmp_path, compiled):
 
 
 def test_a_long_compilation_of_another_process_is_waited_for(tmp_path, compiled):
-    """Longer than FFCx's timeout (here 1 s); what it made is used."""
+    """Longer than FFCx's timeout (here none); what it made is used."""
     command = [sys.executable, "-c", SLOW, str(tmp_path)]
     with subprocess.Popen(command, cwd=CLONE, stdout=subprocess.PIPE) as other:
         assert other.stdout is not None
@@ -178,26 +178,13 @@ def test_a_long_compilation_of_another_process_is_waited_for(tmp_path, compiled)
         form = compiled(tmp_path)
         assert kept(tmp_path)
         assert form.code == (None, None)  # nothing was compiled here
-        assert other.wait(30) == 0
+        assert other.wait(240) == 0
 
 
 def test_a_folder_that_cannot_be_written(tmp_path, compiled):
     (tmp_path / "file").touch()
     with pytest.raises(OSError, match=r"cannot be kept in .*file/cache: .*; set XDG_CACHE_HOME"):
         compiled(tmp_path / "file" / "cache")
-
-
-def cut(file):
-    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-
-
-def zeroed(file):
-    whole = file.read_bytes()
-    file.write_bytes(whole[: len(whole) // 2].ljust(len(whole), b"\0"))
-
-
-def emptied(file):
-    file.write_bytes(b"")
 
 
 LIBRARY = """
@@ -208,7 +195,24 @@ import thinlayer.compiling.compiled
 
 def compiled(folder):
     jit.get_options = lambda: {"cache_dir": folder}
+    thinlayer.compiling.compiled._LOADED.clear()
     assert thinlayer.compiling.compiled.library(Path(folder, "half.c")).lib.half(7.0) == 3.5
+"""
+DAMAGED = """
+folder = sys.argv[1]
+compiled(folder)
+(library,) = Path(folder).glob("*.so")
+whole = library.read_bytes()
+cut = whole[: len(whole) // 2]
+for damaged in (cut, cut.ljust(len(whole), b"\\0"), b""):
+    library.unlink()  # it is loaded: its content must stay
+    library.write_bytes(damaged)
+    compiled(folder)
+    assert library.stat().st_size == len(whole) and library.read_bytes() != damaged
+library.unlink()
+library.mkdir()
+print("compiled again", flush=True)
+compiled(folder)
 """
 
 
@@ -216,17 +220,10 @@ def compiled(folder):
 def test_damaged_libraries_are_compiled_again(tmp_path, program):
     """As a crash of the machine may leave them: to load a part of a library may end the process (SIGBUS)."""
     (tmp_path / "half.c").write_text("double half(double x)\n{\n    return x / 2;\n}\n")
-    words = [sys.executable, "-c", f"{program}\ncompiled(sys.argv[1])", str(tmp_path)]
-    assert subprocess.run(words, cwd=CLONE, timeout=60).returncode == 0
+    words = [sys.executable, "-c", program + DAMAGED, str(tmp_path)]
+    done = subprocess.run(words, cwd=CLONE, timeout=240, capture_output=True, text=True)
+    assert done.stdout == "compiled again\n", done.stderr
     (library,) = tmp_path.glob("*.so")
-    whole = library.stat().st_size
-    for damage in (cut, zeroed, emptied):
-        damage(library)
-        assert subprocess.run(words, cwd=CLONE, timeout=60).returncode == 0, damage
-        assert library.stat().st_size == whole
-    library.unlink()
-    library.mkdir()
-    done = subprocess.run(words, cwd=CLONE, timeout=60, capture_output=True, text=True)
     assert f"{library} is a folder, where a compiled file belongs; remove it" in done.stderr.splitlines()[-1]
 
 

@@ -54,17 +54,17 @@ def test_the_second_run_at_a_time_is_refused(tmp_path):
     """And the folder is free again when the first one ends, by whatever signal."""
     out = tmp_path / "out"
     program = (
-        "import fcntl, os, sys, time\n"
+        "import fcntl, os, sys\n"
         "file = os.open(sys.argv[1], os.O_RDWR | os.O_CREAT)\n"
         "fcntl.flock(file, fcntl.LOCK_EX)\n"
         "os.write(file, b'process 123 on there')\n"
         "print('locked', flush=True)\n"
-        "time.sleep(60)\n"
+        "sys.stdin.read()\n"
     )
     out.mkdir()
     for name in (".lock", ".t.csv.lock"):
         words = [sys.executable, "-c", program, str(out / name)]
-        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as first:
+        with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as first:
             assert first.stdout.readline() == "locked\n"
             with pytest.raises(ModelError, match=r"^another run \(process 123 on there\) is writing into"):
                 march(interface(), [0.1], out=out) if name == ".lock" else sweep(row, [0.2], out / "t.csv")
@@ -340,7 +340,7 @@ def test_an_interrupt_before_anything_has_begun():
         "cli.main = lambda: os.kill(os.getpid(), signal.SIGINT)\n"
         "cli.start()\n"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=240)
     assert done.returncode == 130
     assert done.stderr == "thinlayer: interrupted; nothing was done\n"
 
@@ -349,7 +349,7 @@ def test_texts_are_read_whatever_the_locale():
     environment = os.environ | {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     program = "from thinlayer.running.catalogue import studies; print(len(studies()))"
     words = [sys.executable, "-c", program]
-    done = subprocess.run(words, cwd=CLONE, env=environment, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(words, cwd=CLONE, env=environment, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) > 20
 

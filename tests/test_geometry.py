@@ -92,7 +92,7 @@ def test_inflation(shape, cell, bodies):
     assert len(counts) == 1  # thin layers cost no more cells than thick ones
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     eps=st.floats(1e-5, 0.3),
     layers=st.integers(1, 6),

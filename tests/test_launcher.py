@@ -26,7 +26,7 @@ def fenicsx(
         env=inherited | {name: str(value) for name, value in environment.items()},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=240,
         check=False,
     )
 
@@ -205,7 +205,7 @@ def test_a_killed_launcher_leaves_nothing_running(tree, tmp_path):
         assert process.name
         assert process.exists()
         launcher.kill()
-    for _ in range(100):
+    for _ in range(1000):
         time.sleep(0.05)
         if not process.exists():
             return

@@ -38,7 +38,7 @@ def direction(a, b, dim):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(lmbda=moduli, mu=moduli, w=jumps, a=angles, b=angles)
 def test_elastic(dim, lmbda, mu, w, a, b):
     """Eq. (17) and its energy, w.K w/2."""
@@ -51,7 +51,7 @@ def test_elastic(dim, lmbda, mu, w, a, b):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(m=st.lists(moduli, min_size=6, max_size=6), w=jumps, a=angles, b=angles)
 def test_stratified(dim, m, w, a, b):
     """Compliances add up, whatever the order of the sublayers."""
@@ -66,7 +66,7 @@ def test_stratified(dim, m, w, a, b):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(k_n=moduli, k_t=moduli, w=jumps, a=angles, b=angles)
 def test_springs(dim, k_n, k_t, w, a, b):
     n = direction(a, b, dim)

@@ -36,5 +36,5 @@ def test_quiet_unless_asked():
     script = "import thinlayer\nfrom thinlayer.parallel.log import logger\nlogger('solve').error('told')"
     shown = f"import logging\nlogging.basicConfig(format='%(message)s')\n{script}"
     for words, expected in ((script, ""), (shown, "told\n")):
-        done = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, timeout=60)
+        done = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, timeout=240)
         assert (done.returncode, done.stderr) == (0, expected)

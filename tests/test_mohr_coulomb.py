@@ -33,7 +33,7 @@ from tests.mohr_coulomb_points import (
 )
 from thinlayer.pointwise.drive import drive
 
-SLOW = settings(deadline=None, max_examples=60)
+SLOW = settings(max_examples=60)
 
 
 # ---------------------------------------------------------------- closed form and return mapping

@@ -30,7 +30,7 @@ from tests.non_monotone_points import (
     random_strains,
 )
 
-SLOW = settings(deadline=None, max_examples=40)
+SLOW = settings(max_examples=40)
 
 
 # ---------------------------------------------------------------- the gain of laminates

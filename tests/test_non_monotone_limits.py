@@ -37,7 +37,7 @@ entries = st.lists(st.floats(-2, 2), min_size=6, max_size=6)
 
 
 @pytest.mark.parametrize("d", [2, 3])
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(a=entries, mu=positive, nu=st.floats(-0.9, 0.48))
 def test_lamination_is_the_best_direction(d, a, mu, nu):
     chi = np.array([[a[0], a[1], a[2]], [a[1], a[3], a[4]], [a[2], a[4], a[5]]])[:d, :d] + 0.01 * np.eye(d)

@@ -65,7 +65,7 @@ def test_a_picture_opens_in_a_window(pictures, monkeypatch):
 
 def test_importing_does_not_choose_a_backend():
     code = "import sys, thinlayer; thinlayer.plotting; print('matplotlib.pyplot' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=240)
     assert done.stdout.split() == ["False"], done.stderr
 
 
