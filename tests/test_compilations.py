@@ -205,6 +205,7 @@ compiled(folder)
 whole = library.read_bytes()
 cut = whole[: len(whole) // 2]
 for damaged in (cut, cut.ljust(len(whole), b"\\0"), b""):
+    compiled(folder)  # its seal is known now
     library.unlink()  # it is loaded: its content must stay
     library.write_bytes(damaged)
     compiled(folder)
