@@ -61,7 +61,7 @@ def test_list_is_light_and_matches_the_readme():
 
 
 def test_info():
-    done = process("info")
+    done = thinlayer("info")
     assert done.returncode == 0
     for name in ("fenics-dolfinx", "petsc", "gmsh", "pyvista"):
         assert any(line.split()[0] == name and line.split()[1][0].isdigit() for line in done.stdout.splitlines()), (
