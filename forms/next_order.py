@@ -10,14 +10,14 @@ from forms.rubber import Rubber
 
 
 @singledispatch
-def for_next_order(law: BulkLaw) -> BulkLaw:
-    """The law itself, unless it has a variant with a pressure that flows along S."""
+def for_next_order(law: BulkLaw, ends: bool = True) -> BulkLaw:
+    """The law itself, unless it has a variant with a pressure that flows along S; `ends`: whether S has free ends."""
     return law
 
 
 @for_next_order.register
-def _(law: LinearElastic) -> BulkLaw:
-    """`Rubber` where the pressure evens out over more than the thickness, for nu > 0.45."""
-    if law.fields or law.lmbda / (law.lmbda + law.mu) / 2 <= LARGEST_NU + ROUNDING:
+def _(law: LinearElastic, ends: bool = True) -> BulkLaw:
+    """`Rubber`; beside free ends, whose constants need no fine mesh for nu up to 0.45, for larger nu only."""
+    if law.fields or law.lmbda <= 0 or (ends and law.lmbda / (law.lmbda + law.mu) / 2 <= LARGEST_NU + ROUNDING):
         return law
     return Rubber(law.lmbda, law.mu)

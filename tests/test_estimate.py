@@ -23,6 +23,7 @@ from thinlayer import (
     Structure,
     Surface,
     ThinLayer,
+    compare,
     estimate,
     goals,
     march,
@@ -205,17 +206,28 @@ def test_between_soft_bodies_half_the_true_error_is_found_without_edge_terms(law
     assert 0.5 * true < found.goals["compliance"].change < 1.02 * true
 
 
-def test_bodies_of_less_than_two_thicknesses_have_a_caveat():
-    """Where goals were found to be told 4 times too large; of 2.5 thicknesses nothing is said."""
+def test_a_pressure_between_held_ends_flows_along_s():
+    """Short waves on rollers at nu = 0.45: order 1 without a pressure finds 0.6 of the true error in traction."""
+    load = {"TOP": lambda x, t: (x[0] * (1 - x[0]), ufl.cos(2 * np.pi * x[0]))}
+    sides = {"LEFT": {"x": 0}, "RIGHT": {"x": 0}, "BOTTOM": 0}
+    joint, layer = sandwich(1.0, 0.5, 0.5, 1 / 16, cell="quadrilateral"), ThinLayer(LinearElastic.shear(5.0, 0.45), 1 / 16)
+    held = Structure(joint, body=LinearElastic.young(1e3, 0.3), supports=sides, tractions=load)
+    state = solve(held.interface(layer))
+    true = compare(solve(held.full(layer, cells_through=4)), state)["error_traction"]
+    assert estimate(state).traction == pytest.approx(true, rel=0.08)  # the next order; without the pressure 0.4
+
+
+def test_bodies_of_less_than_four_thicknesses_have_a_caveat():
+    """Where estimates were found to be off by up to a half, goals by more; of 4.2 thicknesses nothing is said."""
     joint, load = sandwich(1.3, 0.5, 0.125, 0.3, h_S=0.1, h_ends=0.02), {"TOP": (0.1, -1.0)}
     plates = Structure(joint, body=LinearElastic.young(150.0, 0.3), supports={"BOTTOM": 0}, tractions=load)
-    thin, known = (estimate(solve(plates.interface(ThinLayer(GLUE, eps)))) for eps in (0.075, 0.05))
-    assert "a body is 1.7 thicknesses high" in str(thin)
+    thin, known = (estimate(solve(plates.interface(ThinLayer(GLUE, eps)))) for eps in (0.05, 0.03))
+    assert "a body is 2.5 thicknesses high" in str(thin)
     assert thin.layers["S"].law.off == 0.5
     assert known.layers["S"].law.lacks == ""
     widest = thin_enough(plates, ThinLayer(GLUE, 0.05), 0.9)
     assert not widest.found
-    assert widest.eps == pytest.approx(0.125 / 2)  # half of the thinner body
+    assert widest.eps == pytest.approx(0.125 / 4)  # a quarter of the thinner body
 
 
 def test_an_error_that_free_ends_alone_bring_about_is_only_bounded():
@@ -480,7 +492,7 @@ def test_what_has_no_estimate():
 def test_laws_without_an_estimate(law, element, message):
     model = Structure(sandwich(1.3, 0.3, 0.4, 0.3), body=LOWER, supports={"BOTTOM": 0, "TOP": 0}, element=element)
     with pytest.raises(ModelError, match=message):
-        better_layers(model.interface(law).layers)
+        better_layers(model.interface(law))
 
 
 # ---------------------------------------------------------------- pictures, units, ranks

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import scipy.sparse
 from dolfinx import fem
-from mpi4py import MPI
 
 from geometry.errors import place as at_place
 from thinlayer.discretisation.addition import Host
@@ -38,9 +37,8 @@ def tie(plate: PlateData, model: Host, about: Array, size: float) -> Any:
         by_node = np.zeros((owned + V.dofmap.index_map.num_ghosts, d))
         by_node[V.dofmap.list] = shifts[model.domain.original_cells][:, None]
         least, most = by_node[blocks].min(axis=0, initial=np.inf), by_node[blocks].max(axis=0, initial=-np.inf)
-        middle = (
-            model.comm.allreduce(least, MPI.MIN) + model.comm.allreduce(most, MPI.MAX)
-        ) / 2  # the plate's point stays
+        every = np.array(model.comm.allgather((least, most)))
+        middle = (every[:, 0].min(axis=0) + every[:, 1].max(axis=0)) / 2  # the plate's point stays
         x = x + by_node[blocks] - middle
     values = rigid(x, about)
     values[:, :, d:] /= size
