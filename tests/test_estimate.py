@@ -210,7 +210,10 @@ def test_a_pressure_between_held_ends_flows_along_s():
     """Short waves on rollers at nu = 0.45: order 1 without a pressure finds 0.6 of the true error in traction."""
     load = {"TOP": lambda x, t: (x[0] * (1 - x[0]), ufl.cos(2 * np.pi * x[0]))}
     sides = {"LEFT": {"x": 0}, "RIGHT": {"x": 0}, "BOTTOM": 0}
-    joint, layer = sandwich(1.0, 0.5, 0.5, 1 / 16, cell="quadrilateral"), ThinLayer(LinearElastic.shear(5.0, 0.45), 1 / 16)
+    joint, layer = (
+        sandwich(1.0, 0.5, 0.5, 1 / 16, cell="quadrilateral"),
+        ThinLayer(LinearElastic.shear(5.0, 0.45), 1 / 16),
+    )
     held = Structure(joint, body=LinearElastic.young(1e3, 0.3), supports=sides, tractions=load)
     state = solve(held.interface(layer))
     true = compare(solve(held.full(layer, cells_through=4)), state)["error_traction"]
