@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 
 import numpy as np
 from mpi4py import MPI
@@ -52,6 +53,7 @@ def chosen(kind: str, dim: int = 2) -> list[goals.Goal]:
     return found
 
 
+@cache
 def estimated(kind: str, dim: int = 2):
     """The estimate of a kind of structure."""
     layer, made = ThinLayer(SOFT if kind == "rubber" else GLUE, EPS), structure(kind, dim)

@@ -16,6 +16,7 @@ from forms.contact import HolonomicCoulomb
 from geometry import sandwich
 from tests.estimate_run import EPS, GLUE, KINDS, LOWER, estimated, numbers, structure
 from tests.non_monotone_run import LAWS
+from tests.pictures import assert_drawn
 from tests.ranks import mpirun
 from thinlayer import (
     ModelError,
@@ -41,17 +42,11 @@ from thinlayer.output.layer_report import ELASTIC, LayerReport
 pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
 
 
-@pytest.fixture(scope="module")
-def every():
-    """An estimate of each kind of structure."""
-    return {kind: estimated(kind) for kind in KINDS}
-
-
 # ---------------------------------------------------------------- the identity
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_densities_of_goals_add_up_to_their_changes(kind, every):
+def test_the_densities_of_goals_add_up_to_their_changes(kind):
     """Exact for linear laws, whatever the goal; the integral of the expression on S is the same sum."""
-    found = every[kind]
+    found = estimated(kind)
     for name, goal in found.goals.items():
         density, size = found.density(name), max(abs(goal.value), abs(goal.better))
         assert density.total == pytest.approx(goal.change, abs=1e-11 * size), name
@@ -74,9 +69,9 @@ def test_in_three_dimensions_too(dim):
 
 
 @pytest.mark.parametrize("kind", ["between", "base"])
-def test_the_mean_traction_is_that_of_the_load(kind, every):
+def test_the_mean_traction_is_that_of_the_load(kind):
     """What is pulled along (0.3, -1) bears it, between bodies and on a rigid base."""
-    found = next(goal for name, goal in every[kind].goals.items() if name.startswith("mean traction"))
+    found = next(goal for name, goal in estimated(kind).goals.items() if name.startswith("mean traction"))
     assert [found.value, found.better] == pytest.approx([math.hypot(0.3, 1.0)] * 2, rel=1e-9)
 
 
@@ -99,9 +94,9 @@ def test_a_goal_that_is_not_linear_has_a_density_to_first_order():
     assert found.density("square").total != pytest.approx(change, rel=0.01 * relative)
 
 
-def test_weights_of_the_law_of_order_0_are_not_exact(every):
+def test_weights_of_the_law_of_order_0_are_not_exact():
     """What u_0 itself gives instead of u_1, for the compliance: the first term of a series."""
-    found = every["between"]
+    found = estimated("between")
     first = estimate_by_first_term(found)
     assert abs(first / found.goals["compliance"].change - 1) > 0.01
 
@@ -139,28 +134,31 @@ def test_the_estimate_is_the_error():
     assert plain.energies()["loads"] - limit.energies()["loads"] < 0.88 * true
 
 
-def test_one_more_solve_is_all(every):
-    assert every["between"].better.report.iterations == every["between"].state.report.iterations
+def between_rollers() -> Structure:
+    """No free ends."""
+    sides = {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
+    loads = {"TOP": lambda x, t: (0, -t * x[0])}
+    return Structure(sandwich(1.3, 0.3, 0.4, 0.15), body=LOWER, supports=sides, tractions=loads)
 
 
 def test_a_history_is_marched_again():
-    layer, made = ThinLayer(Norton(lmbda=1.2, mu=2.0, eta=0.7, p=1.5), EPS / 2), graded()
+    """Of a layer that creeps: at once, as if it had only its elastic moduli, half of the change is found."""
+    layer, made = ThinLayer(Norton(lmbda=1.2, mu=2.0, eta=0.7, p=1.5), EPS / 2), between_rollers()
     limit, full = (march(model, [0.3, 0.8]) for model in (made.interface(layer), made.full(layer)))
     found = estimate(limit)
     assert found.better.t == 0.8
     true = full.last.energies()["loads"] - limit.last.energies()["loads"]
-    assert found.goals["compliance"].change == pytest.approx(true, rel=0.25)
-    assert found.density().total == pytest.approx(found.goals["compliance"].change, rel=0.02)  # not linear: first order
-    assert "without edge terms" in str(found)
+    assert found.goals["compliance"].change == pytest.approx(true, rel=0.04)  # of order 1: 0.06 at EPS
+    assert found.density().total == pytest.approx(found.goals["compliance"].change, rel=1e-3)  # not linear: first order
+    at_once = estimate(solve(made.interface(ThinLayer(LinearElastic(1.2, 2.0), EPS / 2)), 0.8))
+    assert at_once.goals["compliance"].change / true < 0.6
     with pytest.raises(ModelError, match="marched with theta"):
         estimate(march(structure("between").interface(ThinLayer(LOWER, EPS)), [0.5, 1.0], theta=0.5))
 
 
 def test_newton_begins_at_the_given_state():
     """From u_0 and from rest it finds the same."""
-    sides = {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
-    pressed = {"TOP": lambda x, t: (0, -t * x[0])}
-    made = Structure(sandwich(1.3, 0.3, 0.4, 0.15), body=LOWER, supports=sides, tractions=pressed)
+    made = between_rollers()
     limit = solve(made.interface(ThinLayer(VonMises(4.0, 3.0, strength=0.5, hardening=2.0), EPS)), 1.0)
     found = estimate(limit)
     again = solve(found.better.model, 1.0)
@@ -247,17 +245,17 @@ def test_an_error_that_free_ends_alone_bring_about_is_only_bounded():
 
 
 # ---------------------------------------------------------------- words
-def test_sentences(every):
-    said = every["between"].sentences
+def test_sentences():
+    said = estimated("between").sentences
     assert said[0].startswith("order 0: ")
     assert "% in traction" in said[0]
     assert "no change in reaction BOTTOM" in said[0]  # equilibrium gives it
     assert said[1] == "within 0.15 of free ends: not known"
-    assert every["bonded"].sentences[0].startswith("perfect bond: ")
-    assert math.isnan(every["bonded"].jump)
-    assert every["between"].laws == {"S": "order 1 of LinearElastic, with its free ends"}
-    assert every["rubber"].laws["S"].startswith("order 1 of Rubber")
-    assert not any(math.isfinite(row["error"]) and math.isnan(row["noise"]) for row in every["between"].table.rows)
+    assert estimated("bonded").sentences[0].startswith("perfect bond: ")
+    assert math.isnan(estimated("bonded").jump)
+    assert estimated("between").laws == {"S": "order 1 of LinearElastic, with its free ends"}
+    assert estimated("rubber").laws["S"].startswith("order 1 of Rubber")
+    assert not any(math.isfinite(row["error"]) and math.isnan(row["noise"]) for row in estimated("between").table.rows)
 
 
 @pytest.mark.parametrize(
@@ -276,7 +274,7 @@ def test_a_layer_that_yields_at_its_ends_has_no_estimate(law, words):
     assert words not in estimate(solve(graded().interface(ThinLayer(law, EPS)), 0.01)).unknown  # it stays elastic
 
 
-def test_goals_that_are_zero(every):
+def test_goals_that_are_zero():
     """A reaction across symmetric loads is rounding, and so is its relative change."""
     made = Structure(graded().joint, body=LOWER, supports={"BOTTOM": 0}, tractions={"TOP": (0, -1)})
     found = estimate(solve(made.interface(ThinLayer(GLUE, EPS))), goals=[goals.Reaction("BOTTOM", (1, 0))])
@@ -499,11 +497,10 @@ def test_laws_without_an_estimate(law, element, message):
 
 
 # ---------------------------------------------------------------- pictures, units, ranks
-def test_the_picture_of_a_density(tmp_path, every):
-    plotting.density(every["between"].density(), save=tmp_path / "a.png", title="compliance", length="mm")
+def test_the_picture_of_a_density(tmp_path):
+    plotting.density(estimated("between").density(), save=tmp_path / "a.png", title="compliance", length="mm")
     plotting.density(estimated("base", 3).density(), save=tmp_path / "b.png")
-    assert (tmp_path / "a.png").stat().st_size > 5000
-    assert (tmp_path / "b.png").stat().st_size > 5000
+    assert_drawn(tmp_path / "a.png", tmp_path / "b.png")
 
 
 def test_units_do_not_matter():
