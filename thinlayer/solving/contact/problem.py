@@ -65,7 +65,7 @@ class ContactProblem:
     def A(self) -> PETSc.Mat:
         """The stiffness with supports."""
         alone = self.comm.size == 1
-        A = PETSc.Mat().createAIJWithArrays(self.K.getSizes(), self._arrays) if alone else self.K.copy()
+        A = PETSc.Mat().createAIJWithArrays(self.K.getSizes(), self._arrays, comm=self.comm) if alone else self.K.copy()
         first = A.getOwnershipRange()[0]
         A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         A.zeroRowsColumns((first + self.held).astype(PETSc.IntType), self.diagonal)
