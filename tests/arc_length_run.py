@@ -1,24 +1,19 @@
-"""Bodies on softening interfaces along their equilibrium paths; as a script, runs that are killed and resumed:
-OUT [--resume] [--kill ROW].
-"""
+"""Bodies on softening interfaces along their equilibrium paths; as a program, OUT ROW, killed at a row."""
 
 from __future__ import annotations
 
-import argparse
-import os
-import signal
+import sys
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 from typing import ClassVar
 
 import ufl
-from mpi4py import MPI
 
 from forms import LinearElastic
 from forms.traction import TractionLaw
 from geometry import block
 from tests.own_laws import layer_of
+from tests.ranks import Ending
 from thinlayer import ArcLength, Structure, march
 
 E, HEIGHT, WIDTH = 2.3, 1.7, 0.85
@@ -121,26 +116,19 @@ DAMAGED = Damage(k=70.0, w_0=0.03, k_T=30.0)
 PATH = ArcLength(end=0.2, first=0.02)
 SHORT = ArcLength(end=0.14, first=0.04)
 
+NEVER = Ending()
 
-def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--resume", action="store_true")
-    parser.add_argument("--kill", type=int, default=0)
-    chosen = parser.parse_args()
-    rows = count(1)
+
+def run(out: Path, *, resume: bool = False, ending: Ending = NEVER) -> None:
+    """March along both paths, or begin to."""
 
     def size(state):
-        """Of the displacements; ends the run at a row, before the row is written."""
-        if next(rows) == chosen.kill and MPI.COMM_WORLD.rank == MPI.COMM_WORLD.size - 1:
-            os.kill(os.getpid(), signal.SIGKILL)
+        ending.at_row()
         return state.u.x.petsc_vec.norm()
 
     for name, law, keep in (("kinked", KINKED, "last"), ("damaged", DAMAGED, "all")):
-        march(
-            tilted(law, cells=4), SHORT, observe={"size": size}, out=chosen.out / name, resume=chosen.resume, keep=keep
-        )
+        march(tilted(law, cells=4), SHORT, observe={"size": size}, out=out / name, resume=resume, keep=keep)
 
 
 if __name__ == "__main__":
-    main()
+    run(Path(sys.argv[1]), ending=Ending(int(sys.argv[2])))

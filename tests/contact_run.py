@@ -1,19 +1,13 @@
-"""Contact problems whose reports must not depend on the number of ranks; prints them as JSON on rank 0.
-
-python3 -m tests.contact_run [FOLDER LAST]: march the block of `to_and_fro` in FOLDER up to time LAST instead; go on with
-a march that is there.
-"""
+"""Contact problems whose reports must not depend on the number of ranks."""
 
 from __future__ import annotations
 
-import json
-import sys
-
-from mpi4py import MPI
+from pathlib import Path
 
 from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic
 from geometry import block, sandwich
 from studies.problems import sliding_bar
+from tests.on_ranks import alone
 from thinlayer import Structure, march, piecewise, solve
 from thinlayer.output.contact_report import ContactReport
 
@@ -46,16 +40,16 @@ def reports():
     return {name: ContactReport(state) for name, state in found.items()}
 
 
+def contents() -> dict[str, dict]:
+    return {name: content(report) for name, report in reports().items()}
+
+
+def resumed(folder: Path) -> dict[str, list]:
+    """Of a march that one rank stops while its block slides forth, and two ranks end."""
+    alone(lambda: to_and_fro(folder / "march", 2.5))
+    return content(ContactReport(to_and_fro(folder / "march").last))
+
+
 def content(report):
     arrays = {"u_T": report.u_T, "u_N": report.u_N, "p": report.p, "t_T": report.t_T}
     return {"status": report.status.tolist()} | {name: array.ravel().tolist() for name, array in arrays.items()}
-
-
-if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        state = to_and_fro(sys.argv[1], float(sys.argv[2])).last
-        out = {"resumed": content(ContactReport(state))}
-    else:
-        out = {name: content(report) for name, report in reports().items()}
-    if MPI.COMM_WORLD.rank == 0:
-        print(json.dumps(out))

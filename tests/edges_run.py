@@ -1,11 +1,8 @@
-"""Structures with free ends of a layer; as a script, numbers that do not depend on the number of ranks."""
+"""Structures with free ends of a layer."""
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
-from mpi4py import MPI
 
 from forms import LinearElastic, Rubber
 from geometry import sandwich
@@ -27,23 +24,16 @@ def structure(dim: int, angle: float = 0.3, h_ends: float = 0.15) -> Structure:
     return Structure(joint.rotated(angle), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": load})
 
 
-def numbers(dim: int) -> dict[str, float]:
+def numbers() -> dict[str, float]:
     """The work of the loads, and norms of jump and traction."""
     found = {}
-    cases = {"glue": (LAYER, structure(dim))}
-    if dim == 2:  # the forms of the law with a pressure are those of the glue in space, too
-        cases["rubber"] = RUBBER, structure(dim, h_ends=0.12)
+    cases = {f"{dim}D glue": (LAYER, structure(dim)) for dim in SIZES}
+    cases["2D rubber"] = RUBBER, structure(2, h_ends=0.12)  # its forms in space are those of the glue, too
     for name, (layer, joint) in cases.items():
         state = solve(joint.interface(layer))
         surface = Surface(state.model)
         fields = {"jump": surface.jump(state), "traction": surface.traction(state)}
         squares = {what: surface.integral(sum(one**2 for one in field)) for what, field in fields.items()}
         values = {"loads": state.energies()["loads"]} | squares
-        found |= {f"{dim}D {name} {what}": value for what, value in values.items()}
+        found |= {f"{name} {what}": value for what, value in values.items()}
     return found
-
-
-if __name__ == "__main__":
-    found = numbers(2) | numbers(3)
-    if MPI.COMM_WORLD.rank == 0:
-        print(json.dumps(found))

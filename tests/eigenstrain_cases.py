@@ -1,8 +1,6 @@
-"""mpirun -n N python3 -m tests.eigenstrain_cases: norms of models with eigenstrains."""
+"""Models with eigenstrains."""
 
 from __future__ import annotations
-
-import json
 
 import numpy as np
 import ufl
@@ -52,9 +50,3 @@ def numbers() -> dict[str, float]:
     law = HolonomicCoulomb(K_N=40.0, K_T=9.0, friction=0.4)
     state = solve(Structure(joint, body=BODY, element="P1", **pressed).interface(law), 1.0)
     return found | {"contact u": state.integral(ufl.inner(state.u, state.u) * ufl.dx)}
-
-
-if __name__ == "__main__":
-    found = numbers()
-    if MPI.COMM_WORLD.rank == 0:
-        print(json.dumps(found))

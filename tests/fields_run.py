@@ -1,8 +1,7 @@
-"""Structures whose fields are known; as a script, writes them on any number of ranks: OUT, a folder."""
+"""Structures whose fields are known."""
 
 from __future__ import annotations
 
-import sys
 from functools import partial
 from pathlib import Path
 
@@ -98,7 +97,3 @@ def write_all(out: Path) -> None:
     fields.write(solve(solid.full(ThinLayer(K, EPS), cells_through=1)), out / "full.pvd")
     for name, make in {"network": network, "base": on_a_base, "cell": cell}.items():
         fields.write(make(), out / f"{name}.pvd")
-
-
-if __name__ == "__main__":
-    write_all(Path(sys.argv[1]))

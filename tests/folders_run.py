@@ -1,11 +1,10 @@
-"""mpirun -n 2 python3 -m tests.folders_run: errors of files, caught by a script, are the same on all ranks."""
+"""Errors of files, caught by a script, are the same on all ranks."""
 
 from __future__ import annotations
 
 import errno
 import os
 import sys
-import tempfile
 from pathlib import Path
 
 from mpi4py import MPI
@@ -76,25 +75,18 @@ def raised(attempt) -> str:
     return "nothing"
 
 
-def main() -> None:
+def same_errors(folder: Path) -> None:
+    """Raise AssertionError unless all ranks have the same error at each attempt."""
     assert sys.excepthook is sys.__excepthook__
-    with tempfile.TemporaryDirectory() as own:
-        folder = Path(COMM.bcast(own))
-        if COMM.rank == 0:
-            (folder / "file").write_text("")
-            (folder / "t.csv").write_text("a,b\n1,2\n")
-        COMM.barrier()
-        for make in (attempts, fills_up):
-            for attempt in make(folder):
-                found = COMM.allgather(raised(attempt))
-                assert len(set(found)) == 1, found
-                assert "nothing" not in found
-                assert make is attempts or "No space" in found[0], found
-        FULL_FROM[0] = 1.0
-        assert len(march(interface(), [0.1, 0.2, 0.3], out=folder / "march", observe=OBSERVE, resume=True)) == 4
     if COMM.rank == 0:
-        print("same")
-
-
-if __name__ == "__main__":
-    main()
+        (folder / "file").write_text("")
+        (folder / "t.csv").write_text("a,b\n1,2\n")
+    COMM.barrier()
+    for make in (attempts, fills_up):
+        for attempt in make(folder):
+            found = COMM.allgather(raised(attempt))
+            assert len(set(found)) == 1, found
+            assert "nothing" not in found
+            assert make is attempts or "No space" in found[0], found
+    FULL_FROM[0] = 1.0
+    assert len(march(interface(), [0.1, 0.2, 0.3], out=folder / "march", observe=OBSERVE, resume=True)) == 4

@@ -1,11 +1,8 @@
-"""Prints where the loads of a sheared block end, and what continuation finds; run by test_limit_load on several ranks."""
+"""Where the loads of a sheared block end, and what continuation finds."""
 
 from __future__ import annotations
 
-import json
-
 import ufl
-from mpi4py import MPI
 
 from forms import IncrementalCoulomb, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
 from geometry import block, sandwich
@@ -67,9 +64,3 @@ def numbers() -> dict[str, float]:
     found["continued u"] = state.integral(ufl.inner(state.u, state.u) * ufl.dx)
     found["eased"] = float(state.report.eased > 0)
     return found
-
-
-if __name__ == "__main__":
-    found = numbers()
-    if MPI.COMM_WORLD.rank == 0:
-        print(json.dumps(found))

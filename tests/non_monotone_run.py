@@ -1,16 +1,12 @@
-"""Numbers of non-monotone layers as JSON, from marches that may be cut short and resumed: OUT END [--resume]."""
+"""Numbers of non-monotone layers, from marches that may be cut short and resumed."""
 
 from __future__ import annotations
 
-import argparse
-import json
-from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 
 from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed, Tabulated
 from geometry import Joint, sandwich
@@ -65,16 +61,5 @@ def numbers(out: Path, end: float, resume: bool = False) -> dict[str, float]:
     return found
 
 
-def main(words: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("out", type=Path)
-    parser.add_argument("end", type=float)
-    parser.add_argument("--resume", action="store_true")
-    chosen = parser.parse_args(words)
-    found = numbers(chosen.out, chosen.end, chosen.resume)
-    if MPI.COMM_WORLD.rank == 0:
-        print(json.dumps(found))
-
-
-if __name__ == "__main__":
-    main()
+def half(out: Path) -> dict[str, float]:
+    return numbers(out, HALF)

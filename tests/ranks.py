@@ -3,19 +3,81 @@
 from __future__ import annotations
 
 import os
+import shutil
+import signal
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
-CLONE = Path(__file__).parent.parent
-# an outer MPI process must not be taken for our parent
-CLEAN = {k: v for k, v in os.environ.items() if not k.startswith(("PMIX_RANK", "PMIX_NAMESPACE", "OMPI_COMM", "PRTE_"))}
-CLEAN |= {k: v for k, v in os.environ.items() if k.startswith("PRTE_MCA")}
+from mpi4py import MPI
+
+CLONE, REPLACE = Path(__file__).parent.parent, Path.replace
 
 
-def mpirun(ranks: int, *command: str, cwd: Path = CLONE, timeout: float = 240) -> subprocess.CompletedProcess:
+def ends_too(by: str) -> list[str]:
+    """Words before a command that a signal ends when its parent ends."""
+    return ["setpriv", "--pdeathsig", by] if shutil.which("setpriv") else []
+
+
+def clean() -> dict[str, str]:
+    """The environment without what makes an outer MPI process our parent."""
+    outer = ("PMIX_RANK", "PMIX_NAMESPACE", "OMPI_COMM", "PRTE_")
+    return {k: v for k, v in os.environ.items() if not k.startswith(outer) or k.startswith("PRTE_MCA")}
+
+
+def mpirun(
+    ranks: int, *command: str, cwd: Path = CLONE, timeout: float = 240, progress: Callable[[], int] = lambda: 0
+) -> subprocess.CompletedProcess:
+    """Run a program; end it if its progress has been the same for as long as the timeout."""
     # ranks that wait leave the cores to those that compute: there may be fewer cores than ranks
-    environment = CLEAN | {"PYTHONPATH": str(CLONE), "OMP_NUM_THREADS": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
-    # mpi4py ends all ranks where one has an error
-    words = ["mpirun", "-n", str(ranks), sys.executable, "-m", "mpi4py", *command]
-    return subprocess.run(words, env=environment, cwd=cwd, capture_output=True, text=True, timeout=timeout)
+    environment = clean() | {"PYTHONPATH": str(CLONE), "OMP_NUM_THREADS": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
+    # mpi4py ends all ranks where one has an error; mpirun ends with pytest, even if that is killed, and ranks with mpirun
+    words = [*ends_too("TERM"), "mpirun", "-n", str(ranks), *ends_too("KILL"), sys.executable, "-m", "mpi4py", *command]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(words, env=environment, cwd=cwd, start_new_session=True, **pipes) as process:
+        reached = progress()
+        try:
+            while True:
+                try:
+                    said = process.communicate(timeout=timeout)
+                    return subprocess.CompletedProcess(words, process.returncode, *said)
+                except subprocess.TimeoutExpired:
+                    if reached == (reached := progress()):
+                        raise
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGTERM)
+
+
+class Ended(BaseException):
+    """As a signal, nobody catches it."""
+
+
+@dataclass
+class Ending:
+    """What ends a march before a row is written, or as its files are: a signal to one rank, or an exception on all.
+
+    It is no function, as a march is resumed with the same functions alone.
+    """
+
+    row: int = 0
+    writing: bool = False
+    raises: bool = False
+    rows: int = 0
+
+    def at_row(self) -> None:
+        self.rows += 1
+        if self.rows == self.row and (
+            self.raises or MPI.COMM_WORLD.rank == (0 if self.writing else MPI.COMM_WORLD.size - 1)
+        ):
+            if not self.writing:
+                self.end()
+            Path.replace = self.end
+
+    def end(self, *_: object) -> None:
+        if not self.raises:
+            os.kill(os.getpid(), signal.SIGKILL)
+        Path.replace = REPLACE
+        raise Ended

@@ -1,10 +1,6 @@
-"""A glued block in 3D loaded on the sides of the layer; as a script, numbers that do not depend on the number of ranks."""
+"""A glued block in 3D loaded on the sides of the layer."""
 
 from __future__ import annotations
-
-import json
-
-from mpi4py import MPI
 
 from forms import LinearElastic
 from geometry import sandwich
@@ -26,19 +22,13 @@ def loaded(edges: str | None) -> State:
     return solve(structure.interface(ThinLayer(GLUE, EPS, order=1, edges=edges)))
 
 
-def numbers(edges: str | None) -> dict[str, float]:
-    """The work of the loads, and the norm of the jump."""
-    state = loaded(edges)
-    surface = Surface(state.model)
-    jump = surface.integral(sum(one**2 for one in surface.jump(state)))
-    force = state.applied().force
-    return {
-        f"{edges}, {name}": value
-        for name, value in zip("wjxyz", (state.energies()["loads"], jump, *force), strict=True)
-    }
-
-
-if __name__ == "__main__":
-    found = numbers("free") | numbers("plain")
-    if MPI.COMM_WORLD.rank == 0:
-        print(json.dumps(found))
+def numbers() -> dict[str, float]:
+    """The work of the loads, the norm of the jump, and the force of the loads."""
+    found = {}
+    for edges in ("free", "plain"):
+        state = loaded(edges)
+        surface = Surface(state.model)
+        jump = surface.integral(sum(one**2 for one in surface.jump(state)))
+        values = state.energies()["loads"], jump, *state.applied().force
+        found |= {f"{edges}, {name}": float(value) for name, value in zip("wjxyz", values, strict=True)}
+    return found

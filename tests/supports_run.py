@@ -1,11 +1,8 @@
-"""Structures with supports, springs, plates and loads of all kinds; as a script, numbers that ranks do not change."""
+"""Structures with supports, springs, plates and loads of all kinds."""
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
-from mpi4py import MPI
 
 from forms import LinearElastic, Maxwell, MohrCoulomb
 from forms.contact import HolonomicCoulomb
@@ -122,9 +119,3 @@ def numbers() -> dict[str, float]:
     keep("creep", march(on_base(CREEP), [0.1, 0.2], theta=0.5).last)
     keep("contact", solve(on_base(CONTACT, contact=True)))
     return found
-
-
-if __name__ == "__main__":
-    answer = numbers()
-    if MPI.COMM_WORLD.rank == 0:
-        print(json.dumps(answer))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +9,9 @@ import pytest
 import ufl
 
 from forms.traction import TractionLaw
+from tests import arc_length_run
 from tests.arc_length_run import Trilinear, across_and_along, bar, chosen
-from tests.ranks import CLEAN, CLONE, mpirun
+from tests.ranks import mpirun
 from tests.snapping_bars import FAR, STEEP, C, openings, sigma
 from thinlayer import ArcLength, ModelError, SolveError, march
 
@@ -80,13 +79,6 @@ class Torn(TractionLaw):
 
 
 # ---------------------------------------------------------------- resumed, on two ranks
-def run(ranks: int, *words: str) -> subprocess.CompletedProcess:
-    if ranks > 1:
-        return mpirun(ranks, "-m", "tests.arc_length_run", *words)
-    command = [sys.executable, "-m", "tests.arc_length_run", *words]
-    return subprocess.run(command, env=CLEAN | {"PYTHONPATH": str(CLONE)}, cwd=CLONE, capture_output=True, timeout=240)
-
-
 def rows(out):
     found = {name: np.genfromtxt(out / name / "table.csv", delimiter=",", names=True) for name in ("kinked", "damaged")}
     return {name: np.array([table[c] for c in ("t", "dt", "stored", "size")]) for name, table in found.items()}
@@ -95,17 +87,14 @@ def rows(out):
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
     out = tmp_path_factory.mktemp("whole")
-    done = run(1, str(out))
-    assert done.returncode == 0, done.stderr
+    arc_length_run.run(out)
     return rows(out)
 
 
 def test_killed_and_resumed(undisturbed, tmp_path):
     """On two ranks, then on one, with the last state kept or all of them, inside a loop: as if nothing had happened."""
-    done = run(2, str(tmp_path), "--kill", "34")
-    assert done.returncode != 0
-    done = run(1, str(tmp_path), "--resume")
-    assert done.returncode == 0, done.stderr
+    assert mpirun(2, "-m", "tests.arc_length_run", str(tmp_path), "34").returncode != 0
+    arc_length_run.run(tmp_path, resume=True)
     found = rows(tmp_path)
     for name, table in undisturbed.items():
         assert found[name] == pytest.approx(table, rel=1e-7, abs=1e-9), name

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from functools import partial
@@ -23,10 +22,9 @@ from forms import (
     VonMises,
 )
 from geometry import block, bond_cell, ring, sandwich, wall
-from tests.bodies_run import JOINT, SHEARED, YIELDING, numbers, yielding
 from tests.columns_in_time import column, joint
+from tests.on_ranks import on_ranks
 from tests.own_laws import Slipping
-from tests.ranks import mpirun
 from tests.taylor import observed_orders
 from thinlayer import (
     Adaptive,
@@ -37,11 +35,51 @@ from thinlayer import (
     Structure,
     Surface,
     ThinLayer,
+    compare,
     march,
     piecewise,
     solve,
 )
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.solving.solvers import Solver
+
+JOINT = sandwich(1.0, 0.5, 0.5, 0.25)
+YIELDING = VonMises(60.0, 50.0, strength=1.0, hardening=20.0, kinematic=10.0)
+VARYING = VonMises(60.0, 50.0, strength=lambda x: 0.5 + x[0], hardening=20.0)
+SHEARED = {"TOP": lambda x, t: (0.5 * t * (1 + x[0]), -0.3 * t)}
+
+SUPPORTS = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}}
+
+
+def structure(body) -> Structure:
+    return Structure(JOINT, body=body, supports=SUPPORTS, tractions=SHEARED)
+
+
+def yielding(body=YIELDING) -> InterfaceModel:
+    return structure(body).interface(LAYER)
+
+
+def numbers() -> dict[str, float]:
+    bodies = structure({"LOWER": YIELDING, "UPPER": Maxwell(60.0, 50.0, 0.7)})
+    histories = [march(model, [0.5, 1.0, 1.5]) for model in (bodies.full(LAYER), bodies.interface(LAYER))]
+    found = compare(*histories)
+    state = histories[1].last
+    surface = Surface(state.model)
+    for name, stress in state.stresses.items():
+        squares = float((stress**2).sum())
+        found[name] = state.model.comm.allreduce(squares)
+    graded = {"LOWER": LinearElastic.young(lambda x: 100 + 40 * x[0], 0.3), "UPPER": VARYING}
+    glue = LinearElastic(lambda x: 60 * (1 + x[0]), lambda x: 40 * (1 + x[0] ** 2))
+    last = march(structure(graded).interface(ThinLayer(glue, 0.1)), [0.5, 1.0]).last
+    found |= {f"graded, {name}": value for name, value in last.energies().items()}
+    mean = state.mean_stress()
+    return found | {
+        "jump": surface.norm(surface.jump(state)),
+        "mean stress": float(np.linalg.norm(mean)),
+        "lost": float(histories[1].table["dissipated bodies"].sum()),
+        **{f"energy of {name}": value for name, value in state.energies().items()},
+    }
+
 
 MU, Y, H = 50.0, 1.0, 30.0
 METAL = VonMises(60.0, MU, strength=Y, hardening=H)
@@ -188,11 +226,9 @@ def test_a_march_is_resumed_with_the_stresses_of_bodies(tmp_path):
         march(yielding(replace(YIELDING, hardening=1.0)), [0.25], out=tmp_path, resume=True)
 
 
-def test_ranks_agree():
-    one = numbers()
-    done = mpirun(2, "-m", "tests.bodies_run")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == pytest.approx(one, rel=1e-10)
+@on_ranks(numbers, 2)
+def test_ranks_agree(there):
+    assert there == pytest.approx(numbers(), rel=1e-10)
 
 
 @pytest.mark.parametrize(

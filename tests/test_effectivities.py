@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import warnings
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -13,13 +13,32 @@ from dolfinx import fem
 from dolfinx.fem.petsc import LinearProblem
 
 from forms import work as forms
+from studies.dropping.further import further_cases
 from studies.dropping.known import known_cases
 from studies.dropping.mapping import along
 from studies.dropping.measuring import Dropped, effectivities, solved
 from studies.dropping.refused import refused_cases
-from tests import effectivities_run
-from tests.ranks import mpirun
+from tests.on_ranks import on_ranks
 from thinlayer import RangeWarning, goals
+
+CASE, EPS = "two stiffnesses", 1 / 16
+
+
+@cache
+def two_stiffnesses() -> Dropped:
+    """The case."""
+    (case,) = (one for one in further_cases() if one.name == CASE)
+    return Dropped.of(case, EPS)
+
+
+def numbers() -> dict[str, float]:
+    """True and estimated changes, and sums of squares of densities along S."""
+    one = two_stiffnesses()
+    table = along(one)
+    found = {f"true {name}": value for name, value in one.truth.items()}
+    found |= {f"estimated {name}": value for name, value in one.estimated.items()}
+    return found | {name: float(np.sum(table[name] ** 2)) for name in ("density", "true_density")}
+
 
 COARSE = 1 / 16
 KNOWN = {case.name.split(" ")[0]: case for case in known_cases()}
@@ -132,14 +151,13 @@ def test_where_there_is_no_number_a_sentence_says_why(name):
     assert silent == case.silent
 
 
-def test_the_density_of_the_change_is_that_of_the_meshed_layer_on_any_ranks():
+@on_ranks(numbers, 2)
+def test_the_density_of_the_change_is_that_of_the_meshed_layer_on_any_ranks(there):
     """Away from ends, where the law of order 1 has the strains of the meshed layer."""
-    one = effectivities_run.dropped()
+    one = two_stiffnesses()
     table = along(one)
     inner = np.abs(table["x"] - 0.5) < 0.3
     assert table["density"][inner] == pytest.approx(table["true_density"][inner], rel=0.06)
     assert np.trapezoid(table["density"], table["x"]) == pytest.approx(one.estimated["compliance"], rel=1e-8)
     assert np.trapezoid(table["true_density"], table["x"]) == pytest.approx(one.truth["compliance"], rel=1e-6)
-    done = mpirun(2, "-m", "tests.effectivities_run")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == pytest.approx(effectivities_run.numbers(one), rel=1e-8)
+    assert there == pytest.approx(numbers(), rel=1e-8)

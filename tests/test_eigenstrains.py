@@ -14,8 +14,8 @@ from forms.law import BulkLaw
 from forms.work import work
 from geometry import block, periodic, sandwich
 from tests.dry_walls import dry_wall
-from tests.eigenstrain_cases import computed
-from tests.ranks import mpirun
+from tests.eigenstrain_cases import computed, numbers
+from tests.on_ranks import on_ranks
 from thinlayer import (
     ModelError,
     Prestress,
@@ -336,9 +336,10 @@ def test_stiffness_of_a_cell_whose_family_has_eigenstrains():
 
 
 # ---------------------------------------------------------------- ranks, refusals
-def test_ranks():
-    found, alone = (json.loads(mpirun(n, "-m", "tests.eigenstrain_cases").stdout) for n in (2, 1))
-    assert found == pytest.approx(alone, rel=1e-10)
+@on_ranks(numbers, 2)
+def test_ranks(there):
+    alone = numbers()
+    assert there == pytest.approx(alone, rel=1e-10)
     for kind, what in itertools.product(("full", "interface"), ("u", "supplied", "stored")):
         assert alone[f"{kind} computed {what}"] == pytest.approx(alone[f"{kind} {what}"], rel=1e-7)
 

@@ -2,16 +2,44 @@
 
 from __future__ import annotations
 
-import json
 import random
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests import ensemble_run
-from tests.ranks import mpirun
-from thinlayer import ModelError, SolveError, Table, ensemble
+from forms import LinearElastic
+from geometry import sandwich
+from tests.on_ranks import on_ranks
+from thinlayer import ModelError, SolveError, Structure, Surface, Table, ThinLayer, ensemble, solve
+
+RUNS = [{"mu": 40.0 + 7 * k, "where": "left" if k % 2 else "right"} for k in range(5)]
+
+
+def make():
+    joint = sandwich(width=2.0, lower=0.5, upper=0.7, h=0.25, structured=True)
+    steel = LinearElastic.young(E=900.0, nu=0.3)
+    pulled = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, 0.8)}, element="P1")
+
+    def run(case):
+        pull = 1.0 if case["where"] == "left" else 2.0
+        model = pulled.interface(ThinLayer(LinearElastic(60.0, case["mu"] * pull), 0.01))
+        surface = Surface(model)
+        return {"jump": surface.norm(surface.jump(solve(model))), "side": case["where"][0], "ranks": model.comm.size}
+
+    return run
+
+
+def by_one(folder: Path) -> list[dict]:
+    """Rows of an ensemble of which each rank has its part."""
+    return ensemble(make, RUNS, out=folder / "table.csv", resume=True, ranks=1).rows
+
+
+def by_two(folder: Path) -> list[dict]:
+    """Rows of an ensemble whose runs are on two ranks each."""
+    return ensemble(make, RUNS, out=folder / "table.csv", resume=True, ranks=2).rows
+
 
 CASES = [{"E": 1.5 + k, "name": f"n{k}"} for k in range(5)]
 FACTOR = 3.0
@@ -35,17 +63,27 @@ def test_a_table_has_the_cases_and_the_rows_of_their_runs_in_order(tmp_path):
     assert Table.load(out).rows == table.rows
 
 
-@pytest.mark.parametrize(("ranks", "group"), [(3, 1), (2, 2)])
-def test_groups_of_ranks_give_the_rows_of_one_process(tmp_path, ranks, group):
-    alone = ensemble(ensemble_run.make, ensemble_run.CASES)
-    done = mpirun(ranks, "-m", "tests.ensemble_run", str(tmp_path), str(group))
-    assert done.returncode == 0, done.stderr
-    rows = json.loads(done.stdout)
+@pytest.fixture(scope="module")
+def alone():
+    return ensemble(make, RUNS)
+
+
+@on_ranks(by_one, 3)
+def test_ranks_give_the_rows_of_one_process(alone, there, their_folder):
+    require_rows(alone, there, 1, their_folder)
+
+
+@on_ranks(by_two, 2)
+def test_groups_of_ranks_give_the_rows_of_one_process(alone, there, their_folder):
+    require_rows(alone, there, 2, their_folder)
+
+
+def require_rows(alone, rows, group, folder):
     assert [row.pop("ranks") for row in rows] == [group] * 5
     for row, other in zip(rows, alone.rows, strict=True):
         assert row["jump"] == pytest.approx(other["jump"], rel=1e-10)  # another order of sums
         assert (row["side"], row["mu"]) == (other["side"], other["mu"])
-    again = ensemble(ensemble_run.make, ensemble_run.CASES, out=tmp_path / "table.csv", resume=True)  # all there
+    again = ensemble(make, RUNS, out=folder / "table.csv", resume=True)  # all there
     assert again["ranks"].tolist() == [group] * 5
 
 

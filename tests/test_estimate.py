@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import warnings
 from types import SimpleNamespace
@@ -14,10 +13,10 @@ import ufl
 from forms import Anisotropic, LinearElastic, Maxwell, MohrCoulomb, Norton, Stack, VonMises
 from forms.contact import HolonomicCoulomb
 from geometry import sandwich
-from tests.estimate_run import EPS, GLUE, KINDS, LOWER, estimated, numbers, structure
+from tests.estimate_run import EPS, GLUE, KINDS, LOWER, estimated, several, structure
 from tests.non_monotone_run import LAWS
+from tests.on_ranks import on_ranks
 from tests.pictures import assert_drawn
-from tests.ranks import mpirun
 from thinlayer import (
     ModelError,
     RangeWarning,
@@ -516,13 +515,9 @@ def test_units_do_not_matter():
     assert found[0] == pytest.approx(found[1], rel=1e-9)
 
 
-def test_ranks_do_not_matter():
-    here = {}
-    for kind, dim in (("between", 2), ("rubber", 2), ("base", 2), ("between", 3), ("plate", 2)):
-        here |= numbers(kind, dim)
-    out = mpirun(2, "-m", "tests.estimate_run")
-    assert out.returncode == 0, out.stderr
-    there = json.loads(out.stdout.splitlines()[-1])
+@on_ranks(several, 2)
+def test_ranks_do_not_matter(there):
+    here = several()
     assert there.keys() == here.keys()
     sizes = {name.split(" ")[0]: 0.0 for name in here}
     for name, value in here.items():

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 
 import pytest
+from mpi4py import MPI
 
 from tests import lap_files
+from tests.on_ranks import alone, on_ranks
 from tests.pictures import assert_drawn
-from tests.ranks import mpirun
 from tests.test_cli import rows, thinlayer
 from thinlayer import estimate, solve
 from thinlayer.estimating import goals
 from thinlayer.files.table import hash_of
 
+COMM = MPI.COMM_WORLD
 PULL = "reaction LEFT along (0, 1)"
 
 
@@ -246,18 +249,30 @@ def test_solve_that_fails(lap, tmp_path):
     assert "DIVERGED_MAX_IT" in json.loads((tmp_path / "run.json").read_text())["error"]
 
 
-def test_two_ranks(lap, wanted, tmp_path):
-    done = mpirun(2, "-m", "thinlayer", "estimate", str(lap), "--out", str(tmp_path / "out"))
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("May you drop") == 1
-    found = numbers(tmp_path / "out" / "estimate.csv")
+def commands(folder: Path) -> list[list[list]]:
+    """Status, output and errors of the command on each rank: as it should be, with a load and with a law that are wrong."""
+    alone(lambda: lap_files.save(folder))
+    lap, found = folder / "lap.toml", []
+    for out, words in {"right": (), "load": ("--load", "TOP=1,0"), "law": ("--layer", "nuu=1")}.items():
+        done = thinlayer("estimate", lap, *words, "--out", folder / out)
+        found.append(COMM.allgather([done.returncode, done.stdout, done.stderr]))
+    return found
+
+
+@on_ranks(commands, 2)
+def test_two_ranks(wanted, there, their_folder):
+    for ranks, expected, stream, text in zip(
+        there,
+        (0, 2, 2),
+        (1, 2, 2),
+        ("May you drop", "unknown set of facets 'TOP'", "unknown key of LinearElastic 'nuu'"),
+        strict=True,
+    ):
+        assert [one[0] for one in ranks] == [expected] * 2, ranks
+        assert "".join(one[stream] for one in ranks).count(text) == 1  # told by one rank
+    assert not (their_folder / "load").exists()
+    assert not (their_folder / "law").exists()
+    found = numbers(their_folder / "right" / "estimate.csv")
     assert found["law", "traction"][2] == pytest.approx(wanted.traction, rel=1e-8)
     for name, one in zip(("compliance", "pull"), wanted.goals.values(), strict=True):
         assert found["law", name][:2] == pytest.approx([one.value, one.better], rel=1e-9)
-    wrong = mpirun(2, "-m", "thinlayer", "estimate", str(lap), "--load", "TOP=1,0", "--out", str(tmp_path / "no"))
-    assert wrong.returncode == 2
-    assert wrong.stderr.count("unknown set of facets 'TOP'") == 1
-    assert not (tmp_path / "no").exists()
-    wrong = mpirun(2, "-m", "thinlayer", "estimate", str(lap), "--layer", "nuu=1", "--out", str(tmp_path / "no"))
-    assert wrong.returncode == 2
-    assert wrong.stderr.count("unknown key of LinearElastic 'nuu'") == 1

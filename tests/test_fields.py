@@ -25,7 +25,7 @@ from tests.fields_run import (
     uniform,
     write_all,
 )  # fmt: skip
-from tests.ranks import mpirun
+from tests.on_ranks import on_ranks
 from thinlayer import ContactReport, ModelError, PhaseReport, Structure, Surface, ThinLayer, fields, march, solve
 
 SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
@@ -255,15 +255,12 @@ def test_cells_at_periodic_sides_are_whole(written):
     assert mean[[0, 1, 3]] == pytest.approx(state.mean_stress()[[0, 1, 0], [0, 1, 1]], rel=1e-9)
 
 
-def test_files_do_not_depend_on_the_ranks(tmp_path):
+@on_ranks(write_all, 2)
+def test_files_do_not_depend_on_the_ranks(tmp_path, there, their_folder):
     """To rounding, and in the same order."""
-    (tmp_path / "1").mkdir()
-    write_all(tmp_path / "1")
-    (tmp_path / "2").mkdir()
-    done = mpirun(2, "-m", "tests.fields_run", str(tmp_path / "2"))
-    assert done.returncode == 0, done.stderr
-    for path in sorted((tmp_path / "1").glob("*.pvd")):
-        one, two = last(path), last(tmp_path / "2" / path.name)
+    write_all(tmp_path)
+    for path in sorted(tmp_path.glob("*.pvd")):
+        one, two = last(path), last(their_folder / path.name)
         assert one.keys() == two.keys()
         for a, b in zip(one, two, strict=True):
             assert np.array_equal(a.cells, b.cells)

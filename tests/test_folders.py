@@ -19,7 +19,9 @@ from matplotlib.figure import Figure
 import thinlayer.files.table
 import thinlayer.running.record
 from studies import sweep_elastic
-from tests.ranks import CLONE, mpirun
+from tests.folders_run import same_errors
+from tests.on_ranks import on_ranks
+from tests.ranks import CLONE
 from tests.viscous_joints import SUDDEN, interface
 from thinlayer import ModelError, Table, march, plotting, sweep
 from thinlayer.files.folder import owned
@@ -449,7 +451,6 @@ def test_pictures_are_whole_or_as_they_were(tmp_path, monkeypatch):
 
 
 # ---------------------------------------------------------------- several ranks
-def test_errors_of_files_are_errors_of_all_ranks():
-    done = mpirun(2, "-m", "tests.folders_run")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["same"]
+@on_ranks(same_errors, 2)
+def test_errors_of_files_are_errors_of_all_ranks(there):
+    assert there is None  # no error on any rank

@@ -6,22 +6,19 @@ stresses are uniform. python3 -m tests.test_friction_band prints norms that must
 
 from __future__ import annotations
 
-import json
 import math
-import sys
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 
 from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic, MohrCoulombMonodirectional, Stack
 from geometry import sandwich
 from studies import sweep_friction
 from studies.problems import pressed
+from tests.on_ranks import on_ranks
 from tests.own_laws import layer_of
-from tests.ranks import mpirun
 from thinlayer import Structure, Surface, ThinLayer, compare, march, observed_orders, solve
 
 # layers whose thickness tends to zero under the same load, and columns of any height
@@ -272,13 +269,6 @@ def norms():
     return compare(*(march(model, (1.0, 2.0, 3.0)) for model in models))
 
 
-def test_two_ranks():
-    done = mpirun(2, "-m", "tests.test_friction_band")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == pytest.approx(norms(), rel=1e-7)
-
-
-if __name__ == "__main__":
-    numbers = norms()
-    if MPI.COMM_WORLD.rank == 0:
-        json.dump(numbers, sys.stdout)
+@on_ranks(norms, 2)
+def test_two_ranks(there):
+    assert there == pytest.approx(norms(), rel=1e-7)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 
 import basix.ufl
 import numpy as np
@@ -11,19 +10,130 @@ import pytest
 from dolfinx import mesh
 from mpi4py import MPI
 
-from geometry import GeometryError, from_dolfinx, read
+from forms import LinearElastic
+from geometry import Domain, GeometryError, Joint, block, disc, from_dolfinx, read, ring, sandwich
 from geometry.seam import Seam
-from tests.from_dolfinx_run import FACETS, REGIONS, built, made_by_dolfinx, norm, strip, tagged, taken_back
 from tests.meshes import CELLS, drawing, model_to_mesh, rings, stack, volume
-from tests.ranks import CLONE, mpirun
+from tests.on_ranks import on_ranks
+from thinlayer import Structure, ThinLayer, solve
+
+COMM = MPI.COMM_WORLD
+
+
+def built() -> dict[str, Joint]:
+    """Joints of all types of cells, straight and curved, with and without a rigid base."""
+    return {
+        "triangles": sandwich(1.0, 0.5, 0.5, 0.2),
+        "quadrilaterals": block(1.0, 0.5, 0.25, cell="quadrilateral"),
+        "tetrahedra": sandwich(1.0, 0.5, 0.5, 0.4, depth=0.5),
+        "hexahedra": block(1.0, 0.5, 0.25, depth=0.5, cell="hexahedron"),
+        "curved triangles": ring(1.0, 1.5, 2.0, 0.5, degree=2),
+        "curved quadrilaterals": ring(1.0, 1.5, 2.0, 0.5, degree=2, cell="quadrilateral"),
+        "curved tetrahedra": disc(1.0, 0.5, 0.5, 0.5, degree=2),
+        "curved hexahedra": disc(1.0, 0.5, 0.5, 0.5, degree=2, cell="hexahedron"),
+    }
+
+
+def taken_back(joint: Joint) -> Joint:
+    """A joint, distributed by DOLFINx with its tags, and gathered again."""
+    domain = Domain.of(joint)
+    return from_dolfinx(
+        domain.mesh,
+        domain.cell_tags,
+        domain.facet_tags,
+        regions={number + 1: name for number, name in enumerate(joint.regions)},
+        facets={value: name for name in joint.facets for value in domain.values(name)},
+        upper=joint.seams["S"].upper,
+    )
+
+
+def strip() -> tuple[mesh.Mesh, mesh.MeshTags, mesh.MeshTags]:
+    """(0, 2) x (-1, 1): cells 1 below and 2 above y = 0, where facets are 3; the lower side 4, the upper side 5."""
+    plane = mesh.create_rectangle(COMM, [(0, -1), (2, 1)], (6, 6))
+    return plane, *tagged(plane)
+
+
+def tagged(plane: mesh.Mesh) -> tuple[mesh.MeshTags, mesh.MeshTags]:
+    """The tags of `strip` on any mesh of it."""
+    plane.topology.create_connectivity(1, 2)
+    cells = np.arange(plane.topology.index_map(2).size_local, dtype=np.int32)
+    above = mesh.compute_midpoints(plane, 2, cells)[:, 1] > 0
+    found = {tag: mesh.locate_entities(plane, 1, lambda x, y=y: np.isclose(x[1], y)) for tag, y in PLACES.items()}
+    facets = np.concatenate(list(found.values()))
+    values = np.repeat(list(found), [len(f) for f in found.values()]).astype(np.int32)
+    order = np.argsort(facets)
+    sides = mesh.meshtags(plane, 1, facets[order], values[order])
+    return mesh.meshtags(plane, 2, cells, np.where(above, 2, 1).astype(np.int32)), sides
+
+
+PLACES = {3: 0.0, 4: -1.0, 5: 1.0}
+FACETS = {3: "S", 4: "BOTTOM", 5: "TOP"}
+REGIONS = {1: "LOWER", 2: "UPPER"}
+
+
+def made_by_dolfinx() -> dict[str, Joint]:
+    """A mesh of DOLFINx, a part of one, a refined one, and gmsh's by DOLFINx."""
+    names = {"regions": REGIONS, "facets": FACETS, "upper": "UPPER"}
+    plane, *tags = strip()
+    joints = {"rectangle": from_dolfinx(plane, *tags, **names)}
+    inside = mesh.locate_entities(plane, 2, lambda x: x[0] < 1.4)
+    owned = inside[inside < plane.topology.index_map(2).size_local]
+    part = mesh.create_submesh(plane, 2, owned)[0]
+    joints["a part of it"] = from_dolfinx(part, *tagged(part), **names)
+    plane.topology.create_entities(1)
+    finer = mesh.refine(plane)[0]
+    joints["refined"] = from_dolfinx(finer, *tagged(finer), **names)
+    with drawing() as occ:
+        if COMM.rank == 0:
+            stack(occ, None, h=0.4)
+        solid, *tags, known = model_to_mesh(COMM, 3)  # a plane mesh in space
+    regions, facets = ({tag: name for (d, tag), name in known.items() if d == dim} for dim in (2, 1))
+    joints["gmsh"] = from_dolfinx(solid, *tags, regions=regions, facets=facets, upper="UPPER")
+    return joints
+
+
+def norm(joint: Joint) -> float:
+    """Of the displacements of the joint, held at one side or at two corners, and pushed at another side."""
+    held = [name for name in ("BOTTOM", "INSIDE") if name in joint.facets] or [(0.0, -1.0), (2.0, -1.0)]
+    pushed = next(name for name in ("TOP", "OUTSIDE") if name in joint.facets)
+    push = (0.3, -1.0, 0.2)[: joint.dim]
+    supports = {} if joint.rigid_base else dict.fromkeys(held, 0.0)
+    structure = Structure(joint, body=LinearElastic.young(30.0, 0.1), supports=supports, tractions={pushed: push})
+    state = solve(structure.interface(ThinLayer(LinearElastic(6.0, 4.0), 0.05)))
+    return float(state.u.x.petsc_vec.norm())
+
+
+def numbers() -> dict[str, list]:
+    """Name -> identity of the joint and norm of its displacements."""
+    joints = {f"back: {name}": taken_back(joint) for name, joint in built().items()} | made_by_dolfinx()
+    found = {name: [joint.identity(), norm(joint)] for name, joint in joints.items()}
+    assert all(other == COMM.allgather(found)[0] for other in COMM.allgather(found))
+    return found
+
+
+def errors() -> list[list[str]]:
+    """What each rank is told of a mesh that is on one rank alone, of a name that is none, of a mesh of other ranks."""
+    plane, *tags = strip()
+    names = {"regions": REGIONS, "facets": FACETS}
+    said = []
+    for data, upper in (
+        ((plane if COMM.rank == 0 else None, *tags), "UPPER"),
+        ((plane, *tags), "UPPERS"),
+        ((mesh.create_unit_square(MPI.COMM_SELF, 2, 2),), "UPPER"),
+    ):
+        try:
+            from_dolfinx(*data, **names if len(data) > 1 else {}, upper=upper)
+        except GeometryError as found:
+            said.append(str(found))
+    return COMM.allgather(said)
+
 
 NAMES = {"regions": REGIONS, "facets": FACETS, "upper": "UPPER"}
 
 
 @pytest.fixture(scope="module")
 def alone():
-    joints = {f"back: {name}": taken_back(joint) for name, joint in built().items()} | made_by_dolfinx()
-    return {name: (joint.identity(), norm(joint)) for name, joint in joints.items()}
+    return numbers()
 
 
 def test_joints_come_back(alone):
@@ -41,16 +151,13 @@ def test_joints_come_back(alone):
         assert alone[f"back: {name}"][1] == pytest.approx(norm(joint), rel=1e-11), name
 
 
-@pytest.mark.parametrize("ranks", [2, 3])
-def test_several_ranks(alone, ranks):
+@on_ranks(numbers, 2, 3)
+def test_several_ranks(alone, there):
     """The joint does not depend on them."""
-    done = mpirun(ranks, "-m", "tests.from_dolfinx_run")
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert found.keys() == alone.keys()
+    assert there.keys() == alone.keys()
     for name, (identity, size) in alone.items():
-        assert found[name][0] == json.loads(json.dumps(identity)), name
-        assert found[name][1] == pytest.approx(size, rel=1e-12), name
+        assert there[name][0] == json.loads(json.dumps(identity)), name
+        assert there[name][1] == pytest.approx(size, rel=1e-12), name
 
 
 @pytest.mark.parametrize("degree", [1, 2])
@@ -198,43 +305,11 @@ def on_its_boundary(m):
     return from_dolfinx(m, facet_tags=mesh.meshtags(m, dim - 1, facets, np.ones(len(facets), np.int32)), S="1")
 
 
-ERRORS = """
-from mpi4py import MPI
-from dolfinx import mesh
-from geometry import GeometryError, from_dolfinx
-from tests.from_dolfinx_run import FACETS, REGIONS, strip
-comm = MPI.COMM_WORLD
-def error(*data, **names):
-    try: from_dolfinx(*data, **names)
-    except GeometryError as found: return str(found)
-plane, bodies, sides = strip()
-said = [
-    error(plane if comm.rank == 0 else None, bodies, sides, regions=REGIONS, facets=FACETS, upper="UPPER"),
-    error(plane, bodies, sides, regions=REGIONS, facets=FACETS, upper="UPPERS"),
-    error(mesh.create_unit_square(MPI.COMM_SELF, 2, 2)),
-]
-said = comm.allgather(said)
-assert said[0] == said[1]
-if comm.rank == 0: print("|".join(said[0]))
-"""
-
-
-def test_errors_on_two_ranks(tmp_path):
+@on_ranks(errors, 2)
+def test_errors_on_two_ranks(there):
     """All ranks have them, and none waits."""
-    (tmp_path / "script.py").write_text(ERRORS)
-    done = mpirun(2, str(tmp_path / "script.py"))
-    assert done.returncode == 0, done.stderr
-    one, two, three = done.stdout.strip().split("|")
+    (one, two, three), others = there
+    assert others == [one, two, three]
     assert one == "mesh is None; give a dolfinx.mesh.Mesh"
     assert two.startswith("unknown region 'UPPERS', did you mean 'UPPER'")
     assert three.startswith("the mesh is distributed on 1 ranks, comm has 2; give comm the communicator")
-
-
-@pytest.mark.parametrize("ranks", [1, 2])
-def test_script(ranks):
-    """S opens by the traction over the stiffness; the text says so."""
-    done = mpirun(ranks, str(CLONE / "tests" / "own_scripts" / "joint.py"))
-    assert done.returncode == 0, done.stderr
-    found = re.search(r"S opens by (\S+) mm;", done.stdout)
-    assert float(found[1]) == pytest.approx(0.005, rel=1e-7)
-    assert float(re.search(r"but for (\S+) of it", done.stdout)[1]) < 1e-4

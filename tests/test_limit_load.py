@@ -17,7 +17,7 @@ from petsc4py import PETSc
 from forms import KelvinVoigt, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn, Stack
 from forms.traction import TractionLaw
 from tests.limit_load_run import FULL, SLIDING, dragged, numbers, sheared
-from tests.ranks import mpirun
+from tests.on_ranks import on_ranks
 from thinlayer import Adaptive, SolveError, Surface, march, solve
 from thinlayer.errors import LimitLoad
 from thinlayer.parts.compiled import CompiledPart
@@ -299,9 +299,9 @@ def test_the_schedule_of_eases():
 
 
 # ---------------------------------------------------------------- ranks
-def test_two_ranks_end_with_the_same_error():
-    one, two = numbers(), mpirun(2, "-m", "tests.limit_load_run")
-    assert two.returncode == 0, two.stderr
-    assert json.loads(two.stdout) == pytest.approx(one, rel=1e-8)
+@on_ranks(numbers, 2)
+def test_two_ranks_end_with_the_same_error(there):
+    one = numbers()
+    assert there == pytest.approx(one, rel=1e-8)
     assert one["eased"] == one["wall BED > 0.5"] == 1.0
     assert one["block t"] < 0.9 < one["block failed at"]

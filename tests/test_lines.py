@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
@@ -10,12 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import ufl
-from mpi4py import MPI
 
 from forms import LinearElastic
 from geometry import faults, grains, ring, sandwich, wall
 from tests.fields_run import BODY, EPS, K, axes, uniform
-from tests.ranks import mpirun
+from tests.on_ranks import on_ranks
 from thinlayer import ModelError, Structure, Surface, ThinLayer, plotting, solve
 from thinlayer.files.table import Table
 from thinlayer.output.lines import Line
@@ -196,16 +194,9 @@ def numbers() -> dict[str, list]:
     return found
 
 
-def test_lines_do_not_depend_on_the_ranks():
-    done = mpirun(2, "-m", "tests.test_lines")
-    assert done.returncode == 0, done.stderr
-    alone, there = numbers(), json.loads(done.stdout)
+@on_ranks(numbers, 2)
+def test_lines_do_not_depend_on_the_ranks(there):
+    alone = numbers()
     assert list(alone) == list(there)
     for name, rows in alone.items():
         assert np.array(there[name]) == pytest.approx(np.array(rows), rel=1e-9, abs=1e-11), name
-
-
-if __name__ == "__main__":
-    answer = numbers()
-    if MPI.COMM_WORLD.rank == 0:
-        json.dump(answer, sys.stdout)

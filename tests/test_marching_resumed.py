@@ -10,13 +10,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 
 from forms.laws import KelvinVoigt, LinearElastic
 from tests import marching_run
-from tests.ranks import CLEAN, CLONE, mpirun
+from tests.on_ranks import alone, on_ranks
+from tests.ranks import CLONE, Ended, Ending, clean, mpirun
+from tests.test_cli import thinlayer
 from tests.viscous_joints import JOINT, PULL, SETUP, SLOW, SUDDEN, interface
 from thinlayer import ModelError, RangeWarning, Structure, ThinLayer, march
-from thinlayer.running.cli import main
+
+COMM = MPI.COMM_WORLD
 
 
 @pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of bodies softer than the layer
@@ -108,41 +112,51 @@ def test_only_the_same_march_is_resumed(tmp_path):
     assert len(list((tmp_path / "states").iterdir())) == 2
 
 
-def run(ranks: int, *words: str) -> subprocess.CompletedProcess:
-    if ranks > 1:
-        return mpirun(ranks, "-m", "tests.marching_run", *words)
-    command = [sys.executable, "-m", "tests.marching_run", *words]
-    return subprocess.run(command, env=CLEAN | {"PYTHONPATH": str(CLONE)}, cwd=CLONE, capture_output=True, timeout=240)
+# ---------------------------------------------------------------- killed
+STUDY = ["run", "sweep_maxwell", "--quick", "--eps", "0.04", "0.02", "--out"]
+THREE = ["meshed", "series", "space"]
+KILLED = """
+import os, signal, sys
+from itertools import count
+from thinlayer.solving.solvers import Solver
+from thinlayer.running.cli import main
+step, calls = Solver.step, count()
+Solver.step = lambda *a: step(*a) if next(calls) < 15 else os.kill(os.getpid(), signal.SIGKILL)
+main(sys.argv[1:])
+"""
 
 
-def test_a_killed_study_is_resumed(tmp_path, capsys):
-    """In the middle of the second thickness, on one rank; resumed on two."""
-    words = ["run", "sweep_maxwell", "--quick", "--eps", "0.04", "0.02", "--out"]
-    script = tmp_path / "killed.py"
-    script.write_text(
-        "import os, signal, sys\n"
-        "from itertools import count\n"
-        "from thinlayer.solving.solvers import Solver\n"
-        "from thinlayer.running.cli import main\n"
-        "step, calls = Solver.step, count()\n"
-        "Solver.step = lambda *a: step(*a) if next(calls) < 15 else os.kill(os.getpid(), signal.SIGKILL)\n"
-        "main(sys.argv[1:])\n"
-    )
-    environment = CLEAN | {"PYTHONPATH": str(CLONE)}
-    done = subprocess.run([sys.executable, str(script), *words, str(tmp_path / "a")], env=environment, cwd=CLONE)
-    assert done.returncode == -signal.SIGKILL
-    assert len((tmp_path / "a" / "table.csv").read_text().splitlines()) == 2
-    assert main([w.replace("maxwell", "stack") for w in words] + [str(tmp_path / "a"), "--resume"]) == 2
-    assert "is of the study sweep_maxwell, not sweep_stack" in capsys.readouterr().err
-    assert main([*words[:-2], "0.01", "--out", str(tmp_path / "a"), "--resume"]) == 2
-    assert "had the options" in capsys.readouterr().err
-    resumed = mpirun(2, "-m", "thinlayer", *words, str(tmp_path / "a"), "--resume")
-    assert resumed.returncode == 0, resumed.stderr
-    assert main([*words, str(tmp_path / "b")]) == 0
+def killed(*words: object) -> None:
+    """Run Python on one rank, which is killed with -9."""
+    command = [sys.executable, *map(str, words)]
+    assert subprocess.run(command, env=clean(), cwd=CLONE, timeout=240).returncode == -signal.SIGKILL
+
+
+def resumed_study(folder: Path) -> list[list]:
+    """Killed on one rank in the middle of the second thickness, and resumed by all; status and errors of each rank."""
+    out = folder / "a"
+    alone(lambda: killed("-c", KILLED, *STUDY, out))
+    kept, found = len((out / "table.csv").read_text().splitlines()), []
+    COMM.barrier()
+    for words in ([w.replace("maxwell", "stack") for w in STUDY], [*STUDY[:-2], "0.01", "--out"], STUDY):
+        done = thinlayer(*words, out, "--resume")
+        found.append(COMM.allgather([kept, done.returncode, done.stderr]))
+    return found
+
+
+@on_ranks(resumed_study, 2)
+def test_a_killed_study_is_resumed(tmp_path, there, their_folder):
+    """On two ranks, where it was on one; not as another study, nor with other options."""
+    for ranks, status, text in zip(
+        there, (2, 2, 0), ("sweep_maxwell, not sweep_stack", "had the options", ""), strict=True
+    ):
+        assert [one[:2] for one in ranks] == [[2, status]] * 2, ranks
+        assert text in ranks[0][2]
+    assert thinlayer(*STUDY, tmp_path).returncode == 0
     for name in ("table.csv", "table_t1.csv"):
-        a, b = (np.genfromtxt(tmp_path / out / name, delimiter=",", skip_header=1) for out in "ab")
+        a, b = (np.genfromtxt(out / name, delimiter=",", skip_header=1) for out in (their_folder / "a", tmp_path))
         assert a == pytest.approx(b, rel=1e-9, nan_ok=True)
-    assert not (tmp_path / "a" / "unfinished").exists()
+    assert not (their_folder / "a" / "unfinished").exists()
 
 
 def tables(out: Path) -> dict[str, np.ndarray]:
@@ -154,32 +168,43 @@ def tables(out: Path) -> dict[str, np.ndarray]:
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
     out = tmp_path_factory.mktemp("whole")
-    marching_run.main([str(out)])
+    marching_run.run(out)
     return tables(out)
 
 
-@pytest.mark.parametrize(
-    ("killed_on", "resumed_on", "row", "writing", "first"),
-    [(1, 1, 4, False, 2), (1, 2, 10, True, 3), (2, 1, 16, False, 4), (2, 2, 22, True, 6)],
-)
-def test_killed_and_resumed(undisturbed, tmp_path, killed_on, resumed_on, row, writing, first):
-    """A run killed with -9 in a step, or as it writes its files, ends with the table of a run that was left alone.
-
-    The first, second, third and fourth march are killed. Later ones than the next are not disturbed by that: they run only
-    with the last, on two ranks.
-    """
-    words = [str(tmp_path), "--first", str(first)]
-    done = run(killed_on, *words, "--kill", str(row), *(["--writing"] if writing else []))
-    assert done.returncode != 0
-    if killed_on == 1:
-        assert done.returncode == -signal.SIGKILL
-    if resumed_on == 1:
-        marching_run.main([*words, "--resume"])
-    else:
-        done = run(resumed_on, *words, "--resume")
-        assert done.returncode == 0, done.stderr
-    found = tables(tmp_path)
-    assert len(found) == first
-    assert len(undisturbed) == 6
+def require_undisturbed(out: Path, undisturbed, names) -> None:
+    """The tables are those of marches that were left alone."""
+    found = tables(out)
+    assert sorted(found) == sorted(names)
     for name, table in found.items():
         assert table == pytest.approx(undisturbed[name], rel=1e-9, abs=1e-13), name
+
+
+@pytest.mark.parametrize("writing", [False, True])
+@pytest.mark.parametrize("name", marching_run.MARCHES)
+def test_ended_and_resumed(undisturbed, tmp_path, name, writing):
+    """Amid its steps, or as it writes the files of one: every march goes on as if it had been left alone."""
+    with pytest.raises(Ended):
+        marching_run.run(tmp_path, [name], ending=Ending(4, writing, raises=True))
+    marching_run.run(tmp_path, [name], resume=True)
+    require_undisturbed(tmp_path, undisturbed, [name])
+
+
+def resumed_march(folder: Path) -> None:
+    """The second of three marches is killed on one rank in a step; all ranks go on."""
+    alone(lambda: killed("-m", "tests.marching_run", folder, 10, "stepping", *THREE))
+    marching_run.run(folder, THREE, resume=True)
+
+
+@on_ranks(resumed_march, 2)
+def test_killed_on_one_rank_and_resumed_on_two(undisturbed, there, their_folder):
+    require_undisturbed(their_folder, undisturbed, THREE)
+
+
+def test_killed_on_two_ranks_and_resumed_on_one(undisturbed, tmp_path):
+    """As it writes the files of the fourth march."""
+    done = mpirun(2, "-m", "tests.marching_run", str(tmp_path), "22", "writing", *marching_run.MARCHES)
+    assert done.returncode != 0
+    assert len(tables(tmp_path)) == 4, done.stderr
+    marching_run.run(tmp_path, resume=True)
+    require_undisturbed(tmp_path, undisturbed, marching_run.MARCHES)

@@ -1,6 +1,5 @@
 """Meshed networks of layers in 2D: areas and names, junctions, convergence to the interface model, what is refused."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +9,10 @@ import ufl
 from forms import Anisotropic, Incompressible, LawError, LinearElastic, Stack
 from geometry import GeometryError, Joint, Seam, inflate, wall
 from geometry.topology import node_jacobians
-from tests.meshed_cases import SHARES, jump_errors, mortar, panel, star, yielded, yielding
+from tests.meshed_cases import SHARES, jump_errors, mortar, numbers, panel, star, yielded, yielding
 from tests.meshes import grid, volumes
 from tests.network_cases import springs
-from tests.ranks import mpirun
+from tests.on_ranks import on_ranks
 from tests.test_networks import SQUARE, cut_at, on
 from thinlayer import Gap, ModelError, RangeWarning, Structure, Surface, ThinLayer, UflPart, compare, solve
 
@@ -424,11 +423,9 @@ def test_two_layers_in_series():
     assert state.energies()["layer"] == pytest.approx(8 * 2.0**2 / 2 * (1 / 4 + 0.5 / 8 + 0.5 / 4), rel=1e-10)
 
 
-def test_same_on_two_ranks():
-    found, alone = (json.loads(mpirun(ranks, "-m", "tests.meshed_cases").stdout) for ranks in (2, 1))
-    assert found.keys() == alone.keys()
-    for name, values in alone.items():
-        assert found[name] == pytest.approx(values, rel=1e-10), name
+@on_ranks(numbers, 2)
+def test_same_on_two_ranks(there):
+    assert there == {name: pytest.approx(values, rel=1e-10) for name, values in numbers().items()}
 
 
 # ---------------------------------------------------------------- what is refused

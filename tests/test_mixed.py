@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from functools import cache
 
@@ -14,7 +13,7 @@ from forms import Incompressible, LinearElastic, Stack
 from geometry import GeometryError, sandwich
 from geometry.inflating.inflation import inflate
 from tests.mixed_run import BODY, EPS, LAYER, near_ends, numbers, plane, space
-from tests.ranks import mpirun
+from tests.on_ranks import on_ranks
 from thinlayer import ModelError, RangeWarning, Structure, Surface, ThinLayer, compare, estimate, observed_orders, solve
 from thinlayer.output.concentration import most_of
 
@@ -200,10 +199,6 @@ def test_what_cannot_be_mixed_is_refused(layer, where, message):
         plane("triangle").mixed(layer, where=where)
 
 
-def test_two_ranks_have_the_same_numbers():
-    here = numbers()
-    run = mpirun(2, "tests/mixed_run.py")
-    assert run.returncode == 0, run.stderr
-    there = json.loads(run.stdout)
-    for name, value in here.items():
-        assert there[name] == pytest.approx(value, rel=1e-10, abs=1e-12), name
+@on_ranks(numbers, 2)
+def test_two_ranks_have_the_same_numbers(there):
+    assert there == pytest.approx(numbers(), rel=1e-10, abs=1e-12)

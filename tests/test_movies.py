@@ -5,6 +5,7 @@ from __future__ import annotations
 import builtins
 import shutil
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from PIL import Image
 
 from forms import LinearElastic
 from geometry import sandwich
-from tests.ranks import mpirun
+from tests.on_ranks import on_ranks
 from thinlayer import ModelError, Structure, ThinLayer, march, plotting, solve
 
 
@@ -111,11 +112,10 @@ def test_states_of_a_solve_make_a_movie_too(tmp_path):
     assert len(found) == 1
 
 
-def test_on_two_ranks(tmp_path):
-    done = mpirun(2, "-m", "tests.test_movies", str(tmp_path / "a.gif"))
-    assert done.returncode == 0, done.stderr
-    assert len(frames(tmp_path / "a.gif")[0]) == 4
+def shown(folder: Path) -> None:
+    plotting.movie(pulled(), save=folder / "a.gif")
 
 
-if __name__ == "__main__":
-    plotting.movie(pulled(), save=sys.argv[1])
+@on_ranks(shown, 2)
+def test_on_two_ranks(there, their_folder):
+    assert len(frames(their_folder / "a.gif")[0]) == 4

@@ -1,6 +1,5 @@
 """Dry walls: all solvers find the same equilibrium, bricks are balanced, loose ones are named, friction remembers."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +10,9 @@ import ufl
 from forms import IncrementalCoulomb, LinearElastic, Stack
 from geometry import Seam, bond_cell
 from studies import dry_wall as dry_wall_study
-from tests.dry_walls import PUSHES, dry_wall, forth_and_back, imbalance, pair_values
+from tests.dry_walls import PUSHES, dry_wall, energies, forth_and_back, imbalance, pair_values
 from tests.network_cases import BED, HEAD, springs, three_bricks
-from tests.ranks import mpirun
+from tests.on_ranks import on_ranks
 from thinlayer import ContactReport, ModelError, Structure, ThinLayer, march, solve
 from thinlayer.errors import LimitLoad, LooseBody
 from thinlayer.parts.part import Interval
@@ -288,11 +287,10 @@ def test_up_to_sliding_beds():
     assert ContactReport(one[-1], "BED").counts["sliding"] > 40
 
 
-def test_same_march_on_two_ranks():
-    history = forth_and_back("newton")
-    alone = [[state.audit.total, state.audit.dissipated, state.audit.supplied] for state in history]
-    found = json.loads(mpirun(2, "-m", "tests.dry_walls").stdout)
-    np.testing.assert_allclose(found, alone, rtol=1e-10, atol=1e-12 * np.abs(alone).max())
+@on_ranks(energies, 2)
+def test_same_march_on_two_ranks(there):
+    alone = np.array(energies())
+    np.testing.assert_allclose(there, alone, rtol=1e-10, atol=1e-12 * np.abs(alone).max())
 
 
 # ---------------------------------------------------------------- what is refused

@@ -1,6 +1,5 @@
 """Networks of layers: split numbers, a law for each seam, junctions, contact between several bricks, on several ranks."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +19,7 @@ from tests.network_cases import (
     PUSHED,
     WALL,
     YIELDED,
+    numbers,
     panel,
     panel_energy,
     pushed,
@@ -29,7 +29,7 @@ from tests.network_cases import (
     wall_energy,
     yielded,
 )
-from tests.ranks import mpirun
+from tests.on_ranks import on_ranks
 from thinlayer import ContactReport, ModelError, Structure, Surface, ThinLayer, march, solve
 
 ROCK = LinearElastic.young(10.0, 0.25)
@@ -217,11 +217,12 @@ def test_slip_of_rigid_bricks_on_two_seams():
     assert max(abs(state.audit.imbalance) for state in history) < 1e-8  # stresses of stiff bricks are rounded
 
 
-def test_same_on_two_ranks():
-    found, alone = (json.loads(mpirun(ranks, "-m", "tests.network_cases").stdout) for ranks in (2, 1))
-    assert found.keys() == alone.keys()
+@on_ranks(numbers, 2)
+def test_same_on_two_ranks(there):
+    alone = numbers()
+    assert there.keys() == alone.keys()
     for name, values in alone.items():
-        assert np.ravel(found[name])[:2] == pytest.approx(np.ravel(values)[:2], rel=1e-10), name
+        assert np.ravel(there[name])[:2] == pytest.approx(np.ravel(values)[:2], rel=1e-10), name
 
 
 # ---------------------------------------------------------------- what is refused

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from functools import cache
 
@@ -18,10 +17,10 @@ from tests.columns_in_time import BODY, both, check_balance, check_same, joint, 
 from tests.columns_in_time import C as COMPLIANCE
 from tests.columns_in_time import K as STIFFNESS
 from tests.columns_in_time import column as tall_column
-from tests.non_monotone_run import CHI, END, HALF, HEATED, models, numbers
+from tests.non_monotone_run import CHI, END, HEATED, half, models, numbers
 from tests.non_monotone_run import C as OF_T
+from tests.on_ranks import on_ranks
 from tests.phases_of_bars import BAR
-from tests.ranks import mpirun
 from tests.test_mohr_coulomb_models import PATH, PATH_3D, check_path, column
 from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, march, piecewise, solve
 from thinlayer.discretisation.places import quadratures
@@ -313,15 +312,13 @@ def test_sublayer(eps):
 
 
 # ---------------------------------------------------------------- ranks, resumed marches
-def test_ranks_and_resumed_marches(tmp_path):
+@on_ranks(half, 2)
+def test_ranks_and_resumed_marches(tmp_path, there, their_folder):
     """Half of each march on two ranks and the rest on one: the numbers, and the snaps, of one rank that did not stop."""
-    whole = numbers(tmp_path / "one", END)
-    two = mpirun(2, "-m", "tests.non_monotone_run", str(tmp_path / "two"), str(HALF))
-    assert two.returncode == 0, two.stderr
-    half = json.loads(two.stdout)
-    assert half == pytest.approx({name: whole[name] for name in half}, rel=1e-9)
-    assert numbers(tmp_path / "two", END, resume=True) == pytest.approx(whole, rel=1e-9)
-    snaps = [sum(name.endswith(" lost") for name in found) for found in (half, whole)]
+    whole = numbers(tmp_path, END)
+    assert there == pytest.approx({name: whole[name] for name in there}, rel=1e-9)
+    assert numbers(their_folder, END, resume=True) == pytest.approx(whole, rel=1e-9)
+    snaps = [sum(name.endswith(" lost") for name in found) for found in (there, whole)]
     assert 4 <= snaps[0] < snaps[1]
 
 

@@ -12,9 +12,9 @@ from forms.sharing import in_series
 from geometry import sandwich
 from studies.problems import FOURIER_BODY, FOURIER_LAYER, fourier
 from tests import reference
-from tests.ranks import mpirun
+from tests.on_ranks import on_ranks
 from tests.test_eigenstrains_of_layers import varying
-from thinlayer import Structure, ThinLayer, compare, observed_orders, solve
+from thinlayer import Structure, Surface, ThinLayer, compare, observed_orders, solve
 from thinlayer.errors import RangeWarning
 
 TWO = [(0.3, 60.0, 40.0), (0.7, 600.0, 20.0)]  # fraction, lmbda, mu of the sublayers, per thickness
@@ -201,11 +201,22 @@ def test_eigenstrains():
 
 
 # ---------------------------------------------------------------- ranks, refusals
-def test_ranks():
-    one, two = (mpirun(ranks, "tests/stacks_run.py") for ranks in (1, 2))
-    assert one.returncode == two.returncode == 0, one.stderr + two.stderr
-    first, second = (np.array(run.stdout.split(), float) for run in (one, two))
-    assert second == pytest.approx(first, rel=1e-10)
+def numbers() -> list[float]:
+    joint, setup = fourier(1 / 8, cell="quadrilateral")
+    found: list[float] = []
+    for law in (
+        Stack((0.3, LinearElastic(400.0, 20.0)), (0.7, LinearElastic(60.0, 5.0))),
+        Stack.graded(lambda y: LinearElastic(60.0 + 30.0 * y, 40.0 - 25.0 * y), 4),
+    ):
+        state = solve(Structure(joint, **setup).interface(ThinLayer(law, 0.1, order=1)))
+        surface = Surface(state.model)
+        found += [surface.norm(surface.jump(state)), surface.norm(surface.traction(state)), *state.energies().values()]
+    return found
+
+
+@on_ranks(numbers, 2)
+def test_ranks(there):
+    assert there == pytest.approx(numbers(), rel=1e-10)
 
 
 @pytest.mark.parametrize(

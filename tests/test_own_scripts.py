@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from contextlib import redirect_stdout
 from functools import cached_property
+from io import StringIO
 
 import numpy as np
 import pytest
@@ -32,7 +34,9 @@ from geometry import Joint
 from geometry.compat import cell_nodes
 from geometry.seam import Seam
 from tests.documents import PAGES
-from tests.ranks import CLONE, mpirun
+from tests.folders_run import raised
+from tests.on_ranks import on_ranks
+from tests.ranks import CLONE
 from thinlayer import (
     BrokenMesh,
     ContactPart,
@@ -61,28 +65,47 @@ KINDS = {
 
 
 # ---------------------------------------------------------------- the scripts
+TEXTS = {"glue": SCRIPTS[0], "mortar": SCRIPTS[0] + SCRIPTS[1]} | {
+    name: (CLONE / "tests" / "own_scripts" / f"{name}.py").read_text() for name in ("wall", "creep", "contact", "joint")
+}
+
+
 def numbers(text: str) -> list[float]:
     return [float(x) for x in re.findall(r"-?\d+\.\d+", text)]
 
 
+def printed(name: str) -> str:
+    """What a script prints."""
+    with redirect_stdout(StringIO()) as out:
+        exec(compile(TEXTS[name], name, "exec"), {"__name__": "__main__"})
+    return out.getvalue()
+
+
+def printed_by_all() -> dict[str, str]:
+    return {name: printed(name) for name in TEXTS}
+
+
+@on_ranks(printed_by_all, 2)
 @pytest.mark.parametrize("name", ["glue", "mortar", "wall", "creep", "contact"])
-def test_script_on_one_rank_and_two(tmp_path, name):
+def test_script_on_one_rank_and_two(there, name):
     """What it prints is the same, to all digits but the last, and what the page says."""
-    texts = {"glue": SCRIPTS[0], "mortar": SCRIPTS[0] + SCRIPTS[1]}
-    folder = CLONE / "tests" / "own_scripts"
-    (tmp_path / "script.py").write_text(texts[name] if name in texts else (folder / f"{name}.py").read_text())
-    one, two = (mpirun(ranks, "script.py", cwd=tmp_path) for ranks in (1, 2))
-    assert one.returncode == two.returncode == 0, one.stderr + two.stderr
-    assert len(numbers(one.stdout)) >= 1
-    assert numbers(one.stdout) == pytest.approx(numbers(two.stdout), abs=2e-8)
+    one, two = printed(name), there[name]
+    assert len(numbers(one)) >= 1
+    assert numbers(one) == pytest.approx(numbers(two), abs=2e-8)
     if name == "contact":  # jumps on S and dissipation as in a march, with nodes that are open, stick and slide
-        mine, march_, status = one.stdout.splitlines()
+        mine, march_, status = one.splitlines()
         assert numbers(mine) == pytest.approx(numbers(march_), rel=1e-8)
         assert min(map(int, status.split()[-3:])) > 0
-    if name in texts:
-        assert [line.strip() in PAGES["thinlayer/guide/scripts.md"] for line in one.stdout.splitlines()] == [
-            True
-        ] * len(one.stdout.splitlines())
+    if name in ("glue", "mortar"):
+        assert all(line.strip() in PAGES["thinlayer/guide/scripts.md"] for line in one.splitlines())
+
+
+@on_ranks(printed_by_all, 2)
+def test_script_of_a_mesh_of_dolfinx(there):
+    """S opens by the traction over the stiffness; the text says so."""
+    for text in (printed("joint"), there["joint"]):
+        assert float(re.search(r"S opens by (\S+) mm;", text)[1]) == pytest.approx(0.005, rel=1e-7)
+        assert float(re.search(r"but for (\S+) of it", text)[1]) < 1e-4
 
 
 def test_scripts_are_short():
@@ -531,12 +554,15 @@ def test_refused_steps():
         StepProblem(blocks.rest, blocks.u, (), [body(law, ufl.Measure("dx", domain=blocks.grid)(1))])
 
 
-def test_mesh_without_ghosts_on_two_ranks(tmp_path):
-    script = SCRIPTS[0].replace("shared_facet", "none")
-    (tmp_path / "script.py").write_text(script)
-    done = mpirun(2, "script.py", cwd=tmp_path)
-    assert done.returncode != 0
-    assert "ghost_mode=dolfinx.mesh.GhostMode.shared_facet" in done.stderr
+def without_ghosts() -> list[str]:
+    script = compile(SCRIPTS[0].replace("shared_facet", "none"), "script", "exec")
+    return MPI.COMM_WORLD.allgather(raised(lambda: exec(script, {"__name__": "__main__"})))
+
+
+@on_ranks(without_ghosts, 2)
+def test_mesh_without_ghosts_on_two_ranks(there):
+    for said in there:
+        assert "ghost_mode=dolfinx.mesh.GhostMode.shared_facet" in said
 
 
 def test_upper_side_changes_signs_alone():

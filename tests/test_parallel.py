@@ -2,15 +2,290 @@
 
 from __future__ import annotations
 
+import functools
 import json
+import math
 import re
+from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
 
-from tests.parallel_norms import norms
+from forms import Anisotropic, KelvinVoigt, LinearElastic, Stack
+from geometry import block, ring, sandwich
+from geometry.seam import Seam
+from studies.problems import FOURIER_LAYER, fourier
+from tests.folders_run import raised
+from tests.on_ranks import on_ranks
 from tests.pictures import assert_drawn
 from tests.ranks import mpirun
+from tests.test_cli import thinlayer
+from thinlayer import Structure, Surface, ThinLayer, compare, fields, march, solve, sweep
 from thinlayer.running.cli import main
+
+JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
+SUPPORTS = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}}
+BODY = LinearElastic.young(100.0, 0.3)
+SLOW = KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5)
+
+
+def model(eps=0.1, law=SLOW, profile=None, build=Structure.interface, **change):
+    data = {"body": BODY, "supports": SUPPORTS, "tractions": {"TOP": (0.0, 1.0)}}
+    return build(Structure(JOINT, **data | change), ThinLayer(law, eps, profile=profile))
+
+
+def turned(given, rank):
+    return dict(reversed(given.items())) if rank else given
+
+
+def in_another_order(rank: int) -> None:
+    """That of tractions, bodies and what is observed: columns have that of rank 0."""
+    tractions = turned({"TOP": (0.0, 1.0), "RIGHT": lambda x, t: (0.2 * t, -0.1)}, rank)
+    observe = turned({"one": lambda state: 2 * state.t, "other": lambda state: -state.t}, rank)
+    body = turned(dict.fromkeys(JOINT.bodies, BODY), rank)
+    table = march(model(body=body, tractions=tractions), [0.3], observe=observe).table
+    assert table.columns[-2:] == ["one", "other"]
+    assert table["one"].tolist() == [0.0, 0.6]
+    assert table["other"].tolist() == [0.0, -0.3]
+
+
+class Load:
+    """A load with a value that is computed when it is first asked for."""
+
+    @functools.cached_property
+    def size(self):
+        return 1.5
+
+    def __call__(self, x, t):
+        return (0.0, self.size * t)
+
+
+def asked(rank: int) -> Load:
+    load = Load()
+    if rank:
+        assert load.size > 0
+    return load
+
+
+def cases(rank: int, folder: Path):
+    """Name -> what is done on a rank."""
+    elastic, other, good = model(law=LinearElastic(60.0, 40.0)), model(law=LinearElastic(50.0, 40.0)), model()
+    state = solve(elastic)
+    full = solve(model(build=Structure.full, law=LinearElastic(60.0, 40.0)))
+    if rank:  # numbers of constants count nothing
+        fem.Constant(state.model.domain.mesh, 1.0)
+    limit = fem.Constant(state.model.domain.mesh, 0.25)
+    compare(full, state, where=lambda x: x[0] > limit)
+    order = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"y": 0.1}}
+    factor = 1.0 + rank
+    return {
+        "thickness": lambda: model(0.1 + 0.2 * rank),
+        "law": lambda: model(law=LinearElastic(60.0 + rank, 40.0)),
+        "body": lambda: model(body=LinearElastic.young(100.0 + rank, 0.3)),
+        "tractions": lambda: model(tractions={"TOP": (0.0, 1.0 + 0.5 * rank)}),
+        "a load that is no number": lambda: model(tractions={"TOP": (0.0, math.nan if rank else 1.0)}),
+        "a function that fails": lambda: model(tractions={"TOP": lambda x, t: (0.0, 1.0 / (1 - rank))}),
+        "supports": lambda: model(supports=SUPPORTS | {"RIGHT": {"y": 0.3 * rank}}),
+        "fewer supports": lambda: model(supports=dict([*SUPPORTS.items()][: 2 - rank])),
+        "order of supports": lambda: model(supports=turned(order, rank)),
+        "order of others": lambda: in_another_order(rank),
+        "cached values": lambda: model(tractions={"TOP": asked(rank)}),
+        "what a load refers to": lambda: model(tractions={"TOP": lambda x, t: (0.0, factor * t)}),
+        "element": lambda: model(element="P7" if rank else "P2"),
+        "option": lambda: model(build=functools.partial(Structure.full, cells_through=2 + rank)),
+        "wrong option": lambda: model(build=functools.partial(Structure.full, bodies="keep" if rank else "kept")),
+        "kind of model": lambda: model(build=Structure.full if rank else Structure.interface),
+        "no model": lambda: solve(None if rank else elastic),
+        "t": lambda: solve(elastic, 0.5 * rank),
+        "models": lambda: solve(other if rank else elastic),
+        "method": lambda: solve(elastic, method="newton" if rank else "linear"),
+        "options": lambda: solve(elastic, options={"ksp_type": "cg"} if rank else {}),
+        "times": lambda: march(good, [0.1, 0.2 + 0.1 * rank]),
+        "bad times": lambda: march(good, [0.2, 0.1] if rank else [0.1, 0.2]),
+        "theta": lambda: march(good, [0.1], theta=1 - 0.5 * rank),
+        "observe": lambda: march(good, [0.1], observe={} if rank else {"one": lambda state: 1.0}),
+        "observed": lambda: march(good, [0.1], observe={"one": lambda state: 1.0 + rank}),
+        "out": lambda: march(good, [0.1], out=folder / f"{rank}"),
+        "sweep": lambda: sweep(lambda e: {"eps": e, "error_traction": e, "error_jump": e}, [0.2, 0.1][: 2 - rank]),
+        "run": lambda: sweep(lambda e: {"eps": e / (1 - rank), "error_traction": e, "error_jump": e}, [0.2, 0.1]),
+        "where": lambda: compare(full, state, where=lambda x: x[0] > 0.25 + 0.5 * rank),
+        "where with a constant": lambda: compare(full, state, where=lambda x: x[0] > (1 + rank) * limit),
+        "bad where": lambda: compare(full, state, where=lambda x: x[0] > 0.5 / (1 - rank)),
+        "profile": lambda: model(profile=lambda x: np.where((x[0] > 0.5) & (rank == 1), math.nan, 1.0)),
+        "observed by one": lambda: march(good, [0.1], observe={"one": lambda state: 1.0 / (1 - rank)}),
+        "path": lambda: fields.write(state, folder / f"{rank}.pvd"),
+        "ending": lambda: fields.write(state, folder / ("a.txt" if rank else "a.pvd")),
+    }
+
+
+def errors(folder: Path) -> dict[str, str | list[str]]:
+    """Case -> the error that all ranks have, or those that they have."""
+    found: dict[str, str | list[str]] = {}
+    for name, run in cases(COMM.rank, folder).items():
+        texts = COMM.allgather(raised(run))
+        found[name] = texts[0] if len(set(texts)) == 1 else texts
+    return found
+
+
+def structures_in_space() -> dict[str, tuple]:
+    """Tetrahedra and hexahedra, both ways to make room."""
+    body, glue = LinearElastic.young(30.0, 0.1), LinearElastic.young(3.0, 0.4)
+    setup = {
+        "body": body,
+        "supports": {"BOTTOM": {"y": 0.0}, "BACK": {"z": 0.0}, "LEFT": {"x": lambda x, t: 0.01 * ufl.sin(3 * x[1])}},
+        "tractions": {"TOP": lambda x, t: (0.3, -1.0, 0.1 * x[0])},
+    }
+    tetrahedra = sandwich(1.0, 0.4, 0.5, 0.3, depth=0.8)
+    base = {"body": body, "supports": {}, "tractions": {"TOP": (0.3, -1.0, 0.2)}}
+    hexahedra = block(1.0, 0.5, 0.25, depth=0.7, cell="hexahedron")
+    return {
+        "tetrahedra P2": (tetrahedra, setup, glue, {}),
+        "hexahedra Q1 extended wedge": (
+            hexahedra,
+            base,
+            glue,
+            {"element": "Q1", "bodies": "extended", "profile": lambda x: 1 + 0.5 * x[0] * x[2]},
+        ),
+    }
+
+
+def structures_with_curved_layers() -> dict[str, tuple]:
+    """Curved cells with a law that has a material frame; a wedge."""
+    body = LinearElastic.young(30.0, 0.1)
+    setup = {"body": body, "supports": {"INSIDE": 0.0}, "tractions": {"OUTSIDE": (0.3, -0.2)}}
+    return {
+        "curved ring": (
+            ring(1.0, 1.5, 2.0, 0.3, degree=2),
+            setup,
+            Anisotropic.springs(K_N=9.0, K_T=2.0),
+            {"bodies": "extended"},
+        ),
+        "wedge": (*fourier(1 / 8), FOURIER_LAYER, {"bodies": "extended", "profile": lambda x: 0.5 + x[0]}),
+    }
+
+
+def crack() -> dict[str, float]:
+    """S that ends inside."""
+    whole = sandwich(1.0, 0.5, 0.5, 0.125)
+    centres = whole.points[whole.facets["S"]].mean(axis=1)
+    joint = replace(whole, facets={**whole.facets, "S": whole.facets["S"][centres[:, 0] < 0.5]})
+    body, glue = LinearElastic.young(30.0, 0.1), LinearElastic.young(3.0, 0.4)
+    layer = ThinLayer(glue, 0.04)
+    state = solve(Structure(joint, body=body, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.1, 1.0)}).interface(layer))
+    surface = Surface(state.model)
+    return {
+        "crack jump": surface.norm(surface.jump(state)),
+        "crack traction": surface.norm(surface.traction(state)),
+        "crack u": state.integral(ufl.inner(state.u, state.u) * ufl.dx),
+    }
+
+
+def network() -> dict[str, float]:
+    """Blocks that meet at junctions, in the plane and in space; two seams with a layer each."""
+    found = {}
+    body, glue = LinearElastic.young(30.0, 0.1), LinearElastic.young(3.0, 0.3)
+    layers = {"BED": ThinLayer(glue, 0.04), "HEAD": ThinLayer(Stack((0.3, glue), (0.7, LinearElastic(1.0, 2.0))), 0.02)}
+    for depth in (None, 0.8):
+        whole = sandwich(1.0, 0.5, 0.5, 0.25 if depth else 0.125, depth=depth, structured=True)
+        centres = whole.points[whole.table.vertices].mean(axis=1)
+        upright = np.ptp(whole.points[whole.table.vertices][..., 0], axis=1) < 1e-9
+        head = upright & (abs(centres[:, 0] - 0.5) < 1e-9) & (centres[:, 1] > 0)
+        outer = dict(whole.facets)
+        bed = outer.pop("S")
+        joint = replace(
+            whole,
+            region=0 * whole.region,
+            regions=("WALL",),
+            facets={**outer, "BED": bed, "HEAD": whole.table.vertices[head]},
+            seams={
+                "BED": Seam(direction=(0.0, 1.0, 0.0)[: whole.dim]),
+                "HEAD": Seam(direction=(1.0, 0.0, 0.0)[: whole.dim]),
+            },
+        )
+        assert joint.branch is not None
+        load = (0.4, 1.0, 0.2)[: joint.dim]
+        structure = Structure(joint, body=body, supports={"BOTTOM": 0.0}, tractions={"TOP": load, "RIGHT": load})
+        state = solve(structure.interface(layers))
+        for name in ("BED", "HEAD", "S"):
+            surface = Surface(state.model, name)
+            jump = surface.jump(state)
+            found[f"network {joint.dim} {name} jump"] = surface.norm(jump)
+            found[f"network {joint.dim} {name} traction"] = surface.norm(surface.traction(state))
+            found[f"network {joint.dim} {name} profile"] = float(np.linalg.norm(surface.profile(jump)[1]))
+        found[f"network {joint.dim} energy"] = state.energies()["layer"]
+    return found
+
+
+def norms() -> dict[str, float]:
+    """Norms of both models of all structures."""
+    found = {}
+    soft, hard = LinearElastic.young(30.0, 0.1), LinearElastic.young(12.0, 0.4)
+    rotated = sandwich(1.0, 0.5, 0.7, 0.15, h_S=0.05).rotated(0.4)
+    pinned = {"BOTTOM": {"x": 0.0}, tuple(rotated.points[rotated.facets["S"][0, 0]]): {"x": 0.0}}
+    pinned |= {"RIGHT/UPPER": {"y": 0.01}, "RIGHT/LOWER": {"y": 0.02}}
+    push = {"TOP": lambda x, t: (0.5 * x[0], -1.0), "LEFT/UPPER": (0.2, 0.0)}
+    structures = {
+        "fourier P2": (*fourier(1 / 8), FOURIER_LAYER, {}),
+        "fourier S2 extended": (
+            *fourier(1 / 8, cell="quadrilateral"),
+            FOURIER_LAYER,
+            {"element": "S2", "bodies": "extended"},
+        ),
+        "stack P1": (
+            rotated,
+            {"body": {"LOWER": soft, "UPPER": hard}, "supports": pinned, "tractions": push, "body_force": (0.0, -0.3)},
+            Stack((0.3, soft), (0.7, hard)),
+            {"element": "P1"},
+        ),
+        "fewer cells than ranks": (
+            sandwich(1.0, 1.0, 1.0, 1.0, cell="quadrilateral"),
+            {
+                "body": hard,
+                "supports": {
+                    "BOTTOM": {"x": 0.0, "y": lambda x, t: 0.02 + 0.01 * x[0] ** 2},
+                    "LEFT/UPPER": {"x": 0.01},
+                    "RIGHT/LOWER": {"y": 0.03},
+                },
+                "tractions": {"TOP": (1.0, 2.0)},
+            },
+            soft,
+            {"element": "Q1"},
+        ),
+        "block Q2": (
+            block(2.0, 1.0, 0.3, h_S=0.1, cell="quadrilateral"),
+            {"body": hard, "supports": {"RIGHT": {"x": 0.0}}, "tractions": {"LEFT": (1.0, 0.0)}},
+            soft,
+            {"plane": "stress"},
+        ),
+    }
+    structures |= structures_in_space() | structures_with_curved_layers()
+    for name, (joint, setup, law, options) in structures.items():
+        layer = ThinLayer(law, 0.04, profile=options.pop("profile", None))
+        bodies = options.pop("bodies", "kept")
+        structure = Structure(joint, **setup, **options)
+        limit, full = solve(structure.interface(layer)), solve(structure.full(layer, bodies=bodies))
+        for key, value in compare(full, limit).items():
+            found[f"{name} {key}"] = value
+        for state in (full, limit):
+            kind, V = state.model.name, state.model.V
+            of_own_cells = np.unique(V.dofmap.list[: V.mesh.topology.index_map(V.mesh.topology.dim).size_local])
+            lost = np.setdiff1d(np.arange(V.dofmap.index_map.size_local), of_own_cells)
+            found[f"{name} {kind} unknowns of other ranks' cells alone"] = float(V.mesh.comm.allreduce(len(lost)))
+            found[f"{name} {kind} u"] = state.integral(ufl.inner(state.u, state.u) * ufl.dx)
+            found[f"{name} {kind} layer"] = state.energies()["layer"]
+        surface = Surface(limit.model)
+        _, values = surface.profile(surface.frame(surface.traction(full)))
+        found[f"{name} profile"] = float(abs(values).sum())
+    newton = solve(limit.model, method="newton")
+    found["newton u"] = newton.integral(ufl.inner(newton.u, newton.u) * ufl.dx)
+    return found | crack() | network()
+
+
+COMM = MPI.COMM_WORLD
 
 
 @pytest.fixture(scope="module")
@@ -18,11 +293,9 @@ def serial():
     return norms()
 
 
-@pytest.mark.parametrize("ranks", [2, 3])
-def test_same_norms(serial, ranks):
-    done = mpirun(ranks, "-m", "tests.parallel_norms")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == pytest.approx(serial, rel=1e-10)
+@on_ranks(norms, 2, 3)
+def test_same_norms(serial, there):
+    assert there == pytest.approx(serial, rel=1e-10)
     assert len(serial) > 30
 
 
@@ -40,13 +313,18 @@ def test_study_on_two_ranks(tmp_path):
     assert_drawn(tmp_path / "two" / "deformed.png")
 
 
-def test_bad_input_on_two_ranks(tmp_path):
-    done = mpirun(
-        2, "-m", "thinlayer", "run", "sweep_elastic", "--eps", "3", "--bodies", "extended", "--out", str(tmp_path / "x")
-    )
-    assert done.returncode == 2
-    assert done.stderr.count("turn inside out") == 1
-    assert not (tmp_path / "x").exists()
+def bad_input(folder: Path) -> list[list]:
+    """Status and errors of each rank."""
+    done = thinlayer("run", "sweep_elastic", "--eps", "3", "--bodies", "extended", "--out", folder / "x")
+    return COMM.allgather([done.returncode, done.stderr])
+
+
+@on_ranks(bad_input, 2)
+def test_bad_input_on_two_ranks(there, their_folder):
+    status, said = zip(*there, strict=True)
+    assert status == (2, 2)
+    assert "".join(said).count("turn inside out") == 1
+    assert not (their_folder / "x").exists()
 
 
 DIFFERENT = {
@@ -89,105 +367,87 @@ DIFFERENT = {
 }
 
 
-def test_ranks_that_are_told_different_things(tmp_path):
+@on_ranks(errors, 2)
+def test_ranks_that_are_told_different_things(there):
     """All have the same error, and none waits."""
-    done = mpirun(2, "-m", "tests.different_ranks_run", str(tmp_path))
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert found.keys() == DIFFERENT.keys()
+    assert there.keys() == DIFFERENT.keys()
     for name, message in DIFFERENT.items():
         said = f"ModelError: .*{message}" if message else "nothing"
-        assert re.match(said, str(found[name])), (name, found[name])
+        assert re.match(said, str(there[name])), (name, there[name])
+
+
+# ---------------------------------------------------------------- programs that end
+MARCH = """
+import sys, time, thinlayer.parallel.agreement
+from tests.viscous_joints import interface
+from thinlayer import march, sweep
+from mpi4py import MPI
+COMM = MPI.COMM_WORLD
+"""
 
 
 def test_an_error_of_one_rank_ends_all(tmp_path):
     """A file that only rank 0 writes, and cannot: the other rank must not wait for it."""
-    script = tmp_path / "script.py"
     (tmp_path / "file").write_text("")
-    script.write_text(
-        "import sys\n"
-        "from thinlayer import Structure, sweep\n"
-        "sweep(lambda e: {'eps': e, 'error_traction': e, 'error_jump': e}, [0.2, 0.1], out=sys.argv[1])\n"
-        "from mpi4py import MPI\n"
-        "MPI.COMM_WORLD.Barrier()\n"
-    )
-    done = mpirun(2, str(script), str(tmp_path / "file" / "table.csv"))
+    row, out = "{'eps': e, 'error_traction': e, 'error_jump': e}", str(tmp_path / "file" / "table.csv")
+    done = mpirun(2, "-c", f"{MARCH}sweep(lambda e: {row}, [0.2, 0.1], out={out!r})\nCOMM.Barrier()")
     assert done.returncode != 0
     assert "FileExistsError" in done.stderr or "NotADirectoryError" in done.stderr
 
 
-MODEL = """
-import sys
-from mpi4py import MPI
-import thinlayer.parallel.agreement
-from forms import KelvinVoigt, LinearElastic
-from geometry import sandwich
-from thinlayer import Structure, ThinLayer, march, sweep
-
-COMM, joint = MPI.COMM_WORLD, sandwich(1.0, 0.5, 0.5, 0.5)
-
-def model():
-    layer = ThinLayer(KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5), 0.1)
-    body, supports = LinearElastic.young(100.0, 0.3), {"BOTTOM": 0.0, "LEFT": {"x": 0.0}}
-    return Structure(joint, body=body, supports=supports, tractions={"TOP": (0.0, 1.0)}).interface(layer)
-"""
-
-
-def test_an_error_of_all_ranks_is_told_by_all(tmp_path):
-    """A rank that comes to its end first does not cut off the others."""
-    script = tmp_path / "script.py"
-    ending = "if COMM.rank == 1: time.sleep(0.5)\nraise RuntimeError(f'on {COMM.rank}')\n"
-    script.write_text(f"{MODEL}\nimport time\nmarch(model(), [0.1])\n{ending}")
-    done = mpirun(2, str(script))
-    assert done.returncode == 1
-    assert "RuntimeError: on 0" in done.stderr
-    assert "RuntimeError: on 1" in done.stderr
-
-
-@pytest.mark.parametrize(("ending", "status"), [("raise RuntimeError('one alone')", 1), ("sys.exit(3)", 3)])
-def test_an_error_of_one_rank_after_a_solve_ends_all(tmp_path, ending, status):
-    """PETSc, which has started by then, ends before mpi4py and waits for the other rank."""
-    script = tmp_path / "script.py"
-    script.write_text(f"{MODEL}\nmarch(model(), [0.1])\nprint('solved')\nif COMM.rank == 1: {ending}\nCOMM.Barrier()\n")
-    done = mpirun(2, str(script))
+@pytest.mark.parametrize(
+    ("ending", "status", "said"),
+    [
+        ("if COMM.rank == 1: raise RuntimeError('one alone')", 1, ["one alone"]),
+        ("if COMM.rank == 1: sys.exit(3)", 3, []),
+        (
+            "time.sleep(COMM.rank / 2); raise RuntimeError(f'on {COMM.rank}')",
+            1,
+            ["on 0", "on 1"],
+        ),
+    ],
+    ids=["an error of one", "a status of one", "an error of all"],
+)
+def test_what_ends_a_rank_after_a_solve_ends_all(ending, status, said):
+    """PETSc, which has started by then, ends before mpi4py and waits for the other rank; the first does not cut it off."""
+    done = mpirun(2, "-c", f"{MARCH}march(interface(), [0.1])\nprint('solved')\n{ending}\nCOMM.Barrier()")
     assert done.returncode == status
-    assert ("RuntimeError: one alone" in done.stderr) == (status == 1)
     assert "solved" in done.stdout
+    assert ("RuntimeError" in done.stderr) == bool(said)
+    for text in said:
+        assert f"RuntimeError: {text}" in done.stderr
 
 
-def test_an_error_of_one_rank_where_others_wait_for_it(tmp_path):
+def test_an_error_of_one_rank_where_others_wait_for_it():
     """A user's function fails on one rank; the other one waits in a collective call that it would come to."""
-    script = tmp_path / "script.py"
-    script.write_text(
-        f"{MODEL}\n"
-        "thinlayer.parallel.agreement.PATIENCE = 0.3\n"
+    done = mpirun(
+        2,
+        "-c",
+        f"{MARCH}thinlayer.parallel.agreement.PATIENCE = 0.3\n"
         "def observed(state):\n"
         "    if COMM.rank == 1: raise ValueError('one alone')\n"
         "    return COMM.allreduce(1.0)\n"
-        "try: march(model(), [0.1], observe={'one': observed})\n"
-        "except Exception: pass\n"
+        "try: march(interface(), [0.1], observe={'one': observed})\n"
+        "except Exception: pass\n",
     )
-    done = mpirun(2, str(script))
     assert done.returncode == 1
     assert "ValueError: one alone" in done.stderr
     assert "Rank 1 has had this error for " in done.stderr
     assert "they may wait for this rank in a collective call. All ranks are ended." in done.stderr
 
 
-def test_an_error_of_one_rank_where_others_build_a_model(tmp_path):
+def fails_beside_a_model() -> list[str]:
+    """A run that fails on one rank, where the other one builds a model."""
+
+    def run(e):
+        if COMM.rank == 1:
+            raise ValueError("one alone")
+        march(model(), [0.1])
+
+    return COMM.allgather(raised(lambda: sweep(run, [0.2, 0.1])))
+
+
+@on_ranks(fails_beside_a_model, 2)
+def test_an_error_of_one_rank_where_others_build_a_model(there):
     """They learn of it there, and all ranks go on together."""
-    script = tmp_path / "script.py"
-    script.write_text(
-        f"{MODEL}\n"
-        "def run(e):\n"
-        "    if COMM.rank == 1: raise ValueError('one alone')\n"
-        "    march(model(), [0.1])\n"
-        "found = ''\n"
-        "try: sweep(run, [0.2, 0.1])\n"
-        "except Exception as error: found = f'{type(error).__name__}: {error}'\n"
-        "found = COMM.allgather(found)\n"
-        "if COMM.rank == 0: print(found)\n"
-    )
-    done = mpirun(2, str(script))
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == str(["ModelError: rank 1: one alone", "ValueError: one alone"])
+    assert there == ["ModelError: rank 1: one alone", "ValueError: one alone"]

@@ -1,6 +1,5 @@
 """Periodic cells: which places are one, mean strains, mean stresses, homogenised stiffness, what is refused."""
 
-import json
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -12,8 +11,10 @@ from forms import HolonomicCoulomb, Incompressible, LinearElastic, VonMises
 from forms.law import BulkLaw
 from geometry import GeometryError, Seam, bond_cell, inflate, periodic, sandwich, wall
 from studies import homogenised_bond
+from tests import periodic_cases
 from tests.meshes import renumbered
 from tests.network_cases import springs
+from tests.on_ranks import on_ranks
 from tests.periodic_cases import (
     BOND,
     BRICK,
@@ -30,7 +31,6 @@ from tests.periodic_cases import (
     yielded,
 )
 from tests.pictures import assert_drawn
-from tests.ranks import mpirun
 from thinlayer import (
     ModelError,
     PointLoad,
@@ -369,13 +369,13 @@ def test_profiles_and_runs_of_periodic_cells(tmp_path):
     assert x[:, 0].max() < 2.0
 
 
-@pytest.mark.parametrize("ranks", [2, 3])
-def test_same_on_several_ranks(ranks):
-    found, alone = (json.loads(mpirun(n, "-m", "tests.periodic_cases").stdout) for n in (ranks, 1))
-    assert found.keys() == alone.keys()
+@on_ranks(periodic_cases.numbers, 2, 3)
+def test_same_on_several_ranks(there):
+    alone = periodic_cases.numbers()
+    assert there.keys() == alone.keys()
     for name, values in alone.items():
         size = np.abs(values).max()
-        assert found[name] == pytest.approx(values, rel=1e-10, abs=1e-12 * size), name
+        assert there[name] == pytest.approx(values, rel=1e-10, abs=1e-12 * size), name
 
 
 def test_the_study_holds_and_can_fail(tmp_path, monkeypatch):

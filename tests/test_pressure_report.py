@@ -2,22 +2,43 @@
 
 from __future__ import annotations
 
-import json
 import warnings
+from typing import Any
 
 import numpy as np
 import pytest
 
 from forms import Anisotropic, Incompressible, LinearElastic, Maxwell, Norton, Rubber, Stack
-from geometry import sandwich
+from geometry import sandwich, wall
 from studies.problems import FOURIER_LAYER, fourier
 from tests import reference
-from tests.pressure_run import HALF_WIDTH, LAYERS
+from tests.on_ranks import on_ranks
 from tests.ranges_told import STIFF, opened, strip_excess
-from tests.ranks import mpirun
+from tests.test_networks import cut_at, on
 from thinlayer import ModelError, PressureReport, RangeWarning, Structure, Surface, Table, ThinLayer, compare, solve
 from thinlayer.ranges.excess import pressure_excess, why_unknown
 from thinlayer.ranges.sublayers import sublayers_of
+
+HALF_WIDTH = 0.5
+LAYERS = {
+    "LOW": ThinLayer(LinearElastic.shear(3.0, 0.49), 1 / 16),
+    "HIGH": ThinLayer(LinearElastic.shear(5.0, 0.4), 1 / 10),
+}
+
+
+def numbers() -> dict[str, Any]:
+    """The report's table and the columns of a comparison."""
+    grid = wall(1, 3, (2 * HALF_WIDTH, 0.5), 1 / 32, cell="quadrilateral")
+    joint = cut_at(grid, {"LOW": (on(1, 0.5), np.eye(2)[1]), "HIGH": (on(1, 1.0), np.eye(2)[1])})
+    blocks = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": 1e-3}})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RangeWarning)
+        state = solve(blocks.interface(LAYERS))
+        full = solve(blocks.full(LAYERS, cells_through=1))
+    report = PressureReport(state)
+    found = {"table": report.table.rows, "text": str(report), "one": PressureReport(state, "HIGH").too_stiff}
+    found |= {f"compared {seam}": compare(full, state, seam=seam) for seam in ("S", "LOW")}
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -108,15 +129,9 @@ def test_the_traction_of_a_compressible_layer(plates):
     assert found.traction == pytest.approx(lmbda * of_pressure / np.hypot(M, slip * law.mu), rel=2e-2)
 
 
-@pytest.fixture(scope="module")
-def by_ranks():
-    return [json.loads(mpirun(ranks, "-m", "tests.pressure_run").stdout) for ranks in (1, 2)]
-
-
-def test_seams_by_name(by_ranks):
+def test_seams_by_name():
     """Rigid blocks part two layers by what each resists: the factors of strips, under the names of the seams."""
-    found, _ = by_ranks
-    wanted = {}
+    found, wanted = numbers(), {}
     for name, layer in LAYERS.items():
         x = HALF_WIDTH / (layer.eps * np.sqrt(layer.law.lmbda / layer.law.mu / 12))
         wanted[name] = pytest.approx(1 + strip_excess(x), rel=5e-3)
@@ -129,8 +144,9 @@ def test_seams_by_name(by_ranks):
     assert "the layer 'LOW' alone is" in found["text"]
 
 
-def test_two_ranks(by_ranks):
-    one, two = by_ranks
+@on_ranks(numbers, 2)
+def test_two_ranks(there):
+    one, two = numbers(), there
     for row, other in zip(one["table"], two["table"], strict=True):
         assert {k: pytest.approx(v, rel=1e-10) for k, v in row.items() if k != "seam"} == {
             k: v for k, v in other.items() if k != "seam"

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import sys
-
 import numpy as np
 import pytest
-from mpi4py import MPI
 
 from forms import Incompressible, LinearElastic, Maxwell, MohrCoulombMonodirectional, Stack
 from geometry import ring, sandwich, wall
 from tests.fields_run import BODY, CASES, EPS, K, axes, slipping, uniform
-from tests.ranks import mpirun
+from tests.on_ranks import on_ranks
 from thinlayer import ModelError, Probe, Structure, ThinLayer, march, solve
 
 PLACES = {2: [[0.31, -0.27], [1.73, 0.4], [0.9, 0.05]], 3: [[0.31, -0.27, 0.6], [1.73, 0.4, 0.21], [0.9, 0.05, 0.9]]}
@@ -195,14 +191,7 @@ def numbers() -> list:
     return [one.tolist() for one in found]
 
 
-def test_values_do_not_depend_on_the_ranks():
-    done = mpirun(3, "-m", "tests.test_probe")
-    assert done.returncode == 0, done.stderr
-    for a, b in zip(numbers(), json.loads(done.stdout), strict=True):
+@on_ranks(numbers, 3)
+def test_values_do_not_depend_on_the_ranks(there):
+    for a, b in zip(numbers(), there, strict=True):
         assert np.array(b) == pytest.approx(np.array(a), rel=1e-8, abs=1e-10)
-
-
-if __name__ == "__main__":
-    answer = numbers()
-    if MPI.COMM_WORLD.rank == 0:
-        json.dump(answer, sys.stdout)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 
 from forms import Stack
 from forms.laws import Incompressible, LinearElastic
 from geometry import block, sandwich, wall
 from tests.arc_length_run import KINKED, PATH, tilted
-from tests.ranks import mpirun
+from tests.on_ranks import on_ranks
 from tests.supports_run import (
     BODY,
     CONTACT,
@@ -220,14 +218,12 @@ def test_supports_that_agree():
 
 
 # ---------------------------------------------------------------- ranks
-@pytest.mark.parametrize("ranks", [2, 3])
-def test_same_on_several_ranks(ranks):
-    done = mpirun(ranks, "-m", "tests.supports_run")
-    assert done.returncode == 0, done.stderr[-2000:]
-    found, expected = json.loads(done.stdout.splitlines()[-1]), numbers()
-    assert found.keys() == expected.keys()
+@on_ranks(numbers, 2, 3)
+def test_same_on_several_ranks(there):
+    expected = numbers()
+    assert there.keys() == expected.keys()
     for name, value in expected.items():
         if "out of balance" in name:
-            assert found[name] < BALANCED
+            assert there[name] < BALANCED
         else:
-            assert found[name] == pytest.approx(value, rel=1e-8, abs=1e-9), name
+            assert there[name] == pytest.approx(value, rel=1e-8, abs=1e-9), name

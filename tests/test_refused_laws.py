@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from forms import BulkLaw, HolonomicCoulomb, KernelLaw, LawError, LinearElastic, Stack
 from geometry import sandwich
-from tests.ranks import mpirun
+from tests.on_ranks import on_ranks
 from thinlayer import Structure, ThinLayer, drive, march
 from thinlayer.compiling.compiled import _FILES, _LOADED
 from thinlayer.identity.described import described
@@ -197,23 +197,17 @@ def test_a_condition_is_not_forgotten_without_memory():
 
 
 # ---------------------------------------------------------------- ranks
-def main() -> None:
+def wrong_source() -> list[str]:
     """A source that does not compile: the same error on all ranks, before the march writes anything."""
     layer = ThinLayer(from_c(5.0, source="no/such/file.c"), 0.1)
     setup = {"body": LinearElastic.young(100.0, 0.3), "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.1, -1.0)}}
-    try:
+    with pytest.raises(LawError) as found:
         march(Structure(sandwich(1.0, 0.5, 0.5, 0.5), **setup).interface(layer), [1.0], out="no/such/folder")
-    except LawError as error:
-        texts = MPI.COMM_WORLD.gather(str(error))
-        if MPI.COMM_WORLD.rank == 0:
-            print(texts)
+    return MPI.COMM_WORLD.allgather(str(found.value))
 
 
-def test_all_ranks_refuse(tmp_path):
-    done = mpirun(2, "-m", "tests.test_refused_laws")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("FromC: the C source 'no/such/file.c' cannot be compiled") == 2
-
-
-if __name__ == "__main__":
-    main()
+@on_ranks(wrong_source, 2)
+def test_all_ranks_refuse(there):
+    one, two = there
+    assert "FromC: the C source 'no/such/file.c' cannot be compiled" in one
+    assert one == two

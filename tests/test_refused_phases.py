@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from forms import BulkLaw, LawError, LinearElastic, NonMonotoneUnrelaxed, Stack, Tabulated, limits
 from geometry import GeometryError, sandwich
-from tests.ranks import mpirun
+from tests.on_ranks import on_ranks
 from thinlayer import (
     Adaptive,
     ArcLength,
@@ -259,34 +259,25 @@ def test_closed_forms():
 
 
 # ---------------------------------------------------------------- ranks
-def main() -> None:
+def wrong_on_one_rank() -> list[list[str]]:
     """A field, or a function that observes, that is wrong on one rank only: the same error on all ranks."""
     texts = []
     for law in (
         pure(alpha=TABLE, T=lambda x, t: np.where(x[0] > 1, 150.0, 20.0)),
         Varying(5.0, way=4),
     ):
-        try:
+        with pytest.raises(LawError) as found:
             march(model(law), [1.0], out="no/such/folder")
-        except LawError as error:
-            texts.append(str(error))
-    try:
+        texts.append(str(found.value))
+    with pytest.raises(ModelError) as found:
         march(model(pure()), [0.1], observe={"a": lambda state: 1 / (1 - MPI.COMM_WORLD.rank)})
-    except ModelError as error:
-        texts.append(str(error))
-    gathered = MPI.COMM_WORLD.gather(texts)
-    if gathered:
-        print(len(gathered), len({tuple(one) for one in gathered}), gathered[0])
+    return MPI.COMM_WORLD.allgather([*texts, str(found.value)])
 
 
-def test_all_ranks_refuse():
-    done = mpirun(2, "-m", "tests.test_refused_phases")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("2 1 ")
-    assert "alpha(T): T is 150; the table knows 0 to 100" in done.stdout
-    assert "Varying.at(x, t)" in done.stdout
-    assert "observe['a'] at t = 0: rank 1: ZeroDivisionError" in done.stdout
-
-
-if __name__ == "__main__":
-    main()
+@on_ranks(wrong_on_one_rank, 2)
+def test_all_ranks_refuse(there):
+    one, two = there
+    assert one == two
+    assert "alpha(T): T is 150; the table knows 0 to 100" in one[0]
+    assert "Varying.at(x, t)" in one[1]
+    assert "observe['a'] at t = 0: rank 1: ZeroDivisionError" in one[2]

@@ -16,7 +16,7 @@ from mpi4py import MPI
 from forms import LinearElastic
 from geometry import sandwich
 from tests.contact_bars import bar, coulomb
-from tests.ranks import mpirun
+from tests.on_ranks import on_ranks
 from thinlayer import ModelError, Structure, Table, ThinLayer, plotting, solve
 
 
@@ -69,13 +69,10 @@ def test_importing_does_not_choose_a_backend():
     assert done.stdout.split() == ["False"], done.stderr
 
 
-def test_on_several_ranks_the_first_has_the_picture(tmp_path):
-    done = mpirun(2, "-m", "tests.test_shown_pictures")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["Picture", "NoneType"]
+def kinds() -> list[str]:
+    return MPI.COMM_WORLD.allgather(type(plotting.deformed(strip())).__name__)
 
 
-if __name__ == "__main__":
-    names = MPI.COMM_WORLD.gather(type(plotting.deformed(strip())).__name__)
-    if names:
-        print(*names)
+@on_ranks(kinds, 2)
+def test_on_several_ranks_the_first_has_the_picture(there):
+    assert there == ["Picture", "NoneType"]

@@ -1,16 +1,14 @@
 """Softening layers under displacement control: marches end where the path turns back, and it is followed from there."""
 
-import json
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 import pytest
 
-from tests.arc_length_run import Damage, bar
-from tests.ranks import mpirun
+from tests.arc_length_run import Damage, Trilinear, bar
+from tests.on_ranks import on_ranks
 from tests.snapping_bars import FAR, C, openings, sigma
-from tests.turning_run import STEEP, turned
 from thinlayer import (
     Adaptive,
     ArcLength,
@@ -21,6 +19,31 @@ from thinlayer import (
     piecewise,
     solve,
 )
+
+
+@dataclass(frozen=True)
+class Softening(Trilinear):
+    """The law of `Trilinear`, which says that it softens."""
+
+    softens: ClassVar = True
+
+
+STEEP = Softening(k=7.0, fall=5.0, w_1=0.11, w_2=0.23, k_T=1.9)
+
+
+def turned(n: int = 4):
+    """The history to the turning point of a march in n steps, and the path from there on."""
+    try:
+        march(bar(STEEP), [FAR * (k + 1) / n for k in range(n)])
+    except TurningPoint as error:
+        return error, follow(error.history, ArcLength(end=FAR, first=0.05))
+    raise AssertionError("the march has not ended")
+
+
+def numbers() -> dict[str, float]:
+    error, path = turned()
+    return {"t": error.t, "lowest": float(path.t.min()), "rows": len(path), "end": path.last.t}
+
 
 TURN = STEEP.w_1 + C * sigma(STEEP, STEEP.w_1)
 GENTLE = replace(STEEP, fall=0.5 / C)  # displacements of the bar's end grow all along its path
@@ -95,9 +118,9 @@ def test_a_march_in_time_goes_on_where_it_was_cut(tmp_path):
     assert np.abs(again.last.u.x.array - whole.last.u.x.array).max() < 1e-10
 
 
-def test_same_on_two_ranks():
-    found, alone = (json.loads(mpirun(n, "-m", "tests.turning_run").stdout) for n in (2, 1))
-    assert found == pytest.approx(alone, rel=1e-9)
+@on_ranks(numbers, 2)
+def test_same_on_two_ranks(there):
+    assert there == pytest.approx(numbers(), rel=1e-9)
 
 
 def test_refused():

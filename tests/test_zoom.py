@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -12,9 +11,9 @@ from forms import Anisotropic, Incompressible, LinearElastic, MohrCoulomb, Rubbe
 from forms.inside import FaceValues, Pressed, Sublayers
 from geometry import block, disc, sandwich
 from studies.problems import FOURIER_LAYER, fourier
+from tests.on_ranks import on_ranks
 from tests.pictures import assert_drawn
 from tests.ranges_told import opened
-from tests.ranks import mpirun
 from tests.zoom_run import BODY, EPS, FREE, GLUE, HEIGHTS, PLACES, joint, numbers, state
 from thinlayer import ModelError, Probe, Structure, Surface, ThinLayer, Zoom, observed_orders, plotting, solve
 from thinlayer.output.meshed_places import meshed_places
@@ -269,11 +268,9 @@ def test_a_rigid_base_is_a_very_stiff_body():
     np.testing.assert_allclose(based.stress(PLACES, HEIGHTS), known, atol=1e-3 * np.abs(known).max())
 
 
-def test_two_ranks_find_the_same():
-    found = mpirun(2, "tests/zoom_run.py")
-    assert found.returncode == 0, found.stderr[-2000:]
-    there, here = json.loads(found.stdout.splitlines()[-1]), numbers()
-    for name, values in here.items():
+@on_ranks(numbers, 2)
+def test_two_ranks_find_the_same(there):
+    for name, values in numbers().items():
         np.testing.assert_allclose(there[name], values, atol=1e-9 * np.abs(values).max(), err_msg=name)
 
 

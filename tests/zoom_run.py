@@ -1,12 +1,10 @@
-"""Zooms whose stresses do not depend on frames, units and kinematics; as a script, numbers of some ranks."""
+"""Zooms whose stresses do not depend on frames, units and kinematics."""
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 
 from forms import LinearElastic
 from geometry import Joint, sandwich
@@ -46,9 +44,3 @@ def numbers() -> dict[str, Any]:
         ends = sorted(zoom.ends, key=lambda end: tuple(end.m.round(6)))
         found[f"H {dim}"] = np.concatenate([np.concatenate([end.lower, end.upper]) for end in ends]).tolist()
     return found
-
-
-if __name__ == "__main__":
-    results = numbers()
-    if MPI.COMM_WORLD.rank == 0:
-        print(json.dumps(results))

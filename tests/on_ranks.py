@@ -1,0 +1,150 @@
+"""Functions of the tests that run on several ranks: one launch of mpirun for all that a session asks of so many ranks.
+
+`@on_ranks(numbers, 2, 3)` runs a test with what `numbers` gives on two ranks and on three, as `there`. The function is
+collective, is found by its name in a module, gives what JSON knows, and takes a folder if it needs one: `their_folder`.
+
+python3 -m tests.on_ranks FOLDER CASE...: run functions, MODULE:NAME; keep what each gives in FOLDER.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import gc
+import importlib
+import inspect
+import json
+import os
+import subprocess
+import sys
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from mpi4py import MPI
+
+from geometry.parallel import on_root, within
+from tests.ranks import mpirun
+
+PATIENCE = 600  # s for one function, which may compile forms
+LAUNCHES = 4  # at most, of the same ranks: another one after each case that ends or hangs them
+
+
+class Asked(NamedTuple):
+    """A function, MODULE:NAME, and the number of its ranks."""
+
+    case: str
+    ranks: int
+
+
+def on_ranks(run: Callable[..., Any], *ranks: int) -> pytest.MarkDecorator:
+    asked = [Asked(f"{run.__module__}:{run.__qualname__}", n) for n in ranks]
+    return pytest.mark.parametrize("there", asked, indirect=True, ids=[f"{n} ranks" for n in ranks])
+
+
+def alone(act: Callable[[], Any]) -> None:
+    """Let one rank do something by itself, before all go on. Collective."""
+
+    def run() -> None:
+        with within(MPI.COMM_SELF):
+            act()
+
+    on_root(MPI.COMM_WORLD, run)
+
+
+@pytest.fixture
+def there(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """What the function of a test gives on several ranks."""
+    asked, folder = request.param, _folder(request.param, tmp_path_factory)
+    folder.mkdir(exist_ok=True)
+    with open(folder / "lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # pytest has several workers: one runs the functions, the others wait
+        if not _answer(folder, asked.case).exists():
+            every = (getattr(item, "callspec", None) for item in request.session.items)
+            wanted = dict.fromkeys(one.params["there"] for one in every if one and "there" in one.params)
+            _launch(asked.ranks, [one.case for one in wanted if one.ranks == asked.ranks], folder)
+    answer = json.loads(_answer(folder, asked.case).read_text())
+    if "error" in answer:
+        pytest.fail(f"{asked.case} on {asked.ranks} ranks:\n{answer['error']}", pytrace=False)
+    return answer["found"]
+
+
+@pytest.fixture
+def their_folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the function of a test has written on several ranks."""
+    asked = request.node.callspec.params["there"]
+    return _own(_folder(asked, tmp_path_factory), asked.case)
+
+
+def _folder(asked: Asked, factory: pytest.TempPathFactory) -> Path:
+    """Of all functions on so many ranks, the same for all workers of a session."""
+    base = factory.getbasetemp()
+    return (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / f"on {asked.ranks} ranks"
+
+
+def _answer(folder: Path, case: str) -> Path:
+    return folder / f"{case}.json"
+
+
+def _own(folder: Path, case: str) -> Path:
+    return folder / case
+
+
+def _launch(ranks: int, cases: list[str], folder: Path) -> None:
+    """Run functions; one in which the ranks end or hang has what they said as its error, and the others go on."""
+    left = [case for case in cases if not _answer(folder, case).exists()]  # not all, if pytest's worker has crashed
+    words = "-m", "tests.on_ranks", str(folder)
+    for _ in range(LAUNCHES):
+        try:
+            done = mpirun(ranks, *words, *left, timeout=PATIENCE, progress=lambda: len([*folder.glob("*.json")]))
+            said = done.stdout + done.stderr
+        except subprocess.TimeoutExpired as error:
+            said = f"{error}\n{error.stdout}\n{error.stderr}"
+        left = [case for case in left if not _answer(folder, case).exists()]
+        if not left:
+            return
+        _write(_answer(folder, left.pop(0)), {"error": f"the ranks ended or hung in it:\n{said}"})
+    for case in left:
+        _write(_answer(folder, case), {"error": f"not run, as the ranks end or hang again and again:\n{said}"})
+
+
+def _write(path: Path, content: dict[str, Any]) -> None:
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(content))
+    part.replace(path)
+
+
+# ---------------------------------------------------------------- on the ranks
+def main(folder: Path, *cases: str) -> None:
+    """Run functions and write what they give on rank 0, or the errors of all ranks."""
+    comm = MPI.COMM_WORLD
+    gc.disable()  # PETSc objects are freed on all ranks together
+    for case in cases:
+        found, error = None, ""
+        try:
+            found = _called(case, folder)
+            json.dumps(found)
+        except (Exception, pytest.fail.Exception):
+            error = traceback.format_exc()
+        errors = comm.gather(error)
+        gc.collect()
+        if errors and any(errors):
+            _write(_answer(folder, case), {"error": "\n".join(f"rank {k}: {one}" for k, one in enumerate(errors))})
+        elif errors:
+            _write(_answer(folder, case), {"found": found})
+
+
+def _called(case: str, folder: Path) -> Any:
+    module, name = case.split(":")
+    run = getattr(importlib.import_module(module), name)
+    if all(one.default is not one.empty for one in inspect.signature(run).parameters.values()):
+        return run()
+    own = _own(folder, case)
+    own.mkdir(exist_ok=True)
+    MPI.COMM_WORLD.barrier()
+    return run(own)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), *sys.argv[2:])
