@@ -27,7 +27,7 @@ from mpi4py import MPI
 from geometry.parallel import on_root, within
 from tests.ranks import mpirun
 
-PATIENCE = 600  # s for one function, which may compile forms
+PATIENCE = 1800  # s for one function, which may compile forms from an empty cache
 LAUNCHES = 4  # at most, of the same ranks: another one after each case that ends or hangs them
 
 
