@@ -240,6 +240,7 @@ def test_rows_drawn_from_seeds_of_their_cases_are_resumed(tmp_path, generator):
         ({"cases": 3}, "cases is 3; it needs mappings"),
         ({"cases": [{"a": 1.0}, {"b": 1.0}]}, "case 1 has b, the first one a"),
         ({"cases": [{"a": None}]}, "case 0: a is None"),
+        ({"cases": [{"seed": 2**53 + 1}]}, "of which a table keeps 9007199254740992"),
         ({"cases": [{"run": 1.0}]}, "case 0 has 'run'"),
         ({"ranks": 2}, "ranks is 2; allowed: a number that divides the number of ranks, 1"),
         ({"part": (2, 2)}, r"part is \(2, 2\); allowed"),

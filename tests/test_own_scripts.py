@@ -548,6 +548,12 @@ def test_refused_steps():
     with pytest.raises(SolveError, match="of the forces of loads and stresses is out of balance"):
         problem.accept()
     u = fem.Function(fem.functionspace(blocks.grid, ("Lagrange", 1, (2,))))
+    elsewhere = fem.dirichletbc(np.zeros(2), np.array([0], np.int32), u.function_space)
+    with pytest.raises(ModelError, match="of another space than u"):
+        StepProblem(blocks.rest, blocks.u, [elsewhere], terms)
+    for form in (ufl.inner(blocks.u, blocks.u) * ufl.dx, blocks.rest + ufl.inner(blocks.u, blocks.u) * ufl.dx, 0.0):
+        with pytest.raises(ModelError, match="linear in one test function"):
+            StepProblem(form, blocks.u, blocks.bcs, terms)
     with pytest.raises(ModelError, match="do not jump across S"):
         StepProblem(ufl.inner(u, ufl.TestFunction(u.function_space)) * ufl.dx, u, (), terms)
     with pytest.raises(ModelError, match=r"dx\(1\) has no tags"):

@@ -141,6 +141,7 @@ def test_lines_that_are_none():
     joint = sandwich(1.0, 0.5, 0.6, 0.5, depth=0.8)
     for load, message in (
         (LineLoad("TOP", "BOTTOM", (0.0, 0.0, 1.0)), "they have no edge in common"),
+        (LineLoad("TOP", "TOP", (0.0, 0.0, 1.0)), "both have the same facets"),
         (LineLoad("TOP", "RIHGT", (0.0, 0.0, 1.0)), "did you mean 'RIGHT'"),
     ):
         with pytest.raises(ModelError, match=message):

@@ -92,3 +92,9 @@ def joined_maps(*maps: Any) -> Any:
     if isinstance(given[0], dict):
         return {sub: inverse for one in given for sub, inverse in one.items()}
     return [one for several in given for one in several]
+
+
+def belongs_to(bc: fem.DirichletBC, V: fem.FunctionSpace) -> bool:
+    """Whether the degrees of freedom of a condition are those of a space, or of a component of it."""
+    space = bc.function_space  # of C++ in DOLFINx 0.9
+    return bool(V._cpp_object.contains(getattr(space, "_cpp_object", space)))

@@ -109,6 +109,8 @@ class LineLoad:
             if name not in names:
                 raise ModelError(f"{self.what}: {unknown('facet set', name, names)}")
             refuse_periodic(joint, name, "line load")
+        if len(np.intersect1d(joint.table.index(names[self.first]), joint.table.index(names[self.second]))):
+            raise ModelError(f"{self.what}: both have the same facets; a line lies between two sides")
         on = [np.isin(np.arange(len(joint.points)), joint.facets[name]) for name in (self.first, self.second)]
         kind = basix.CellType[joint.cell_type]
         edges = np.array(basix.topology(kind)[1])

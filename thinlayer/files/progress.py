@@ -17,6 +17,7 @@ from typing import TextIO, TypeVar
 from mpi4py import MPI
 
 T = TypeVar("T")
+LEAST = 1e-3  # share from which on the time left is told
 AFTER, AGAIN = (
     {True: 5.0, False: 60.0},
     {True: 0.2, False: 60.0},
@@ -91,7 +92,7 @@ class Teller:
         for work in self._open:
             share += width * (work.share or 0.0)
             width *= work.piece
-        return f"about {_time((now - self._begun) * (1 - share) / share)} left" if share > 0 else ""
+        return f"about {_time((now - self._begun) * (1 - share) / share)} left" if share > LEAST else ""
 
 
 def _words(work: _Work) -> str:

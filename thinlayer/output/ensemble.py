@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
@@ -254,6 +255,10 @@ def _check_names(row: Mapping[Any, Any], what: str) -> None:
             raise ModelError(f"{what} has {name!r}; names are texts other than {RUN!r} and {FAILURE!r}")
         if isinstance(value, bool) or not isinstance(value, (Real, str)):
             raise ModelError(f"{what}: {name} is {value!r}, which is neither a number nor a text")
+        if not isinstance(value, str) and math.isfinite(value) and float(value) != value:
+            raise ModelError(
+                f"{what}: {name} is {value!r}, of which a table keeps {float(value):.17g}; take it below 2^53"
+            )
 
 
 def _check_row(row: Any, case: Row, k: int) -> None:

@@ -66,7 +66,7 @@ class UflPart(Addition):
         if not all(domain is model.V.mesh.ufl_domain() for domain in form.ufl_domains()):
             raise ModelError(f"{what} is a form on another mesh than the model's; use model.dx and model.ds")
         whole(form, model, what)
-        if form.arguments() != arguments or not _has_arity(form):
+        if form.arguments() != arguments or not has_arity(form):
             raise ModelError(f"{what} is {str(form)[:80]}; it must be a form {wanted}")
         forces = ufl.derivative(form, u, v) if self.energy else form
         if expand_derivatives(ufl.derivative(expand_derivatives(forces), u, ufl.TrialFunction(model.V))).empty():
@@ -84,7 +84,7 @@ class UflPart(Addition):
         return ufl.replace(expand_derivatives(ufl.derivative(energy, unknown, v)), {unknown: u})
 
     def is_linear(self, model: Host) -> bool:
-        return _has_arity(self.work(model, ufl.TrialFunction(model.V), ufl.TestFunction(model.V)))
+        return has_arity(self.work(model, ufl.TrialFunction(model.V), ufl.TestFunction(model.V)))
 
     def is_symmetric(self, model: Host) -> bool:
         return self.energy is not None
@@ -120,7 +120,7 @@ class _OwnForms(FormPart):
         return found if self._has_energy else replace(found, before=nan, after=nan, remainder=nan)
 
 
-def _has_arity(form: Any) -> bool:
+def has_arity(form: Any) -> bool:
     """Whether a form is linear in each of its arguments, and each of its terms contains all of them."""
     try:
         check_form_arity(apply_algebra_lowering(expand_derivatives(form)), form.arguments())

@@ -14,6 +14,7 @@ from petsc4py import PETSc
 from forms.kinematics import Expr
 from forms.law import LawError
 from forms.work import Term, work
+from thinlayer.compiling.compat import belongs_to
 from thinlayer.discretisation.places import compiled_terms
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import ModelError, SolveError
@@ -22,6 +23,7 @@ from thinlayer.parallel.communicator import communicator
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.forms import FormPart
 from thinlayer.parts.part import DISPLACEMENTS, Array, Interval, Part
+from thinlayer.parts.ufl_part import has_arity
 from thinlayer.pointwise.columns import TIE
 from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.solving.balance import free_norm, require_equilibrium
@@ -61,8 +63,8 @@ class StepProblem(PartSum):
 
     Raises:
         LawError: a law that needs its own pressure field.
-        ModelError: a measure without tags; a space without jumps across S; a part that is none, has unknowns of its
-            own, or the key of another one.
+        ModelError: a form that is not linear in one test function; conditions made on another space; a measure without
+            tags; a space without jumps across S; a part that is none, has unknowns of its own, or the key of another one.
     """
 
     held: npt.NDArray[np.int32] = np.empty(0, np.int32)  # prescribed displacements are equations among the others here
@@ -76,6 +78,10 @@ class StepProblem(PartSum):
         parts: Iterable[Part] = (),
     ) -> None:
         V, terms, parts = u.function_space, list(terms), list(parts)
+        if not isinstance(form, ufl.Form) or not has_arity(form) or len(form.arguments()) != bool(form.integrals()):
+            raise ModelError(f"the form is {str(form)[:80]}; it must be linear in one test function")
+        if not all(belongs_to(bc, V) for bc in bcs):
+            raise ModelError("a condition of bcs is of another space than u; make it on u.function_space or its sub(i)")
         for term in terms:
             if term.law.traits.constrained:
                 raise LawError(f"{type(term.law).__name__} needs a pressure of its own; use it in a Model")
