@@ -10,35 +10,23 @@ from functools import cache
 import numpy as np
 import pytest
 
-from forms import BulkLaw, Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, NortonCreep, Stack
+from forms import BulkLaw, Incompressible, LinearElastic, Stack
 from geometry import block, sandwich
-from tests.own_laws import StandardSolid
+from tests.laws_at_points import LAWS as OF_POINTS
+from tests.laws_at_points import LMBDA, MU, NORTON_15, STIFF
 from thinlayer import History, Structure, Surface, ThinLayer, march
 
 BODY = LinearElastic.young(100.0, 0.3)
-LMBDA, MU = 60.0, 40.0
 K = {"normal": LMBDA + 2 * MU, "shear": MU}
 C = {"normal": 1 / (BODY.lmbda + 2 * BODY.mu), "shear": 1 / BODY.mu}  # compliance of both bodies together
 G = {"normal": LMBDA * 0.3 + 2 * MU * 0.5, "shear": MU * 0.5}
 T1, T2 = 0.7, 1.5
 AXIS, LOAD, MOVE = {"normal": 1, "shear": 0}, {"normal": 1.0, "shear": 0.5}, {"normal": 0.02, "shear": 0.05}
 
-ELASTIC = LinearElastic(20.0, 90.0)
-KELVIN = KelvinVoigt(LMBDA, MU, 0.3, 0.5)
-MAXWELL, MAXWELL_2 = Maxwell(LMBDA, MU, T1), Maxwell(LMBDA, MU, T1, T2)
-NORTON_15, NORTON_3 = Norton(LMBDA, MU, 5.0, 1.5), Norton(LMBDA, MU, 5.0, 3.0)
-CREEP = NortonCreep(LMBDA, MU, A=0.02, n=3.5)
-LAWS = {
-    "Norton's creep": CREEP,
-    "Kelvin-Voigt": KELVIN,
-    "Maxwell": MAXWELL,
-    "Maxwell t1 != t2": MAXWELL_2,
-    "Norton 1.5": NORTON_15,
-    "Norton 3": NORTON_3,
-    "Maxwell, Kelvin-Voigt": Stack((0.3, MAXWELL), (0.7, KELVIN)),
-    "elastic, Norton 1.5": Stack((0.4, ELASTIC), (0.6, NORTON_15)),
+TAKEN = ("Norton's creep", "Kelvin-Voigt", "Maxwell", "Maxwell t1 != t2", "Norton 1.5", "Norton 3", "user")
+LAWS = {name: OF_POINTS[name] for name in (*TAKEN, "Maxwell, Kelvin-Voigt")} | {
+    "elastic, Norton 1.5": Stack((0.4, STIFF), (0.6, NORTON_15)),
     "incompressible": Incompressible(MU),
-    "user": StandardSolid(LMBDA, MU, 25.0, 0.4),
 }
 EXACT = 1e-9  # relative: MUMPS on cells as flat as 1e-4, Newton's method to 1e-10 of the forces
 TIMES = [0.02, 0.05, 0.1]

@@ -16,6 +16,7 @@ ELASTIC = LinearElastic(LMBDA, MU)
 KELVIN = KelvinVoigt(LMBDA, MU, 0.3, 0.5)
 MAXWELL, MAXWELL_2 = Maxwell(LMBDA, MU, 0.7), Maxwell(LMBDA, MU, 0.7, 1.5)
 NORTON_15, NORTON_3 = Norton(LMBDA, MU, 5.0, 1.5), Norton(LMBDA, MU, 5.0, 3.0)
+CREEP = NortonCreep(LMBDA, MU, A=0.02, n=3.5)
 SOLID = StandardSolid(LMBDA, MU, 25.0, 0.4)
 MISES = Mises(LMBDA, MU, 6.0)
 STIFF = LinearElastic(20.0, 90.0)
@@ -33,7 +34,7 @@ LAWS: dict[str, BulkLaw] = {
     "Maxwell t1 != t2": MAXWELL_2,
     "Norton 1.5": NORTON_15,
     "Norton 3": NORTON_3,
-    "Norton's creep": NortonCreep(LMBDA, MU, A=0.02, n=3.5),
+    "Norton's creep": CREEP,
     "user": SOLID,
     "user, not quadratic": Hardening(LMBDA, MU),
     "point": MISES,
@@ -42,4 +43,3 @@ LAWS: dict[str, BulkLaw] = {
 }
 BALANCED = [name for name, law in LAWS.items() if not isinstance(law, TractionLaw)]  # those that declare an energy
 QUADRATIC = [name for name in BALANCED if name not in ("user, not quadratic", "user, Norton 1.5")]
-SERIES = Stack((0.3, MAXWELL), (0.5, KELVIN), (0.2, ELASTIC))

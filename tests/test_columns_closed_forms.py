@@ -8,17 +8,10 @@ import pytest
 from forms import LinearElastic, Stack, limits
 from tests.columns_in_time import (
     AXIS,
-    CREEP,
-    KELVIN,
+    EXACT,
     LAWS,
-    LMBDA,
     LOAD,
-    MAXWELL,
-    MAXWELL_2,
     MOVE,
-    MU,
-    NORTON_3,
-    NORTON_15,
     T1,
     T2,
     TIMES,
@@ -33,6 +26,7 @@ from tests.columns_in_time import (
     jump_of,
     marched,
 )
+from tests.laws_at_points import CREEP, KELVIN, LMBDA, MAXWELL, MAXWELL_2, MU, NORTON_3, NORTON_15
 from tests.own_laws import AgeingFluid, AgeingKelvinVoigt, AgeingSpring, Slipping
 from thinlayer import ModelError, Structure, Surface, ThinLayer, march
 
@@ -81,9 +75,11 @@ CLOSED = {  # law, mode, whether the end is moved, end of time, jump(mode, t), n
     "Kelvin-Voigt creep N": (KELVIN, "normal", False, 1.0, kelvin_creep, 0.00650374813452),
     "Kelvin-Voigt creep T": (KELVIN, "shear", False, 1.0, kelvin_creep, 0.0108083089595),
     "Kelvin-Voigt moved N": (KELVIN, "normal", True, 0.3, kelvin_moved, None),
+    "Kelvin-Voigt moved T": (KELVIN, "shear", True, 0.3, kelvin_moved, None),
     "Maxwell moved N": (MAXWELL, "normal", True, 1.0, maxwell_moved, 0.02 - C["normal"] * 0.681396777691),
     "Maxwell moved T": (MAXWELL, "shear", True, 1.0, maxwell_moved, 0.05 - C["shear"] * 0.486711984065),
     "Maxwell t1 != t2 creep N": (MAXWELL_2, "normal", False, 1.0, two_times_creep, None),
+    "Maxwell t1 != t2 moved T": (MAXWELL_2, "shear", True, 1.0, maxwell_moved, None),
     "Norton 1.5 creep N": (NORTON_15, "normal", False, 0.3, norton_creep(1.5), None),
     "Norton 1.5 creep T": (NORTON_15, "shear", False, 1.0, norton_creep(1.5), 0.00866886620207),
     "Norton 3 creep N": (NORTON_3, "normal", False, 0.01, norton_creep(3.0), None),
@@ -122,6 +118,15 @@ def test_maxwell_creep_is_exact(mode):
         for state in history:
             expected = limits.maxwell_creep(LOAD[mode], K[mode], T1, state.t)
             assert jump_of(history, mode, state) == pytest.approx(expected, rel=1e-11)
+
+
+def test_norton_above_two_comes_to_rest_in_finite_time():
+    """p = 3: the end of the closed form is the elastic jump, reached and kept."""
+    load, stop = LOAD["shear"], 2 * (0.5 * 5.0 * 2**-1.5) ** 0.5 / MU
+    assert limits.norton_creep(load, MU, 5.0, 3.0, 0.999 * stop, shear=True) < load / MU
+    assert limits.norton_creep(load, MU, 5.0, 3.0, 1.001 * stop, shear=True) == pytest.approx(load / MU, rel=EXACT)
+    history = marched(NORTON_3, "shear", 1.0, np.linspace(0, 2 * stop, 201)[1:], load=load)
+    assert jump_of(history, "shear") == pytest.approx(load / MU, rel=1e-3)
 
 
 def test_creep_by_nortons_power_law_goes_on_and_that_of_the_papers_law_stops():

@@ -12,23 +12,8 @@ from mpi4py import MPI
 
 from forms import BulkLaw, Stack, limits
 from geometry import sandwich
-from tests.columns_in_time import (
-    BODY,
-    EXACT,
-    KELVIN,
-    LAWS,
-    LMBDA,
-    LOAD,
-    MAXWELL_2,
-    MU,
-    NORTON_3,
-    TIMES,
-    both,
-    check_balance,
-    check_same,
-    column,
-    joint,
-)
+from tests.columns_in_time import BODY, EXACT, LAWS, LOAD, TIMES, both, check_balance, check_same, column, joint
+from tests.laws_at_points import KELVIN, LMBDA, MAXWELL_2, MU, NORTON_3
 from tests.own_laws import Hardening
 from thinlayer import Structure, Surface, ThinLayer, march
 from thinlayer.pointwise.material import Material
@@ -84,30 +69,6 @@ def test_moved_end(law, mode, eps):
     check_same(limit, full)
     for history in (limit, full):
         check_balance(history)
-
-
-def test_cells_through_the_thickness_do_not_matter():
-    layer = ThinLayer(LAWS["Maxwell, Kelvin-Voigt"], 0.05)
-    setup = column("normal", load=1.0)
-    limit = march(Structure(joint(), **setup).interface(layer), TIMES)
-    check_same(limit, march(Structure(joint(), **setup).full(layer, cells_through=5), TIMES))
-
-
-@pytest.mark.parametrize("angle", [np.pi / 2, np.pi])
-def test_quarter_turns(angle):
-    """The same column lying on its side and upside down."""
-    straight, turned = column("shear", load=0.5), column("shear", load=0.5)
-    if angle < 3:
-        turned["supports"] = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "TOP": {"x": 0.0}}
-        turned["tractions"] = {"TOP": (0.0, 0.5)}
-    else:
-        turned["tractions"] = {"TOP": (-0.5, 0.0)}
-    layer = ThinLayer(LAWS["elastic, Norton 1.5"], 0.02)
-    upright = march(Structure(joint(), **straight).interface(layer), TIMES)
-    limit, full = both(joint().rotated(angle), layer, turned, TIMES)
-    check_same(limit, full)
-    for name in ("supplied", "stored", "dissipated"):
-        assert limit.table[name] == pytest.approx(upright.table[name], rel=1e-9, abs=1e-15), name
 
 
 ANGLE = 0.4
