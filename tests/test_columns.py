@@ -11,11 +11,12 @@ import pytest
 import ufl
 
 from forms import Anisotropic, BulkLaw, LinearElastic, Stack, limits
+from forms.elastic import VOIGT
 from geometry import block, sandwich
 from geometry.joint import Joint
 from thinlayer import Structure, Surface, ThinLayer, solve
 
-TRACTION = np.array([0.3, -0.8])  # tangential, normal
+TRACTION = np.array([0.3, -0.8, 0.2])  # tangential, normal, and along S in 3D
 LOWER, UPPER = LinearElastic.young(210.0, 0.25), LinearElastic.young(70.0, 0.35)
 GLUE = LinearElastic(lmbda=15.0, mu=7.0)
 ANGLE = 0.4
@@ -33,52 +34,56 @@ def rotation(angle: float) -> np.ndarray:
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
-def side_stress(law: LinearElastic, t: np.ndarray, n: np.ndarray) -> np.ndarray:
-    """Stress (2, 2) of the strain sym(a (x) n) whose traction on n is t."""
-    a = np.linalg.solve(limits.elastic_stiffness(law.lmbda, law.mu, n), t)
-    e = (np.outer(a, n) + np.outer(n, a)) / 2
-    return law.lmbda * np.trace(e) * np.eye(2) + 2 * law.mu * e
+def isotropic_voigt(law: LinearElastic) -> np.ndarray:
+    C = np.zeros((6, 6))
+    C[:3, :3] = law.lmbda
+    return C + np.diag([2 * law.mu] * 3 + [law.mu] * 3)
 
 
-def column(
+def tensor_of(C: np.ndarray) -> np.ndarray:
+    """Stiffness (3, 3, 3, 3) of Voigt's (6, 6)."""
+    tensor = np.empty((3, 3, 3, 3))
+    for p, (i, j) in enumerate(VOIGT):
+        for q, (k, m) in enumerate(VOIGT):
+            tensor[i, j, k, m] = tensor[j, i, k, m] = tensor[i, j, m, k] = tensor[j, i, m, k] = C[p, q]
+    return tensor
+
+
+def uniform(C: np.ndarray, t: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The a of the strain sym(a (x) n) whose traction on n is t, and its stress (d, d); C is the stiffness tensor."""
+    d, n_3 = len(n), np.pad(n, (0, 3 - len(n)))
+    a = np.linalg.solve(limits.acoustic_tensor(C, n_3)[:d, :d], t)
+    return a, np.einsum("ijkl,k,l->ij", C, np.pad(a, (0, 3 - d)), n_3)[:d, :d]
+
+
+def check_column(
     joint: Joint,
-    glue: BulkLaw,
-    bodies: dict[str, LinearElastic],
-    angle: float,
-    layer_sides: dict[str, np.ndarray] | None,
-) -> tuple[dict, np.ndarray, np.ndarray]:
-    """Data of the two models, the traction and n; `layer_sides`: stresses of the layer's regions for its side."""
-    turn = rotation(angle)
-    n, tangent = turn @ [0.0, 1.0], turn @ [1.0, 0.0]
-    t = turn @ TRACTION
-    tractions = {"TOP": tuple(t)}
-    for name, sign in (("LEFT", -1), ("RIGHT", 1)):
-        for body, law in bodies.items():
-            tractions[f"{name}/{body}"] = tuple(sign * side_stress(law, t, n) @ tangent)
-        if layer_sides is not None:
-            tractions[f"{name}/LAYER"] = tuple(sign * layer_sides["LAYER"] @ tangent)
-    supports = {"BOTTOM": 0.0} if "BOTTOM" in joint.facets else {}
-    return {"body": bodies, "supports": supports, "tractions": tractions}, t, n
-
-
-def check(
-    joint: Joint,
-    glue: LinearElastic,
+    turn: np.ndarray,
     bodies: dict[str, LinearElastic],
     eps: float,
-    angle: float,
+    glue: BulkLaw = GLUE,
+    tensor: np.ndarray | None = None,
     cells_through: int = 4,
     **options,
 ) -> None:
-    turn = rotation(angle)
-    layer_stress = side_stress(glue, turn @ TRACTION, turn @ [0.0, 1.0])
-    setup, t, n = column(joint, glue, bodies, angle, {"LAYER": layer_stress})
+    """Uniform strain in each part: both models and the closed form agree to solver tolerance.
+
+    `tensor`: the glue's stiffness (3, 3, 3, 3) in global axes (default: of its moduli).
+    """
+    d = joint.dim
+    n, t = turn[:, 1], turn @ TRACTION[:d]
+    w, stress = uniform(tensor_of(isotropic_voigt(glue)) if tensor is None else tensor, t, n)
+    stresses = {name: uniform(tensor_of(isotropic_voigt(law)), t, n)[1] for name, law in bodies.items()}
+    tractions = {"TOP": tuple(t)}
+    for name, axis, sign in (("LEFT", 0, -1), ("RIGHT", 0, 1), ("BACK", 2, -1), ("FRONT", 2, 1))[: 2 * d - 2]:
+        for part, one in (stresses | {"LAYER": stress}).items():
+            tractions[f"{name}/{part}"] = tuple(sign * one @ turn[:, axis])
+    supports = {"BOTTOM": 0.0} if "BOTTOM" in joint.facets else {}
+    structure = Structure(joint, body=bodies, supports=supports, tractions=tractions, **options)
     layer = ThinLayer(glue, eps)
-    structure = Structure(joint, **setup, **options)
     interface, full = solve(structure.interface(layer)), solve(structure.full(layer, cells_through=cells_through))
     surface = Surface(interface.model)
-    jump = ufl.as_vector(np.linalg.solve(limits.elastic_stiffness(glue.lmbda, glue.mu, n), t).tolist())
-    traction = ufl.as_vector(t.tolist())
+    jump, traction = ufl.as_vector(w.tolist()), ufl.as_vector(t.tolist())
     for state in (interface, full):
         assert surface.norm(surface.jump(state) - jump) < EXACT * surface.norm(jump), state.model
         assert surface.norm(surface.traction(state) - traction) < EXACT * surface.norm(traction), state.model
@@ -90,27 +95,27 @@ def check(
 @pytest.mark.parametrize(("cell", "element"), ELEMENTS)
 def test_two_bodies(cell, element, eps):
     joint = sandwich(1.0, 0.5, 0.7, 0.25, cell=cell).rotated(ANGLE)
-    check(joint, GLUE, {"LOWER": LOWER, "UPPER": UPPER}, eps, ANGLE, element=element)
+    check_column(joint, rotation(ANGLE), {"LOWER": LOWER, "UPPER": UPPER}, eps, element=element)
 
 
 @pytest.mark.parametrize("eps", [0.3, 1e-3])
 @pytest.mark.parametrize(("cell", "element"), [("triangle", "P1"), ("quadrilateral", "S2")])
 def test_rigid_base(cell, element, eps):
     joint = block(1.0, 0.7, 0.25, cell=cell).rotated(ANGLE)
-    check(joint, GLUE, {"BODY": UPPER}, eps, ANGLE, element=element)
+    check_column(joint, rotation(ANGLE), {"BODY": UPPER}, eps, element=element)
 
 
 @pytest.mark.parametrize("angle", [0.0, np.pi / 2, np.pi, 2.5])
 def test_any_direction(angle):
     """The layer's frame has no preferred direction."""
     joint = sandwich(1.0, 0.5, 0.7, 0.25).rotated(angle)
-    check(joint, GLUE, {"LOWER": LOWER, "UPPER": UPPER}, 0.02, angle)
+    check_column(joint, rotation(angle), {"LOWER": LOWER, "UPPER": UPPER}, 0.02)
 
 
 def test_cells_through_the_layer_do_not_matter_for_uniform_strain():
     joint = sandwich(1.0, 0.5, 0.7, 0.25)
     for cells in (1, 7):
-        check(joint, GLUE, {"LOWER": LOWER, "UPPER": UPPER}, 0.02, 0.0, cells_through=cells)
+        check_column(joint, np.eye(2), {"LOWER": LOWER, "UPPER": UPPER}, 0.02, cells_through=cells)
 
 
 def test_swapped_bodies_give_the_same_structure():
@@ -151,22 +156,23 @@ class OneSided(LinearElastic):
         return ufl.inner(self.stress(step), step.e) / 2
 
 
+@pytest.mark.parametrize("size", [{}, {"depth": 0.8, "cell": "hexahedron"}], ids=["2D", "3D"])
 @pytest.mark.parametrize("swap", [False, True])
 @pytest.mark.parametrize(("pull", "stiffness"), [(0.6, 15.0 + 14.0), (-0.6, 15.0 + 14.0 + 9.0)])
-def test_sign(pull, stiffness, swap):
+def test_sign(pull, stiffness, swap, size):
     """Opening is [u].n > 0 with n from the lower to the upper body, in both models, whichever body is called lower."""
-    joint = sandwich(1.0, 0.5, 0.7, 0.5)
+    joint, area = sandwich(1.0, 0.5, 0.7, 0.5, **size), size.get("depth", 1.0)
     joint = joint.swapped() if swap else joint
-    rollers = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-    setup = {"body": UPPER, "supports": {"BOTTOM": 0.0} | rollers, "tractions": {"TOP": (0.0, pull)}}
+    rollers = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}} | ({"BACK": {"z": 0.0}, "FRONT": {"z": 0.0}} if size else {})
+    setup = {"supports": {"BOTTOM": 0.0} | rollers, "tractions": {"TOP": (0.0, pull, 0.0)[: joint.dim]}}
+    structure = Structure(joint, body=UPPER, element="Q1" if size else "P2", **setup)
     layer = ThinLayer(OneSided(mu=7.0, lmbda=15.0, extra=9.0), 0.05)
-    limit = solve(Structure(joint, **setup).interface(layer))
+    limit = solve(structure.interface(layer))
     surface = Surface(limit.model)
-    n = surface.sides.n
-    for state in (limit, solve(Structure(joint, **setup).full(layer))):
-        opening = surface.integral(ufl.dot(surface.jump(state), n))
-        assert opening == pytest.approx(pull / stiffness, rel=1e-9)
-        assert surface.integral(ufl.dot(surface.traction(state), n)) == pytest.approx(pull, rel=1e-9)
+    for state in (limit, solve(structure.full(layer))):
+        opening, traction = (surface.frame(one(state))[joint.dim - 1] for one in (surface.jump, surface.traction))
+        assert surface.integral(opening) == pytest.approx(area * pull / stiffness, rel=1e-9)
+        assert surface.integral(traction) == pytest.approx(area * pull, rel=1e-9)
 
 
 def test_plane_stress():
@@ -175,11 +181,7 @@ def test_plane_stress():
     joint = sandwich(1.0, 0.5, 0.7, 0.5)
     rollers = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     glue = LinearElastic.young(E, nu)
-    setup = {
-        "body": UPPER,
-        "supports": {"BOTTOM": 0.0} | rollers,
-        "tractions": {"TOP": (0.0, 0.6)},
-    }
+    setup = {"body": UPPER, "supports": {"BOTTOM": 0.0} | rollers, "tractions": {"TOP": (0.0, 0.6)}}
     column, layer = Structure(joint, plane="stress", **setup), ThinLayer(glue, 0.05)
     right, wrong = E / (1 - nu**2), glue.lmbda + 2 * glue.mu
     limit = solve(column.interface(layer))
@@ -192,12 +194,6 @@ def test_plane_stress():
     state = solve(column.interface(ThinLayer(as_anisotropic, 0.05)))
     surface = Surface(state.model)
     assert surface.integral(surface.jump(state)[1]) == pytest.approx(0.6 / right, rel=1e-9)
-
-
-def isotropic_voigt(law: LinearElastic) -> np.ndarray:
-    C = np.zeros((6, 6))
-    C[:3, :3] = law.lmbda
-    return C + np.diag([2 * law.mu] * 3 + [law.mu] * 3)
 
 
 def test_stratified_column():
@@ -227,24 +223,7 @@ def test_stratified_column():
 
 def test_anisotropic_column():
     """A full stiffness tensor in the global frame: the acoustic tensor of the layer, in both models."""
-    random = np.random.default_rng(3)
-    root = random.normal(size=(6, 6))
+    root = np.random.default_rng(3).normal(size=(6, 6))
     C = root @ root.T + 5 * np.eye(6)
-    voigt = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
-    tensor = np.empty((3, 3, 3, 3))
-    for p, (i, j) in enumerate(voigt):
-        for q, (k, m) in enumerate(voigt):
-            tensor[i, j, k, m] = tensor[j, i, k, m] = tensor[i, j, m, k] = tensor[j, i, m, k] = C[p, q]
     joint = block(1.0, 0.7, 0.25).rotated(ANGLE)
-    turn = rotation(ANGLE)
-    n, tangent, t = turn @ [0.0, 1.0], turn @ [1.0, 0.0], turn @ TRACTION
-    K = limits.acoustic_tensor(tensor, np.append(n, 0))[:2, :2]
-    w = np.linalg.solve(K, t)
-    layer_stress = np.einsum("ijkl,k,l->ij", tensor, np.append(w, 0), np.append(n, 0))[:2, :2]
-    setup, _, _ = column(joint, GLUE, {"BODY": UPPER}, ANGLE, {"LAYER": layer_stress})
-    assert tuple(setup["tractions"]["RIGHT/LAYER"]) == pytest.approx(tuple(layer_stress @ tangent))
-    layer = ThinLayer(Anisotropic(C), 0.03)
-    limit = solve(Structure(joint, **setup).interface(layer))
-    surface = Surface(limit.model)
-    for state in (limit, solve(Structure(joint, **setup).full(layer))):
-        assert surface.norm(surface.jump(state) - ufl.as_vector(w.tolist())) < EXACT * np.linalg.norm(w)
+    check_column(joint, rotation(ANGLE), {"BODY": UPPER}, 0.03, Anisotropic(C), tensor_of(C))
