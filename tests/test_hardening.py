@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from forms import LawError, MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn, VonMises, limits
-from tests.at_points import E2, at_rest, respond, tensor, traction, vector
+from tests.at_points import E2, at_rest, respond, tensor, traction
 from tests.mohr_coulomb_points import PLANE, elastic, excess, normals, strains
 from thinlayer import drive
 
@@ -133,18 +131,6 @@ def test_the_closed_form_is_the_return():
         assert now.stress == pytest.approx(found.stress, abs=1e-13)
         assert now.q == pytest.approx(found.q, abs=1e-15)
         assert now.tangent[:, PLANE][:, :, PLANE] == pytest.approx(found.tangent[:, PLANE][:, :, PLANE], abs=1e-10)
-
-
-@pytest.mark.parametrize("name", LAWS)
-def test_no_direction_is_preferred(name):
-    law = LAWS[name]
-    turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
-    turned = lambda a: vector(turn @ tensor(a) @ turn.T)
-    for e, old, q, n, _, now in steps(replace(law)):
-        memory = np.column_stack([turned(q[:, :6]), q[:, 6]])
-        found = respond(law, turned(e), turned(old), memory, n @ turn.T, 1.0)
-        assert found.stress == pytest.approx(turned(now.stress), abs=1e-11)
-        assert found.q[:, 6] == pytest.approx(now.q[:, 6], abs=1e-14)
 
 
 # ---------------------------------------------------------------- as layers
