@@ -171,6 +171,18 @@ class Slipping(TractionLaw):
         return {"slip": slip, "path": step.q["path"] + ufl.inner(change, change)}
 
 
+@dataclass(frozen=True)
+class Cubic(BulkLaw):
+    """A user's law that is not linear, in forms; without memory it answers at once."""
+
+    k: float
+    c: float
+    powers: ClassVar = {"k": 1, "c": 3}
+
+    def stress(self, step):
+        return 2 * self.k * step.e + self.c * ufl.inner(step.e, step.e) * step.e
+
+
 def _aged(value, growth, x, t):
     return value * (1 + growth * t) * np.ones(x.shape[1])
 

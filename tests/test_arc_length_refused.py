@@ -12,6 +12,7 @@ from forms.laws import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Mohr
 from forms.traction import TractionLaw
 from geometry import block
 from tests.arc_length_run import HEIGHT, WIDTH, E, bar
+from tests.refused import refused
 from tests.snapping_bars import STEEP
 from thinlayer import ArcLength, ModelError, OptionError, Structure, ThinLayer, march
 
@@ -31,8 +32,7 @@ from thinlayer import ArcLength, ModelError, OptionError, Structure, ThinLayer, 
     ],
 )
 def test_bad_values(values, message):
-    with pytest.raises(ModelError, match=f"ArcLength: {message}"):
-        ArcLength(**({"end": 1.0, "first": 0.1} | values))
+    refused(ModelError, f"ArcLength: {message}", lambda: ArcLength(**({"end": 1.0, "first": 0.1} | values)))
 
 
 @pytest.mark.parametrize(
@@ -49,8 +49,7 @@ def test_bad_values(values, message):
     ],
 )
 def test_bad_paths(path, options, message, tmp_path):
-    with pytest.raises((ModelError, OptionError), match=message):
-        march(bar(STEEP), path, out=tmp_path / "out", **options)
+    refused((ModelError, OptionError), message, lambda: march(bar(STEEP), path, out=tmp_path / "out", **options))
     assert not (tmp_path / "out").exists()
 
 
@@ -83,8 +82,7 @@ class Creeping(TractionLaw):
     ],
 )
 def test_laws_that_have_no_path(law, message):
-    with pytest.raises(ModelError, match=message):
-        march(bar(law), ArcLength(1.0, 0.1))
+    refused(ModelError, message, lambda: march(bar(law), ArcLength(1.0, 0.1)))
 
 
 def test_models_that_have_no_path():
@@ -96,5 +94,4 @@ def test_models_that_have_no_path():
     with pytest.raises(ModelError, match="Incompressible is incompressible: paths have displacements alone"):
         march(soft, ArcLength(1.0, 0.1))
     contact = Structure(strip, element="Q1", **setup).interface(HolonomicCoulomb(7.0, 3.0, friction=0.4))
-    with pytest.raises(ModelError, match="HolonomicCoulomb is a contact law: march in time"):
-        march(contact, ArcLength(1.0, 0.1))
+    refused(ModelError, "HolonomicCoulomb is a contact law: march in time", lambda: march(contact, ArcLength(1.0, 0.1)))

@@ -9,15 +9,7 @@ import pytest
 import ufl
 from dolfinx import fem
 
-from forms import (
-    Anisotropic,
-    HolonomicCoulomb,
-    Incompressible,
-    LinearElastic,
-    Maxwell,
-    MohrCoulomb,
-    Stack,
-)
+from forms import Anisotropic, HolonomicCoulomb, Incompressible, LinearElastic, Maxwell, MohrCoulomb, Stack
 from geometry import block, periodic, sandwich
 from studies.tubes import lame
 from thinlayer import (

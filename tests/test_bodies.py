@@ -269,10 +269,7 @@ STRONG = Pointwise(60.0, 40.0, strength=1e6)
 ELASTIC = LinearElastic(60.0, 40.0)
 PLACES = {
     "wall": lambda body: Structure(
-        wall(2, 3, (1.0, 0.5), 0.25),
-        body=body,
-        supports={"BOTTOM": 0.0},
-        tractions={"TOP": (0.1, -0.4)},
+        wall(2, 3, (1.0, 0.5), 0.25), body=body, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.1, -0.4)}
     ),
     "curved": lambda body: Structure(
         ring(1.0, 1.5, 2.0, 0.4, angle=1.0, degree=2),

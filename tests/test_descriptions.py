@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from forms import Anisotropic, Incompressible, KelvinVoigt, LinearElastic, MohrCoulomb, Norton, Rubber, Stack, VonMises
+from tests.refused import refused
 from thinlayer.describing.description import Description
 from thinlayer.describing.section import DescriptionError
 from thinlayer.describing.source import Source, sorted_files
@@ -188,29 +189,17 @@ def test_histories(tmp_path):
         (('"joint.msh"', '{path = "a.msh", uper = "A"}'), "mesh: unknown key 'uper', did you mean 'upper'?"),
         (('"joint.msh"', '{path = "a.msh", scale = 0}'), "mesh.scale: 0 is not > 0"),
         (("body = {E = 70e3, nu = 0.2}", ""), "body is missing: the parameters of a law, such as E and nu, in a table"),
-        (
-            ("E = 70e3, nu = 0.2", "E = 70e3, nu = 0.5"),
-            "body.nu: nu is 0.5; allowed: -1 < nu < 0.5; laws with nu = 1/2",
-        ),
+        (("E = 70e3, nu = 0.2", "E = 70e3, nu = 0.5"), "body.nu: nu is 0.5; allowed: -1 < nu < 0.5; laws with nu ="),
         (("E = 70e3, nu = 0.2", "E = 70e3"), "body: moduli are E; LinearElastic has a pair: E and nu"),
         (("E = 70e3, nu = 0.2", "E = -1, nu = 0.2"), "body.E: -1 is not > 0; it is a modulus"),
         (("E = 70e3, nu = 0.2", "E = 1, nu = 0.2, G = 3"), "body: moduli are E and nu and G; LinearElastic has a pair"),
-        (
-            ("E = 70e3, nu = 0.2", "A = {E = 1, nu = 0}, E = 3"),
-            "body: it has tables with names beside keys without one",
-        ),
+        (("E = 70e3, nu = 0.2", "A = {E = 1, nu = 0}, E = 3"), "body: it has tables with names beside keys without"),
         (("eps = 0.3", "epsilon = 0.3"), "layer: unknown key of LinearElastic 'epsilon', did you mean 'eps'?"),
         ((", eps = 0.3", ""), "layer: eps is missing: the thickness of the layer, a length"),
         (("eps = 0.3", "eps = 0"), "layer.eps: 0 is not > 0; it is the thickness of the layer"),
         (("E = 900", 'law = "LinearElastik", E = 1'), "layer.law: unknown law 'LinearElastik', did you mean 'LinearEl"),
-        (
-            ("E = 900", 'law = "Tresca", E = 1'),
-            "layer.law: Tresca is no law of strains with a thickness; laws here: An",
-        ),
-        (
-            ("E = 900", 'law = "Norton", E = 1'),
-            "layer: eta is missing; Norton has E and nu, G and nu, K and G, or lmbda",
-        ),
+        (("E = 900", 'law = "Tresca", E = 1'), "layer.law: Tresca is no law of strains with a thickness; laws here:"),
+        (("E = 900", 'law = "Norton", E = 1'), "layer: eta is missing; Norton has E and nu, G and nu, K and G, or"),
         (("E = 900", 'law = "Norton", E = 1, eta = "a", p = 1'), "layer.eta: 'a' is no finite number"),
         (("E = 900", 'law = "Norton", E = 1, eta = 3, p = 0.5'), "layer: Norton: p is 0.5; allowed: > 1"),
         (("E = 900, nu = 0.35", 'law = "Incompressible"'), "layer: moduli are missing; Incompressible has one: mu"),
@@ -220,22 +209,13 @@ def test_histories(tmp_path):
         (("[3, -50]", "{times = [0], values = [[1, 2]]}"), "tractions.TOP: a history is {times = [0, 1], values ="),
         (("[3, -50]", "{times = [1, 0], values = [1, 2]}"), "tractions.TOP: a history is {times = [0, 1], values ="),
         (("[3, -50]", "{times = [0, 1]}"), "tractions.TOP: values is missing: a history has times and values"),
-        (
-            ("[3, -50]", "{times = [0, 1], values = [[1, 2], 3]}"),
-            "tractions.TOP.values.2: 3 is no vector; give its comp",
-        ),
-        (
-            ("[3, -50]", "{times = [0, 1], values = [[1, 2], [3, 4]]}"),
-            "tractions.TOP: a history needs times, the ends of",
-        ),
+        (("[3, -50]", "{times = [0, 1], values = [[1, 2], 3]}"), "tractions.TOP.values.2: 3 is no vector; give its"),
+        (("[3, -50]", "{times = [0, 1], values = [[1, 2], [3, 4]]}"), "tractions.TOP: a history needs times, the ends"),
         (
             ("[3, -50]}", "{times = [0, 1], values = [[1, 2], [3, 4]]}}\ntimes = [2]"),
             "tractions.TOP: it is given from 0 to 1, and times go from 0 to 2",
         ),
-        (
-            ("E = 900", 'law = "KelvinVoigt", theta_lmbda = 1, theta_mu = 1, E = 1'),
-            "times is missing: KelvinVoigt depends",
-        ),
+        (("E = 900", 'law = "KelvinVoigt", theta_lmbda = 1, theta_mu = 1, E = 1'), "times is missing: KelvinVoigt"),
         (("[3, -50]", "[3, nan]"), "tractions.TOP: [3, nan] is no vector"),
         (("tractions = {TOP = [3, -50]}", ""), "nothing loads the structure; give tractions, body_force, loads, or s"),
     ],
@@ -256,10 +236,7 @@ def test_refused(tmp_path, change, message):
         ("bonded = 1", "bonded: 1 is neither true nor false"),
         ("times = [1, 1]", "times: [1, 1] are no times; give numbers > 0 that grow"),
         ("tolerance = 0", "tolerance.traction: 0 is not > 0; it is the largest relative change that is allowed"),
-        (
-            "tolerance = {tration = 0.1}",
-            "tolerance: unknown quantity 'tration', did you mean 'traction'?; known: compl",
-        ),
+        ("tolerance = {tration = 0.1}", "tolerance: unknown quantity 'tration', did you mean 'traction'?; known:"),
         ("body_force = 3", "body_force: 3 is no vector"),
         ("supports = {LEFT = true}", "supports.LEFT: True is no finite number"),
         ("supports = {LEFT = {u = 0}}", "supports.LEFT: unknown component 'u'; known: n, x, y, z"),
@@ -269,15 +246,9 @@ def test_refused(tmp_path, change, message):
         ("loads = [{place = [1, 2]}]", "loads.1: force is missing: the vector of the force"),
         ('loads = [{first = "TOP", force = [1, 2]}]', "loads.1: second is missing: where the load acts"),
         ("loads = {place = [1, 2]}", "loads: {'place': [1, 2]} is no list of tables"),
-        (
-            "goals = {stiffness = true}",
-            "goals.stiffness: what is asked for? give kind, one of compliance, reaction, mean",
-        ),
+        ("goals = {stiffness = true}", "goals.stiffness: what is asked for? give kind, one of compliance, reaction"),
         ("goals = {traction = true}", "goals.traction: this quantity is told of every layer"),
-        (
-            'goals = {reaction = {place = "LEFT"}}',
-            "goals.reaction: direction is missing: reaction has place, direction",
-        ),
+        ('goals = {reaction = {place = "LEFT"}}', "goals.reaction: direction is missing: reaction has place"),
         ("goals = {compliance = 3}", "goals.compliance: 3 is no table; it has arguments of a goal, or is true"),
         ("goals = {compliance = {x = [1, 2]}}", "goals.compliance: unknown key of compliance 'x'; known: kind"),
         (
@@ -295,12 +266,9 @@ def test_more_refused(tmp_path, more, message):
 def test_files_that_cannot_be_read(tmp_path):
     with pytest.raises(DescriptionError, match=r"joint\.toml is no TOML: .*\(at line 6, column \d+\)"):
         described(tmp_path, f"{LEAST}bonded = yes")
-    with pytest.raises(DescriptionError, match=r"no\.toml cannot be read: No such file"):
-        Source.read(tmp_path / "no.toml")
-    with pytest.raises(DescriptionError, match=r"two mesh files are given, a\.msh and b.vtu"):
-        sorted_files(["a.msh", "b.vtu"])
-    with pytest.raises(DescriptionError, match=r"two descriptions are given, a\.toml and b.py"):
-        sorted_files(["a.toml", "b.py"])
+    refused(DescriptionError, r"no\.toml cannot be read: No such file", lambda: Source.read(tmp_path / "no.toml"))
+    refused(DescriptionError, r"two mesh files are given, a\.msh and b.vtu", lambda: sorted_files(["a.msh", "b.vtu"]))
+    refused(DescriptionError, r"two descriptions are given, a\.toml and b.py", lambda: sorted_files(["a.toml", "b.py"]))
 
 
 # ---------------------------------------------------------------- words
@@ -383,10 +351,7 @@ def test_words_beside_a_file(tmp_path):
         (("--load", "TOP=5"), "--load 'TOP=5': 5 is no vector; give its components, or {pressure = 5}"),
         (("--load", "TOP=1,2 body=A"), "body= is for forces at points; --load takes"),
         (("--goal", "reaction LEFT"), "'reaction' and 'LEFT' cannot be a goal; --goal takes"),
-        (
-            ("--goal", "compliance", "--goal", "compliance"),
-            "--goal 'compliance': two goals are named 'compliance'; name",
-        ),
+        (("--goal", "compliance", "--goal", "compliance"), "--goal 'compliance': two goals are named 'compliance'"),
         (("--tolerance", "much"), "--tolerance 'much': 'much' is no finite number"),
         (("--times", "2,1"), "--times: [2.0, 1.0] are no times"),
         (("--times", "soon"), "--times: 'soon' are no times"),

@@ -271,11 +271,7 @@ def test_the_same_on_two_ranks(there):
 
 # ---------------------------------------------------------------- what is refused
 @pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"edges": "open"}, "allowed: None, 'free', 'plain'"),
-        ({"order": 0}, "use order=1"),
-    ],
+    ("given", "message"), [({"edges": "open"}, "allowed: None, 'free', 'plain'"), ({"order": 0}, "use order=1")]
 )
 def test_other_values_are_refused(given, message):
     with pytest.raises(LawError, match=message):

@@ -16,6 +16,7 @@ from geometry import block, periodic, sandwich
 from tests.dry_walls import dry_wall
 from tests.eigenstrain_cases import computed, numbers
 from tests.on_ranks import on_ranks
+from tests.refused import refused
 from thinlayer import (
     ModelError,
     Prestress,
@@ -383,26 +384,21 @@ def test_temperatures_that_do_not_cover_the_bodies_or_are_no_scalars_are_refused
     ],
 )
 def test_refused(given, match):
-    with pytest.raises(ModelError, match=match):
-        Structure(FLAT, body=LAW, supports=ROLLERS, eigenstrain=given).bonded()
+    refused(ModelError, match, lambda: Structure(FLAT, body=LAW, supports=ROLLERS, eigenstrain=given).bonded())
 
 
 def test_refused_helpers():
     for alpha in ((1.0, 2.0), np.nan, "x", ((1.0, 2.0, 0), (0, 1.0, 0), (0, 0, 1.0))):
         with pytest.raises(ModelError, match=r"alpha|symmetric"):
             ThermalExpansion(alpha, 1.0)
-    with pytest.raises(ModelError, match="T is 'warm'"):
-        ThermalExpansion(1.0, "warm")
+    refused(ModelError, "T is 'warm'", lambda: ThermalExpansion(1.0, "warm"))
     hot = Structure(FLAT, body=LAW, supports=ROLLERS, eigenstrain=ThermalExpansion(1.0, lambda x, t: 1 / (t - 1)))
-    with pytest.raises(ModelError, match="eigenstrain of the bodies is not finite at t = 1"):
-        solve(hot.bonded(), 1.0)
+    refused(ModelError, "eigenstrain of the bodies is not finite at t = 1", lambda: solve(hot.bonded(), 1.0))
     out = Structure(FLAT, body=LAW, supports=ROLLERS, plane="stress", eigenstrain=Prestress(1.0))
-    with pytest.raises(ModelError, match="out of the plane"):
-        out.bonded()
+    refused(ModelError, "out of the plane", lambda: out.bonded())
     plates = Structure(FLAT, body=LAW, supports=ROLLERS)
     stacked = ThinLayer(Stack((0.3, GLUE), (0.7, LAW)), 0.1, eigenstrain=Prestress(1.0))
-    with pytest.raises(ModelError, match="the layer: its sublayers have stiffnesses"):
-        plates.interface(stacked)
+    refused(ModelError, "the layer: its sublayers have stiffnesses", lambda: plates.interface(stacked))
     with pytest.raises(ModelError, match=r"no strain of .* causes some stresses"):
         plates.interface(ThinLayer(Anisotropic.springs(K_N=2.0, K_T=1.0), 0.1, eigenstrain=Prestress(1.0)))
 

@@ -183,10 +183,7 @@ def test_python_descriptions_refused(tmp_path, text, message):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (
-            ("--support", "LFT=0"),
-            "--support 'LFT=0': unknown set of facets 'LFT', did you mean 'LEFT'?; known: LEFT, RI",
-        ),
+        (("--support", "LFT=0"), "--support 'LFT=0': unknown set of facets 'LFT', did you mean 'LEFT'?; known: LEFT"),
         (("--support", "LEFT/LOW=0"), "--support 'LEFT/LOW=0': unknown part of 'LEFT' 'LOW', did you mean 'LOWER'?"),
         (("--support", "S=0"), "--support 'S=0': 'S' is where the layer is; name another set of facets"),
         (("--support", "(1,2,3) y=0"), "--support '(1,2,3) y=0': [1.0, 2.0, 3.0] has 3 components; the mesh has 2 dim"),
@@ -199,10 +196,7 @@ def test_python_descriptions_refused(tmp_path, text, message):
         (("--body-force", "0,1,2"), "--body-force '0,1,2': [0.0, 1.0, 2.0] has 3 components"),
         (("--body", "LOW: E=1 nu=0"), "unknown region 'LOW', did you mean 'LOWER'?; known: LOWER, UPPER"),
         (("--layer", "BED: E=1 nu=0 eps=1"), "--layer 'BED: E=1 nu=0 eps=1': unknown seam 'BED'; known: S"),
-        (
-            ("--goal", "reaction place=BACK direction=1,0"),
-            "place: unknown support 'BACK'; known: LEFT, LEFT/UPPER, RIGHT, ",
-        ),
+        (("--goal", "reaction place=BACK direction=1,0"), "place: unknown support 'BACK'; known: LEFT, LEFT/UPPER"),
         (("--goal", "mean_traction direction=1,0,0"), "direction: [1.0, 0.0, 0.0] has 3 components"),
         (("--goal", "mean_traction direction=1,0 seam=T"), "seam: unknown seam 'T'; known: S"),
         (("--element", "P2"), "--element: P2 is not for quadrilateral cells; allowed: Q2, S2"),

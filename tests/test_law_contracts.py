@@ -21,6 +21,7 @@ from forms.tangent import tangent_at_rest
 from forms.viscous import isotropic_energy
 from geometry import sandwich
 from tests.own_laws import Fragile, Mises
+from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, drive, march, solve
 from thinlayer.errors import RangeWarning, SolveError
 
@@ -145,8 +146,7 @@ def test_an_internal_tensor_must_be_symmetric(place, parent):
         else {"evolve": new, "traction": lambda law, step: law.l * step.mid}
     )
     law = own(parent, internal={"q": (3, 3)}, **method)
-    with pytest.raises(LawError, match=r"Own\.(advance|evolve)\['q'\] is not symmetric"):
-        drive(law, [{"w_T": 0.1, "w_N": 0.2}])
+    refused(LawError, r"Own\.(advance|evolve)\['q'\] is not symmetric", lambda: drive(law, [{"w_T": 0.1, "w_N": 0.2}]))
 
 
 CURVED = {
@@ -321,8 +321,7 @@ def test_a_stiffness_is_of_the_stress_beside_it():
     """Refused where it is negative and warned of where it is high, as of a law that inherits nothing."""
     n = np.array([0.0, 1.0])
     assert tangent_at_rest(Cubic(L, M, 1.5), n)[1] == pytest.approx([L, L + 2 * M + 1.5, L, 0, 0, 0], rel=ROUNDED)
-    with pytest.raises(LawError, match="Cubic: the stiffness at rest is negative"):
-        column(Cubic(L, M, -8.0))
+    refused(LawError, "Cubic: the stiffness at rest is negative", lambda: column(Cubic(L, M, -8.0)))
     with pytest.warns(RangeWarning, match="times as hard as the softer body"):
         solve(column(Cubic(L, M, 1e7)))
     assert Cubic.stations is BulkLaw.stations is not LinearElastic.stations
@@ -391,8 +390,7 @@ def test_a_law_otherwise_is_of_the_stress_beside_it():
     once, twice = forms.MohrCoulomb(60.0, 40.0, 0.1, 30), law(60.0, 40.0, 0.1, 30)
     held = [{"w_T": 5e-4, "w_N": 0.0}]
     assert drive(twice, held).tractions == pytest.approx(2 * drive(once, held).tractions, rel=ROUNDED)
-    with pytest.raises(SolveError, match="the law failed"):
-        drive(twice, [{"w_T": 0.0, "w_N": 0.01}])
+    refused(SolveError, "the law failed", lambda: drive(twice, [{"w_T": 0.0, "w_N": 0.01}]))
 
 
 # ---------------------------------------------------------------- what would be ignored
@@ -417,17 +415,9 @@ def test_methods_that_a_compiled_law_and_a_stack_never_ask(method):
         (BulkLaw, {"evolve": lambda law, step: {"q": step.e}}, "a method evolve but no internal variables"),
         (TractionLaw, {"evolve": lambda law, step: {"q": step.w}}, "a method evolve but no internal variables"),
         (BulkLaw, {"at": lambda law, x, t: {"l": x[0]}}, "a method at, but no parameters vary"),
-        (
-            BulkLaw,
-            {"at": lambda law, x, t: {"l": x[0]}, "varies": False},
-            "a method at, but no parameters vary",
-        ),
+        (BulkLaw, {"at": lambda law, x, t: {"l": x[0]}, "varies": False}, "a method at, but no parameters vary"),
         (BulkLaw, {"dissipation": lambda law, step: 1.0}, "a dissipation but no energy"),
-        (
-            BulkLaw,
-            {"otherwise": property(lambda law: LinearElastic(law.l, law.m))},
-            "a law otherwise, but holds everywhere",
-        ),
+        (BulkLaw, {"otherwise": property(lambda law: LinearElastic(law.l, law.m))}, "a law otherwise, but holds every"),
         (
             BulkLaw,
             {"internal": {"q": (2, 2)}},
@@ -438,8 +428,7 @@ def test_methods_that_a_compiled_law_and_a_stack_never_ask(method):
 def test_what_nobody_would_ask_of_a_law_is_refused(parent, names, message):
     """As the law is made."""
     names = names | {"stress" if parent is BulkLaw else "traction": of_mid}
-    with pytest.raises(LawError, match=message):
-        own(parent, **names)
+    refused(LawError, message, lambda: own(parent, **names))
 
 
 def test_what_depends_on_numbers_is_not_refused():
@@ -468,5 +457,4 @@ def test_what_depends_on_numbers_is_not_refused():
 def test_a_director_of_two_components_is_told_of():
     """In 2D, where the stress is a part of a form."""
     law = own(stress=lambda law, step: of_mid(law, step) + law.m * ufl.outer(step.n, step.n) * ufl.tr(step.e))
-    with pytest.raises(LawError, match=r"lift\(step.n\) has 3"):
-        solve(column(law))
+    refused(LawError, r"lift\(step.n\) has 3", lambda: solve(column(law)))

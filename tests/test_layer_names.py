@@ -15,6 +15,7 @@ from geometry import sandwich
 from tests import ranges_told
 from tests.meshed_cases import mortar, panel, yielding
 from tests.network_cases import springs, three_bricks
+from tests.refused import refused
 from tests.test_networks import cut_at, on
 from thinlayer import (
     ContactReport,
@@ -117,8 +118,7 @@ def test_contact_on_one_of_two_seams():
 
 def test_a_part_cannot_have_the_name_of_a_layer():
     part = UflPart(energy=lambda u, model: ufl.inner(u, u) * model.dx, key="layer HIGH")
-    with pytest.raises(ModelError, match="two parts are called 'layer HIGH'"):
-        pulled(parts=[part]).interface(springs(4.0, 1.0))
+    refused(ModelError, "two parts are called 'layer HIGH'", lambda: pulled(parts=[part]).interface(springs(4.0, 1.0)))
 
 
 # ---------------------------------------------------------------- order
@@ -188,8 +188,7 @@ def test_snaps_of_each_layer():
         assert report.profile()[0][:, 1] == pytest.approx({"LOW": -1.0, "HIGH": 2.0}[seam])
     half = PhaseReport(history.states[first.row], "HIGH"), PhaseReport(history.states[first.row], "LOW")
     assert half[0].plus > half[1].plus == 0.0
-    with pytest.raises(ModelError, match="give seam=, one of LOW, HIGH"):
-        PhaseReport(history.last)
+    refused(ModelError, "give seam=, one of LOW, HIGH", lambda: PhaseReport(history.last))
     with pytest.raises(ModelError, match="seam is 'LO'; name one whose layer has phases: LOW, HIGH"):
         PhaseReport(history.last, "LO")
     with pytest.raises(ModelError, match="column 'minus LOW' is there already"):
@@ -234,8 +233,6 @@ def test_comparisons_by_name():
     assert 0 < left["jump"] < parts["HEAD"]["jump"]
     with pytest.raises(ModelError, match="where holds nowhere"):
         compare(full, limit, seam="HEAD", where=lambda x: abs(x[0] - 0.25) < 0.1)
-    with pytest.raises(ModelError, match="unknown seam 'BEDS', did you mean 'BED'"):
-        compare(full, limit, seam="BEDS")
+    refused(ModelError, "unknown seam 'BEDS', did you mean 'BED'", lambda: compare(full, limit, seam="BEDS"))
     other = solve(bricks.interface(layers | {"HEAD": springs(1.2, 0.45, 0.02)}), 1.0)
-    with pytest.raises(ModelError, match=r"one thickness of the layer 'HEAD', not 0\.013.* and 0\.02"):
-        compare(full, other)
+    refused(ModelError, r"one thickness of the layer 'HEAD', not 0\.013.* and 0\.02", lambda: compare(full, other))

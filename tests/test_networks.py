@@ -30,6 +30,7 @@ from tests.network_cases import (
     yielded,
 )
 from tests.on_ranks import on_ranks
+from tests.refused import refused
 from thinlayer import ContactReport, ModelError, Structure, Surface, ThinLayer, march, solve
 
 ROCK = LinearElastic.young(10.0, 0.25)
@@ -249,12 +250,10 @@ def test_refused_layers():
     layer = springs(2.0, 1.0)
     with pytest.raises(ModelError, match="unknown seam 'BEDS', did you mean 'BED'"):
         bricks.interface({"BEDS": layer, "HEAD": layer})
-    with pytest.raises(ModelError, match="the seam 'HEAD' has no layer"):
-        bricks.interface({"BED": layer})
+    refused(ModelError, "the seam 'HEAD' has no layer", lambda: bricks.interface({"BED": layer}))
     with pytest.raises(ModelError, match=r"order=1 needs an S without junctions, and the layer 'BED' meets .*at \("):
         bricks.interface({"BED": ThinLayer(LinearElastic(1.0, 1.0), 0.01, order=1), "HEAD": layer})
-    with pytest.raises(ModelError, match="unknown seam 'BEDS'"):
-        Surface(bricks.interface(layer), "BEDS")
+    refused(ModelError, "unknown seam 'BEDS'", lambda: Surface(bricks.interface(layer), "BEDS"))
     with pytest.raises(ModelError, match="method='multigrid' is for one seam without branches"):
         solve(
             Structure(joint, body=ROCK, supports={"BOTTOM": 0.0}, element="Q1").interface({"BED": BED, "HEAD": HEAD}),

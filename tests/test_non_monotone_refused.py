@@ -9,6 +9,7 @@ from forms import LawError, NonMonotone, NonMonotoneUnrelaxed, Stack
 from forms.non_monotone import lamination_gain
 from geometry import sandwich
 from tests.non_monotone_points import ALPHA, CHI2, LMBDA, MU, PURE, RELAXED, STEEP, STIFF, TABLE, C, pulled
+from tests.refused import refused
 from thinlayer import Structure, ThinLayer, drive
 from thinlayer.errors import ModelError
 
@@ -50,10 +51,7 @@ BAD_RELAXED = [
         rf"transformation_energy is {0.999 * BOUND:g}; allowed: >= mixing alpha\^2 G/2 = {BOUND:g}: phases 1 and -1",
     ),
     ({"transformation_energy": 0.499 * BOUND, "mixing": 0.5}, "transformation_energy is .*: phases 1 and -1 would mix"),
-    (
-        {"transformation_energy": lambda T: 0.999 * BOUND + 0 * T, "T": 20.0},
-        "transformation_energy is .*: phases 1 and -1 would mix",
-    ),
+    ({"transformation_energy": lambda T: 0.999 * BOUND + 0 * T, "T": 20.0}, "transformation_energy is .*: phases 1"),
     *(({"mixing": value}, "mixing is .*allowed: .*") for value in (0.0, -0.5, 1.0001, np.nan, np.inf, "all", None)),
     ({"G": 0.01}, "has no parameter 'G'; known: lmbda, mu, alpha, transformation_energy, chi, T, mixing"),
 ]
@@ -62,14 +60,12 @@ BAD_RELAXED = [
 @pytest.mark.parametrize("kind", [NonMonotone, NonMonotoneUnrelaxed])
 @pytest.mark.parametrize(("change", "message"), BAD)
 def test_bad_parameters(kind, change, message):
-    with pytest.raises(LawError, match=f"^{kind.__name__}: {message}"):
-        kind(**{**GOOD, **change})
+    refused(LawError, f"^{kind.__name__}: {message}", lambda: kind(**{**GOOD, **change}))
 
 
 @pytest.mark.parametrize(("change", "message"), BAD_RELAXED)
 def test_bad_parameters_of_the_relaxed_law(change, message):
-    with pytest.raises(LawError, match=f"^NonMonotone:? {message}"):
-        NonMonotone(**{**GOOD, **change})
+    refused(LawError, f"^NonMonotone:? {message}", lambda: NonMonotone(**{**GOOD, **change}))
 
 
 def test_parameters_that_are_just_allowed():
@@ -105,17 +101,14 @@ def test_unknown_names(kind):
     ):
         kind(LMBDA, MU, ALPHA, cbar=C, chi=CHI2)
     if kind is NonMonotoneUnrelaxed:
-        with pytest.raises(LawError, match="no parameter 'mixing'"):
-            kind(**GOOD, mixing=0.5)
+        refused(LawError, "no parameter 'mixing'", lambda: kind(**GOOD, mixing=0.5))
 
 
 def test_where_the_laws_have_no_place():
     """Columns that switch are not points in series; bodies have no axes; softening localises; dimensions."""
     pure, relaxed = PURE["2D"], RELAXED["2D"]
-    with pytest.raises(LawError, match="Stack: a sublayer is NonMonotoneUnrelaxed"):
-        Stack((0.5, STIFF), (0.5, pure))
-    with pytest.raises(LawError, match="order=1 of NonMonotoneUnrelaxed"):
-        ThinLayer(pure, 0.1, order=1)
+    refused(LawError, "Stack: a sublayer is NonMonotoneUnrelaxed", lambda: Stack((0.5, STIFF), (0.5, pure)))
+    refused(LawError, "order=1 of NonMonotoneUnrelaxed", lambda: ThinLayer(pure, 0.1, order=1))
     with pytest.raises(LawError, match=r"shape of chi is \(3, 3\); allowed: \(2, 2\) in plane stress"):
         RELAXED["3D"].plane_stress()
     for law, n in ((relaxed, (0, 1, 0)), (RELAXED["3D"], (0, 1)), (Stack((0.5, STIFF), (0.5, relaxed)), (0, 0, 1))):
@@ -127,21 +120,9 @@ def test_where_the_laws_have_no_place():
     plates = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
     setup = dict(supports={"BOTTOM": 0.0}, element="Q1")
     for build, law, body, error, message in (
-        (
-            Structure.interface,
-            relaxed,
-            relaxed,
-            ModelError,
-            "body '.*': NonMonotone is for layers: its phases",
-        ),
+        (Structure.interface, relaxed, relaxed, ModelError, "body '.*': NonMonotone is for layers: its phases"),
         (Structure.interface, relaxed, pure, ModelError, "NonMonotoneUnrelaxed is for layers"),
-        (
-            Structure.interface,
-            RELAXED["3D"],
-            STIFF,
-            LawError,
-            r"chi is \(3, 3\); allowed: \(2, 2\) in a model of dimension 2",
-        ),
+        (Structure.interface, RELAXED["3D"], STIFF, LawError, r"chi is \(3, 3\); allowed: \(2, 2\) in a model of"),
         (Structure.full, STEEP, STIFF, ModelError, "falls as strains grow.*take mixing=1, or NonMonotoneUnrelaxed"),
     ):
         with pytest.raises(error, match=message):

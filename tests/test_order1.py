@@ -113,9 +113,7 @@ def test_rigid_base():
 
 
 @pytest.mark.parametrize(
-    "law",
-    [Maxwell(60.0, 40.0, t1=0.7, t2=0.9), Norton(60.0, 40.0, eta=5.0, p=1.5)],
-    ids=lambda law: type(law).__name__,
+    "law", [Maxwell(60.0, 40.0, t1=0.7, t2=0.9), Norton(60.0, 40.0, eta=5.0, p=1.5)], ids=lambda law: type(law).__name__
 )
 def test_memory_and_rate(law):
     """History at the two points through the thickness: the error is O(eps^2) in time too."""

@@ -400,11 +400,7 @@ def test_an_error_of_one_rank_ends_all(tmp_path):
     [
         ("if COMM.rank == 1: raise RuntimeError('one alone')", 1, ["one alone"]),
         ("if COMM.rank == 1: sys.exit(3)", 3, []),
-        (
-            "time.sleep(COMM.rank / 2); raise RuntimeError(f'on {COMM.rank}')",
-            1,
-            ["on 0", "on 1"],
-        ),
+        ("time.sleep(COMM.rank / 2); raise RuntimeError(f'on {COMM.rank}')", 1, ["on 0", "on 1"]),
     ],
     ids=["an error of one", "a status of one", "an error of all"],
 )

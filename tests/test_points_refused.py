@@ -27,6 +27,7 @@ from forms.planes import PLANES
 from forms.traction import JumpStep
 from tests.at_points import E2, respond
 from tests.laws_at_points import ELASTIC, KELVIN, LAWS, LMBDA, MAXWELL, MU
+from tests.refused import refused
 from thinlayer.discretisation.layer import real_law
 from thinlayer.pointwise.material import Material
 
@@ -69,8 +70,7 @@ POINT = "laws that give a stress for a strain"
     ],
 )  # fmt: skip
 def test_what_a_law_refuses(build, message):
-    with pytest.raises(LawError, match=message):
-        build()
+    refused(LawError, message, lambda: build())
 
 
 def test_jumps_know_no_plane():
@@ -84,8 +84,7 @@ def test_a_traction_law_has_no_powers_of_eps():
         k: float
         powers: ClassVar = {"k": 1}
 
-    with pytest.raises(LawError, match="Scaled: a traction law has no powers of eps"):
-        Scaled(1.0)
+    refused(LawError, "Scaled: a traction law has no powers of eps", lambda: Scaled(1.0))
 
 
 @dataclass(frozen=True)
@@ -141,8 +140,7 @@ SPOILED = {
 def test_a_law_that_gives_something_else_than_it_must(name):
     """The message names the law."""
     kind = SPOILED[name]
-    with pytest.raises(LawError, match=kind.__name__):
-        Material(MPI.COMM_SELF, kind(1.0).of_strains())
+    refused(LawError, kind.__name__, lambda: Material(MPI.COMM_SELF, kind(1.0).of_strains()))
 
 
 def test_the_law_in_order_is_accepted():
@@ -152,8 +150,7 @@ def test_the_law_in_order_is_accepted():
 
 def test_a_rate_that_is_not_declared():
     """Step.rate outside a march: a law must declare rate = True."""
-    with pytest.raises(LawError, match="rate = True"):
-        KELVIN.stress(Step(ufl.Identity(3), e_old=ufl.Identity(3)))
+    refused(LawError, "rate = True", lambda: KELVIN.stress(Step(ufl.Identity(3), e_old=ufl.Identity(3))))
 
 
 # ---------------------------------------------------------------- declarations and kernels
@@ -176,8 +173,7 @@ def declared(body: str, decorated: bool = True):
     ],
 )
 def test_what_a_class_declares_fits_its_parameters(body, decorated, message):
-    with pytest.raises(LawError, match=message):
-        declared(body, decorated)()
+    refused(LawError, message, lambda: declared(body, decorated)())
 
 
 @pytest.mark.parametrize("value", [None, "1", [1.0, 2.0], np.ones(3)])

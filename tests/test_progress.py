@@ -75,9 +75,7 @@ def test_work_of_unknown_length_counts_what_is_done():
     with teller.telling("thin_enough"):
         for _ in range(4):
             estimate()
-    assert stream.getvalue().splitlines() == [
-        "thin_enough: 2 done, estimate, 80 s so far",
-    ]
+    assert stream.getvalue().splitlines() == ["thin_enough: 2 done, estimate, 80 s so far"]
 
 
 def test_all_long_work_tells(monkeypatch, capsys, tmp_path):

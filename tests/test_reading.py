@@ -25,6 +25,7 @@ from tests.meshes import (
     volume,
     write,
 )
+from tests.refused import refused
 
 FORMATS = [(2.2, 0), (2.2, 1), (4.1, 0), (4.1, 1)]
 
@@ -133,8 +134,7 @@ def test_whole_boundary_between_bodies(draw, tmp_path):
         read(path, S=None, upper="LEFT")
     with pytest.raises(GeometryError, match=r"did you mean 'RIGHT'\?; known: LEFT, LOW, RIGHT \(physical names\)"):
         read(path, S=None, upper="RIHT", lower="LOW")
-    with pytest.raises(GeometryError, match="no facets are named 'S' or anything else"):
-        read(path, upper="LEFT")
+    refused(GeometryError, "no facets are named 'S' or anything else", lambda: read(path, upper="LEFT"))
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -195,8 +195,7 @@ def test_s_inside_one_body(draw, tmp_path, dim):
     assert len(crack.facets["CUT"]) == len(joint.facets["S"]) - len(crack.facets["S"])  # what is S is S alone
     with pytest.raises(GeometryError, match=r"'CUT' lies inside BODY; name the regions above it .*direction"):
         read(path, S="CUT")
-    with pytest.raises(GeometryError, match="nothing is left below it; give the direction"):
-        read(path, S="CUT", upper="BODY")
+    refused(GeometryError, "nothing is left below it; give the direction", lambda: read(path, S="CUT", upper="BODY"))
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -209,8 +208,7 @@ def test_s_ends_between_two_bodies(draw, tmp_path, dim):
     assert split[:, 0].max() < 1.0 - 1e-9
     assert split[:, 1] == pytest.approx(0.0)
     assert set(joint.splitting.pieces) == {0}
-    with pytest.raises(GeometryError, match=r"ends inside the bodies \(near \(1, 0"):
-        inflate(joint, 0.1)
+    refused(GeometryError, r"ends inside the bodies \(near \(1, 0", lambda: inflate(joint, 0.1))
 
 
 def test_names_of_gmsh(draw, tmp_path):
@@ -236,8 +234,7 @@ def test_names_of_gmsh(draw, tmp_path):
     gmsh.model.removePhysicalGroups()
     gmsh.model.removePhysicalName("S")
     gmsh.model.addPhysicalGroup(2, [low], name="LOW")
-    with pytest.raises(GeometryError, match=r"meshio cannot read this \.msh file .*Mesh\.SaveAll = 0"):
-        read(saved(SaveAll=1))
+    refused(GeometryError, r"meshio cannot read this \.msh file .*Mesh\.SaveAll = 0", lambda: read(saved(SaveAll=1)))
     gmsh.model.removePhysicalGroups()
     for version, _ in FORMATS[1:3]:
         with pytest.raises(

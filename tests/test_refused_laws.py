@@ -12,6 +12,7 @@ from mpi4py import MPI
 from forms import BulkLaw, HolonomicCoulomb, KernelLaw, LawError, LinearElastic, Stack
 from geometry import sandwich
 from tests.on_ranks import on_ranks
+from tests.refused import refused
 from thinlayer import Structure, ThinLayer, drive, march
 from thinlayer.compiling.compiled import _FILES, _LOADED
 from thinlayer.identity.described import described
@@ -75,8 +76,7 @@ def test_bad_c_sources(tmp_path, text, message):
     source = tmp_path / "law.c"
     if text is not None:
         source.write_bytes(text if isinstance(text, bytes) else text.encode())
-    with pytest.raises(LawError, match=f"FromC: .*{message}"):
-        drive(from_c(5.0, source=source), STEP)
+    refused(LawError, f"FromC: .*{message}", lambda: drive(from_c(5.0, source=source), STEP))
 
 
 @pytest.mark.parametrize(
@@ -161,10 +161,7 @@ def test_a_law_that_holds_in_part():
         ({"otherwise": lambda law: HolonomicCoulomb(1.0, 1.0, 0.5)}, "it must be a law"),
         ({"otherwise": lambda law: law}, "which has a law otherwise too"),
         ({"otherwise": lambda law: Stiff(2 * law.k)}, r"has the parameters {'k': 10.0}; it must have .* {'k': 5.0}"),
-        (
-            {"otherwise": lambda law: More(law.k)},
-            "has the parameters {'k': 5.0, 'm': 3.0}; it must have those of Partly",
-        ),
+        ({"otherwise": lambda law: More(law.k)}, "has the parameters {'k': 5.0, 'm': 3.0}; it must have those of"),
         ({"otherwise": lambda law: LinearElastic(1.0, 1.0)}, "has the parameters {'lmbda': 1.0, 'mu': 1.0}"),
         ({"otherwise": lambda law: Remembers(law.k)}, "keeps internal values {.*'b'.*}; it must keep those of Partly"),
         ({"otherwise": lambda law: from_c(law.k, memory=0)}, "keeps 0 internal values; it must keep .* 6 numbers"),
@@ -175,8 +172,7 @@ def test_a_law_that_holds_in_part():
     ],
 )
 def test_bad_substitutes_and_conditions(declared, message):
-    with pytest.raises(LawError, match=message):
-        drive(partly(**declared), STEP)
+    refused(LawError, message, lambda: drive(partly(**declared), STEP))
 
 
 def test_a_condition_is_not_forgotten_without_memory():
@@ -192,8 +188,7 @@ def test_a_condition_is_not_forgotten_without_memory():
             return self.k * step.mid
 
     assert Static(5.0).traits.compiled
-    with pytest.raises(LawError, match=r"Static\.otherwise has the parameters"):
-        drive(Static(5.0), STEP)
+    refused(LawError, r"Static\.otherwise has the parameters", lambda: drive(Static(5.0), STEP))
 
 
 # ---------------------------------------------------------------- ranks

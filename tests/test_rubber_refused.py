@@ -8,6 +8,7 @@ from mpi4py import MPI
 from forms import HolonomicCoulomb, Incompressible, KelvinVoigt, LawError, LinearElastic, Maxwell, Rubber, Stack
 from geometry import block, faults, ring, sandwich, wall
 from tests.on_ranks import on_ranks
+from tests.refused import refused
 from tests.test_tips import partly
 from thinlayer import ModelError, Pressure, Structure, ThinLayer
 
@@ -28,26 +29,19 @@ def layer(law=RUBBER, order=1, **options):
         (lambda: Rubber(-0.3, 1.0), "lmbda is -0.3; allowed: > 0"),
         (lambda: Rubber(float("inf"), 1.0), "lmbda is inf"),
         (lambda: Rubber(1.0, 0.0), "mu is 0"),
-        (
-            lambda: Stack((0.4, RUBBER), (0.6, BODY)),
-            "a sublayer is Rubber.*allowed: laws that give a stress for a strain",
-        ),
+        (lambda: Stack((0.4, RUBBER), (0.6, BODY)), "a sublayer is Rubber.*allowed: laws that give a stress for a"),
         (lambda: Stack((0.4, BODY), (0.6, INCOMPRESSIBLE)), "a sublayer is Incompressible"),
     ],
 )
 def test_laws(make, said):
-    with pytest.raises(LawError, match=said):
-        make()
+    refused(LawError, said, lambda: make())
 
 
 @pytest.mark.parametrize("law", [RUBBER, INCOMPRESSIBLE])
 @pytest.mark.parametrize(
     ("structure", "said"),
     [
-        (
-            lambda: Structure(JOINT, plane="stress", **HELD),
-            "in plane stress: no pressure builds up.*use LinearElastic or",
-        ),
+        (lambda: Structure(JOINT, plane="stress", **HELD), "in plane stress: no pressure builds up.*use LinearElastic"),
         (lambda: Structure(partly(JOINT, lambda x: x[:, 0] < 0.5), **HELD), "end inside the bodies"),
         (lambda: Structure(JOINT, element="P1", **HELD), "needs elements of degree 2"),
         (lambda: Structure(wall(2, 2, (2.0, 1.0), 0.5), **HELD), "without junctions"),
@@ -55,8 +49,7 @@ def test_laws(make, said):
     ],
 )
 def test_models_of_order_1(structure, said, law):
-    with pytest.raises(ModelError, match=said):
-        structure().interface(layer(law))
+    refused(ModelError, said, lambda: structure().interface(layer(law)))
 
 
 def test_displacements_of_s_cannot_be_prescribed():
@@ -82,8 +75,7 @@ def test_loads_on_the_side_of_the_layer():
         Structure(JOINT, tractions=load, **HELD).full(layer())
     for load in loads[3:]:
         Structure(JOINT, tractions=load, **HELD).interface(layer())
-    with pytest.raises(ModelError, match="acts on the side of the layer"):
-        free.with_loads(tractions=loads[0])
+    refused(ModelError, "acts on the side of the layer", lambda: free.with_loads(tractions=loads[0]))
 
 
 def test_contact_beside_rubber():

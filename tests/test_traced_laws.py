@@ -16,6 +16,7 @@ from forms.elastic import lame
 from forms.trace import stress_key
 from geometry import sandwich
 from tests.own_laws import Slipping, layer_of
+from tests.refused import refused
 from thinlayer import SolveError, Structure, ThinLayer, drive, march, solve
 
 FACTOR, OF_NUMBA = 1.0, 1.0
@@ -178,8 +179,7 @@ def test_laws_that_decide_by_a_number(parent, decision):
     if parent == "with memory":
         parent, names = Deciding, names | {"internal": {"last": (3, 3)}, "advance": lambda self, step: {"last": step.e}}
     law = dataclass(frozen=True)(type("Mine", (parent,), names))(5.0)
-    with pytest.raises(LawError, match=r"^Mine\.(stress|traction): .*ufl\.conditional\(ufl\."):
-        of_blocks(law)
+    refused(LawError, r"^Mine\.(stress|traction): .*ufl\.conditional\(ufl\.", lambda: of_blocks(law))
 
 
 def test_conditions_of_ufl_are_no_decisions():
@@ -208,8 +208,7 @@ def test_a_law_at_points_knows_its_numbers_alone():
         def traction(self, step):
             return self.k * x[0] * step.mid
 
-    with pytest.raises(LawError, match=r"Placed contains x, a SpatialCoordinate; a compiled law knows"):
-        drive(Placed(1.0), STEP)
+    refused(LawError, r"Placed contains x, a SpatialCoordinate; a compiled law knows", lambda: drive(Placed(1.0), STEP))
 
 
 # ---------------------------------------------------------------- symmetry
@@ -227,8 +226,7 @@ class Coupled(BulkLaw):
 
 def test_symmetry_that_depends_on_numbers_is_looked_at_for_each():
     of_blocks(Coupled(5.0, 0.0))
-    with pytest.raises(LawError, match="Coupled: the tangent is not symmetric"):
-        of_blocks(Coupled(5.0, 1.0))
+    refused(LawError, "Coupled: the tangent is not symmetric", lambda: of_blocks(Coupled(5.0, 1.0)))
 
 
 def test_symmetry_is_looked_at_once(monkeypatch):
@@ -306,8 +304,7 @@ def test_bodies_that_swell_under_contact():
     free = 0.01 * (3 * 60.0 + 80.0) / 140.0  # strain of a column that may lengthen
     t = -free / (1 / 140.0 + 1 / 15.0)
     assert np.abs(state.u.x.array).max() == pytest.approx(-t / 15.0 / 2, rel=1e-9)
-    with pytest.raises(ValueError, match="needs linear bodies without stresses at rest"):
-        solve(model, method="condensed")
+    refused(ValueError, "needs linear bodies without stresses at rest", lambda: solve(model, method="condensed"))
 
 
 # ---------------------------------------------------------------- declarations
@@ -335,8 +332,7 @@ def test_a_traction_law_that_does_not_evolve():
         def traction(self, step):
             return self.k * step.mid
 
-    with pytest.raises(LawError, match=r"Forgetful gives no new slip, path; .* evolve\(step\)"):
-        drive(Forgetful(1.0), STEP)
+    refused(LawError, r"Forgetful gives no new slip, path; .* evolve\(step\)", lambda: drive(Forgetful(1.0), STEP))
     Forgetful.evolve = lambda self, step: {"slip": step.mid}
     with pytest.raises(LawError, match=r"Forgetful\.evolve gives \['slip'\]; it must give \['path', 'slip'\]"):
         drive(Forgetful(1.0), STEP)
@@ -372,8 +368,7 @@ def test_a_law_without_energy_has_none_to_tell():
     energies = state.energies()
     assert math.isnan(energies["layer"])
     assert energies["bodies"] > 0
-    with pytest.raises(LawError, match="Plain declares no energy"):
-        Plain(5.0).energy(None)
+    refused(LawError, "Plain declares no energy", lambda: Plain(5.0).energy(None))
 
 
 @dataclass(frozen=True)
@@ -391,8 +386,7 @@ class Rooted(TractionLaw):
 @pytest.mark.parametrize(("shift", "what"), [(0.0, r"tangent \(the slope of the stress\)"), (-1.0, "stress")])
 def test_a_failing_law_says_what_and_where(shift, what):
     message = rf"failed at \d+ points: the {what} of Rooted is not finite at x = \(0\.\d+, 0"
-    with pytest.raises(SolveError, match=message):
-        of_blocks(Rooted(3.0, shift))
+    refused(SolveError, message, lambda: of_blocks(Rooted(3.0, shift)))
 
 
 @dataclass(frozen=True)
@@ -421,10 +415,7 @@ class AtRest(BulkLaw):
 @pytest.mark.parametrize(
     ("way", "message"),
     [
-        (
-            "size",
-            r"the tangent \(the slope of the stress\) of AtRest is not finite at the start .* e is zero: write ufl.sqrt",
-        ),
+        ("size", r"the tangent \(the slope of the stress\) of AtRest is not finite at the start .* e is zero: write"),
         ("root", r"the stress of AtRest is not finite at the start of the step; .* e is zero: write ufl.sqrt"),
         ("cubic", "the tangent at the start of the step is singular; .* A stress without a linear part"),
     ],

@@ -14,6 +14,7 @@ from studies.problems import FOURIER_LAYER, fourier
 from tests.on_ranks import on_ranks
 from tests.pictures import assert_drawn
 from tests.ranges_told import opened
+from tests.refused import refused
 from tests.zoom_run import BODY, EPS, FREE, GLUE, HEIGHTS, PLACES, joint, numbers, state
 from thinlayer import ModelError, Probe, Structure, Surface, ThinLayer, Zoom, observed_orders, plotting, solve
 from thinlayer.output.meshed_places import meshed_places
@@ -279,8 +280,7 @@ PLASTIC = MohrCoulomb(4.0, 3.0, cohesion=100.0, friction_angle=30)
 
 
 def test_layers_that_are_not_known_are_refused():
-    with pytest.raises(ModelError, match="state of an interface model"):
-        Zoom(state().model)
+    refused(ModelError, "state of an interface model", lambda: Zoom(state().model))
     for layer, words in (
         (ThinLayer(Anisotropic(np.diag([9.0, 9, 9, 3, 3, 3])), EPS), "layer of Anisotropic"),
         (ThinLayer(Stack((0.5, GLUE), (0.5, PLASTIC)), EPS), "layer of MohrCoulomb"),
@@ -290,10 +290,8 @@ def test_layers_that_are_not_known_are_refused():
         with pytest.raises(ModelError, match=words):
             Zoom(state(layer))
     blocks = Structure(joint(), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0, 1)})
-    with pytest.raises(ModelError, match="bodies='kept'"):
-        Zoom(solve(blocks.interface(ThinLayer(GLUE, EPS), bodies="extended")))
-    with pytest.raises(ModelError, match="body force in the layer"):
-        Zoom(state(FREE, body_force={"S": (0, -1)}))
+    refused(ModelError, "bodies='kept'", lambda: Zoom(solve(blocks.interface(ThinLayer(GLUE, EPS), bodies="extended"))))
+    refused(ModelError, "body force in the layer", lambda: Zoom(state(FREE, body_force={"S": (0, -1)})))
 
 
 def test_places_and_heights_out_of_range_are_refused():
@@ -308,8 +306,7 @@ def test_places_and_heights_out_of_range_are_refused():
     ):
         with pytest.raises(ModelError, match=words):
             zoom.stress(x, y)
-    with pytest.raises(ModelError, match="seam"):
-        Zoom(state(), "BED")
+    refused(ModelError, "seam", lambda: Zoom(state(), "BED"))
 
 
 @pytest.mark.parametrize(
@@ -331,8 +328,7 @@ def test_ends_that_are_not_known_are_refused_and_the_inside_is_not(layer, given,
         given = given | {"tractions": {"TOP": (0.0, -1.0)}}
     zoom = Zoom(state(layer, **given))
     assert np.isfinite(zoom.stress([[0.65, 0.0]])).all()
-    with pytest.raises(ModelError, match=words):
-        zoom.stress([[1.3 - 2 * EPS, 0.0]])
+    refused(ModelError, words, lambda: zoom.stress([[1.3 - 2 * EPS, 0.0]]))
     with pytest.raises(ModelError, match=words):
         _ = zoom.ends
 
@@ -345,8 +341,7 @@ def test_curved_ends_and_corners_of_ends_are_refused():
     )
     on_s = round_.points[np.unique(round_.surface)]
     assert np.isfinite(zoom.stress(on_s[np.linalg.norm(on_s, axis=1).argmin()])).all()
-    with pytest.raises(ModelError, match="straight"):
-        zoom.stress(on_s[np.linalg.norm(on_s, axis=1).argmax()])
+    refused(ModelError, "straight", lambda: zoom.stress(on_s[np.linalg.norm(on_s, axis=1).argmax()]))
     deep = Structure(
         sandwich(1.3, 0.3, 0.4, 0.2, depth=0.4), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0, 1, 0)}
     )
@@ -354,8 +349,7 @@ def test_curved_ends_and_corners_of_ends_are_refused():
     for end in zoom.ends:
         along = np.abs(end.m[::2]).argmin() * 2  # axis of the edge
         assert np.all((end.x[:, along] > 3 * EPS) & (end.x[:, along] < (1.3, 0, 0.4)[along] - 3 * EPS))
-    with pytest.raises(ModelError, match="two free ends meet"):
-        zoom.stress([[EPS, 0.0, EPS]])
+    refused(ModelError, "two free ends meet", lambda: zoom.stress([[EPS, 0.0, EPS]]))
 
 
 def test_the_picture_of_an_end(tmp_path):
