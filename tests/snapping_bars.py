@@ -39,3 +39,8 @@ class Cohesive(TractionLaw):
 
     def traction(self, step):
         return self.k * step.mid * ufl.exp(-ufl.inner(step.mid, step.mid) / self.w_0**2)
+
+
+@dataclass(frozen=True)
+class Undeclared(Cohesive):
+    softens: ClassVar = False

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
-import ufl
 
 from forms import (
     HolonomicCoulomb,
@@ -23,20 +20,20 @@ from forms import (
     Norton,
     Stack,
 )
-from forms.law import BulkLaw
-from forms.traction import TractionLaw
 from geometry import sandwich
 from tests.own_laws import (
     AgeingFluid,
     AgeingKelvinVoigt,
     AgeingSlip,
     AgeingSpring,
+    Cubic,
     Hardening,
     Mises,
     Slipping,
     StandardSolid,
     layer_of,
 )
+from tests.snapping_bars import Undeclared
 from thinlayer import ModelError, Structure, Surface, ThinLayer, march, piecewise
 
 JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
@@ -140,29 +137,6 @@ def test_elastic_layers_have_no_error(law, kind):
         assert midpoint.p.x.array == pytest.approx(euler.p.x.array, rel=1e-7, abs=1e-9)
 
 
-@dataclass(frozen=True)
-class Stiffening(BulkLaw):
-    """Elastic, without memory: it answers at once."""
-
-    k: float
-    c: float
-    powers = {"k": 1, "c": 3}
-
-    def stress(self, step):
-        return 2 * self.k * step.e + self.c * ufl.inner(step.e, step.e) * step.e
-
-
-@dataclass(frozen=True)
-class Cohesive(TractionLaw):
-    """Jumps alone, in any unit."""
-
-    k: float
-    w_0: float
-
-    def traction(self, step):
-        return self.k * step.mid * ufl.exp(-ufl.inner(step.mid, step.mid) / self.w_0**2)
-
-
 CHI = [[0.0, 0.5], [0.5, 1.0]]
 YIELDING = (60.0, 40.0, 0.3, 30.0)
 REFUSED = {
@@ -172,8 +146,8 @@ REFUSED = {
     "stacked": (Stack((0.5, CREEP), (0.5, MohrCoulomb(*YIELDING))), "MohrCoulomb bounds stresses"),
     "NonMonotone": (NonMonotone(60.0, 40.0, 1.5, 0.15, CHI), "NonMonotone answers at once, and not linearly"),
     "pure phases": (NonMonotoneUnrelaxed(60.0, 40.0, 1.5, 0.15, CHI), "NonMonotoneUnrelaxed holds at the ends"),
-    "elastic": (Stiffening(20.0, 50.0), "Stiffening answers at once, and not linearly"),
-    "stacked elastic": (Stack((0.5, CREEP), (0.5, Stiffening(20.0, 50.0))), "Stiffening answers at once"),
+    "elastic": (Cubic(20.0, 50.0), "Cubic answers at once, and not linearly"),
+    "stacked elastic": (Stack((0.5, CREEP), (0.5, Cubic(20.0, 50.0))), "Cubic answers at once"),
     "with memory": (Hardening(60.0, 40.0), "Hardening answers at once, and not linearly"),
     "plasticity of one's own": (Mises(60.0, 40.0, 0.6), "Mises answers at once, and not linearly"),
     "ageing": (AgeingSpring(40.0, 0.3), "AgeingSpring answers at once, and with parameters that change in time"),
@@ -182,7 +156,7 @@ REFUSED = {
         NonMonotone(60.0, 40.0, lambda T: 1.5 - T / 10, 0.15, CHI, T=lambda x, t: t + 0 * x[0]),
         "NonMonotone answers at once",
     ),
-    "jumps": (Cohesive(20.0, 1e-7), "Cohesive answers at once, and not linearly"),
+    "jumps": (Undeclared(20.0, 1e-7), "Undeclared answers at once, and not linearly"),
 }
 
 
@@ -196,8 +170,8 @@ def test_refused(name, tmp_path):
 
 
 def test_bodies_that_are_not_linear_are_refused():
-    with pytest.raises(ModelError, match=r"Stiffening answers at once.* \(body 'UPPER'\)"):
-        march(model(CREEP, body={"LOWER": BODY, "UPPER": Stiffening(100.0, 50.0)}), [1.0], theta=0.5)
+    with pytest.raises(ModelError, match=r"Cubic answers at once.* \(body 'UPPER'\)"):
+        march(model(CREEP, body={"LOWER": BODY, "UPPER": Cubic(100.0, 50.0)}), [1.0], theta=0.5)
 
 
 @pytest.mark.parametrize("law", [HolonomicCoulomb(100.0, 80.0, 0.3), IncrementalCoulomb(100.0, 80.0, 0.3)])

@@ -17,13 +17,8 @@ from geometry import block
 from tests import ranges_told
 from tests.arc_length_run import HEIGHT, WIDTH, bar
 from tests.ranks import CLONE
-from tests.snapping_bars import STEEP, C, Cohesive, openings, sigma
+from tests.snapping_bars import STEEP, C, Cohesive, Undeclared, openings, sigma
 from thinlayer import ModelError, Structure, ThinLayer, march, solve
-
-
-@dataclass(frozen=True)
-class Undeclared(Cohesive):
-    softens: ClassVar = False
 
 
 @dataclass(frozen=True)
