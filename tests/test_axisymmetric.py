@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -263,6 +264,11 @@ def _ring():
     return structure(joint, {}).interface(ThinLayer(GLUE, EPS))
 
 
+def _base_and_axis():
+    joint = block(1.0, 1.0, 0.5)
+    return replace(joint, facets={"S": np.concatenate([joint.facets["S"], joint.facets["LEFT"]])})
+
+
 def _rods(**options):
     return structure(rods(), {"BOTTOM": 0}, **options)
 
@@ -283,6 +289,7 @@ def _rods(**options):
         (lambda: structure(periodic(rods(inner=0.5, radius=2.0), ("LEFT", "RIGHT")), {}), "repeats along the axis"),
         (lambda: homogenised_stiffness(_ring()), "homogenised_stiffness is not for plane='axisymmetric'"),
         (lambda: structure(block(1.0, 1.0, 0.5).rotated(-np.pi / 2), {}), "'S' lies on the axis, where it has no area"),
+        (lambda: structure(_base_and_axis(), {}), "'S' lies on the axis, where it has no area"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_turned(build, message):

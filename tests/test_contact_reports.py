@@ -125,12 +125,18 @@ def test_refused_solves():
     for name, value in {"relaxation_omega": 2.5, "relaxation_tolerance": 0.0, "relaxation_max_sweeps": 0}.items():
         with pytest.raises(OptionError, match="allowed"):
             solve(model, method="relaxation", options={name: value})
+    askew = Structure(joint.rotated(0.3), **setup | {"supports": {"RIGHT": {"x": 0.0}}}).interface(coulomb("middle"))
+    with pytest.raises(ModelError, match="supports along the axes of S at its nodes"):
+        solve(askew, method="relaxation")
     for options in ({"snes_type": "nonsense"}, {"snes_max_it": "many"}, {"relaxation_omga": 1.5}, {"ksp_type": "cg"}):
         with pytest.raises(OptionError):
             solve(model, method="condensed", options=options)
     refused(ModelError, "theta", lambda: march(model, [1.0], theta=0.5))
     refused(ModelError, "like", lambda: solve(model, like=3))
     refused(ModelError, "for another one", lambda: solve(elastic.structure.bonded(), like=solve(elastic)))
+    squared = Structure(joint, **setup | {"element": "P2"}).interface(elastic.layer)
+    refused(ModelError, "for another one, with the same element", lambda: solve(elastic, like=solve(squared)))
+    refused(ModelError, "seam is 'BED'; name one with a contact law: S", lambda: ContactReport(solve(model), "BED"))
     other, data = sliding_bar(5)
     with pytest.raises(ModelError, match="same joint"):
         solve(model, like=solve(Structure(other, **data).interface(coulomb("middle"))))

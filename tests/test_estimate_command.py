@@ -165,6 +165,7 @@ def test_python_description(wanted, tmp_path):
         ("\nstructure = a", "lap.py, line 2: NameError: name 'a' is not defined"),
         ("structure = (", "lap.py, line 1: '(' was never closed"),
         (PYTHON + "goals = 3", "lap.py: goals is 3; it must be a list of goals, such as goals.Compliance()"),
+        (PYTHON + "goals = [3]", "lap.py: goals is [3]; it must be a list of goals"),
         (PYTHON + "tolerance = {'jmp': 1}", "lap.py: tolerance: unknown quantity 'jmp', did you mean 'jump'?"),
         (PYTHON + "tolerance = 0", "lap.py: tolerance.traction: 0 is not > 0; it is the largest"),
         (PYTHON + "units = 3", "lap.py: units: 3 is no text"),

@@ -85,6 +85,21 @@ def test_a_lock_of_this_process_and_folders_for_nothing(tmp_path):
     refused(ModelError, r"no files can be written in .*: ", lambda: march(interface(), [0.1], out="/proc/no/such"))
 
 
+def test_a_lock_is_that_of_the_file_which_is_there(tmp_path, monkeypatch):
+    """A run that ends takes its file away just before another one locks it, and a third one makes a new file."""
+    flock, path = fcntl.flock, tmp_path / ".lock"
+
+    def late(file, flags):
+        monkeypatch.undo()
+        path.unlink()
+        path.touch()
+        flock(file, flags)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with owned(tmp_path), pytest.raises(ModelError, match="another run"), owned(tmp_path):
+        pass
+
+
 def test_links_to_folders(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "there")
     with pytest.raises(

@@ -16,6 +16,7 @@ from petsc4py import PETSc
 from scipy.optimize import brentq
 
 from forms import (
+    ContactLaw,
     HolonomicCoulomb,
     Incompressible,
     IncrementalCoulomb,
@@ -519,6 +520,8 @@ def test_refused_tags():
         blocks.broken.layer(LAYER, ThinLayer(Maxwell(52.0, 4.0, t1=1.5), 0.1, order=1))
     with pytest.raises(LawError, match="a ContactLaw is for ContactPart"):
         blocks.broken.layer(LAYER, HolonomicCoulomb(K_N=1.0, K_T=1.0, friction=0.3))
+    with pytest.raises(LawError, match="ContactLaw has no threshold"):
+        ContactPart(ContactLaw(1.0, 1.0), blocks.broken.contact_surface(LAYER, blocks.V))
 
 
 def test_refused_steps():

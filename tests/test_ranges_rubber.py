@@ -12,6 +12,7 @@ from studies.problems import FOURIER_LAYER, fourier
 from tests.ranges_told import STIFF, excess, opened, strip_excess, times_too_stiff, told
 from thinlayer import Structure, Surface, ThinLayer, march, piecewise, solve
 from thinlayer.discretisation.free_rim import free_rim
+from thinlayer.ranges.checks import warn_of_model
 from thinlayer.ranges.pressure import pressure_length
 from thinlayer.ranges.sublayers import Sublayer
 
@@ -241,6 +242,8 @@ def test_a_viscous_layer_is_not_yet_what_it_is_at_rest():
     short, long = (told(lambda times=times: march(model, times))[1] for times in ([0.1, 0.2], [100.0, 200.0]))
     assert not any("incompressible" in one for one in short)
     assert sum("incompressible" in one for one in long) == 2
+    (at_rest,) = told(lambda: warn_of_model(model))[1]  # loads of no times
+    assert "incompressible" in at_rest
 
 
 def test_relaxing_behind_a_closed_surface():

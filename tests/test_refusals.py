@@ -61,9 +61,13 @@ def test_arguments_of_another_kind(wrong, words):
     refused(ModelError, words, lambda: Structure(**({"joint": JOINT, **SETUP} | wrong)))
 
 
-def test_thicknesses_that_coordinates_do_not_resolve():
+def test_thicknesses_that_are_zero_or_that_coordinates_do_not_resolve():
     with pytest.raises(GeometryError, match="1e-300, which coordinates do not resolve beside bodies of 2"):
         Structure(JOINT, **SETUP).full(ThinLayer(GLUE, 1e-300))
+    with pytest.raises(ModelError, match=r"eps is 2\.1e\+06, the bodies measure 2: .* lost in rounding"):
+        Structure(JOINT, **SETUP).full(ThinLayer(GLUE, 2.1e6))
+    with pytest.raises(GeometryError, match=r"the thickness profile is 0 at \(0, 0\); it must be > 0 on S"):
+        Structure(JOINT, **SETUP).interface(ThinLayer(GLUE, 0.1, profile=lambda x: x[0]))
 
 
 @pytest.mark.parametrize(

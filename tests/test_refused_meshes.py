@@ -90,6 +90,7 @@ def test_arguments(tmp_path):
     for arguments, message in [
         (dict(), "'S' lies inside LOW and UP; name the regions above it in upper.*regions: LOW, UP"),
         (dict(upper="UP", scale=0.0), "scale is 0.0; it must be a number > 0"),
+        (dict(upper="UP", scale=-1.0), "scale is -1.0; it must be a number > 0"),
         (dict(upper="UP", S="TOPP"), "unknown set of facets 'TOPP', did you mean 'TOP'"),
         (dict(upper="UP", lower="LOW", S=None), "other facets are named 'S'"),
         (dict(upper="UP", S="TOP"), "other facets are named 'S'"),

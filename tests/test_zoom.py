@@ -306,6 +306,8 @@ def test_places_and_heights_out_of_range_are_refused():
     ):
         with pytest.raises(ModelError, match=words):
             zoom.stress(x, y)
+    for end in (-1, 2):
+        refused(ModelError, f"end {end}: there are 2, numbered from 0", lambda end=end: zoom.axes_of_end(end))
     refused(ModelError, "seam", lambda: Zoom(state(), "BED"))
 
 
