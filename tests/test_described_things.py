@@ -60,6 +60,7 @@ THINGS = {
     "polynomial": lambda v: np.polynomial.Polynomial([0.0, v]),
     "expression": lambda v: ufl.as_ufl(v) * ufl.as_vector([1.0, 2.0]),
     "large": lambda v: 10**400 + int(v),
+    "beyond the digits of floats": lambda v: 2**60 + int(v),
     "keys": lambda v: {(v, 1): 2.0},
     "ufunc": lambda v: np.sin if v > 5 else np.cos,
 }
