@@ -1,15 +1,14 @@
-"""Functions of the tests that run on several ranks: one launch of mpirun for all that a session asks of so many ranks.
+"""Functions of the tests that run on several ranks, each in a launch of mpirun of its own.
 
 `@on_ranks(numbers, 2, 3)` runs a test with what `numbers` gives on two ranks and on three, as `there`. The function is
 collective, is found by its name in a module, gives what JSON knows, and takes a folder if it needs one: `their_folder`.
 
-python3 -m tests.on_ranks FOLDER CASE...: run functions, MODULE:NAME; keep what each gives in FOLDER.
+python3 -m tests.on_ranks FOLDER CASE: run a function, MODULE:NAME; keep what it gives in FOLDER.
 """
 
 from __future__ import annotations
 
 import fcntl
-import gc
 import importlib
 import inspect
 import json
@@ -28,7 +27,6 @@ from geometry.parallel import on_root, within
 from tests.ranks import mpirun
 
 PATIENCE = 1800  # s for one function, which may compile forms from an empty cache
-LAUNCHES = 4  # at most, of the same ranks: another one after each case that ends or hangs them
 
 
 class Asked(NamedTuple):
@@ -58,12 +56,10 @@ def there(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     """What the function of a test gives on several ranks."""
     asked, folder = request.param, _folder(request.param, tmp_path_factory)
     folder.mkdir(exist_ok=True)
-    with open(folder / "lock", "w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # pytest has several workers: one runs the functions, the others wait
+    with open(folder / f"{asked.case}.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # pytest has several workers: one runs the function, another one waits
         if not _answer(folder, asked.case).exists():
-            every = (getattr(item, "callspec", None) for item in request.session.items)
-            wanted = dict.fromkeys(one.params["there"] for one in every if one and "there" in one.params)
-            _launch(asked.ranks, [one.case for one in wanted if one.ranks == asked.ranks], folder)
+            _launch(asked, folder)
     answer = json.loads(_answer(folder, asked.case).read_text())
     if "error" in answer:
         pytest.fail(f"{asked.case} on {asked.ranks} ranks:\n{answer['error']}", pytrace=False)
@@ -91,22 +87,15 @@ def _own(folder: Path, case: str) -> Path:
     return folder / case
 
 
-def _launch(ranks: int, cases: list[str], folder: Path) -> None:
-    """Run functions; one in which the ranks end or hang has what they said as its error, and the others go on."""
-    left = [case for case in cases if not _answer(folder, case).exists()]  # not all, if pytest's worker has crashed
-    words = "-m", "tests.on_ranks", str(folder)
-    for _ in range(LAUNCHES):
-        try:
-            done = mpirun(ranks, *words, *left, timeout=PATIENCE, progress=lambda: len([*folder.glob("*.json")]))
-            said = done.stdout + done.stderr
-        except subprocess.TimeoutExpired as error:
-            said = f"{error}\n{error.stdout}\n{error.stderr}"
-        left = [case for case in left if not _answer(folder, case).exists()]
-        if not left:
-            return
-        _write(_answer(folder, left.pop(0)), {"error": f"the ranks ended or hung in it:\n{said}"})
-    for case in left:
-        _write(_answer(folder, case), {"error": f"not run, as the ranks end or hang again and again:\n{said}"})
+def _launch(asked: Asked, folder: Path) -> None:
+    """Run a function; where the ranks end or hang in it, what they said is its error."""
+    try:
+        done = mpirun(asked.ranks, "-m", "tests.on_ranks", str(folder), asked.case, timeout=PATIENCE)
+        said = done.stdout + done.stderr
+    except subprocess.TimeoutExpired as error:
+        said = f"{error}\n{error.stdout}\n{error.stderr}"
+    if not _answer(folder, asked.case).exists():
+        _write(_answer(folder, asked.case), {"error": f"the ranks ended or hung in it:\n{said}"})
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:
@@ -116,23 +105,20 @@ def _write(path: Path, content: dict[str, Any]) -> None:
 
 
 # ---------------------------------------------------------------- on the ranks
-def main(folder: Path, *cases: str) -> None:
-    """Run functions and write what they give on rank 0, or the errors of all ranks."""
-    comm = MPI.COMM_WORLD
-    gc.disable()  # PETSc objects are freed on all ranks together
-    for case in cases:
-        found, error = None, ""
-        try:
-            found = _called(case, folder)
-            json.dumps(found)
-        except (Exception, pytest.fail.Exception):
-            error = traceback.format_exc()
-        errors = comm.gather(error)
-        gc.collect()
-        if errors and any(errors):
-            _write(_answer(folder, case), {"error": "\n".join(f"rank {k}: {one}" for k, one in enumerate(errors))})
-        elif errors:
-            _write(_answer(folder, case), {"found": found})
+def main(folder: Path, case: str) -> None:
+    """Run a function and write what it gives on rank 0, or the errors of all ranks."""
+    found, error = None, ""
+    try:
+        found = _called(case, folder)
+        json.dumps(found)
+    except (Exception, pytest.fail.Exception):
+        error = traceback.format_exc()
+    errors = MPI.COMM_WORLD.gather(error)
+    if errors and any(errors):
+        said = "\n".join(f"rank {k}: {one}" for k, one in enumerate(errors))
+        _write(_answer(folder, case), {"error": said})
+    elif errors:
+        _write(_answer(folder, case), {"found": found})
 
 
 def _called(case: str, folder: Path) -> Any:
@@ -147,4 +133,4 @@ def _called(case: str, folder: Path) -> Any:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), *sys.argv[2:])
+    main(Path(sys.argv[1]), sys.argv[2])

@@ -7,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,25 +26,17 @@ def clean() -> dict[str, str]:
     return {k: v for k, v in os.environ.items() if not k.startswith(outer) or k.startswith("PRTE_MCA")}
 
 
-def mpirun(
-    ranks: int, *command: str, cwd: Path = CLONE, timeout: float = 240, progress: Callable[[], int] = lambda: 0
-) -> subprocess.CompletedProcess:
-    """Run a program; end it if its progress has been the same for as long as the timeout."""
+def mpirun(ranks: int, *command: str, cwd: Path = CLONE, timeout: float = 240) -> subprocess.CompletedProcess:
+    """Run a program, and end it after a time."""
     # ranks that wait leave the cores to those that compute: there may be fewer cores than ranks
     environment = clean() | {"PYTHONPATH": str(CLONE), "OMP_NUM_THREADS": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
     # mpi4py ends all ranks where one has an error; mpirun ends with pytest, even if that is killed, and ranks with mpirun
     words = [*ends_too("TERM"), "mpirun", "-n", str(ranks), *ends_too("KILL"), sys.executable, "-m", "mpi4py", *command]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen(words, env=environment, cwd=cwd, start_new_session=True, **pipes) as process:
-        reached = progress()
         try:
-            while True:
-                try:
-                    said = process.communicate(timeout=timeout)
-                    return subprocess.CompletedProcess(words, process.returncode, *said)
-                except subprocess.TimeoutExpired:
-                    if reached == (reached := progress()):
-                        raise
+            said = process.communicate(timeout=timeout)
+            return subprocess.CompletedProcess(words, process.returncode, *said)
         finally:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGTERM)

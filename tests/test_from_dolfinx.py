@@ -14,8 +14,7 @@ from forms import LinearElastic
 from geometry import Domain, GeometryError, Joint, block, disc, from_dolfinx, read, ring, sandwich
 from geometry.seam import Seam
 from tests.meshes import CELLS, drawing, model_to_mesh, rings, stack, volume
-from tests.on_ranks import PATIENCE, on_ranks
-from tests.ranks import mpirun
+from tests.on_ranks import on_ranks
 from thinlayer import Structure, ThinLayer, solve
 
 COMM = MPI.COMM_WORLD
@@ -152,12 +151,9 @@ def test_joints_come_back(alone):
         assert alone[f"back: {name}"][1] == pytest.approx(norm(joint), rel=1e-11), name
 
 
-@pytest.mark.parametrize("ranks", [2, 3])
-def test_several_ranks(alone, ranks):
+@on_ranks(numbers, 2, 3)
+def test_several_ranks(alone, there):
     """The joint does not depend on them."""
-    done = mpirun(ranks, "-m", "tests.test_from_dolfinx", timeout=PATIENCE)
-    assert done.returncode == 0, done.stderr
-    there = json.loads(done.stdout.splitlines()[-1])
     assert there.keys() == alone.keys()
     for name, (identity, size) in alone.items():
         assert there[name][0] == json.loads(json.dumps(identity)), name
@@ -314,9 +310,3 @@ def test_errors_on_two_ranks(there):
     assert one == "mesh is None; give a dolfinx.mesh.Mesh"
     assert two.startswith("unknown region 'UPPERS', did you mean 'UPPER'")
     assert three.startswith("the mesh is distributed on 1 ranks, comm has 2; give comm the communicator")
-
-
-if __name__ == "__main__":
-    found = numbers()
-    if COMM.rank == 0:
-        print(json.dumps(found))
