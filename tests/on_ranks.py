@@ -26,6 +26,7 @@ from mpi4py import MPI
 from geometry.parallel import on_root, within
 from tests.ranks import mpirun
 
+FEW = 2  # ranks; more of them on two cores take long
 PATIENCE = 1800  # s for one function, which may compile forms from an empty cache
 
 
@@ -37,8 +38,9 @@ class Asked(NamedTuple):
 
 
 def on_ranks(run: Callable[..., Any], *ranks: int) -> pytest.MarkDecorator:
-    asked = [Asked(f"{run.__module__}:{run.__qualname__}", n) for n in ranks]
-    return pytest.mark.parametrize("there", asked, indirect=True, ids=[f"{n} ranks" for n in ranks])
+    case = f"{run.__module__}:{run.__qualname__}"
+    asked = [pytest.param(Asked(case, n), id=f"{n} ranks", marks=[pytest.mark.long] if n > FEW else []) for n in ranks]
+    return pytest.mark.parametrize("there", asked, indirect=True)
 
 
 def alone(act: Callable[[], Any]) -> None:

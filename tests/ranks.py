@@ -13,6 +13,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 CLONE, REPLACE = Path(__file__).parent.parent, Path.replace
+LAUNCHES = 5  # of mpirun: two that begin at one time may make the same folder, and one of them ends before its program
 
 
 def ends_too(by: str) -> list[str]:
@@ -33,13 +34,16 @@ def mpirun(ranks: int, *command: str, cwd: Path = CLONE, timeout: float = 240) -
     # mpi4py ends all ranks where one has an error; mpirun ends with pytest, even if that is killed, and ranks with mpirun
     words = [*ends_too("TERM"), "mpirun", "-n", str(ranks), *ends_too("KILL"), sys.executable, "-m", "mpi4py", *command]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with subprocess.Popen(words, env=environment, cwd=cwd, start_new_session=True, **pipes) as process:
-        try:
-            said = process.communicate(timeout=timeout)
-            return subprocess.CompletedProcess(words, process.returncode, *said)
-        finally:
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGTERM)
+    for _ in range(LAUNCHES):
+        with subprocess.Popen(words, env=environment, cwd=cwd, start_new_session=True, **pipes) as process:
+            try:
+                out, err = process.communicate(timeout=timeout)
+            finally:
+                if process.poll() is None:
+                    os.killpg(process.pid, signal.SIGTERM)
+        if "prte_session_dir failed" not in err:
+            break
+    return subprocess.CompletedProcess(words, process.returncode, out, err)
 
 
 class Ended(BaseException):
