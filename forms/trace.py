@@ -16,7 +16,7 @@ from typing import Any
 import basix.ufl
 import numpy as np
 import ufl
-from ufl.classes import Constant, ConstantValue, Index, Label, MultiIndex, ScalarValue, Zero
+from ufl.classes import Constant, ConstantValue, Index, Label, MultiIndex, ScalarValue, Variable, Zero
 from ufl.core.expr import Expr as Node
 from ufl.corealg.traversal import traverse_unique_terminals
 
@@ -46,6 +46,11 @@ class Symbolic:
     numbers: Expr
 
 
+def variable(e: Expr) -> Expr:
+    """`ufl.variable` with a label of its own. UFL counts labels in a process, and FFCx knows no law under another count."""
+    return Variable(e, Label(-1))
+
+
 @cache
 def _symbols(length: int) -> Expr:
     return ufl.Constant(_DOMAIN, shape=(length,))
@@ -63,7 +68,7 @@ def symbolic(law: BulkLaw) -> Symbolic:
             return next(inputs)
         return ufl.as_tensor([take(shape[1:]) for _ in range(shape[0])])
 
-    end, old = ufl.variable(take((6,))), take((6,))
+    end, old = variable(take((6,))), take((6,))
     q = {name: _unpacked(take((SIZES[shape],)), shape) for name, shape in law.internal.items()}
     n, dt, theta = take((3,)), take(()), take(())
     step = Step(from_mandel(end), n, from_mandel(old), q, dt, theta)

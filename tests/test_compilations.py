@@ -13,7 +13,8 @@ import ufl
 
 from forms.laws import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from studies.problems import fourier
-from thinlayer import Structure, ThinLayer, compare, march, solve
+from thinlayer import Structure, ThinLayer, compare, drive, march, solve
+from thinlayer.pointwise import kernels
 
 CLONE = Path(__file__).parent.parent
 
@@ -100,6 +101,16 @@ def test_steps_ask_for_nothing(build, law, modules):
     assert len(asked) == 5
     assert asked[0] > 0
     assert len(set(asked)) == 1
+
+
+def test_what_was_made_before_does_not_matter(modules, monkeypatch):
+    """UFL counts variables in a process; a law has the same name in the cache under any count."""
+    for _ in range(2):
+        monkeypatch.setattr(kernels, "_COMPILED", {})
+        drive(Norton(60.0, 40.0, 5.0, 1.5), [{"w_T": 0.01, "w_N": 0.02}], dt=0.1)
+        ufl.variable(ufl.as_ufl(1.0))
+    assert len(modules) == 2
+    assert len(set(modules)) == 1
 
 
 def test_a_stack_shares_the_kernels_of_its_laws(modules):

@@ -13,6 +13,7 @@ from mpi4py import MPI
 
 from forms.kinematics import jump_strain
 from forms.law import BulkLaw, Step
+from forms.trace import variable
 from forms.work import Term
 from thinlayer.discretisation.layer import LAYER
 from thinlayer.parallel.communicator import communicator
@@ -96,7 +97,7 @@ def falling(p: Term, u: Any, old: Any) -> Any:
     minors is negative. NaNs fulfil no condition.
     """
     assert p.n is not None
-    e = ufl.variable(p.step(u).e)
+    e = variable(p.step(u).e)
     stress = p.law.stress(Step(e, p.n))
     d = p.n.ufl_shape[0]
     directions = [jump_strain(ufl.as_vector([float(i == k) for i in range(d)]), p.n) for k in range(d)]

@@ -139,8 +139,8 @@ class Material:
 
     def _given(self, *arrays: npt.NDArray[Any]) -> list[Any]:
         """Pointers to arrays, made contiguous (outputs are)."""
-        kinds = {"int32": "int32_t[]", "int64": "intptr_t[]", "float64": "double[]"}
-        return [self._library.ffi.from_buffer(kinds[a.dtype.name], np.ascontiguousarray(a)) for a in arrays]
+        kinds = {"i": "int32_t[]", "l": "intptr_t[]", "d": "double[]"}
+        return [self._library.ffi.from_buffer(kinds[a.dtype.char], np.ascontiguousarray(a)) for a in arrays]
 
 
 def _varying(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
