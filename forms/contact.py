@@ -81,12 +81,6 @@ class ContactLaw(Law):
     def _traits_of_methods(self) -> dict[str, bool]:
         return {"has_energy": self.memory, "remembers": self.memory, "of_jumps": True, "nodal": True}
 
-    def per_thickness(self, eps: float) -> Self:
-        raise LawError(
-            f"{type(self).__name__} has no thickness: K_N and K_T are per length already; "
-            f"for a layer of thickness eps: {type(self).__name__}.of_layer(lmbda / eps, mu / eps, ...)"
-        )
-
     def threshold(self, p: Array) -> Array:
         """Largest |t_T| at a pressure."""
         raise LawError(f"{type(self).__name__} has no threshold; a contact law needs a method threshold(p)")

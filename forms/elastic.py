@@ -70,7 +70,7 @@ class LinearElastic(LinearLaw):
     As a layer's law: t_T = mu [u_T], t_N = (lmbda + 2 mu) [u_N], the elastic part of Eq. (16).
 
     Attributes:
-        lmbda: first Lame modulus, stress (in a layer: stress per thickness); lmbda + 2 mu/3 > 0.
+        lmbda: first Lame modulus, stress; lmbda + 2 mu/3 > 0.
         mu: shear modulus, likewise; > 0.
 
     Raises:
@@ -87,7 +87,7 @@ class LinearElastic(LinearLaw):
 
     @classmethod
     def young(cls, E: Parameter, nu: Parameter) -> LinearElastic:
-        """The law with Young's modulus E > 0 (stress; in a layer per thickness) and Poisson's ratio -1 < nu < 1/2.
+        """The law with Young's modulus E > 0 (stress) and Poisson's ratio -1 < nu < 1/2.
 
         Both may be numpy functions of places (d, n) in the joint that give n values.
         """
@@ -102,7 +102,7 @@ class LinearElastic(LinearLaw):
 
     @classmethod
     def shear(cls, mu: Parameter, nu: Parameter) -> LinearElastic:
-        """The law with shear modulus mu > 0 (stress; in a layer per thickness) and Poisson's ratio -1 < nu < 1/2.
+        """The law with shear modulus mu > 0 (stress) and Poisson's ratio -1 < nu < 1/2.
 
         Both may be functions, as in `young`.
         """
@@ -187,9 +187,9 @@ class Anisotropic(LinearLaw):
     As a layer's law: t_i = C_ijkl n_j n_l [u_k], the acoustic tensor of the layer.
 
     Attributes:
-        C: (6, 6) symmetric stiffness in Voigt order 11, 22, 33, 23, 13, 12 (engineering shear strains), stress (in a
-            layer: stress per thickness), positive semidefinite. A layer needs a positive definite acoustic tensor, and a
-            body a positive definite C, unless supports hold the motions that it does not resist.
+        C: (6, 6) symmetric stiffness in Voigt order 11, 22, 33, 23, 13, 12 (engineering shear strains), stress, positive
+            semidefinite. A layer needs a positive definite acoustic tensor, and a body a positive definite C, unless
+            supports hold the motions that it does not resist.
         frame: "global", or "layer": axis 2 is the director n, axes 1 and 3 lie in the layer (`layer_frame`).
 
     Raises:

@@ -27,7 +27,7 @@ class Incompressible(LinearLaw):
     order 1 is that of `Rubber` for lmbda to infinity: a slope of p squeezes the layer along S.
 
     Attributes:
-        mu: shear modulus, stress (in a layer: stress per thickness); > 0.
+        mu: shear modulus, stress; > 0.
 
     Raises:
         LawError: mu out of range.

@@ -18,7 +18,6 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from forms.base import is_number
 from forms.declarations import SIZES, require_dataclass, require_declarations, reset_inherited
 from forms.declarations import LawError as LawError
 from forms.fields import OfPlaces, field_of, is_field, number_of
@@ -203,7 +202,7 @@ class Law(OfPlaces):
         """The parameters that vary, at places x (d, n) in the joint before inflating: name -> (n,).
 
         For the stress of a step t is the time at which forces balance, for the stored energy it is the end of the step.
-        `self` is the law in its layer, with real parameters: multiply these, do not return values per thickness.
+        `self` is the law of its layer: multiply its parameters.
         """
         return {}
 
@@ -243,8 +242,8 @@ class Law(OfPlaces):
 class BulkLaw(Law):
     """A law of strains, for the material of a layer or of a body.
 
-    A law is written for real moduli. Users give its parameters in a layer *per thickness*: the real value of a parameter
-    in a layer of thickness eps is value * eps**power, with the power declared here (0 by default).
+    A law has the parameters of its material. In a family of layers for eps -> 0 (`ThinLayer.at`) a parameter is
+    value * (eps/at)**power, with the power declared here (0 by default).
 
     A law must define `stress(step)`, and `advance(step)` if it has internal variables; all other methods are optional.
     Strains, stresses and tensors are (3, 3), UFL, in a body, in the meshed layer, on S and in a `Stack`.
@@ -417,16 +416,9 @@ class BulkLaw(Law):
         """The tangent (6, 6) of this law for that of `in_space`."""
         return C
 
-    def in_layer(self, eps: float) -> Self:
-        """The law in a layer of thickness eps (a length > 0), with real parameters, value * eps**power."""
-        return self.mapped(lambda value, power: (value if is_field(value) else np.asarray(value, float)) * eps**power)
-
-    def per_thickness(self, eps: float) -> Self:
-        """The law whose real parameters, in a layer of thickness eps (a length > 0), are this law's."""
-        if not (is_number(eps) and math.isfinite(eps) and eps > 0):
-            raise LawError(f"eps is {eps!r}; the thickness must be > 0")
-        thickness = float(eps)  # whole numbers of numpy have no negative powers
-        return self.mapped(lambda value, power: value * thickness**-power)
+    def scaled(self, ratio: float) -> Self:
+        """The law that has the same interface law in a layer `ratio` times as thick: parameters times ratio**power."""
+        return self.mapped(lambda value, power: (value if is_field(value) else np.asarray(value, float)) * ratio**power)
 
 
 @cache

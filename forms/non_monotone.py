@@ -47,7 +47,7 @@ class Phases(BulkLaw):
     A phase has the energy e:C:e/2 - z alpha chi:e + C |z| per volume, stress C:e - z alpha chi; Eq. (39).
 
     Attributes:
-        lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
+        lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
         alpha: transformation stress, also in a layer (it does not scale with eps), > 0; or a function of T, in numpy.
         transformation_energy: C in the formulas, energy per volume (in a layer: per area, C = real value * eps: the real
             one is C/eps; section 6.1 prints one power of eps for alpha and C), > 0; or a function of T.

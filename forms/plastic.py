@@ -44,11 +44,11 @@ class Plastic(BulkLaw):
     dissipated. p is the strain that, times c, is the work of the plastic flow if this is associated: see the laws.
 
     Attributes:
-        lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
+        lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
         cohesion: C in the formulas, stress, also in a layer (it and the angles do not scale with its thickness); >= 0.
         friction_angle: Omega in the formulas, in degrees (30, not 0.52), 0 <= Omega < 90; > 0 if C = 0.
         elastic_fraction: 0 <= elastic_fraction < 1.
-        hardening: H, stress (in a layer: stress per thickness); >= 0.
+        hardening: H, stress; >= 0.
         saturation: Q, largest increase of the cohesion beside H p, stress, also in a layer; >= 0.
         saturation_strain: p_0, at which half of Q is reached, strain (in a layer: strain times thickness, a length); > 0
             where Q > 0.

@@ -28,7 +28,7 @@ class Rubber(LinearLaw):
     beside the shear of the layer (`forms.work.surface`). Its error is O(eps^2) for all Poisson's ratios in (0, 1/2).
 
     Attributes:
-        lmbda: first Lame modulus, stress (in a layer: stress per thickness); > 0.
+        lmbda: first Lame modulus, stress; > 0.
         mu: shear modulus, likewise; > 0.
 
     Raises:
@@ -43,7 +43,7 @@ class Rubber(LinearLaw):
 
     @classmethod
     def shear(cls, mu: float, nu: float) -> Rubber:
-        """The law with shear modulus mu > 0 (stress; in a layer per thickness) and Poisson's ratio 0 < nu < 1/2."""
+        """The law with shear modulus mu > 0 (stress) and Poisson's ratio 0 < nu < 1/2."""
         return cls(LinearElastic.shear(mu, nu).lmbda, mu)
 
     def check(self) -> None:

@@ -55,7 +55,7 @@ class KelvinVoigt(SpringBesideDashpot):
     lmbda theta_lmbda + 2 mu theta_mu (tangential, normal).
 
     Attributes:
-        lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
+        lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
         theta_lmbda, theta_mu: viscosity over modulus, times; theta_mu > 0, lmbda theta_lmbda + 2 mu theta_mu/3 >= 0.
 
     Raises:
@@ -144,7 +144,7 @@ class Maxwell(SpringBeforeDashpot):
     differential equation of first order holds for it.
 
     Attributes:
-        lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
+        lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
         t1: relaxation time of the deviator, > 0.
         t2: relaxation time of the trace in Eq. (18), >= 3 nu t1/(1 + nu), where the mean stress does not relax; default t1.
 
@@ -203,7 +203,7 @@ class Norton(SpringBesideDashpot):
     step as the spring, and only at strains of the step below 1e-12. For p < 1.2 Newton's method may need more, see `rest`.
 
     Attributes:
-        lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
+        lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
         eta: viscosity, stress times time^(p - 1) (in a layer: stress (time/length)^(p - 1)); > 0.
         p: exponent > 1. 2: a linear dashpot; near 1: almost rigid below a threshold.
         rest: rate below which the dashpot is linear, part of the law: |rate|^2 becomes |rate|^2 + rest^2. 1/time (in a
@@ -248,7 +248,7 @@ class NortonCreep(SpringBeforeDashpot):
     As a layer's law: under a held shear traction dw_T/dt = 3^((n + 1)/2) A |t_T|^(n - 1) t_T after the elastic jump.
 
     Attributes:
-        lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
+        lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
         A: rate of strain under unit stress, 1/(time stress^n) (in a layer: length/(time stress^n)); > 0.
         n: exponent >= 1; 1 is Maxwell's dashpot, t1 = 1/(3 mu A), of the deviator alone.
 

@@ -30,9 +30,9 @@ class VonMises(KernelLaw):
     t_T is at most Y/sqrt(3), reached under lasting shear, and t_N - (lmbda + 2 mu/3) w_N at most 2 Y/3.
 
     Attributes:
-        lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
+        lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
         strength: Y in the formulas, yield stress in tension, stress, also in a layer; > 0.
-        hardening: H, linear isotropic hardening, stress (in a layer: stress per thickness); >= 0.
+        hardening: H, linear isotropic hardening, stress; >= 0.
         kinematic: K, linear kinematic hardening, likewise.
         saturation: Q, largest increase of the yield stress beside H p, stress, also in a layer; >= 0.
         saturation_strain: p_0, strain (in a layer: strain times thickness, a length); > 0 where Q > 0.

@@ -111,13 +111,13 @@ def _held(joint: Joint) -> Structure:
 
 def _model(structure: Structure, name: str, eps: float, nu: float) -> Model:
     if name == "order_0":
-        return structure.interface(ThinLayer(LinearElastic(_modulus(nu), MU).per_thickness(eps), eps))
+        return structure.interface(ThinLayer(LinearElastic(_modulus(nu), MU), eps))
     law = Incompressible(MU) if nu == 0.5 else Rubber(_modulus(nu), MU)
     if (
         name == "rubber"
     ):  # closed forms are those of a pressure that knows nothing of its ends but that it is zero there
-        return structure.interface(ThinLayer(law.per_thickness(eps), eps, order=1, edges="plain"))
-    return structure.full(ThinLayer(law.per_thickness(eps), eps), cells_through=6)
+        return structure.interface(ThinLayer(law, eps, order=1, edges="plain"))
+    return structure.full(ThinLayer(law, eps), cells_through=6)
 
 
 def _tractions(record: Record, *, quick: bool) -> None:

@@ -16,7 +16,7 @@ from thinlayer.running.record import Record
 
 EPS = (0.8, 0.4, 0.2, 0.1)  # mm
 STEEL = LinearElastic.young(E=210e3, nu=0.3)  # MPa
-GLUE = LinearElastic.young(E=2e3, nu=0.4).per_thickness(0.2)  # 2 GPa where the layer is 0.2 mm thick
+GLUE, GLUE_EPS = LinearElastic.young(E=2e3, nu=0.4), 0.2  # 2 GPa where the layer is 0.2 mm thick
 RADIUS, HEIGHT = 12.0, 10.0  # mm
 STRESS, BENDING = 20.0, 30.0  # MPa: mean, and at the edge
 SAME = 0.01  # relative difference of means in three dimensions and in the axisymmetric section
@@ -41,8 +41,8 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         "supports": {"BOTTOM": 0.0},
         "tractions": {"TOP": lambda x, t: (0.0, STRESS + BENDING * x[0] / RADIUS, 0.0)},
     }
-    record.parameters = {"radius_mm": RADIUS, "height_mm": HEIGHT, "steel": str(STEEL), "glue_per_mm": str(GLUE)}
-    sweep = Sweep(record, joint, setup, lambda e: ThinLayer(GLUE, e), where=inside, more=against_section)
+    record.parameters = {"radius_mm": RADIUS, "height_mm": HEIGHT, "steel": str(STEEL), "glue": str(GLUE)}
+    sweep = Sweep(record, joint, setup, lambda e: ThinLayer(GLUE, e, at=GLUE_EPS), where=inside, more=against_section)
     table = sweep.run(eps, (0.9, None), unit="mm", title="butt joint")
     for name in ("rise_meshed", "rise_law", "traction_meshed", "traction_law"):
         apart = max(abs(a / b - 1) for a, b in zip(table[name], table[f"{name}_axisymmetric"], strict=True))

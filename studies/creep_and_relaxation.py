@@ -169,7 +169,7 @@ class Column:
             supports["TOP"] = {moves: pull.end}
         else:
             setup["tractions"] = {"TOP": pull.stress * np.eye(2)[pull.axis]}
-        structure, layer = Structure(joint, **setup), ThinLayer(case.law, EPS)
+        structure, layer = Structure(joint, **setup), ThinLayer(case.law, EPS, at=1.0)
         self.models: dict[str, Model] = {INTERFACE: structure.interface(layer), FULL: structure.full(layer)}
         self.surface = Surface(self.models[INTERFACE])
 

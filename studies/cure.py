@@ -68,7 +68,7 @@ class Curing(BulkLaw):
 
 LIQUID = 1e-6  # share of the final moduli that the liquid has
 SHRINKAGE, TAU = 0.01, 2.0  # linear shrinkage of full conversion; hours
-RESIN = LinearElastic.young(E=3e3, nu=0.35).per_thickness(EPS)
+RESIN = LinearElastic.young(E=3e3, nu=0.35)
 
 
 def conversion(x: Any) -> Any:
@@ -100,7 +100,7 @@ def strips(h: float, mu: float, supports: dict[Any, Any]) -> dict[str, Model]:
     cooled = {name: ThermalExpansion(alpha, COOLING) for name, alpha in ALPHA.items()}
     bodies = {"LOWER": ALUMINIUM, "UPPER": STEEL}
     structure = Structure(joint, body=bodies, supports={"LEFT": {"x": 0.0}} | supports, eigenstrain=cooled)
-    layer = ThinLayer(LinearElastic.shear(mu, 0.4).per_thickness(EPS), EPS)
+    layer = ThinLayer(LinearElastic.shear(mu, 0.4), EPS)
     return {"meshed layer": structure.full(layer), "interface law": structure.interface(layer)}
 
 
@@ -207,7 +207,7 @@ def normal_traction(state: State, surface: Surface) -> float:
 
 def cured(t: Numbers) -> Array:
     """Stress of a held layer: the integral of (3 lmbda + 2 mu) c de with e = SHRINKAGE c, half of that of a hard resin."""
-    final = EPS * (3 * RESIN.lmbda + 2 * RESIN.mu) * SHRINKAGE
+    final = (3 * RESIN.lmbda + 2 * RESIN.mu) * SHRINKAGE
     c = conversion(t / TAU)
     return np.asarray(final * c**2 / 2)
 
@@ -238,7 +238,7 @@ def shrinking_freely(record: Record) -> None:
     """A layer that shrinks across itself, under a plate that follows: what stress is left is rounding."""
     models = plates(((0.0, 0.0), (0.0, -SHRINKAGE)), RESIN, {})
     surface = Surface(models["interface law"])
-    scale = EPS * (RESIN.lmbda + 2 * RESIN.mu) * SHRINKAGE
+    scale = (RESIN.lmbda + 2 * RESIN.mu) * SHRINKAGE
     for name, model in models.items():
         state = record.solved(solve(model))
         t = surface.traction(state)

@@ -48,7 +48,7 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         record,
         fibre(RADIUS, RIM, 0.1 if quick else 0.05, cell="quadrilateral", degree=2),
         setup(),
-        lambda e: ThinLayer(COATING, e),
+        lambda e: ThinLayer(COATING, e, at=1.0),
         bodies="extended",
         more=against_closed_forms,
     )
@@ -108,7 +108,9 @@ def refine(record: Record, sizes: Sequence[float]) -> None:
     for degree, (low, high) in ORDERS.items():
         errors = []
         for h in sizes:
-            model = Structure(fibre(RADIUS, RIM, h, degree=degree), **setup()).interface(ThinLayer(COATING, 0.01))
+            model = Structure(fibre(RADIUS, RIM, h, degree=degree), **setup()).interface(
+                ThinLayer(COATING, 0.01, at=1.0)
+            )
             errors.append(abs(energy(record.solved(solve(model))) / exact - 1))
             order = observed_orders(sizes[: len(errors)], errors)[-1]
             row = {"degree": degree, "h": h, "cells": len(model.joint.cells), "error_energy": errors[-1]}
@@ -123,7 +125,7 @@ def homogenise(record: Record, eps: Sequence[float], h: float) -> None:
     structure, table = Structure(cell, body=setup()["body"], supports={}), record.table("homogenised.csv")
     errors: list[float] = []
     for e in eps:
-        layer = ThinLayer(COATING, e)
+        layer = ThinLayer(COATING, e, at=1.0)
         full, limit = (
             homogenised_stiffness(m) for m in (structure.full(layer, bodies="extended"), structure.interface(layer))
         )

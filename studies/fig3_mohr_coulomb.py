@@ -28,7 +28,7 @@ from thinlayer.running.record import Record
 SIDE = 100.0  # mm
 EPS = 1.0  # mm
 STEEL = LinearElastic.young(E=210e3, nu=0.3)  # MPa
-GLUE = LinearElastic.young(E=30e3, nu=0.3).per_thickness(EPS)  # MPa/mm
+GLUE = LinearElastic.young(E=30e3, nu=0.3)  # MPa
 OMEGA = 30.0
 H = 0.02  # elastic fraction of both models where the meshed layer is compared
 R_X, U_T_50 = 0.7760, 2.9706e-5  # N/mm and mm: loads R1 in one step, by an independent code
@@ -106,7 +106,7 @@ def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: 
 
 
 def glue(h: float) -> MohrCoulomb:
-    """The layer of Fig. 2, per mm."""
+    """The glue of Fig. 2."""
     return MohrCoulomb(GLUE.lmbda, GLUE.mu, cohesion=0.0, friction_angle=OMEGA, elastic_fraction=h)
 
 
@@ -162,7 +162,7 @@ class YieldingBar:
 
     def check(self, shown: dict[str, State]) -> None:
         """Numbers of the independent code, and where Fig. 3 shows the elastic ratio."""
-        record, mu = self.record, GLUE.mu
+        record, mu = self.record, GLUE.mu / EPS
         limit = next(iter(shown.values()))
         record.results[f"{self.name}: shear force on S, N/mm"] = {k: self.shear_force(s) for k, s in shown.items()}
         record.check(f"{self.name}: Newton steps of the interface law, one load step", limit.report.iterations, high=7)
@@ -207,7 +207,7 @@ def draw(record: Record) -> None:
             for model in dict.fromkeys(str(row["model"]) for row in table.rows)
         }
         x = next(iter(parts[title].values()))[0]
-        parts[title]["elastic, mu"] = (x, np.full(len(x), GLUE.mu / 1e3))
+        parts[title]["elastic, mu"] = (x, np.full(len(x), GLUE.mu / EPS / 1e3))
     styles = dict(zip(next(iter(parts.values())), ("-", "--", ":", "-."), strict=True))
     colours = dict(zip(styles, plotting.COLOURS, strict=False))
     save = record.path("ratio.png")

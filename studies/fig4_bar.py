@@ -83,7 +83,7 @@ class Strip:
         material = law(0.0, bar.kbar / bar.l / 2, bar.alpha, bar.l * bar.cbar, np.diag([0.0, 1.0]))
         moves = piecewise({0: 0, END: END, 2 * END: 0})
         supports: dict[str, Support] = {"LEFT": {"x": 0}, "RIGHT": {"x": 0}, "TOP": {"x": 0, "y": moves}}
-        layer = ThinLayer(material, (bar.eps or BAR.eps) * bar.l)  # the interface law does not depend on eps
+        layer = ThinLayer(material, (bar.eps or BAR.eps) * bar.l, at=1.0)  # the interface law does not depend on eps
         structure = Structure(self.joint, body=LinearElastic(0.0, bar.K / 2), supports=supports, element="Q1")
         return structure.full(layer, bodies="extended", cells_through=3) if bar.eps else structure.interface(layer)
 

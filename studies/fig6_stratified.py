@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from forms import BulkLaw, LinearElastic, Stack
+from forms import LinearElastic, Stack
 from geometry import block
 from studies.measured import along_S
 from thinlayer import State, Structure, Surface, Table, ThinLayer, observed_orders, plotting, solve
@@ -15,11 +15,10 @@ from thinlayer.running.record import Record
 
 EPS = 0.1  # mm
 BAR = LinearElastic.young(E=130e3, nu=0.2)  # MPa
-GLUE_MODULI = Stack(  # MPa; the lower half is softer
+GLUE = Stack(  # MPa; the lower half is softer
     (0.5, LinearElastic.shear(mu=7.5e3, nu=0.3)),
     (0.5, LinearElastic.shear(mu=10e3, nu=0.3)),
 )
-GLUE = GLUE_MODULI.per_thickness(EPS)
 K_T = 1 / (0.5 * EPS / 7.5e3 + 0.5 * EPS / 10e3)  # N/mm^3: compliances add
 WIDTH = HEIGHT = 40.0  # mm
 INNER = (6.0, 30.0)  # mm: away from the ends of the layer, whose influence decays over a few mm
@@ -36,9 +35,9 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
     """
     sizes = (4.0, 0.5, 0.1) if quick else (2.0, 0.2, 0.02)
     bar = StratifiedBar(record, *sizes)
-    record.parameters = {"eps_mm": EPS, "K_T": K_T, "h_mm": sizes, "bar": str(BAR), "layer_per_mm": str(GLUE)}
+    record.parameters = {"eps_mm": EPS, "K_T": K_T, "h_mm": sizes, "bar": str(BAR), "layer": str(GLUE)}
     x, ratio_interface = bar.stiffness(bar.limit)
-    full = bar.full(GLUE, EPS)
+    full = bar.full(ThinLayer(GLUE, EPS))
     _, ratio_band = bar.stiffness(full)
     rows = zip(x, ratio_band, ratio_interface, strict=True)
     record.write("table.csv", Table({"x_mm": a, "ratio_band": b, "ratio_interface": c} for a, b, c in rows))
@@ -68,9 +67,9 @@ class StratifiedBar:
         model = self.bar.interface(ThinLayer(GLUE, EPS))
         self.limit, self.surface = record.solved(solve(model)), Surface(model)
 
-    def full(self, law: BulkLaw, eps: float) -> State:
+    def full(self, layer: ThinLayer) -> State:
         """The bar on a meshed layer."""
-        return self.record.solved(solve(self.bar.full(ThinLayer(law, eps))))
+        return self.record.solved(solve(self.bar.full(layer)))
 
     def stiffness(self, state: State) -> tuple[np.ndarray, np.ndarray]:
         """x and t_T/u_T at the vertices of S, both projected to degree 1; without the supported end, where it is 0/0."""
@@ -78,9 +77,9 @@ class StratifiedBar:
         free = np.abs(u[:, 0]) > 1e-9 * np.abs(u[:, 0]).max()
         return x[free, 0], t[free, 0] / u[free, 0]
 
-    def deviation(self, law: BulkLaw, eps: float, k_t: float) -> float:
+    def deviation(self, layer: ThinLayer, k_t: float) -> float:
         """Relative deviation of t_T/u_T from k_t at PLACE."""
-        x, ratio = self.stiffness(self.full(law, eps))
+        x, ratio = self.stiffness(self.full(layer))
         return float(np.interp(PLACE, x, ratio) / k_t - 1)
 
 
@@ -91,8 +90,8 @@ def _deviation(record: Record, bar: StratifiedBar, eps: Sequence[float]) -> Tabl
         rows.append(
             {
                 "eps_mm": e,
-                "deviation_ratios_held": bar.deviation(GLUE, e, K_T),
-                "deviation_moduli_held": bar.deviation(GLUE_MODULI.per_thickness(e), e, K_T * EPS / e),
+                "deviation_ratios_held": bar.deviation(ThinLayer(GLUE, e, at=EPS), K_T),
+                "deviation_moduli_held": bar.deviation(ThinLayer(GLUE, e), K_T * EPS / e),
             }
         )
     table = record.table("deviation.csv")

@@ -92,13 +92,13 @@ def _errors(record: Record, case: EndCase, kinds: Sequence[str], thicknesses: Se
 
     def run(eps: float) -> dict[str, float]:
         structure, found = case.structure(eps, cells), {"eps": eps}
-        full = record.solved(solve(structure.full(ThinLayer(case.law, eps), cells_through=cells)))
+        full = record.solved(solve(structure.full(ThinLayer(case.law, eps, at=1.0), cells_through=cells)))
         for kind in kinds:
             edges = "plain" if kind == IGNORED else "free"
             law = OfLength(case.law.lmbda, case.law.mu, float(kind)) if kind in LENGTHS else case.law
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", RangeWarning)  # that ends are ignored
-                limit = record.solved(solve(structure.interface(ThinLayer(law, eps, order=1, edges=edges))))
+                limit = record.solved(solve(structure.interface(ThinLayer(law, eps, order=1, edges=edges, at=1.0))))
             row = compare(full, limit, where=case.inner)
             work = _work_on_top(limit) / _work_on_top(full)
             errors = {"traction": row["error_traction"], "jump": row["error_jump"], "work": abs(work - 1)}

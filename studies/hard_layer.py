@@ -30,7 +30,7 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
     for name, law in LAYERS.items():
 
         def compare_at(e: float, law: LinearElastic = law) -> dict[str, float]:
-            layer = ThinLayer(law.per_thickness(e), e, order=1)
+            layer = ThinLayer(law, e, order=1)
             full = record.solved(solve(Structure(joint, **setup).full(layer)))
             return compare(full, record.solved(solve(Structure(joint, **setup).interface(layer))))
 

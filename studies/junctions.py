@@ -66,7 +66,7 @@ class Case:
 
     def thin(self, eps: float) -> dict[str, ThinLayer]:
         """The layers."""
-        return {name: ThinLayer(law, share * eps) for name, (law, share) in self.layers.items()}
+        return {name: ThinLayer(law, share * eps, at=1.0) for name, (law, share) in self.layers.items()}
 
     def structure(self, joint: Joint, *, meshed: bool) -> Structure:
         """The structure; a stiff fill is in the meshed model alone."""

@@ -66,13 +66,13 @@ class _Blocks:
         joint = sandwich(1.0, 0.5, 0.5, h=1 / 8, h_S=1 / 32, h_ends=eps / 8, cell="quadrilateral")
         load = LOAD if law.traits.linear else lambda x, t: (LOAD[0] * t, LOAD[1] * t)
         self.structure = Structure(joint, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": load})
-        self.full = self.state(self.structure.full(ThinLayer(law, eps), cells_through=CELLS_THROUGH))
+        self.full = self.state(self.structure.full(ThinLayer(law, eps, at=1.0), cells_through=CELLS_THROUGH))
 
     def state(self, model: Model) -> State:
         return self.record.solved(solve(model) if self.law.traits.linear else march(model, TIMES).last)
 
     def by_law(self, order: int, edges: str) -> State:
-        layer = ThinLayer(self.law, self.eps, order=order, edges=edges if order else None)
+        layer = ThinLayer(self.law, self.eps, order=order, edges=edges if order else None, at=1.0)
         return self.state(self.structure.interface(layer))
 
     def mixed(self, thicknesses: float) -> State:
@@ -82,7 +82,7 @@ class _Blocks:
         def near_ends(x: Array) -> npt.NDArray[np.bool_]:
             return np.asarray(np.minimum(x[0], 1 - x[0]) < length)
 
-        layer = ThinLayer(self.law, self.eps, order=1)
+        layer = ThinLayer(self.law, self.eps, order=1, at=1.0)
         return self.state(self.structure.mixed(layer, where=near_ends, cells_through=CELLS_THROUGH))
 
     def errors(self, state: State) -> dict[str, float]:
@@ -184,7 +184,10 @@ def _wall(record: Record, h: float, thicknesses: Sequence[float]) -> None:
 
 
 def _mortar(eps: float, order: int) -> dict[str, ThinLayer]:
-    return {"BED": ThinLayer(ELASTIC, eps, order=order), "HEAD": ThinLayer(ELASTIC, HEADS * eps, order=order)}
+    return {
+        "BED": ThinLayer(ELASTIC, eps, order=order, at=1.0),
+        "HEAD": ThinLayer(ELASTIC, HEADS * eps, order=order, at=1.0),
+    }
 
 
 def _within(special: Array, length: float, x: Array) -> npt.NDArray[np.bool_]:

@@ -17,7 +17,7 @@ from thinlayer.running.record import Record
 MESH = Path(__file__).parent / "data" / "arch.msh"  # curved cells; arch.geo is its drawing
 EPS = (0.04, 0.02, 0.01, 0.005)  # m
 STONE = LinearElastic.young(E=20e3, nu=0.2)  # MPa
-MORTAR = LinearElastic.young(E=1e3, nu=0.2).per_thickness(0.01)  # 1 GPa where joints are 10 mm thick
+MORTAR, MORTAR_EPS = LinearElastic.young(E=1e3, nu=0.2), 0.01  # 1 GPa where joints are 10 mm thick
 WEIGHT = (0.0, -0.025)  # MN/m^3
 RADIUS, MIDDLE = 1.15, 0.1  # m: joints are measured over the middle two thirds of their length
 
@@ -38,8 +38,8 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         "body_force": WEIGHT,
         "element": "P1" if quick else "P2",
     }
-    record.parameters = {"mesh": MESH.name, "stone": str(STONE), "mortar_per_m": str(MORTAR)}
-    sweep = Sweep(record, joint, setup, lambda e: ThinLayer(MORTAR, e), bodies="extended", where=inside)
+    record.parameters = {"mesh": MESH.name, "stone": str(STONE), "mortar": str(MORTAR)}
+    sweep = Sweep(record, joint, setup, lambda e: ThinLayer(MORTAR, e, at=MORTAR_EPS), bodies="extended", where=inside)
     sweep.run(eps, (0.9, 1.1), pictured=middle, unit="m", title="masonry arch")
 
 

@@ -58,7 +58,9 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
     inflated(record, 0.15 if quick else 0.08)
     joint, setup = sheared_blocks(h)
     setup |= {"body": METAL}
-    sweep = Sweep(record, joint, setup, partial(ThinLayer, MORTAR), times=(0.25, 0.5, 0.75, 1.0), more=dissipated)
+    sweep = Sweep(
+        record, joint, setup, partial(ThinLayer, MORTAR, at=1.0), times=(0.25, 0.5, 0.75, 1.0), more=dissipated
+    )
     found = sweep.run(eps, (0.9, 1.3), title="Mohr-Coulomb joint between bodies that yield")
     for name in ("bodies", "joint"):
         record.check(f"energy dissipated in the {name}, over the stored energy", found[name][-1], low=0.01)
@@ -128,7 +130,7 @@ def inflated(record: Record, h: float) -> None:
     c, table = CYLINDER, record.table("cylinder.csv")
     nu = 0.499
     metal = VonMises.young(E=2 * c.mu * (1 + nu), nu=nu, strength=STRENGTH)
-    bond = ThinLayer(LinearElastic(BOND, BOND), 1e-3)
+    bond = ThinLayer(LinearElastic(BOND, BOND), 1e-3, at=1.0)
     for kind, (data, inside, outside) in cylinders(h).items():
         model = Structure(body=metal, **data).interface(bond)
         surface = Surface(model)

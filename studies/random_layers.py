@@ -35,7 +35,7 @@ def glued(cells: int) -> InterfaceModel:
 
 def layer(E: float, eps: float) -> ThinLayer:
     """Glue of Young's modulus E, MPa, and of a thickness, mm."""
-    return ThinLayer(LinearElastic.young(E=E, nu=0.4).per_thickness(eps), eps)
+    return ThinLayer(LinearElastic.young(E=E, nu=0.4), eps)
 
 
 def run(record: Record, *, quick: bool = False) -> None:

@@ -16,7 +16,7 @@ from thinlayer.running.record import Record
 EPS = (0.8, 0.4, 0.2, 0.1)  # mm
 SHAFT = LinearElastic.young(E=210e3, nu=0.3)  # MPa
 HUB = LinearElastic.young(E=70e3, nu=0.33)
-GLUE = LinearElastic.young(E=2e3, nu=0.4).per_thickness(0.2)  # 2 GPa where the layer is 0.2 mm thick
+GLUE, GLUE_EPS = LinearElastic.young(E=2e3, nu=0.4), 0.2  # 2 GPa where the layer is 0.2 mm thick
 RADII = (10.0, 15.0, 20.0)  # mm: inside of the shaft, S, outside of the hub
 NEXT = "order1"
 
@@ -37,9 +37,10 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         "supports": {"INSIDE": 0.0},
         "tractions": {"OUTSIDE": lambda x, t: (0.0, -ufl.conditional(x[1] > 0, 10.0 * x[1] / RADII[2], 0.0))},
     }
-    record.parameters = {"radii_mm": RADII, "shaft": str(SHAFT), "hub": str(HUB), "glue_per_mm": str(GLUE)}
+    record.parameters = {"radii_mm": RADII, "shaft": str(SHAFT), "hub": str(HUB), "glue": str(GLUE)}
     for case, order, rates in (("", 0, (0.9, 1.1)), (NEXT, 1, (1.8, 2.2))):
-        sweep = Sweep(record, joint, setup, partial(ThinLayer, GLUE, order=order), bodies="extended", case=case)
+        layer = partial(ThinLayer, GLUE, order=order, at=GLUE_EPS)
+        sweep = Sweep(record, joint, setup, layer, bodies="extended", case=case)
         sweep.run(eps, rates, unit="mm", title="glued shaft and hub", pictured=None if order else max)
 
 

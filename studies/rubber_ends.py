@@ -53,12 +53,12 @@ def _errors(record: Record, law: BulkLaw, eps: float, laws: Sequence[str]) -> li
     """
     joint = sandwich(1.0, 0.5, 0.5, h=1 / 8, h_S=1 / 32, h_ends=eps / 12, cell="quadrilateral")
     blocks = Structure(joint, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1.0)})
-    full = record.solved(solve(blocks.full(ThinLayer(law, eps), cells_through=12)))
+    full = record.solved(solve(blocks.full(ThinLayer(law, eps, at=1.0), cells_through=12)))
     found = []
     for edges in laws:
         with warnings.catch_warnings():  # of ends that a law does not know
             warnings.simplefilter("ignore", RangeWarning)
-            limit = record.solved(solve(blocks.interface(ThinLayer(law, eps, order=1, edges=edges))))
+            limit = record.solved(solve(blocks.interface(ThinLayer(law, eps, order=1, edges=edges, at=1.0))))
         work = limit.energies()["loads"] / full.energies()["loads"]
         row = dict(compare(full, limit, where=lambda x: abs(x[0] - 0.5) < 0.25))
         found.append(row | {"error_work": abs(work - 1)})
@@ -89,7 +89,7 @@ def _contrasts(record: Record, ratios: Sequence[float], thicknesses: Sequence[fl
     cases = [(nu, eps, contrast) for nu in ratios for eps in thicknesses for contrast in CONTRASTS]
     with patch.object(free_ends, "LEAST_CONTRAST", 0.0):
         for nu, eps, contrast in track(cases, "free_ends", "nu, eps, E/mu = {}"):
-            law = LinearElastic.shear(BODY_E / contrast, nu).per_thickness(eps)
+            law = LinearElastic.shear(BODY_E / contrast, nu).scaled(1 / eps)
             known, ignored = _errors(record, law, eps, ["free", "plain"])
             row = {"nu": nu, "eps": eps, "E_over_mu": contrast}
             for quantity in QUANTITIES:

@@ -52,7 +52,7 @@ class Case:
         supports, tractions = ({"BOTTOM": 0.0}, load) if self.loaded else (PRESSED, {})
         body = LinearElastic.young(E=self.E, nu=0.3)
         structure = Structure(joint, body=body, supports=supports | rollers, tractions=tractions)
-        return structure.interface(ThinLayer(LinearElastic.shear(MU, 0.3).per_thickness(EPS), EPS, order=1))
+        return structure.interface(ThinLayer(LinearElastic.shear(MU, 0.3), EPS, order=1))
 
 
 CASES = {
@@ -127,7 +127,7 @@ def timed(model: InterfaceModel, options: dict[str, OptionValue]) -> tuple[float
 
 def _rubber(nu: float) -> ThinLayer:
     law = Incompressible(MU) if nu == 0.5 else Rubber.shear(MU, nu)
-    return ThinLayer(law.per_thickness(EPS), EPS, order=1)
+    return ThinLayer(law, EPS, order=1)
 
 
 def draw(record: Record) -> None:

@@ -24,7 +24,7 @@ from thinlayer.files.table import Row
 from thinlayer.running.record import Record
 from thinlayer.solving.solvers import Solver
 
-BODY, LAYER = LinearElastic.young(E=100.0, nu=0.3), ThinLayer(LinearElastic(lmbda=60.0, mu=40.0), 0.01)
+BODY, LAYER = LinearElastic.young(E=100.0, nu=0.3), ThinLayer(LinearElastic(lmbda=60.0, mu=40.0), 0.01, at=1.0)
 SIZES = {"2D": 700, "3D": 40}  # cells along each side, for 984,204 and 211,806 unknowns
 QUICK = {"2D": 100, "3D": 8}
 LIMIT = 1.5  # time of a model over that of the plain script

@@ -46,7 +46,7 @@ class Block:
         self, law: type[Phases], delta: Callable[[Any, Any], Any], eps: float | None = None, **choices: Any
     ) -> Model:
         """The model with its interface law, or with a meshed layer that is eps thick, and with delta(x, t)."""
-        layer = ThinLayer(law(**self.layer, **choices), eps or THIN)
+        layer = ThinLayer(law(**self.layer, **choices), eps or THIN, at=1.0)
         supports: dict[str, Support] = {"LEFT": {"x": 0}, "TOP": {"y": lambda x, t: delta(x, t) * self.shape(x)}}
         moved = Structure(self.joint, body=self.body, supports=supports)
         return moved.full(layer, cells_through=1) if eps else moved.interface(layer)

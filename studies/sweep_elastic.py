@@ -31,7 +31,7 @@ def run(
     h = (1 / 8, 1 / 16)[order] if quick else 1 / 32
     joint, setup = fourier(h)
     record.parameters = {"h": h, "layer": str(FOURIER_LAYER), "bodies": bodies, "order": order}
-    sweep = Sweep(record, joint, setup, lambda e: ThinLayer(FOURIER_LAYER, e, order=order), bodies=bodies)
+    sweep = Sweep(record, joint, setup, lambda e: ThinLayer(FOURIER_LAYER, e, order=order, at=1.0), bodies=bodies)
     ends = ((0.95, 1.05), (1.9, 2.1))[order]
     sweep.run(eps, ends, pictured=middle)
 

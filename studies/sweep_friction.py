@@ -61,7 +61,7 @@ class Comparison:
             record,
             joint,
             setup | {"element": "Q1"},
-            partial(ThinLayer, self.band),
+            partial(ThinLayer, self.band, at=1.0),
             cells_through=self.cells,
             times=self.times,
             more=partial(_noted, record, case),
@@ -147,7 +147,7 @@ def _check_discretisation(record: Record, case: str, comparison: Comparison, h: 
     sweep = comparison.sweep(record, h, case)
     contact, points = (
         _solved(Structure(sweep.joint, **sweep.setup).interface(layer), comparison.times)
-        for layer in (comparison.contact, ThinLayer(comparison.band, eps))
+        for layer in (comparison.contact, ThinLayer(comparison.band, eps, at=1.0))
     )
     surface = Surface(last(contact).model)
     fields = {"traction": surface.traction, "jump": surface.jump}

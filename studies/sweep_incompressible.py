@@ -24,7 +24,7 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 32, 1 / 64, 1 / 128, 1 / 
     h = 1 / 8 if quick else 1 / 32
     joint, setup = fourier(h, cell="quadrilateral")
     record.parameters = {"h": h, "layer": str(LAYER)}
-    sweep = Sweep(record, joint, setup, lambda e: ThinLayer(LAYER, e), more=normal_jumps)
+    sweep = Sweep(record, joint, setup, lambda e: ThinLayer(LAYER, e, at=1.0), more=normal_jumps)
     table = sweep.run(eps, (0.93, 1.07), title="incompressible layer")
     record.check("largest [u_N]/[u] of the interface law, projected", table["normal_jump_interface"].max(), high=1e-10)
     if len(eps) > 1:

@@ -61,12 +61,12 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
     record.parameters = {"h_blocks": h, "times": times, "layers": laws, "coulomb": str(COULOMB)}
     tables = {}
     for case, law in LAYERS.items():
-        sweep = Sweep(record, joint, setup, partial(ThinLayer, law), times=times, case=case)
+        sweep = Sweep(record, joint, setup, partial(ThinLayer, law, at=1.0), times=times, case=case)
         pictured = None if quick and case else max
         tables[case] = sweep.run(
             eps, (0.9, 1.3), pictured=pictured, title="Mohr-Coulomb layer, sheared and sheared back"
         )
-    right = partial(ThinLayer, LAYERS[""])
+    right = partial(ThinLayer, LAYERS[""], at=1.0)
     sweep = Sweep(record, joint, setup, right, times=times, case="coulomb", instead=COULOMB)
     pictured = None if quick else max
     coulomb = sweep.run(eps, None, pictured=pictured, title="Mohr-Coulomb layer, Coulomb's law on S")
@@ -77,7 +77,7 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
         record.check(f"error of the {name} that Coulomb's law leaves", coulomb[f"error_{name}"][-1], low=low, high=high)
     for case, one in list(BARS.items())[: 1 if quick else None]:
         thicknesses = [MM * e for e in eps]
-        sweep = Sweep(record, bar, bar_setup, partial(ThinLayer, one), where=inside, case=case)
+        sweep = Sweep(record, bar, bar_setup, partial(ThinLayer, one, at=1.0), where=inside, case=case)
         sweep.run(thicknesses, (0.9, 1.3), title="bar of Fig. 2, loads R1", unit="mm")
 
 

@@ -51,7 +51,7 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
     tables = {}
     for case, (law, path, title) in CASES.items():
         joint, setup = pressed(h, path)
-        sweep = Sweep(record, joint, setup, partial(ThinLayer, law), cells_through=2, times=times, case=case)
+        sweep = Sweep(record, joint, setup, partial(ThinLayer, law, at=1.0), cells_through=2, times=times, case=case)
         order = None if case == "pulled_less" else (0.9, 1.1)
         pictured = None if quick and case else max
         tables[case] = sweep.run(eps, order, pictured=pictured, title=f"slips parallel to S, {title}")

@@ -111,14 +111,15 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
     tables = {}
     for case, (law, shear, pull) in CASES.items():
         more = partial(phases, record, case, max(eps))
-        sweep = Sweep(record, *blocks(h, shear, pull), partial(ThinLayer, law), cells_through=2, case=case, more=more)
+        layer = partial(ThinLayer, law, at=1.0)
+        sweep = Sweep(record, *blocks(h, shear, pull), layer, cells_through=2, case=case, more=more)
         tables[case] = sweep.run(eps, (0.9, 1.1), pictured=None if case else max, title="non-monotone layer")
         for share in ("plus", "minus", "mixed"):
             record.check(f"share of S, {share}, {TITLES[case]}", tables[case][share][-1], low=SHARE)
     for name, (case, wrong, floors) in WRONG.items():
         law, shear, pull = CASES[case]
         sweep = Sweep(
-            record, *blocks(h, shear, pull), partial(ThinLayer, law), cells_through=2, case=name, instead=wrong
+            record, *blocks(h, shear, pull), partial(ThinLayer, law, at=1.0), cells_through=2, case=name, instead=wrong
         )
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RangeWarning)  # with lmbda + mu the stress falls: one of its errors
@@ -181,7 +182,14 @@ def unrelaxed(record: Record, eps: Sequence[float]) -> None:
 
     joint, setup = blocks(2 / COLUMNS, *MOVED, moved=True)
     sweep = Sweep(
-        record, joint, setup, partial(ThinLayer, PURE), cells_through=2, times=TIMES, case="unrelaxed", more=more
+        record,
+        joint,
+        setup,
+        partial(ThinLayer, PURE, at=1.0),
+        cells_through=2,
+        times=TIMES,
+        case="unrelaxed",
+        more=more,
     )
     table = sweep.run(eps, (0.9, 1.1), title="non-monotone layer, pure phases")
     record.check("columns in another phase than on S, unrelaxed, any eps", table["differ"].max(), high=0.0)

@@ -33,7 +33,7 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
     record.parameters = {"h": h, "layer": str(FOURIER_LAYER), "sublayers": str(SUBLAYERS.sublayers)}
 
     def compared(e: float, layers: dict[str, ThinLayer], law: BulkLaw) -> dict[str, float]:
-        full = record.solved(solve(structure.full(ThinLayer(law, e))))
+        full = record.solved(solve(structure.full(ThinLayer(law, e, at=1.0))))
         row: dict[str, float] = {}
         for name, layer in layers.items():
             found = compare(full, record.solved(solve(structure.interface(layer))))
@@ -41,13 +41,17 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         return row
 
     def one_law(e: float) -> dict[str, float]:
-        return compared(e, {"": ThinLayer(FOURIER_LAYER, e, 1), "_order0": ThinLayer(FOURIER_LAYER, e)}, FOURIER_LAYER)
+        return compared(
+            e,
+            {"": ThinLayer(FOURIER_LAYER, e, 1, at=1.0), "_order0": ThinLayer(FOURIER_LAYER, e, at=1.0)},
+            FOURIER_LAYER,
+        )
 
     def sublayers(e: float) -> dict[str, float]:
         layers = {
-            "": ThinLayer(SUBLAYERS, e, 1),
-            "_order0": ThinLayer(SUBLAYERS, e),
-            "_mirrored": ThinLayer(MIRRORED, e, 1),
+            "": ThinLayer(SUBLAYERS, e, 1, at=1.0),
+            "_order0": ThinLayer(SUBLAYERS, e, at=1.0),
+            "_mirrored": ThinLayer(MIRRORED, e, 1, at=1.0),
         }
         return compared(e, layers, SUBLAYERS)
 

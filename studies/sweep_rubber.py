@@ -37,7 +37,7 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
     record.parameters = {"h": h, "mu over eps": MU}
 
     def errors_at(nu: float, e: float) -> dict[str, float | None]:
-        full = record.solved(solve(structure.full(ThinLayer(_rubber(nu), e), cells_through=2)))
+        full = record.solved(solve(structure.full(ThinLayer(_rubber(nu), e, at=1.0), cells_through=2)))
         row: dict[str, float | None] = {f"{one}_{name}": None for name in LAWS for one in NAMES}
         row["too_stiff"] = None  # order 0
         for name, layer in _layers(nu, e).items():
@@ -78,10 +78,10 @@ def _rubber(nu: float) -> Rubber | Incompressible:
 
 
 def _layers(nu: float, eps: float) -> dict[str, ThinLayer]:
-    layers = {"rubber": ThinLayer(_rubber(nu), eps, order=1)}
+    layers = {"rubber": ThinLayer(_rubber(nu), eps, order=1, at=1.0)}
     if nu < 0.5:
         elastic = LinearElastic.shear(MU, nu)
-        layers |= {f"order_{order}": ThinLayer(elastic, eps, order=order) for order in (0, 1)}
+        layers |= {f"order_{order}": ThinLayer(elastic, eps, order=order, at=1.0) for order in (0, 1)}
     return layers
 
 

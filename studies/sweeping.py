@@ -61,7 +61,7 @@ class Sweep:
         full = structure.full(layer, bodies=self.bodies, cells_through=self.cells_through)
         if other is None:
             return full, structure.interface(layer, bodies=self.bodies if layer.order else "kept")
-        return full, structure.interface(other if isinstance(other, LawOnS) else ThinLayer(other, eps))
+        return full, structure.interface(other if isinstance(other, LawOnS) else ThinLayer(other, eps, at=1.0))
 
     def _solved(self, model: Model, name: str) -> Solution:
         if self.times is None:
@@ -136,7 +136,7 @@ def sweep_in_time(
     record.parameters = {"h": h, "layers": [str(law) for law in laws.values()], "times": times}
     tables = {}
     for case, law in laws.items():
-        sweep = Sweep(record, joint, setup, partial(ThinLayer, law), times=times[case], more=more, case=case)
+        sweep = Sweep(record, joint, setup, partial(ThinLayer, law, at=1.0), times=times[case], more=more, case=case)
         tables[case] = sweep.run(eps, (0.93, 1.07), title=f"{titles[case]}, t = {times[case][-1]:g}")
     return tables
 

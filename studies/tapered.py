@@ -33,7 +33,7 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
     h = 1 / 8 if quick else 1 / 32
     joint, setup = fourier(h)
     record.parameters = {"h": h, "layer": str(FOURIER_LAYER), "thickness": "eps (0.5 + x)"}
-    sweep = Sweep(record, joint, setup, lambda e: ThinLayer(FOURIER_LAYER, e, profile=wedge), bodies="extended")
+    sweep = Sweep(record, joint, setup, lambda e: ThinLayer(FOURIER_LAYER, e, profile=wedge, at=1.0), bodies="extended")
     sweep.run(eps, (0.9, 1.1), title="wedge between two blocks")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +17,7 @@ from thinlayer.running.record import Record
 
 EPS = (0.8, 0.4, 0.2, 0.1)  # mm
 SHAFT, HUB = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=70e3, nu=0.34)  # MPa: steel and aluminium
-GLUE = LinearElastic.young(E=2e3, nu=0.3).per_thickness(0.2)  # 2 GPa where the layer is 0.2 mm thick
+GLUE, GLUE_EPS = LinearElastic.young(E=2e3, nu=0.3), 0.2  # 2 GPa where the layer is 0.2 mm thick
 RADII = (6.0, 12.0, 18.0)  # mm: bore, S, rim
 HEIGHT = 8.0  # mm
 PRESSURE, PUSH = 50.0, 40.0  # MPa: in the bore; on the end of the shaft
@@ -131,9 +132,8 @@ def _sweep(
         return abs(x[1] + HEIGHT / 2) < 0.3 * HEIGHT
 
     where = inside if case == "push" else None
-    return Sweep(
-        record, joint, setup, lambda e: ThinLayer(GLUE, e), bodies="extended", where=where, more=more, case=case
-    )
+    layer = partial(ThinLayer, GLUE, at=GLUE_EPS)
+    return Sweep(record, joint, setup, layer, bodies="extended", where=where, more=more, case=case)
 
 
 def against_lame(full: Solution, limit: Solution) -> dict[str, float]:
@@ -143,11 +143,14 @@ def against_lame(full: Solution, limit: Solution) -> dict[str, float]:
     assert layer is not None
     eps = float(layer.eps)
     bore, on_S, rim = RADII
-    stiffness = GLUE.lmbda + 2 * GLUE.mu
+    stiffness = (GLUE.lmbda + 2 * GLUE.mu) / GLUE_EPS
     closed = {
         "law": lame(RADII, (SHAFT, HUB), (stiffness,), PRESSURE),
         "meshed": lame(
-            (bore, on_S - eps / 2, on_S + eps / 2, rim), (SHAFT, GLUE.in_layer(eps), HUB), (None, None), PRESSURE
+            (bore, on_S - eps / 2, on_S + eps / 2, rim),
+            (SHAFT, GLUE.scaled(eps / GLUE_EPS), HUB),
+            (None, None),
+            PRESSURE,
         ),
     }
     surface, found = Surface(by_law.model), {}
@@ -166,8 +169,9 @@ def draw(record: Record) -> None:
     """Draw the rates of both cases, and the displacement along the radius, meshed and by the law, in closed form."""
     draw_rates(record, title="bonded tubes", cases={"pressure": "table_pressure.csv", "push": "table_push.csv"})
     eps, (bore, on_S, rim) = max(EPS), RADII
-    by_law = lame(RADII, (SHAFT, HUB), (GLUE.lmbda + 2 * GLUE.mu,), PRESSURE)
-    meshed = lame((bore, on_S - eps / 2, on_S + eps / 2, rim), (SHAFT, GLUE.in_layer(eps), HUB), (None, None), PRESSURE)
+    by_law = lame(RADII, (SHAFT, HUB), ((GLUE.lmbda + 2 * GLUE.mu) / GLUE_EPS,), PRESSURE)
+    laws = SHAFT, GLUE.scaled(eps / GLUE_EPS), HUB
+    meshed = lame((bore, on_S - eps / 2, on_S + eps / 2, rim), laws, (None, None), PRESSURE)
     curves = {}
     for name, exact in (("interface law", by_law), (f"layer of {eps:g} mm", meshed)):
         r, u = [], []

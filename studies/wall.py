@@ -19,7 +19,7 @@ from thinlayer.running.record import Record
 BRICK = (250.0, 75.0)  # mm, with the mortar
 CLAY = LinearElastic.young(E=12e3, nu=0.2)  # MPa
 EPS = 10.0  # mm, thickness of the joints
-MORTAR = LinearElastic.young(E=2e3, nu=0.2).per_thickness(EPS)
+MORTAR = LinearElastic.young(E=2e3, nu=0.2)
 ANGLE = 30.0  # degrees
 COHESION = {"BED": 0.1, "HEAD": 0.03}  # MPa
 PRESSURE = 0.5  # MPa, on the top
@@ -109,7 +109,7 @@ def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
     def mortar(eps: float) -> dict[str, ThinLayer]:
         given = {"friction_angle": ANGLE, "elastic_fraction": ELASTIC_FRACTION}
         return {
-            name: ThinLayer(MohrCoulomb(MORTAR.lmbda, MORTAR.mu, cohesion=cohesion, **given), eps)
+            name: ThinLayer(MohrCoulomb(MORTAR.lmbda, MORTAR.mu, cohesion=cohesion, **given), eps, at=EPS)
             for name, cohesion in COHESION.items()
         }
 

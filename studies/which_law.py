@@ -89,17 +89,19 @@ def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: 
 def _layers(lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
     """The laws that take a material: no order 1 of `LinearElastic` at nu = 1/2, no `Rubber` at nu = 0."""
     if math.isinf(lmbda):
-        law = Incompressible(mu).per_thickness(eps)
+        law = Incompressible(mu)
         return {"order_0": ThinLayer(law, eps), "rubber": ThinLayer(law, eps, order=1, edges="plain")}
-    elastic = LinearElastic(lmbda, mu).per_thickness(eps)
-    layers = {"order_0": ThinLayer(elastic, eps), "order_1": ThinLayer(elastic, eps, order=1, edges="plain")}
-    return layers | ({"rubber": ThinLayer(_rubber(lmbda, mu, eps), eps, order=1, edges="plain")} if lmbda else {})
+    elastic = LinearElastic(lmbda, mu)
+    layers = {
+        "order_0": ThinLayer(elastic, eps),
+        "order_1": ThinLayer(elastic, eps, order=1, edges="plain"),
+    }
+    return layers | ({"rubber": ThinLayer(_rubber(lmbda, mu), eps, order=1, edges="plain")} if lmbda else {})
 
 
-def _rubber(lmbda: float, mu: float, eps: float) -> Rubber | Incompressible | LinearElastic:
+def _rubber(lmbda: float, mu: float) -> Rubber | Incompressible | LinearElastic:
     """The law whose meshed layer does not lock."""
-    law = Incompressible(mu) if math.isinf(lmbda) else Rubber(lmbda, mu) if lmbda else LinearElastic(lmbda, mu)
-    return law.per_thickness(eps)
+    return Incompressible(mu) if math.isinf(lmbda) else Rubber(lmbda, mu) if lmbda else LinearElastic(lmbda, mu)
 
 
 class Rollers:
@@ -162,7 +164,7 @@ class FreeEnds:
 
     def against(self, record: Record, lmbda: float, mu: float, eps: float) -> Compared:
         """Relative errors of the traction, the jump (both L2 on the inner half of S) and the compliance of a state."""
-        layer = ThinLayer(_rubber(lmbda, mu, eps), eps)
+        layer = ThinLayer(_rubber(lmbda, mu), eps)
         full = record.solved(solve(self.structure(eps).full(layer, cells_through=self._cells[2])))
         work = full.energies()["loads"]
 

@@ -73,14 +73,14 @@ def _corners(record: Record, ratios: Sequence[float]) -> None:
 def _errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float]) -> None:
     """Write the errors of zoomed stresses and strengths for one material."""
     table = record.table(f"errors_{nu:g}_{ratio:g}.csv")
-    law = LinearElastic.shear(100.0 / ratio, nu).per_thickness(EPS[0])
+    law = LinearElastic.shear(100.0 / ratio, nu)
     for eps in track(list(thicknesses), "zoom", f"nu = {nu:g}, E/mu = {ratio:g}, eps = {{:g}}"):
         joint = sandwich(1.0, 0.5, 0.5, h=1 / 8, h_S=1 / 32, h_ends=eps / THROUGH, cell="quadrilateral")
         blocks = Structure(joint, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": LOADS})
-        full = record.solved(solve(blocks.full(ThinLayer(law, eps), cells_through=THROUGH)))
+        full = record.solved(solve(blocks.full(ThinLayer(law, eps, at=EPS[0]), cells_through=THROUGH)))
         row: dict[str, Any] = {"eps": eps, "M/E": (law.lmbda + 2 * law.mu) * eps / 100.0}
         for name, chosen in LAWS.items():
-            zoom = Zoom(record.solved(solve(blocks.interface(ThinLayer(law, eps, **chosen)))))
+            zoom = Zoom(record.solved(solve(blocks.interface(ThinLayer(law, eps, at=EPS[0], **chosen)))))
             row |= {f"{key} {name}": value for key, value in _compared(zoom, full).items()}
         table.append(row)
         if eps == thicknesses[-1] and (nu, ratio) == CASES[-1]:

@@ -35,7 +35,9 @@ def numbers() -> dict[str, float]:
         ("full", HOT),
         ("interface", HOT),
     ):
-        layer = ThinLayer(GLUE, 0.1, eigenstrain=[hot, lambda x, t: ((0, 1e-3 * x[0]), (1e-3 * x[0], -2e-3 * t))])
+        layer = ThinLayer(
+            GLUE, 0.1, eigenstrain=[hot, lambda x, t: ((0, 1e-3 * x[0]), (1e-3 * x[0], -2e-3 * t))], at=1.0
+        )
         model = getattr(Structure(joint, eigenstrain=hot, **data), kind.split()[0])(layer)
         state = march(model, [0.5, 1.0]).last
         found[f"{kind} u"] = state.integral(ufl.inner(state.u, state.u) * ufl.dx)

@@ -54,7 +54,7 @@ def chosen(kind: str, dim: int = 2) -> list[goals.Goal]:
 @cache
 def estimated(kind: str, dim: int = 2):
     """The estimate of a kind of structure."""
-    layer, made = ThinLayer(SOFT if kind == "rubber" else GLUE, EPS), structure(kind, dim)
+    layer, made = ThinLayer(SOFT if kind == "rubber" else GLUE, EPS, at=1.0), structure(kind, dim)
     if kind == "bonded":
         return estimate(solve(made.bonded()), layer, goals=chosen(kind, dim))
     return estimate(solve(made.interface(layer)), goals=chosen(kind, dim))

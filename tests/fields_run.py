@@ -63,13 +63,13 @@ def slipping(kind: str = "interface", law: object = None):
     joint = sandwich(2.0, 0.5, 0.7, 0.5, h_S=0.25)
     supports = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: 0.4 * t, "y": -0.05}}
     structure = Structure(joint, body=BODY, supports=supports)
-    return march(getattr(structure, kind)(ThinLayer(law, EPS)), [0.5, 1.0])
+    return march(getattr(structure, kind)(ThinLayer(law, EPS, at=1.0)), [0.5, 1.0])
 
 
 def network():
     """Bricks in running bond, their beds slipping."""
     bed = MohrCoulombMonodirectional(30.0, 20.0, cohesion=0.01, friction_angle=20.0, elastic_fraction=0.1)
-    layers = {"BED": ThinLayer(bed, 0.1), "HEAD": ThinLayer(LinearElastic(3.0, 2.0), 0.1)}
+    layers = {"BED": ThinLayer(bed, 0.1, at=1.0), "HEAD": ThinLayer(LinearElastic(3.0, 2.0), 0.1, at=1.0)}
     panel = Structure(
         wall(2, 3, brick=(2.0, 1.0), h=0.5), body=BODY, supports={"BOTTOM": 0.0},
         tractions={"TOP": lambda x, t: (0.05 * t, -0.1)},
@@ -89,11 +89,11 @@ def on_a_base():
 def cell():
     """A periodic cell of a wall under a mean strain."""
     whole = Structure(bond_cell((2.0, 1.0), 0.5), body=BODY, supports={}, strain=((0.01, 0.004), (0.004, -0.02)))
-    return solve(whole.interface({"BED": ThinLayer(K, 0.1), "HEAD": ThinLayer(K, 0.1)}))
+    return solve(whole.interface({"BED": ThinLayer(K, 0.1, at=1.0), "HEAD": ThinLayer(K, 0.1, at=1.0)}))
 
 
 def write_all(out: Path) -> None:
     solid = uniform(3, cell="hexahedron", element="Q1")[0]
-    fields.write(solve(solid.full(ThinLayer(K, EPS), cells_through=1)), out / "full.pvd")
+    fields.write(solve(solid.full(ThinLayer(K, EPS, at=1.0), cells_through=1)), out / "full.pvd")
     for name, make in {"network": network, "base": on_a_base, "cell": cell}.items():
         fields.write(make(), out / f"{name}.pvd")

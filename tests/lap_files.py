@@ -58,4 +58,4 @@ def structure() -> Structure:
 
 def layer(eps: float = EPS) -> ThinLayer:
     """The glue."""
-    return ThinLayer(LinearElastic.young(3e3, 0.35).per_thickness(eps), eps)
+    return ThinLayer(LinearElastic.young(3e3, 0.35), eps)

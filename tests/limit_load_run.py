@@ -29,7 +29,7 @@ def dragged(law, far: float = 0.16, eps: float = 1 / 4, kind: str = "full") -> M
     supports = {"BOTTOM": 0.0, "TOP": {"x": far, "y": -0.02}}
     joint = sandwich(1.0, 0.5, 0.5, 1 / 8, cell="quadrilateral", structured=True)
     build = Structure.interface if kind == "S" else Structure.full
-    return build(Structure(joint, body=BODY, supports=supports, element="Q1"), ThinLayer(law, eps))
+    return build(Structure(joint, body=BODY, supports=supports, element="Q1"), ThinLayer(law, eps, at=1.0))
 
 
 def rubbed() -> Model:

@@ -47,7 +47,7 @@ def run(out: Path, names: Iterable[str] = MARCHES, *, resume: bool = False, endi
 
     for name in names:
         build, law, times, theta = MARCHES[name]
-        keep, model = "all" if name == "series" else "last", build(ThinLayer(law, 0.1))
+        keep, model = "all" if name == "series" else "last", build(ThinLayer(law, 0.1, at=1.0))
         march(model, times, theta=theta, observe={"energy": energy}, out=out / name, resume=resume, keep=keep)
 
 

@@ -70,7 +70,7 @@ def yielded(model) -> tuple[float, float, float]:
 def yielding(eps: float) -> dict[str, ThinLayer]:
     """Mortar that is elastic in the beds and yields in the heads."""
     law = MohrCoulomb(0.3, 0.45, cohesion=2e-4, friction_angle=30.0)
-    return mortar(eps, HEAD=ThinLayer(law, SHARES["HEAD"] * eps))
+    return mortar(eps, HEAD=ThinLayer(law, SHARES["HEAD"] * eps, at=1.0))
 
 
 def star(angles, cell: str, n: int = 4) -> Joint:

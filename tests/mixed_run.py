@@ -43,7 +43,10 @@ def bricks(h: float) -> Structure:
 
 
 def mortar(order: int, eps: float = BRICKS) -> dict[str, ThinLayer]:
-    return {"BED": ThinLayer(LAYER, eps, order=order), "HEAD": ThinLayer(LAYER, HEADS * eps, order=order)}
+    return {
+        "BED": ThinLayer(LAYER, eps, order=order, at=1.0),
+        "HEAD": ThinLayer(LAYER, HEADS * eps, order=order, at=1.0),
+    }
 
 
 def near_junctions(structure: Structure, distance: float):
@@ -62,7 +65,7 @@ def numbers() -> dict[str, float]:
         (plane("quadrilateral"), "extended"),
         (space("hexahedron"), "kept"),
     ):
-        layer = ThinLayer(LAYER, EPS, order=1)
+        layer = ThinLayer(LAYER, EPS, order=1, at=1.0)
         model = structure.mixed(layer, where=near_ends, bodies=bodies.replace("space", "kept"), cells_through=2)
         state, surface = solve(model), Surface(model)
         name = structure.joint.cell_type

@@ -17,7 +17,7 @@ PUSHED = {("triangle", 0.6): 0.14971313219837, ("triangle", -0.6): 0.21456359531
 
 def springs(K_N: float, K_T: float, eps: float = 0.01) -> ThinLayer:
     """A layer whose law on S is that of springs."""
-    return ThinLayer(LinearElastic(K_N - 2 * K_T, K_T), eps)
+    return ThinLayer(LinearElastic(K_N - 2 * K_T, K_T), eps, at=1.0)
 
 
 def cell_of(element: str) -> str:
@@ -53,7 +53,7 @@ def panel_energy(element: str) -> tuple[float, float, float]:
 def yielded(element: str) -> tuple[float, float, float]:
     """Stored and dissipated energy of the panel whose heads yield, and the largest imbalance of its steps."""
     mortar = MohrCoulomb(0.3, 0.45, cohesion=2e-4, friction_angle=30.0)
-    history = march(panel(element, HEAD=ThinLayer(mortar, 0.007)), [0.25, 0.5, 0.75, 1.0])
+    history = march(panel(element, HEAD=ThinLayer(mortar, 0.007, at=1.0)), [0.25, 0.5, 0.75, 1.0])
     audits = [state.audit for state in history]
     return audits[-1].total, sum(one.dissipated for one in audits), max(abs(one.imbalance) for one in audits)
 
@@ -118,7 +118,7 @@ def numbers() -> dict[str, float | list[float]]:
     state = pushed(three_bricks(4, "quadrilateral"), 0.6, {"BED": BED, "HEAD": HEAD})
     found["head force"] = ContactReport(state, "HEAD").force.tolist()
     mortar = MohrCoulomb(0.3, 0.45, cohesion=2e-4, friction_angle=30.0)
-    last = march(panel("Q2", 0.25, HEAD=ThinLayer(mortar, 0.007)), [0.5, 1.0]).last
+    last = march(panel("Q2", 0.25, HEAD=ThinLayer(mortar, 0.007, at=1.0)), [0.5, 1.0]).last
     found["by name"] = [last.energies()["layer BED"], last.dissipated["HEAD"]]
     found["sliding heads"] = LayerReport(last, "HEAD").shares["sliding"]
     return found

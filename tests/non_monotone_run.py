@@ -35,7 +35,7 @@ def models(law: Any) -> list[Model]:
     """S and the meshed layer between two blocks; the upper side is sheared and pulled, more at its right end."""
     top = {"x": lambda x, t: 0.03 * t, "y": lambda x, t: t * (0.05 * x[0] - 0.01)}
     setup = {"body": LinearElastic.young(100.0, 0.3), "supports": {"BOTTOM": 0.0, "TOP": top}, "element": "Q1"}
-    blocks, layer = Structure(joint(), **setup), ThinLayer(law, 0.05)
+    blocks, layer = Structure(joint(), **setup), ThinLayer(law, 0.05, at=1.0)
     return [blocks.interface(layer), blocks.full(layer, cells_through=2)]
 
 

@@ -18,7 +18,7 @@ from thinlayer.discretisation.layer import LawOnS, Layer, ThinLayer
 
 def layer_of(law: Law, eps: float) -> Layer:
     """A layer of a law: laws on S are layers by themselves, others have a thickness."""
-    return law if isinstance(law, LawOnS) else ThinLayer(law, eps)
+    return law if isinstance(law, LawOnS) else ThinLayer(law, eps, at=1.0)
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ def laminate(cell: str = "quadrilateral", h: float = 0.25, **options) -> Joint:
 
 def yielded() -> tuple[float, ...]:
     """Stored and dissipated energy, shear stress and largest imbalance of a bond whose heads yield, under a shear."""
-    heads = {"HEAD": ThinLayer(MohrCoulomb(0.2, 0.2, cohesion=2e-4, friction_angle=30.0), 0.01)}
+    heads = {"HEAD": ThinLayer(MohrCoulomb(0.2, 0.2, cohesion=2e-4, friction_angle=30.0), 0.01, at=1.0)}
     model = bond(1.0, strain=lambda x, t: ((0.0, 0.01 * t), (0.01 * t, -0.002 * t))).interface(FREE | heads)
     history = march(model, [0.25, 0.5, 0.75, 1.0])
     audits = [state.audit for state in history]
@@ -62,7 +62,7 @@ def slid(times) -> tuple[list[np.ndarray], list[np.ndarray]]:
         return ((0.0, 0.05 * t), (0.05 * t, -0.04))
 
     structure = Structure(laminate(), body=LinearElastic.young(10.0, 0.25), supports={}, strain=strain)
-    model = structure.interface(ThinLayer(law, 0.01))
+    model = structure.interface(ThinLayer(law, 0.01, at=1.0))
     history, surface = march(model, times), Surface(model)
     tractions = [surface.traction(state) for state in history]
     return [state.mean_stress() for state in history], [
@@ -75,7 +75,7 @@ STRESS = np.array([[0.3, 0.2], [0.2, -1.0]])
 
 def under_stress() -> list[float]:
     """Mean strain, mean stress and energy of a bond whose heads yield, under a mean stress."""
-    heads = {"HEAD": ThinLayer(MohrCoulomb(0.2, 0.2, cohesion=2e-4, friction_angle=30.0), 0.01)}
+    heads = {"HEAD": ThinLayer(MohrCoulomb(0.2, 0.2, cohesion=2e-4, friction_angle=30.0), 0.01, at=1.0)}
     model = bond(1.0, stress=lambda x, t: [[1e-3 * c * t for c in row] for row in STRESS]).interface(FREE | heads)
     last = march(model, [0.5, 1.0]).last
     return [

@@ -19,7 +19,7 @@ def box(angle: float = 0.0) -> Joint:
 def loaded(edges: str | None) -> State:
     """Three of the layer's sides are loaded."""
     structure = Structure(box(), body=BODY, supports={"BOTTOM": 0}, tractions=SIDES)
-    return solve(structure.interface(ThinLayer(GLUE, EPS, order=1, edges=edges)))
+    return solve(structure.interface(ThinLayer(GLUE, EPS, order=1, edges=edges, at=1.0)))
 
 
 def numbers() -> dict[str, float]:

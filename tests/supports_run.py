@@ -27,7 +27,7 @@ def turn(angle: float = ANGLE) -> np.ndarray:
 
 def model(structure: Structure, kind: str, law=GLUE):
     """A model of one kind."""
-    return structure.bonded() if kind == "bonded" else getattr(structure, kind)(ThinLayer(law, EPS))
+    return structure.bonded() if kind == "bonded" else getattr(structure, kind)(ThinLayer(law, EPS, at=1.0))
 
 
 def loaded(dim: int, kind: str, law=GLUE, element: str | None = None):
@@ -73,7 +73,7 @@ def on_base(law, *, contact: bool = False):
     structure = Structure(
         joint, body=BODY, supports={"RIGHT": {"x": 0.0}}, tractions={"TOP": push}, element="P1" if contact else "P2"
     )
-    return structure.interface(law if contact else ThinLayer(law, EPS))
+    return structure.interface(law if contact else ThinLayer(law, EPS, at=1.0))
 
 
 def out_of_balance(state: State) -> float:

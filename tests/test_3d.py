@@ -107,7 +107,7 @@ def test_fourier_box(cell):
     errors = []
     for n in (4, 8):
         joint, setup = fourier_box(n, cell)
-        state = solve(Structure(joint, **setup).interface(ThinLayer(LinearElastic(lmbda, mu), 0.1)))
+        state = solve(Structure(joint, **setup).interface(ThinLayer(LinearElastic(lmbda, mu), 0.1, at=1.0)))
         surface = Surface(state.model)
         x = ufl.SpatialCoordinate(state.model.domain.mesh)
         w = surface.jump(state)
@@ -128,7 +128,7 @@ box_problem = cache(fourier_box)
 def box(build, eps: float, order: int = 0, bodies: str = "kept"):
     """State of a model of the box; several tests ask for the same."""
     joint, setup = box_problem(6, "hexahedron")
-    layer = ThinLayer(LinearElastic(*reference.LAYER), eps, order=order)
+    layer = ThinLayer(LinearElastic(*reference.LAYER), eps, order=order, at=1.0)
     choice = {"bodies": bodies} if build == Structure.full else {}
     return solve(build(Structure(joint, **setup), layer, **choice))
 
@@ -156,7 +156,7 @@ def test_order_1_on_the_fourier_box():
 def test_frame():
     """Tangential components, then the normal one, of the same length as the vector."""
     joint = turned(sandwich(1.0, 0.5, 0.7, 0.5, depth=0.8))
-    model = Structure(joint, body=LOWER, supports={"BOTTOM": 0.0}).interface(ThinLayer(GLUE, 0.1))
+    model = Structure(joint, body=LOWER, supports={"BOTTOM": 0.0}).interface(ThinLayer(GLUE, 0.1, at=1.0))
     surface = Surface(model)
     f = ufl.as_vector((TURN @ [0.3, -0.7, 0.5]).tolist())
     framed = surface.frame(f)
@@ -170,7 +170,7 @@ def test_profile_is_sorted():
     """By x, then y, then z, whatever the rounding of the coordinates."""
     joint = turned(sandwich(1.0, 0.5, 0.5, 0.25, depth=1.0, cell="hexahedron"))
     for one in (joint, sandwich(1.0, 0.5, 0.5, 0.25, depth=1.0, cell="hexahedron")):
-        model = Structure(one, body=LOWER, supports={"BOTTOM": 0.0}).interface(ThinLayer(GLUE, 0.1))
+        model = Structure(one, body=LOWER, supports={"BOTTOM": 0.0}).interface(ThinLayer(GLUE, 0.1, at=1.0))
         surface = Surface(model)
         places, _ = surface.profile(surface.sides.n)
         rounded = [tuple(x) for x in np.round(places, 6) + 0.0]
@@ -181,7 +181,7 @@ def test_profile_is_sorted():
 # ------------------------------------------------------------------------------------------------ solvers
 def test_multigrid_is_the_default_of_large_models(monkeypatch):
     joint, setup = fourier_box(4, "hexahedron")
-    model = Structure(joint, **setup).interface(ThinLayer(LinearElastic(*reference.LAYER), 0.1))
+    model = Structure(joint, **setup).interface(ThinLayer(LinearElastic(*reference.LAYER), 0.1, at=1.0))
     direct = solve(model)
     monkeypatch.setitem(linear_solvers.MULTIGRID_FROM, 3, 1000)
     iterative = solve(model)
@@ -194,7 +194,7 @@ def test_multigrid_is_the_default_of_large_models(monkeypatch):
 def test_stiff_layers_fall_back_on_factorising(monkeypatch):
     """A layer so stiff that multigrid stalls is factorised; who chose multigrid hears of it instead."""
     joint, setup = fourier_box(4, "hexahedron")
-    layer = ThinLayer(LinearElastic(lmbda=1.5e9, mu=1e9), 0.1)
+    layer = ThinLayer(LinearElastic(lmbda=1.5e9, mu=1e9), 0.1, at=1.0)
     model = Structure(joint, **setup).full(layer)
     monkeypatch.setitem(linear_solvers.MULTIGRID_FROM, 3, 1000)
     monkeypatch.setitem(linear_solvers.MULTIGRID, "ksp_max_it", 30)

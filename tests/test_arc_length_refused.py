@@ -90,7 +90,7 @@ def test_models_that_have_no_path():
 
     strip = block(WIDTH, HEIGHT, WIDTH, cell="quadrilateral", structured=True)
     setup = {"body": LinearElastic.young(E, 0.2), "supports": {"TOP": 0.0}}
-    soft = Structure(strip, **setup).interface(ThinLayer(Incompressible(40.0), 0.1))
+    soft = Structure(strip, **setup).interface(ThinLayer(Incompressible(40.0), 0.1, at=1.0))
     with pytest.raises(ModelError, match="Incompressible is incompressible: paths have displacements alone"):
         march(soft, ArcLength(1.0, 0.1))
     contact = Structure(strip, element="Q1", **setup).interface(HolonomicCoulomb(7.0, 3.0, friction=0.4))

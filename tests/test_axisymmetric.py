@@ -60,7 +60,7 @@ def test_rods_in_uniform_tension(cell, element):
     """Forces, energies, tractions and areas are those of the whole revolution, to rounding; the axis is held by itself."""
     joint = rods(cell=cell, structured=True)
     model = structure(joint, {"BOTTOM": {"y": 0.0}}, tractions={"TOP": (0.0, P)}, element=element).interface(
-        ThinLayer(GLUE, EPS)
+        ThinLayer(GLUE, EPS, at=1.0)
     )
     state, surface = solve(model), Surface(model)
     area, E = np.pi * R**2, 2 * BODY.mu * (1 + BODY.lmbda / (2 * (BODY.lmbda + BODY.mu)))
@@ -82,7 +82,7 @@ def test_integrals_of_users_are_over_the_whole_revolution():
     springs = UflPart(energy=lambda u, model: 15.0 * u[0] ** 2 * on(model, "RIGHT"))
     supports, loads = {"BOTTOM": {"y": 0.0}}, {"TOP": (0.0, P)}
     by_part, state = (
-        solve(structure(rods(), supports, tractions=loads, parts=[part]).interface(ThinLayer(GLUE, EPS)))
+        solve(structure(rods(), supports, tractions=loads, parts=[part]).interface(ThinLayer(GLUE, EPS, at=1.0)))
         for part in (Springs("RIGHT", normal=30.0), springs)
     )
     assert state.u.x.array == pytest.approx(by_part.u.x.array, abs=EXACT * abs(by_part.u.x.array).max())
@@ -109,7 +109,7 @@ def test_order_1_knows_the_hoops(order):
     """Widened rods: the layer's traction has 2 lmbda eps a, of radial strains and of hoops; order 0 leaves them out."""
     a = 0.02
     supports = {"BOTTOM": {"y": 0.0}, "RIGHT": {"x": a * R}, "TOP": {"y": 0.03}}
-    layer, whole = ThinLayer(GLUE, EPS, order=order), structure(rods(), supports)
+    layer, whole = ThinLayer(GLUE, EPS, order=order, at=1.0), structure(rods(), supports)
     full, limit = solve(whole.full(layer)), solve(whole.interface(layer))
     found = compare(full, limit)
     if order == 1:
@@ -128,7 +128,7 @@ def test_meshed_layers_of_compiled_laws_see_all_four_strains(name):
     soft = MohrCoulomb(GLUE.lmbda, GLUE.mu, 0.002, 30.0, 0.01)
     law = soft if name == "Mohr-Coulomb" else Stack((0.4, soft), (0.6, soft))
     supports = {"BOTTOM": {"y": 0.0}, "RIGHT": {"x": lambda x, t: t * a * R}, "TOP": {"y": lambda x, t: t * rise}}
-    model = structure(rods(), supports).full(ThinLayer(law, EPS))
+    model = structure(rods(), supports).full(ThinLayer(law, EPS, at=1.0))
     state = march(model, [0.5, 1.0]).last
     stress = np.array(state.mean_stress())
     layer_height = (rise - 1.1 * _axial(stress[1, 1], a)) / EPS
@@ -145,7 +145,7 @@ def _of_point(law, a, axial, hoops=None):
     """Stress 22 of the law at a point of the layer, in two steps."""
     from tests.at_points import respond
 
-    real, n = law.in_layer(EPS), np.array([[0.0, 1.0, 0.0]])
+    real, n = law.scaled(EPS), np.array([[0.0, 1.0, 0.0]])
     e, q, old = (
         np.array([[a, axial, a if hoops is None else hoops, 0, 0, 0]]),
         np.zeros((1, law.memory)),
@@ -160,10 +160,10 @@ def _of_point(law, a, axial, hoops=None):
 # ---------------------------------------------------------------- tubes
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
 def test_bonded_tubes_are_those_of_lame(cell):
-    joint, layer = tubes(cell=cell, structured=True), ThinLayer(GLUE, EPS)
+    joint, layer = tubes(cell=cell, structured=True), ThinLayer(GLUE, EPS, at=1.0)
     whole = structure(joint, HELD, tractions={"BOTTOM": (P, 0.0)})
     limit, full = solve(whole.interface(layer)), solve(whole.full(layer, bodies="extended"))
-    real = GLUE.in_layer(EPS)
+    real = GLUE.scaled(EPS)
     by_law = lame((1.5, 3.0, 4.0), (BODY, BODY), (GLUE.lmbda + 2 * GLUE.mu,), P)
     meshed = lame((1.5, 3 - EPS / 2, 3 + EPS / 2, 4.0), (BODY, real, BODY), (None, None), P)
     work = 2 * np.pi * 1.5 * 0.4 * P
@@ -180,7 +180,7 @@ def rates(law, eps, run=solve, **options):
     joint, errors = tubes(cell="quadrilateral", structured=True), []
     whole = structure(joint, HELD, tractions={"BOTTOM": (P, 0.0)}, **options)
     for e in eps:
-        layer = ThinLayer(law, e)
+        layer = ThinLayer(law, e, at=1.0)
         errors.append(compare(run(whole.full(layer, bodies="extended")), run(whole.interface(layer))))
     return [np.log2(errors[0][k] / errors[1][k]) for k in ("error_traction", "error_jump")]
 
@@ -204,7 +204,7 @@ def test_the_layer_between_tubes_tends_to_its_law_at_rate_1(law):
 def test_shares_of_s_are_those_of_areas():
     """Rods pressed in the middle: what slides or yields there counts with 2 pi r."""
     report = LayerReport(
-        march(_rods(tractions={"TOP": (0.0, -0.1 * P)}).interface(ThinLayer(YIELDING, EPS)), [1.0]).last
+        march(_rods(tractions={"TOP": (0.0, -0.1 * P)}).interface(ThinLayer(YIELDING, EPS, at=1.0)), [1.0]).last
     )
     assert report.sizes.sum() == pytest.approx(np.pi * R**2, rel=EXACT)
     assert sum(report.shares.values()) == pytest.approx(1.0)
@@ -235,16 +235,16 @@ def test_contact_of_tubes_under_pressure():
 # ---------------------------------------------------------------- supports, periods, refusals
 def test_a_tube_repeats_along_its_axis():
     joint = periodic(tubes(cell="quadrilateral", structured=True, height=1.0), ("LEFT", "RIGHT"))
-    state = solve(structure(joint, {}, tractions={"BOTTOM": (P, 0.0)}).interface(ThinLayer(GLUE, EPS)))
+    state = solve(structure(joint, {}, tractions={"BOTTOM": (P, 0.0)}).interface(ThinLayer(GLUE, EPS, at=1.0)))
     by_law = lame((1.5, 3.0, 4.0), (BODY, BODY), (GLUE.lmbda + 2 * GLUE.mu,), P)
     assert state.energies()["loads"] == pytest.approx(2 * np.pi * 1.5 * P * by_law.displacement(0, 1.5), rel=1e-4)
 
 
 def test_only_motions_along_the_axis_are_rigid():
     """Without friction between them a tube slides out of the other; against the axis it needs no support."""
-    layer = ThinLayer(GLUE, EPS)
+    layer = ThinLayer(GLUE, EPS, at=1.0)
     solve(structure(tubes(), {"LEFT/LOWER": {"y": 0.0}}, tractions={"BOTTOM": (P, 0.0)}).interface(layer))
-    slippery = ThinLayer(Anisotropic.springs(K_N=9.0, K_T=0.0), EPS)
+    slippery = ThinLayer(Anisotropic.springs(K_N=9.0, K_T=0.0), EPS, at=1.0)
     loose = structure(tubes(), {"LEFT/LOWER": {"y": 0.0}}, tractions={"BOTTOM": (P, 0.0)}).interface(slippery)
     with pytest.raises(LooseBody, match=r"can move along \(0, 1\)"):
         solve(loose)
@@ -261,7 +261,7 @@ def _tubes(**options):
 
 def _ring():
     joint = periodic(tubes(cell="quadrilateral", structured=True, height=1.0), ("LEFT", "RIGHT"))
-    return structure(joint, {}).interface(ThinLayer(GLUE, EPS))
+    return structure(joint, {}).interface(ThinLayer(GLUE, EPS, at=1.0))
 
 
 def _base_and_axis():
@@ -280,8 +280,8 @@ def _rods(**options):
         (lambda: structure(tubes(r_S=0.0), {}), "allowed: x >= 0"),
         (lambda: structure(tubes(r_S=0.0, inner=1.5).moved((-1.0, 0.0)), {}), "allowed: x >= 0"),
         (lambda: structure(sandwich(1, 1, 1, 0.5, depth=0.5), {}), "plane='axisymmetric' needs a two-dimensional joint"),
-        (lambda: _tubes().full(ThinLayer(GLUE, EPS)), r"cannot move away from its axis; use bodies='extended'"),
-        (lambda: _tubes().interface(ThinLayer(GLUE, EPS, order=1)), "order=1 on an S that is not across the axis"),
+        (lambda: _tubes().full(ThinLayer(GLUE, EPS, at=1.0)), r"cannot move away from its axis; use bodies='extended'"),
+        (lambda: _tubes().interface(ThinLayer(GLUE, EPS, order=1, at=1.0)), "order=1 on an S that is not across the axis"),
         (lambda: solve(structure(rods(), {"LEFT": {"x": 0.1}, "BOTTOM": 0}).bonded()), "on the axis of revolution x = 0"),
         (lambda: _rods(tractions={"LEFT": (1.0, 0.0)}).bonded(), "are the axis of revolution"),
         (lambda: _rods(parts=[Springs("LEFT", normal=1.0)]).bonded(), "springs on 'LEFT': these facets are the axis"),

@@ -70,7 +70,7 @@ def numbers() -> dict[str, float]:
         found[name] = state.model.comm.allreduce(squares)
     graded = {"LOWER": LinearElastic.young(lambda x: 100 + 40 * x[0], 0.3), "UPPER": VARYING}
     glue = LinearElastic(lambda x: 60 * (1 + x[0]), lambda x: 40 * (1 + x[0] ** 2))
-    last = march(structure(graded).interface(ThinLayer(glue, 0.1)), [0.5, 1.0]).last
+    last = march(structure(graded).interface(ThinLayer(glue, 0.1, at=1.0)), [0.5, 1.0]).last
     found |= {f"graded, {name}": value for name, value in last.energies().items()}
     mean = state.mean_stress()
     return found | {
@@ -84,7 +84,7 @@ def numbers() -> dict[str, float]:
 MU, Y, H = 50.0, 1.0, 30.0
 METAL = VonMises(60.0, MU, strength=Y, hardening=H)
 GLUE = LinearElastic(60.0, 40.0)
-LAYER = ThinLayer(GLUE, 0.1)
+LAYER = ThinLayer(GLUE, 0.1, at=1.0)
 EXACT = 1e-9
 
 
@@ -148,7 +148,7 @@ def test_yielding_bodies_in_shear():
 
 
 def test_both_models_agree_where_bodies_and_layer_yield():
-    mortar = ThinLayer(MohrCoulomb(60.0, 40.0, 0.2, 30.0, elastic_fraction=0.1), 0.1)
+    mortar = ThinLayer(MohrCoulomb(60.0, 40.0, 0.2, 30.0, elastic_fraction=0.1), 0.1, at=1.0)
     limit, full = models(replace(METAL, strength=0.3), "shear", mortar, move=lambda x, t: 0.05 * t)
     a, b = (march(model, [0.3, 0.6, 1.0]) for model in (limit, full))
     assert limit.bodies_remember
@@ -159,7 +159,7 @@ def test_both_models_agree_where_bodies_and_layer_yield():
 
 
 def test_order_one_knows_the_stresses_of_bodies():
-    layer = ThinLayer(GLUE, 0.1, order=1)
+    layer = ThinLayer(GLUE, 0.1, order=1, at=1.0)
     limit, full = models(METAL, "normal", layer, load=lambda t: 4.0 * t)
     a, b = (march(model, [0.5, 1.0]).last for model in (limit, full))
     surface = Surface(limit)

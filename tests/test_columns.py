@@ -80,7 +80,7 @@ def check_column(
             tractions[f"{name}/{part}"] = tuple(sign * one @ turn[:, axis])
     supports = {"BOTTOM": 0.0} if "BOTTOM" in joint.facets else {}
     structure = Structure(joint, body=bodies, supports=supports, tractions=tractions, **options)
-    layer = ThinLayer(glue, eps)
+    layer = ThinLayer(glue, eps, at=1.0)
     interface, full = solve(structure.interface(layer)), solve(structure.full(layer, cells_through=cells_through))
     surface = Surface(interface.model)
     jump, traction = ufl.as_vector(w.tolist()), ufl.as_vector(t.tolist())
@@ -122,7 +122,7 @@ def test_swapped_bodies_give_the_same_structure():
     """Calling the upper body the lower one turns n round and changes nothing else."""
     joint = sandwich(1.0, 0.5, 0.7, 0.25, cell="quadrilateral").rotated(ANGLE)  # prisms split by vertex numbers differ
     setup = {"body": {"LOWER": LOWER, "UPPER": UPPER}, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.4, -0.9)}}
-    layer = ThinLayer(OneSided(mu=7.0, lmbda=15.0, extra=9.0), 0.05)
+    layer = ThinLayer(OneSided(mu=7.0, lmbda=15.0, extra=9.0), 0.05, at=1.0)
     found = []
     for one in (joint, joint.swapped()):
         for build in (Structure.interface, Structure.full):
@@ -166,7 +166,7 @@ def test_sign(pull, stiffness, swap, size):
     rollers = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}} | ({"BACK": {"z": 0.0}, "FRONT": {"z": 0.0}} if size else {})
     setup = {"supports": {"BOTTOM": 0.0} | rollers, "tractions": {"TOP": (0.0, pull, 0.0)[: joint.dim]}}
     structure = Structure(joint, body=UPPER, element="Q1" if size else "P2", **setup)
-    layer = ThinLayer(OneSided(mu=7.0, lmbda=15.0, extra=9.0), 0.05)
+    layer = ThinLayer(OneSided(mu=7.0, lmbda=15.0, extra=9.0), 0.05, at=1.0)
     limit = solve(structure.interface(layer))
     surface = Surface(limit.model)
     for state in (limit, solve(structure.full(layer))):
@@ -182,7 +182,7 @@ def test_plane_stress():
     rollers = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     glue = LinearElastic.young(E, nu)
     setup = {"body": UPPER, "supports": {"BOTTOM": 0.0} | rollers, "tractions": {"TOP": (0.0, 0.6)}}
-    column, layer = Structure(joint, plane="stress", **setup), ThinLayer(glue, 0.05)
+    column, layer = Structure(joint, plane="stress", **setup), ThinLayer(glue, 0.05, at=1.0)
     right, wrong = E / (1 - nu**2), glue.lmbda + 2 * glue.mu
     limit = solve(column.interface(layer))
     surface = Surface(limit.model)
@@ -191,7 +191,7 @@ def test_plane_stress():
         assert opening == pytest.approx(0.6 / right, rel=1e-9)
         assert opening != pytest.approx(0.6 / wrong, rel=1e-2)
     as_anisotropic = Anisotropic(isotropic_voigt(glue))
-    state = solve(column.interface(ThinLayer(as_anisotropic, 0.05)))
+    state = solve(column.interface(ThinLayer(as_anisotropic, 0.05, at=1.0)))
     surface = Surface(state.model)
     assert surface.integral(surface.jump(state)[1]) == pytest.approx(0.6 / right, rel=1e-9)
 
@@ -209,9 +209,9 @@ def test_stratified_column():
     for sides, t, component, stiffness in ((normal, (0.0, 0.6), 1, K_N), (shear, (0.6, 0.0), 0, K_T)):
         supports = {"BOTTOM": 0.0, "TOP": {"xy"[1 - component]: 0.0}} | sides
         setup = {"body": UPPER, "supports": supports, "tractions": {"TOP": t}}
-        limit = solve(Structure(joint, **setup).interface(ThinLayer(glue, 0.05)))
+        limit = solve(Structure(joint, **setup).interface(ThinLayer(glue, 0.05, at=1.0)))
         surface = Surface(limit.model)
-        for state in (limit, solve(Structure(joint, **setup).full(ThinLayer(glue, 0.05)))):
+        for state in (limit, solve(Structure(joint, **setup).full(ThinLayer(glue, 0.05, at=1.0)))):
             assert surface.integral(surface.jump(state)[component]) == pytest.approx(0.6 / stiffness, rel=1e-9), (
                 state.model
             )

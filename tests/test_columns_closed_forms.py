@@ -256,7 +256,7 @@ FLUID, SOLID = AgeingFluid(MU, 0.4, 3.0), AgeingKelvinVoigt(LMBDA, MU, 0.3, 0.5,
 def test_parameters_that_vary_in_time(law, theta):
     """Energies of both models: a stack's own, on S, are those of its laws one by one, in the meshed layer."""
     setup = column("shear", load=lambda t: 0.5 * (1 + 3 * t))
-    limit, full = both(joint(), ThinLayer(law, 0.02), setup, TIMES, theta=theta)
+    limit, full = both(joint(), ThinLayer(law, 0.02, at=1.0), setup, TIMES, theta=theta)
     check_same(limit, full)
     for history in (limit, full):
         check_balance(history)

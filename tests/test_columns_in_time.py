@@ -34,7 +34,7 @@ from thinlayer.pointwise.material import Material
 def test_both_models_agree_at_every_step(name, eps, theta, mode):
     """A load that is sudden and then grows, in steps of several lengths."""
     setup = column(mode, load=lambda t: LOAD[mode] * (1 + 3 * t))
-    limit, full = both(joint(), ThinLayer(LAWS[name], eps), setup, TIMES, theta=theta)
+    limit, full = both(joint(), ThinLayer(LAWS[name], eps, at=1.0), setup, TIMES, theta=theta)
     check_same(limit, full)
     for history in (limit, full):
         check_balance(history)
@@ -46,7 +46,7 @@ def test_rigid_base(name):
     mode = "normal" if name in ("Maxwell t1 != t2", "user", "elastic, Norton 1.5") else "shear"
     setup = column(mode, load=lambda t: LOAD[mode] * (1 + 3 * t))
     del setup["supports"]["BOTTOM"]
-    limit, full = both(joint("block"), ThinLayer(LAWS[name], 0.02), setup, TIMES, theta=0.5)
+    limit, full = both(joint("block"), ThinLayer(LAWS[name], 0.02, at=1.0), setup, TIMES, theta=0.5)
     check_same(limit, full)
     for history in (limit, full):
         check_balance(history)
@@ -65,7 +65,7 @@ def test_rigid_base(name):
 def test_moved_end(law, mode, eps):
     """The top is moved back and forth: loading, unloading, reversal."""
     setup = column(mode, move=lambda x, t: 0.05 * ufl.cos(20 * t))
-    limit, full = both(joint(), ThinLayer(law, eps), setup, np.linspace(0, 0.3, 7)[1:])
+    limit, full = both(joint(), ThinLayer(law, eps, at=1.0), setup, np.linspace(0, 0.3, 7)[1:])
     check_same(limit, full)
     for history in (limit, full):
         check_balance(history)
@@ -116,7 +116,7 @@ def test_any_direction(name):
         tractions |= {f"{edge}/{region}": tuple(sign * body @ tangent) for region in ("LOWER", "UPPER")}
         tractions[f"{edge}/LAYER"] = side(sign)
     setup = {"body": BODY, "supports": {"BOTTOM": 0.0}, "tractions": tractions}
-    limit, full = both(joint().rotated(ANGLE), ThinLayer(law, 0.05), setup, TIMES)
+    limit, full = both(joint().rotated(ANGLE), ThinLayer(law, 0.05, at=1.0), setup, TIMES)
     check_same(limit, full)
     surface = Surface(limit.model)
     for state, w in zip(limit, jumps, strict=True):
@@ -136,8 +136,8 @@ def test_three_dimensions(cell, mode):
     if mode == "shear":
         plane |= {edge: sides for edge in ("LEFT", "RIGHT")}
     setup["tractions"] = {"TOP": (*setup["tractions"]["TOP"], 0.0)}
-    limit, full = both(where, ThinLayer(law, 0.05), setup, TIMES)
+    limit, full = both(where, ThinLayer(law, 0.05, at=1.0), setup, TIMES)
     check_same(limit, full)
     check_balance(full)
-    flat = march(Structure(joint(), **column(mode, load=LOAD[mode])).interface(ThinLayer(law, 0.05)), TIMES)
+    flat = march(Structure(joint(), **column(mode, load=LOAD[mode])).interface(ThinLayer(law, 0.05, at=1.0)), TIMES)
     assert limit.table["supplied"] == pytest.approx(0.5 * flat.table["supplied"], rel=1e-9, abs=1e-15)

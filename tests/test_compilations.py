@@ -39,7 +39,7 @@ def run(law, eps: float, times, h: float = 1 / 4, theta: float = 1.0, factor: fl
     joint, setup = fourier(h, cell="quadrilateral")
     setup["tractions"] = {"TOP": lambda x, t: (0.1 * t, ufl.cos(ufl.pi * x[0]))}
     setup["body"] = LinearElastic.young(100.0 * factor, 0.3)
-    layer = ThinLayer(law, eps)
+    layer = ThinLayer(law, eps, at=1.0)
     compare(
         *(
             march(build(Structure(joint, **setup), layer), times, theta=theta)
@@ -54,7 +54,7 @@ def test_stacks_of_order_1_are_compiled_once(modules):
     structure, first = Structure(joint, **setup), set()
     for n, eps in ((2, 0.1), (3, 0.1), (7, 0.05)):
         law = Stack.graded(lambda y: LinearElastic(60.0 + 30 * y, 40.0 - 20 * y), n)
-        solve(structure.interface(ThinLayer(law, eps, order=1)))
+        solve(structure.interface(ThinLayer(law, eps, order=1, at=1.0)))
         first = first or set(modules)
         assert set(modules) == first
 
@@ -97,7 +97,7 @@ def test_steps_ask_for_nothing(build, law, modules):
     joint, setup = fourier(1 / 4, cell="quadrilateral")
     asked = []
     observe = {"asked": lambda state: asked.append(len(modules)) or 0.0}
-    march(build(Structure(joint, **setup), ThinLayer(law, 0.1)), [0.1, 0.2, 0.3, 0.4], observe=observe)
+    march(build(Structure(joint, **setup), ThinLayer(law, 0.1, at=1.0)), [0.1, 0.2, 0.3, 0.4], observe=observe)
     assert len(asked) == 5
     assert asked[0] > 0
     assert len(set(asked)) == 1
@@ -118,7 +118,7 @@ def test_a_stack_shares_the_kernels_of_its_laws(modules):
     joint, setup = fourier(1 / 4, cell="quadrilateral")
 
     def interface(law):
-        march(Structure(joint, **setup).interface(ThinLayer(law, 0.1)), [0.1])
+        march(Structure(joint, **setup).interface(ThinLayer(law, 0.1, at=1.0)), [0.1])
 
     one, two = Maxwell(60.0, 40.0, 0.7), KelvinVoigt(60.0, 40.0, 0.3, 0.5)
     interface(one)

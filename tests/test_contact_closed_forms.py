@@ -223,7 +223,7 @@ def test_pressed_column_against_its_meshed_layer():
         "tractions": {"TOP": (0.0, -0.7)},
         "element": "P1",
     }
-    full = solve(Structure(joint, **setup).full(ThinLayer(glue, eps)))
+    full = solve(Structure(joint, **setup).full(ThinLayer(glue, eps, at=1.0)))
     law = HolonomicCoulomb.of_layer(glue.lmbda, glue.mu, friction=0.3)
     row = compare(full, solve(Structure(joint, **setup).interface(law)))
     assert row["error_traction"] < 1e-8

@@ -238,8 +238,3 @@ def test_laws_of_ones_own_are_checked(law, words):
     with pytest.raises(LawError, match=words):
         law.check_threshold()
     Own(K_N, K_T, 0).check_threshold()
-
-
-def test_no_thickness():
-    with pytest.raises(LawError, match="of_layer"):
-        LAWS[0].per_thickness(0.1)

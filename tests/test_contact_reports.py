@@ -108,7 +108,9 @@ def test_refused_models():
     joint, setup = sliding_bar(4)
     law = coulomb("middle")
     refused(ModelError, "element='P1'", lambda: Structure(joint, **setup | {"element": "P2"}).interface(law))
-    refused(LawError, "has no thickness: give it alone", lambda: ThinLayer(law, 0.1, profile=lambda x: 1 + x[0]))
+    refused(
+        LawError, "has no thickness: give it alone", lambda: ThinLayer(law, 0.1, profile=lambda x: 1 + x[0], at=1.0)
+    )
     refused(ModelError, "no meshed layer", lambda: Structure(joint, **setup).full(law))
     refused(ModelError, "is for layers", lambda: Structure(joint, **setup | {"body": law}).interface(law))
     refused(ModelError, "contact law", lambda: ContactReport(solve(Structure(joint, **setup).bonded())))
@@ -119,7 +121,7 @@ def test_refused_models():
 def test_refused_solves():
     joint, setup = sliding_bar(4)
     model = Structure(joint, **setup).interface(coulomb("middle"))
-    elastic = Structure(joint, **setup).interface(ThinLayer(LinearElastic(1.0, 1.0), 0.1))
+    elastic = Structure(joint, **setup).interface(ThinLayer(LinearElastic(1.0, 1.0), 0.1, at=1.0))
     refused(ValueError, "condensed", lambda: solve(model, method="linear"))
     refused(ValueError, "has none", lambda: solve(elastic, method="condensed"))
     for name, value in {"relaxation_omega": 2.5, "relaxation_tolerance": 0.0, "relaxation_max_sweeps": 0}.items():

@@ -71,7 +71,7 @@ def test_pressed_tube(cell):
     errors = []
     for degree in (1, 2):
         joint = ring(*RADII, 0.125, angle=np.pi / 2, cell=cell, degree=degree)
-        state = solve(Structure(joint, **pressed(joint)).interface(ThinLayer(GLUE, 0.1)))
+        state = solve(Structure(joint, **pressed(joint)).interface(ThinLayer(GLUE, 0.1, at=1.0)))
         surface = Surface(state.model)
         r = radial(ufl.SpatialCoordinate(state.model.domain.mesh))
         found = surface.norm(surface.jump(state) - jump * r) / surface.norm(jump * r)
@@ -88,7 +88,7 @@ def test_error_is_of_first_order(load, cell, degree):
     joint = ring(*RADII, 0.25, angle=np.pi / 2 if load is pressed else 2 * np.pi, cell=cell, degree=degree)
     rows = []
     for eps in EPS:
-        layer = ThinLayer(GLUE, eps)
+        layer = ThinLayer(GLUE, eps, at=1.0)
         limit = solve(Structure(joint, **load(joint)).interface(layer))
         rows.append(compare(solve(Structure(joint, **load(joint)).full(layer, bodies="extended")), limit))
     for name in (
@@ -102,8 +102,8 @@ def test_wrong_law_leaves_a_floor_on_a_ring():
     wrong = LinearElastic(lmbda=GLUE.lmbda - GLUE.mu, mu=GLUE.mu)
     errors = []
     for eps in EPS:
-        full = solve(Structure(joint, **pressed(joint)).full(ThinLayer(GLUE, eps), bodies="extended"))
-        limit = solve(Structure(joint, **pressed(joint)).interface(ThinLayer(wrong, eps)))
+        full = solve(Structure(joint, **pressed(joint)).full(ThinLayer(GLUE, eps, at=1.0), bodies="extended"))
+        limit = solve(Structure(joint, **pressed(joint)).interface(ThinLayer(wrong, eps, at=1.0)))
         errors.append(compare(full, limit)["error_jump"])
     assert errors[0] < errors[1] < errors[2]
     assert errors[2] > 0.09
@@ -113,7 +113,7 @@ def test_wrong_law_leaves_a_floor_on_a_ring():
 def test_material_frame_follows_s(degree):
     """In torsion a layer with K_N = 50 K_T gives t_T / K_T all around, in the meshed layer too."""
     joint = ring(*RADII, 0.25, degree=degree)
-    layer = ThinLayer(Anisotropic.springs(K_N=100.0, K_T=2.0), 1e-3)
+    layer = ThinLayer(Anisotropic.springs(K_N=100.0, K_T=2.0), 1e-3, at=1.0)
     limit = solve(Structure(joint, **twisted(joint)).interface(layer))
     full = solve(Structure(joint, **twisted(joint)).full(layer, bodies="extended"))
     surface = Surface(limit.model)
@@ -145,7 +145,7 @@ def test_rigid_base_takes_all_of_eps():
     setup = {"body": OUTER, "supports": {}, "tractions": twisted(hub)["tractions"]}
     rows = []
     for eps in EPS:
-        layer = ThinLayer(GLUE, eps)
+        layer = ThinLayer(GLUE, eps, at=1.0)
         limit = solve(Structure(hub, **setup).interface(layer))
         rows.append(compare(solve(Structure(hub, **setup).full(layer, bodies="extended")), limit))
     assert observed_orders(EPS, [row["error_jump"] for row in rows])[1:] == pytest.approx([1.0, 1.0], abs=0.1)
@@ -161,10 +161,10 @@ def test_wedge(cell):
     joint, setup = fourier(1 / 16, cell=cell)
     eps, rows, uniform = (1 / 16, 1 / 32, 1 / 64), [], []
     for e in eps:
-        layer = ThinLayer(FOURIER_LAYER, e, profile=wedge)
+        layer = ThinLayer(FOURIER_LAYER, e, profile=wedge, at=1.0)
         full = solve(Structure(joint, **setup).full(layer, bodies="extended"))
         rows.append(compare(full, solve(Structure(joint, **setup).interface(layer))))
-        other = solve(Structure(joint, **setup).interface(ThinLayer(FOURIER_LAYER, e)))
+        other = solve(Structure(joint, **setup).interface(ThinLayer(FOURIER_LAYER, e, at=1.0)))
         with pytest.raises(ModelError, match="the same profile"):
             compare(full, other)
         surface = Surface(other.model)
@@ -180,7 +180,7 @@ def test_wedge_between_stiff_bodies():
     joint = sandwich(1.0, 0.5, 0.5, 0.1)
     stiff = LinearElastic.young(1e9, 0.3)
     supports = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": 0.01}}
-    layer = ThinLayer(GLUE, 1e-3, profile=wedge)
+    layer = ThinLayer(GLUE, 1e-3, profile=wedge, at=1.0)
     exact = (GLUE.lmbda + 2 * GLUE.mu) / 2 * 0.01**2 * np.log(3)
     moved = Structure(joint, body=stiff, supports=supports)
     for model in (moved.interface(layer), moved.full(layer, bodies="extended")):
@@ -193,7 +193,7 @@ def test_wedge_in_three_dimensions():
     stiff = LinearElastic.young(1e9, 0.3)
     profile = lambda x: (0.5 + x[0]) * (1 + x[2])
     exact = GLUE.mu / 2 * 0.01**2 * np.log(3) * np.log(1.6)
-    layer = ThinLayer(GLUE, 1e-3, profile=profile)
+    layer = ThinLayer(GLUE, 1e-3, profile=profile, at=1.0)
     moved = Structure(joint, body=stiff, supports={"TOP": {"x": 0.01, "y": 0.0, "z": 0.0}})
     for model in (moved.interface(layer), moved.full(layer, bodies="extended")):
         state = solve(model)
@@ -210,7 +210,7 @@ def test_wedge_in_three_dimensions():
 )
 def test_profiles_are_checked(profile, message):
     joint, setup = fourier(1 / 4)
-    plates, layer = Structure(joint, **setup), ThinLayer(GLUE, 0.01, profile=profile)
+    plates, layer = Structure(joint, **setup), ThinLayer(GLUE, 0.01, profile=profile, at=1.0)
     refused(GeometryError, message, lambda: plates.interface(layer))
     refused(GeometryError, message, lambda: plates.full(layer, bodies="extended"))
 
@@ -218,16 +218,16 @@ def test_profiles_are_checked(profile, message):
 def test_what_curved_and_varying_layers_cannot_do():
     joint, setup = fourier(1 / 4)
     with pytest.raises(GeometryError, match=r"thickness varies along S.*use bodies='extended'"):
-        Structure(joint, **setup).full(ThinLayer(GLUE, 0.01, profile=wedge))
+        Structure(joint, **setup).full(ThinLayer(GLUE, 0.01, profile=wedge, at=1.0))
     with pytest.raises(LawError, match="must be a function"):
-        ThinLayer(GLUE, 0.01, profile=2.0)
+        ThinLayer(GLUE, 0.01, profile=2.0, at=1.0)
     round_joint = ring(*RADII, 0.25)
     with pytest.raises(GeometryError, match=r"S is not planar.*use bodies='extended'"):
-        Structure(round_joint, **twisted(round_joint)).full(ThinLayer(GLUE, 0.01))
+        Structure(round_joint, **twisted(round_joint)).full(ThinLayer(GLUE, 0.01, at=1.0))
     with pytest.raises(ModelError, match="order=1 on a curved S needs bodies at their true places"):
-        Structure(round_joint, **twisted(round_joint)).interface(ThinLayer(GLUE, 0.01, order=1))
+        Structure(round_joint, **twisted(round_joint)).interface(ThinLayer(GLUE, 0.01, order=1, at=1.0))
     with pytest.raises(GeometryError, match=r"turn inside out, the first at \("):
-        Structure(round_joint, **twisted(round_joint)).full(ThinLayer(GLUE, 1.5), bodies="extended")
+        Structure(round_joint, **twisted(round_joint)).full(ThinLayer(GLUE, 1.5, at=1.0), bodies="extended")
 
 
 @pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
@@ -247,7 +247,7 @@ def test_wavy_s_in_three_dimensions(cell):
     }
     eps, rows = (0.04, 0.02), []
     for e in eps:
-        layer = ThinLayer(FOURIER_LAYER, e)
+        layer = ThinLayer(FOURIER_LAYER, e, at=1.0)
         full = Structure(joint, **setup).full(layer, bodies="extended", cells_through=2)
         rows.append(compare(solve(full), solve(Structure(joint, **setup).interface(layer))))
     for name in ("error_traction", "error_jump"):

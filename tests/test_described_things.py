@@ -27,7 +27,7 @@ from thinlayer import ModelError, Structure, ThinLayer, compare, march, solve, s
 from thinlayer.identity import known
 from thinlayer.identity.described import described
 
-LAYER = ThinLayer(SLOW, 0.1)
+LAYER = ThinLayer(SLOW, 0.1, at=1.0)
 
 
 class Chain(collections.deque):
@@ -159,7 +159,7 @@ class Logged(KelvinVoigt):
 
 
 def test_laws_that_change_what_they_refer_to_as_they_are_read(tmp_path):
-    model = Structure(JOINT, **SETUP).interface(ThinLayer(Logged(60.0, 40.0, 0.3, 0.5), 0.1))
+    model = Structure(JOINT, **SETUP).interface(ThinLayer(Logged(60.0, 40.0, 0.3, 0.5), 0.1, at=1.0))
     for _ in range(2):
         assert march(model, [0.1, 0.2], out=tmp_path).t == pytest.approx([0.0, 0.1, 0.2])
     READ.clear()
@@ -169,7 +169,7 @@ def test_laws_that_change_what_they_refer_to_as_they_are_read(tmp_path):
 
 def test_models_are_what_they_were_built_with(tmp_path, monkeypatch):
     load, scale = np.array([0.0, 1.0]), {"F": 1.0}
-    data, spring = SETUP | {"tractions": {"TOP": load}}, ThinLayer(Spring(60.0, 40.0), 0.1)
+    data, spring = SETUP | {"tractions": {"TOP": load}}, ThinLayer(Spring(60.0, 40.0), 0.1, at=1.0)
     pulled = Structure(JOINT, **data)
     full, interface = pulled.full(spring), pulled.interface(spring)
     other = Structure(JOINT, **data | {"tractions": {"TOP": lambda x, t: (0.0, scale["F"])}}).interface(LAYER)

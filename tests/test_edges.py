@@ -166,7 +166,7 @@ def test_parts_of_triangles():
 @lru_cache(maxsize=len(EPS))  # for the wrong law after the right one
 def solved_full(structure_at, law, eps):
     one = structure_at(eps)
-    return one, solve(one.full(ThinLayer(law, eps), cells_through=8))
+    return one, solve(one.full(ThinLayer(law, eps, at=1.0), cells_through=8))
 
 
 def errors(structure_at, law, edges, inner):
@@ -174,7 +174,7 @@ def errors(structure_at, law, edges, inner):
     found = []
     for eps in EPS:
         one, full = solved_full(structure_at, law, eps)
-        limit = solve(one.interface(ThinLayer(law, eps, order=1, edges=edges)))
+        limit = solve(one.interface(ThinLayer(law, eps, order=1, edges=edges, at=1.0)))
         assert (limit.model.free_ends("S") is None) == (edges == "free")
         row = compare(full, limit, where=inner)
         work = limit.energies()["loads"] / full.energies()["loads"] - 1
@@ -226,7 +226,7 @@ def test_a_plate_in_plane_strain_is_its_section():
         size = {"depth": depth, "cell": "hexahedron"} if depth else {"cell": "quadrilateral"}
         joint = sandwich(1.0, 0.3, 0.3, 0.15, structured=True, **size)
         setup = Structure(joint, body=BODY, supports={"BOTTOM": 0} | (more or {}), tractions={"TOP": load})
-        state = solve(setup.interface(ThinLayer(law, 0.1, order=1, edges=edges)))
+        state = solve(setup.interface(ThinLayer(law, 0.1, order=1, edges=edges, at=1.0)))
         return state.energies()["loads"] / (depth or 1)
 
     section, infinite, plate = work("free"), work("plain"), work("free", 0.15, held, (0.3, -1, 0))
@@ -235,7 +235,9 @@ def test_a_plate_in_plane_strain_is_its_section():
 
 
 def test_there_is_no_warning_of_ends_that_the_law_knows():
-    layers = [ThinLayer(LinearElastic.shear(8.0, 0.45), EPS[0], order=1, edges=edges) for edges in ("free", "plain")]
+    layers = [
+        ThinLayer(LinearElastic.shear(8.0, 0.45), EPS[0], order=1, edges=edges, at=1.0) for edges in ("free", "plain")
+    ]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         solve(stack(EPS[0]).interface(layers[0]))
@@ -250,7 +252,9 @@ def test_held_sides_are_no_free_ends():
         "supports": {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}},
         "tractions": {"TOP": (0, -1)},
     }
-    layers = [ThinLayer(LinearElastic.shear(3.0, 0.35), 0.1, order=1, edges=edges) for edges in ("free", "plain")]
+    layers = [
+        ThinLayer(LinearElastic.shear(3.0, 0.35), 0.1, order=1, edges=edges, at=1.0) for edges in ("free", "plain")
+    ]
     works = [solve(Structure(joint, **setup).interface(layer)).energies()["loads"] for layer in layers]
     assert works[0] == pytest.approx(works[1], rel=1e-12)
 
@@ -258,7 +262,11 @@ def test_held_sides_are_no_free_ends():
 @pytest.mark.parametrize("dim", [2, 3])
 def test_turned_structures_are_the_same(dim):
     turned, straight = (
-        solve(structure(dim, angle).interface(ThinLayer(LinearElastic.shear(3.0, 0.35), 0.05, order=1, edges="free")))
+        solve(
+            structure(dim, angle).interface(
+                ThinLayer(LinearElastic.shear(3.0, 0.35), 0.05, order=1, edges="free", at=1.0)
+            )
+        )
         for angle in (0.3, 0.0)
     )
     assert turned.energies()["loads"] == pytest.approx(straight.energies()["loads"], rel=1e-9)
@@ -275,7 +283,7 @@ def test_the_same_on_two_ranks(there):
 )
 def test_other_values_are_refused(given, message):
     with pytest.raises(LawError, match=message):
-        ThinLayer(**{"law": LinearElastic.young(1.0, 0.3), "eps": 0.1, "order": 1, "edges": "free"} | given)
+        ThinLayer(**{"law": LinearElastic.young(1.0, 0.3), "eps": 0.1, "at": 1.0, "order": 1, "edges": "free"} | given)
 
 
 def require_plain(structure, layer, message, **options):
@@ -303,13 +311,15 @@ def require_plain(structure, layer, message, **options):
 )
 def test_layers_without_constants(law, given, message):
     setup = Structure(sandwich(1.0, 0.3, 0.3, 0.3), body=BODY, supports={"BOTTOM": 0}, tractions={})
-    require_plain(setup, ThinLayer(law, 0.1, order=1, **given), message)
-    fine = setup.interface(ThinLayer(Rubber(76.0, 1.0), 0.1, order=1))  # it falls over 0.2517, cells are 0.25 long
+    require_plain(setup, ThinLayer(law, 0.1, at=1.0, order=1, **given), message)
+    fine = setup.interface(
+        ThinLayer(Rubber(76.0, 1.0), 0.1, order=1, at=1.0)
+    )  # it falls over 0.2517, cells are 0.25 long
     assert fine.free_ends("S") is None
 
 
 def test_structures_without_constants():
-    layer = ThinLayer(LinearElastic.shear(1.0, 0.3), 0.1, order=1)
+    layer = ThinLayer(LinearElastic.shear(1.0, 0.3), 0.1, order=1, at=1.0)
     setup = {"body": BODY, "supports": {"BOTTOM": 0}, "tractions": {}}
     plates, cylinders = sandwich(1.0, 0.3, 0.3, 0.3), disc(1.0, lower=0.3, upper=0.3, h=0.4)
     require_plain(Structure(plates, **setup), layer, "not kept", bodies="extended")
@@ -324,7 +334,7 @@ def test_structures_without_constants():
 
 def test_ends_are_corrected_where_they_may_be(caplog):
     plates = Structure(sandwich(1.0, 0.3, 0.3, 0.3), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1)})
-    layer = ThinLayer(LinearElastic.shear(1.0, 0.3), 0.1, order=1)
+    layer = ThinLayer(LinearElastic.shear(1.0, 0.3), 0.1, order=1, at=1.0)
     with caplog.at_level(logging.INFO, logger="thinlayer.solve"):
         works = {
             edges: solve(plates.interface(replace(layer, edges=edges))).energies()["loads"]
@@ -354,7 +364,7 @@ def kinds(joint, supports, parts=(), **data):
     """What the layer's side is at the ridges of the rim, the one with the least x first."""
     held = {"BOTTOM": 0.0} | supports
     model = Structure(joint, body=BODY, supports=held, parts=parts, **data).interface(
-        ThinLayer(LinearElastic.young(1.0, 0.35).per_thickness(0.1), 0.1)
+        ThinLayer(LinearElastic.young(1.0, 0.35), 0.1)
     )
     sheet = Sheet(model.joint)
     order = joint.points[sheet.rim.vertices].mean(axis=1)[:, 0].argsort()
@@ -396,15 +406,15 @@ def test_what_else_holds_the_side_of_a_layer():
 def test_sides_held_across_s_are_no_free_ends():
     """Under simple shear the law is exact at any order; a law with constants of ends there is not."""
     joint, eps = sandwich(1.0, 0.5, 0.4, 0.25, h_S=1 / 12, cell="quadrilateral"), 1 / 16
-    law = LinearElastic.young(1.0, 0.35).per_thickness(eps)
+    law = LinearElastic.young(1.0, 0.35).scaled(1 / eps)
     across = {"BOTTOM": 0.0, "LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
     sheared = Structure(joint, body=BODY, supports=across, tractions={"TOP": (0.3, 0.0)})
-    full = solve(sheared.full(ThinLayer(law, eps)))
+    full = solve(sheared.full(ThinLayer(law, eps, at=1.0)))
     for order in (0, 1):
-        model = sheared.interface(ThinLayer(law, eps, order=order))
+        model = sheared.interface(ThinLayer(law, eps, order=order, at=1.0))
         error = compare(full, solve(model))
         assert max(error["error_traction"], error["error_jump"]) < 1e-9  # rounding of the layer's stiffness
-    found = estimate(solve(sheared.interface(ThinLayer(law, eps))))
+    found = estimate(solve(sheared.interface(ThinLayer(law, eps, at=1.0))))
     assert max(found.traction, found.jump) < 1e-9
 
 
@@ -416,7 +426,7 @@ def test_rollers_on_the_end_of_a_scarf_are_oblique_to_s():
 
 def test_an_oblique_side_has_no_constants():
     joint = sandwich(1.0, 0.5, 0.4, 0.25, h_ends=0.02).rotated(0.5)
-    law = ThinLayer(LinearElastic.young(1.0, 0.35).per_thickness(0.1), 0.1, order=1)
+    law = ThinLayer(LinearElastic.young(1.0, 0.35), 0.1, order=1)
     model = Structure(joint, body=BODY, supports={"BOTTOM": 0.0, "LEFT": {"x": 0.0}}, tractions=PULL).interface(law)
     assert "neither along S nor across it" in model.free_ends("S")
     with pytest.raises(ModelError, match="neither along S nor across it"):
@@ -431,7 +441,7 @@ def test_rubber_between_plates_is_held():
     fixed = {"x": 0.0, "rotation": 0.0}
     mould = [*base, RigidPlate("LEFT", motion=fixed), RigidPlate("RIGHT", motion=fixed)]
     structure = Structure(joint, body=stiff, tractions={"TOP": (0.0, -1.0)}, supports={}, parts=mould)
-    layer = ThinLayer(Rubber.shear(mu=0.4, nu=0.499), eps, order=1)
+    layer = ThinLayer(Rubber.shear(mu=0.4, nu=0.499), eps, order=1, at=1.0)
     full, limit = solve(structure.full(layer)), solve(structure.interface(layer))
     assert limit.load_work() == pytest.approx(full.load_work(), rel=1e-3)  # 1.5 times as much with p = 0 there
 
@@ -442,7 +452,7 @@ def test_a_set_of_one_body_ends_where_s_begins():
     left = joint.facets["LEFT"]
     below = joint.points[left].mean(axis=1)[:, 1] < 0
     joint = replace(joint, facets=joint.facets | {"LOW": left[below]})
-    layer = ThinLayer(LinearElastic.young(1.0, 0.35).per_thickness(eps), eps)
+    layer = ThinLayer(LinearElastic.young(1.0, 0.35), eps)
     one, same = (
         solve(Structure(joint, body=BODY, supports={"BOTTOM": 0.0, name: {"x": 0.0}}, tractions=PULL).full(layer))
         for name in ("LOW", "LEFT/LOWER")

@@ -70,9 +70,9 @@ def test_a_straight_edge_along_which_loads_vary():
     """It opens, and is sheared across and along the edge; without its constants errors are of order 1."""
     eps = 1 / 16
     structure = edge(eps, 2, "tetrahedron")
-    meshed, found = solve(structure.full(ThinLayer(LAW, eps), cells_through=2)), {}
+    meshed, found = solve(structure.full(ThinLayer(LAW, eps, at=1.0), cells_through=2)), {}
     for edges in ("free", "plain"):
-        limit = solve(structure.interface(ThinLayer(LAW, eps, order=1, edges=edges)))
+        limit = solve(structure.interface(ThinLayer(LAW, eps, order=1, edges=edges, at=1.0)))
         row = compare(meshed, limit, where=lambda x: x[0] > 0.5)
         work = limit.energies()["loads"] / meshed.energies()["loads"] - 1
         found[edges] = np.array([row["error_traction"], row["error_jump"], abs(work)])
@@ -91,7 +91,7 @@ def test_angular_plates(shape):
     for name, R, edges in (("known", np.eye(3), "free"), ("turned", turn, "free"), ("plain", np.eye(3), "plain")):
         moved = replace(joint, points=joint.points @ R.T)
         structure = Structure(moved, body=stiff, supports={}, tractions={"TOP": tuple(R @ (0.0, -1.0, 0.0))})
-        works[name] = solve(structure.interface(ThinLayer(LAW, eps, order=1, edges=edges))).energies()["loads"]
+        works[name] = solve(structure.interface(ThinLayer(LAW, eps, order=1, edges=edges, at=1.0))).energies()["loads"]
     assert works["turned"] == pytest.approx(works["known"], rel=1e-9)
     area, length = {"L": (0.75, 4.0), "hole": (0.91, 5.2)}[shape]
     weaker = 1 / (1 - free_end(0.3).c_N * eps * length / area)
@@ -110,4 +110,4 @@ def test_strips_that_lie_on_one_another_are_refused():
     ):
         structure, law = Structure(joint, body=BODY, supports={}, tractions={}), LinearElastic.shear(8.0, nu)
         with pytest.raises(ModelError, match=words):
-            structure.interface(ThinLayer(law, eps, order=1, edges="free"))
+            structure.interface(ThinLayer(law, eps, order=1, edges="free", at=1.0))

@@ -26,7 +26,7 @@ RIGID = 3  # motions in the plane
 def model(law, h, edges):
     """Blocks of one row of cells; S is 4 cells wide, and 8 thicknesses at least."""
     joint = sandwich(EPS * max(4 * h, 8.0), EPS, EPS, h * EPS, cell="quadrilateral", structured=True)
-    layer = ThinLayer(law, EPS, order=1, edges=edges)
+    layer = ThinLayer(law, EPS, order=1, edges=edges, at=1.0)
     return Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, tractions={}).interface(layer)
 
 

@@ -144,7 +144,7 @@ def test_results_do_not_depend_on_units(length, stress, nonlinear):
         bent = ThermalExpansion(2e-3, lambda x, t, L=L: (x[1] / L) ** 2)
         for heat in (3e-3, bent):
             structure = Structure(scaled, body={"LOWER": law, "UPPER": law}, supports=at, eigenstrain=heat)
-            state = solve(structure.interface(ThinLayer(LinearElastic(7.0 * S / L, 5.0 * S / L), 0.1 * L)))
+            state = solve(structure.interface(ThinLayer(LinearElastic(7.0 * S / L, 5.0 * S / L), 0.1 * L, at=1.0)))
             energies = state.energies()
             found.append((energies["bodies"] / (S * L**2), energies["layer"] / (S * L**2)))
     assert found[2] == pytest.approx(found[0], rel=1e-6, abs=1e-14)
@@ -202,7 +202,7 @@ def rock(law, sigma, plane="strain", joint=FLAT):
         walls |= {"FRONT": {"z": 0.0}, "BACK": {"z": 0.0}}
     insitu = {} if sigma is None else {"eigenstrain": Prestress(sigma)}
     data = {"body_force": (0.0, -2.0, 0.0)[: joint.dim], "supports": walls, "plane": plane}
-    return Structure(joint, body=law, **data, **insitu).interface(ThinLayer(GLUE, 0.05, **insitu))
+    return Structure(joint, body=law, **data, **insitu).interface(ThinLayer(GLUE, 0.05, at=1.0, **insitu))
 
 
 @pytest.mark.parametrize("law", [LAW, TILTED], ids=["isotropic", "tilted"])
@@ -247,7 +247,7 @@ def test_a_stress_that_balances_the_loads_moves_no_layer(law):
     sigma = ((-1.0, 0.0), (0.0, -2.3))
     loads = {"TOP": (0, -2.3), "BOTTOM": (0, 2.3), "LEFT": (1.0, 0), "RIGHT": (-1.0, 0)}
     insitu = {"eigenstrain": Prestress(sigma)}
-    data, layer = {"body": LAW, "supports": AT_REST, **insitu}, ThinLayer(law, 0.1, **insitu)
+    data, layer = {"body": LAW, "supports": AT_REST, **insitu}, ThinLayer(law, 0.1, at=1.0, **insitu)
     sides = {f"{name}/LAYER": loads[name] for name in ("LEFT", "RIGHT")}
     meshed = Structure(FLAT, tractions=loads | sides, **data).full(layer)
     for model in (meshed, Structure(FLAT, tractions=loads, **data).interface(layer)):
@@ -261,7 +261,7 @@ def test_the_energy_balance_knows_the_work_of_growing_strains(kind, theta):
     """Heat in place and time, beside a load: what is supplied is stored, but for the scheme's remainder."""
     hot = ThermalExpansion(2e-3, lambda x, t: ufl.sin(t) * (1 + x[0] ** 2))
     data = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": lambda x, t: (0.02 * t, -0.05 * t)}, "eigenstrain": hot}
-    layer = ThinLayer(GLUE, 0.1, eigenstrain=lambda x, t: ((-3e-3 * t, 0), (0, 2e-3 * t * x[0])))
+    layer = ThinLayer(GLUE, 0.1, eigenstrain=lambda x, t: ((-3e-3 * t, 0), (0, 2e-3 * t * x[0])), at=1.0)
     model = getattr(Structure(FLAT, body=LAW, **data), kind)(layer)
     history = march(model, [0.4, 1.0, 1.5], theta=theta)
     for state in history:
@@ -313,7 +313,7 @@ def test_the_expansion_of_a_laminate(theta):
     """Free of mean stress: (1 + nu) times the mean expansion, and the jump of a layer that shrinks; energies balance."""
     joint = periodic(sandwich(1.0, 0.4, 0.6, 0.2, cell="quadrilateral", structured=True), *SIDES)
     expansion = {"LOWER": lambda x, t: 1e-3 * t, "UPPER": lambda x, t: 4e-3 * t}
-    layer = ThinLayer(GLUE, 0.02, eigenstrain=lambda x, t: -5e-3 * t)
+    layer = ThinLayer(GLUE, 0.02, eigenstrain=lambda x, t: -5e-3 * t, at=1.0)
     data = {"body": LAW, "supports": {}, "stress": np.zeros((2, 2)), "eigenstrain": expansion}
     history = march(Structure(joint, **data).interface(layer), [0.5, 1.0], theta=theta)
     closed = 1.3 * (0.4 * 1e-3 + 0.6 * 4e-3) * np.eye(2)
@@ -327,10 +327,10 @@ def test_stiffness_of_a_cell_whose_family_has_eigenstrains():
     """What the models of a family share has their strains, and not those by which the stiffness is found."""
     joint = periodic(sandwich(1.0, 0.4, 0.6, 0.2, cell="quadrilateral", structured=True), *SIDES)
     data = {"body": LAW, "supports": {}, "strain": np.diag([1e-3, 2e-3])}
-    heated = Structure(joint, eigenstrain=2e-3, **data).interface(ThinLayer(GLUE, 0.02))
-    other = heated.with_layer(ThinLayer(GLUE, 0.03))
+    heated = Structure(joint, eigenstrain=2e-3, **data).interface(ThinLayer(GLUE, 0.02, at=1.0))
+    other = heated.with_layer(ThinLayer(GLUE, 0.03, at=1.0))
     before = solve(other).mean_stress()
-    plain = Structure(joint, **data).interface(ThinLayer(GLUE, 0.03))
+    plain = Structure(joint, **data).interface(ThinLayer(GLUE, 0.03, at=1.0))
     assert homogenised_stiffness(other) == pytest.approx(homogenised_stiffness(plain), rel=1e-11, abs=1e-11)
     assert np.array_equal(solve(other).mean_stress(), before)
     assert np.abs(before - solve(plain).mean_stress()).max() > 1e-3
@@ -349,7 +349,7 @@ def test_a_layer_between_bodies_of_two_temperatures_has_their_mean():
     halves = computed(lambda x: 2.0 + np.sign(x[1]), ("DG", 0))
     data = {"body": LAW, "supports": {"BOTTOM": 0.0}}
     pair = [
-        solve(Structure(FLAT, **data).interface(ThinLayer(LAW, 0.1, eigenstrain=hot)))
+        solve(Structure(FLAT, **data).interface(ThinLayer(LAW, 0.1, eigenstrain=hot, at=1.0)))
         for hot in (ThermalExpansion(1e-3, halves), 2e-3)
     ]
     assert pair[0].u.x.array == pytest.approx(pair[1].u.x.array, abs=1e-9 * np.abs(pair[1].u.x.array).max())
@@ -397,10 +397,10 @@ def test_refused_helpers():
     out = Structure(FLAT, body=LAW, supports=ROLLERS, plane="stress", eigenstrain=Prestress(1.0))
     refused(ModelError, "out of the plane", lambda: out.bonded())
     plates = Structure(FLAT, body=LAW, supports=ROLLERS)
-    stacked = ThinLayer(Stack((0.3, GLUE), (0.7, LAW)), 0.1, eigenstrain=Prestress(1.0))
+    stacked = ThinLayer(Stack((0.3, GLUE), (0.7, LAW)), 0.1, eigenstrain=Prestress(1.0), at=1.0)
     refused(ModelError, "the layer: its sublayers have stiffnesses", lambda: plates.interface(stacked))
     with pytest.raises(ModelError, match=r"no strain of .* causes some stresses"):
-        plates.interface(ThinLayer(Anisotropic.springs(K_N=2.0, K_T=1.0), 0.1, eigenstrain=Prestress(1.0)))
+        plates.interface(ThinLayer(Anisotropic.springs(K_N=2.0, K_T=1.0), 0.1, eigenstrain=Prestress(1.0), at=1.0))
 
 
 def test_models_with_other_eigenstrains_are_others():
@@ -408,6 +408,6 @@ def test_models_with_other_eigenstrains_are_others():
     for e in (None, 1e-3, 2e-3, ThermalExpansion(1e-3, 2.0), Prestress(1.0)):
         model = Structure(FLAT, body=LAW, supports=ROLLERS, eigenstrain=e).bonded()
         marks |= {model.mark, json.dumps(model.identity(), sort_keys=True)}
-        layer = ThinLayer(GLUE, 0.1, eigenstrain=e)
+        layer = ThinLayer(GLUE, 0.1, eigenstrain=e, at=1.0)
         marks.add(json.dumps(Structure(FLAT, body=LAW, supports=ROLLERS).interface(layer).identity(), sort_keys=True))
     assert len(marks) == 11  # marks are empty on one rank

@@ -38,7 +38,7 @@ HELD = SLIDING | {"TOP": {"y": 0.0}}
 
 def model(kind, law, eigenstrain, supports=SLIDING, plane="strain", **data):
     plates = Structure(JOINT, body=STEEL, supports=supports, plane=plane, **data)
-    return getattr(plates, kind)(ThinLayer(law, EPS, eigenstrain=eigenstrain))
+    return getattr(plates, kind)(ThinLayer(law, EPS, eigenstrain=eigenstrain, at=1.0))
 
 
 def across(state):
@@ -102,7 +102,7 @@ def test_the_stress_of_a_held_layer_follows_the_history_of_its_shrinkage(kind):
 def test_in_situ_stress_of_a_layer_that_relaxes():
     """It is there at once, and decays between plates that do not move."""
     stiff = Structure(JOINT, body=LinearElastic.young(3e9, 0.3), supports=HELD)
-    layer = ThinLayer(Maxwell(70.0, 50.0, t1=0.8), EPS, eigenstrain=Prestress(-1.5))
+    layer = ThinLayer(Maxwell(70.0, 50.0, t1=0.8), EPS, eigenstrain=Prestress(-1.5), at=1.0)
     history = march(stiff.interface(layer), [0.5, 1.0])
     factors = np.array([1.0, 1 / (1 + 0.5 / 0.8), 1 / (1 + 0.5 / 0.8) ** 2])
     assert [across(state)[0] for state in history] == pytest.approx(-1.5 * factors, rel=1e-5)
@@ -112,7 +112,7 @@ def test_a_rate_law_answers_to_the_rate_of_shrinkage():
     """Kelvin-Voigt between rigid plates: elastic stress plus theta times the rate."""
     law = KelvinVoigt(70.0, 50.0, theta_lmbda=0.3, theta_mu=0.2)
     stiff = Structure(JOINT, body=LinearElastic.young(3e9, 0.3), supports=HELD)
-    shrinking = ThinLayer(law, EPS, eigenstrain=lambda x, t: -1e-3 * t)
+    shrinking = ThinLayer(law, EPS, eigenstrain=lambda x, t: -1e-3 * t, at=1.0)
     history = march(stiff.interface(shrinking), [0.5, 1.0])
     surface = Surface(history.last.model)
     t_N = surface.integral(surface.traction(history.last)[1]) / WIDTH
@@ -149,7 +149,7 @@ class Curing(BulkLaw):
 def test_a_layer_that_shrinks_while_it_hardens(kind):
     """C(t) times de, 0.1 + 0.9 t/T of the hard layer's, at the ends of n equal steps."""
     stiff = Structure(JOINT, body=LinearElastic.young(3e9, 0.3), supports=HELD)
-    layer = ThinLayer(Curing(70.0, 50.0, time=2.0), EPS, eigenstrain=lambda x, t: -2e-3 * t)
+    layer = ThinLayer(Curing(70.0, 50.0, time=2.0), EPS, eigenstrain=lambda x, t: -2e-3 * t, at=1.0)
     n = 5
     history = march(getattr(stiff, kind)(layer), [2.0 * (k + 1) / n for k in range(n)])
     hard = EPS * 310.0 * 4e-3
@@ -163,8 +163,8 @@ def test_friction_of_a_layer_that_is_pressed_by_in_situ_stress(kind):
     supports = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: 0.2 * t, "y": 0.0}}
     insitu = Prestress(-1.5)
     plates = Structure(JOINT, body=LinearElastic.young(3e6, 0.3), supports=supports, element="Q1")
-    history = march(getattr(plates, kind)(ThinLayer(law, EPS, eigenstrain=insitu)), [0.05, 0.2, 0.6, 1.0])
-    surface = Surface(plates.interface(ThinLayer(law, EPS, eigenstrain=insitu)))
+    history = march(getattr(plates, kind)(ThinLayer(law, EPS, eigenstrain=insitu, at=1.0)), [0.05, 0.2, 0.6, 1.0])
+    surface = Surface(plates.interface(ThinLayer(law, EPS, eigenstrain=insitu, at=1.0)))
     t = [surface.integral(surface.traction(history.last)[k]) / WIDTH for k in (0, 1)]
     start = [surface.integral(surface.traction(history.at(0.0))[k]) / WIDTH for k in (0, 1)]
     assert start == pytest.approx([0.0, -1.5], abs=1e-4 if kind == "interface" else 0.02)
@@ -178,7 +178,7 @@ def test_friction_of_a_layer_that_is_pressed_by_in_situ_stress(kind):
 def test_an_incompressible_layer_that_expands(kind, theta):
     """It keeps the volume that its expansion gives it: 3 e eps across, as the plates hold it along S; energies balance."""
     stiff = Structure(JOINT, body=LinearElastic.young(3e7, 0.3), supports=SLIDING)
-    rubber = ThinLayer(Incompressible(50.0), EPS, eigenstrain=ThermalExpansion(2e-3, lambda x, t: 0.5 + t / 2))
+    rubber = ThinLayer(Incompressible(50.0), EPS, eigenstrain=ThermalExpansion(2e-3, lambda x, t: 0.5 + t / 2), at=1.0)
     history = march(getattr(stiff, kind)(rubber), [0.5, 1.0], theta=theta)
     assert across(history.last) == pytest.approx((0.0, 3 * 2e-3 * EPS), rel=1e-7, abs=1e-6)
     assert max(abs(state.audit.imbalance) for state in history) < 1e-7  # rounding of stiff plates
@@ -211,11 +211,11 @@ def test_the_next_order_knows_the_eigenstrain(law, scaled):
     eps, errors = (1 / 16, 1 / 32), {"order 1": [], "order 0": [], "none": []}
     for e in eps:
         strain, structure = varying(1e-3 / e if scaled else 2e-2), Structure(joint, **setup)
-        full = solve(structure.full(ThinLayer(law, e, eigenstrain=strain)))
+        full = solve(structure.full(ThinLayer(law, e, eigenstrain=strain, at=1.0)))
         for name, layer in {
-            "order 1": ThinLayer(law, e, 1, eigenstrain=strain),
-            "order 0": ThinLayer(law, e, eigenstrain=strain),
-            "none": ThinLayer(law, e, 1),
+            "order 1": ThinLayer(law, e, 1, eigenstrain=strain, at=1.0),
+            "order 0": ThinLayer(law, e, eigenstrain=strain, at=1.0),
+            "none": ThinLayer(law, e, 1, at=1.0),
         }.items():
             errors[name].append(compare(full, solve(structure.interface(layer)))["error_traction"])
     orders = {name: observed_orders(eps, found)[-1] for name, found in errors.items()}

@@ -24,7 +24,7 @@ def make():
 
     def run(case):
         pull = 1.0 if case["where"] == "left" else 2.0
-        model = pulled.interface(ThinLayer(LinearElastic(60.0, case["mu"] * pull), 0.01))
+        model = pulled.interface(ThinLayer(LinearElastic(60.0, case["mu"] * pull), 0.01, at=1.0))
         surface = Surface(model)
         return {"jump": surface.norm(surface.jump(solve(model))), "side": case["where"][0], "ranks": model.comm.size}
 

@@ -53,7 +53,7 @@ def test_flat_laws_at_any_scale(scale):
 
     def found(s):
         loads = {"TOP": (6 * s, -30 * s), "LEFT/UPPER": (-60 * s, 5 * s)}
-        model = Structure(PLATES, body=STEEL, supports=HELD, tractions=loads).interface(ThinLayer(flat(s), 0.4))
+        model = Structure(PLATES, body=STEEL, supports=HELD, tractions=loads).interface(ThinLayer(flat(s), 0.4, at=1.0))
         return mean_jump(model, solve(model)) / s
 
     assert found(scale) == pytest.approx(found(1.0), rel=1e-9)
@@ -81,10 +81,10 @@ def test_a_soft_flat_layer_between_stiff_plates():
 def test_an_eigenstrain_that_ends_without_stress(loads):
     """A free layer swells by (1 + nu)/(1 - nu) of its eigenstrain, held sideways by the bodies; there is no other force."""
     nu, strain, eps, E = 0.35, 0.01, 2.0, 3e3
-    law = LinearElastic.young(E=E, nu=nu).per_thickness(eps)
+    law = LinearElastic.young(E=E, nu=nu).scaled(1 / eps)
     supports = {"BOTTOM": {"y": 0}, (0, -4): {"x": 0}}
     plates = Structure(PLATES, body=STEEL, tractions=loads, supports=supports)
-    model = plates.interface(ThinLayer(Swelling(law.lmbda, law.mu, strain), eps))
+    model = plates.interface(ThinLayer(Swelling(law.lmbda, law.mu, strain), eps, at=1.0))
     pressed = sum(load[1] for load in loads.values()) * eps * (1 + nu) * (1 - 2 * nu) / (E * (1 - nu))
     expected = strain * eps * (1 + nu) / (1 - nu) + pressed
     assert mean_jump(model, solve(model))[1] == pytest.approx(expected, rel=1e-9)
@@ -105,9 +105,9 @@ def contact():
 
 
 def linear():
-    law = LinearElastic.young(E=2e3, nu=0.4).per_thickness(0.2)
+    law = LinearElastic.young(E=2e3, nu=0.4).scaled(1 / 0.2)
     loads = {"TOP": (6.0, -30.0)}
-    return Structure(PLATES, body=STEEL, supports=HELD, tractions=loads).interface(ThinLayer(law, 0.2))
+    return Structure(PLATES, body=STEEL, supports=HELD, tractions=loads).interface(ThinLayer(law, 0.2, at=1.0))
 
 
 WEAK = [
@@ -146,7 +146,7 @@ def test_a_solver_that_lies_is_found_out(solver, monkeypatch):
 
 
 # ---------------------------------------------------------------------------------- the only one
-SLIDES = ThinLayer(Anisotropic(np.diag([0, 1e3, 0, 0, 0, 0.0]), "layer"), 0.1)
+SLIDES = ThinLayer(Anisotropic(np.diag([0, 1e3, 0, 0, 0, 0.0]), "layer"), 0.1, at=1.0)
 METHODS = ["condensed", "multigrid", "newton", "relaxation"]
 
 
@@ -180,7 +180,7 @@ def test_frictionless_contact(method):
 def test_three_dimensions():
     """A layer that grips along x, not along z."""
     joint = sandwich(10, 4, 4, h=4.0, depth=8, cell="hexahedron")
-    one_way = ThinLayer(Anisotropic(np.diag([0, 1e3, 0, 0, 0, 500.0]), "layer"), 0.1)
+    one_way = ThinLayer(Anisotropic(np.diag([0, 1e3, 0, 0, 0, 500.0]), "layer"), 0.1, at=1.0)
     with pytest.raises(SolveError, match=r"body 'UPPER' can move along \(0, 0, 1\)"):
         solve(loaded(one_way, joint, element="Q1"))
     held = {"BOTTOM": 0, "TOP": {"z": 0}}
@@ -201,7 +201,7 @@ def test_a_meshed_layer_that_hardly_resists():
     """Loads that do not push it leave its slip to rounding, which the second solve of the refinement shows."""
 
     def made(K_T):
-        layer = ThinLayer(Anisotropic.springs(1e3, K_T), 0.1)
+        layer = ThinLayer(Anisotropic.springs(1e3, K_T), 0.1, at=1.0)
         return Structure(PLATES, body=STEEL, supports=HELD, tractions={"TOP": (0, -1.0)}).full(layer)
 
     with pytest.raises(SolveError, match="no unique solution: rounding of the forces changes the displacements"):

@@ -15,7 +15,7 @@ JOINT = sandwich(width=2.0, lower=0.5, upper=0.7, h=0.25, structured=True)
 STEEL = LinearElastic.young(E=900.0, nu=0.3)
 SUPPORTS = {"BOTTOM": 0, "TOP": {"x": 0.003}}
 PULL, OTHER = {"TOP": (0.0, -0.8)}, {"TOP": (0.0, 0.5), "RIGHT": (0.2, 0.1)}
-GLUE, SOFT = ThinLayer(LinearElastic(60.0, 40.0), 0.01), ThinLayer(LinearElastic(20.0, 30.0), 0.03)
+GLUE, SOFT = ThinLayer(LinearElastic(60.0, 40.0), 0.01, at=1.0), ThinLayer(LinearElastic(20.0, 30.0), 0.03, at=1.0)
 
 
 def joined(tractions=PULL, **data) -> Structure:
@@ -31,9 +31,9 @@ def apart(one, other) -> float:
     "layer",
     [
         SOFT,
-        ThinLayer(LinearElastic(60.0, 40.0), 0.01, order=1),
-        ThinLayer(Incompressible(mu=40.0), 0.01),
-        ThinLayer(MohrCoulomb(60.0, 40.0, cohesion=0.2, friction_angle=30.0), 0.01),
+        ThinLayer(LinearElastic(60.0, 40.0), 0.01, order=1, at=1.0),
+        ThinLayer(Incompressible(mu=40.0), 0.01, at=1.0),
+        ThinLayer(MohrCoulomb(60.0, 40.0, cohesion=0.2, friction_angle=30.0), 0.01, at=1.0),
         {"S": SOFT},
     ],
 )
@@ -98,7 +98,7 @@ def test_two_solvers_of_a_family_at_once():
 )
 def test_marches_of_a_family(law):
     first = joined().interface(GLUE)
-    layer, times = ThinLayer(law, 0.02), [0.1, 0.3]
+    layer, times = ThinLayer(law, 0.02, at=1.0), [0.1, 0.3]
     for _ in range(2):
         own = march(joined(OTHER).interface(layer), times).last
         assert apart(march(first.with_layer(layer).with_loads(tractions=OTHER), times).last, own) < 1e-10
@@ -106,7 +106,7 @@ def test_marches_of_a_family(law):
 
 def test_a_meshed_layer_keeps_its_shape():
     first = joined().full(GLUE)
-    same = ThinLayer(LinearElastic(20.0, 30.0), 0.01)
+    same = ThinLayer(LinearElastic(20.0, 30.0), 0.01, at=1.0)
     assert apart(solve(first.with_layer(same)), solve(joined().full(same))) < 1e-11
     with pytest.raises(
         ModelError, match=r"the mesh has a layer 'S' of .* \(0\.01, None, \(\)\), not \(0\.03, None, \(\)\)"
@@ -125,7 +125,7 @@ def test_supports_keep_their_places():
 
 
 def test_break_times_are_those_of_ones_own_loads():
-    first = joined().interface(ThinLayer(KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5), 0.01))
+    first = joined().interface(ThinLayer(KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5), 0.01, at=1.0))
     broken = first.with_loads(tractions={"TOP": piecewise({0: (0.0, 0.1), 0.35: (0.0, -0.6), 1: (0.0, 0.0)})})
     assert broken.break_times == {0.0, 0.35, 1.0}
     assert broken.with_loads(tractions=OTHER).break_times == first.break_times == set()

@@ -63,7 +63,7 @@ def packed(stress, nu):
 def test_uniform_stresses_are_read_again(written, d, cell_type, element):
     """All times; traction and jump by hand; t_N and w_N along n, t_T and w_T along S."""
     structure, stress, jump = uniform(d, cell_type, element)
-    history = march(structure.interface(ThinLayer(K, EPS)), [0.4, 1.0])
+    history = march(structure.interface(ThinLayer(K, EPS, at=1.0)), [0.4, 1.0])
     found = written(history)
     bodies, on_s = found["bodies"], found["S"]
     wanted = packed(stress, BODY.lmbda / (2 * (BODY.lmbda + BODY.mu)))
@@ -108,12 +108,12 @@ def test_arrays_are_the_same_at_all_times(written, tmp_path, kind):
 
 def test_all_times_are_there(written, tmp_path):
     structure, stress, _ = uniform()
-    written(march(structure.interface(ThinLayer(K, EPS)), [0.4, 0.7, 1.0]))
+    written(march(structure.interface(ThinLayer(K, EPS, at=1.0)), [0.4, 0.7, 1.0]))
     reader = pyvista.get_reader(tmp_path / "a.pvd")
     assert reader.time_values == pytest.approx([0.0, 0.4, 0.7, 1.0])
     reader.set_active_time_value(0.4)
     assert reader.read()[0]["bodies"]["stress"][:, 0] == pytest.approx(0.4 * stress[0, 0], rel=1e-9)
-    written(solve(structure.interface(ThinLayer(K, EPS))))
+    written(solve(structure.interface(ThinLayer(K, EPS, at=1.0))))
     assert sorted(one.name for one in (tmp_path / "a_pvd").iterdir()) == ["0000", "0000.vtm"]  # no old times
 
 
@@ -122,7 +122,7 @@ def test_meshed_layer_is_a_block(written):
     joint = sandwich(2.0, 0.5, 0.7, 0.5)
     rollers = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     structure = Structure(joint, body=BODY, supports=rollers, tractions={"TOP": (0.0, -0.3)})
-    found = written(solve(structure.full(ThinLayer(Stack((0.3, K), (0.7, LinearElastic(1.0, 5.0))), EPS))))
+    found = written(solve(structure.full(ThinLayer(Stack((0.3, K), (0.7, LinearElastic(1.0, 5.0))), EPS, at=1.0))))
     assert list(found.keys()) == ["bodies", "layer"]
     laws = {"LOWER": BODY, "UPPER": BODY, "LAYER/1": K, "LAYER/2": LinearElastic(1.0, 5.0)}
     heights = {"LAYER/1": 0.3 * EPS, "LAYER/2": 0.7 * EPS}
@@ -183,7 +183,7 @@ def test_stresses_of_laws_with_memory(written):
     bodies = {"LOWER": Maxwell(lmbda=60.0, mu=40.0, t1=0.7, t2=0.55), "UPPER": BODY}
     structure = Structure(joint, body=bodies, supports=rollers, tractions={"TOP": (0.0, -0.3)})
     slow = Maxwell(lmbda=3.0, mu=2.0, t1=0.4, t2=0.35)
-    found = written(march(structure.full(ThinLayer(slow, EPS)), [0.2, 0.5]))
+    found = written(march(structure.full(ThinLayer(slow, EPS, at=1.0)), [0.2, 0.5]))
     elastic = -0.3 * BODY.lmbda / (BODY.lmbda + 2 * BODY.mu)
     upper = found["bodies"]["region"] == list(found["bodies"].field_data["regions"]).index("UPPER")
     for stress, relaxed in (
@@ -204,7 +204,7 @@ def test_phases_are_on_facets(written):
     joint = sandwich(2.0, 0.5, 0.7, 0.5)
     load = {"TOP": lambda x, t: (0.0, t * (0.2 + x[0]))}
     model = Structure(joint, body=BODY, supports={"BOTTOM": 0.0, "TOP": {"x": 0.0}}, tractions=load).interface(
-        ThinLayer(law, EPS)
+        ThinLayer(law, EPS, at=1.0)
     )
     history = march(model, [0.5, 1.0, 1.5])
     x, phase = PhaseReport(history.last).profile()
@@ -274,7 +274,7 @@ def test_files_do_not_depend_on_the_ranks(tmp_path, there, their_folder):
 def test_files_on_a_full_disk(tmp_path, monkeypatch):
     """Writers of VTK's files say nothing of a file that was cut short."""
     path = tmp_path / "a.pvd"
-    state = solve(uniform()[0].interface(ThinLayer(K, EPS)))
+    state = solve(uniform()[0].interface(ThinLayer(K, EPS, at=1.0)))
     fields.write(state, path)
     name = next(tmp_path.glob("a_pvd/*/*.vtu"))
     name.write_bytes(name.read_bytes()[:1000])

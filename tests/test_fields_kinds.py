@@ -34,7 +34,7 @@ def test_free_expansion_has_no_stress_in_the_plane(written):
     supports = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}}
     hot = ThermalExpansion(1e-3, lambda x, t: 20.0 * t)
     structure = Structure(strips(), body=BODY, supports=supports, eigenstrain=hot)
-    bodies = written(march(structure.interface(ThinLayer(K, EPS)), [0.5, 1.0]))["bodies"]
+    bodies = written(march(structure.interface(ThinLayer(K, EPS, at=1.0)), [0.5, 1.0]))["bodies"]
     E = M * (3 * L + 2 * M) / (L + M)
     assert bodies["stress"][:, 2] == pytest.approx(-E * 0.02, rel=1e-8)
     assert np.abs(np.delete(bodies["stress"], 2, axis=1)).max() < 1e-9
@@ -45,7 +45,7 @@ def test_free_expansion_has_no_stress_in_the_plane(written):
 def test_stress_out_of_the_plane(written, law, plane, out):
     """Pressed between rollers: along S nu/(1 - nu) or nu times the load, out of the plane the same or none."""
     structure = Structure(strips(), body=law, supports=ROLLERS, tractions={"TOP": (0.0, -0.3)}, plane=plane)
-    stress = written(march(structure.interface(ThinLayer(K, EPS)), [1.0]))["bodies"]["stress"]
+    stress = written(march(structure.interface(ThinLayer(K, EPS, at=1.0)), [1.0]))["bodies"]["stress"]
     along = -0.3 * (NU / (1 - NU) if plane == "strain" else NU)
     wanted = np.tile([along, -0.3, out * along, 0, 0, 0], (len(stress), 1))
     assert stress == pytest.approx(wanted, rel=1e-6, abs=1e-8)
@@ -54,7 +54,7 @@ def test_stress_out_of_the_plane(written, law, plane, out):
 def test_bodies_of_revolution(written):
     """A rod under an axial load, sides on rollers: hoop stress as along r; weights of cell means are volumes."""
     rod = Structure(strips(), body=BODY, supports=ROLLERS, tractions={"TOP": (0.0, -0.3)}, plane="axisymmetric")
-    found = written(solve(rod.interface(ThinLayer(K, EPS))))
+    found = written(solve(rod.interface(ThinLayer(K, EPS, at=1.0))))
     along = -0.3 * NU / (1 - NU)
     stress = found["bodies"]["stress"]
     assert stress == pytest.approx(np.tile([along, -0.3, along, 0, 0, 0], (len(stress), 1)), rel=1e-8, abs=1e-10)
@@ -71,7 +71,7 @@ def test_stress_out_of_the_plane_of_laws_with_rates(written, law, theta):
     """Pressed between rollers, strained neither along S nor out of the plane: the stresses there are the same."""
     press = {"TOP": lambda x, t: (0.0, -0.3 * t)}
     structure = Structure(strips(), body={"LOWER": law, "UPPER": BODY}, supports=ROLLERS, tractions=press)
-    found = written(march(structure.interface(ThinLayer(K, EPS)), [0.5, 1.0], theta=theta))["bodies"]
+    found = written(march(structure.interface(ThinLayer(K, EPS, at=1.0)), [0.5, 1.0], theta=theta))["bodies"]
     stress = found["stress"][found["region"] == list(found.field_data["regions"]).index("LOWER")]
     assert stress[:, 1] == pytest.approx(-0.3, rel=1e-6)
     assert stress[:, 2] == pytest.approx(stress[:, 0], rel=1e-7)
@@ -88,7 +88,7 @@ def test_stress_out_of_the_plane_of_a_stack():
     law, press = Stack((0.3, Maxwell(L, M, 0.7)), (0.7, LinearElastic(L, M))), {"TOP": lambda x, t: (0.0, -0.3 * t)}
     for plane in ("strain", "stress"):
         structure = Structure(strips(), body=BODY, supports=ROLLERS, tractions=press, plane=plane)
-        stress = march(structure.interface(ThinLayer(law, EPS)), [0.5, 1.0]).last.stresses["layer"]
+        stress = march(structure.interface(ThinLayer(law, EPS, at=1.0)), [0.5, 1.0]).last.stresses["layer"]
         assert stress[:, 1] == pytest.approx(-0.3, rel=1e-7)
         assert (stress[:, 2] < -0.05).all() if plane == "strain" else not stress[:, 2].any()
 
@@ -96,7 +96,7 @@ def test_stress_out_of_the_plane_of_a_stack():
 def test_two_points_through_a_layer_of_order_1(written):
     structure = Structure(strips(), body=BODY, supports=ROLLERS, tractions={"TOP": lambda x, t: (0.0, -0.3 * t)})
     law = VonMises(3.0, 2.0, strength=0.05, hardening=1.0)
-    on_s = written(march(structure.interface(ThinLayer(law, EPS, order=1)), [0.5, 1.0]))["S"]
+    on_s = written(march(structure.interface(ThinLayer(law, EPS, order=1, at=1.0)), [0.5, 1.0]))["S"]
     names = {name for name in on_s.cell_data if name.startswith("plastic")}
     assert names == {"plastic 1", "plastic 2"}
     assert on_s["plastic 1"] == pytest.approx(on_s["plastic 2"], rel=1e-6)  # nothing changes along S
@@ -125,7 +125,7 @@ def test_bonded_bodies_have_no_s(written):
 def test_s_of_a_meshed_layer(tmp_path):
     """Brought to the S of an interface model: tractions and jumps as `Surface` has them; nothing of its laws there."""
     structure = Structure(strips(), body=BODY, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.1, -0.3)})
-    full, limit = solve(structure.full(ThinLayer(K, EPS))), structure.interface(ThinLayer(K, EPS))
+    full, limit = solve(structure.full(ThinLayer(K, EPS, at=1.0))), structure.interface(ThinLayer(K, EPS, at=1.0))
     surface = Surface(limit)
     fields.write(full, tmp_path / "a.pvd", surface=surface)
     found = last(tmp_path / "a.pvd")
@@ -137,7 +137,7 @@ def test_s_of_a_meshed_layer(tmp_path):
     force = on_s.integrate_data()["traction"][0, :2]
     assert force == pytest.approx([0.2, -0.6], rel=1e-9)
     assert list(on_s.cell_data) == ["seam"]
-    other = Surface(Structure(strips(), body=BODY, supports={"BOTTOM": 0.0}).interface(ThinLayer(K, EPS)))
+    other = Surface(Structure(strips(), body=BODY, supports={"BOTTOM": 0.0}).interface(ThinLayer(K, EPS, at=1.0)))
     for wrong, path in ((other, "a.pvd"), (surface, "a.bp")):
         with pytest.raises(ModelError, match=r"for \.pvd files, and of an interface model of the same joint"):
             fields.write(full, tmp_path / path, surface=wrong)

@@ -33,7 +33,7 @@ def test_what_grows_from_rest(law, load, theta, kind):
     tolerance, end = 2e-3, 0.8
     supports = SETUP["supports"] | (MOVED if load == "moved" else {})
     data = SETUP | {"supports": supports, "tractions": {} if load == "moved" else {"TOP": LOADS[load]}}
-    model = getattr(Structure, kind)(Structure(JOINT, **data), ThinLayer(law, 0.1))
+    model = getattr(Structure, kind)(Structure(JOINT, **data), ThinLayer(law, 0.1, at=1.0))
     at = 0.3 + 0.5 * np.arange(1, 65) / 64 if "late" in load else end * np.arange(1, 65) / 64
     fine = march(model, [*map(float, at)], theta=0.5, keep="last").last
     history = march(model, Adaptive(end, first=0.1, tolerance=tolerance), theta=theta, keep="last")

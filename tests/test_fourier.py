@@ -30,7 +30,7 @@ def test_reference_states():
 def interface_errors(h: float, element: str) -> list[float]:
     """Relative L2(S) errors of u-, u+ and K [u] of the interface model."""
     joint, setup = fourier(h, cell=CELLS[element])
-    state = solve(Structure(joint, element=element, **setup).interface(ThinLayer(FOURIER_LAYER, 0.1)))
+    state = solve(Structure(joint, element=element, **setup).interface(ThinLayer(FOURIER_LAYER, 0.1, at=1.0)))
     surface = Surface(state.model)
     x = ufl.SpatialCoordinate(state.model.domain.mesh)[0]
     s, c = ufl.sin(ufl.pi * x), ufl.cos(ufl.pi * x)
@@ -61,7 +61,7 @@ def test_bodies_of_the_interface_model():
     errors = []
     for h in (1 / 16, 1 / 32):
         joint, setup = fourier(h)
-        model = Structure(joint, **setup).interface(ThinLayer(FOURIER_LAYER, 0.1))
+        model = Structure(joint, **setup).interface(ThinLayer(FOURIER_LAYER, 0.1, at=1.0))
         state = solve(model)
         exact = fem.Function(model.space(4))  # interpolated in V it would hide the error: u - u_h is smaller there
         tags = model.domain.cell_tags
@@ -94,7 +94,7 @@ def test_sweep(bodies):
     joint, setup = fourier(1 / 16)
     rows = []
     for eps in EPS:
-        layer = ThinLayer(FOURIER_LAYER, eps)
+        layer = ThinLayer(FOURIER_LAYER, eps, at=1.0)
         limit = solve(Structure(joint, **setup).interface(layer))
         row = compare(solve(Structure(joint, **setup).full(layer, bodies=bodies)), limit)
         assert (row["error_traction"], row["error_jump"]) == pytest.approx(
@@ -115,7 +115,9 @@ def test_wrong_law_leaves_a_floor():
     wrong = type(FOURIER_LAYER)(lmbda=FOURIER_LAYER.lmbda - FOURIER_LAYER.mu, mu=FOURIER_LAYER.mu)
     errors = []
     for eps in EPS[1:]:
-        full = solve(Structure(joint, **setup).full(ThinLayer(FOURIER_LAYER, eps)))
-        errors.append(compare(full, solve(Structure(joint, **setup).interface(ThinLayer(wrong, eps))))["error_jump"])
+        full = solve(Structure(joint, **setup).full(ThinLayer(FOURIER_LAYER, eps, at=1.0)))
+        errors.append(
+            compare(full, solve(Structure(joint, **setup).interface(ThinLayer(wrong, eps, at=1.0))))["error_jump"]
+        )
     assert min(errors) > 0.1
     assert max(abs(order) for order in observed_orders(EPS[1:], errors)[1:]) < 0.5

@@ -44,7 +44,7 @@ def marched(build, law, e, times, theta=1.0, cell="quadrilateral", bodies="kept"
     """History of a model; several tests ask for the same."""
     joint, setup = problem(H, cell=cell)
     choice = {"bodies": bodies} if build == Structure.full else {}
-    layer = law if isinstance(law, TractionLaw) else ThinLayer(law, e)
+    layer = law if isinstance(law, TractionLaw) else ThinLayer(law, e, at=1.0)
     return march(build(Structure(joint, **setup), layer, **choice), times, theta=theta)
 
 
@@ -106,7 +106,7 @@ def test_order_one_of_an_incompressible_layer(bodies):
     eps = (1 / 128, 1 / 256)
     rows = []
     for e in eps:
-        layer = ThinLayer(Incompressible(MU), e)
+        layer = ThinLayer(Incompressible(MU), e, at=1.0)
         full = solve(Structure(joint, **setup).full(layer, bodies=bodies))
         rows.append(compare(full, solve(Structure(joint, **setup).interface(layer))))
     found = np.array([(row["error_traction"], row["error_jump"]) for row in rows])
@@ -131,7 +131,7 @@ def amplitudes(surface: Surface, state) -> list[float]:
 @pytest.mark.parametrize(("cell", "bound"), [("quadrilateral", 2e-6), ("triangle", 5e-6)])
 def test_norton_against_a_spectral_code(cell, bound):
     joint, setup = fourier(1 / 32, cell=cell)
-    end = march(Structure(joint, **setup).interface(ThinLayer(THINNING, 0.1)), steps(0.01), keep="last").last
+    end = march(Structure(joint, **setup).interface(ThinLayer(THINNING, 0.1, at=1.0)), steps(0.01), keep="last").last
     surface = Surface(end.model)
     norms = [surface.norm(surface.traction(end)), surface.norm(surface.jump(end))]
     assert norms == pytest.approx(NORMS, rel=bound)
@@ -164,7 +164,9 @@ def test_against_transfer_matrices(name):
     for eps in (1 / 8, 1 / 128):
         found = []
         for build in (Structure.full, Structure.interface):
-            found.append(march(build(Structure(joint, **setup), ThinLayer(law, eps)), steps(dt), theta=theta).last)
+            found.append(
+                march(build(Structure(joint, **setup), ThinLayer(law, eps, at=1.0)), steps(dt), theta=theta).last
+            )
         surface = Surface(found[1].model)
         for state, thickness in zip(found, (eps, None), strict=True):
             exact = reference.marched(layer, loads, dt, theta, thickness)[-1]
@@ -337,7 +339,7 @@ def test_an_earlier_state_knows_its_loads():
     """Body forces that grow with time act at S too: the reaction of a kept state is that of its own time."""
     joint, setup = fourier(H, cell="quadrilateral")
     setup["body_force"] = lambda x, t: (0.0, 100.0 * t)
-    model = Structure(joint, **setup).interface(ThinLayer(MAXWELL, 0.1))
+    model = Structure(joint, **setup).interface(ThinLayer(MAXWELL, 0.1, at=1.0))
     surface = Surface(model)
     alone = march(model, [0.1]).last
     traction, loads = surface.norm(surface.traction(alone)), alone.energies()["loads"]

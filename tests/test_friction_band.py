@@ -134,7 +134,7 @@ def check_column(law, eps, moves=MOVES, angle=0.0, on_s=None):
     """Both models against the closed form at every step."""
     where, setup, times, tractions, jumps = column(law, moves, angle)
     limit = march(Structure(where, **setup).interface(layer_of(on_s or law, eps)), times)
-    full = march(Structure(where, **setup).full(ThinLayer(law, eps), cells_through=1), times)
+    full = march(Structure(where, **setup).full(ThinLayer(law, eps, at=1.0), cells_through=1), times)
     surface = Surface(limit.model)
     assert np.abs(tractions).max() > 1
     for k, time in enumerate(times):
@@ -207,7 +207,7 @@ def test_opening_and_closing():
     for law in (BAND, PULLED):
         for move, factor in expected[law.unilateral].items():
             setup |= {"supports": {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": move}, **sides}, "tractions": {}}
-            pulled, layer = Structure(where, **setup), ThinLayer(law, 0.02)
+            pulled, layer = Structure(where, **setup), ThinLayer(law, 0.02, at=1.0)
             for model in (pulled.full(layer, cells_through=1), pulled.interface(layer)):
                 surface = Surface(pulled.interface(layer))
                 force = surface.integral(surface.traction(solve(model))[1])
@@ -228,7 +228,7 @@ def errors(eps, band=BAND, on_s=None, cells=32):
     setup |= {"element": "Q1"}
     on_s = on_s or HolonomicCoulomb.of_layer(LMBDA, MU, friction=FRICTION)
     plates = Structure(where, **setup)
-    full = solve(plates.full(ThinLayer(band, eps), cells_through=1))
+    full = solve(plates.full(ThinLayer(band, eps, at=1.0), cells_through=1))
     return compare(full, solve(plates.interface(layer_of(on_s, eps))))
 
 
@@ -265,7 +265,7 @@ def norms():
     where, setup = pressed(1 / 8, sweep_friction.TO_AND_FRO)
     setup |= {"element": "Q1"}
     plates = Structure(where, **setup)
-    models = plates.full(ThinLayer(BAND, 1 / 16), cells_through=1), plates.interface(CONTACT)
+    models = plates.full(ThinLayer(BAND, 1 / 16, at=1.0), cells_through=1), plates.interface(CONTACT)
     return compare(*(march(model, (1.0, 2.0, 3.0)) for model in models))
 
 

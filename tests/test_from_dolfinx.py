@@ -99,7 +99,7 @@ def norm(joint: Joint) -> float:
     push = (0.3, -1.0, 0.2)[: joint.dim]
     supports = {} if joint.rigid_base else dict.fromkeys(held, 0.0)
     structure = Structure(joint, body=LinearElastic.young(30.0, 0.1), supports=supports, tractions={pushed: push})
-    state = solve(structure.interface(ThinLayer(LinearElastic(6.0, 4.0), 0.05)))
+    state = solve(structure.interface(ThinLayer(LinearElastic(6.0, 4.0), 0.05, at=1.0)))
     return float(state.u.x.petsc_vec.norm())
 
 

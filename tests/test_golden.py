@@ -81,7 +81,7 @@ CASES: dict[str, tuple[Callable[[], Any], float]] = {}
 
 def layer(law: Any, eps: float = EPS, **more: Any) -> ThinLayer:
     """A layer of a material."""
-    return ThinLayer(law.per_thickness(eps), eps, **more)
+    return ThinLayer(law, eps, **more)
 
 
 def case(close: float = CLOSE) -> Callable[[Callable[[], Any]], Callable[[], Any]]:

@@ -177,7 +177,7 @@ def test_thickness_does_not_change_the_interface_law(name, eps):
     """Real parameters and strains w/eps give the traction of parameters per thickness and w."""
     law, path = LAWS[name], [(0.004, -0.001), (0.02, -0.002), (-0.01, -0.001)]
     thin = drive(law, [{"w_T": a, "w_N": b} for a, b in path]).tractions
-    real = drive(law.in_layer(eps), [{"w_T": a / eps, "w_N": b / eps} for a, b in path]).tractions
+    real = drive(law.scaled(eps), [{"w_T": a / eps, "w_N": b / eps} for a, b in path]).tractions
     assert real == pytest.approx(thin, rel=1e-10)
 
 

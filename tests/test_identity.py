@@ -274,7 +274,7 @@ def test_observed_functions_are_all_code_that_they_call(monkeypatch):
     ("change", "what"),
     [
         (dict(tractions={"TOP": piecewise({0: (0.0, 1.0), 1: (0.0, 1.1)})}), "loads"),
-        (dict(layer=ThinLayer(SLOW, 0.1, profile=lambda x: 1 + 0.2 * x[0])), "profile"),
+        (dict(layer=ThinLayer(SLOW, 0.1, profile=lambda x: 1 + 0.2 * x[0], at=1.0)), "profile"),
         (dict(supports=SETUP["supports"] | {"RIGHT": {"x": lambda x, t: 0.01 * t * (x[1] + 0.5)}}), "supports"),
         (dict(joint=replace(JOINT, facets=JOINT.facets | {"LEFT": JOINT.facets["RIGHT"], "RIGHT": JOINT.facets["LEFT"]})),
          "facets"),
@@ -283,7 +283,7 @@ def test_observed_functions_are_all_code_that_they_call(monkeypatch):
     ids=["piecewise", "profile", "moving support", "facets", "sides"],
 )  # fmt: skip
 def test_a_march_of_other_data_is_not_resumed(tmp_path, change, what):
-    layer = ThinLayer(SLOW, 0.1, profile=lambda x: 1 + 0.1 * x[0])
+    layer = ThinLayer(SLOW, 0.1, profile=lambda x: 1 + 0.1 * x[0], at=1.0)
     data = SETUP | {
         "supports": SETUP["supports"] | {"RIGHT": {"x": lambda x, t: 0.02 * t * (x[1] + 0.5)}},
         "tractions": {"TOP": piecewise({0: (0.0, 1.0), 1: (0.0, 2.0)})},

@@ -132,7 +132,7 @@ def test_refused():
     turned = joint.rotated(0.3)
     clash = {"BOTTOM": {"n": 0.0, "y": 0.1, "x": 0.0}, "LEFT": {"n": 0.0}}
     with pytest.raises(ModelError, match=r"contradictory supports at .* 'LEFT' prescribes n = 0"):
-        Structure(turned, body=BODY, supports=clash).interface(ThinLayer(GLUE, EPS))
+        Structure(turned, body=BODY, supports=clash).interface(ThinLayer(GLUE, EPS, at=1.0))
     with pytest.raises(ModelError, match="need nodal displacements, not elements S2"):
         Structure(
             sandwich(2.0, 0.5, 0.6, 0.5, cell="quadrilateral"), body=BODY, supports={"BOTTOM": {"n": 0.0}}, element="S2"

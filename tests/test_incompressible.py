@@ -111,7 +111,7 @@ def errors(structure, thicknesses, profile=None, **choices):
     """Those of the interface law; the constraint holds and the energy balance closes in both models."""
     rows = []
     for eps in thicknesses:
-        states, layer = [], ThinLayer(LAW, eps, profile=profile)
+        states, layer = [], ThinLayer(LAW, eps, profile=profile, at=1.0)
         for model in (structure.full(layer, **choices), structure.interface(layer)):
             state, change = volume_change(model)
             assert change < EXACT
@@ -150,9 +150,9 @@ def test_three_dimensions(cell):
 def test_s_that_ends_inside(cell):
     """A crack filled with an incompressible layer cannot open, but it slides; beside it the bodies are bonded."""
     joint = partly(sandwich(2.0, 1.0, 1.0, 0.25, cell=cell, structured=True), lambda x: x[:, 0] < 1.0)
-    states = [volume_change(Structure(joint, **pressed(joint)).interface(ThinLayer(LAW, 0.01)))]
+    states = [volume_change(Structure(joint, **pressed(joint)).interface(ThinLayer(LAW, 0.01, at=1.0)))]
     penalty = LinearElastic(lmbda=1e7, mu=MU)
-    stiff = solve(Structure(joint, **pressed(joint)).interface(ThinLayer(penalty, 0.01)))
+    stiff = solve(Structure(joint, **pressed(joint)).interface(ThinLayer(penalty, 0.01, at=1.0)))
     (state, change), surface = states[0], Surface(states[0][0].model)
     assert change < EXACT
     w = surface.jump(state)
@@ -181,7 +181,7 @@ def test_traction_is_the_multiplier(cell):
     """On S: t_N = p, both tested with the same functions of degree 1; t_T = mu [u_T], projected to degree 1."""
     joint, setup = fourier(1 / 8, cell=cell)
     setup["supports"] = {"BOTTOM": 0.0}  # no component of the traction on S is held
-    state = solve(Structure(joint, **setup).interface(ThinLayer(LAW, 0.1)))
+    state = solve(Structure(joint, **setup).interface(ThinLayer(LAW, 0.1, at=1.0)))
     surface = Surface(state.model)
     x, t = surface.profile(surface.traction(state))
     places = state.p.function_space.tabulate_dof_coordinates()[:, 0]
@@ -202,7 +202,7 @@ def test_fourier_problem(cell):
     """Errors of both models against transfer matrices; the pressure on S is the traction's normal part, p = T cos(pi x)."""
     joint, setup = fourier(1 / 16, cell=cell)
     eps = 1 / 32
-    layer = ThinLayer(LAW, eps)
+    layer = ThinLayer(LAW, eps, at=1.0)
     states = [solve(build(Structure(joint, **setup), layer)) for build in BUILDS]
     row = compare(*states)
     full, limit = exact(eps), exact(None)
@@ -220,7 +220,7 @@ def test_pressure_in_the_meshed_layer(cell):
     joint, setup = fourier(1 / 16, cell=cell)
     limit, eps, errors = exact(None), (1 / 64, 1 / 128), []
     for e in eps:
-        p = solve(Structure(joint, **setup).full(ThinLayer(LAW, e))).p
+        p = solve(Structure(joint, **setup).full(ThinLayer(LAW, e, at=1.0))).p
         x = ufl.SpatialCoordinate(p.function_space.mesh)[0]
         difference = fem.assemble_scalar(fem.form((p - limit[3] * ufl.cos(ufl.pi * x)) ** 2 * ufl.dx)) ** 0.5
         errors.append(difference / norm(p))
@@ -233,7 +233,7 @@ def test_opening_of_the_meshed_layer():
     joint, setup = fourier(1 / 16, cell="quadrilateral")
     eps, openings = (1 / 128, 1 / 256), []
     for e in eps:
-        layer = ThinLayer(LAW, e)
+        layer = ThinLayer(LAW, e, at=1.0)
         surface = Surface(Structure(joint, **setup).interface(layer))
         openings.append(size(surface, normal(surface, surface.jump(solve(Structure(joint, **setup).full(layer))))))
     assert openings == pytest.approx([abs(exact(e)[1]) * 0.5**0.5 for e in eps], rel=1e-2)
@@ -244,7 +244,7 @@ def test_opening_of_the_meshed_layer():
 def test_newton_and_time(build):
     """Newton's method, and a march that ends at this load, give the same; the law has no memory."""
     joint, setup = fourier(1 / 8, cell="quadrilateral")
-    model = build(Structure(joint, **setup), ThinLayer(LAW, 0.05))
+    model = build(Structure(joint, **setup), ThinLayer(LAW, 0.05, at=1.0))
     state = solve(model)
     for other in (solve(model, method="newton"), march(model, [1.0, 3.0]).last):
         assert np.abs(other.u.x.array - state.u.x.array).max() < 1e-9 * np.abs(state.u.x.array).max()
@@ -256,7 +256,7 @@ def test_pressure_at_the_end_of_a_step(theta):
     """With a growing load the pressure of a state is that of its time, as its displacements are."""
     joint, setup = fourier(1 / 8, cell="quadrilateral")
     setup["tractions"] = {"TOP": lambda x, t: (0.0, t * ufl.cos(ufl.pi * x[0]))}
-    model = Structure(joint, **setup).interface(ThinLayer(LAW, 0.05))
+    model = Structure(joint, **setup).interface(ThinLayer(LAW, 0.05, at=1.0))
     state = march(model, [0.5, 1.0], theta=theta).last
     alone = solve(model, t=1.0)
     assert np.abs(state.u.x.array - alone.u.x.array).max() < 1e-9 * np.abs(alone.u.x.array).max()
@@ -271,7 +271,7 @@ def test_no_locking(cell):
         expected = exact(eps)[:2]
         for h, sublayers, bound in ((1 / 4, 1, 0.05), (1 / 8, 1, 6e-3), (1 / 16, 1, 1e-3), (1 / 16, 4, 1e-3)):
             joint, setup = fourier(h, cell=cell)
-            layer = ThinLayer(LAW, eps)
+            layer = ThinLayer(LAW, eps, at=1.0)
             surface = Surface(Structure(joint, **setup).interface(layer))
             state = solve(Structure(joint, **setup).full(layer, cells_through=sublayers))
             x = ufl.SpatialCoordinate(surface.model.domain.mesh)[0]
@@ -283,7 +283,7 @@ def test_close_to_the_limit_however_thin():
     joint, setup = fourier(1 / 8, cell="quadrilateral")
     eps, rows = (1e-2, 1e-3, 1e-4), []
     for e in eps:
-        structure, layer = Structure(joint, **setup), ThinLayer(LAW, e)
+        structure, layer = Structure(joint, **setup), ThinLayer(LAW, e, at=1.0)
         rows.append(compare(solve(structure.full(layer, cells_through=1)), solve(structure.interface(layer))))
     for quantity in ("error_traction", "error_jump"):
         assert observed_orders(eps, [row[quantity] for row in rows])[1:] == pytest.approx([1.0, 1.0], abs=0.05)
@@ -295,10 +295,10 @@ def test_close_to_the_limit_however_thin():
 def test_nearly_incompressible_layers(build):
     """Elastic layers with growing lmbda come to it with order 1 in mu/lmbda, until their own cells lock."""
     joint, setup = fourier(1 / 16, cell="quadrilateral")
-    state = solve(build(Structure(joint, **setup), ThinLayer(LAW, 0.1)))
+    state = solve(build(Structure(joint, **setup), ThinLayer(LAW, 0.1, at=1.0)))
     differences = []
     for lmbda in (1e3, 1e4, 1e5):
-        near = solve(build(Structure(joint, **setup), ThinLayer(LinearElastic(lmbda, MU), 0.1)))
+        near = solve(build(Structure(joint, **setup), ThinLayer(LinearElastic(lmbda, MU), 0.1, at=1.0)))
         differences.append(np.abs(near.u.x.array - state.u.x.array).max() / np.abs(state.u.x.array).max())
     assert np.log10(differences[0] / differences[1]) == pytest.approx(1.0, abs=0.1)
     assert differences[2] < 4 * MU / 1e5
@@ -329,7 +329,7 @@ def test_inf_sup_constant(cell, bound, ends):
     supports = {"BOTTOM": 0.0} | ({} if ends == "free" else dict.fromkeys(("LEFT", "RIGHT"), held[ends]))
     for h, eps in ((1 / 4, 1e-1), (1 / 4, 1e-4), (1 / 16, 1e-1), (1 / 16, 1e-4)):
         joint = sandwich(1.0, 0.5, 0.5, h, cell=cell, structured=True)
-        structure, layer = Structure(joint, body=FOURIER_BODY, supports=supports), ThinLayer(LAW, eps)
+        structure, layer = Structure(joint, body=FOURIER_BODY, supports=supports), ThinLayer(LAW, eps, at=1.0)
         for model in (structure.full(layer, cells_through=2), structure.interface(layer)):
             beta = scipy.linalg.eigh(schur(model, 2), schur(model, 4), eigvals_only=True)[0] ** 0.5
             assert bound < beta <= 1 + 1e-6, (model.name, h, eps)
@@ -340,7 +340,7 @@ def test_s_with_too_few_cells(cell):
     """One cell between two ends where nothing jumps: a single normal jump for two pressures, refused, not wrong."""
     joint = sandwich(1.0, 1.0, 1.0, 1.0, cell=cell, structured=True)
     with pytest.raises(SolveError):
-        solve(Structure(joint, **pressed(joint, LEFT=0.0, RIGHT=0.0)).interface(ThinLayer(LAW, 0.01)))
+        solve(Structure(joint, **pressed(joint, LEFT=0.0, RIGHT=0.0)).interface(ThinLayer(LAW, 0.01, at=1.0)))
 
 
 # ---------------------------------------------------------------- refused
@@ -348,7 +348,7 @@ def test_s_with_too_few_cells(cell):
 def test_refused(build):
     joint = sandwich(1.0, 0.5, 0.5, 0.25)
     squares = sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral")
-    layer = ThinLayer(LAW, 0.1)
+    layer = ThinLayer(LAW, 0.1, at=1.0)
     state = solve(build(Structure(joint, plane="stress", **pressed(joint)), layer))
     assert state.p is None  # e_33 = -e_11 - e_22 in a sheet
     for one, element in ((joint, "P1"), (squares, "Q1"), (squares, "S2")):
@@ -366,22 +366,22 @@ def test_refused_laws():
             Incompressible(mu)
     joint, setup = fourier(1 / 4)
     with pytest.raises(GeometryError, match="use bodies='extended'"):
-        Structure(joint, **setup).full(ThinLayer(LAW, 0.1, profile=lambda x: 1 + x[0]))
+        Structure(joint, **setup).full(ThinLayer(LAW, 0.1, profile=lambda x: 1 + x[0], at=1.0))
 
 
 def test_not_a_limit_of_springs_without_shear():
     """t_T is the shear modulus' part of the law: a spring with the same K_T and K_N = 1e9 is the same interface."""
     joint, setup = fourier(1 / 16)
-    state = solve(Structure(joint, **setup).interface(ThinLayer(LAW, 0.1)))
+    state = solve(Structure(joint, **setup).interface(ThinLayer(LAW, 0.1, at=1.0)))
     surface = Surface(state.model)
-    other = solve(Structure(joint, **setup).interface(ThinLayer(Anisotropic.springs(1e6, MU), 0.1)))
+    other = solve(Structure(joint, **setup).interface(ThinLayer(Anisotropic.springs(1e6, MU), 0.1, at=1.0)))
     for field in (surface.jump, surface.traction):
         assert surface.norm(field(other) - field(state)) < 5e-3 * surface.norm(field(state))
 
 
 def test_beside_bodies_that_are_not_linear():
     """Bodies whose laws are next to linear, in forms and at points, give what linear ones give."""
-    joint, layer = sandwich(1.0, 0.5, 0.5, 0.25, structured=True), ThinLayer(Incompressible(30.0), 0.1)
+    joint, layer = sandwich(1.0, 0.5, 0.5, 0.25, structured=True), ThinLayer(Incompressible(30.0), 0.1, at=1.0)
     data = dict(supports={"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}, tractions={"TOP": (0.3, 1.0)})
     elastic, stiffening = LinearElastic(0.0, 60.0), StiffeningSolid(60.0, 1e-6)
     found = [

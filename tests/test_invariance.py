@@ -56,7 +56,7 @@ def test_shapes_too_thin(build, message):
 
 def answers(joint, eps, load):
     """Errors on S, their sizes and the energies of both models."""
-    layer = ThinLayer(GLUE.per_thickness(eps), eps)
+    layer = ThinLayer(GLUE, eps)
     structure = Structure(joint, body=STEEL, supports={"RIGHT": 0.0}, tractions={"LEFT/UPPER": tuple(load)})
     full, limit = solve(structure.full(layer)), solve(structure.interface(layer))
     return np.array([*compare(full, limit).values(), *full.energies().values(), *limit.energies().values()])

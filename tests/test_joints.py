@@ -113,7 +113,9 @@ def test_sides_of_the_layer():
     joint, law = sandwich(2.0, 0.8, 1.1, 0.5, cell="quadrilateral"), LinearElastic(3.0, 2.0)
     supports, eps = {"LEFT": {"x": 0.0}, "BOTTOM": 0.0}, 0.2
     for name, height in (("RIGHT", 1.9), ("RIGHT/LAYER", eps), ("RIGHT/UPPER", 1.1)):
-        model = Structure(joint, body=law, supports=supports, tractions={name: (0.0, 3.0)}).full(ThinLayer(law, eps))
+        model = Structure(joint, body=law, supports=supports, tractions={name: (0.0, 3.0)}).full(
+            ThinLayer(law, eps, at=1.0)
+        )
         load = nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V), t=0.0))
         assert load.x.array.sum() == pytest.approx(3 * height)
         x, y = model.V.tabulate_dof_coordinates()[np.unique(model.supports.held(model.V) // 2), :2].T
@@ -123,7 +125,7 @@ def test_sides_of_the_layer():
 def test_vertices_of_a_point_on_s():
     """A place on S is one vertex of each side; in the meshed layer there are the levels between them too."""
     joint, law = sandwich(2.0, 0.8, 1.1, 0.5), LinearElastic(3.0, 2.0)
-    bodies, layer = Structure(joint, body=law, supports={"BOTTOM": 0.0}), ThinLayer(law, 0.2)
+    bodies, layer = Structure(joint, body=law, supports={"BOTTOM": 0.0}), ThinLayer(law, 0.2, at=1.0)
     number = joint.nearest_point((0.0, 0.0))
     assert len(bodies.full(layer, cells_through=3).domain.vertices(number)) == 4
     assert len(bodies.interface(layer).domain.vertices(number)) == 1

@@ -19,7 +19,9 @@ from thinlayer.output.junction_tractions import JunctionTractions
 from thinlayer.output.surface_mass import reaction
 
 LAYERS = {"BED": springs(2.0, 0.7), "HEAD": springs(1.2, 0.45, 0.007)}
-STRONG = ThinLayer(MohrCoulomb(0.3, 0.45, cohesion=1e3, friction_angle=30.0), 0.007)  # springs(1.2, 0.45) to its limit
+STRONG = ThinLayer(
+    MohrCoulomb(0.3, 0.45, cohesion=1e3, friction_angle=30.0), 0.007, at=1.0
+)  # springs(1.2, 0.45) to its limit
 
 
 def blocks(cell: str, cross: bool = False, depth: float = 0.5) -> Joint:
@@ -157,7 +159,7 @@ def test_laws_that_an_expression_does_not_tell():
 
 def test_heads_that_end_at_a_support():
     """It holds both bricks: nothing jumps, so that tractions along an incompressible head are zero, not its pressure."""
-    state = sheared(wall(2, 2, (1.0, 0.5), 0.125), "Q2", HEAD=ThinLayer(Incompressible(0.45), 0.007))
+    state = sheared(wall(2, 2, (1.0, 0.5), 0.125), "Q2", HEAD=ThinLayer(Incompressible(0.45), 0.007, at=1.0))
     heads = Surface(state.model, "HEAD")
     x, t = heads.profile(heads.frame(heads.traction(state)))
     (end,) = np.flatnonzero(x[:, 1] == 0)
@@ -376,7 +378,7 @@ def test_bodies_of_one_law_under_their_weight(cell):
         sandwich(2.0, 1.0, 1.0, 0.25, cell=cell), body=LinearElastic(0.0, 3.0), supports={"BOTTOM": 0.0},
         body_force=(0.0, -1.0),
     )  # fmt: skip
-    layer = ThinLayer(LinearElastic(0.0, 1.0), 0.1)
+    layer = ThinLayer(LinearElastic(0.0, 1.0), 0.1, at=1.0)
     surface = Surface(structure.interface(layer))
     for model in (surface.model, structure.full(layer)):
         assert surface.integral(surface.traction(solve(model))[1]) == pytest.approx(-2.0, rel=1e-11)

@@ -34,7 +34,7 @@ def stiffness(name, plane):
 def layers(order, law=None):
     """Those of closed forms, which do not know ends."""
     given = {"order": order, "edges": "plain"}
-    return {name: ThinLayer((law or own).per_thickness(eps), eps, **given) for name, (eps, own) in LAYERS.items()}
+    return {name: ThinLayer(law or own, eps, **given) for name, (eps, own) in LAYERS.items()}
 
 
 @cache
@@ -83,7 +83,10 @@ def test_meshed_rubber_at_junctions():
     """As meshed layers of elastic cells, where these do not lock yet; each seam has a pressure."""
     structure, eps, found = panel("P2"), 0.05, []
     for law in (Rubber.shear(0.5, 0.4), LinearElastic.shear(0.5, 0.4)):
-        state = solve(structure.full({"BED": ThinLayer(law, eps), "HEAD": ThinLayer(law, eps)}, cells_through=2), 1.0)
+        state = solve(
+            structure.full({"BED": ThinLayer(law, eps, at=1.0), "HEAD": ThinLayer(law, eps, at=1.0)}, cells_through=2),
+            1.0,
+        )
         found.append(state.energies())
     assert found[0] == pytest.approx(found[1], rel=0.03)
 
@@ -92,4 +95,4 @@ def test_refused_where_seams_meet():
     structure = Structure(wall(2, 2, (2.0, 1.0), 0.5), body=PLATES, supports={"BOTTOM": 0.0})
     law = Rubber(30.0, 1.0)
     with pytest.raises(ModelError, match="without junctions"):
-        structure.interface({"BED": ThinLayer(law, 0.05, order=1), "HEAD": ThinLayer(law, 0.05)})
+        structure.interface({"BED": ThinLayer(law, 0.05, order=1, at=1.0), "HEAD": ThinLayer(law, 0.05, at=1.0)})

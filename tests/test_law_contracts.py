@@ -54,7 +54,7 @@ def joint():
 
 
 def column(law, kind=Structure.interface, tractions=(0, 1.0), body=STEEL):
-    layer = law if isinstance(law, TractionLaw) else ThinLayer(law, EPS)
+    layer = law if isinstance(law, TractionLaw) else ThinLayer(law, EPS, at=1.0)
     return kind(Structure(joint(), body=body, supports=HELD, tractions={"TOP": tractions}), layer)
 
 
@@ -301,9 +301,9 @@ class Cubic(LinearElastic):
 def free_expansion(law):
     """Largest displacement of a body of width 2 that nothing holds back, and the opening of a column, plane stress."""
     supports = {"BOTTOM": {"y": 0}, "LEFT": {"x": 0}}
-    layer = ThinLayer(LinearElastic(L, M), EPS)
+    layer = ThinLayer(LinearElastic(L, M), EPS, at=1.0)
     body = solve(Structure(joint(), body=law, supports=supports, plane="stress").interface(layer))
-    model = Structure(joint(), body=STEEL, supports=HELD, plane="stress").interface(ThinLayer(law, EPS))
+    model = Structure(joint(), body=STEEL, supports=HELD, plane="stress").interface(ThinLayer(law, EPS, at=1.0))
     S = Surface(model)
     return body.u.x.array[::2].max() / 2, S.profile(S.frame(S.jump(solve(model)))[1])[1][0]
 

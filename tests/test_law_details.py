@@ -91,7 +91,9 @@ def test_bearings_without_friction():
         "supports": {"BOTTOM": 0.0, "LEFT": {"x": 0.0}},
         "tractions": {"TOP": (0.0, 0.3)},
     }
-    state = solve(Structure(joint, element="Q1", **setup).interface(ThinLayer(Anisotropic.springs(5.0, 0.0), 0.1)))
+    state = solve(
+        Structure(joint, element="Q1", **setup).interface(ThinLayer(Anisotropic.springs(5.0, 0.0), 0.1, at=1.0))
+    )
     assert np.abs(state.u.x.array).max() == pytest.approx(0.3 / 5.0 + 0.3 / 100.0, rel=1e-9)
     for wrong in (-1.0, np.nan):
         with pytest.raises(LawError, match=r"K_T is .*; allowed: >= 0"):

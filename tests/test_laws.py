@@ -86,8 +86,8 @@ def test_layer_frame_is_a_rotation_with_second_axis_n(n):
 
 
 @given(lmbda=moduli, mu=moduli, eps=st.floats(1e-6, 10.0))
-def test_per_thickness_is_undone_by_the_layer(lmbda, mu, eps):
-    real = LinearElastic(lmbda, mu).per_thickness(eps).in_layer(eps)
+def test_a_layer_has_the_parameters_of_its_material(lmbda, mu, eps):
+    real = ThinLayer(LinearElastic(lmbda, mu).scaled(1 / eps), eps, at=1.0).material
     assert (float(real.lmbda), float(real.mu)) == pytest.approx((lmbda, mu), rel=1e-12)
 
 
@@ -119,10 +119,10 @@ NOT_SYMMETRIC = np.eye(6) + np.diag([0.5], 5)
         (lambda: Stack(), "number of sublayers"),
         (lambda: Stack((0.5, LinearElastic(1.0, 1.0)), (0.6, LinearElastic(1.0, 1.0))), "sum of the fractions is 1.1"),
         (lambda: Stack((1.5, LinearElastic(1.0, 1.0)), (-0.5, LinearElastic(1.0, 1.0))), "each > 0"),
-        (lambda: ThinLayer(LinearElastic(1.0, 1.0), 0.0), "eps is 0.0; allowed: > 0"),
-        (lambda: ThinLayer(LinearElastic(1.0, 1.0), -1.0), "eps is -1.0"),
+        (lambda: ThinLayer(LinearElastic(1.0, 1.0), 0.0, at=1.0), "eps is 0.0; allowed: > 0"),
+        (lambda: ThinLayer(LinearElastic(1.0, 1.0), -1.0, at=1.0), "eps is -1.0"),
         (lambda: ThinLayer("glue", 1.0), "must be a law"),
-        (lambda: LinearElastic(1.0, 1.0).per_thickness(0.0), "eps is 0.0"),
+        (lambda: ThinLayer(LinearElastic(1.0, 1.0), 1.0, at=0.0), "at, is 0.0"),
     ],
 )
 def test_parameters_out_of_range(build, message):

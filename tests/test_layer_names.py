@@ -70,7 +70,10 @@ def test_energies_of_each_layer(kind):
 def test_sublayers_of_one_of_several_layers():
     """A seam's name and its sublayer's number cannot be taken for the name of another seam."""
     yields = MohrCoulomb(3.0, 2.0, cohesion=0.4, friction_angle=20.0)
-    layers = {"LOW": ThinLayer(yields, 0.1), "HIGH": ThinLayer(Stack((0.4, yields), (0.6, yields)), 0.1)}
+    layers = {
+        "LOW": ThinLayer(yields, 0.1, at=1.0),
+        "HIGH": ThinLayer(Stack((0.4, yields), (0.6, yields)), 0.1, at=1.0),
+    }
     load = {"TOP": lambda x, t: (0.0, -0.5 * t)}
     full, limit = (
         march(model, [1.0]).last
@@ -87,8 +90,8 @@ def test_one_seam_has_the_keys_of_old():
     structure = Structure(joint, body=LinearElastic(0.0, 5.0), supports={"BOTTOM": 0.0}, element="Q1")
     yields = MohrCoulomb(3.0, 2.0, cohesion=0.4, friction_angle=20.0)
     for model, keys in (
-        (structure.interface(ThinLayer(yields, 0.1)), {"layer"}),
-        (structure.full(ThinLayer(Stack((0.4, yields), (0.6, yields)), 0.1)), {"layer 1", "layer 2"}),
+        (structure.interface(ThinLayer(yields, 0.1, at=1.0)), {"layer"}),
+        (structure.full(ThinLayer(Stack((0.4, yields), (0.6, yields)), 0.1, at=1.0)), {"layer 1", "layer 2"}),
         (structure.interface(IncrementalCoulomb(2.0, 1.0, 0.3)), {"contact"}),
     ):
         history = march(model, [1.0])
@@ -125,8 +128,8 @@ def test_a_part_cannot_have_the_name_of_a_layer():
 def test_the_order_of_layers_makes_no_difference(tmp_path):
     """Nor in a march that is resumed with another one; both layers remember, and are not alike."""
     yields = {
-        "BED": ThinLayer(MohrCoulomb(0.6, 0.7, cohesion=4e-4, friction_angle=30.0), 0.01),
-        "HEAD": ThinLayer(MohrCoulomb(0.3, 0.45, cohesion=2e-4, friction_angle=20.0), 0.007),
+        "BED": ThinLayer(MohrCoulomb(0.6, 0.7, cohesion=4e-4, friction_angle=30.0), 0.01, at=1.0),
+        "HEAD": ThinLayer(MohrCoulomb(0.3, 0.45, cohesion=2e-4, friction_angle=20.0), 0.007, at=1.0),
     }
     bricks, times = panel("Q2", 0.25), [0.5, 0.75, 1.0]
     one, other = (march(bricks.interface(layers), times) for layers in (yields, reversed_(yields)))
@@ -159,7 +162,7 @@ def test_a_limit_load_tells_which_layer_gives_way():
     """Of two layers that yield the weaker one, though it is the later one; of one layer nothing is said."""
     strong, weak = (MohrCoulomb(3.0, 2.0, cohesion=c, friction_angle=0.0) for c in (0.9, 0.4))
     data = {"supports": {"BOTTOM": 0.0, "TOP": {"y": 0.0}}, "tractions": {"TOP": lambda x, t: (t, 0.0)}}
-    layers = {"LOW": ThinLayer(strong, 0.1), "HIGH": ThinLayer(weak, 0.1)}
+    layers = {"LOW": ThinLayer(strong, 0.1, at=1.0), "HIGH": ThinLayer(weak, 0.1, at=1.0)}
     with pytest.raises(LimitLoad, match=r"with jumps at the seams 'HIGH' 100%\. The states before") as limit:
         march(pulled(body=50.0, **data).interface(layers), [0.3, 0.6])
     assert limit.value.t == pytest.approx(0.4, rel=1e-3)
@@ -167,7 +170,7 @@ def test_a_limit_load_tells_which_layer_gives_way():
     assert limit.value.shares["LOW"] < 1e-6
     one = cut_at(COLUMN, {"LOW": (on(1, -1.0), (0, 1))})
     with pytest.raises(LimitLoad, match=r"with an elastic layer\. The states before") as limit:
-        march(pulled(one, 50.0, **data).interface(ThinLayer(weak, 0.1)), [0.3, 0.6])
+        march(pulled(one, 50.0, **data).interface(ThinLayer(weak, 0.1, at=1.0)), [0.3, 0.6])
     assert limit.value.shares == {}
 
 
@@ -177,7 +180,7 @@ def test_snaps_of_each_layer():
     soon, late = (NonMonotoneUnrelaxed(0.0, 2.0, alpha=0.3, transformation_energy=c, chi=chi) for c in (0.05, 0.09))
     move = {"TOP": {"y": lambda x, t: 2.0 * t}}
     structure = pulled(supports=ROLLERS | move)
-    layers = {"LOW": ThinLayer(late, 0.1), "HIGH": ThinLayer(soon, 0.1)}
+    layers = {"LOW": ThinLayer(late, 0.1, at=1.0), "HIGH": ThinLayer(soon, 0.1, at=1.0)}
     history = march(structure.interface(layers), [1.0])
     assert {seam for snap in history.snaps for seam in snap.seams} == {"LOW", "HIGH"}
     first, last = history.snaps[0], history.snaps[-1]

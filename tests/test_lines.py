@@ -19,7 +19,7 @@ from thinlayer import ModelError, Structure, Surface, ThinLayer, plotting, solve
 from thinlayer.files.table import Table
 from thinlayer.output.lines import Line
 
-LAYER = ThinLayer(K, EPS)
+LAYER = ThinLayer(K, EPS, at=1.0)
 PULLED = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.05, -0.1)}}
 
 
@@ -84,7 +84,7 @@ def test_a_closed_seam():
 def test_beds_and_heads_of_a_wall():
     """Beds are whole, with two rows where a head meets them and the traction jumps; sums of forces are the load."""
     joint = wall(2, 3, brick=(2.0, 1.0), h=0.5)
-    surface = Surface(interface(joint, {"BED": LAYER, "HEAD": ThinLayer(LinearElastic(1.0, 0.7), 0.2)}))
+    surface = Surface(interface(joint, {"BED": LAYER, "HEAD": ThinLayer(LinearElastic(1.0, 0.7), 0.2, at=1.0)}))
     t = surface.traction(solve(surface.model))
     lines = surface.along(t)
     beds = [line for line in lines if line.seam == "BED"]

@@ -25,7 +25,7 @@ CHI = [[0.0, 0.5], [0.5, 1.0]]
 
 def model(load=(0.0, 1.0), law=GLUE, kind=Structure.interface, **change):
     setup = {"body": LinearElastic.young(100.0, 0.3), "supports": SIDES, "tractions": {"TOP": load}}
-    return kind(Structure(JOINT, **setup | change), ThinLayer(law, 0.1))
+    return kind(Structure(JOINT, **setup | change), ThinLayer(law, 0.1, at=1.0))
 
 
 def pulled(one, *times):
@@ -169,7 +169,7 @@ def test_a_rigid_base_does_not_move_with_a_side():
     """Where the side of the layer meets the base two supports overlap."""
     sides = {"LEFT": {"x": 0.01, "y": 0.02}, "RIGHT": {"x": 0.0}}
     setup = {"body": LinearElastic.young(100.0, 0.3), "supports": sides, "tractions": {"TOP": (0.0, -1.0)}}
-    one = Structure(block(1.0, 0.5, 0.25), **setup).full(ThinLayer(GLUE, 0.1))
+    one = Structure(block(1.0, 0.5, 0.25), **setup).full(ThinLayer(GLUE, 0.1, at=1.0))
     x, u = one.V.tabulate_dof_coordinates(), solve(one).u.x.array.reshape(-1, 2)
     base, left = np.isclose(x[:, 1], x[:, 1].min()), np.isclose(x[:, 0], 0.0)
     assert (base & left).sum() == 1
@@ -202,9 +202,9 @@ MARCHED = Maxwell(60.0, 40.0, t1=0.7)
         (lambda: piecewise({False: 1.0, True: 2.0}), "times are numbers"),
         (lambda: piecewise({0: 1j, 1: 2.0}), "not real numbers"),
         (lambda: ThinLayer(GLUE, True), "eps is True"),
-        (lambda: ThinLayer(GLUE, np.True_), "eps is "),
-        (lambda: ThinLayer(GLUE, 0.1, order=True), "order of the interface law is True"),
-        (lambda: GLUE.per_thickness(True), "eps is True"),
+        (lambda: ThinLayer(GLUE, np.True_, at=1.0), "eps is "),
+        (lambda: ThinLayer(GLUE, 0.1, order=True, at=1.0), "order of the interface law is True"),
+        (lambda: ThinLayer(GLUE, 0.1, at=True), "at, is True"),
         (lambda: LinearElastic.young(True, 0.3), "E is True"),
         (lambda: Stack((True, GLUE)), "a fraction is True"),
         (lambda: Tabulated([(0, True), (1, 2.0)]), "Tabulated needs pairs"),
@@ -275,7 +275,7 @@ def test_numbers_in_expressions_on_s_are_finite():
 
 def test_a_profile_of_booleans():
     with pytest.raises(GeometryError, match="it returns bool"):
-        Structure(JOINT, body=GLUE, supports=SIDES).interface(ThinLayer(GLUE, 0.1, profile=lambda x: x[0] >= 0))
+        Structure(JOINT, body=GLUE, supports=SIDES).interface(ThinLayer(GLUE, 0.1, profile=lambda x: x[0] >= 0, at=1.0))
 
 
 def test_places_are_names_or_points():

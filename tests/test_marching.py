@@ -119,7 +119,7 @@ class DashpotPart(Part):
 def test_a_part_of_ones_own_with_a_rate_starts_at_rest(tmp_path):
     """Dashpots beside a column under a sudden load: w_n = w (1 - (1 + dt/(c w))^-n), w that of the column alone."""
     law, dt, c = LinearElastic(60.0, 40.0), 0.03, 3.0
-    make = lambda *parts: Structure(JOINT, tractions=PULL, parts=parts, **SETUP).interface(ThinLayer(law, 0.1))
+    make = lambda *parts: Structure(JOINT, tractions=PULL, parts=parts, **SETUP).interface(ThinLayer(law, 0.1, at=1.0))
     top = lambda state: float(state.u.x.array.max())  # of a column pulled along y, with sides on rollers
     w = top(solve(make()))
     model = make(Dashpots(c))
@@ -170,7 +170,7 @@ def test_energy_of_bodies_that_are_not_linear():
     """What is stored at the ends of steps differs by what the step stores."""
     setup = SETUP | {"body": StiffeningSolid(100.0, 3e4)}
     for build in (Structure.interface, Structure.full):
-        model = build(Structure(JOINT, tractions={"TOP": (0.4, 2.0)}, **setup), ThinLayer(SLOW, 0.1))
+        model = build(Structure(JOINT, tractions={"TOP": (0.4, 2.0)}, **setup), ThinLayer(SLOW, 0.1, at=1.0))
         history = march(model, [0.1, 0.3, 0.35])
         total = [state.audit.total for state in history]
         assert np.diff(total) == pytest.approx(history.table["stored"][1:], rel=1e-9)
@@ -182,7 +182,7 @@ def test_energy_of_bodies_that_are_not_linear():
 def test_states_know_the_loads_of_their_time():
     """Body forces reach S: tractions of earlier states are those of their own loads."""
     setup = SETUP | {"body_force": lambda x, t: (0.0, t)}
-    model = Structure(JOINT, **setup).interface(ThinLayer(SUDDEN, 0.1))
+    model = Structure(JOINT, **setup).interface(ThinLayer(SUDDEN, 0.1, at=1.0))
     history, surface = march(model, [1.0, 2.0]), Surface(model)
     for state in history:  # the time of the last solve, or of the last question, is another one
         assert state.energies()["loads"] == pytest.approx(state.t * mean_displacement(state), rel=1e-9, abs=1e-12)
@@ -203,7 +203,7 @@ def test_keep_last():
 
 
 def test_compare_takes_histories_and_states_of_the_same_time():
-    full = Structure(JOINT, tractions=PULL, **SETUP).full(ThinLayer(SLOW, 0.1))
+    full = Structure(JOINT, tractions=PULL, **SETUP).full(ThinLayer(SLOW, 0.1, at=1.0))
     one, other = march(full, [0.1, 0.2]), march(interface(), [0.1, 0.2])
     assert compare(one, other)["error_jump"] < 1e-9
     assert compare(one, other, at=0.1)["jump"] < compare(one, other)["jump"]

@@ -31,12 +31,12 @@ COMM = MPI.COMM_WORLD
         (dict(supports=SETUP["supports"] | {"BOTTOM": {"y": 0.01, "x": 0.0}}), "supports"),
         (dict(tractions={"TOP": (0.0, 2.0)}), "loads"),
         (dict(body_force=(0.0, 1.0)), "loads"),
-        (dict(layer=ThinLayer(SLOW, 0.2)), "eps"),
-        (dict(layer=ThinLayer(SUDDEN, 0.1)), "law"),
+        (dict(layer=ThinLayer(SLOW, 0.2, at=1.0)), "eps"),
+        (dict(layer=ThinLayer(SUDDEN, 0.1, at=1.0)), "law"),
     ],
 )
 def test_another_structure_is_not_resumed_and_not_overwritten(tmp_path, change, what):
-    data, layer = SETUP | {"tractions": PULL}, ThinLayer(SLOW, 0.1)
+    data, layer = SETUP | {"tractions": PULL}, ThinLayer(SLOW, 0.1, at=1.0)
     march(Structure(JOINT, **data).interface(layer), [0.1], out=tmp_path)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     other_layer = change.pop("layer", layer)
@@ -48,7 +48,7 @@ def test_another_structure_is_not_resumed_and_not_overwritten(tmp_path, change, 
         march(Structure(JOINT, **data).interface(layer), [0.1, 0.2], out=tmp_path, resume=True, start=-1.0)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
     same = KelvinVoigt(np.float64(60.0), 40, theta_lmbda=0.3, theta_mu=0.5)
-    again = Structure(JOINT, **data).interface(ThinLayer(same, 0.1))
+    again = Structure(JOINT, **data).interface(ThinLayer(same, 0.1, at=1.0))
     assert len(march(again, [0.1, 0.2], out=tmp_path, resume=True)) == 3
 
 

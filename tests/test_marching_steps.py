@@ -147,7 +147,7 @@ def test_moved_sides_of_a_layer_that_is_rigid_at_rest():
         "LEFT": {"x": lambda x, t: 0.01 * ufl.sin(9 * t) * (x[1] + 0.5)},
         "RIGHT/UPPER": {"x": lambda x, t: 0.01 * ufl.cos(9 * t)},
     }
-    layer = ThinLayer(Norton(60.0, 40.0, eta=5.0, p=1.3), 0.1)
+    layer = ThinLayer(Norton(60.0, 40.0, eta=5.0, p=1.3), 0.1, at=1.0)
     for build in (Structure.full, Structure.interface):
         history = march(build(Structure(joint, body=BODY, supports=supports), layer), [0.1, 0.2, 0.3])
         assert np.abs(history.table["imbalance"]).max() < 1e-8
@@ -187,7 +187,7 @@ def pushed(law, push=1.0, **kind):
     return Structure(stones, body=stone, supports=supports, tractions=loads, **kind).interface(law)
 
 
-MORTAR = ThinLayer(MohrCoulomb(55.6, 83.3, cohesion=0.2, friction_angle=35), 10)
+MORTAR = ThinLayer(MohrCoulomb(55.6, 83.3, cohesion=0.2, friction_angle=35), 10, at=1.0)
 
 
 def test_a_march_that_yields_tells_the_error_of_its_steps_within_a_factor_two():
@@ -207,7 +207,7 @@ def test_a_march_that_yields_tells_the_error_of_its_steps_within_a_factor_two():
 @pytest.mark.parametrize("law", [LinearElastic(55.6, 83.3), HolonomicCoulomb(1e3, 1e3, friction=0.3)], ids=str)
 def test_laws_without_a_history_have_no_error_of_steps(law):
     contact = isinstance(law, HolonomicCoulomb)
-    model = pushed(law, 0.8, element="P1") if contact else pushed(ThinLayer(law, 10))
+    model = pushed(law, 0.8, element="P1") if contact else pushed(ThinLayer(law, 10, at=1.0))
     assert march(model, [0.5, 1.0]).step_errors == {}
 
 

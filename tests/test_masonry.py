@@ -32,7 +32,7 @@ def strength(law: type, p: float) -> float:
 
 def couplet(law: type, p: float, kind: str) -> Structure:
     """Two bricks: the lower one is held at its right end, the upper one pushed at its left end."""
-    bed = ThinLayer(law(triplet.MORTAR.lmbda, triplet.MORTAR.mu, triplet.COHESION, triplet.ANGLE), triplet.EPS)
+    bed = ThinLayer(law(triplet.MORTAR.lmbda, triplet.MORTAR.mu, triplet.COHESION, triplet.ANGLE), triplet.EPS, at=1.0)
     push = {"LEFT/BRICK 2": lambda x, t: (triplet.LENGTH / triplet.HEIGHT * t, 0.0), "TOP": (0.0, -p)}
     held = {"BOTTOM": {"y": 0.0}, "RIGHT/BRICK 1": {"x": 0.0}}
     structure = Structure(triplet.stack(2, 30.0), body=triplet.CLAY, supports=held, tractions=push, element="Q1")
@@ -74,7 +74,7 @@ def yielding(eps: float) -> dict[str, ThinLayer]:
     """Mortar that yields in beds and heads, and keeps a fiftieth of its stiffness."""
     bed = MohrCoulomb(0.6, 0.7, cohesion=0.012, friction_angle=30.0, elastic_fraction=0.02)
     head = MohrCoulomb(0.3, 0.45, cohesion=0.006, friction_angle=30.0, elastic_fraction=0.02)
-    return {"BED": ThinLayer(bed, eps), "HEAD": ThinLayer(head, SHARES["HEAD"] * eps)}
+    return {"BED": ThinLayer(bed, eps, at=1.0), "HEAD": ThinLayer(head, SHARES["HEAD"] * eps, at=1.0)}
 
 
 @cache
@@ -124,7 +124,7 @@ def test_limit_of_a_sheared_panel():
         bricks("quadrilateral", 0.25), body=LinearElastic.young(1.0, 0.2), supports={"BOTTOM": 0.0},
         tractions={"TOP": lambda x, t: (t, -p)}, element="Q1",
     )  # fmt: skip
-    layers = {"BED": ThinLayer(bed, 0.01), "HEAD": ThinLayer(head, 0.01)}
+    layers = {"BED": ThinLayer(bed, 0.01, at=1.0), "HEAD": ThinLayer(head, 0.01, at=1.0)}
     limit = limit_of(structure, layers, C * cos(angle) + sin(angle) * p)
     assert limit.shares == pytest.approx({"BED": 1.0, "HEAD": 0.0}, abs=1e-3)
 
@@ -133,10 +133,10 @@ def test_limit_of_a_sheared_panel():
 def test_limit_of_a_pulled_panel(cohesion):
     """A head of each course opens, and the bed between slides along half a brick; open heads take no part in it."""
     C, share = 0.02, 0.5 / 1.0  # half a brick over the height of two courses
-    bed = ThinLayer(MohrCoulomb(0.6, 0.7, cohesion=C, friction_angle=0.0), 0.01)
+    bed = ThinLayer(MohrCoulomb(0.6, 0.7, cohesion=C, friction_angle=0.0), 0.01, at=1.0)
     want, head = share * C, None
     if cohesion:
-        head = ThinLayer(MohrCoulomb(0.3, 0.45, cohesion=cohesion, friction_angle=30.0), 0.01)
+        head = ThinLayer(MohrCoulomb(0.3, 0.45, cohesion=cohesion, friction_angle=30.0), 0.01, at=1.0)
         want += cohesion / tan(radians(30.0))  # the apex of its yield surface
     supports = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}}
     structure = Structure(
@@ -174,7 +174,7 @@ def test_status(law, move, status):
     )
     supports = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: move[0] * t, "y": lambda x, t: move[1] * t}}
     structure = Structure(joint, body=LinearElastic(0.0, 1e5), supports=supports, element="Q1")
-    given = {"LOW": springs(3e4, 1e4), "HIGH": None if law is None else ThinLayer(law, 0.1)}
+    given = {"LOW": springs(3e4, 1e4), "HIGH": None if law is None else ThinLayer(law, 0.1, at=1.0)}
     last = march(structure.interface(given), [0.5, 1.0]).last
     report = LayerReport(last)
     assert set(report.status[report.seams == "HIGH"]) == {status}
@@ -188,7 +188,9 @@ def test_status_along_a_seam(tmp_path):
     joint = sandwich(4.0, 1.0, 1.0, 0.5, cell="triangle")
     supports = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": lambda x, t: 0.1 * t * (1.2 - x[0])}}
     structure = Structure(joint, body=LinearElastic(0.0, 1e5), supports=supports, element="P1")
-    state = march(structure.interface(ThinLayer(replace(SLIPS, cohesion=0.6), 0.1)), [1.0]).last  # it does not slip
+    state = march(
+        structure.interface(ThinLayer(replace(SLIPS, cohesion=0.6), 0.1, at=1.0)), [1.0]
+    ).last  # it does not slip
     report = LayerReport(state)
     x = joint.points[joint.table.vertices[report.rows]].mean(axis=1)[:, 0]
     assert np.array_equal(report.status == "open", x < 1.0)
@@ -209,7 +211,7 @@ def test_status_in_space():
         "TOP": {"x": lambda x, t: 0.3 * t, "y": lambda x, t: -0.1 * t, "z": lambda x, t: 0.3 * t},
     }
     structure = Structure(joint, body=LinearElastic(0.0, 1e5), supports=supports, element="Q1")
-    report = LayerReport(march(structure.interface(ThinLayer(SLIPS, 0.1)), [1.0]).last)
+    report = LayerReport(march(structure.interface(ThinLayer(SLIPS, 0.1, at=1.0)), [1.0]).last)
     assert report.shares == {"sliding": pytest.approx(1.0)}
     assert report.sizes.sum() == pytest.approx(3.0)
 

@@ -352,7 +352,7 @@ def test_incompressible_layers_have_one_pressure():
     structure, eps = panel("P2"), 0.05
     surface, found = Surface(structure.interface(mortar(eps))), []
     for law in (Incompressible(0.5), LinearElastic(500.0, 0.5)):
-        state = solve(structure.full({"BED": ThinLayer(law, eps), "HEAD": ThinLayer(law, eps)}), 1.0)
+        state = solve(structure.full({"BED": ThinLayer(law, eps, at=1.0), "HEAD": ThinLayer(law, eps, at=1.0)}), 1.0)
         w, model = surface.jump(state), state.model
         layers = model.dx(model.domain.cell_values(*model.domain.layer_regions))
         found.append([state.integral(ufl.div(state.u) * layers), state.energies()["bodies"], surface.norm(w)])
@@ -415,7 +415,7 @@ def test_two_layers_in_series():
     held = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     structure = Structure(column, body=LinearElastic(0.0, 5.0), supports=held, tractions={"TOP": (0.0, 2.0)})
     high = Stack((0.5, LinearElastic(0.0, 4.0)), (0.5, LinearElastic(0.0, 2.0)))
-    layers = {"LOW": springs(4.0, 2.0, 0.1), "HIGH": ThinLayer(high, 0.2)}
+    layers = {"LOW": springs(4.0, 2.0, 0.1), "HIGH": ThinLayer(high, 0.2, at=1.0)}
     state, surface = solve(structure.full(layers)), Surface(structure.interface(layers), "LOW")
     assert surface.integral(surface.jump(state)[1]) == pytest.approx(8 * 2.0 / 4.0, rel=1e-10)
     surface = Surface(surface.model, "HIGH")
@@ -510,7 +510,7 @@ def test_a_block_with_four_around_it():
 def test_refused_models():
     bricks, eps = panel("Q2", 0.25), 0.01
     elastic = springs(2.0, 0.7, eps)
-    tilted = ThinLayer(Anisotropic(np.eye(6), "layer"), eps)
+    tilted = ThinLayer(Anisotropic(np.eye(6), "layer"), eps, at=1.0)
     with pytest.raises(ModelError, match=r"the seam 'HEAD' is open, and its width is not known: give it a Gap\(eps\)"):
         bricks.full({"BED": elastic, "HEAD": None})
     with pytest.raises(ModelError, match="junctions: the seam 'HEAD' is a gap and has no law"):
@@ -528,6 +528,9 @@ def test_refused_models():
     }
     with pytest.raises(GeometryError, match=r"S branches at \(.*sublayers"):
         bricks.full(
-            {"BED": ThinLayer(Stack((0.5, elastic.law), (0.5, springs(1.0, 0.7, eps).law)), eps), "HEAD": elastic}
+            {
+                "BED": ThinLayer(Stack((0.5, elastic.law), (0.5, springs(1.0, 0.7, eps).law)), eps, at=1.0),
+                "HEAD": elastic,
+            }
         )
     refused(ModelError, r"order=1 needs an S without junctions", lambda: bricks.full(replace(elastic, order=1)))

@@ -101,7 +101,7 @@ def thickness(base: Joint, eps: float) -> dict[str, float]:
 
 def mortar(base: Joint, eps: float) -> dict[str, ThinLayer]:
     """The layer of each seam of a cube."""
-    return {name: ThinLayer(LinearElastic(*LAW[name]), one) for name, one in thickness(base, eps).items()}
+    return {name: ThinLayer(LinearElastic(*LAW[name]), one, at=1.0) for name, one in thickness(base, eps).items()}
 
 
 @cache

@@ -87,7 +87,7 @@ def test_second_order(name):
 
 
 def of_order_1(structure, layer):
-    return structure.interface(ThinLayer(layer.law, layer.eps, order=1))
+    return structure.interface(ThinLayer(layer.law, layer.eps, order=1, at=1.0))
 
 
 @pytest.mark.parametrize("growth", [0.0, 0.6])

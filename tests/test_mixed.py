@@ -28,7 +28,7 @@ def test_a_uniform_jump_of_stiff_bodies_passes_the_cuts(cell, order):
     joint = sandwich(1.0, 0.5, 0.4, h=1 / 4, h_S=1 / 8, cell=cell)
     stiff = LinearElastic.young(E=1e9, nu=0.3)
     moved = Structure(joint, body=stiff, supports={"BOTTOM": 0.0, "TOP": {"x": 0.01, "y": 0.02}})
-    layer = ThinLayer(LAYER, EPS, order=order, edges="plain")
+    layer = ThinLayer(LAYER, EPS, order=order, edges="plain", at=1.0)
     model = moved.mixed(layer, where=lambda x: abs(x[0] - 0.5) < 0.2)
     state, surface = solve(model), Surface(model)
     apart = surface.jump(state) - ufl.as_vector([0.01, 0.02])
@@ -47,7 +47,7 @@ def test_a_uniform_jump_passes_the_cuts_of_sublayers(turned):
     up = {"x": 0.01 * c - 0.02 * s, "y": 0.01 * s + 0.02 * c}
     moved = Structure(joint, body=LinearElastic.young(E=1e9, nu=0.3), supports={"BOTTOM": 0.0, "TOP": up})
     sublayers = (0.4, LinearElastic(60.0, 40.0)), (0.3, LinearElastic(10.0, 2.5)), (0.3, LinearElastic(30.0, 45.0))
-    layer = ThinLayer(Stack(*sublayers), EPS, order=1, edges="plain")
+    layer = ThinLayer(Stack(*sublayers), EPS, order=1, edges="plain", at=1.0)
     state = solve(moved.mixed(layer, where=lambda x: abs(c * x[0] + s * x[1] - 0.5) < 0.2, cells_through=10))
     energy = 0.02**2 / (2 * sum(a / (m.lmbda + 2 * m.mu) for a, m in sublayers))
     energy += 0.01**2 / (2 * sum(a / m.mu for a, m in sublayers))
@@ -62,7 +62,7 @@ def blocks(eps):
 
 @cache
 def meshed(eps):
-    return solve(blocks(eps).full(ThinLayer(LAYER, eps), cells_through=8))
+    return solve(blocks(eps).full(ThinLayer(LAYER, eps, at=1.0), cells_through=8))
 
 
 def errors(eps, model):
@@ -74,14 +74,18 @@ def errors(eps, model):
 
 def mixed(eps, thicknesses, order=1):
     return blocks(eps).mixed(
-        ThinLayer(LAYER, eps, order=order), where=lambda x: abs(x[0] - 0.5) > 0.5 - thicknesses * eps, cells_through=8
+        ThinLayer(LAYER, eps, order=order, at=1.0),
+        where=lambda x: abs(x[0] - 0.5) > 0.5 - thicknesses * eps,
+        cells_through=8,
     )
 
 
 def test_errors_are_of_order_two_where_the_free_ends_are_meshed_and_tractions_at_the_ends_are_known():
     some = [1 / 16, 1 / 32]
     found = np.array([errors(eps, mixed(eps, 2)) for eps in some])
-    law = np.array([errors(eps, blocks(eps).interface(ThinLayer(LAYER, eps, order=1, edges="plain"))) for eps in some])
+    law = np.array(
+        [errors(eps, blocks(eps).interface(ThinLayer(LAYER, eps, order=1, edges="plain", at=1.0))) for eps in some]
+    )
     for k in range(3):  # traction, jump, work: 1.9, 2.1, 1.8; of the law alone 0.8, 0.8, 0.7
         assert observed_orders(some, found[:, k])[-1] > 1.7
         assert observed_orders(some, law[:, k])[-1] < 1.1
@@ -103,8 +107,8 @@ def test_a_layer_that_is_meshed_everywhere_is_that_of_the_full_model():
     full, mixed = (
         solve(model)
         for model in (
-            plane("triangle").full(ThinLayer(LAYER, EPS)),
-            plane("triangle").mixed(ThinLayer(LAYER, EPS), where=lambda x: x[0] > -1),
+            plane("triangle").full(ThinLayer(LAYER, EPS, at=1.0)),
+            plane("triangle").mixed(ThinLayer(LAYER, EPS, at=1.0), where=lambda x: x[0] > -1),
         )
     )
     assert mixed.energies()["loads"] == pytest.approx(full.energies()["loads"], rel=1e-12)
@@ -113,7 +117,7 @@ def test_a_layer_that_is_meshed_everywhere_is_that_of_the_full_model():
 
 @pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
 def test_in_space_with_rollers_on_the_cuts_forces_and_energies_balance(cell):
-    structure, layer = space(cell), ThinLayer(LAYER, EPS, order=1)
+    structure, layer = space(cell), ThinLayer(LAYER, EPS, order=1, at=1.0)
     full, law = solve(structure.full(layer, cells_through=2)), solve(structure.interface(replace(layer, edges="plain")))
     state = solve(structure.mixed(layer, where=near_ends, cells_through=2))
     held = sum(one.force for one in state.reactions_by_place().values())
@@ -127,7 +131,7 @@ def test_in_space_with_rollers_on_the_cuts_forces_and_energies_balance(cell):
 
 def test_other_layers_and_loads_share_the_mesh():
     model = mixed(1 / 16, 2)
-    other = ThinLayer(LinearElastic.shear(20.0, 0.2), 1 / 16, order=1)
+    other = ThinLayer(LinearElastic.shear(20.0, 0.2), 1 / 16, order=1, at=1.0)
     again = solve(model.with_layer(other))
     new = solve(blocks(1 / 16).mixed(other, where=model.meshed, cells_through=8))
     assert again.energies()["loads"] == pytest.approx(new.energies()["loads"], rel=1e-11)
@@ -138,7 +142,7 @@ def test_other_layers_and_loads_share_the_mesh():
 def test_the_fewest_facets_hold_all_but_a_share():
     assert most_of(np.array([1.0, 4.0, 0.0, 2.0, 3.0]), 0.1).tolist() == [False, True, False, True, True]
     assert most_of(np.array([1.0, 4.0, 0.0, 2.0, 3.0]), 0.09).tolist() == [True, True, False, True, True]
-    model = plane("triangle").interface(ThinLayer(LAYER, EPS))
+    model = plane("triangle").interface(ThinLayer(LAYER, EPS, at=1.0))
     surface = Surface(model)
     x = ufl.SpatialCoordinate(model.domain.mesh)("+")
     joint = model.joint
@@ -153,14 +157,14 @@ def test_the_fewest_facets_hold_all_but_a_share():
 
 def test_the_map_of_an_estimate_tells_where_to_mesh():
     eps = 1 / 16
-    found = estimate(solve(blocks(eps).interface(ThinLayer(LAYER, eps))))
+    found = estimate(solve(blocks(eps).interface(ThinLayer(LAYER, eps, at=1.0))))
     where = Surface(found.better.model).most_of(found.map(), 0.1, margin=eps)
     joint = blocks(eps).joint
     places = joint.points[joint.surface].mean(axis=1)[:, 0]
     assert where[places > 1 - eps].all()
     assert not where.all()
-    model = blocks(eps).mixed(ThinLayer(LAYER, eps, order=1), where=where, cells_through=8)
-    law = errors(eps, blocks(eps).interface(ThinLayer(LAYER, eps, order=1, edges="plain")))
+    model = blocks(eps).mixed(ThinLayer(LAYER, eps, order=1, at=1.0), where=where, cells_through=8)
+    law = errors(eps, blocks(eps).interface(ThinLayer(LAYER, eps, order=1, edges="plain", at=1.0)))
     assert (errors(eps, model) < law / 3).all()
 
 
@@ -181,12 +185,16 @@ def test_facets_without_cells_leave_the_thickness_empty():
 @pytest.mark.parametrize(
     ("layer", "where", "message"),
     [
-        (ThinLayer(LAYER, EPS), lambda x: x[0] > 2, "no part of the layer is meshed"),
-        (ThinLayer(LAYER, EPS), lambda x: x[0], "must say for each of the 16 facets"),
-        (ThinLayer(LAYER, EPS), lambda x: x.nothing, "no numpy function of places"),
-        (ThinLayer(Incompressible(40.0), EPS), near_ends, "which has a pressure"),
+        (ThinLayer(LAYER, EPS, at=1.0), lambda x: x[0] > 2, "no part of the layer is meshed"),
+        (ThinLayer(LAYER, EPS, at=1.0), lambda x: x[0], "must say for each of the 16 facets"),
+        (ThinLayer(LAYER, EPS, at=1.0), lambda x: x.nothing, "no numpy function of places"),
+        (ThinLayer(Incompressible(40.0), EPS, at=1.0), near_ends, "which has a pressure"),
         (LAYER, near_ends, "a ThinLayer on each seam"),
-        (ThinLayer(SOFT, EPS, order=1), lambda x: x[0] > 1 - 2.5 * EPS, r"at \(1, 0\) over 0.313 only; .* needs 3"),
+        (
+            ThinLayer(SOFT, EPS, order=1, at=1.0),
+            lambda x: x[0] > 1 - 2.5 * EPS,
+            r"at \(1, 0\) over 0.313 only; .* needs 3",
+        ),
     ],
 )
 def test_what_cannot_be_mixed_is_refused(layer, where, message):

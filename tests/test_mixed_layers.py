@@ -26,7 +26,7 @@ def test_laws_that_are_not_linear_and_remember_pass_the_cuts(law, order, theta):
     joint = sandwich(1.0, 0.5, 0.4, h=1 / 4, h_S=1 / 8, cell="quadrilateral")
     top = {"x": lambda x, t: 0.01 * t, "y": lambda x, t: -0.005 * t}
     moved = Structure(joint, body=LinearElastic.young(E=1e8, nu=0.3), supports={"BOTTOM": 0.0, "TOP": top})
-    layer = ThinLayer(law, EPS, order=order, edges="plain")
+    layer = ThinLayer(law, EPS, order=order, edges="plain", at=1.0)
     mixed, law = (
         march(model, [0.4, 1.0], theta=theta).last
         for model in (moved.mixed(layer, where=lambda x: abs(x[0] - 0.5) < 0.2), moved.interface(layer))
@@ -43,7 +43,7 @@ def test_a_layer_that_yields_at_its_free_ends_alone_is_followed_there():
     joint = sandwich(1.0, 0.5, 0.5, h=1 / 8, h_S=1 / 16, h_ends=eps / 4, cell="quadrilateral")
     load = {"TOP": lambda x, t: (0.3 * t, -t)}
     pressed = Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, tractions=load)
-    layer = ThinLayer(law, eps, order=1, edges="plain")
+    layer = ThinLayer(law, eps, order=1, edges="plain", at=1.0)
     near = pressed.mixed(layer, where=lambda x: abs(x[0] - 0.5) > 0.5 - 3 * eps)
     full, mixed, law = (march(model, [1.0]).last for model in (pressed.full(layer), near, pressed.interface(layer)))
     yields = {name: memory[:, -1].max() > 0 for name, memory in mixed.memory.items()}
@@ -75,7 +75,7 @@ def test_curved_layers_of_a_thickness_that_varies_between_bodies_at_their_true_p
     joint = ring(0.6, 1.0, 1.5, h=0.15, angle=np.pi / 2, cell="quadrilateral", degree=2)
     pulled = {"OUTSIDE": lambda x, t: (0.5 * x[0] * x[1], 1 + x[1])}
     structure, eps = Structure(joint, body=BODY, supports={"INSIDE": 0.0}, tractions=pulled), 1 / 16
-    layer = ThinLayer(LAYER, eps, order=1, profile=profile)
+    layer = ThinLayer(LAYER, eps, order=1, profile=profile, at=1.0)
     near = structure.mixed(layer, where=lambda x: np.minimum(x[0], x[1]) < 3 * eps, bodies="extended")
     full, law = structure.full(layer, bodies="extended"), structure.interface(layer, bodies="extended")
     full, mixed, law = (solve(model) for model in (full, near, law))
@@ -90,7 +90,7 @@ def test_curved_layers_of_a_thickness_that_varies_between_bodies_at_their_true_p
 
 def test_eigenstrains_of_layers_act_on_cells_and_by_the_law():
     joint = sandwich(1.0, 0.5, 0.4, h=1 / 8, h_S=1 / 16, cell="triangle")
-    layer = ThinLayer(LAYER, 1 / 16, order=1, eigenstrain=lambda x, t: 0.01 * (1 + t))
+    layer = ThinLayer(LAYER, 1 / 16, order=1, eigenstrain=lambda x, t: 0.01 * (1 + t), at=1.0)
     for supports in ({"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}, {"BOTTOM": 0.0}):
         structure = Structure(joint, body=BODY, supports=supports)
         near = structure.mixed(layer, where=lambda x: abs(x[0] - 0.5) > 0.3)
@@ -101,7 +101,7 @@ def test_eigenstrains_of_layers_act_on_cells_and_by_the_law():
 
 @pytest.mark.parametrize("bodies", ["kept", "extended"])
 def test_a_layer_on_a_rigid_base_whose_law_and_cells_hold_the_body_together(bodies):
-    structure, layer = on_base(), ThinLayer(LAYER, EPS, order=1, edges="plain")
+    structure, layer = on_base(), ThinLayer(LAYER, EPS, order=1, edges="plain", at=1.0)
     near = structure.mixed(layer, where=near_ends, bodies=bodies)
     full, law = structure.full(layer, bodies=bodies), structure.interface(layer, bodies=bodies)
     full, mixed, law = (solve(model) for model in (full, near, law))

@@ -27,7 +27,7 @@ from thinlayer.solving.solvers import Solver
 JOINT = sandwich(1.0, 0.5, 0.7, 0.25)
 BODY = LinearElastic.young(100.0, 0.3)
 GLUE = LinearElastic(lmbda=15.0, mu=7.0)
-LAYER = ThinLayer(GLUE, 0.05)
+LAYER = ThinLayer(GLUE, 0.05, at=1.0)
 SETUP = {"body": BODY, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.4, -0.9)}}
 
 
@@ -55,9 +55,9 @@ def same(a, b):
         dict(body=LinearElastic.young(100.0, 0.2)),
         dict(body={"LOWER": BODY, "UPPER": LinearElastic.young(90.0, 0.3)}),
         dict(body={"LOWER": LinearElastic.young(90.0, 0.3), "UPPER": BODY}),
-        dict(layer=ThinLayer(LinearElastic(lmbda=16.0, mu=7.0), 0.05)),
-        dict(layer=ThinLayer(LinearElastic(lmbda=15.0, mu=8.0), 0.05)),
-        dict(layer=ThinLayer(Stack((0.5, GLUE), (0.5, LinearElastic(lmbda=20.0, mu=7.0))), 0.05)),
+        dict(layer=ThinLayer(LinearElastic(lmbda=16.0, mu=7.0), 0.05, at=1.0)),
+        dict(layer=ThinLayer(LinearElastic(lmbda=15.0, mu=8.0), 0.05, at=1.0)),
+        dict(layer=ThinLayer(Stack((0.5, GLUE), (0.5, LinearElastic(lmbda=20.0, mu=7.0))), 0.05, at=1.0)),
         dict(supports={"BOTTOM": 0.0, "LEFT": {"x": 0.0}}),
         dict(supports={"BOTTOM": {"x": 0.0, "y": 0.01}, "LEFT": {"y": 0.01}}),
         dict(supports={"BOTTOM": 0.0, (0.0, 0.7): {"x": 0.0}}),
@@ -86,13 +86,11 @@ def test_a_load_on_the_side_of_the_layer_changes_the_full_model_alone_at_order_0
 
 
 def test_thickness_matters_to_the_interface_law_through_its_moduli_only():
-    other = ThinLayer(GLUE, 0.01)
+    other = ThinLayer(GLUE, 0.01, at=1.0)
     assert same(measure(Structure.interface), measure(Structure.interface, layer=other))
     assert not same(measure(Structure.full), measure(Structure.full, layer=other))
     real = LinearElastic(lmbda=15.0 * 0.05, mu=7.0 * 0.05)
-    assert same(
-        measure(Structure.interface), measure(Structure.interface, layer=ThinLayer(real.per_thickness(0.05), 0.05))
-    )
+    assert same(measure(Structure.interface), measure(Structure.interface, layer=ThinLayer(real, 0.05)))
 
 
 @pytest.mark.parametrize("build", [Structure.full, Structure.interface])
@@ -107,7 +105,7 @@ def test_different_words_for_the_same_thing(build):
 
 def test_stack_of_one_law_is_that_law():
     """On S; the meshed layer's cells are placed otherwise, so its errors differ a little."""
-    stack = ThinLayer(Stack((0.3, GLUE), (0.7, GLUE)), 0.05)
+    stack = ThinLayer(Stack((0.3, GLUE), (0.7, GLUE)), 0.05, at=1.0)
     assert same(measure(Structure.interface), measure(Structure.interface, layer=stack))
     assert measure(Structure.full) == pytest.approx(measure(Structure.full, layer=stack), rel=1e-2)
 
@@ -155,7 +153,7 @@ def test_newton_on_a_users_law(eps):
     """Uniform opening w of a hardening layer: 2 k w + c w^3 = pull, in both models, with quadratic convergence."""
     k, c, pull = 5.0, 4e5, 0.6
     rollers = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-    pulled, layer = structure(supports=rollers, tractions={"TOP": (0.0, pull)}), ThinLayer(Cubic(k, c), eps)
+    pulled, layer = structure(supports=rollers, tractions={"TOP": (0.0, pull)}), ThinLayer(Cubic(k, c), eps, at=1.0)
     opening = np.roots([c, 0.0, 2 * k, -pull])
     opening = float(opening[np.abs(opening.imag) < 1e-12].real[0])
     limit = solve(pulled.interface(layer))
@@ -193,7 +191,7 @@ def test_petsc_options():
 
 def test_a_looser_tolerance_takes_fewer_steps():
     """Options given in a script are heeded: Newton's residuals fall as 1e-4, 1e-8, 1e-16, and the last is not needed."""
-    hard = structure().interface(ThinLayer(Cubic(5.0, 4e5), 0.1))
+    hard = structure().interface(ThinLayer(Cubic(5.0, 4e5), 0.1, at=1.0))
     usual, loose = solve(hard), solve(hard, options={"snes_rtol": 1e-5})
     assert loose.report.iterations < usual.report.iterations
     assert usual.report.residual < 1e-10 < loose.report.residual < 1e-5
@@ -210,7 +208,7 @@ def test_failed_solves_say_why():
     model = structure().interface(LAYER)
     with pytest.raises(SolveError, match=r"DIVERGED_MAX_IT.*relative residual"):
         solve(model, options={"ksp_type": "cg", "pc_type": "jacobi", "ksp_max_it": 2})
-    hard = structure().interface(ThinLayer(Cubic(5.0, 4e9), 0.1))
+    hard = structure().interface(ThinLayer(Cubic(5.0, 4e9), 0.1, at=1.0))
     with pytest.raises(SolveError, match=r"failed after \d steps: DIVERGED.*residual.*try"):
         solve(hard, options={"snes_max_it": 2})
     refused(ValueError, "linear, newton", lambda: solve(model, method="simplex"))
@@ -407,7 +405,7 @@ def test_a_load_on_a_side_is_the_same_in_all_models(name, depth):
     """Where the bodies gave up room, the layer carries what acted there, but for a load of its own."""
     joint = sandwich(1.0, 0.2, 0.5, 0.5, depth=depth)
     load, area = np.array([0.7, -0.2, 0.4])[: joint.dim], depth or 1.0
-    data, layer = {"body": BODY, "supports": {"BOTTOM": 0.0}}, ThinLayer(GLUE, 0.1)
+    data, layer = {"body": BODY, "supports": {"BOTTOM": 0.0}}, ThinLayer(GLUE, 0.1, at=1.0)
     height = {"LEFT": 0.7, "LEFT/UPPER": 0.5, "LEFT/LOWER": 0.2}[name]
     loaded = Structure(joint, tractions={name: load}, **data)
     for model in (loaded.interface(layer), loaded.full(layer), loaded.full(layer, bodies="extended")):
@@ -421,9 +419,9 @@ def test_a_load_on_a_side_of_a_base_or_under_a_profile():
     pillar = block(1.0, 0.5, 0.25)
     data = {"body": BODY, "supports": {"TOP": 0.0}}
     column = Structure(pillar, tractions={"LEFT": (2.0, 0.5)}, **data)
-    assert total(column.full(ThinLayer(GLUE, 0.1), bodies="extended")) == pytest.approx([1.0, 0.25])
+    assert total(column.full(ThinLayer(GLUE, 0.1, at=1.0), bodies="extended")) == pytest.approx([1.0, 0.25])
     blocks = Structure(sandwich(1.0, 0.5, 0.5, 0.25), tractions={"RIGHT/UPPER": (2.0, 0.5)}, **data)
-    wedge = ThinLayer(GLUE, 0.1, profile=lambda x: 1 + x[0])
+    wedge = ThinLayer(GLUE, 0.1, profile=lambda x: 1 + x[0], at=1.0)
     assert total(blocks.full(wedge, bodies="extended")) == pytest.approx([1.0, 0.25])
 
 
@@ -437,4 +435,4 @@ def test_a_load_that_the_layer_cannot_share():
     joint = replace(joint, facets={**joint.facets, "SIDES": sides}, seams=seams, **parts)
     loaded = Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, tractions={"SIDES/END": (1.0, 0.0)})
     with pytest.warns(RangeWarning, match=r"'SIDES/END': other bodies than 'END'.*Load 'SIDES', or 'SIDES/LAYER'"):
-        loaded.full(ThinLayer(GLUE, 0.1), bodies="extended")
+        loaded.full(ThinLayer(GLUE, 0.1, at=1.0), bodies="extended")

@@ -28,7 +28,9 @@ def measured(name: str, history: History, surface: Surface) -> dict[str, float]:
 
 def numbers() -> dict[str, float]:
     joint, setup = sheared_blocks(1 / 8)
-    layer = ThinLayer(MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02), 1 / 16)
+    layer = ThinLayer(
+        MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02), 1 / 16, at=1.0
+    )
     limit = Structure(joint, **setup).interface(layer)
     surface, times = Surface(limit), [0.5, 1.0, 1.5]
     found = measured("S", march(limit, times), surface)
@@ -113,8 +115,8 @@ def column(law, jumps, eps: float, angle: float = 0.0, flip: bool = False) -> tu
     sides = ["LEFT", "RIGHT", "TOP"] + ["BACK", "FRONT"] * (d == 3)
     turned = Structure(where, body=BODY, supports=dict.fromkeys(sides, support), element="P1")
     times = [float(k + 1) for k in range(len(w))]
-    limit = march(turned.interface(ThinLayer(law, eps)), times)
-    return limit, march(turned.full(ThinLayer(law, eps), cells_through=1), times), point
+    limit = march(turned.interface(ThinLayer(law, eps, at=1.0)), times)
+    return limit, march(turned.full(ThinLayer(law, eps, at=1.0), cells_through=1), times), point
 
 
 def check_path(limit, full, point: PointHistory) -> None:
@@ -170,7 +172,9 @@ def test_stack(eps):
     """An elastic sublayer under one that yields when it is pressed, at edges; pressed, released, pressed further."""
     law = Stack((0.3, LinearElastic(20.0, 90.0)), (0.7, LAWS["edges"]))
     setup = tall_column("normal", load=lambda t: -4.0 * t * ufl.conditional(ufl.lt(t, 1.5), 1, t - 1.5))
-    limit, full = both(sandwich(1.0, 0.5, 0.5, 0.5, structured=True), ThinLayer(law, eps), setup, [0.5, 1.0, 2.0, 3.0])
+    limit, full = both(
+        sandwich(1.0, 0.5, 0.5, 0.5, structured=True), ThinLayer(law, eps, at=1.0), setup, [0.5, 1.0, 2.0, 3.0]
+    )
     check_same(limit, full)
     check_balance(full)
     dissipated = limit.table["dissipated"]
@@ -200,9 +204,9 @@ def test_order_1_and_the_floor_that_coulombs_law_leaves():
     (joint, setup), law, times = sheared_blocks(1 / 8), LAYERS[""], (0.5, 1.0, 1.5)
     plates, rows = Structure(joint, **setup), {"right": [], "wrong": []}
     for eps in (1 / 64, 1 / 128):
-        full = march(plates.full(ThinLayer(law, eps)), times)
+        full = march(plates.full(ThinLayer(law, eps, at=1.0)), times)
         for name, limit in (("right", law), ("wrong", COULOMB)):
-            rows[name].append(compare(full, march(plates.interface(ThinLayer(limit, eps)), times)))
+            rows[name].append(compare(full, march(plates.interface(ThinLayer(limit, eps, at=1.0)), times)))
     for error, (low, high) in FLOOR.items():
         right, wrong = ([row[f"error_{error}"] for row in rows[name]] for name in rows)
         assert 0.9 < np.log2(right[0] / right[1]) < 1.3  # it comes down to 1

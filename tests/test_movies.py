@@ -23,7 +23,7 @@ def pulled(times=(0.5, 1.0, 2.0)):
     joint = sandwich(2.0, 0.5, 0.5, 0.5)
     load = {"TOP": lambda x, t: (0.3 * t, 0.5 * t)}
     structure = Structure(joint, body=LinearElastic(60.0, 40.0), supports={"BOTTOM": 0}, tractions=load)
-    return march(structure.interface(ThinLayer(LinearElastic(3.0, 2.0), 0.1)), list(times))
+    return march(structure.interface(ThinLayer(LinearElastic(3.0, 2.0), 0.1, at=1.0)), list(times))
 
 
 @pytest.fixture(scope="module")

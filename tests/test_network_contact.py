@@ -102,8 +102,8 @@ def test_contact_beside_a_compiled_law():
     )
     one, other = LinearElastic(0.5, 1.0), LinearElastic(0.2, 1.5)
     series = LinearElastic(2 / (1 / 2.5 + 1 / 3.2) - 2 * 1.2, 1.2)  # lmbda + 2 mu and mu are harmonic means
-    stacked = bricks.interface({"BED": BED, "HEAD": ThinLayer(Stack((0.5, one), (0.5, other)), 0.01)})
-    plain = bricks.interface({"BED": BED, "HEAD": ThinLayer(series, 0.01)})
+    stacked = bricks.interface({"BED": BED, "HEAD": ThinLayer(Stack((0.5, one), (0.5, other)), 0.01, at=1.0)})
+    plain = bricks.interface({"BED": BED, "HEAD": ThinLayer(series, 0.01, at=1.0)})
     require_equal(solve(stacked), solve(plain, method="newton"))
     with pytest.raises(ModelError, match="linear, symmetric parts and layers"):
         solve(stacked, method="condensed")

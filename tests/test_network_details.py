@@ -130,8 +130,8 @@ def test_laws_that_start_at_rest_on_several_seams():
     supports = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: 1e-3 * t, "y": lambda x, t: -5e-4 * t}}
     bricks = Structure(joint, body=ROCK, supports=supports)
     layers = {
-        "BED": ThinLayer(Norton(2.0, 1.0, 3.0, 1.5), 0.01),
-        "HEAD": ThinLayer(KelvinVoigt(2.0, 1.0, 0.7, 0.5), 0.01),
+        "BED": ThinLayer(Norton(2.0, 1.0, 3.0, 1.5), 0.01, at=1.0),
+        "HEAD": ThinLayer(KelvinVoigt(2.0, 1.0, 0.7, 0.5), 0.01, at=1.0),
     }
     history = march(bricks.interface(layers), [0.5, 1.0])
     assert history.states[0].dissipated == {"BED": 0.0, "HEAD": 0.0}
@@ -203,7 +203,7 @@ def test_stiffness_of_a_cell_with_sublayers():
     first, second, head = LinearElastic(0.8, 2.1), LinearElastic(1.0, 0.5), springs(3.0, 1.3)
     across, along = (1 / (0.3 / a + 0.7 / b) for a, b in ((5.0, 2.0), (2.1, 0.5)))
     stacked = homogenised_stiffness(
-        cell.interface({"BED": ThinLayer(Stack((0.3, first), (0.7, second)), 0.01), "HEAD": head})
+        cell.interface({"BED": ThinLayer(Stack((0.3, first), (0.7, second)), 0.01, at=1.0), "HEAD": head})
     )
     assert stacked == pytest.approx(
         homogenised_stiffness(cell.interface({"BED": springs(across, along), "HEAD": head}))
@@ -239,11 +239,11 @@ def test_laws_without_a_stiffness_of_a_cell():
     cell = Structure(bond_cell((2.0, 1.0), h=0.5), body=ROCK, supports={})
     for law in (Maxwell(2.0, 1.0, 0.7), KelvinVoigt(2.0, 1.0, 0.7, 0.5)):
         with pytest.raises(ModelError, match="there is no stiffness but at a state; march under"):
-            homogenised_stiffness(cell.interface({"BED": ThinLayer(law, 0.01), "HEAD": springs(3.0, 1.3)}))
-    assert homogenised_stiffness(cell.interface(ThinLayer(Incompressible(0.7), 0.01))).shape == (3, 3)
+            homogenised_stiffness(cell.interface({"BED": ThinLayer(law, 0.01, at=1.0), "HEAD": springs(3.0, 1.3)}))
+    assert homogenised_stiffness(cell.interface(ThinLayer(Incompressible(0.7), 0.01, at=1.0))).shape == (3, 3)
     strip = Structure(periodic(sandwich(4.0, 1.0, 1.0, 0.5), ("LEFT", "RIGHT")), body=ROCK, supports={})
     with pytest.raises(ModelError, match="the layer 'S' is of order 1, whose strains along S have a part of the mean"):
-        homogenised_stiffness(strip.interface(ThinLayer(LinearElastic(0.8, 2.1), 0.01, order=1)))
+        homogenised_stiffness(strip.interface(ThinLayer(LinearElastic(0.8, 2.1), 0.01, order=1, at=1.0)))
 
 
 def test_places_of_contact_in_a_cell():

@@ -252,7 +252,7 @@ def test_refused_layers():
         bricks.interface({"BEDS": layer, "HEAD": layer})
     refused(ModelError, "the seam 'HEAD' has no layer", lambda: bricks.interface({"BED": layer}))
     with pytest.raises(ModelError, match=r"order=1 needs an S without junctions, and the layer 'BED' meets .*at \("):
-        bricks.interface({"BED": ThinLayer(LinearElastic(1.0, 1.0), 0.01, order=1), "HEAD": layer})
+        bricks.interface({"BED": ThinLayer(LinearElastic(1.0, 1.0), 0.01, order=1, at=1.0), "HEAD": layer})
     refused(ModelError, "unknown seam 'BEDS'", lambda: Surface(bricks.interface(layer), "BEDS"))
     with pytest.raises(ModelError, match="method='multigrid' is for one seam without branches"):
         solve(
@@ -273,10 +273,10 @@ def test_order_one_beside_a_seam_that_ends():
     ends = {"BOTTOM": 0.0, "TOP": {"x": 0.1, "y": -0.05}}
     bodies = lambda joint: Structure(joint, body=ROCK, supports=ends, element="Q2")
     total = lambda model: sum(solve(model).energies()[part] for part in ("bodies", "layer"))
-    closed = ThinLayer(LinearElastic(1e8, 1e8), 1e-8)
+    closed = ThinLayer(LinearElastic(1e8, 1e8), 1e-8, at=1.0)
     found = []
     for order in (0, 1):
-        layer = ThinLayer(law.per_thickness(0.2), 0.2, order=order)
+        layer = ThinLayer(law, 0.2, order=order)
         beside = bodies(apart).interface({"GLUE": layer, "CRACK": closed})
         found.append((total(bodies(SQUARE).interface(layer)), total(beside)))
     for joint in (meeting, in_line):
@@ -294,7 +294,10 @@ def test_order_one_beside_a_seam_that_ends():
 def test_two_incompressible_seams(element):
     """They do not open: as layers that hardly do; each has its pressure, which is the stress across it."""
     soft, hard = 0.7, 0.45  # shear, per thickness
-    layers = {"HEAD": ThinLayer(Incompressible(hard), 0.007), "BED": ThinLayer(Incompressible(soft), 0.01)}
+    layers = {
+        "HEAD": ThinLayer(Incompressible(hard), 0.007, at=1.0),
+        "BED": ThinLayer(Incompressible(soft), 0.01, at=1.0),
+    }
     nearly = {"BED": springs(1e6, soft, 0.01), "HEAD": springs(1e6, hard, 0.007)}
     state, other = solve(panel(element, 0.125, **layers), 1.0), solve(panel(element, 0.125, **nearly), 1.0)
     found, expected = state.energies(), other.energies()

@@ -113,7 +113,7 @@ def test_scaling(name):
     E = jump_strain(w, n)
     there = at(law, E, n=n, phase=phase)
     for eps in (1e-3, 0.5):
-        real = real_law(ThinLayer(law, eps), LIFTED)
+        real = real_law(ThinLayer(law, eps, at=1.0), LIFTED)
         numbers = real.parameters()
         assert (numbers["lmbda"], numbers["mu"], numbers["alpha"], numbers["transformation_energy"]) == pytest.approx(
             (LMBDA * eps, MU * eps, ALPHA, C / eps), rel=1e-15
@@ -124,9 +124,9 @@ def test_scaling(name):
             assert answer.stress == pytest.approx(there.stress, rel=1e-11, abs=1e-12)
             assert eps * answer.energies == pytest.approx(there.energies, rel=1e-10, abs=1e-14)
             assert answer.q[:, 0] == pytest.approx(there.q[:, 0], abs=1e-11)
-        per_thickness = built.per_thickness(eps).parameters()
+        limit = built.scaled(1 / eps).parameters()
         for key, value in law.parameters().items():
-            assert per_thickness[key] == pytest.approx(value, rel=1e-14)
+            assert limit[key] == pytest.approx(value, rel=1e-14)
     wrong = law.with_parameters(
         {"lmbda": LMBDA * eps, "mu": MU * eps, "transformation_energy": C}
     )  # "the same power" for alpha and C

@@ -70,9 +70,9 @@ def test_a_field_of_temperatures():
     assert values["T"] == pytest.approx([3.0, 13.0, 23.0])
     assert values["transformation_energy"] == pytest.approx([0.013, 0.023, 0.033])
     assert values["alpha"] == pytest.approx(3 * [ALPHA])
-    real = real_law(ThinLayer(law, EPS), LIFTED)
+    real = real_law(ThinLayer(law, EPS, at=1.0), LIFTED)
     assert real.at(x, 3.0)["transformation_energy"] == pytest.approx(values["transformation_energy"] / EPS)
-    assert real.per_thickness(EPS).at(x, 3.0)["transformation_energy"] == pytest.approx(values["transformation_energy"])
+    assert real.scaled(1 / EPS).at(x, 3.0)["transformation_energy"] == pytest.approx(values["transformation_energy"])
     w = np.array([[0.0, 0.02, 0.0]] * 3)
     n = np.tile(E2, (3, 1))
     for one, eps in ((law, 1.0), (real, EPS)):
@@ -91,11 +91,11 @@ def test_a_field_of_temperatures():
     assert arrays.at(x, 0.0)["alpha"] == pytest.approx(3 * [ALPHA])
 
 
-def test_functions_of_temperature_per_thickness():
+def test_functions_of_temperature_of_another_thickness():
     """Functions are scaled as numbers are: a law of real values, in a layer of thickness EPS."""
     for T in (15.0, lambda x, t: 15.0 + 0 * x[0]):
         real = NonMonotone(LMBDA * EPS, MU * EPS, lambda T: 0.08 * T, lambda T: T / 1000 / EPS, CHI2, T=T)
-        law = real.per_thickness(EPS)
+        law = real.scaled(1 / EPS)
         values = law.at(np.zeros((2, 1)), 0.0) if law.traits.varies else law.parameters()
         assert [*np.ravel(values["alpha"]), *np.ravel(values["transformation_energy"])] == pytest.approx(
             [1.2, 0.015], rel=1e-14

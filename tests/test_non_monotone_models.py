@@ -115,7 +115,7 @@ def test_loop(mode, element, eps):
     down, far = up - a * compliance, 2 * up
     move = piecewise({0: 0, 1: far, 3: -far, 4: -0.1 * far})  # it turns within a step
     setup = tall_column(mode, move=move) | {"element": element}
-    limit, full = both(joint() if element == "P2" else quads(), ThinLayer(law, eps), setup, [1.0, 2.2, 4.0])
+    limit, full = both(joint() if element == "P2" else quads(), ThinLayer(law, eps, at=1.0), setup, [1.0, 2.2, 4.0])
     check_same(limit, full)
     times = [up / far, 2 - down / far, 2 + up / far, 3 + (1 - down / far) / 0.9]
     for history in (limit, full):
@@ -134,7 +134,7 @@ def test_bar(element):
     """Phases 0 and 1 in any order through the thickness: no tangent stiffness, but one elongation, energy and boundary."""
     cell = "triangle" if element == "P2" else "quadrilateral"
     strip = block(1.0, 1.0, 1.0, cell=cell, structured=True)
-    layer = ThinLayer(NonMonotone(0.0, BAR.kbar / 2, BAR.alpha, BAR.cbar, np.diag([0.0, 1.0])), BAR.eps)
+    layer = ThinLayer(NonMonotone(0.0, BAR.kbar / 2, BAR.alpha, BAR.cbar, np.diag([0.0, 1.0])), BAR.eps, at=1.0)
     supports = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "TOP": {"x": 0.0, "y": lambda x, t: t}}
     bar = Structure(strip, body=LinearElastic(0.0, BAR.K / 2), supports=supports, element=element)
     limit, full = bar.interface(layer), bar.full(layer, bodies="extended", cells_through=4)
@@ -165,7 +165,8 @@ def test_order_and_wrong_laws():
     on_s["one branch"] = Formula.of(law, minus=0.0)
     surface = Surface(Structure(where, **setup).interface(ThinLayer(law, 1.0)))
     full = {
-        eps: solve(Structure(where, **setup).full(ThinLayer(law, eps), cells_through=1)) for eps in (1 / 32, 1 / 64)
+        eps: solve(Structure(where, **setup).full(ThinLayer(law, eps, at=1.0), cells_through=1))
+        for eps in (1 / 32, 1 / 64)
     }
     errors = {}
     for name, one in on_s.items():
@@ -195,7 +196,7 @@ def test_snap_by_heating():
     w = d / (1 + compliance * K)
     hot = brentq(lambda T: float(OF_T(T)) - a * w, 20, 100)
     setup = tall_column("normal", move=lambda x, t: ufl.min_value(d, 10 * d * t))
-    limit, full = both(joint(), ThinLayer(law, 0.02), setup, [0.1, 0.5, 1.0])
+    limit, full = both(joint(), ThinLayer(law, 0.02, at=1.0), setup, [0.1, 0.5, 1.0])
     check_same(limit, full)
     for history in (limit, full):
         (snap,) = history.snaps
@@ -203,16 +204,16 @@ def test_snap_by_heating():
         assert PhaseReport(history.at(0.1)).plus == 0
         assert PhaseReport(history.last).plus == pytest.approx(1)
         check_balance(history)
-    cold = both(joint(), ThinLayer(heated(hot - 1), 0.02), setup, [0.1, 1.0])
+    cold = both(joint(), ThinLayer(heated(hot - 1), 0.02, at=1.0), setup, [0.1, 1.0])
     assert not any(history.snaps for history in cold)
-    assert all(len(h.snaps) == 1 for h in both(joint(), ThinLayer(heated(hot + 1), 0.02), setup, [0.1, 1.0]))
+    assert all(len(h.snaps) == 1 for h in both(joint(), ThinLayer(heated(hot + 1), 0.02, at=1.0), setup, [0.1, 1.0]))
 
 
 def test_work_of_a_change_of_temperature():
     """A layer in phase 1 under a dead load: what alpha(T) and C(T) do to its energy at held strains is in `remainder`."""
     alpha, K, load = (lambda T: 1.2 - 0.3 * T), STIFFNESS["normal"], 100.0
     law = NonMonotone(LMBDA, MU, alpha, lambda T: 0.3 + 0.05 * T, CHIS["normal"], T=lambda x, t: t + 0 * x[0])
-    model = Structure(joint(), **tall_column("normal", load=load)).interface(ThinLayer(law, 0.02))
+    model = Structure(joint(), **tall_column("normal", load=load)).interface(ThinLayer(law, 0.02, at=1.0))
     history = march(model, [0.5, 1.0])
     a = 0.7 * alpha(np.array(history.t))
     w = (load + a) / K
@@ -233,12 +234,12 @@ def test_temperature_along_s():
     switched = OF_T(25 + 60 * middle) < drive
     assert 2 < switched.sum() < 6
     for make in (Structure.interface, Structure.full):
-        pure = PhaseReport(solve(make(Structure(where, **setup), ThinLayer(heated(T), 0.02))))
+        pure = PhaseReport(solve(make(Structure(where, **setup), ThinLayer(heated(T), 0.02, at=1.0))))
         assert pure.profile()[0][:, 0] == pytest.approx(middle)
         assert pure.profile()[1] == pytest.approx(switched.astype(float))
     alpha = Tabulated([(20.0, 0.9), (100.0, 1.1)])
     law = heated(T, kind=NonMonotone, alpha=alpha)
-    state = solve(Structure(where, **setup).interface(ThinLayer(law, 0.02)))
+    state = solve(Structure(where, **setup).interface(ThinLayer(law, 0.02, at=1.0)))
     x = quadratures(state.model)["layer"].joint_x[0]
     a, C = alpha(25 + 60 * x), OF_T(25 + 60 * x)
     expected = np.clip(0.5 + (a * 0.7 * 0.02 - C) / (a**2 * law.G), 0, 1)
@@ -250,7 +251,7 @@ def test_temperature_beyond_its_table(tmp_path):
     """A march that would get there is refused before its first step, in every model."""
     law, seen = heated(lambda x, t: 50 + 60 * t * x[0]), []
     for make in (Structure.interface, Structure.full):
-        model = make(Structure(joint(), **tall_column("normal", move=0.01)), ThinLayer(law, 0.02))
+        model = make(Structure(joint(), **tall_column("normal", move=0.01)), ThinLayer(law, 0.02, at=1.0))
         with pytest.raises(LawError, match=r"transformation_energy\(T\): T is 1\d\d\.?\d*; the table knows 20 to 100"):
             march(model, [0.5, 1.0], out=tmp_path / "out", observe={"seen": lambda state: seen.append(1) or 1.0})
         with pytest.raises(LawError, match="the table knows 20 to 100"):
@@ -289,7 +290,7 @@ def test_phases_by_hand():
 def test_sublayer(eps):
     """An elastic sublayer below the one that changes: a mixture by the closed form of springs in series, opened, closed."""
     soft, a, law = LinearElastic(20.0, 90.0), ALPHA * 0.7, NonMonotone(LMBDA, MU, ALPHA, 0.02, CHIS["normal"])
-    layer = ThinLayer(Stack((0.3, soft), (0.7, law)), eps)
+    layer = ThinLayer(Stack((0.3, soft), (0.7, law)), eps, at=1.0)
     below = COMPLIANCE["normal"] + 0.3 / (soft.lmbda + 2 * soft.mu)
     K, g = STIFFNESS["normal"], ALPHA**2 * law.G
 
@@ -331,18 +332,18 @@ def solid():
 @pytest.mark.parametrize("kind", [NonMonotone, NonMonotoneUnrelaxed])
 def test_refused(kind):
     law, deep = kind(LMBDA, MU, ALPHA, 0.02, CHI), kind(LMBDA, MU, ALPHA, 0.02, CHI3)
-    setup, layer = {"body": BODY, "supports": FIXED}, ThinLayer(law, 0.1)
+    setup, layer = {"body": BODY, "supports": FIXED}, ThinLayer(law, 0.1, at=1.0)
     for make in (Structure.interface, Structure.full):
         with pytest.raises(LawError, match=r"shape of chi is \(2, 2\); allowed: \(3, 3\) in a model of dimension 3"):
             make(Structure(solid(), **setup), layer)
         with pytest.raises(LawError, match=r"shape of chi is \(3, 3\); allowed: \(2, 2\) in a model of dimension 2"):
-            make(Structure(joint(), **setup), ThinLayer(deep, 0.1))
+            make(Structure(joint(), **setup), ThinLayer(deep, 0.1, at=1.0))
         with pytest.raises(
             ModelError, match=f"{kind.__name__} is for layers: its phases are those of a layer's columns"
         ):
             make(Structure(joint(), **setup | {"body": law}), layer)
     bonded = solve(Structure(joint(), **setup).bonded())
-    elastic = solve(Structure(joint(), **setup).interface(ThinLayer(BODY, 0.1)))
+    elastic = solve(Structure(joint(), **setup).interface(ThinLayer(BODY, 0.1, at=1.0)))
     for state in (bonded, elastic):
         with pytest.raises(ModelError, match="PhaseReport needs a layer whose law has phases"):
             PhaseReport(state)
@@ -352,10 +353,12 @@ def test_refused(kind):
 
 def test_refused_pure_phases():
     with pytest.raises(LawError, match="order=1 of NonMonotoneUnrelaxed: its phases are those of jumps alone"):
-        ThinLayer(PURE, 0.1, order=1)
+        ThinLayer(PURE, 0.1, order=1, at=1.0)
     with pytest.raises(LawError, match="Stack: a sublayer is NonMonotoneUnrelaxed"):
         Stack((0.5, PURE), (0.5, BODY))
     deep = NonMonotoneUnrelaxed(LMBDA, MU, ALPHA, 0.02, CHI3)
-    state = solve(Structure(solid(), body=BODY, supports={"BOTTOM": 0.0, "TOP": 0.0}).interface(ThinLayer(deep, 0.1)))
+    state = solve(
+        Structure(solid(), body=BODY, supports={"BOTTOM": 0.0, "TOP": 0.0}).interface(ThinLayer(deep, 0.1, at=1.0))
+    )
     with pytest.raises(ModelError, match=r"in 3D look at profile\(\)"):
         assert PhaseReport(state).fronts

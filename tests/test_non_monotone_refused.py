@@ -108,7 +108,7 @@ def test_where_the_laws_have_no_place():
     """Columns that switch are not points in series; bodies have no axes; softening localises; dimensions."""
     pure, relaxed = PURE["2D"], RELAXED["2D"]
     refused(LawError, "Stack: a sublayer is NonMonotoneUnrelaxed", lambda: Stack((0.5, STIFF), (0.5, pure)))
-    refused(LawError, "order=1 of NonMonotoneUnrelaxed", lambda: ThinLayer(pure, 0.1, order=1))
+    refused(LawError, "order=1 of NonMonotoneUnrelaxed", lambda: ThinLayer(pure, 0.1, order=1, at=1.0))
     with pytest.raises(LawError, match=r"shape of chi is \(3, 3\); allowed: \(2, 2\) in plane stress"):
         RELAXED["3D"].plane_stress()
     for law, n in ((relaxed, (0, 1, 0)), (RELAXED["3D"], (0, 1)), (Stack((0.5, STIFF), (0.5, relaxed)), (0, 0, 1))):
@@ -126,4 +126,4 @@ def test_where_the_laws_have_no_place():
         (Structure.full, STEEP, STIFF, ModelError, "falls as strains grow.*take mixing=1, or NonMonotoneUnrelaxed"),
     ):
         with pytest.raises(error, match=message):
-            build(Structure(plates, body=body, **setup), ThinLayer(law, 0.1))
+            build(Structure(plates, body=body, **setup), ThinLayer(law, 0.1, at=1.0))

@@ -17,7 +17,7 @@ from thinlayer import Structure, Surface, ThinLayer, solve
 def test_force_of_a_support_is_conjugate_to_its_displacement(kind):
     """Clapeyron: half of force times displacement is the energy; the jump of a column follows from its stiffness."""
     joint = block(1.4, 0.8, 0.4, cell="quadrilateral", structured=True)
-    body, layer = LinearElastic(3.0, 2.0), ThinLayer(LinearElastic(0.4, 0.7), 0.1)
+    body, layer = LinearElastic(3.0, 2.0), ThinLayer(LinearElastic(0.4, 0.7), 0.1, at=1.0)
     shape = lambda x: 1.2 - 0.3 * x[0]
     sides = {"LEFT": {"x": 0}, "RIGHT": {"x": 0}}
     model = kind(Structure(joint, supports=sides | {"TOP": {"y": lambda x, t: 0.05 * shape(x)}}, body=body), layer)

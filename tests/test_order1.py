@@ -24,7 +24,7 @@ def rows(law_at, eps, cell, order=1, h=1 / 32):
     joint, setup = fourier(h, cell=cell)
     found = []
     for e in eps:
-        layer = ThinLayer(law_at(e), e, order=order)
+        layer = ThinLayer(law_at(e), e, order=order, at=1.0)
         limit = solve(Structure(joint, **setup).interface(layer))
         found.append(compare(solve(Structure(joint, **setup).full(layer)), limit))
     return found
@@ -62,7 +62,7 @@ def test_fourier_states_of_the_next_order():
     joint, setup = fourier(1 / 16, cell="quadrilateral")
     eps, law = 1 / 8, LinearElastic.shear(40.0, 0.499)
     with pytest.warns(RangeWarning):
-        state = solve(Structure(joint, **setup).interface(ThinLayer(law, eps, order=1)))
+        state = solve(Structure(joint, **setup).interface(ThinLayer(law, eps, order=1, at=1.0)))
     body = expm(reference.strip(*reference.BODY) * reference.HEIGHT)
     found = []
     for locked in (False, True):
@@ -80,7 +80,7 @@ def test_fourier_states_of_the_next_order():
 @pytest.mark.parametrize("law", LAYERS.values(), ids=LAYERS)
 def test_layer_with_moduli_held(law):
     eps = (1 / 32, 1 / 128, 1 / 256, 1 / 512)
-    found = rows(law.per_thickness, eps, "quadrilateral")
+    found = rows(lambda e: law.scaled(1 / e), eps, "quadrilateral")
     errors = [row["error_traction"] for row in found]
     for e, error in zip(eps, errors, strict=True):  # what the laws leave, less than the error of either model's mesh
         moduli = law.lmbda / e, law.mu / e
@@ -89,7 +89,7 @@ def test_layer_with_moduli_held(law):
     assert all(order >= 2.5 for order in observed_orders(eps, errors)[2:])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RangeWarning)  # of the hard layer
-        limit_law = rows(law.per_thickness, eps[:1], "quadrilateral", order=0)[0]["error_traction"]
+        limit_law = rows(lambda e: law.scaled(1 / e), eps[:1], "quadrilateral", order=0)[0]["error_traction"]
     assert errors[0] < 0.1 * limit_law
 
 
@@ -104,9 +104,9 @@ def test_rigid_base():
     eps = (1 / 64, 1 / 128)
     errors = {0: [], 1: []}
     for e in eps:
-        full = solve(Structure(joint, **setup).full(ThinLayer(FOURIER_LAYER, e)))
+        full = solve(Structure(joint, **setup).full(ThinLayer(FOURIER_LAYER, e, at=1.0)))
         for order, found in errors.items():
-            layer = ThinLayer(FOURIER_LAYER, e, order=order)
+            layer = ThinLayer(FOURIER_LAYER, e, order=order, at=1.0)
             found.append(compare(full, solve(Structure(joint, **setup).interface(layer)))["error_jump"])
     assert observed_orders(eps, errors[0])[-1] == pytest.approx(1.0, abs=0.1)
     assert observed_orders(eps, errors[1])[-1] == pytest.approx(2.0, abs=0.1)
@@ -120,9 +120,9 @@ def test_memory_and_rate(law):
     joint, setup = fourier(1 / 16, cell="quadrilateral")
     eps, errors, times = (1 / 16, 1 / 32), {0: [], 1: []}, [0.1, 0.2, 0.4]
     for e in eps:
-        full = march(Structure(joint, **setup).full(ThinLayer(law, e)), times)
+        full = march(Structure(joint, **setup).full(ThinLayer(law, e, at=1.0)), times)
         for order, found in errors.items():
-            limit = Structure(joint, **setup).interface(ThinLayer(law, e, order=order))
+            limit = Structure(joint, **setup).interface(ThinLayer(law, e, order=order, at=1.0))
             found.append(compare(full, march(limit, times))["error_traction"])
     assert observed_orders(eps, errors[0])[1] == pytest.approx(1.0, abs=0.1)
     assert observed_orders(eps, errors[1])[1] == pytest.approx(2.0, abs=0.1)
@@ -135,9 +135,9 @@ def test_free_ends():
     setup = {"body": body, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.3, -1.0)}}
     eps, errors = (1 / 32, 1 / 64), {0: [], 1: []}
     for e in eps:
-        full = solve(Structure(joint, **setup).full(ThinLayer(FOURIER_LAYER, e)))
+        full = solve(Structure(joint, **setup).full(ThinLayer(FOURIER_LAYER, e, at=1.0)))
         for order, found in errors.items():
-            layer = ThinLayer(FOURIER_LAYER, e, order=order, edges="plain")
+            layer = ThinLayer(FOURIER_LAYER, e, order=order, edges="plain", at=1.0)
             found.append(compare(full, solve(Structure(joint, **setup).interface(layer)))["error_jump"])
     assert observed_orders(eps, errors[0])[1] == pytest.approx(1.0, abs=0.1)
     assert 0.5 < observed_orders(eps, errors[1])[1] < 0.95
@@ -145,7 +145,7 @@ def test_free_ends():
 
 
 def test_refused():
-    joint, layer = sandwich(1.0, 0.5, 0.5, 0.25), ThinLayer(FOURIER_LAYER, 0.1, order=1)
+    joint, layer = sandwich(1.0, 0.5, 0.5, 0.25), ThinLayer(FOURIER_LAYER, 0.1, order=1, at=1.0)
     setup = {"body": FOURIER_LAYER, "supports": {"BOTTOM": 0.0}}
     full, limit = (Structure(joint, **setup) for _ in range(2))
     with pytest.raises(
@@ -159,4 +159,4 @@ def test_refused():
 
 def test_orders():
     with pytest.raises(LawError, match="allowed: 0, 1"):
-        ThinLayer(FOURIER_LAYER, 0.1, order=2)
+        ThinLayer(FOURIER_LAYER, 0.1, order=2, at=1.0)

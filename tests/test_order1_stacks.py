@@ -41,8 +41,8 @@ def found(law, limit=None, eps=EPS, h=1 / 16, **more):
     joint, setup = fourier(h, **MESH)
     structure, rows = Structure(joint, **setup, **more), []
     for e in eps:
-        full = solve(structure.full(ThinLayer(law, e)))
-        state = solve(structure.interface(ThinLayer(limit or law, e, order=1)))
+        full = solve(structure.full(ThinLayer(law, e, at=1.0)))
+        state = solve(structure.interface(ThinLayer(limit or law, e, order=1, at=1.0)))
         row, works = compare(full, state), [one.energies()["loads"] for one in (full, state)]
         rows.append((*(row[name] for name in QUANTITIES), abs(works[0] / works[1] - 1)))
     return rows
@@ -120,7 +120,7 @@ def test_equal_sublayers_are_one_layer():
         Stack((0.3, FOURIER_LAYER), (0.2, FOURIER_LAYER), (0.5, FOURIER_LAYER)),
         Stack((1, FOURIER_LAYER)),
     )
-    one, three, same = (solve(structure.interface(ThinLayer(law, 0.1, order=1))).energies() for law in laws)
+    one, three, same = (solve(structure.interface(ThinLayer(law, 0.1, order=1, at=1.0))).energies() for law in laws)
     assert three == pytest.approx(one, rel=1e-11)
     assert same == one
 
@@ -134,7 +134,9 @@ def test_the_order_of_sublayers():
         places = ("TOP", "BOTTOM") if below else ("BOTTOM", "TOP")
         load = lambda x, t: (x[0] * (1 - x[0]), (-1 if below else 1) * (0.3 + x[0] ** 2))
         setup = {"supports": sides | {places[0]: 0.0}, "tractions": {places[1]: load}}
-        return solve(Structure(joint, body=FOURIER_BODY, **setup).interface(ThinLayer(law, 0.1, order=1))).energies()
+        return solve(
+            Structure(joint, body=FOURIER_BODY, **setup).interface(ThinLayer(law, 0.1, order=1, at=1.0))
+        ).energies()
 
     mirrored = Stack(*law.sublayers[::-1])
     assert energies(mirrored, True) == pytest.approx(energies(law, False), rel=1e-10)
@@ -145,7 +147,10 @@ def test_other_numbers_on_the_same_model():
     """`with_layer` gives what a model of its own gives, whatever the number of sublayers."""
     joint, setup = fourier(1 / 8, **MESH)
     structure = Structure(joint, **setup)
-    model, other = structure.interface(ThinLayer(stack(TWO), 0.1, order=1)), ThinLayer(stack(THREE), 0.05, order=1)
+    model, other = (
+        structure.interface(ThinLayer(stack(TWO), 0.1, order=1, at=1.0)),
+        ThinLayer(stack(THREE), 0.05, order=1, at=1.0),
+    )
     solve(model)
     assert solve(model.with_layer(other)).energies() == pytest.approx(
         solve(structure.interface(other)).energies(), rel=1e-12
@@ -159,7 +164,8 @@ def test_a_graded_layer():
     joint, setup = fourier(1 / 8, **MESH)
     structure = Structure(joint, **setup)
     jumps = [
-        solve(structure.interface(ThinLayer(Stack.graded(graded, n), 0.1, 1))).energies()["layer"] for n in (8, 16, 32)
+        solve(structure.interface(ThinLayer(Stack.graded(graded, n), 0.1, 1, at=1.0))).energies()["layer"]
+        for n in (8, 16, 32)
     ]
     assert np.log2((jumps[1] - jumps[0]) / (jumps[2] - jumps[1])) == pytest.approx(2.0, abs=0.1)
     for n in (0, 2.5, "2"):
@@ -179,9 +185,9 @@ def test_planes(plane, sublayers):
     }
     structure, rows, wrong = Structure(joint, **setup), [], []
     for e in EPS[1:]:
-        full = solve(structure.full(ThinLayer(stack(sublayers), e)))
+        full = solve(structure.full(ThinLayer(stack(sublayers), e, at=1.0)))
         for law, some in ((stack(sublayers), rows), (stack(sublayers[::-1]), wrong)):
-            row = compare(full, solve(structure.interface(ThinLayer(law, e, order=1))))
+            row = compare(full, solve(structure.interface(ThinLayer(law, e, order=1, at=1.0))))
             some.append([row[name] for name in QUANTITIES])
     assert orders(rows, EPS[1:]) == pytest.approx([2.0, 2.0], abs=0.15)
     assert max(orders(wrong, EPS[1:])) < 1.6
@@ -193,7 +199,7 @@ def test_eigenstrains():
     structure, rows = Structure(joint, **setup), []
     for e in EPS[1:]:
         full, limit = (
-            solve(build(ThinLayer(stack(TWO), e, order, eigenstrain=varying(2e-2))))
+            solve(build(ThinLayer(stack(TWO), e, order, eigenstrain=varying(2e-2), at=1.0)))
             for build, order in ((structure.full, 0), (structure.interface, 1))
         )
         rows.append([compare(full, limit)[name] for name in QUANTITIES])
@@ -208,7 +214,7 @@ def numbers() -> list[float]:
         Stack((0.3, LinearElastic(400.0, 20.0)), (0.7, LinearElastic(60.0, 5.0))),
         Stack.graded(lambda y: LinearElastic(60.0 + 30.0 * y, 40.0 - 25.0 * y), 4),
     ):
-        state = solve(Structure(joint, **setup).interface(ThinLayer(law, 0.1, order=1)))
+        state = solve(Structure(joint, **setup).interface(ThinLayer(law, 0.1, order=1, at=1.0)))
         surface = Surface(state.model)
         found += [surface.norm(surface.jump(state)), surface.norm(surface.traction(state)), *state.energies().values()]
     return found
@@ -235,12 +241,12 @@ def test_refused(law):
     with pytest.raises(
         LawError, match=rf"order=1 of a Stack with the sublayer {type(law).__name__}.*use order=0, or mesh"
     ):
-        ThinLayer(both, 0.1, order=1)
-    assert ThinLayer(both, 0.1).order == 0
+        ThinLayer(both, 0.1, order=1, at=1.0)
+    assert ThinLayer(both, 0.1, at=1.0).order == 0
     with pytest.raises(LawError, match="a sublayer"):
         Stack((0.5, FOURIER_LAYER), (0.5, Incompressible(3.0)))
     with pytest.raises(LawError, match="order=1 of a Stack with parameters that are functions"):
-        ThinLayer(Stack((0.4, FOURIER_LAYER), (0.6, LinearElastic(lambda x: 60 + x[0], 40.0))), 0.1, order=1)
+        ThinLayer(Stack((0.4, FOURIER_LAYER), (0.6, LinearElastic(lambda x: 60 + x[0], 40.0))), 0.1, order=1, at=1.0)
 
 
 def test_one_that_varies_in_time_is_refused():
@@ -251,7 +257,7 @@ def test_one_that_varies_in_time_is_refused():
             return {"mu": self.mu * (1 + t) + 0 * x[0]}
 
     with pytest.raises(LawError, match="sublayer Ageing"):
-        ThinLayer(Stack((0.4, FOURIER_LAYER), (0.6, Ageing(60.0, 40.0))), 0.1, order=1)
+        ThinLayer(Stack((0.4, FOURIER_LAYER), (0.6, Ageing(60.0, 40.0))), 0.1, order=1, at=1.0)
 
 
 def test_no_warnings():

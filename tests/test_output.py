@@ -116,7 +116,7 @@ def test_a_resumed_sweep_has_the_columns_of_a_whole_one(tmp_path):
 def states(request):
     cell, element = request.param
     joint, setup = fourier(1 / 8, cell=cell)
-    layer = ThinLayer(FOURIER_LAYER, 0.1)
+    layer = ThinLayer(FOURIER_LAYER, 0.1, at=1.0)
     return [
         solve(build(Structure(joint, element=element, **setup), layer))
         for build in (Structure.full, Structure.interface)

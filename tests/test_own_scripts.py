@@ -228,7 +228,10 @@ MOVES = {
 def test_same_as_a_model(kind, name, plane):
     """The same mesh, bodies, layer and steps, as a Model and in a script: displacements and energies."""
     law, eps = MOVES[name]
-    layer, degree = ThinLayer(law, eps, order=int("order 1" in name), edges="plain"), 2 if kind != "hexahedron" else 1
+    layer, degree = (
+        ThinLayer(law, eps, order=int("order 1" in name), edges="plain", at=1.0),
+        2 if kind != "hexahedron" else 1,
+    )
     blocks = Blocks(kind, degree, plane=plane)
     kinematics, along = blocks.broken.kinematics, 0.0 if plane == "axisymmetric" else 0.004
     moves = [np.array([along * k, -0.001 * k, 0.002 * k][: blocks.d]) for k in (1, 2, 3)]
@@ -262,7 +265,7 @@ def test_hyperelastic_column(kind):
             sub = blocks.V.sub(axis)
             at = mesh.locate_entities_boundary(blocks.grid, d - 1, lambda x, a=axis, p=place: np.isclose(x[a], p))
             blocks.bcs.append(fem.dirichletbc(0.0, fem.locate_dofs_topological(sub, d - 1, at), sub))
-    terms = blocks.broken.layer(LAYER, ThinLayer(LinearElastic(60.0, 40.0), 0.01))
+    terms = blocks.broken.layer(LAYER, ThinLayer(LinearElastic(60.0, 40.0), 0.01, at=1.0))
     blocks.solve(terms, [np.array([0.0, -0.2, 0.0][:d])], 0.0, ufl.derivative(psi * ufl.dx, u, v))
 
     def stress(s):
@@ -314,7 +317,7 @@ def test_stresses_of_heat_that_balance_themselves():
     hot.x.array[blocks.cells.find(UPPER)] = 1e-3
     stress = lame(STONE.lmbda, STONE.mu, lift(ufl.sym(ufl.grad(blocks.u)) - hot * ufl.Identity(2)))
     form = ufl.inner(stress, lift(ufl.sym(ufl.grad(blocks.v)))) * ufl.dx
-    terms = blocks.broken.layer(LAYER, ThinLayer(LinearElastic(6.0, 4.0), 0.01))
+    terms = blocks.broken.layer(LAYER, ThinLayer(LinearElastic(6.0, 4.0), 0.01, at=1.0))
     problem = blocks.solve(terms, 2 * [np.zeros(2)], 0.5, form)
     assert np.ptp(blocks.u.x.array) > 1e-4
     problem.begin(0.5)
@@ -343,8 +346,8 @@ def test_wall_in_running_bond():
         assert V.dofmap.index_map.size_global == 550
         u = fem.Function(V)
         terms = [body(LinearElastic.young(20.0, 0.2), ufl.Measure("dx", domain=grid))]
-        terms += wall.layer(3, ThinLayer(LinearElastic(0.8, 2.1), 0.1))
-        terms += wall.layer(4, ThinLayer(LinearElastic(0.4, 1.3), 0.2))
+        terms += wall.layer(3, ThinLayer(LinearElastic(0.8, 2.1), 0.1, at=1.0))
+        terms += wall.layer(4, ThinLayer(LinearElastic(0.4, 1.3), 0.2, at=1.0))
         ends = [fem.locate_dofs_geometrical(V, lambda x, y=y: np.isclose(x[1], y)) for y in (0, 2)]
         bcs = [fem.dirichletbc(np.array(w), dofs, V) for w, dofs in zip([(0.0, 0.0), (0.1, -0.05)], ends, strict=True)]
         problem = StepProblem(work(terms[:1], u, ufl.TestFunction(V)), u, bcs, terms[1:])
@@ -361,7 +364,7 @@ def test_rigid_base():
     V = broken.space(("Lagrange", 1, (2,)))
     u = fem.Function(V)
     u.interpolate(lambda x: np.vstack([0.3 + 0 * x[0], -0.2 + 0 * x[0]]))
-    terms = broken.layer(TOP, ThinLayer(LinearElastic(6.0, 4.0), 0.1))
+    terms = broken.layer(TOP, ThinLayer(LinearElastic(6.0, 4.0), 0.1, at=1.0))
     stored = fem.assemble_scalar(fem.form(energy(terms, u)))
     assert stored == pytest.approx(2 * (14.0 * 0.2**2 + 4.0 * 0.3**2) / 2, rel=1e-12)
     nodes = ContactPart(HolonomicCoulomb(1.0, 1.0, 0.3), broken.contact_surface(TOP, V)).nodes
@@ -371,13 +374,13 @@ def test_rigid_base():
 
 def test_phases_without_a_joint():
     """Columns are facets of S: all switch at once under a uniform push beyond the fall, none before."""
-    law = NonMonotoneUnrelaxed(
-        lmbda=0.0, mu=10.0, alpha=1.5, transformation_energy=0.15, chi=[[0, 0], [0, 1]]
-    ).per_thickness(0.1)
+    law = NonMonotoneUnrelaxed(lmbda=0.0, mu=10.0, alpha=1.5, transformation_energy=0.15, chi=[[0, 0], [0, 1]]).scaled(
+        1 / 0.1
+    )
     for push, share in ((0.05, 0.0), (0.2, 1.0)):
         blocks = Blocks("triangle", 1)
         problem = blocks.solve(
-            [body(LinearElastic.young(1e6, 0.0), blocks.dx), *blocks.broken.layer(LAYER, ThinLayer(law, 0.1))],
+            [body(LinearElastic.young(1e6, 0.0), blocks.dx), *blocks.broken.layer(LAYER, ThinLayer(law, 0.1, at=1.0))],
             [np.array([0.0, -push * 0.1])], 1.0,
         )  # fmt: skip
         term, memory = problem.compiled["layer"], problem.state.memory["layer"]
@@ -442,7 +445,7 @@ class Dashpots(Part):
 def test_parts_of_ones_own():
     """Springs and dashpots at the sides, as parts (of a matrix, of forms) and in the form: the same displacements."""
     moves, c, k = [np.array([0.01, 0.0])] * 2, 3.0, 20.0
-    layer = ThinLayer(Maxwell(6.0, 4.0, t1=1.5), 0.02)
+    layer = ThinLayer(Maxwell(6.0, 4.0, t1=1.5), 0.02, at=1.0)
     found = []
     for kind in ("matrix", "forms", ""):
         blocks = Blocks("triangle", 1)
@@ -473,7 +476,7 @@ def test_parts_of_ones_own():
 def test_refused_parts():
     blocks = Blocks("triangle", 2)
     V, rest = blocks.V, blocks.rest
-    (term,) = blocks.broken.layer(LAYER, ThinLayer(LinearElastic(6.0, 4.0), 0.1))
+    (term,) = blocks.broken.layer(LAYER, ThinLayer(LinearElastic(6.0, 4.0), 0.1, at=1.0))
     springs = FormPart("springs", blocks.u, F=ufl.inner(blocks.u, blocks.v) * ufl.ds)
     for parts, message in [
         ([PressurePart(V, term, 1.0)], "'pressure' has unknowns of its own"),
@@ -507,7 +510,11 @@ def test_refused_tags():
         with pytest.raises(ModelError, match=message):
             BrokenMesh(grid, bodies, tags, S)
     refused(ModelError, "S has no tag 9; there are 3", lambda: blocks.broken.interface(9))
-    refused(LawError, "pressure of its own", lambda: blocks.broken.layer(LAYER, ThinLayer(Incompressible(mu=1.0), 0.1)))
+    refused(
+        LawError,
+        "pressure of its own",
+        lambda: blocks.broken.layer(LAYER, ThinLayer(Incompressible(mu=1.0), 0.1, at=1.0)),
+    )
     law = LinearElastic(6.0, 4.0)
     for given, message in [
         ({"order": 1, "edges": "free"}, "edges='free' of a layer on a mesh of one's own"),
@@ -515,9 +522,9 @@ def test_refused_tags():
         ({"order": 1, "profile": lambda x: 1 + x[0]}, "a thickness that varies needs bodies at their true places"),
     ]:
         with pytest.raises(LawError, match=message):
-            blocks.broken.layer(LAYER, ThinLayer(law, 0.1, **given))
+            blocks.broken.layer(LAYER, ThinLayer(law, 0.1, at=1.0, **given))
     with pytest.raises(ModelError, match="order=1 of Maxwell with lmbda/mu = 13"):
-        blocks.broken.layer(LAYER, ThinLayer(Maxwell(52.0, 4.0, t1=1.5), 0.1, order=1))
+        blocks.broken.layer(LAYER, ThinLayer(Maxwell(52.0, 4.0, t1=1.5), 0.1, order=1, at=1.0))
     with pytest.raises(LawError, match="a ContactLaw is for ContactPart"):
         blocks.broken.layer(LAYER, HolonomicCoulomb(K_N=1.0, K_T=1.0, friction=0.3))
     with pytest.raises(LawError, match="ContactLaw has no threshold"):
@@ -527,7 +534,7 @@ def test_refused_tags():
 def test_refused_steps():
     blocks = Blocks("triangle", 1)
     law = MohrCoulomb(60.0, 40.0, cohesion=0.2, friction_angle=30.0)
-    terms = [body(STONE, blocks.dx), *blocks.broken.layer(LAYER, ThinLayer(law, 0.01))]
+    terms = [body(STONE, blocks.dx), *blocks.broken.layer(LAYER, ThinLayer(law, 0.01, at=1.0))]
     problem = StepProblem(blocks.rest, blocks.u, blocks.bcs, terms)
     refused(ModelError, "no step has begun", lambda: problem.accept())
     refused(ModelError, "allowed: >= 0", lambda: problem.begin(-1.0))
@@ -561,7 +568,7 @@ def test_mesh_without_ghosts_on_two_ranks(there):
 def test_upper_side_changes_signs_alone():
     blocks = [Blocks("triangle", 2, upper) for upper in (UPPER, {LOWER}, (0, -1), None)]
     for one in blocks:
-        terms = [body(STONE, one.dx), *one.broken.layer(LAYER, ThinLayer(LinearElastic(6.0, 4.0), 0.1))]
+        terms = [body(STONE, one.dx), *one.broken.layer(LAYER, ThinLayer(LinearElastic(6.0, 4.0), 0.1, at=1.0))]
         one.solve(terms, [np.array([0.1, -0.05])], 0.0)
     slips = [
         fem.assemble_scalar(fem.form(one.broken.interface(LAYER).jump(one.u)[0] * one.broken.dS(LAYER)))

@@ -35,7 +35,7 @@ SLOW = KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5)
 
 def model(eps=0.1, law=SLOW, profile=None, build=Structure.interface, **change):
     data = {"body": BODY, "supports": SUPPORTS, "tractions": {"TOP": (0.0, 1.0)}}
-    return build(Structure(JOINT, **data | change), ThinLayer(law, eps, profile=profile))
+    return build(Structure(JOINT, **data | change), ThinLayer(law, eps, profile=profile, at=1.0))
 
 
 def turned(given, rank):
@@ -174,7 +174,7 @@ def crack() -> dict[str, float]:
     centres = whole.points[whole.facets["S"]].mean(axis=1)
     joint = replace(whole, facets={**whole.facets, "S": whole.facets["S"][centres[:, 0] < 0.5]})
     body, glue = LinearElastic.young(30.0, 0.1), LinearElastic.young(3.0, 0.4)
-    layer = ThinLayer(glue, 0.04)
+    layer = ThinLayer(glue, 0.04, at=1.0)
     state = solve(Structure(joint, body=body, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.1, 1.0)}).interface(layer))
     surface = Surface(state.model)
     return {
@@ -188,7 +188,10 @@ def network() -> dict[str, float]:
     """Blocks that meet at junctions, in the plane and in space; two seams with a layer each."""
     found = {}
     body, glue = LinearElastic.young(30.0, 0.1), LinearElastic.young(3.0, 0.3)
-    layers = {"BED": ThinLayer(glue, 0.04), "HEAD": ThinLayer(Stack((0.3, glue), (0.7, LinearElastic(1.0, 2.0))), 0.02)}
+    layers = {
+        "BED": ThinLayer(glue, 0.04, at=1.0),
+        "HEAD": ThinLayer(Stack((0.3, glue), (0.7, LinearElastic(1.0, 2.0))), 0.02, at=1.0),
+    }
     for depth in (None, 0.8):
         whole = sandwich(1.0, 0.5, 0.5, 0.25 if depth else 0.125, depth=depth, structured=True)
         centres = whole.points[whole.table.vertices].mean(axis=1)
@@ -264,7 +267,7 @@ def norms() -> dict[str, float]:
     }
     structures |= structures_in_space() | structures_with_curved_layers()
     for name, (joint, setup, law, options) in structures.items():
-        layer = ThinLayer(law, 0.04, profile=options.pop("profile", None))
+        layer = ThinLayer(law, 0.04, profile=options.pop("profile", None), at=1.0)
         bodies = options.pop("bodies", "kept")
         structure = Structure(joint, **setup, **options)
         limit, full = solve(structure.interface(layer)), solve(structure.full(layer, bodies=bodies))

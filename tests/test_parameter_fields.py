@@ -67,7 +67,7 @@ def test_a_constant_function_is_its_number(name):
     first, second, law, other = PAIRS[name]
     for k in (0, 1):
         a, b = (
-            march(kinds(structure(**data), ThinLayer(one, 0.1))[k], [0.5, 1.0]).last
+            march(kinds(structure(**data), ThinLayer(one, 0.1, at=1.0))[k], [0.5, 1.0]).last
             for data, one in ((first, law), (second, other))
         )
         assert a.report.method == b.report.method
@@ -76,7 +76,7 @@ def test_a_constant_function_is_its_number(name):
 
 
 def test_order_one_with_a_constant_function():
-    a, b = (solve(structure().interface(ThinLayer(law, 0.1, order=1))) for law in (PAIRS["layer"][2:]))
+    a, b = (solve(structure().interface(ThinLayer(law, 0.1, order=1, at=1.0))) for law in (PAIRS["layer"][2:]))
     assert b.energies() == pytest.approx(a.energies(), rel=1e-12)
 
 
@@ -89,7 +89,9 @@ def test_a_graded_column(kind):
         "yields": VonMises(modulus, lambda x: 0.5 * modulus(x), strength=100.0),
     }[kind]
     data = column("normal", load=2.0) | {"body": graded}
-    for model in kinds(Structure(one_cell(), **data), ThinLayer(LinearElastic(60.0, 40.0), 0.1), cells_through=1):
+    for model in kinds(
+        Structure(one_cell(), **data), ThinLayer(LinearElastic(60.0, 40.0), 0.1, at=1.0), cells_through=1
+    ):
         state = solve(model)
         top = np.abs(state.u.x.array).max()
         assert top == pytest.approx(2.0 * ((1 + 0.8 / 2) / 200.0 + 1 / 140.0), rel=1e-10)
@@ -101,10 +103,10 @@ def test_a_layer_that_is_graded_along_S():
     law = LinearElastic(lambda x: 60 * (1 + x[0] ** 2), lambda x: 40 * (1 + x[0] ** 2))
     supports = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "TOP": {"x": 0.0, "y": w}}
     for one in (law, Stack((0.3, law), (0.7, law)), MohrCoulomb(law.lmbda, law.mu, 50.0, 30.0)):
-        model = structure(rigid, supports=supports, tractions=None).interface(ThinLayer(one, 0.1))
+        model = structure(rigid, supports=supports, tractions=None).interface(ThinLayer(one, 0.1, at=1.0))
         state, surface = solve(model), Surface(model)
         assert surface.integral(surface.traction(state)[1]) == pytest.approx(140 * w * 4 / 3, rel=1e-3)
-        full = solve(structure(rigid, supports=supports, tractions=None).full(ThinLayer(one, 0.1)))
+        full = solve(structure(rigid, supports=supports, tractions=None).full(ThinLayer(one, 0.1, at=1.0)))
         assert surface.integral(surface.traction(full)[1]) == pytest.approx(140 * w * 4 / 3, rel=1e-3)
         assert full.energies()["layer"] == pytest.approx(140 * w**2 / 2 * 4 / 3, rel=1e-3)
 
@@ -115,7 +117,7 @@ def test_the_error_of_a_graded_layer_falls_with_the_thickness(order, ratio):
     law = LinearElastic.young(lambda x: 104 * (1 + 0.5 * np.sin(np.pi * x[0]) ** 2), 0.3)
     errors = []
     for eps in (1 / 16, 1 / 32):
-        full, limit = kinds(Structure(joint, **setup), ThinLayer(law, eps, order=order))
+        full, limit = kinds(Structure(joint, **setup), ThinLayer(law, eps, order=order, at=1.0))
         errors.append(compare(solve(full), solve(limit)))
     for name in ("error_traction", "error_jump"):
         assert ratio[0] < errors[0][name] / errors[1][name] < ratio[1], name
@@ -142,7 +144,7 @@ def test_contact_keeps_its_solver():
 def test_a_body_of_several_materials():
     """Two halves of the upper body, side by side or on top of each other: stiffnesses or compliances add up."""
     stiff, soft = LinearElastic(60.0, 40.0), LinearElastic(30.0, 20.0)
-    layer = ThinLayer(LinearElastic(60.0, 40.0), 0.1)
+    layer = ThinLayer(LinearElastic(60.0, 40.0), 0.1, at=1.0)
     centres = JOINT.points[JOINT.corners].mean(axis=1)
     upper = JOINT.region == JOINT.regions.index("UPPER")
     patched = replace(
@@ -164,7 +166,7 @@ def test_a_body_of_several_materials():
 
 def test_only_the_same_functions_are_resumed(tmp_path):
     def model(a):
-        return structure(LinearElastic.young(lambda x: 100 + a * x[0], 0.3)).interface(ThinLayer(GLUE, 0.1))
+        return structure(LinearElastic.young(lambda x: 100 + a * x[0], 0.3)).interface(ThinLayer(GLUE, 0.1, at=1.0))
 
     march(model(5.0), [0.5], out=tmp_path)
     assert len(march(model(5.0), [0.5, 1.0], out=tmp_path, resume=True)) == 3
@@ -186,9 +188,9 @@ def test_only_the_same_functions_are_resumed(tmp_path):
     ids=["E", "nu", "lmbda", "nan", "strength", "shape", "fails"],
 )  # fmt: skip
 def test_values_out_of_range(law, message):
-    refused(LawError, message, lambda: structure(law()).interface(ThinLayer(GLUE, 0.1)))
-    refused(LawError, message, lambda: structure().full(ThinLayer(law(), 0.1)))
-    refused(LawError, message, lambda: structure().interface(ThinLayer(law(), 0.1)))
+    refused(LawError, message, lambda: structure(law()).interface(ThinLayer(GLUE, 0.1, at=1.0)))
+    refused(LawError, message, lambda: structure().full(ThinLayer(law(), 0.1, at=1.0)))
+    refused(LawError, message, lambda: structure().interface(ThinLayer(law(), 0.1, at=1.0)))
 
 
 def test_what_takes_no_functions():
@@ -209,9 +211,9 @@ def test_what_takes_no_functions():
 def test_ranges_are_those_of_the_extreme_values():
     hard = LinearElastic.young(lambda x: 1e4 * (0.01 + x[0]), 0.3)
     with pytest.warns(RangeWarning, match="times as hard as the softer body"):
-        solve(structure().interface(ThinLayer(hard, 0.1)))
+        solve(structure().interface(ThinLayer(hard, 0.1, at=1.0)))
     locking = LinearElastic.young(90.0, lambda x: 0.3 + 0.199 * x[0])
-    assert np.isfinite(solve(structure().interface(ThinLayer(locking, 0.01, order=1))).energies()["layer"])
+    assert np.isfinite(solve(structure().interface(ThinLayer(locking, 0.01, order=1, at=1.0))).energies()["layer"])
 
 
 def test_a_range_is_missed_nowhere():

@@ -311,7 +311,7 @@ def test_contact_in_a_laminate():
 def test_an_incompressible_layer_does_not_open(load):
     value = np.array([[0.0, 0.05], [0.05, -0.04]])
     structure = Structure(laminate(), body=ROCK, supports={}, **{load: value})
-    state = solve(structure.interface(ThinLayer(Incompressible(mu=1.5), 0.01)))
+    state = solve(structure.interface(ThinLayer(Incompressible(mu=1.5), 0.01, at=1.0)))
     A, (e, s) = layered(ROCK, 1e15, 1.5, 2), (state.mean_strain(), state.mean_stress())
     assert [s[0, 0], s[1, 1], s[0, 1]] == pytest.approx(A @ [e[0, 0], e[1, 1], 2 * e[0, 1]], rel=1e-9, abs=1e-12)
     assert {"strain": e, "stress": s}[load] == pytest.approx(value, rel=1e-9, abs=1e-12)
@@ -445,7 +445,7 @@ def test_refused_structures():
     refused(ModelError, "the loads of the periodic joint add up to", lambda: solve(model(body_force=(0.0, -1.0))))
     plain = Structure(laminate(), body=ROCK, supports={}, strain=np.eye(2))
     with pytest.raises(ModelError, match="of order 1, whose strains along S"):
-        plain.interface(ThinLayer(LinearElastic(1.0, 1.0), 0.01, order=1))
+        plain.interface(ThinLayer(LinearElastic(1.0, 1.0), 0.01, order=1, at=1.0))
     alone = Structure(sandwich(1.0, 0.5, 0.5, 0.25), body=ROCK, supports={"BOTTOM": 0.0}, strain=np.eye(2))
     with pytest.raises(ModelError, match="the mean strain is for a periodic cell, and this joint is none"):
         alone.interface(layer)
@@ -466,7 +466,7 @@ def test_a_cell_of_bodies_that_yield_under_a_mean_strain(kind):
     strain = lambda x, t: tuple(tuple(t * c for c in row) for row in rows)
     free = Structure(cell, body=law, supports={}, strain=strain)
     held = Structure(plates, body=law, supports=dict.fromkeys(("LEFT", "RIGHT", "TOP", "BOTTOM"), moved)).bonded()
-    stiff = ThinLayer(LinearElastic(6e7, 4e7), 1e-6)
+    stiff = ThinLayer(LinearElastic(6e7, 4e7), 1e-6, at=1.0)
     history = march(free.bonded() if kind == "bonded" else free.interface(stiff), [0.5, 1.0, 2.0])
     other = march(held, [0.5, 1.0, 2.0])
     tolerance = 1e-12 if kind == "bonded" else 1e-5  # what the stiff layer gives

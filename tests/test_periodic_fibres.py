@@ -63,8 +63,8 @@ def test_the_coating_meshed_and_as_a_law():
     errors, floors, eps = [], [], np.array([0.04, 0.02, 0.01])
     smooth = LinearElastic(lmbda=COATING.lmbda + 2 * COATING.mu, mu=1e-9)
     for e in eps:
-        full = homogenised_stiffness(one.full(ThinLayer(COATING, e), bodies="extended"))
-        limit, wrong = (homogenised_stiffness(one.interface(ThinLayer(law, e))) for law in (COATING, smooth))
+        full = homogenised_stiffness(one.full(ThinLayer(COATING, e, at=1.0), bodies="extended"))
+        limit, wrong = (homogenised_stiffness(one.interface(ThinLayer(law, e, at=1.0))) for law in (COATING, smooth))
         assert np.abs(full - full.T).max() < 1e-12
         errors.append(np.abs(full - limit).max() / np.abs(limit).max())
         floors.append(np.abs(full - wrong).max() / np.abs(limit).max())
@@ -82,7 +82,7 @@ def test_mean_stresses_and_strains(kind):
     joint = periodic(cell(0.15), *SIDES)
 
     def made(**loads):
-        layer = ThinLayer(COATING, 0.02)
+        layer = ThinLayer(COATING, 0.02, at=1.0)
         one = structure(joint, **loads)
         return one.full(layer, bodies="extended") if kind == "full" else one.interface(layer)
 
@@ -104,14 +104,14 @@ def test_mean_stresses_and_strains(kind):
 def test_a_coating_that_creeps():
     """Compiled laws of meshed coatings know the mean strain: after long the coating has no shear stress left."""
     joint = periodic(cell(0.15), *SIDES)
-    layer = ThinLayer(Maxwell(COATING.lmbda, COATING.mu, t1=0.5), 0.02)
+    layer = ThinLayer(Maxwell(COATING.lmbda, COATING.mu, t1=0.5), 0.02, at=1.0)
     one = structure(joint, strain=lambda x, t: STRAIN)
     stresses = {}
     for name, made in (("full", one.full(layer, bodies="extended")), ("interface", one.interface(layer))):
         history = march(made, [0.1, 0.3, 0.6])
         stresses[name] = history.last.mean_stress()
         assert np.abs(history.table["imbalance"]).max() < 1e-9
-    first = solve(one.interface(ThinLayer(COATING, 0.02))).mean_stress()
+    first = solve(one.interface(ThinLayer(COATING, 0.02, at=1.0))).mean_stress()
     change = np.abs(stresses["interface"] - first).max()
     assert change > 0.01 * np.abs(first).max()
     assert np.abs(stresses["full"] - stresses["interface"]).max() < 0.2 * change
@@ -122,7 +122,7 @@ def test_a_coating_that_creeps():
 def test_it_does_not_matter_where_the_cell_is_cut(degree):
     """Also where S crosses the sides: twice the same discrete problem."""
     joint = cell(0.12, degree)
-    layer = ThinLayer(COATING, 0.02)
+    layer = ThinLayer(COATING, 0.02, at=1.0)
     here = homogenised_stiffness(structure(periodic(joint, *SIDES)).interface(layer))
     for x in (-0.4, 0.05):
         other = periodic(cut_at(joint, x), *SIDES)
@@ -135,4 +135,4 @@ def test_it_does_not_matter_where_the_cell_is_cut(degree):
 def test_meshed_layers_do_not_reach_the_sides():
     other = periodic(cut_at(cell(0.12), 0.05), *SIDES)
     with pytest.raises(GeometryError, match=r"S reaches the periodic sides 'LEFT' and 'RIGHT', at .* cannot be meshed"):
-        structure(other).full(ThinLayer(COATING, 0.02), bodies="extended")
+        structure(other).full(ThinLayer(COATING, 0.02, at=1.0), bodies="extended")

@@ -14,7 +14,7 @@ from thinlayer.output.plotting.shapes import Shape, edges, surface
 
 BODY = LinearElastic.young(E=100.0, nu=0.3)
 EPS = 0.015
-LAYER = ThinLayer(LinearElastic.young(E=1.0, nu=0.3).per_thickness(EPS), EPS)
+LAYER = ThinLayer(LinearElastic.young(E=1.0, nu=0.3), EPS)
 SIZE = (1.5, 0.4, 0.8)  # of a body: width, height, depth
 
 

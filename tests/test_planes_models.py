@@ -69,14 +69,16 @@ def numbers() -> dict[str, float]:
     found: dict[str, float] = {}
     stack = Stack((0.4, CREEPS), (0.6, YIELDS))
     for plane, structure in {"stress": plate(), "axisymmetric": rods()}.items():
-        layer = ThinLayer(stack, 0.05)
+        layer = ThinLayer(stack, 0.05, at=1.0)
         full, limit = (march(model, [0.3, 0.6]) for model in (structure.full(layer), structure.interface(layer)))
         found |= {f"{plane} {key}": value for key, value in compare(full, limit).items()}
         found |= measured(plane, limit.last)
-        first = solve(structure.interface(ThinLayer(BODY, 0.05, order=1)))
+        first = solve(structure.interface(ThinLayer(BODY, 0.05, order=1, at=1.0)))
         found |= measured(f"{plane} order 1", first)
-    found |= measured("rods, incompressible", solve(rods(["RIGHT"]).interface(ThinLayer(Incompressible(2.0), 0.05))))
-    rubber = ThinLayer(Rubber(900.0, 2.0), 0.05, order=1)
+    found |= measured(
+        "rods, incompressible", solve(rods(["RIGHT"]).interface(ThinLayer(Incompressible(2.0), 0.05, at=1.0)))
+    )
+    rubber = ThinLayer(Rubber(900.0, 2.0), 0.05, order=1, at=1.0)
     thin = rods()
     states = [solve(thin.full(rubber)), solve(thin.interface(rubber))]
     found |= measured("rods, rubber", states[1])
@@ -117,7 +119,7 @@ def sheet(mode="normal", **ends) -> Structure:
 @pytest.mark.parametrize("name", LAWS)
 @pytest.mark.parametrize("mode", ["normal", "shear"])
 def test_both_models_agree_on_a_sheet(name, mode):
-    structure, layer = sheet(mode, move=lambda x, t: 0.2 * t), ThinLayer(LAWS[name], EPS)
+    structure, layer = sheet(mode, move=lambda x, t: 0.2 * t), ThinLayer(LAWS[name], EPS, at=1.0)
     times = [0.1, 0.2, 0.4]
     check_same(*(march(model, times) for model in (structure.interface(layer), structure.full(layer))))
 
@@ -125,7 +127,7 @@ def test_both_models_agree_on_a_sheet(name, mode):
 @pytest.mark.parametrize("name", ["Kelvin-Voigt", "Maxwell"])
 def test_the_midpoint_rule_is_of_order_2_on_a_sheet(name):
     """Both models to the last digit; the error falls to a quarter with half the steps; energies balance."""
-    structure, layer = sheet(move=lambda x, t: 0.1 * t**2), ThinLayer(LAWS[name], EPS)
+    structure, layer = sheet(move=lambda x, t: 0.1 * t**2), ThinLayer(LAWS[name], EPS, at=1.0)
     found = []
     for n in (8, 16, 32):
         times = np.linspace(0, 0.8, n + 1)[1:].tolist()
@@ -143,7 +145,7 @@ def test_a_linear_law_is_condensed_as_in_closed_form(order):
     loads = {"TOP": lambda x, t: (0.3, -1.0 + x[0])}
     states = {}
     for kind in (LinearElastic, Plain):
-        body, layer = kind(80.0, 50.0), ThinLayer(kind(L, M), EPS, order=order if kind is LinearElastic else 0)
+        body, layer = kind(80.0, 50.0), ThinLayer(kind(L, M), EPS, order=order if kind is LinearElastic else 0, at=1.0)
         structure = Structure(joint(), body=body, supports={"BOTTOM": 0.0}, tractions=loads, plane="stress")
         states[kind] = [solve(structure.full(layer)), solve(structure.interface(layer))]
     if order == 0:
@@ -157,7 +159,7 @@ def test_a_linear_law_is_condensed_as_in_closed_form(order):
                 assert (stress[:, 2] == 0).all()
     strained = solve(
         Structure(joint(), body=LinearElastic(80.0, 50.0), supports={"BOTTOM": 0.0}, tractions=loads).interface(
-            ThinLayer(LinearElastic(L, M), EPS)
+            ThinLayer(LinearElastic(L, M), EPS, at=1.0)
         )
     )
     assert abs(strained.energies()["loads"] / states[LinearElastic][1].energies()["loads"] - 1) > 0.05
@@ -170,7 +172,7 @@ def test_traction_of_a_sheet():
         (Plain(L, M), SHEET + 2 * M),
         (Incompressible(M), 4 * M),
     ):
-        state = solve(sheet(load=0.7).interface(ThinLayer(law, EPS)))
+        state = solve(sheet(load=0.7).interface(ThinLayer(law, EPS, at=1.0)))
         surface = Surface(state.model)
         assert surface.profile(surface.jump(state))[1][:, 1] == pytest.approx(0.7 / stiffness, rel=EXACT)
 
@@ -179,8 +181,8 @@ def test_tangents_of_models_are_those_of_the_residual():
     mesh, setup = fourier(1 / 2)
     structure = Structure(mesh, **setup | {"body": Stiffening(3.0)}, plane="stress")
     for model in (
-        structure.interface(ThinLayer(Norton(L, M, 5.0, 3.0), EPS)),
-        structure.full(ThinLayer(Stiffening(9.0), EPS)),
+        structure.interface(ThinLayer(Norton(L, M, 5.0, 3.0), EPS, at=1.0)),
+        structure.full(ThinLayer(Stiffening(9.0), EPS, at=1.0)),
     ):
         with Solver(model) as solver:
             assert observed_orders(solver) > 1.9
@@ -188,7 +190,7 @@ def test_tangents_of_models_are_those_of_the_residual():
 
 def test_where_no_strain_out_of_the_plane_is_found_the_error_says_so():
     with pytest.raises(SolveError, match=r"Pressed .* or no strain out of the plane makes the stresses there zero"):
-        solve(sheet(load=0.7).interface(ThinLayer(Pressed(M), EPS)))
+        solve(sheet(load=0.7).interface(ThinLayer(Pressed(M), EPS, at=1.0)))
 
 
 @pytest.mark.parametrize("build", ["full", "interface"])
@@ -197,7 +199,7 @@ def test_parameters_that_vary_along_a_sheet(build):
     found = []
     for mu in (M, lambda x: M + 0 * x[0], lambda x: M * (1 + x[0])):
         law = Stack((0.5, Maxwell(L, mu, 0.7)), (0.5, MohrCoulomb(L, mu, 0.3, 30.0, 0.05)))
-        history = march(getattr(sheet(load=lambda t: 0.1 * t), build)(ThinLayer(law, EPS)), [0.2, 0.4])
+        history = march(getattr(sheet(load=lambda t: 0.1 * t), build)(ThinLayer(law, EPS, at=1.0)), [0.2, 0.4])
         found.append(history.last.energies()["layer"])
     assert found[1] == pytest.approx(found[0], rel=EXACT)
     assert found[2] < 0.95 * found[0]

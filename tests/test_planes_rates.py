@@ -19,7 +19,7 @@ def test_the_layer_of_a_sheet_tends_to_its_law_at_rate_1(name):
     mesh, setup = fourier(1 / 8, cell="quadrilateral")
     errors = []
     for eps in (0.02, 0.01):
-        layer = ThinLayer(LAWS[name], eps)
+        layer = ThinLayer(LAWS[name], eps, at=1.0)
         structure = Structure(mesh, **setup, plane="stress")
         full, limit = (march(model, [0.2, 0.5]) for model in (structure.full(layer), structure.interface(layer)))
         errors.append(compare(full, limit))
@@ -39,7 +39,7 @@ def test_the_next_order_is_one_more(plane, order, rate):
     for eps in (0.02, 0.01):
         structure, layer = (
             Structure(mesh, **setup, plane=plane),
-            ThinLayer(KelvinVoigt(60.0, 40.0, 0.3, 0.5), eps, order),
+            ThinLayer(KelvinVoigt(60.0, 40.0, 0.3, 0.5), eps, order, at=1.0),
         )
         errors.append(
             compare(*(march(model, [0.2, 0.5]) for model in (structure.full(layer), structure.interface(layer))))

@@ -263,7 +263,7 @@ def test_refused(given, message):
         sandwich(2.0, 0.5, 0.6, 0.5), body=BODY, supports={"BOTTOM": 0.0}, parts=[RigidPlate(**given)]
     )
     with pytest.raises(ValueError, match=message):
-        solve(structure.interface(ThinLayer(GLUE, EPS)))
+        solve(structure.interface(ThinLayer(GLUE, EPS, at=1.0)))
 
 
 def test_a_plate_at_a_plane_of_symmetry():
@@ -291,7 +291,7 @@ def test_plates_that_share_a_node():
         parts=[RigidPlate("TOP"), RigidPlate("RIGHT/UPPER")],
     )  # fmt: skip
     with pytest.raises(ModelError, match=r"plate TOP and plate RIGHT/UPPER have a node in common"):
-        solve(structure.interface(ThinLayer(GLUE, EPS)))
+        solve(structure.interface(ThinLayer(GLUE, EPS, at=1.0)))
 
 
 def test_a_plate_across_s_that_turns_has_the_thickness_for_an_arm():
@@ -301,9 +301,9 @@ def test_a_plate_across_s_that_turns_has_the_thickness_for_an_arm():
     beam = Structure(joint, body=LinearElastic.young(100.0, 0.3), supports={"RIGHT": 0.0}, tractions={}, parts=[plate])
     errors = []
     for eps in (1 / 8, 1 / 16):
-        law = LinearElastic.young(1.0, 0.35).per_thickness(eps)
-        full = solve(beam.full(ThinLayer(law, eps), cells_through=4))
-        first, limit = (solve(beam.interface(ThinLayer(law, eps, order=order))) for order in (0, 1))
+        law = LinearElastic.young(1.0, 0.35).scaled(1 / eps)
+        full = solve(beam.full(ThinLayer(law, eps, at=1.0), cells_through=4))
+        first, limit = (solve(beam.interface(ThinLayer(law, eps, order=order, at=1.0))) for order in (0, 1))
         errors.append(compare(full, limit)["error_traction"])
         assert limit.load_work() == pytest.approx(full.load_work(), rel=1e-3)
         assert estimate(first, goals=[]).jump == pytest.approx(compare(full, first)["error_jump"], rel=0.05)  # 28, 18 %

@@ -161,7 +161,7 @@ def test_a_pressure_all_around_is_hydrostatic(kind, bodies):
     held = {(0.0, -0.5): 0.0, (2.0, -0.5): {"y": 0.0}}
     structure = Structure(joint, body=BODY, supports=held, tractions=around)
     law = LinearElastic(3.0, 2.0)
-    made = structure.full(ThinLayer(law, EPS), bodies=bodies) if kind == "full" else model(structure, kind, law)
+    made = structure.full(ThinLayer(law, EPS, at=1.0), bodies=bodies) if kind == "full" else model(structure, kind, law)
     state = solve(made)
     assert np.abs(state.applied().force).max() < 1e-12
     assert state.applied().moment == pytest.approx(0.0, abs=1e-12)
@@ -197,7 +197,7 @@ def test_the_weight_of_a_layer(dim, profile):
     joint = sandwich(2.0, 0.5, 0.6, 0.5, **{2: {}, 3: {"depth": 1.0}}[dim])
     bodies = "kept" if profile is None else "extended"
     structure = Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, body_force=weight, element="P1")
-    layer = ThinLayer(GLUE, EPS, profile=profile)
+    layer = ThinLayer(GLUE, EPS, profile=profile, at=1.0)
     expected = -3.0 * EPS * 2.0 * (1 if profile is None else 1.25)
     for made in (structure.full(layer, bodies=bodies), structure.interface(layer)):
         state = solve(made)
@@ -214,7 +214,7 @@ def test_columns_with_heavy_layers(eps):
     """Half on each side is exact in columns, for every thickness; left out it changes the jump by order eps."""
     joint, sides = sandwich(2.0, 0.5, 0.6, 0.5), {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "BOTTOM": {"y": 0.0}}
     given = {"body": BODY, "supports": sides, "tractions": {"TOP": (0.0, -0.3)}}
-    heavy, layer = Structure(joint, body_force={"S": (0.0, -3.0)}, **given), ThinLayer(GLUE, eps)
+    heavy, layer = Structure(joint, body_force={"S": (0.0, -3.0)}, **given), ThinLayer(GLUE, eps, at=1.0)
     full, limit, light = (
         solve(made) for made in (heavy.full(layer), heavy.interface(layer), Structure(joint, **given).interface(layer))
     )
@@ -235,7 +235,7 @@ def test_the_weight_on_a_rigid_base(plane):
     area, moment = {"strain": (2.0, 4.0), "axisymmetric": (4 * np.pi, 4 * np.pi + 16 * np.pi / 3)}[plane]
     weight, own = 3.0 * 0.4 * EPS * moment, 0.6 * area
     for made in (structure.interface, structure.full):
-        state = march(made(ThinLayer(CREEP, EPS)), [0.2, 0.4], theta=0.5).last
+        state = march(made(ThinLayer(CREEP, EPS, at=1.0)), [0.2, 0.4], theta=0.5).last
         assert state.applied().force[1] == pytest.approx(-own - weight, rel=1e-9)
         assert state.reaction("S").force[1] == pytest.approx(own + weight, rel=1e-9)
         assert out_of_balance(state) < 1e-9
@@ -269,7 +269,7 @@ def test_a_load_at_a_point_beside_weights(place, weighed):
         body_force={name: weights[name] for name in weighed},
         loads=[PointLoad(place, force)],
     )
-    state = solve(structure.interface(ThinLayer(LinearElastic(60.0, 40.0), 0.01)))
+    state = solve(structure.interface(ThinLayer(LinearElastic(60.0, 40.0), 0.01, at=1.0)))
     total, moment = np.array(force), place[0] * force[1] - place[1] * force[0]
     for name in weighed:
         low, high = heights[name]

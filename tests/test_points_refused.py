@@ -28,7 +28,7 @@ from forms.traction import JumpStep
 from tests.at_points import E2, respond
 from tests.laws_at_points import ELASTIC, KELVIN, LAWS, LMBDA, MAXWELL, MU
 from tests.refused import refused
-from thinlayer.discretisation.layer import real_law
+from thinlayer.discretisation.layer import ThinLayer, real_law
 from thinlayer.pointwise.material import Material
 
 # ---------------------------------------------------------------- bad parameters and laws
@@ -182,7 +182,7 @@ def test_parameters_are_numbers(value):
         lambda: Norton(1.0, 1.0, value, 1.5),
         lambda: LinearElastic(1.0, value),
         lambda: LinearElastic.young(value, 0.3),
-        lambda: ELASTIC.per_thickness(value),
+        lambda: ThinLayer(ELASTIC, value),
     ):
         with pytest.raises(LawError, match=r"allowed|must be > 0"):
             build()

@@ -22,8 +22,8 @@ from thinlayer.ranges.sublayers import sublayers_of
 
 HALF_WIDTH = 0.5
 LAYERS = {
-    "LOW": ThinLayer(LinearElastic.shear(3.0, 0.49), 1 / 16),
-    "HIGH": ThinLayer(LinearElastic.shear(5.0, 0.4), 1 / 10),
+    "LOW": ThinLayer(LinearElastic.shear(3.0, 0.49), 1 / 16, at=1.0),
+    "HIGH": ThinLayer(LinearElastic.shear(5.0, 0.4), 1 / 10, at=1.0),
 }
 
 
@@ -63,9 +63,9 @@ STRIPS = {
 @pytest.mark.parametrize("nu", STRIPS)
 def test_told_and_found(plates, nu):
     eps = 1 / 16
-    elastic, rubber = (one.shear(1.0, nu).per_thickness(eps) for one in (LinearElastic, Rubber))
-    limit = solve(plates.interface(ThinLayer(elastic, eps)))
-    full = solve(plates.full(ThinLayer(rubber, eps), cells_through=4))
+    elastic, rubber = (one.shear(1.0, nu).scaled(1 / eps) for one in (LinearElastic, Rubber))
+    limit = solve(plates.interface(ThinLayer(elastic, eps, at=1.0)))
+    full = solve(plates.full(ThinLayer(rubber, eps, at=1.0), cells_through=4))
     surface, (wanted, there) = Surface(limit.model), STRIPS[nu]
     stiffness = [
         surface.integral(surface.traction(one)[1]) / surface.integral(surface.jump(one)[1]) for one in (limit, full)
@@ -83,7 +83,7 @@ def test_column_of_a_wave(order):
     """(k delta)^2 of jumps that open and shear the layer, between rollers; a column of the comparison."""
     eps, (lmbda, mu) = 1 / 16, reference.LAYER
     joint, setup = fourier(1 / 32, cell="quadrilateral")
-    structure, layer = Structure(joint, **setup), ThinLayer(FOURIER_LAYER, eps, order=order)
+    structure, layer = Structure(joint, **setup), ThinLayer(FOURIER_LAYER, eps, order=order, at=1.0)
     row = compare(solve(structure.full(layer)), solve(structure.interface(layer)))
     assert row["too_stiff"] - 1 == pytest.approx((np.pi * eps) ** 2 * lmbda / mu / 12, rel=3e-3)
     assert "too_stiff" in str(Table([row]))
@@ -94,7 +94,7 @@ def test_column_of_a_wave(order):
 def test_a_pressure_that_flows_is_not_too_stiff(law):
     joint = sandwich(1.0, 0.5, 0.5, 0.5)
     structure = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.1, -1.0)})
-    report = PressureReport(solve(structure.interface(ThinLayer(law, 0.1, order=1))))
+    report = PressureReport(solve(structure.interface(ThinLayer(law, 0.1, order=1, at=1.0))))
     assert report.too_stiff == {"S": 1.0}
     assert report.table["lmbda/mu"] == pytest.approx([law.parameters().get("lmbda", np.inf) / 40.0])
     assert str(report) == "the layer alone is 1 times too stiff against openings"
@@ -102,8 +102,8 @@ def test_a_pressure_that_flows_is_not_too_stiff(law):
 
 def test_shear_does_not_hide_it(plates):
     """Slip that takes nearly all of the work leaves the factor, which is told until slip takes the traction, too."""
-    eps, law = 1 / 16, LinearElastic.shear(1.0, 0.499).per_thickness(1 / 16)
-    model = plates.interface(ThinLayer(law, eps))
+    eps, law = 1 / 16, LinearElastic.shear(1.0, 0.499).scaled(1 / (1 / 16))
+    model = plates.interface(ThinLayer(law, eps, at=1.0))
     (layer,) = sublayers_of(model.layers["S"])
     pure = strip_excess(0.5 / (eps * layer.length))
     told_with = {}
@@ -121,8 +121,8 @@ def test_shear_does_not_hide_it(plates):
 
 def test_the_traction_of_a_compressible_layer(plates):
     """Its pressure is in excess near the ends; of the traction it is lmbda/(lmbda + 2 mu), beside that of the slip."""
-    eps, law, slip = 1 / 16, LinearElastic.shear(1.0, 0.4).per_thickness(1 / 16), 0.7
-    model = plates.interface(ThinLayer(law, eps))
+    eps, law, slip = 1 / 16, LinearElastic.shear(1.0, 0.4).scaled(1 / (1 / 16)), 0.7
+    model = plates.interface(ThinLayer(law, eps, at=1.0))
     (layer,) = sublayers_of(model.layers["S"])
     found = pressure_excess(opened(model, lambda x: (slip * 1e-3 + 0 * x[0], 1e-3 + 0 * x[0])), layer)
     far, (lmbda, M) = 0.5 / (eps * layer.length), (law.lmbda, law.lmbda + 2 * law.mu)
@@ -162,11 +162,14 @@ def test_layers_without_a_number():
     structure = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.1, -1.0)})
     eps, elastic = 0.1, LinearElastic(60.0, 40.0)
     for layer, reason in (
-        (ThinLayer(elastic, eps, eigenstrain=0.01), "eigenstrain"),
-        (ThinLayer(LinearElastic(lambda x: 60 + x[0], 40.0), eps), "functions"),
-        (ThinLayer(Stack((0.5, elastic), (0.5, LinearElastic(50.0, 40.0))), eps), "one linear elastic material"),
-        (ThinLayer(Anisotropic.springs(3.0, 2.0), eps), "not isotropic"),
-        (ThinLayer(LinearElastic(-1.0, 40.0), eps), "lmbda is -0.1"),
+        (ThinLayer(elastic, eps, eigenstrain=0.01, at=1.0), "eigenstrain"),
+        (ThinLayer(LinearElastic(lambda x: 60 + x[0], 40.0), eps, at=1.0), "functions"),
+        (
+            ThinLayer(Stack((0.5, elastic), (0.5, LinearElastic(50.0, 40.0))), eps, at=1.0),
+            "one linear elastic material",
+        ),
+        (ThinLayer(Anisotropic.springs(3.0, 2.0), eps, at=1.0), "not isotropic"),
+        (ThinLayer(LinearElastic(-1.0, 40.0), eps, at=1.0), "lmbda is -0.1"),
     ):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RangeWarning)
@@ -174,10 +177,10 @@ def test_layers_without_a_number():
         with pytest.raises(ModelError, match=reason):
             PressureReport(limit)
         assert "too_stiff" not in compare(full, limit)
-    rest = solve(structure.interface(ThinLayer(LinearElastic(0.0, 40.0), eps)))
+    rest = solve(structure.interface(ThinLayer(LinearElastic(0.0, 40.0), eps, at=1.0)))
     assert PressureReport(rest).too_stiff == {"S": 1.0}
     refused(ModelError, "'X'", lambda: PressureReport(rest, "X"))
     refused(ModelError, "interface model", lambda: PressureReport(full))
     for law in (Maxwell(60.0, 40.0, 1.0), Norton(60.0, 40.0, 3.0, 1.5), Incompressible(40.0)):
-        model = structure.interface(ThinLayer(law, eps))
+        model = structure.interface(ThinLayer(law, eps, at=1.0))
         assert why_unknown(model.layers["S"])

@@ -20,7 +20,7 @@ CREEP = Maxwell(lmbda=60.0, mu=40.0, t1=0.7, t2=0.55)
 def test_displacements_and_stresses_of_a_linear_field(d, cell, element):
     """At places inside cells, on their corners, and on S from either side."""
     structure, stress, jump = uniform(d, cell, element)
-    model = structure.interface(ThinLayer(K, EPS))
+    model = structure.interface(ThinLayer(K, EPS, at=1.0))
     probe = Probe(march(model, [1.0]).last)
     x = np.array(PLACES[d]) @ axes(d)
     corners = model.joint.points[model.joint.surface[:, :d]].mean(axis=1)  # on S
@@ -61,7 +61,7 @@ def test_curved_cells():
     structure = Structure(
         joint, body=BODY, supports={"INSIDE": 0.0}, tractions={"OUTSIDE": lambda x, t: (0.1 * x[0], 0.1 * x[1])}
     )
-    state = solve(structure.interface(ThinLayer(K, EPS)))
+    state = solve(structure.interface(ThinLayer(K, EPS, at=1.0)))
     probe = Probe(state)
     on = joint.points[np.unique(joint.surface)]
     n = on / np.linalg.norm(on, axis=1, keepdims=True)
@@ -105,7 +105,7 @@ def creeping():
     structure = Structure(
         joint, body={"LOWER": CREEP, "UPPER": BODY}, supports=rollers, tractions={"TOP": (0.0, -0.3)}
     )  # fmt: skip
-    return march(structure.interface(ThinLayer(K, EPS)), [0.2, 0.5]).last
+    return march(structure.interface(ThinLayer(K, EPS, at=1.0)), [0.2, 0.5]).last
 
 
 def test_bodies_with_memory():
@@ -131,7 +131,7 @@ def test_stress_of_an_incompressible_layer_has_its_pressure():
     joint = sandwich(2.0, 0.5, 0.7, 0.5)
     rollers = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     structure = Structure(joint, body=BODY, supports=rollers, tractions={"TOP": (0.0, -0.3)})
-    state = solve(structure.full(ThinLayer(Incompressible(2.0), EPS)))
+    state = solve(structure.full(ThinLayer(Incompressible(2.0), EPS, at=1.0)))
     s = Probe(state).stress([[0.7, 0.03], [1.3, -0.01]])
     assert s == pytest.approx(np.tile(-0.3 * np.eye(3), (2, 1, 1)), rel=1e-6, abs=1e-8)
 
@@ -140,7 +140,7 @@ def test_plane_stress_has_no_stress_out_of_the_plane():
     joint = sandwich(2.0, 0.5, 0.7, 0.5)
     supports = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     structure = Structure(joint, body=BODY, supports=supports, tractions={"TOP": (0.0, -0.3)}, plane="stress")
-    s = Probe(solve(structure.interface(ThinLayer(K, EPS)))).stress([0.7, 0.3])
+    s = Probe(solve(structure.interface(ThinLayer(K, EPS, at=1.0)))).stress([0.7, 0.3])
     nu = BODY.lmbda / (2 * (BODY.lmbda + BODY.mu))
     assert s == pytest.approx(np.diag([-0.3 * nu, -0.3, 0.0]), rel=1e-9, abs=1e-10)
 
@@ -148,7 +148,7 @@ def test_plane_stress_has_no_stress_out_of_the_plane():
 def test_several_bodies_meet():
     joint = wall(2, 3, brick=(2.0, 1.0), h=0.5)
     structure = Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.05, -0.1)})
-    probe = Probe(solve(structure.interface(ThinLayer(K, EPS))))
+    probe = Probe(solve(structure.interface(ThinLayer(K, EPS, at=1.0))))
     t_joint = [2.0, 1.0]  # two bricks below, one above
     with pytest.raises(ModelError, match=r"jump at \(2, 1\): several bodies meet there; give side= and seam="):
         probe.displacement(t_joint, side="lower")
@@ -162,7 +162,7 @@ def test_several_bodies_meet():
 
 def test_places_that_are_none():
     structure, _, _ = uniform()
-    probe = Probe(solve(structure.interface(ThinLayer(K, EPS))))
+    probe = Probe(solve(structure.interface(ThinLayer(K, EPS, at=1.0))))
     with pytest.raises(ModelError, match=r"1 of 2 places are in no cell of the mesh, the first at \(9, 9\)"):
         probe.stress([[0.31, 0.2], [9.0, 9.0]])
     with pytest.raises(ModelError, match="1 of 1 places are in no cell"):
@@ -172,7 +172,7 @@ def test_places_that_are_none():
             probe.displacement(wrong)
     refused(ModelError, "allowed: lower, upper", lambda: probe.displacement([0.3, 0.2], side="top"))
     with pytest.raises(ModelError, match="a side is for places on S of an interface model"):
-        Probe(solve(structure.full(ThinLayer(K, EPS)))).displacement([0.3, 0.2], side="upper")
+        Probe(solve(structure.full(ThinLayer(K, EPS, at=1.0)))).displacement([0.3, 0.2], side="upper")
     refused(ModelError, "no law remembers anything", lambda: probe.points("plastic"))
     refused(ModelError, "a probe takes a state", lambda: Probe(structure))
 

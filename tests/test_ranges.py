@@ -31,14 +31,14 @@ def test_slip_alone():
         (sandwich(8.0, 0.3, 0.3, 1 / 8, cell="quadrilateral"), rubber, along),
         (sandwich(2.0, 0.3, 0.5, 1 / 8, cell="quadrilateral"), LinearElastic.shear(16.0, 0.4999999), alike),
     ):
-        model = Structure(joint, body=STIFF, **data).interface(ThinLayer(law, 1 / 64))
+        model = Structure(joint, body=STIFF, **data).interface(ThinLayer(law, 1 / 64, at=1.0))
         assert told(lambda model=model: solve(model))[1] == []
 
 
 def test_slip_on_straight_facets():
     """Of a curved S: they open and close as they slide, and the law resists, to more than twice what the layer does."""
     supports, tractions = {"OUTSIDE": 0.0}, {"INSIDE": lambda x, t: (-x[1], x[0])}
-    layer = ThinLayer(LinearElastic.shear(16.0, 0.499), 0.05)
+    layer = ThinLayer(LinearElastic.shear(16.0, 0.499), 0.05, at=1.0)
     joint = ring(1.0, 1.5, 2.0, h=0.3)
     model = Structure(joint, body=STIFF, supports=supports, tractions=tractions).interface(layer)
     per_area = layer.law.lmbda + 2 * layer.law.mu, layer.law.mu  # of a law per thickness
@@ -60,13 +60,13 @@ def test_slip_that_nothing_resists_but_facets(degree):
     }
     joint = ring(1.0, 1.5, 2.0, h=0.2, degree=degree)
     for law in (springs, Stack((0.4, glue), (0.6, springs))):
-        model = Structure(joint, **data).interface(ThinLayer(law, 0.05))
+        model = Structure(joint, **data).interface(ThinLayer(law, 0.05, at=1.0))
         if degree == 1:
             assert "which resists by the mesh alone" in told(lambda model=model: solve(model))[1][0]
         else:
             with pytest.raises(SolveError, match=r"can turn|can move freely"):
                 solve(model)
-    stuck = Structure(joint, **data).interface(ThinLayer(glue, 0.05))
+    stuck = Structure(joint, **data).interface(ThinLayer(glue, 0.05, at=1.0))
     assert told(lambda: solve(stuck))[1] == []
 
 
@@ -76,7 +76,7 @@ def test_corners_are_no_facets_of_a_curve():
     for slope, messages in ((0.7, 0), (0.266, 0), (0.007, 0), (0.245, 1)):
         shift = slope * np.abs(flat.points[:, :1] - 0.5) * np.array([0.0, 1.0])
         joint = replace(flat, points=flat.points - shift)
-        layer = ThinLayer(Anisotropic.springs(700.0, 2.0), 0.05)
+        layer = ThinLayer(Anisotropic.springs(700.0, 2.0), 0.05, at=1.0)
         model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}).interface(layer)
         assert len(told(lambda model=model: warn_of_model(model))[1]) == messages, slope
 
@@ -86,7 +86,7 @@ def test_slip_beside_opening(slip):
     """The work of shear, mu/eps |w_T|^2, is asked for by both, the law and the layer."""
     law, eps = LinearElastic.shear(3.0, 0.499), 1 / 16
     joint = sandwich(1.0, 0.3, 0.3, 1 / 16, h_S=1 / 128, h_ends=1 / 256)
-    model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0, "TOP": 0.0}).interface(ThinLayer(law, eps))
+    model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0, "TOP": 0.0}).interface(ThinLayer(law, eps, at=1.0))
     found = excess(model, lambda x: (slip + 0 * x[0], 1e-3 + 0 * x[0]))
     pure = strip_excess(0.5 / (eps * np.sqrt(law.lmbda / law.mu / 12)))
     work = law.lmbda * 1e-6 / (1 + pure)
@@ -98,7 +98,7 @@ def test_slip_beside_opening(slip):
 def test_thicker_than_a_body(rigid):
     joint = block(2.0, 0.4, 0.2) if rigid else sandwich(2.0, 0.4, 0.7, 0.2)
     for eps, messages in ((0.39, 0), (0.41, 1)):
-        model = Structure(joint, body=STIFF, supports={"TOP": 0.0}).interface(ThinLayer(FOURIER_LAYER, eps))
+        model = Structure(joint, body=STIFF, supports={"TOP": 0.0}).interface(ThinLayer(FOURIER_LAYER, eps, at=1.0))
         _, found = told(lambda model=model: solve(model))
         assert len(found) == messages
     assert "the layer is 0.41 thick, the thinner body 0.4 " in found[0]
@@ -110,7 +110,7 @@ def test_harder_than_a_body():
     joint, setup = fourier(1 / 8, cell="quadrilateral")
     bodies = {"LOWER": LinearElastic.young(70.0, 0.3), "UPPER": LinearElastic.young(100.0, 0.3)}
     for factor, order, messages in ((0.99, 0, 0), (1.01, 0, 1), (1.01, 1, 0)):
-        layer = ThinLayer(LinearElastic.young(70.0 * factor, 0.3).per_thickness(0.01), 0.01, order=order)
+        layer = ThinLayer(LinearElastic.young(70.0 * factor, 0.3), 0.01, order=order)
         _, found = told(lambda layer=layer: solve(Structure(joint, **setup | {"body": bodies}).interface(layer)))
         assert len(found) == messages
         assert not found or "the layer is 1.01 times as hard as the softer body" in found[0]
@@ -122,7 +122,7 @@ def test_bodies_that_overlap():
     joint = sandwich(2.0, 0.5, 0.5, 0.25)
     setup = {"body": STIFF, "supports": {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": lambda x, t: -t * (1 + 0.5 * x[0])}}}
     law = MohrCoulombMonodirectional(1.0, 1.0, cohesion=100.0, friction_angle=30.0)
-    model = Structure(joint, **setup).interface(ThinLayer(law, 0.1))
+    model = Structure(joint, **setup).interface(ThinLayer(law, 0.1, at=1.0))
     assert told(lambda: solve(model, t=0.1325))[1] == []  # 1.99 times
     _, found = told(lambda: solve(model, t=0.134))
     assert len(found) == 1
@@ -131,18 +131,18 @@ def test_bodies_that_overlap():
         in found[0]
     )
     there_and_back = setup["supports"] | {"TOP": {"x": 0.0, "y": lambda x, t: -0.4 * t * (2 - t)}}
-    model = Structure(joint, **setup | {"supports": there_and_back}).interface(ThinLayer(law, 0.1))
+    model = Structure(joint, **setup | {"supports": there_and_back}).interface(ThinLayer(law, 0.1, at=1.0))
     _, found = told(lambda: march(model, [0.5, 1.0, 2.0]))
     assert len(found) == 1
     assert "at t = 1 the layer closes by 4 times" in found[0]
-    linear = Structure(joint, **setup).interface(ThinLayer(LinearElastic(1.0, 1.0), 0.1))
+    linear = Structure(joint, **setup).interface(ThinLayer(LinearElastic(1.0, 1.0), 0.1, at=1.0))
     assert told(lambda: solve(linear, t=1.0))[1] == []  # as good as a smaller one
 
 
 def told_by_ranks() -> list[list[str]]:
     """Messages of each rank; some of three have no part of S."""
     joint = sandwich(1.0, 0.5, 0.5, 0.25, h_S=0.125)
-    layer = ThinLayer(LinearElastic.shear(16.0, 0.499), 1 / 16)
+    layer = ThinLayer(LinearElastic.shear(16.0, 0.499), 1 / 16, at=1.0)
     setup = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
     _, found = told(lambda: solve(Structure(joint, body=LinearElastic.young(1e5, 0.3), **setup).interface(layer)))
     return MPI.COMM_WORLD.allgather(found)

@@ -91,11 +91,11 @@ def test_order_1_of_laws_that_lock(name):
     with pytest.raises(
         ModelError, match=r"lmbda/mu = 12\.12 at rest .nu = 0\.4619.*at most 12 .nu = 0\.4615.*use order=0"
     ):
-        Structure(joint, **setup).interface(ThinLayer(rubber(1.01)[name], 0.1, order=1))
-    Structure(joint, **setup).interface(ThinLayer(rubber(0.99)[name], 0.1, order=1))
-    Structure(joint, **setup).interface(ThinLayer(rubber(1.01)[name], 0.1))
+        Structure(joint, **setup).interface(ThinLayer(rubber(1.01)[name], 0.1, order=1, at=1.0))
+    Structure(joint, **setup).interface(ThinLayer(rubber(0.99)[name], 0.1, order=1, at=1.0))
+    Structure(joint, **setup).interface(ThinLayer(rubber(1.01)[name], 0.1, at=1.0))
 
 
 def test_order_1_in_plane_stress_does_not_lock():
     joint, setup = fourier(1 / 8, cell="quadrilateral")
-    Structure(joint, plane="stress", **setup).interface(ThinLayer(rubber(100.0)["Anisotropic"], 0.1, order=1))
+    Structure(joint, plane="stress", **setup).interface(ThinLayer(rubber(100.0)["Anisotropic"], 0.1, order=1, at=1.0))

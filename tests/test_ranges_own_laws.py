@@ -109,7 +109,7 @@ def test_an_own_law_that_becomes_nearly_incompressible():
     """As its bulk modulus stays and all but a thousandth of its shear modulus relaxes."""
     law, joint = StandardSolid(24.0, 0.016, 16.0, 0.4), sandwich(1.0, 0.5, 0.5, 1 / 8)
     setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
-    model = Structure(joint, **setup).interface(ThinLayer(law, 1 / 32))
+    model = Structure(joint, **setup).interface(ThinLayer(law, 1 / 32, at=1.0))
     assert told(lambda: march(model, [0.1, 0.2])) == []
     found = told(lambda: march(model, [100.0, 200.0]))
     assert ["under loads that last 200" in message for message in found] == [True, True]
@@ -121,7 +121,7 @@ def test_thicker_than_a_body(law):
     joint = sandwich(2.0, 0.4, 0.7, 0.2)
     held = {"BOTTOM": 0.0, "TOP": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     for eps, messages in ((0.39, 0), (0.41, 1)):
-        model = Structure(joint, body=STIFF, supports=held).interface(ThinLayer(law, eps))
+        model = Structure(joint, body=STIFF, supports=held).interface(ThinLayer(law, eps, at=1.0))
         found = told(lambda model=model: solve(model))
         assert len(found) == messages
     assert "the layer is 0.41 thick, the thinner body 0.4 " in found[0]
@@ -134,9 +134,9 @@ def test_harder_than_a_body(kind):
     soft = LinearElastic.young(70.0, 0.3)
     bodies = Own(soft.lmbda, soft.mu) if kind == "bodies" else soft
     for factor, messages in ((0.99, 0), (1.01, 1)):
-        e = LinearElastic.young(70.0 * factor, 0.3).per_thickness(0.01)
+        e = LinearElastic.young(70.0 * factor, 0.3).scaled(1 / 0.01)
         law = {"layer": Own(e.lmbda, e.mu), "bodies": e, "incompressible": Incompressible(e.mu * 1.3 / 2 / 0.91)}[kind]
-        model = Structure(joint, **setup | {"body": bodies}).interface(ThinLayer(law, 0.01))
+        model = Structure(joint, **setup | {"body": bodies}).interface(ThinLayer(law, 0.01, at=1.0))
         found = told(lambda model=model: solve(model))
         assert len(found) == messages
         assert not found or "the layer is 1.01 times as hard as the softer body" in found[0]
@@ -148,7 +148,7 @@ def test_nearly_incompressible():
     setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
     rubber = LinearElastic.shear(16.0, 0.499)
     messages = [
-        told(lambda law=law: solve(Structure(joint, **setup).interface(ThinLayer(law, 1 / 16))))
+        told(lambda law=law: solve(Structure(joint, **setup).interface(ThinLayer(law, 1 / 16, at=1.0))))
         for law in (rubber, Own(rubber.lmbda, rubber.mu))
     ]
     assert len(messages[0]) == 1
@@ -161,12 +161,14 @@ def test_incompressible_with_free_ends():
     for sides, messages in (({}, 1), ({"LEFT": {"x": 0.0}}, 1), ({"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}, 0)):
         supports = {"BOTTOM": 0.0, **sides}
         data = dict(body=STIFF, supports=supports, tractions={"TOP": (0.0, -1.0)})
-        found = told(lambda data=data: solve(Structure(joint, **data).interface(ThinLayer(Incompressible(40.0), 0.1))))
+        found = told(
+            lambda data=data: solve(Structure(joint, **data).interface(ThinLayer(Incompressible(40.0), 0.1, at=1.0)))
+        )
         assert len(found) == messages
         assert not found or "the layer is incompressible and S has free ends" in found[0]
     base = block(1.0, 0.5, 0.25, structured=True)
     data = dict(body=STIFF, supports={"TOP": {"x": 0.0}})
-    assert told(lambda: solve(Structure(base, **data).interface(ThinLayer(Incompressible(40.0), 0.1))))
+    assert told(lambda: solve(Structure(base, **data).interface(ThinLayer(Incompressible(40.0), 0.1, at=1.0))))
 
 
 # ---------------------------------------------------------------- negative stiffness

@@ -26,7 +26,7 @@ def test_strip(nu, supports, half_width):
     joint = sandwich(1.0, 0.3, 0.3, 1 / 16, h_S=1 / 128, h_ends=1 / 256)
     law, eps = LinearElastic.shear(3.0, nu), 1 / 16
     model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0, "TOP": 0.0, **supports}).interface(
-        ThinLayer(law, eps)
+        ThinLayer(law, eps, at=1.0)
     )
     x = half_width / (eps * np.sqrt(law.lmbda / law.mu / 12))
     assert excess(model, lambda x: (0 * x[0], 1e-3 + 0 * x[0])) == pytest.approx(strip_excess(x), rel=3e-3)
@@ -37,7 +37,7 @@ def test_strip_on_a_rigid_base_under_a_profile():
     joint = block(1.0, 0.5, 1 / 64, structured=True)
     profile = lambda x: 1 + 0.5 * x[0]
     law, eps = LinearElastic.shear(3.0, 0.499), 1 / 16
-    layer = ThinLayer(law, eps, profile=profile)
+    layer = ThinLayer(law, eps, profile=profile, at=1.0)
     model = Structure(joint, body=STIFF, supports={"TOP": 0.0}).interface(layer)
     found = excess(model, lambda x: (0 * x[0], 1e-3 * (1 + x[0])))
     n = 1000
@@ -57,7 +57,7 @@ def test_strip_on_a_rigid_base_under_a_profile():
 def test_disc(cell):
     joint = disc(1.0, 0.4, 0.4, h=0.2, cell=cell)
     law, eps = LinearElastic.shear(3.0, 0.499), 0.08
-    model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}).interface(ThinLayer(law, eps))
+    model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}).interface(ThinLayer(law, eps, at=1.0))
     x = 1 / (eps * np.sqrt(law.lmbda / law.mu / 12))
     wanted = 1 / disc_share(x) - 1
     assert excess(model, lambda x: (0 * x[0], 1e-3 + 0 * x[0], 0 * x[0])) == pytest.approx(wanted, rel=0.1)
@@ -73,14 +73,14 @@ def test_disc_of_revolution():
     R, eps, law = 0.8, 0.08, LinearElastic.shear(3.0, 0.499)
     joint = sandwich(R, 0.3, 0.3, 1 / 16, h_S=1 / 64, h_ends=1 / 256)
     setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}, "plane": "axisymmetric"}
-    model = Structure(joint, **setup).interface(ThinLayer(law, eps))
+    model = Structure(joint, **setup).interface(ThinLayer(law, eps, at=1.0))
     share = disc_share(R / (eps * np.sqrt(law.lmbda / law.mu / 12)))
     assert excess(model, lambda x: (0 * x[0], 1e-3 + 0 * x[0])) == pytest.approx(1 / share - 1, rel=3e-3)
     work, shear = law.lmbda * eps, law.mu / eps * R**2 / 2  # over pi R^2, of upper faces that move by r
     wanted = work * (1 - share) / (work * share + shear)
     assert excess(model, lambda x: (1e-3 * x[0], 0 * x[0])) == pytest.approx(wanted, rel=3e-3)
     halves = Structure(joint, **setup).interface(
-        ThinLayer(Stack((0.5, law), (0.5, LinearElastic.shear(3.1, 0.499))), eps)
+        ThinLayer(Stack((0.5, law), (0.5, LinearElastic.shear(3.1, 0.499))), eps, at=1.0)
     )
     assert "free ends (0.4)" in told(lambda: solve(halves))[1][0]
 
@@ -90,7 +90,7 @@ def test_overlap_of_a_disc_is_weighted():
     joint = sandwich(0.8, 0.3, 0.3, 0.2)
     for plane, mean in (("axisymmetric", 2 / 3), ("strain", 1 / 2)):
         structure = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0, "LEFT": {"x": 0.0}}, plane=plane)
-        model = structure.interface(ThinLayer(LinearElastic(3.0, 2.0), 0.05))
+        model = structure.interface(ThinLayer(LinearElastic(3.0, 2.0), 0.05, at=1.0))
         assert opened(model, lambda x: (0 * x[0], -0.05 * x[0] / 0.8)).mean_closing == pytest.approx(mean, rel=1e-12)
 
 
@@ -99,7 +99,7 @@ def test_wave_between_rollers():
     joint, setup = fourier(1 / 32, cell="quadrilateral")
     law, eps = LinearElastic.shear(40.0, 0.499), 1 / 16
     for order in (0, 1):
-        model = Structure(joint, **setup).interface(ThinLayer(law, eps, order=order))
+        model = Structure(joint, **setup).interface(ThinLayer(law, eps, order=order, at=1.0))
         mode = lambda x: (0.3 * np.sin(np.pi * x[0]), np.cos(np.pi * x[0]))
         assert excess(model, mode) == pytest.approx(np.pi**2 * eps**2 * law.lmbda / law.mu / 12, rel=3e-3)
 
@@ -107,7 +107,7 @@ def test_wave_between_rollers():
 def test_ends():
     """Free: no support of the layer's whole side holds it, along S or across it. A closed S has no end."""
     joint = sandwich(1.0, 0.5, 0.5, 0.25)
-    layer, data = ThinLayer(FOURIER_LAYER, 0.1), dict(body=STIFF)
+    layer, data = ThinLayer(FOURIER_LAYER, 0.1, at=1.0), dict(body=STIFF)
     rim_of = lambda model: free_rim(model, model.layers["S"].sheet)
     for supports, ends in (
         ({}, 2),
@@ -130,7 +130,7 @@ def test_rubber_is_told_once():
     setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
     eps = 1 / 16
     for nu, factor in ((0.3, None), (0.45, "1.12"), (0.49, "1.34"), (0.4999, "20.6")):
-        layer = ThinLayer(LinearElastic.shear(1.0, nu).per_thickness(eps), eps)
+        layer = ThinLayer(LinearElastic.shear(1.0, nu), eps)
         model = Structure(joint, **setup).interface(layer)
         _, found = told(lambda model=model: solve(model))
         assert len(found) == (factor is not None)
@@ -145,7 +145,7 @@ def test_rubber_in_series():
     setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}}
     soft, shim, foam = LinearElastic.shear(1.0, 0.4999), LinearElastic.young(1e6, 0.3), LinearElastic.young(0.1, 0.0)
     for other, messages in ((shim, 1), (foam, 0)):
-        model = Structure(joint, **setup).interface(ThinLayer(Stack((0.8, soft), (0.2, other)), 0.05))
+        model = Structure(joint, **setup).interface(ThinLayer(Stack((0.8, soft), (0.2, other)), 0.05, at=1.0))
         _, found = told(lambda model=model: solve(model))
         assert sum("nearly incompressible" in message for message in found) == messages
 
@@ -172,7 +172,7 @@ def test_rubber_beside_a_soft_sublayer():
     setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
     rubber, soft = LinearElastic.shear(16.0, 0.499), LinearElastic.shear(16.0, 0.3)
     for share, told_once in ((0.9, True), (0.1, False)):
-        plates, layer = Structure(joint, **setup), ThinLayer(Stack((share, rubber), (1 - share, soft)), 1 / 16)
+        plates, layer = Structure(joint, **setup), ThinLayer(Stack((share, rubber), (1 - share, soft)), 1 / 16, at=1.0)
         model = plates.interface(layer)
         state, found = told(lambda model=model: solve(model))
         surface = Surface(model)
@@ -199,7 +199,7 @@ def test_becomes_nearly_incompressible(law, end, lasting, ratio):
     """Told with the moduli that lasting loads meet (stress over strain of one step) is what the meshed layer shows."""
     joint, eps = sandwich(1.0, 0.3, 0.3, 1 / 16, cell="quadrilateral"), 1 / 32
     setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
-    layer, times = ThinLayer(law, eps), np.linspace(0, end, 6)[1:]
+    layer, times = ThinLayer(law, eps, at=1.0), np.linspace(0, end, 6)[1:]
     model = Structure(joint, **setup).interface(layer)
     history, found = told(lambda: march(model, times))
     y = np.sqrt(ratio / 12) * eps / 0.5
@@ -227,7 +227,7 @@ def test_becomes_nearly_incompressible(law, end, lasting, ratio):
 def test_ordinary_viscous_layers(law):
     """Both parts relax alike, or nearly so; Norton's dashpot resists changes of volume, too."""
     joint, eps = sandwich(1.0, 0.3, 0.3, 1 / 8, cell="quadrilateral"), 1 / 32
-    layer = ThinLayer(law.per_thickness(eps), eps)
+    layer = ThinLayer(law, eps)
     model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.0, -1.0)}).interface(layer)
     for end in (1e-3, 1e3):
         assert told(lambda end=end: march(model, [end / 3, end]))[1] == []
@@ -237,7 +237,7 @@ def test_a_viscous_layer_is_not_yet_what_it_is_at_rest():
     """A rubbery spring beside a dashpot that resists shear alone: told in long marches, not in short ones."""
     joint, eps = sandwich(1.0, 0.3, 0.3, 1 / 8, cell="quadrilateral"), 1 / 32
     spring = LinearElastic.shear(16.0, 0.499)
-    layer = ThinLayer(KelvinVoigt(spring.lmbda, spring.mu, 0.0, 10.0), eps)
+    layer = ThinLayer(KelvinVoigt(spring.lmbda, spring.mu, 0.0, 10.0), eps, at=1.0)
     model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.0, -1.0)}).interface(layer)
     short, long = (told(lambda times=times: march(model, times))[1] for times in ([0.1, 0.2], [100.0, 200.0]))
     assert not any("incompressible" in one for one in short)
@@ -249,7 +249,7 @@ def test_a_viscous_layer_is_not_yet_what_it_is_at_rest():
 def test_relaxing_behind_a_closed_surface():
     """No free end: told after the march is a bush that is pushed aside, not one that is turned."""
     joint = ring(1.0, 1.5, 2.0, h=0.3, degree=2)
-    layer = ThinLayer(Maxwell(28.0, 22.0, 0.05, 0.05 * BULK * (1 + 1e-12)).per_thickness(0.1), 0.1)
+    layer = ThinLayer(Maxwell(28.0, 22.0, 0.05, 0.05 * BULK * (1 + 1e-12)), 0.1)
     aside = piecewise({0: 0.0, 100: 0.01, 200: 0.006})  # the last opening is not the largest one
     for held, load, messages in (
         ({"INSIDE": {"x": aside, "y": 0.0}}, {}, 1),

@@ -40,7 +40,7 @@ def test_stacks_and_meshed_layers_on_a_base():
     law = Stack((0.3, LinearElastic(3.0, 2.0)), (0.7, CREEP))
     structure = on_base(law).structure
     for made in (structure.interface, structure.full):
-        state = march(made(ThinLayer(law, EPS)), [0.1, 0.2]).last
+        state = march(made(ThinLayer(law, EPS, at=1.0)), [0.1, 0.2]).last
         assert out_of_balance(state) < BALANCED
         assert state.reaction("S").force[1] == pytest.approx(1.2, rel=1e-9)
     assert out_of_balance(solve(structure.bonded(), t=1.0)) < BALANCED
@@ -68,7 +68,7 @@ def test_networks():
         state = solve(dry, method=method)
         assert out_of_balance(state) < BALANCED
         assert state.reaction("BOTTOM").force == pytest.approx([-10.0, 250.0], rel=1e-8)
-    state = solve(structure.full({"BED": ThinLayer(GLUE, 10), "HEAD": ThinLayer(GLUE, 10)}))
+    state = solve(structure.full({"BED": ThinLayer(GLUE, 10, at=1.0), "HEAD": ThinLayer(GLUE, 10, at=1.0)}))
     assert out_of_balance(state) < BALANCED
 
 
@@ -88,9 +88,9 @@ def test_a_column_between_rollers(kind):
     """Uniaxial strain: closed forms of all reactions, and of the moment of a linear pressure about its middle."""
     sides = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "BOTTOM": {"y": 0.0}}
     joint = sandwich(2.0, 0.5, 0.6, 0.5)
-    structure = Structure(joint, body=GLUE.in_layer(EPS), supports=sides, tractions={"TOP": (0.0, -0.7)})
-    state = solve(getattr(structure, kind)(*[ThinLayer(GLUE, EPS)] * (kind != "bonded")))
-    lmbda, mu = GLUE.in_layer(EPS).lmbda, GLUE.in_layer(EPS).mu
+    structure = Structure(joint, body=GLUE.scaled(EPS), supports=sides, tractions={"TOP": (0.0, -0.7)})
+    state = solve(getattr(structure, kind)(*[ThinLayer(GLUE, EPS, at=1.0)] * (kind != "bonded")))
+    lmbda, mu = GLUE.scaled(EPS).lmbda, GLUE.scaled(EPS).mu
     height = {"full": 1.2, "interface": 1.1, "bonded": 1.1}[kind]
     side = 0.7 * lmbda / (lmbda + 2 * mu) * height
     assert state.reaction("BOTTOM").force == pytest.approx([0.0, 1.4], abs=1e-9)
@@ -123,7 +123,7 @@ def test_parts_of_a_side_and_springs():
     beds = [Springs("TOP", normal=2.0), Springs("LEFT", normal=3.0)]
     supports = {"RIGHT/LOWER": 0.0, "RIGHT/UPPER": {"y": 0.0}, (0.0, 0.5): {"y": -0.01}}
     structure = Structure(joint, body=BODY, supports=supports, tractions={"TOP": (0.4, -0.3)}, parts=beds)
-    state = solve(structure.interface(ThinLayer(GLUE, EPS)))
+    state = solve(structure.interface(ThinLayer(GLUE, EPS, at=1.0)))
     parts = [state.reaction(f"RIGHT/{name}", about=(1, 0)) for name in ("LOWER", "UPPER")]
     whole = state.reaction("RIGHT")
     assert whole.about == pytest.approx([1.0, 0.0])
@@ -152,7 +152,7 @@ def test_kept_in_files(tmp_path):
 def test_a_support_of_the_side_of_a_layer_that_is_not_meshed_holds_nothing():
     """Meshed it holds what bodies move there, and laws leave this out: told, and refused of a mixed model."""
     joint, supports = block(1.0, 1.0, 0.5), {"TOP": 0.0, "LEFT": {"y": 0.0}, "LEFT/LAYER": {"x": 0.0}}
-    setup, layer = Structure(joint, body=BODY, supports=supports), ThinLayer(GLUE, EPS)
+    setup, layer = Structure(joint, body=BODY, supports=supports), ThinLayer(GLUE, EPS, at=1.0)
     with pytest.warns(RangeWarning, match=r"holds the side of the layer alone, at \(0, 0\)"):
         state = solve(setup.interface(layer))
     with pytest.raises(ModelError, match="mesh all of the layer there"):
@@ -165,12 +165,14 @@ def test_loads_that_move_nothing_are_told():
         block(1.0, 1.0, 0.5), body=BODY, supports={"TOP": 0.0}, tractions={"TOP": (0.3, -1.0), "LEFT": (0.1, 0.0)}
     )
     with pytest.warns(RangeWarning) as told:
-        both.interface(ThinLayer(GLUE, EPS))
+        both.interface(ThinLayer(GLUE, EPS, at=1.0))
     assert [str(one.message)[:17] for one in told] == ["traction on 'TOP'"]
 
 
 def test_a_free_side_has_no_reaction():
-    state = solve(Structure(block(1.0, 1.0, 0.5), body=BODY, supports={"TOP": 0.0}).interface(ThinLayer(GLUE, EPS)))
+    state = solve(
+        Structure(block(1.0, 1.0, 0.5), body=BODY, supports={"TOP": 0.0}).interface(ThinLayer(GLUE, EPS, at=1.0))
+    )
     refused(ModelError, r"nothing holds 'LEFT': it is free .* held are: 'TOP', 'S'", lambda: state.reaction("LEFT"))
     refused(ModelError, r"about is .* a point of 2 finite coordinates", lambda: state.reaction("TOP", about=(0.0,)))
 
@@ -193,7 +195,7 @@ def test_contradictory_supports(supports, message):
     """Numbers when the model is made, functions when their values are known; both values and the place are told."""
     joint = sandwich(1.0, 0.5, 0.5, 0.5)
     with pytest.raises(ModelError, match=message):
-        solve(Structure(joint, body=BODY, supports=supports).interface(ThinLayer(GLUE, EPS)), t=2.0)
+        solve(Structure(joint, body=BODY, supports=supports).interface(ThinLayer(GLUE, EPS, at=1.0)), t=2.0)
 
 
 def test_supports_that_agree():

@@ -33,7 +33,7 @@ from thinlayer.solving import linear_solvers
 GLUE = LinearElastic(lmbda=3.0, mu=2.0)
 JOINT = sandwich(2.0, 1.0, 1.0, 0.5)
 SETUP = {"body": LinearElastic.young(100.0, 0.3), "supports": {"BOTTOM": 0.0}}
-LAYER = ThinLayer(GLUE, 0.1)
+LAYER = ThinLayer(GLUE, 0.1, at=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -63,11 +63,11 @@ def test_arguments_of_another_kind(wrong, words):
 
 def test_thicknesses_that_are_zero_or_that_coordinates_do_not_resolve():
     with pytest.raises(GeometryError, match="1e-300, which coordinates do not resolve beside bodies of 2"):
-        Structure(JOINT, **SETUP).full(ThinLayer(GLUE, 1e-300))
+        Structure(JOINT, **SETUP).full(ThinLayer(GLUE, 1e-300, at=1.0))
     with pytest.raises(ModelError, match=r"eps is 2\.1e\+06, the bodies measure 2: .* lost in rounding"):
-        Structure(JOINT, **SETUP).full(ThinLayer(GLUE, 2.1e6))
+        Structure(JOINT, **SETUP).full(ThinLayer(GLUE, 2.1e6, at=1.0))
     with pytest.raises(GeometryError, match=r"the thickness profile is 0 at \(0, 0\); it must be > 0 on S"):
-        Structure(JOINT, **SETUP).interface(ThinLayer(GLUE, 0.1, profile=lambda x: x[0]))
+        Structure(JOINT, **SETUP).interface(ThinLayer(GLUE, 0.1, profile=lambda x: x[0], at=1.0))
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_where_that_is_no_condition(states, where):
 @pytest.mark.parametrize("profile", [lambda x: 1j * x[0], lambda x, y: x, lambda x: ufl.sin(x[0]), lambda x: "thick"])
 def test_profiles_that_are_no_numpy_functions(profile):
     with pytest.raises(GeometryError, match="thickness profile is no numpy function"):
-        Structure(JOINT, **SETUP).interface(ThinLayer(GLUE, 0.1, profile=profile))
+        Structure(JOINT, **SETUP).interface(ThinLayer(GLUE, 0.1, profile=profile, at=1.0))
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_profiles_that_are_no_numpy_functions(profile):
         ({"body": LinearElastic.young(70.0, 0.3)}, "bodies"),
         ({"supports": {"BOTTOM": {"y": 0.0}, "LEFT": 0.0}}, "supports"),
         ({"plane": "stress"}, "plane"),
-        ({"layer": ThinLayer(GLUE, 0.1, profile=lambda x: 1 + 0.1 * x[0])}, "profile of the thickness"),
+        ({"layer": ThinLayer(GLUE, 0.1, profile=lambda x: 1 + 0.1 * x[0], at=1.0)}, "profile of the thickness"),
     ],
 )
 def test_other_structures_are_not_compared(states, change, what):
@@ -128,7 +128,10 @@ def test_structures_that_are_written_in_other_words_are_compared():
     """Loads as functions that do the same, numbers of other types, another law of the layer."""
     words = [{"TOP": lambda x, t: (0.1 * x[0], 1.0)}, {"TOP": lambda x, t: (0.1 * x[0], 1.0)}]
     supports = [{"BOTTOM": 0.0}, {"BOTTOM": np.int64(0)}]
-    layers = [ThinLayer(GLUE, 0.1, profile=lambda x: 1 + 0 * x[0]), ThinLayer(LinearElastic(lmbda=3.0, mu=2.5), 0.1)]
+    layers = [
+        ThinLayer(GLUE, 0.1, profile=lambda x: 1 + 0 * x[0], at=1.0),
+        ThinLayer(LinearElastic(lmbda=3.0, mu=2.5), 0.1, at=1.0),
+    ]
     full, interface = (
         solve(build(Structure(JOINT, body=SETUP["body"], supports=support, tractions=load), layer))
         for build, layer, support, load in zip(
@@ -191,7 +194,7 @@ def test_crossing_pieces_of_s():
     axis = np.linspace(0.0, 1.0, 5)
     joint = grid([axis, axis], lambda x: (x[:, 0] < 0.5) == (x[:, 1] > 0.5), "quadrilateral")
     assert joint.splitting.valence.max() == joint.splitting.pieces.max() + 1 == 4
-    body, layer, t = LinearElastic.young(100.0, 0.2), ThinLayer(LinearElastic(30.0, 20.0), 0.01), 3.0
+    body, layer, t = LinearElastic.young(100.0, 0.2), ThinLayer(LinearElastic(30.0, 20.0), 0.01, at=1.0), 3.0
     structure = Structure(
         joint, body=body, supports={"LEFT": {"x": 0.0}, "BOTTOM": {"y": 0.0}}, tractions={"TOP": (0.0, t)}
     )
@@ -206,7 +209,7 @@ def test_free_sliding_is_no_solution_of_multigrid(monkeypatch):
     """A layer without tangential stiffness leaves the upper body free; conjugate gradients alone would not notice."""
     monkeypatch.setitem(linear_solvers.MULTIGRID_FROM, 3, 100)
     joint = sandwich(1.0, 0.5, 0.5, 0.25, depth=1.0, cell="hexahedron")
-    layer = ThinLayer(Anisotropic(np.diag([1.0, 1, 1, 0, 0, 0]), "layer"), 0.05)
+    layer = ThinLayer(Anisotropic(np.diag([1.0, 1, 1, 0, 0, 0]), "layer"), 0.05, at=1.0)
     model = Structure(joint, **SETUP | {"tractions": {"TOP": (1.0, 0.0, 0.0)}, "element": "Q1"}).interface(layer)
     with pytest.raises(SolveError):
         solve(model)

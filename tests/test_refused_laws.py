@@ -194,7 +194,7 @@ def test_a_condition_is_not_forgotten_without_memory():
 # ---------------------------------------------------------------- ranks
 def wrong_source() -> list[str]:
     """A source that does not compile: the same error on all ranks, before the march writes anything."""
-    layer = ThinLayer(from_c(5.0, source="no/such/file.c"), 0.1)
+    layer = ThinLayer(from_c(5.0, source="no/such/file.c"), 0.1, at=1.0)
     setup = {"body": LinearElastic.young(100.0, 0.3), "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.1, -1.0)}}
     with pytest.raises(LawError) as found:
         march(Structure(sandwich(1.0, 0.5, 0.5, 0.5), **setup).interface(layer), [1.0], out="no/such/folder")

@@ -229,7 +229,7 @@ def test_running_bond(draw, tmp_path):
     build = wall(draw, tmp_path)
     with pytest.raises(GeometryError, match=r"does not tell the upper side of 'S': it lies in the facet near \(\d, "):
         build(S="JOINTS", direction=(0, 1))
-    law, layer = LinearElastic.young(100.0, 0.2), ThinLayer(LinearElastic(30.0, 20.0), 0.1)
+    law, layer = LinearElastic.young(100.0, 0.2), ThinLayer(LinearElastic(30.0, 20.0), 0.1, at=1.0)
     pull = {"up": {"TOP": (0.0, 3.0), "BOTTOM": (0.0, -3.0)}, "along": {"LEFT": (-2.0, 0.0), "RIGHT": (2.0, 0.0)}}
     found = {name: [] for name in pull}
     choices = [{"S": "JOINTS", "direction": way} for way in [(1, 1), (0.3, 1), (-1, 0.5)]]
@@ -260,7 +260,7 @@ def test_tractions_of_seams(draw, tmp_path):
     joint = wall(draw, tmp_path)(S={"BED": (0, 1), "HEAD": (1, 0)})
     pull = {"LEFT": (-2.0, 0.0), "RIGHT": (2.0, 0.0)}
     structure = Structure(joint, body=LinearElastic.young(100.0, 0.2), supports=CORNERS, tractions=pull)
-    state = solve(structure.interface(ThinLayer(LinearElastic(30.0, 20.0), 0.1)))
+    state = solve(structure.interface(ThinLayer(LinearElastic(30.0, 20.0), 0.1, at=1.0)))
     for name, error in (("HEAD", 0.02), ("BED", 0.3)):
         surface = Surface(state.model, name)
         jump, n = surface.jump(state), surface.sides.n
@@ -316,6 +316,6 @@ def test_arguments_of_inflate():
             inflate(joint, **{"eps": 0.1} | data)
     law, supports = LinearElastic(1.0, 1.0), {"BOTTOM": 0}
     with pytest.raises(GeometryError, match="cells_through is 0; the layer needs a whole number >= 1 of cells"):
-        Structure(joint, body=law, supports=supports).full(ThinLayer(law, 0.1), cells_through=0)
+        Structure(joint, body=law, supports=supports).full(ThinLayer(law, 0.1, at=1.0), cells_through=0)
     refused(GeometryError, "angle is nan", lambda: joint.rotated(float("nan")))
     refused(GeometryError, r"point 3\.0 is not a place; give 2 coordinates", lambda: joint.nearest_point(3.0))

@@ -43,7 +43,7 @@ def pure(**changed: Any) -> NonMonotoneUnrelaxed:
 def model(law: BulkLaw, pull: float = 1.0) -> Model:
     """Two blocks with a layer of this law, pulled by pull * t."""
     loads = {"TOP": lambda x, t: (0.0, pull * t * (1 + 0.1 * x[0]))}
-    return Structure(JOINT, tractions=loads, **SETUP).interface(ThinLayer(law, 0.1))
+    return Structure(JOINT, tractions=loads, **SETUP).interface(ThinLayer(law, 0.1, at=1.0))
 
 
 def refused(law: BulkLaw, message: str, tmp_path: Any) -> None:
@@ -218,7 +218,7 @@ def test_a_point_with_pure_phases_holds_at_the_ends_of_steps():
 
 
 def test_loads_and_supports_that_are_no_numbers():
-    layer = ThinLayer(pure(), 0.1)
+    layer = ThinLayer(pure(), 0.1, at=1.0)
     with pytest.raises(ModelError, match=r"traction on 'TOP' gives \(0, nan\); it needs 2 finite components"):
         Structure(JOINT, tractions={"TOP": lambda x, t: (0, np.nan)}, **SETUP).interface(layer)
     moved = SETUP | {"supports": {"BOTTOM": 0.0, "TOP": {"y": lambda x, t: np.inf}}}

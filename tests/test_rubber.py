@@ -28,7 +28,7 @@ def of(mu: float, nu: float) -> tuple[float, float]:
 
 def law_of(lmbda: float, mu: float, eps: float) -> Rubber | Incompressible:
     law = Rubber(lmbda, mu) if math.isfinite(lmbda) else Incompressible(mu)
-    return law.per_thickness(eps)
+    return law.scaled(1 / eps)
 
 
 def transfer(lmbda: float, mu: float) -> np.ndarray:
@@ -90,7 +90,7 @@ def test_closed_form_of_the_law(cell, allowed):
     for nu in NUS:
         eps = 1 / 8
         lmbda, mu = of(40 * eps, nu)
-        model = Structure(joint, **setup).interface(ThinLayer(law_of(lmbda, mu, eps), eps, order=1))
+        model = Structure(joint, **setup).interface(ThinLayer(law_of(lmbda, mu, eps), eps, order=1, at=1.0))
         wanted = of_law(lmbda, mu, eps)
         assert np.linalg.norm(found(model) - wanted) < allowed * np.linalg.norm(wanted), nu
 
@@ -108,9 +108,9 @@ def test_closed_form_in_three_dimensions():
     structure = Structure(joint, body=body, supports={"BOTTOM": 0.0, **rollers}, tractions={"TOP": top})
     errors = []
     for eps in (1 / 8, 1 / 16):
-        law = Rubber(*of(40 * eps, 0.499)).per_thickness(eps)
-        full = solve(structure.full(ThinLayer(law, eps), cells_through=1))
-        errors.append(compare(full, solve(structure.interface(ThinLayer(law, eps, order=1))))["error_jump"])
+        law = Rubber(*of(40 * eps, 0.499)).scaled(1 / eps)
+        full = solve(structure.full(ThinLayer(law, eps, at=1.0), cells_through=1))
+        errors.append(compare(full, solve(structure.interface(ThinLayer(law, eps, order=1, at=1.0))))["error_jump"])
     assert errors[0] < 0.05
     assert observed_orders([1 / 8, 1 / 16], errors)[1] > 1.7
 
@@ -160,11 +160,11 @@ def test_errors_against_the_meshed_layer(nu):
     joint, setup = fourier(1 / 32, cell="quadrilateral")
     eps = 1 / 8
     lmbda, mu = of(40 * eps, nu)
-    structure, law = Structure(joint, **setup), Rubber(lmbda, mu).per_thickness(eps)
-    full = solve(structure.full(ThinLayer(law, eps), cells_through=4))
-    elastic = LinearElastic(lmbda, mu).per_thickness(eps)
+    structure, law = Structure(joint, **setup), Rubber(lmbda, mu).scaled(1 / eps)
+    full = solve(structure.full(ThinLayer(law, eps, at=1.0), cells_through=4))
+    elastic = LinearElastic(lmbda, mu).scaled(1 / eps)
     exact = jumps(expm(transfer(lmbda, mu) * eps))
-    for one, layer in ((of_law, ThinLayer(law, eps, order=1)), (order_0, ThinLayer(elastic, eps))):
+    for one, layer in ((of_law, ThinLayer(law, eps, order=1, at=1.0)), (order_0, ThinLayer(elastic, eps, at=1.0))):
         limit = one(lmbda, mu, eps)
         state = told(lambda layer=layer: solve(structure.interface(layer)))[0]
         wanted = np.linalg.norm(limit - exact) / np.linalg.norm(limit)
@@ -178,11 +178,11 @@ def test_meshed_layer_does_not_lock():
     lmbda, mu = of(40 * eps, 0.4999)
     wanted = jumps(expm(transfer(lmbda, mu) * eps))
     structure = Structure(joint, **setup)
-    surface = Surface(structure.interface(ThinLayer(LinearElastic(1.0, 1.0), eps)))
+    surface = Surface(structure.interface(ThinLayer(LinearElastic(1.0, 1.0), eps, at=1.0)))
     x = ufl.SpatialCoordinate(surface.model.domain.mesh)[0]
     errors = []
     for law in (Rubber, LinearElastic):
-        w = surface.jump(solve(structure.full(ThinLayer(law(lmbda, mu).per_thickness(eps), eps), cells_through=2)))
+        w = surface.jump(solve(structure.full(ThinLayer(law(lmbda, mu), eps), cells_through=2)))
         parts = (w[0] * ufl.sin(K * x), w[1] * ufl.cos(K * x))
         amplitudes = np.array([2 * surface.integral(part) for part in parts])
         errors.append(np.linalg.norm(amplitudes - wanted) / np.linalg.norm(wanted))
@@ -193,7 +193,7 @@ def test_meshed_layer_does_not_lock():
 def test_order_0_is_the_elastic_law():
     """Without flow along S the pressure is lmbda [u_N]/eps."""
     joint, setup = fourier(1 / 8)
-    layers = [ThinLayer(law(30.0, 20.0), 0.1) for law in (Rubber, LinearElastic)]
+    layers = [ThinLayer(law(30.0, 20.0), 0.1, at=1.0) for law in (Rubber, LinearElastic)]
     with_pressure, elastic = (solve(Structure(joint, **setup).interface(layer)) for layer in layers)
     assert with_pressure.energies() == pytest.approx(elastic.energies(), rel=1e-4)  # p is of degree 1
     assert with_pressure.p is not None
@@ -204,7 +204,7 @@ def test_free_ends():
     joint = sandwich(1.0, 0.5, 0.5, 1 / 8, h_S=1 / 16, h_ends=1 / 40)
     stiff = LinearElastic.young(1e5, 0.3)
     eps = 1 / 16
-    layer = ThinLayer(Rubber.shear(1.0, 0.49).per_thickness(eps), eps, order=1)
+    layer = ThinLayer(Rubber.shear(1.0, 0.49), eps, order=1)
     for sides, zero in (
         ({}, (True, True)),
         ({"LEFT": {"x": 0.0}}, (False, True)),
@@ -218,7 +218,7 @@ def test_free_ends():
         assert tuple(ends) == zero
     coarse = sandwich(1.0, 0.5, 0.5, 1 / 8)
     structure = Structure(coarse, body=stiff, supports={"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": -0.01}})
-    thin = ThinLayer(Rubber.shear(1.0, 0.3).per_thickness(eps), eps, order=1)
+    thin = ThinLayer(Rubber.shear(1.0, 0.3), eps, order=1)
     _, said = told(lambda: solve(structure.interface(thin)))
     assert len(said) == 1
     assert "not set to zero at such ends" in said[0]
@@ -227,7 +227,7 @@ def test_free_ends():
 def test_one_free_end_at_the_origin():
     joint = sandwich(1.0, 0.5, 0.5, 1 / 8, h_ends=1 / 40).moved((-1.0, 0.0))
     held = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": -0.01}, "LEFT": {"x": 0.0}}
-    layer = ThinLayer(Rubber.shear(1.0, 0.49).per_thickness(1 / 16), 1 / 16, order=1)
+    layer = ThinLayer(Rubber.shear(1.0, 0.49), 1 / 16, order=1)
     p = solve(Structure(joint, body=LinearElastic.young(1e5, 0.3), supports=held).interface(layer)).p
     x = p.function_space.tabulate_dof_coordinates()[:, 0]
     assert abs(p.x.array[np.argmax(x)]) < 1e-12 * np.abs(p.x.array).max()
@@ -238,7 +238,7 @@ def test_march(theta):
     """Steps in time find the states of single solves, and their energy balance closes."""
     joint, setup = fourier(1 / 8)
     setup["tractions"] = {"TOP": lambda x, t: (0.5 * t * ufl.sin(K * x[0]), t * ufl.cos(K * x[0]))}
-    model = Structure(joint, **setup).interface(ThinLayer(Rubber(90.0, 3.0), 0.1, order=1))
+    model = Structure(joint, **setup).interface(ThinLayer(Rubber(90.0, 3.0), 0.1, order=1, at=1.0))
     history = march(model, [0.25, 1.0], theta=theta)
     at_once = solve(model, t=1.0)
     for state in history:
@@ -250,11 +250,11 @@ def test_refused():
     refused(LawError, "lmbda is 0", lambda: Rubber(0.0, 1.0))
     refused(LawError, "mu is -1", lambda: Rubber(1.0, -1.0))
     joint, setup = fourier(1 / 4)
-    layer = ThinLayer(Rubber(90.0, 3.0), 0.1, order=1)
+    layer = ThinLayer(Rubber(90.0, 3.0), 0.1, order=1, at=1.0)
     refused(ModelError, "in plane stress", lambda: Structure(joint, plane="stress", **setup).interface(layer))
     tip = partly(joint, lambda x: x[:, 0] < 0.5)
     refused(ModelError, "end inside the bodies", lambda: Structure(tip, **setup).interface(layer))
-    negative = ThinLayer(Rubber(lambda x: 90.0 - 100 * x[0], 3.0), 0.1, order=1)
+    negative = ThinLayer(Rubber(lambda x: 90.0 - 100 * x[0], 3.0), 0.1, order=1, at=1.0)
     for build in (Structure.full, Structure.interface):
         with pytest.raises(LawError, match=r"lmbda is -.*allowed: > 0.*, at x = "):
             build(Structure(joint, **setup), negative)

@@ -46,7 +46,7 @@ def structure(bearing, *, motion=(0.0, OPENING), h_ends=0.2, body=PLATES):
 
 
 def layer(law, order=1, edges="plain"):
-    return ThinLayer(law.per_thickness(EPS), EPS, order=order, edges=edges)
+    return ThinLayer(law, EPS, order=order, edges=edges)
 
 
 def rubber(nu):

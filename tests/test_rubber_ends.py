@@ -26,7 +26,7 @@ def wave(shift=0.0, *, n=16):
 
 
 def rubber(nu):
-    return ThinLayer(law_of(*of(40 * EPS, nu), EPS), EPS, order=1)
+    return ThinLayer(law_of(*of(40 * EPS, nu), EPS), EPS, order=1, at=1.0)
 
 
 @pytest.mark.parametrize("nu", NUS)
@@ -56,7 +56,7 @@ def test_periodic_in_space():
         for shift in (0.0, 0.25):
             top = lambda x, t, s=shift: (0.0, ufl.cos(2 * K * (x[0] - s)), 0.3 * ufl.sin(2 * K * (x[0] - s)))
             setup = {"body": LinearElastic(80.0, 50.0), "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": top}}
-            layer = ThinLayer(Rubber(1900.0, 2.0), 0.1, order=1)
+            layer = ThinLayer(Rubber(1900.0, 2.0), 0.1, order=1, at=1.0)
             energies.append(solve(Structure(periodic(joint, *sides), **setup).interface(layer)).energies())
         assert energies[1] == pytest.approx(energies[0], rel=1e-11)
 
@@ -69,7 +69,7 @@ def test_closed_s(nu):
     structure = Structure(joint, body=FOURIER_BODY, supports={"INSIDE": 0.0}, tractions={"OUTSIDE": out})
     eps, errors = (0.1, 0.05), []
     for e in eps:
-        layer = ThinLayer(law_of(*of(40 * e, nu), e), e, order=1)
+        layer = ThinLayer(law_of(*of(40 * e, nu), e), e, order=1, at=1.0)
         full = solve(structure.full(layer, bodies="extended", cells_through=2))
         limit = solve(structure.interface(layer, bodies="extended"))
         assert np.count_nonzero(limit.p.x.array == 0) == 0
@@ -93,5 +93,5 @@ def test_meshed_layer_in_a_periodic_cell():
     cell, found = periodic(fibre(0.3, (1.2, 1.0), 0.15), ("LEFT", "RIGHT"), ("BOTTOM", "TOP")), []
     structure = Structure(cell, body=FOURIER_BODY, supports={}, strain=[[0.01, 0.002], [0.002, -0.004]])
     for law in (Rubber.shear(14.0, 0.35), LinearElastic.shear(14.0, 0.35)):
-        found.append(solve(structure.full(ThinLayer(law, 0.05), bodies="extended")).energies()["layer"])
+        found.append(solve(structure.full(ThinLayer(law, 0.05, at=1.0), bodies="extended")).energies()["layer"])
     assert found[0] == pytest.approx(found[1], rel=5e-3)

@@ -54,7 +54,7 @@ def rubber(nu):
 
 @cache
 def meshed(nu, eps):
-    return solve(structure(blocks(eps)).full(ThinLayer(rubber(nu), eps), cells_through=16))
+    return solve(structure(blocks(eps)).full(ThinLayer(rubber(nu), eps, at=1.0), cells_through=16))
 
 
 def errors(nu, eps, layer):
@@ -68,7 +68,7 @@ def errors(nu, eps, layer):
 @pytest.mark.parametrize("nu", RUBBER)
 def test_errors_and_their_orders(nu):
     """Traction and jump to 3 %, the compliance, a difference of larger numbers, to 2e-5; orders near 1, as p = 0 alone."""
-    found = [errors(nu, eps, ThinLayer(rubber(nu), eps, order=1, edges="plain")) for eps in EPS]
+    found = [errors(nu, eps, ThinLayer(rubber(nu), eps, order=1, edges="plain", at=1.0)) for eps in EPS]
     for one, wanted in zip(found, RUBBER[nu], strict=True):
         # at 1/32 the traction of degree 4 has more digits wrong than that of this mesh
         assert one[:2] == pytest.approx(wanted[:2], rel=0.03 if wanted is RUBBER[nu][1] else 0.08)
@@ -81,7 +81,7 @@ def test_errors_and_their_orders(nu):
 @pytest.mark.parametrize("order", ELASTIC)
 def test_elastic_laws_have_larger_errors(order):
     eps = EPS[1]
-    found = errors(0.45, eps, ThinLayer(LinearElastic.shear(MU, 0.45), eps, order=order, edges="plain"))
+    found = errors(0.45, eps, ThinLayer(LinearElastic.shear(MU, 0.45), eps, order=order, edges="plain", at=1.0))
     assert found == pytest.approx(ELASTIC[order], rel=0.03 if order == 0 else 0.08)
     assert min(a / b for a, b in zip(found, RUBBER[0.45][1], strict=True)) > 1.3
 
@@ -92,7 +92,7 @@ def test_coarse_ends_are_left_alone(width, wrong, monkeypatch):
     eps, nu = EPS[1], 0.3
     delta = eps * math.sqrt(2 * nu / (1 - 2 * nu) / 12)
     coarse = structure(sandwich(1.0, 0.5, 0.5, width * delta, structured=True))
-    layer = ThinLayer(rubber(nu), eps, order=1, edges="plain")
+    layer = ThinLayer(rubber(nu), eps, order=1, edges="plain", at=1.0)
 
     def of_layer(compliance, bodies):
         """What the layer adds to the compliance of the bodies."""
@@ -114,9 +114,9 @@ def test_coarse_ends_are_left_alone(width, wrong, monkeypatch):
 @pytest.mark.parametrize("nu", WITH_ENDS)
 def test_errors_of_the_law_that_knows_its_ends(nu, monkeypatch):
     """To 15 %, jumps to 1.6e-5, which is their mesh's error; of order 2, unlike above. That program takes every kappa."""
-    own = errors(nu, EPS[1], ThinLayer(rubber(nu), EPS[1], order=1, edges="free"))
+    own = errors(nu, EPS[1], ThinLayer(rubber(nu), EPS[1], order=1, edges="free", at=1.0))
     monkeypatch.setattr(Strips, "of_spread", lambda self, length: self)
-    found = [errors(nu, eps, ThinLayer(rubber(nu), eps, order=1, edges="free")) for eps in EPS]
+    found = [errors(nu, eps, ThinLayer(rubber(nu), eps, order=1, edges="free", at=1.0)) for eps in EPS]
     assert found[1] == pytest.approx(WITH_ENDS[nu], rel=0.15, abs=1.6e-5)
     orders = [math.log2(a / b) for a, b in zip(*found, strict=True)]
     assert min(orders[:2]) > 1.75

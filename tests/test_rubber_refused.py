@@ -19,7 +19,7 @@ HELD = {"body": BODY, "supports": {"BOTTOM": 0.0}}
 
 
 def layer(law=RUBBER, order=1, **options):
-    return ThinLayer(law, 0.1, order=order, **options)
+    return ThinLayer(law, 0.1, order=order, at=1.0, **options)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def half_negative() -> list[list[str]]:
     structure, said = Structure(joint, body=LinearElastic(2.0, 1.0), supports={"BOTTOM": 0.0}), []
     for build in (structure.full, structure.interface):
         with pytest.raises(ModelError) as found:
-            build(ThinLayer(law, 0.1, order=1))
+            build(ThinLayer(law, 0.1, order=1, at=1.0))
         said.append(str(found.value))
     return MPI.COMM_WORLD.allgather(said)
 

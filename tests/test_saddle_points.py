@@ -39,7 +39,7 @@ def bearing(nu: float, *, mm: float = 1.0, MPa: float = 1.0, upper: LinearElasti
     bodies = {name: law.with_parameters({k: v * MPa for k, v in law.parameters().items()})
               for name, law in (("LOWER", LOWER), ("UPPER", upper))}  # fmt: skip
     structure = Structure(joint, body=bodies, **setup)
-    return structure.interface(ThinLayer(layer_law(nu, MPa).per_thickness(EPS * mm), EPS * mm, order=1))
+    return structure.interface(ThinLayer(layer_law(nu, MPa), EPS * mm, order=1))
 
 
 def layer_law(nu: float, MPa: float = 1.0) -> Rubber | Incompressible | LinearElastic:
@@ -73,7 +73,7 @@ SOLVED = 1e-8  # residuals are 1e-10 of the forces, and soft layers move far und
 
 
 def layer(nu: float) -> ThinLayer:
-    return ThinLayer(layer_law(nu).per_thickness(EPS), EPS, order=1)
+    return ThinLayer(layer_law(nu), EPS, order=1)
 
 
 def distance(one, other) -> float:
@@ -83,7 +83,7 @@ def distance(one, other) -> float:
 
 
 def soft(law, order: int = 1) -> ThinLayer:
-    return ThinLayer(law.per_thickness(0.1), 0.1, order=order)
+    return ThinLayer(law, 0.1, order=order)
 
 
 PLATES = sandwich(3.0, 1.0, 1.2, 0.5)

@@ -40,7 +40,7 @@ def test_layers_in_series(path, seams):
     """Each seam has its own layer; which side is the upper one makes no difference."""
     joint = read(path, S=seams)
     structure = Structure(joint, body=BODY, supports={"BOTTOM": {"y": 0.0}, "TOP": {"y": 0.1}, **ROLLERS})
-    state = solve(structure.interface({"ONE": ThinLayer(SOFT, 0.01), "TWO": ThinLayer(STIFF, 0.02)}))
+    state = solve(structure.interface({"ONE": ThinLayer(SOFT, 0.01, at=1.0), "TWO": ThinLayer(STIFF, 0.02, at=1.0)}))
     t = 0.1 / (3 / 70 + SHARE)
     for name, stiffness in (("ONE", 5), ("TWO", 9)):
         surface = Surface(state.model, name)
@@ -59,7 +59,7 @@ def test_a_seam_on_a_rigid_base(path, tmp_path):
     joint = read(path, S={"BOTTOM": None, "TWO": (0, 1)})
     assert joint.base_seams == ("BOTTOM",)
     structure = Structure(joint, body=BODY, supports={"TOP": {"y": 0.1}, **ROLLERS})
-    state = solve(structure.interface({"BOTTOM": ThinLayer(SOFT, 0.01), "TWO": ThinLayer(STIFF, 0.02)}))
+    state = solve(structure.interface({"BOTTOM": ThinLayer(SOFT, 0.01, at=1.0), "TWO": ThinLayer(STIFF, 0.02, at=1.0)}))
     t = 0.1 / (3 / 70 + SHARE)
     for name, stiffness in (("BOTTOM", 5), ("TWO", 9)):
         surface = Surface(state.model, name)
@@ -83,8 +83,8 @@ def test_a_seam_on_a_rigid_base(path, tmp_path):
 def test_layers_that_remember(path):
     """A Maxwell and an elastic layer in series relax as one layer with two sublayers does."""
     supports = {"BOTTOM": {"y": 0.0}, "TOP": {"y": 0.1}, **ROLLERS}
-    apart = {"ONE": ThinLayer(Maxwell(3.0, 1.0, t1=2.0, t2=2.0), 0.01), "TWO": ThinLayer(STIFF, 0.02)}
-    together = ThinLayer(Stack((0.5, Maxwell(1.5, 0.5, t1=2.0, t2=2.0)), (0.5, LinearElastic(2.5, 1.0))), 0.03)
+    apart = {"ONE": ThinLayer(Maxwell(3.0, 1.0, t1=2.0, t2=2.0), 0.01, at=1.0), "TWO": ThinLayer(STIFF, 0.02, at=1.0)}
+    together = ThinLayer(Stack((0.5, Maxwell(1.5, 0.5, t1=2.0, t2=2.0)), (0.5, LinearElastic(2.5, 1.0))), 0.03, at=1.0)
     found = []
     for joint, layers in ((read(path, S=STACK), apart), (read(path, S="ONE", upper=["B", "C"]), together)):
         model = Structure(joint, body=BODY, supports=supports).interface(layers)
@@ -98,12 +98,14 @@ def test_phases_of_one_layer_of_two(path):
     """The report is of the seam whose layer has phases."""
     structure = Structure(read(path, S=STACK), body=BODY, supports={"BOTTOM": 0.0, "TOP": {"y": 0.5}, **ROLLERS})
     phases = NonMonotone(3.0, 1.0, 0.5, 0.07, [[0.2, 0.5], [0.5, 1.0]])
-    history = march(structure.interface({"ONE": ThinLayer(STIFF, 0.02), "TWO": ThinLayer(phases, 0.01)}), [1.0])
+    history = march(
+        structure.interface({"ONE": ThinLayer(STIFF, 0.02, at=1.0), "TWO": ThinLayer(phases, 0.01, at=1.0)}), [1.0]
+    )
     x, phase = PhaseReport(history.last).profile()
     assert x[:, 1] == pytest.approx(2.0)
     assert phase == pytest.approx(PhaseReport(history.last).plus, rel=1e-6)
     assert 0 < phase[0] <= 1
-    both = structure.interface(ThinLayer(phases, 0.01))
+    both = structure.interface(ThinLayer(phases, 0.01, at=1.0))
     refused(ModelError, "several layers have phases; a report is of one", lambda: PhaseReport(march(both, [1.0]).last))
 
 
@@ -117,7 +119,7 @@ def test_what_is_refused(path):
         with pytest.raises(GeometryError, match=message):
             read(path, S=seams)
     structure = Structure(read(path, S=STACK), body=BODY, supports={"BOTTOM": 0.0})
-    layer = ThinLayer(SOFT, 0.01)
+    layer = ThinLayer(SOFT, 0.01, at=1.0)
     refused(ModelError, "the seam 'TWO' has no layer", lambda: structure.interface({"ONE": layer}))
     with pytest.raises(ModelError, match="unknown seam 'TWOO', did you mean 'TWO'"):
         structure.interface({"ONE": layer, "TWO": layer, "TWOO": layer})

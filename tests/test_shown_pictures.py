@@ -23,7 +23,7 @@ from thinlayer import ModelError, Structure, Table, ThinLayer, plotting, solve
 def strip():
     joint = sandwich(2.0, 0.5, 0.5, 0.5)
     structure = Structure(joint, body=LinearElastic(60.0, 40.0), supports={"BOTTOM": 0}, tractions={"TOP": (0.2, 0.5)})
-    return solve(structure.interface(ThinLayer(LinearElastic(3.0, 2.0), 0.1)))
+    return solve(structure.interface(ThinLayer(LinearElastic(3.0, 2.0), 0.1, at=1.0)))
 
 
 @pytest.fixture(scope="module")

@@ -34,7 +34,7 @@ def based(eps):
 def solved_full(joint_at, law, load, eps):
     joint, supports = joint_at(eps)
     setup = Structure(joint, body=BODY, supports=supports, tractions={"RIGHT/LAYER": load})
-    return setup, solve(setup.full(ThinLayer(law, eps), cells_through=8))
+    return setup, solve(setup.full(ThinLayer(law, eps, at=1.0), cells_through=8))
 
 
 def errors(joint_at, law, load, edges):
@@ -42,7 +42,7 @@ def errors(joint_at, law, load, edges):
     found = []
     for eps in THICKNESSES:
         setup, full = solved_full(joint_at, law, load, eps)
-        limit = solve(setup.interface(ThinLayer(law, eps, order=1, edges=edges)))
+        limit = solve(setup.interface(ThinLayer(law, eps, order=1, edges=edges, at=1.0)))
         row = compare(full, limit, where=lambda x: abs(x[0] - 0.5) < 0.25)
         found.append([row["error_traction"], row["error_jump"]])
         assert limit.applied().force == pytest.approx(full.applied().force, rel=1e-9, abs=1e-12)
@@ -78,10 +78,10 @@ def test_order_2_beside_other_loads():
         joint, supports = stack(eps)
         loads = {"TOP": (0.3, -1.0), "LEFT/LAYER": (0.7, -0.4), "RIGHT/LAYER": Pressure(0.5)}
         setup = Structure(joint, body=BODY, supports=supports, tractions=loads)
-        meshed = solve(setup.full(ThinLayer(law, eps), cells_through=8))
+        meshed = solve(setup.full(ThinLayer(law, eps, at=1.0), cells_through=8))
         rows = []
         for edges in ("free", "plain"):
-            limit = solve(setup.interface(ThinLayer(law, eps, order=1, edges=edges)))
+            limit = solve(setup.interface(ThinLayer(law, eps, order=1, edges=edges, at=1.0)))
             row = compare(meshed, limit, where=lambda x: abs(x[0] - 0.5) < 0.25)
             work = limit.energies()["loads"] / meshed.energies()["loads"] - 1
             rows.append([row["error_traction"], row["error_jump"], abs(work)])
@@ -99,7 +99,7 @@ def test_how_far_an_end_is_drawn_in(nu):
     law = LinearElastic.shear(1e-9, nu)
     for component, drawn in (("y", -end.drawn_in), ("x", -end.c_T)):
         held = {"BOTTOM": 0, "TOP": {"x": 0.0, "y": 0.0} | {component: 1.0}}
-        state = solve(Structure(joint, body=BODY, supports=held).full(ThinLayer(law, eps), cells_through=12))
+        state = solve(Structure(joint, body=BODY, supports=held).full(ThinLayer(law, eps, at=1.0), cells_through=12))
         model = state.model
         side = model.ds(model.domain.values("RIGHT/LAYER"))
         moved = state.integral(state.u[0 if component == "y" else 1] * side) / eps
@@ -127,7 +127,7 @@ def test_apart_bodies_have_the_force_and_the_moment(depth, load):
     joint = sheared(sandwich(1.0, 0.3, 0.4, 0.25, structured=True, **depth))
     load = load[: joint.dim] if isinstance(load, tuple) else load
     setup = Structure(joint, body=BODY, supports={"BOTTOM": 0}, tractions={"LEFT/LAYER": load})
-    layer = ThinLayer(GLUE, 0.1, order=1, profile=lambda x: 1 + 0.5 * x[-1])
+    layer = ThinLayer(GLUE, 0.1, order=1, profile=lambda x: 1 + 0.5 * x[-1], at=1.0)
     models = (build(layer, bodies="extended") for build in (setup.full, setup.interface))
     meshed, limit = (resultants(solve(model)) for model in models)
     kept = slice(joint.dim if callable(load) else None)  # the moment of what varies over the height is of order eps^3
@@ -137,7 +137,7 @@ def test_apart_bodies_have_the_force_and_the_moment(depth, load):
 @HALVES
 def test_bodies_of_revolution_and_bases():
     """The ring of a layer's side; half of the force goes to the base by itself, and the base has all of it."""
-    load, layer = (0.7, -0.4), ThinLayer(GLUE, 0.1, order=1)
+    load, layer = (0.7, -0.4), ThinLayer(GLUE, 0.1, order=1, at=1.0)
     joint = block(1.0, 0.5, 0.25).moved((0.5, 0.0))
     for bodies in ("kept", "extended"):
         setup = Structure(joint, body=BODY, supports={}, plane="axisymmetric", tractions={"RIGHT/LAYER": load})
@@ -150,7 +150,9 @@ def test_bodies_of_revolution_and_bases():
 @HALVES
 def test_three_sides_of_a_box(edges):
     """The strips overlap at corners of S, and every side has its force."""
-    meshed = solve(Structure(box(), body=BODY, supports={"BOTTOM": 0}, tractions=SIDES).full(ThinLayer(GLUE, EPS)))
+    meshed = solve(
+        Structure(box(), body=BODY, supports={"BOTTOM": 0}, tractions=SIDES).full(ThinLayer(GLUE, EPS, at=1.0))
+    )
     state = loaded(edges)
     assert state.applied().force == pytest.approx(meshed.applied().force, rel=1e-3)  # what varies along an edge
     assert state.reaction("BOTTOM").force == pytest.approx(-meshed.applied().force, rel=1e-3)
@@ -162,7 +164,7 @@ def test_a_plate_in_plane_strain_is_its_section():
         cell = "hexahedron" if depth else "quadrilateral"  # a grid of the same displacements
         joint = sandwich(1.0, 0.3, 0.3, 0.1, cell=cell, structured=True, **depth)
         setup = Structure(joint, body=BODY, supports={"BOTTOM": 0} | more, tractions={"RIGHT/LAYER": load})
-        state = solve(setup.interface(ThinLayer(GLUE, 0.1, order=1, edges="free")))
+        state = solve(setup.interface(ThinLayer(GLUE, 0.1, order=1, edges="free", at=1.0)))
         top = state.model.ds(state.model.domain.values("TOP"))
         found.append([state.integral(state.u[k] * top) / depth.get("depth", 1.0) for k in range(2)])
     assert found[1] == pytest.approx(found[0], rel=1e-10)
@@ -175,7 +177,7 @@ def test_how_far_from_its_end_a_load_along_it_reaches_the_faces():
     joint = sandwich(2.0, 0.3, 0.3, 0.2, depth=0.2, cell="hexahedron", structured=True)
     held = {"BOTTOM": 0, "FRONT": {"x": 0, "y": 0}, "BACK": {"x": 0, "y": 0}}
     setup = Structure(joint, body=BODY, supports=held, tractions={"RIGHT/LAYER": (0.0, 0.0, 0.7)})
-    model = setup.interface(ThinLayer(GLUE, 0.1 / mean, order=1, edges="free"))
+    model = setup.interface(ThinLayer(GLUE, 0.1 / mean, order=1, edges="free", at=1.0))
     f = nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V), 0.0)).x.array.reshape(-1, 3)
     x = model.V.tabulate_dof_coordinates()
     assert f.sum(axis=0) == pytest.approx([0, 0, 0.7 * 0.2 * 0.1 / mean], rel=1e-9, abs=1e-12)
@@ -187,8 +189,8 @@ def test_a_curved_rim():
     cylinders = disc(1.0, lower=0.3, upper=0.3, h=0.4)
     for load in (Pressure(0.7), lambda x, t: (0.2, 0.0, 0.7 + 0.7 * x[0])):  # with a moment about y
         setup = Structure(cylinders, body=BODY, supports={"BOTTOM": 0}, tractions={"SIDE/LAYER": load})
-        layer = ThinLayer(Anisotropic(GLUE.stiffness((0, 0, 1))), 0.1, order=1)
-        meshed, limit = solve(setup.full(ThinLayer(GLUE, 0.1))), solve(setup.interface(layer))
+        layer = ThinLayer(Anisotropic(GLUE.stiffness((0, 0, 1))), 0.1, order=1, at=1.0)
+        meshed, limit = solve(setup.full(ThinLayer(GLUE, 0.1, at=1.0))), solve(setup.interface(layer))
         assert resultants(limit) == pytest.approx(resultants(meshed), rel=1e-9, abs=1e-12)
 
 
@@ -200,7 +202,7 @@ def test_held_sides_and_zeros():
 
     def force(load, **layer):
         setup = Structure(joint, body=BODY, supports=held, tractions={"LEFT/LAYER": load})
-        return solve(setup.interface(ThinLayer(GLUE, 0.1, **layer))).applied().force
+        return solve(setup.interface(ThinLayer(GLUE, 0.1, at=1.0, **layer))).applied().force
 
     assert force((0.0, 0.5), order=1, edges="free") == pytest.approx([0.0, 0.05])
     assert force((0.0, 0.0), order=1, edges="free") == pytest.approx([0.0, 0.0])
@@ -212,14 +214,14 @@ def test_halves_are_told():
         sandwich(1.0, 0.3, 0.4, 0.25), body=BODY, supports={"BOTTOM": 0}, tractions={"LEFT/LAYER": (1.0, 0)}
     )
     with pytest.warns(RangeWarning, match=r"'LEFT/LAYER': each face of the layer gets half"):
-        setup.interface(ThinLayer(GLUE, 0.1, order=1, edges="plain"))
+        setup.interface(ThinLayer(GLUE, 0.1, order=1, edges="plain", at=1.0))
 
 
 def test_other_loads_of_the_same_model():
     setup = Structure(
         sandwich(1.0, 0.3, 0.4, 0.25), body=BODY, supports={"BOTTOM": 0}, tractions={"LEFT/LAYER": (1.0, 0)}
     )
-    model = setup.interface(ThinLayer(GLUE, 0.1, order=1, edges="free"))
+    model = setup.interface(ThinLayer(GLUE, 0.1, order=1, edges="free", at=1.0))
     twice = model.with_loads(tractions={"LEFT/LAYER": lambda x, t: (t, 0)})
     assert solve(twice, 2.0).energies()["loads"] == pytest.approx(4 * solve(model).energies()["loads"], rel=1e-9)
     with pytest.raises(ModelError, match=r"not finite.*'LEFT/LAYER'"):

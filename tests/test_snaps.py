@@ -40,7 +40,7 @@ def blocks(of_t=lambda t: t, *, body=SOFT, law=LAW, top=None, kind=Structure.int
     top = top or {"x": lambda x, t: 0.03 * of_t(t), "y": lambda x, t: of_t(t) * (0.05 * x[0] - 0.01)}
     plates, layer = (
         Structure(joint, body=body, supports={"BOTTOM": 0.0, "TOP": top}, element="Q1"),
-        ThinLayer(law, 0.05),
+        ThinLayer(law, 0.05, at=1.0),
     )
     return plates.full(layer, cells_through=2) if kind is Structure.full else kind(plates, layer)
 

@@ -75,7 +75,7 @@ def told(joint, law, kind, times):
     """RangeWarnings of a march, or of a solve at one time, in which the layer opens by t times its thickness."""
     supports = {"BOTTOM": 0.0, "TOP": {"y": lambda x, t: EPS * t}}
     sides = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}} if joint.dim == 2 else {}
-    model = kind(Structure(joint, body=STIFF, supports=supports | sides), ThinLayer(law.per_thickness(EPS), EPS))
+    model = kind(Structure(joint, body=STIFF, supports=supports | sides), ThinLayer(law, EPS))
     return ranges_told.told(lambda: march(model, times) if isinstance(times, list) else solve(model, times))[1]
 
 

@@ -68,7 +68,9 @@ def test_a_step_over_a_loop_is_told():
 def test_bodies_do_not_soften():
     strip = block(WIDTH, HEIGHT, WIDTH, cell="quadrilateral", structured=True)
     with pytest.raises(ModelError, match=r"the stress of Softer falls as strains grow: .* in one row of cells"):
-        Structure(strip, body=Softer(3.0), supports={"TOP": 0.0}).interface(ThinLayer(LinearElastic(1.0, 1.0), 0.1))
+        Structure(strip, body=Softer(3.0), supports={"TOP": 0.0}).interface(
+            ThinLayer(LinearElastic(1.0, 1.0), 0.1, at=1.0)
+        )
 
 
 def test_warnings_are_seen():

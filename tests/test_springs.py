@@ -54,7 +54,7 @@ def turned(dim: int = 2, kind: str = "interface", parts=(BED,), **change):
     along, n = np.array(PULL[: dim - 1]) @ axes(dim)[:-1], axes(dim)[-1]
     loads = {"TOP": tuple(-P * n), "BOTTOM": tuple(along)}
     setup = {"body": BODY, "supports": {}, "tractions": loads, "element": "P1" if dim == 3 else None} | change
-    return getattr(Structure(joint, parts=list(parts), **setup), kind)(ThinLayer(GLUE, EPS))
+    return getattr(Structure(joint, parts=list(parts), **setup), kind)(ThinLayer(GLUE, EPS, at=1.0))
 
 
 def mean(state, place):
@@ -70,7 +70,7 @@ def relaxing(kind: str = "interface", closing: float = 0.02):
     """A column on springs, with a layer that creeps; its top is moved down once, and held."""
     joint = sandwich(1.0, HEIGHT, HEIGHT, 0.25, structured=True)
     supports = {"TOP": {"x": 0.0, "y": -closing}}
-    return getattr(Structure(joint, body=BODY, supports=supports, parts=[BED]), kind)(ThinLayer(CREEP, EPS))
+    return getattr(Structure(joint, body=BODY, supports=supports, parts=[BED]), kind)(ThinLayer(CREEP, EPS, at=1.0))
 
 
 def numbers(out: Path) -> dict[str, float]:
@@ -143,7 +143,7 @@ def test_an_incompressible_layer_on_springs():
     rollers = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     setup = {"body": BODY, "supports": rollers, "tractions": {"TOP": (0.0, -P)}, "parts": [BED]}
     for kind in KINDS:
-        state = solve(getattr(Structure(joint, **setup), kind)(ThinLayer(Incompressible(40.0), EPS)))
+        state = solve(getattr(Structure(joint, **setup), kind)(ThinLayer(Incompressible(40.0), EPS, at=1.0)))
         energies = state.energies()
         assert energies["springs BOTTOM"] == pytest.approx(P**2 / BED.normal / 2, rel=1e-9)
         assert energies["bodies"] == pytest.approx(P**2 / E / 2 * 2 * HEIGHT, rel=1e-9)
@@ -296,7 +296,7 @@ def test_files_keep_energies_by_key(tmp_path):
         whole.model.joint, body=BODY, supports={"TOP": {"x": 0.0, "y": -0.02}}, parts=[Springs("BOTTOM", normal=21.0)]
     )
     with pytest.raises(ModelError, match="of another march"):
-        march(other.interface(ThinLayer(CREEP, EPS)), [0.1, 0.2, 0.4], out=tmp_path, resume=True)
+        march(other.interface(ThinLayer(CREEP, EPS, at=1.0)), [0.1, 0.2, 0.4], out=tmp_path, resume=True)
 
 
 # ---------------------------------------------------------------- a path
@@ -329,7 +329,7 @@ def test_springs_hold_a_structure():
 
 def test_springs_hold_one_body_of_two():
     """A layer that slides leaves the upper body to its own springs."""
-    slides = ThinLayer(Anisotropic(np.diag([0, 1e3, 0, 0, 0, 0.0]), "layer"), EPS)
+    slides = ThinLayer(Anisotropic(np.diag([0, 1e3, 0, 0, 0, 0.0]), "layer"), EPS, at=1.0)
     joint, setup = sandwich(1.0, HEIGHT, HEIGHT, 0.25), {"body": BODY, "tractions": {"TOP": (0.1, -P)}}
     clamped = {"supports": {"BOTTOM": 0.0}}
     refused(SolveError, "can move along", lambda: solve(Structure(joint, **setup, **clamped).interface(slides)))
@@ -366,7 +366,7 @@ def test_a_rigid_base_and_a_side_on_springs():
     stiff = LinearElastic.young(1e8, 0.0)
     side = Springs("RIGHT", normal=3.0)
     setup = {"body": stiff, "supports": {"TOP": {"y": 0.0}}, "tractions": {"LEFT": (0.4, 0.0)}, "parts": [side]}
-    state = solve(Structure(strip, **setup).interface(ThinLayer(GLUE, EPS)))
+    state = solve(Structure(strip, **setup).interface(ThinLayer(GLUE, EPS, at=1.0)))
     w = 0.4 * HEIGHT / (3.0 * HEIGHT + GLUE.mu)
     assert state.energies()["springs RIGHT"] == pytest.approx(3.0 * HEIGHT * w**2 / 2, rel=1e-6)
 

@@ -137,9 +137,9 @@ def test_a_law_with_stations_of_its_own():
     assert {one.largest_ratio for one in Locking(1.0, 1.0).stations()} == {LOCKING}
     plates = Structure(sandwich(1.0, 0.5, 0.5, 0.5), body=LinearElastic.young(100.0, 0.3), supports={"BOTTOM": 0.0})
     for law in (Locking, Free):
-        plates.interface(ThinLayer(law(11.9, 1.0), 0.1, order=1))
+        plates.interface(ThinLayer(law(11.9, 1.0), 0.1, order=1, at=1.0))
     with pytest.raises(ModelError, match=r"order=1 of Locking with lmbda/mu = 12.1"):
-        plates.interface(ThinLayer(Locking(12.1, 1.0), 0.1, order=1))
+        plates.interface(ThinLayer(Locking(12.1, 1.0), 0.1, order=1, at=1.0))
     facet = Facet(2)
     sides, u = (
         Interface.between_bodies(facet.mesh, facet.dS),
@@ -170,9 +170,12 @@ def test_stations_go_with_the_stress():
     law = Doubled(60.0, 40.0)
     assert type(law).stations is BulkLaw.stations
     with pytest.raises(LawError, match="order=1 of a Stack with the sublayer"):
-        ThinLayer(Stack((0.5, LinearElastic(60.0, 40.0)), (0.5, law)), 0.1, order=1)
+        ThinLayer(Stack((0.5, LinearElastic(60.0, 40.0)), (0.5, law)), 0.1, order=1, at=1.0)
     again = type("Again", (Doubled,), {name: vars(LinearElastic)[name] for name in ("stations", "elastic_moduli")})
-    assert len(ThinLayer(Stack((0.5, LinearElastic(60.0, 40.0)), (0.5, again(60.0, 40.0))), 0.1, 1).law.stations()) == 4
+    assert (
+        len(ThinLayer(Stack((0.5, LinearElastic(60.0, 40.0)), (0.5, again(60.0, 40.0))), 0.1, 1, at=1.0).law.stations())
+        == 4
+    )
 
 
 def test_stations_of_laws_with_a_pressure():

@@ -66,7 +66,7 @@ HELD = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "TOP": {"x": 0.0
 
 
 def column(law, joint=JOINT, **supports):
-    return Structure(joint, body=SETUP["body"], supports=HELD | supports).interface(ThinLayer(law, 0.1))
+    return Structure(joint, body=SETUP["body"], supports=HELD | supports).interface(ThinLayer(law, 0.1, at=1.0))
 
 
 def pull(model):

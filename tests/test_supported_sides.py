@@ -14,7 +14,7 @@ from geometry import block, sandwich
 from thinlayer import Structure, Surface, ThinLayer, compare, march, piecewise, solve
 
 BODY = LinearElastic(30.0, 20.0)
-LAYER = ThinLayer(LinearElastic(3.0, 2.0), 0.05)
+LAYER = ThinLayer(LinearElastic(3.0, 2.0), 0.05, at=1.0)
 K_N, K_T = 7.0, 2.0
 STRESS = np.array([[0.7, 0.2, 0.1], [0.2, -0.9, 0.15], [0.1, 0.15, 0.3]])
 EXACT = 1e-9  # relative: rounding, times the condition of the stiffness
@@ -135,7 +135,7 @@ def test_ends_that_hold_both_bodies_together(build, cell):
     one = joint(cell)
     supports = {"LEFT": {"x": 0, "y": 0}, "RIGHT": {"x": 0.03, "y": 0}, "TOP": {"y": 0}, "BOTTOM": {"y": 0}}
     supports |= {"BACK": {"z": 0}, "FRONT": {"z": 0}} if one.dim == 3 else {}
-    layer = ThinLayer(BODY.per_thickness(0.05), 0.05, order=1)
+    layer = ThinLayer(BODY, 0.05, order=1)
     stretched = Structure(one, body=BODY, supports=supports)
     surface = Surface(stretched.interface(layer))
     _, found = surface.profile(surface.traction(solve(build(stretched, layer))))
@@ -163,7 +163,7 @@ def test_a_layer_that_swells_in_a_rigid_box(make):
     for h in (0.2, 0.1):
         one = make(h, cell="quadrilateral")
         supports = dict.fromkeys({"BOTTOM", "TOP", "LEFT", "RIGHT"} & one.facets.keys(), 0)
-        model = Structure(one, body=BODY, supports=supports).interface(ThinLayer(Swelling(3.0, 2.0, 0.6), 0.05))
+        model = Structure(one, body=BODY, supports=supports).interface(ThinLayer(Swelling(3.0, 2.0, 0.6), 0.05, at=1.0))
         surface, state = Surface(model), solve(model)
         t, w = surface.traction(state), surface.jump(state)
         law = K_N * w[1] - 0.6
@@ -180,7 +180,7 @@ def test_ends_that_come_together_at_a_rate():
     law, one, up = KelvinVoigt(2.0, 1.0, 1.5, 0.5), joint(), piecewise({0: 0.0, 1: 0.1, 2: 0.0})
     held = {"BOTTOM": 0, "LEFT/LOWER": 0, "RIGHT/LOWER": 0}
     held |= {name: {"x": 0, "y": up} for name in ("TOP", "LEFT/UPPER", "RIGHT/UPPER")}
-    model = Structure(one, body=LinearElastic(3e5, 2e5), supports=held).interface(ThinLayer(law, 0.05))
+    model = Structure(one, body=LinearElastic(3e5, 2e5), supports=held).interface(ThinLayer(law, 0.05, at=1.0))
     surface = Surface(model)
     _, t = surface.profile(surface.traction(march(model, [0.5, 1.0, 1.5, 2.0]).last))
     assert t[:, 1] == pytest.approx((2.0 * 1.5 + 2 * 1.0 * 0.5) * -0.1, rel=1e-3)  # what the bodies yield

@@ -25,7 +25,7 @@ RADIUS = 1.2
 
 def on(joint, law=FOURIER_LAYER):
     held = "INSIDE" if "INSIDE" in joint.facets else "TOP"
-    return Structure(joint, body=STEEL, supports={held: 0.0}).interface(ThinLayer(law, 0.1))
+    return Structure(joint, body=STEEL, supports={held: 0.0}).interface(ThinLayer(law, 0.1, at=1.0))
 
 
 def polar(x):
@@ -35,7 +35,7 @@ def polar(x):
 @cache
 def state():
     joint, setup = fourier(1 / 8)
-    return solve(Structure(joint, **setup).interface(ThinLayer(FOURIER_LAYER, 0.1)))
+    return solve(Structure(joint, **setup).interface(ThinLayer(FOURIER_LAYER, 0.1, at=1.0)))
 
 
 @pytest.mark.parametrize("degree", [1, 2])
@@ -97,7 +97,7 @@ def test_scalars_are_components():
 def test_what_is_no_surface():
     model = state().model
     joint, setup = fourier(1 / 8)
-    other = Structure(joint, **setup).interface(ThinLayer(FOURIER_LAYER, 0.1))
+    other = Structure(joint, **setup).interface(ThinLayer(FOURIER_LAYER, 0.1, at=1.0))
     for thing, message in (
         (None, "Surface needs an interface model, not None"),
         (state(), "Surface needs an interface model, not State.*: give the state's model"),
@@ -146,7 +146,7 @@ def test_forces_are_refused_as_integrands():
 def test_a_rigid_base_has_one_side():
     """There a field has its only value."""
     model = Structure(block(1.0, 0.5, 0.25), body=STEEL, supports={"TOP": {"y": 0.1}, "LEFT": {"x": 0}}).interface(
-        ThinLayer(FOURIER_LAYER, 0.1)
+        ThinLayer(FOURIER_LAYER, 0.1, at=1.0)
     )
     found, surface = solve(model), Surface(model)
     assert surface.profile(found.u)[1] == pytest.approx(surface.profile(surface.jump(found))[1], abs=1e-14)
@@ -157,7 +157,7 @@ def test_loads_of_one_body_in_the_states_of_a_march():
     joint = sandwich(1.0, 0.5, 0.7, 0.25)
     setup = {"body": STEEL, "supports": {"BOTTOM": 0.0}, "body_force": {"UPPER": lambda x, t: (0.0, t)}}
     for build in (Structure.interface, Structure.full):
-        history = march(build(Structure(joint, **setup), ThinLayer(FOURIER_LAYER, 0.1)), [1.0, 2.0])
+        history = march(build(Structure(joint, **setup), ThinLayer(FOURIER_LAYER, 0.1, at=1.0)), [1.0, 2.0])
         energies = [one.energies() for one in history]
         assert [2 * (one["bodies"] + one["layer"]) for one in energies] == pytest.approx(
             [one["loads"] for one in energies], rel=1e-9
@@ -174,7 +174,7 @@ def test_frame_of_s(depth):
     """Tangents (n_2, -n_1) in 2D, the first and the third axis in 3D; the normal is last."""
     joint = sandwich(1.0, 0.5, 0.7, 0.5, depth=depth, cell="hexahedron" if depth else "quadrilateral").rotated(0.3)
     held = Structure(joint, body=STEEL, supports={"BOTTOM": 0.0}, element="Q1")
-    surface = Surface(held.interface(ThinLayer(FOURIER_LAYER, 0.1)))
+    surface = Surface(held.interface(ThinLayer(FOURIER_LAYER, 0.1, at=1.0)))
     n, along = np.array([-np.sin(0.3), np.cos(0.3)]), np.array([np.cos(0.3), np.sin(0.3)])
     f = 2 * along + 5 * n
     known = [2.0, 5.0]

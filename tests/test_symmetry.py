@@ -50,7 +50,7 @@ def of_blocks(law, kind="S", **choices):
     supports = {"BOTTOM": 0.0, "TOP": {"x": 0.02, "y": -0.01}}
     return build(
         Structure(joint, body=LinearElastic(60.0, 40.0), supports=supports, element="Q1", **choices),
-        ThinLayer(law, 0.1),
+        ThinLayer(law, 0.1, at=1.0),
     )
 
 

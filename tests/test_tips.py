@@ -50,7 +50,7 @@ def test_griffith_crack():
     joint = sandwich(size, size / 2, size / 2, 1.0, h_S=0.1)
     joint = partly(joint, lambda x: np.abs(x[:, 0] - size / 2) < 1.0)
     a = np.ptp(joint.points[joint.facets["S"]][..., 0]) / 2
-    state, surface = pulled(joint, ThinLayer(SOFT, 1e-3))
+    state, surface = pulled(joint, ThinLayer(SOFT, 1e-3, at=1.0))
     opening = surface.integral(surface.frame(surface.jump(state))[1])
     finite_plate = 1 + 0.5948 * (2 * a / size) ** 2  # Tada's correction for a plate of finite width, first term
     assert opening == pytest.approx(2 * np.pi * a**2 / E_STRAIN * finite_plate, rel=2e-2)
@@ -62,7 +62,7 @@ def test_inside_one_body(cell):
     depth = 2.0 if cell in ("hexahedron", "tetrahedron") else None
     joint = sandwich(2.0, 1.0, 1.0, 0.2 if depth is None else 0.5, depth=depth, cell=cell)
     joint = partly(joint, lambda x: np.linalg.norm(x[:, ::2] - 1.0, axis=1) < 0.7)
-    layer = ThinLayer(LinearElastic(lmbda=30.0, mu=20.0), 0.01)
+    layer = ThinLayer(LinearElastic(lmbda=30.0, mu=20.0), 0.01, at=1.0)
     up = (0.3, 1.0, -0.2)[: joint.dim]
     found = []
     for one in (joint, in_one_body(joint, up), in_one_body(joint, tuple(-c for c in up))):
@@ -83,7 +83,7 @@ def test_inside_one_body(cell):
 
 def test_closes_at_the_tip():
     joint = partly(sandwich(2.0, 1.0, 1.0, 0.2), lambda x: x[:, 0] < 1.0)
-    state, surface = pulled(joint, ThinLayer(SOFT, 1e-3))
+    state, surface = pulled(joint, ThinLayer(SOFT, 1e-3, at=1.0))
     x, jump = surface.profile(surface.jump(state))
     assert np.abs(jump[np.isclose(x[:, 0], 1.0)]).max() < 0.2 * np.abs(jump).max()  # projected to degree 1
     x, count = np.unique(np.round(state.model.V.tabulate_dof_coordinates()[:, :2], 9), axis=0, return_counts=True)
@@ -97,7 +97,7 @@ def test_traction_up_to_the_tip():
     errors = []
     for h in (0.2, 0.1):
         joint = partly(sandwich(2.0, 1.0, 1.0, h, structured=True), lambda x: x[:, 0] < 1.0)
-        state, surface = pulled(joint, ThinLayer(LinearElastic(lmbda=30.0, mu=20.0), 0.01))
+        state, surface = pulled(joint, ThinLayer(LinearElastic(lmbda=30.0, mu=20.0), 0.01, at=1.0))
         w = surface.jump(state)
         law = ufl.as_vector([20 * w[0], 70 * w[1]])
         errors.append(surface.norm(surface.traction(state) - law) / surface.norm(law))
@@ -116,11 +116,11 @@ def test_cut_through_one_body_is_a_layer_like_any():
 
 def test_what_a_tip_refuses():
     joint = partly(sandwich(2.0, 1.0, 1.0, 0.2), lambda x: x[:, 0] < 1.0)
-    layer = ThinLayer(SOFT, 1e-3, order=1)
+    layer = ThinLayer(SOFT, 1e-3, order=1, at=1.0)
     with pytest.raises(ModelError, match="order=1 needs an S that does not end inside"):
         pulled(joint, layer)
     with pytest.raises(GeometryError, match=r"S ends inside the bodies \(near \(1, 0\)\)"):
-        Structure(joint, body=BODY, supports={"BOTTOM": 0.0}).full(ThinLayer(SOFT, 1e-3))
+        Structure(joint, body=BODY, supports={"BOTTOM": 0.0}).full(ThinLayer(SOFT, 1e-3, at=1.0))
 
 
 def test_directions_are_checked():
@@ -148,7 +148,7 @@ def test_upper_side_that_changes():
     assert set(np.rint((one.interface_normals * two.interface_normals).sum(axis=1))) == {-1, 1}
     for joint in (two, one):
         data = {"body": BODY, "supports": {"INSIDE": 0.0}, "tractions": {"OUTSIDE": (3.0, 1.0)}}
-        state = solve(Structure(joint, **data).interface(ThinLayer(LinearElastic(lmbda=30.0, mu=20.0), 0.01)))
+        state = solve(Structure(joint, **data).interface(ThinLayer(LinearElastic(lmbda=30.0, mu=20.0), 0.01, at=1.0)))
         surface = Surface(state.model)
         found.append(
             [surface.norm(surface.jump(state)), surface.norm(surface.traction(state)), *state.energies().values()]

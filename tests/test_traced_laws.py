@@ -270,7 +270,7 @@ def column(kind: str, law: BulkLaw, body: BulkLaw, **more):
     joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
     sides = {"BOTTOM": 0.0, "TOP": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     return getattr(Structure, kind)(
-        Structure(joint, body=body, supports=sides, **more), law if law.traits.of_jumps else ThinLayer(law, 0.1)
+        Structure(joint, body=body, supports=sides, **more), law if law.traits.of_jumps else ThinLayer(law, 0.1, at=1.0)
     )
 
 
@@ -340,7 +340,7 @@ def test_a_traction_law_that_does_not_evolve():
 
 @pytest.mark.parametrize("eps", [np.int64(10), np.int32(10), 10, np.float32(10)])
 def test_whole_thicknesses(eps):
-    assert LinearElastic(60.0, 40.0).per_thickness(eps) == LinearElastic(6.0, 4.0)
+    assert LinearElastic(60.0, 40.0).scaled(1 / eps) == LinearElastic(6.0, 4.0)
 
 
 def test_jump_laws_in_plane_stress():
@@ -352,7 +352,7 @@ def test_jump_laws_in_plane_stress():
 
 def test_a_profile_of_a_law_of_jumps():
     with pytest.raises(LawError, match="Slipping is a law on S and has no thickness: give it alone"):
-        ThinLayer(Slipping(70.0, 30.0, 12.0, 90.0), 0.1, profile=lambda x: 1 + x[0])
+        ThinLayer(Slipping(70.0, 30.0, 12.0, 90.0), 0.1, profile=lambda x: 1 + x[0], at=1.0)
 
 
 def test_a_law_without_energy_has_none_to_tell():
@@ -363,7 +363,7 @@ def test_a_law_without_energy_has_none_to_tell():
         def stress(self, step):
             return 2 * self.k * step.mid
 
-    layer = ThinLayer(Plain(5.0), 0.1)
+    layer = ThinLayer(Plain(5.0), 0.1, at=1.0)
     state = solve(column("interface", layer.law, LinearElastic(60.0, 40.0), body_force=(0.0, 1.0)))
     energies = state.energies()
     assert math.isnan(energies["layer"])
@@ -431,5 +431,5 @@ def test_a_law_that_is_not_finite_at_rest_is_told(way, message):
         *([(Structure.interface, law, elastic)] if way != "cubic" else []),
     ):
         with pytest.raises(SolveError, match=message):
-            solve(build(Structure(joint, body=body, **setup), ThinLayer(layer, 0.1)))
-    solve(Structure(joint, body=elastic, **setup).full(ThinLayer(AtRest(20.0, "smooth"), 0.1)))
+            solve(build(Structure(joint, body=body, **setup), ThinLayer(layer, 0.1, at=1.0)))
+    solve(Structure(joint, body=elastic, **setup).full(ThinLayer(AtRest(20.0, "smooth"), 0.1, at=1.0)))

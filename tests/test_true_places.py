@@ -50,7 +50,7 @@ def numbers() -> dict[str, float]:
     found: dict[str, float] = {}
     for name, law in {"elastic": LinearElastic(60.0, 40.0), "rubber": Rubber(400.0, 4.0)}.items():
         eigenstrain = None if name == "rubber" else lambda x, t: 0.1 * x[0] * x[1]
-        layer = ThinLayer(law, 1 / 16, order=1, profile=taper, eigenstrain=eigenstrain)
+        layer = ThinLayer(law, 1 / 16, order=1, profile=taper, eigenstrain=eigenstrain, at=1.0)
         state = solve(quarter(body_force=WEIGHT).interface(layer, bodies="extended"))
         surface, x = Surface(state.model), ufl.SpatialCoordinate(state.model.domain.mesh)
         found |= {
@@ -78,7 +78,7 @@ def tubes(inner=A, h=0.025):
 def of_lame(eps: float) -> list[float]:
     """Mean traction on S, per area of S; jump; displacement of the bore."""
     radii = (A, R - eps / 2, R + eps / 2, B)
-    exact = lame(radii, (BODY, GLUE.in_layer(eps), BODY), (None, None), 1.0)
+    exact = lame(radii, (BODY, GLUE.scaled(eps), BODY), (None, None), 1.0)
     t = sum(r * exact.stress(1, r) for r in radii[1:3]) / 2 / R
     return [t, exact.displacement(2, radii[2]) - exact.displacement(0, radii[1]), exact.displacement(0, A)]
 
@@ -86,7 +86,7 @@ def of_lame(eps: float) -> list[float]:
 def of_law(eps: float, relaxed: bool = True) -> list[float]:
     """The same of the law on S, of strain e0 + z e1: without its relaxed part e1 is that of straight lines through it."""
     inside, outside = stiffness(A, R - eps / 2), stiffness(R + eps / 2, B)
-    law, jump, mean = GLUE.in_layer(eps), np.array([-1, 1]), np.array([0.5, 0.5])
+    law, jump, mean = GLUE.scaled(eps), np.array([-1, 1]), np.array([0.5, 0.5])
     stress, share = np.array([[law.lmbda + 2 * law.mu, law.lmbda], [law.lmbda, law.lmbda + 2 * law.mu]]), 0.0
     if relaxed:
         share = law.lmbda / (law.lmbda + 2 * law.mu) / R
@@ -109,7 +109,7 @@ def stiffness(inner: float, outer: float) -> np.ndarray:
 
 def of_tubes(eps: float, order: int, bodies: str, law=GLUE) -> list[float]:
     structure = Structure(tubes(), body=BODY, supports=HELD, tractions={"BOTTOM": (1.0, 0.0)}, plane="axisymmetric")
-    model = structure.interface(ThinLayer(law, eps, order=order), bodies=bodies)
+    model = structure.interface(ThinLayer(law, eps, order=order, at=1.0), bodies=bodies)
     state, surface = solve(model), Surface(model)
     area = surface.integral(ufl.as_ufl(1.0))
     assert area == pytest.approx(2 * np.pi * R * 0.05, rel=1e-12)
@@ -147,7 +147,7 @@ def test_tube_on_a_rigid_shaft():
     joint, eps, errors = flat.rotated(-np.pi / 2).moved((R, 0.0)), (1 / 16, 1 / 32, 1 / 64), []
     for e in eps:
         structure = Structure(joint, body=BODY, supports=HELD, tractions={"TOP": (-1.0, 0.0)}, plane="axisymmetric")
-        model = structure.interface(ThinLayer(GLUE, e, order=1), bodies="extended")
+        model = structure.interface(ThinLayer(GLUE, e, order=1, at=1.0), bodies="extended")
         state, surface = solve(model), Surface(model)
         area = surface.integral(ufl.as_ufl(1.0))
         assert area == pytest.approx(2 * np.pi * (R + e / 2) * 0.05, rel=1e-12)
@@ -161,7 +161,7 @@ def test_tube_on_a_rigid_shaft():
 
 def on_shaft(e: float) -> float:
     """Displacement of the tube's bore, at R + e; r u' and u follow from u = a r + b/r in layer and tube."""
-    glue, radii = GLUE.in_layer(e), (R, R + e, B)
+    glue, radii = GLUE.scaled(e), (R, R + e, B)
 
     def stress(law, r):
         return np.array([2 * (law.lmbda + law.mu), -2 * law.mu / r**2])
@@ -185,9 +185,9 @@ def errors_of(structure, eps, law=GLUE, profile=None, meshed=None, order=1, cell
     """(traction and jump, loads' work; eps) relative errors against the meshed layer."""
     found = []
     for e in eps:
-        whole = ThinLayer(meshed or law, e, profile=profile)
+        whole = ThinLayer(meshed or law, e, profile=profile, at=1.0)
         full = solve(structure.full(whole, bodies="extended", cells_through=cells_through))
-        limit = solve(structure.interface(ThinLayer(law, e, order=order, profile=profile), bodies="extended"))
+        limit = solve(structure.interface(ThinLayer(law, e, order=order, profile=profile, at=1.0), bodies="extended"))
         row, works = compare(full, limit), [one.energies()["loads"] for one in (full, limit)]
         found.append([row["error_traction"], row["error_jump"], abs(works[1] / works[0] - 1)])
     return np.array(found).T
@@ -232,7 +232,7 @@ def test_rotations_cause_no_strain(monkeypatch):
     """Neither where a thickness varies nor on a curved S; without fibres they cause one of order eps."""
     of_model, found = InterfaceModel.sides_of, {}
     for whole in (flat("both"), quarter()):
-        layer = ThinLayer(GLUE, 1 / 8, order=1, profile=lambda x: 1 + 0.4 * x[0])
+        layer = ThinLayer(GLUE, 1 / 8, order=1, profile=lambda x: 1 + 0.4 * x[0], at=1.0)
         found[whole] = [_of_rotation(whole.interface(layer, bodies="extended"))]
         with monkeypatch.context() as changed:
             changed.setattr(InterfaceModel, "sides_of", lambda *at: replace(sides := of_model(*at), fibre=sides.n))
@@ -253,7 +253,7 @@ def test_eigenstrains():
     """Their functions are told at places of S, midway between the body and the base."""
     eps, errors, whole = (1 / 32, 1 / 64), [], flat("one")
     for e in eps:
-        layer = ThinLayer(GLUE, e, order=1, profile=wavy, eigenstrain=lambda x, t: 0.3 * ufl.cos(ufl.pi * x[0]))
+        layer = ThinLayer(GLUE, e, order=1, profile=wavy, eigenstrain=lambda x, t: 0.3 * ufl.cos(ufl.pi * x[0]), at=1.0)
         states = [solve(make(layer, bodies="extended")) for make in (whole.full, whole.interface)]
         errors.append(compare(*states))
     for name in ("error_traction", "error_jump"):
@@ -282,7 +282,7 @@ def test_rings(name):
 def test_bodies_that_yield():
     """Compiled laws of bodies see the true places, too: a strength out of reach is none."""
     one = quarter()
-    layer = ThinLayer(GLUE, 1 / 8, order=1, profile=taper)
+    layer = ThinLayer(GLUE, 1 / 8, order=1, profile=taper, at=1.0)
     strong = replace_body(MohrCoulomb(BODY.lmbda, BODY.mu, 1e6, 30.0, 0.05))
     energies = [solve(s.interface(layer, bodies="extended")).energies()["bodies"] for s in (one, strong)]
     assert energies[1] == pytest.approx(energies[0], rel=1e-9)
@@ -306,7 +306,7 @@ def test_one_joint_has_the_bodies_of_the_meshed_layer():
 
 def test_places_of_bodies():
     """Probes, forces and volumes are those of the bodies of the meshed layer, not of S."""
-    whole, layer = quarter(), ThinLayer(GLUE, 1 / 16, order=1)
+    whole, layer = quarter(), ThinLayer(GLUE, 1 / 16, order=1, at=1.0)
     full, limit = (solve(make(layer, bodies="extended")) for make in (whole.full, whole.interface))
     for name in ("INNER", "OUTER"):
         cells = [state.model.dx(state.model.domain.cell_values(name)) for state in (full, limit)]
@@ -325,7 +325,7 @@ def test_places_of_bodies():
 def test_weight_on_a_rigid_base():
     """The base's half of the layer's weight acts at the base, also where the body is a thickness away from it."""
     whole = flat("one", body_force={"S": (5.0, -7.0)})
-    layer = ThinLayer(GLUE, 0.1, order=1, profile=wavy)
+    layer = ThinLayer(GLUE, 0.1, order=1, profile=wavy, at=1.0)
     full, limit = (solve(make(layer, bodies="extended")).applied((0.2, 0.3)) for make in (whole.full, whole.interface))
     assert limit.force == pytest.approx(full.force, rel=1e-10)
     assert limit.moment == pytest.approx(full.moment, rel=1e-10)
@@ -337,7 +337,7 @@ def test_places_in_pictures_of_periodic_cells():
     for joint in (cell, periodic(cell, ("LEFT", "RIGHT"), ("BOTTOM", "TOP"))):
         supports, strain = ({}, [[0.01, 0.0], [0.0, 0.0]]) if joint.periods else ({"BOTTOM": 0.0}, None)
         model = Structure(joint, body=BODY, supports=supports, strain=strain).interface(
-            ThinLayer(GLUE, 0.05), bodies="extended"
+            ThinLayer(GLUE, 0.05, at=1.0), bodies="extended"
         )
         x = gather(solve(model)).points[:, :2] - joint.points.mean(axis=0)
         radii = np.linalg.norm(x, axis=1)
@@ -347,18 +347,18 @@ def test_places_in_pictures_of_periodic_cells():
 
 
 def test_other_layers_of_the_same_thickness():
-    model = quarter().interface(ThinLayer(GLUE, 1 / 8, order=1), bodies="extended")
+    model = quarter().interface(ThinLayer(GLUE, 1 / 8, order=1, at=1.0), bodies="extended")
     harder = LinearElastic(90.0, 60.0)
-    again = model.with_layer(ThinLayer(harder, 1 / 8, order=1))
-    direct = quarter().interface(ThinLayer(harder, 1 / 8, order=1), bodies="extended")
+    again = model.with_layer(ThinLayer(harder, 1 / 8, order=1, at=1.0))
+    direct = quarter().interface(ThinLayer(harder, 1 / 8, order=1, at=1.0), bodies="extended")
     works = [solve(one).energies()["loads"] for one in (again, direct)]
     assert works[0] == pytest.approx(works[1], rel=1e-12)
     with pytest.raises(ModelError, match="bodies have made room for a layer 'S'"):
-        model.with_layer(ThinLayer(GLUE, 1 / 16, order=1))
+        model.with_layer(ThinLayer(GLUE, 1 / 16, order=1, at=1.0))
 
 
 def test_refused():
-    whole, layer = quarter(), ThinLayer(GLUE, 1 / 8, order=1)
+    whole, layer = quarter(), ThinLayer(GLUE, 1 / 8, order=1, at=1.0)
     refused(ModelError, "order=1 on a curved S needs bodies at their true places", lambda: whole.interface(layer))
     with pytest.raises(ModelError, match="order=1 of a thickness that varies needs bodies at their true places"):
         flat("both").full(replace(layer, profile=wavy))

@@ -47,7 +47,7 @@ def column(part, kind="interface", load=-P, law=GLUE, **change):
     """Two blocks and a layer between them on a foundation, pressed from above."""
     loads = {"tractions": {"TOP": (0.0, load) if not callable(load) else load}}
     structure = Structure(JOINT, body=BODY, parts=[part], **({"supports": ROLLERS} | loads | change))
-    return getattr(structure, kind)(ThinLayer(law, EPS))
+    return getattr(structure, kind)(ThinLayer(law, EPS, at=1.0))
 
 
 def sinking(state):

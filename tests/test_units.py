@@ -88,7 +88,7 @@ def structure(u, law, kind="interface", depth=None, **more):
     joint = sandwich(20 * a, 4 * a, 6 * a, h=(2.5 if depth is None else 5.0) * a, structured=depth is None, **size)
     d = joint.dim
     contact = not isinstance(law, (ThinLayer,)) and hasattr(law, "K_N")
-    layer = law if contact or isinstance(law, TractionLaw) else ThinLayer(law, 0.5 * a, **more.pop("layer", {}))
+    layer = law if contact or isinstance(law, TractionLaw) else ThinLayer(law, 0.5 * a, at=1.0, **more.pop("layer", {}))
     body = LinearElastic.young(E=1e3 * u.P, nu=0.3)
     supports = {"BOTTOM": 0, "RIGHT": {"x": 0}} | ({"BACK": {"z": 0}} if d == 3 else {})
     element = "P1" if contact else "P2"
@@ -125,7 +125,7 @@ def run(name, u, kind="interface", depth=None):
         state = solve(model, 2 * u.T)
         apart = []
         if kind == "full":
-            limit = solve(model.structure.interface(ThinLayer(law, 0.5 * u.L)), 2 * u.T)
+            limit = solve(model.structure.interface(ThinLayer(law, 0.5 * u.L, at=1.0)), 2 * u.T)
             apart = [compare(state, limit)["error_jump"]]
         return np.append(measured(model, state, u), apart)
     history = march(model, [0.5 * u.T, 1.5 * u.T, 2 * u.T])
@@ -197,7 +197,7 @@ def test_paths():
         joint = sandwich(20 * a, 4 * a, 6 * a, h=10 * a, structured=True)
         pull = {"y": lambda x, t: t * u.size * a * (0.5 + 0.02 * x[0] / a), "x": 0}
         body = LinearElastic.young(E=1e2 * u.P, nu=0.3)
-        model = Structure(joint, body=body, supports={"BOTTOM": 0, "TOP": pull}).interface(ThinLayer(law, a))
+        model = Structure(joint, body=body, supports={"BOTTOM": 0, "TOP": pull}).interface(ThinLayer(law, a, at=1.0))
         history = march(model, ArcLength(end=0.3, first=0.15))
         return np.concatenate([np.array(history.t), measured(model, history.last, u)])
 

@@ -72,7 +72,7 @@ def test_a_body_that_nothing_holds_is_still_told():
     structure = Structure(sandwich(2.0, 1.0, 0.5, 0.5), body=LinearElastic(LMBDA, MU), supports=supports,
                           tractions={"TOP": (1.0, 0.0)})  # fmt: skip
     with pytest.raises(SolveError, match="no unique solution"):
-        solve(structure.interface(ThinLayer(Anisotropic(np.diag([60.0, 60.0, 60.0, 0.0, 0.0, 0.0])), 0.1)))
+        solve(structure.interface(ThinLayer(Anisotropic(np.diag([60.0, 60.0, 60.0, 0.0, 0.0, 0.0])), 0.1, at=1.0)))
 
 
 # ---------------------------------------------------------------- forces vanish

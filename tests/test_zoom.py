@@ -61,8 +61,8 @@ def errors(law, heights, order, components=1.0):
     for eps in THIN:
         base, data = fourier(1 / 16, cell="quadrilateral")
         blocks = Structure(base, **data)
-        full = solve(blocks.full(ThinLayer(law, eps), cells_through=10))
-        zoom = Zoom(solve(blocks.interface(ThinLayer(law, eps, order=order))))
+        full = solve(blocks.full(ThinLayer(law, eps, at=1.0), cells_through=10))
+        zoom = Zoom(solve(blocks.interface(ThinLayer(law, eps, order=order, at=1.0))))
         x, y = (one.ravel() for one in np.meshgrid(np.linspace(0.15, 0.85, 9) + 0.003, heights))
         x = np.stack([x, 0 * x], axis=1)
         known = Probe(full).stress(meshed_places(full.model, x, y, "S"))
@@ -114,7 +114,7 @@ def test_the_mean_traction_is_that_of_the_interface_law(order):
     found = []
     for h in (1 / 8, 1 / 16):
         base, data = fourier(h, cell="quadrilateral")
-        solved = solve(Structure(base, **data).interface(ThinLayer(GLUE, EPS, order=order)))
+        solved = solve(Structure(base, **data).interface(ThinLayer(GLUE, EPS, order=order, at=1.0)))
         surface = Surface(solved.model)
         x, t = surface.profile(surface.traction(solved))
         inner = (x[:, 0] > 0.2) & (x[:, 0] < 0.8)
@@ -136,8 +136,8 @@ def test_stresses_at_free_ends_are_those_of_a_meshed_layer():
         blocks = Structure(
             base, body=LinearElastic.young(E=100.0, nu=0.3), supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1)}
         )
-        full = solve(blocks.full(ThinLayer(law, eps), cells_through=12))
-        zoom = Zoom(solve(blocks.interface(ThinLayer(law, eps, order=1, edges="free"))))
+        full = solve(blocks.full(ThinLayer(law, eps, at=1.0), cells_through=12))
+        zoom = Zoom(solve(blocks.interface(ThinLayer(law, eps, order=1, edges="free", at=1.0))))
         d, y = (one.ravel() for one in np.meshgrid([0.1, 0.3, 0.6, 1.0, 1.7, 3.0], [-0.3, 0.0, 0.3]))
         x = np.stack([1 - d * eps, 0 * d], axis=1)
         known = Probe(full).stress(meshed_places(full.model, x, y, "S"))
@@ -155,8 +155,8 @@ def test_stresses_at_free_ends_of_rubber_are_those_of_a_meshed_layer():
     base = sandwich(1.0, 0.5, 0.5, h=1 / 4, h_S=1 / 16, h_ends=eps / 8, cell="quadrilateral")
     stiff = LinearElastic.young(E=100.0, nu=0.3)
     blocks = Structure(base, body=stiff, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1)})
-    full = solve(blocks.full(ThinLayer(law, eps), cells_through=8))
-    zoom = Zoom(solve(blocks.interface(ThinLayer(law, eps, order=1))))
+    full = solve(blocks.full(ThinLayer(law, eps, at=1.0), cells_through=8))
+    zoom = Zoom(solve(blocks.interface(ThinLayer(law, eps, order=1, at=1.0))))
     d, y = (one.ravel() for one in np.meshgrid([0.1, 0.3, 0.6, 1.0, 1.7, 2.9, 3.1, 4.0], [-0.3, 0.0, 0.3]))
     x = np.stack([1 - d * eps, 0 * d], axis=1)
     known = Probe(full).stress(meshed_places(full.model, x, y, "S"))
@@ -214,7 +214,7 @@ def test_stresses_do_not_depend_on_units():
     glue = glue.with_parameters({k: v / L for k, v in glue.parameters().items()})  # per thickness
     pulls = {"TOP": (0.3 * E, -E), "RIGHT/UPPER": (0.1 * E, 0.2 * E)}
     base = sandwich(1.3 * L, 0.3 * L, 0.4 * L, 0.1 * L, cell="quadrilateral", structured=True)
-    other = Zoom(state(ThinLayer(glue, EPS * L, order=1, edges="free"), base, body=body, tractions=pulls))
+    other = Zoom(state(ThinLayer(glue, EPS * L, order=1, edges="free", at=1.0), base, body=body, tractions=pulls))
     known = plain.stress(PLACES, HEIGHTS)
     np.testing.assert_allclose(other.stress(PLACES * L, HEIGHTS), E * known, atol=1e-8 * E * np.abs(known).max())
     for one, same in zip(plain.ends, other.ends, strict=True):
@@ -223,7 +223,7 @@ def test_stresses_do_not_depend_on_units():
 
 def test_plane_stress_is_plane_strain_of_another_ratio():
     sheet = Zoom(state(plane="stress"))
-    strain = Zoom(state(ThinLayer(GLUE.plane_stress(), EPS, order=1, edges="free"), body=BODY.plane_stress()))
+    strain = Zoom(state(ThinLayer(GLUE.plane_stress(), EPS, order=1, edges="free", at=1.0), body=BODY.plane_stress()))
     found, known = sheet.stress(PLACES, HEIGHTS), strain.stress(PLACES, HEIGHTS)
     np.testing.assert_allclose(found[:, :2, :2], known[:, :2, :2], atol=1e-8 * np.abs(known).max())
     assert not found[:, 2].any()
@@ -248,7 +248,7 @@ def test_three_dimensions_between_rollers_are_plane_strain():
 def test_layers_of_revolution_are_stretched_around_the_axis():
     """As much as along r, where the upper face widens; the shear stress that this brings about balances t_N."""
     plates = Structure(joint(), body=BODY, supports={"BOTTOM": {"y": 0}}, plane="axisymmetric")
-    model = plates.interface(ThinLayer(GLUE, EPS, order=1))
+    model = plates.interface(ThinLayer(GLUE, EPS, order=1, at=1.0))
     zoom, wide = Zoom(opened(model, lambda x: (0.01 * x[0], 0.002 + 0 * x[0])).state), 0.01
     found = zoom.stress([[0.65, 0.0]] * 3, [-0.5, 0.0, 0.5])
     lmbda, mu = zoom.law.lmbda, zoom.law.mu
@@ -282,15 +282,19 @@ PLASTIC = MohrCoulomb(4.0, 3.0, cohesion=100.0, friction_angle=30)
 def test_layers_that_are_not_known_are_refused():
     refused(ModelError, "state of an interface model", lambda: Zoom(state().model))
     for layer, words in (
-        (ThinLayer(Anisotropic(np.diag([9.0, 9, 9, 3, 3, 3])), EPS), "layer of Anisotropic"),
-        (ThinLayer(Stack((0.5, GLUE), (0.5, PLASTIC)), EPS), "layer of MohrCoulomb"),
-        (ThinLayer(LinearElastic.shear(lambda x: 3 + x[0], 0.3), EPS), "functions"),
-        (ThinLayer(GLUE, EPS, eigenstrain=1e-3), "eigenstrain"),
+        (ThinLayer(Anisotropic(np.diag([9.0, 9, 9, 3, 3, 3])), EPS, at=1.0), "layer of Anisotropic"),
+        (ThinLayer(Stack((0.5, GLUE), (0.5, PLASTIC)), EPS, at=1.0), "layer of MohrCoulomb"),
+        (ThinLayer(LinearElastic.shear(lambda x: 3 + x[0], 0.3), EPS, at=1.0), "functions"),
+        (ThinLayer(GLUE, EPS, eigenstrain=1e-3, at=1.0), "eigenstrain"),
     ):
         with pytest.raises(ModelError, match=words):
             Zoom(state(layer))
     blocks = Structure(joint(), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0, 1)})
-    refused(ModelError, "bodies='kept'", lambda: Zoom(solve(blocks.interface(ThinLayer(GLUE, EPS), bodies="extended"))))
+    refused(
+        ModelError,
+        "bodies='kept'",
+        lambda: Zoom(solve(blocks.interface(ThinLayer(GLUE, EPS, at=1.0), bodies="extended"))),
+    )
     refused(ModelError, "body force in the layer", lambda: Zoom(state(FREE, body_force={"S": (0, -1)})))
 
 
@@ -314,14 +318,18 @@ def test_places_and_heights_out_of_range_are_refused():
 @pytest.mark.parametrize(
     ("layer", "given", "words"),
     [
-        (ThinLayer(Stack((0.5, GLUE), (0.5, LinearElastic(1.0, 1.0))), EPS), {}, "one law"),
-        (ThinLayer(LinearElastic.shear(3.0, 0.48), EPS), {}, "0 to 0.45"),
-        (ThinLayer(Rubber.shear(3.0, 0.48), EPS), {}, "order 0"),
-        (ThinLayer(Rubber.shear(3.0, 0.48), EPS, order=1), {}, "longer than the fall"),
-        (ThinLayer(LinearElastic.shear(36.0, 0.3), EPS), {}, "38.89 times mu of the layer; allowed: at least 40"),
-        (ThinLayer(GLUE, EPS), {"plane": "axisymmetric", "supports": {"BOTTOM": {"y": 0}}}, "revolution"),
+        (ThinLayer(Stack((0.5, GLUE), (0.5, LinearElastic(1.0, 1.0))), EPS, at=1.0), {}, "one law"),
+        (ThinLayer(LinearElastic.shear(3.0, 0.48), EPS, at=1.0), {}, "0 to 0.45"),
+        (ThinLayer(Rubber.shear(3.0, 0.48), EPS, at=1.0), {}, "order 0"),
+        (ThinLayer(Rubber.shear(3.0, 0.48), EPS, order=1, at=1.0), {}, "longer than the fall"),
+        (
+            ThinLayer(LinearElastic.shear(36.0, 0.3), EPS, at=1.0),
+            {},
+            "38.89 times mu of the layer; allowed: at least 40",
+        ),
+        (ThinLayer(GLUE, EPS, at=1.0), {"plane": "axisymmetric", "supports": {"BOTTOM": {"y": 0}}}, "revolution"),
         (FREE, {"tractions": {"TOP": (0, -1), "RIGHT/LAYER": (0.4, 0.2)}}, "'RIGHT/LAYER' acts on the layer's side"),
-        (ThinLayer(GLUE, EPS, profile=lambda x: 1 + x[0] / 5), {}, "varies"),
+        (ThinLayer(GLUE, EPS, profile=lambda x: 1 + x[0] / 5, at=1.0), {}, "varies"),
     ],
 )
 @pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
@@ -339,7 +347,9 @@ def test_curved_ends_and_corners_of_ends_are_refused():
     round_ = disc(1.0, lower=0.3, upper=0.3, h=0.5)
     pull = {"TOP": (0.0, 0.0, 1.0)}
     zoom = Zoom(
-        solve(Structure(round_, body=BODY, supports={"BOTTOM": 0}, tractions=pull).interface(ThinLayer(GLUE, EPS)))
+        solve(
+            Structure(round_, body=BODY, supports={"BOTTOM": 0}, tractions=pull).interface(ThinLayer(GLUE, EPS, at=1.0))
+        )
     )
     on_s = round_.points[np.unique(round_.surface)]
     assert np.isfinite(zoom.stress(on_s[np.linalg.norm(on_s, axis=1).argmin()])).all()
@@ -356,7 +366,10 @@ def test_curved_ends_and_corners_of_ends_are_refused():
 
 def test_the_picture_of_an_end(tmp_path):
     structure = Structure(joint(), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1.0)})
-    zoom, full = Zoom(solve(structure.interface(FREE))), solve(structure.full(ThinLayer(GLUE, EPS), cells_through=3))
+    zoom, full = (
+        Zoom(solve(structure.interface(FREE))),
+        solve(structure.full(ThinLayer(GLUE, EPS, at=1.0), cells_through=3)),
+    )
     picture = plotting.zoomed(zoom, full, end=1, component="T", save=tmp_path / "end.png", stress="MPa")
     assert_drawn(tmp_path / "end.png")
     assert [axes.get_title() for axes in picture.axes[:2]] == ["meshed layer", "interface law, zoomed"]

@@ -19,7 +19,7 @@ K_N, G_N = 140.0, 60.0 * 0.3 + 80.0 * 0.5
 
 def interface(law=SLOW, tractions=PULL, supports=None):
     setup = SETUP | ({"supports": SETUP["supports"] | supports} if supports else {})
-    return Structure(JOINT, tractions=tractions, **setup).interface(ThinLayer(law, 0.1))
+    return Structure(JOINT, tractions=tractions, **setup).interface(ThinLayer(law, 0.1, at=1.0))
 
 
 def opening(model):

@@ -12,7 +12,7 @@ from thinlayer import State, Structure, ThinLayer, Zoom, solve
 
 EPS = 0.05
 BODY, GLUE = LinearElastic.young(E=70.0, nu=0.2), LinearElastic.shear(3.0, 0.35)
-FREE = ThinLayer(GLUE, EPS, order=1, edges="free")
+FREE = ThinLayer(GLUE, EPS, order=1, edges="free", at=1.0)
 D, Y = (one.ravel() for one in np.meshgrid([0.0, 0.1, 0.6, 2.0, 7.0], [-0.45, -0.1, 0.3]))
 PLACES = np.concatenate([np.stack([D * EPS, 0 * D], axis=1), np.stack([1.3 - D * EPS, 0 * D], axis=1)])
 HEIGHTS = np.concatenate([Y, Y])

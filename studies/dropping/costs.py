@@ -17,8 +17,8 @@ from thinlayer import RangeWarning, Structure, ThinLayer, estimate, solve
 
 EPS = 1 / 32
 REPEATS = 5
-ELASTIC = ThinLayer(LinearElastic.shear(30.0, 0.3), EPS)
-RUBBER = ThinLayer(Rubber.shear(30.0, 0.49), EPS)
+ELASTIC = ThinLayer(LinearElastic.shear(30.0, 0.3), EPS, at=1.0)
+RUBBER = ThinLayer(Rubber.shear(30.0, 0.49), EPS, at=1.0)
 
 
 def _fine() -> Structure:

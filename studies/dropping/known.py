@@ -50,12 +50,12 @@ class Hardening(BulkLaw):
 
 def of(law: BulkLaw) -> Callable[[float], ThinLayer]:
     """Thickness -> a layer of this law, with parameters per thickness."""
-    return lambda eps: ThinLayer(law, eps)
+    return lambda eps: ThinLayer(law, eps, at=1.0)
 
 
 def of_real(law: BulkLaw) -> Callable[[float], ThinLayer]:
     """Thickness -> a layer of this law, with real parameters."""
-    return lambda eps: ThinLayer(law.per_thickness(eps), eps)
+    return lambda eps: ThinLayer(law, eps)
 
 
 def soft(mu: float, nu: float) -> Callable[[float], ThinLayer]:

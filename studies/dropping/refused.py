@@ -61,11 +61,11 @@ class Refused:
 
 
 def _ended(law: BulkLaw) -> Callable[[], State]:
-    return lambda: solve(free(EPS).interface(ThinLayer(law, EPS)))
+    return lambda: solve(free(EPS).interface(ThinLayer(law, EPS, at=1.0)))
 
 
 def _rolling(law: BulkLaw) -> Callable[[], State]:
-    return lambda: solve(rollers().interface(ThinLayer(law, EPS)))
+    return lambda: solve(rollers().interface(ThinLayer(law, EPS, at=1.0)))
 
 
 def _contact(law: ContactLaw) -> Callable[[], State]:
@@ -84,12 +84,12 @@ def _tip() -> State:
     """A fault that ends inside a block."""
     joint = faults(1.0, 1.0, {"CUT": ((-0.1, 0.5), (0.6, 0.5))}, 1 / 8)
     cut = Structure(joint, body=FOURIER_BODY, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.3, -1.0)})
-    return solve(cut.interface(ThinLayer(ELASTIC, EPS)))
+    return solve(cut.interface(ThinLayer(ELASTIC, EPS, at=1.0)))
 
 
 def _varying() -> State:
     """Two blocks that meet on S, and a layer whose thickness varies."""
-    layer = ThinLayer(ELASTIC, EPS, profile=lambda x: 1 + 0.3 * x[0])
+    layer = ThinLayer(ELASTIC, EPS, profile=lambda x: 1 + 0.3 * x[0], at=1.0)
     return solve(free(EPS).interface(layer))
 
 
@@ -113,6 +113,8 @@ def refused_cases() -> list[Refused]:
         ),
         Refused("free ends, anisotropic", _ended(Anisotropic.springs(140.0, 40.0)), "no estimate without edge"),
         Refused("free ends, sublayers", _ended(Stack((0.3, ELASTIC), (0.7, SOFTER))), "no estimate without edge"),
-        Refused("order 1 is given", lambda: solve(rollers().interface(ThinLayer(ELASTIC, EPS, 1))), "order=0"),
-        Refused("a meshed layer is given", lambda: solve(rollers().full(ThinLayer(ELASTIC, EPS))), "nothing dropped"),
+        Refused("order 1 is given", lambda: solve(rollers().interface(ThinLayer(ELASTIC, EPS, 1, at=1.0))), "order=0"),
+        Refused(
+            "a meshed layer is given", lambda: solve(rollers().full(ThinLayer(ELASTIC, EPS, at=1.0))), "nothing dropped"
+        ),
     ]

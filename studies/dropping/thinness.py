@@ -44,7 +44,7 @@ class Question:
     def told(self) -> float:
         """The thickness without meshing the layer."""
         with warnings.catch_warnings(action="ignore", category=RangeWarning):
-            layer = ThinLayer(self.law.per_thickness(FINEST), FINEST)
+            layer = ThinLayer(self.law, FINEST)
             return float(thin_enough(self.structure(), layer, self.tolerance, goal=self.goal).eps)
 
     def by_meshing(self, near: float, record: Record | None = None) -> float:
@@ -63,7 +63,7 @@ class Question:
         return math.exp(brentq(excess, math.log(near / ACROSS), math.log(near * ACROSS), xtol=SAME))
 
     def _layer(self, eps: float) -> ThinLayer:
-        return ThinLayer(self.law.per_thickness(eps), eps)
+        return ThinLayer(self.law, eps)
 
 
 def questions() -> list[Question]:

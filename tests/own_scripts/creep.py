@@ -26,7 +26,7 @@ V = broken.space(("Lagrange", 1, (3,)))
 u, v = fem.Function(V), ufl.TestFunction(V)
 dx, ds = ufl.Measure("dx", domain=grid), ufl.Measure("ds", domain=grid, subdomain_data=facets)
 terms = [body(LinearElastic.young(E=100, nu=0.3), dx)]
-terms += broken.layer(LAYER, ThinLayer(Norton(lmbda=3, mu=2, eta=5, p=1.5), 0.02))
+terms += broken.layer(LAYER, ThinLayer(Norton(lmbda=3, mu=2, eta=5, p=1.5), 0.02, at=1.0))
 held = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[2], 0))
 bcs = [fem.dirichletbc(np.zeros(3), held, V)]
 load = fem.Constant(grid, (0.4, 0.1, -0.2))

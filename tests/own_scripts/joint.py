@@ -24,7 +24,7 @@ names = {GLUE: "S", TOP: "TOP", BOTTOM: "BOTTOM"}
 plates = from_dolfinx(grid, bodies, sides, regions={LOWER: "LOWER", UPPER: "UPPER"}, facets=names, upper="UPPER")
 
 steel = LinearElastic.young(E=210e3, nu=0.3)  # MPa
-glue = ThinLayer(LinearElastic.young(E=2e3, nu=0.0).per_thickness(0.2), 0.2)  # mm
+glue = ThinLayer(LinearElastic.young(E=2e3, nu=0.0), 0.2)  # mm
 pulled = Structure(plates, body=steel, supports={"BOTTOM": {"y": 0}, (0, -4): 0}, tractions={"TOP": (0, 50)})
 limit = solve(pulled.interface(glue))
 difference = compare(solve(pulled.full(glue)), limit)

@@ -37,7 +37,7 @@ wall = BrokenMesh(grid, tags(2, brick), tags(1, joints), S={BED: (0, 1), HEAD: (
 V = wall.space(("Lagrange", 2, (2,)))
 bed = MohrCoulomb(lmbda=0.8, mu=2.1, cohesion=0.02, friction_angle=30)  # per thickness
 head = LinearElastic(lmbda=0.4, mu=1.3)
-terms = wall.layer(BED, ThinLayer(bed, 0.01)) + wall.layer(HEAD, ThinLayer(head, 0.02))
+terms = wall.layer(BED, ThinLayer(bed, 0.01, at=1.0)) + wall.layer(HEAD, ThinLayer(head, 0.02, at=1.0))
 
 u, v = fem.Function(V), ufl.TestFunction(V)
 F = ufl.Identity(2) + ufl.grad(u)

@@ -33,7 +33,7 @@ class Case:
 
     Attributes:
         structure: the structure.
-        layer: its layer, or {name of a seam: its layer}, with laws per thickness, order 0.
+        layer: its layer, or {name of a seam: its layer}, order 0.
         goals: quantities whose change is told.
         bodies: "kept" or "extended", as in `Structure.interface`.
         times: times of steps; (): one solve.
@@ -115,7 +115,7 @@ def _by_name(given: Mapping[str | None, Material], make: Any) -> Any:
 
 def _layer(one: Material) -> ThinLayer:
     assert one.eps is not None
-    return ThinLayer(one.law.per_thickness(one.eps), one.eps, eigenstrain=one.eigenstrain)
+    return ThinLayer(one.law, one.eps, eigenstrain=one.eigenstrain)
 
 
 def _goal(one: GoalGiven, name: str) -> Goal:

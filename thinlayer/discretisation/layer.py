@@ -1,7 +1,4 @@
-"""Layers: a law of strains with a thickness, or a law on S alone, of jumps or of nodes.
-
-Only this module turns parameters per thickness into real ones.
-"""
+"""Layers: a law of strains with a thickness, or a law on S alone, of jumps or of nodes."""
 
 from __future__ import annotations
 
@@ -38,16 +35,18 @@ class ThinLayer:
     """A soft layer between two bodies, or between a body and a rigid base.
 
     Attributes:
-        law: the layer's law, its parameters per thickness (`law.per_thickness(eps)` converts real ones). Sublayers in
-            series: `Stack((fraction, law), ...)` from the lower to the upper face.
+        law: the law of the layer's material. Sublayers in series: `Stack((fraction, law), ...)` from the lower to the
+            upper face.
         eps: thickness, a length > 0; multiplied by the profile if it varies along S.
+        at: thickness at which the law's parameters hold, a length > 0; None: eps. A family of layers for eps -> 0 has one
+            `at` and one interface law: its parameters are those of `law` times (eps/at)**power, see `BulkLaw.powers`.
         order: of the interface law. 0: the limit, error O(eps). 1: the next term too, error O(eps^2) where the sides
             of the layer are on rollers, and away from its free ends where these are corrected, see `edges`; needs elements
             of degree 2, and bodies="extended" where S is curved or the thickness varies; a Stack of `LinearElastic`
             sublayers alone; other laws than `LinearElastic` and `Rubber` with lmbda/mu <= 12 at rest.
         profile: shape of a thickness that varies along S, a numpy function of coordinates x (d, n) that returns n numbers
-            > 0: the thickness at the vertices of S is eps * profile(x), linear in between. The law's real parameters are
-            those of the thickness eps, everywhere.
+            > 0: the thickness at the vertices of S is eps * profile(x), linear in between. The law's parameters do not vary
+            with it.
         eigenstrain: strain that the layer would have without stress, as for bodies, see `Structure`; uniform through the
             thickness. On S the strain is [u] (x) n/eps less it, so that it enters the tractions of a soft layer at order
             eps: it changes the limit only if it is itself of the size of [u]/eps.
@@ -68,6 +67,7 @@ class ThinLayer:
     profile: Profile | None = None
     eigenstrain: Given | None = None
     edges: str | None = None
+    at: float | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.law, LawOnS):
@@ -78,7 +78,9 @@ class ThinLayer:
             raise LawError(f"the layer's law is {self.law!r}; it must be a law of strains, such as forms.LinearElastic")
         require_declarations(self.law)
         object.__setattr__(self, "law", folded(self.law))
-        _check_thickness("layer's thickness", self.eps)
+        _check_thickness("layer's thickness eps", self.eps)
+        if self.at is not None:
+            _check_thickness("thickness at which the law's parameters hold, at,", self.at)
         if self.order not in (0, 1) or not is_number(self.order):
             raise LawError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
         if self.order == 1:
@@ -89,6 +91,11 @@ class ThinLayer:
             raise LawError(f"edges is {self.edges!r}; allowed: {', '.join(map(repr, EDGES))}")
         if self.edges == "free" and self.order != 1:
             raise LawError("edges='free' corrects the interface law of order 1; use order=1")
+
+    @property
+    def material(self) -> BulkLaw:
+        """The law with the parameters of the layer's thickness."""
+        return self.law.scaled(1.0 if self.at is None else float(self.eps) / float(self.at))
 
     @property
     def fractions(self) -> tuple[float, ...]:
@@ -113,7 +120,7 @@ class Gap:
     eps: float
 
     def __post_init__(self) -> None:
-        _check_thickness("gap's width", self.eps)
+        _check_thickness("gap's width eps", self.eps)
 
 
 Layer = ThinLayer | LawOnS
@@ -122,7 +129,7 @@ Layers = Layer | Mapping[str, Layer | Gap | None]
 
 def _check_thickness(what: str, eps: Any) -> None:
     if not (is_number(eps) and math.isfinite(eps) and eps > 0):
-        raise LawError(f"the {what} eps is {eps!r}; allowed: > 0")
+        raise LawError(f"the {what} is {eps!r}; allowed: > 0")
 
 
 def layers_of(joint: Joint, given: Any) -> dict[str, Any]:
@@ -151,10 +158,8 @@ def gaps_of(given: Layers) -> dict[str, Gap]:
 
 
 def real_law(layer: Layer, kinematics: Kinematics) -> BulkLaw:
-    """A layer's law with real parameters, for these kinematics; a law of jumps as one of strains."""
-    if not isinstance(layer, ThinLayer):
-        return layer.of_strains()
-    return kinematics.law(layer.law).in_layer(float(layer.eps))
+    """A layer's law for these kinematics; a law of jumps as one of strains."""
+    return kinematics.law(layer.material) if isinstance(layer, ThinLayer) else layer.of_strains()
 
 
 def constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:

@@ -86,13 +86,13 @@ def thin_enough(
 ) -> ThinEnough:
     """The thickness at which the estimated error of dropping a layer's mesh is equal to a tolerance. Collective.
 
-    The layer's material stays the same: its real moduli are those of the thickness that is given. Each thickness is two
+    The layer's material stays the same. Each thickness is two
     solves on one mesh; it takes ten to twenty thicknesses, from the largest one for which estimates hold down to five in
     turn with a smaller error.
 
     Args:
         structure: bodies, supports and loads.
-        layer: the layer, with a thickness; its law per thickness, as always.
+        layer: the layer, with a thickness; its law.
         tolerance: relative error that is allowed, between 0 and 1.
         goal: "traction" or "jump", on S away from its free ends; or a goal.
         t: time of the loads and supports, as in `solve`.
@@ -113,8 +113,8 @@ def thin_enough(
     goals = (goal,) if isinstance(goal, Goal) else (Compliance(),)
     quantity = goal if isinstance(goal, str) else goal.name
 
-    def scaled(eps: float) -> ThinLayer:
-        return replace(layer, eps=eps, law=layer.law.per_thickness(eps / float(layer.eps)))
+    def of_material(eps: float) -> ThinLayer:
+        return replace(layer, eps=eps, law=layer.material, at=None)
 
     begun = structure.interface(layer, bodies=bodies)
     alone = solved(structure.bonded()) if bonded else None
@@ -126,10 +126,12 @@ def thin_enough(
         with warnings.catch_warnings(record=True) as heard[eps]:  # those of the answer are passed on
             warnings.simplefilter("always", RangeWarning)
             if alone is not None:
-                found = estimate(alone, scaled(eps), goals, options=options)
+                found = estimate(alone, of_material(eps), goals, options=options)
             else:
                 kept = bodies == "kept"
-                model = begun.with_layer(scaled(eps)) if kept else structure.interface(scaled(eps), bodies=bodies)
+                model = (
+                    begun.with_layer(of_material(eps)) if kept else structure.interface(of_material(eps), bodies=bodies)
+                )
                 found = estimate(solved(model), goals=goals, options=options)
         caveats[eps] = found.caveats
         return _error(found, quantity)

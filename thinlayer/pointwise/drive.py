@@ -26,12 +26,12 @@ class PointHistory:
     Attributes:
         n: (d,) unit normal.
         t: (steps,) time at the end of the step.
-        jumps: (steps, d) at the end of the step.
+        jumps: (steps, d) at the end of the step; over the thickness for laws of strains.
         tractions: (steps, d) at t + theta dt, where balance holds.
         stress: (steps, 3, 3) likewise, in the axes of n; with the in-plane components, which do not act on S.
         memory: (steps, values) internal values at the end of the step, in the law's order (tensors in Mandel's).
-        energies: (steps, 3) per area of S: stored at the end, dissipated in the step, error of the time scheme in
-            the balance of the step; NaN if the law declares no energy.
+        energies: (steps, 3) per area of S, for laws of strains per volume of the layer: stored at the end, dissipated in
+            the step, error of the time scheme in the balance of the step; NaN if the law declares no energy.
         parts: (steps,) number of parts that the step was divided into.
     """
 
@@ -75,7 +75,7 @@ def drive(
     converge is halved repeatedly.
 
     Args:
-        law: any law of a layer, parameters per thickness (`law.per_thickness(eps)` converts real ones); a Stack too.
+        law: any law of a layer, a Stack too. Jumps of a law of strains are over the layer's thickness, [u]/eps.
         steps: the path.
         n: normal of S from the lower to the upper body, (2,) or (3,); its length does not matter.
         dt: length of the steps in time, one for all or one for each; 0 at a sudden load, which is taken with theta = 1.

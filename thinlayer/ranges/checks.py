@@ -146,9 +146,8 @@ def _warn_of_hard_layer(model: Model, one: SeamLayer, sublayers: list[Sublayer])
     hardest = max(one.along for one in sublayers)
     if hardest > softest > 0:
         warn(
-            f"{one} is {hardest / softest:.3g} times as hard as the softer body (moduli in the plane of S; the layer's "
-            f"are its law's times eps = {layer.eps:.4g}): its jump is less than what order 0 leaves out; use order=1, mesh "
-            "the layer (structure.full), or check whether the law's parameters are per thickness",
+            f"{one} is {hardest / softest:.3g} times as hard as the softer body (moduli in the plane of S): its jump is "
+            "less than what order 0 leaves out; use order=1, mesh the layer (structure.full), or check its parameters",
             model.comm,
         )
 
@@ -167,6 +166,6 @@ def _warn_of_overlap(one: SeamLayer, faces: Faces) -> None:
         warn(
             f"at t = {state.t:.4g} {one} closes by {faces.mean_closing:.3g} times its thickness, on average over S "
             f"(most near ({x}), by {closing[worst]:.3g} times): the bodies overlap, and the law is for small strains; "
-            "check loads, thickness and the law's parameters (per thickness?)",
+            "check loads, thickness and the law's parameters",
             state.model.comm,
         )
