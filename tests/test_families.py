@@ -139,7 +139,7 @@ def test_supports_of_a_derived_model_that_contradict_a_plate():
     first = joined(supports=supports[0], **data).interface(GLUE)
     solve(first.with_loads(body_force=(0.0, -0.1)))
     for model in (first.with_loads(supports=supports[1]), joined(supports=supports[1], **data).interface(GLUE)):
-        with pytest.raises(ModelError, match=r"'LEFT/UPPER' prescribes 0\.002 where the motion of the rigid plate"):
+        with pytest.raises(ModelError, match=r"'LEFT/UPPER' prescribes x = 0\.002 and the plate TOP"):
             solve(model)
 
 

@@ -29,8 +29,8 @@ def column(kind: str, angle: float, law=GLUE, t: float = 0.0, **change):
 def test_turned_columns(kind):
     """Along the axes and turned: the same energies and forces, within rounding."""
     straight, turned = (solve(column(kind, angle), t=0.02) for angle in (0.0, 0.4))
-    assert straight.model.prescribed.frames is None  # normals along the axes need no other unknowns
-    assert turned.model.prescribed.frames is not None
+    assert straight.model.constraints.T is None  # normals along the axes need no other unknowns
+    assert turned.model.constraints.T is not None
     for name, energy in straight.energies().items():
         assert turned.energies()[name] == pytest.approx(energy, rel=1e-9)
     for place in ("BOTTOM", "LEFT", "RIGHT"):
@@ -113,10 +113,10 @@ def test_a_smooth_side_has_one_normal_and_a_corner_two():
     """Two arcs of one circle meet smoothly, with different facets' normals: the node may slide; a corner may not."""
     joint = ring(1.0, 1.5, 2.0, h=0.5)
     smooth = Structure(joint, body=BODY, supports={"OUTSIDE": {"n": 0.0}, _rightmost(joint): {"y": 0.0}}).bonded()
-    _, counts = np.unique(smooth.prescribed.blocks, return_counts=True)
+    _, counts = np.unique(smooth.constraints.prescribed.blocks, return_counts=True)
     assert (counts == 1).sum() >= len(counts) - 1  # but for the one that is held
     corner = Structure(sandwich(2.0, 0.5, 0.6, 0.5), body=BODY, supports={"BOTTOM": {"n": 0.0}, "LEFT": {"n": 0.0}})
-    _, counts = np.unique(corner.bonded().prescribed.blocks, return_counts=True)
+    _, counts = np.unique(corner.bonded().constraints.prescribed.blocks, return_counts=True)
     assert sorted(counts)[-2:] == [1, 2]
 
 

@@ -333,7 +333,7 @@ def test_a_term_beside_those_of_a_model():
     u, v = solve(model).u, ufl.TestFunction(model.V)
     x = ufl.SpatialCoordinate(model.domain.mesh)
     own = work(model.terms, u, v) - model.external_work(v, 0.0)
-    free = np.setdiff1d(np.arange(len(u.x.array)), model.prescribed.held)
+    free = np.setdiff1d(np.arange(len(u.x.array)), model.constraints.held)
     f, w = ufl.as_vector([x[0], 2.0]), model.sides.jump(v)
     for term, alone in (
         (ufl.inner(f, v) * model.dx, ufl.inner(f, v) * ufl.dx),
@@ -355,7 +355,7 @@ def test_forms_whose_tags_overlap():
     joint = sandwich(1.0, 0.5, 0.7, 0.25, cell="quadrilateral")
     model = Structure(joint, **SETUP, body_force={"LOWER": (0.3, -1.1)}, element="Q2").interface(LAYER)
     u, v = solve(model).u, ufl.TestFunction(model.V)
-    free = np.setdiff1d(np.arange(len(u.x.array)), model.prescribed.held)
+    free = np.setdiff1d(np.arange(len(u.x.array)), model.constraints.held)
     forces = lambda form: fem.assemble_vector(form).array
     residual = work(model.terms, u, v) - model.external_work(v, 0.0)
     loads = forces(model.form(model.external_work(v, 0.0)))
@@ -386,8 +386,7 @@ def test_a_form_keeps_the_time_it_was_taken_at():
         now, half = ([np.interp(at, [0, 1, 3], values) for values in ((0, 2, 2), (1, 1, 5))] for at in (t, t / 2))
         expected = np.trapezoid(np.sin(t * s), s) * (now[0] - 3 * now[1]) + half[0] - 3 * half[1]
         assert fem.assemble_scalar(form) == pytest.approx(expected, rel=1e-4)
-    moved = model.prescribed
-    first, last = moved.at(0.5), moved.at(2.0)
+    first, last = model.constraints.values(0.5), model.constraints.values(2.0)
     assert (first.max(), last.max()) == pytest.approx((0.5, 2.0))
 
 

@@ -167,9 +167,13 @@ def test_refused():
         solve(model, options={"pc_type": "gamg", "ksp_type": "cg"})
     with pytest.raises(OptionError, match="displacements and pressures on S; the unknowns 'pressure' are others"):
         solve(structure.full(layer(0.499)), options=BLOCKS)
+
+
+def test_a_plate_has_no_unknowns_of_its_own():
+    joint = sandwich(3.0, 1.0, 1.2, 0.5)
     plate = Structure(joint, body=LOWER, supports={"BOTTOM": 0.0}, parts=[RigidPlate("TOP", force=(0.1, -2.0))])
-    with pytest.raises(OptionError, match="the unknowns 'plate TOP' are others"):
-        solve(plate.interface(layer(0.499)), options=BLOCKS)
+    blocks, factor = (solve(plate.interface(layer(0.499)), options=given) for given in (BLOCKS, None))
+    assert blocks.energies()["layer"] == pytest.approx(factor.energies()["layer"], rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -18,10 +18,10 @@ from forms.kinematics import Expr
 from forms.planes import Kinematics
 from geometry.domain import Domain
 from geometry.joint import Joint
+from thinlayer.discretisation.constraints import Constraints, Tied
 from thinlayer.discretisation.layer import BODIES, BODY, CONTACT, LAYER
 from thinlayer.discretisation.loads import Coordinates
 from thinlayer.discretisation.measures import compiled
-from thinlayer.discretisation.prescribed import Prescribed
 from thinlayer.discretisation.supports import Place, Supports
 from thinlayer.errors import ModelError
 
@@ -50,7 +50,7 @@ class Host(Protocol):
     kinematics: Kinematics
     centre: npt.NDArray[np.float64]
     supports: Supports
-    prescribed: Prescribed
+    constraints: Constraints
 
     def shifts(self) -> npt.NDArray[np.float64] | None:
         """See `Model.shifts`."""
@@ -64,7 +64,7 @@ class Addition(ABC):
     Attributes:
         key: name of the part's memory and energy in states and in files; each addition of a model needs its own.
         place: name of the facet set, of a part that ties nodes.
-        ties_nodes: whether displacements follow unknowns of the part, see `Part.tie`.
+        ties_nodes: whether displacements follow motions of the part, see `tied`.
     """
 
     key: str
@@ -118,10 +118,6 @@ class Addition(ABC):
         """
         return []
 
-    def release(self, model: Host) -> int:
-        """Take conditions of supports out of the model that the part meets by itself; their number here. Collective."""
-        return 0
-
     def held(self, model: Host, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
         """Degrees of freedom of a space (local, unrolled, ghosts included) on which the part acts as supports do.
 
@@ -129,9 +125,9 @@ class Addition(ABC):
         """
         return np.empty(0, np.int32)
 
-    def force_at(self, model: Host, t: float) -> npt.NDArray[np.float64]:
-        """Resultant (d,) of given forces of the part at a time, as of loads."""
-        return np.zeros(model.joint.dim)
+    def tied(self, model: Host) -> Tied:
+        """Displacements that follow motions of the part, if it ties nodes. Collective."""
+        raise NotImplementedError
 
     def load_work(self, model: Host, state: Any) -> float:
         """Work of given forces of the part, as of loads, in the displacements of a configuration. Collective."""
@@ -139,7 +135,7 @@ class Addition(ABC):
 
     @abstractmethod
     def part(self, model: Host) -> Any:
-        """The part, a `thinlayer.parts.part.Part` with this key. Collective."""
+        """The part, a `thinlayer.parts.part.Part` with this key; None: it has no forces. Collective."""
 
 
 def check_additions(parts: Sequence[Any], model: Host) -> None:

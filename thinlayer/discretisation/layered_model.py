@@ -48,6 +48,8 @@ class LayeredModel(Model):
                 raise ModelError(
                     "with_layer: under a mean stress a meshed layer is a part of the cell; build the model anew"
                 )
+        if new.constraints.ties:  # the thickness is an arm of plates
+            new.constraints = new._constrained()
         new.made_from = new._data()
         new.laws_were_read()
         return new

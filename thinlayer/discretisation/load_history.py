@@ -29,13 +29,13 @@ class LoadHistory:
         self.model, self.comm = model, model.comm
         self._moment = model.forces.at.moment(0.0)
         self._work = compiled(model.forces.work(ufl.TestFunction(model.V), self._moment))
-        self._prescribed = model.prescribed
+        self._constraints = model.constraints
         self._strains = GivenInTime(model.domain.mesh, model.terms)
 
     @property
     def held(self) -> npt.NDArray[np.int32]:
-        """Displacements of this rank that supports prescribe."""
-        return self._prescribed.held
+        """Unknowns of this rank that are prescribed."""
+        return self._constraints.held
 
     def loads_at(self, t: float) -> PETSc.Vec:
         """Nodal forces of the loads at a time; the caller destroys the vector.
@@ -50,6 +50,7 @@ class LoadHistory:
             names = self.model.forces.not_finite(t)
             raise ModelError(": ".join([f"the loads are not finite at t = {t:g}", *names]))
         self._require_balance(b, t)
+        b.array[:] += self._constraints.loads_at(t)
         return b
 
     def _require_balance(self, b: PETSc.Vec, t: float) -> None:
@@ -71,7 +72,7 @@ class LoadHistory:
         Raises:
             ModelError: one of them is not finite.
         """
-        prescribed = self._prescribed.at(t)
+        prescribed = self._constraints.values(t)
         if self.comm.allreduce(int(not np.isfinite(prescribed).all())):
             raise ModelError(f"a prescribed displacement is not finite at t = {t:g}")
         return prescribed

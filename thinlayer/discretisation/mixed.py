@@ -16,7 +16,7 @@ from forms.interface import Interface
 from geometry.errors import place
 from geometry.seam import LAYER, S
 from thinlayer.compiling.compat import exterior_facet_entities
-from thinlayer.discretisation.followers import Followers
+from thinlayer.discretisation.followers import at_cuts
 from thinlayer.discretisation.free_rim import free_rim, why_alone
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -60,7 +60,7 @@ class MixedModel(FullModel):
                     raise ModelError(f"{reason}: mesh all of the layer there")
         options = {"bodies": bodies, "cells_through": cells_through, "meshed": described(self.meshed)}
         super(FullModel, self).__init__(structure, layer, **options)
-        self.followers = Followers.at_cuts(self.domain, self.V, self.layers)
+        self._follow()
 
     def _data(self) -> dict[str, Any]:
         return super()._data() | {"meshed": described(self.meshed)}
@@ -77,8 +77,13 @@ class MixedModel(FullModel):
             _require(self.structure, layer, self.meshed)
         new = super().with_layer(layer)
         new.by_law = self._law_beside(self.by_law.with_layer(_on_all_of_s(self.structure, layer)))
-        new.followers = Followers.at_cuts(new.domain, new.V, new.layers)
+        new._follow()
         return new
+
+    def _follow(self) -> None:
+        """Let nodes at cuts follow both faces. Collective."""
+        self.followers = at_cuts(self.domain, self.V, self.layers)
+        self.constraints = self._constrained()
 
     def _law_beside(self, model: InterfaceModel) -> InterfaceModel:
         """An interface model whose laws know of no free ends where these have cells. Collective."""

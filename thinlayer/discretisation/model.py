@@ -23,9 +23,9 @@ from geometry.joint import Joint
 from geometry.splitting import Splitting
 from geometry.topology import FloatArray, is_tensor
 from thinlayer.discretisation.addition import check_additions
+from thinlayer.discretisation.constraints import Constraints, Followers
 from thinlayer.discretisation.eigenstrains import given_strain
 from thinlayer.discretisation.family import Family
-from thinlayer.discretisation.followers import Followers
 from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
 from thinlayer.discretisation.given import added, at_time
 from thinlayer.discretisation.layer import BODIES, BODY, constants, layers_of
@@ -125,22 +125,17 @@ class Model(ABC):
         self.parts = structure.parts
         with on_all(self.comm):
             check_additions(self.parts, self)
-        self.prescribed = Prescribed(self.supports, self.V)
+        self.constraints = self._constrained()
         for name in self.forces.loaded:
             if self.supports.clamps(self.V, name):
                 warn(f"traction on {name!r}: supports hold all of it, so the load changes reactions alone", self.comm)
-        resistances = [partial(part.resistance, self) for part in self.parts]
-        on_layers = self.broken and any(name in self.layers for name in self.joint.base_seams)
-        if self.joint.periods and not on_layers:
-            conditions = self.prescribed.conditions
-            self.supports.anchored = free_translations(
-                self.comm, self.V, self.joint, conditions, resistances, self.kinematics
-            )
-            self.prescribed = Prescribed(self.supports, self.V)
-        if not on_layers:
-            conditions = self.prescribed.conditions
-            require_support(self.comm, self.V, self.joint, conditions, resistances, self.kinematics)
-        self._release()
+        resistances = [partial(part.resistance, self) for part in self.parts if not part.ties_nodes]
+        if not (self.broken and any(name in self.layers for name in self.joint.base_seams)):
+            given = self.V, self.joint
+            if self.joint.periods:
+                self.supports.anchored = free_translations(*given, self.constraints, resistances, self.kinematics)
+                self.constraints = self._constrained()
+            require_support(*given, self.constraints, resistances, self.kinematics)
         self.made_from = self._data()
         self._laws_read = self._laws()
 
@@ -283,7 +278,6 @@ class Model(ABC):
             if supports is not None:
                 new.supports = self._supports(supports)
                 new.supports.anchored = self.supports.anchored
-                new.prescribed = Prescribed(new.supports, self.V)
                 places = [
                     [(place, sorted(given)) for place, given in one.entries] for one in (self.supports, new.supports)
                 ]
@@ -293,14 +287,13 @@ class Model(ABC):
                     )
             new.forces = new._forces(structure)
         if supports is not None:
-            new._release()
+            new.constraints = new._constrained()
         new.made_from = new._data()
         return new
 
-    def _release(self) -> None:
-        """Leave out the conditions of supports at nodes of plates, whose motions they follow. Collective."""
-        for part in self.parts:
-            part.release(self)
+    def _constrained(self) -> Constraints:
+        ties = [part.tied(self) for part in self.parts if part.ties_nodes]
+        return Constraints(Prescribed(self.supports, self.V), ties, self.followers)
 
     def _derived(self) -> Self:
         """A copy that shares all that this model has."""
@@ -438,12 +431,8 @@ class Model(ABC):
 
     @property
     def substituted(self) -> bool:
-        """Whether solvers have other unknowns than displacements.
-
-        Supports are inclined, parts of the boundary rigid, or displacements follow others.
-        """
-        tied = self.followers is not None or any(part.ties_nodes for part in self.parts)
-        return tied or self.prescribed.frames is not None
+        """Whether solvers have other unknowns than displacements."""
+        return self.constraints.T is not None
 
     @property
     def break_times(self) -> set[float]:

@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse
 from dolfinx import fem
-from mpi4py import MPI
 
 from forms.planes import LIFTED, Kinematics
 from geometry.joint import Joint
+from thinlayer.discretisation.constraints import Constraints
 from thinlayer.discretisation.loads import AXES
 from thinlayer.errors import ModelError
 
@@ -67,16 +66,12 @@ def _rotation(
 
 
 def _resisted(
-    comm: MPI.Intracomm,
-    V: fem.FunctionSpace,
     motions: list[fem.Function],
-    conditions: scipy.sparse.csr_matrix,
+    constraints: Constraints,
     resistances: Sequence[Resistance],
 ) -> npt.NDArray[np.float64]:
-    """Gram matrix (m, m) of motions at supports, and the work of parts against them, scaled. Collective."""
-    owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
-    rows = np.array([conditions @ f.x.array[:owned] for f in motions])
-    resisted = comm.allreduce(rows @ rows.T)
+    """How far conditions prevent motions (m, m), and the work of parts against them, scaled. Collective."""
+    resisted = constraints.resistance(np.column_stack([f.x.array[: constraints.n] for f in motions]))
     for resistance in resistances:
         work = resistance(motions)
         size = np.abs(work).max()
@@ -86,37 +81,35 @@ def _resisted(
 
 
 def free_translations(
-    comm: MPI.Intracomm,
     V: fem.FunctionSpace,
     joint: Joint,
-    conditions: scipy.sparse.csr_matrix,
+    constraints: Constraints,
     resistances: Sequence[Resistance],
     kinematics: Kinematics = LIFTED,
 ) -> tuple[str, ...]:
     """The axes along which nothing prevents a translation. Collective. Arguments as in `require_support`."""
     axes = [AXES[i] for i in kinematics.translations(joint.dim)]
     motions = [*rigid_motions(V, joint, kinematics).values()][: len(axes)]
-    resisted = np.diag(_resisted(comm, V, motions, conditions, resistances))
+    resisted = np.diag(_resisted(motions, constraints, resistances))
     return tuple(axis for axis, much in zip(axes, resisted, strict=True) if much <= SMALLEST * max(resisted.max(), 1.0))
 
 
 def require_support(
-    comm: MPI.Intracomm,
     V: fem.FunctionSpace,
     joint: Joint,
-    conditions: scipy.sparse.csr_matrix,
+    constraints: Constraints,
     resistances: Sequence[Resistance],
     kinematics: Kinematics = LIFTED,
 ) -> None:
     """Raise ModelError if supports allow a rigid motion and nothing else resists it. Collective.
 
     Args:
-        comm, V, joint, kinematics: attributes of the model.
-        conditions: (n, k) conditions of supports on the displacements of this rank.
+        V, joint, kinematics: attributes of the model.
+        constraints: conditions on the displacements.
         resistances: functions of the m rigid motions, see `Addition.resistance`.
     """
     motions = rigid_motions(V, joint, kinematics)
-    resisted = _resisted(comm, V, [*motions.values()], conditions, resistances)
+    resisted = _resisted([*motions.values()], constraints, resistances)
     values, vectors = np.linalg.eigh(resisted)
     if values[0] <= SMALLEST * max(values[-1], 1.0):
         free = list(motions)[int(np.argmax(np.abs(vectors[:, 0])))]

@@ -93,7 +93,7 @@ class ContactReport:
         law = model.contacts[seam]
         held = np.union1d(model.supports.held(model.V), model.held_in(model.V))
         owned = model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs
-        nodes = ContactNodes(ContactSurface.of(model, seam), model.prescribed.held, gap=law.gaps)
+        nodes = ContactNodes(ContactSurface.of(model, seam), model.constraints.held, gap=law.gaps)
         slip, d = state.memory[model.layers[seam].key], nodes.dim
         w = nodes.apart(state.u.x.petsc_vec)
         t, p = law.traction(w, slip), law.pressure(w)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Sequence
 from dataclasses import astuple, dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -164,9 +163,6 @@ class Part(ABC):
             rounding is then that of the distance.
         cancelling: norm of the diagonal of a stiffness that is not in K and acts on differences of displacements. The
             rounding of these forces is that of the displacements times this stiffness.
-        tie: (n, k) sparse, the displacements of this rank that follow all k own unknowns of the part, as those of a rigid
-            plate do; other rows are empty. The forces on these displacements are added to the own residual. None: no
-            displacement follows them.
         own_mass: matrix of the integral of squares of the own unknowns over S. A multiple of it stands in block
             preconditioners for what displacements add to the own equations. None: these do not suit the own unknowns.
         stress_width: number of stress components that states keep at each point of the memory; 0: none.
@@ -179,7 +175,6 @@ class Part(ABC):
     K: PETSc.Mat | None = None
     distance: float = 0.0
     cancelling: float = 0.0
-    tie: Any = None
     own_mass: PETSc.Mat | None = None
     stress_width: int = 0
     interval: Interval

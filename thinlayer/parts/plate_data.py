@@ -24,7 +24,7 @@ Vector = Sequence[float] | Callable[[Expr, Any], Sequence[Any]]
 ROTATIONS = {2: ("rotation",), 3: ("rotation x", "rotation y", "rotation z")}
 
 
-def _names(d: int) -> list[str]:
+def motion_names(d: int) -> list[str]:
     """Names of the motions of a plate."""
     return [*AXES[:d], *ROTATIONS[d]]
 
@@ -59,7 +59,7 @@ class PlateData:
         if not model.domain.is_outer(self.place):
             raise ModelError(inside)
         d = model.joint.dim
-        names = _names(d)
+        names = motion_names(d)
         if not isinstance(self.motion, Mapping):
             raise ModelError(f"{self.what}: motion is {self.motion!r}; it must be {{{names[0]!r}: value, ...}}")
         for name in self.motion:
@@ -107,7 +107,7 @@ class PlateData:
 
     def motions(self, model: Host, t: float) -> dict[int, float]:
         """Number of a prescribed motion -> its value at a time; a plate of revolution moves along its axis alone."""
-        names, found = _names(model.joint.dim), dict.fromkeys(self._prevented(model), 0.0)
+        names, found = motion_names(model.joint.dim), dict.fromkeys(self._prevented(model), 0.0)
         return found | {
             names.index(name): float(self._value(value, (), model.coordinates, t))
             for name, value in self.motion.items()
@@ -129,8 +129,8 @@ class PlateData:
         for k in self.motions_held(model):
             if out[k]:
                 raise ModelError(
-                    f"{self.what}: the motion {_names(d)[k]!r} is prescribed, and {out[k]:g} is given for its force or "
-                    "moment; one of them follows from the other"
+                    f"{self.what}: the motion {motion_names(d)[k]!r} is prescribed, and {out[k]:g} is given for its force "
+                    "or moment; one of them follows from the other"
                 )
         return out
 
@@ -142,7 +142,7 @@ class PlateData:
 
     def motions_held(self, model: Host) -> list[int]:
         """Numbers of the prescribed motions."""
-        return sorted({*self._prevented(model), *(_names(model.joint.dim).index(name) for name in self.motion)})
+        return sorted({*self._prevented(model), *(motion_names(model.joint.dim).index(name) for name in self.motion)})
 
     def size(self, model: Host) -> float:
         """Largest extent of the structure, by which rotations are multiplied to be lengths."""

@@ -1,22 +1,17 @@
-"""The nodes of a rigid plate: how its motions give their displacements, and supports that they have besides."""
+"""The nodes of a rigid plate: how its motions give their displacements."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import scipy.sparse
 from dolfinx import fem
 
-from geometry.errors import place as at_place
 from thinlayer.discretisation.addition import Host
-from thinlayer.discretisation.prescribed import AGREE, ROUNDING
 from thinlayer.discretisation.reactions import Array, rigid
 from thinlayer.errors import ModelError
 from thinlayer.parts.plate_data import PlateData
-
-FOLLOWS = 1e-9  # share of a free motion in a displacement that counts as rounding
 
 
 def tie(plate: PlateData, model: Host, about: Array, size: float) -> Any:
@@ -46,52 +41,3 @@ def tie(plate: PlateData, model: Host, about: Array, size: float) -> Any:
     rows = np.repeat(blocks[:, None] * d + np.arange(d), k)
     columns = np.tile(np.arange(k), len(blocks) * d)
     return scipy.sparse.csr_matrix((values.ravel(), (rows, columns)), (owned * d, k))
-
-
-def release(plate: PlateData, model: Host) -> int:
-    """Take out conditions of supports at nodes of the plate that follow from its prescribed motions; their number.
-
-    Raises:
-        ModelError: a support at a node of the plate prescribes what does not.
-    """
-    about, size, d = plate.point(model), plate.size(model), model.joint.dim
-    tied = np.flatnonzero(np.diff(tie(plate, model, about, size).indptr)) // d
-    prescribed = model.prescribed
-    rows = np.flatnonzero(np.isin(prescribed.blocks, tied) & (prescribed.entry >= 0))
-    x = model.V.tabulate_dof_coordinates()[prescribed.blocks[rows], :d]
-    directions = prescribed.directions[rows]
-    ways = np.einsum("nd,ndk->nk", directions, rigid(x, about))
-    free = np.setdiff1d(np.arange(ways.shape[1]), plate.motions_held(model))
-    scaled = np.where(np.arange(ways.shape[1]) < d, ways, ways / size)
-    wrong = np.abs(scaled[:, free]).max(axis=1, initial=0.0) > FOLLOWS
-    message = ""
-    if wrong.any():
-        place, _ = model.supports.entries[prescribed.entry[rows[wrong][0]]]
-        where = np.where(np.abs(x[wrong][0]) > ROUNDING * size, x[wrong][0], 0.0)
-        message = (
-            f"the support on {place!r} acts on a node of the rigid plate on {plate.place!r}, at {at_place(where)}, and "
-            f"does not follow from its prescribed motions; prescribe them, RigidPlate({plate.place!r}, motion={{...}})"
-        )
-    if messages := [one for one in model.comm.allgather(message) if one]:
-        raise ModelError(messages[0])
-    prescribed.released[plate.key] = prescribed.release(rows), ways
-    return len(rows)
-
-
-def require_agreement(plate: PlateData, model: Host, motions: Mapping[int, float], t: float) -> None:
-    """Raise ModelError if supports at nodes of the plate prescribe other values than its motions. Collective."""
-    released, ways = model.prescribed.released[plate.key]
-    q = np.array([motions.get(k, 0.0) for k in range(ways.shape[1])])
-    values, by_plate = released.values(), ways @ q
-    apart = np.abs(values - by_plate)
-    largest = max(np.abs(values).max(initial=0.0), np.abs(by_plate).max(initial=0.0))
-    message = ""
-    if apart.max(initial=0.0) > max(AGREE * largest, ROUNDING * plate.size(model)):
-        k = int(apart.argmax())
-        place, _ = model.supports.entries[released.entry[k]]
-        message = (
-            f"contradictory at t = {t:g}: the support on {place!r} prescribes {values[k]:.6g} where the motion of the "
-            f"rigid plate on {plate.place!r} is {by_plate[k]:.6g}"
-        )
-    if messages := [one for one in model.comm.allgather(message) if one]:
-        raise ModelError(messages[0])

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from mpi4py import MPI
 
 from forms.kinematics import Expr
 from thinlayer.discretisation.addition import Addition, Host
-from thinlayer.discretisation.reactions import Array
+from thinlayer.discretisation.constraints import Tied
+from thinlayer.discretisation.reactions import Array, count
 from thinlayer.discretisation.state import Configuration, State
-from thinlayer.parts.plate_data import PlateData
-from thinlayer.parts.plate_nodes import release, tie
-from thinlayer.parts.plate_part import PlatePart
+from thinlayer.parts.plate_data import PlateData, motion_names
+from thinlayer.parts.plate_nodes import tie
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +42,7 @@ class RigidPlate(PlateData, Addition):
 
     Its nodes move as a rigid body, with small rotations. For each of its 3 motions (in 3D 6) either the force or moment is
     given, by default zero, or the motion is prescribed. All values may be functions (x, t) of the time alone, or
-    `piecewise`. The plate holds its nodes whole: a support at one of them must follow from the plate's prescribed motions,
-    as that of a plane of symmetry does.
+    `piecewise`. A support at one of its nodes holds the whole plate there.
 
     Attributes:
         place: name of a facet set on the outer boundary.
@@ -55,7 +54,7 @@ class RigidPlate(PlateData, Addition):
 
     Raises:
         ModelError: when a model is made: an unknown or empty place, inner facets, values that are no numbers, a force along
-            a prescribed motion, nodes that supports or another plate hold too.
+            a prescribed motion, nodes that another plate holds too.
     """
 
     ties_nodes: ClassVar[bool] = True
@@ -69,49 +68,37 @@ class RigidPlate(PlateData, Addition):
         """Zero: a plate has no forces of its own."""
         return ufl.inner(fem.Constant(model.domain.mesh, np.zeros(model.joint.dim)), v) * model.dx
 
-    def release(self, model: Host) -> int:
-        """Take out conditions of supports at nodes of the plate that follow from its prescribed motions; their number.
-
-        Raises:
-            ModelError: a support at a node of the plate prescribes what does not.
-        """
-        return release(self, model)
-
     def held(self, model: Host, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
         """As in `Addition`: all displacements of the plate's nodes."""
         facets, d = model.domain.facets(self.place, layer_sides=True), model.joint.dim
         blocks = fem.locate_dofs_topological(V, d - 1, facets)
         return np.unique(blocks[:, None] * d + np.arange(d)).astype(np.int32)
 
-    def resistance(self, model: Host, motions: Sequence[fem.Function]) -> npt.NDArray[np.float64]:
-        """As in `Addition`: prescribed motions of the plate resist those of the structure."""
-        R = tie(self, model, self.point(model), self.size(model))
-        matrix = model.comm.allreduce(np.asarray((R.T @ R).todense()), MPI.SUM)
-        held = self.motions_held(model)
-        rows = [R.T @ f.x.array[: R.shape[0]] for f in motions]
-        own = np.linalg.lstsq(matrix, np.array([model.comm.allreduce(row) for row in rows]).T, rcond=None)[0][held]
-        return np.asarray(own.T @ own)
+    def tied(self, model: Host) -> Tied:
+        """Its nodes, which follow its motions. Collective."""
+        d, size = model.joint.dim, self.size(model)
+        scale = np.where(np.arange(count(d)) < d, 1.0, size)
+        held = {k: partial(self._prescribed_at, model, k, scale[k]) for k in self.motions_held(model)}
+        R = tie(self, model, self.point(model), size)
+        return Tied(self.key, motion_names(d), R, held, lambda t: self.resultants(model, t) / scale)
 
-    def force_at(self, model: Host, t: float) -> npt.NDArray[np.float64]:
-        """As in `Addition`: the given force."""
-        return self.resultants(model, t)[: model.joint.dim]
+    def _prescribed_at(self, model: Host, k: int, scale: float, t: float) -> float:
+        return self.motions(model, t)[k] * scale
 
     def load_work(self, model: Host, state: Configuration) -> float:
         """Work of the given force and moment in the plate's motion at a state. Collective."""
-        return float(self.resultants(model, state.t) @ _everywhere(state.fields[self.key], model.comm))
+        return float(self.resultants(model, state.t) @ self._in_units(model, state.u))
 
     def motion_in(self, state: State) -> PlateMotion:
         """The plate's motion in a state. Collective."""
-        values, d = _everywhere(state.fields[self.key], state.model.comm), state.model.joint.dim
+        values, d = self._in_units(state.model, state.u), state.model.joint.dim
         rotation = values[d] if d == 2 else values[d:]
         return PlateMotion(values[:d], np.asarray(rotation), self.point(state.model))
 
-    def part(self, model: Host) -> PlatePart:
-        """The plate as a part of a model's balance. Collective."""
-        return PlatePart(self, model)
+    def _in_units(self, model: Any, u: fem.Function) -> Array:
+        (tie,) = (one for one in model.constraints.ties if one.key == self.key)
+        q, d = model.constraints.motion(tie, u.x.array[: model.constraints.n]), model.joint.dim
+        return np.append(q[:d], q[d:] / self.size(model))
 
-
-def _everywhere(f: fem.Function, comm: MPI.Intracomm) -> Array:
-    """All values of a function with unknowns of the whole structure, on every rank."""
-    dofmap = f.function_space.dofmap
-    return np.concatenate(comm.allgather(f.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]))
+    def part(self, model: Host) -> None:
+        """None: a plate has no forces of its own; its nodes are `tied`."""

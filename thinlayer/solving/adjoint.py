@@ -108,10 +108,9 @@ class Adjoint:
 
     def of_reaction(self, entries: Sequence[int], direction: Array) -> PETSc.Vec:
         """Motions g for which -g . r is the force along a direction (d,) of some supports, by number of their entries."""
-        moved = -self.model.prescribed.dual_to_resultant(entries, direction)
-        forces = self.equations.u.x.petsc_vec.duplicate()
-        forces.array[:] = moved
-        return self._on_unknowns(forces)
+        g = self.nothing()
+        g.array[: self.equations.n_displacements] = -self.model.constraints.dual_to_resultant(entries, direction)
+        return g
 
     def _on_unknowns(self, forces: PETSc.Vec) -> PETSc.Vec:
         found = self.equations.on_unknowns(forces, own=False)

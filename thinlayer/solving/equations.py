@@ -28,7 +28,6 @@ from thinlayer.solving.linear_solvers import MULTIGRIDS, orthonormal, rigid_mode
 from thinlayer.solving.part_sum import PartSum
 from thinlayer.solving.reaction_sums import ReactionSums
 from thinlayer.solving.saddle import split
-from thinlayer.solving.substitution import Substitution
 from thinlayer.solving.tangent_matrix import DIFFERENT, TangentMatrix
 from thinlayer.solving.uniqueness import RigidMotions
 
@@ -51,7 +50,7 @@ class Equations(PartSum):
         external: these less the parts' forces that do not depend on the unknowns.
         held: numbers of the unknowns of this rank that are prescribed.
         prescribed: their values at the end of the step.
-        substitution: the unknowns in place of displacements; None: the unknowns are the displacements.
+        constraints: what they leave of the displacements, in whose places the unknowns stand.
         mean_stiffness: mean size of the diagonal entries of K and of the tangents at rest of bodies that are not in K.
         eased: ease of the parts; 0 is the parts themselves.
         factor: linear solver with the factor of a tangent, of this model or of another one of its family.
@@ -65,7 +64,7 @@ class Equations(PartSum):
         self._kept = kept = Kept.of(model)
         kept.bodies = kept.bodies or body_parts(model)
         self.layers = layer_parts(model, self.history.held, kept.bodies)
-        added = [addition.part(model) for addition in model.parts]
+        added = [part for addition in model.parts if (part := addition.part(model)) is not None]
         self._own_parts = [*self.layers, *added]
         laws = [type(term.law).__name__ for term in model.terms if term.law.traits.rate]
         self.late = [*laws, *(f"the part {part.key!r}" for part in added if part.traits.uses_dt)]
@@ -76,13 +75,10 @@ class Equations(PartSum):
         kept.matrix = self._matrix = kept.matrix or TangentMatrix(self.comm, self._layout.sizes)
         self.factor = kept.factor
         self.n_displacements = self._layout.sizes[DISPLACEMENTS]
-        ties = {part.key: part.tie for part in self._with_own if part.tie is not None}
-        frames = model.prescribed.frames
-        self.substitution = Substitution(self._layout, frames, ties, model.followers) if model.substituted else None
-        held, _ = self._prescribed(None)
-        self.held, self._held_order = np.unique(
-            held.astype(np.int32), return_index=True
-        )  # an axis may hold a plate, too
+        self.constraints = model.constraints
+        self._T = self._layout.widened(self.constraints.T)
+        self._product: PETSc.Mat | None = None
+        self.held = self._prescribed(None)[0].astype(np.int32)
         diagonal = diagonal_at_rest(self.parts)
         cancelling = max(part.cancelling for part in self.parts)
         self.scale = ForceScale(float(diagonal.norm()), cancelling)
@@ -103,21 +99,22 @@ class Equations(PartSum):
         values[DISPLACEMENTS][:] = state.u.x.array[: self.n_displacements]
         for part in self._with_own:
             values[part.key][:] = part.own_start(state)
-        if self.substitution:
-            self.substitution.start(values)
+        values[DISPLACEMENTS][:] = self.constraints.unknowns(values[DISPLACEMENTS])
 
     def _put(self, x: PETSc.Vec) -> None:
         """Write unknowns into the displacements u and the parts' own functions."""
         self._layout.put(x)
-        if self.substitution:
-            self.substitution.put(self.u)
+        if self._T is not None:
+            self.u.x.array[: self.n_displacements] = self.constraints.displacements(
+                self.u.x.array[: self.n_displacements]
+            )
+            self.u.x.scatter_forward()
 
     def _prescribed(self, t: float | None) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
-        """Numbers of the held unknowns, in the order of what holds them, and their values at time t."""
+        """Numbers of the held unknowns, increasing, and their values at time t."""
         of_supports = np.zeros(len(self.history.held)) if t is None else self.history.prescribed_at(t)
-        tied = self.substitution.tied if self.substitution else np.empty(0, np.int32)
-        numbers: list[npt.NDArray[Any]] = [self.history.held, tied]
-        values, first = [of_supports, np.zeros(len(tied))], self.n_displacements
+        numbers: list[npt.NDArray[Any]] = [self.history.held]
+        values, first = [of_supports], self.n_displacements
         for part in self._with_own:
             own, held = part.own_held(t)
             numbers.append(first + own)
@@ -151,16 +148,13 @@ class Equations(PartSum):
 
     def near_null(self) -> list[PETSc.Vec]:
         """The unknowns of rigid motions of the whole structure, orthonormal."""
-        if not self.substitution:
+        if self._T is None:
             return rigid_modes(self.model)
         found = []
         for motion in rigid_motions(self.model.V, self.model.joint, self.model.kinematics).values():
-            x, n = self.vector(), self.n_displacements
-            values, own = self._layout.split(x.array), self.substitution.followed(motion.x.array[:n])
-            values[DISPLACEMENTS][:] = motion.x.array[:n]
-            for key, q in own.items():
-                values[key][:] = q[: len(values[key])]
-            self.substitution.start(values)
+            x = self.vector()
+            values = self._layout.split(x.array)[DISPLACEMENTS]
+            values[:] = self.constraints.unknowns(motion.x.array[: self.n_displacements])
             found.append(x)
         return orthonormal(found)
 
@@ -175,12 +169,12 @@ class Equations(PartSum):
 
     @cached_property
     def _reactions(self) -> ReactionSums:
-        return ReactionSums(self.model, self.parts, self.substitution)
+        return ReactionSums(self.model, self.parts)
 
     # ---------------------------------------------------------------- uniqueness
     @cached_property
     def _rigid(self) -> RigidMotions:
-        return RigidMotions(self.model, self.held, self.scale.stiffness, self.substitution)
+        return RigidMotions(self.model, self.scale.stiffness)
 
     def require_unique(self, unbalanced: PETSc.Vec | None = None) -> None:
         """Raise LooseBody if a connected piece of the bodies can move freely.
@@ -235,7 +229,7 @@ class Equations(PartSum):
                 b = self.history.loads_at(t)
                 self.loads.axpy(share, b)
                 b.destroy()
-        self.prescribed = self._prescribed(interval.t)[1][self._held_order]
+        self.prescribed = self._prescribed(interval.t)[1]
         self.history.strains_at(interval.t)
         largest_displacement = self.comm.allreduce(float(np.abs(self.prescribed).max(initial=0.0)), max)
         if self.model.strain:  # moves the sides of the cell, as supports would
@@ -277,8 +271,7 @@ class Equations(PartSum):
         rows[DISPLACEMENTS][:] = forces.array_r
         for part, load in zip(self._with_own, own, strict=True):
             rows[part.key][:] = load
-        if self.substitution:
-            self.substitution.forces(rows)
+        rows[DISPLACEMENTS][:] = self.constraints.forces(rows[DISPLACEMENTS])
         return out
 
     def start(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
@@ -304,8 +297,7 @@ class Equations(PartSum):
         rows[DISPLACEMENTS][:] = np.nan if self.failed else self._forces.array_r
         for part in self._with_own:
             rows[part.key][:] = part.own_residual()
-        if self.substitution:
-            self.substitution.forces(rows)
+        rows[DISPLACEMENTS][:] = self.constraints.forces(rows[DISPLACEMENTS])
         self._relative_residual = self.scale.relative(free_norm(self, out)) if self.traits.singular else 0.0
 
     def nodal_residual(self, x: PETSc.Vec) -> npt.NDArray[np.float64]:
@@ -327,7 +319,14 @@ class Equations(PartSum):
             LawError: a law declares a symmetric tangent and has another one.
         """
         self._tangent = self._matrix.fill(self.blocks(self._relative_residual))
-        return self.substitution.tangent(self._tangent) if self.substitution else self._tangent
+        if self._T is None:
+            return self._tangent
+        if self._product is None:
+            self._product = self._tangent.ptap(self._T)
+            self._product.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        else:
+            self._tangent.ptap(self._T, result=self._product)
+        return self._product
 
     def ease(self, ease: float) -> None:
         """Replace laws by eased ones: 0 is the law itself, 1 an elastic one."""
@@ -398,7 +397,7 @@ class Equations(PartSum):
     # ---------------------------------------------------------------- end
     def destroy(self) -> None:
         """Free the matrices."""
-        for thing in (*self._own_parts, self.substitution, self._forces, self.loads, self.external):
+        for thing in (*self._own_parts, self._T, self._product, self._forces, self.loads, self.external):
             if thing is not None:
                 thing.destroy()
         if "K" in vars(self):

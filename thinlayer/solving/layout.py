@@ -10,6 +10,8 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from thinlayer.parts.part import DISPLACEMENTS
+
 
 class Layout:
     """The unknowns of this rank, field after field. Collective.
@@ -41,6 +43,20 @@ class Layout:
             f = self.fields[key]
             f.x.array[: len(values)] = values
             f.x.scatter_forward()
+
+    def widened(self, T: PETSc.Mat | None) -> PETSc.Mat | None:
+        """A matrix of displacements on all unknowns, the others as they are; None of None. The caller destroys it."""
+        if T is None:
+            return None
+        size, n = int(self._ends[-1]), self.sizes[DISPLACEMENTS]
+        counts = np.array(self.comm.allgather((n, size)))
+        first_u, first = (np.cumsum(column) - column for column in counts.T)
+        begins, columns, values = T.getValuesCSR()
+        rank = np.searchsorted(first_u, columns, side="right") - 1
+        columns = np.append(columns - first_u[rank] + first[rank], first[self.comm.rank] + np.arange(n, size))
+        begins = np.append(begins, begins[-1] + 1 + np.arange(size - n))
+        csr = begins.astype(PETSc.IntType), columns.astype(PETSc.IntType), np.append(values, np.ones(size - n))
+        return PETSc.Mat().createAIJ(((size, None), (size, None)), csr=csr, comm=self.comm)
 
     def rows(self, local: npt.NDArray[np.int32]) -> npt.NDArray[PETSc.IntType]:
         """Global numbers of unknowns of this rank."""

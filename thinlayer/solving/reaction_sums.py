@@ -15,7 +15,6 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reactions import rigid_values
 from thinlayer.parts.making import ON_S
 from thinlayer.parts.part import Interval, Part
-from thinlayer.solving.substitution import Substitution
 
 Array = npt.NDArray[np.float64]
 
@@ -26,11 +25,10 @@ class ReactionSums:
     Args:
         model: the model.
         parts: the parts of its balance.
-        substitution: the unknowns in place of displacements, if there are others.
     """
 
-    def __init__(self, model: Model, parts: Sequence[Part], substitution: Substitution | None) -> None:
-        self.model, self.parts, self.substitution = model, parts, substitution
+    def __init__(self, model: Model, parts: Sequence[Part]) -> None:
+        self.model, self.parts = model, parts
 
     @cached_property
     def _motions(self) -> Array:
@@ -46,30 +44,38 @@ class ReactionSums:
             interval: the step.
             loads_at: nodal forces of the loads at a time, a vector to destroy.
         """
-        now, theta, old = self._resultants(r), interval.theta, interval.old
+        theta, old = interval.theta, interval.old
+        of_ties = self._of_ties(interval.t, old.t, theta)
+        now = self._resultants(r, of_ties)
         if theta == 1:
             return now
         before = old.reactions
         if before is None:  # at rest there are no stresses
             loads = loads_at(old.t)
             loads.scale(-1.0)
-            before = self._resultants(loads, layers=False)
+            before = self._resultants(loads, self._of_ties(old.t, old.t, 1.0), layers=False)
             loads.destroy()
         return np.asarray((now - (1 - theta) * before) / theta)
 
-    def _resultants(self, r: PETSc.Vec, *, layers: bool = True) -> Array:
+    def _of_ties(self, new: float, old: float, theta: float) -> Array:
+        """Given nodal forces of ties where forces balance, which are no reactions."""
+        found = [share * self.model.constraints.loads_at(t) for t, share in ((new, theta), (old, 1 - theta)) if share]
+        return np.asarray(sum(found))
+
+    def _resultants(self, r: PETSc.Vec, of_ties: Array, *, layers: bool = True) -> Array:
         """Forces and moments for nodal forces r less loads; of layers on bases if asked for."""
-        model, given = self.model, self.substitution
-        forces = given.passed_on(r.array_r) if given else r.array_r
-        rows = [model.prescribed.resultants(forces, self._motions)]
+        model, constraints = self.model, self.model.constraints
+        by_supports = constraints.support_forces(r.array_r)
+        rows = [constraints.of_supports(by_supports, self._motions)]
         if layers and model.joint.base_seams:  # on which laws may act beside meshed layers, which supports hold
             for number, (place, _) in enumerate(model.supports.entries):
                 if place == BASE:
                     keys = {part.key for part in self.parts if part.key.endswith(f"/{ON_S}")}
                     rows[0][number] -= self._of_parts(keys, r)
-        for R in given.ties.values() if given else ():
-            tied = np.diff(R.indptr) > 0
-            rows.append((forces[tied] @ self._motions[tied])[None])
+        rest = constraints.passed_on(r.array_r) + of_ties - constraints.prescribed.conditions.T @ by_supports
+        for tie in constraints.ties:
+            tied = np.diff(tie.R.indptr) > 0
+            rows.append((rest[tied] @ self._motions[tied])[None])
         first = len(model.supports.entries) + len(rows) - 1
         for name in model.holders[first:]:
             keys = self._keys_of(model.layers[str(name)].key) if layers else set()

@@ -15,7 +15,6 @@ from thinlayer.discretisation.loads import AXES
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.errors import LooseBody
-from thinlayer.solving.substitution import Substitution
 
 # Largest eigenvalue of a motion that supports allow, relative to the largest one, of the Gram matrix of the motions at
 # supports.
@@ -42,15 +41,11 @@ class RigidMotions:
 
     Args:
         model: the model.
-        held: displacements of this rank that supports prescribe (local, unrolled).
         stiffness: norm of the diagonal of the stiffness matrix.
-        substitution: the unknowns in place of displacements, to which `held` refers then.
     """
 
-    def __init__(
-        self, model: Model, held: npt.NDArray[np.int32], stiffness: float, substitution: Substitution | None = None
-    ) -> None:
-        self.model, self.held, self._stiffness, self._substitution = model, held, stiffness, substitution
+    def __init__(self, model: Model, stiffness: float) -> None:
+        self.model, self._stiffness = model, stiffness
 
     @cached_property
     def _free(self) -> tuple[Sparse, Array]:
@@ -59,51 +54,9 @@ class RigidMotions:
         The second value, (c, k), has the motions that supports allow, as sums of these.
         """
         motions, piece = self._motions()
-        if self._substitution:
-            return self._with_plates(self._substitution, motions, piece)
-        count, per = len(self._names), motions.shape[1]
-        gram = np.zeros((count, per, per))
-        np.add.at(gram, piece[self.held], motions[self.held][:, :, None] * motions[self.held][:, None, :])
-        values, vectors = np.linalg.eigh(self.model.comm.allreduce(gram))
-        block, way = np.nonzero(values <= ALLOWED_MOTION * max(values.max(), 1.0))
-        allowed = np.zeros((count, per, len(block)))
-        allowed[block, :, np.arange(len(block))] = vectors[block, :, way]
-
-        motions[self.held] = 0.0
-        return _of_pieces(motions, piece, count), allowed.reshape(count * per, -1)
-
-    def _with_plates(self, given: Substitution, motions: Array, piece: npt.NDArray[np.int32]) -> tuple[Sparse, Array]:
-        """The same if others take the place of displacements: the motions of plates are further columns."""
-        n = len(piece)
-        ties = [given.ties[key] for key in given.ties]
-        of_pieces = _of_pieces(motions, piece, len(self._names))
-        shown = scipy.sparse.hstack([of_pieces, *(-R for R in ties)], format="csr")
-        y = (given.Q.T @ shown).tocsr()
-        held = np.setdiff1d(self.held[self.held < n], given.following)  # these move as what they follow does
-        rows = np.asarray(y[held].todense())
-        gram = rows.T @ rows
-        first = of_pieces.shape[1]
-        for k in self._held_motions(n):
-            gram[first + k, first + k] += 1.0
-        values, vectors = np.linalg.eigh(self.model.comm.allreduce(gram))
-        allowed = vectors[:, values <= ALLOWED_MOTION * max(values.max(), 1.0)]
-        kept = np.ones(n)
-        kept[held] = 0.0
-        none = scipy.sparse.csr_matrix((n, first))
-        followed = scipy.sparse.hstack([none, *ties], format="csr")
-        return (given.Q @ scipy.sparse.diags(kept) @ y + followed).tocsr(), allowed
-
-    def _held_motions(self, n: int) -> list[int]:
-        """Which motions of plates, counted through all of them, are prescribed; on the rank that has them."""
-        assert self._substitution
-        found, local, number = [], n, 0
-        for key, own in self._substitution.own_sizes.items():
-            here = self.held[(self.held >= local) & (self.held < local + own)] - local
-            if key in self._substitution.ties:
-                found += [number + int(k) for k in here]
-                number += self._substitution.ties[key].shape[1]
-            local += own
-        return found
+        shown, gram = self.model.constraints.shown(_of_pieces(motions, piece, len(self._names)))
+        values, vectors = np.linalg.eigh(gram)
+        return shown, vectors[:, values <= ALLOWED_MOTION * max(values.max(), 1.0)]
 
     def _motions(self) -> tuple[Array, npt.NDArray[np.int32]]:
         """At each displacement of this rank, its translations and rotations (n, per), of order 1; its piece (n,)."""

@@ -1,0 +1,511 @@
+"""Constraints: u = T y, for unknowns y that conditions at nodes leave free; y has the places of u."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+from mpi4py import MPI
+from petsc4py import PETSc
+from scipy.sparse.csgraph import connected_components
+
+from geometry.errors import place as at_place
+from thinlayer.discretisation.prescribed import ROUNDING, Prescribed
+from thinlayer.errors import ModelError
+
+Array = npt.NDArray[np.float64]
+Numbers = npt.NDArray[Any]
+Sparse = Any  # scipy.sparse.csr_matrix, which has no types
+INDEPENDENT = 1e-6  # least singular value of conditions that are independent of each other
+AGREE = 1e-9  # difference of two values of one displacement, at most, over the largest prescribed displacement
+ZERO = 1e-13  # coefficient of a condition that counts as rounding; coefficients are of order 1
+
+
+@dataclass(frozen=True)
+class Tied:
+    """Displacements u = R q that follow a few motions q of their own, as those of a rigid plate do.
+
+    Attributes:
+        key: name, for messages.
+        names: of the motions, likewise.
+        R: (n, m) sparse, of this rank's displacements; q are lengths. Rows of other displacements are empty.
+        motion: number of a motion -> its value at a time, of those that are prescribed.
+        resultant: (m,) what is conjugate to q at a time, zero where a motion is prescribed.
+    """
+
+    key: str
+    names: Sequence[str]
+    R: Sparse
+    motion: Mapping[int, Callable[[float], float]]
+    resultant: Callable[[float], Array]
+
+    @property
+    def count(self) -> int:
+        """Number of motions."""
+        return int(self.R.shape[1])
+
+
+@dataclass(frozen=True)
+class Followers:
+    """Displacements that are sums of others, which follow none.
+
+    Attributes:
+        rows: (n,) displacements of this rank, unrolled, that follow.
+        of: (n, k) global numbers of those that they follow.
+        shares: (n, k) of these.
+    """
+
+    rows: npt.NDArray[np.int64]
+    of: npt.NDArray[np.int64]
+    shares: Array
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Conditions N y = c that share unknowns: numbers of their rows, of their columns, and a frame.
+
+    The first `rank` columns of the frame are what they hold.
+    """
+
+    rows: Numbers
+    columns: Numbers
+    N: Array
+    frame: Array
+    rank: int
+
+    @property
+    def turned(self) -> bool:
+        return self.rank < len(self.columns) and not np.array_equal(self.frame, np.eye(len(self.columns)))
+
+    def held(self, c: Array) -> Array:
+        """Values of the held unknowns."""
+        return np.asarray(np.linalg.pinv(self.N @ self.frame[:, : self.rank], rcond=INDEPENDENT) @ c)
+
+    def apart(self, c: Array) -> Array:
+        """What each condition lacks."""
+        return np.asarray(np.abs(self.N @ self.frame[:, : self.rank] @ self.held(c) - c))
+
+    @property
+    def shares(self) -> Array:
+        """Forces on the unknowns -> the least forces of the conditions that balance them."""
+        return np.asarray(np.linalg.pinv(self.N.T, rcond=INDEPENDENT))
+
+
+class Constraints:
+    """Conditions of supports, plates and followers on the displacements of a model. All methods are collective.
+
+    Ties give u = T0 y: the motions q of a tie stand in the places of displacements of its first nodes; y is zero, and held,
+    at the others that follow. Supports and prescribed motions are rows A T0 y = c. Rows that share unknowns are a group,
+    whose frame says which combinations they hold: y = Q z, T = T0 Q. Where conditions only select displacements T is None.
+
+    Args:
+        prescribed: conditions of supports, on nodes.
+        ties: displacements that follow motions.
+        followers: displacements that follow others.
+
+    Attributes:
+        held: (h,) local numbers of the entries of y that are prescribed or stand for nothing, increasing.
+
+    Raises:
+        ModelError: two ties have a node in common; a tie has too few nodes; conditions of numbers contradict each other.
+    """
+
+    def __init__(self, prescribed: Prescribed, ties: Sequence[Tied] = (), followers: Followers | None = None) -> None:
+        self.prescribed, self.ties, self.followers = prescribed, list(ties), followers
+        self.comm: MPI.Intracomm = prescribed.comm
+        self.d, self.n = prescribed.d, prescribed.size
+        self.first = int(self.comm.scan(self.n) - self.n)
+        self._require_apart()
+        self.slots = {one.key: self._slots_of(one) for one in self.ties}
+        following = np.empty(0, np.int64) if followers is None else followers.rows
+        rows = [np.flatnonzero(np.diff(one.R.indptr)) for one in self.ties]
+        self.tied = np.unique(np.concatenate([following, *rows])).astype(np.int64)
+        self._C: PETSc.Mat | None = None
+        self._T0 = self._tie()
+        self._rows = self._conditions()
+        self._resolve()
+        self.Q = self._frames()
+        if self.Q is None or self._T0 is None:
+            self.T = self._T0 if self.Q is None else self.Q
+        else:
+            self.T = self._T0.matMult(self.Q)
+        if not self.comm.allreduce(int(prescribed.varies.any()) + len(self._motions)):
+            self._require_agreement(self._values_of_rows(0.0))
+
+    # ---------------------------------------------------------------- who follows whom
+    def _require_apart(self) -> None:
+        """Raise ModelError if a displacement follows two ties."""
+        of = {one.key: np.diff(one.R.indptr) > 0 for one in self.ties}
+        both = sum((rows.astype(int) for rows in of.values()), np.zeros(self.n, int)) > 1
+        names = [key for key, rows in of.items() if (rows & both).any()]
+        if several := [one for one in self.comm.allgather(names) if one]:
+            raise ModelError(
+                f"{' and '.join(several[0])} have a node in common: their motions would depend on each other"
+            )
+
+    def _slots_of(self, tie: Tied) -> Numbers:
+        """(m,) global numbers of the displacements in whose places the motions of a tie stand."""
+        rows = self.first + np.flatnonzero(np.diff(tie.R.indptr))
+        if self.followers is not None:
+            rows = np.setdiff1d(rows, self.first + self.followers.rows)
+        least = np.sort(np.concatenate(self.comm.allgather(rows[: tie.count])))[: tie.count]
+        if len(least) < tie.count:
+            raise ModelError(f"{tie.key} has fewer displacements than motions")
+        return least
+
+    def _tie(self) -> PETSc.Mat | None:
+        """T0: the displacements that y and the motions in it give; None: the identity."""
+        if not self.comm.allreduce(len(self.tied) + len(self.ties)):
+            return None
+        free = np.setdiff1d(np.arange(self.n), self.tied)
+        rows, columns, values = [free], [self.first + free], [np.ones(len(free))]
+        for one in self.ties:
+            entries = one.R.tocoo()
+            rows.append(entries.row)
+            columns.append(self.slots[one.key][entries.col])
+            values.append(entries.data)
+        T = self._matrix(np.concatenate(rows), np.concatenate(columns), np.concatenate(values))
+        if self.followers is None:
+            return T
+        others = np.setdiff1d(np.arange(self.n), self.followers.rows)
+        of, shares = self.followers.of, self.followers.shares
+        C = self._matrix(
+            np.concatenate([others, self.followers.rows.repeat(of.shape[1])]),
+            np.concatenate([self.first + others, of.ravel()]),
+            np.concatenate([np.ones(len(others)), shares.ravel()]),
+        )
+        self._C, followed = C, C.matMult(T)
+        T.destroy()
+        return followed
+
+    def _matrix(self, i: Numbers, j: Numbers, v: Array, rows: int | None = None) -> PETSc.Mat:
+        """Entries v in rows i of this rank and columns j of all displacements; diagonals are stored, products need them."""
+        rows = self.n if rows is None else rows
+        if rows == self.n:
+            every = np.arange(self.n)
+            i, j, v = np.append(i, every), np.append(j, self.first + every), np.append(v, np.zeros(self.n))
+        total = int(self.comm.allreduce(self.n))
+        A = scipy.sparse.csr_matrix((v, (i.astype(np.int64), j.astype(np.int64))), (rows, total))
+        csr = A.indptr.astype(PETSc.IntType), A.indices.astype(PETSc.IntType), A.data
+        return PETSc.Mat().createAIJ(((rows, None), (self.n, None)), csr=csr, comm=self.comm)
+
+    # ---------------------------------------------------------------- conditions
+    def _conditions(self) -> Sparse:
+        """(r, all) rows of this rank on y: of supports, then of prescribed motions, which the first rank has."""
+        rows, total = self.prescribed.conditions.tocoo(), int(self.comm.allreduce(self.n))
+        found = scipy.sparse.csr_matrix((rows.data, (rows.row, self.first + rows.col)), (rows.shape[0], total))
+        if self._T0 is not None:
+            A = self._matrix(rows.row, self.first + rows.col, rows.data, rows.shape[0])
+            on_y = A.matMult(self._T0)
+            found = csr_of(on_y)
+            A.destroy()
+            on_y.destroy()
+        self._motions = [(one, k, value) for one in self.ties for k, value in one.motion.items() if self.comm.rank == 0]
+        columns = [self.slots[one.key][k] for one, k, _ in self._motions]
+        more = scipy.sparse.csr_matrix(
+            (np.ones(len(columns)), (np.arange(len(columns)), columns)), (len(columns), found.shape[1])
+        )
+        found = scipy.sparse.vstack([found, more], format="csr")
+        found.data[np.abs(found.data) < ZERO] = 0.0
+        found.eliminate_zeros()
+        return found
+
+    def of_supports(self, forces: Array, motions: Array) -> Array:
+        """Work (entries, k) in motions (n, k) of the supports' forces, by the number of the support."""
+        out = np.zeros((len(self.prescribed.supports.entries) + 1, motions.shape[1]))
+        np.add.at(out, self.prescribed.entry, forces[:, None] * (self.prescribed.conditions @ motions))
+        return out[:-1]
+
+    def _values_of_rows(self, t: float) -> Array:
+        """(r,) values of the conditions of this rank at a time."""
+        return np.concatenate([self.prescribed.values(t), [value(t) for _, _, value in self._motions]])
+
+    # ---------------------------------------------------------------- what they hold
+    def _resolve(self) -> None:
+        """Part the conditions into groups that share no unknowns, and find what each holds."""
+        A, lo, hi = self._rows, self.first, self.first + self.n
+        row_of = np.repeat(np.arange(A.shape[0]), np.diff(A.indptr))
+        everywhere = {int(k) for one in self.slots.values() for k in one}
+        everywhere |= set(_union(self.comm, A.indices[(A.indices < lo) | (A.indices >= hi)]))
+        far = np.zeros(A.shape[0], bool)  # conditions on unknowns that other ranks may have conditions on
+        while True:
+            wider = far.copy()
+            wider[row_of[np.isin(A.indices, [*everywhere])]] = True
+            if not self.comm.allreduce(int((wider & ~far).sum())):
+                break
+            far = wider
+            everywhere |= set(_union(self.comm, A.indices[far[row_of]]))
+        near, single = ~far, np.diff(A.indptr) == 1
+        shared = np.unique(A.indices[(near & ~single)[row_of]])
+        single &= near
+        single[single] = ~np.isin(A.indices[A.indptr[:-1][single]], shared)
+        self._single = np.flatnonzero(single)
+        at = A.indptr[self._single]
+        self._columns, self._first_of, self._inverse, self._repeated = np.unique(
+            A.indices[at], return_index=True, return_inverse=True, return_counts=True
+        )
+        self._coefficient = A.data[at]
+        others = np.flatnonzero(near & ~single & (np.diff(A.indptr) > 0))
+        self._groups = _groups(A[others], others)
+        self._far = np.flatnonzero(far)
+        counts = self.comm.allgather(len(self._far))
+        self._first_far = sum(counts[: self.comm.rank])
+        gathered = scipy.sparse.vstack(self.comm.allgather(A[self._far]), format="csr")
+        self._far_groups = _groups(gathered, np.arange(sum(counts)))
+        held = [self._columns, *(one.columns[: one.rank] for one in (*self._groups, *self._far_groups))]
+        mine = np.unique(np.concatenate(held)).astype(np.int64)
+        mine = mine[(mine >= lo) & (mine < hi)] - lo
+        slots = np.concatenate([*self.slots.values(), np.empty(0, np.int64)]) - lo
+        self.held = np.union1d(mine, np.setdiff1d(self.tied, slots)).astype(np.int32)
+
+    def _frames(self) -> PETSc.Mat | None:
+        """Q; None: the identity."""
+        turned = [one for one in (*self._groups, *self._far_groups) if one.turned]
+        if not self.comm.allreduce(len(turned)):
+            return None
+        lo, same = self.first, np.ones(self.n, bool)
+        i, j, v = [], [], []
+        for one in turned:
+            own = (one.columns >= lo) & (one.columns < lo + self.n)
+            same[one.columns[own] - lo] = False
+            rows, columns = np.meshgrid(one.columns[own] - lo, one.columns, indexing="ij")
+            i.append(rows.ravel())
+            j.append(columns.ravel())
+            v.append(one.frame[own].ravel())
+        rest = np.flatnonzero(same)
+        return self._matrix(
+            np.concatenate([rest, *i]), np.concatenate([lo + rest, *j]), np.concatenate([np.ones(len(rest)), *v])
+        )
+
+    # ---------------------------------------------------------------- values
+    def values(self, t: float) -> Array:
+        """(h,) values of `held` at a time, possibly not finite. Collective.
+
+        Raises:
+            ModelError: two conditions prescribe different values of a displacement.
+        """
+        c = self._values_of_rows(t)
+        if not self.comm.allreduce(int(not np.isfinite(c).all())):
+            self._require_agreement(c, when=f" at t = {t:g}")
+        y, lo = np.zeros(self.n), self.first
+        y[self._columns - lo] = (c[self._single] / self._coefficient)[self._first_of]
+        for one, values in self._with_values(c):
+            columns = one.columns[: one.rank]
+            own = (columns >= lo) & (columns < lo + self.n)
+            y[columns[own] - lo] = one.held(values)[own]
+        return y[self.held]
+
+    def _with_values(self, c: Array) -> Iterator[tuple[_Group, Array]]:
+        """Groups, each with the values of its conditions."""
+        far = np.concatenate(self.comm.allgather(c[self._far]))
+        yield from ((one, c[one.rows]) for one in self._groups)
+        yield from ((one, far[one.rows]) for one in self._far_groups)
+
+    def _by_rows(self, of_group: Callable[[_Group, bool], Array]) -> Array:
+        """(r,) numbers for this rank's conditions from those of each group, whether near or far."""
+        out, far = np.zeros(self._rows.shape[0]), np.zeros(self.comm.allreduce(len(self._far)))
+        for groups, numbers in ((self._groups, out), (self._far_groups, far)):
+            for one in groups:
+                numbers[one.rows] = of_group(one, numbers is far)
+        out[self._far] = far[self._first_far : self._first_far + len(self._far)]
+        return out
+
+    def _require_agreement(self, c: Array, when: str = "") -> None:
+        """Raise ModelError if values (r,) of conditions contradict each other."""
+        given = {id(one): values for one, values in self._with_values(c)}
+        apart = self._by_rows(lambda one, _: one.apart(given[id(one)]))
+        value = (c[self._single] / self._coefficient)[self._first_of]
+        apart[self._single] = np.abs(c[self._single] - self._coefficient * value[self._inverse])
+        largest = self.comm.allreduce(float(np.abs(c).max(initial=0.0)), max)
+        limit, message = max(AGREE * largest, ROUNDING * self.prescribed.extent), ""
+        if apart.max(initial=0.0) > limit:
+            message = self._contradiction(int(apart.argmax()), c) + when
+        if messages := [one for one in self.comm.allgather(message) if one]:
+            raise ModelError(f"{messages[0]}; where supports overlap, their values must agree")
+
+    def _contradiction(self, row: int, c: Array) -> str:
+        """Words for a condition that does not agree with those that share its unknowns."""
+        columns = self._rows.indices[self._rows.indptr[row] : self._rows.indptr[row + 1]]
+        touched = np.unique(
+            np.repeat(np.arange(len(c)), np.diff(self._rows.indptr))[np.isin(self._rows.indices, columns)]
+        )
+        of_supports = touched[touched < len(self.prescribed.entry)]
+        where = self.prescribed.place_of(int(of_supports[0])) if len(of_supports) else None
+        place = f" at {at_place(where)}" if where is not None else ""
+        said = dict.fromkeys(self._said(int(k), c[k]) for k in touched)
+        return f"contradictory supports{place}: " + " and ".join(said)
+
+    def _said(self, row: int, value: float) -> str:
+        if row < len(self.prescribed.entry):
+            return self.prescribed.said(row, value)
+        tie, k, _ = self._motions[row - len(self.prescribed.entry)]
+        return f"the {tie.key} prescribes {tie.names[k]} = {value:.6g}"
+
+    # ---------------------------------------------------------------- displacements and forces
+    def displacements(self, y: Array) -> Array:
+        """u (n,) of unknowns y (n,) of this rank."""
+        return self._times(self.T, y)
+
+    def unknowns(self, u: Array) -> Array:
+        """y (n,) of displacements u (n,) that follow the ties, or nearest to them."""
+        y = u.copy()
+        y[self.tied] = 0.0
+        for one in self.ties:
+            own, columns = self._own(one)
+            y[columns] = self.motion(one, u)[own]
+        return self._times(self.Q, y, transposed=True)
+
+    def forces(self, f: Array) -> Array:
+        """T'f of nodal forces f (n,)."""
+        return self._times(self.T, f, transposed=True)
+
+    def passed_on(self, f: Array) -> Array:
+        """Nodal forces (n,): those on displacements that follow others act on these."""
+        return self._times(self._C, f, transposed=True)
+
+    def _times(self, matrix: PETSc.Mat | None, values: Array, *, transposed: bool = False) -> Array:
+        if matrix is None:
+            return values
+        x, b = matrix.createVecs()
+        x, b = (b, x) if transposed else (x, b)
+        x.array[:] = values
+        (matrix.multTranspose if transposed else matrix.mult)(x, b)
+        found = b.array_r.copy()
+        x.destroy()
+        b.destroy()
+        return np.asarray(found)
+
+    def _own(self, tie: Tied) -> tuple[Numbers, Numbers]:
+        """Numbers of the motions of a tie that stand on this rank, and the local numbers of their places."""
+        slots = self.slots[tie.key] - self.first
+        own = np.flatnonzero((slots >= 0) & (slots < self.n))
+        return own, slots[own]
+
+    def motion(self, tie: Tied, u: Array) -> Array:
+        """Motions (m,) of a tie, on every rank, that are nearest to displacements u (n,)."""
+        return self._solved(tie, self.comm.allreduce(tie.R.T @ u))
+
+    def loads_at(self, t: float) -> Array:
+        """(n,) the least nodal forces with the given resultants of the ties at a time."""
+        return sum((one.R @ self._solved(one, one.resultant(t)) for one in self.ties), np.zeros(self.n))
+
+    def _solved(self, tie: Tied, b: Array) -> Array:
+        """R'R x = b, of all ranks."""
+        return np.asarray(np.linalg.lstsq(self.comm.allreduce((tie.R.T @ tie.R).toarray()), b, rcond=None)[0])
+
+    # ---------------------------------------------------------------- reactions
+    def support_forces(self, r: Array) -> Array:
+        """(k,) the least forces of the supports' conditions, along their directions, that balance nodal forces r (n,)."""
+        f = self._times(self._T0, r, transposed=True)
+
+        def of_group(one: _Group, far: bool) -> Array:
+            own = (one.columns >= self.first) & (one.columns < self.first + self.n)
+            part = np.zeros(len(one.columns))
+            part[own] = f[one.columns[own] - self.first]
+            return np.asarray(one.shares @ (self.comm.allreduce(part) if far else part))
+
+        out = self._by_rows(of_group)
+        out[self._single] = (f[self._columns - self.first] / self._repeated)[self._inverse] / self._coefficient
+        return out[: len(self.prescribed.entry)]
+
+    def dual_to_resultant(self, entries: Sequence[int], direction: Array) -> Array:
+        """(n,) motions g of y for which g . T'r is the force along a direction (d,) of some supports, by their entries."""
+        prescribed = self.prescribed
+        along = np.isin(prescribed.entry, entries) * (prescribed.directions @ direction)
+        along = np.append(along, np.zeros(len(self._motions)))
+        g, lo = np.zeros(self.n), self.first
+        np.add.at(
+            g,
+            self._columns[self._inverse] - lo,
+            along[self._single] / self._coefficient / self._repeated[self._inverse],
+        )
+        for one, values in self._with_values(along):
+            own = (one.columns >= lo) & (one.columns < lo + self.n)
+            np.add.at(g, one.columns[own] - lo, (one.shares.T @ values)[own])
+        return self._times(self.Q, g, transposed=True)
+
+    # ---------------------------------------------------------------- motions
+    def shown(self, motions: Sparse) -> tuple[Sparse, Array]:
+        """Motions as conditions allow them, and how far conditions prevent them.
+
+        Args:
+            motions: (n, c) sparse, at the displacements of this rank.
+
+        Returns:
+            Motions (n, c + m) of displacements, of those given and of all ties, without what conditions hold; and the Gram
+            matrix (c + m, c + m) of what conditions prevent: it is zero for a motion that they allow.
+        """
+        c, m = motions.shape[1], sum(one.count for one in self.ties)
+        free = np.ones(self.n)
+        free[self.tied] = 0.0
+        of_ties = scipy.sparse.lil_matrix((self.n, m))
+        gram = np.zeros((c + m, c + m))
+        first = dict(zip(self.slots, np.cumsum([0, *(one.count for one in self.ties)]).tolist(), strict=False))
+        for one in self.ties:
+            own, places = self._own(one)
+            of_ties[places, first[one.key] + own] = 1.0
+        y = scipy.sparse.hstack([scipy.sparse.diags(free) @ motions, of_ties], format="csr")
+        wide = scipy.sparse.hstack([motions, scipy.sparse.csr_matrix((self.n, m))], format="csr")
+        for rows in (self.prescribed.conditions @ wide, (self._product(self._T0, y) - wide)[self.tied]):
+            gram += (rows.T @ rows).toarray()
+        for tie, k, _ in self._motions:
+            gram[c + first[tie.key] + k, c + first[tie.key] + k] += 1.0
+        kept = np.ones(self.n)
+        kept[self.held] = 0.0
+        z = scipy.sparse.diags(kept) @ self._product(self.Q, y, transposed=True)
+        return self._product(self.T, z.tocsr()), self.comm.allreduce(gram)
+
+    def resistance(self, motions: Array) -> Array:
+        """(c, c) how far conditions prevent motions (n, c), where ties follow them as well as they can."""
+        c, gram = motions.shape[1], self.shown(scipy.sparse.csr_matrix(motions))[1]
+        return np.asarray(gram[:c, :c] - gram[:c, c:] @ np.linalg.pinv(gram[c:, c:]) @ gram[c:, :c])
+
+    def _product(self, matrix: PETSc.Mat | None, columns: Sparse, *, transposed: bool = False) -> Sparse:
+        """This rank's rows of a matrix, or of its transpose, times sparse columns (n, c) of all ranks."""
+        if matrix is None:
+            return columns
+        csr = columns.indptr.astype(PETSc.IntType), columns.indices.astype(PETSc.IntType), columns.data
+        wide = PETSc.Mat().createAIJ(((self.n, None), (None, columns.shape[1])), csr=csr, comm=self.comm)
+        product = matrix.transposeMatMult(wide) if transposed else matrix.matMult(wide)
+        found = csr_of(product)
+        wide.destroy()
+        product.destroy()
+        return found
+
+
+def _union(comm: MPI.Intracomm, numbers: Numbers) -> list[int]:
+    """The numbers of all ranks. Collective."""
+    return np.unique(np.concatenate(comm.allgather(np.unique(numbers)))).tolist()
+
+
+def _groups(A: Sparse, rows: Numbers) -> list[_Group]:
+    """Groups of rows of A that share columns; `rows` are their numbers."""
+    columns, local = np.unique(A.indices, return_inverse=True)
+    if not len(columns):
+        return []
+    B = scipy.sparse.csr_matrix((A.data, local, A.indptr), (A.shape[0], len(columns)))
+    label = connected_components(scipy.sparse.bmat([[None, B], [B.T, None]]), directed=False)[1]
+    of_rows, of_columns = label[: A.shape[0]], label[A.shape[0] :]
+    found = []
+    for r, c in zip(_by_label(of_rows), _by_label(of_columns), strict=True):
+        N = B[r][:, c].toarray()
+        _, sizes, right = np.linalg.svd(N)
+        rank = int((sizes > INDEPENDENT * max(1.0, sizes[0])).sum())
+        frame = np.eye(len(c)) if rank == len(c) else right.T
+        found.append(_Group(rows[r], columns[c].astype(np.int64), N, frame, rank))
+    return found
+
+
+def _by_label(labels: Numbers) -> list[Numbers]:
+    order = np.argsort(labels, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
+
+
+def csr_of(A: PETSc.Mat) -> Sparse:
+    """This rank's rows of a matrix."""
+    begins, columns, entries = A.getValuesCSR()
+    return scipy.sparse.csr_matrix((entries, columns, begins), (A.getLocalSize()[0], A.getSize()[1]))
