@@ -142,7 +142,7 @@ class YieldingBar:
 
     def profile(self, state: State) -> list[dict[str, float | None]]:
         """h, displacement, traction and their tangential ratio along S; the ratio is empty where it is nearly 0/0."""
-        (law,) = state.model.layer_laws
+        (law,) = (layer.law for layer in state.model.layers.values())
         x, u, t = along_S(self.surface, state)
         columns = {"x_mm": x[:, 0], "u_T_mm": u[:, 0], "u_N_mm": u[:, 1], "t_T_MPa": t[:, 0], "t_N_MPa": t[:, 1]}
         found = np.abs(u[:, 0]) > 0.1 * np.abs(u[:, 0]).max()

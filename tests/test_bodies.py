@@ -248,7 +248,7 @@ def test_laws_that_are_no_bodies(law, message):
 
 
 def test_what_does_not_go_with_them_is_refused():
-    with pytest.raises(ModelError, match=r"VonMises bounds stresses.* theta = 1 \(body 'LOWER'\)"):
+    with pytest.raises(ModelError, match=r"VonMises bounds stresses.* theta = 1"):
         march(yielding(), [1.0], theta=0.5)
     with pytest.raises(ModelError, match="KelvinVoigt depends on rates: no equilibrium without time"):
         solve(yielding(KelvinVoigt(60.0, 40.0, 0.1, 0.1)))

@@ -93,7 +93,7 @@ class Dashpots(Addition):
 
 
 class DashpotPart(Part):
-    traits = PartTraits(uses_dt=True)
+    traits = PartTraits(rate=True)
 
     def __init__(self, given, model):
         self.key, self.counts = given.key, given.counts

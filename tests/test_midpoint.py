@@ -170,11 +170,11 @@ def test_refused(name, tmp_path):
 
 
 def test_bodies_that_are_not_linear_are_refused():
-    with pytest.raises(ModelError, match=r"Cubic answers at once.* \(body 'UPPER'\)"):
+    with pytest.raises(ModelError, match="Cubic answers at once"):
         march(model(CREEP, body={"LOWER": BODY, "UPPER": Cubic(100.0, 50.0)}), [1.0], theta=0.5)
 
 
 @pytest.mark.parametrize("law", [HolonomicCoulomb(100.0, 80.0, 0.3), IncrementalCoulomb(100.0, 80.0, 0.3)])
 def test_contact_is_refused(law):
-    with pytest.raises(ModelError, match="contact laws hold at the ends of steps: theta = 1"):
+    with pytest.raises(ModelError, match="Coulomb holds at the ends of steps: theta = 1"):
         march(model(law, element="P1"), [1.0], theta=0.5)

@@ -25,15 +25,7 @@ from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.supports import Place, Supports
 from thinlayer.errors import ModelError
 
-TAKEN = (
-    "forms",
-    "forms of layers",
-    LAYER,
-    "pressure",
-    CONTACT,
-    BODIES,
-    "loads",
-)  # keys of parts that every model may have
+TAKEN = ("forms", "forms of layers", LAYER, "pressure", CONTACT, BODIES, "loads")  # keys that every model may have
 
 
 class Host(Protocol):
@@ -71,9 +63,8 @@ class Addition(ABC):
     place: str
     ties_nodes: ClassVar[bool] = False
 
-    @abstractmethod
-    def check(self, model: Host) -> None:
-        """Raise ModelError unless the description fits the model. Collective."""
+    def check(self, model: Host) -> None:  # noqa: B027
+        """Raise ModelError unless the description fits the model; by default it does. Collective."""
 
     @property
     def prescribed(self) -> Sequence[Any]:
@@ -88,9 +79,13 @@ class Addition(ABC):
         """Whether the tangent is symmetric."""
         return True
 
-    @abstractmethod
     def work(self, model: Host, u: Expr, v: Expr) -> Expr:
-        """Virtual work of the part's forces at displacements u, a UFL form linear in v."""
+        """Virtual work of the part's forces at displacements u, a UFL form linear in v; by default none."""
+        return ufl.Form([])
+
+    def work_in(self, model: Host, state: Any, v: Expr) -> Expr:
+        """Virtual work of the part's forces in a state, with which tractions on S are found; by default the static one."""
+        return self.work(model, state.u, v)
 
     def resistance(self, model: Host, motions: Sequence[fem.Function]) -> npt.NDArray[np.float64]:
         """Stiffness (m, m) of the part against m rigid motions of the structure. Collective.
@@ -98,18 +93,19 @@ class Addition(ABC):
         Entry (i, j) is the work that the part's forces do on motion j if motion i has taken place. Supports and parts
         together must resist every rigid motion.
         """
-        rest = fem.Function(model.V)
+        rest, stiffness = fem.Function(model.V), np.zeros((len(motions), len(motions)))
         form = self.work(model, rest, ufl.TestFunction(model.V))
+        if form.empty():
+            return stiffness
         A = dolfinx.fem.petsc.assemble_matrix(compiled(ufl.derivative(form, rest, ufl.TrialFunction(model.V))))
         A.assemble()
         forces = A.createVecLeft()
-        found = np.zeros((len(motions), len(motions)))
-        for row, motion in zip(found, motions, strict=True):
+        for row, motion in zip(stiffness, motions, strict=True):
             A.mult(motion.x.petsc_vec, forces)
             row[:] = [float(other.x.petsc_vec.dot(forces)) for other in motions]
         forces.destroy()
         A.destroy()
-        return found
+        return stiffness
 
     def reaction(self, model: Host, u: fem.Function) -> list[tuple[Place, npt.NDArray[np.float64]]]:
         """Places that the part holds, each with its force and moment (k,) about `model.centre` at displacements u.

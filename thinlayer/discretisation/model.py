@@ -17,7 +17,7 @@ from dolfinx import fem
 from forms import work as forms
 from forms.contact import ContactLaw
 from forms.kinematics import Expr
-from forms.law import BulkLaw, Law
+from forms.law import BulkLaw
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.splitting import Splitting
@@ -378,11 +378,6 @@ class Model(ABC):
         """A contact law, if a layer has one."""
         return next(iter(self.contacts.values()), None)
 
-    @property
-    def layer_laws(self) -> list[Law]:
-        """The laws of the layers, as given."""
-        return [one.law for one in self.layers.values()]
-
     def by_seam(self, values: Mapping[str, float]) -> dict[str, float]:
         """Sums of values of layers, given by key (`SeamLayer.key`), for each seam; empty if there is one seam only."""
         several = self.layers if len(self.joint.seams) > 1 else {}
@@ -460,6 +455,10 @@ class Model(ABC):
     def added_work(self, u: Expr, v: Expr) -> Expr:
         """Virtual work of the additions to the model at displacements u, a UFL form linear in v."""
         return sum((part.work(self, u, v) for part in self.parts), ufl.Form([]))
+
+    def added_work_in(self, state: Any, v: Expr) -> Expr:
+        """Virtual work of the additions to the model in a state, a UFL form linear in v."""
+        return sum((part.work_in(self, state, v) for part in self.parts), ufl.Form([]))
 
     # ---------------------------------------------------------------- identity
     def identity(self) -> dict[str, Any]:

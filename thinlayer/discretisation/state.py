@@ -84,8 +84,8 @@ class Configuration:
         t: time.
         memory: internal values of parts of the balance that remember, by key: of a compiled law "layer", (points, values)
             (of sublayers "layer 1", "layer 2", ...), in a body "body NAME", of a contact law "contact", its slip at this
-            rank's nodes of S, (nodes, d - 1). If there are several seams keys have their names: "layer BED",
-            "layer BED/1", "contact BED".
+            rank's nodes of S, (nodes, d - 1); of a part of one's own perhaps functions by name. If there are several seams
+            keys have their names: "layer BED", "layer BED/1", "contact BED".
         fields: unknowns beside the displacements, by the key of their part.
         stored: energy at the end of the step in the parts that are not forms of laws, by key.
         at_rest: whether nothing has happened yet: no strain, also none of those that are given beside displacements.
@@ -97,7 +97,7 @@ class Configuration:
 
     u: fem.Function
     t: float
-    memory: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
+    memory: Mapping[str, Any] = field(default_factory=dict)
     fields: Mapping[str, fem.Function] = field(default_factory=dict)
     stored: Mapping[str, float] = field(default_factory=dict)
     at_rest: bool = False

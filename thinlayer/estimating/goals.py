@@ -139,9 +139,7 @@ class MeanTraction(Goal):
         v, u = self._test(model), displacements_of(state, model)
         given = state.bodies if state.model is model else model.bodies
         works = [state.work(given, v)] if state.model.V is model.V else [forms.work(model.bodies, u, v)]
-        works += [-model.external_work(v, state.t)]
-        if model.parts:
-            works.append(model.added_work(u, v))
+        works += [-model.external_work(v, state.t), model.added_work(u, v)]
         return sum(state.model.comm.allreduce(fem.assemble_scalar(compiled(one))) for one in works if one.integrals())
 
     def scale(self, state: State, model: InterfaceModel) -> float:
@@ -154,9 +152,9 @@ class MeanTraction(Goal):
             raise ModelError(f"{self.name}: there is no map of it, as a law of the bodies, or a part, is not linear")
         du, v = ufl.TestFunction(model.V), self._test(model)
         works = forms.work([replace(term, given=None) for term in model.bodies], v, du)
-        if model.parts:
-            u = fem.Function(model.V)
-            works += ufl.derivative(model.added_work(u, v), u, du)
+        u = fem.Function(model.V)
+        if (added := model.added_work(u, v)).integrals():
+            works += ufl.derivative(added, u, du)
         return adjoint.of_form(works), adjoint.nothing()
 
     def _test(self, model: InterfaceModel) -> fem.Function:

@@ -18,7 +18,7 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.joint_fields import cellwise
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
 from thinlayer.output.surface_density import SurfaceDensity
-from thinlayer.parts.part import DISPLACEMENTS
+from thinlayer.parts.part import DISPLACEMENTS, FieldPart
 from thinlayer.solving.adjoint import Adjoint
 
 NEAR_ENDS = 3.0  # distance from free ends, over the thickness, within which tractions and jumps are not estimated
@@ -56,7 +56,7 @@ def density_of(adjoint: Adjoint, summands: dict[str, FloatArray]) -> SurfaceDens
     sums = np.zeros(len(joint.points))
     _add_nodal(sums, model, summands[DISPLACEMENTS])
     for part in adjoint.equations.layers:
-        if part.field is not None and part.key in summands:
+        if isinstance(part, FieldPart) and part.key in summands:
             x = part.field.function_space.tabulate_dof_coordinates()[: part.own_size, : joint.dim]
             near, number = cKDTree(points_on_middle(model.domain.joint)[vertices]).query(x)
             assert (near <= SAME_PLACE * np.ptp(joint.points)).all()

@@ -239,7 +239,7 @@ def _balance(state: State, held: npt.NDArray[np.int32]) -> tuple[float, float]:
         return math.nan, math.nan
     v = ufl.TestFunction(model.V)
     stresses, loads = (
-        nodal_forces(model.V, state.work(state.bodies + state.layers, v) + model.added_work(state.u, v)),
+        nodal_forces(model.V, state.work(state.bodies + state.layers, v) + model.added_work_in(state, v)),
         nodal_forces(model.V, model.external_work(v, state.t)),
     )
     inner, outer = stresses.x.petsc_vec, loads.x.petsc_vec

@@ -32,8 +32,8 @@ def reaction(state: State) -> fem.Function:
     v = ufl.TestFunction(W)
     # Each form by itself: in a sum DOLFINx 0.9 loses integrals over overlapping sets of regions with unlike quadrature.
     r = nodal_forces(W, state.work(state.bodies, v))
-    if model.parts:
-        r.x.array[:] += nodal_forces(W, model.added_work(state.u, v)).x.array
+    if (added := model.added_work_in(state, v)).integrals():
+        r.x.array[:] += nodal_forces(W, added).x.array
     r.x.array[:] -= nodal_forces(W, model.external_work(v, state.t)).x.array
     return r
 

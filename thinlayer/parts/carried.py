@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Configuration, transfer
-from thinlayer.parts.part import Array, Block, FileOrder, Interval, Outcome, Part
+from thinlayer.parts.compiled import CompiledPart
+from thinlayer.parts.forms import FormPart
+from thinlayer.parts.part import Array, Block, FileOrder, Interval, Memory, Outcome, Part, PartTraits
+
+# Optional methods and attributes of parts that have no displacements, see `Part`.
+SAME = {
+    *("stress_width", "failure", "at_time", "parameters", "ease", "excess", "switch", "undeclared_softening"),
+    *("takes_time", "answers_at_once", "unit_jump_measure", "comms"),
+}
 
 
 class Carrier:
@@ -74,10 +80,9 @@ class Carried(Part):
         key: key of the part here.
     """
 
-    def __init__(self, part: Part, carrier: Carrier, key: str) -> None:
-        assert part.field is None
+    def __init__(self, part: FormPart | CompiledPart, carrier: Carrier, key: str) -> None:
         self.key, self._part, self._carrier = key, part, carrier
-        self.traits, self.stress_width = part.traits, part.stress_width
+        self.traits = part.traits
         self.K = None if part.K is None else carrier.stiffness(part.K)
         self._values = fem.Function(carrier.V)  # whose memory the vector has
         self._forces = self._values.x.petsc_vec
@@ -108,9 +113,10 @@ class Carried(Part):
         return size
 
     def add_fixed(self, out: PETSc.Vec) -> None:
-        self._forces.set(0.0)
-        self._part.add_fixed(self._forces)
-        self._carrier.add_forces(self._forces, out)
+        if isinstance(self._part, FormPart):
+            self._forces.set(0.0)
+            self._part.add_fixed(self._forces)
+            self._carrier.add_forces(self._forces, out)
 
     def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
         self._forces.set(0.0)
@@ -131,56 +137,26 @@ class Carried(Part):
     def commit(self) -> Outcome:
         return replace(self._part.commit(), kept=True)
 
-    def failure(self) -> str:
-        return self._part.failure()
+    # ---------------------------------------------------------------- what does not depend on displacements
+    def __getattr__(self, name: str) -> Any:
+        if name in SAME:
+            return getattr(self._part, name)
+        raise AttributeError(name)
 
-    # ---------------------------------------------------------------- memory, time, laws
-    def rest(self) -> Array | None:
+    def rest(self) -> Memory | None:
         return self._part.rest()
 
-    def at_time(self, t: float) -> None:
-        self._part.at_time(t)
-
-    def parameters(self) -> list[Array]:
-        return self._part.parameters()
-
-    def ease(self, ease: float) -> None:
-        self._part.ease(ease)
-
-    @property
-    def excess(self) -> float:
-        return self._part.excess
-
-    def switch(self) -> bool:
-        return self._part.switch()
-
-    # ---------------------------------------------------------------- questions
-    @property
-    def unchecked(self) -> Sequence[str]:
-        return self._part.unchecked
-
-    def undeclared_softening(self) -> tuple[str, str] | None:
-        return self._part.undeclared_softening()
-
-    def takes_time(self) -> str:
-        return self._part.takes_time()
-
-    def answers_at_once(self, times: Sequence[float]) -> tuple[str, bool] | None:
-        return self._part.answers_at_once(times)
-
-    def error_measure(self, u: fem.Function) -> npt.NDArray[np.float64]:
-        return self._part.error_measure(self._carrier.displacements(u))
-
-    def unit_jump_measure(self) -> float:
-        return self._part.unit_jump_measure()
+    def named(self) -> dict[str, PartTraits]:
+        return self._part.named()
 
     @property
     def file_order(self) -> FileOrder | None:
         return self._part.file_order
 
-    @property
-    def comms(self) -> list[MPI.Intracomm]:
-        return self._part.comms
+    def error_measure(self, u: fem.Function) -> Array:
+        """As in `Part`; empty if the part measures nothing."""
+        measure = getattr(self._part, "error_measure", None)
+        return measure(self._carrier.displacements(u)) if measure else np.empty(0)
 
     def destroy(self) -> None:
         if self.K is not None:

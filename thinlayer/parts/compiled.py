@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from dolfinx import fem
@@ -15,7 +16,7 @@ from forms.symmetry import NOT_SYMMETRIC
 from forms.work import Term
 from thinlayer.discretisation.state import Configuration
 from thinlayer.parts.given_at_points import GivenAtPoints
-from thinlayer.parts.part import Array, Block, FileOrder, Interval, Outcome, Part, PartTraits, may_weaken
+from thinlayer.parts.part import Array, Block, FileOrder, Interval, Outcome, Part, PartTraits
 from thinlayer.parts.softening import may_soften
 from thinlayer.parts.time_response import not_linear_at_once, takes_time
 from thinlayer.pointwise.compiled_term import CompiledTerm
@@ -50,13 +51,10 @@ class CompiledPart(Part):
         self._t, self._in_body = 0.0, term.n is None
         self._tangent: PETSc.Mat | None = None
         self.stress_width = len(MANDEL)
-        self.traits = PartTraits(
-            uses_dt=not law.traits.switches,
-            weakens=may_weaken(law),
-            singular=law.traits.singular,
-            eases=law.traits.eases,
-            switches=law.traits.switches,
-        )
+        self.traits = replace(PartTraits.of(law), inner=self._in_body)
+
+    def named(self) -> dict[str, PartTraits]:
+        return {type(law).__name__: PartTraits.of(law) for _, law in self.law.sublayers}
 
     def destroy(self) -> None:
         self.points.destroy()
@@ -153,10 +151,9 @@ class CompiledPart(Part):
         self.at_time(t_old)
         return float(self.comm.allreduce(stored))
 
-    @property
     def excess(self) -> float:
         switching = self.points.switching
-        return switching.excess(self._response.memory) if switching else super().excess
+        return switching.excess(self._response.memory) if switching else -np.inf
 
     def switch(self) -> bool:
         switching = self.points.switching
@@ -174,10 +171,6 @@ class CompiledPart(Part):
         diagonal = A.getDiagonal()
         A.destroy()
         return diagonal
-
-    @property
-    def resists_rigid(self) -> bool:
-        return not self._in_body
 
     def undeclared_softening(self) -> tuple[str, str] | None:
         if self._in_body or not may_soften(self.law):

@@ -32,15 +32,17 @@ class ContactPart(Part):
         slip: (n, d - 1) slip at the beginning of the step.
     """
 
-    traits = PartTraits(releases=True, eases=True)
-
     def __init__(
         self, law: ContactLaw, surface: ContactSurface, held: npt.NDArray[np.int32] = NONE, key: str = CONTACT
     ) -> None:
         if not isinstance(law, ContactLaw):
             raise LawError(f"{law!r} is no contact law")
         law.check_threshold()
-        self.key, self.law, self.nodes = key, law, ContactNodes(surface, held, gap=law.gaps)
+        has = law.traits
+        self.traits = PartTraits(
+            nonlinear=True, releases=True, eases=True, remembers=has.remembers, softens=has.softens
+        )
+        self.key, self.law, self.nodes, self.cancelling = key, law, ContactNodes(surface, held, gap=law.gaps), 0.0
         self.now: ContactLaw | EasedContact = law
         self.slip = self.rest()
         law.check_dimension(self.nodes.dim)
@@ -48,6 +50,9 @@ class ContactPart(Part):
         if self.nodes.lower is not None:
             areas = self.nodes.comm.allreduce(float((self.nodes.weights**2).sum()))
             self.cancelling = float(max(law.K_N, law.K_T) * np.sqrt(areas))
+
+    def named(self) -> dict[str, PartTraits]:
+        return {type(self.law).__name__: self.traits}
 
     def rest(self) -> Array:
         return np.zeros((len(self.nodes.upper), self.nodes.dim - 1))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import or_
 
 import dolfinx.fem.petsc
 import numpy as np
@@ -23,7 +24,7 @@ from forms.work import Term, energy, stress, work
 from thinlayer.discretisation.given import OverStep
 from thinlayer.discretisation.measures import compiled
 from thinlayer.parts.forms import FormPart, matrix
-from thinlayer.parts.part import Interval, PartTraits, may_weaken
+from thinlayer.parts.part import Interval, PartTraits
 from thinlayer.parts.softening import Softening
 from thinlayer.pointwise.spreading import add_spread
 
@@ -50,7 +51,7 @@ class LawForms(FormPart):
             require_symmetric_tangent(p.law, computed)
         proportional = [p.proportional for p in terms]
         linear = [p for p, yes in zip(terms, proportional, strict=True) if yes]
-        self._others = others = [p for p, yes in zip(terms, proportional, strict=True) if not yes]
+        others = [p for p, yes in zip(terms, proportional, strict=True) if not yes]
         strained, bodies = [p for p in linear if p.given is not None], [p for p in terms if p.n is None]
         self._over = over = OverStep(V.mesh, terms)
         self._strained = any(p.given is not None for p in terms)
@@ -67,9 +68,15 @@ class LawForms(FormPart):
             g=sum(_of_given(p, v) for p in _given(strained, over.balanced)) if strained else None,
         )
         self._opposing = _Opposing.of([p for p in _given(others, over.balanced) if p.n is None], u)
-        self._in_layer = len(bodies) < len(terms)
         self._layer_forms: dict[tuple[str, ...], fem.Form | None] = {}
-        self.traits = PartTraits(weakens=any(may_weaken(p.law) for p in terms if p.n is not None))
+        self.traits = replace(reduce(or_, map(_traits, terms), PartTraits()), inner=len(bodies) == len(terms))
+
+    def named(self) -> dict[str, PartTraits]:
+        laws: dict[str, PartTraits] = {}
+        for p in self._terms:
+            name = type(p.law).__name__
+            laws[name] = laws.get(name, PartTraits()) | _traits(p)
+        return laws
 
     # ---------------------------------------------------------------- given strains
     @cached_property
@@ -119,10 +126,6 @@ class LawForms(FormPart):
         self._over.look_at(old.t if before else interval.t, at_rest=before and old.at_rest)
         return super()._stored(u, interval, before=before)
 
-    @property
-    def resists_rigid(self) -> bool:
-        return self._in_layer
-
     def largest_at_rest(self) -> float:
         """Largest diagonal entry of the tangent at rest of laws that are not linear; 1 if it has no number. Collective."""
         self._u.x.array[:] = 0.0
@@ -136,16 +139,19 @@ class LawForms(FormPart):
             A.destroy()
         return found if 0 < found < np.inf else 1.0
 
-    @property
-    def unchecked(self) -> Sequence[str]:
-        return [type(p.law).__name__ for p in self._others]
-
     @cached_property
     def _softening(self) -> Softening:
         return Softening(self._u.function_space, _given(self._terms, self._over.balanced))
 
     def undeclared_softening(self) -> tuple[str, str] | None:
         return self._softening.found(self._end, self.interval.old.u)
+
+
+def _traits(p: Term) -> PartTraits:
+    """Traits of a law in forms: Newton's method takes it as it is, and is told of what weakens in layers alone."""
+    traits = PartTraits.of(p.law)
+    weakens, unchecked = traits.weakens and p.n is not None, not p.proportional
+    return replace(traits, singular=False, eases=False, weakens=weakens, unchecked=unchecked)
 
 
 def _given(terms: Iterable[Term], change: Callable[[Expr], Expr]) -> list[Term]:

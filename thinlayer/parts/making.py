@@ -17,6 +17,7 @@ from thinlayer.discretisation.places import compiled_terms
 from thinlayer.parts.carried import Carried, Carrier
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact import ContactPart
+from thinlayer.parts.forms import FormPart
 from thinlayer.parts.law_forms import LawForms
 from thinlayer.parts.mean_stress import MeanStressPart
 from thinlayer.parts.part import Part
@@ -71,11 +72,13 @@ def _elsewhere(model: Model) -> list[Part]:
     other, terms = found
     carrier, in_forms = Carrier(model, other), [p for p in terms if not p.law.traits.compiled]
     keys = list(dict.fromkeys(p.key for p in in_forms))
-    parts: list[Part] = [LawForms(key, other.V, [p for p in in_forms if p.key == key]) for key in keys]
+    parts: list[FormPart | CompiledPart] = [
+        LawForms(key, other.V, [p for p in in_forms if p.key == key]) for key in keys
+    ]
     return [Carried(part, carrier, f"{part.key}/{ON_S}") for part in [*parts, *_compiled(other, terms)]]
 
 
-def _compiled(model: Model, terms: Iterable[Term]) -> list[Part]:
+def _compiled(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:
     return [
         CompiledPart(key, model.V, term, model.origin, symmetric=model.symmetric)
         for key, term in compiled_terms(terms).items()
@@ -85,7 +88,8 @@ def _compiled(model: Model, terms: Iterable[Term]) -> list[Part]:
 def diagonal_at_rest(parts: Sequence[Part]) -> PETSc.Vec:
     """Diagonal of K and of the tangents at rest of bodies that are not in K; the caller destroys it. Collective."""
     of_K = [part.K.getDiagonal() for part in parts if part.K is not None]
-    first, *others = of_K + [one for part in parts if (one := part.diagonal_at_rest()) is not None]
+    of_parts = (part.diagonal_at_rest() for part in parts if hasattr(part, "diagonal_at_rest"))
+    first, *others = of_K + [diagonal for diagonal in of_parts if diagonal is not None]
     for other in others:
         first.axpy(1.0, other)
         other.destroy()

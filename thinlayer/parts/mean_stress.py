@@ -18,11 +18,10 @@ from forms.work import Term
 from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.given import OverStep
 from thinlayer.discretisation.mean_strain import MEAN_STRAIN, MeanStress, of_components
-from thinlayer.discretisation.state import Configuration
-from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FileOrder, Interval, Outcome, Part
+from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
 
 
-class MeanStressPart(Part):
+class MeanStressPart(FieldPart):
     """The forces of the mean strain E on linear bodies, and the condition that the mean stress is the prescribed one.
 
     The unknowns are E times the size of the cell, with shears e_12 twice, so that they are displacements; the rows of the
@@ -36,15 +35,15 @@ class MeanStressPart(Part):
     """
 
     key = MEAN_STRAIN
+    traits = PartTraits(inner=True)  # the mean strain is none of the motions of one body
 
     def __init__(self, V: fem.FunctionSpace, bodies: Sequence[Term], given: MeanStress, comm: MPI.Intracomm) -> None:
-        self._given, mesh = given, V.mesh
+        self._given, self.unit, mesh = given, 1 / given.size, V.mesh
         element = basix.ufl.element("DG", mesh.basix_cell(), 0, shape=(given.count,))
         whole = fem.functionspace(mesh, element)
         one = np.zeros(np.shape(whole.dofmap.list), np.int64)
         W = broken_space(comm, Keys(whole, one, one))
         self.field = fem.Function(W)
-        self._load: Array = np.zeros(0)
         v, E, F = ufl.TestFunction(V), ufl.TrialFunction(W), ufl.TestFunction(W)
         strained = [(p, p.law.stress(Step(lift(of_components(E)) / given.size, p.n))) for p in bodies]
         couple = sum(ufl.inner(s, p.strain(v)) * p.weight * p.measure for p, s in strained)
@@ -68,17 +67,8 @@ class MeanStressPart(Part):
         self._mid, self._old, self._change = (self.D.createVecRight() for _ in range(3))
 
     # ---------------------------------------------------------------- a step
-    def at_time(self, t: float) -> None:
-        self._t = t
-
-    def parameters(self) -> list[Array]:
-        return [self._given.at(self._t).ravel()]
-
     def begin(self, interval: Interval) -> None:
         super().begin(interval)
-        new, old = (self._given.components(t) for t in (interval.t, interval.old.t))
-        load = (interval.theta * new + (1 - interval.theta) * old) * self._volume / self._given.size
-        self._load = np.asarray(load[: self.own_size], float)
         new, old = self._of_given(interval.t), self._of_given(interval.old.t, at_rest=interval.old.at_rest)
         self._strained = new, old, interval.theta * new + (1 - interval.theta) * old
         self._old.array[:] = self.own_start(interval.old)
@@ -95,7 +85,6 @@ class MeanStressPart(Part):
         return np.asarray(found)
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
-        assert self.field is not None
         theta, self._u = self.interval.theta, u
         self._mid.array[:] = theta * self.field.x.array[: self.own_size] + (1 - theta) * self._old.array_r
         self.B.mult(self._mid, self._forces)
@@ -107,14 +96,11 @@ class MeanStressPart(Part):
         out.axpy(1.0, self._forces)
         return float(self._forces.norm())
 
-    def own_load_at(self, t: float) -> Array:
+    def load_at(self, t: float) -> Array:
         return np.asarray(self._given.components(t) * self._volume / self._given.size, float)[: self.own_size]
 
-    def own_load(self) -> Array:
-        return self._load
-
     def own_residual(self) -> Array:
-        return np.asarray(self._own.array_r + self._strained[2] - self._load)
+        return np.asarray(self._own.array_r + self._strained[2] - self.load)
 
     def tangents(self, relative_residual: float) -> list[Block]:
         theta = self.interval.theta
@@ -126,7 +112,6 @@ class MeanStressPart(Part):
 
     def commit(self) -> Outcome:
         """As in `Part`; the energy is that of the bodies beyond the energy of the displacements alone."""
-        assert self.field is not None
         now, old = self._u.x.petsc_vec, self.interval.old.u.x.petsc_vec
         difference = now.copy()
         difference.axpy(-1.0, old)
@@ -135,7 +120,7 @@ class MeanStressPart(Part):
         theta, (new_s, old_s, _) = self.interval.theta, self._strained
         ends = (old, self._old, old_s), (now, self._mid, new_s), (difference, self._change, new_s - old_s)
         before, after, of_change = (self._energy(*one) for one in ends)
-        supplied = self._product(self._load, self._change)
+        supplied = self._product(self.load, self._change)
         supplied += theta * self._product(new_s - old_s, self._mid)
         supplied += (1 - theta) * self._product(new_s - old_s, self._old)
         difference.destroy()
@@ -151,22 +136,7 @@ class MeanStressPart(Part):
         self._more.array[:] = forces
         return float(self._more.dot(E))
 
-    @property
-    def resists_rigid(self) -> bool:
-        """False: the mean strain is none of the motions of one body."""
-        return False
-
     # ---------------------------------------------------------------- own unknowns
-    def own_start(self, old: Configuration) -> Array:
-        E = old.fields.get(self.key)
-        return super().own_start(old) if E is None else np.asarray(E.x.array[: self.own_size] * self._given.size)
-
-    def own_result(self) -> fem.Function:
-        assert self.field is not None
-        E = self.field.copy()
-        E.x.array[:] /= self._given.size
-        return E
-
     @property
     def own_file_order(self) -> FileOrder:
         """One row for the whole cell."""
@@ -174,15 +144,6 @@ class MeanStressPart(Part):
 
     def destroy(self) -> None:
         """Free matrices and vectors."""
-        for thing in (
-            self.B,
-            self.D,
-            self._turned,
-            self._forces,
-            self._own,
-            self._more,
-            self._mid,
-            self._old,
-            self._change,
-        ):
+        own = self._own, self._more, self._mid, self._old, self._change
+        for thing in (self.B, self.D, self._turned, self._forces, *own):
             thing.destroy()

@@ -9,10 +9,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
-import ufl
 from dolfinx import fem
 
-from forms.kinematics import Expr
 from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.constraints import Tied
 from thinlayer.discretisation.reactions import Array, count
@@ -63,10 +61,6 @@ class RigidPlate(PlateData, Addition):
     def prescribed(self) -> Sequence[Any]:
         """As in `Addition`: its prescribed motions."""
         return list(self.motion.values())
-
-    def work(self, model: Host, u: Expr, v: Expr) -> Any:
-        """Zero: a plate has no forces of its own."""
-        return ufl.inner(fem.Constant(model.domain.mesh, np.zeros(model.joint.dim)), v) * model.dx
 
     def held(self, model: Host, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
         """As in `Addition`: all displacements of the plate's nodes."""

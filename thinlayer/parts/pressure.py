@@ -18,14 +18,13 @@ from forms.work import Term
 from geometry.topology import IntArray
 from thinlayer.discretisation.given import OverStep
 from thinlayer.discretisation.layer import LAYER, PRESSURE
-from thinlayer.discretisation.state import Configuration
-from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FileOrder, Interval, Outcome, Part, PartTraits
+from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
 from thinlayer.parts.vertices import at_places, identified
 from thinlayer.pointwise.quadrature import Origin, Quadrature, Region
 from thinlayer.pointwise.spreading import add_spread
 
 
-class PressurePart(Part):
+class PressurePart(FieldPart):
     """int q (tr e - c p) - int_S f grad_S p . grad_S q = 0 for all q of degree 1, beside displacements of degree 2.
 
     The strain e is that of the displacements, and the one that is given beside it: a free expansion makes room. c is the
@@ -56,14 +55,9 @@ class PressurePart(Part):
     hint = "S has too few cells for the pressures of its layer"
 
     def __init__(
-        self,
-        V: fem.FunctionSpace,
-        term: Term,
-        stiffness: float,
-        origin: Origin | None = None,
-        free: Array | None = None,
-        masters: IntArray | None = None,
-    ) -> None:
+        self, V: fem.FunctionSpace, term: Term, stiffness: float, origin: Origin | None = None,
+        free: Array | None = None, masters: IntArray | None = None,
+    ) -> None:  # fmt: skip
         self.key, self._origin, self._kinematics = PRESSURE + term.key.removeprefix(LAYER), origin, term.kinematics
         self._term = term
         points = Quadrature(V, term, origin) if term.law.fields else None
@@ -96,13 +90,8 @@ class PressurePart(Part):
 
     def _compliance(self, space: fem.FunctionSpace, term: Term, points: Quadrature | None) -> PETSc.Mat | None:
         """C, for a law whose parameters are functions with their values at `points`. Collective."""
-        region, law, measure, p, q = (
-            self.region,
-            term.law,
-            term.measure,
-            ufl.TrialFunction(space),
-            ufl.TestFunction(space),
-        )
+        region, law, measure = self.region, term.law, term.measure
+        p, q = ufl.TrialFunction(space), ufl.TestFunction(space)
         forms = []
         if points:
             known = points.on_region(law.fields_at(points.joint_x))
@@ -187,6 +176,9 @@ class PressurePart(Part):
         self.G.mult(u.x.petsc_vec, self._volume)
         self._filled = None if self.C is None else self._squeeze(self.C, self._end())[0]
 
+    def named(self) -> dict[str, PartTraits]:
+        return {type(self._term.law).__name__: self.traits}
+
     def add_forces(self, out: PETSc.Vec) -> float:
         self.G.multTranspose(self._p.x.petsc_vec, self._forces)
         out.axpy(1.0, self._forces)
@@ -224,14 +216,9 @@ class PressurePart(Part):
         before, after, lost = (self._squeeze(self.C, p)[1] / 2 for p in (old, new, new - old))
         return Outcome(before, after, remainder=(2 * self.interval.theta - 1) * lost, supplied=supplied)
 
-    def own_start(self, old: Configuration) -> Array:
-        p = old.fields.get(self.key)
-        return super().own_start(old) if p is None else p.x.array[: self.own_size] / self.unit
-
     def own_result(self) -> fem.Function:
         """The pressure at the end of the step; `field` is the one at old.t + theta dt."""
-        p, old, theta = self._p.copy(), self.interval.old.fields.get(self.key), self.interval.theta
-        p.x.array[:] *= self.unit
+        p, old, theta = super().own_result(), self.interval.old.fields.get(self.key), self.interval.theta
         if theta < 1 and (old is not None or self.C is not None):
             before = 0.0 if old is None else old.x.array
             p.x.array[:] = (p.x.array - (1 - theta) * before) / theta

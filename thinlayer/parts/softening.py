@@ -29,14 +29,8 @@ def may_soften(law: BulkLaw) -> bool:
     Laws are not tested if they declare `softens`, are linear or not symmetric, have a rate, bound stresses or switch
     phases: their stress falls for other reasons, or never.
     """
-    return not (
-        law.traits.softens
-        or law.traits.linear
-        or not law.traits.symmetric
-        or law.traits.rate
-        or law.traits.bounded
-        or law.traits.switches
-    )
+    has = law.traits
+    return has.symmetric and not (has.softens or has.linear or has.rate or has.bounded or has.switches)
 
 
 class Softening:

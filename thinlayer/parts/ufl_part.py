@@ -97,8 +97,6 @@ class UflPart(Addition):
 class _OwnForms(FormPart):
     """The forces of a `UflPart`: a matrix if they are linear, else a form."""
 
-    traits = PartTraits(saddle=True)
-
     def __init__(self, given: UflPart, model: Host) -> None:
         u, v, linear = fem.Function(model.V), ufl.TestFunction(model.V), given.is_linear(model)
         if linear:
@@ -112,8 +110,7 @@ class _OwnForms(FormPart):
                 f"the part {given.key!r} has a negative stiffness, with which no equilibrium need be stable"
             )
         self._has_energy = K is None or _is_symmetric(K)
-        if not self._has_energy or not linear:
-            self.traits = replace(self.traits, weakens=True)
+        self.traits = PartTraits(saddle=True, weakens=not (self._has_energy and linear), nonlinear=not linear)
 
     def commit(self) -> Outcome:
         found, nan = super().commit(), float("nan")

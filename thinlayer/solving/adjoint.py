@@ -98,7 +98,7 @@ class Adjoint:
 
     def of_loads(self) -> PETSc.Vec:
         """The loads as weights q, those of plates included."""
-        return self.equations.on_unknowns(self.equations.loads, own=True)
+        return self.equations.on_unknowns(self.equations.loads, [part.load for part in self.equations.with_own])
 
     def of_prescribed(self) -> PETSc.Vec:
         """Motions g: the displacements that supports prescribe."""
@@ -113,7 +113,7 @@ class Adjoint:
         return g
 
     def _on_unknowns(self, forces: PETSc.Vec) -> PETSc.Vec:
-        found = self.equations.on_unknowns(forces, own=False)
+        found = self.equations.on_unknowns(forces)
         forces.destroy()
         return found
 
@@ -183,8 +183,7 @@ class Adjoint:
             before = z.u.x.array[: len(forces)] * forces
         self._evaluate(equations.layers, self.state, u, self._interval)
         after = self._work(equations.layers, z)
-        with_own = [part for part in equations.layers if part.field is not None]
-        own = {part.key: -part.own_start(z) * part.own_residual() for part in with_own}
+        own = {part.key: -part.own_start(z) * part.own_residual() for part in PartSum(equations.layers).with_own}
         return {DISPLACEMENTS: before - after, **own}
 
     def _rest_of(self, parts: Sequence[Part], t: float) -> Configuration:
@@ -200,10 +199,9 @@ class Adjoint:
         if parts:
             layers = PartSum(parts)
             layers.begin_parts(interval)
-            for part in parts:
-                if part.field is not None:
-                    part.field.x.array[: part.own_size] = part.own_start(state)
-                    part.field.x.scatter_forward()
+            for part in layers.with_own:
+                part.field.x.array[: part.own_size] = part.own_start(state)
+                part.field.x.scatter_forward()
             layers.forces(u, u, out)
         found = out.array_r.copy()
         out.destroy()
@@ -212,9 +210,17 @@ class Adjoint:
     def _work(self, parts: Sequence[Part], z: Configuration) -> Array:
         """Work (m,) of the layers' stresses of the last evaluation in displacements z, spread over nodes."""
         out = self.equations.u.x.petsc_vec.duplicate()
+        forces = out.duplicate()
         out.set(0.0)
         for part in parts:
-            part.add_work_in(z.u, out)
+            if hasattr(part, "add_work_in"):
+                part.add_work_in(z.u, out)
+                continue
+            forces.set(0.0)
+            part.add_forces(forces)
+            forces.pointwiseMult(forces, z.u.x.petsc_vec)
+            out.axpy(1.0, forces)
+        forces.destroy()
         found = out.array_r.copy()
         out.destroy()
         return np.asarray(found)

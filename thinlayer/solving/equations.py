@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -41,9 +42,8 @@ class Equations(PartSum):
     The constructor and all methods are collective.
 
     Attributes:
-        parts, traits, failed: as in `PartSum`.
-        layers: the parts of the layers.
-        late: names of laws and own parts that have a rate: they do not answer a sudden load at once.
+        parts, traits, with_own, depends_on_dt, failed: as in `PartSum`.
+        bodies, layers: the parts of the bodies, and of the layers.
         history: the loads and supports over time.
         u: displacements of the last residual.
         loads: nodal forces of the loads in the balance of the present step.
@@ -62,15 +62,12 @@ class Equations(PartSum):
         self.history = LoadHistory(model)
         self.u, self._mid = fem.Function(model.V), fem.Function(model.V)
         self._kept = kept = Kept.of(model)
-        kept.bodies = kept.bodies or body_parts(model)
+        self.bodies = kept.bodies = kept.bodies or body_parts(model)
         self.layers = layer_parts(model, self.history.held, kept.bodies)
         added = [part for addition in model.parts if (part := addition.part(model)) is not None]
         self._own_parts = [*self.layers, *added]
-        laws = [type(term.law).__name__ for term in model.terms if term.law.traits.rate]
-        self.late = [*laws, *(f"the part {part.key!r}" for part in added if part.traits.uses_dt)]
         super().__init__([*kept.bodies, *self._own_parts])
-        self._with_own = [part for part in self.parts if part.field is not None]
-        fields = {part.key: part.field for part in self._with_own if part.field is not None}
+        fields = {part.key: part.field for part in self.with_own}
         self._layout = Layout(self.comm, {DISPLACEMENTS: self.u, **fields})
         kept.matrix = self._matrix = kept.matrix or TangentMatrix(self.comm, self._layout.sizes)
         self.factor = kept.factor
@@ -80,8 +77,7 @@ class Equations(PartSum):
         self._product: PETSc.Mat | None = None
         self.held = self._prescribed(None)[0].astype(np.int32)
         diagonal = diagonal_at_rest(self.parts)
-        cancelling = max(part.cancelling for part in self.parts)
-        self.scale = ForceScale(float(diagonal.norm()), cancelling)
+        self.scale = ForceScale(float(diagonal.norm()), max([0.0, *self.ask("cancelling")]))
         self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
         diagonal.destroy()
         self._tangent: PETSc.Mat | None = None
@@ -97,7 +93,7 @@ class Equations(PartSum):
         """Write into x the unknowns from which a step after this state starts."""
         values = self._layout.split(x.array)
         values[DISPLACEMENTS][:] = state.u.x.array[: self.n_displacements]
-        for part in self._with_own:
+        for part in self.with_own:
             values[part.key][:] = part.own_start(state)
         values[DISPLACEMENTS][:] = self.constraints.unknowns(values[DISPLACEMENTS])
 
@@ -115,7 +111,7 @@ class Equations(PartSum):
         of_supports = np.zeros(len(self.history.held)) if t is None else self.history.prescribed_at(t)
         numbers: list[npt.NDArray[Any]] = [self.history.held]
         values, first = [of_supports], self.n_displacements
-        for part in self._with_own:
+        for part in self.with_own:
             own, held = part.own_held(t)
             numbers.append(first + own)
             values.append(held)
@@ -127,15 +123,12 @@ class Equations(PartSum):
         """Global numbers of the held unknowns."""
         return self._layout.rows(self.held)
 
-    @property
-    def _linear(self) -> list[PETSc.Mat]:
-        return [part.K for part in self.parts if part.K is not None]
-
     @cached_property
     def K(self) -> PETSc.Mat:
         """Matrix of the forces that are linear in the displacements."""
-        K = self._linear[0].copy()
-        for other in self._linear[1:]:
+        first, *others = [part.K for part in self.parts if part.K is not None]
+        K = first.copy()
+        for other in others:
             K.axpy(1.0, other, DIFFERENT)
         return K
 
@@ -163,8 +156,8 @@ class Equations(PartSum):
         kind = ksp.getPC().getType()
         if kind in MULTIGRIDS:
             A.setNearNullSpace(PETSc.NullSpace().create(vectors=self.near_null(), comm=A.comm))
-        elif kind == "fieldsplit" and self._with_own:
-            masses = {part.key: part.own_mass for part in self._with_own}
+        elif kind == "fieldsplit" and self.with_own:
+            masses = {part.key: part.own_mass for part in self.with_own}
             split(ksp.getPC(), A, self._layout, self.held, masses, self.near_null())
 
     @cached_property
@@ -236,40 +229,36 @@ class Equations(PartSum):
             across = float(np.abs(self.model.strain.at(interval.t)).max()) * self.model.strain.size
             largest_displacement = max(largest_displacement, across)
         moved = float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))  # forces may end at zero where loads do
-        moved = max(moved, *(part.distance for part in self.parts))
+        moved = max([moved, *self.ask("distance")])
         self.scale.begin(float(self.loads.norm()), largest_displacement, moved)
         self.begin_parts(interval)
         self.external.set(0.0)
-        for part in self.parts:
-            part.add_fixed(self.external)
+        self.ask("add_fixed", self.external)
         self.external.aypx(-1.0, self.loads)
 
     def given_forces(self) -> PETSc.Vec:
         """The forces of the present step that are given, as those on the unknowns; the caller destroys the vector."""
-        return self._on_unknowns(self.external, [part.own_load() for part in self._with_own])
-
-    def on_unknowns(self, forces: PETSc.Vec, *, own: bool) -> PETSc.Vec:
-        """Nodal forces as those on the unknowns, with the parts' own loads or not; the caller destroys the vector."""
-        return self._on_unknowns(forces, [part.own_load() * float(own) for part in self._with_own])
+        return self.on_unknowns(self.external, [part.load for part in self.with_own])
 
     def configuration(self, x: PETSc.Vec) -> Configuration:
         """The displacements of unknowns, and the parts' own fields, at the end of the present step."""
         self._put(x)
-        fields = {part.key: part.own_result() for part in self._with_own}
+        fields = {part.key: part.own_result() for part in self.with_own}
         return Configuration(self.u.copy(), self.interval.t, fields=fields)
 
     def given_forces_at(self, t: float) -> PETSc.Vec:
         """Loads and given forces of parts at a time, as those on the unknowns; the caller destroys the vector."""
         loads = self.history.loads_at(t)
-        out = self._on_unknowns(loads, [part.own_load_at(t) for part in self._with_own])
+        out = self.on_unknowns(loads, [part.load_at(t) for part in self.with_own])
         loads.destroy()
         return out
 
-    def _on_unknowns(self, forces: PETSc.Vec, own: Sequence[npt.NDArray[np.float64]]) -> PETSc.Vec:
+    def on_unknowns(self, forces: PETSc.Vec, own: Sequence[npt.NDArray[np.float64]] = ()) -> PETSc.Vec:
+        """Nodal forces, and forces in own equations, as those on the unknowns; the caller destroys the vector."""
         out = self.vector()
         rows = self._layout.split(out.array)
         rows[DISPLACEMENTS][:] = forces.array_r
-        for part, load in zip(self._with_own, own, strict=True):
+        for part, load in zip(self.with_own, own, strict=False):
             rows[part.key][:] = load
         rows[DISPLACEMENTS][:] = self.constraints.forces(rows[DISPLACEMENTS])
         return out
@@ -295,7 +284,7 @@ class Equations(PartSum):
         self._forces.axpy(-1.0, self.loads)
         rows = self._layout.split(out.array)
         rows[DISPLACEMENTS][:] = np.nan if self.failed else self._forces.array_r
-        for part in self._with_own:
+        for part in self.with_own:
             rows[part.key][:] = part.own_residual()
         rows[DISPLACEMENTS][:] = self.constraints.forces(rows[DISPLACEMENTS])
         self._relative_residual = self.scale.relative(free_norm(self, out)) if self.traits.singular else 0.0
@@ -306,11 +295,6 @@ class Equations(PartSum):
         self.residual(x, out)
         out.destroy()
         return np.asarray(self._forces.array_r.copy())
-
-    @property
-    def bodies(self) -> Sequence[Any]:
-        """The parts of the bodies."""
-        return self._kept.bodies
 
     def tangent(self) -> PETSc.Mat:
         """Tangent at the unknowns of the last residual, without supports. Each call fills the same matrix.
@@ -331,8 +315,7 @@ class Equations(PartSum):
     def ease(self, ease: float) -> None:
         """Replace laws by eased ones: 0 is the law itself, 1 an elastic one."""
         self.eased = ease
-        for part in self.parts:
-            part.ease(ease)
+        self.ask("ease", ease)
 
     def accept(self, x: PETSc.Vec, report: Report) -> State:
         """The state at the end of the step, for its solution x.
@@ -373,7 +356,8 @@ class Equations(PartSum):
     def squares_of_strains(self, x: PETSc.Vec) -> dict[str, float]:
         """Integrals of the squares of strains or jumps that unknowns x cause, by the keys of parts that measure them."""
         self._put(x)
-        local = {part.key: float((part.error_measure(self.u) ** 2).sum()) for part in self.parts}
+        measuring = [part for part in self.parts if hasattr(part, "error_measure")]
+        local = {part.key: float((part.error_measure(self.u) ** 2).sum()) for part in measuring}
         return {key: self.comm.allreduce(value) for key, value in local.items()}
 
     # ---------------------------------------------------------------- time
@@ -388,11 +372,8 @@ class Equations(PartSum):
 
     def _given_at(self, t: float) -> list[npt.NDArray[np.float64]]:
         """Loads, prescribed displacements and varying parameters at time t, on this rank."""
-        given = self.history.given_at(t)
-        for part in self.parts:
-            part.at_time(t)
-            given += part.parameters()
-        return given
+        self.ask("at_time", t)
+        return [*self.history.given_at(t), *chain(*self.ask("parameters"))]
 
     # ---------------------------------------------------------------- end
     def destroy(self) -> None:
@@ -408,4 +389,4 @@ class Equations(PartSum):
     def comms(self) -> list[MPI.Intracomm]:
         """Communicators of the PETSc objects."""
         V = self.model.V
-        return [self.comm, V.mesh.comm, V.dofmap.index_map.comm, *(comm for part in self.parts for comm in part.comms)]
+        return [self.comm, V.mesh.comm, V.dofmap.index_map.comm, *chain(*self.ask("comms"))]

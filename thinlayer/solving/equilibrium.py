@@ -130,7 +130,7 @@ class Equilibrium:
     def _prepare(self, move: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
         """Make the matrix and the factor of the step, and add the forces of support displacements `move` to b."""
         equations = self.equations
-        dt = equations.interval.dt if equations.traits.uses_dt else 0.0
+        dt = equations.interval.dt if equations.depends_on_dt else 0.0
         key = (float(f"{dt:.12g}"), equations.interval.theta)  # equal steps differ by rounding
         if move is None and self._factor.of == key:
             self.reused = True
@@ -147,7 +147,7 @@ class Equilibrium:
     def _require_finite(self, quantity: str, size: float) -> None:
         """Raise SolveError if `size`, the norm of a quantity at the start of the step, is NaN or infinite."""
         if not math.isfinite(size):
-            names = sorted({name for part in self.equations.parts for name in part.unchecked})
+            names = sorted({*self.equations.having("unchecked")})
             raise SolveError(
                 f"the {quantity} of {' or '.join(names)} is not finite at the start of the step",
                 advice="at rest the strain e is zero: write ufl.sqrt(ufl.inner(e, e) + small) for a root, small a square "
@@ -211,7 +211,7 @@ class Equilibrium:
                     "displacements",
                     advice=f"take moduli of the bodies that are {less:.0e} times smaller, or larger cells",
                 )
-            hints = "".join(f", or {part.hint}" for part in equations.parts if part.hint)
+            hints = "".join(f", or {part.hint}" for part in equations.with_own if part.hint)
             raise SolveError(
                 f"linear solve failed: {reason_name(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}; "
                 "a body without supports and without a stiff enough layer can move freely, or a law is not as linear as it "

@@ -9,7 +9,8 @@ from petsc4py import PETSc
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.errors import SolveError
-from thinlayer.parts.part import Part
+from thinlayer.parts.part import FieldPart, Part
+from thinlayer.parts.pressure import PressurePart
 from thinlayer.solving.options import OptionError, OptionValue, require_known_values
 
 DIRECT: dict[str, OptionValue] = {
@@ -76,7 +77,7 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
     direct = direct_solver(model)
     unknowns = model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs
     large = unknowns >= MULTIGRID_FROM[model.joint.dim]
-    if any(p.law.traits.constrained for p in model.layer_terms):
+    if any(isinstance(part, PressurePart) for part in parts):
         if chosen in MULTIGRIDS:
             raise OptionError(
                 f"pc_type {chosen} cannot solve for the pressures of a layer, too; use pc_type fieldsplit"
@@ -84,7 +85,7 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
         factorising = [direct, {**direct, **SPACIOUS}, {**direct, **LENIENT}]
         if chosen != "fieldsplit" and not large:
             return factorising
-        unsuited = [part.key for part in parts if part.field is not None and part.own_mass is None]
+        unsuited = [part.key for part in parts if isinstance(part, FieldPart) and part.own_mass is None]
         if chosen == "fieldsplit" and unsuited:
             raise OptionError(
                 f"pc_type fieldsplit is for displacements and pressures on S; the unknowns {unsuited[0]!r} are others (of "

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import reduce
 from operator import or_
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
 from thinlayer.discretisation.state import Configuration
-from thinlayer.parts.part import Array, Block, Interval, Outcome, Part, PartTraits
+from thinlayer.errors import ModelError
+from thinlayer.parts.part import Array, Block, FieldPart, Interval, Memory, Outcome, Part, PartTraits
 
 Kind = TypeVar("Kind", bound=Part)
 
@@ -23,21 +24,40 @@ class PartSum:
     Attributes:
         parts: the parts.
         traits: the traits of all parts together.
+        with_own: the parts with own unknowns.
+        depends_on_dt: whether the tangent depends on the length of the step.
         failed: number of points where parts failed in the last evaluation.
     """
 
     def __init__(self, parts: Iterable[Part]) -> None:
         self.parts = list(parts)
         self.traits = reduce(or_, (part.traits for part in self.parts), PartTraits())
-        self.failed = 0
+        self.with_own = [part for part in self.parts if isinstance(part, FieldPart)]
+        timed = (part.traits.rate or (part.traits.remembers and not part.traits.switches) for part in self.parts)
+        self.depends_on_dt, self.failed = any(timed), 0
 
     def of_kind(self, kind: type[Kind]) -> list[Kind]:
         """The parts of a kind."""
         return [part for part in self.parts if isinstance(part, kind)]
 
+    def having(self, trait: str) -> list[str]:
+        """Names of the laws, and of parts that are none, that have a trait."""
+        return [name for part in self.parts for name, traits in part.named().items() if getattr(traits, trait)]
+
+    def refuse(self, reasons: Mapping[str, str]) -> None:
+        """Raise ModelError if a part has one of these traits, with the reason, in which {} is the part's name."""
+        for trait, reason in reasons.items():
+            for name in self.having(trait):
+                raise ModelError(reason.format(name))
+
+    def ask(self, name: str, *arguments: Any) -> list[Any]:
+        """What an optional method or attribute gives in each of the parts that have it, see `Part`."""
+        answers = [getattr(part, name) for part in self.parts if hasattr(part, name)]
+        return [answer(*arguments) if callable(answer) else answer for answer in answers]
+
     # ---------------------------------------------------------------- a step
     @property
-    def memory_at_rest(self) -> dict[str, Array]:
+    def memory_at_rest(self) -> dict[str, Memory]:
         """Memory at rest of the parts that have one, by key."""
         return {part.key: rest for part in self.parts if (rest := part.rest()) is not None}
 
@@ -45,9 +65,9 @@ class PartSum:
     def stresses_at_rest(self) -> dict[str, Array]:
         """Stresses at rest, zero, of the parts whose stresses states keep, by key."""
         return {
-            part.key: np.zeros((len(rest), part.stress_width))
+            part.key: np.zeros((len(rest), width))
             for part in self.parts
-            if part.stress_width and (rest := part.rest()) is not None
+            if (width := getattr(part, "stress_width", 0)) and (rest := part.rest()) is not None
         }
 
     def begin_parts(self, interval: Interval) -> None:
@@ -77,27 +97,27 @@ class PartSum:
 
     def failure(self) -> str:
         """Text that says which part failed in the last evaluation and where; "" if none did."""
-        return next(filter(None, [part.failure() for part in self.parts]), "")
+        return next(filter(None, self.ask("failure")), "")
 
     def blocks(self, relative_residual: float = 0.0, *, rigid: bool = False) -> list[Block]:
         """Blocks of the tangent at the last evaluation; `rigid`: of the parts alone that resist rigid motions."""
-        parts = [part for part in self.parts if part.resists_rigid or not rigid]
+        parts = [part for part in self.parts if not (rigid and part.traits.inner)]
         return [block for part in parts for block in part.tangents(relative_residual)]
 
     @property
     def excess(self) -> float:
         """Largest gain of energy if a column changed its phase; <= 0: no column gains."""
-        return max(part.excess for part in self.parts)
+        return max([-np.inf, *self.ask("excess")])
 
     def switch(self) -> bool:
         """Change columns to the phases of lowest energy in the last evaluation. True if any column changes."""
-        return any([part.switch() for part in self.parts])
+        return any(self.ask("switch"))
 
     def end_parts(self, u: fem.Function, t: float) -> tuple[dict[str, Outcome], Configuration]:
         """End the step in all parts, at displacements u of the last evaluation: energies by key, new configuration."""
         found = {part.key: part.commit() for part in self.parts}
         memory = {key: one.memory for key, one in found.items() if one.memory is not None}
-        fields = {part.key: part.own_result() for part in self.parts if part.field is not None}
+        fields = {part.key: part.own_result() for part in self.with_own}
         stored = {key: one.after for key, one in found.items() if one.kept}
         stresses = {key: one.stress for key, one in found.items() if one.stress is not None}
         return found, Configuration(u.copy(), t, memory, fields, stored, stresses=stresses)

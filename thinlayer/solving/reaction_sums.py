@@ -87,7 +87,10 @@ class ReactionSums:
         forces = like.duplicate()
         forces.set(0.0)
         for part in self.parts:
-            part.add_layer_forces(keys, forces)
+            if hasattr(part, "add_layer_forces"):
+                part.add_layer_forces(keys, forces)
+            elif part.key in keys:
+                part.add_forces(forces)
         found = forces.array_r @ self._motions
         forces.destroy()
         return np.asarray(found)

@@ -146,11 +146,11 @@ class Restraint:
         self.x.copy(self._d)
         self._d.axpy(-1.0, self._begin)
         model = self.equations.model
-        found = model.by_seam(self.equations.squares_of_strains(self._d))
-        given = [(name, model.layers[name]) for name in found if model.layers[name].law.traits.bounded]
-        squares = {
-            name: found[name] * (one.thin.eps if one.thin else 1.0) for name, one in given
-        }  # of strains to jumps
+        limited = {part.key for part in self.equations.parts if part.traits.bounded or part.traits.releases}
+        measured = self.equations.squares_of_strains(self._d)
+        of_seams = model.by_seam({key: square for key, square in measured.items() if key in limited})
+        thin = {name: model.layers[name].thin for name, square in of_seams.items() if square > 0}
+        squares = {name: of_seams[name] * (layer.eps if layer else 1.0) for name, layer in thin.items()}  # of jumps
         whole = sum(squares.values())
         order = sorted(squares, key=lambda name: -squares[name])
         return {name: squares[name] / whole for name in order} if whole else {}

@@ -40,6 +40,10 @@ from thinlayer.solving.options import (
 )
 from thinlayer.solving.restraint import Restraint
 
+SOFTENS = (
+    "the stress of {} falls as jumps grow, and an equilibrium may be one of several; follow them from rest with "
+    "march(model, times), or march(model, ArcLength(...))"
+)  # a reason, see `PartSum.refuse`
 SEARCHES = ("bt", "l2")  # line searches of PETSc, tried in turn for laws that yield
 
 
@@ -79,11 +83,10 @@ def solve(
         _require_model(model)
         if not is_number(t) or not math.isfinite(t):
             raise ModelError(f"t is {t!r}; it must be a finite number")
-        require_hardening(model, "solve")
     require_same(model.comm, t=t)
     with Solver(model, options=options, method=method, like=like) as solver:
-        for late in solver.equations.late[:1]:
-            raise ModelError(f"{late} depends on rates: no equilibrium without time; use march(model, times)")
+        late = "{} depends on rates: no equilibrium without time; use march(model, times)"
+        solver.equations.refuse({"softens": f"solve: {SOFTENS}", "rate": late})
         warn_of_model(model)
         warn_of_no_time(model)
         try:
@@ -95,16 +98,6 @@ def solve(
             raise SolveError(error.reason, residuals=error.residuals, advice=advice) from error
     warn_of_states([state])
     return state
-
-
-def require_hardening(model: Model, what: str) -> None:
-    """Raise ModelError if the layer's law softens: at the same loads there may be several equilibria."""
-    for law in model.layer_laws:
-        if law.traits.softens:
-            raise ModelError(
-                f"{what}: the stress of {law!r} falls as jumps grow, and an equilibrium may be one of several; "
-                "follow them from rest with march(model, times), or march(model, ArcLength(...))"
-            )
 
 
 def comm_of(model: Any) -> MPI.Intracomm:
@@ -288,7 +281,7 @@ class Solver:
         """Warn, once, if the stress of a law falls that does not declare `softens`: there may be other equilibria."""
         if self._warned:
             return
-        found = next(filter(None, (part.undeclared_softening() for part in self.equations.parts)), None)
+        found = next(filter(None, self.equations.ask("undeclared_softening")), None)
         if found:
             name, where = found
             self._warned = True
@@ -418,12 +411,12 @@ class Solver:
     @property
     def yields(self) -> bool:
         """Whether a law bounds stresses, so that loads may have a limit."""
-        return any(p.law.traits.bounded for p in self.model.terms)
+        return self.equations.traits.bounded
 
     @property
     def bounded(self) -> bool:
         """Whether loads may have a limit: a law yields, or seams in contact slide or open."""
-        return self.yields or self.model.contact is not None
+        return self.yields or self.equations.traits.releases
 
     @property
     def _searches(self) -> tuple[str | None, ...]:

@@ -22,7 +22,7 @@ from thinlayer.parallel.agreement import on_all
 from thinlayer.parallel.communicator import communicator
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.forms import FormPart
-from thinlayer.parts.part import DISPLACEMENTS, Array, Interval, Part
+from thinlayer.parts.part import DISPLACEMENTS, Array, FieldPart, Interval, Part
 from thinlayer.parts.ufl_part import has_arity
 from thinlayer.pointwise.columns import TIE
 from thinlayer.pointwise.compiled_term import CompiledTerm
@@ -252,7 +252,7 @@ def _check(parts: Sequence[Part], keys: set[str]) -> None:
     for part in parts:
         if not isinstance(part, Part):
             raise ModelError(f"one of parts is {part!r}; allowed: objects that derive from thinlayer.parts.part.Part")
-        if part.field is not None:
+        if isinstance(part, FieldPart):
             raise ModelError(f"the part {part.key!r} has unknowns of its own; use it in a Model")
         if part.key in keys:
             raise ModelError(f"two parts are called {part.key!r}; give one of them another key")

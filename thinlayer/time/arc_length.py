@@ -9,8 +9,8 @@ from numbers import Integral
 import numpy as np
 
 from forms.base import is_number
-from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
+from thinlayer.parts.pressure import PressurePart
 from thinlayer.solving.equations import Equations
 from thinlayer.time.plan import distinct
 
@@ -77,32 +77,25 @@ class ArcLength:
             raise ModelError(f"ArcLength: back is {self.back:g}; it must be less than start = {start:g}")
 
 
-def require_path(model: Model, theta: float, method: str | None) -> None:
-    """Raise ModelError unless paths of the model can be followed: its laws need tangents and no rate, no bounds."""
+def require_choices(theta: float, method: str | None) -> None:
+    """Raise ModelError unless a path is followed by Newton's method, with forces that balance at t itself."""
     if theta != 1:
         raise ModelError(f"theta is {theta}; forces on a path balance at t itself: theta = 1")
     if method not in (None, "newton"):
         raise ModelError(f"method is {method!r}; a path is followed by Newton's method")
-    if model.contact:
-        raise ModelError(f"{type(model.contact).__name__} is a contact law: march in time instead of ArcLength")
-    for law in (p.law for p in model.terms):
-        name = type(law).__name__
-        if law.traits.constrained:
+
+
+def require_path(equations: Equations) -> None:
+    """Raise ModelError unless paths of the model can be followed: no part has a rate or bounds. Collective."""
+    refused = {
+        "releases": "{} is a contact law: march in time instead of ArcLength",
+        "bounded": "{} bounds stresses: on a path loads stay at their limit; march in time, which finds the limit",
+        "switches": "{} has pure phases: its equilibria do not form one curve; march in time, which finds the snaps",
+        "rate": "{} depends on rates, and t is no time on a path: march in time",
+    }
+    for part in equations.of_kind(PressurePart):
+        for name in part.named():
             raise ModelError(f"{name} is incompressible: paths have displacements alone, no pressures; march in time")
-        if law.traits.bounded:
-            raise ModelError(
-                f"{name} bounds stresses: on a path loads stay at their limit; march in time, which finds the limit"
-            )
-        if law.traits.switches:
-            raise ModelError(
-                f"{name} has pure phases: its equilibria do not form one curve; march in time, which finds the snaps"
-            )
-
-
-def require_no_time(equations: Equations) -> None:
-    """Raise ModelError if the response of a law or part depends on the length of the step. Collective."""
-    for late in equations.late:
-        raise ModelError(f"{late} depends on rates, and t is no time on a path: march in time")
-    for part in equations.parts:
-        if name := part.takes_time():
-            raise ModelError(f"{name} creeps or relaxes, and t is no time on a path: march in time")
+    equations.refuse(refused)
+    for name in filter(None, equations.ask("takes_time")):
+        raise ModelError(f"{name} creeps or relaxes, and t is no time on a path: march in time")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -65,30 +65,26 @@ class Checkpoint:
     """
 
     def __init__(self, folder: Path, equations: Equations, mark: str, needed: int = 1) -> None:
-        self.mark, self.folder, self.model, self.comm, self.needed = (
-            mark,
-            folder,
-            equations.model,
-            equations.comm,
-            needed,
-        )
+        self.mark, self.folder, self.needed = mark, folder, needed
+        self.model, self.comm = equations.model, equations.comm
         self.path = folder / "march.json"
         mesh = self.model.domain.mesh
         owned = mesh.topology.index_map(mesh.topology.dim).size_local
         self._owned, self._cells = np.arange(owned, dtype=np.int32), self.model.domain.original_cells
-        self._rest = {part.key: rest for part in equations.parts if (rest := part.rest()) is not None}
+        rest = equations.memory_at_rest
+        self._rest = {key: values for key, values in rest.items() if not isinstance(values, Mapping)}
+        self._spaces = {"u": self.model.V}  # of functions that are kept cell by cell
+        for key, functions in rest.items():
+            if isinstance(functions, Mapping):
+                self._spaces |= {f"{MEMORY}{key}/{name}": f.function_space for name, f in functions.items()}
         self._unstressed = equations.stresses_at_rest
         self._orders = {part.key: part.file_order for part in equations.parts if part.file_order is not None}
         if unknown := sorted(self._rest.keys() - self._orders.keys()):
             raise ModelError(
                 f"the part {unknown[0]!r} remembers values that have no order in files: march without out=, or give "
-                "its class file_order, a FileOrder of the rows of its memory"
+                "its class file_order, a FileOrder of the rows of its memory, or a memory of functions"
             )
-        self._fields = {
-            part.key: (part.field.function_space, order)
-            for part in equations.parts
-            if part.field is not None and (order := part.own_file_order) is not None
-        }
+        self._fields = {part.key: (part.field.function_space, part.own_file_order) for part in equations.with_own}
 
     def _file(self, row: int) -> Path:
         return self.folder / "states" / f"{row:06d}.npz"
@@ -131,13 +127,19 @@ class Checkpoint:
         history.table.put(self.folder / TABLE)
 
     def _write_state(self, row: int, state: State) -> None:
-        arrays = {"u": self._gather(self._cells[self._owned], cell_values(state.u, self._owned))}
+        functions = {"u": state.u}
+        for key, kept in state.memory.items():
+            if isinstance(kept, Mapping):
+                functions |= {f"{MEMORY}{key}/{name}": f for name, f in kept.items()}
+        arrays = {
+            name: self._gather(self._cells[self._owned], cell_values(f, self._owned)) for name, f in functions.items()
+        }
         for key, f in state.fields.items():
             _, order = self._fields[key]
             arrays[FIELD + key] = self._gather(order.numbers, order.ordered(f.x.array[:, None]))
         for start, kept in ((MEMORY, state.memory), (STRESS, state.stresses)):
-            for key, values in kept.items():
-                order = self._orders[key]
+            for key in kept.keys() & self._orders.keys():
+                order, values = self._orders[key], kept[key]
                 arrays[start + key] = self._gather(order.numbers, order.ordered(values))
         arrays["t"] = np.array(state.t)
         if state.reactions is not None:
@@ -207,12 +209,7 @@ class Checkpoint:
     def _read_state(self, row: int, table: Table) -> State:
         arrays: dict[str, Array] = {}  # on rank 0 alone
         on_root(self.comm, lambda: arrays.update(self._arrays(row, table)))
-        u = fem.Function(self.model.V)
-        dofmap = u.function_space.dofmap
-        cells = np.asarray(dofmap.list)
-        values = self._wanted(row, arrays.get("u"), self._cells[: len(cells)], cells.shape[1] * dofmap.bs)
-        u.x.array.reshape(-1, dofmap.bs)[cells.ravel()] = values.reshape(-1, dofmap.bs)
-        u.x.scatter_forward()
+        functions = {name: self._read_function(row, arrays.get(name), V) for name, V in self._spaces.items()}
         fields: dict[str, fem.Function] = {}
         for key, (space, order) in self._fields.items():
             if self.comm.bcast(FIELD + key in arrays):
@@ -223,6 +220,11 @@ class Checkpoint:
             {key: self._read_values(row, arrays.get(start + key), key, rest) for key, rest in at_rest.items()}
             for start, at_rest in ((MEMORY, self._rest), (STRESS, self._unstressed))
         )
+        of_parts: dict[str, Any] = dict(memory)
+        for name, f in functions.items():
+            if name != "u":
+                key, own = name.removeprefix(MEMORY).rsplit("/", 1)
+                of_parts.setdefault(key, {})[own] = f
         single = {name: float(array) for name, array in arrays.items() if _is_single(name)}
         single = self.comm.bcast(single)
         t = single.pop("t")
@@ -233,11 +235,19 @@ class Checkpoint:
         dissipated |= {place: found.get(column, np.nan) for column, place in dissipated_columns(self.model).items()}
         audit = Audit(found["supplied"], found["stored"], found["dissipated"], found["remainder"])
         report = Report("resumed", int(found["iterations"]), found["residual"], 0.0)
-        parts, reactions = (memory, fields, stored), self.comm.bcast(arrays.get(REACTIONS))
+        parts, reactions = (of_parts, fields, stored), self.comm.bcast(arrays.get(REACTIONS))
         return State(
-            u, t, *parts, reactions=reactions, stresses=stresses,
+            functions["u"], t, *parts, reactions=reactions, stresses=stresses,
             model=self.model, report=report, audit=audit, dissipated=dissipated,
         )  # fmt: skip
+
+    def _read_function(self, row: int, rows: Array | None, V: fem.FunctionSpace) -> fem.Function:
+        """A function on the model's mesh, from the rows of a state's file on rank 0."""
+        f, bs, cells = fem.Function(V), V.dofmap.bs, np.asarray(V.dofmap.list)
+        values = self._wanted(row, rows, self._cells[: len(cells)], cells.shape[1] * bs)
+        f.x.array.reshape(-1, bs)[cells.ravel()] = values.reshape(-1, bs)
+        f.x.scatter_forward()
+        return f
 
     def _read_values(self, row: int, rows: Array | None, key: str, rest: Array) -> Array:
         """Values (n, m) at the points of a part, from the rows of a state's file on rank 0."""
@@ -250,7 +260,8 @@ class Checkpoint:
         try:
             with np.load(self._file(row), allow_pickle=False) as file:
                 arrays = dict(file)
-            wanted = {"u", "t", *(MEMORY + key for key in self._rest), *(STRESS + key for key in self._unstressed)}
+            wanted = {*self._spaces, "t", *(MEMORY + key for key in self._rest)}
+            wanted |= {STRESS + key for key in self._unstressed}
             if lacking := (wanted | {"march"}) - arrays.keys():
                 raise ValueError(f"no {', '.join(sorted(lacking))} in it")
             for name in arrays.keys() - {"march"}:

@@ -67,16 +67,15 @@ class ErrorEstimate:
         u = state.u
         forces = u.x.petsc_vec.duplicate()
         forces.set(0.0)
-        jumps = [part.error_measure(u) for part in self._equations.parts]
-        for part in self._equations.parts:
-            part.add_forces_in(state, forces)
+        jumps = self._equations.ask("error_measure", u)
+        self._equations.ask("add_forces_in", state, forces)
         of_forces = forces.array_r.copy()
         forces.destroy()
-        return [u.x.petsc_vec.array_r.copy(), np.concatenate(jumps), of_forces]
+        return [u.x.petsc_vec.array_r.copy(), np.concatenate([np.empty(0), *jumps]), of_forces]
 
     def _norms(self, parts: list[Array]) -> Array:
         return np.sqrt(self.comm.allreduce(np.array([part @ part for part in parts])))
 
     def _of_unit_displacements(self) -> float:
         """Estimated norm of strains or jumps for a unit jump across the layer."""
-        return float(np.sqrt(sum(part.unit_jump_measure() for part in self._equations.parts)))
+        return float(np.sqrt(sum(self._equations.ask("unit_jump_measure"))))

@@ -34,12 +34,7 @@ class PathFollowing:
     """
 
     def __init__(
-        self,
-        solver: Solver,
-        journal: Journal,
-        plan: ArcLength,
-        start: float,
-        options: Mapping[str, OptionValue] | None,
+        self, solver: Solver, journal: Journal, plan: ArcLength, start: float, options: Mapping[str, OptionValue] | None
     ) -> None:
         self.solver, self.plan, self.start = solver, plan, start
         self._journal = journal

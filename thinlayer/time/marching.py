@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +17,21 @@ from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.ranges.checks import warn_of_model, warn_of_states
 from thinlayer.ranges.strains import warn_of_strains
 from thinlayer.ranges.times import warn_of_steps
+from thinlayer.solving.equations import Equations
 from thinlayer.solving.options import OptionValue
-from thinlayer.solving.solvers import Solver, comm_of, require_hardening
-from thinlayer.time.arc_length import ArcLength, require_no_time, require_path
+from thinlayer.solving.solvers import SOFTENS, Solver, comm_of
+from thinlayer.time.arc_length import ArcLength, require_choices, require_path
 from thinlayer.time.checkpoint import Pace
 from thinlayer.time.controlled import PathInTime, last_of
 from thinlayer.time.following import PathFollowing
 from thinlayer.time.history import History
 from thinlayer.time.journal import Journal, Observe, columns
 from thinlayer.time.plan import Adaptive, Plan
-from thinlayer.time.scheme import remembers, require_ends, require_time_scale
+from thinlayer.time.scheme import require_ends
 from thinlayer.time.step_error import tell_steps
 from thinlayer.time.stepping import TimeStepping
+
+NO_ERROR = "Adaptive is for laws that depend on time; steps of {} have no error: give the times to stop at"
 
 
 def march(
@@ -47,9 +50,9 @@ def march(
     """Follow a model in time, from rest just before `start`. Collective.
 
     The loads may be sudden at `start`. If every law of the layer answers at once (elastic, Maxwell), the first accepted
-    state is this response, at `start`. With a law that has a rate (Kelvin-Voigt, Norton, a stack with one of them) the
-    first state is at rest, and the response to sudden loads is in the first step. A step that fails is halved. If the
-    layer's law has a memory, steps also end at the breaks of `piecewise` data, and the table has rows for them.
+    state is this response, at `start`. With a rate (Kelvin-Voigt, Norton, a stack with one of them, own parts such as
+    inertia) the first state is at rest, and the response to sudden loads is in the first step. A step that fails is halved.
+    If a law or a part has a memory, steps also end at the breaks of `piecewise` data, and the table has rows for them.
 
     A layer whose stress falls as jumps grow (`softens`) is followed along its path, in steps that are as short as the path
     needs, as long as the path leads on in time: so displacements of supports take it beyond the largest load. Where it
@@ -101,19 +104,31 @@ def march(
     with on_all(comm_of(model)):
         start, theta = _number("start", start), _number("theta", theta)
         _check(model, theta, keep, out, resume, observe)
-        plan = _planned(model, times, start, theta, method)
+        if isinstance(times, ArcLength):
+            times.check(start)
+            require_choices(theta, method)
+        elif not isinstance(times, Adaptive):
+            times = Plan.of(times, start, set()).targets
     choices = {"start": start, "theta": theta, "keep": keep, "out": out and str(out), "resume": resume}
-    require_same(model.comm, times=plan, **choices, observe={*(observe or {})})
-    if isinstance(plan, ArcLength):
-        return _on_path(model, plan, start, theta, observe, keep, out, resume, options)
-    if model_softens(model):
-        return _on_path(model, plan, start, theta, observe, keep, out, resume, options)
-    adaptive, folder = plan.adaptive, Path(out) if out else None
-    pace = Pace(adaptive.first if adaptive else None)
-    choices = {"start": start, "theta": theta, "tolerance": adaptive and adaptive.tolerance}
-    with _folder(folder, model), Solver(model, options=options, method=method) as solver:
+    require_same(model.comm, times=times, **choices, observe={*(observe or {})})
+    with Solver(model, options=options, method=method) as solver, ExitStack() as stack:
+        traits = solver.equations.traits
+        if isinstance(times, ArcLength):
+            require_path(solver.equations)
+            return _on_path(solver, times, start, theta, observe, keep, out, resume, options)
+        ends_at_breaks = traits.remembers or traits.rate or traits.softens or isinstance(times, Adaptive)
+        plan = Plan.of(times, start, model.break_times if ends_at_breaks else set())
+        if traits.softens:
+            _require_path(solver.equations, plan, theta, method)
+            return _on_path(solver, plan, start, theta, observe, keep, out, resume, options)
+        adaptive, folder = plan.adaptive, Path(out) if out else None
+        if adaptive:
+            solver.equations.refuse({"switches": NO_ERROR})
+        pace = Pace(adaptive.first if adaptive else None)
+        choices = {"start": start, "theta": theta, "tolerance": adaptive and adaptive.tolerance}
         solver.equations.check_times([start, *plan.targets])
-        require_time_scale(solver.equations, theta, [start, *plan.targets])
+        require_ends(solver.equations, theta, [start, *plan.targets])
+        stack.enter_context(_folder(folder, model))
         journal = Journal(solver.equations, pace, dict(observe or {}), keep, folder, choices)
         warn_of_model(model, plan.lasting(start))
         if not adaptive:
@@ -161,13 +176,14 @@ def follow(
     with on_all(model.comm):
         _check(model, 1.0, keep, None, False, observe)
         path.check(last.t)
-        require_path(model, 1.0, None)
     require_same(model.comm, times=path, start=last.t, keep=keep, observe={*(observe or {})})
-    return _on_path(model, path, last.t, 1.0, observe, keep, None, False, options, begun=(before, last))
+    with Solver(model, options=options) as solver:
+        require_path(solver.equations)
+        return _on_path(solver, path, last.t, 1.0, observe, keep, None, False, options, begun=(before, last))
 
 
 def _on_path(
-    model: Model, path: ArcLength | Plan, start: float, theta: float, observe: Observe | None, keep: str,
+    solver: Solver, path: ArcLength | Plan, start: float, theta: float, observe: Observe | None, keep: str,
     out: str | Path | None, resume: bool, options: Mapping[str, OptionValue] | None,
     begun: tuple[State | None, State] | None = None,
 ) -> History:  # fmt: skip
@@ -175,10 +191,9 @@ def _on_path(
     ends = [path.end] if isinstance(path, ArcLength) else path.targets
     first = path.first if isinstance(path, ArcLength) else ends[0] - start
     choices = {"start": start, "theta": theta, "tolerance": None, "first": first}
-    folder = Path(out) if out else None
-    with _folder(folder, model), Solver(model, options=options) as solver:
-        solver.equations.check_times([start, *ends])
-        require_no_time(solver.equations)
+    folder, model = Path(out) if out else None, solver.model
+    solver.equations.check_times([start, *ends])
+    with _folder(folder, model):
         journal = Journal(solver.equations, Pace(None), dict(observe or {}), keep, folder, choices, directed=True)
         warn_of_model(model)
         if begun:
@@ -193,31 +208,13 @@ def _on_path(
     return history
 
 
-def _planned(model: Model, times: Any, start: float, theta: float, method: Any) -> Plan | ArcLength:
-    """The checked path, or the plan of the steps."""
-    if isinstance(times, ArcLength):
-        times.check(start)
-        require_path(model, theta, method)
-        return times
-    if model_softens(model):
-        _require_path_in_time(model, times, theta, method)
-    ends_at_breaks = remembers(model) or isinstance(times, Adaptive) or model_softens(model)
-    plan = Plan.of(times, start, model.break_times if ends_at_breaks else set())
-    _check_switching(model, plan)
-    return plan
-
-
-def model_softens(model: Model) -> bool:
-    """Whether the stress of a layer falls as jumps grow."""
-    return any(law.traits.softens for law in model.layer_laws)
-
-
-def _require_path_in_time(model: Model, times: Any, theta: float, method: str | None) -> None:
-    """Raise ModelError unless a march of a softening layer can go along its path."""
-    if isinstance(times, Adaptive):
-        require_hardening(model, "march with Adaptive")
+def _require_path(equations: Equations, plan: Plan, theta: float, method: str | None) -> None:
+    """Raise ModelError unless a march of a softening layer can go along its path. Collective."""
+    if plan.adaptive:
+        equations.refuse({"softens": f"march with Adaptive: {SOFTENS}"})
     try:
-        require_path(model, theta, method)
+        require_choices(theta, method)
+        require_path(equations)
     except ModelError as error:
         raise ModelError(f"the stress of a layer falls, and equilibria in time must be on its path: {error}") from error
 
@@ -242,22 +239,12 @@ def _check(model: Any, theta: float, keep: str, out: Any, resume: bool, observe:
             raise ModelError(f"observe: column {name!r} is there already; give it another name")
     if not 0.5 <= theta <= 1:
         raise ModelError(f"theta is {theta}; allowed: 1/2 (midpoint rule) to 1 (backward Euler)")
-    require_ends(model, theta)
     if keep not in ("all", "last"):
         raise ModelError(f"keep is {keep!r}; allowed: 'all', 'last'")
     if resume and out is None:
         raise ModelError("resume=True needs out=, the folder of the march")
     if out is not None and (not isinstance(out, (str, Path)) or not str(out)):
         raise ModelError(f"out is {out!r}; it must be the name of a folder")
-
-
-def _check_switching(model: Model, plan: Plan) -> None:
-    """Raise ModelError for adaptive steps of a law whose phases switch."""
-    names = [type(p.law).__name__ for p in model.layer_terms if p.law.traits.switches]
-    if names and plan.adaptive:
-        raise ModelError(
-            f"Adaptive is for laws that depend on time; steps of {names[0]} have no error: give the times to stop at"
-        )
 
 
 def _folder(out: Path | None, model: Model) -> AbstractContextManager[None]:

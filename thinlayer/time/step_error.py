@@ -8,9 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from thinlayer.discretisation.model import Model
 from thinlayer.errors import SolveError, warn
 from thinlayer.files.progress import telling
+from thinlayer.solving.equations import Equations
 from thinlayer.solving.solvers import Solver
 from thinlayer.time.checkpoint import Pace
 from thinlayer.time.error import QUANTITIES, ErrorEstimate
@@ -32,7 +32,7 @@ def tell_steps(solver: Solver, history: History, plan: Plan, start: float, theta
     difference gives the error of the whole march to leading order; one halved step would tell what it adds alone. A march
     that has dissipated nothing is not made again.
     """
-    if plan.adaptive or not depends_on_steps(solver.model):
+    if plan.adaptive or not depends_on_steps(solver.equations):
         return
     if _idle(history):
         history.step_errors = dict.fromkeys(QUANTITIES, 0.0)
@@ -64,12 +64,10 @@ def tell_steps(solver: Solver, history: History, plan: Plan, start: float, theta
         )
 
 
-def depends_on_steps(model: Model) -> bool:
-    """Whether a law is not linear and has a history; phases that switch have steps of their own."""
-    laws = [*model.body_laws.values(), *(one.law for one in model.layers.values())]
-    return any(
-        (law.traits.remembers or law.traits.rate) and not (law.traits.linear or law.traits.switches) for law in laws
-    )
+def depends_on_steps(equations: Equations) -> bool:
+    """Whether a part is not linear and has a history; phases that switch have steps of their own."""
+    each = [part.traits for part in equations.parts]
+    return any((has.remembers or has.rate) and has.nonlinear and not has.switches for has in each)
 
 
 def _idle(history: History) -> bool:

@@ -56,7 +56,7 @@ class TimeStepping:
     @property
     def _sudden(self) -> bool:
         """Whether the laws and own parts answer to a sudden load at once."""
-        return not self.solver.equations.late
+        return not self.solver.equations.traits.rate
 
     def run(self, resume: bool) -> History:
         """Run the march, or the rest of the march in its folder. Collective; errors as in `march`."""

@@ -1,0 +1,64 @@
+"""Inertia by Newmark's method: a part of one's own that remembers velocities and accelerations."""
+
+from dataclasses import dataclass
+
+import ufl
+from dolfinx import fem
+
+from thinlayer.discretisation.addition import Addition
+from thinlayer.errors import ModelError
+from thinlayer.parts.forms import matrix
+from thinlayer.parts.part import Block, Outcome, Part, PartTraits
+
+
+@dataclass(frozen=True)
+class Inertia(Addition):
+    rho: float  # mass per volume
+    beta: float = 1 / 4
+    gamma: float = 1 / 2  # larger values damp what the mesh cannot show
+    key: str = "inertia"
+
+    def work_in(self, model, state, v):  # tractions on S contain it
+        return self.rho * ufl.inner(state.memory[self.key]["a"], v) * model.dx
+
+    def part(self, model):
+        return Newmark(self, model)
+
+
+class Newmark(Part):
+    traits = PartTraits(rate=True, remembers=True)
+
+    def __init__(self, given, model):
+        self.key, self.given, self.V = given.key, given, model.V
+        u, v = ufl.TrialFunction(model.V), ufl.TestFunction(model.V)
+        self.M = matrix(given.rho * ufl.inner(u, v) * model.dx)
+
+    def rest(self):
+        return {"v": fem.Function(self.V), "a": fem.Function(self.V)}
+
+    def begin(self, interval):
+        if interval.theta < 1:
+            raise ModelError("inertia balances forces at the ends of steps: theta = 1")
+        self.interval, self.new = interval, self.rest()
+
+    def evaluate(self, u, mid):
+        old, dt, beta, gamma = self.interval.old, self.interval.dt, self.given.beta, self.given.gamma
+        v, a = (old.memory[self.key][name].x.array for name in ("v", "a"))
+        self.moved = u.x.petsc_vec - old.u.x.petsc_vec
+        if dt > 0:
+            self.new["a"].x.array[:] = (u.x.array - old.u.x.array - dt * v) / (beta * dt**2) - (0.5 / beta - 1) * a
+            self.new["v"].x.array[:] = v + dt * ((1 - gamma) * a + gamma * self.new["a"].x.array)
+        self.forces = self.M * self.new["a"].x.petsc_vec
+
+    def add_forces(self, out):
+        out.axpy(1.0, self.forces)
+        return self.forces.norm()
+
+    def tangents(self, relative_residual):
+        dt = self.interval.dt
+        return [Block(self.M, 1 / (self.given.beta * dt**2) if dt > 0 else 0.0, kept=True)]
+
+    def commit(self):
+        v, before = self.new["v"].x.petsc_vec, self.interval.old.stored.get(self.key, 0.0)
+        after = v.dot(self.M * v) / 2
+        return Outcome(before, after, remainder=self.forces.dot(self.moved) - (after - before), memory=self.new)

@@ -1,0 +1,114 @@
+"""Inertia, a part of one's own: a bar under a sudden load, with a layer and without; resumed, and wrong without `rate`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ufl
+
+from forms.laws import LinearElastic
+from geometry import sandwich
+from geometry.parallel import world
+from tests.on_ranks import alone, on_ranks
+from tests.own_scripts.inertia import Inertia, Newmark
+from tests.refused import refused
+from thinlayer import Adaptive, ModelError, Structure, Surface, ThinLayer, march, solve
+from thinlayer.parts.part import PartTraits
+
+LAYER = ThinLayer(LinearElastic(0.0, 0.02), 0.01)  # with a quarter of the compliance of the bar: 1 for E = rho = L = 1
+STATIC = {"bonded": 1.0, "interface": 1.25}  # shortening under the pressure 1
+COARSE = np.arange(1, 41) / 40
+
+
+def bar(kind: str, part: Inertia | None, h: float = 0.02):
+    """A model of a bar of the length 1 that stands, without lateral strains, under the pressure 1 on its top."""
+    structure = Structure(
+        sandwich(h, 0.5, 0.5, h, cell="quadrilateral"),
+        body=LinearElastic(0.0, 0.5),
+        supports={"BOTTOM": {"y": 0}, "LEFT": {"x": 0}},
+        tractions={"TOP": (0, -1)},
+        parts=[part] if part else [],
+    )
+    return structure.bonded() if kind == "bonded" else structure.interface(LAYER)
+
+
+def shortening(state) -> float:
+    return world().allreduce(-float(state.u.x.array.min(initial=0.0)), max)
+
+
+@pytest.mark.parametrize(("kind", "largest", "when"), [("bonded", 1.992, 2.015), ("interface", 1.962, 2.175)])
+def test_a_sudden_load_shortens_a_bar_nearly_twice_as_much(kind, largest, when):
+    """At t = 2 L/c by 2 times the static shortening; 300 modes give 1.994 without a layer, 1.955 to 1.968 with one."""
+    history = march(bar(kind, Inertia(1.0)), np.arange(1, 451) / 200, observe={"w": shortening}, keep="last")
+    w = history.table["w"] / STATIC[kind]
+    assert (w[0], w.max()) == (0.0, pytest.approx(largest, abs=1e-3))
+    assert history.t[w.argmax()] == pytest.approx(when, abs=0.011)
+    assert np.abs(history.table["imbalance"]).max() < 1e-10
+    assert solve(bar(kind, None)).u.x.array.min() == pytest.approx(-STATIC[kind], rel=1e-9)
+
+
+class WithoutForces(Inertia):
+    def work_in(self, model, state, v):
+        return ufl.Form([])
+
+
+@pytest.mark.parametrize(("part", "wrong"), [(Inertia(1.0), False), (WithoutForces(1.0), True)])
+def test_tractions_on_s_contain_the_forces_of_inertia(part, wrong):
+    """They are those of the law, stiffness 4 times the jump; wrong without the part's `work_in`."""
+    model = bar("interface", part, h=0.1)
+    state, surface = march(model, COARSE[:30], keep="last").last, Surface(model)
+    traction, jump = (surface.integral(f[1]) for f in (surface.traction(state), surface.jump(state)))
+    difference = abs(traction / (4 * jump) - 1)
+    assert difference > 0.1 if wrong else difference < 1e-9
+
+
+def test_adaptive_steps():
+    model = bar("interface", Inertia(1.0), h=0.1)
+    fine = march(model, np.arange(1, 401) / 400, observe={"w": shortening}).table["w"][-1]
+    adaptive = march(model, Adaptive(end=1.0, first=0.005, tolerance=5e-3), observe={"w": shortening})
+    assert adaptive.table["w"][-1] == pytest.approx(fine, rel=2e-2)
+    assert np.ptp(adaptive.table["dt"][1:]) > 0
+
+
+def run(out: Path | None, times, *, resume: bool = False) -> list[float]:
+    """Shortenings of a bar; velocities and accelerations are of degree 2, as displacements are."""
+    model = bar("interface", Inertia(1.0), h=0.1)
+    return [*march(model, times, observe={"w": shortening}, out=out, resume=resume).table["w"]]
+
+
+def resumed(folder: Path) -> list[float]:
+    """Begun on one rank, ended on all."""
+    alone(lambda: run(folder, COARSE[:20]))
+    return run(folder, COARSE, resume=True)
+
+
+def test_resumed_on_one_rank(tmp_path):
+    assert resumed(tmp_path) == pytest.approx(run(None, COARSE), rel=1e-10, abs=1e-12)
+
+
+@on_ranks(resumed, 2)
+def test_resumed_on_two_ranks(there):
+    assert there == pytest.approx(run(None, COARSE), rel=1e-10, abs=1e-12)
+
+
+@dataclass(frozen=True)
+class WithoutRate(Inertia):
+    def part(self, model):
+        part = Newmark(self, model)
+        part.traits = PartTraits(remembers=True)
+        return part
+
+
+def test_without_a_rate_the_first_state_is_the_static_answer():
+    """A wrong part: the bar would stay there."""
+    history = march(bar("bonded", WithoutRate(1.0), h=0.1), [0.1, 0.2], observe={"w": shortening})
+    assert history.table["w"] == pytest.approx([1.0] * 3, rel=1e-9)
+
+
+def test_refused():
+    model = bar("bonded", Inertia(1.0), h=0.1)
+    refused(ModelError, "the part 'inertia' depends on rates: no equilibrium without time", lambda: solve(model))
+    refused(ModelError, "inertia balances forces at the ends of steps", lambda: march(model, [0.1, 0.2], theta=0.5))
