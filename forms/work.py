@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -137,6 +137,16 @@ def surface(
         )
 
     return [at(station) for station in (law.stations() if ends is None else law.stations_at_ends(ends))]
+
+
+def added(terms: Iterable[Term], strain: Expr) -> list[Term]:
+    """The terms, a strain (3, 3) added to those that are given."""
+    return [replace(p, given=strain if p.given is None else summed(p.given, strain)) for p in terms]
+
+
+def summed(*strains: Expr) -> Expr:
+    """The sum of strains (3, 3), component by component, so that zeros stay zeros."""
+    return ufl.as_tensor([[sum(one[i, j] for one in strains) for j in range(3)] for i in range(3)])
 
 
 def stress(term: Term, u: Expr) -> Expr:

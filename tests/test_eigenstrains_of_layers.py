@@ -249,6 +249,8 @@ def test_adaptive_steps_follow_shrinkage_and_end_at_its_breaks():
 
 def test_refused():
     refused(ModelError, "the eigenstrain of the layer is 'much'", lambda: model("full", GLUE, "much"))
-    refused(ModelError, "the eigenstrain of the layer has a component nan", lambda: model("full", GLUE, np.nan))
+    refused(
+        ModelError, "the eigenstrain of the layer is nan; it needs a finite number", lambda: model("full", GLUE, np.nan)
+    )
     late = model("full", GLUE, ThermalExpansion(1e-3, piecewise({0: 0.0, 1: 1.0})))
     refused(ModelError, "eigenstrain of the layer is not finite at t = 2", lambda: march(late, [2.0]))

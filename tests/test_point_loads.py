@@ -180,7 +180,7 @@ def test_pressures_in_time_and_refused():
     for p, message in (
         (float("nan"), "finite number"),
         ("high", "finite number"),
-        (lambda x, t: x, "must be a number"),
+        (lambda x, t: x, "it needs a finite number"),
     ):
         with pytest.raises(ModelError, match=f"traction on 'INSIDE'.*{message}"):
             Structure(joint, body=BODY, supports={"OUTSIDE": 0.0}, tractions={"INSIDE": Pressure(p)}).bonded()

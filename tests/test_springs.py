@@ -240,9 +240,9 @@ def test_stiffnesses_that_are_refused():
         (lambda x: x[0] - 0.3, r"normal is -0.3 at \(.*, -0.5\); allowed: finite, >= 0"),
         (lambda x: np.sin(9 * x[0]), "normal is -0.9"),
         (lambda x: x[:, :3], r"gives an array of shape \(2, 3\)"),
-        (lambda x: "soft", "is no function of x, in UFL or numpy"),
-        (lambda x: x, "it must be a number"),
-        (lambda x: True, "it must be a finite number"),
+        (lambda x: "soft", "gives soft; it needs a finite number"),
+        (lambda x: x, "it needs a finite number"),
+        (lambda x: True, "it needs a finite number"),
     ):
         structure = Structure(joint, body=BODY, supports={}, parts=[Springs("BOTTOM", normal=given, tangential=1.0)])
         with pytest.raises(ModelError, match=message):

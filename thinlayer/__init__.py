@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.discretisation.broken_mesh import BrokenMesh
+    from thinlayer.discretisation.clock import piecewise
     from thinlayer.discretisation.eigenstrains import Eigenstrain, Prestress, ThermalExpansion
+    from thinlayer.discretisation.given import Pressure
     from thinlayer.discretisation.layer import Gap, ThinLayer
-    from thinlayer.discretisation.loads import Pressure, piecewise
     from thinlayer.discretisation.model import Model
     from thinlayer.discretisation.point_loads import LineLoad, PointLoad
     from thinlayer.discretisation.reactions import Resultant
@@ -63,7 +64,8 @@ _NAMES = {
     "discretisation.broken_mesh": ["BrokenMesh"],
     "discretisation.eigenstrains": ["Eigenstrain", "Prestress", "ThermalExpansion"],
     "discretisation.layer": ["Gap", "ThinLayer"],
-    "discretisation.loads": ["Pressure", "piecewise"],
+    "discretisation.clock": ["piecewise"],
+    "discretisation.given": ["Pressure"],
     "discretisation.model": ["Model"],
     "discretisation.point_loads": ["LineLoad", "PointLoad"],
     "discretisation.reactions": ["Resultant"],

@@ -12,8 +12,9 @@ from thinlayer.describing.checks import require_fit
 from thinlayer.describing.description import Description
 from thinlayer.describing.entries import GoalGiven, Material
 from thinlayer.describing.section import History
+from thinlayer.discretisation.clock import piecewise
+from thinlayer.discretisation.given import Pressure
 from thinlayer.discretisation.layer import Layers, ThinLayer
-from thinlayer.discretisation.loads import Pressure, piecewise
 from thinlayer.discretisation.point_loads import LineLoad, PointLoad
 from thinlayer.discretisation.structure import Structure
 from thinlayer.estimating import goals as kinds

@@ -19,8 +19,8 @@ from forms.planes import Kinematics
 from geometry.domain import Domain
 from geometry.joint import Joint
 from thinlayer.discretisation.constraints import Constraints, Tied
+from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.layer import BODIES, BODY, CONTACT, LAYER
-from thinlayer.discretisation.loads import Coordinates
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.supports import Place, Supports
 from thinlayer.errors import ModelError

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import ufl
 
@@ -12,9 +11,9 @@ from forms.kinematics import Expr
 from geometry.domain import Domain
 from geometry.inflating.parting import parted, to_middle
 from geometry.joint import Joint
+from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.joint_fields import cellwise
 from thinlayer.discretisation.layer import ThinLayer
-from thinlayer.discretisation.loads import Coordinates
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described
@@ -78,7 +77,7 @@ class Middle:
 
     def coordinates(self, at: Coordinates) -> Coordinates:
         """Coordinates of the places of S, for functions that are then restricted to a side."""
-        return replace(at, x=at.x + self.to_s)
+        return at.moved(at.x + self.to_s)
 
     def thickness(self, sides: Interface) -> Expr:
         """Distance of the bodies along n; S is half of it away from either."""

@@ -1,4 +1,4 @@
-"""The axis of revolution of axisymmetric structures: what a joint must be to have one, and what is held there."""
+"""The axis of revolution: what a joint must be to have one, and what is held there; other places that are no boundary."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.planes import Kinematics
+from geometry.domain import Domain
 from geometry.errors import place
 from geometry.joint import Joint
+from geometry.seam import LAYER, S
 from thinlayer.errors import ModelError
 
+AXES = "xyz"  # names of components and of motions
 ON_AXIS = 1e-10  # distance from the axis, over the size of the joint, that is rounding
 ACROSS = 1e-9  # largest component of a normal along which bodies cannot move
 
@@ -58,3 +61,25 @@ def refuse_axis(kinematics: Kinematics, joint: Joint, name: str, what: str) -> N
     facets = joint.facets.get(name, joint.facets.get(name.split("/")[0]))
     if facets is not None and len(facets) and on_axis(kinematics, joint)[facets].all():
         raise ModelError(f"{what} on {name!r}: these facets are the axis of revolution, which is no boundary")
+
+
+def refuse_periodic(joint: Joint, name: str, what: str) -> None:
+    """Raise ModelError if a name is that of a periodic side: inside the periodic structure there is no boundary."""
+    if joint.periods and name.split("/")[0] in joint.periods.names:
+        raise ModelError(
+            f"{what} on {name!r}: this side is identified with another one, the structure goes on there; a periodic cell "
+            "is loaded by a mean strain, Structure(..., strain=...)"
+        )
+
+
+def require_facets(domain: Domain, name: str, what: str) -> None:
+    """Raise ModelError if a facet set is empty, as the side of a layer is while S is a surface."""
+    if not domain.values(name):
+        why = ", as the layer is a surface here: mesh it (structure.full)" * name.endswith(f"/{LAYER}")
+        raise ModelError(f"{what}: this facet set is empty{why}")
+
+
+def refuse_seam(joint: Joint, name: str, message: str) -> None:
+    """Raise ModelError if a name is S or that of a seam: what acts there is the layer."""
+    if name in joint.seams or name.split("/")[0] == S:
+        raise ModelError(message)

@@ -15,18 +15,71 @@ from dolfinx import fem
 
 from forms.base import is_finite, is_number
 from forms.kinematics import MANDEL, ROOT2, Expr
+from forms.law import BulkLaw
+from forms.planes import Kinematics
 from forms.tangent import tangent_at_rest
 from forms.temperature import real
-from thinlayer.discretisation.given import summed
-from thinlayer.discretisation.loads import called
-from thinlayer.discretisation.matter import Matter, Rows, component, lifted, require_symmetric
-from thinlayer.discretisation.sampling import on_mesh
+from forms.work import summed
+from thinlayer.discretisation.given import Coordinates
 from thinlayer.errors import ModelError
 from thinlayer.parallel.communicator import communicator
 
 Array = npt.NDArray[np.float64]
+Rows = list[list[Any]]  # numbers, or UFL scalars of place and time
 Tensor = float | Sequence[Sequence[float]] | Array | Callable[[Expr, Any], Any]
+SYMMETRY = 1e-12  # difference of a table from its transpose, at most, over its size
 SINGULAR = 1e-12  # smallest singular value of a stiffness, over its largest, below which no strain causes some stresses
+
+
+@dataclass(frozen=True)
+class Matter:
+    """A body or a layer, as far as its eigenstrain depends on it.
+
+    Attributes:
+        name: for messages.
+        law: its law, with real parameters, for these kinematics.
+        n: the mean normal of S, (d,).
+        kinematics: strains of displacements.
+        at: coordinates and time.
+    """
+
+    name: str
+    law: BulkLaw
+    n: Array
+    kinematics: Kinematics
+    at: Coordinates
+
+    def rows(self, value: Any, what: str) -> Rows:
+        """The components of a tensor, (d, d) or (3, 3); of a number times the identity, (3, 3).
+
+        Raises:
+            ModelError: another shape, components that are no finite numbers, or a table that is not symmetric.
+        """
+        what, d = f"{what} of {self.name}", len(self.n)
+        given = self.at.given(value, what, (), (d, d), (3, 3))
+        if not given.shape:
+            return [[given.components[()] if i == j else 0.0 for j in range(3)] for i in range(3)]
+        rows: Rows = given.components.tolist()
+        require_symmetric(rows, what)
+        return rows
+
+    def scalar(self, value: Any, what: str) -> Any:
+        """A number, or a UFL scalar; raises ModelError if the value is none."""
+        return self.at.given(value, f"{what} of {self.name}", ()).components[()]
+
+
+def require_symmetric(rows: Rows, what: str) -> None:
+    """Raise ModelError if a table is not symmetric; UFL expressions are compared as they are written."""
+    numbers = [abs(c) for row in rows for c in row if isinstance(c, float)]
+    for i in range(len(rows)):
+        for j in range(i):
+            a, b = rows[i][j], rows[j][i]
+            both = isinstance(a, float) and isinstance(b, float)
+            same = abs(a - b) <= SYMMETRY * max(numbers) if both else ufl.as_ufl(a) == ufl.as_ufl(b)
+            if not same:
+                raise ModelError(
+                    f"{what} is not symmetric: its components {i + 1}{j + 1} and {j + 1}{i + 1} are {a}, {b}"
+                )
 
 
 class Eigenstrain(ABC):
@@ -45,7 +98,8 @@ class PlainStrain(Eigenstrain):
 
     def components(self, matter: Matter) -> Rows:
         """As in `Eigenstrain`."""
-        return lifted(matter.rows(self.value, "the eigenstrain"))
+        rows = matter.rows(self.value, "the eigenstrain")
+        return [[rows[i][j] if max(i, j) < len(rows) else 0.0 for j in range(3)] for i in range(3)]
 
 
 @dataclass(frozen=True)
@@ -90,14 +144,8 @@ class ThermalExpansion(Eigenstrain):
 
     def components(self, matter: Matter) -> Rows:
         """As in `Eigenstrain`."""
-        what, alpha = f"the change of temperature T of {matter.name}", np.array(self.alpha, float)
-        factor, T = (
-            component(
-                called(one, matter.at, what) if callable(one) and not isinstance(one, fem.Function) else one, what
-            )
-            for one in (self.factor, self.T)
-        )
-        T = factor * (T if isinstance(T, float) else on_mesh(T, matter.at, what))
+        T, factor = matter.scalar(self.T, "the change of temperature T"), matter.scalar(self.factor, "the factor of T")
+        T, alpha = factor * T, np.array(self.alpha, float)
         table = alpha if alpha.ndim == 2 else np.diag(np.broadcast_to(alpha, 3))
         return [[a * T if a else 0.0 for a in row] for row in table.tolist()]
 

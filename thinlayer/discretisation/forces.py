@@ -16,9 +16,8 @@ from geometry.domain import Domain
 from geometry.errors import unknown
 from geometry.seam import LAYER, S
 from geometry.sheet import Sheet
-from thinlayer.discretisation.axis import refuse_axis
-from thinlayer.discretisation.load_curves import Moment
-from thinlayer.discretisation.loads import Coordinates, Load, Pressure, refuse_periodic, refuse_seam, vector
+from thinlayer.discretisation.axis import refuse_axis, refuse_periodic, refuse_seam
+from thinlayer.discretisation.given import Coordinates, Load, Pressure
 from thinlayer.discretisation.point_forms import ConcentratedForms
 from thinlayer.discretisation.point_loads import Concentrated
 from thinlayer.errors import ModelError, warn
@@ -120,7 +119,7 @@ class Forces:
         """
         what = WEIGHT.format(name)
         self.given[what] = load
-        force = vector(load, at, self.domain.joint.dim, what)
+        force = at.given(load, what, (self.domain.joint.dim,)).expression
         for one in places:
             self.add_weighted(name, what, force, one)
 
@@ -138,9 +137,9 @@ class Forces:
         if isinstance(load, Pressure):
             if what.startswith("body force"):
                 raise ModelError(f"{what} is {load!r}: there is no normal inside a body; give a vector")
-            checked = load.traction(self.at, what)
+            checked = -self.at.given(load.p, what, ()).expression * ufl.FacetNormal(self.domain.mesh)
         else:
-            checked = vector(load, self.at, self.domain.joint.dim, what)
+            checked = self.at.given(load, what, (self.domain.joint.dim,)).expression
         if measure is not None:
             self._loads.append((what, checked, measure))
 
@@ -231,8 +230,8 @@ class Forces:
                 raise ModelError(unknown("body", name, regions))
         return {name: forces[name] for name in regions if name in forces}
 
-    def work(self, v: Expr, moment: Moment) -> Expr:
-        """Virtual work of the loads at a moment, a UFL form linear in v."""
+    def work(self, v: Expr) -> Expr:
+        """Virtual work of the loads, a UFL form linear in v that reads the clock."""
         form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self.domain.joint.dim)), v) * self._everywhere
         for _, load, measure in self._loads:
             form += ufl.inner(load, v) * self._kinematics.factor * measure
@@ -240,26 +239,28 @@ class Forces:
             form += ufl.inner(load, v) * measure
         for _, load, one in self._in_layers:
             form += ufl.inner(load, one.mean(v)) * one.measure
-        return moment.of(form)
+        return form
 
-    def work_on_bases(self, v: Expr, moment: Moment) -> dict[str, Expr]:
-        """Virtual work of what goes to rigid bases by itself, in motions v that move them, by seam."""
-        found: dict[str, Expr] = {}
+    def work_on_bases(self, v: Expr) -> dict[str, Expr]:
+        """Virtual work of what goes to rigid bases by itself, in motions v that move them, by seam; see `work`."""
+        works: dict[str, Expr] = {}
         for name, (_, load, one) in zip(self._seams, self._in_layers, strict=True):
             if one.on_base:
                 work = ufl.inner(load, one.on_base(v)) * one.measure
-                found[name] = found[name] + work if name in found else work
-        return {name: moment.of(form) for name, form in found.items()}
+                works[name] = works[name] + work if name in works else work
+        return works
 
     def not_finite(self, t: float) -> list[str]:
         """The loads that are not finite at a time. Collective."""
-        found, moment = [], self.at.moment(t)
+        names = []
         for what, load, measure in [
             *self._loads,
             *self._concentrated,
             *((what, load, one.measure) for what, load, one in self._in_layers),
         ]:
-            total = fem.assemble_scalar(fem.form(moment.of(ufl.inner(load, load) * measure)))
+            form = fem.form(ufl.inner(load, load) * measure)
+            with self.at.clock.at(t):
+                total = fem.assemble_scalar(form)
             if self.domain.comm.allreduce(int(not np.isfinite(total))):
-                found.append(what)
-        return found
+                names.append(what)
+        return names

@@ -15,8 +15,8 @@ from geometry.sheet import Rim, Sheet, continued
 from geometry.topology import FloatArray, ridge_keys
 from thinlayer.discretisation.addition import Addition
 from thinlayer.discretisation.axis import on_axis
+from thinlayer.discretisation.given import Pressure
 from thinlayer.discretisation.layer import real_law
-from thinlayer.discretisation.loads import Pressure
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import ModelError

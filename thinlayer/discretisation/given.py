@@ -1,125 +1,319 @@
-"""Strains that are given beside those of displacements: their values at a time, over a step, and in all times."""
+"""Given: a value of place and time that users write for loads, supports, stiffnesses and strains, checked once."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
-from typing import Any
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from dataclasses import replace as changed
+from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
-from ufl.core.terminal import Terminal
+from ufl.algorithms.analysis import extract_coefficients, extract_constants
+from ufl.conditional import Condition
+from ufl.constantvalue import ComplexValue, RealValue
 from ufl.corealg.traversal import unique_pre_traversal
 
+from forms.base import is_number
 from forms.kinematics import Expr
-from forms.work import Term
-from thinlayer.discretisation.load_curves import Moment, clock_of
+from geometry.domain import Domain
+from geometry.errors import place as at_place
+from thinlayer.compiling.compat import interpolation_points
+from thinlayer.discretisation.clock import Clock, Reading, readings
+from thinlayer.discretisation.joint_fields import shift
+from thinlayer.discretisation.sampling import places_in_cells, sampled
+from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
+Value = float | Callable[[Expr, Expr], Expr]
+Load = Sequence[float] | Callable[[Expr, Expr], Sequence[Expr]]
+Shape = tuple[int, ...]
+
+SAME = 1e-9  # difference of a function of symbols from the same of numbers, at most, over its size
+DEGREE = 2  # of functions in numpy
+TIMES = (0.37, 0.0, 1.0, 2.0)  # at which the two are compared
+HINT = (
+    "x and t stand for all places and times, they are no numbers: use ufl.sin(t), ufl.conditional(ufl.gt(t, 1), a, b), "
+    "..., and piecewise({time: value, ...}) for a table"
+)
 
 
-def at_time(terms: Iterable[Term], t: float) -> list[Term]:
-    """The terms, their given strains at a time."""
-    terms = list(terms)
-    clock = clock_of(*(p.given for p in terms if p.given is not None))
-    moment = None if clock is None else Moment(clock, t)
-    return [p if moment is None or p.given is None else replace(p, given=moment.of(p.given)) for p in terms]
-
-
-def added(terms: Iterable[Term], strain: Expr) -> list[Term]:
-    """The terms, a strain (3, 3) added to those that are given."""
-    return [replace(p, given=strain if p.given is None else summed(p.given, strain)) for p in terms]
-
-
-def summed(*strains: Expr) -> Expr:
-    """The sum of strains (3, 3), component by component, so that zeros stay zeros."""
-    return ufl.as_tensor([[sum(one[i, j] for one in strains) for j in range(3)] for i in range(3)])
-
-
-class OverStep:
-    """Given strains over a step: at its ends, and where forces balance, as constants that compiled forms read.
-
-    At rest there are none: in the first step they come suddenly, as loads do.
-
-    Args:
-        mesh: the mesh.
-        terms: the terms with given strains.
+@dataclass(frozen=True)
+class Coordinates:
+    """Arguments of what is given: the place in the joint before inflating (kept bodies) and the time.
 
     Attributes:
-        grows: whether one of them is another one at the end of the step.
+        mesh: the mesh.
+        x: (d,) UFL coordinates.
+        clock: the model's.
+        places: (n, d) some vertices of the joint, extreme ones among them.
+        known: what was given for these coordinates.
     """
 
-    def __init__(self, mesh: Mesh, terms: Iterable[Term]) -> None:
-        clock = clock_of(*(p.given for p in terms if p.given is not None))
-        self._clock, self.grows = clock, True
-        self._before, self._theta, self._present = (fem.Constant(mesh, 1.0) for _ in range(3))
-        if clock is not None:
-            self._old, self._new, self._now = (Moment(clock, 0.0) for _ in range(3))
+    mesh: Mesh
+    x: Expr
+    clock: Clock
+    places: Array
+    known: dict[tuple[object, ...], Given] = field(default_factory=dict, repr=False, compare=False)
 
-    def begin(self, old: float, new: float, theta: float, *, at_rest: bool) -> None:
-        """Begin a step from one time, or from rest, to another, in which forces balance at theta of it."""
-        self._before.value, self._theta.value = 0.0 if at_rest else 1.0, theta
-        self.grows = at_rest or self._clock is not None
-        if self._clock is not None:
-            self._old.set(old)
-            self._new.set(new)
+    @classmethod
+    def of(cls, domain: Domain) -> Self:
+        """Coordinates on a domain, with a clock; for kept bodies without the rigid shifts by inflating."""
+        mesh, band = domain.mesh, domain.joint.band
+        x, points = ufl.SpatialCoordinate(mesh), (band.base if band else domain.joint).points
+        chosen = {0, *(int(k) for c in points.T for k in (c.argmin(), c.argmax(), np.abs(c).argmin()))}
+        places = points[sorted(chosen)]
+        moved = x if band is None or band.bodies == "extended" else x - shift(domain)
+        return cls(mesh, moved, Clock(mesh), places)
 
-    def balanced(self, f: Expr) -> Expr:
-        """theta f(new) + (1 - theta) f(old), as displacements have it where forces balance."""
-        new, old = self._ends(f)
-        return f if clock_of(f) is None else self._theta * new + (1 - self._theta) * self._before * old
+    @property
+    def t(self) -> Reading:
+        """The time, a UFL constant."""
+        return self.clock.symbol
 
-    def growth(self, f: Expr) -> Expr:
-        """f(new) - f(old)."""
-        new, old = self._ends(f)
-        return new - self._before * old
+    @property
+    def apart(self) -> Self:
+        """The same with the same clock, for what may be replaced: its break times are not those of others."""
+        return changed(self, known={})
 
-    def _ends(self, f: Expr) -> tuple[Expr, Expr]:
-        return (f, f) if clock_of(f) is None else (self._new.of(f), self._old.of(f))
+    def moved(self, x: Expr) -> Self:
+        """The same at other places."""
+        return changed(self, x=x)
 
-    def now(self, f: Expr) -> Expr:
-        """f where `look_at` looks."""
-        return self._present * (f if clock_of(f) is None else self._now.of(f))
+    def given(self, value: Any, what: str, *shapes: Shape, of_place: bool = False) -> Given:
+        """What a value gives here, checked once. Collective. Arguments and errors as in `Given`."""
+        key = (id(value), what, shapes, id(self.x))
+        if key not in self.known:
+            self.known[key] = Given(value, what, shapes, self, of_place=of_place)
+        return self.known[key]
 
-    def look_at(self, t: float, *, at_rest: bool = False) -> None:
-        """Look at a time, or at rest."""
-        self._present.value = 0.0 if at_rest else 1.0
-        if self._clock is not None:
-            self._now.set(t)
+    @property
+    def breaks(self) -> set[float]:
+        """The break times of all that was given here."""
+        return set[float]().union(*(one.breaks for one in self.known.values()))
 
 
-class GivenInTime:
-    """The given strains of terms at any time, to see whether they are finite, and how they change. Collective.
+class Given:
+    """A value of place and time: numbers, a table, a function (x, t), a UFL expression or a field.
+
+    A function is called with the place and the clock's constant. It must give the same for plain numbers, at some places
+    and times: Python's == and `in` are always False for symbols. Functions on other meshes, such as computed temperatures,
+    are taken over to this one.
 
     Args:
-        mesh: the mesh.
-        terms: the terms.
+        value: as users write it.
+        what: first words of errors, such as "traction on 'TOP'".
+        shapes: allowed ones: () a number, (d,) components, (d, d) a table.
+        at: coordinates and time.
+        of_place: whether functions are of x alone. One that fails for symbols is then called with places (d, n), and
+            interpolated in each cell with degree 2.
+
+    Attributes:
+        shape: its shape, one of these.
+        components: (*shape) numbers, or UFL scalars.
+        varies: whether it is anything but numbers.
+
+    Raises:
+        ModelError: another shape, what is no finite real number, a function that fails for symbols or that compares them.
     """
 
-    def __init__(self, mesh: Mesh, terms: Iterable[Term]) -> None:
-        found = [p for p in terms if p.given is not None and _varies(p.given)]
-        clock = clock_of(*(p.given for p in found))
-        self._moment = None if clock is None else Moment(clock, 0.0)
-        q = ufl.TestFunction(fem.functionspace(mesh, ("DG", 0, (3, 3)))) if found else None
-        self._forms = [(p, fem.form(self._integral(p, q))) for p in found]
+    def __init__(
+        self, value: Any, what: str, shapes: Sequence[Shape], at: Coordinates, *, of_place: bool = False
+    ) -> None:
+        self.value, self.what, self.at, self._shapes, self._of_place = value, what, at, shapes, of_place
+        is_function = callable(value) and not isinstance(value, ufl.core.expr.Expr)
+        self.components = self._on_mesh(self._of_function() if is_function else self._read(value))
+        self.varies = is_function or any(isinstance(c, ufl.core.expr.Expr) for c in self.components.flat)
+        self.shape = self.components.shape
 
-    def _integral(self, p: Term, q: Any) -> Expr:
-        side = q("+") if p.measure.integral_type() == "interior_facet" else q
-        given = p.given if self._moment is None else self._moment.of(p.given)
-        return ufl.inner(given, side) * p.measure
+    # ---------------------------------------------------------------- reading
+    def _called(self, x: Any, t: Any) -> Any:
+        return self.value(x) if self._of_place else self.value(x, t)
 
-    def at(self, t: float) -> list[tuple[Term, Array]]:
-        """Terms whose given strain varies in place or time, and its integrals over this rank's cells or facets."""
-        if self._moment is not None:
-            self._moment.set(t)
-        return [(p, np.asarray(fem.assemble_vector(form).array)) for p, form in self._forms]
+    def _of_function(self) -> npt.NDArray[Any]:
+        """The components that a function gives; it must give the same for plain numbers."""
+        try:
+            content = self._called(self.at.x, self.at.t)
+        except Exception as error:
+            if self._of_place:
+                return self._read(self._interpolated())
+            raise self._no_function(f"{type(error).__name__}: {error}") from error
+        components = self._read(content)
+        plain = isinstance(self.at.x, ufl.SpatialCoordinate)
+        self._compare(components if plain else self._read(self._called(ufl.SpatialCoordinate(self.at.mesh), self.at.t)))
+        return components
+
+    def _interpolated(self) -> fem.Function:
+        """A numpy function of places (d, n), interpolated. Collective."""
+        f = fem.Function(fem.functionspace(self.at.mesh, ("DG", DEGREE)))
+        x = places_in_cells(f.function_space, self.at.x).reshape(-1, self.at.mesh.geometry.dim)
+        try:
+            values = np.asarray(self.value(x.T), float)
+        except Exception as error:
+            raise ModelError(f"{self.what} is no function of x, in UFL or numpy: {error}") from error
+        if values.shape not in ((), (len(x),)):
+            raise ModelError(f"{self.what} gives an array of shape {values.shape}; for x (d, n) it needs (n,)")
+        f.x.array[np.asarray(f.function_space.dofmap.list).ravel()] = values
+        return f
+
+    @property
+    def _kind(self) -> str:
+        return "function x" if self._of_place else "function (x, t)"
+
+    def _no_function(self, why: str) -> ModelError:
+        return ModelError(f"{self.what} is no {self._kind} of UFL coordinates: {why}; {HINT}")
+
+    def _refusal(self, content: Any, more: str = "") -> ModelError:
+        need = " or ".join(map(_in_words, self._shapes))
+        if callable(self.value):
+            return ModelError(f"{self.what} gives {content!s:.90}; it needs {need}{more}")
+        return ModelError(f"{self.what} is {self.value!r:.90}; it needs {need}, or a {self._kind} that gives that")
+
+    def _read(self, content: Any) -> npt.NDArray[Any]:
+        """The components of numbers and UFL expressions."""
+        try:
+            shape = _shape_of(content)
+        except Exception:  # whatever a user gives
+            shape = (-1,)
+        if shape not in self._shapes:
+            raise self._refusal(content)
+        components = np.empty(shape, object)
+        for index in np.ndindex(*shape):
+            component = content
+            for i in index:
+                component = component[i]
+            components[index] = self._component(component)
+        return components
+
+    def _component(self, component: Any) -> Any:
+        """A finite number, or a UFL scalar."""
+        if isinstance(component, np.ndarray):
+            component = component[()]
+        if is_number(component) and math.isfinite(component):
+            return float(component)
+        scalar = isinstance(component, ufl.core.expr.Expr) and component.ufl_shape == ()
+        if not scalar or isinstance(component, Condition) or not has_finite_numbers(component):
+            raise self._refusal(component, f", of finite real numbers; {HINT}")
+        return component
+
+    def _on_mesh(self, components: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """The same with functions on other meshes replaced by functions on this one. Collective if there are any."""
+        fields = {f for c in components.flat for f in _fields(c) if isinstance(f, fem.Function)}
+        others = sorted((f for f in fields if f.function_space.mesh is not self.at.mesh), key=lambda f: f.count())
+        here = {f: sampled(f, self.at.mesh, self.at.x, self.what) for f in others}
+        for index in np.ndindex(*components.shape) if here else ():
+            if isinstance(components[index], ufl.core.expr.Expr):
+                components[index] = ufl.replace(components[index], here)
+        return components
+
+    def _compare(self, components: npt.NDArray[Any]) -> None:
+        """Raise ModelError if the function says another thing of plain numbers than of symbols."""
+        if any(map(_fields, components.flat)):
+            return
+        for place, t in [*((x, TIMES[0]) for x in self.at.places), *((self.at.places[0], t) for t in TIMES[1:])]:
+            try:
+                plain = self._read(self._called(ufl.as_vector([*map(float, place)]), ufl.as_ufl(t)))
+            except Exception:  # a function of symbols alone, such as ufl.grad
+                continue
+            a, b = (np.array([evaluated(c, t, place) for c in some.flat]) for some in (components, plain))
+            if a.shape == b.shape and np.isfinite([a, b]).all() and np.abs(a - b).max() > SAME * np.abs([a, b]).max():
+                raise self._no_function(
+                    f"at {at_place(place)}, t = {t:g} it gives {a.tolist()} for symbols and {b.tolist()} for numbers, as "
+                    "functions with ==, != and `in` do"
+                )
+
+    # ---------------------------------------------------------------- what it is
+    @cached_property
+    def expression(self) -> Expr:
+        """The value in UFL, (*shape). Numbers are constants: forms are compiled once for all of them."""
+        if not self.varies:
+            return fem.Constant(self.at.mesh, self.components.astype(float))
+        return ufl.as_tensor(self.components.tolist()) if self.shape else ufl.as_ufl(self.components[()])
+
+    def in_cells(self) -> fem.Function:
+        """A number at places, interpolated in each cell with degree 2. Collective."""
+        f = fem.Function(fem.functionspace(self.at.mesh, ("DG", DEGREE)))
+        on_mesh = self.expression + fem.Constant(self.at.mesh, 0.0)
+        f.interpolate(fem.Expression(on_mesh, interpolation_points(f.function_space)))
+        return f
+
+    @cached_property
+    def breaks(self) -> set[float]:
+        """Times at which its slope changes."""
+        components = [c for c in self.components.flat if isinstance(c, ufl.core.expr.Expr)]
+        return set[float]().union(*(one.breaks for c in components for one in readings(c)))
+
+    def once(self, thing: str) -> Given:
+        """Itself; raises ModelError if it depends on the place, as what is given once for a whole thing must not."""
+        for c in self.components.flat:
+            nodes = unique_pre_traversal(c) if isinstance(c, ufl.core.expr.Expr) else ()
+            if any(isinstance(node, ufl.SpatialCoordinate | ufl.Coefficient) for node in nodes):
+                raise ModelError(f"{self.what} depends on the place x; it is one for {thing}")
+        return self
+
+    def at_time(self, t: float) -> Array:
+        """Its numbers (*shape) at a time, of a value that does not depend on the place.
+
+        Raises:
+            ModelError: they are not finite.
+        """
+        numbers = np.array([evaluated(c, t) for c in self.components.flat]).reshape(self.shape)
+        if not np.isfinite(numbers).all():
+            raise ModelError(f"{self.what} is not finite at t = {t:g}: {numbers.tolist()}")
+        return numbers
 
 
-def _varies(given: Expr) -> bool:
-    """Whether an expression has other terminals than numbers, which are checked where they are given."""
-    fixed = (fem.Constant, ufl.constantvalue.ConstantValue, ufl.core.multiindex.MultiIndex)
-    nodes = [node for node in unique_pre_traversal(given) if isinstance(node, Terminal)]
-    return not all(isinstance(node, fixed) for node in nodes)
+@dataclass(frozen=True)
+class Pressure:
+    """A traction -p n along the inner normal of facets, on any inclined or curved boundary.
+
+    Attributes:
+        p: stress, > 0 where it presses; a number or a function (x, t).
+    """
+
+    p: Value
+
+
+# ---------------------------------------------------------------- content
+def _in_words(shape: Shape) -> str:
+    return f"{' x '.join(map(str, shape))} finite components" if shape else "a finite number"
+
+
+def _shape_of(content: Any) -> Shape:
+    """The shape of nested sequences of numbers and UFL expressions."""
+    if isinstance(content, ufl.core.expr.Expr):
+        return tuple(content.ufl_shape)
+    if isinstance(content, np.ndarray):
+        return content.shape
+    if not isinstance(content, (list, tuple)):
+        return ()
+    inner = {_shape_of(one) for one in content}
+    return (len(content), *inner.pop()) if len(inner) == 1 else (len(content), -1)
+
+
+def has_finite_numbers(expression: Expr) -> bool:
+    """Whether all numbers in a UFL expression are finite and real, so that it can be compiled."""
+    for node in unique_pre_traversal(expression):
+        if isinstance(node, ComplexValue) or (isinstance(node, RealValue) and not math.isfinite(float(node))):
+            return False
+    return True
+
+
+def _fields(component: Any) -> list[Any]:
+    return extract_coefficients(component) if isinstance(component, ufl.core.expr.Expr) else []
+
+
+def evaluated(component: Any, t: float, place: Sequence[float] = ()) -> float:
+    """A number or a UFL scalar at a time and a place; NaN where it has no value."""
+    if not isinstance(component, ufl.core.expr.Expr):
+        return float(component)
+    values = {c: c.at(t) if isinstance(c, Reading) else c.value for c in extract_constants(component)}
+    try:
+        return float(component(tuple(map(float, place)), values))
+    except (ArithmeticError, ValueError, TypeError):
+        return math.nan

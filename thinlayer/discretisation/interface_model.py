@@ -26,10 +26,10 @@ from thinlayer.discretisation.axis import require_revolution
 from thinlayer.discretisation.forces import Forces, Weighted
 from thinlayer.discretisation.free_ends import SeamEnds
 from thinlayer.discretisation.free_rim import require_unloaded_sides
+from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.joint_fields import cellwise, relative_thickness
 from thinlayer.discretisation.layer import Layers, ThinLayer, for_terms, real_law
 from thinlayer.discretisation.layered_model import LayeredModel
-from thinlayer.discretisation.loads import Coordinates
 from thinlayer.discretisation.pairs import Pairs
 from thinlayer.discretisation.placed import known_at
 from thinlayer.discretisation.point_forms import ConcentratedForms

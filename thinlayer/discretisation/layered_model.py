@@ -6,8 +6,8 @@ from abc import abstractmethod
 from functools import partial
 from typing import Self
 
+from thinlayer.discretisation.given import Load
 from thinlayer.discretisation.layer import Layers
-from thinlayer.discretisation.loads import Load
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import loads_of_layers
 from thinlayer.discretisation.setup import Setup

@@ -8,10 +8,16 @@ import dolfinx.fem.petsc
 import numpy as np
 import numpy.typing as npt
 import ufl
+from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
+from ufl.core.multiindex import MultiIndex
+from ufl.core.terminal import Terminal
+from ufl.corealg.traversal import unique_pre_traversal
 
-from thinlayer.discretisation.given import GivenInTime
+from forms.kinematics import Expr
+from forms.work import Term
+from thinlayer.discretisation.clock import readings
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
@@ -27,10 +33,11 @@ class LoadHistory:
 
     def __init__(self, model: Model) -> None:
         self.model, self.comm = model, model.comm
-        self._moment = model.forces.at.moment(0.0)
-        self._work = compiled(model.forces.work(ufl.TestFunction(model.V), self._moment))
+        self._clock = model.coordinates.clock
+        self._work = compiled(model.forces.work(ufl.TestFunction(model.V)))
         self._constraints = model.constraints
-        self._strains = GivenInTime(model.domain.mesh, model.terms)
+        varying = [(p, p.given) for p in model.terms if p.given is not None and _varies(p.given)]
+        self._strains = [(p, _integrals(p, given, model)) for p, given in varying]
 
     @property
     def held(self) -> npt.NDArray[np.int32]:
@@ -43,8 +50,8 @@ class LoadHistory:
         Raises:
             ModelError: loads that are not finite, or that nothing balances in a periodic joint.
         """
-        self._moment.set(t)
-        b = dolfinx.fem.petsc.assemble_vector(self._work)
+        with self._clock.at(t):
+            b = dolfinx.fem.petsc.assemble_vector(self._work)
         b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         if not np.isfinite(b.norm()):
             names = self.model.forces.not_finite(t)
@@ -92,12 +99,13 @@ class LoadHistory:
         """
         if self.model.strain:
             self.model.strain.at(t)
-        found = self._strains.at(t)
-        for p, values in found:
+        with self._clock.at(t):
+            integrals = [np.asarray(fem.assemble_vector(form).array) for _, form in self._strains]
+        for (p, _), values in zip(self._strains, integrals, strict=True):
             if self.comm.allreduce(int(not np.isfinite(values).all())):
                 what = "layer" if p.n is not None else "bodies"
                 raise ModelError(f"the eigenstrain of the {p.key or what} is not finite at t = {t:g}")
-        return [values for _, values in found]
+        return integrals
 
 
 def linear_in_time(given_at: Callable[[float], list[Array]], start: float, end: float, comm: MPI.Intracomm) -> bool:
@@ -111,3 +119,17 @@ def linear_in_time(given_at: Callable[[float], list[Array]], start: float, end: 
             if comm.allreduce(float(apart), max) > LINEARITY * comm.allreduce(float(size), max):
                 return False
     return True
+
+
+def _integrals(p: Term, given: Expr, model: Model) -> fem.Form:
+    """The integrals of a given strain over cells or facets."""
+    q = ufl.TestFunction(fem.functionspace(model.domain.mesh, ("DG", 0, (3, 3))))
+    return fem.form(ufl.inner(given, q("+") if p.measure.integral_type() == "interior_facet" else q) * p.measure)
+
+
+def _varies(given: Expr) -> bool:
+    """Whether an expression has other terminals than numbers, which are checked where they are given."""
+    nodes = [node for node in unique_pre_traversal(given) if isinstance(node, Terminal)]
+    return bool(readings(given)) or not all(
+        isinstance(node, (fem.Constant, ufl.constantvalue.ConstantValue, MultiIndex)) for node in nodes
+    )

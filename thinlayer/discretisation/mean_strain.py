@@ -8,13 +8,11 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
-from ufl.corealg.traversal import unique_pre_traversal
 
 from forms.kinematics import Expr, lift
 from forms.work import Term
 from geometry.joint import Joint
-from thinlayer.discretisation.loads import Coordinates, called
+from thinlayer.discretisation.given import Coordinates
 from thinlayer.errors import ModelError
 
 MEAN_STRAIN = "mean strain"  # key of the mean strain under a mean stress, in the fields of states
@@ -43,36 +41,15 @@ class MeanStrain:
     def __init__(self, given: Strain, at: Coordinates, joint: Joint) -> None:
         if joint.periods is None:
             raise ModelError(f"{self.what} is for a periodic cell, and this joint is none; see geometry.periodic")
-        self.given, self._coordinates, self._dim = given, at, joint.dim
+        self._dim, d = joint.dim, joint.dim
+        self._given = at.given(given, self.what, (d, d)).once("the whole cell")
         self.size = float(np.ptp(joint.points, axis=0).max())
-        if callable(given):
-            found = self._components(at.t)
-            for node in (node for row in found for c in row for node in unique_pre_traversal(ufl.as_ufl(c))):
-                if isinstance(node, ufl.SpatialCoordinate):
-                    raise ModelError(f"{self.what} depends on the place x; it is one for the whole cell")
-        else:
+        if not self._given.varies:
             self.at(0.0)
-
-    def _components(self, t: Any) -> Any:
-        """Rows of the strain at a time, a number or the symbol."""
-        found = called(self.given, self._coordinates, self.what, t) if callable(self.given) else self.given
-        d = self._dim
-        try:
-            whole = len(found) == d and all(len(row) == d for row in found)
-        except TypeError:
-            whole = False
-        if not whole:
-            raise ModelError(f"{self.what} is {found!r}; it needs {d} x {d} components, ((xx, xy), (xy, yy))")
-        return found
 
     def at(self, t: float) -> Array:
         """The strain (d, d) at a time; raises ModelError if it is not finite or not symmetric."""
-        try:
-            strain = np.array([[float(c) for c in row] for row in self._components(t)])
-        except (TypeError, ValueError, ArithmeticError) as error:
-            raise ModelError(f"{self.what} at t = {t:g} is no table of numbers: {error}") from error
-        if not np.isfinite(strain).all():
-            raise ModelError(f"{self.what} is not finite at t = {t:g}: {strain.tolist()}")
+        strain = self._given.at_time(t)
         if np.abs(strain - strain.T).max() > SYMMETRY * np.abs(strain).max():
             raise ModelError(f"{self.what} is not symmetric at t = {t:g}: {strain.tolist()}")
         return strain
@@ -80,10 +57,7 @@ class MeanStrain:
     @property
     def expression(self) -> Expr:
         """The strain (3, 3) as an expression of the time."""
-        if not callable(self.given):
-            return lift(fem.Constant(self._coordinates.mesh, self.at(0.0)))
-        d, rows = self._dim, self._components(self._coordinates.t)
-        return lift(ufl.as_tensor([[ufl.as_ufl(rows[i][j]) for j in range(d)] for i in range(d)]))
+        return lift(self._given.expression)
 
 
 class MeanStress(MeanStrain):

@@ -14,7 +14,8 @@ from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 
 from forms.kinematics import Expr
-from thinlayer.discretisation.loads import has_finite_numbers
+from thinlayer.discretisation.clock import readings
+from thinlayer.discretisation.given import has_finite_numbers
 from thinlayer.errors import ModelError
 
 SHORT = {"cell": "dx", "exterior_facet": "ds", "interior_facet": "dS"}
@@ -43,7 +44,7 @@ def whole(form: Any, model: Any, what: str = "a form") -> ufl.Form:
     """
     if not isinstance(form, ufl.Form):
         raise ModelError(f"{what} is {form!r:.80}; it must be a UFL form, such as f * model.dx")
-    if model.coordinates.t in form.constants():
+    if readings(form):
         raise ModelError(f"{what} depends on the time; only loads and supports may")
     constants = [constant.value for constant in form.constants()]
     real = all(np.isrealobj(value) and np.isfinite(value).all() for value in constants)

@@ -23,14 +23,13 @@ from geometry.joint import Joint
 from geometry.splitting import Splitting
 from geometry.topology import FloatArray, is_tensor
 from thinlayer.discretisation.addition import check_additions
+from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.constraints import Constraints, Followers
-from thinlayer.discretisation.eigenstrains import given_strain
+from thinlayer.discretisation.eigenstrains import Matter, given_strain
 from thinlayer.discretisation.family import Family
 from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
-from thinlayer.discretisation.given import added, at_time
+from thinlayer.discretisation.given import Coordinates, Load, Pressure
 from thinlayer.discretisation.layer import BODIES, BODY, constants, layers_of
-from thinlayer.discretisation.loads import Coordinates, Load, Pressure
-from thinlayer.discretisation.matter import Matter
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.origin import origin_of
@@ -81,7 +80,7 @@ class Model(ABC):
         parts: additions to the balance of forces beside bodies, layer and loads.
         origin: numbers, places and columns in the joint, for compiled laws.
         kinematics: strains of displacements on the mesh, and the factor of all measures.
-        coordinates: place and time as arguments of given strains; loads and supports have their own.
+        coordinates: place and time as arguments of what is given, and the clock.
         centre: (d,) mean place of the mesh's points; of bodies of revolution on the axis.
         broken: whether displacements jump across S.
         followers: displacements that follow others; None: none does.
@@ -120,7 +119,7 @@ class Model(ABC):
         with on_all(self.comm):
             self.strain, self.stress = self._mean_loads()
         if self.strain:
-            self.bodies = added(self.bodies, self.strain.expression)
+            self.bodies = forms.added(self.bodies, self.strain.expression)
             self.layer_terms = self._strained(self.layer_terms)
         self.parts = structure.parts
         with on_all(self.comm):
@@ -185,11 +184,11 @@ class Model(ABC):
         return [placed(term, self.V, self.origin) for term in self._layer_terms()]
 
     def _supports(self, given: Given) -> Supports:
-        return Supports(self.domain, given, Coordinates.of(self.domain), self._clamped, self.kinematics)
+        return Supports(self.domain, given, self.coordinates.apart, self._clamped, self.kinematics)
 
     # ---------------------------------------------------------------- differences between kinds of models
     def _forces(self, structure: Setup) -> Forces:
-        at = Coordinates.of(self.domain)  # of these loads alone, whose break times are not those of others
+        at = self.coordinates.apart
 
         def forms() -> ConcentratedForms:
             return ConcentratedForms(self.domain, self.joint, structure.degree, at)
@@ -352,7 +351,7 @@ class Model(ABC):
 
     def _strained(self, terms: list[forms.Term]) -> list[forms.Term]:
         """The terms of layers, of meshed ones with the mean strain of a periodic cell."""
-        return added(terms, self.strain.expression) if self.strain and not self.broken else terms
+        return forms.added(terms, self.strain.expression) if self.strain and not self.broken else terms
 
     @property
     def solids(self) -> list[forms.Term]:
@@ -366,7 +365,7 @@ class Model(ABC):
 
     def terms_at(self, t: float) -> list[forms.Term]:
         """All terms of the model, with the strains that are given at a time, such as minus the eigenstrain."""
-        return at_time(self.terms, t)
+        return Hand(t).terms(self.terms)
 
     @property
     def contacts(self) -> dict[str, ContactLaw]:
@@ -432,16 +431,16 @@ class Model(ABC):
     @property
     def break_times(self) -> set[float]:
         """The break times of all loads, supports and temperatures of the model."""
-        clocks = (self.coordinates.t, self.forces.at.t, self.supports.at.t)
-        return set().union(*(clock.breaks for clock in clocks), *(p.law.break_times for p in self.terms))
+        given = (self.coordinates, self.forces.at, self.supports.at)
+        return set().union(*(at.breaks for at in given), *(p.law.break_times for p in self.terms))
 
     def external_work(self, v: Expr, t: float) -> Expr:
         """Virtual work of the loads at a fixed time, a UFL form linear in v."""
-        return self.forces.work(v, self.forces.at.moment(t))
+        return Hand(t).of(self.forces.work(v))
 
     def work_on_bases(self, v: Expr, t: float) -> dict[str, Expr]:
         """Likewise of the loads that go to rigid bases by themselves, for motions v of these bases, by seam."""
-        return self.forces.work_on_bases(v, self.forces.at.moment(t))
+        return {name: Hand(t).of(work) for name, work in self.forces.work_on_bases(v).items()}
 
     @staticmethod
     def form(form: Expr) -> fem.Form:

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from geometry.domain import Domain
 from geometry.inflating.parting import points_on_middle, to_middle
 from geometry.joint import Joint
+from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.joint_fields import cellwise
-from thinlayer.discretisation.loads import Coordinates
 from thinlayer.pointwise.quadrature import Origin
 
 Array = npt.NDArray[np.float64]

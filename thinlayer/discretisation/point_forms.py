@@ -14,8 +14,8 @@ from dolfinx import fem
 from forms.kinematics import Expr
 from geometry.domain import Domain
 from geometry.joint import Joint
+from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.joint_fields import cellwise
-from thinlayer.discretisation.loads import Coordinates, vector
 from thinlayer.discretisation.point_loads import Concentrated, Nodes
 
 Array = npt.NDArray[np.float64]
@@ -50,19 +50,20 @@ class ConcentratedForms:
         """Pairs of a load per volume (d,) and a measure. Collective."""
         nodes, d = load.nodes(self.joint), self.joint.dim
         places, lengths = self._in_space(nodes)
-        if not callable(load.force):
+        given = self.at.given(load.force, load.what, (d,))
+        if not given.varies:
             factor = self._densities(nodes, lengths)
-            return [(vector(load.force, self.at, d, load.what) * self._function(factor) / self._jacobian, self._dx)]
+            return [(given.expression * self._function(factor) / self._jacobian, self._dx)]
         found = []
         for some in _rounds(nodes.cells):
             for k in range(nodes.points.shape[1]):
                 one = Nodes(nodes.cells[some], nodes.points[some, k : k + 1])
                 x = np.zeros((len(self.domain.joint.cells), 1, d))
                 x[one.cells] = places[some, k : k + 1]
-                at = Coordinates(self.at.mesh, cellwise(self.domain, ("DG", 0, (d,)), x), self.at.t)
+                at = self.at.moved(cellwise(self.domain, ("DG", 0, (d,)), x))
                 factor = self._densities(one, lengths[some, k : k + 1])
-                given = vector(load.force, at, d, load.what)
-                found.append((given * self._function(factor) / self._jacobian, self._dx))
+                force = at.given(load.force, load.what, (d,)).expression
+                found.append((force * self._function(factor) / self._jacobian, self._dx))
         return found
 
     def at_nodes(self, nodes: Nodes, weights: Array, split: bool) -> list[tuple[Coordinates, Expr, ufl.Measure]]:
@@ -83,11 +84,7 @@ class ConcentratedForms:
             g = cellwise(self.domain, element, self._densities(one, weights[some, column])) / self._jacobian
             places = np.zeros((len(self.domain.joint.cells), 1, d))
             places[one.cells] = x[some, column][:, :1]
-            at = (
-                Coordinates(self.at.mesh, cellwise(self.domain, ("DG", 0, (d,)), places), self.at.t)
-                if split
-                else self.at
-            )
+            at = self.at.moved(cellwise(self.domain, ("DG", 0, (d,)), places)) if split else self.at
             found.append((at, g, self._dx))
         return found
 

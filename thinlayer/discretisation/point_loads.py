@@ -14,7 +14,8 @@ import numpy.typing as npt
 from geometry.errors import place as at_place
 from geometry.errors import unknown
 from geometry.joint import Joint
-from thinlayer.discretisation.loads import Load, refuse_periodic
+from thinlayer.discretisation.axis import refuse_periodic
+from thinlayer.discretisation.given import Load
 from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]

@@ -54,7 +54,6 @@ class Prescribed:
 
     def __init__(self, supports: Supports, V: fem.FunctionSpace) -> None:
         self.supports, self.V, self.comm = supports, V, supports.domain.comm
-        self._moment = supports.at.moment(0.0)
         self.d = V.dofmap.bs
         self.size = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
         self.extent = float(np.ptp(supports.domain.joint.points, axis=0).max())
@@ -72,7 +71,7 @@ class Prescribed:
         value, expression = fem.Function(self.V), self.supports.functions.get((entry, axis))
         if expression is not None:
             points = interpolation_points(self.V)
-            return _Source(entry, place, axis, value, fem.Expression(self._moment.of(expression), points))
+            return _Source(entry, place, axis, value, fem.Expression(expression, points))
         if given:
             value.interpolate(lambda x: np.full((self.d, x.shape[1]), float(given)))  # type: ignore[arg-type]
         return _Source(entry, place, axis, value, None)
@@ -151,17 +150,16 @@ class Prescribed:
         """(k,) whether the value of a condition is a function."""
         return np.array([*(one.expression is not None for one in self._sources), False])[self._source_of]
 
-    def values(self, t: float | None) -> Array:
-        """Values (k,) of the conditions at a time, possibly not finite; None: those that are numbers. Collective."""
-        if t is not None:
-            self._moment.set(t)
+    def values(self, t: float) -> Array:
+        """Values (k,) of the conditions at a time, possibly not finite. Collective."""
         values = np.zeros(len(self.entry))
-        for number, one in enumerate(self._sources):
-            if one.expression is not None and t is not None:
-                one.value.interpolate(one.expression)
-                one.value.x.scatter_forward()
-            rows = self._source_of == number
-            values[rows] = one.value.x.array[self._dof[rows]]
+        with self.supports.at.clock.at(t):
+            for number, one in enumerate(self._sources):
+                if one.expression is not None:
+                    one.value.interpolate(one.expression)
+                    one.value.x.scatter_forward()
+                rows = self._source_of == number
+                values[rows] = one.value.x.array[self._dof[rows]]
         return values
 
     def said(self, row: int, value: float) -> str:

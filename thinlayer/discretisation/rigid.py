@@ -11,8 +11,8 @@ from dolfinx import fem
 
 from forms.planes import LIFTED, Kinematics
 from geometry.joint import Joint
+from thinlayer.discretisation.axis import AXES
 from thinlayer.discretisation.constraints import Constraints
-from thinlayer.discretisation.loads import AXES
 from thinlayer.errors import ModelError
 
 Resistance = Callable[[Sequence[fem.Function]], npt.NDArray[np.float64]]

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-import ufl
 from dolfinx import fem, geometry
-from ufl.algorithms.analysis import extract_coefficients
+from dolfinx.mesh import Mesh
 
 from forms.kinematics import Expr
 from geometry.errors import place
 from thinlayer.compiling.compat import interpolation_points
-from thinlayer.discretisation.loads import Coordinates
 from thinlayer.errors import ModelError
 from thinlayer.parallel.communicator import communicator
 
@@ -19,34 +17,33 @@ Array = npt.NDArray[np.float64]
 INWARDS = 1e-6  # way of a place towards the middle of its cell, so that it is on one side of S, over the distance
 
 
-def on_mesh(given: Expr, at: Coordinates, what: str) -> Expr:
-    """An expression in which functions on other meshes are replaced by functions on this one. Collective.
+def sampled(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Function:
+    """A function on another mesh as one on this mesh, with the other's values at places x (d,) of UFL. Collective.
 
-    Each has the values of the other at the places of the joint, to 1e-6 of its changes in a cell.
+    It is right to 1e-6 of its changes in a cell.
 
     Raises:
-        ModelError: a function is not known at a place.
+        ModelError: it is not known at a place; `what` are the first words.
     """
-    found = [f for f in extract_coefficients(given) if isinstance(f, fem.Function)]
-    others = [f for f in found if f.function_space.mesh is not at.mesh]
-    return ufl.replace(given, {f: _sampled(f, at, what) for f in others}) if others else given
-
-
-def _sampled(f: fem.Function, at: Coordinates, what: str) -> fem.Function:
-    mesh, d = at.mesh, at.mesh.geometry.dim
-    V = fem.functionspace(mesh, ("DG", min(2, f.function_space.element.basix_element.degree)))
-    sampled, cells = fem.Function(V), np.arange(len(V.dofmap.list), dtype=np.int32)
-    points = fem.Expression(at.x + fem.Constant(mesh, np.zeros(d)), interpolation_points(V))
-    x = points.eval(mesh, cells).reshape(len(cells), -1, d)
-    x = x + INWARDS * (x.mean(axis=1, keepdims=True) - x)
-    values = _values(f, x.reshape(-1, d))
-    missing = communicator(mesh).allgather(x.reshape(-1, d)[np.isnan(values)][:1])
+    here = fem.Function(fem.functionspace(mesh, ("DG", min(2, f.function_space.element.basix_element.degree))))
+    places = places_in_cells(here.function_space, x)
+    places = (places + INWARDS * (places.mean(axis=1, keepdims=True) - places)).reshape(-1, mesh.geometry.dim)
+    values = _values(f, places)
+    missing = communicator(mesh).allgather(places[np.isnan(values)][:1])
     if any(map(len, missing)):
         raise ModelError(
             f"{what}: a function is not known at {place(np.concatenate(missing)[0])}; its mesh must cover all"
         )
-    sampled.x.array[np.asarray(V.dofmap.list).ravel()] = values
-    return sampled
+    here.x.array[np.asarray(here.function_space.dofmap.list).ravel()] = values
+    return here
+
+
+def places_in_cells(V: fem.FunctionSpace, x: Expr) -> Array:
+    """(cells, n, d) what places x (d,) of UFL are at the points of a space in the cells of this rank."""
+    mesh, d = V.mesh, V.mesh.geometry.dim
+    cells = np.arange(len(V.dofmap.list), dtype=np.int32)
+    points = fem.Expression(x + fem.Constant(mesh, np.zeros(d)), interpolation_points(V))
+    return np.asarray(points.eval(mesh, cells).reshape(len(cells), -1, d))
 
 
 def _values(f: fem.Function, x: Array) -> Array:
@@ -57,10 +54,10 @@ def _values(f: fem.Function, x: Array) -> Array:
     places = np.concatenate(every)
     tree = geometry.bb_tree(mesh, mesh.topology.dim)
     cells = geometry.compute_colliding_cells(mesh, geometry.compute_collisions_points(tree, places), places)
-    first, here = cells.offsets[:-1], np.diff(cells.offsets) > 0
+    first, inside = cells.offsets[:-1], np.diff(cells.offsets) > 0
     values = np.full(len(places), np.nan)
-    if here.any():
-        values[here] = f.eval(places[here], cells.array[first[here]]).reshape(-1)
+    if inside.any():
+        values[inside] = f.eval(places[inside], cells.array[first[inside]]).reshape(-1)
     whole = np.fmax.reduce(comm.allgather(values))
     start = sum(map(len, every[: comm.rank]))
     return np.asarray(whole[start : start + len(x)])

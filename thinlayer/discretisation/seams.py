@@ -22,10 +22,9 @@ from geometry.topology import is_tensor
 from thinlayer.compiling.compat import interior_facet_entities
 from thinlayer.discretisation.at_rest import AtRest
 from thinlayer.discretisation.axis import is_across
-from thinlayer.discretisation.eigenstrains import given_strain
+from thinlayer.discretisation.eigenstrains import Matter, given_strain
+from thinlayer.discretisation.given import Coordinates, Load
 from thinlayer.discretisation.layer import CONTACT, LAYER, PRESSURE, LawOnS, Layer, ThinLayer, real_law
-from thinlayer.discretisation.loads import Coordinates, Load
-from thinlayer.discretisation.matter import Matter
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described

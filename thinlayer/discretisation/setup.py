@@ -21,7 +21,7 @@ from thinlayer.discretisation.addition import Addition
 from thinlayer.discretisation.axis import require_revolution
 from thinlayer.discretisation.eigenstrains import Given as Eigenstrain
 from thinlayer.discretisation.forces import BodyForce
-from thinlayer.discretisation.loads import Load, Pressure
+from thinlayer.discretisation.given import Load, Pressure
 from thinlayer.discretisation.mean_strain import Strain
 from thinlayer.discretisation.point_loads import Concentrated, check_loads
 from thinlayer.discretisation.supports import Given

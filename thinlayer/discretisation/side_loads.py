@@ -38,9 +38,9 @@ from geometry.topology import FloatArray, IntArray, ridge_keys
 from thinlayer.discretisation.forces import Forces, Weighted
 from thinlayer.discretisation.free_ends import SeamEnds
 from thinlayer.discretisation.free_rim import loose_rim
+from thinlayer.discretisation.given import Coordinates, Load, Pressure
 from thinlayer.discretisation.joint_fields import cellwise
 from thinlayer.discretisation.layer import real_law
-from thinlayer.discretisation.loads import Coordinates, Load, Pressure, vector
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.point_forms import ConcentratedForms
 from thinlayer.discretisation.point_loads import Nodes
@@ -95,8 +95,8 @@ class SideLoad:
     def traction(self, at: Coordinates, m: Expr) -> Expr:
         """UFL vector (d,) at places of a side of the outward normal m."""
         if isinstance(self.load, Pressure):
-            return -self.load.value(at, self.what) * m
-        return vector(self.load, at, len(m), self.what)
+            return -at.given(self.load.p, self.what, ()).expression * m
+        return at.given(self.load, self.what, (len(m),)).expression
 
     def weights(self, areas: FloatArray) -> FloatArray:
         """Weights (..., c) for `at_points` of parts of a side, given by area times outward normal, (..., d)."""
@@ -105,8 +105,8 @@ class SideLoad:
     def at_points(self, at: Coordinates, g: Expr) -> tuple[Expr, Callable[[Expr], Expr]]:
         """The load at places with densities g (c,) of `weights`, and what it works in: of displacements v."""
         if isinstance(self.load, Pressure):
-            return self.load.value(at, self.what), lambda v: ufl.dot(g, v)
-        return vector(self.load, at, at.mesh.geometry.dim, self.what), lambda v: g[0] * v
+            return at.given(self.load.p, self.what, ()).expression, lambda v: ufl.dot(g, v)
+        return at.given(self.load, self.what, (at.mesh.geometry.dim,)).expression, lambda v: g[0] * v
 
 
 def add_side_loads(
@@ -159,7 +159,7 @@ def _at_ends(
         shares[upper, 0] = _shares(end, load.rim, one.sheet, model.kinematics, float(one.thin.eps), constants)
         known = sides.upper(cellwise(model.domain, ("DG", 0, (5,)), shares))
         m, offset = fem.Constant(mesh, end.m), fem.Constant(mesh, end.offset)
-        place = replace(at, x=at.x + (offset - ufl.dot(m, at.x)) * m)
+        place = at.moved(at.x + (offset - ufl.dot(m, at.x)) * m)
         yield load.traction(place, m), _handed(known, m, sides, based)
 
 

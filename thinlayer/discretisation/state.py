@@ -13,8 +13,8 @@ import ufl
 from dolfinx import fem
 
 from forms.kinematics import Expr, lift
-from forms.work import Term, energy
-from thinlayer.discretisation.given import added, at_time
+from forms.work import Term, added, energy
+from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.layer import BODIES, LAYER, PRESSURE
 from thinlayer.discretisation.mean_strain import MEAN_STRAIN, PAIRS
 from thinlayer.discretisation.measures import compiled, compiled_scalars, whole
@@ -235,14 +235,14 @@ class State(Configuration):
     def bodies(self) -> list[Term]:
         """The terms of the bodies' laws, with the strains that are given or found beside those of u. Collective."""
         model = self.model
-        terms = at_time(model.bodies, self.t)
+        terms = Hand(self.t).terms(model.bodies)
         return added(terms, lift(fem.Constant(model.domain.mesh, self.mean_strain()))) if model.stress else terms
 
     @property
     def layers(self) -> list[Term]:
         """The terms of the layers' laws, with the strains that are given beside those of u."""
         model = self.model
-        terms = at_time(model.layer_terms, self.t)
+        terms = Hand(self.t).terms(model.layer_terms)
         found = model.stress and not model.broken
         return added(terms, lift(fem.Constant(model.domain.mesh, self.mean_strain()))) if found else terms
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,13 +12,12 @@ from dolfinx import fem, la
 from dolfinx.mesh import entities_to_geometry
 
 from forms.base import is_number
-from forms.kinematics import Expr
 from forms.planes import LIFTED, Kinematics
 from geometry.domain import Domain
 from geometry.errors import unknown
 from geometry.seam import LAYER, S
-from thinlayer.discretisation.axis import on_axis
-from thinlayer.discretisation.loads import AXES, Coordinates, Value, called, refuse_periodic, refuse_seam, scalar
+from thinlayer.discretisation.axis import AXES, on_axis, refuse_periodic, refuse_seam
+from thinlayer.discretisation.given import Coordinates, Value
 from thinlayer.errors import ModelError
 
 NORMAL = "n"  # the component along the normal of the boundary
@@ -44,6 +43,7 @@ class Supports:
 
     Attributes:
         functions: (number of the entry, component) -> a function as a UFL vector (d,) of equal entries.
+        moving: places where a component is a function, or a number that is not 0.
         given: (place, components) as given; `entries` has the clamped ones too.
         anchored: components that one vertex of a periodic joint does not move along, because nothing else would prevent
             that translation; no force acts there.
@@ -80,12 +80,16 @@ class Supports:
                 domain.joint.nearest_point(place)
             entries.append((place, self._components(place, support)))
         self.given = tuple(entries)
-        self.functions = {
-            (number, axis): self._expression(place, value)
+        values = {
+            (number, axis): at.given(value, f"support on {place!r}: component {axis}", ())
             for number, (place, components) in enumerate(entries)
             for axis, value in components.items()
-            if callable(value)
         }
+        on_mesh = fem.Constant(domain.mesh, np.zeros(len(self.axes)))  # a function may give plain numbers
+        self.functions = {
+            key: ufl.as_vector([one.expression] * len(self.axes)) + on_mesh for key, one in values.items() if one.varies
+        }
+        self.moving = [entries[number][0] for (number, _), one in values.items() if one.varies or one.value != 0]
         self.anchored: tuple[str, ...] = ()
         self.on_axis = on_axis(kinematics, domain.joint)
 
@@ -114,19 +118,9 @@ class Supports:
                 raise ModelError(f"support on {place!r}: a vertex has no normal; name a facet set, or give components")
             if axis not in (*self.axes, NORMAL):
                 raise ModelError(f"support on {place!r}: {unknown('component', axis, (*self.axes, NORMAL))}")
-            if not callable(value) and not (is_number(value) and np.isfinite(float(value))):
-                raise ModelError(
-                    f"support on {place!r}: component {axis} is {value!r}; allowed: a finite number or a function (x, t)"
-                    + ", 0 where it is held" * isinstance(value, (bool, np.bool_))
-                )
+            if isinstance(value, (bool, np.bool_)):
+                raise ModelError(f"support on {place!r}: component {axis} is {value!r}; give 0 where it is held")
         return components
-
-    def _expression(self, place: Place, value: Callable[[Expr, Expr], Expr]) -> Expr:
-        what = f"support on {place!r}"
-        found = scalar(called(value, self.at, what), what)
-        d = len(self.axes)
-        on_mesh = fem.Constant(self.domain.mesh, np.zeros(d))  # a function may give plain numbers
-        return ufl.as_vector([found] * d) + on_mesh
 
     def dofs(self, V: fem.FunctionSpace, place: Place, axis: str) -> npt.NDArray[np.int32]:
         """Local degrees of freedom (unrolled, ghosts included) of one component on one place. Collective.

@@ -65,9 +65,8 @@ def _mean_size(surface: Surface, state: State) -> float:
 
 def _moves(model: InterfaceModel) -> bool:
     """Whether a support or a plate has prescribed displacements that are not zero."""
-    given = [value for _, components in model.supports.entries for value in components.values()]
-    given += [value for part in model.parts for value in part.prescribed]
-    return any(callable(value) or value != 0 for value in given)
+    prescribed = [value for part in model.parts for value in part.prescribed]
+    return bool(model.supports.moving) or any(callable(value) or value != 0 for value in prescribed)
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from forms.work import added
+from thinlayer.discretisation.clock import piecewise
 from thinlayer.discretisation.family import Family
 from thinlayer.discretisation.forces import Forces
-from thinlayer.discretisation.given import added
-from thinlayer.discretisation.loads import Coordinates, piecewise
+from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.mean_strain import PAIRS, MeanStrain, Strain
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError, SolveError
@@ -82,8 +83,7 @@ def _check(model: Model) -> None:
         )
     if not model.linear:
         raise ModelError("the model is not linear; homogenised_stiffness needs linear laws and parts")
-    moving = [place for place, given in model.supports.entries if any(callable(c) or c != 0 for c in given.values())]
-    if moving:
+    if moving := model.supports.moving:
         raise ModelError(f"the support on {moving[0]!r} moves; homogenised_stiffness needs supports at rest")
 
 

@@ -17,8 +17,8 @@ from petsc4py import PETSc
 from forms.kinematics import Expr, lift
 from forms.law import explained
 from forms.work import Term
+from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
-from thinlayer.discretisation.given import at_time
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import real_law
 from thinlayer.discretisation.pairs import Pairs
@@ -152,7 +152,7 @@ class JunctionTractions:
     # ---------------------------------------------------------------- what is known beforehand
     def _by_law(self, layer: SeamLayer, u: fem.Function, t: float) -> fem.Function:
         """The law's tractions at the jump and a time, on a layer's seam."""
-        terms, sides = at_time(self.model.terms_of(layer), t), self._sides[layer.name]
+        terms, sides = Hand(t).terms(self.model.terms_of(layer)), self._sides[layer.name]
 
         def stress(term: Term) -> Expr:
             with explained(term.law, "stress"):
@@ -226,7 +226,7 @@ class JunctionTractions:
         held = self._means(lambda sides: sides.upper(free) + sides.lower(free)) < 0.5
         apart = np.abs(self._means(lambda sides: sides.jump(u)))
         together = held & (apart <= NO_JUMP * self.model.comm.allreduce(np.abs(u.x.array).max(initial=0.0), MPI.MAX))
-        moving = any(callable(value) for _, given in state.model.supports.entries for value in given.values())
+        moving = bool(state.model.supports.functions)
         for name in mute if state.model.layers else ():
             along, whole = state.model.layers[name].zero_tractions(moving)
             nodes = (together & self._on(name)).reshape(-1, len(along))

@@ -19,7 +19,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table
 from thinlayer.output.law_points import tensors
-from thinlayer.parts.given_at_points import GivenAtPoints
+from thinlayer.parts.compiled import GivenAtPoints
 from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.pointwise.kernels import memory_slots
 

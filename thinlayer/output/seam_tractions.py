@@ -90,7 +90,7 @@ class SeamTractions:
     @cached_property
     def _zero(self) -> tuple[Mask, bool]:
         """See `SeamLayer.zero_tractions`; of all seams."""
-        moving = any(callable(value) for _, given in self.model.supports.entries for value in given.values())
+        moving = bool(self.model.supports.functions)
         found = [self.model.layers[name].zero_tractions(moving) for name in self._names]
         return np.all([along for along, _ in found], axis=0), all(whole for _, whole in found)
 

@@ -11,8 +11,8 @@ from ufl.classes import Condition, Restricted
 from ufl.domain import extract_domains
 
 from forms.kinematics import Expr
+from thinlayer.discretisation.given import has_finite_numbers
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.errors import ModelError
 
 

@@ -14,8 +14,8 @@ from forms.kinematics import MANDEL
 from forms.law import LawError
 from forms.symmetry import NOT_SYMMETRIC
 from forms.work import Term
+from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.state import Configuration
-from thinlayer.parts.given_at_points import GivenAtPoints
 from thinlayer.parts.part import Array, Block, FileOrder, Interval, Outcome, Part, PartTraits
 from thinlayer.parts.softening import may_soften
 from thinlayer.parts.time_response import not_linear_at_once, takes_time
@@ -23,6 +23,27 @@ from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.pointwise.quadrature import Origin
 
 ASYMMETRY = 1e-8  # skew part of a tangent, relative to its size, that still counts as rounding
+
+
+class GivenAtPoints:
+    """The given strain of a compiled term at its points, at any time. Collective.
+
+    Args:
+        points: the compiled term.
+    """
+
+    def __init__(self, points: CompiledTerm) -> None:
+        given = points.term.given
+        self._points, self._hand = points, Hand()
+        self._form = None if given is None else points.form_of(self._hand.of(given))
+
+    def __call__(self, t: float) -> Array:
+        """Strains (points, m) at a time."""
+        points = self._points
+        if self._form is None:
+            return np.zeros((points.count, len(points.slots)))
+        self._hand.set(t)
+        return points.values_of(self._form)
 
 
 class CompiledPart(Part):
@@ -83,7 +104,9 @@ class CompiledPart(Part):
 
     def begin(self, interval: Interval) -> None:
         super().begin(interval)
-        old, self._given = self._given_at.before(interval.old), self._given_at(interval.t)
+        # Laws with rate do not answer to sudden strains: what is given at the start has always been there.
+        sudden, self._given = interval.old.at_rest and not self.law.traits.rate, self._given_at(interval.t)
+        old = np.zeros_like(self._given) if sudden else self._given_at(interval.old.t)
         self._growth = self._given - old
         self._e_old = self.points.strain(interval.old.u.x.petsc_vec) + old
         self._memory = interval.old.memory[self.key]

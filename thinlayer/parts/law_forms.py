@@ -21,7 +21,7 @@ from forms.law import LawError, Step
 from forms.symmetry import require_declared_stress, require_symmetric_tangent
 from forms.trace import named, stress_key
 from forms.work import Term, energy, stress, work
-from thinlayer.discretisation.given import OverStep
+from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.measures import compiled
 from thinlayer.parts.forms import FormPart, matrix
 from thinlayer.parts.part import Interval, PartTraits

@@ -16,7 +16,7 @@ from forms.kinematics import lift
 from forms.law import Step
 from forms.work import Term
 from thinlayer.discretisation.broken import Keys, broken_space
-from thinlayer.discretisation.given import OverStep
+from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.mean_strain import MEAN_STRAIN, MeanStress, of_components
 from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
 

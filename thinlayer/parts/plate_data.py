@@ -7,15 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import ufl
-from ufl.corealg.traversal import unique_pre_traversal
 
-from forms.base import is_number
 from forms.kinematics import Expr
-from forms.temperature import real
 from geometry.errors import unknown
 from thinlayer.discretisation.addition import Host
-from thinlayer.discretisation.loads import AXES, Coordinates, called, refuse_periodic, refuse_seam, require_facets
+from thinlayer.discretisation.axis import AXES, refuse_periodic, refuse_seam, require_facets
+from thinlayer.discretisation.given import Given
 from thinlayer.discretisation.reactions import Array, balanced_motions, centroid, count, on_centre, require_point
 from thinlayer.errors import ModelError
 
@@ -71,47 +68,32 @@ class PlateData:
                 )
         if self.about is not None:
             require_point(self.about, d)
-        for given, _ in self._given(d):
-            if callable(given):
-                self._once(given, model.coordinates)
-        if not any(callable(given) for given, _ in self._given(d)):
+        values = [*self._resultants(model).values(), *self._motions(model).values()]
+        if not any(value.varies for value in values):
             self.resultants(model, 0.0)
-            self.motions(model, 0.0)
 
-    def _given(self, d: int) -> list[tuple[Any, tuple[int, ...]]]:
-        """All data with the shapes of their values."""
-        found: list[tuple[Any, tuple[int, ...]]] = [(self.force, (d,)), (self.moment, () if d == 2 else (3,))]
-        return [one for one in found if one[0] is not None] + [(value, ()) for value in self.motion.values()]
+    def _resultants(self, model: Host) -> dict[str, Given]:
+        """The force and the moment, those that are given."""
+        shapes: dict[str, tuple[int, ...]] = {
+            "force": (model.joint.dim,),
+            "moment": () if model.joint.dim == 2 else (3,),
+        }
+        given = {name: getattr(self, name) for name in shapes}
+        return {k: self._value(model, k, value, shapes[k]) for k, value in given.items() if value is not None}
 
-    def _once(self, given: Callable[..., Any], at: Coordinates) -> None:
-        """Call a function with the symbol of the time, whose breaks it tells; it may not depend on the place."""
-        found = called(given, at, self.what)
-        for one in found if isinstance(found, Sequence | np.ndarray) else [found]:
-            for node in unique_pre_traversal(ufl.as_ufl(one)):
-                if isinstance(node, ufl.SpatialCoordinate):
-                    raise ModelError(f"{self.what}: a value depends on the place x; it is one for the whole plate")
+    def _motions(self, model: Host) -> dict[int, Given]:
+        """Number of a motion that is given -> its value."""
+        names = motion_names(model.joint.dim)
+        return {names.index(k): self._value(model, f"motion {k!r}", value, ()) for k, value in self.motion.items()}
 
-    def _value(self, given: Any, shape: tuple[int, ...], at: Coordinates, t: float) -> Array:
-        """A value (shape) at a time."""
-        if not callable(given) and shape == () and not is_number(given):
-            raise ModelError(f"{self.what}: a value is {given!r}; it must be a number or a function (x, t)")
-        found = called(given, at, self.what, t) if callable(given) else given
-        try:
-            value = np.array(found, float) if callable(given) and not np.iscomplexobj(found) else real(found)
-        except (TypeError, ValueError):
-            value = np.array([np.nan])
-        if value.shape != shape or not np.isfinite(value).all():
-            need = f"{shape[0]} finite components" if shape else "a finite number"
-            raise ModelError(f"{self.what}: a value at t = {t:g} is {found!r}; it must be {need}")
-        return value
+    def _value(self, model: Host, name: str, value: Any, shape: tuple[int, ...]) -> Given:
+        """A value that is one for the whole plate."""
+        return model.coordinates.given(value, f"{self.what}: {name}", shape).once("the whole plate")
 
     def motions(self, model: Host, t: float) -> dict[int, float]:
         """Number of a prescribed motion -> its value at a time; a plate of revolution moves along its axis alone."""
-        names, found = motion_names(model.joint.dim), dict.fromkeys(self._prevented(model), 0.0)
-        return found | {
-            names.index(name): float(self._value(value, (), model.coordinates, t))
-            for name, value in self.motion.items()
-        }
+        prevented = dict.fromkeys(self._prevented(model), 0.0)
+        return prevented | {k: float(value.at_time(t)) for k, value in self._motions(model).items()}
 
     @staticmethod
     def _prevented(model: Host) -> list[int]:
@@ -120,12 +102,12 @@ class PlateData:
 
     def resultants(self, model: Host, t: float) -> Array:
         """Force and moment (k,) at a time; raises ModelError if one of them is along a prescribed motion."""
-        d, at = model.joint.dim, model.coordinates
-        out = np.zeros(count(d))
-        if self.force is not None:
-            out[:d] = self._value(self.force, (d,), at, t)
-        if self.moment is not None:
-            out[d:] = self._value(self.moment, () if d == 2 else (3,), at, t)
+        d = model.joint.dim
+        out, given = np.zeros(count(d)), self._resultants(model)
+        if "force" in given:
+            out[:d] = given["force"].at_time(t)
+        if "moment" in given:
+            out[d:] = given["moment"].at_time(t)
         for k in self.motions_held(model):
             if out[k]:
                 raise ModelError(

@@ -16,7 +16,7 @@ from ufl.classes import Zero
 from forms.kinematics import Expr
 from forms.work import Term
 from geometry.topology import IntArray
-from thinlayer.discretisation.given import OverStep
+from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
 from thinlayer.parts.vertices import at_places, identified

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,14 +11,12 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from forms.base import is_number
+from forms.base import is_finite
 from forms.kinematics import Expr
 from geometry.errors import place as at_place
-from thinlayer.compiling.compat import interpolation_points
 from thinlayer.discretisation.addition import Addition, Host
-from thinlayer.discretisation.axis import refuse_axis
-from thinlayer.discretisation.load_curves import symbols
-from thinlayer.discretisation.loads import refuse_seam, require_facets, scalar
+from thinlayer.discretisation.axis import refuse_axis, refuse_seam, require_facets
+from thinlayer.discretisation.given import DEGREE, Given
 from thinlayer.discretisation.reactions import Array, count, rigid_expression, work_in_motions
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
@@ -27,47 +24,6 @@ from thinlayer.parts.forms import FormPart, matrix
 
 Stiffness = float | Callable[[Any], Any]
 ROUNDING = 1e-9  # a negative stiffness that counts as rounding, over the largest one
-DEGREE = 2  # of stiffnesses that are functions in numpy
-
-
-def stiffness(given: Stiffness, model: Host, what: str) -> Expr:
-    """A stiffness as a UFL scalar, or a number."""
-    if not callable(given):
-        return given
-    found = _in_ufl(given, model, what)
-    return interpolated(given, model, what) if found is None else found
-
-
-def _in_ufl(given: Callable[[Any], Any], model: Host, what: str) -> Expr | None:
-    """What a function gives for UFL coordinates; None if it is one of arrays."""
-    try:
-        with symbols():
-            found = given(model.coordinates.x)
-            ufl.as_ufl(found)
-    except Exception:
-        return None
-    return scalar(found, what)
-
-
-def interpolated(given: Callable[[Any], Any], model: Host, what: str) -> fem.Function:
-    """A function of the place, of degree 2 in each cell. Collective."""
-    mesh, d = model.domain.mesh, model.joint.dim
-    V = fem.functionspace(mesh, ("DG", DEGREE))
-    f, found = fem.Function(V), _in_ufl(given, model, what)
-    points = interpolation_points(V)
-    if found is not None:
-        f.interpolate(fem.Expression(found + fem.Constant(mesh, 0.0), points))
-        return f
-    cells = np.arange(len(V.dofmap.list), dtype=np.int32)
-    x = fem.Expression(model.coordinates.x + fem.Constant(mesh, np.zeros(d)), points).eval(mesh, cells).reshape(-1, d)
-    try:
-        values = np.asarray(given(x.T), float)
-    except Exception as error:
-        raise ModelError(f"{what} is no function of x, in UFL or numpy: {error}") from error
-    if values.shape not in ((), (len(x),)):
-        raise ModelError(f"{what} gives an array of shape {values.shape}; for x of shape ({d}, n) it needs (n,)")
-    f.x.array[np.asarray(V.dofmap.list).ravel()] = values
-    return f
 
 
 def on_facets(f: fem.Function, model: Host, place: str) -> tuple[Array, Array]:
@@ -114,7 +70,7 @@ class Springs(Addition):
     def __post_init__(self) -> None:
         for name in ("normal", "tangential"):
             value = getattr(self, name)
-            if not callable(value) and not (is_number(value) and math.isfinite(value) and value >= 0):
+            if not callable(value) and not (is_finite(value) and value >= 0):
                 raise ModelError(
                     f"springs on {self.place!r}: {name} is {value!r}; allowed: a finite number >= 0, or a function of x"
                 )
@@ -138,21 +94,26 @@ class Springs(Addition):
 
     def _check_functions(self, model: Host) -> None:
         """Raise ModelError if a function is not finite or negative at nodes of the facets."""
-        for name, given in (("normal", self.normal), ("tangential", self.tangential)):
-            if callable(given):
-                what = f"springs on {self.place!r}: {name}"
-                values, places = on_facets(interpolated(given, model, what), model, self.place)
+        for stiffness in self._stiffnesses(model):
+            if stiffness.varies:
+                values, places = on_facets(stiffness.in_cells(), model, self.place)
                 values = np.where(np.isfinite(values), values, -np.inf)
                 if len(values) and values.min() < -ROUNDING * values.max():
                     k = int(values.argmin())
-                    raise ModelError(f"{what} is {values[k]:.6g} at {at_place(places[k])}; allowed: finite, >= 0")
+                    raise ModelError(
+                        f"{stiffness.what} is {values[k]:.6g} at {at_place(places[k])}; allowed: finite, >= 0"
+                    )
+
+    def _stiffnesses(self, model: Host) -> list[Given]:
+        """The stiffnesses, normal and tangential. Collective."""
+        names = ("normal", "tangential")
+        what = f"springs on {self.place!r}: "
+        return [model.coordinates.given(getattr(self, name), what + name, (), of_place=True) for name in names]
 
     def work(self, model: Host, u: Expr, v: Expr) -> Any:
         """Virtual work of the springs, a UFL form."""
         n = ufl.FacetNormal(model.V.mesh)
-        normal, tangential = (
-            stiffness(given, model, f"springs on {self.place!r}") for given in (self.normal, self.tangential)
-        )
+        normal, tangential = (stiffness.expression for stiffness in self._stiffnesses(model))
         across = (normal - tangential) * ufl.dot(u, n) * ufl.dot(v, n)
         work = across + tangential * ufl.inner(u, v)
         return work * model.kinematics.factor * model.ds(model.domain.values(self.place))

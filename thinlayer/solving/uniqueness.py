@@ -11,7 +11,7 @@ import scipy.sparse
 from petsc4py import PETSc
 
 from geometry.errors import place
-from thinlayer.discretisation.loads import AXES
+from thinlayer.discretisation.axis import AXES
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.errors import LooseBody

@@ -1,0 +1,276 @@
+"""The clock of a model: the time as a constant that compiled forms read, further hands of it, and tables over it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+from weakref import WeakSet
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+from ufl.algebra import Division, Product, Sum
+from ufl.algorithms.analysis import extract_constants
+from ufl.constantvalue import ConstantValue
+from ufl.core.multiindex import MultiIndex
+from ufl.core.terminal import Terminal
+from ufl.corealg.traversal import unique_pre_traversal
+
+from forms.base import is_number
+from forms.kinematics import Expr
+from forms.temperature import real
+from forms.work import Term
+from thinlayer.errors import ModelError
+
+Array = npt.NDArray[np.float64]
+ROUNDING = 1e-12  # relative tolerance for equal times (a sum of steps against the end of a table) and equal slopes
+RATIONAL = (Sum, Product, Division)
+SAMPLE_TIMES = (-2.5, 0.0, 1.0, 7.0)  # where a rational argument of a table is tested for being linear in the time
+
+
+class Clock:
+    """The one time of a model.
+
+    Forms may read it while it shows a time, see `at`; else it is NaN, so that no form reads a time of the past unnoticed.
+    What needs several times at once has hands of its own, see `Hand`.
+
+    Attributes:
+        mesh: the mesh.
+        symbol: the time, a UFL constant.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.mesh, self._readings = mesh, WeakSet[Reading]()
+        self.symbol = Reading(self)
+
+    def follow(self, argument: Expr, table: Table) -> Reading:
+        """A UFL constant (columns,) that follows the values of a table at an argument of the time alone."""
+        return Reading(self, argument, table)
+
+    @contextmanager
+    def at(self, t: float) -> Iterator[None]:
+        """Show a time while forms are assembled."""
+        self._show(t)
+        try:
+            yield
+        finally:
+            self._show(math.nan)
+
+    def _show(self, t: float) -> None:
+        for reading in self._readings:
+            reading.value = reading.at(t)
+
+
+class Reading(fem.Constant):
+    """What forms read of a clock: the time, or the values of a table.
+
+    Attributes:
+        clock: the clock.
+    """
+
+    def __init__(self, clock: Clock, argument: Expr | None = None, table: Table | None = None) -> None:
+        super().__init__(clock.mesh, np.full(table.columns.shape[1], np.nan) if table else math.nan)
+        self.clock, self._argument, self._table = clock, argument, table
+        clock._readings.add(self)
+
+    def at(self, t: float) -> Any:
+        """Its value at a time: a number, or (columns,)."""
+        return t if self._table is None else self._table.at(self._argument_at(t))
+
+    def _argument_at(self, t: float) -> float:
+        """The table's argument at a time; NaN where it has no value."""
+        argument: Any = self._argument
+        try:
+            return float(t if argument is self.clock.symbol else argument((), {self.clock.symbol: float(t)}))
+        except (ArithmeticError, ValueError, TypeError):
+            return math.nan
+
+    @property
+    def breaks(self) -> set[float]:
+        """Times at which the slope of the table's values changes, if its argument is linear in the time."""
+        if self._table is None:
+            return set()
+        if self._argument is self.clock.symbol:
+            return {*self._table.breaks}
+        if not all(isinstance(node, (Terminal, *RATIONAL)) for node in unique_pre_traversal(self._argument)):
+            return set()
+        times = np.array(SAMPLE_TIMES)
+        y = np.array([self._argument_at(t) for t in SAMPLE_TIMES])
+        rate, start = float(y[2] - y[1]), float(y[1])
+        straight = np.abs(start + rate * times - y).max() <= ROUNDING * np.abs(y).max()  # False for NaN
+        return {(t - start) / rate for t in self._table.breaks} if straight and rate else set()
+
+
+def readings(expression: Expr) -> list[Reading]:
+    """What an expression or a form reads of a clock; empty: it does not depend on the time."""
+    return [one for one in extract_constants(expression) if isinstance(one, Reading)]
+
+
+class Hand:
+    """A further hand of a clock: a time at which expressions have values, as constants of their own.
+
+    Forms at several hands are compiled once. To use one compiled form at several times, `set` its hand.
+    """
+
+    def __init__(self, t: float = 0.0) -> None:
+        self._t, self._own = t, dict[Reading, fem.Constant]()
+
+    def set(self, t: float) -> None:
+        """Move on to another time."""
+        self._t = t
+        for reading, constant in self._own.items():
+            constant.value = reading.at(t)
+
+    def of(self, expression: Expr) -> Expr:
+        """An expression or a form that reads this hand instead of the clock."""
+        shown = readings(expression)
+        for reading in shown:
+            if reading not in self._own:
+                self._own[reading] = fem.Constant(reading.clock.mesh, np.array(reading.at(self._t), float))
+        return ufl.replace(expression, {one: self._own[one] for one in shown}) if shown else expression
+
+    def terms(self, terms: Iterable[Term]) -> list[Term]:
+        """The terms, their given strains at this hand."""
+        return [p if p.given is None else replace(p, given=self.of(p.given)) for p in terms]
+
+
+class OverStep:
+    """Given strains over a step: at its ends, and where forces balance, as constants that compiled forms read.
+
+    At rest there are none: in the first step they come suddenly, as loads do.
+
+    Args:
+        mesh: the mesh.
+        terms: the terms with given strains.
+
+    Attributes:
+        grows: whether one of them is another one at the end of the step.
+    """
+
+    def __init__(self, mesh: Mesh, terms: Iterable[Term]) -> None:
+        self._varies = any(p.given is not None and readings(p.given) for p in terms)
+        self._before, self._theta, self._present = (fem.Constant(mesh, 1.0) for _ in range(3))
+        self._old, self._new, self._now = Hand(), Hand(), Hand()
+        self.grows = True
+
+    def begin(self, old: float, new: float, theta: float, *, at_rest: bool) -> None:
+        """Begin a step from one time, or from rest, to another, in which forces balance at theta of it."""
+        self._before.value, self._theta.value = 0.0 if at_rest else 1.0, theta
+        self.grows = at_rest or self._varies
+        self._old.set(old)
+        self._new.set(new)
+
+    def balanced(self, f: Expr) -> Expr:
+        """theta f(new) + (1 - theta) f(old), as displacements have it where forces balance."""
+        if not readings(f):
+            return f
+        return self._theta * self._new.of(f) + (1 - self._theta) * self._before * self._old.of(f)
+
+    def growth(self, f: Expr) -> Expr:
+        """f(new) - f(old)."""
+        return self._new.of(f) - self._before * self._old.of(f)
+
+    def now(self, f: Expr) -> Expr:
+        """f where `look_at` looks."""
+        return self._present * self._now.of(f)
+
+    def look_at(self, t: float, *, at_rest: bool = False) -> None:
+        """Look at a time, or at rest."""
+        self._present.value = 0.0 if at_rest else 1.0
+        self._now.set(t)
+
+
+class Table:
+    """Values at given times, linear in between; NaN before and after.
+
+    Attributes:
+        times: (n,) increasing.
+        columns: (n, columns) values.
+        scalar: whether each value is a number instead of components.
+        breaks: the first and the last time, and those between at which the slope changes.
+    """
+
+    def __init__(self, times: Array, values: Array) -> None:
+        self.times, self.columns, self.scalar = times, values.reshape(len(times), -1), values.ndim == 1
+        slopes = np.diff(self.columns, axis=0) / np.diff(times)[:, None]
+        changes = np.abs(np.diff(slopes, axis=0)) > ROUNDING * np.abs(slopes).max(axis=0)
+        self.breaks = tuple(map(float, times[[True, *changes.any(axis=1), True]]))
+
+    def __call__(self, t: Any) -> Any:
+        """The value at t, a number or a UFL expression; a list of components unless the table is of numbers."""
+        if is_number(t) or isinstance(t, ufl.constantvalue.RealValue | ufl.constantvalue.Zero):
+            columns = [*map(float, self.at(float(t)))]
+        else:
+            t = ufl.as_ufl(t)
+            clock = _clock(t)
+            columns = [*clock.follow(t, self)] if clock else [self._lines(column, t) for column in self.columns.T]
+        return columns[0] if self.scalar else columns
+
+    def at(self, t: float) -> Array:
+        """Values (columns,) at a time."""
+        first, last = self.times[[0, -1]]
+        near = ROUNDING * max(abs(first), abs(last))
+        if not first - near <= t <= last + near:
+            return np.full(self.columns.shape[1], np.nan)
+        return np.array([np.interp(t, self.times, column) for column in self.columns.T])
+
+    def _lines(self, column: Array, t: Expr) -> Expr:
+        """One column at an expression that depends on the place too, UFL."""
+        times, column = [*map(float, self.times)], [*map(float, column)]  # type: ignore[assignment]
+
+        def between(a: int, b: int) -> Expr:
+            if b - a == 1:
+                return column[a] + (t - times[a]) * ((column[b] - column[a]) / (times[b] - times[a]))
+            middle = (a + b) // 2
+            return ufl.conditional(ufl.le(t, times[middle]), between(a, middle), between(middle, b))
+
+        inside = ufl.And(ufl.ge(t, times[0]), ufl.le(t, times[-1]))
+        return ufl.conditional(inside, between(0, len(times) - 1), ufl.sqrt(-1 - t * t))
+
+
+def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr, Expr], Any]:
+    """A load or prescribed displacement that is linear in time between given values, and undefined before and after.
+
+    Tables of thousands of values are fine, `piecewise(dict(zip(times, forces)))`. The table may be used in a function,
+    `lambda x, t: (0, x[0] * table(x, t))`, at another time than t, `table(x, t / 3600)`, and as a law's temperature. Steps
+    of a layer with memory end at its break times.
+
+    Args:
+        values: time -> the value then: components of a load, or the number of a prescribed displacement; at least two.
+
+    Returns:
+        A function (x, t) for the data of a model; it returns numbers if t is a number.
+
+    Raises:
+        ModelError: less than two times, values that are no numbers or of different lengths.
+    """
+    try:
+        if not all(is_number(t) for t in values):
+            raise TypeError("times are numbers")
+        times = sorted(values)
+        rows = real([values[t] for t in times])
+        whole = np.isfinite(rows).all() and np.isfinite(np.array(times, float)).all()
+    except (TypeError, ValueError, LookupError) as error:
+        raise ModelError(f"piecewise needs {{time: number or components}}: {error}") from error
+    if len(times) < 2 or rows.ndim > 2 or not whole:
+        raise ModelError(f"piecewise needs two times or more, each with a number or components, not {values!r}")
+    table = Table(np.array(times, float), rows)
+
+    def at(_: Any, t: Any) -> Any:
+        return table(t)
+
+    at.times = table.breaks  # type: ignore[attr-defined]
+    return at
+
+
+def _clock(expression: Expr) -> Clock | None:
+    """The clock of an expression that depends on its time alone; else None."""
+    terminals = [node for node in unique_pre_traversal(expression) if isinstance(node, Terminal)]
+    others = {node for node in terminals if not isinstance(node, (ConstantValue, MultiIndex))}
+    only = others.pop() if len(others) == 1 else None
+    return only.clock if isinstance(only, Reading) and only is only.clock.symbol else None
