@@ -406,7 +406,10 @@ def ensembles() -> list[float]:
     return [float(value) for value in ensemble(made, [{"mu": 1.0}, {"mu": 2.0}, {"mu": 4.0}])["layer"]]
 
 
-ON_RANKS = ("law elastic", "law Mohr-Coulomb", "law pure phases", "periodic_cells", "contact_by_multigrid")
+ON_RANKS = (
+    *("law elastic", "law Mohr-Coulomb", "law pure phases"),
+    *("supports_and_loads", "periodic_cells", "contact_by_multigrid"),
+)
 
 
 def numbers(name: str) -> list[float]:

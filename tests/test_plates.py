@@ -286,6 +286,23 @@ def test_a_plate_at_a_plane_of_symmetry():
         solve(made, t=1.0)
 
 
+def test_a_support_at_a_node_of_a_plate_holds_it_there():
+    """It turns about this node, as if its motions were prescribed there; without the support it moves."""
+    corner, joint = (0.0, -0.5), sandwich(2.0, 0.5, 0.6, 0.5)
+    data = {"body": BODY, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.3, -0.4)}}
+    plates = RigidPlate("LEFT", about=corner), RigidPlate("LEFT", motion={"x": 0.0, "y": 0.0}, about=corner)
+    states = [solve(model(Structure(joint, **data, parts=[one]), "interface")) for one in plates]
+    held, prescribed = (plate.motion_in(state) for plate, state in zip(plates, states, strict=True))
+    assert held.rotation == pytest.approx(prescribed.rotation, rel=1e-9)
+    assert np.abs(held.translation).max() < 1e-12
+    assert states[0].energies()["layer"] == pytest.approx(states[1].energies()["layer"], rel=1e-9)
+    total = [sum(one.force for one in state.reactions_by_place().values()) for state in states]
+    assert total[0] == pytest.approx(total[1], rel=1e-9)
+    rollers = data | {"supports": {"BOTTOM": {"y": 0.0}, "RIGHT": {"x": 0.0}}}
+    state = solve(model(Structure(joint, **rollers, parts=[plates[0]]), "interface"))
+    assert abs(plates[0].motion_in(state).translation[0]) > 1e-6
+
+
 def test_plates_that_share_a_node():
     structure = Structure(
         sandwich(2.0, 0.5, 0.6, 0.5), body=BODY, supports={"BOTTOM": 0.0},
