@@ -8,12 +8,26 @@ from functools import partial
 import numpy as np
 import pytest
 import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
 
 from forms import LinearElastic, Maxwell, NonMonotone, Stack, Tabulated
 from forms.law import LawError
 from geometry import GeometryError, block, disc, sandwich
 from tests.refused import refused
-from thinlayer import Adaptive, ArcLength, ModelError, Structure, Surface, ThinLayer, drive, march, piecewise, solve
+from thinlayer import (
+    Adaptive,
+    ArcLength,
+    ModelError,
+    Pressure,
+    Structure,
+    Surface,
+    ThinLayer,
+    drive,
+    march,
+    piecewise,
+    solve,
+)
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.solving.equations import Equations
 
@@ -92,6 +106,23 @@ def test_what_ufl_does_with_x_and_t_is_right():
     x = ufl.SpatialCoordinate(model().domain.mesh)
     assert (x[0] == 0) is False  # UFL is left as it was
     assert bool(x[0])
+
+
+def test_comparisons_that_symbols_do_not_know_are_refused_with_the_place_and_both_values():
+    message = r"at \(1, .*\), t = 0\.37 it gives \[0\.0, 1\.0\] for symbols and \[0\.0, 2\.0\] for numbers"
+    refused(ModelError, message, lambda: model(lambda x, t: (0.0, 2.0 if x[0] == 1 else 1.0)))
+    assert pulled(model(lambda x, t: (0.0, 2.0 if x[0] == 0.123 else 1.0)), 1.0) == pytest.approx([1.0])  # nowhere
+
+
+def test_what_is_given_on_a_mesh_of_its_own():
+    """Fields, alone or in functions, as loads: the same as a function."""
+    plate = mesh.create_rectangle(MPI.COMM_SELF, [(-0.1, -1.0), (1.1, 1.0)], [8, 8])
+    pairs = fem.Function(fem.functionspace(plate, ("Lagrange", 1, (2,))))
+    pairs.interpolate(lambda x: np.array([0 * x[0], 1 + x[0]]))
+    numbers = fem.Function(fem.functionspace(plate, ("Lagrange", 1)))
+    numbers.interpolate(lambda x: 1 + x[0])
+    for load in (lambda x, t: (0.0, 1 + x[0]), pairs, lambda x, t: (0.0, t * numbers), Pressure(numbers)):
+        assert np.abs(pulled(model(load), 1.0)) == pytest.approx([1.5], rel=1e-6)
 
 
 # ---------------------------------------------------------------- tables

@@ -429,7 +429,7 @@ def test_refused_structures():
         model(supports={"LEFT": 0.0})
     with pytest.raises(ModelError, match="traction on 'TOP/COURSE 2': this side is identified"):
         model(tractions={"TOP/COURSE 2": (0.0, 1.0)})
-    refused(ModelError, "needs 2 x 2 components", lambda: model(strain=(1e-3, 0.0, 0.0)))
+    refused(ModelError, "needs 2 x 2 finite components", lambda: model(strain=(1e-3, 0.0, 0.0)))
     refused(ModelError, "a mean strain or a mean stress, not both", lambda: model(strain=np.eye(2), stress=np.eye(2)))
     with pytest.raises(ModelError, match="mean stress needs bodies with linear laws"):
         model(stress=np.eye(2), body=Stiffening(3.0, 1e3))

@@ -48,10 +48,6 @@ class Clock:
         self.mesh, self._readings = mesh, WeakSet[Reading]()
         self.symbol = Reading(self)
 
-    def follow(self, argument: Expr, table: Table) -> Reading:
-        """A UFL constant (columns,) that follows the values of a table at an argument of the time alone."""
-        return Reading(self, argument, table)
-
     @contextmanager
     def at(self, t: float) -> Iterator[None]:
         """Show a time while forms are assembled."""
@@ -67,7 +63,7 @@ class Clock:
 
 
 class Reading(fem.Constant):
-    """What forms read of a clock: the time, or the values of a table.
+    """What forms read of a clock: the time, or the values (columns,) of a table at an argument of the time alone.
 
     Attributes:
         clock: the clock.
@@ -208,7 +204,7 @@ class Table:
         else:
             t = ufl.as_ufl(t)
             clock = _clock(t)
-            columns = [*clock.follow(t, self)] if clock else [self._lines(column, t) for column in self.columns.T]
+            columns = [*Reading(clock, t, self)] if clock else [self._lines(column, t) for column in self.columns.T]
         return columns[0] if self.scalar else columns
 
     def at(self, t: float) -> Array:

@@ -134,12 +134,9 @@ class Forces:
 
     def _add(self, what: str, load: Load | Pressure, measure: ufl.Measure | None) -> None:
         self.given[what] = load
-        if isinstance(load, Pressure):
-            if what.startswith("body force"):
-                raise ModelError(f"{what} is {load!r}: there is no normal inside a body; give a vector")
-            checked = -self.at.given(load.p, what, ()).expression * ufl.FacetNormal(self.domain.mesh)
-        else:
-            checked = self.at.given(load, what, (self.domain.joint.dim,)).expression
+        if isinstance(load, Pressure) and what.startswith("body force"):
+            raise ModelError(f"{what} is {load!r}: there is no normal inside a body; give a vector")
+        checked = self.at.traction(load, what, ufl.FacetNormal(self.domain.mesh))
         if measure is not None:
             self._loads.append((what, checked, measure))
 

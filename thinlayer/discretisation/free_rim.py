@@ -15,7 +15,7 @@ from geometry.sheet import Rim, Sheet, continued
 from geometry.topology import FloatArray, ridge_keys
 from thinlayer.discretisation.addition import Addition
 from thinlayer.discretisation.axis import on_axis
-from thinlayer.discretisation.given import Pressure
+from thinlayer.discretisation.given import vanishes
 from thinlayer.discretisation.layer import real_law
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
@@ -161,8 +161,7 @@ def require_unloaded_sides(one: SeamLayer, tractions: Mapping[str, Any] | None) 
         tractions: as in `Structure`.
     """
     for name, load in (tractions or {}).items():
-        value = load.p if isinstance(load, Pressure) else load
-        if name.endswith(f"/{LAYER}") and (callable(value) or np.any(np.asarray(value, float))):
+        if name.endswith(f"/{LAYER}") and not vanishes(load):
             raise ModelError(
                 f"the traction on {name!r} acts on the side of the layer, and the pressure of {one} of order 1 is zero at "
                 "free ends; the load would change it by as much as the load itself: mesh the layer (structure.full)"

@@ -18,6 +18,7 @@ from ufl.algorithms.analysis import extract_coefficients, extract_constants
 from ufl.conditional import Condition
 from ufl.constantvalue import ComplexValue, RealValue
 from ufl.corealg.traversal import unique_pre_traversal
+from ufl.geometry import GeometricQuantity
 
 from forms.base import is_number
 from forms.kinematics import Expr
@@ -91,6 +92,12 @@ class Coordinates:
         if key not in self.known:
             self.known[key] = Given(value, what, shapes, self, of_place=of_place)
         return self.known[key]
+
+    def traction(self, load: Load | Pressure, what: str, n: Expr) -> Expr:
+        """A traction on facets of the outward normal n, (d,) UFL; errors as of `given`."""
+        if isinstance(load, Pressure):
+            return -self.given(load.p, what, ()).expression * n
+        return self.given(load, what, (self.mesh.geometry.dim,)).expression
 
     @property
     def breaks(self) -> set[float]:
@@ -235,11 +242,10 @@ class Given:
             return fem.Constant(self.at.mesh, self.components.astype(float))
         return ufl.as_tensor(self.components.tolist()) if self.shape else ufl.as_ufl(self.components[()])
 
-    def in_cells(self) -> fem.Function:
-        """A number at places, interpolated in each cell with degree 2. Collective."""
-        f = fem.Function(fem.functionspace(self.at.mesh, ("DG", DEGREE)))
-        on_mesh = self.expression + fem.Constant(self.at.mesh, 0.0)
-        f.interpolate(fem.Expression(on_mesh, interpolation_points(f.function_space)))
+    def in_space(self, V: fem.FunctionSpace) -> fem.Function:
+        """A number at places, interpolated in a scalar space. Collective."""
+        f, on_mesh = fem.Function(V), self.expression + fem.Constant(self.at.mesh, 0.0)
+        f.interpolate(fem.Expression(on_mesh, interpolation_points(V)))
         return f
 
     @cached_property
@@ -250,10 +256,8 @@ class Given:
 
     def once(self, thing: str) -> Given:
         """Itself; raises ModelError if it depends on the place, as what is given once for a whole thing must not."""
-        for c in self.components.flat:
-            nodes = unique_pre_traversal(c) if isinstance(c, ufl.core.expr.Expr) else ()
-            if any(isinstance(node, ufl.SpatialCoordinate | ufl.Coefficient) for node in nodes):
-                raise ModelError(f"{self.what} depends on the place x; it is one for {thing}")
+        if any(of_place(c) for c in self.components.flat if isinstance(c, ufl.core.expr.Expr)):
+            raise ModelError(f"{self.what} depends on the place x; it is one for {thing}")
         return self
 
     def at_time(self, t: float) -> Array:
@@ -279,6 +283,12 @@ class Pressure:
     p: Value
 
 
+def vanishes(load: Load | Pressure) -> bool:
+    """Whether a load is zero at all places and times: numbers."""
+    value: Any = load.p if isinstance(load, Pressure) else load
+    return not callable(value) and not np.any(np.asarray(value, float))
+
+
 # ---------------------------------------------------------------- content
 def _in_words(shape: Shape) -> str:
     return f"{' x '.join(map(str, shape))} finite components" if shape else "a finite number"
@@ -302,6 +312,12 @@ def has_finite_numbers(expression: Expr) -> bool:
         if isinstance(node, ComplexValue) or (isinstance(node, RealValue) and not math.isfinite(float(node))):
             return False
     return True
+
+
+def of_place(expression: Expr) -> bool:
+    """Whether a UFL expression depends on the place."""
+    nodes = unique_pre_traversal(expression)
+    return any(isinstance(node, (ufl.Coefficient, GeometricQuantity)) for node in nodes)
 
 
 def _fields(component: Any) -> list[Any]:

@@ -11,13 +11,11 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
-from ufl.core.multiindex import MultiIndex
-from ufl.core.terminal import Terminal
-from ufl.corealg.traversal import unique_pre_traversal
 
 from forms.kinematics import Expr
 from forms.work import Term
 from thinlayer.discretisation.clock import readings
+from thinlayer.discretisation.given import of_place
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
@@ -36,7 +34,9 @@ class LoadHistory:
         self._clock = model.coordinates.clock
         self._work = compiled(model.forces.work(ufl.TestFunction(model.V)))
         self._constraints = model.constraints
-        varying = [(p, p.given) for p in model.terms if p.given is not None and _varies(p.given)]
+        varying = [
+            (p, p.given) for p in model.terms if p.given is not None and (readings(p.given) or of_place(p.given))
+        ]
         self._strains = [(p, _integrals(p, given, model)) for p, given in varying]
 
     @property
@@ -125,11 +125,3 @@ def _integrals(p: Term, given: Expr, model: Model) -> fem.Form:
     """The integrals of a given strain over cells or facets."""
     q = ufl.TestFunction(fem.functionspace(model.domain.mesh, ("DG", 0, (3, 3))))
     return fem.form(ufl.inner(given, q("+") if p.measure.integral_type() == "interior_facet" else q) * p.measure)
-
-
-def _varies(given: Expr) -> bool:
-    """Whether an expression has other terminals than numbers, which are checked where they are given."""
-    nodes = [node for node in unique_pre_traversal(given) if isinstance(node, Terminal)]
-    return bool(readings(given)) or not all(
-        isinstance(node, (fem.Constant, ufl.constantvalue.ConstantValue, MultiIndex)) for node in nodes
-    )

@@ -9,7 +9,6 @@ import basix.ufl
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
 
 from forms.kinematics import Expr
 from geometry.domain import Domain
@@ -49,22 +48,11 @@ class ConcentratedForms:
     def terms(self, load: Concentrated) -> list[tuple[Expr, ufl.Measure]]:
         """Pairs of a load per volume (d,) and a measure. Collective."""
         nodes, d = load.nodes(self.joint), self.joint.dim
-        places, lengths = self._in_space(nodes)
-        given = self.at.given(load.force, load.what, (d,))
-        if not given.varies:
-            factor = self._densities(nodes, lengths)
-            return [(given.expression * self._function(factor) / self._jacobian, self._dx)]
-        found = []
-        for some in _rounds(nodes.cells):
-            for k in range(nodes.points.shape[1]):
-                one = Nodes(nodes.cells[some], nodes.points[some, k : k + 1])
-                x = np.zeros((len(self.domain.joint.cells), 1, d))
-                x[one.cells] = places[some, k : k + 1]
-                at = self.at.moved(cellwise(self.domain, ("DG", 0, (d,)), x))
-                factor = self._densities(one, lengths[some, k : k + 1])
-                force = at.given(load.force, load.what, (d,)).expression
-                found.append((force * self._function(factor) / self._jacobian, self._dx))
-        return found
+        lengths, given = self._in_space(nodes)[1][..., None], self.at.given(load.force, load.what, (d,))
+        return [
+            (at.given(load.force, load.what, (d,)).expression * g[0], measure)
+            for at, g, measure in self.at_nodes(nodes, lengths, given.varies)
+        ]
 
     def at_nodes(self, nodes: Nodes, weights: Array, split: bool) -> list[tuple[Coordinates, Expr, ufl.Measure]]:
         """Places, densities g (c,) and measures: the sum over them of int g f dX is that over nodes of weights times f.
@@ -112,9 +100,6 @@ class ConcentratedForms:
         g = (phi @ self._inverse.T).reshape(*nodes.points.shape[:2], -1)
         np.add.at(out, nodes.cells, np.einsum("nk...,nkm->nm...", weights, g))
         return out
-
-    def _function(self, values: Array) -> fem.Function:
-        return cellwise(self.domain, self._ufl, values[..., None])
 
 
 def _rounds(cells: npt.NDArray[np.int64]) -> Iterable[npt.NDArray[np.int64]]:

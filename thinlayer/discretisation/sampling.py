@@ -25,16 +25,17 @@ def sampled(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Function:
     Raises:
         ModelError: it is not known at a place; `what` are the first words.
     """
-    here = fem.Function(fem.functionspace(mesh, ("DG", min(2, f.function_space.element.basix_element.degree))))
+    degree = min(2, f.function_space.element.basix_element.degree)
+    here = fem.Function(fem.functionspace(mesh, ("DG", degree, f.ufl_shape)))
     places = places_in_cells(here.function_space, x)
     places = (places + INWARDS * (places.mean(axis=1, keepdims=True) - places)).reshape(-1, mesh.geometry.dim)
     values = _values(f, places)
-    missing = communicator(mesh).allgather(places[np.isnan(values)][:1])
+    missing = communicator(mesh).allgather(places[np.isnan(values).any(axis=1)][:1])
     if any(map(len, missing)):
         raise ModelError(
             f"{what}: a function is not known at {place(np.concatenate(missing)[0])}; its mesh must cover all"
         )
-    here.x.array[np.asarray(here.function_space.dofmap.list).ravel()] = values
+    here.x.array.reshape(values.shape)[np.asarray(here.function_space.dofmap.list).ravel()] = values
     return here
 
 
@@ -47,7 +48,7 @@ def places_in_cells(V: fem.FunctionSpace, x: Expr) -> Array:
 
 
 def _values(f: fem.Function, x: Array) -> Array:
-    """Values (n,) of a scalar function at places (n, d) of this rank, on whatever rank they are; NaN outside its mesh."""
+    """Values (n, m) of a function of m components at places (n, d) of this rank, on any rank; NaN outside its mesh."""
     mesh = f.function_space.mesh
     comm = communicator(mesh)
     every = comm.allgather(np.pad(x, ((0, 0), (0, 3 - x.shape[1]))))
@@ -55,9 +56,9 @@ def _values(f: fem.Function, x: Array) -> Array:
     tree = geometry.bb_tree(mesh, mesh.topology.dim)
     cells = geometry.compute_colliding_cells(mesh, geometry.compute_collisions_points(tree, places), places)
     first, inside = cells.offsets[:-1], np.diff(cells.offsets) > 0
-    values = np.full(len(places), np.nan)
+    values = np.full((len(places), int(np.prod(f.ufl_shape))), np.nan)
     if inside.any():
-        values[inside] = f.eval(places[inside], cells.array[first[inside]]).reshape(-1)
+        values[inside] = f.eval(places[inside], cells.array[first[inside]]).reshape(-1, values.shape[1])
     whole = np.fmax.reduce(comm.allgather(values))
     start = sum(map(len, every[: comm.rank]))
     return np.asarray(whole[start : start + len(x)])

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import basix
 import numpy as np
@@ -38,7 +37,7 @@ from geometry.topology import FloatArray, IntArray, ridge_keys
 from thinlayer.discretisation.forces import Forces, Weighted
 from thinlayer.discretisation.free_ends import SeamEnds
 from thinlayer.discretisation.free_rim import loose_rim
-from thinlayer.discretisation.given import Coordinates, Load, Pressure
+from thinlayer.discretisation.given import Coordinates, Load, Pressure, vanishes
 from thinlayer.discretisation.joint_fields import cellwise
 from thinlayer.discretisation.layer import real_law
 from thinlayer.discretisation.model import Model
@@ -73,7 +72,7 @@ class SideLoad:
         for name in sorted(tractions):
             whole = name.removesuffix(f"/{LAYER}")
             given = cls(f"traction on {name!r}", tractions[name], rim)
-            if whole != name and (given.varies or np.any(np.asarray(given.value, float))):
+            if whole != name and not vanishes(given.load):
                 here = rim.on(facets[whole])
                 if here.any():
                     yield given.on(here)
@@ -83,20 +82,9 @@ class SideLoad:
         return replace(self, rim=self.rim[which])
 
     @property
-    def value(self) -> Any:
-        """The number, numbers or function that was given."""
-        return self.load.p if isinstance(self.load, Pressure) else self.load
-
-    @property
     def varies(self) -> bool:
         """Whether it is a function of place and time."""
-        return callable(self.value)
-
-    def traction(self, at: Coordinates, m: Expr) -> Expr:
-        """UFL vector (d,) at places of a side of the outward normal m."""
-        if isinstance(self.load, Pressure):
-            return -at.given(self.load.p, self.what, ()).expression * m
-        return at.given(self.load, self.what, (len(m),)).expression
+        return callable(self.load.p if isinstance(self.load, Pressure) else self.load)
 
     def weights(self, areas: FloatArray) -> FloatArray:
         """Weights (..., c) for `at_points` of parts of a side, given by area times outward normal, (..., d)."""
@@ -160,7 +148,7 @@ def _at_ends(
         known = sides.upper(cellwise(model.domain, ("DG", 0, (5,)), shares))
         m, offset = fem.Constant(mesh, end.m), fem.Constant(mesh, end.offset)
         place = at.moved(at.x + (offset - ufl.dot(m, at.x)) * m)
-        yield load.traction(place, m), _handed(known, m, sides, based)
+        yield place.traction(load.load, load.what, m), _handed(known, m, sides, based)
 
 
 def _shares(

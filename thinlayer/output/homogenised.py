@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -98,9 +97,4 @@ def _unit_strains(d: int) -> Strain:
     for strain, (i, j) in zip(basis, PAIRS[d], strict=True):
         strain[i, j] = strain[j, i] = 1.0 if i == j else 0.5
     table = piecewise({float(k): strain.ravel().tolist() for k, strain in enumerate(basis)})
-
-    def at(x: Any, t: Any) -> list[list[Any]]:
-        values = table(x, t)
-        return [[values[d * i + j] for j in range(d)] for i in range(d)]
-
-    return at
+    return lambda x, t: np.reshape(table(x, t), (d, d)).tolist()

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-import basix.ufl
 import numpy as np
 import ufl
 from dolfinx import fem
@@ -24,22 +23,6 @@ from thinlayer.parts.forms import FormPart, matrix
 
 Stiffness = float | Callable[[Any], Any]
 ROUNDING = 1e-9  # a negative stiffness that counts as rounding, over the largest one
-
-
-def on_facets(f: fem.Function, model: Host, place: str) -> tuple[Array, Array]:
-    """Values (n,) and places (n, d) of a discontinuous function at the nodes of this rank's facets of a name."""
-    mesh, d, V = model.domain.mesh, model.joint.dim, f.function_space
-    mesh.topology.create_connectivity(d - 1, d)
-    mesh.topology.create_connectivity(d, d - 1)
-    to_cells, to_facets = mesh.topology.connectivity(d - 1, d), mesh.topology.connectivity(d, d - 1)
-    nodes = basix.ufl.element("Lagrange", mesh.basix_cell(), DEGREE).basix_element.entity_closure_dofs[d - 1]
-    dofs = [np.empty(0, np.int32)]
-    for facet in model.domain.facets(place):
-        cell = to_cells.links(facet)[0]
-        local = int(np.flatnonzero(to_facets.links(cell) == facet)[0])
-        dofs.append(V.dofmap.cell_dofs(cell)[nodes[local]])
-    found = np.unique(np.concatenate(dofs))
-    return f.x.array[found], V.tabulate_dof_coordinates()[found, :d]
 
 
 @dataclass(frozen=True)
@@ -94,15 +77,15 @@ class Springs(Addition):
 
     def _check_functions(self, model: Host) -> None:
         """Raise ModelError if a function is not finite or negative at nodes of the facets."""
+        facets, V = model.domain.facets(self.place), fem.functionspace(model.domain.mesh, ("Lagrange", DEGREE))
         for stiffness in self._stiffnesses(model):
             if stiffness.varies:
-                values, places = on_facets(stiffness.in_cells(), model, self.place)
+                nodes = fem.locate_dofs_topological(V, model.joint.dim - 1, facets)
+                values, x = stiffness.in_space(V).x.array[nodes], V.tabulate_dof_coordinates()[nodes, : model.joint.dim]
                 values = np.where(np.isfinite(values), values, -np.inf)
                 if len(values) and values.min() < -ROUNDING * values.max():
                     k = int(values.argmin())
-                    raise ModelError(
-                        f"{stiffness.what} is {values[k]:.6g} at {at_place(places[k])}; allowed: finite, >= 0"
-                    )
+                    raise ModelError(f"{stiffness.what} is {values[k]:.6g} at {at_place(x[k])}; allowed: finite, >= 0")
 
     def _stiffnesses(self, model: Host) -> list[Given]:
         """The stiffnesses, normal and tangential. Collective."""
