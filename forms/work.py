@@ -146,7 +146,7 @@ def added(terms: Iterable[Term], strain: Expr) -> list[Term]:
 
 def summed(*strains: Expr) -> Expr:
     """The sum of strains (3, 3), component by component, so that zeros stay zeros."""
-    return ufl.as_tensor([[sum(one[i, j] for one in strains) for j in range(3)] for i in range(3)])
+    return ufl.as_tensor([[sum(e[i, j] for e in strains) for j in range(3)] for i in range(3)])
 
 
 def stress(term: Term, u: Expr) -> Expr:

@@ -34,7 +34,7 @@ SAMPLE_TIMES = (-2.5, 0.0, 1.0, 7.0)  # where a rational argument of a table is 
 
 
 class Clock:
-    """The one time of a model.
+    """The time of a model.
 
     Forms may read it while it shows a time, see `at`; else it is NaN, so that no form reads a time of the past unnoticed.
     What needs several times at once has hands of its own, see `Hand`.
@@ -51,11 +51,12 @@ class Clock:
     @contextmanager
     def at(self, t: float) -> Iterator[None]:
         """Show a time while forms are assembled."""
+        before = float(self.symbol)
         self._show(t)
         try:
             yield
         finally:
-            self._show(math.nan)
+            self._show(before)
 
     def _show(self, t: float) -> None:
         for reading in self._readings:
@@ -104,7 +105,7 @@ class Reading(fem.Constant):
 
 def readings(expression: Expr) -> list[Reading]:
     """What an expression or a form reads of a clock; empty: it does not depend on the time."""
-    return [one for one in extract_constants(expression) if isinstance(one, Reading)]
+    return [c for c in extract_constants(expression) if isinstance(c, Reading)]
 
 
 class Hand:
@@ -128,7 +129,7 @@ class Hand:
         for reading in shown:
             if reading not in self._own:
                 self._own[reading] = fem.Constant(reading.clock.mesh, np.array(reading.at(self._t), float))
-        return ufl.replace(expression, {one: self._own[one] for one in shown}) if shown else expression
+        return ufl.replace(expression, {reading: self._own[reading] for reading in shown}) if shown else expression
 
     def terms(self, terms: Iterable[Term]) -> list[Term]:
         """The terms, their given strains at this hand."""
@@ -145,7 +146,7 @@ class OverStep:
         terms: the terms with given strains.
 
     Attributes:
-        grows: whether one of them is another one at the end of the step.
+        grows: whether any of them changes over the step.
     """
 
     def __init__(self, mesh: Mesh, terms: Iterable[Term]) -> None:

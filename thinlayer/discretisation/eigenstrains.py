@@ -222,7 +222,7 @@ class Prestress(Eigenstrain):
         return found
 
 
-Given = Tensor | Eigenstrain | Sequence[Tensor | Eigenstrain]
+StrainGiven = Tensor | Eigenstrain | Sequence[Tensor | Eigenstrain]
 
 
 def eigenstrains(given: Any) -> list[Eigenstrain]:

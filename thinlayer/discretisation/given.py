@@ -102,7 +102,7 @@ class Coordinates:
     @property
     def breaks(self) -> set[float]:
         """The break times of all that was given here."""
-        return set[float]().union(*(one.breaks for one in self.known.values()))
+        return set[float]().union(*(given.breaks for given in self.known.values()))
 
 
 class Given:
@@ -212,10 +212,10 @@ class Given:
         """The same with functions on other meshes replaced by functions on this one. Collective if there are any."""
         fields = {f for c in components.flat for f in _fields(c) if isinstance(f, fem.Function)}
         others = sorted((f for f in fields if f.function_space.mesh is not self.at.mesh), key=lambda f: f.count())
-        here = {f: sampled(f, self.at.mesh, self.at.x, self.what) for f in others}
-        for index in np.ndindex(*components.shape) if here else ():
+        own = {f: sampled(f, self.at.mesh, self.at.x, self.what) for f in others}
+        for index in np.ndindex(*components.shape) if own else ():
             if isinstance(components[index], ufl.core.expr.Expr):
-                components[index] = ufl.replace(components[index], here)
+                components[index] = ufl.replace(components[index], own)
         return components
 
     def _compare(self, components: npt.NDArray[Any]) -> None:
@@ -252,7 +252,7 @@ class Given:
     def breaks(self) -> set[float]:
         """Times at which its slope changes."""
         components = [c for c in self.components.flat if isinstance(c, ufl.core.expr.Expr)]
-        return set[float]().union(*(one.breaks for c in components for one in readings(c)))
+        return set[float]().union(*(reading.breaks for c in components for reading in readings(c)))
 
     def once(self, thing: str) -> Given:
         """Itself; raises ModelError if it depends on the place, as what is given once for a whole thing must not."""
@@ -302,7 +302,7 @@ def _shape_of(content: Any) -> Shape:
         return content.shape
     if not isinstance(content, (list, tuple)):
         return ()
-    inner = {_shape_of(one) for one in content}
+    inner = {_shape_of(row) for row in content}
     return (len(content), *inner.pop()) if len(inner) == 1 else (len(content), -1)
 
 

@@ -20,7 +20,7 @@ from forms.series import folded
 from forms.traction import TractionLaw
 from geometry.errors import unknown
 from geometry.joint import Joint, Profile
-from thinlayer.discretisation.eigenstrains import Given
+from thinlayer.discretisation.eigenstrains import StrainGiven
 from thinlayer.errors import ModelError
 
 # keys of what laws remember and store, in states and in files
@@ -65,7 +65,7 @@ class ThinLayer:
     eps: float
     order: int = 0
     profile: Profile | None = None
-    eigenstrain: Given | None = None
+    eigenstrain: StrainGiven | None = None
     edges: str | None = None
     at: float | None = None
 

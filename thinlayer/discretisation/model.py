@@ -42,7 +42,7 @@ from thinlayer.discretisation.rigid import free_translations, require_support
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.spaces import cut_at_faces, vector_space
-from thinlayer.discretisation.supports import Given, Place, Supports
+from thinlayer.discretisation.supports import ByPlace, Place, Supports
 from thinlayer.errors import ModelError, warn
 from thinlayer.identity.described import described
 from thinlayer.identity.values import digest
@@ -183,7 +183,7 @@ class Model(ABC):
     def _terms_of_layers(self) -> list[forms.Term]:
         return [placed(term, self.V, self.origin) for term in self._layer_terms()]
 
-    def _supports(self, given: Given) -> Supports:
+    def _supports(self, given: ByPlace) -> Supports:
         return Supports(self.domain, given, self.coordinates.apart, self._clamped, self.kinematics)
 
     # ---------------------------------------------------------------- differences between kinds of models
@@ -255,7 +255,7 @@ class Model(ABC):
         tractions: Mapping[str, Load | Pressure] | None = None,
         body_force: BodyForce | None = None,
         loads: Sequence[Concentrated] | None = None,
-        supports: Given | None = None,
+        supports: ByPlace | None = None,
     ) -> Self:
         """The same model under other loads; it shares mesh, space, matrices and their factor. Collective.
 

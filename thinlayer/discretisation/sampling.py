@@ -26,8 +26,8 @@ def sampled(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Function:
         ModelError: it is not known at a place; `what` are the first words.
     """
     degree = min(2, f.function_space.element.basix_element.degree)
-    here = fem.Function(fem.functionspace(mesh, ("DG", degree, f.ufl_shape)))
-    places = places_in_cells(here.function_space, x)
+    own = fem.Function(fem.functionspace(mesh, ("DG", degree, f.ufl_shape)))
+    places = places_in_cells(own.function_space, x)
     places = (places + INWARDS * (places.mean(axis=1, keepdims=True) - places)).reshape(-1, mesh.geometry.dim)
     values = _values(f, places)
     missing = communicator(mesh).allgather(places[np.isnan(values).any(axis=1)][:1])
@@ -35,8 +35,8 @@ def sampled(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Function:
         raise ModelError(
             f"{what}: a function is not known at {place(np.concatenate(missing)[0])}; its mesh must cover all"
         )
-    here.x.array.reshape(values.shape)[np.asarray(here.function_space.dofmap.list).ravel()] = values
-    return here
+    own.x.array.reshape(values.shape)[np.asarray(own.function_space.dofmap.list).ravel()] = values
+    return own
 
 
 def places_in_cells(V: fem.FunctionSpace, x: Expr) -> Array:

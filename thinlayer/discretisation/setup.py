@@ -19,12 +19,12 @@ from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import Addition
 from thinlayer.discretisation.axis import require_revolution
-from thinlayer.discretisation.eigenstrains import Given as Eigenstrain
+from thinlayer.discretisation.eigenstrains import StrainGiven as Eigenstrain
 from thinlayer.discretisation.forces import BodyForce
 from thinlayer.discretisation.given import Load, Pressure
 from thinlayer.discretisation.mean_strain import Strain
 from thinlayer.discretisation.point_loads import Concentrated, check_loads
-from thinlayer.discretisation.supports import Given
+from thinlayer.discretisation.supports import ByPlace
 from thinlayer.errors import ModelError
 from thinlayer.identity.values import digest
 from thinlayer.parallel.agreement import on_all, require_same
@@ -52,7 +52,7 @@ class Setup:
         joint: Joint,
         *,
         body: BulkLaw | Mapping[str, BulkLaw],
-        supports: Given,
+        supports: ByPlace,
         tractions: Mapping[str, Load | Pressure] | None = None,
         body_force: BodyForce | None = None,
         loads: Sequence[Concentrated] = (),

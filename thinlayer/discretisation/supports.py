@@ -23,7 +23,7 @@ from thinlayer.errors import ModelError
 NORMAL = "n"  # the component along the normal of the boundary
 Place = str | tuple[float, ...]
 Support = float | Mapping[str, Value]
-Given = Mapping[str, Support] | Mapping[tuple[float, ...], Support] | Mapping[Place, Support]
+ByPlace = Mapping[str, Support] | Mapping[tuple[float, ...], Support] | Mapping[Place, Support]
 Components = dict[str, Value]
 
 
@@ -56,7 +56,7 @@ class Supports:
     def __init__(
         self,
         domain: Domain,
-        given: Given,
+        given: ByPlace,
         at: Coordinates,
         clamped: Sequence[str] = (),
         kinematics: Kinematics = LIFTED,
@@ -87,9 +87,13 @@ class Supports:
         }
         on_mesh = fem.Constant(domain.mesh, np.zeros(len(self.axes)))  # a function may give plain numbers
         self.functions = {
-            key: ufl.as_vector([one.expression] * len(self.axes)) + on_mesh for key, one in values.items() if one.varies
+            key: ufl.as_vector([value.expression] * len(self.axes)) + on_mesh
+            for key, value in values.items()
+            if value.varies
         }
-        self.moving = [entries[number][0] for (number, _), one in values.items() if one.varies or one.value != 0]
+        self.moving = [
+            entries[k][0] for (k, _), component in values.items() if component.varies or component.value != 0
+        ]
         self.anchored: tuple[str, ...] = ()
         self.on_axis = on_axis(kinematics, domain.joint)
 
