@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -90,13 +89,9 @@ class Carried(Part):
     # ---------------------------------------------------------------- a step
     def _old(self, old: Configuration) -> Configuration:
         """A configuration of this model as one of the other, of this part alone."""
-
-        def own(values: Mapping[str, Any]) -> dict[str, Any]:
-            return {self._part.key: values[self.key]} if self.key in values else {}
-
-        u, others = self._carrier.displacements(old.u), (old.memory, old.stored, old.stresses)
-        memory, stored, stresses = map(own, others)
-        return Configuration(u, old.t, memory, {}, stored, old.at_rest, stresses=stresses)
+        u, kept = self._carrier.displacements(old.u), (old.memory, old.stored, old.stresses)
+        own: list[Any] = [{self._part.key: values[self.key]} if self.key in values else {} for values in kept]
+        return Configuration(u, old.t, own[0], {}, own[1], old.at_rest, stresses=own[2])
 
     def begin(self, interval: Interval) -> None:
         super().begin(interval)

@@ -137,14 +137,10 @@ class PressurePart(FieldPart):
         mass.assemble()
         return mass
 
-    def _before(self) -> Array:
-        """Pressures of this rank before the step, in the units of `field`; zero at rest."""
-        return self.own_start(self.interval.old)
-
     def _end(self) -> Array:
         """Pressures of this rank at the end of the step, in the units of `field`."""
         theta, p = self.interval.theta, self._p.x.array[: self.own_size]
-        return np.asarray(p if theta == 1 else (p - (1 - theta) * self._before()) / theta)
+        return np.asarray(p if theta == 1 else (p - (1 - theta) * self.own_start(self.interval.old)) / theta)
 
     def _squeeze(self, C: PETSc.Mat, p: Array) -> tuple[Array, float]:
         """C p and p . C p, for pressures of this rank. Collective."""
@@ -212,7 +208,7 @@ class PressurePart(FieldPart):
         supplied = float(self._volume.dot(self._p.x.petsc_vec))
         if self.C is None:
             return Outcome(kept=False, supplied=supplied)
-        new, old = self._end(), self._before()
+        new, old = self._end(), self.own_start(self.interval.old)
         before, after, lost = (self._squeeze(self.C, p)[1] / 2 for p in (old, new, new - old))
         return Outcome(before, after, remainder=(2 * self.interval.theta - 1) * lost, supplied=supplied)
 

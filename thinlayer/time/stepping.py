@@ -44,6 +44,7 @@ class TimeStepping:
     def __init__(self, solver: Solver, journal: Journal, plan: Plan, start: float, theta: float) -> None:
         self.solver, self.plan, self.start, self.theta = solver, plan, start, theta
         self._journal = journal
+        self._late = solver.equations.traits.rate  # whether a part does not answer to a sudden load at once
         self._failed_at: float | None = None  # earliest end of a failed step that the march has not reached
         self._run_away = math.inf  # earliest time at which displacements ran away
         self._shortest = False  # whether the step cannot be shortened further
@@ -52,11 +53,6 @@ class TimeStepping:
     @property
     def _history(self) -> History:
         return self._journal.history
-
-    @property
-    def _sudden(self) -> bool:
-        """Whether the laws and own parts answer to a sudden load at once."""
-        return not self.solver.equations.traits.rate
 
     def run(self, resume: bool) -> History:
         """Run the march, or the rest of the march in its folder. Collective; errors as in `march`."""
@@ -86,7 +82,7 @@ class TimeStepping:
     def _begin(self) -> None:
         """Find the first state. A state at rest is written later, with the first step."""
         rest = self.solver.rest(self.start)
-        if not self._sudden:
+        if self._late:
             self._journal.note(rest)
             return
         try:
@@ -230,7 +226,7 @@ class TimeStepping:
 
     def _try(self, old: State, end: float) -> tuple[list[State], float]:
         """States of a step ([] if its error is too large), and the ratio of the next step's length to this one's."""
-        theta = 1.0 if len(self._history) == 1 and not self._sudden else self.theta
+        theta = 1.0 if len(self._history) == 1 and self._late else self.theta
         middle = (old.t + end) / 2
         adaptive, estimate = self.plan.adaptive, self._estimate
         if self.solver.equations.traits.switches:
