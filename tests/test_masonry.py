@@ -32,7 +32,7 @@ def strength(law: type, p: float) -> float:
 
 def couplet(law: type, p: float, kind: str) -> Structure:
     """Two bricks: the lower one is held at its right end, the upper one pushed at its left end."""
-    bed = ThinLayer(law(triplet.MORTAR.lmbda, triplet.MORTAR.mu, triplet.COHESION, triplet.ANGLE), triplet.EPS, at=1.0)
+    bed = ThinLayer(law(triplet.MORTAR.lmbda, triplet.MORTAR.mu, triplet.COHESION, triplet.ANGLE), triplet.EPS)
     push = {"LEFT/BRICK 2": lambda x, t: (triplet.LENGTH / triplet.HEIGHT * t, 0.0), "TOP": (0.0, -p)}
     held = {"BOTTOM": {"y": 0.0}, "RIGHT/BRICK 1": {"x": 0.0}}
     structure = Structure(triplet.stack(2, 30.0), body=triplet.CLAY, supports=held, tractions=push, element="Q1")

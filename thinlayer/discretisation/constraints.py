@@ -461,6 +461,9 @@ class Constraints:
 
     def resistance(self, motions: Array) -> Array:
         """(c, c) how far conditions prevent motions (n, c), where ties follow them as well as they can."""
+        if self._T0 is None:
+            rows = self.prescribed.conditions @ motions
+            return np.asarray(self.comm.allreduce(rows.T @ rows))
         c, gram = motions.shape[1], self.shown(scipy.sparse.csr_matrix(motions))[1]
         return np.asarray(gram[:c, :c] - gram[:c, c:] @ np.linalg.pinv(gram[c:, c:]) @ gram[c:, :c])
 

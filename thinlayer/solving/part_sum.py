@@ -33,6 +33,9 @@ class PartSum:
         self.parts = list(parts)
         self.traits = reduce(or_, (part.traits for part in self.parts), PartTraits())
         self.with_own = [part for part in self.parts if isinstance(part, FieldPart)]
+        for part in self.parts:
+            if hasattr(part, "field") and not isinstance(part, FieldPart):
+                raise ModelError(f"the part {part.key!r} has a field of its own; derive it from FieldPart")
         timed = (part.traits.rate or (part.traits.remembers and not part.traits.switches) for part in self.parts)
         self.depends_on_dt, self.failed = any(timed), 0
 
