@@ -78,7 +78,7 @@ def _errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float
         joint = sandwich(1.0, 0.5, 0.5, h=1 / 8, h_S=1 / 32, h_ends=eps / THROUGH, cell="quadrilateral")
         blocks = Structure(joint, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": LOADS})
         full = record.solved(solve(blocks.full(ThinLayer(law, eps, at=EPS[0]), cells_through=THROUGH)))
-        row: dict[str, Any] = {"eps": eps, "M/E": (law.lmbda + 2 * law.mu) * eps / 100.0}
+        row: dict[str, Any] = {"eps": eps, "M/E": (law.lmbda + 2 * law.mu) * eps / EPS[0] / 100.0}
         for name, chosen in LAWS.items():
             zoom = Zoom(record.solved(solve(blocks.interface(ThinLayer(law, eps, at=EPS[0], **chosen)))))
             row |= {f"{key} {name}": value for key, value in _compared(zoom, full).items()}
