@@ -41,7 +41,7 @@ class Curing(BulkLaw):
     """A resin that hardens: each increment of strain is resisted by the moduli of its time, c(t) times the final ones.
 
     Attributes:
-        lmbda, mu: final moduli, stress per thickness.
+        lmbda, mu: final moduli, stress.
         tau: time in which the conversion c = 1 - exp(-t/tau) comes to 63 %.
     """
 

@@ -23,7 +23,7 @@ RADIUS, RIM = 0.4, 1.0
 CELL = (1.2, 1.0)  # width and height of the periodic cell
 STRETCH = 0.1  # of the rim, along x
 GLASS, RESIN = LinearElastic.young(E=5.0, nu=0.3), LinearElastic.young(E=1.0, nu=0.2)
-COATING = LinearElastic(lmbda=0.6, mu=0.7)  # per thickness
+COATING = LinearElastic(lmbda=0.6, mu=0.7)  # at the thickness 1
 ORDERS = {1: (1.8, 2.2), 2: (3.3, 5.0)}  # degree of cells -> range of the observed order of the energy in h
 
 

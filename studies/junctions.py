@@ -22,7 +22,7 @@ from thinlayer.running.record import Record
 
 EPS = (0.04, 0.02, 0.01, 0.005, 0.0025)
 BODY = LinearElastic.young(E=1.0, nu=0.2)
-BED, HEAD = LinearElastic(lmbda=0.6, mu=0.7), LinearElastic(lmbda=0.3, mu=0.45)  # per thickness
+BED, HEAD = LinearElastic(lmbda=0.6, mu=0.7), LinearElastic(lmbda=0.3, mu=0.45)  # at the thickness 1
 MORTAR = {"BED": (BED, 1.0), "HEAD": (HEAD, 0.7)}  # seam -> law, thickness over eps
 H = 1 / 16  # cell size
 SHIFT = (0.01, -0.02, 0.005)  # of the top
@@ -44,7 +44,7 @@ class Case:
 
     Attributes:
         joint: eps -> the joint.
-        layers: name of a seam -> law per thickness, thickness over eps.
+        layers: name of a seam -> law at the thickness 1, thickness over eps.
         bodies: of the full model, "kept" or "extended".
         distance: from junctions and free ends, of the inner part of S, a length.
         stiff: whether junctions have the bodies' stiffness besides that of a layer.

@@ -29,7 +29,7 @@ class Case:
     """A law and the strains it is run over.
 
     Attributes:
-        law: the law, parameters per thickness.
+        law: the law.
         slots: Mandel components of the strains.
         closed: mean strain over SIZE, negative: compressed, where the closed in-plane form holds at most points.
         floor: points per second that it must reach, or None.

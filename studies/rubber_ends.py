@@ -20,7 +20,7 @@ from thinlayer.running.record import Record
 
 BODY_E = 100.0
 BODY = LinearElastic.young(BODY_E, nu=0.3)
-LAYERS = {"rubber": Rubber.shear(40.0, 0.45), "incompressible": Incompressible(40.0)}  # per thickness
+LAYERS = {"rubber": Rubber.shear(40.0, 0.45), "incompressible": Incompressible(40.0)}  # at the thickness 1
 EPS = (1 / 16, 1 / 32, 1 / 64, 1 / 128)
 TITLES = {"rubber": "rubber, nu = 0.45", "incompressible": "nu = 0.5"}
 NAMES = {"known": "free", "ignored": "plain"}  # whether a law knows its free ends -> `ThinLayer.edges`
@@ -47,7 +47,7 @@ def _errors(record: Record, law: BulkLaw, eps: float, laws: Sequence[str]) -> li
 
     Args:
         record: where solves are noted.
-        law: of the layer, per thickness.
+        law: of the layer, at the thickness 1.
         eps: the thickness.
         laws: what each knows of its ends, `ThinLayer.edges`.
     """

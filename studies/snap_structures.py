@@ -32,7 +32,7 @@ class Block:
         name: for tables.
         joint: the block and S.
         body: its law.
-        layer: parameters of the layer's law, per thickness.
+        layer: parameters of the layer's law, at the thickness 1.
         shape: function of coordinates, UFL or numpy; its mean over the upper side is 1.
     """
 

@@ -49,12 +49,12 @@ class Hardening(BulkLaw):
 
 
 def of(law: BulkLaw) -> Callable[[float], ThinLayer]:
-    """Thickness -> a layer of this law, with parameters per thickness."""
+    """Thickness -> the layer of a family that has the parameters of this law at the thickness 1."""
     return lambda eps: ThinLayer(law, eps, at=1.0)
 
 
 def of_real(law: BulkLaw) -> Callable[[float], ThinLayer]:
-    """Thickness -> a layer of this law, with real parameters."""
+    """Thickness -> a layer of this material."""
     return lambda eps: ThinLayer(law, eps)
 
 
