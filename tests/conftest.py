@@ -3,6 +3,7 @@
 import gc
 import os
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -29,6 +30,21 @@ def pytest_xdist_auto_num_workers(config):
     (first, *more) = config.args
     alone = MPI.COMM_WORLD.size > 1 or (not more and not Path(first.split("::")[0]).is_dir())
     return 0 if alone else len(os.sched_getaffinity(0))
+
+
+GOLDEN = (5**0.5 - 1) / 2  # its multiples fall into no step with the lists of a product of them
+
+
+@pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
+def pytest_collection_modifyitems(items):
+    """Of a list that is marked so, the first case and a few others are in each run."""
+    seen = Counter()
+    for item in items:
+        if mark := item.get_closest_marker("few"):
+            test = item.nodeid.partition("[")[0]
+            if seen[test] * GOLDEN % 1 >= 1 / mark.args[0]:
+                item.add_marker("long")
+            seen[test] += 1
 
 
 @pytest.fixture(autouse=True, scope="module" if MPI.COMM_WORLD.size == 1 else "function")

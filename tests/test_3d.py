@@ -18,6 +18,8 @@ from tests.test_fourier import ABOVE, BELOW
 from thinlayer import SolveError, Structure, Surface, ThinLayer, compare, observed_orders, solve
 from thinlayer.solving import linear_solvers
 
+pytestmark = pytest.mark.few(3)
+
 TURN = Rotation.from_rotvec([0.7, -0.4, 0.5]).as_matrix()
 ELEMENTS = [
     ("tetrahedron", "P1"),
@@ -133,6 +135,7 @@ def box(build, eps: float, order: int = 0, bodies: str = "kept"):
     return solve(build(Structure(joint, **setup), layer, **choice))
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("bodies", ["kept", "extended"])
 def test_sweep_of_the_fourier_box(bodies):
     """Errors of the interface law as the transfer matrices have them, to 1 %, and of first order in eps."""
@@ -145,6 +148,7 @@ def test_sweep_of_the_fourier_box(bodies):
         assert observed_orders(eps, [row[name] for row in rows])[-1] == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.long
 def test_order_1_on_the_fourier_box():
     eps = (1 / 8, 1 / 16)
     errors = [compare(box(Structure.full, e), box(Structure.interface, e, order=1))["error_traction"] for e in eps]

@@ -15,6 +15,8 @@ from tests.arc_length_run import KINKED, PATH, Damage, Trilinear, across_and_alo
 from tests.snapping_bars import FAR, SHARP, STEEP, C, Cohesive, openings, sigma
 from thinlayer import ArcLength, SolveError, march, piecewise, solve
 
+pytestmark = pytest.mark.few(3)
+
 
 def turning_points(t, w, law) -> list[tuple[float, float]]:
     """(w, t) where the straight lines of neighbouring branches meet."""
@@ -133,6 +135,7 @@ def observed_turns(w, t) -> list[tuple[float, float]]:
     return turns
 
 
+@pytest.mark.long
 def test_turning_points_of_a_smooth_law():
     """The observed ones converge to 1 + C sigma'(w) = 0; the rows do not depend on the step."""
     errors, exact = [], np.array(smooth_turns())
@@ -173,6 +176,7 @@ def test_a_block_that_softens_from_one_side():
     assert np.abs(history.table["imbalance"]).max() < 1e-9
 
 
+@pytest.mark.long
 def test_rows_of_long_steps_are_on_the_path_of_short_ones():
     """Distances in (t, nodal displacements of S); the second path turns often, and never goes back."""
     law = Trilinear(k=70.0, fall=15.0, w_1=0.011, w_2=0.033, k_T=30.0)

@@ -91,6 +91,7 @@ def undisturbed(tmp_path_factory):
     return rows(out)
 
 
+@pytest.mark.long
 def test_killed_and_resumed(undisturbed, tmp_path):
     """On two ranks, then on one, with the last state kept or all of them, inside a loop: as if nothing had happened."""
     assert mpirun(2, "-m", "tests.arc_length_run", str(tmp_path), "34").returncode != 0

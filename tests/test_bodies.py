@@ -23,7 +23,6 @@ from forms import (
 )
 from geometry import block, bond_cell, ring, sandwich, wall
 from tests.columns_in_time import column, joint
-from tests.on_ranks import on_ranks
 from tests.own_laws import Slipping
 from tests.taylor import observed_orders
 from thinlayer import (
@@ -42,6 +41,8 @@ from thinlayer import (
 )
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.solving.solvers import Solver
+
+pytestmark = pytest.mark.few(3)
 
 JOINT = sandwich(1.0, 0.5, 0.5, 0.25)
 YIELDING = VonMises(60.0, 50.0, strength=1.0, hardening=20.0, kinematic=10.0)
@@ -226,11 +227,7 @@ def test_a_march_is_resumed_with_the_stresses_of_bodies(tmp_path):
         march(yielding(replace(YIELDING, hardening=1.0)), [0.25], out=tmp_path, resume=True)
 
 
-@on_ranks(numbers, 2)
-def test_ranks_agree(there):
-    assert there == pytest.approx(numbers(), rel=1e-10)
-
-
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("law", "message"),
     [

@@ -13,6 +13,8 @@ from geometry.shapes.sizing import Grading
 from geometry.topology import node_jacobians
 from tests.meshes import volumes
 
+pytestmark = pytest.mark.few(3)
+
 SIDES = {"S", "TOP", "LEFT", "RIGHT", "BACK", "FRONT"}
 SOLIDS = ("tetrahedron", "hexahedron")
 BOXES = [("tetrahedron", False), ("tetrahedron", True), ("hexahedron", False)]
@@ -207,6 +209,7 @@ def test_layers(first, last, symmetric):
     assert Grading.of(1.0, 0.01, 0.2, backwards=True).layers[0] == pytest.approx(0.2, rel=0.5)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("build", "message"),
     [

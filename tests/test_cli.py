@@ -198,6 +198,7 @@ def test_solver_that_does_not_converge(tmp_path):
     assert not (tmp_path / "table.csv").exists()
 
 
+@pytest.mark.long
 def test_verbose(tmp_path):
     """What solves do is told on standard error, and only there, when it is asked for; `test_fig6` has not asked."""
     told = process("run", "sweep_elastic", "--quick", "--eps", "0.1", "--out", tmp_path, "-v")

@@ -30,6 +30,8 @@ from tests.laws_at_points import CREEP, KELVIN, LMBDA, MAXWELL, MAXWELL_2, MU, N
 from tests.own_laws import AgeingFluid, AgeingKelvinVoigt, AgeingSpring, Slipping
 from thinlayer import ModelError, Structure, Surface, ThinLayer, march
 
+pytestmark = pytest.mark.few(3)
+
 SERIES = Stack((0.3, MAXWELL), (0.5, KELVIN), (0.2, LinearElastic(LMBDA, MU)))
 
 

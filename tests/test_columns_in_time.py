@@ -18,6 +18,8 @@ from tests.own_laws import Hardening
 from thinlayer import Structure, Surface, ThinLayer, march
 from thinlayer.pointwise.material import Material
 
+pytestmark = pytest.mark.few(3)
+
 
 @pytest.mark.parametrize(
     ("eps", "theta", "mode"),

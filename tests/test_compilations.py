@@ -59,6 +59,7 @@ def test_stacks_of_order_1_are_compiled_once(modules):
         assert set(modules) == first
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("law", "other"),
     [
@@ -228,6 +229,7 @@ compiled(folder)
 """
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("program", [FORM, LIBRARY], ids=["form", "source"])
 def test_damaged_libraries_are_compiled_again(tmp_path, program):
     """As a crash of the machine may leave them: to load a part of a library may end the process (SIGBUS)."""

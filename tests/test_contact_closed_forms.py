@@ -18,6 +18,8 @@ from tests.contact_run import to_and_fro
 from thinlayer import LimitLoad, SolveError, Structure, ThinLayer, compare, march, piecewise, solve
 from thinlayer.output.contact_report import ContactReport
 
+pytestmark = pytest.mark.few(3)
+
 
 # ------------------------------------------------------------------------ closed forms
 def rigid_block(law, supports, tractions, **choices):

@@ -24,6 +24,7 @@ def require_same(one, two):
         assert np.abs(np.subtract(one[name], two[name])).max() <= 1e-6 * np.abs(one["p"]).max()
 
 
+@pytest.mark.long
 @on_ranks(contents, 2, 3)
 def test_same_contact(serial, there):
     assert there.keys() == serial.keys()
@@ -33,6 +34,7 @@ def test_same_contact(serial, there):
         require_same(serial["bar None"], serial[f"bar {method}"])
 
 
+@pytest.mark.long
 @on_ranks(resumed, 2)
 def test_a_march_goes_on_with_its_slip(serial, there):
     """Stopped on one rank while it slides forth, resumed on two: the slip at the nodes has been kept."""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import pytest
+
 from studies import fig8_friction, performance, relaxation
 from thinlayer.running.cli import main
 
 
+@pytest.mark.long
 def test_figure_8_on_one_mesh_fails_its_checks_with_other_numbers(tmp_path, monkeypatch):
     monkeypatch.setattr(fig8_friction, "FRICTION", 0.95)
     assert main(["run", "fig8_friction", "--out", str(tmp_path)]) == 1

@@ -15,6 +15,8 @@ from studies.problems import FOURIER_LAYER, fourier
 from tests.refused import refused
 from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, observed_orders, solve
 
+pytestmark = pytest.mark.few(3)
+
 INNER, OUTER = LinearElastic.young(200.0, 0.3), LinearElastic.young(70.0, 0.33)
 GLUE = LinearElastic(lmbda=3.0, mu=2.0)
 RADII = (1.0, 1.5, 2.0)
@@ -200,6 +202,7 @@ def test_wedge_in_three_dimensions():
         assert state.energies()["layer"] == pytest.approx(exact, rel=1e-2), state.model
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("profile", "message"),
     [

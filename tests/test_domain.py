@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import dolfinx
 import numpy as np
+import pytest
 
 from geometry import Domain, Joint, block, disc, inflate, ring, sandwich
 from studies import setup_time
@@ -65,6 +66,7 @@ def test_tags():
     compare_tags()
 
 
+@pytest.mark.long
 @on_ranks(compare_tags, 2, 3)
 def test_tags_on_several_ranks(there):
     assert there is None  # no error on any rank

@@ -22,14 +22,15 @@ from forms.stations import Faces
 from geometry import GeometryError, block, disc, faults, sandwich
 from geometry.ends import share_within, straight_ends
 from geometry.sheet import Sheet
-from tests.edges_run import numbers, structure
+from tests.edges_run import structure
 from tests.meshes import grid
-from tests.on_ranks import on_ranks
 from thinlayer import ModelError, RigidPlate, Springs, Structure, ThinLayer, compare, estimate, observed_orders, solve
 from thinlayer.discretisation.end_weights import FacetWeights
 from thinlayer.discretisation.free_rim import side_kinds
 from thinlayer.errors import RangeWarning
 from thinlayer.output.zoom import Zoom
+
+pytestmark = pytest.mark.few(3)
 
 BODY = LinearElastic.young(E=100.0, nu=0.3)
 EPS = (1 / 16, 1 / 32)
@@ -270,11 +271,6 @@ def test_turned_structures_are_the_same(dim):
         for angle in (0.3, 0.0)
     )
     assert turned.energies()["loads"] == pytest.approx(straight.energies()["loads"], rel=1e-9)
-
-
-@on_ranks(numbers, 2)
-def test_the_same_on_two_ranks(there):
-    assert there == pytest.approx(numbers(), rel=1e-10)
 
 
 # ---------------------------------------------------------------- what is refused

@@ -17,6 +17,8 @@ from thinlayer import Structure, ThinLayer
 from thinlayer.discretisation.end_weights import FacetWeights
 from thinlayer.discretisation.free_rim import free_rim
 
+pytestmark = pytest.mark.few(3)
+
 EPS = 0.05
 BODY = LinearElastic.young(1e3, 0.3)
 CELLS = (0.25, 1.0, 4.0, 16.0)  # along S, over the thickness

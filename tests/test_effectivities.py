@@ -151,6 +151,7 @@ def test_where_there_is_no_number_a_sentence_says_why(name):
     assert silent == case.silent
 
 
+@pytest.mark.long
 @on_ranks(numbers, 2)
 def test_the_density_of_the_change_is_that_of_the_meshed_layer_on_any_ranks(there):
     """Away from ends, where the law of order 1 has the strains of the meshed layer."""

@@ -15,7 +15,6 @@ from forms.work import work
 from geometry import block, periodic, sandwich
 from tests.dry_walls import dry_wall
 from tests.eigenstrain_cases import computed, numbers
-from tests.on_ranks import on_ranks
 from tests.refused import refused
 from thinlayer import (
     ModelError,
@@ -29,6 +28,8 @@ from thinlayer import (
     piecewise,
     solve,
 )
+
+pytestmark = pytest.mark.few(3)
 
 LAW = LinearElastic.young(30.0, 0.3)
 GLUE = LinearElastic(7.0, 5.0)
@@ -336,13 +337,11 @@ def test_stiffness_of_a_cell_whose_family_has_eigenstrains():
     assert np.abs(before - solve(plain).mean_stress()).max() > 1e-3
 
 
-# ---------------------------------------------------------------- ranks, refusals
-@on_ranks(numbers, 2)
-def test_ranks(there):
-    alone = numbers()
-    assert there == pytest.approx(alone, rel=1e-10)
+# ---------------------------------------------------------------- refusals
+def test_a_computed_temperature_is_that_of_a_formula():
+    found = numbers()
     for kind, what in itertools.product(("full", "interface"), ("u", "supplied", "stored")):
-        assert alone[f"{kind} computed {what}"] == pytest.approx(alone[f"{kind} {what}"], rel=1e-7)
+        assert found[f"{kind} computed {what}"] == pytest.approx(found[f"{kind} {what}"], rel=1e-7)
 
 
 def test_a_layer_between_bodies_of_two_temperatures_has_their_mean():
@@ -365,6 +364,7 @@ def test_temperatures_that_do_not_cover_the_bodies_or_are_no_scalars_are_refused
             hot.bonded()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("given", "match"),
     [

@@ -38,7 +38,7 @@ from thinlayer.estimating.result import GoalError, _said
 from thinlayer.estimating.thickness import _error, _search
 from thinlayer.output.layer_report import ELASTIC, LayerReport
 
-pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
+pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(3)]
 
 
 # ---------------------------------------------------------------- the identity
@@ -517,6 +517,7 @@ def test_units_do_not_matter():
     assert found[0] == pytest.approx(found[1], rel=1e-9)
 
 
+@pytest.mark.long
 @on_ranks(several, 2)
 def test_ranks_do_not_matter(there):
     here = several()

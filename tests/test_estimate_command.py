@@ -254,6 +254,7 @@ def commands(folder: Path) -> list[list[list]]:
     return found
 
 
+@pytest.mark.long
 @on_ranks(commands, 2)
 def test_two_ranks(wanted, there, their_folder):
     for ranks, expected, stream, text in zip(

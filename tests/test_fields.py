@@ -28,6 +28,8 @@ from tests.fields_run import (
 from tests.on_ranks import on_ranks
 from thinlayer import ContactReport, ModelError, PhaseReport, Structure, Surface, ThinLayer, fields, march, solve
 
+pytestmark = pytest.mark.few(3)
+
 SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
 
 
@@ -255,6 +257,7 @@ def test_cells_at_periodic_sides_are_whole(written):
     assert mean[[0, 1, 3]] == pytest.approx(state.mean_stress()[[0, 1, 0], [0, 1, 1]], rel=1e-9)
 
 
+@pytest.mark.long
 @on_ranks(write_all, 2)
 def test_files_do_not_depend_on_the_ranks(tmp_path, there, their_folder):
     """To rounding, and in the same order."""

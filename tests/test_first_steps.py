@@ -10,6 +10,8 @@ from forms.laws import Norton
 from tests.viscous_joints import JOINT, SETUP, SLOW, SUDDEN, interface
 from thinlayer import Adaptive, ArcLength, ModelError, SolveError, Structure, ThinLayer, march, piecewise
 
+pytestmark = pytest.mark.few(3)
+
 LOADS = {
     "ramp": lambda x, t: (0.0, t),
     "square": lambda x, t: (0.0, t**2),
@@ -52,6 +54,7 @@ def test_steps_after_rest_go_on_where_they_were(tmp_path):
 
 
 # ---------------------------------------------------------------- digits of times
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("times", "start"),
     [

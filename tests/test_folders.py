@@ -458,6 +458,7 @@ def test_pictures_are_whole_or_as_they_were(tmp_path, monkeypatch):
 
 
 # ---------------------------------------------------------------- several ranks
+@pytest.mark.long
 @on_ranks(same_errors, 2)
 def test_errors_of_files_are_errors_of_all_ranks(there):
     assert there is None  # no error on any rank

@@ -11,6 +11,8 @@ from studies.problems import FOURIER_BODY, FOURIER_LAYER, fourier
 from tests import reference
 from thinlayer import Structure, Surface, ThinLayer, compare, observed_orders, solve
 
+pytestmark = pytest.mark.few(3)
+
 # (U, V, S, T) on both sides of S from an independent code
 BELOW = (-4.3703519223243e-4, 2.1589413886969e-3, -0.13658692636385, 0.60452444282214)
 ABOVE = (-3.8517083513286e-3, 6.4769731231408e-3, -0.13658692636385, 0.60452444282214)

@@ -21,6 +21,8 @@ from tests import reference
 from tests.own_laws import layer_of
 from thinlayer import Structure, Surface, ThinLayer, compare, march, observed_orders, solve
 
+pytestmark = pytest.mark.few(3)
+
 H = 1 / 8
 EPS = (1 / 64, 1 / 128)
 LMBDA, MU = reference.LAYER
@@ -321,6 +323,7 @@ def test_the_printed_law_of_maxwell_layers_is_refused():
         Structure(joint, **setup).interface(layer_of(printed, 0.1))
 
 
+@pytest.mark.long
 def test_norton_viscosity_scaled_as_a_modulus():
     """p = 3 and eta ~ eps: the dashpot of the layer stiffens without bound, no law on S with a fixed eta is its limit.
 

@@ -17,12 +17,11 @@ from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic, MohrCoulo
 from geometry import sandwich
 from studies import sweep_friction
 from studies.problems import pressed
-from tests.on_ranks import on_ranks
 from tests.own_laws import layer_of
 from thinlayer import Structure, Surface, ThinLayer, compare, march, observed_orders, solve
 
 # layers whose thickness tends to zero under the same load, and columns of any height
-pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
+pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(3)]
 
 BODY = LinearElastic.young(100.0, 0.3)
 H = 0.5  # of each body
@@ -267,8 +266,3 @@ def norms():
     plates = Structure(where, **setup)
     models = plates.full(ThinLayer(BAND, 1 / 16, at=1.0), cells_through=1), plates.interface(CONTACT)
     return compare(*(march(model, (1.0, 2.0, 3.0)) for model in models))
-
-
-@on_ranks(norms, 2)
-def test_two_ranks(there):
-    assert there == pytest.approx(norms(), rel=1e-7)

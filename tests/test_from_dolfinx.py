@@ -151,6 +151,7 @@ def test_joints_come_back(alone):
         assert alone[f"back: {name}"][1] == pytest.approx(norm(joint), rel=1e-11), name
 
 
+@pytest.mark.long
 @on_ranks(numbers, 2, 3)
 def test_several_ranks(alone, there):
     """The joint does not depend on them."""

@@ -17,6 +17,8 @@ from forms.contact import HolonomicCoulomb, Status, Tresca
 from tests.contact_laws import EXACT, LAWS
 from thinlayer.solving.contact.gauss_seidel import BlockRows, sweep_nodes
 
+pytestmark = pytest.mark.few(3)
+
 
 def stiffness(rng, size, spread=1e3):
     """Symmetric and positive definite, eigenvalues from 1 to `spread`."""
@@ -195,6 +197,7 @@ def test_numbers_that_are_not_finite():
             assert (u[1] != 0.5).all()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("change", "message"),
     [

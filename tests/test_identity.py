@@ -186,7 +186,7 @@ def test_descriptions_are_the_same_in_another_process():
     there = met()
     assert there[0].mean == 2.0  # now it is cached
     program = "from tests.test_identity import *; print(json.dumps(described(met())))"
-    for seed in "123":
+    for seed in "1":
         done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True,
                               env=os.environ | {"PYTHONHASHSEED": seed}, cwd=Path(__file__).parents[1])  # fmt: skip
         assert json.loads(done.stdout) == described(there)

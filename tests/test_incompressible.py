@@ -37,6 +37,8 @@ from thinlayer import (
 from thinlayer.parts.pressure import PressurePart
 from thinlayer.solving.solvers import Solver
 
+pytestmark = pytest.mark.few(3)
+
 MU = 40.0
 LAW = Incompressible(MU)
 CELLS = ["triangle", "quadrilateral"]

@@ -90,6 +90,7 @@ def test_resumed_on_one_rank(tmp_path):
     assert resumed(tmp_path) == pytest.approx(run(None, COARSE), rel=1e-10, abs=1e-12)
 
 
+@pytest.mark.long
 @on_ranks(resumed, 2)
 def test_resumed_on_two_ranks(there):
     assert there == pytest.approx(run(None, COARSE), rel=1e-10, abs=1e-12)

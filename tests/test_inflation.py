@@ -11,6 +11,8 @@ from geometry import GeometryError, Joint, block, disc, inflate, ring, sandwich
 from geometry.topology import node_jacobians
 from tests.meshes import grid, in_layer, upper_cells, volumes
 
+pytestmark = pytest.mark.few(3)
+
 SIZES = (1e-1, 1e-2, 1e-3, 1e-4)
 BOX, TUBE = dict(depth=0.8, h_S=0.2), dict(angle=np.pi / 2, depth=0.6)
 JOINTS = {
@@ -192,6 +194,7 @@ def test_edges_and_corners_of_s(cell):
     assert volumes(opened)[len(base.cells) :].sum() == pytest.approx(eps * area, rel=2e-3 if edge else 1e-9)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron", "quadrilateral"])
 def test_no_room_between_aligned_grids(cell):
     """The lower body is a C that reaches over the upper one: moved apart, they would meet."""

@@ -8,8 +8,9 @@ import ufl
 
 from forms import HolonomicCoulomb, IncrementalCoulomb, LawError, LinearElastic, Tresca
 from geometry import block, ring, sandwich, wall
-from tests.on_ranks import on_ranks
 from thinlayer import ContactReport, ModelError, SolveError, Structure, Surface, march, solve
+
+pytestmark = pytest.mark.few(3)
 
 LOWER, UPPER = LinearElastic.young(30.0, 0.3), LinearElastic.young(50.0, 0.2)
 
@@ -171,16 +172,12 @@ def test_a_march_closes_a_gap_and_balances_its_energy():
     assert pressed.at(0.0).audit.supplied > 0
 
 
-@on_ranks(norms, 2)
-def test_same_on_two_ranks(there):
-    assert there == pytest.approx(norms(), rel=1e-7)
-
-
 def test_models_with_other_gaps_are_others():
     models = [curved(gap=gap) for gap in (0.0, 0.1, CURVED, lambda x: 0.02 * x[0])]
     assert len({json.dumps(model.identity(), sort_keys=True) for model in models}) == 4
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("gap", "match"),
     [

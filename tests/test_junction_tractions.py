@@ -12,11 +12,12 @@ from forms import Incompressible, LinearElastic, MohrCoulomb
 from geometry import Joint, Seam, sandwich, wall
 from tests.meshes import renumbered
 from tests.network_cases import BED, HEAD, panel, pushed, springs, three_bricks
-from tests.on_ranks import on_ranks
 from tests.test_networks import cut_at, on
 from thinlayer import ContactReport, Model, ModelError, State, Structure, Surface, ThinLayer, solve
 from thinlayer.output.junction_tractions import JunctionTractions
 from thinlayer.output.surface_mass import reaction
+
+pytestmark = pytest.mark.few(3)
 
 LAYERS = {"BED": springs(2.0, 0.7), "HEAD": springs(1.2, 0.45, 0.007)}
 STRONG = ThinLayer(
@@ -352,15 +353,7 @@ def test_contact_beside_mortar():
     assert difference(state, "HEAD") < 1e-11
 
 
-# ---------------------------------------------------------------- ranks, and where seams do not meet
-@on_ranks(numbers, 2)
-def test_same_on_two_ranks(there):
-    alone = numbers()
-    assert there.keys() == alone.keys()
-    for name, values in alone.items():
-        assert there[name] == pytest.approx(values, rel=1e-10, abs=1e-12 * max(map(abs, values))), name
-
-
+# ---------------------------------------------------------------- where seams do not meet
 def test_no_pairs_where_seams_do_not_meet():
     grid = wall(1, 4, (2.0, 0.5), 0.25)
     joint = cut_at(grid, {"LOW": (on(1, 0.5), (0, 1)), "HIGH": (on(1, 1.5), (0, 1))})

@@ -25,6 +25,8 @@ from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, drive, march, solve
 from thinlayer.errors import RangeWarning, SolveError
 
+pytestmark = pytest.mark.few(3)
+
 L, M = 3.0, 2.0  # moduli per thickness; lmbda + 2 mu = 7
 EPS, CREEP = 0.1, 0.5
 ROUNDED = 1e-9  # relative: the solver's residual
@@ -117,6 +119,7 @@ def test_energies_at_points_are_those_of_the_stress_that_was_told():
     assert history.energies[:, 1:].sum(axis=1) + stored_change == pytest.approx(work, rel=1e-12)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["e_old", "dt", "rate"])
 def test_laws_without_memory_are_told_of_no_step(name):
     """Neither in a form nor at points; the message says what they need."""
@@ -131,6 +134,7 @@ def test_laws_without_memory_are_told_of_no_step(name):
 
 
 # ---------------------------------------------------------------- what is not what it says
+@pytest.mark.few(1)
 @pytest.mark.parametrize("place", [(0, 1), (1, 0)])
 @pytest.mark.parametrize("parent", [BulkLaw, TractionLaw])
 def test_an_internal_tensor_must_be_symmetric(place, parent):
@@ -180,6 +184,7 @@ def test_a_law_that_ufl_does_not_take_for_linear():
         solve(column(law))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("linear", [True, False])
 @pytest.mark.parametrize("kind", [Structure.interface, Structure.full])
 def test_a_law_without_stress(kind, linear):
@@ -394,6 +399,7 @@ def test_a_law_otherwise_is_of_the_stress_beside_it():
 
 
 # ---------------------------------------------------------------- what would be ignored
+@pytest.mark.few(1)
 @pytest.mark.parametrize("method", ["stress", "advance", "energy", "dissipation", "holds"])
 def test_methods_that_a_compiled_law_and_a_stack_never_ask(method):
     def never(law, step):
@@ -408,6 +414,7 @@ def test_methods_that_a_compiled_law_and_a_stack_never_ask(method):
     type("Own", (Mises,), {"kernel": Mises.kernel, "stress": never})(L, M, 1.0)  # beside the kernel: a note
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("parent", "names", "message"),
     [

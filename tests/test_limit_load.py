@@ -16,8 +16,7 @@ from petsc4py import PETSc
 
 from forms import KelvinVoigt, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn, Stack
 from forms.traction import TractionLaw
-from tests.limit_load_run import FULL, SLIDING, dragged, numbers, sheared
-from tests.on_ranks import on_ranks
+from tests.limit_load_run import FULL, SLIDING, dragged, sheared
 from thinlayer import Adaptive, SolveError, Surface, march, solve
 from thinlayer.errors import LimitLoad
 from thinlayer.parts.compiled import CompiledPart
@@ -26,6 +25,8 @@ from thinlayer.running.record import Record
 from thinlayer.running.recorded import OK, SOLVE_FAILED
 from thinlayer.solving.continuation import Continuation
 from thinlayer.solving.solvers import Solver
+
+pytestmark = pytest.mark.few(3)
 
 TAN, SIN, COS = np.tan(np.pi / 6), np.sin(np.pi / 6), np.cos(np.pi / 6)
 LIMITS = {SLIDING: 0.1 + TAN, FULL: 0.1 * COS + SIN}  # of the mean shear traction under a mean pressure of 1
@@ -296,12 +297,3 @@ def test_the_schedule_of_eases():
         Continuation().follow(lambda ease, start: found(ease if ease > 0.6 else 0.31, start))
     with pytest.raises(SolveError, match="times those of an elastic layer"):
         Continuation().follow(lambda ease, start: PETSc.Vec().createWithArray([1e-9 ** (ease - 1)], comm=MPI.COMM_SELF))
-
-
-# ---------------------------------------------------------------- ranks
-@on_ranks(numbers, 2)
-def test_two_ranks_end_with_the_same_error(there):
-    one = numbers()
-    assert there == pytest.approx(one, rel=1e-8)
-    assert one["eased"] == one["wall BED > 0.5"] == 1.0
-    assert one["block t"] < 0.9 < one["block failed at"]

@@ -13,7 +13,6 @@ import ufl
 from forms import LinearElastic
 from geometry import faults, grains, ring, sandwich, wall
 from tests.fields_run import BODY, EPS, K, axes, uniform
-from tests.on_ranks import on_ranks
 from tests.refused import refused
 from thinlayer import ModelError, Structure, Surface, ThinLayer, plotting, solve
 from thinlayer.files.table import Table
@@ -188,11 +187,3 @@ def numbers() -> dict[str, list]:
         for k, line in enumerate(surface.along(surface.jump(solve(surface.model)), plane=plane)):
             found[f"{name} {k}"] = np.column_stack([line.s, line.x, line.values]).tolist()
     return found
-
-
-@on_ranks(numbers, 2)
-def test_lines_do_not_depend_on_the_ranks(there):
-    alone = numbers()
-    assert list(alone) == list(there)
-    for name, rows in alone.items():
-        assert np.array(there[name]) == pytest.approx(np.array(rows), rel=1e-9, abs=1e-11), name

@@ -20,6 +20,8 @@ from tests.test_cli import thinlayer
 from tests.viscous_joints import JOINT, PULL, SETUP, SLOW, SUDDEN, interface
 from thinlayer import ModelError, RangeWarning, Structure, ThinLayer, march
 
+pytestmark = pytest.mark.few(3)
+
 COMM = MPI.COMM_WORLD
 
 
@@ -144,6 +146,7 @@ def resumed_study(folder: Path) -> list[list]:
     return found
 
 
+@pytest.mark.long
 @on_ranks(resumed_study, 2)
 def test_a_killed_study_is_resumed(tmp_path, there, their_folder):
     """On two ranks, where it was on one; not as another study, nor with other options."""
@@ -201,6 +204,7 @@ def test_killed_on_one_rank_and_resumed_on_two(undisturbed, there, their_folder)
     require_undisturbed(their_folder, undisturbed, THREE)
 
 
+@pytest.mark.long
 def test_killed_on_two_ranks_and_resumed_on_one(undisturbed, tmp_path):
     """As it writes the files of the fourth march."""
     done = mpirun(2, "-m", "tests.marching_run", str(tmp_path), "22", "writing", *marching_run.MARCHES)

@@ -27,6 +27,8 @@ from thinlayer import (
     solve,
 )
 
+pytestmark = pytest.mark.few(3)
+
 
 @pytest.mark.parametrize(("theta", "order"), [(1.0, 1), (0.5, 2)])
 def test_adaptive_steps(theta, order):

@@ -19,6 +19,8 @@ from tests.refused import refused
 from tests.test_networks import cut_at, on
 from thinlayer import LayerReport, LimitLoad, ModelError, Structure, Surface, ThinLayer, march, plotting, solve
 
+pytestmark = pytest.mark.few(3)
+
 FAR = 0.2  # from junctions and ends: a traction of degree 1 takes their values one cell (0.125) farther
 STEPS = 1 / 1024  # of the last planned step, to which a limit is found
 
@@ -84,6 +86,7 @@ def pressed() -> Structure:
     return Structure(bricks("triangle", 0.125), body=LinearElastic.young(1.0, 0.2), supports=supports, element="P2")
 
 
+@pytest.mark.long
 def test_a_panel_that_yields():
     """Tractions, jumps and the force that shears it converge to those of S, before and after its bed has slipped."""
     limit = march(pressed().interface(yielding(0.01)), [0.04, 0.08, 0.12])

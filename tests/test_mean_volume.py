@@ -13,6 +13,8 @@ from geometry import ring, sandwich
 from thinlayer import LimitLoad, RangeWarning, Structure, march
 from thinlayer.pointwise.compiled_term import CompiledTerm
 
+pytestmark = pytest.mark.few(3)
+
 A, B, HEIGHT, STRENGTH = 6.0, 18.0, 3.0, 100.0  # mm, MPa
 LIMIT = 2 / math.sqrt(3) * STRENGTH * math.log(B / A)  # between ends that do not move along the axis
 METAL = VonMises.young(E=70e3, nu=0.3, strength=STRENGTH)
@@ -55,6 +57,7 @@ def test_a_tube_of_revolution_has_its_limit_load(element):
     assert found.value.t == pytest.approx(LIMIT, rel=0.02 if element == "Q1" else 0.01)
 
 
+@pytest.mark.long
 def test_a_tube_of_quadrilaterals_in_plane_strain_has_its_limit_load():
     with pytest.raises(LimitLoad) as found:
         march(quarter("quadrilateral"), [100.0, 120.0, 124.0, 130.0], keep="last")

@@ -9,13 +9,14 @@ import ufl
 from forms import Anisotropic, Incompressible, LawError, LinearElastic, Stack
 from geometry import GeometryError, Joint, Seam, inflate, wall
 from geometry.topology import node_jacobians
-from tests.meshed_cases import SHARES, jump_errors, mortar, numbers, panel, star, yielded, yielding
+from tests.meshed_cases import SHARES, jump_errors, mortar, panel, star, yielded, yielding
 from tests.meshes import grid, volumes
 from tests.network_cases import springs
-from tests.on_ranks import on_ranks
 from tests.refused import refused
 from tests.test_networks import SQUARE, cut_at, on
 from thinlayer import Gap, ModelError, RangeWarning, Structure, Surface, ThinLayer, UflPart, compare, solve
+
+pytestmark = pytest.mark.few(3)
 
 RATIOS = (1e-1, 1e-2, 1e-3, 1e-4)
 BRICK = (1.0, 0.5)
@@ -421,11 +422,6 @@ def test_two_layers_in_series():
     surface = Surface(surface.model, "HIGH")
     assert surface.integral(surface.jump(state)[1]) == pytest.approx(8 * 2.0 * (0.5 / 8 + 0.5 / 4), rel=1e-10)
     assert state.energies()["layer"] == pytest.approx(8 * 2.0**2 / 2 * (1 / 4 + 0.5 / 8 + 0.5 / 4), rel=1e-10)
-
-
-@on_ranks(numbers, 2)
-def test_same_on_two_ranks(there):
-    assert there == {name: pytest.approx(values, rel=1e-10) for name, values in numbers().items()}
 
 
 # ---------------------------------------------------------------- what is refused

@@ -15,9 +15,10 @@ from geometry.topology import FacetTable
 from tests.meshed_cases import star
 from tests.meshes import grid, renumbered, volumes
 from tests.network_cases import square
-from tests.on_ranks import on_ranks
 from tests.test_meshed_networks import BRICK, RATIOS, WAYS, areas, check
 from thinlayer import Structure, Surface, ThinLayer, UflPart, solve
+
+pytestmark = pytest.mark.few(3)
 
 THICK = {"X": 0.7, "Y": 1.0, "Z": 1.3}  # of the layers of the cube over eps
 LAW = {"X": (0.3, 0.45), "Y": (0.6, 0.7), "Z": (0.4, 0.5)}  # their lmbda and mu per thickness
@@ -318,8 +319,3 @@ def test_a_stiff_fill_does_not_converge():
     errors = jump_errors("P2", (0.01, 0.005), parts=(UflPart(energy=stiff),))
     assert (errors > 0.02).all()
     assert abs(np.log2(errors[0] / errors[1])) < 0.2
-
-
-@on_ranks(numbers, 2)
-def test_same_on_two_ranks(there):
-    assert there == {name: pytest.approx(values, rel=1e-10) for name, values in numbers().items()}

@@ -36,6 +36,8 @@ from tests.own_laws import (
 from tests.snapping_bars import Undeclared
 from thinlayer import ModelError, Structure, Surface, ThinLayer, march, piecewise
 
+pytestmark = pytest.mark.few(3)
+
 JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
 BODY = LinearElastic.young(100.0, 0.3)
 SUPPORTS = {"BOTTOM": 0.0, "LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
@@ -160,6 +162,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", REFUSED)
 def test_refused(name, tmp_path):
     """Before anything is solved; limit loads would come out too high, and steps beyond them find states that are none."""

@@ -12,8 +12,7 @@ import ufl
 from forms import Incompressible, LinearElastic, Stack
 from geometry import GeometryError, sandwich
 from geometry.inflating.inflation import inflate
-from tests.mixed_run import BODY, EPS, LAYER, near_ends, numbers, plane, space
-from tests.on_ranks import on_ranks
+from tests.mixed_run import BODY, EPS, LAYER, near_ends, plane, space
 from tests.refused import refused
 from thinlayer import ModelError, RangeWarning, Structure, Surface, ThinLayer, compare, estimate, observed_orders, solve
 from thinlayer.output.concentration import most_of
@@ -202,8 +201,3 @@ def test_facets_without_cells_leave_the_thickness_empty():
 def test_what_cannot_be_mixed_is_refused(layer, where, message):
     with pytest.raises(ModelError, match=message):
         plane("triangle").mixed(layer, where=where)
-
-
-@on_ranks(numbers, 2)
-def test_two_ranks_have_the_same_numbers(there):
-    assert there == pytest.approx(numbers(), rel=1e-10, abs=1e-12)

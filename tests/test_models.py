@@ -24,6 +24,8 @@ from thinlayer.errors import RangeWarning
 from thinlayer.output.surface_mass import nodal_forces
 from thinlayer.solving.solvers import Solver
 
+pytestmark = pytest.mark.few(3)
+
 JOINT = sandwich(1.0, 0.5, 0.7, 0.25)
 BODY = LinearElastic.young(100.0, 0.3)
 GLUE = LinearElastic(lmbda=15.0, mu=7.0)
@@ -215,6 +217,7 @@ def test_failed_solves_say_why():
     refused(ValueError, "cannot solve a non-linear law", lambda: solve(hard, method="linear"))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("build", [Structure.full, Structure.interface])
 @pytest.mark.parametrize(
     ("change", "error", "message"),

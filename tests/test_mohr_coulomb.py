@@ -33,6 +33,8 @@ from tests.mohr_coulomb_points import (
 )
 from thinlayer.pointwise.drive import drive
 
+pytestmark = pytest.mark.few(3)
+
 SLOW = settings(max_examples=60)
 
 

@@ -12,7 +12,6 @@ from studies.fig3_mohr_coulomb import R_X, glue
 from studies.sweep_mohr_coulomb import COULOMB, FLOOR, LAYERS, bar_r1, sheared_blocks
 from tests.columns_in_time import both, check_balance, check_same
 from tests.columns_in_time import column as tall_column
-from tests.on_ranks import on_ranks
 from thinlayer import History, Structure, Surface, ThinLayer, compare, march, solve
 from thinlayer.pointwise.drive import PointHistory, drive
 
@@ -52,7 +51,7 @@ def numbers() -> dict[str, float]:
 
 
 # layers whose thickness tends to zero under the same load, and columns of any height
-pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
+pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(3)]
 
 BODY = LinearElastic.young(100.0, 0.3)
 LMBDA, MU = 60.0, 40.0
@@ -189,16 +188,7 @@ def test_plane_strain_is_a_slice_of_three_dimensions():
     assert deep.stress == pytest.approx(flat.stress, abs=1e-13)
 
 
-# ---------------------------------------------------------------- ranks, problems of the studies
-@on_ranks(numbers, 2)
-def test_ranks(there):
-    """Layers that yield, meshed and on S, in 2D and 3D, and one opened beyond its apex: the same numbers."""
-    one = numbers()
-    assert there == pytest.approx(one, rel=1e-8)
-    assert len(one) == 12
-    assert min(value for name, value in one.items() if "dissipated" in name) > 0
-
-
+# ---------------------------------------------------------------- problems of the studies
 def test_order_1_and_the_floor_that_coulombs_law_leaves():
     """Blocks that are sheared to and fro: |t_T| <= C - tan(Omega) t_N on S is not the limit."""
     (joint, setup), law, times = sheared_blocks(1 / 8), LAYERS[""], (0.5, 1.0, 1.5)

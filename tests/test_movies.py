@@ -115,6 +115,7 @@ def shown(folder: Path) -> None:
     plotting.movie(pulled(), save=folder / "a.gif")
 
 
+@pytest.mark.long
 @on_ranks(shown, 2)
 def test_on_two_ranks(there, their_folder):
     assert len(frames(their_folder / "a.gif")[0]) == 4

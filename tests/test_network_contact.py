@@ -10,14 +10,15 @@ import ufl
 from forms import IncrementalCoulomb, LinearElastic, Stack
 from geometry import Seam, bond_cell
 from studies import dry_wall as dry_wall_study
-from tests.dry_walls import PUSHES, dry_wall, energies, forth_and_back, imbalance, pair_values
+from tests.dry_walls import PUSHES, dry_wall, forth_and_back, imbalance, pair_values
 from tests.network_cases import BED, HEAD, springs, three_bricks
-from tests.on_ranks import on_ranks
 from thinlayer import ContactReport, ModelError, Structure, ThinLayer, march, solve
 from thinlayer.errors import LimitLoad, LooseBody
 from thinlayer.parts.part import Interval
 from thinlayer.solving.contact.pieces import Condensation
 from thinlayer.solving.solvers import Solver
+
+pytestmark = pytest.mark.few(3)
 
 ROUNDED = 1e-8  # relative, of forces: solvers stop at 1e-10 of all forces
 
@@ -223,6 +224,7 @@ def lifted(method, up, head):
     return solve(structure.interface({"BED": BED, "HEAD": head}), method=method)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("method", ["condensed", "newton"])
 def test_a_brick_that_is_lifted_is_named(method):
     """Its neighbour, which the pressure makes wider, touches it at a dry head; an open one holds nothing."""
@@ -285,12 +287,6 @@ def test_up_to_sliding_beds():
         assert state.report.iterations <= 10
     assert len(one) == 5  # no step was shortened
     assert ContactReport(one[-1], "BED").counts["sliding"] > 40
-
-
-@on_ranks(energies, 2)
-def test_same_march_on_two_ranks(there):
-    alone = np.array(energies())
-    np.testing.assert_allclose(there, alone, rtol=1e-10, atol=1e-12 * np.abs(alone).max())
 
 
 # ---------------------------------------------------------------- what is refused

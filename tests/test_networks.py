@@ -19,7 +19,6 @@ from tests.network_cases import (
     PUSHED,
     WALL,
     YIELDED,
-    numbers,
     panel,
     panel_energy,
     pushed,
@@ -29,9 +28,10 @@ from tests.network_cases import (
     wall_energy,
     yielded,
 )
-from tests.on_ranks import on_ranks
 from tests.refused import refused
 from thinlayer import ContactReport, ModelError, Structure, Surface, ThinLayer, march, solve
+
+pytestmark = pytest.mark.few(3)
 
 ROCK = LinearElastic.young(10.0, 0.25)
 
@@ -216,14 +216,6 @@ def test_slip_of_rigid_bricks_on_two_seams():
             assert values == pytest.approx(wanted, abs=1e-6)  # bricks are 1e6 times stiffer than seams
     assert slip == pytest.approx({"left": 0.01, "right": 0.016, "head": 0.017})
     assert max(abs(state.audit.imbalance) for state in history) < 1e-8  # stresses of stiff bricks are rounded
-
-
-@on_ranks(numbers, 2)
-def test_same_on_two_ranks(there):
-    alone = numbers()
-    assert there.keys() == alone.keys()
-    for name, values in alone.items():
-        assert np.ravel(there[name])[:2] == pytest.approx(np.ravel(values)[:2], rel=1e-10), name
 
 
 # ---------------------------------------------------------------- what is refused

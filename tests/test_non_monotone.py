@@ -30,6 +30,8 @@ from tests.non_monotone_points import (
     random_strains,
 )
 
+pytestmark = pytest.mark.few(3)
+
 SLOW = settings(max_examples=40)
 
 

@@ -26,7 +26,7 @@ from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, ma
 from thinlayer.discretisation.places import quadratures
 
 # layers whose thickness tends to zero under the same load, and columns of any height
-pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
+pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(3)]
 
 LMBDA, MU, ALPHA = 60.0, 40.0, 1.2
 CHI3 = np.array([[0.3, 0.5, -0.2], [0.5, 0.9, 0.4], [-0.2, 0.4, -0.6]])
@@ -313,6 +313,7 @@ def test_sublayer(eps):
 
 
 # ---------------------------------------------------------------- ranks, resumed marches
+@pytest.mark.long
 @on_ranks(half, 2)
 def test_ranks_and_resumed_marches(tmp_path, there, their_folder):
     """Half of each march on two ranks and the rest on one: the numbers, and the snaps, of one rank that did not stop."""

@@ -16,6 +16,8 @@ from tests import reference
 from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, march, observed_orders, solve
 from thinlayer.errors import RangeWarning
 
+pytestmark = pytest.mark.few(3)
+
 # |t_full - t_order1| in L2(S) of the Fourier problem, from transfer matrices
 TRACTION_ERRORS = {1 / 8: 1.885e-3, 1 / 16: 5.320e-4, 1 / 32: 1.371e-4, 1 / 64: 3.452e-5}
 
@@ -112,6 +114,7 @@ def test_rigid_base():
     assert observed_orders(eps, errors[1])[-1] == pytest.approx(2.0, abs=0.1)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     "law", [Maxwell(60.0, 40.0, t1=0.7, t2=0.9), Norton(60.0, 40.0, eta=5.0, p=1.5)], ids=lambda law: type(law).__name__
 )

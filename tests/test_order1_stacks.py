@@ -12,10 +12,11 @@ from forms.sharing import in_series
 from geometry import sandwich
 from studies.problems import FOURIER_BODY, FOURIER_LAYER, fourier
 from tests import reference
-from tests.on_ranks import on_ranks
 from tests.test_eigenstrains_of_layers import varying
 from thinlayer import Structure, Surface, ThinLayer, compare, observed_orders, solve
 from thinlayer.errors import RangeWarning
+
+pytestmark = pytest.mark.few(3)
 
 TWO = [(0.3, 60.0, 40.0), (0.7, 600.0, 20.0)]  # fraction, lmbda, mu of the sublayers, per thickness
 THREE = [(0.3, 400.0, 20.0), (0.3, 20.0, 60.0), (0.4, 60.0, 5.0)]
@@ -220,11 +221,7 @@ def numbers() -> list[float]:
     return found
 
 
-@on_ranks(numbers, 2)
-def test_ranks(there):
-    assert there == pytest.approx(numbers(), rel=1e-10)
-
-
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "law",
     [

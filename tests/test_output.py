@@ -12,6 +12,8 @@ from tests.refused import refused
 from thinlayer import History, ModelError, Structure, Surface, Table, ThinLayer, fields, march, plotting, solve, sweep
 from thinlayer.output.grid import gather
 
+pytestmark = pytest.mark.few(3)
+
 
 def test_rows_are_committed_one_by_one(tmp_path):
     seen = []
@@ -58,6 +60,7 @@ def test_a_resumed_sweep_keeps_its_rows(tmp_path):
             sweep(lambda e, bad=bad: bad, [0.2])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("eps", [[], [0.1, 0.1], [0.0, 0.1], [float("inf")], "12", [True], ["1"], None, 0.1])
 def test_sweep_refuses_bad_thicknesses(eps):
     refused(LawError, "different thicknesses > 0", lambda: sweep(lambda e: {}, eps))
@@ -159,6 +162,7 @@ def test_displacements_for_paraview(states, tmp_path):
         assert state.u.name == "mine"
 
 
+@pytest.mark.few(1)
 def test_there_must_be_something_to_draw_and_to_write(states, tmp_path):
     history = march(states[1].model, [1.0])
     for nothing in ({}, history, {"a": history}, None):

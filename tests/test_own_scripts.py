@@ -559,6 +559,7 @@ def without_ghosts() -> list[str]:
     return MPI.COMM_WORLD.allgather(raised(lambda: exec(script, {"__name__": "__main__"})))
 
 
+@pytest.mark.long
 @on_ranks(without_ghosts, 2)
 def test_mesh_without_ghosts_on_two_ranks(there):
     for said in there:

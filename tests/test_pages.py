@@ -28,6 +28,10 @@ LONG = {
     "thinlayer/guide/joints.md#networks-of-layers",
     "thinlayer/guide/results.md#results",
     "thinlayer/guide/estimate.md#in-a-script",
+    "thinlayer/guide/estimate.md#the-command",
+    "thinlayer/guide/estimate.md#a-description-in-python",
+    "thinlayer/guide/time.md#inertia-a-part-of-ones-own",
+    "forms/README.md#writing-a-law",
     "studies/ensembles.md#an-ensemble",
 }
 assert SECTIONS.keys() >= LONG

@@ -291,17 +291,7 @@ def norms() -> dict[str, float]:
 COMM = MPI.COMM_WORLD
 
 
-@pytest.fixture(scope="module")
-def serial():
-    return norms()
-
-
-@on_ranks(norms, 2, 3)
-def test_same_norms(serial, there):
-    assert there == pytest.approx(serial, rel=1e-10)
-    assert len(serial) > 30
-
-
+@pytest.mark.long
 def test_study_on_two_ranks(tmp_path):
     words = ["run", "sweep_elastic", "--quick", "--eps", "0.1", "0.05", "--out"]
     done = mpirun(2, "-m", "thinlayer", *words, str(tmp_path / "two"))
@@ -398,6 +388,7 @@ def test_an_error_of_one_rank_ends_all(tmp_path):
     assert "FileExistsError" in done.stderr or "NotADirectoryError" in done.stderr
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("ending", "status", "said"),
     [
@@ -417,6 +408,7 @@ def test_what_ends_a_rank_after_a_solve_ends_all(ending, status, said):
         assert f"RuntimeError: {text}" in done.stderr
 
 
+@pytest.mark.long
 def test_an_error_of_one_rank_where_others_wait_for_it():
     """A user's function fails on one rank; the other one waits in a collective call that it would come to."""
     done = mpirun(

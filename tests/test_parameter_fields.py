@@ -31,6 +31,8 @@ from tests.own_laws import Cubic, Slipping
 from tests.refused import refused
 from thinlayer import ModelError, RangeWarning, StepProblem, Structure, Surface, ThinLayer, compare, drive, march, solve
 
+pytestmark = pytest.mark.few(3)
+
 JOINT = sandwich(1.0, 0.5, 0.5, 0.25, structured=True)
 SUPPORTS = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
 LOADS = {"TOP": lambda x, t: (0.3 * t, t * (1 + x[0]))}
@@ -174,6 +176,7 @@ def test_only_the_same_functions_are_resumed(tmp_path):
         march(model(6.0), [0.5, 1.0], out=tmp_path, resume=True)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("law", "message"),
     [

@@ -11,10 +11,8 @@ from forms import HolonomicCoulomb, Incompressible, LinearElastic, VonMises
 from forms.law import BulkLaw
 from geometry import GeometryError, Seam, bond_cell, inflate, periodic, sandwich, wall
 from studies import homogenised_bond
-from tests import periodic_cases
 from tests.meshes import renumbered
 from tests.network_cases import springs
-from tests.on_ranks import on_ranks
 from tests.periodic_cases import (
     BOND,
     BRICK,
@@ -48,6 +46,8 @@ from thinlayer import (
 )
 from thinlayer.output.surface_mass import nodal_forces
 from thinlayer.running.cli import main
+
+pytestmark = pytest.mark.few(3)
 
 SIDES = (("LEFT", "RIGHT"), ("BOTTOM", "TOP"))
 ROCK = LinearElastic.young(10.0, 0.25)
@@ -367,15 +367,6 @@ def test_profiles_and_runs_of_periodic_cells(tmp_path):
     assert len(x) == len(jump) == 2 * (8 + 2)  # a bed is a circle of 8 edges, with a junction above and one below
     assert {0.5, 1.5} == set(np.round(x[:, 1], 9))
     assert x[:, 0].max() < 2.0
-
-
-@on_ranks(periodic_cases.numbers, 2, 3)
-def test_same_on_several_ranks(there):
-    alone = periodic_cases.numbers()
-    assert there.keys() == alone.keys()
-    for name, values in alone.items():
-        size = np.abs(values).max()
-        assert there[name] == pytest.approx(values, rel=1e-10, abs=1e-12 * size), name
 
 
 def test_the_study_holds_and_can_fail(tmp_path, monkeypatch):

@@ -52,6 +52,7 @@ def red(image):
     return (image[..., 0] > 0.7) & (image[..., 1] < 0.35) & (image[..., 2] < 0.45)
 
 
+@pytest.mark.long
 def test_thin_layer_is_red_where_it_is_meshed(pulled, pushed, tmp_path):
     for states in (pulled, pushed):
         full, law = halves(picture(tmp_path / "a.png", states, title="t", unit="mm"))

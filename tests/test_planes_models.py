@@ -27,12 +27,13 @@ from forms.limits_plastic import PlasticCylinder
 from geometry import sandwich
 from studies.problems import fourier
 from tests.columns_in_time import check_same, column, joint
-from tests.on_ranks import on_ranks
 from tests.taylor import observed_orders
 from tests.test_plane_stress import Pressed, Stiffening
 from thinlayer import SolveError, State, Structure, Surface, ThinLayer, compare, march, solve
 from thinlayer.output.probe import Probe
 from thinlayer.solving.solvers import Solver
+
+pytestmark = pytest.mark.few(3)
 
 BODY = LinearElastic(80.0, 50.0)
 CREEPS, YIELDS = Maxwell(3.0, 2.0, 0.8, 2.5), MohrCoulomb(3.0, 2.0, 0.005, 30.0, 0.05)
@@ -238,9 +239,3 @@ def test_a_thick_plastic_cylinder_of_revolution():
     assert rim == pytest.approx(float(closed.displacement(pressure, np.array(b))), rel=1e-2)
     elastic = pressure * a**2 / (1 - (a / b) ** 2) / (2 * mu * b)
     assert rim.mean() > 1.1 * elastic
-
-
-# ---------------------------------------------------------------- ranks
-@on_ranks(numbers, 2)
-def test_the_same_numbers_on_two_ranks(there):
-    assert there == pytest.approx(numbers(), rel=1e-10)

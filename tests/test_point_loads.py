@@ -29,6 +29,8 @@ from thinlayer import (
 )
 from thinlayer.output.surface_mass import nodal_forces
 
+pytestmark = pytest.mark.few(3)
+
 ELEMENTS = {"tetrahedron": ("P1", "P2"), "hexahedron": ("Q1", "Q2", "S2")}
 
 

@@ -145,6 +145,7 @@ def test_seams_by_name():
     assert "the layer 'LOW' alone is" in found["text"]
 
 
+@pytest.mark.long
 @on_ranks(numbers, 2)
 def test_two_ranks(there):
     one, two = numbers(), there

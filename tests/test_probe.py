@@ -8,7 +8,6 @@ import pytest
 from forms import Incompressible, LinearElastic, Maxwell, MohrCoulombMonodirectional, Stack
 from geometry import ring, sandwich, wall
 from tests.fields_run import BODY, CASES, EPS, K, axes, slipping, uniform
-from tests.on_ranks import on_ranks
 from tests.refused import refused
 from thinlayer import ModelError, Probe, Structure, ThinLayer, march, solve
 
@@ -185,9 +184,3 @@ def numbers() -> list:
     name = creep.names["body LOWER"][0]
     found += [creep.stress(x[:2]), creep.internal(name, x[:1]), creep.points(name).x, creep.points(name).values]
     return [one.tolist() for one in found]
-
-
-@on_ranks(numbers, 3)
-def test_values_do_not_depend_on_the_ranks(there):
-    for a, b in zip(numbers(), there, strict=True):
-        assert np.array(b) == pytest.approx(np.array(a), rel=1e-8, abs=1e-10)

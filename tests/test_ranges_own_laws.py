@@ -29,6 +29,8 @@ from tests import ranges_told
 from tests.own_laws import Mises, StandardSolid, layer_of
 from thinlayer import Model, Structure, ThinLayer, march, solve
 
+pytestmark = pytest.mark.few(3)
+
 STIFF = LinearElastic.young(1e5, 0.3)
 
 
@@ -177,6 +179,7 @@ def model_of(layer: BulkLaw, kind: Any = Structure.interface, body: BulkLaw = ST
     return kind(Structure(joint, **setup | {"body": body} | data), layer_of(layer, 0.1))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", [Structure.interface, Structure.full])
 @pytest.mark.parametrize(
     "law",

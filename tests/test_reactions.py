@@ -8,9 +8,8 @@ from forms import Stack
 from forms.laws import Incompressible, LinearElastic
 from geometry import block, sandwich, wall
 from tests.arc_length_run import KINKED, PATH, tilted
-from tests.on_ranks import on_ranks
 from tests.refused import refused
-from tests.supports_run import BODY, CONTACT, CREEP, EPS, GLUE, KINDS, MORTAR, loaded, numbers, on_base, out_of_balance
+from tests.supports_run import BODY, CONTACT, CREEP, EPS, GLUE, KINDS, MORTAR, loaded, on_base, out_of_balance
 from thinlayer import ModelError, RangeWarning, Springs, Structure, ThinLayer, march, solve
 
 BALANCED = 1e-10  # residual at which solvers stop
@@ -204,15 +203,3 @@ def test_supports_that_agree():
     supports = {"BOTTOM": 0.0, "LEFT": {"x": lambda x, t: t * (x[1] + 0.5)}, "TOP": {"x": lambda x, t: t / 3 * 3}}
     state = solve(Structure(joint, body=BODY, supports=supports).bonded(), t=0.01)
     assert out_of_balance(state) < BALANCED
-
-
-# ---------------------------------------------------------------- ranks
-@on_ranks(numbers, 2, 3)
-def test_same_on_several_ranks(there):
-    expected = numbers()
-    assert there.keys() == expected.keys()
-    for name, value in expected.items():
-        if "out of balance" in name:
-            assert there[name] < BALANCED
-        else:
-            assert there[name] == pytest.approx(value, rel=1e-8, abs=1e-9), name

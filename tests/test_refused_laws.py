@@ -201,6 +201,7 @@ def wrong_source() -> list[str]:
     return MPI.COMM_WORLD.allgather(str(found.value))
 
 
+@pytest.mark.long
 @on_ranks(wrong_source, 2)
 def test_all_ranks_refuse(there):
     one, two = there

@@ -19,7 +19,8 @@ HALF = 0.5  # Poisson's ratio of incompressible layers
 SPANS = {"strip": (-STRIP, STRIP), "disc": (0.0, RADIUS), "annulus": ANNULUS}
 OPENING = 0.01  # mm
 
-pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of layers thicker than the plates
+# of layers thicker than the plates
+pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(3)]
 
 
 def closed_form(bearing, lmbda):

@@ -15,6 +15,8 @@ from thinlayer import Structure, ThinLayer, compare, solve
 from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.parts import making
 
+pytestmark = pytest.mark.few(3)
+
 MU = 40.0  # shear modulus over thickness; the bodies have E = 100
 EPS = (1 / 32, 1 / 64)
 HALF = 0.5  # Poisson's ratio of incompressible layers

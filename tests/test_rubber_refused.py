@@ -111,6 +111,7 @@ def half_negative() -> list[list[str]]:
     return MPI.COMM_WORLD.allgather(said)
 
 
+@pytest.mark.long
 @on_ranks(half_negative, 2)
 def test_a_modulus_that_is_negative_on_one_rank_is_an_error_on_all(there):
     one, two = there

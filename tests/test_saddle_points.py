@@ -67,7 +67,8 @@ def numbers(options: dict[str, str] = BLOCKS) -> dict[str, float]:
     return found
 
 
-pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.RangeWarning")  # ends that cells do not resolve
+# ends that cells do not resolve
+pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.RangeWarning"), pytest.mark.few(3)]
 NUS = (0.3, 0.45, 0.49, 0.499, 0.4999, 0.5)
 SOLVED = 1e-8  # residuals are 1e-10 of the forces, and soft layers move far under small ones
 
@@ -136,6 +137,7 @@ def test_balance():
     assert energies["bodies"] + energies["layer"] == pytest.approx(energies["loads"] / 2, rel=1e-8)
 
 
+@pytest.mark.long
 @on_ranks(numbers, 2)
 def test_on_two_ranks(there):
     assert there == pytest.approx(numbers(FACTORS), rel=SOLVED)

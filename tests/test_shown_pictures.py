@@ -73,6 +73,7 @@ def kinds() -> list[str]:
     return MPI.COMM_WORLD.allgather(type(plotting.deformed(strip())).__name__)
 
 
+@pytest.mark.long
 @on_ranks(kinds, 2)
 def test_on_several_ranks_the_first_has_the_picture(there):
     assert there == ["Picture", "NoneType"]

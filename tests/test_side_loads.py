@@ -12,11 +12,12 @@ import ufl
 from forms import Anisotropic, LinearElastic
 from forms.ends import free_end
 from geometry import block, disc, sandwich
-from tests.on_ranks import on_ranks
-from tests.side_loads_run import BODY, EPS, GLUE, SIDES, box, loaded, numbers
+from tests.side_loads_run import BODY, EPS, GLUE, SIDES, box, loaded
 from thinlayer import ModelError, Pressure, Structure, ThinLayer, compare, observed_orders, solve
 from thinlayer.errors import RangeWarning
 from thinlayer.output.surface_mass import nodal_forces
+
+pytestmark = pytest.mark.few(3)
 
 HALVES = pytest.mark.filterwarnings("ignore:traction on:thinlayer.errors.RangeWarning")
 THICKNESSES = (1 / 16, 1 / 32)
@@ -226,9 +227,3 @@ def test_other_loads_of_the_same_model():
     assert solve(twice, 2.0).energies()["loads"] == pytest.approx(4 * solve(model).energies()["loads"], rel=1e-9)
     with pytest.raises(ModelError, match=r"not finite.*'LEFT/LAYER'"):
         solve(model.with_loads(tractions={"LEFT/LAYER": lambda x, t: (1 / (t - 1), 0)}), 1.0)
-
-
-@HALVES
-@on_ranks(numbers, 2)
-def test_the_same_on_two_ranks(there):
-    assert there == pytest.approx(numbers(), rel=1e-9)

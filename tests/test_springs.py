@@ -281,6 +281,7 @@ def test_steps_of_adaptive_length():
     assert found == pytest.approx(first * np.exp(-0.8 / tau), rel=1e-3)
 
 
+@pytest.mark.long
 @on_ranks(resumed, 2)
 def test_a_march_is_resumed_on_other_ranks(tmp_path, there):
     """Two steps on one rank, the rest on two: the same as on one, energies by their keys."""

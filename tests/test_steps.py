@@ -16,6 +16,8 @@ from thinlayer.errors import LimitLoad
 from thinlayer.solving.solvers import Solver
 from thinlayer.time.error import ErrorEstimate
 
+pytestmark = pytest.mark.few(3)
+
 # ---------------------------------------------------------------- where loads break
 PEAK = piecewise({0.0: 0.0, 1.5: 3.0, 3.0: 0.3})
 

@@ -19,6 +19,8 @@ from tests.own_laws import Slipping, layer_of
 from tests.refused import refused
 from thinlayer import SolveError, Structure, ThinLayer, drive, march, solve
 
+pytestmark = pytest.mark.few(3)
+
 FACTOR, OF_NUMBA = 1.0, 1.0
 STEP = [{"w_T": 0.01, "w_N": 0.02}]
 
@@ -172,6 +174,7 @@ DECISIONS = {
 }
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("decision", DECISIONS)
 @pytest.mark.parametrize("parent", [Deciding, DecidingJumps, "with memory"])
 def test_laws_that_decide_by_a_number(parent, decision):

@@ -15,12 +15,13 @@ from geometry import GeometryError, block, bond_cell, fibre, periodic, ring, san
 from geometry.inflating.inflation import inflate
 from geometry.inflating.parting import middle, parted
 from studies.tubes import lame
-from tests.on_ranks import on_ranks
 from tests.refused import refused
 from thinlayer import ModelError, Pressure, Probe, Structure, Surface, ThinLayer, compare, observed_orders, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.output.grid import gather
+
+pytestmark = pytest.mark.few(3)
 
 BODY = LinearElastic.young(100.0, 0.3)
 
@@ -377,9 +378,3 @@ def test_refused():
         solve(make(layer, **options)) for make, options in ((one.full, {"bodies": "extended"}), (one.interface, {}))
     ]
     refused(ModelError, "compare, order=1: bodies are extended in the full model and kept", lambda: compare(*states))
-
-
-@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # likewise
-@on_ranks(numbers, 2)
-def test_two_ranks(there):
-    assert there == pytest.approx(numbers(), rel=1e-9)

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from tests.arc_length_run import Damage, Trilinear, bar
-from tests.on_ranks import on_ranks
 from tests.refused import refused
 from tests.snapping_bars import FAR, C, openings, sigma
 from thinlayer import Adaptive, ArcLength, ModelError, TurningPoint, follow, march, piecewise, solve
+
+pytestmark = pytest.mark.few(3)
 
 
 @dataclass(frozen=True)
@@ -108,11 +109,6 @@ def test_a_march_in_time_goes_on_where_it_was_cut(tmp_path):
     again = march(bar(GENTLE), times, out=tmp_path / "run", resume=True)
     assert again.t == pytest.approx(whole.t, abs=1e-9)
     assert np.abs(again.last.u.x.array - whole.last.u.x.array).max() < 1e-10
-
-
-@on_ranks(numbers, 2)
-def test_same_on_two_ranks(there):
-    assert there == pytest.approx(numbers(), rel=1e-9)
 
 
 def test_refused():

@@ -24,6 +24,8 @@ from thinlayer.pointwise.material import Material
 from thinlayer.solving.equilibrium import Equilibrium
 from thinlayer.solving.solvers import Solver
 
+pytestmark = pytest.mark.few(3)
+
 ROUNDED = 1e-9
 CELLS = {
     2: periodic(sandwich(2.0, 1.0, 0.5, 0.5), ("LEFT", "RIGHT"), ("BOTTOM", "TOP")),

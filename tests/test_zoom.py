@@ -11,13 +11,14 @@ from forms import Anisotropic, Incompressible, LinearElastic, MohrCoulomb, Rubbe
 from forms.inside import FaceValues, Pressed, Sublayers
 from geometry import block, disc, sandwich
 from studies.problems import FOURIER_LAYER, fourier
-from tests.on_ranks import on_ranks
 from tests.pictures import assert_drawn
 from tests.ranges_told import opened
 from tests.refused import refused
-from tests.zoom_run import BODY, EPS, FREE, GLUE, HEIGHTS, PLACES, joint, numbers, state
+from tests.zoom_run import BODY, EPS, FREE, GLUE, HEIGHTS, PLACES, joint, state
 from thinlayer import ModelError, Probe, Structure, Surface, ThinLayer, Zoom, observed_orders, plotting, solve
 from thinlayer.output.meshed_places import meshed_places
+
+pytestmark = pytest.mark.few(3)
 
 STACK = Stack((0.3, LinearElastic(400.0, 20.0)), (0.3, LinearElastic(20.0, 60.0)), (0.4, LinearElastic(60.0, 5.0)))
 
@@ -269,12 +270,6 @@ def test_a_rigid_base_is_a_very_stiff_body():
     np.testing.assert_allclose(based.stress(PLACES, HEIGHTS), known, atol=1e-3 * np.abs(known).max())
 
 
-@on_ranks(numbers, 2)
-def test_two_ranks_find_the_same(there):
-    for name, values in numbers().items():
-        np.testing.assert_allclose(there[name], values, atol=1e-9 * np.abs(values).max(), err_msg=name)
-
-
 # ---------------------------------------------------------------- refusals
 PLASTIC = MohrCoulomb(4.0, 3.0, cohesion=100.0, friction_angle=30)
 
@@ -315,6 +310,7 @@ def test_places_and_heights_out_of_range_are_refused():
     refused(ModelError, "seam", lambda: Zoom(state(), "BED"))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("layer", "given", "words"),
     [
@@ -364,6 +360,7 @@ def test_curved_ends_and_corners_of_ends_are_refused():
     refused(ModelError, "two free ends meet", lambda: zoom.stress([[EPS, 0.0, EPS]]))
 
 
+@pytest.mark.long
 def test_the_picture_of_an_end(tmp_path):
     structure = Structure(joint(), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1.0)})
     zoom, full = (

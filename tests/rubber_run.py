@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pytest
 import ufl
 
 from forms import Incompressible, LinearElastic, Rubber, VonMises
 from geometry import block, periodic, sandwich
-from tests.on_ranks import on_ranks
 from thinlayer import State, Structure, Surface, ThinLayer, compare, march, solve
 
 BODY = LinearElastic(80.0, 50.0)
@@ -101,16 +99,3 @@ def flow() -> dict[str, float]:
         found[f"{element} u"] = last.integral(ufl.inner(last.u, last.u) * ufl.dx)
         found[f"{element} dissipated"] = last.audit.dissipated
     return found
-
-
-@pytest.fixture(scope="module")
-def serial():
-    return numbers()
-
-
-@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
-@on_ranks(numbers, 2, 3)
-def test_same_numbers(serial, there):
-    assert there == pytest.approx(serial, rel=1e-10)
-    assert serial["strip Rubber zero pressures"] == 2
-    assert serial["held strip Rubber zero pressures"] == 1

@@ -1,0 +1,62 @@
+"""The golden numbers on two ranks are in every run; here are more numbers of each capability, for `.ci/run --long`."""
+
+from __future__ import annotations
+
+import json
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.on_ranks import Asked
+
+CASES = {  # in a module of the tests: the largest difference, relative to the largest number of an entry
+    "test_bodies:numbers": 1e-10,
+    "test_friction_band:norms": 1e-7,
+    "test_initial_gaps:norms": 1e-7,
+    "test_junction_tractions:numbers": 1e-10,
+    "test_lines:numbers": 1e-9,
+    "test_meshed_networks3d:numbers": 1e-10,
+    "test_mohr_coulomb_models:numbers": 1e-8,
+    "test_order1_stacks:numbers": 1e-10,
+    "test_parallel:norms": 1e-10,
+    "test_planes_models:numbers": 1e-10,
+    "test_probe:numbers": 1e-8,
+    "test_true_places:numbers": 1e-9,
+    "test_turning_points:numbers": 1e-9,
+    "dry_walls:energies": 1e-10,
+    "edges_run:numbers": 1e-10,
+    "eigenstrain_cases:numbers": 1e-10,
+    "limit_load_run:numbers": 1e-8,
+    "meshed_cases:numbers": 1e-10,
+    "mixed_run:numbers": 1e-10,
+    "network_cases:numbers": 1e-10,
+    "periodic_cases:numbers": 1e-10,
+    "rubber_run:numbers": 1e-10,
+    "side_loads_run:numbers": 1e-9,
+    "supports_run:numbers": 1e-8,
+    "zoom_run:numbers": 1e-9,
+}
+
+
+def assert_same(found: Any, expected: Any, tolerance: float, name: str) -> None:
+    if isinstance(expected, dict):
+        assert list(found) == list(expected), name
+        for key, value in expected.items():
+            assert_same(found[key], value, tolerance, f"{name}, {key}")
+    elif isinstance(expected, list) and any(isinstance(one, dict | list) for one in expected):
+        for k, (one, other) in enumerate(zip(found, expected, strict=True)):
+            assert_same(one, other, tolerance, f"{name}, {k}")
+    else:
+        size = np.abs(expected).max(initial=0.0)
+        assert found == pytest.approx(expected, rel=tolerance, abs=max(0.01 * tolerance * size, 1e-12)), name
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
+@pytest.mark.parametrize("there", [Asked(f"tests.{case}", n) for case in CASES for n in (2, 3)], ids=str, indirect=True)
+def test_the_same_numbers(there: Any, request: pytest.FixtureRequest) -> None:
+    module, name = request.node.callspec.params["there"].case.split(":")
+    alone = json.loads(json.dumps(getattr(import_module(module), name)()))
+    assert_same(there, alone, CASES[f"{module.removeprefix('tests.')}:{name}"], name)
