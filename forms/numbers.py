@@ -24,9 +24,11 @@ from ufl.classes import (
     NotCondition,
     OrCondition,
     Product,
+    ScalarValue,
     Sum,
     Terminal,
     Variable,
+    Zero,
 )
 from ufl.core.multiindex import Index
 from ufl.corealg.traversal import unique_post_traversal
@@ -65,6 +67,8 @@ def _numbers(part: Any, operands: list[Any]) -> Any:
         return None
     if isinstance(part, Variable):
         return operands[0]
+    if isinstance(part, (ScalarValue, Zero)) and not part.ufl_free_indices:
+        return np.full(part.ufl_shape, _real(part.value()) if isinstance(part, ScalarValue) else 0.0)
     if isinstance(part, Terminal):
         places = np.ndindex(*part.ufl_shape)
         return np.reshape([_real(part((0.0,), component=place)) for place in places], part.ufl_shape)

@@ -102,6 +102,7 @@ def mode(x, z: tuple[float, ...]):
     return ufl.as_vector([K1 / k * z[0] * s1 * c3, z[1] * c1 * c3, K3 / k * z[0] * c1 * s3])
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron"])
 def test_fourier_box(cell):
     """Errors of u-, u+ and K [u] against the plane problem's amplitudes fall with order 3 (faster on coarse meshes)."""
@@ -135,7 +136,7 @@ def box(build, eps: float, order: int = 0, bodies: str = "kept"):
     return solve(build(Structure(joint, **setup), layer, **choice))
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(5)
 @pytest.mark.parametrize("bodies", ["kept", "extended"])
 def test_sweep_of_the_fourier_box(bodies):
     """Errors of the interface law as the transfer matrices have them, to 1 %, and of first order in eps."""

@@ -30,7 +30,7 @@ from tests.laws_at_points import CREEP, KELVIN, LMBDA, MAXWELL, MAXWELL_2, MU, N
 from tests.own_laws import AgeingFluid, AgeingKelvinVoigt, AgeingSpring, Slipping
 from thinlayer import ModelError, Structure, Surface, ThinLayer, march
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 SERIES = Stack((0.3, MAXWELL), (0.5, KELVIN), (0.2, LinearElastic(LMBDA, MU)))
 
@@ -122,6 +122,7 @@ def test_maxwell_creep_is_exact(mode):
             assert jump_of(history, mode, state) == pytest.approx(expected, rel=1e-11)
 
 
+@pytest.mark.long
 def test_norton_above_two_comes_to_rest_in_finite_time():
     """p = 3: the end of the closed form is the elastic jump, reached and kept."""
     load, stop = LOAD["shear"], 2 * (0.5 * 5.0 * 2**-1.5) ** 0.5 / MU

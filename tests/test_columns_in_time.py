@@ -18,7 +18,7 @@ from tests.own_laws import Hardening
 from thinlayer import Structure, Surface, ThinLayer, march
 from thinlayer.pointwise.material import Material
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 
 @pytest.mark.parametrize(

@@ -229,7 +229,7 @@ compiled(folder)
 """
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(5)
 @pytest.mark.parametrize("program", [FORM, LIBRARY], ids=["form", "source"])
 def test_damaged_libraries_are_compiled_again(tmp_path, program):
     """As a crash of the machine may leave them: to load a part of a library may end the process (SIGBUS)."""

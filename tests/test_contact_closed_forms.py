@@ -18,7 +18,7 @@ from tests.contact_run import to_and_fro
 from thinlayer import LimitLoad, SolveError, Structure, ThinLayer, compare, march, piecewise, solve
 from thinlayer.output.contact_report import ContactReport
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 
 # ------------------------------------------------------------------------ closed forms

@@ -10,7 +10,7 @@ from forms.laws import Norton
 from tests.viscous_joints import JOINT, SETUP, SLOW, SUDDEN, interface
 from thinlayer import Adaptive, ArcLength, ModelError, SolveError, Structure, ThinLayer, march, piecewise
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 LOADS = {
     "ramp": lambda x, t: (0.0, t),

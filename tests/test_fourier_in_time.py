@@ -21,7 +21,7 @@ from tests import reference
 from tests.own_laws import layer_of
 from thinlayer import Structure, Surface, ThinLayer, compare, march, observed_orders, solve
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 H = 1 / 8
 EPS = (1 / 64, 1 / 128)
@@ -130,6 +130,7 @@ def amplitudes(surface: Surface, state) -> list[float]:
     return [2 * surface.integral(f) for f in (w[0] * s, w[1] * c, t[0] * s, t[1] * c)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("cell", "bound"), [("quadrilateral", 2e-6), ("triangle", 5e-6)])
 def test_norton_against_a_spectral_code(cell, bound):
     joint, setup = fourier(1 / 32, cell=cell)

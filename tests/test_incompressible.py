@@ -37,7 +37,7 @@ from thinlayer import (
 from thinlayer.parts.pressure import PressurePart
 from thinlayer.solving.solvers import Solver
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 MU = 40.0
 LAW = Incompressible(MU)

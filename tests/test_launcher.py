@@ -114,6 +114,7 @@ def test_files_of_the_same_name_are_told(tmp_path):
     assert "sweep_elastic" in done.stdout
 
 
+@pytest.mark.long
 def test_the_working_folder_decides_nothing(tmp_path):
     """Of a study that the command line runs: neither options of PETSc nor where and how forms are compiled."""
     (tmp_path / "petscrc").write_text("-options_view\n")

@@ -13,7 +13,7 @@ from geometry import ring, sandwich
 from thinlayer import LimitLoad, RangeWarning, Structure, march
 from thinlayer.pointwise.compiled_term import CompiledTerm
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 A, B, HEIGHT, STRENGTH = 6.0, 18.0, 3.0, 100.0  # mm, MPa
 LIMIT = 2 / math.sqrt(3) * STRENGTH * math.log(B / A)  # between ends that do not move along the axis

@@ -36,7 +36,7 @@ from tests.own_laws import (
 from tests.snapping_bars import Undeclared
 from thinlayer import ModelError, Structure, Surface, ThinLayer, march, piecewise
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
 BODY = LinearElastic.young(100.0, 0.3)

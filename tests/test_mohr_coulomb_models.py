@@ -51,7 +51,7 @@ def numbers() -> dict[str, float]:
 
 
 # layers whose thickness tends to zero under the same load, and columns of any height
-pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(3)]
+pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
 
 BODY = LinearElastic.young(100.0, 0.3)
 LMBDA, MU = 60.0, 40.0
@@ -189,6 +189,7 @@ def test_plane_strain_is_a_slice_of_three_dimensions():
 
 
 # ---------------------------------------------------------------- problems of the studies
+@pytest.mark.long
 def test_order_1_and_the_floor_that_coulombs_law_leaves():
     """Blocks that are sheared to and fro: |t_T| <= C - tan(Omega) t_N on S is not the limit."""
     (joint, setup), law, times = sheared_blocks(1 / 8), LAYERS[""], (0.5, 1.0, 1.5)

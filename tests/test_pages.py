@@ -30,7 +30,9 @@ LONG = {
     "thinlayer/guide/estimate.md#in-a-script",
     "thinlayer/guide/estimate.md#the-command",
     "thinlayer/guide/estimate.md#a-description-in-python",
+    "thinlayer/guide/time.md#in-time-with-a-law-of-ones-own",
     "thinlayer/guide/time.md#inertia-a-part-of-ones-own",
+    "thinlayer/guide/yield.md#layers-that-yield",
     "forms/README.md#writing-a-law",
     "studies/ensembles.md#an-ensemble",
 }

@@ -388,7 +388,7 @@ def test_an_error_of_one_rank_ends_all(tmp_path):
     assert "FileExistsError" in done.stderr or "NotADirectoryError" in done.stderr
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(5)
 @pytest.mark.parametrize(
     ("ending", "status", "said"),
     [

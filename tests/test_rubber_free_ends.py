@@ -15,7 +15,7 @@ from thinlayer import Structure, ThinLayer, compare, solve
 from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.parts import making
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 MU = 40.0  # shear modulus over thickness; the bodies have E = 100
 EPS = (1 / 32, 1 / 64)

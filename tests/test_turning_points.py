@@ -11,7 +11,7 @@ from tests.refused import refused
 from tests.snapping_bars import FAR, C, openings, sigma
 from thinlayer import Adaptive, ArcLength, ModelError, TurningPoint, follow, march, piecewise, solve
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from tests.own_laws import Slipping
 from tests.test_units_of_laws import SIZES, UNITS, Units
 from thinlayer import Adaptive, ArcLength, Structure, ThinLayer, compare, march, piecewise, solve
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 KEPT = ("micrometre, MPa, s", "km, GPa, year", "Pa, loads 1e-9", "loads 1e9")
 CHANGED = {name: u for name, u in (UNITS | SIZES).items() if name in KEPT}
