@@ -86,9 +86,3 @@ def forth_and_back(method: str) -> History:
     times = list(map(float, range(1, len(PUSHES) + 1)))
     push = piecewise({0.0: 0.0, **dict(zip(times, PUSHES, strict=True))})
     return march(dry_wall(push, kind=IncrementalCoulomb), times, method=method)
-
-
-def energies() -> list[list[float]]:
-    """Of the march, by states."""
-    history = forth_and_back("newton")
-    return [[state.audit.total, state.audit.dissipated, state.audit.supplied] for state in history]

@@ -101,15 +101,3 @@ def star(angles, cell: str, n: int = 4) -> Joint:
     return Joint(points, cells, cell, region, tuple(f"B{k}" for k in range(len(angles))), facets, {
         name: Seam() for name in facets if name != "RIM"
     })  # fmt: skip
-
-
-def numbers() -> dict[str, list[float]]:
-    found = {}
-    for element, bodies in (("P2", "kept"), ("Q2", "extended")):
-        state = solve(panel(element, 0.25).full(mortar(0.01), bodies=bodies), 1.0)
-        surface = Surface(panel(element, 0.25).interface(mortar(0.01)))
-        found[element] = [*list(state.energies().values())[:2], surface.norm(surface.jump(state))]
-    gaps = panel("Q2", 0.25).full(mortar(0.01, HEAD=Gap(0.01)))
-    found["gaps"] = list(solve(gaps, 1.0).energies().values())[:2]
-    found["yielded"] = yielded(panel("P2", 0.25).full(yielding(0.01)))[:2]
-    return found

@@ -34,7 +34,6 @@ from thinlayer import (
     Structure,
     Surface,
     ThinLayer,
-    compare,
     march,
     piecewise,
     solve,
@@ -58,28 +57,6 @@ def structure(body) -> Structure:
 
 def yielding(body=YIELDING) -> InterfaceModel:
     return structure(body).interface(LAYER)
-
-
-def numbers() -> dict[str, float]:
-    bodies = structure({"LOWER": YIELDING, "UPPER": Maxwell(60.0, 50.0, 0.7)})
-    histories = [march(model, [0.5, 1.0, 1.5]) for model in (bodies.full(LAYER), bodies.interface(LAYER))]
-    found = compare(*histories)
-    state = histories[1].last
-    surface = Surface(state.model)
-    for name, stress in state.stresses.items():
-        squares = float((stress**2).sum())
-        found[name] = state.model.comm.allreduce(squares)
-    graded = {"LOWER": LinearElastic.young(lambda x: 100 + 40 * x[0], 0.3), "UPPER": VARYING}
-    glue = LinearElastic(lambda x: 60 * (1 + x[0]), lambda x: 40 * (1 + x[0] ** 2))
-    last = march(structure(graded).interface(ThinLayer(glue, 0.1, at=1.0)), [0.5, 1.0]).last
-    found |= {f"graded, {name}": value for name, value in last.energies().items()}
-    mean = state.mean_stress()
-    return found | {
-        "jump": surface.norm(surface.jump(state)),
-        "mean stress": float(np.linalg.norm(mean)),
-        "lost": float(histories[1].table["dissipated bodies"].sum()),
-        **{f"energy of {name}": value for name, value in state.energies().items()},
-    }
 
 
 MU, Y, H = 50.0, 1.0, 30.0

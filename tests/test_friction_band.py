@@ -1,7 +1,7 @@
 """The layer that slips on planes parallel to S: columns against a closed form, the meshed band against contact on S.
 
 A column is moved at its top, (d_T, d_N) at the end of each step; the tractions on its sides follow the closed form, so that
-stresses are uniform. python3 -m tests.test_friction_band prints norms that must not depend on the number of ranks.
+stresses are uniform.
 """
 
 from __future__ import annotations
@@ -256,13 +256,3 @@ def test_wrong_laws_leave_an_error(wrong, floor):
         row = errors(eps, on_s=wrong)
         assert min(row["error_traction"], row["error_jump"]) > floor
     assert max(right(1 / 256)["error_traction"], right(1 / 256)["error_jump"]) < floor / 3
-
-
-# ------------------------------------------------------------------------ ranks
-def norms():
-    """Errors and sizes of both models, marched to and fro."""
-    where, setup = pressed(1 / 8, sweep_friction.TO_AND_FRO)
-    setup |= {"element": "Q1"}
-    plates = Structure(where, **setup)
-    models = plates.full(ThinLayer(BAND, 1 / 16, at=1.0), cells_through=1), plates.interface(CONTACT)
-    return compare(*(march(model, (1.0, 2.0, 3.0)) for model in models))

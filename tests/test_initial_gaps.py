@@ -27,17 +27,6 @@ def curved(kind=HolonomicCoulomb, gap=CURVED):
     return structure.interface(kind(K_N=400.0, K_T=150.0, friction=0.3, gap=gap))
 
 
-def norms() -> dict[str, float]:
-    state = solve(curved(), 1.0)
-    report = ContactReport(state)
-    return {
-        "u": state.integral(ufl.inner(state.u, state.u) * ufl.dx),
-        "normal force": report.normal_force,
-        "friction": float(np.abs(report.friction_force).max()),
-        "closed": float((report.p > 0).sum()),
-    }
-
-
 METHODS = ("condensed", "multigrid", "newton", "relaxation")
 SIDES = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "BOTTOM": 0.0}
 K = 400.0

@@ -14,7 +14,6 @@ from geometry.inflating import inflation
 from geometry.topology import FacetTable
 from tests.meshed_cases import star
 from tests.meshes import grid, renumbered, volumes
-from tests.network_cases import square
 from tests.test_meshed_networks import BRICK, RATIOS, WAYS, areas, check
 from thinlayer import Structure, Surface, ThinLayer, UflPart, solve
 
@@ -134,15 +133,6 @@ def jump_errors(element: str, sizes, m: int = 4, parts=(), **choices) -> np.ndar
         difference.x.array[:] -= state.u.x.array
         errors.append(surface.norm(surface.sides.jump(difference), inner) / whole)
     return np.array(errors)
-
-
-def numbers() -> dict[str, list[float]]:
-    found = {}
-    for element in ("Q2", "P2"):
-        structure = sheared(element, 2)
-        state = solve(structure.full(mortar(structure.joint, 0.02), bodies="extended", cells_through=2))
-        found[element] = [*list(state.energies().values())[:2], square(state)]
-    return found
 
 
 CELLS = ("hexahedron", "tetrahedron")

@@ -13,7 +13,7 @@ from geometry import sandwich
 from studies.problems import FOURIER_BODY, FOURIER_LAYER, fourier
 from tests import reference
 from tests.test_eigenstrains_of_layers import varying
-from thinlayer import Structure, Surface, ThinLayer, compare, observed_orders, solve
+from thinlayer import Structure, ThinLayer, compare, observed_orders, solve
 from thinlayer.errors import RangeWarning
 
 pytestmark = pytest.mark.few(3)
@@ -208,19 +208,6 @@ def test_eigenstrains():
 
 
 # ---------------------------------------------------------------- ranks, refusals
-def numbers() -> list[float]:
-    joint, setup = fourier(1 / 8, cell="quadrilateral")
-    found: list[float] = []
-    for law in (
-        Stack((0.3, LinearElastic(400.0, 20.0)), (0.7, LinearElastic(60.0, 5.0))),
-        Stack.graded(lambda y: LinearElastic(60.0 + 30.0 * y, 40.0 - 25.0 * y), 4),
-    ):
-        state = solve(Structure(joint, **setup).interface(ThinLayer(law, 0.1, order=1, at=1.0)))
-        surface = Surface(state.model)
-        found += [surface.norm(surface.jump(state)), surface.norm(surface.traction(state)), *state.energies().values()]
-    return found
-
-
 @pytest.mark.few(1)
 @pytest.mark.parametrize(
     "law",

@@ -33,11 +33,6 @@ def turned(n: int = 4):
     raise AssertionError("the march has not ended")
 
 
-def numbers() -> dict[str, float]:
-    error, path = turned()
-    return {"t": error.t, "lowest": float(path.t.min()), "rows": len(path), "end": path.last.t}
-
-
 TURN = STEEP.w_1 + C * sigma(STEEP, STEEP.w_1)
 GENTLE = replace(STEEP, fall=0.5 / C)  # displacements of the bar's end grow all along its path
 
