@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import ufl
 
-from forms.laws import LinearElastic
+from forms import IncrementalCoulomb, LinearElastic
 from geometry import sandwich
 from geometry.parallel import world
 from tests.documents import CLONE, GUIDES, PAGES
@@ -17,6 +17,7 @@ from tests.on_ranks import alone, on_ranks
 from tests.own_scripts.inertia import Inertia, Newmark
 from tests.refused import refused
 from thinlayer import Adaptive, ModelError, Structure, Surface, ThinLayer, march, solve
+from thinlayer.discretisation.addition import Addition
 from thinlayer.parts.part import PartTraits
 
 LAYER = ThinLayer(LinearElastic(0.0, 0.02), 0.01)  # with a quarter of the compliance of the bar: 1 for E = rho = L = 1
@@ -110,7 +111,39 @@ def test_without_a_rate_the_first_state_is_the_static_answer():
     assert history.table["w"] == pytest.approx([1.0] * 3, rel=1e-9)
 
 
+@dataclass(frozen=True)
+class WithoutWork(Addition):
+    key: str = "inertia"
+
+    def part(self, model):
+        return Newmark(Inertia(1.0), model)
+
+
+@dataclass(frozen=True)
+class Forgetful(Inertia):
+    def part(self, model):
+        part = Newmark(self, model)
+        commit = part.commit
+        part.commit = lambda: replace(commit(), memory=None)
+        return part
+
+
+def test_contact_takes_newtons_method_beside_a_part_whose_stiffness_it_does_not_know():
+    blocks = sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral")
+    data = {"body": LinearElastic(0.0, 0.5), "supports": {"BOTTOM": {"y": 0}, "LEFT": {"x": 0}}, "element": "Q1"}
+    structure = Structure(blocks, tractions={"TOP": (0, -1)}, parts=[Inertia(1.0)], **data)
+    touching = march(structure.interface(IncrementalCoulomb(4.0, 2.0, 0.3)), COARSE[:3], observe={"w": shortening})
+    glued = march(structure.interface(ThinLayer(LinearElastic(0.0, 2.0), 1.0)), COARSE[:3], observe={"w": shortening})
+    assert touching.last.report.method == "newton"
+    assert touching.table["w"] == pytest.approx(glued.table["w"], rel=1e-9)
+
+
 def test_refused():
+    silent = bar("interface", WithoutWork(), h=0.1)
+    state = march(silent, [0.1]).last
+    refused(ModelError, "'inertia', which has neither work nor work_in", lambda: Surface(silent).traction(state))
+    forgetful = bar("bonded", Forgetful(1.0), h=0.1)
+    refused(ModelError, "'inertia' remembers, and its commit returned", lambda: march(forgetful, [0.1]))
     model = bar("bonded", Inertia(1.0), h=0.1)
     refused(ModelError, "the part 'inertia' depends on rates: no equilibrium without time", lambda: solve(model))
     refused(ModelError, "inertia balances forces at the ends of steps", lambda: march(model, [0.1, 0.2], theta=0.5))

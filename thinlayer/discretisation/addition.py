@@ -72,8 +72,8 @@ class Addition(ABC):
         return ()
 
     def is_linear(self, model: Host) -> bool:
-        """Whether the forces are linear in the unknowns."""
-        return True
+        """Whether the forces are linear in the displacements of a step; by default if `work` gives them."""
+        return self.ties_nodes or type(self).work is not Addition.work
 
     def is_symmetric(self, model: Host) -> bool:
         """Whether the tangent is symmetric."""
@@ -84,7 +84,16 @@ class Addition(ABC):
         return ufl.Form([])
 
     def work_in(self, model: Host, state: Any, v: Expr) -> Expr:
-        """Virtual work of the part's forces in a state, with which tractions on S are found; by default the static one."""
+        """Virtual work of the part's forces in a state, with which tractions on S are found; by default that of `work`.
+
+        Raises:
+            ModelError: the part has neither of both, so that its forces would be missing in tractions.
+        """
+        if type(self).work is Addition.work and not self.ties_nodes:
+            raise ModelError(
+                f"tractions on S contain the forces of the part {self.key!r}, which has neither work nor work_in; write "
+                "work_in(model, state, v), a UFL form (ufl.Form([]) if it has no forces)"
+            )
         return self.work(model, state.u, v)
 
     def resistance(self, model: Host, motions: Sequence[fem.Function]) -> npt.NDArray[np.float64]:

@@ -120,6 +120,8 @@ class PartSum:
         """End the step in all parts, at displacements u of the last evaluation: energies by key, new configuration."""
         found = {part.key: part.commit() for part in self.parts}
         memory = {key: one.memory for key, one in found.items() if one.memory is not None}
+        if lost := [part.key for part in self.parts if part.traits.remembers and part.key not in memory]:
+            raise ModelError(f"the part {lost[0]!r} remembers, and its commit returned an Outcome without memory=...")
         fields = {part.key: part.own_result() for part in self.with_own}
         stored = {key: one.after for key, one in found.items() if one.kept}
         stresses = {key: one.stress for key, one in found.items() if one.stress is not None}
