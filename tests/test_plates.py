@@ -8,6 +8,7 @@ import pytest
 from forms.laws import LinearElastic
 from geometry import block, sandwich
 from tests.arc_length_run import KINKED
+from tests.refused import refused
 from tests.supports_run import BODY, CONTACT, CREEP, EPS, GLUE, KINDS, MORTAR, model, out_of_balance, plate, turn
 from tests.taylor import observed_orders
 from thinlayer import (
@@ -26,6 +27,7 @@ from thinlayer import (
     piecewise,
     solve,
 )
+from thinlayer.discretisation.addition import Addition
 from thinlayer.solving.solvers import Solver
 
 BEAM = LinearElastic.young(100.0, 0.0)
@@ -326,3 +328,22 @@ def test_a_plate_across_s_that_turns_has_the_thickness_for_an_arm():
         assert limit.load_work() == pytest.approx(full.load_work(), rel=1e-3)
         assert estimate(first, goals=[]).jump == pytest.approx(compare(full, first)["error_jump"], rel=0.05)  # 28, 18 %
     assert errors[1] < errors[0] / 3
+
+
+class Late(RigidPlate):
+    def check(self, model):
+        pass
+
+
+class Nothing(Addition):
+    key = "nothing"
+
+
+def test_refused_additions():
+    """One whose break times no step would meet, and one that does nothing."""
+    force = piecewise({0.0: (0.0, 0.0), 1.0: (0.0, -1.0), 2.0: (0.0, -3.0)})
+    data = {"body": LinearElastic.young(30.0, 0.3), "supports": {"BOTTOM": 0.0}}
+    late = Structure(sandwich(1.0, 0.5, 0.5, 0.5), parts=[Late("TOP", force=force)], **data).interface(ThinLayer(CREEP, EPS, at=1.0))
+    refused(ModelError, r"a part gives it in check\(model\)", lambda: march(late, [1.5, 2.0]))
+    made = lambda: Structure(sandwich(1.0, 0.5, 0.5, 0.5), parts=[Nothing()], **data).bonded()
+    refused(ModelError, "'nothing' does nothing: it has neither part", made)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar, Protocol
 
@@ -18,6 +17,7 @@ from forms.kinematics import Expr
 from forms.planes import Kinematics
 from geometry.domain import Domain
 from geometry.joint import Joint
+from thinlayer.discretisation.axis import AXES
 from thinlayer.discretisation.constraints import Constraints, Tied
 from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.layer import BODIES, BODY, CONTACT, LAYER
@@ -48,7 +48,7 @@ class Host(Protocol):
         """See `Model.shifts`."""
 
 
-class Addition(ABC):
+class Addition:
     """A description of a part of the balance of forces, given to a model as one of `parts`: a frozen dataclass.
 
     Its fields and code are a part of the model's identity.
@@ -56,20 +56,23 @@ class Addition(ABC):
     Attributes:
         key: name of the part's memory and energy in states and in files; each addition of a model needs its own.
         place: name of the facet set, of a part that ties nodes.
-        ties_nodes: whether displacements follow motions of the part, see `tied`.
+        components: displacements that it ties there, such as "y"; None: all.
     """
 
     key: str
     place: str
-    ties_nodes: ClassVar[bool] = False
-
-    def check(self, model: Host) -> None:  # noqa: B027
-        """Raise ModelError unless the description fits the model; by default it does. Collective."""
+    components: ClassVar[Sequence[str] | None] = None
 
     @property
-    def prescribed(self) -> Sequence[Any]:
-        """The motions that the part prescribes, numbers or functions."""
-        return ()
+    def ties_nodes(self) -> bool:
+        """Whether displacements follow motions of the part: it has a method `tied`."""
+        return type(self).tied is not Addition.tied
+
+    def check(self, model: Host) -> None:
+        """Raise ModelError unless the description fits the model; by default it does. Collective.
+
+        What varies in time is given to `model.coordinates` here: marches have steps that end at its break times.
+        """
 
     def is_linear(self, model: Host) -> bool:
         """Whether the forces are linear in the displacements of a step; by default if `work` gives them."""
@@ -126,21 +129,33 @@ class Addition(ABC):
     def held(self, model: Host, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
         """Degrees of freedom of a space (local, unrolled, ghosts included) on which the part acts as supports do.
 
-        Collective. By default none.
+        Collective. By default those of the components that it ties.
         """
-        return np.empty(0, np.int32)
+        if not self.ties_nodes:
+            return np.empty(0, np.int32)
+        facets, d = model.domain.facets(self.place, layer_sides=True), model.joint.dim
+        axes = [k for k in range(d) if self.components is None or AXES[k] in self.components]
+        blocks = fem.locate_dofs_topological(V, d - 1, facets)
+        return np.unique(blocks[:, None] * d + np.array(axes, int)).astype(np.int32)
 
     def tied(self, model: Host) -> Tied:
-        """Displacements that follow motions of the part, if it ties nodes. Collective."""
+        """Displacements that follow motions of the part. Collective."""
         raise NotImplementedError
 
     def load_work(self, model: Host, state: Any) -> float:
-        """Work of given forces of the part, as of loads, in the displacements of a configuration. Collective."""
-        return 0.0
+        """Work of given forces of the part, as of loads, in the displacements of a configuration. Collective.
 
-    @abstractmethod
+        By default that of the resultants of what it ties.
+        """
+        found, constraints = 0.0, model.constraints
+        for tie in constraints.ties:
+            if tie.key == self.key:
+                found += float(tie.resultant(state.t) @ constraints.motion(tie, state.u.x.array[: constraints.n]))
+        return found
+
     def part(self, model: Host) -> Any:
         """The part, a `thinlayer.parts.part.Part` with this key; None: it has no forces. Collective."""
+        return None
 
 
 def check_additions(parts: Sequence[Any], model: Host) -> None:
@@ -151,6 +166,8 @@ def check_additions(parts: Sequence[Any], model: Host) -> None:
     for part in parts:
         if not isinstance(part, Addition):
             raise ModelError(f"one of parts is {part!r}; allowed: Springs, UflPart, or a dataclass that is an Addition")
+        if not part.ties_nodes and type(part).part is Addition.part:
+            raise ModelError(f"the addition {part.key!r} does nothing: it has neither part(model) nor tied(model)")
         if part.key in keys or part.key.split("/")[0] in of_seams or sublayer.fullmatch(part.key):
             raise ModelError(f"two parts are called {part.key!r}; give one of them another name")
         keys.add(part.key)

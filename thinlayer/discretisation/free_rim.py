@@ -52,7 +52,7 @@ def _held(model: Model, sheet: Sheet, of_layer: bool = True) -> FloatArray:
     entries = [(place, tuple(components)) for place, components in supports.entries]
     for part in model.structure.parts:
         if isinstance(part, Addition) and part.ties_nodes:
-            entries.append((part.place, tuple(supports.axes)))
+            entries.append((part.place, tuple(part.components or supports.axes)))
     for place, components in entries:
         name = place.removesuffix(f"/{LAYER}") if isinstance(place, str) else S
         if name in (S, *joint.seams) or name not in joint.facets:  # a vertex, or the side of one body

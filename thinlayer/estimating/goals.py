@@ -45,7 +45,7 @@ class Compliance(Goal):
     name: str = field(default="compliance", init=False)
 
     def value(self, state: State, model: InterfaceModel) -> float:
-        if not _moves(model):
+        if not _moves(model, state.t):
             return state.load_work()
         if math.isnan(state.prescribed_work):
             raise ModelError("compliance of supports that move: the state was read from a file, and lacks their work")
@@ -63,10 +63,10 @@ def _mean_size(surface: Surface, state: State) -> float:
     return surface.norm(surface.traction(state)) / math.sqrt(surface.integral(ufl.as_ufl(1.0)))
 
 
-def _moves(model: InterfaceModel) -> bool:
-    """Whether a support or a plate has prescribed displacements that are not zero."""
-    prescribed = [value for part in model.parts for value in part.prescribed]
-    return bool(model.supports.moving) or any(callable(value) or value != 0 for value in prescribed)
+def _moves(model: InterfaceModel, t: float) -> bool:
+    """Whether a support, or at the time t a plate, has prescribed displacements that are not zero."""
+    prescribed = [value(t) for tie in model.constraints.ties for value in tie.motion.values()]
+    return bool(model.supports.moving) or any(prescribed)
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 from dolfinx import fem
 
@@ -19,7 +18,7 @@ from thinlayer.discretisation.axis import AXES, refuse_periodic, refuse_seam, re
 from thinlayer.discretisation.constraints import Tied
 from thinlayer.discretisation.given import Given
 from thinlayer.discretisation.reactions import Array, balanced_motions, centroid, count, on_centre, require_point, rigid
-from thinlayer.discretisation.state import Configuration, State
+from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 
 Number = float | Callable[[Expr, Any], Any]
@@ -74,21 +73,9 @@ class RigidPlate(Addition):
     motion: Mapping[str, Number] = field(default_factory=dict)
     about: Sequence[float] | None = None
     key: str = field(init=False)
-    ties_nodes: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "key", f"plate {self.place}")
-
-    @property
-    def prescribed(self) -> Sequence[Any]:
-        """As in `Addition`: its prescribed motions."""
-        return list(self.motion.values())
-
-    def held(self, model: Host, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
-        """As in `Addition`: all displacements of the plate's nodes."""
-        facets, d = model.domain.facets(self.place, layer_sides=True), model.joint.dim
-        blocks = fem.locate_dofs_topological(V, d - 1, facets)
-        return np.unique(blocks[:, None] * d + np.arange(d)).astype(np.int32)
 
     def tied(self, model: Host) -> Tied:
         """Its nodes, which follow its motions. Collective."""
@@ -101,10 +88,6 @@ class RigidPlate(Addition):
     def _prescribed_at(self, model: Host, k: int, scale: float, t: float) -> float:
         return self.motions(model, t)[k] * scale
 
-    def load_work(self, model: Host, state: Configuration) -> float:
-        """Work of the given force and moment in the plate's motion at a state. Collective."""
-        return float(self.resultants(model, state.t) @ self._in_units(model, state.u))
-
     def motion_in(self, state: State) -> PlateMotion:
         """The plate's motion in a state. Collective."""
         values, d = self._in_units(state.model, state.u), state.model.joint.dim
@@ -115,9 +98,6 @@ class RigidPlate(Addition):
         (tie,) = (one for one in model.constraints.ties if one.key == self.key)
         q, d = model.constraints.motion(tie, u.x.array[: model.constraints.n]), model.joint.dim
         return np.append(q[:d], q[d:] / self.size(model))
-
-    def part(self, model: Host) -> None:
-        """None: a plate has no forces of its own; its nodes are `tied`."""
 
     def _tie(self, model: Host, about: Array, size: float) -> Any:
         """(n, k) sparse: displacements of this rank by the plate's motions, rotations times a length. Collective.
