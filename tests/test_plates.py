@@ -342,8 +342,8 @@ class Nothing(Addition):
 def test_refused_additions():
     """One whose break times no step would meet, and one that does nothing."""
     force = piecewise({0.0: (0.0, 0.0), 1.0: (0.0, -1.0), 2.0: (0.0, -3.0)})
-    data = {"body": LinearElastic.young(30.0, 0.3), "supports": {"BOTTOM": 0.0}}
-    late = Structure(sandwich(1.0, 0.5, 0.5, 0.5), parts=[Late("TOP", force=force)], **data).interface(ThinLayer(CREEP, EPS, at=1.0))
+    data, layer = {"body": LinearElastic.young(30.0, 0.3), "supports": {"BOTTOM": 0.0}}, ThinLayer(CREEP, EPS, at=1.0)
+    late = Structure(sandwich(1.0, 0.5, 0.5, 0.5), parts=[Late("TOP", force=force)], **data).interface(layer)
     refused(ModelError, r"a part gives it in check\(model\)", lambda: march(late, [1.5, 2.0]))
     made = lambda: Structure(sandwich(1.0, 0.5, 0.5, 0.5), parts=[Nothing()], **data).bonded()
     refused(ModelError, "'nothing' does nothing: it has neither part", made)
