@@ -346,8 +346,8 @@ def test_an_interrupt_before_anything_has_begun():
     program = (
         "import os, signal\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it\n"
-        "from thinlayer.running import cli, startup\n"
-        "startup.end_on_interrupt()\n"
+        "from thinlayer.running import cli, process\n"
+        "process.end_on_interrupt()\n"
         "cli.main = lambda: os.kill(os.getpid(), signal.SIGINT)\n"
         "cli.start()\n"
     )

@@ -125,7 +125,7 @@ def test_the_working_folder_decides_nothing(tmp_path):
     assert done.returncode == 2, done.stderr
     assert "options_view" not in done.stdout + done.stderr
     script = (
-        "from thinlayer.running.startup import ignore_working_folder\n"
+        "from thinlayer.running.process import ignore_working_folder\n"
         "ignore_working_folder()\n"
         "import dolfinx.jit, ffcx\n"
         "print(dolfinx.jit.get_options()['cache_dir'], ffcx.get_options()['scalar_type'])"

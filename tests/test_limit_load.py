@@ -21,8 +21,8 @@ from thinlayer import Adaptive, SolveError, Surface, march, solve
 from thinlayer.errors import LimitLoad
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.running.cli import main as command
+from thinlayer.running.process import OK, SOLVE_FAILED
 from thinlayer.running.record import Record
-from thinlayer.running.recorded import OK, SOLVE_FAILED
 from thinlayer.solving.continuation import Continuation
 from thinlayer.solving.solvers import Solver
 

@@ -1,6 +1,6 @@
 """python3 -m thinlayer"""
 
-from thinlayer.running.startup import end_on_interrupt
+from thinlayer.running.process import end_on_interrupt
 
 end_on_interrupt()
 

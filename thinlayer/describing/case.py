@@ -1,16 +1,19 @@
-"""A case: a structure with its layer, and what is asked of it; made of a description and its mesh file."""
+"""A case: a structure with its layer, and goals; made of a description and its mesh file."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from forms.base import unknown
 from geometry.importing.reading import read
 from geometry.joint import Joint
-from thinlayer.describing.checks import require_fit
+from geometry.seam import S
 from thinlayer.describing.description import Description
-from thinlayer.describing.entries import GoalGiven, Material
+from thinlayer.describing.materials import Material
 from thinlayer.describing.section import History
 from thinlayer.discretisation.clock import piecewise
 from thinlayer.discretisation.given import Pressure
@@ -20,6 +23,7 @@ from thinlayer.discretisation.structure import Structure
 from thinlayer.estimating import goals as kinds
 from thinlayer.estimating.goals import Goal
 
+LEAST_EPS = 1e-9  # thickness over the size of the bodies: below, rounding is larger than its effect
 GOALS = {
     "compliance": kinds.Compliance,
     "reaction": kinds.Reaction,
@@ -30,47 +34,45 @@ GOALS = {
 
 @dataclass(frozen=True)
 class Case:
-    """A structure with its layer, and what is asked of it.
+    """A structure with its layer, and goals.
 
     Attributes:
+        given: what it was made of, with times, tolerances and units.
         structure: the structure.
         layer: its layer, or {name of a seam: its layer}, order 0.
         goals: quantities whose change is told.
-        bodies: "kept" or "extended", as in `Structure.interface`.
-        times: times of steps; (): one solve.
-        tolerance: "traction", "jump" or name of a goal -> its largest relative change.
-        bonded: whether to ask as well if the layer may be left out altogether.
-        units: of lengths and of stresses; None: not given.
     """
 
+    given: Description
     structure: Structure
     layer: Layers
-    goals: Sequence[Goal] = (kinds.Compliance(),)
-    bodies: str = "kept"
-    times: tuple[float, ...] = ()
-    tolerance: Mapping[str, float] = field(default_factory=dict)
-    bonded: bool = False
-    units: tuple[str, str] | None = None
+    goals: Sequence[Goal]
 
     @classmethod
     def of(cls, given: Description) -> Case:
         """The case that is described. Collective.
 
         Raises:
-            DescriptionError: a name that the mesh does not have, or vectors of another dimension: before anything else.
+            DescriptionError: thicknesses that are nothing beside the bodies, or larger; reactions of what nothing holds.
             GeometryError, ModelError, LawError: as `read`, `Structure` and `ThinLayer` raise them.
         """
-        joint = read(given.mesh.path, **given.mesh.arguments)
-        require_fit(given, joint)
+        joint = read(**given.mesh)
+        size = float(np.ptp(joint.points, axis=0).max())
+        for name, one in given.layer.items():
+            if not LEAST_EPS * size <= one.eps <= size:
+                what = f"{one.eps:g}; allowed beside bodies of {size:.4g}: {LEAST_EPS * size:.2g} to {size:.4g}"
+                given.section.refuse(what, "layer", *([name] if name else []), "eps")
+        places = [place for place in given.supports if isinstance(place, str)]
+        bases = [S, *joint.base_seams] if joint.base_seams else []
+        held = {*places, *(place.partition("/")[0] for place in places), *bases}
+        for goal, arguments in given.goals.items():
+            if arguments["kind"] == "reaction" and arguments["place"] not in held:
+                given.section.refuse(unknown("support", arguments["place"], held), "goals", goal, "place")
         return cls(
+            given,
             _structure(given, joint),
-            _by_name(given.layer, _layer),
-            tuple(_goal(one, name) for name, one in given.goals.items()) or (kinds.Compliance(),),
-            given.bodies,
-            given.times,
-            given.tolerance,
-            given.bonded,
-            given.units,
+            _by_name(given.layer, lambda one: ThinLayer(one.law, one.eps, eigenstrain=one.eigenstrain)),
+            tuple(_goal(name, **one) for name, one in given.goals.items()) or (kinds.Compliance(),),
         )
 
 
@@ -84,23 +86,19 @@ def _structure(given: Description, joint: Joint) -> Structure:
         for place, one in given.supports.items()
     }
     eigenstrain: Any = {name: one.eigenstrain for name, one in given.body.items() if one.eigenstrain is not None}
-    loads: list[Any] = [_load(one.arguments) for one in given.loads]
+    loads = [{**one, "force": _timed(one["force"])} for one in given.loads]
+    made: list[Any] = [LineLoad(**one) if "first" in one else PointLoad(**one) for one in loads]
     return Structure(
         joint,
         body=_by_name(given.body, lambda one: one.law),
         supports=supports,
         tractions=tractions,
         body_force=given.body_force,
-        loads=loads,
+        loads=made,
         plane=given.plane or "strain",
         element=given.element,
         eigenstrain=eigenstrain.get(None, eigenstrain) or None,
     )
-
-
-def _load(arguments: Mapping[str, Any]) -> PointLoad | LineLoad:
-    timed = {**arguments, "force": _timed(arguments["force"])}
-    return LineLoad(**timed) if "first" in timed else PointLoad(**timed)
 
 
 def _timed(value: Any) -> Any:
@@ -114,35 +112,9 @@ def _by_name(given: Mapping[str | None, Material], make: Any) -> Any:
     return made.get(None, made)
 
 
-def _layer(one: Material) -> ThinLayer:
-    assert one.eps is not None
-    return ThinLayer(one.law, one.eps, eigenstrain=one.eigenstrain)
-
-
-def _goal(one: GoalGiven, name: str) -> Goal:
-    made = GOALS[one.kind](**one.arguments)
-    return made if name in (one.kind, made.name) else Called(name, made)
-
-
-@dataclass(frozen=True)
-class Called(Goal):
-    """A goal under another name."""
-
-    name: str
-    goal: Goal
-
-    def check(self, model: Any) -> None:
-        """As in `Goal`."""
-        self.goal.check(model)
-
-    def value(self, state: Any, model: Any) -> float:
-        """As in `Goal`."""
-        return self.goal.value(state, model)
-
-    def scale(self, state: Any, model: Any) -> float:
-        """As in `Goal`."""
-        return self.goal.scale(state, model)
-
-    def dual(self, adjoint: Any) -> Any:
-        """As in `Goal`."""
-        return self.goal.dual(adjoint)
+def _goal(name: str, kind: str, **arguments: Any) -> Goal:
+    made: Goal = GOALS[kind](**arguments)
+    if name in (kind, made.name):
+        return made
+    called: Any = type("Called", (type(made),), {"name": name})  # what is asked of its kind holds under any name
+    return called(**arguments)

@@ -1,17 +1,17 @@
-"""A table of a description: values by key, and words for the place where each was given."""
+"""A table of a description: values by key, and words for the place where each was given; read from TOML."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping
+import tomllib
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NoReturn
-
-import numpy as np
 
 from forms.base import InputError, is_finite, unknown
 
-Path = tuple[str, ...]
+Keys = tuple[str, ...]
 
 
 class DescriptionError(InputError):
@@ -25,6 +25,81 @@ class History:
     values: Mapping[float, Any]
 
 
+def read(path: Path, settings: Iterable[str] = ()) -> Section:
+    """A description in TOML, with keys set anew.
+
+    Args:
+        path: the file; the name of its mesh file is relative to its folder.
+        settings: texts "KEY=VALUE" in TOML, as "layer.E=2e3"; entries of lists are numbered from 1. A value that is no TOML
+            is a text, as shells take quotes away.
+
+    Raises:
+        DescriptionError: the file cannot be read, or is no TOML, with the line; a setting cannot be read.
+    """
+    if path.suffix.lower() != ".toml":
+        raise DescriptionError(
+            f"{path} is no description: give a file in TOML that names the mesh, mesh = 'joint.msh'; what TOML cannot say, "
+            "as loads that are functions, a script says: see thinlayer/guide/estimate.md, In a script"
+        )
+    try:
+        values: Any = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DescriptionError(f"{path} cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise DescriptionError(f"{path} is no TOML: {error}") from None
+    mesh = values.get("mesh")
+    mesh = {"path": mesh} if isinstance(mesh, str) else mesh
+    if isinstance(mesh, dict) and isinstance(mesh.get("path"), str):
+        values["mesh"] = {**mesh, "path": str(path.parent / mesh["path"])}
+    options: list[tuple[Keys, str]] = []
+    for text in settings:
+        option = f"--set {text!r}"
+        keys, value = _assignment(text, option)
+        values = _put(values, keys, value, option)
+        options.append((keys, option))
+
+    def told(keys: Keys) -> str:
+        for theirs, option in reversed(options):
+            if keys[: len(theirs)] == theirs:
+                return ": ".join(filter(None, [option, ".".join(keys[len(theirs) :])]))
+        within = ", ".join(option for theirs, option in options if theirs[: len(keys)] == keys)
+        name = f"{path} with {within}" if within else str(path)
+        return ": ".join(filter(None, [name, ".".join(keys)]))
+
+    return Section(values, (), told)
+
+
+def _assignment(text: str, option: str) -> tuple[Keys, Any]:
+    """Keys and value of a text."""
+    name, equals, given = text.partition("=")
+    try:
+        keys: Keys = ()
+        inner: Any = tomllib.loads(f"{name}{equals}0")
+        while isinstance(inner, dict):
+            ((key, inner),) = inner.items()
+            keys = (*keys, key)
+    except ValueError:
+        raise DescriptionError(f"{option} cannot be read; give KEY=VALUE in TOML, such as layer.E=2e3") from None
+    try:
+        (value,) = tomllib.loads(f"value={given}").values()
+    except ValueError:
+        value = given.strip()
+    return keys, value
+
+
+def _put(old: Any, keys: Sequence[str], value: Any, option: str) -> Any:
+    """A table or a list with another value at some keys."""
+    if not keys:
+        return value
+    key, *rest = keys
+    if isinstance(old, list) and key in (numbers := [str(k) for k in range(1, len(old) + 1)]):
+        k = numbers.index(key)
+        return [*old[:k], _put(old[k], rest, value, option), *old[k + 1 :]]
+    if not isinstance(old, dict):
+        raise DescriptionError(f"{option}: {_shown(old)} has no {key!r}; set the whole entry")
+    return {**old, key: _put(old.get(key, {}), rest, value, option)}
+
+
 @dataclass(frozen=True)
 class Section:
     """A table of a description.
@@ -36,16 +111,12 @@ class Section:
     """
 
     values: Mapping[str, Any]
-    path: Path
-    told: Callable[[Path], str]
-
-    def where(self, *keys: str) -> str:
-        """Words for where this table, or an entry of it, stands."""
-        return self.told((*self.path, *keys))
+    path: Keys
+    told: Callable[[Keys], str]
 
     def refuse(self, what: str, *keys: str) -> NoReturn:
         """Raise DescriptionError about this table, or about an entry of it."""
-        raise DescriptionError(f"{self.where(*keys)}: {what}")
+        raise DescriptionError(f"{self.told((*self.path, *keys))}: {what}")
 
     def allow(self, keys: Iterable[str], kind: str = "key") -> None:
         """Raise DescriptionError if there is an entry with another key."""
@@ -60,30 +131,24 @@ class Section:
             self.refuse(f"{key} is missing: {what}")
         return self.values[key]
 
-    def number(self, key: str, default: float | None = None) -> float | None:
+    def number(self, key: str) -> float:
         """A finite number."""
-        if key not in self.values:
-            return default
         if not is_finite(self.values[key]):
-            self.refuse(f"{self.values[key]!r} is no finite number", key)
+            self.refuse(f"{_shown(self.values[key])} is no finite number", key)
         return float(self.values[key])
 
     def positive(self, key: str, what: str) -> float:
         """A number > 0 that must be given."""
         self.require(key, what)
-        number = self.number(key)
-        if number is None or number <= 0:
+        if (number := self.number(key)) <= 0:
             self.refuse(f"{self.values[key]!r} is not > 0; it is {what}", key)
         return number
 
     def vector(self, key: str) -> tuple[float, ...]:
         """Components of a vector, 2 or 3 finite numbers."""
-        return self.components(self.values[key], key)
-
-    def components(self, value: Any, *keys: str) -> tuple[float, ...]:
-        """The same of a value of this table."""
-        if not (isinstance(value, list | tuple) and len(value) in (2, 3) and all(map(is_finite, value))):
-            self.refuse(f"{_shown(value)} is no vector; give 2 components, in 3D 3, such as [0, -50]", *keys)
+        value = self.values[key]
+        if not (isinstance(value, list) and len(value) in (2, 3) and all(map(is_finite, value))):
+            self.refuse(f"{_shown(value)} is no vector; give 2 components, in 3D 3, such as [0, -50]", key)
         return tuple(float(one) for one in value)
 
     def history(self, key: str, read: Callable[[Section, str], Any]) -> Any:
@@ -110,19 +175,11 @@ class Section:
             self.refuse(unknown("choice", value, known), key)
         return value
 
-    def texts(self, key: str) -> str | tuple[str, ...] | None:
+    def texts(self, key: str) -> str | list[str] | None:
         """A text or several in a list, or None."""
         value = self.values.get(key)
-        if isinstance(value, list | tuple) and value and all(isinstance(one, str) for one in value):
-            return tuple(value)
-        return self.text(key)
-
-    def flag(self, key: str) -> bool:
-        """True or false; false if it is not given."""
-        value = self.values.get(key, False)
-        if not isinstance(value, bool):
-            self.refuse(f"{_shown(value)} is neither true nor false", key)
-        return value
+        several = isinstance(value, list) and value and all(isinstance(one, str) for one in value)
+        return value if several else self.text(key)
 
     def table(self, key: str, what: str) -> Section:
         """The table of a key, empty if it is not given; raises DescriptionError if it is no table, with what it is."""
@@ -137,30 +194,15 @@ class Section:
     def tables(self, key: str, what: str) -> list[Section]:
         """The tables in a list."""
         value = self.values.get(key, [])
-        if not isinstance(value, list | tuple):
+        if not isinstance(value, list):
             self.refuse(f"{_shown(value)} is no list of tables; each has {what}", key)
         return [self.inner(one, what, key, str(number)) for number, one in enumerate(value, 1)]
-
-    def named(self, key: str, what: str) -> dict[str | None, Section]:
-        """The table of a key as the tables in it, by their names; if it has none, itself with the name None."""
-        whole = self.table(key, what)
-        inside = [isinstance(value, Mapping) for value in whole.values.values()]
-        if not any(inside):
-            return {None: whole}
-        if not all(inside):
-            whole.refuse(f"it has tables with names beside keys without one; give each name a table with {what}")
-        return {name: whole.table(name, what) for name in whole.values}
 
 
 def is_growing(times: Any) -> bool:
     """Whether something is a list of finite numbers, each larger than the one before."""
-    good = isinstance(times, list | tuple) and all(map(is_finite, times))
+    good = isinstance(times, list) and all(map(is_finite, times))
     return good and all(a < b for a, b in itertools.pairwise(times))
-
-
-def as_array(value: Any) -> Any:
-    """Lists as arrays of numbers; other values as they are."""
-    return np.array(value, float) if isinstance(value, list | tuple) else value
 
 
 def _shown(value: Any) -> str:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -42,7 +42,7 @@ class Compliance(Goal):
     For linear models it is -2 times the potential energy.
     """
 
-    name: str = field(default="compliance", init=False)
+    name: ClassVar[str] = "compliance"  # type: ignore[misc]
 
     def value(self, state: State, model: InterfaceModel) -> float:
         if not _moves(model, state.t):

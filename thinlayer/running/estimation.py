@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
 import re
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from geometry.parallel import on_root, world
 from thinlayer.describing.case import Case
+from thinlayer.describing.description import Description
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
@@ -17,7 +18,7 @@ from thinlayer.estimating.result import Estimate
 from thinlayer.estimating.thickness import thin_enough
 from thinlayer.files.table import Table, hash_of
 from thinlayer.output import plotting
-from thinlayer.running.asked import Asked
+from thinlayer.parallel.agreement import on_all
 from thinlayer.running.record import Record
 from thinlayer.solving.solvers import solve
 from thinlayer.time.history import History
@@ -30,27 +31,33 @@ QUESTIONS = {
 }
 
 
-def run(record: Record, asked: Asked) -> None:
-    """Answer what was asked: sentences, estimate.csv, pictures of where on S the changes come from. Collective.
+def run(record: Record, given: Description, file: Path) -> None:
+    """Answer what a description asks: sentences, estimate.csv, pictures of where on S the changes come from. Collective.
 
     Raises:
         InputError, SolveError: as the description, the models and the solves raise them.
     """
+    case = Case.of(given)
     record.parameters = {
-        "files": {str(path): on_root(world(), partial(hash_of, path)) for path in asked.files},
-        "description": asked.description.section.values if asked.description else None,
+        "files": {str(path): on_root(world(), partial(hash_of, path)) for path in (Path(given.mesh["path"]), file)},
+        "description": given.section.values,
     }
-    case = asked.case()
-    found = {LAW: _estimate(record, case, case.structure.interface(case.layer, bodies=case.bodies))}
-    if case.bonded:
+    model = case.structure.interface(case.layer, bodies=given.bodies)
+    with on_all(model.comm):
+        for goal in case.goals:
+            goal.check(model)
+    found = {LAW: _estimate(record, case, model)}
+    if given.bonded:
         found[BOND] = _estimate(record, case, case.structure.bonded(), layer=case.layer)
-    table = Table([{"instead": name, **row} for name, one in found.items() for row in _rows(one)])
+    rows = [{"instead": name, **row} for name, one in found.items() for row in one.table.rows]
+    # NaN stands where there is no number
+    table = Table([{key: None if value != value else value for key, value in row.items()} for row in rows])
     record.write("estimate.csv", table)
     record.results = {
         name: {"sentences": one.sentences, "laws": one.laws, "cost": one.cost} for name, one in found.items()
     }
-    if case.units:
-        record.say("lengths in {}, stresses in {}".format(*case.units))
+    if given.units:
+        record.say("lengths in {}, stresses in {}".format(*given.units))
     thicknesses = []
     for name, one in found.items():
         record.say("\n".join([QUESTIONS[name], *(f"  {sentence}" for sentence in one.sentences)]))
@@ -63,38 +70,28 @@ def run(record: Record, asked: Asked) -> None:
 
 
 def _estimate(record: Record, case: Case, model: Model, **left_out: Any) -> Estimate:
-    found = estimate(_solved(record, case, model), goals=case.goals, **left_out)
+    state: State | History = march(model, case.given.times) if case.given.times else solve(model)
+    for one in state if isinstance(state, History) else [state]:
+        record.solved(one)
+    found = estimate(state, goals=case.goals, **left_out)
     record.solved(found.better)
     return found
-
-
-def _solved(record: Record, case: Case, model: Model) -> State | History:
-    if not case.times:
-        return record.solved(solve(model))
-    history = march(model, case.times)
-    for state in history:
-        record.solved(state)
-    return history
-
-
-def _rows(found: Estimate) -> list[dict[str, Any]]:
-    """Rows of the table, empty where there is no number."""
-    return [
-        {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in row.items()}
-        for row in found.table.rows
-    ]
 
 
 def _thicknesses(record: Record, case: Case, name: str) -> list[dict[str, Any]]:
     """The thickness below which each quantity changes by less than its tolerance; told as soon as it is known."""
     goals, rows = {goal.name: goal for goal in case.goals}, []
     layer: Any = case.layer
-    for quantity, tolerance in case.tolerance.items():
+    for quantity, tolerance in case.given.tolerance.items():
         if name == BOND and quantity == "jump":
             continue  # bonded bodies have none
         goal = goals.get(quantity, quantity)
         try:
-            how: dict[str, Any] = {"times": case.times or None, "bonded": name == BOND, "bodies": case.bodies}
+            how: dict[str, Any] = {
+                "times": case.given.times or None,
+                "bonded": name == BOND,
+                "bodies": case.given.bodies,
+            }
             thin = thin_enough(case.structure, layer, tolerance, goal, **how)
             eps, told = thin.eps, str(thin)
         except ModelError as error:  # an answer too: no thickness is thin enough
@@ -113,5 +110,5 @@ def _draw(record: Record, case: Case, name: str, found: Estimate) -> None:
             record.say(f"no picture of {goal}: {error}")
             continue
         file = "_".join(["map", name, *re.findall(r"\w+", goal)]) + ".png"
-        length = case.units[0] if case.units else ""
+        length = case.given.units[0] if case.given.units else ""
         plotting.density(density, save=record.path(file), length=length, quantity=f"change of {goal}, per area of S")

@@ -7,7 +7,7 @@ import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
@@ -19,7 +19,6 @@ from thinlayer.files.say import say
 from thinlayer.files.table import Table, hash_of
 from thinlayer.output.sweep import sweep
 from thinlayer.parallel.log import logger
-from thinlayer.running.check import Check
 from thinlayer.running.provenance import code, petsc_options, versions
 from thinlayer.running.run_folder import MARCHES, RUN, RunFolder
 from thinlayer.solving.options import PREFIX
@@ -28,6 +27,36 @@ from thinlayer.time.marching import march
 from thinlayer.time.plan import Adaptive
 
 LOG = logger("study")
+
+
+@dataclass
+class Check:
+    """A number that a study promises to lie in a range.
+
+    Attributes:
+        name: description of the number.
+        value: the number.
+        low, high: ends of the range; None: no bound.
+        passed: whether the number lies in the range.
+    """
+
+    name: str
+    value: float
+    low: float | None
+    high: float | None
+    passed: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        above = self.low is None or self.value >= self.low
+        below = self.high is None or self.value <= self.high
+        self.passed = above and below  # NaN passes neither
+
+    def __str__(self) -> str:
+        ends = [
+            f">= {self.low:.6g}" if self.low is not None else "",
+            f"<= {self.high:.6g}" if self.high is not None else "",
+        ]
+        return f"{self.name}: {self.value:.6g} ({' and '.join(e for e in ends if e)})"
 
 
 class Record:

@@ -1,17 +1,18 @@
-"""What the command line does around a run: signals, PETSc options, the record's folder, errors and exit statuses."""
+"""What the command line does around its work: interrupts, options, the record's folder, errors and exit statuses."""
 
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import sys
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from thinlayer.files.say import say
-from thinlayer.running import startup
 
 if TYPE_CHECKING:
     from thinlayer.running.record import Record
@@ -19,11 +20,39 @@ if TYPE_CHECKING:
 OK, CHECK_FAILED, BAD_INPUT, SOLVE_FAILED, NOT_WRITTEN, CRASHED, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
 
 
+def end_on_interrupt() -> None:
+    """Let an interrupt end the process with a message. An exception raised while C++ modules load would abort them."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _end)
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    if is_first():
+        os.write(2, b"thinlayer: interrupted; nothing was done\n")
+    os._exit(INTERRUPTED)
+
+
+def is_first() -> bool:
+    """Whether this is rank 0, before MPI has started."""
+    return all(os.environ.get(name, "0") == "0" for name in ("PMIX_RANK", "PMI_RANK", "OMPI_COMM_WORLD_RANK"))
+
+
 def set_signals() -> None:
     """Restore Python's handling of signals. PETSc replaces it when it starts, and prints reports of its own."""
-    startup.raise_on_interrupt()
+    if signal.getsignal(signal.SIGINT) is _end:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     for number in (signal.SIGPIPE, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.getsignal(number))
+
+
+def ignore_working_folder() -> None:
+    """Start PETSc, and let neither it nor FFCx and compilers read options from files in the working folder."""
+    import petsc4py
+
+    petsc4py.init(["thinlayer", "-skip_petscrc"])
+    from thinlayer.compiling.compilation import load_options
+
+    load_options()
 
 
 def recorded(
@@ -47,7 +76,7 @@ def recorded(
         resume: whether an earlier run in the folder is continued; None: it cannot be.
         verbose: 1: attempts of solves are shown; 2: their steps as well.
     """
-    startup.ignore_working_folder()
+    ignore_working_folder()
     from mpi4py import MPI
     from petsc4py import PETSc
 
