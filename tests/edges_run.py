@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from forms import LinearElastic, Rubber
+from forms import LinearElastic
 from geometry import sandwich
-from thinlayer import Structure, ThinLayer
+from thinlayer import Structure
 
 BODY, GLUE = LinearElastic.young(E=70.0, nu=0.2), LinearElastic.shear(3.0, 0.35)
 SIZES = {2: {}, 3: {"depth": 0.7}}
 LOAD = (0.3, -1.0, 0.2)
-LAYER = ThinLayer(GLUE, 0.05, order=1, edges="free", at=1.0)
-RUBBER = ThinLayer(Rubber.shear(15.0, 0.48), 0.1, order=1, edges="free", at=1.0)
 
 
 def structure(dim: int, angle: float = 0.3, h_ends: float = 0.15) -> Structure:

@@ -45,7 +45,6 @@ pytestmark = pytest.mark.few(3)
 
 JOINT = sandwich(1.0, 0.5, 0.5, 0.25)
 YIELDING = VonMises(60.0, 50.0, strength=1.0, hardening=20.0, kinematic=10.0)
-VARYING = VonMises(60.0, 50.0, strength=lambda x: 0.5 + x[0], hardening=20.0)
 SHEARED = {"TOP": lambda x, t: (0.5 * t * (1 + x[0]), -0.3 * t)}
 
 SUPPORTS = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}}

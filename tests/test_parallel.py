@@ -15,10 +15,9 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from forms import Anisotropic, KelvinVoigt, LinearElastic, Stack
-from geometry import block, ring, sandwich
+from forms import KelvinVoigt, LinearElastic, Stack
+from geometry import sandwich
 from geometry.seam import Seam
-from studies.problems import FOURIER_LAYER, fourier
 from tests.folders_run import raised
 from tests.on_ranks import on_ranks
 from tests.pictures import assert_drawn
@@ -131,43 +130,6 @@ def errors(folder: Path) -> dict[str, str | list[str]]:
     return found
 
 
-def structures_in_space() -> dict[str, tuple]:
-    """Tetrahedra and hexahedra, both ways to make room."""
-    body, glue = LinearElastic.young(30.0, 0.1), LinearElastic.young(3.0, 0.4)
-    setup = {
-        "body": body,
-        "supports": {"BOTTOM": {"y": 0.0}, "BACK": {"z": 0.0}, "LEFT": {"x": lambda x, t: 0.01 * ufl.sin(3 * x[1])}},
-        "tractions": {"TOP": lambda x, t: (0.3, -1.0, 0.1 * x[0])},
-    }
-    tetrahedra = sandwich(1.0, 0.4, 0.5, 0.3, depth=0.8)
-    base = {"body": body, "supports": {}, "tractions": {"TOP": (0.3, -1.0, 0.2)}}
-    hexahedra = block(1.0, 0.5, 0.25, depth=0.7, cell="hexahedron")
-    return {
-        "tetrahedra P2": (tetrahedra, setup, glue, {}),
-        "hexahedra Q1 extended wedge": (
-            hexahedra,
-            base,
-            glue,
-            {"element": "Q1", "bodies": "extended", "profile": lambda x: 1 + 0.5 * x[0] * x[2]},
-        ),
-    }
-
-
-def structures_with_curved_layers() -> dict[str, tuple]:
-    """Curved cells with a law that has a material frame; a wedge."""
-    body = LinearElastic.young(30.0, 0.1)
-    setup = {"body": body, "supports": {"INSIDE": 0.0}, "tractions": {"OUTSIDE": (0.3, -0.2)}}
-    return {
-        "curved ring": (
-            ring(1.0, 1.5, 2.0, 0.3, degree=2),
-            setup,
-            Anisotropic.springs(K_N=9.0, K_T=2.0),
-            {"bodies": "extended"},
-        ),
-        "wedge": (*fourier(1 / 8), FOURIER_LAYER, {"bodies": "extended", "profile": lambda x: 0.5 + x[0]}),
-    }
-
-
 def crack() -> dict[str, float]:
     """S that ends inside."""
     whole = sandwich(1.0, 0.5, 0.5, 0.125)
@@ -221,71 +183,6 @@ def network() -> dict[str, float]:
             found[f"network {joint.dim} {name} profile"] = float(np.linalg.norm(surface.profile(jump)[1]))
         found[f"network {joint.dim} energy"] = state.energies()["layer"]
     return found
-
-
-def norms() -> dict[str, float]:
-    """Norms of both models of all structures."""
-    found = {}
-    soft, hard = LinearElastic.young(30.0, 0.1), LinearElastic.young(12.0, 0.4)
-    rotated = sandwich(1.0, 0.5, 0.7, 0.15, h_S=0.05).rotated(0.4)
-    pinned = {"BOTTOM": {"x": 0.0}, tuple(rotated.points[rotated.facets["S"][0, 0]]): {"x": 0.0}}
-    pinned |= {"RIGHT/UPPER": {"y": 0.01}, "RIGHT/LOWER": {"y": 0.02}}
-    push = {"TOP": lambda x, t: (0.5 * x[0], -1.0), "LEFT/UPPER": (0.2, 0.0)}
-    structures = {
-        "fourier P2": (*fourier(1 / 8), FOURIER_LAYER, {}),
-        "fourier S2 extended": (
-            *fourier(1 / 8, cell="quadrilateral"),
-            FOURIER_LAYER,
-            {"element": "S2", "bodies": "extended"},
-        ),
-        "stack P1": (
-            rotated,
-            {"body": {"LOWER": soft, "UPPER": hard}, "supports": pinned, "tractions": push, "body_force": (0.0, -0.3)},
-            Stack((0.3, soft), (0.7, hard)),
-            {"element": "P1"},
-        ),
-        "fewer cells than ranks": (
-            sandwich(1.0, 1.0, 1.0, 1.0, cell="quadrilateral"),
-            {
-                "body": hard,
-                "supports": {
-                    "BOTTOM": {"x": 0.0, "y": lambda x, t: 0.02 + 0.01 * x[0] ** 2},
-                    "LEFT/UPPER": {"x": 0.01},
-                    "RIGHT/LOWER": {"y": 0.03},
-                },
-                "tractions": {"TOP": (1.0, 2.0)},
-            },
-            soft,
-            {"element": "Q1"},
-        ),
-        "block Q2": (
-            block(2.0, 1.0, 0.3, h_S=0.1, cell="quadrilateral"),
-            {"body": hard, "supports": {"RIGHT": {"x": 0.0}}, "tractions": {"LEFT": (1.0, 0.0)}},
-            soft,
-            {"plane": "stress"},
-        ),
-    }
-    structures |= structures_in_space() | structures_with_curved_layers()
-    for name, (joint, setup, law, options) in structures.items():
-        layer = ThinLayer(law, 0.04, profile=options.pop("profile", None), at=1.0)
-        bodies = options.pop("bodies", "kept")
-        structure = Structure(joint, **setup, **options)
-        limit, full = solve(structure.interface(layer)), solve(structure.full(layer, bodies=bodies))
-        for key, value in compare(full, limit).items():
-            found[f"{name} {key}"] = value
-        for state in (full, limit):
-            kind, V = state.model.name, state.model.V
-            of_own_cells = np.unique(V.dofmap.list[: V.mesh.topology.index_map(V.mesh.topology.dim).size_local])
-            lost = np.setdiff1d(np.arange(V.dofmap.index_map.size_local), of_own_cells)
-            found[f"{name} {kind} unknowns of other ranks' cells alone"] = float(V.mesh.comm.allreduce(len(lost)))
-            found[f"{name} {kind} u"] = state.integral(ufl.inner(state.u, state.u) * ufl.dx)
-            found[f"{name} {kind} layer"] = state.energies()["layer"]
-        surface = Surface(limit.model)
-        _, values = surface.profile(surface.frame(surface.traction(full)))
-        found[f"{name} profile"] = float(abs(values).sum())
-    newton = solve(limit.model, method="newton")
-    found["newton u"] = newton.integral(ufl.inner(newton.u, newton.u) * ufl.dx)
-    return found | crack() | network()
 
 
 COMM = MPI.COMM_WORLD

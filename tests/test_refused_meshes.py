@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import HolonomicCoulomb, LinearElastic
+from forms import LinearElastic
 from geometry import GeometryError, inflate, read, sandwich
 from tests.meshes import GRID, LINES, NAMES, SPACE, boxes, drawing, in_layer, save, sides, squares, volume, volumes
 from tests.refused import refused
@@ -210,7 +210,6 @@ def test_bridge(draw, tmp_path):
     assert volume(inflate(joint, 0.1, bodies="extended")) == pytest.approx(10.0)
 
 
-CONTACT = HolonomicCoulomb(30.0, 10.0, 0.3)
 CORNERS = {(0.0, 0.0): 0.0, (4.0, 0.0): {"y": 0.0}}
 
 

@@ -44,27 +44,6 @@ def quarter(cell="quadrilateral", h=0.2, body_force=None) -> Structure:
     )
 
 
-WEIGHT = {"S": lambda x, t: (0.0, -3.0 * x[0] ** 2), "INNER": (0.0, 0.2)}
-
-
-def numbers() -> dict[str, float]:
-    found: dict[str, float] = {}
-    for name, law in {"elastic": LinearElastic(60.0, 40.0), "rubber": Rubber(400.0, 4.0)}.items():
-        eigenstrain = None if name == "rubber" else lambda x, t: 0.1 * x[0] * x[1]
-        layer = ThinLayer(law, 1 / 16, order=1, profile=taper, eigenstrain=eigenstrain, at=1.0)
-        state = solve(quarter(body_force=WEIGHT).interface(layer, bodies="extended"))
-        surface, x = Surface(state.model), ufl.SpatialCoordinate(state.model.domain.mesh)
-        found |= {
-            f"{name} energies": sum(value for value in state.energies().values() if np.isfinite(value)),
-            f"{name} traction": surface.norm(surface.traction(state)),
-            f"{name} jump": surface.norm(surface.jump(state)),
-            f"{name} profile": float(np.abs(surface.profile(surface.traction(state))[1]).sum()),
-            f"{name} held": float(np.abs(state.reaction("INSIDE").force).sum()),
-            f"{name} moved": state.integral(ufl.dot(x, state.u) * ufl.dx),
-        }
-    return found
-
-
 GLUE = LinearElastic(60.0, 40.0)  # per thickness
 HELD = {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
 A, R, B = 0.5, 1.0, 1.6  # radii: bore, S, rim
