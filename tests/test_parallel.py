@@ -1,4 +1,4 @@
-"""The same numbers on 1, 2 and 3 ranks; studies and errors under mpirun."""
+"""Studies and errors under mpirun; ranks that are told different things."""
 
 from __future__ import annotations
 

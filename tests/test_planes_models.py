@@ -1,4 +1,4 @@
-"""Models in plane stress and of bodies of revolution, in time and on several ranks."""
+"""Models in plane stress and of bodies of revolution, in time."""
 
 from __future__ import annotations
 
