@@ -2,10 +2,9 @@
 
 FFCx compiles in this folder and uses a form's C file as a lock. If the process is killed, the lock stays, and every
 process that needs the form waits in vain. Here each compilation has a folder of its own, and its files are moved to the
-common folder when all are complete and on the disk. Other processes that need the same form wait for a lock that the
-operating system frees when its process ends. Each library has a seal in a file beside it: its length and SHA-256. If they
-do not match, as after a crash of the machine, the library is compiled again, because loading an incomplete library may
-end the process. FFCx is changed for the whole process: forms that a script compiles by itself are kept in the same way.
+common folder when all are complete and on the disk: none is ever there in part. Other processes that need the same form
+wait for a lock that the operating system frees when its process ends. FFCx is changed for the whole process: forms that a
+script compiles by itself are kept in the same way.
 """
 
 from __future__ import annotations
@@ -31,12 +30,8 @@ from ffcx.codegeneration import jit as ffcx_jit
 import thinlayer.parallel.abort  # noqa: F401  # before DOLFINx, which starts PETSc
 from forms.base import ThinlayerError
 
-State = tuple[int, int, int]  # of a file: its number on the disk, its length, the time of its last change in ns
 # Folder -> descriptor of its lock file. They are never closed, as that would free all locks of the process on the file.
 _LOCKS: dict[Path, int] = {}
-SEAL = b"thinlayer: a library of "  # first words of a seal
-# Library and file beside it -> their states when the library matched its seal, so that each is read once in a process.
-_WHOLE: dict[tuple[Path, Path], tuple[State, State]] = {}
 
 
 class CacheError(ThinlayerError, OSError):
@@ -89,54 +84,14 @@ def workshop(folder: Path, name: str) -> Iterator[Path]:
         yield Path(work)
 
 
-def seal(library: Path, beside: Path) -> None:
-    """Append the seal of a library to the file beside it, in which FFCx keeps the messages of the compiler."""
-    with beside.open("ab") as file:
-        file.write(_seal_of(library))
-
-
-def is_whole(library: Path, beside: Path, *, unsealed: bool = False) -> bool:
-    """Whether a library is there and matches its seal; `unsealed` is the answer for a library without a seal."""
-    try:
-        states = _state(library), _state(beside)
-        if _WHOLE.get((library, beside)) == states:
-            return True
-        known = beside.read_bytes()
-        if SEAL not in known:
-            return unsealed
-        if known.endswith(_seal_of(library)):
-            _WHOLE[library, beside] = states
-            return True
-        return False
-    except OSError:
-        return False
-
-
-def _state(file: Path) -> State:
-    found = file.stat()
-    return found.st_ino, found.st_size, found.st_mtime_ns
-
-
-def _seal_of(library: Path) -> bytes:
-    content = library.read_bytes()
-    return b"\n%s%d bytes, %s\n" % (SEAL, len(content), hashlib.sha256(content).hexdigest().encode())
-
-
 def keep(made: Path, file: Path) -> None:
-    """Write a file to the disk and move it to where it is kept.
-
-    Raises:
-        CacheError: there is a folder of this name.
-    """
+    """Write a file to the disk and move it to where it is kept."""
     descriptor = os.open(made, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-    try:
-        made.replace(file)
-    except IsADirectoryError:
-        raise CacheError(f"{file} is a folder, where a compiled file belongs; remove it") from None
+    made.replace(file)
 
 
 def load(library: Path) -> Any:
@@ -165,8 +120,7 @@ def _mend_ffcx() -> None:
         """
         source, ready = (folder / f"{module_name}{end}" for end in (".c", ".c.cached"))
         for library in (folder / f"{module_name}{end}" for end in EXTENSION_SUFFIXES):
-            # libraries that FFCx compiled in a process without thinlayer have no seal
-            if library.exists() and source.exists() and is_whole(library, ready, unsealed=True):
+            if library.exists() and source.exists() and ready.exists():
                 try:
                     module = load(library)
                 except ImportError:
@@ -196,8 +150,6 @@ def _mend_ffcx() -> None:
                 made = {file.name: file for file in work.iterdir() if file.name.startswith(f"{name}.")}
                 ready = made.pop(f"{name}.c.cached")
                 made.pop(f"{name}.o", None)
-                (library,) = (made[f"{name}{end}"] for end in EXTENSION_SUFFIXES if f"{name}{end}" in made)
-                seal(library, ready)
                 for file in [*made.values(), ready]:  # `ready` last: it says that all others are there
                     keep(file, folder / file.name)
         finally:

@@ -13,7 +13,7 @@ from dolfinx import jit
 from mpi4py import MPI
 
 from forms.base import ThinlayerError
-from thinlayer.compiling.compilation import acquire, is_whole, keep, load, release, seal, workshop
+from thinlayer.compiling.compilation import acquire, keep, load, release, workshop
 from thinlayer.identity.sources import content, contents
 
 _LOADED: dict[Any, Any] = {}  # (source, state of the files that it includes) -> module
@@ -71,27 +71,20 @@ def _module_file(source: Path) -> Path:
 
 
 def _build(source: Path) -> None:
-    """Compile a source, unless its library is there and whole."""
+    """Compile a source, unless its library is there."""
     file = _module_file(source)
-    if is_whole(file, _seal(file)):
+    if file.exists():
         return
     name = file.name.split(".")[0]
     acquire(file.parent, name)
     try:
-        if is_whole(file, _seal(file)):  # another process has compiled it
+        if file.exists():  # another process has compiled it
             return
         text = source.read_text(encoding="utf-8")
         builder = cffi.FFI()
         builder.cdef("\n".join(head + ";" for head in EXPORTED.findall(text)))
         builder.set_source(name, text, extra_compile_args=["-O2"], include_dirs=[str(source.parent.resolve())])
         with workshop(file.parent, name) as work:
-            made = Path(builder.compile(tmpdir=work))
-            seal(made, _seal(made))
-            keep(made, file)
-            keep(_seal(made), _seal(file))
+            keep(Path(builder.compile(tmpdir=work)), file)
     finally:
         release(file.parent, name)
-
-
-def _seal(file: Path) -> Path:
-    return file.with_name(f"{file.name}.cached")
