@@ -12,7 +12,7 @@ from forms import LinearElastic
 from geometry import fibre, periodic
 from geometry.parallel import on_root
 from studies.concentric import Cylinders
-from studies.sweeping import Solution, Sweep, draw_rates, last
+from studies.sweeping import Solution, Sweep, draw_rates, last, layer_of
 from thinlayer import State, Structure, Table, ThinLayer, homogenised_stiffness, observed_orders, plotting, solve
 from thinlayer.output.grid import gather
 from thinlayer.running.record import Record
@@ -90,10 +90,9 @@ def jump_error(eps: float) -> float:
 
 def against_closed_forms(full: Solution, limit: Solution) -> dict[str, float]:
     """Columns of the table: the error of the jump in closed form, the relative error of the full model's energy."""
-    (layer,) = last(full).model.layers.values()
-    assert layer.thin is not None, "a layer with a thickness"
-    exact = with_layer(layer.thin.eps).energy
-    return {"closed_form": jump_error(layer.thin.eps), "energy": abs(energy(last(full)) / exact - 1)}
+    eps = float(layer_of(full).eps)
+    exact = with_layer(eps).energy
+    return {"closed_form": jump_error(eps), "energy": abs(energy(last(full)) / exact - 1)}
 
 
 def energy(state: State) -> float:

@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import ufl
+from scipy.linalg import expm
 
-from forms import LinearElastic
+from forms import BulkLaw, LinearElastic, MohrCoulomb
 from geometry import Joint, block, sandwich
-from thinlayer import piecewise
+from thinlayer import ThinLayer, piecewise
 
 FOURIER_BODY = LinearElastic.young(E=100.0, nu=0.3)
 FOURIER_LAYER = LinearElastic(lmbda=60.0, mu=40.0)
+MORTAR = MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02)  # of `sheared` blocks
 BAR = LinearElastic.young(E=130e3, nu=0.2)  # MPa, section 8.2 of the paper
+SHEAR = 5.0  # largest shear on the upper side in `sheared`, over the pressure there
+Array = npt.NDArray[np.float64]
+
+
+def of(law: BulkLaw, at: float | None = 1.0, **choices: Any) -> Callable[[float], ThinLayer]:
+    """Thickness -> the layer; it has the law's own parameters at one thickness, or, with None, at all of them."""
+    return partial(ThinLayer, law, at=at, **choices)
 
 
 def fourier(h: float, *, cell: str = "triangle") -> tuple[Joint, dict[str, Any]]:
@@ -33,6 +47,41 @@ def fourier(h: float, *, cell: str = "triangle") -> tuple[Joint, dict[str, Any]]
     supports = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     tractions = {"TOP": lambda x, t: (0.5 * ufl.sin(ufl.pi * x[0]), ufl.cos(ufl.pi * x[0]))}
     return joint, {"body": FOURIER_BODY, "supports": supports, "tractions": tractions}
+
+
+@dataclass(frozen=True)
+class Wave:
+    """A load (S sin(k x), T cos(k x)) on the upper of two blocks, clamped below, with a layer between them.
+
+    Displacements are (U(y) sin(k x), V(y) cos(k x)), tractions on planes of constant y (S(y) sin, T(y) cos). Plane strain.
+
+    Attributes:
+        k: wave number; a half-wave is pi/k long.
+        height: of each block, in addition to the layer.
+        body: Lame moduli lmbda, mu of the blocks.
+        load: (S, T).
+    """
+
+    k: float
+    height: float
+    body: tuple[float, float]
+    load: tuple[float, float]
+
+    def across(self, lmbda: float, mu: float, thickness: float) -> Array:
+        """Transfer matrix (4, 4) of (U, V, S, T) through an isotropic layer; lmbda may be infinite."""
+        k, M = self.k, lmbda + 2 * mu
+        ratio, along = (1.0, 4 * mu) if math.isinf(lmbda) else (lmbda / M, 4 * mu * (lmbda + mu) / M)
+        rows = [[0, k, 1 / mu, 0], [-ratio * k, 0, 0, 1 / M], [along * k**2, 0, 0, ratio * k], [0, 0, -k, 0]]
+        return np.asarray(expm(np.array(rows) * thickness))
+
+    def solved(self, lmbda: float, mu: float, eps: float) -> tuple[Array, Array, float]:
+        """Amplitudes of the layer's mean traction (S, T) and of its jump (U, V); work of the load over a half-wave of 1."""
+        body, layer = self.across(*self.body, self.height), self.across(lmbda, mu, eps)
+        load = np.array(self.load)
+        whole = body @ layer @ body
+        below = body @ np.append(np.zeros(2), np.linalg.solve(whole[2:, 2:], load))
+        above = layer @ below
+        return (above + below)[2:] / 2, (above - below)[:2], float(load @ (body @ above)[:2]) / 2
 
 
 def pressed(h: float, path: Mapping[Any, tuple[float, float, float]]) -> tuple[Joint, dict[str, Any]]:
@@ -59,6 +108,17 @@ def pressed(h: float, path: Mapping[Any, tuple[float, float, float]]) -> tuple[J
 
     supports = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     return joint, {"body": FOURIER_BODY, "supports": supports, "tractions": {"TOP": top}}
+
+
+def sheared(h: float) -> tuple[Joint, dict[str, Any]]:
+    """The blocks of `fourier` under pressure, sheared up to t = 1 and back after it; joint and data of its models."""
+    joint, setup = fourier(h, cell="quadrilateral")
+
+    def load(x: Any, t: Any) -> tuple[Any, Any]:
+        shear = SHEAR * ufl.conditional(ufl.lt(t, 1), t, 2 - t)
+        return shear * ufl.sin(ufl.pi * x[0]), -1 + 0.3 * ufl.cos(ufl.pi * x[0])
+
+    return joint, setup | {"tractions": {"TOP": load}}
 
 
 def sliding_bar(n: int, *, depth: bool = False, arrangement: str = "Right") -> tuple[Joint, dict[str, Any]]:

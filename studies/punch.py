@@ -14,8 +14,7 @@ from dolfinx import fem
 
 from forms import LinearElastic, VonMises, limits
 from geometry import Joint, block, ring, sandwich
-from studies.problems import FOURIER_BODY
-from studies.sweep_mohr_coulomb import LAYERS, sheared_blocks
+from studies.problems import FOURIER_BODY, MORTAR, sheared
 from studies.sweeping import Solution, Sweep, draw_rates
 from thinlayer import History, State, Structure, Surface, Table, ThinLayer, march, plotting
 from thinlayer.running.record import Record
@@ -31,7 +30,6 @@ BOND = 2e5  # moduli of the bond on S, over its thickness
 PRESSURES = (0.7, 1.0, 1.2, 1.3, 1.35)  # over K; elastic up to 0.75, the limit is 2 ln 2 = 1.386
 
 METAL = VonMises(FOURIER_BODY.lmbda, FOURIER_BODY.mu, strength=3.0, hardening=20.0)
-MORTAR = LAYERS[""]
 
 
 def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 128), quick: bool = False) -> None:
@@ -42,8 +40,8 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
     cylinder.csv: an incompressible (nu = 0.499) cylinder under pressure from inside, partly plastic, in plane strain and
     axisymmetric, against the closed form: displacements inside and outside, and the radial stress on S, a bond that is
     next to rigid.
-    table.csv: the blocks and the joint of `sweep_mohr_coulomb`, the blocks of hardening metal, sheared forth: interface law
-    against meshed layer, error O(eps), where bodies and joint yield; and the energy that they dissipate.
+    table.csv: the blocks and the layer of `rates --law mohr_coulomb`, the blocks of hardening metal, sheared forth:
+    interface law against meshed layer, error O(eps), where bodies and joint yield; and the energy that they dissipate.
 
     Args:
         record: where to write.
@@ -56,7 +54,7 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
     }  # fmt: skip
     punched(record, cells)
     inflated(record, 0.15 if quick else 0.08)
-    joint, setup = sheared_blocks(h)
+    joint, setup = sheared(h)
     setup |= {"body": METAL}
     sweep = Sweep(
         record, joint, setup, partial(ThinLayer, MORTAR, at=1.0), times=(0.25, 0.5, 0.75, 1.0), more=dissipated

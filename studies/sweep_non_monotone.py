@@ -16,7 +16,7 @@ from forms.kinematics import Expr
 from forms.traction import JumpStep
 from geometry import Joint, sandwich
 from studies.problems import FOURIER_BODY
-from studies.sweeping import Solution, Sweep, draw_rates, last
+from studies.sweeping import Floors, Solution, Sweep, check_floors, draw_rates, last, layer_of
 from thinlayer import History, PhaseReport, RangeWarning, Table, ThinLayer, observed_orders, plotting
 from thinlayer.running.record import Record
 
@@ -84,7 +84,7 @@ class Formula(TractionLaw):
 
 
 # wrong laws on S: the layer's case, the law (lmbda + mu, no phase -1, 1/(lmbda + 2 mu)), relative errors that stay
-WRONG: dict[str, tuple[str, Formula, dict[str, tuple[float, float]]]] = {
+WRONG: dict[str, tuple[str, Formula, Floors]] = {
     "printed": ("", Formula.of(CASES[""][0], K_N=100.0), {"traction": (0.13, 0.16), "jump": (0.22, 0.26)}),
     "one_branch": ("", Formula.of(CASES[""][0], minus=0.0), {"traction": (0.12, 0.16), "jump": (0.29, 0.35)}),
     "small_gain": ("across", Formula.of(CASES["across"][0], G=1 / 140), {"traction": (0.018, 0.026)}),
@@ -152,24 +152,12 @@ def phases(record: Record, case: str, pictured: float, full: Solution, limit: So
     """
     state = last(limit)
     (x, on_s), (_, meshed) = (PhaseReport(last(one)).profile() for one in (limit, full))
-    (layer,) = last(full).model.layers.values()
-    thin = layer.thin
-    if thin and thin.eps == pictured:
+    if layer_of(full).eps == pictured:
         rows = zip(x[:, 0], meshed, on_s, strict=True)
         record.write(f"phases_{case}.csv", Table(dict(zip(("x", MESHED, ON_S), row, strict=True)) for row in rows))
     mixed = (abs(on_s) > CLOSE) & (abs(on_s) < 1 - CLOSE)
     report, differ = PhaseReport(state), abs(meshed - on_s) > 0.5
     return {"plus": report.plus, "minus": report.minus, "mixed": float(mixed.mean()), "differ": float(differ.sum())}
-
-
-def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: dict[str, tuple[float, float]]) -> None:
-    """Check the errors that a wrong law leaves, that they no longer fall, and that they are not the right law's."""
-    for field, (low, high) in floors.items():
-        errors = wrong[f"error_{field}"]
-        record.check(f"error of the {field} that {name} leaves", errors[-1], low=low, high=high)
-        record.check(f"error of the {field}, {name} over right law", errors[-1] / right[f"error_{field}"][-1], low=4.0)
-        if len(errors) > 1:
-            record.check(f"last observed order of the {field}, {name}", wrong[f"order_{field}"][-1], low=-0.2, high=0.2)
 
 
 def unrelaxed(record: Record, eps: Sequence[float]) -> None:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field
 from typing import Any
 
 from forms import BulkLaw, Law
 from forms.kinematics import Expr
 from geometry import Joint
-from studies.problems import fourier
 from thinlayer import History, Model, State, Structure, Table, ThinLayer, compare, plotting, solve
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -18,6 +16,7 @@ from thinlayer.discretisation.layer import LawOnS
 from thinlayer.running.record import Record
 
 Solution = State | History
+Floors = Mapping[str, tuple[float, float]]  # traction or jump -> range of the relative error that a wrong law leaves
 
 
 @dataclass(frozen=True)
@@ -34,6 +33,7 @@ class Sweep:
         where: part of S to measure on, see `thinlayer.compare`.
         times: ends of the steps to march, from rest under loads that are there from t = 0 on; the last states are
             compared. None: a static solve.
+        beside: end of a column's name -> thickness -> the layer of a further law, whose errors are columns of the table.
         more: full and interface model's solutions -> further columns of the table.
         case: name of the sweep among those of the study, in names of files and checks.
     """
@@ -46,9 +46,15 @@ class Sweep:
     cells_through: int = 4
     where: Callable[[Expr], Expr] | None = None
     times: Sequence[float] | None = None
+    beside: Mapping[str, Callable[[float], ThinLayer]] = field(default_factory=dict)
     more: Callable[[Solution, Solution], dict[str, Any]] | None = None
     case: str = ""
     instead: BulkLaw | LawOnS | None = None
+
+    @property
+    def structure(self) -> Structure:
+        """The structure without its layer."""
+        return Structure(self.joint, **self.setup)
 
     def solved(self, eps: float) -> tuple[Solution, Solution]:
         """The full and the interface model's state, or history, for a thickness."""
@@ -57,11 +63,14 @@ class Sweep:
 
     def models(self, eps: float) -> tuple[FullModel, InterfaceModel]:
         """The full and the interface model for a thickness."""
-        structure, layer, other = Structure(self.joint, **self.setup), self.layer(eps), self.instead
+        structure, layer, other = self.structure, self.layer(eps), self.instead
         full = structure.full(layer, bodies=self.bodies, cells_through=self.cells_through)
-        if other is None:
-            return full, structure.interface(layer, bodies=self.bodies if layer.order else "kept")
-        return full, structure.interface(other if isinstance(other, LawOnS) else ThinLayer(other, eps, at=1.0))
+        if isinstance(other, LawOnS):
+            return full, structure.interface(other)
+        return full, self._interface(structure, layer if other is None else ThinLayer(other, eps, at=1.0))
+
+    def _interface(self, structure: Structure, layer: ThinLayer) -> InterfaceModel:
+        return structure.interface(layer, bodies=self.bodies if layer.order else "kept")
 
     def _solved(self, model: Model, name: str) -> Solution:
         if self.times is None:
@@ -97,8 +106,12 @@ class Sweep:
             if e == shown:
                 states = {f"meshed layer, eps = {e:g} {unit}".rstrip(): last(full), "interface law": last(limit)}
                 plotting.deformed(states, save=self.record.path(self._named("deformed.png")), title=title, unit=unit)
-            more = self.more(full, limit) if self.more else {}
-            return compare(full, limit, where=self.where) | elastic_fraction(self.layer(e).law) | more
+            row = compare(full, limit, where=self.where) | elastic_fraction(self.layer(e).law)
+            for end, layer in self.beside.items():
+                other = self._solved(self._interface(self.structure, layer(e)), f"interface{end}_{e:g}")
+                found = compare(full, other, where=self.where)
+                row |= {f"{name}{end}": found[name] for name in plotting.ERRORS.values()}
+            return row | (self.more(full, limit) if self.more else {})
 
         law = self.layer(eps[0]).law
         self.record.say(f"meshed layer {law}, on S {self.instead}" if self.instead else law)
@@ -110,35 +123,6 @@ class Sweep:
                 what = f"last observed order of the {name}" + (f", {self.case}" if self.case else "")
                 self.record.check(what, value, low=order[0], high=order[1])
         return table
-
-
-def sweep_in_time(
-    record: Record,
-    laws: Mapping[str, BulkLaw],
-    times: Mapping[str, Sequence[float]],
-    eps: Sequence[float],
-    h: float,
-    titles: Mapping[str, str],
-    more: Callable[[Solution, Solution], dict[str, Any]] | None = None,
-) -> dict[str, Table]:
-    """Sweep the Fourier problem under a sudden load that is held; both models take the same steps.
-
-    Args:
-        record: where to write.
-        laws: case -> the layer's law.
-        times: case -> ends of the steps.
-        eps: thicknesses.
-        h: cell size.
-        titles: case -> title of the picture.
-        more: as of `Sweep`.
-    """
-    joint, setup = fourier(h, cell="quadrilateral")
-    record.parameters = {"h": h, "layers": [str(law) for law in laws.values()], "times": times}
-    tables = {}
-    for case, law in laws.items():
-        sweep = Sweep(record, joint, setup, partial(ThinLayer, law, at=1.0), times=times[case], more=more, case=case)
-        tables[case] = sweep.run(eps, (0.93, 1.07), title=f"{titles[case]}, t = {times[case][-1]:g}")
-    return tables
 
 
 def elastic_fraction(law: Law) -> dict[str, float]:
@@ -158,7 +142,32 @@ def last(solution: Solution) -> State:
     return solution if isinstance(solution, State) else solution.last
 
 
-def draw_rates(record: Record, *, title: str, cases: Mapping[str, str] | None = None, apart: bool = False) -> None:
+def layer_of(solution: Solution) -> ThinLayer:
+    """The only layer of a model, with its thickness."""
+    (layer,) = last(solution).model.layers.values()
+    assert layer.thin is not None, "a layer with a thickness"
+    return layer.thin
+
+
+def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: Floors) -> None:
+    """Check the errors that a wrong law leaves, that they no longer fall, and that they are not the right law's."""
+    for of, (low, high) in floors.items():
+        errors = wrong[f"error_{of}"]
+        record.check(f"error of the {of} that {name} leaves", errors[-1], low=low, high=high)
+        record.check(f"error of the {of}, {name} over right law", errors[-1] / right[f"error_{of}"][-1], low=4.0)
+        if len(errors) > 1:
+            record.check(f"last observed order of the {of}, {name}", wrong[f"order_{of}"][-1], low=-0.2, high=0.2)
+
+
+def draw_rates(
+    record: Record,
+    *,
+    title: str,
+    cases: Mapping[str, str] | None = None,
+    apart: bool = False,
+    name: str = "rates",
+    **drawn: Any,
+) -> None:
     """Draw rates.png from the study's tables.
 
     Args:
@@ -166,10 +175,13 @@ def draw_rates(record: Record, *, title: str, cases: Mapping[str, str] | None = 
         title: of the picture.
         cases: label -> name of a sweep's table; default table.csv alone.
         apart: whether the jump gets a picture of its own, rates_jump.png: for many cases.
+        name: of the picture, without .png.
+        drawn: of `plotting.rates`.
     """
-    tables = {label: record.path(name) for label, name in (cases or {"": "table.csv"}).items()}
+    tables = {label: record.path(file) for label, file in (cases or {"": "table.csv"}).items()}
     if not apart:
-        plotting.rates(tables, save=record.path("rates.png"), title=title)
+        plotting.rates(tables, save=record.path(f"{name}.png"), title=title, **drawn)
         return
-    for name, picture in (("traction", "rates.png"), ("jump", "rates_jump.png")):
-        plotting.rates(tables, save=record.path(picture), title=f"{title}: {name}", errors={name: f"error_{name}"})
+    for one, end in (("traction", ""), ("jump", "_jump")):
+        save, errors = record.path(f"{name}{end}.png"), {one: f"error_{one}"}
+        plotting.rates(tables, save=save, title=f"{title}: {one}", errors=errors)

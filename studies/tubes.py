@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from forms import LinearElastic
 from geometry import Joint, sandwich
-from studies.sweeping import Solution, Sweep, draw_rates, last
+from studies.sweeping import Solution, Sweep, draw_rates, last, layer_of
 from thinlayer import Surface, ThinLayer, plotting
 from thinlayer.running.record import Record
 
@@ -139,9 +139,7 @@ def _sweep(
 def against_lame(full: Solution, limit: Solution) -> dict[str, float]:
     """Relative differences from the closed form: of the bore's displacement, and of the mean traction on S."""
     meshed, by_law = last(full), last(limit)
-    layer = by_law.model.layers["S"].thin
-    assert layer is not None
-    eps = float(layer.eps)
+    eps = float(layer_of(limit).eps)
     bore, on_S, rim = RADII
     stiffness = (GLUE.lmbda + 2 * GLUE.mu) / GLUE_EPS
     closed = {

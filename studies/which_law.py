@@ -15,8 +15,7 @@ import ufl
 from forms import Incompressible, LinearElastic, Rubber
 from geometry import sandwich
 from geometry.parallel import world
-from studies.problems import FOURIER_BODY, fourier
-from studies.transfer import Wave
+from studies.problems import FOURIER_BODY, Wave, fourier
 from thinlayer import PressureReport, RangeWarning, State, Structure, Surface, Table, ThinLayer, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record

@@ -18,6 +18,7 @@ from thinlayer.running import cli
 from thinlayer.running.catalogue import studies
 
 CLONE = Path(__file__).parent.parent
+ELASTIC = ("run", "rates", "--law", "elastic")
 
 
 def process(*arguments: object) -> subprocess.CompletedProcess:
@@ -90,17 +91,17 @@ def test_fig6(tmp_path):
 
 def test_sweep_with_options(tmp_path):
     options = ("-thinlayer_ksp_type", "cg", "-thinlayer_pc_type", "jacobi", "-thinlayer_ksp_rtol", "1e-11")
-    study = ("run", "sweep_elastic", "--quick", "--eps", "0.03125", "0.0625", "--bodies", "extended")
+    study = ("run", "rates", "--law", "extended", "--quick", "--eps", "0.03125", "0.0625")
     done = thinlayer(*study, "--out", tmp_path, *options)
     assert done.returncode == 0, done.stderr
-    table = rows(tmp_path / "table.csv")
+    table = rows(tmp_path / "table_extended.csv")
     assert list(table[0])[:5] == ["eps", "error_traction", "error_jump", "order_traction", "order_jump"]
     assert [float(row["eps"]) for row in table] == [0.0625, 0.03125]
     assert (table[0]["order_jump"], table[0]["order_traction"]) == ("", "")
     run = json.loads((tmp_path / "run.json").read_text())
     assert min(solve["iterations"] for solve in run["solves"]) > 20
-    assert run["parameters"]["bodies"] == "extended"
-    assert_drawn(tmp_path / "rates.png")
+    assert run["parameters"]["extended"]["h"] == 1 / 8
+    assert_drawn(tmp_path / "rates_extended.png")
 
 
 def test_limits_and_drawing_again(tmp_path):
@@ -113,9 +114,9 @@ def test_limits_and_drawing_again(tmp_path):
     assert_drawn(tmp_path / "bonded.png")
     assert (tmp_path / "table.csv").read_bytes() == table
     assert "run the study first" in thinlayer("draw", "limits", "--out", tmp_path / "nothing").stderr
-    other = thinlayer("draw", "sweep_mohr_coulomb", "--out", tmp_path)
+    other = thinlayer("draw", "rates", "--out", tmp_path)
     assert other.returncode == 2
-    assert f"the run in {tmp_path} is of the study limits, not sweep_mohr_coulomb" in other.stderr
+    assert f"the run in {tmp_path} is of the study limits, not rates" in other.stderr
 
 
 def test_every_study_can_be_drawn_again():
@@ -127,16 +128,16 @@ def test_every_study_can_be_drawn_again():
     [
         ("run fig7", "invalid choice: 'fig7' (choose from"),
         ("run limits --eps 0.1", "unrecognized argument '--eps'; --help has all; PETSc options start with -thinlayer_"),
-        ("run sweep_elastic --eps -0.1", "--eps: -0.1: a thickness must be > 0"),
-        ("run sweep_elastic --eps 0.1 0.1", "different thicknesses"),
-        ("run sweep_elastic --eps 3 --bodies extended", "turn inside out"),
-        ("run sweep_elastic -ksp_type cg", "PETSc options start with -thinlayer_"),
-        ("run sweep_elastic --quick -thinlayer_ksp_typ cg", "not read by the linear solver: -thinlayer_ksp_typ"),
-        ("run sweep_elastic --quick -thinlayer_ksp_rtol abc", "linear solver: -thinlayer_ksp_rtol;"),
-        ("run sweep_elastic --quick -thinlayer_pc_type no", "one of these options: -thinlayer_pc_type no"),
-        ("run sweep_elastic --quick --eps 1e9", "thickness eps is 1e+09, the bodies measure 1"),
+        ("run rates --law elastic --eps -0.1", "--eps: -0.1: a thickness must be > 0"),
+        ("run rates --law elastic --eps 0.1 0.1", "different thicknesses"),
+        ("run rates --law extended --eps 3", "turn inside out"),
+        ("run rates --law elastic -ksp_type cg", "PETSc options start with -thinlayer_"),
+        ("run rates --law elastic --quick -thinlayer_ksp_typ cg", "not read by the linear solver: -thinlayer_ksp_typ"),
+        ("run rates --law elastic --quick -thinlayer_ksp_rtol abc", "linear solver: -thinlayer_ksp_rtol;"),
+        ("run rates --law elastic --quick -thinlayer_pc_type no", "one of these options: -thinlayer_pc_type no"),
+        ("run rates --law elastic --quick --eps 1e9", "thickness eps is 1e+09, the bodies measure 1"),
         ("run fig3_mohr_coulomb --loads R9", "invalid choice: 'R9'"),
-        ("run sweep_mohr_coulomb --h 0.1", "unrecognized argument '--h'"),
+        ("run rates --h 0.1", "unrecognized argument '--h'"),
         ("list --all", "unrecognized arguments: --all"),
     ],
 )
@@ -159,17 +160,17 @@ def test_failed_solve_keeps_what_was_done(tmp_path, monkeypatch, capsys):
         return solve(model)
 
     monkeypatch.setattr(studies.sweeping, "solve", fails_for_thin_layers)
-    status = cli.main(["run", "sweep_elastic", "--quick", "--eps", "0.01", "0.1", "--out", str(tmp_path)])
+    status = cli.main([*ELASTIC, "--quick", "--eps", "0.01", "0.1", "--out", str(tmp_path)])
     assert status == 3
     assert "DIVERGED_MAX_IT" in capsys.readouterr().err
-    assert [row["eps"] for row in rows(tmp_path / "table.csv")] == ["0.1"]
+    assert [row["eps"] for row in rows(tmp_path / "table_elastic.csv")] == ["0.1"]
     assert "DIVERGED_MAX_IT" in json.loads((tmp_path / "run.json").read_text())["error"]
 
 
 @pytest.mark.long
 def test_verbose(tmp_path):
     """What solves do is told on standard error, and only there, when it is asked for; `test_fig6` has not asked."""
-    told = process("run", "sweep_elastic", "--quick", "--eps", "0.1", "--out", tmp_path, "-v")
+    told = process(*ELASTIC, "--quick", "--eps", "0.1", "--out", tmp_path, "-v")
     assert told.returncode == 0
     assert "eps = 0.1, t = 0: linear, " in told.stderr
     assert "thinlayer." not in told.stdout
@@ -177,6 +178,6 @@ def test_verbose(tmp_path):
 
 def test_failed_check(tmp_path, capsys):
     """Thick layers are far from their limit: the sweep's own check of the order says so."""
-    assert cli.main(["run", "sweep_elastic", "--quick", "--eps", "2", "4", "--out", str(tmp_path)]) == 1
+    assert cli.main([*ELASTIC, "--quick", "--eps", "2", "4", "--out", str(tmp_path)]) == 1
     assert "checks failed: last observed order" in capsys.readouterr().err
-    assert len(rows(tmp_path / "table.csv")) == 2
+    assert len(rows(tmp_path / "table_elastic.csv")) == 2

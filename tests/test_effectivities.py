@@ -13,11 +13,8 @@ from dolfinx import fem
 from dolfinx.fem.petsc import LinearProblem
 
 from forms import work as forms
-from studies.dropping.further import further_cases
-from studies.dropping.known import known_cases
-from studies.dropping.mapping import along
-from studies.dropping.measuring import Dropped, effectivities, solved
-from studies.dropping.refused import refused_cases
+from studies.dropping.cases import further_cases, known_cases, refused_cases
+from studies.dropping.measuring import Dropped, along, effectivities, solved
 from tests.on_ranks import on_ranks
 from thinlayer import RangeWarning, goals
 

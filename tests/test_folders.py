@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 import thinlayer.files.table
 import thinlayer.running.record
-from studies import sweep_elastic
+from studies import rates
 from tests.folders_run import same_errors
 from tests.on_ranks import on_ranks
 from tests.ranks import CLONE
@@ -296,9 +296,9 @@ def test_other_tables_are_not_drawn(tmp_path):
 def test_folders_that_cannot_be(tmp_path, monkeypatch, capsys, out, message):
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("")
-    monkeypatch.setattr(sweep_elastic, "run", lambda *_, **__: pytest.fail("it was run"))
+    monkeypatch.setattr(rates, "run", lambda *_, **__: pytest.fail("it was run"))
     try:
-        status = cli.main(["run", "sweep_elastic", "--out", out])
+        status = cli.main(["run", "rates", "--law", "elastic", "--out", out])
     except SystemExit as stop:
         status = stop.code
     said = capsys.readouterr().err
@@ -313,8 +313,8 @@ def test_files_that_cannot_be_written_and_defects(tmp_path, monkeypatch, capsys)
         monkeypatch.setattr(thinlayer.files.table.os, "fsync", fail_to_write)
         record.write("more.csv", Table([row(0.2)]))
 
-    monkeypatch.setattr(sweep_elastic, "run", writes_too_much)
-    words = ["run", "sweep_elastic", "--out", str(tmp_path / "a")]
+    monkeypatch.setattr(rates, "run", writes_too_much)
+    words = ["run", "rates", "--law", "elastic", "--out", str(tmp_path / "a")]
     assert cli.main(words) == 5
     assert (
         "more.csv' could not be written or read: No space left on device\nresults so far are kept in"
@@ -322,8 +322,8 @@ def test_files_that_cannot_be_written_and_defects(tmp_path, monkeypatch, capsys)
     )
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["run.json", "table.csv", "table.csv.json"]
     monkeypatch.undo()
-    monkeypatch.setattr(sweep_elastic, "run", lambda *_, **__: 1 / 0)
-    monkeypatch.setattr(sys, "argv", ["thinlayer", *words[:3], str(tmp_path / "b")])
+    monkeypatch.setattr(rates, "run", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr(sys, "argv", ["thinlayer", *words[:5], str(tmp_path / "b")])
     before = signal.getsignal(signal.SIGINT)
     assert cli.start() == 70
     signal.signal(signal.SIGINT, before)

@@ -111,7 +111,7 @@ def test_files_of_the_same_name_are_told(tmp_path):
     (tmp_path / "studies" / "__init__.py").touch()
     done = fenicsx("python3", "-m", "thinlayer", "list", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "sweep_elastic" in done.stdout
+    assert "rates" in done.stdout
 
 
 @pytest.mark.long
@@ -120,7 +120,8 @@ def test_the_working_folder_decides_nothing(tmp_path):
     (tmp_path / "petscrc").write_text("-options_view\n")
     (tmp_path / "dolfinx_jit_options.json").write_text('{"cache_dir": "elsewhere"}')
     (tmp_path / "ffcx_options.json").write_text('{"scalar_type": "float32"}')
-    study = ["run", "sweep_elastic", "--quick", "--eps", "1e9", "--out", "a"]  # refused after PETSc has started
+    # refused after PETSc has started
+    study = ["run", "rates", "--law", "elastic", "--quick", "--eps", "1e9", "--out", "a"]
     done = fenicsx("python3", "-m", "thinlayer", *study, cwd=tmp_path)
     assert done.returncode == 2, done.stderr
     assert "options_view" not in done.stdout + done.stderr

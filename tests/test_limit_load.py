@@ -161,13 +161,13 @@ def test_results_are_kept_and_resumed(tmp_path, keep):
 
 
 def test_a_study_ends_with_status_3(tmp_path, monkeypatch, capsys):
-    import studies.sweep_maxwell as study
+    import studies.rates as study
 
     def run(record: Record, **_) -> None:
         record.march(sheared("S"), TIMES, "sheared")
 
     monkeypatch.setattr(study, "run", run)
-    assert command(["run", "sweep_maxwell", "--out", str(tmp_path)]) == SOLVE_FAILED != OK
+    assert command(["run", "rates", "--out", str(tmp_path)]) == SOLVE_FAILED != OK
     assert re.search(r"limit load: .*\nresults so far are kept in", capsys.readouterr().err)
     assert "limit load" in json.loads((tmp_path / "run.json").read_text())["error"]
     rows = list(csv.DictReader((tmp_path / "unfinished" / "sheared" / "table.csv").open()))

@@ -115,7 +115,7 @@ def test_only_the_same_march_is_resumed(tmp_path):
 
 
 # ---------------------------------------------------------------- killed
-STUDY = ["run", "sweep_maxwell", "--quick", "--eps", "0.04", "0.02", "--out"]
+STUDY = ["run", "rates", "--law", "maxwell", "--quick", "--eps", "0.04", "0.02", "--out"]
 THREE = ["meshed", "series", "space"]
 KILLED = """
 import os, signal, sys
@@ -138,9 +138,9 @@ def resumed_study(folder: Path) -> list[list]:
     """Killed on one rank in the middle of the second thickness, and resumed by all; status and errors of each rank."""
     out = folder / "a"
     alone(lambda: killed("-c", KILLED, *STUDY, out))
-    kept, found = len((out / "table.csv").read_text().splitlines()), []
+    kept, found = len((out / "table_maxwell.csv").read_text().splitlines()), []
     COMM.barrier()
-    for words in ([w.replace("maxwell", "stack") for w in STUDY], [*STUDY[:-2], "0.01", "--out"], STUDY):
+    for words in (["run", "limits", "--out"], [*STUDY[:-2], "0.01", "--out"], STUDY):
         done = thinlayer(*words, out, "--resume")
         found.append(COMM.allgather([kept, done.returncode, done.stderr]))
     return found
@@ -150,13 +150,11 @@ def resumed_study(folder: Path) -> list[list]:
 @on_ranks(resumed_study, 2)
 def test_a_killed_study_is_resumed(tmp_path, there, their_folder):
     """On two ranks, where it was on one; not as another study, nor with other options."""
-    for ranks, status, text in zip(
-        there, (2, 2, 0), ("sweep_maxwell, not sweep_stack", "had the options", ""), strict=True
-    ):
+    for ranks, status, text in zip(there, (2, 2, 0), ("rates, not limits", "had the options", ""), strict=True):
         assert [one[:2] for one in ranks] == [[2, status]] * 2, ranks
         assert text in ranks[0][2]
     assert thinlayer(*STUDY, tmp_path).returncode == 0
-    for name in ("table.csv", "table_t1.csv"):
+    for name in ("table_maxwell.csv", "table_maxwell_t1.csv"):
         a, b = (np.genfromtxt(out / name, delimiter=",", skip_header=1) for out in (their_folder / "a", tmp_path))
         assert a == pytest.approx(b, rel=1e-9, nan_ok=True)
     assert not (their_folder / "a" / "unfinished").exists()

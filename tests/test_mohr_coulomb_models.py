@@ -9,7 +9,8 @@ import ufl
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack, limits
 from geometry import block, sandwich
 from studies.fig3_mohr_coulomb import R_X, glue
-from studies.sweep_mohr_coulomb import COULOMB, FLOOR, LAYERS, bar_r1, sheared_blocks
+from studies.problems import MORTAR, sheared
+from studies.rates import COULOMB, FLOOR, bar
 from tests.columns_in_time import both, check_balance, check_same
 from tests.columns_in_time import column as tall_column
 from thinlayer import Structure, Surface, ThinLayer, compare, march, solve
@@ -157,7 +158,7 @@ def test_plane_strain_is_a_slice_of_three_dimensions():
 @pytest.mark.long
 def test_order_1_and_the_floor_that_coulombs_law_leaves():
     """Blocks that are sheared to and fro: |t_T| <= C - tan(Omega) t_N on S is not the limit."""
-    (joint, setup), law, times = sheared_blocks(1 / 8), LAYERS[""], (0.5, 1.0, 1.5)
+    (joint, setup), law, times = sheared(1 / 8), MORTAR, (0.5, 1.0, 1.5)
     plates, rows = Structure(joint, **setup), {"right": [], "wrong": []}
     for eps in (1 / 64, 1 / 128):
         full = march(plates.full(ThinLayer(law, eps, at=1.0)), times)
@@ -175,7 +176,7 @@ def test_newton_is_quadratic(capfd):
 
     The shear force on S is that of an independent code.
     """
-    joint, setup, _ = bar_r1(quick=True)
+    joint, setup = bar((8.0, 4.0, 0.4))
     model = Structure(joint, **setup).interface(ThinLayer(glue(0.0), 1.0))
     state = solve(model, options={"snes_monitor": None})
     norms = [float(line.split()[-1]) for line in capfd.readouterr().out.splitlines() if "SNES Function norm" in line]

@@ -10,8 +10,8 @@ from scipy.linalg import expm
 
 from forms import LawError, LinearElastic, Maxwell, Norton
 from geometry import block, sandwich
-from studies.hard_layer import LAYERS
 from studies.problems import FOURIER_LAYER, fourier
+from studies.rates import HARD
 from tests import reference
 from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, march, observed_orders, solve
 from thinlayer.errors import RangeWarning
@@ -79,7 +79,7 @@ def test_fourier_states_of_the_next_order():
     assert max(abs(a / b - 1) for a, b in zip(sizes, wrong, strict=True)) > 0.2
 
 
-@pytest.mark.parametrize("law", LAYERS.values(), ids=LAYERS)
+@pytest.mark.parametrize("law", HARD.values(), ids=HARD)
 def test_layer_with_moduli_held(law):
     eps = (1 / 32, 1 / 128, 1 / 256, 1 / 512)
     found = rows(lambda e: law.scaled(1 / e), eps, "quadrilateral")

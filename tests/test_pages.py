@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from studies.rates import LAWS
 from tests.documents import CLONE, GUIDES, PAGES, anchors, sections
 from thinlayer import RangeWarning, compare, solve
 from thinlayer.describing.case import Case
@@ -135,3 +136,7 @@ def test_links_lead_somewhere():
         r"^\|.*\| `(\w+)` \| `\./fenicsx python3 -m thinlayer run (\w+)", PAGES["README.md"], re.MULTILINE
     )
     assert sorted(rows) == [(name, name) for name in sorted(studies())]
+    table = PAGES["README.md"].partition("| `--law` |")[2]
+    named = [law for row in re.findall(r"^\| (`.*?) \|", table, re.MULTILINE) for law in re.findall(r"`(\w+)`", row)]
+    assert sorted(named) == sorted(LAWS)
+    assert studies()["rates"].options["law"]["choices"] == ("all", *LAWS)

@@ -190,22 +190,22 @@ COMM = MPI.COMM_WORLD
 
 @pytest.mark.long
 def test_study_on_two_ranks(tmp_path):
-    words = ["run", "sweep_elastic", "--quick", "--eps", "0.1", "0.05", "--out"]
+    words = ["run", "rates", "--law", "elastic", "--quick", "--eps", "0.1", "0.05", "--out"]
     done = mpirun(2, "-m", "thinlayer", *words, str(tmp_path / "two"))
     assert done.returncode == 0, done.stderr
     assert main([*words, str(tmp_path / "one")]) == 0
     assert done.stdout.count("error_traction") == 1
-    texts = [(tmp_path / name / "table.csv").read_text().splitlines() for name in ("two", "one")]
+    texts = [(tmp_path / name / "table_elastic.csv").read_text().splitlines() for name in ("two", "one")]
     assert texts[0][0] == texts[1][0]
     for a, b in zip(texts[0][1:], texts[1][1:], strict=True):
         assert [float(x) for x in a.split(",") if x] == pytest.approx([float(x) for x in b.split(",") if x], rel=1e-9)
     assert json.loads((tmp_path / "two" / "run.json").read_text())["ranks"] == 2
-    assert_drawn(tmp_path / "two" / "deformed.png")
+    assert_drawn(tmp_path / "two" / "deformed_elastic.png")
 
 
 def bad_input(folder: Path) -> list[list]:
     """Status and errors of each rank."""
-    done = thinlayer("run", "sweep_elastic", "--eps", "3", "--bodies", "extended", "--out", folder / "x")
+    done = thinlayer("run", "rates", "--law", "extended", "--eps", "3", "--out", folder / "x")
     return COMM.allgather([done.returncode, done.stderr])
 
 

@@ -8,7 +8,8 @@ import re
 import pytest
 
 from studies import which_law
-from studies.transfer import Wave
+from studies.problems import Wave
+from studies.rates import LAWS
 from tests import reference
 from tests.documents import PAGES
 from thinlayer.running.catalogue import studies
@@ -99,5 +100,5 @@ def test_the_table_of_the_page(row):
             cell = line.split("|")[ratios.index(nu)].strip()
             printed = [None, None] if cell == "-" else [float(number) / 100 for number in cell.split(";")]
             assert errors(found, law)[:2] == pytest.approx(printed, rel=0.07), (name, law)
-    named = set(re.findall(r"`run (\w+)`", PAGE)) | {"sweep_kelvin_voigt", "sweep_norton"}
-    assert named <= set(studies())
+    assert set(re.findall(r"`run (\w+)", PAGE)) <= set(studies())
+    assert set(re.findall(r"--law (\w+)", PAGE)) <= set(LAWS)

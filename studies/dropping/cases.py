@@ -1,0 +1,297 @@
+"""Structures with thin layers that may be left out of the mesh: those with numbers, and those whose estimate is none.
+
+Some effectivities are those that another program has found, as far as the description of its cases goes. What that does not
+say is chosen here: the layer's modulus and the load on unequal bodies with nu = 0.45, the load on the bearing, the size of
+the cubic term, the strength and hardening of the plastic layer, the moduli and heights of the box.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+import ufl
+
+from forms import (
+    Anisotropic,
+    BulkLaw,
+    ContactLaw,
+    HolonomicCoulomb,
+    IncrementalCoulomb,
+    KelvinVoigt,
+    LinearElastic,
+    Maxwell,
+    MohrCoulomb,
+    NonMonotone,
+    NonMonotoneUnrelaxed,
+    Norton,
+    Rubber,
+    Stack,
+    VonMises,
+)
+from forms.elastic import lame
+from forms.kinematics import Expr
+from forms.law import Step
+from geometry import block, faults
+from studies.dropping.structures import (
+    box,
+    channel,
+    corner,
+    disc,
+    displaced,
+    free,
+    freely,
+    heated,
+    loaded,
+    on_base,
+    plated,
+    rings,
+    rollers,
+    tilted,
+    tube,
+    two_seams,
+)
+from studies.problems import FOURIER_BODY, of
+from thinlayer import RangeWarning, State, Structure, ThinLayer, ThinlayerError, estimate, goals, solve
+
+Layers = ThinLayer | dict[str, ThinLayer]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A structure with thin layers.
+
+    Attributes:
+        name: of the case, a few words.
+        structure: thickness -> the structure, with a mesh that is fine enough for a layer of this thickness.
+        layers: thickness -> the layers, order 0.
+        bodies: "kept" or "extended", of both models.
+        step: length of the one step in time that is taken from rest; 0: none, a static solve.
+        asked: numbers beside traction and jump.
+        known: thickness -> effectivities of traction, jump and the first of these numbers that another program found; None
+            for one that says nothing here.
+        inner: whether these are of the inner half of S, |x - 1/2| < 1/4.
+        solid: whether it is in three dimensions.
+    """
+
+    name: str
+    structure: Callable[[float], Structure]
+    layers: Callable[[float], Layers]
+    bodies: str = "kept"
+    step: float = 0.0
+    asked: tuple[goals.Goal, ...] = (goals.Compliance(),)
+    known: Mapping[float, tuple[float | None, ...]] = field(default_factory=dict)
+    inner: bool = False
+    solid: bool = False
+
+
+def unwarned() -> warnings.catch_warnings[None]:
+    """Without warnings of laws out of their range, which the estimate says."""
+    return warnings.catch_warnings(action="ignore", category=RangeWarning)
+
+
+# ---------------------------------------------------------------- with numbers of another program
+COARSE, FINE = 1 / 16, 1 / 64
+STEEL = LinearElastic.young(E=1e4, nu=0.3)
+SOFT = LinearElastic.young(E=70.0, nu=0.3)
+BEARING = Rubber.shear(0.01, 0.4999)  # moduli of a layer of any thickness
+VISCOUS = Norton(lmbda=60.0, mu=40.0, eta=5.0, p=1.5)
+STEP = 0.01
+
+
+@dataclass(frozen=True)
+class Hardening(BulkLaw):
+    """Isotropic elasticity and a stress c (e:e) e."""
+
+    lmbda: float
+    mu: float
+    c: float
+    powers: ClassVar = {"lmbda": 1, "mu": 1, "c": 3}
+
+    def stress(self, step: Step) -> Expr:
+        """The stress."""
+        return lame(self.lmbda, self.mu, step.e) + self.c * ufl.inner(step.e, step.e) * step.e
+
+    def energy(self, step: Step) -> Expr:
+        """Its potential."""
+        square = ufl.inner(step.e, step.e)
+        return self.lmbda / 2 * ufl.tr(step.e) ** 2 + self.mu * square + self.c / 4 * square**2
+
+
+def soft(mu: float, nu: float) -> Callable[[float], ThinLayer]:
+    """Thickness -> an elastic layer; mu is the shear modulus over the thickness."""
+    return of(LinearElastic.shear(mu, nu))
+
+
+def _at(*known: tuple[float | None, ...]) -> dict[float, tuple[float | None, ...]]:
+    return dict(zip((COARSE, FINE), known, strict=True))
+
+
+# fmt: off
+def known_cases() -> list[Case]:
+    """The cases; numbers as that program gave them, for the law that is the better one here."""
+    work, R = goals.Compliance(), Rubber.shear
+    rolled = partial(Case, structure=rollers, asked=(work, goals.Displacement((0.3, 0.4), (0.0, 1.0))))
+    ended = partial(Case, structure=freely(), asked=(work, goals.Displacement((0.3, 0.4), (0.6, 0.8))), inner=True)
+    unequal = partial(ended, structure=freely(load=(1.0, 0.0), lower=SOFT))
+    steel = partial(ended, structure=freely(load=(0.3, -1.0), lower=STEEL, upper=STEEL))
+    asked = (goals.Reaction("TOP", (0.0, 1.0)), goals.MeanTraction((0.0, 1.0)))
+    pressed = partial(ended, structure=partial(displaced, body=STEEL), asked=asked)
+    hardening, plastic = of(Hardening(60.0, 40.0, 3e5)), of(VonMises(60.0, 40.0, 0.3, hardening=100.0))
+    at, bearing, viscous, in_box = _at, of(BEARING, None), of(VISCOUS), partial(Case, structure=box, solid=True)
+    return [
+        rolled("1 rollers, nu = .3", layers=soft(40.0, 0.3), known=at((0.996, 1.01, None), (0.999, 1.0, None))),
+        rolled("3 rollers, nu = .45", layers=of(R(4.0, 0.45))),
+        rolled("4 rollers, nu = .499", layers=soft(40.0, 0.499), known=at((1.02, 1.005, 1.0), (1.005, 1.001, 0.999))),
+        rolled("5 rollers, nu = .4999", layers=soft(0.4, 0.4999), known=at((1.001, 1.001, 1.001), (1.0, 1.0, 1.0))),
+        rolled("14 cubic hardening", layers=hardening, known=at((0.996, 1.014, None), (0.999, 1.003, None))),
+        rolled("16 plastic", layers=plastic, known=at((0.987, 0.99, None), (0.997, 0.998, None))),
+        ended("6 free ends, nu = .3", layers=soft(40.0, 0.3), known=at((0.965, 0.987, 0.975), (0.993, 0.998, 0.995))),
+        unequal("8 unequal bodies, nu = .45", layers=soft(20.0, 0.45), known=at((0.94, 0.96, 0.92), (0.995, 0.989, 0.984))),
+        ended("10 free ends, nu = .45", layers=of(R(40.0, 0.45)), known=at((1.008, 0.994, 1.025), (0.999, 0.999, 1.008))),
+        ended("11 free ends, nu = .499", layers=soft(40.0, 0.499), known=at((1.045, 0.993, 1.04), (1.003, 0.999, 1.01))),
+        steel("12 bearing, loaded", layers=bearing, known=at((1.02, 1.02, 1.02), (1.001, 1.002, 1.001))),
+        pressed("12d bearing, displaced", layers=bearing, known=at((0.999, 0.999, 1.0), (0.997, 0.997, 0.998))),
+        rolled("13 Norton", layers=viscous, step=STEP, known=at((1.002, 1.004, 1.003), (1.0, 1.001, 1.001))),
+        ended("15 Norton, free ends", layers=viscous, step=STEP, known=at((1.001, 0.997, 0.996), (0.993, 0.998, 0.994))),
+        in_box("18 box, nu = .35", layers=of(R(40.0, 0.35)), known=at((1.004, 1.015, None), (0.995, 0.998, None))),
+        in_box("18 box, nu = .49", layers=soft(40.0, 0.49), known=at((1.01, 1.014, 0.997), (0.997, 1.001, 0.994))),
+    ]
+# fmt: on
+
+
+# ---------------------------------------------------------------- of other kinds
+young = LinearElastic.young
+SUBLAYERS = Stack((0.3, LinearElastic(60.0, 40.0)), (0.7, LinearElastic(600.0, 20.0)))
+CREEPING = Norton(lmbda=50.0, mu=30.0, eta=1500.0, p=3.0)
+
+
+def _two(eps: float) -> dict[str, ThinLayer]:
+    """A layer, and a thinner one above it."""
+    return {"LOW": soft(30.0, 0.3)(eps), "HIGH": soft(10.0, 0.2)(eps / 2)}
+
+
+def further_cases() -> list[Case]:
+    """The cases."""
+    work, moved = goals.Compliance(), goals.Displacement((0.3, 0.35), (0.6, 0.8))
+    ends, middle = (work, moved), (work, moved, goals.MeanTraction((1.0, 0.0)))
+    unlike = freely(load=(-0.6, 0.4), heights=(0.4, 0.7), lower=young(50.0, 0.2), upper=young(200.0, 0.35))
+    sheet = freely(load=(0.5, -0.6), plane="stress")
+    bonded = freely(load=(0.3, -1.0))
+    return [
+        Case("two stiffnesses", unlike, soft(15.0, 0.35), asked=ends),
+        Case("tilted S", tilted, soft(30.0, 0.25)),
+        Case("rigid base", on_base, soft(25.0, 0.3), asked=ends),
+        Case("plane stress", sheet, soft(30.0, 0.3), asked=ends),
+        Case("springs and a plate", plated, soft(30.0, 0.3), asked=ends),
+        Case("two seams", two_seams, _two),
+        Case("a body expands", heated, soft(30.0, 0.3), asked=(moved,)),
+        Case("fixed moduli", bonded, of(young(3.0, 0.35), None), asked=ends),
+        Case("sublayers", channel, of(SUBLAYERS), asked=middle),
+        Case("rubber, rollers", channel, of(Rubber.shear(20.0, 0.49)), asked=middle),
+        Case("Norton, p = 3", channel, of(CREEPING), step=0.02, asked=middle),
+        Case("Kelvin-Voigt", channel, of(KelvinVoigt(60.0, 40.0, 0.3, 0.5)), step=0.2, asked=middle),
+        Case("Maxwell", channel, of(Maxwell(60.0, 40.0, 0.7, 1.5)), step=0.5, asked=middle),
+        Case("rings", rings, of(LinearElastic(60.0, 40.0)), bodies="extended"),
+        Case("tubes", tube, soft(30.0, 0.35)),
+        Case("a disc", disc, soft(30.0, 0.3)),
+        Case("a corner in 3D", corner, soft(30.0, 0.3), solid=True),
+    ]
+
+
+# ---------------------------------------------------------------- no number
+EPS = 1 / 16
+ELASTIC = LinearElastic.shear(30.0, 0.3)
+SOFTER = LinearElastic.shear(20.0, 0.3)
+OPENING = np.array([[0.0, 0.0], [0.0, 1.0]])
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A state of which no number can be told, or one that lacks something.
+
+    Attributes:
+        name: of the case.
+        state: solves it.
+        says: words that must be in what the estimate says.
+        silent: whether no number may be told.
+    """
+
+    name: str
+    state: Callable[[], State]
+    says: str
+    silent: bool = True
+
+    def told(self) -> tuple[str, bool]:
+        """What the estimate says, and whether it refuses or has no number of traction and jump."""
+        with unwarned():
+            try:
+                found = estimate(self.state())
+            except ThinlayerError as error:
+                return str(error), True
+        return str(found), bool(np.isnan([found.traction, found.jump]).all())
+
+
+def _solved(structure: Callable[[float], Structure], law: BulkLaw, **choices: Any) -> Callable[[], State]:
+    return lambda: solve(structure(EPS).interface(ThinLayer(law, EPS, at=1.0, **choices)))
+
+
+def _contact(law: ContactLaw) -> Callable[[], State]:
+    """A block pushed along a rigid base."""
+
+    def state() -> State:
+        joint = block(1.0, 1.0, 1 / 8, structured=True)
+        loads = {"TOP": (0.0, -1.0), "LEFT": (0.2, 0.0)}
+        pushed = Structure(joint, body=FOURIER_BODY, supports={"RIGHT": {"x": 0.0}}, tractions=loads, element="P1")
+        return solve(pushed.interface(law))
+
+    return state
+
+
+def _tip() -> State:
+    """A fault that ends inside a block."""
+    joint = faults(1.0, 1.0, {"CUT": ((-0.1, 0.5), (0.6, 0.5))}, 1 / 8)
+    return _solved(lambda eps: loaded(joint, (0.3, -1.0)), ELASTIC)()
+
+
+def _varying(x: np.ndarray) -> np.ndarray:
+    """A thickness along S."""
+    return np.asarray(1 + 0.3 * x[0])
+
+
+def refused_cases() -> list[Refused]:
+    """The cases."""
+    slipping = MohrCoulomb(60.0, 40.0, cohesion=0.1, friction_angle=30.0, elastic_fraction=0.1)
+    switching: dict[str, Any] = {"lmbda": 60.0, "mu": 40.0, "alpha": 0.3, "transformation_energy": 1e-3, "chi": OPENING}
+    return [
+        Refused("yields at a free end", _solved(free, VonMises(60.0, 40.0, 0.3, hardening=100.0)), "no estimate"),
+        Refused("contact", _contact(HolonomicCoulomb(100.0, 40.0, friction=0.0)), "without a thickness"),
+        Refused("friction", _contact(IncrementalCoulomb(100.0, 40.0, friction=0.5)), "without a thickness"),
+        Refused("Mohr-Coulomb, slips", _solved(rollers, slipping), "no estimate"),
+        Refused("non-monotone, relaxed", _solved(rollers, NonMonotone(**switching)), "falls"),
+        Refused("non-monotone, pure phases", _solved(rollers, NonMonotoneUnrelaxed(**switching)), "falls"),
+        Refused("a tip inside a body", _tip, "tip"),
+        Refused("thickness that varies", _solved(free, ELASTIC, profile=_varying), "true places"),
+        Refused("creeps, nu = .48", _solved(rollers, Maxwell(960.0, 40.0, 0.7)), "lmbda/mu"),
+        Refused("changes cancel", _solved(rollers, VonMises(60.0, 40.0, 0.3, hardening=100.0)), "below", silent=False),
+        Refused(
+            "free ends, as stiff as the bodies",
+            _solved(free, LinearElastic.shear(300.0, 0.3)),
+            "without edge",
+            silent=False,
+        ),
+        Refused("free ends, anisotropic", _solved(free, Anisotropic.springs(140.0, 40.0)), "no estimate without edge"),
+        Refused(
+            "free ends, sublayers", _solved(free, Stack((0.3, ELASTIC), (0.7, SOFTER))), "no estimate without edge"
+        ),
+        Refused("order 1 is given", _solved(rollers, ELASTIC, order=1), "order=0"),
+        Refused(
+            "a meshed layer is given",
+            lambda: solve(rollers(EPS).full(ThinLayer(ELASTIC, EPS, at=1.0))),
+            "nothing dropped",
+        ),
+    ]

@@ -1,0 +1,304 @@
+"""Interface laws against meshed layers as eps -> 0, a row for each layer: errors O(eps), O(eps^2) at order 1."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from forms import (
+    Incompressible,
+    KelvinVoigt,
+    LinearElastic,
+    Maxwell,
+    MohrCoulombMonodirectional,
+    Norton,
+    Stack,
+)
+from geometry import Joint
+from studies import fig3_mohr_coulomb as fig3
+from studies import joints
+from studies.problems import FOURIER_BODY, FOURIER_LAYER, MORTAR, fourier, of, pressed, sheared
+from studies.sweeping import Floors, Solution, Sweep, check_floors, draw_rates, last, middle
+from thinlayer import History, Surface, Table, ThinLayer, observed_orders, plotting
+from thinlayer.running.record import Record
+
+Tables = dict[str, Table]
+squares = partial(fourier, cell="quadrilateral")
+
+
+def halves(k: int, n: int = 4) -> tuple[float, ...]:
+    """n thicknesses, 2^-k and half of it again and again; blocks are 0.5 high."""
+    return tuple(2.0**-one for one in range(k, k + n))
+
+
+@dataclass(frozen=True)
+class Row:
+    """A layer whose thickness is swept.
+
+    Attributes:
+        layer: thickness -> the layer.
+        label: tells it from the other rows of its law.
+        problem: size of cells, or what else makes the mesh -> the joint, and data of its models.
+        h: that size, and the one with --quick.
+        eps: thicknesses.
+        orders: range of the last observed orders of traction and jump; None for no such check.
+        times: ends of the steps; none: a static solve.
+        steps: those that are taken with --quick.
+        choices: further attributes of `Sweep`.
+        floors: what a wrong law leaves, see `check_floors`; the right law is that of its law's first row.
+        check: what else must hold, of the tables of its law's rows up to this one.
+        pictured: chooses the thickness of the deformed structures that are drawn; None for no picture.
+        unit: of lengths.
+        long: whether the row is left out with --quick.
+    """
+
+    layer: Callable[[float], ThinLayer]
+    label: str = ""
+    problem: Callable[[Any], tuple[Joint, dict[str, Any]]] = squares
+    h: tuple[Any, Any] = (1 / 32, 1 / 8)
+    eps: Sequence[float] = halves(3)
+    orders: tuple[float, float | None] | None = (0.93, 1.07)
+    times: Sequence[float] | None = None
+    steps: slice = slice(None)
+    choices: Mapping[str, Any] = field(default_factory=dict)
+    floors: Floors = field(default_factory=dict)
+    check: Callable[[Record, Tables], None] | None = None
+    pictured: Callable[[Sequence[float]], float] | None = max
+    unit: str = ""
+    long: bool = False
+
+
+# ---------------------------------------------------------------- what must hold beside the orders
+EARLY, SPECTRAL = 0.05, {"traction": 0.56140781698, "jump": 7.0602412711e-4}  # norms on S, p = 1.5, with the same steps
+FRACTION, LESS = 0.01, 1e-4  # elastic fractions: pulled layers have no strength in shear, open ones none along n
+FLOOR = {"traction": (0.14, 0.18), "jump": (0.26, 0.31)}  # relative errors that Coulomb's law with tan(Omega) leaves
+SAME = 0.01  # relative difference of means in three dimensions and in the axisymmetric section
+
+
+def early(_: Solution, limit: Solution) -> dict[str, float]:
+    """L2 norms on S of the interface law's traction and jump at the time EARLY."""
+    assert isinstance(limit, History)
+    state, surface = limit.at(EARLY), Surface(limit.model)
+    return {f"early_{one.__name__}": surface.norm(one(state)) for one in (surface.traction, surface.jump)}
+
+
+def spectral(record: Record, tables: Tables) -> None:
+    """Norms on S are those of a spectral solution."""
+    for name, value in SPECTRAL.items():
+        error = abs(tables["norton"][f"early_{name}"][-1] / value - 1)
+        record.check(
+            f"{name} at t = {EARLY:g}, from a spectral solution",
+            error,
+            high=5e-4 if record.options.get("quick") else 1e-4,
+        )
+
+
+def normal_jumps(full: Solution, limit: Solution) -> dict[str, float]:
+    """L2 norm on S of [u_N], projected to the multiplier's degree 1, over that of the interface model's [u]."""
+    surface = Surface(last(limit).model)
+    size = surface.norm(surface.jump(last(limit)))
+    found = {}
+    for name, solution in {"full": full, "interface": limit}.items():
+        projected = surface.sides.upper(surface.nodal(surface.jump(last(solution))))
+        found[f"normal_jump_{name}"] = surface.norm(surface.frame(projected)[1]) / size
+    return found
+
+
+def no_normal_jump(record: Record, tables: Tables) -> None:
+    """[u_N] is zero on S, and O(eps) in the meshed layer."""
+    eps, full, limit = (tables["incompressible"][name] for name in ("eps", "normal_jump_full", "normal_jump_interface"))
+    record.check("largest [u_N]/[u] of the interface law, projected", limit.max(), high=1e-10)
+    if len(eps) > 1:
+        order = observed_orders(eps, full)[-1]
+        record.check("last observed order of the meshed layer's [u_N]", order or 0.0, low=0.93, high=1.07)
+
+
+def less_fraction(record: Record, tables: Tables) -> None:
+    """A smaller elastic fraction h leaves a larger error of pulled layers.
+
+    Where the tension is beyond C cot(Omega) nothing but h resists shear, and the layer contracts along S where it is pulled
+    along n: its strains along S are not small against those along n, as the interface law has them, unless eps is small
+    against sqrt(h) times the length of S (an estimate).
+    """
+    for name in plotting.ERRORS:
+        less, more = (tables[f"monodirectional {case}"][f"error_{name}"][-1] for case in ("pulled_less", "pulled"))
+        what = f"pulled, h = {LESS:g} against h = {FRACTION:g}: last error of the {name}, ratio"
+        record.check(what, less / more, low=2.5)
+
+
+def third_order(record: Record, tables: Tables) -> None:
+    """The traction's order comes to 3 from below, as eps E_layer/E_body becomes small beside the width of the blocks."""
+    for name, law in HARD.items():
+        eps, orders = (tables[name][column] for column in ("eps", "order_traction"))
+        if len(eps) > 1:
+            low = 2.5 if eps[-1] * law.mu / FOURIER_BODY.mu < 0.05 else 2.0
+            record.check(f"last observed order of the traction, {name}", orders[-1], low=low)
+
+
+def in_section(record: Record, tables: Tables) -> None:
+    """Means in three dimensions are those in the section through the axis."""
+    for name in (f"{what}_{model}" for what in ("rise", "traction") for model in ("meshed", "law")):
+        apart = np.abs(tables["butt_joint"][name] / tables["butt_joint"][f"{name}_axisymmetric"] - 1).max()
+        record.check(f"{name} in 3D against the axisymmetric section", apart, high=SAME)
+
+
+# ---------------------------------------------------------------- problems
+def bar(sizes: tuple[float, float, float]) -> tuple[Joint, dict[str, Any]]:
+    """The bar of Fig. 2 under the loads R1, in mm and MPa; joint, data of its models."""
+    loads = fig3.READINGS["R1"]
+    setup = {"body": fig3.STEEL, "supports": loads.supports, "tractions": loads.tractions, "element": "S2"}
+    return fig3.meshed(sizes), setup
+
+
+def inside_bar(x: Any) -> Any:
+    """5 mm off the ends of S."""
+    return abs(x[0] - fig3.SIDE / 2) < 0.45 * fig3.SIDE
+
+
+def wedge(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Thickness over the mean thickness: three times as thick at the right end as at the left one."""
+    return 0.5 + x[0]
+
+
+PUSHED = {0: (0.0, 0.0, 0.0), 1: (0.3, 0.35, 0.0), 2: (0.3, 1.0, 1.5), 3: (0.3, 0.0, -0.9)}
+PULLED = {0: (0.0, 0.0, 0.0), 1: (0.28, 1.0, 0.0), 2: (0.28, 1.0, 1.5), 3: (0.28, 0.0, -1.0)}
+SHEARED = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
+PATH = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
+pushed, pulled = partial(pressed, path=PUSHED), partial(pressed, path=PULLED)
+
+
+# ---------------------------------------------------------------- layers
+MODULI: Any = {"lmbda": 60.0, "mu": 40.0}
+KELVIN_VOIGT = KelvinVoigt(**MODULI, theta_lmbda=0.3, theta_mu=0.5)
+MAXWELL = Maxwell(**MODULI, t1=0.7, t2=1.0)  # the mean stress relaxes with the time 1.04
+NORTON = Norton(**MODULI, eta=5.0, p=1.5)  # at rest the tangent is infinite for p < 2, and zero for p > 2
+SLIPPING = MohrCoulombMonodirectional(**MODULI, cohesion=0.05, friction_angle=25.0)
+OPENING = replace(SLIPPING, elastic_fraction=FRACTION, unilateral=True)
+COULOMB = MohrCoulombMonodirectional(**MODULI, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02)  # slips on S
+PLANES = replace(COULOMB, lmbda=fig3.GLUE.lmbda, mu=fig3.GLUE.mu, cohesion=0.0, elastic_fraction=0.01)
+HARD = {"hard_layer": LinearElastic(lmbda=600.0, mu=400.0), "hard_layer softer": LinearElastic(lmbda=6.0, mu=4.0)}
+SUBLAYERS = Stack((0.3, LinearElastic(400.0, 20.0)), (0.3, LinearElastic(20.0, 60.0)), (0.4, LinearElastic(60.0, 5.0)))
+
+
+# ---------------------------------------------------------------- the table
+# fmt: off
+MM = (0.8, 0.4, 0.2, 0.1)
+FIFTHS, TENTHS, TWENTIETHS = (0.2, 0.4, 0.6, 0.8, 1.0), (0.1, 0.2, 0.3, 0.4, 0.5), (0.05, 0.1, 0.15, 0.2, 0.25)
+EXTENDED = {"bodies": "extended"}
+BESIDE = {"_order0": of(SUBLAYERS), "_mirrored": of(Stack(*SUBLAYERS.sublayers[::-1]), order=1)}  # which is not theirs
+
+still = partial(Row, problem=fourier, orders=(0.95, 1.05), pictured=middle)
+order_1 = partial(Row, h=(1 / 32, 1 / 16), eps=halves(3, 5), orders=(1.9, 2.1), pictured=None)
+hard = partial(order_1, eps=halves(4, 5), orders=None)
+glued = partial(Row, problem=joints.glued_hub, h=(1.0, 2.0), eps=MM, choices=EXTENDED, unit="mm")
+norton = partial(Row, h=(1 / 16, 1 / 8), times=(0.01, 0.02, 0.03, 0.04, *TWENTIETHS), choices={"more": early})
+fine = partial(Row, h=(1 / 16, 1 / 8), eps=halves(4), steps=slice(1, None, 2))
+slips = partial(fine, problem=pushed, orders=(0.9, 1.1), times=PATH, choices={"cells_through": 2})
+yields = partial(fine, problem=sheared, orders=(0.9, 1.3), times=SHEARED)
+in_bar = partial(
+    Row, problem=bar, h=((6.0, 3.0, 0.2), (8.0, 4.0, 0.4)), eps=(2.0, 1.0, 0.5, 0.25), orders=(0.9, 1.3), unit="mm",
+    choices={"where": inside_bar},
+)
+
+ROWS: dict[str, Row] = {
+    "elastic": still(of(FOURIER_LAYER)),
+    "extended": still(of(FOURIER_LAYER), choices=EXTENDED),
+    "tapered": still(of(FOURIER_LAYER, profile=wedge), choices=EXTENDED, orders=(0.9, 1.1)),
+    "order1": order_1(of(FOURIER_LAYER, order=1), choices={"beside": {"_order0": of(FOURIER_LAYER)}}),
+    "order1_stack": order_1(of(SUBLAYERS, order=1), choices={"beside": BESIDE}),
+    "hard_layer": hard(of(HARD["hard_layer"], None, order=1), "harder than the bodies"),
+    "hard_layer softer": hard(of(HARD["hard_layer softer"], None, order=1), "softer than the bodies", check=third_order),
+    "ring": glued(of(joints.GLUE, joints.GLUE_EPS), "order 0", orders=(0.9, 1.1)),
+    "ring order1": glued(of(joints.GLUE, joints.GLUE_EPS, order=1), "order 1", orders=(1.8, 2.2), pictured=None),
+    "own_mesh": Row(
+        of(joints.MORTAR, joints.MORTAR_EPS), "", joints.arch, ("P2", "P1"), (0.04, 0.02, 0.01, 0.005), (0.9, 1.1),
+        choices=EXTENDED | {"where": joints.inside_joints}, pictured=middle, unit="m",
+    ),
+    "butt_joint": Row(
+        of(joints.GLUE, joints.GLUE_EPS), "", joints.rods, ((4.0, 2.5), (6.0, 4.0)), MM, (0.9, None), unit="mm",
+        choices={"where": joints.inside_rods, "more": joints.against_section}, check=in_section,
+    ),
+    "kelvin_voigt": Row(of(KELVIN_VOIGT), times=TENTHS),
+    "maxwell": Row(of(MAXWELL), "t2 = 1.0", times=FIFTHS),
+    "maxwell t1": Row(of(Maxwell(**MODULI, t1=0.7)), "t2 = t1", times=FIFTHS),
+    "norton": norton(of(NORTON), "p = 1.5"),
+    "norton p3": norton(of(replace(NORTON, eta=2000.0, p=3.0)), "p = 3", check=spectral),
+    "stack": Row(of(Stack((0.5, MAXWELL), (0.5, KELVIN_VOIGT))), "Maxwell, Kelvin-Voigt", eps=halves(4), times=FIFTHS),
+    "stack norton": Row(of(Stack((0.5, FOURIER_LAYER), (0.5, NORTON))), "elastic, Norton", eps=halves(4), times=TWENTIETHS),
+    # thicker than 1/32 the next term still shows in the orders
+    "incompressible": Row(of(Incompressible(mu=40.0)), eps=halves(5), choices={"more": normal_jumps}, check=no_normal_jump),
+    "monodirectional": slips(of(SLIPPING), "bilateral"),
+    "monodirectional unilateral": slips(of(OPENING), "unilateral, h = 0.01", problem=pulled),
+    "monodirectional stack": slips(of(Stack((0.4, LinearElastic(90.0, 30.0)), (0.6, SLIPPING))), "elastic, bilateral"),
+    "monodirectional pulled": slips(of(replace(SLIPPING, elastic_fraction=FRACTION)), "pulled, h = 0.01", problem=pulled),
+    "monodirectional pulled_less": slips(
+        of(replace(SLIPPING, elastic_fraction=LESS)), "pulled, h = 1e-4", problem=pulled, orders=None, check=less_fraction
+    ),
+    "mohr_coulomb": yields(of(MORTAR), "psi = 0"),
+    "mohr_coulomb dilatant": yields(of(replace(MORTAR, dilatancy_angle=10.0)), "psi = 10°"),
+    "mohr_coulomb coulomb": yields(
+        of(MORTAR), "tan(Omega) on S", orders=None, choices={"instead": COULOMB}, floors=FLOOR
+    ),
+    "bar": in_bar(of(fig3.glue(0.02)), "h = 0.02"),
+    "bar less_elastic": in_bar(of(fig3.glue(0.01)), "h = 0.01", long=True),
+    "bar monodirectional": in_bar(of(PLANES), "monodirectional, h = 0.01", long=True),
+}
+LAWS = tuple(dict.fromkeys(name.split()[0] for name in ROWS))
+ORDERS = {f"{name}, order {k}": f"{one}{'' if k else '_order0'}" for k in (0, 1) for name, one in plotting.ERRORS.items()}
+DRAWN: dict[str, dict[str, Any]] = {
+    "order1": {"errors": ORDERS, "reference": 2.0},
+    "order1_stack": {"errors": ORDERS | {"jump, mirrored": "error_jump_mirrored"}, "reference": 2.0},
+    "hard_layer": {"errors": {"traction": "error_traction"}, "reference": 3.0},
+    "incompressible": {"errors": plotting.ERRORS | {"[u_N]/[u] of the meshed layer": "normal_jump_full"}},
+    "monodirectional": {"apart": True},
+}
+
+
+def run(
+    record: Record, *, law: Literal[
+        "all", "elastic", "extended", "tapered", "order1", "order1_stack", "hard_layer", "ring", "own_mesh", "butt_joint",
+        "kelvin_voigt", "maxwell", "norton", "stack", "incompressible", "monodirectional", "mohr_coulomb", "bar",
+    ] = "all", eps: Sequence[float] = (), quick: bool = False,
+) -> None:
+    """Sweep the thickness of layers, meshed and as interface laws; parameters of their families are held.
+
+    Args:
+        record: where to write; table_LAW.csv has a law's first row, table_LAW_OTHER.csv another one.
+        law: of some rows, or all of them.
+        eps: thicknesses, in place of those of the rows.
+        quick: coarser meshes, fewer steps and pictures, without two rows of the bar.
+    """
+    tables: Tables = {}
+    for name, row in ROWS.items():
+        first = name.split()[0]
+        if law not in ("all", first) or (quick and row.long):
+            continue
+        times = row.times[row.steps] if row.times and quick else row.times
+        joint, setup = row.problem(row.h[quick])
+        sweep = Sweep(record, joint, setup, row.layer, times=times, case=_file(name), **row.choices)
+        record.parameters[name] = {"layer": str(row.layer(1.0).law), "h": row.h[quick], "times": times}
+        pictured = row.pictured if name == first or not quick else None
+        title = " ".join(filter(None, (first, row.label)))
+        tables[name] = sweep.run(eps or row.eps, row.orders, pictured=pictured, title=title, unit=row.unit)
+        check_floors(record, name, tables[name], tables[first], row.floors)
+        if row.check:
+            row.check(record, tables)
+# fmt: on
+
+
+def _file(name: str) -> str:
+    return name.replace(" ", "_")
+
+
+def draw(record: Record) -> None:
+    """Draw the rates from the tables that are there."""
+    for law in LAWS:
+        rows = {row.label: f"table_{_file(name)}.csv" for name, row in ROWS.items() if name.split()[0] == law}
+        title = f"rates --law {law}" + (f", eps in {ROWS[law].unit}" if ROWS[law].unit else "")
+        if found := {label: name for label, name in rows.items() if record.has(name)}:
+            draw_rates(record, title=title, cases=found, name=f"rates_{law}", **DRAWN.get(law, {}))
