@@ -33,8 +33,8 @@ COMM = MPI.COMM_WORLD
         (dict(supports=SETUP["supports"] | {"BOTTOM": {"y": 0.01, "x": 0.0}}), "supports"),
         (dict(tractions={"TOP": (0.0, 2.0)}), "loads"),
         (dict(body_force=(0.0, 1.0)), "loads"),
-        (dict(layer=ThinLayer(SLOW, 0.2, at=1.0)), "eps"),
-        (dict(layer=ThinLayer(SUDDEN, 0.1, at=1.0)), "law"),
+        (dict(layer=ThinLayer(SLOW, 0.2, at=1.0)), "layers.S.eps"),
+        (dict(layer=ThinLayer(SUDDEN, 0.1, at=1.0)), "law.S.*KelvinVoigt there, .*Maxwell here"),
     ],
 )
 def test_another_structure_is_not_resumed_and_not_overwritten(tmp_path, change, what):
@@ -44,7 +44,7 @@ def test_another_structure_is_not_resumed_and_not_overwritten(tmp_path, change, 
     other_layer = change.pop("layer", layer)
     other = Structure(JOINT, **data | change).interface(other_layer)
     for resume in (True, False):
-        with pytest.raises(ModelError, match=rf"another march \(.*{what}: .* give another folder"):
+        with pytest.raises(ModelError, match=rf"another march \({what}.* there, .* here.* give another folder"):
             march(other, [0.1, 0.2], out=tmp_path, resume=resume)
     with pytest.raises(ModelError, match=r"start: 0\.0 there, -1\.0 here"):
         march(Structure(JOINT, **data).interface(layer), [0.1, 0.2], out=tmp_path, resume=True, start=-1.0)
@@ -101,9 +101,7 @@ def test_only_the_same_march_is_resumed(tmp_path):
     longer = march(interface(), [0.1, 0.2, 0.3], out=tmp_path, resume=True)
     assert (tmp_path / "table.csv").read_text().startswith(first)
     assert len(longer) == 4
-    with pytest.raises(
-        ModelError, match=r"another march \(law: S: KelvinVoigt.*theta_mu=0.5.* there, Kelvin.*theta_mu=0.6"
-    ):
+    with pytest.raises(ModelError, match=r"another march \(law\.S\.theta_mu: 0\.5 there, 0\.6 here\)"):
         march(interface(KelvinVoigt(60.0, 40.0, 0.3, 0.6)), [0.1], out=tmp_path, resume=True)
     assert [state.t for state in longer] == pytest.approx([0.0, 0.1, 0.2, 0.3])
     for name in ("states/000002.npz", "march.json"):

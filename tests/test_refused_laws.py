@@ -15,7 +15,7 @@ from tests.on_ranks import on_ranks
 from tests.refused import refused
 from thinlayer import Structure, ThinLayer, drive, march
 from thinlayer.compiling.compiled import _FILES, _LOADED
-from thinlayer.identity.described import described
+from thinlayer.identity import described, digest
 
 STEP = [{"w_T": 0.01, "w_N": -0.02}]
 SPRING = """int kernel(double *out, const void *unused, const double *in)
@@ -54,7 +54,7 @@ def test_a_law_in_c_with_headers(tmp_path):
         assert drive(law, STEP).tractions[0] == pytest.approx(expected, rel=1e-14)
         _FILES.clear(), _LOADED.clear()  # as in another process
         assert drive(law, STEP).tractions[0] == pytest.approx(expected, rel=1e-14)
-        known.add(described(law))
+        known.add(digest(described(law)))
     assert len(known) == 2
 
 

@@ -16,7 +16,7 @@ from thinlayer.discretisation.joint_fields import cellwise
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import ModelError
-from thinlayer.identity.described import described
+from thinlayer.identity import described
 
 
 def apart(joint: Joint, layers: Mapping[str, SeamLayer]) -> Joint:

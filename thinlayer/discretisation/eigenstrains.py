@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import uuid
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,7 +21,6 @@ from forms.temperature import real
 from forms.work import summed
 from thinlayer.discretisation.given import Coordinates
 from thinlayer.errors import ModelError
-from thinlayer.parallel.communicator import communicator
 
 Array = npt.NDArray[np.float64]
 Rows = list[list[Any]]  # numbers, or UFL scalars of place and time
@@ -134,13 +132,6 @@ class ThermalExpansion(Eigenstrain):
         for name, given, meant in (("T", self.T, ", the change of temperature"), ("factor", self.factor, "")):
             if not (callable(given) or is_finite(given)):
                 raise ModelError(f"{name} is {given!r}; allowed: a finite number or a function (x, t){meant}")
-        if isinstance(self.T, fem.Function):  # its values differ from rank to rank
-            name = communicator(self.T.function_space.mesh).bcast(uuid.uuid4().hex)
-            object.__setattr__(self, "_name", name)
-
-    def identity(self) -> dict[str, Any]:
-        """What it consists of; a Function counts as itself."""
-        return {"alpha": self.alpha, "factor": self.factor, "T": getattr(self, "_name", self.T)}
 
     def components(self, matter: Matter) -> Rows:
         """As in `Eigenstrain`."""

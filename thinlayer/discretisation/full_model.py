@@ -25,7 +25,7 @@ from thinlayer.discretisation.layered_model import LayeredModel
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
-from thinlayer.identity.described import described
+from thinlayer.identity import described
 
 LARGEST_EPS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
 

@@ -51,7 +51,6 @@ class LayeredModel(Model):
         if new.constraints.ties:  # the thickness is an arm of plates
             new.constraints = new._constrained()
         new.made_from = new._data()
-        new.laws_were_read()
         return new
 
     def _loads_of_layers(self, structure: Setup) -> dict[str, Load]:

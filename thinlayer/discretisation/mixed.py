@@ -26,7 +26,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError, warn
-from thinlayer.identity.described import described
+from thinlayer.identity import described
 from thinlayer.parallel.agreement import on_all
 
 BoolArray = npt.NDArray[np.bool_]

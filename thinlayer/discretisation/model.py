@@ -44,8 +44,7 @@ from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.spaces import cut_at_faces, vector_space
 from thinlayer.discretisation.supports import ByPlace, Place, Supports
 from thinlayer.errors import ModelError, warn
-from thinlayer.identity.described import described
-from thinlayer.identity.values import digest
+from thinlayer.identity import described, digest
 from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.pointwise.quadrature import quadrature_degree
 
@@ -136,7 +135,6 @@ class Model(ABC):
                 self.constraints = self._constrained()
             require_support(*given, self.constraints, resistances, self.kinematics)
         self.made_from = self._data()
-        self._laws_read = self._laws()
 
     def _lay(self, layer: object, check: Callable[[], Result]) -> Result:
         """Take the layers of the seams, or none, and return the result of a check of them. Collective."""
@@ -467,7 +465,8 @@ class Model(ABC):
     def _data(self) -> dict[str, Any]:
         return {
             "plane": self.plane,
-            **self._laws(),
+            "law": {name: described(one.law) for name, one in self.layers.items()},
+            "bodies": {name: described(law) for name, law in self.body_laws.items()},
             "layers": {name: one.identity() for name, one in self.layers.items()},
             "supports": [[str(place), described(given)] for place, given in self.supports.entries],
             "loads": described(self.forces.given),
@@ -476,26 +475,6 @@ class Model(ABC):
             **({"stress": described(self.structure.stress)} if self.stress else {}),
             **({"eigenstrains": described(self.structure.eigenstrains)} if self.structure.eigenstrains else {}),
         }
-
-    def _laws(self) -> dict[str, Any]:
-        return {
-            "law": {name: described(one.law) for name, one in self.layers.items()},
-            "bodies": {name: described(law) for name, law in self.body_laws.items()},
-        }
-
-    def require_same_laws(self) -> None:
-        """Raise ModelError if data that the laws' code refers to have changed since they were last read."""
-        for name, now in self._laws().items():
-            before = self._laws_read[name]
-            if now != before:
-                raise ModelError(
-                    f"what the model's {name} refers to has changed since the model was built, from {before} to {now}; "
-                    "build the model anew"
-                )
-
-    def laws_were_read(self) -> None:
-        """Accept changes of data that the laws' own code made itself: counters, logs and the like."""
-        self._laws_read = self._laws()
 
     def __repr__(self) -> str:
         dofs = self.V.dofmap.index_map.size_global * self.V.dofmap.index_map_bs

@@ -27,7 +27,7 @@ from thinlayer.discretisation.given import Coordinates, Load
 from thinlayer.discretisation.layer import CONTACT, LAYER, PRESSURE, LawOnS, Layer, ThinLayer, real_law
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
-from thinlayer.identity.described import described
+from thinlayer.identity import described
 
 
 class SeamLayer:

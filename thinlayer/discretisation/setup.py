@@ -26,7 +26,7 @@ from thinlayer.discretisation.mean_strain import Strain
 from thinlayer.discretisation.point_loads import Concentrated, check_loads
 from thinlayer.discretisation.supports import ByPlace
 from thinlayer.errors import ModelError
-from thinlayer.identity.values import digest
+from thinlayer.identity import digest
 from thinlayer.parallel.agreement import on_all, require_same
 
 ELEMENTS = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}

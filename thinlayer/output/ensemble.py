@@ -19,7 +19,7 @@ from thinlayer.errors import ModelError, SolveError
 from thinlayer.files.folder import LOCK, Lock, moved_away, owned
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row, Table, read_back
-from thinlayer.identity.described import random_states
+from thinlayer.identity import Resume, random_states, require_resume
 from thinlayer.output.row_file import GENERATOR, RowFile, require_csv
 from thinlayer.parallel.agreement import on_all, require_same
 
@@ -34,7 +34,7 @@ def ensemble(
     make: Callable[[], Run],
     cases: Sequence[Case],
     out: str | Path | None = None,
-    resume: bool = False,
+    resume: Resume = False,
     *,
     ranks: int | None = None,
     part: tuple[int, int] = (0, 1),
@@ -51,9 +51,10 @@ def ensemble(
         cases: the inputs of each run, name -> number or text, the same names in all.
         out: csv file. Each row is on the disk, in the folder out.parts, before the next one is computed; `out` has all rows
             that are there. What rows were made from (`make`, and what it refers to) is kept beside them.
-        resume: keep the rows that are there, and compute the others, on any number of ranks, groups and parts. Rows drawn
-            from a generator or iterator that goes on from run to run are refused: make one in each run, from a seed in the
-            case. Those that `random` and `numpy.random` share with all are, unless code of the runs seeds them.
+        resume: True: keep the rows that are there, and compute the others, on any number of ranks, groups and parts. Rows
+            drawn from a generator or iterator that goes on from run to run are refused: make one in each run, from a seed
+            in the case. Those that `random` and `numpy.random` share with all are, unless code of the runs seeds them.
+            "anyway": keep them even so, and those of another `make`; their cases must be the same.
         ranks: number of ranks of a group (default: all ranks are one group); it divides the number of ranks.
         part: (k, n), this process does the k-th of n parts of the cases, k = 0, ..., n - 1: for n jobs that run at the same
             time or one after the other, with the same `out` and `resume=True`.
@@ -73,18 +74,19 @@ def ensemble(
         if not callable(make):
             raise ModelError(f"make is {make!r}; it must be a function that returns a function of a case")
         require_csv(out)
+        require_resume(resume)
         known = _checked(cases)
         ranks = comm.size if ranks is None else ranks
         _check_groups(ranks, comm.size, part, out, resume)
     require_same(None, cases=known, out=out and str(out), resume=resume, ranks=ranks, part=list(part))
     group, groups = comm.rank // ranks, comm.size // ranks
     share = _Share(part[0] * groups + group, part[1] * groups)
-    files = None if out is None else _Files(Path(out), make, known)
+    files = None if out is None else _Files(Path(out), make, known, resume)
     name = f".{Path(out).name}.{part[0]}-of-{part[1]}{LOCK}" if out is not None else ""
     own: Any = comm.Split(group)
     try:
         with nullcontext() if files is None else owned(files.path.parent, name=name):
-            there = {} if files is None else on_root(None, lambda: files.begin(resume))
+            there = {} if files is None else on_root(None, files.begin)
             rows = _Rows(known, share, files if own.rank == 0 else None, there)
             error: Exception | None = None
             try:
@@ -130,7 +132,7 @@ class _Rows:
         if not left:
             return
         file = self._files.of(self._share) if self._files else None
-        kept = _by_run(file.begin(resume=True)) if file else {}
+        kept = _by_run(self._files.rows_in(file)) if file and self._files else {}
         with within(comm):
             with on_all(comm):
                 run = make()
@@ -168,8 +170,8 @@ class _Rows:
 class _Files:
     """The files of an ensemble, on one rank: one of each group's rows, and all rows in one."""
 
-    def __init__(self, path: Path, make: Callable[[], Run], cases: list[Row]) -> None:
-        self.path, self._make, self._cases = path, make, cases
+    def __init__(self, path: Path, make: Callable[[], Run], cases: list[Row], resume: Resume) -> None:
+        self.path, self._make, self._cases, self._resume = path, make, cases, resume
         self._folder = path.with_name(f"{path.name}.parts")
 
     def _files(self) -> list[RowFile]:
@@ -179,11 +181,15 @@ class _Files:
         """The file of a group."""
         return RowFile(self._folder / share.name, self._make, "ensemble", (RUN,))
 
-    def begin(self, resume: bool) -> dict[int, Row]:
-        """The rows of all files; those of an earlier ensemble are moved away first unless `resume`."""
-        if not resume:
+    def rows_in(self, file: RowFile) -> list[Row]:
+        """The rows of a file, of this ensemble, or with "anyway" of any."""
+        return file.begin(self._resume or True)
+
+    def begin(self) -> dict[int, Row]:
+        """The rows of all files; those of an earlier ensemble are moved away first unless it is resumed."""
+        if not self._resume:
             moved_away(self.path.parent, [self.path.name, self._folder.name])
-        rows = _by_run([row for file in self._files() for row in file.begin(resume=True)])
+        rows = _by_run([row for file in self._files() for row in self.rows_in(file)])
         for k, row in rows.items():
             case = self._cases[k] if k < len(self._cases) else {}
             changed = [name for name, value in case.items() if row.get(name) != value]
@@ -270,7 +276,7 @@ def _check_row(row: Any, case: Row, k: int) -> None:
         raise ModelError(f"the row of run {k} has {taken[0]!r}, which is a column of the case")
 
 
-def _check_groups(ranks: Any, size: int, part: Any, out: Any, resume: bool) -> None:
+def _check_groups(ranks: Any, size: int, part: Any, out: Any, resume: Resume) -> None:
     """Raise ModelError unless the ranks and the part of the cases are in range."""
     if not (is_number(ranks) and ranks >= 1 and ranks == int(ranks) and size % int(ranks) == 0):
         raise ModelError(f"ranks is {ranks!r}; allowed: a number that divides the number of ranks, {size}")

@@ -11,9 +11,7 @@ from typing import Any
 from thinlayer.errors import ModelError
 from thinlayer.files.folder import moved_away
 from thinlayer.files.table import Row, Table, hash_of, replaced
-from thinlayer.identity.described import random_states, referred
-from thinlayer.identity.describer import CODE, SAME
-from thinlayer.identity.differences import MISSING, differences
+from thinlayer.identity import CODE, MISSING, SAME, Resume, described, differences, random_states, told
 
 GENERATOR = (
     "an iterator or generator of random numbers that goes on from row to row; make one in each run, from a number of the "
@@ -37,7 +35,7 @@ class RowFile:
     def __init__(self, path: Path, run: Callable[..., Any], kind: str, numbers: Sequence[str]) -> None:
         self.path, self.beside, self._run = path, path.with_name(f"{path.name}.json"), run
         self._kind, self._numbers = kind, numbers
-        self._made_from = referred(run)
+        self._made_from = described(run)
         self._changing: set[tuple[str, ...]] = set()
         self._drawn = False  # whether rows have moved a generator of random numbers
         self.watch(run)
@@ -46,17 +44,17 @@ class RowFile:
         """Look at the generators of this function from now on, or of several."""
         self._watched, self._states = run, random_states(run, shared=True)
 
-    def begin(self, resume: bool) -> list[Row]:
+    def begin(self, resume: Resume) -> list[Row]:
         """The rows that are kept.
 
         Raises:
-            ModelError: the file is to be resumed and has other rows than those of this function.
+            ModelError: the file is to be resumed and has other rows than those of this function; with "anyway" it may.
         """
         if not self.path.exists():
             return []
-        problem = self._problem()
+        problem = self._problem(anyway=resume == "anyway")
         if problem and resume:
-            raise ModelError(f"{problem}; give another name, or remove it")
+            raise ModelError(f"{problem}; give another name, remove it, or resume='anyway'")
         if problem:
             moved_away(self.path.parent, [self.path.name, self.beside.name])
         if not resume:
@@ -68,7 +66,7 @@ class RowFile:
             )
         return rows
 
-    def _problem(self) -> str | None:
+    def _problem(self, *, anyway: bool) -> str | None:
         """Reason why the existing table does not belong to this function; None if it does."""
         name, beside = str(self.path), self.beside.name
         if not self.beside.exists():
@@ -78,7 +76,7 @@ class RowFile:
         try:
             content = json.loads(self.beside.read_text(encoding="utf-8"))
             there, changing, hashes, drawn = (
-                dict(content["made from"]),
+                content["made from"],
                 {*map(tuple, content["changing"])},
                 [*content["sha256"]],
                 bool(content["drawn"]),
@@ -87,16 +85,17 @@ class RowFile:
             return f"{str(self.beside)!r} cannot be read ({error})"
         if hash_of(self.path) not in hashes:
             return f"{name!r} is not the table of {_a(self._kind)}: it has been changed since one wrote it"
+        self._changing, self._drawn = changing, drawn and anyway
+        if anyway:
+            return None
         if drawn:
             return f"{name!r} cannot be resumed: its rows were drawn from {GENERATOR}"
-        self._changing = changing
         found = [one for one in differences(there, self._made_from) if _changed(*one) not in changing]
-        what = "; ".join(f"{'.'.join(path)}: {_short(one)} there, {_short(two)} here" for path, one, two in found)
-        return f"{name!r} is the table of another {self._kind} ({what})" if found else None
+        return f"{name!r} is the table of another {self._kind} ({told(found)})" if found else None
 
     def write(self, table: Table) -> None:
         """Replace the table. The file beside it names the old and the new one, and is written first."""
-        changed = (_changed(*one) for one in differences(self._made_from, referred(self._run)))
+        changed = (_changed(*one) for one in differences(self._made_from, described(self._run)))
         self._changing |= {path for path in changed if path}
         self._drawn |= random_states(self._watched, shared=True) != self._states
         hashes = [hash_of(self.path), hashlib.sha256(table.content()).hexdigest()]
@@ -129,10 +128,3 @@ def _changed(path: tuple[str, ...], one: Any, _: Any) -> tuple[str, ...] | None:
 def _a(kind: str) -> str:
     """The noun with its article."""
     return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
-
-
-def _short(value: Any) -> str:
-    if value is MISSING:
-        return "nothing"
-    text = value if isinstance(value, str) else json.dumps(value)
-    return text if len(text) <= 200 else f"{text[:200]} ..."

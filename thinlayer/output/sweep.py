@@ -18,6 +18,7 @@ from thinlayer.errors import ModelError
 from thinlayer.files.folder import LOCK, owned
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row, Table, read_back
+from thinlayer.identity import Resume, require_resume
 from thinlayer.output.row_file import RowFile, require_csv
 from thinlayer.parallel.agreement import on_all, require_same
 
@@ -41,7 +42,7 @@ def sweep(
     run: Callable[[float], Mapping[str, Any]],
     eps: Iterable[float],
     out: str | Path | None = None,
-    resume: bool = False,
+    resume: Resume = False,
 ) -> Table:
     """A table of comparisons over decreasing thickness, with observed orders. Collective.
 
@@ -51,7 +52,7 @@ def sweep(
         out: csv file; each row is on the disk before the next one is computed, and stays if a later one fails. Beside it
             stands out.json, which tells what the rows were made from: the code of `run` and what it refers to. The file of
             another sweep, or of anything else, is moved to previous-1, previous-2, ... in its folder.
-        resume: keep the rows that `out` already has, and compute the others.
+        resume: True: keep the rows that `out` already has, and compute the others. "anyway": even those of another sweep.
 
     Raises:
         LawError: a thickness out of range or given twice. ModelError: a row of another thickness, lacking columns or with
@@ -60,6 +61,7 @@ def sweep(
     """
     with on_all(world()):
         require_csv(out)
+        require_resume(resume)
         try:
             given = () if isinstance(eps, str) else tuple(eps)
             if not given or not all(map(is_number, given)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -13,9 +14,7 @@ from mpi4py import MPI
 
 from geometry.parallel import world
 from thinlayer.errors import ModelError
-from thinlayer.identity.described import described, in_full
-from thinlayer.identity.differences import MISSING, differences
-from thinlayer.identity.values import digest
+from thinlayer.identity import ALONE, MISSING, described, differences, digest
 from thinlayer.parallel.abort import abort, is_done
 
 SHOWN = 60  # number of characters shown where data differ
@@ -81,13 +80,14 @@ def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
 
     Args:
         comm: communicator (default: the world).
-        given: name -> value, see `thinlayer.identity.described.described`; the same names on all ranks.
+        given: name -> value, see `thinlayer.identity.described`; the same names on all ranks.
+            What only one process knows, such as a function on a mesh, counts by its class.
     """
     comm = comm or world()
     if comm.size == 1:
         return ""
     with on_all(comm):
-        texts = {name: json.dumps(described(value), sort_keys=True) for name, value in given.items()}
+        texts = {name: _known_by_all(value) for name, value in given.items()}
     mine = {name: text if len(text) <= LONG else f"data {digest(text)}" for name, text in texts.items()}
     found = comm.allgather(mine)
     for name, first in found[0].items():
@@ -101,11 +101,15 @@ def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
 
 def _differing(comm: MPI.Intracomm, rank: int, value: Any, first: str, theirs: str) -> tuple[str, str, str]:
     """Path at which the values of rank 0 and of another rank differ, and both values there. Collective."""
-    full = comm.allgather(in_full(value))
+    full = [json.loads(one) for one in comm.allgather(_known_by_all(value))]
     for path, *both in differences(full[0], full[rank]):
         texts = ["nothing" if one is MISSING else json.dumps(one) for one in both]
         return (f"{'.'.join(path)} is " if path else "", *_from_where_they_differ(*texts))
     return ("", *_from_where_they_differ(first, theirs))
+
+
+def _known_by_all(value: Any) -> str:
+    return re.sub(rf"{ALONE} \(\d+\)", "", json.dumps(described(value), sort_keys=True))
 
 
 def _from_where_they_differ(one: str, other: str) -> tuple[str, str]:

@@ -142,7 +142,6 @@ class Solver:
     ) -> None:
         with on_all(comm_of(model)):
             _require_model(model)
-            model.require_same_laws()
             self.model, self.method = model, _default_method(model) if method is None else method
             self._check(method, like)
             named = options is None or (isinstance(options, Mapping) and all(isinstance(name, str) for name in options))
@@ -192,7 +191,6 @@ class Solver:
         """Free matrices and factors."""
         self._finder.close()
         self.equations.destroy()
-        self.model.laws_were_read()
 
     def rest(self, t: float) -> State:
         """The state at rest, before the first step."""

@@ -17,7 +17,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Audit, Report, State, cell_values
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table, replaced
-from thinlayer.identity.values import digest
+from thinlayer.identity import Resume, differences, digest, told
 from thinlayer.parallel.exchange import carry
 from thinlayer.solving.equations import Equations
 from thinlayer.time.history import History, dissipated_columns
@@ -154,16 +154,18 @@ class Checkpoint:
         on_root(self.comm, write)
 
     # ---------------------------------------------------------------- reading
-    def read(self, keep: str, resume: bool) -> tuple[History, Pace] | None:
+    def read(self, keep: str, resume: Resume) -> tuple[History, Pace] | None:
         """History and pace of the march in the folder; None: there is no march, or `resume` is False.
 
+        With "anyway" it may be another march, and stays the one that it was begun as.
+
         Raises:
-            ModelError: the files belong to another march, or `resume` is True and they are damaged.
+            ModelError: the files belong to another march, or it is to be resumed and they are damaged.
         """
         found = on_root(self.comm, lambda: self._content(resume))
         if found is None:
             return None
-        table, pace = found
+        table, pace, self.mark = found
         last = len(table) - 1
         needed = [row for row in range(last + 1 - self.needed, last + 1) if row >= 0]
         there = on_root(self.comm, lambda: sorted({*needed, *(r for r in range(last) if self._file(r).exists())}))
@@ -171,8 +173,8 @@ class Checkpoint:
         on_root(self.comm, lambda: table.put(self.folder / TABLE))
         return History(self.model, table, states), pace
 
-    def _content(self, resume: bool) -> tuple[Table, Pace] | None:
-        """Table and pace in march.json; on rank 0."""
+    def _content(self, resume: Resume) -> tuple[Table, Pace, str] | None:
+        """Table, pace and fingerprint in march.json; on rank 0."""
         if not self.path.exists():
             if (self.folder / TABLE).exists():
                 found = f"{self.folder} has a {TABLE} of something else"
@@ -201,10 +203,14 @@ class Checkpoint:
             if not resume:
                 return None
             raise ModelError(f"{self.path} cannot be read ({error}); remove it to start anew") from error
-        if there != here:
-            other = "; ".join(_differences(there, here))
-            raise ModelError(f"{self.path} is of another march ({other}); give another folder, or remove it")
-        return (table, pace) if resume else None
+        if there != here and resume != "anyway":
+            other = told([*differences(there, here)])
+            raise ModelError(
+                f"{self.path} is of another march ({other}); give another folder, remove it, or resume='anyway'"
+            )
+        if observed != here["observe"].keys():
+            raise ModelError(f"{self.path}: the march observes {sorted(observed)}, not {sorted(here['observe'])}")
+        return (table, pace, content["mark"]) if resume else None
 
     def _read_state(self, row: int, table: Table) -> State:
         arrays: dict[str, Array] = {}  # on rank 0 alone
@@ -309,10 +315,3 @@ class Checkpoint:
 def _is_single(name: str) -> bool:
     """Whether an array of a state's file is one number."""
     return name == "t" or name.startswith(STORED)
-
-
-def _differences(there: object, here: object, name: str = "") -> list[str]:
-    """What differs between two descriptions, with the names that lead to it."""
-    if isinstance(there, dict) and isinstance(here, dict):
-        return [one for k in {**here, **there} for one in _differences(there.get(k), here.get(k), f"{name}{k}: ")]
-    return [] if there == here else [f"{name}{there} there, {here} here"]

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.files.progress import telling
+from thinlayer.identity import Resume
 from thinlayer.parallel.log import logger
 from thinlayer.solving.options import OptionValue
 from thinlayer.solving.solvers import Solver
@@ -52,7 +53,7 @@ class PathFollowing:
     def _near(self) -> float:
         return SAME_TIME * max(abs(self.plan.end), abs(self.start))
 
-    def run(self, resume: bool) -> History:
+    def run(self, resume: Resume) -> History:
         """Run the march, or the rest of the march in its folder. Collective; errors as in `march`."""
         try:
             if self._journal.read(resume):

@@ -15,7 +15,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Row
-from thinlayer.identity.codes import code_of
+from thinlayer.identity import Resume, code_of, described
 from thinlayer.parallel.agreement import on_all
 from thinlayer.parallel.communicator import collect
 from thinlayer.parallel.log import logger
@@ -71,15 +71,15 @@ class Journal:
         self.history, self.pace = History(self.model, theta=float(choices["theta"])), pace
 
     def _mark(self, choices: Mapping[str, Any]) -> str:
-        """Fingerprint of the march. Of observing functions it contains the code, not values that they collect."""
-        observed = {name: code_of(function) for name, function in self._observe.items()}
+        """Fingerprint of the march. Of observing functions it has what stays as they collect values."""
+        observed = {name: code_of(described(function)) for name, function in self._observe.items()}
         return on_root(self.model.comm, lambda: fingerprint(self.model, observe=observed, **choices))
 
-    def read(self, resume: bool) -> bool:
+    def read(self, resume: Resume) -> bool:
         """Take over the march in the folder. False: there is no march, or `resume` is False.
 
         Raises:
-            ModelError: the folder has another march, or `resume` is True and its files are damaged.
+            ModelError: the folder has another march, or files that are damaged and to be resumed.
         """
         found = self._checkpoint.read(self._keep, resume) if self._checkpoint else None
         if not found:

@@ -13,6 +13,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.files.folder import owned
+from thinlayer.identity import Resume, require_resume
 from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.ranges.checks import warn_of_model, warn_of_states
 from thinlayer.ranges.strains import warn_of_strains
@@ -43,7 +44,7 @@ def march(
     observe: Observe | None = None,
     keep: str = "all",
     out: str | Path | None = None,
-    resume: bool = False,
+    resume: Resume = False,
     options: Mapping[str, OptionValue] | None = None,
     method: str | None = None,
 ) -> History:
@@ -79,9 +80,9 @@ def march(
         keep: "all": keep all states; "last": keep only the last one.
         out: folder for table.csv and the files from which to resume, written at every accepted step. Only one march at a
             time may use it.
-        resume: True: continue the march in `out`, if there is one; times may be added. The model must be the same: its
-            numbers, names and mesh, and the code of functions and laws with the values that it refers to. False: the files
-            of the same march are replaced; files of another march are an error.
+        resume: True: continue the march in `out`, if there is one; times may be added. Its numbers, names and mesh must be
+            the same, and no file of your own may have changed in which functions and laws stand. "anyway": continue it even
+            so. False: the files of the same march are replaced; files of another march are an error.
         options, method: of the solver, see `solve`.
 
     Warns:
@@ -184,7 +185,7 @@ def follow(
 
 def _on_path(
     solver: Solver, path: ArcLength | Plan, start: float, theta: float, observe: Observe | None, keep: str,
-    out: str | Path | None, resume: bool, options: Mapping[str, OptionValue] | None,
+    out: str | Path | None, resume: Resume, options: Mapping[str, OptionValue] | None,
     begun: tuple[State | None, State] | None = None,
 ) -> History:  # fmt: skip
     """Run a march along a path, to its end, or to given times."""
@@ -225,7 +226,7 @@ def _number(name: str, value: Any) -> float:
     return float(value)
 
 
-def _check(model: Any, theta: float, keep: str, out: Any, resume: bool, observe: Any) -> None:
+def _check(model: Any, theta: float, keep: str, out: Any, resume: Resume, observe: Any) -> None:
     if not isinstance(model, Model):
         raise ModelError(f"model is {model!r}; march takes what Structure.full or Structure.interface returns")
     if observe is not None and not isinstance(observe, Mapping):
@@ -241,8 +242,9 @@ def _check(model: Any, theta: float, keep: str, out: Any, resume: bool, observe:
         raise ModelError(f"theta is {theta}; allowed: 1/2 (midpoint rule) to 1 (backward Euler)")
     if keep not in ("all", "last"):
         raise ModelError(f"keep is {keep!r}; allowed: 'all', 'last'")
+    require_resume(resume)
     if resume and out is None:
-        raise ModelError("resume=True needs out=, the folder of the march")
+        raise ModelError(f"resume={resume!r} needs out=, the folder of the march")
     if out is not None and (not isinstance(out, (str, Path)) or not str(out)):
         raise ModelError(f"out is {out!r}; it must be the name of a folder")
 

@@ -11,6 +11,7 @@ from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import State
 from thinlayer.errors import LimitLoad, ModelError, NoEquilibrium, SolveError, warn
 from thinlayer.files.progress import telling
+from thinlayer.identity import Resume
 from thinlayer.parallel.log import logger
 from thinlayer.solving.solvers import Solver
 from thinlayer.time.error import ErrorEstimate
@@ -54,7 +55,7 @@ class TimeStepping:
     def _history(self) -> History:
         return self._journal.history
 
-    def run(self, resume: bool) -> History:
+    def run(self, resume: Resume) -> History:
         """Run the march, or the rest of the march in its folder. Collective; errors as in `march`."""
         with telling("march") as self._tell:
             if self._journal.read(resume):

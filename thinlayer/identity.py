@@ -1,0 +1,387 @@
+"""What a run is made from, as nested data: two runs compare it, and tell by names where they differ.
+
+A run is resumed if its numbers are the same and no file of your own that its functions stand in has changed.
+"""
+
+from __future__ import annotations
+
+import copyreg
+import dataclasses
+import dis
+import functools
+import hashlib
+import importlib.util
+import itertools
+import json
+import math
+import random
+import sys
+import sysconfig
+import types
+import uuid
+from collections.abc import Iterator, Mapping
+from numbers import Integral, Real
+from pathlib import Path, PurePath
+from typing import Any, Literal
+
+import numpy as np
+import scipy.special
+import ufl
+from ufl.algorithms.signature import compute_expression_signature
+from ufl.constantvalue import ConstantValue
+from ufl.core.multiindex import MultiIndex
+from ufl.corealg.traversal import traverse_unique_terminals
+
+from forms.base import PACKAGES
+from thinlayer.compiling.sources import content
+from thinlayer.errors import ModelError
+
+Resume = bool | Literal["anyway"]
+CODE, CLASS, SAME = "(code)", "(class)", "(same as)"
+MISSING = object()  # in place of what only one of two descriptions has
+FEW, MANY = 24, 1000  # longest array that is shown, largest container; longer ones are hashed
+SHOWN = 4  # number of differences that a message names
+LIBRARIES: tuple[str | Path, ...] = (
+    sysconfig.get_path("stdlib"),
+    *(Path(__file__).parents[1] / name for name in PACKAGES),
+)
+OPAQUE = ("basix", "dolfinx", "petsc4py", "ufl")  # packages whose objects differ from one process to the next
+ALONE = f", known to process {uuid.uuid4().hex[:8]} alone"
+CONTAINERS = (dict, types.MappingProxyType, list, tuple, set, frozenset)
+GENERATED = {*vars(dataclasses.make_dataclass("C", ["x"], order=True, frozen=True))}  # methods, by dataclass itself
+GOES_ON = (  # what gives other numbers each time
+    np.random.Generator, np.random.BitGenerator, np.random.RandomState, np.random.SeedSequence, random.Random, Iterator,
+)  # fmt: skip
+_KEPT: dict[int, Any] = {}  # objects that only this process knows, so that their ids are not reused
+
+
+def described(value: Any) -> Any:
+    """A value as JSON that is the same in another process, on any number of ranks, if the value is.
+
+    Numbers, texts, arrays and containers stand for themselves, whatever the order of a dict; dataclasses and other objects
+    for the data of a copy. The user's functions and classes stand for the hash of their file, and for what they close over,
+    have as defaults or attributes, and read of other places; those of libraries for their names. Anything else, such as an
+    open file or a function on a mesh, differs from the same object in another process. Files that a run reads, `sys.argv`
+    and `os.environ` are not described.
+    """
+    return _Describer().of(value)
+
+
+def code_of(found: Any, *, known: bool = True) -> Any:
+    """The part of a description that stays as functions collect values: their code, and the numbers they refer to."""
+    if isinstance(found, dict):
+        parts = {key: code_of(one, known=CODE in found) for key, one in found.items()}
+        return {key: one for key, one in parts.items() if one not in (None, {}, [])}
+    if isinstance(found, list):
+        return [one for one in (code_of(one, known=False) for one in found) if one not in (None, {}, [])]
+    return found if known and ALONE not in str(found) else None
+
+
+def random_states(value: Any, *, shared: bool = False) -> list[Any]:
+    """The states of the generators of random numbers and iterators that a value refers to.
+
+    With `shared` also of those that `random` and `numpy.random` share with all, unless its code seeds them.
+    """
+    describer = _Describer()
+    describer.of(value)
+    if shared and "seed" not in describer.names:
+        describer.random += [digest(repr(one()).encode()) for one in (random.getstate, np.random.get_state)]
+    return describer.random
+
+
+def differences(one: Any, other: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
+    """Differences of two descriptions: path of names, and both values there, or `MISSING`."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        for key in sorted(one.keys() | other.keys()):
+            yield from differences(one.get(key, MISSING), other.get(key, MISSING), (*path, key))
+    elif isinstance(one, list) and isinstance(other, list):
+        for k, pair in enumerate(itertools.zip_longest(one, other, fillvalue=MISSING)):
+            yield from differences(*pair, (*path, str(k)))
+    elif one != other:
+        yield path, one, other
+
+
+def told(found: list[tuple[tuple[str, ...], Any, Any]]) -> str:
+    """The first of these differences in words, each pair of values once."""
+    pairs = {(_short(one), _short(other)): ".".join(path) for path, one, other in reversed(found)}
+    words = [f"{path}: {one} there, {other} here" for (one, other), path in reversed(pairs.items())]
+    return "; ".join(words[:SHOWN]) + f"; and {len(words) - SHOWN} more" * (len(words) > SHOWN)
+
+
+def require_resume(resume: Any) -> None:
+    """Raise ModelError unless this is a choice of whether a run is resumed."""
+    if not (isinstance(resume, bool) or (isinstance(resume, str) and resume == "anyway")):
+        raise ModelError(f"resume is {resume!r}; allowed: True, False, and 'anyway' for a run that may be another one")
+
+
+def digest(value: Any) -> str:
+    """Hash, twelve digits, of a JSON value or of bytes."""
+    text = value if isinstance(value, bytes) else json.dumps(value, sort_keys=True).encode()
+    return hashlib.sha256(text).hexdigest()[:12]
+
+
+class _Describer:
+    """One description.
+
+    Attributes:
+        random: states of the generators of random numbers and iterators that it has met.
+        names: names that the code reads which it has met.
+    """
+
+    def __init__(self) -> None:
+        self.random: list[Any] = []
+        self.names: set[str] = set()
+        self._places: dict[Any, tuple[str, Any]] = {}  # id -> where it was met; the value is kept, and so its id
+
+    def of(self, value: Any, at: str = "") -> Any:
+        """A value that is met at this place; objects that are met again stand for the first place."""
+        if value is None or isinstance(value, bool):
+            return value
+        found = None if _is_own(type(value).__module__) else _plain(value)
+        if found is not None:
+            return found
+        if id(value) in self._places:
+            return {SAME: self._places[id(value)][0]}
+        self._places[id(value)] = at, value
+        found = self._composed(value, at)
+        if type(value) in CONTAINERS:  # two that are equal stand for one that is there twice
+            del self._places[id(value)]
+        return (
+            f"{len(found)} parts, {digest(found)}" if isinstance(found, (dict, list)) and len(found) > MANY else found
+        )
+
+    def _composed(self, value: Any, at: str) -> Any:
+        kind = type(value)
+        function = _function_of(value)
+        if function is not None:
+            return self._function(function, at)
+        if isinstance(value, types.MethodType):
+            return self._named({CODE: "method", "(function)": value.__func__, "self": value.__self__}, at)
+        if isinstance(value, functools.partial):
+            given = {f"(argument {k})": one for k, one in enumerate(value.args)} | value.keywords
+            return self._named({CODE: "partial", "(function)": value.func, **given}, at)
+        if isinstance(value, types.ModuleType):
+            return self._module(value, set(), at)
+        if isinstance(value, type):
+            return self._class(value, at)
+        if kind is np.ndarray:
+            return self._array(value, at)
+        if kind in (dict, types.MappingProxyType):
+            return self._named(value, at)
+        if kind in (list, tuple):
+            found = [self.of(one, f"{at}.{k}") for k, one in enumerate(value)]
+            hashed = len(found) > FEW and all(isinstance(one, float) for one in found)
+            return f"{len(found)} numbers, {digest(found)}" if hashed else found
+        if kind in (set, frozenset):
+            return sorted((self.of(one, at) for one in value), key=digest)
+        own = getattr(getattr(kind, "identity", None), "__module__", None) or ""
+        if own.partition(".")[0] in PACKAGES:
+            return self.of(value.identity(), at)
+        if dataclasses.is_dataclass(value):
+            return self._named({CLASS: kind} | {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}, at)
+        found = self._copied(value, at)
+        if isinstance(value, GOES_ON) or any(one.__name__ == "QMCEngine" for one in kind.__mro__):  # of scipy.stats
+            self.random.append(found)
+        return found
+
+    def _named(self, values: Mapping[Any, Any], at: str) -> dict[str, Any]:
+        entries = {
+            name if type(name) is str else f"<{json.dumps(self.of(name, at), sort_keys=True)}>": one
+            for name, one in values.items()
+        }
+        return {name: self.of(one, f"{at}.{name}") for name, one in sorted(entries.items())}
+
+    def _array(self, array: np.ndarray, at: str) -> Any:
+        """Short arrays as numbers, long ones as a hash, other entries one by one."""
+        if array.dtype.kind not in "biuf":
+            return [[*(array.dtype.names or ())], [*array.shape], self.of(array.ravel().tolist(), at)]
+        if array.size <= FEW:
+            return self.of(array.tolist(), at)
+        return f"{array.dtype.name} {array.shape}, {digest(np.ascontiguousarray(array).tobytes())}"
+
+    def _copied(self, value: Any, at: str) -> Any:
+        """An object, by the data that a copy of it is made from."""
+        kind, top = type(value), type(value).__module__.partition(".")[0]
+        if isinstance(value, ufl.core.expr.Expr) and all(
+            isinstance(one, (ConstantValue, MultiIndex)) for one in traverse_unique_terminals(value)
+        ):
+            return f"{_name(kind)}, {compute_expression_signature(value, {})[:12]}"
+        if top == "mpi4py" or value is np.random.mtrand._rand:  # hold no data; is shared by all
+            return _name(kind)
+        if _name(kind).startswith("scipy.spatial.") and kind.__name__ in ("cKDTree", "KDTree"):  # copied with what is
+            return [_name(kind), self._array(np.asarray(value.data), at), value.leafsize]  # in memory by chance
+        strange = isinstance(value, np.ufunc) and value not in (
+            getattr(np, value.__name__, None),
+            getattr(scipy.special, value.__name__, None),
+        )
+        try:
+            reduce = copyreg.dispatch_table.get(kind, lambda one: one.__reduce_ex__(4))
+            parts: Any = None if strange or top in OPAQUE else reduce(value)
+        except Exception:  # it cannot be copied
+            parts = None
+        if parts is None:
+            _KEPT[id(value)] = value
+            return f"{_name(kind)}{ALONE} ({id(value)})"
+        if isinstance(parts, str):
+            return f"{_name(kind)} {parts}"
+        make, given, state, *items = (*parts, None)[: max(len(parts), 3)]
+        lists = [[*one] for one in items if isinstance(one, Iterator)]
+        given = [one for one in (make, *given) if one is not kind and getattr(one, "__name__", "") != "__newobj__"]
+        found = {CLASS: kind, **({"(made of)": given} if given else {}), **({"(items)": lists} if any(lists) else {})}
+        for one in state if isinstance(state, tuple) else (state,):  # attributes, and those in slots
+            found |= one if isinstance(one, dict) else {} if one is None else {f"(state {len(found)})": one}
+        return self._named({name: one for name, one in found.items() if not _is_derived(kind, name)}, at)
+
+    # ---------------------------------------------------------------- code
+    def _function(self, function: types.FunctionType, at: str) -> Any:
+        code, name = function.__code__, f"{function.__module__}.{function.__qualname__}"
+        read: dict[str, Any] = {}
+        for cell, one in zip(code.co_freevars, function.__closure__ or (), strict=True):
+            assigned = one != types.CellType()
+            read |= {cell: one.cell_contents} if assigned else {}
+        if not _is_own_file(code.co_filename):
+            return {CODE: name, **self._named(read, at)} if read else name
+        codes = [*_codes(code)]
+        names = {name for one in codes for name in one.co_names}
+        self.names |= names
+        read = {name: function.__globals__[name] for name in names & function.__globals__.keys()} | read
+        read |= {f"import {one.__name__}": one for one in _imported(codes, function.__globals__.get("__package__"))}
+        read |= {f"(default {k})": one for k, one in enumerate(function.__defaults__ or ())}
+        read |= function.__kwdefaults__ or {}
+        read |= {name: one for name, one in vars(function).items() if name != "__wrapped__"}
+        modules = {name: one for name, one in read.items() if isinstance(one, types.ModuleType)}
+        found = self._named({name: one for name, one in read.items() if name not in modules}, at)
+        found |= {name: self._module(one, names, f"{at}.{name}") for name, one in sorted(modules.items())}
+        return {CODE: _written(code.co_filename, code) or f"{name}, {digest(_bytecode(code))}"} | found
+
+    def _module(self, module: types.ModuleType, names: set[str], at: str) -> Any:
+        """A module; of the user's own ones the names that are read."""
+        file, key = getattr(module, "__file__", None), (id(module), frozenset(names))
+        if not _is_own(module.__name__):
+            return f"module {module.__name__}"
+        if key in self._places:
+            return {SAME: self._places[key][0]}
+        self._places[key] = at, module
+        found = {CODE: file and _written(file, module)}
+        for name in sorted(names & vars(module).keys()):
+            one = vars(module)[name]
+            place = f"{at}.{name}"
+            found[name] = self._module(one, names, place) if isinstance(one, types.ModuleType) else self.of(one, place)
+        return found
+
+    def _class(self, kind: type, at: str) -> Any:
+        """A class; of the user's own ones, and own bases, the methods and attributes."""
+        if not _is_own(kind.__module__):
+            return _name(kind)
+        found = {}
+        for one in filter(lambda one: _is_own(one.__module__), kind.__mro__):
+            members = {name: _member(one, name) for name in vars(one)}
+            shown = {name: member for name, member in members.items() if member is not None}
+            found[_name(one)] = self._named(shown, f"{at}.{one.__name__}")
+        return found
+
+
+def _member(kind: type, name: str) -> Any:
+    """What counts of a member of a class: a function, a value, the content of a C source; None: nothing."""
+    value = vars(kind)[name]
+    function = _function_of(value)
+    if function is not None:
+        file = function.__code__.co_filename
+        return None if name in GENERATED and (file == "<string>" or not _is_own_file(file)) else function
+    if name == "source" and isinstance(value, (str, Path)) and Path(value).is_file():
+        return content(Path(value))
+    hidden = name.startswith("__") or name == "_abc_impl"
+    return None if hidden or isinstance(value, (types.MemberDescriptorType, types.GetSetDescriptorType)) else value
+
+
+def _function_of(value: Any) -> types.FunctionType | None:
+    """The Python function in a function, member of a class, cache or compiled function; else None."""
+    while not isinstance(value, types.FunctionType):
+        ready = type(value).__module__.partition(".")[0] in ("builtins", "functools", "numba")
+        if not ready or value is None or isinstance(value, (type, types.MethodType, functools.partial)):
+            return None
+        wrapped = (getattr(value, name, None) for name in ("__wrapped__", "py_func", "func", "fget"))
+        value = next((one for one in wrapped if one is not None), None)
+    return value
+
+
+def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
+    """A code and those of functions within it."""
+    yield code
+    for one in code.co_consts:
+        if isinstance(one, types.CodeType):
+            yield from _codes(one)
+
+
+def _bytecode(code: types.CodeType) -> list[Any]:
+    constants = [sorted(map(repr, one)) if isinstance(one, frozenset) else repr(one) for one in code.co_consts
+                 if not isinstance(one, types.CodeType)]  # fmt: skip
+    inner = [_bytecode(one) for one in code.co_consts if isinstance(one, types.CodeType)]
+    return [code.co_code.hex(), constants, [*code.co_names], inner]
+
+
+def _imported(codes: list[types.CodeType], package: str | None) -> Iterator[types.ModuleType]:
+    """The user's own modules that functions import themselves."""
+    steps = (step for code in codes for step in dis.get_instructions(code) if step.opname == "IMPORT_NAME")
+    for name in sorted({step.argval for step in steps}):
+        for one in (name, f"{package}.{name}"):
+            try:
+                found = importlib.util.find_spec(one)
+                if found is not None and found.origin and _is_own_file(found.origin):
+                    yield importlib.import_module(one)
+            except Exception:  # the function itself will raise the error
+                continue
+
+
+@functools.cache
+def _written(file: str, code: Any) -> str | None:
+    """Name and hash of a file, as it was when this code in it was met first; None: there is no such file."""
+    try:
+        return f"{Path(file).name} {digest(Path(file).read_bytes())}, {getattr(code, 'co_qualname', 'all')}"
+    except OSError:
+        return None
+
+
+def _is_own(module: str) -> bool:
+    """Whether a module, by its name, is the user's own."""
+    top = module.partition(".")[0]
+    if module == "__main__" or top in sys.stdlib_module_names:
+        return module == "__main__"
+    files = (getattr(sys.modules.get(name), "__file__", None) for name in (module, top))
+    file = next((one for one in files if one), None)
+    return file is None or _is_own_file(file)
+
+
+@functools.cache
+def _is_own_file(file: str) -> bool:
+    path = Path(file)
+    installed = file.startswith("<frozen") or {"site-packages", "dist-packages"} & {*path.parts}
+    return not (installed or any(path.is_relative_to(one) for one in LIBRARIES))
+
+
+def _is_derived(kind: type, name: Any) -> bool:
+    return name in ("__doc__", "_ufunc") or isinstance(getattr(kind, str(name), None), functools.cached_property)
+
+
+def _plain(value: Any) -> Any:
+    """A number or text as JSON; None for anything else."""
+    if isinstance(value, str):
+        return str(value)
+    if isinstance(value, Integral) and abs(int(value)) > 1 / sys.float_info.epsilon:
+        return str(int(value))
+    if isinstance(value, Real):
+        return float(value) if math.isfinite(value) else str(float(value))  # NaN is not equal to itself
+    if isinstance(value, (bytes, bytearray)):
+        return f"bytes {digest(bytes(value))}"
+    if isinstance(value, (complex, np.generic, PurePath)) and not isinstance(value, np.void):
+        return str(value)
+    return None
+
+
+def _name(kind: type) -> str:
+    return f"{kind.__module__}.{kind.__qualname__}"
+
+
+def _short(value: Any) -> str:
+    text = "nothing" if value is MISSING else value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= 200 else f"{text[:200]} ..."

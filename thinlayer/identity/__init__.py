@@ -1,1 +1,0 @@
-"""Descriptions of the data and code of a run, equal in every process."""
