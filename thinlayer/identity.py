@@ -20,17 +20,15 @@ import sysconfig
 import types
 import uuid
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from numbers import Integral, Real
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import scipy.special
 import ufl
 from ufl.algorithms.signature import compute_expression_signature
-from ufl.constantvalue import ConstantValue
-from ufl.core.multiindex import MultiIndex
-from ufl.corealg.traversal import traverse_unique_terminals
+from ufl.domain import extract_domains
 
 from forms.base import PACKAGES
 from thinlayer.compiling.sources import content
@@ -47,7 +45,8 @@ LIBRARIES: tuple[str | Path, ...] = (
 )
 OPAQUE = ("basix", "dolfinx", "petsc4py", "ufl")  # packages whose objects differ from one process to the next
 ALONE = f", known to process {uuid.uuid4().hex[:8]} alone"
-CONTAINERS = (dict, types.MappingProxyType, list, tuple, set, frozenset)
+EXPANDED = (dict, types.MappingProxyType, list, tuple, set, frozenset, np.ndarray, types.ModuleType)
+DESCRIPTORS = (types.MemberDescriptorType, types.GetSetDescriptorType)
 GENERATED = {*vars(dataclasses.make_dataclass("C", ["x"], order=True, frozen=True))}  # methods, by dataclass itself
 GOES_ON = (  # what gives other numbers each time
     np.random.Generator, np.random.BitGenerator, np.random.RandomState, np.random.SeedSequence, random.Random, Iterator,
@@ -131,10 +130,11 @@ class _Describer:
     def __init__(self) -> None:
         self.random: list[Any] = []
         self.names: set[str] = set()
-        self._places: dict[Any, tuple[str, Any]] = {}  # id -> where it was met; the value is kept, and so its id
+        self._read: set[str] = set()  # names that the function reads which is being described
+        self._places: dict[int, tuple[str, Any]] = {}  # id -> where it was met; the value is kept, and so its id
 
     def of(self, value: Any, at: str = "") -> Any:
-        """A value that is met at this place; objects that are met again stand for the first place."""
+        """A value that is met at this place; an object that is met again stands for the first place."""
         if value is None or isinstance(value, bool):
             return value
         found = None if _is_own(type(value).__module__) else _plain(value)
@@ -144,15 +144,14 @@ class _Describer:
             return {SAME: self._places[id(value)][0]}
         self._places[id(value)] = at, value
         found = self._composed(value, at)
-        if type(value) in CONTAINERS:  # two that are equal stand for one that is there twice
+        if type(value) in EXPANDED:  # two that are equal count as one that is there twice
             del self._places[id(value)]
-        return (
-            f"{len(found)} parts, {digest(found)}" if isinstance(found, (dict, list)) and len(found) > MANY else found
-        )
+        numbers = isinstance(found, list) and len(found) > FEW and all(isinstance(one, float) for one in found)
+        long = numbers or (isinstance(found, (dict, list)) and len(found) > MANY)
+        return f"{len(found)} parts, {digest(found)}" if long else found
 
     def _composed(self, value: Any, at: str) -> Any:
-        kind = type(value)
-        function = _function_of(value)
+        kind, function = type(value), _function_of(value)
         if function is not None:
             return self._function(function, at)
         if isinstance(value, types.MethodType):
@@ -160,22 +159,24 @@ class _Describer:
         if isinstance(value, functools.partial):
             given = {f"(argument {k})": one for k, one in enumerate(value.args)} | value.keywords
             return self._named({CODE: "partial", "(function)": value.func, **given}, at)
-        if isinstance(value, types.ModuleType):
-            return self._module(value, set(), at)
+        if isinstance(value, types.ModuleType):  # of the user's own ones what a function reads counts
+            names = self._read & vars(value).keys() if _is_own(value.__name__) else ()
+            return {CODE: f"module {value.__name__}"} | self._named({name: vars(value)[name] for name in names}, at)
         if isinstance(value, type):
-            return self._class(value, at)
+            own = {_name(one): _members(one) for one in value.__mro__ if _is_own(one.__module__)}
+            return self._named(own, at) if _is_own(value.__module__) else _name(value)
         if kind is np.ndarray:
-            return self._array(value, at)
+            if value.dtype.kind in "biuf":
+                hashed = f"{value.dtype.name} {value.shape}, {digest(np.ascontiguousarray(value).tobytes())}"
+                return hashed if value.size > FEW else self.of(value.tolist(), at)
+            return [[*(value.dtype.names or ())], [*value.shape], self.of(value.ravel().tolist(), at)]
         if kind in (dict, types.MappingProxyType):
             return self._named(value, at)
         if kind in (list, tuple):
-            found = [self.of(one, f"{at}.{k}") for k, one in enumerate(value)]
-            hashed = len(found) > FEW and all(isinstance(one, float) for one in found)
-            return f"{len(found)} numbers, {digest(found)}" if hashed else found
+            return [self.of(one, f"{at}.{k}") for k, one in enumerate(value)]
         if kind in (set, frozenset):
             return sorted((self.of(one, at) for one in value), key=digest)
-        own = getattr(getattr(kind, "identity", None), "__module__", None) or ""
-        if own.partition(".")[0] in PACKAGES:
+        if (getattr(getattr(kind, "identity", None), "__module__", None) or "").partition(".")[0] in PACKAGES:
             return self.of(value.identity(), at)
         if dataclasses.is_dataclass(value):
             return self._named({CLASS: kind} | {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}, at)
@@ -185,38 +186,24 @@ class _Describer:
         return found
 
     def _named(self, values: Mapping[Any, Any], at: str) -> dict[str, Any]:
-        entries = {
-            name if type(name) is str else f"<{json.dumps(self.of(name, at), sort_keys=True)}>": one
-            for name, one in values.items()
+        texts = {
+            name if type(name) is str else f"<{json.dumps(self.of(name, at))}>": one for name, one in values.items()
         }
-        return {name: self.of(one, f"{at}.{name}") for name, one in sorted(entries.items())}
-
-    def _array(self, array: np.ndarray, at: str) -> Any:
-        """Short arrays as numbers, long ones as a hash, other entries one by one."""
-        if array.dtype.kind not in "biuf":
-            return [[*(array.dtype.names or ())], [*array.shape], self.of(array.ravel().tolist(), at)]
-        if array.size <= FEW:
-            return self.of(array.tolist(), at)
-        return f"{array.dtype.name} {array.shape}, {digest(np.ascontiguousarray(array).tobytes())}"
+        return {name: self.of(one, f"{at}.{name}") for name, one in sorted(texts.items(), key=lambda entry: entry[0])}
 
     def _copied(self, value: Any, at: str) -> Any:
         """An object, by the data that a copy of it is made from."""
         kind, top = type(value), type(value).__module__.partition(".")[0]
-        if isinstance(value, ufl.core.expr.Expr) and all(
-            isinstance(one, (ConstantValue, MultiIndex)) for one in traverse_unique_terminals(value)
-        ):
+        if isinstance(value, ufl.core.expr.Expr) and not extract_domains(value):
             return f"{_name(kind)}, {compute_expression_signature(value, {})[:12]}"
         if top == "mpi4py" or value is np.random.mtrand._rand:  # hold no data; is shared by all
             return _name(kind)
         if _name(kind).startswith("scipy.spatial.") and kind.__name__ in ("cKDTree", "KDTree"):  # copied with what is
-            return [_name(kind), self._array(np.asarray(value.data), at), value.leafsize]  # in memory by chance
-        strange = isinstance(value, np.ufunc) and value not in (
-            getattr(np, value.__name__, None),
-            getattr(scipy.special, value.__name__, None),
-        )
+            return [_name(kind), self.of(np.asarray(value.data), at), value.leafsize]  # in memory by chance
+        nameless = isinstance(value, np.ufunc) and "(" in value.__name__
         try:
             reduce = copyreg.dispatch_table.get(kind, lambda one: one.__reduce_ex__(4))
-            parts: Any = None if strange or top in OPAQUE else reduce(value)
+            parts: Any = None if nameless or top in OPAQUE else reduce(value)
         except Exception:  # it cannot be copied
             parts = None
         if parts is None:
@@ -225,73 +212,47 @@ class _Describer:
         if isinstance(parts, str):
             return f"{_name(kind)} {parts}"
         make, given, state, *items = (*parts, None)[: max(len(parts), 3)]
+        plain = make is copyreg.__newobj__ and given == (kind,)  # type: ignore[attr-defined]
         lists = [[*one] for one in items if isinstance(one, Iterator)]
-        given = [one for one in (make, *given) if one is not kind and getattr(one, "__name__", "") != "__newobj__"]
-        found = {CLASS: kind, **({"(made of)": given} if given else {}), **({"(items)": lists} if any(lists) else {})}
+        found = {CLASS: kind} | ({} if plain else {"(made of)": [make, *given]}) | ({"(items)": lists} if lists else {})
         for one in state if isinstance(state, tuple) else (state,):  # attributes, and those in slots
             found |= one if isinstance(one, dict) else {} if one is None else {f"(state {len(found)})": one}
         return self._named({name: one for name, one in found.items() if not _is_derived(kind, name)}, at)
 
-    # ---------------------------------------------------------------- code
     def _function(self, function: types.FunctionType, at: str) -> Any:
-        code, name = function.__code__, f"{function.__module__}.{function.__qualname__}"
-        read: dict[str, Any] = {}
-        for cell, one in zip(code.co_freevars, function.__closure__ or (), strict=True):
-            assigned = one != types.CellType()
-            read |= {cell: one.cell_contents} if assigned else {}
+        code, cells = function.__code__, zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+        read = {name: cell.cell_contents for name, cell in cells if cell != types.CellType()}  # those with a value
+        name, file = f"{function.__module__}.{function.__qualname__}", Path(code.co_filename)
         if not _is_own_file(code.co_filename):
             return {CODE: name, **self._named(read, at)} if read else name
-        codes = [*_codes(code)]
-        names = {name for one in codes for name in one.co_names}
-        self.names |= names
-        read = {name: function.__globals__[name] for name in names & function.__globals__.keys()} | read
+        codes, outer = [*_codes(code)], self._read
+        self._read = {name for one in codes for name in one.co_names}
+        self.names |= self._read
+        read = {name: function.__globals__[name] for name in self._read & function.__globals__.keys()} | read
         read |= {f"import {one.__name__}": one for one in _imported(codes, function.__globals__.get("__package__"))}
         read |= {f"(default {k})": one for k, one in enumerate(function.__defaults__ or ())}
-        read |= function.__kwdefaults__ or {}
-        read |= {name: one for name, one in vars(function).items() if name != "__wrapped__"}
-        modules = {name: one for name, one in read.items() if isinstance(one, types.ModuleType)}
-        found = self._named({name: one for name, one in read.items() if name not in modules}, at)
-        found |= {name: self._module(one, names, f"{at}.{name}") for name, one in sorted(modules.items())}
-        return {CODE: _written(code.co_filename, code) or f"{name}, {digest(_bytecode(code))}"} | found
-
-    def _module(self, module: types.ModuleType, names: set[str], at: str) -> Any:
-        """A module; of the user's own ones the names that are read."""
-        file, key = getattr(module, "__file__", None), (id(module), frozenset(names))
-        if not _is_own(module.__name__):
-            return f"module {module.__name__}"
-        if key in self._places:
-            return {SAME: self._places[key][0]}
-        self._places[key] = at, module
-        found = {CODE: file and _written(file, module)}
-        for name in sorted(names & vars(module).keys()):
-            one = vars(module)[name]
-            place = f"{at}.{name}"
-            found[name] = self._module(one, names, place) if isinstance(one, types.ModuleType) else self.of(one, place)
-        return found
-
-    def _class(self, kind: type, at: str) -> Any:
-        """A class; of the user's own ones, and own bases, the methods and attributes."""
-        if not _is_own(kind.__module__):
-            return _name(kind)
-        found = {}
-        for one in filter(lambda one: _is_own(one.__module__), kind.__mro__):
-            members = {name: _member(one, name) for name in vars(one)}
-            shown = {name: member for name, member in members.items() if member is not None}
-            found[_name(one)] = self._named(shown, f"{at}.{one.__name__}")
-        return found
+        read |= (function.__kwdefaults__ or {}) | vars(function)
+        read.pop("__wrapped__", None)
+        found = self._named(read, at)
+        self._read = outer
+        written = f", {file.name} {digest(file.read_bytes())}" if file.is_file() else ""
+        return {CODE: f"{name} {digest(_bytecode(code))}{written}"} | found
 
 
-def _member(kind: type, name: str) -> Any:
-    """What counts of a member of a class: a function, a value, the content of a C source; None: nothing."""
-    value = vars(kind)[name]
-    function = _function_of(value)
-    if function is not None:
-        file = function.__code__.co_filename
-        return None if name in GENERATED and (file == "<string>" or not _is_own_file(file)) else function
-    if name == "source" and isinstance(value, (str, Path)) and Path(value).is_file():
-        return content(Path(value))
-    hidden = name.startswith("__") or name == "_abc_impl"
-    return None if hidden or isinstance(value, (types.MemberDescriptorType, types.GetSetDescriptorType)) else value
+def _members(kind: type) -> dict[str, Any]:
+    """What counts of an own class: its functions and values, and the content of a C source."""
+    found: dict[str, Any] = {}
+    for name, value in vars(kind).items():
+        function = _function_of(value)
+        if function is not None:
+            file = function.__code__.co_filename
+            generated = name in GENERATED and (file == "<string>" or not _is_own_file(file))
+            found |= {} if generated else {name: function}
+        elif name == "source" and isinstance(value, (str, Path)) and Path(value).is_file():
+            found[name] = content(Path(value))
+        elif not (name.startswith("__") or name == "_abc_impl" or isinstance(value, DESCRIPTORS)):
+            found[name] = value
+    return found
 
 
 def _function_of(value: Any) -> types.FunctionType | None:
@@ -313,11 +274,11 @@ def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
             yield from _codes(one)
 
 
-def _bytecode(code: types.CodeType) -> list[Any]:
-    constants = [sorted(map(repr, one)) if isinstance(one, frozenset) else repr(one) for one in code.co_consts
-                 if not isinstance(one, types.CodeType)]  # fmt: skip
-    inner = [_bytecode(one) for one in code.co_consts if isinstance(one, types.CodeType)]
-    return [code.co_code.hex(), constants, [*code.co_names], inner]
+def _bytecode(code: Any) -> Any:
+    """Bytecode of a function as JSON, without file names and line numbers; of a constant its text."""
+    if isinstance(code, types.CodeType):
+        return [code.co_code.hex(), [*code.co_names], [_bytecode(one) for one in code.co_consts]]
+    return repr(sorted(code, key=repr) if isinstance(code, frozenset) else code)
 
 
 def _imported(codes: list[types.CodeType], package: str | None) -> Iterator[types.ModuleType]:
@@ -325,21 +286,10 @@ def _imported(codes: list[types.CodeType], package: str | None) -> Iterator[type
     steps = (step for code in codes for step in dis.get_instructions(code) if step.opname == "IMPORT_NAME")
     for name in sorted({step.argval for step in steps}):
         for one in (name, f"{package}.{name}"):
-            try:
+            with suppress(Exception):  # the function itself will raise the error
                 found = importlib.util.find_spec(one)
                 if found is not None and found.origin and _is_own_file(found.origin):
                     yield importlib.import_module(one)
-            except Exception:  # the function itself will raise the error
-                continue
-
-
-@functools.cache
-def _written(file: str, code: Any) -> str | None:
-    """Name and hash of a file, as it was when this code in it was met first; None: there is no such file."""
-    try:
-        return f"{Path(file).name} {digest(Path(file).read_bytes())}, {getattr(code, 'co_qualname', 'all')}"
-    except OSError:
-        return None
 
 
 def _is_own(module: str) -> bool:
@@ -348,8 +298,7 @@ def _is_own(module: str) -> bool:
     if module == "__main__" or top in sys.stdlib_module_names:
         return module == "__main__"
     files = (getattr(sys.modules.get(name), "__file__", None) for name in (module, top))
-    file = next((one for one in files if one), None)
-    return file is None or _is_own_file(file)
+    return all(_is_own_file(file) for file in files if file)
 
 
 @functools.cache
@@ -371,11 +320,7 @@ def _plain(value: Any) -> Any:
         return str(int(value))
     if isinstance(value, Real):
         return float(value) if math.isfinite(value) else str(float(value))  # NaN is not equal to itself
-    if isinstance(value, (bytes, bytearray)):
-        return f"bytes {digest(bytes(value))}"
-    if isinstance(value, (complex, np.generic, PurePath)) and not isinstance(value, np.void):
-        return str(value)
-    return None
+    return f"bytes {digest(bytes(value))}" if isinstance(value, (bytes, bytearray)) else None
 
 
 def _name(kind: type) -> str:

@@ -17,9 +17,8 @@ from thinlayer.errors import ModelError
 from thinlayer.identity import ALONE, MISSING, described, differences, digest
 from thinlayer.parallel.abort import abort, is_done
 
-SHOWN = 60  # number of characters shown where data differ
+SHOWN = 200  # number of characters shown where data differ
 PATIENCE = 60.0  # s that a rank with an error waits for the others at least
-LONG = 4000  # length of data, in characters, above which their hashes are compared
 _DEPTH: Counter[int] = Counter()  # communicator -> number of nested blocks that this rank is in
 
 
@@ -88,38 +87,21 @@ def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
         return ""
     with on_all(comm):
         texts = {name: _known_by_all(value) for name, value in given.items()}
-    mine = {name: text if len(text) <= LONG else f"data {digest(text)}" for name, text in texts.items()}
-    found = comm.allgather(mine)
+    found = comm.allgather({name: digest(text) for name, text in texts.items()})
     for name, first in found[0].items():
         for rank, theirs in enumerate(found):
             if theirs[name] != first:
-                at, here, there = _differing(comm, rank, given[name], first, theirs[name])
+                full = [json.loads(text) for text in comm.allgather(texts[name])]
+                path, *both = next(differences(full[0], full[rank]))
+                here, there = ("nothing" if one is MISSING else json.dumps(one)[:SHOWN] for one in both)
+                at = f"{'.'.join(path)} is " if path else ""
                 what = f"the ranks were given different {name}: {at}{here} on rank 0, {there} on rank {rank}"
                 raise _for_all(ModelError(f"{what}; give all ranks the same"))
-    return digest(mine)
-
-
-def _differing(comm: MPI.Intracomm, rank: int, value: Any, first: str, theirs: str) -> tuple[str, str, str]:
-    """Path at which the values of rank 0 and of another rank differ, and both values there. Collective."""
-    full = [json.loads(one) for one in comm.allgather(_known_by_all(value))]
-    for path, *both in differences(full[0], full[rank]):
-        texts = ["nothing" if one is MISSING else json.dumps(one) for one in both]
-        return (f"{'.'.join(path)} is " if path else "", *_from_where_they_differ(*texts))
-    return ("", *_from_where_they_differ(first, theirs))
+    return digest(found[0])
 
 
 def _known_by_all(value: Any) -> str:
     return re.sub(rf"{ALONE} \(\d+\)", "", json.dumps(described(value), sort_keys=True))
-
-
-def _from_where_they_differ(one: str, other: str) -> tuple[str, str]:
-    """The parts of two texts from a little before they differ."""
-    shorter = min(len(one), len(other))
-    alike = next((k for k in range(shorter) if one[k] != other[k]), shorter)
-    start = max(alike - SHOWN // 2, 0)
-    end = start + SHOWN
-    here, there = ("... " * (start > 0) + text[start:end] + " ..." * (end < len(text)) for text in (one, other))
-    return here, there
 
 
 def _text(error: Exception) -> str:

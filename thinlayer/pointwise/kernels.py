@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import CodeType, ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,6 +30,7 @@ from forms.law import BulkLaw, LawError, Step, explained, shaped
 from forms.symmetry import require_declared_stress
 from forms.trace import Symbolic, key, named, require_numbers_alone, symbolic, undecided
 from thinlayer.compiling.compiled import SourceError, library
+from thinlayer.identity import described, digest
 
 Array = npt.NDArray[np.float64]
 ARGUMENTS = 7  # number of arguments of FFCx's C functions; older releases have fewer, and ignore the rest
@@ -270,35 +270,10 @@ _BY_NUMBA: dict[Any, tuple[int, Any]] = {}
 
 
 def _compiled_by_numba(law: Any, n_parameters: int) -> tuple[int, Any]:
-    source = written(law.kernel), law.memory, n_parameters
+    source = digest(described(law.kernel)), law.memory, n_parameters
     if source not in _BY_NUMBA:
         _BY_NUMBA[source] = _by_numba(law, n_parameters)
     return _BY_NUMBA[source]
-
-
-def written(thing: Any, names: tuple[str, ...] = (), within: tuple[Any, ...] = ()) -> Any:
-    """Identity of a function, hashable: its code, and the values of its globals, which numba takes as constants."""
-    thing = getattr(thing, "py_func", thing)  # the Python function behind numba's
-    if isinstance(thing, np.ndarray):
-        return thing.dtype.str, thing.shape, thing.tobytes()
-    if isinstance(thing, (tuple, list)):
-        return type(thing), *map(written, thing)
-    if isinstance(thing, ModuleType):
-        values = {name: vars(thing)[name] for name in names if name in vars(thing)}
-        return thing, *((name, value if callable(value) else written(value)) for name, value in values.items())
-    code = getattr(thing, "__code__", None)
-    if code is None or thing in within or (thing.__module__ or "").partition(".")[0] in ("numpy", "numba"):
-        return thing if callable(thing) else (type(thing), repr(thing))
-    names, within = _names(code), (*within, thing)
-    read = {name: thing.__globals__[name] for name in names if name in thing.__globals__}
-    read |= {name: cell.cell_contents for name, cell in zip(code.co_freevars, thing.__closure__ or (), strict=True)}
-    return code, written(thing.__defaults__), *((name, written(value, names, within)) for name, value in read.items())
-
-
-def _names(code: CodeType) -> tuple[str, ...]:
-    """Names of globals and attributes in a function and in its inner functions."""
-    inner = [name for part in code.co_consts if isinstance(part, CodeType) for name in _names(part)]
-    return *code.co_names, *inner
 
 
 def _by_numba(law: Any, n_parameters: int) -> tuple[int, Any]:
