@@ -132,6 +132,9 @@ def test_only_the_same_ensemble_is_resumed(tmp_path, monkeypatch):
     with pytest.raises(ModelError, match=r"is the table of other cases \(run 1: E = 2\.5 there"):
         ensemble(scaled, [case | {"E": case["E"] ** 2 / 1.5} for case in CASES], out, resume=True)
     assert ensemble(scaled, CASES, out, resume=True)["scaled"][0] == 4.5
+    with pytest.raises(ModelError, match="another ensemble .* or resume='anyway'"):
+        ensemble(doubled, CASES, out, resume=True)
+    assert ensemble(doubled, CASES, out, resume="anyway")["scaled"][0] == 4.5  # no row is left to compute
     assert ensemble(doubled, CASES[:2], out)["double"].tolist() == [3.0, 5.0]  # another one moves it away
     assert (tmp_path / "previous-1" / "t.csv").exists()
 
@@ -207,6 +210,7 @@ def test_rows_drawn_from_a_generator_that_goes_on_are_not_resumed(tmp_path, make
     for seed in (1, 5):
         with pytest.raises(ModelError, match=r"generator of random numbers that goes on .* from a number of the case"):
             ensemble(make(seed), CASES[:3], tmp_path / "t.csv", resume=True)
+    assert ensemble(make(5), CASES[:3], tmp_path / "t.csv", resume="anyway").rows == first.rows
     assert ensemble(make(1), CASES[:3], tmp_path / "t.csv").rows == first.rows
 
 
@@ -245,6 +249,7 @@ def test_rows_drawn_from_seeds_of_their_cases_are_resumed(tmp_path, generator):
         ({"ranks": 2}, "ranks is 2; allowed: a number that divides the number of ranks, 1"),
         ({"part": (2, 2)}, r"part is \(2, 2\); allowed"),
         ({"part": (0, 2)}, "give out=... and resume=True"),
+        ({"resume": "always"}, "resume is 'always'; allowed: True, False, and 'anyway'"),
         ({"make": None}, "make is None; it must be a function"),
         ({"make": lambda: 3}, "make returns 3"),
         ({"out": 3}, "out is 3; it must be the name of a csv file"),

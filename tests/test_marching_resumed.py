@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,10 @@ COMM = MPI.COMM_WORLD
         (dict(supports=SETUP["supports"] | {"BOTTOM": {"y": 0.01, "x": 0.0}}), "supports"),
         (dict(tractions={"TOP": (0.0, 2.0)}), "loads"),
         (dict(body_force=(0.0, 1.0)), "loads"),
+        (dict(supports=SETUP["supports"] | {"RIGHT": {"x": lambda x, t: 0.01 * t * (x[1] + 0.5)}}), "supports"),
+        (dict(joint=replace(JOINT, facets=JOINT.facets | {"LEFT": JOINT.facets["RIGHT"]})), "facets.LEFT"),
+        (dict(joint=JOINT.swapped()), "seams.S"),
+        (dict(layer=ThinLayer(SLOW, 0.1, profile=lambda x: 1 + 0.2 * x[0], at=1.0)), "layers.S.profile"),
         (dict(layer=ThinLayer(SLOW, 0.2, at=1.0)), "layers.S.eps"),
         (dict(layer=ThinLayer(SUDDEN, 0.1, at=1.0)), "law.S.*KelvinVoigt there, .*Maxwell here"),
     ],
@@ -42,7 +47,7 @@ def test_another_structure_is_not_resumed_and_not_overwritten(tmp_path, change, 
     march(Structure(JOINT, **data).interface(layer), [0.1], out=tmp_path)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     other_layer = change.pop("layer", layer)
-    other = Structure(JOINT, **data | change).interface(other_layer)
+    other = Structure(change.pop("joint", JOINT), **data | change).interface(other_layer)
     for resume in (True, False):
         with pytest.raises(ModelError, match=rf"another march \({what}.* there, .* here.* give another folder"):
             march(other, [0.1, 0.2], out=tmp_path, resume=resume)
