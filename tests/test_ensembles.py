@@ -132,7 +132,7 @@ def test_only_the_same_ensemble_is_resumed(tmp_path, monkeypatch):
     with pytest.raises(ModelError, match=r"is the table of other cases \(run 1: E = 2\.5 there"):
         ensemble(scaled, [case | {"E": case["E"] ** 2 / 1.5} for case in CASES], out, resume=True)
     assert ensemble(scaled, CASES, out, resume=True)["scaled"][0] == 4.5
-    with pytest.raises(ModelError, match="another ensemble .* or resume='anyway'"):
+    with pytest.raises(ModelError, match=r"another ensemble .* or resume='anyway'"):
         ensemble(doubled, CASES, out, resume=True)
     assert ensemble(doubled, CASES, out, resume="anyway")["scaled"][0] == 4.5  # no row is left to compute
     assert ensemble(doubled, CASES[:2], out)["double"].tolist() == [3.0, 5.0]  # another one moves it away

@@ -19,6 +19,7 @@ import sys
 import sysconfig
 import types
 import uuid
+import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from numbers import Integral, Real
@@ -39,19 +40,18 @@ CODE, CLASS, SAME = "(code)", "(class)", "(same as)"
 MISSING = object()  # in place of what only one of two descriptions has
 FEW, MANY = 24, 1000  # longest array that is shown, largest container; longer ones are hashed
 SHOWN = 4  # number of differences that a message names
-LIBRARIES: tuple[str | Path, ...] = (
-    sysconfig.get_path("stdlib"),
-    *(Path(__file__).parents[1] / name for name in PACKAGES),
-)
+LIBRARIES = [Path(sysconfig.get_path("stdlib")), *(Path(__file__).parents[1] / name for name in PACKAGES)]
 OPAQUE = ("basix", "dolfinx", "petsc4py", "ufl")  # packages whose objects differ from one process to the next
+_COUNT = itertools.count(1)
 ALONE = f", known to process {uuid.uuid4().hex[:8]} alone"
 EXPANDED = (dict, types.MappingProxyType, list, tuple, set, frozenset, np.ndarray, types.ModuleType)
-DESCRIPTORS = (types.MemberDescriptorType, types.GetSetDescriptorType)
 GENERATED = {*vars(dataclasses.make_dataclass("C", ["x"], order=True, frozen=True))}  # methods, by dataclass itself
 GOES_ON = (  # what gives other numbers each time
     np.random.Generator, np.random.BitGenerator, np.random.RandomState, np.random.SeedSequence, random.Random, Iterator,
 )  # fmt: skip
-_KEPT: dict[int, Any] = {}  # objects that only this process knows, so that their ids are not reused
+_NUMBERS: dict[
+    int, tuple[Any, int]
+] = {}  # id -> an object that only this process knows, as it is alive, and its number
 
 
 def described(value: Any) -> Any:
@@ -163,8 +163,9 @@ class _Describer:
             names = self._read & vars(value).keys() if _is_own(value.__name__) else ()
             return {CODE: f"module {value.__name__}"} | self._named({name: vars(value)[name] for name in names}, at)
         if isinstance(value, type):
-            own = {_name(one): _members(one) for one in value.__mro__ if _is_own(one.__module__)}
-            return self._named(own, at) if _is_own(value.__module__) else _name(value)
+            own = [one for one in value.__mro__ if _is_own(one.__module__)]
+            members = {f"{one.__qualname__}{k or ''}": _members(one) for k, one in enumerate(own)}
+            return self._named(members, at) if value in own else _name(value)
         if kind is np.ndarray:
             if value.dtype.kind in "biuf":
                 hashed = f"{value.dtype.name} {value.shape}, {digest(np.ascontiguousarray(value).tobytes())}"
@@ -207,8 +208,7 @@ class _Describer:
         except Exception:  # it cannot be copied
             parts = None
         if parts is None:
-            _KEPT[id(value)] = value
-            return f"{_name(kind)}{ALONE} ({id(value)})"
+            return f"{_name(kind)}{ALONE} ({_number(value)})"
         if isinstance(parts, str):
             return f"{_name(kind)} {parts}"
         make, given, state, *items = (*parts, None)[: max(len(parts), 3)]
@@ -222,9 +222,8 @@ class _Describer:
     def _function(self, function: types.FunctionType, at: str) -> Any:
         code, cells = function.__code__, zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
         read = {name: cell.cell_contents for name, cell in cells if cell != types.CellType()}  # those with a value
-        name, file = f"{function.__module__}.{function.__qualname__}", Path(code.co_filename)
         if not _is_own_file(code.co_filename):
-            return {CODE: name, **self._named(read, at)} if read else name
+            return {CODE: _name(function), **self._named(read, at)} if read else _name(function)
         codes, outer = [*_codes(code)], self._read
         self._read = {name for one in codes for name in one.co_names}
         self.names |= self._read
@@ -235,8 +234,21 @@ class _Describer:
         read.pop("__wrapped__", None)
         found = self._named(read, at)
         self._read = outer
-        written = f", {file.name} {digest(file.read_bytes())}" if file.is_file() else ""
-        return {CODE: f"{name} {digest(_bytecode(code))}{written}"} | found
+        file, name = Path(code.co_filename), f"{function.__qualname__} {digest(_bytecode(code))}"
+        return {CODE: f"{name}, {file.name} {digest(file.read_bytes())}" if file.is_file() else name} | found
+
+
+def _number(value: Any) -> int:
+    """Number of an object in this process; objects are not kept alive for it, where they allow that."""
+    known, number = _NUMBERS.get(id(value), (lambda: None, 0))
+    if known() is not value:
+        try:
+            known = weakref.ref(value)
+        except TypeError:
+            known = lambda: value  # noqa: E731
+        number = next(_COUNT)
+        _NUMBERS[id(value)] = known, number
+    return number
 
 
 def _members(kind: type) -> dict[str, Any]:
@@ -250,7 +262,7 @@ def _members(kind: type) -> dict[str, Any]:
             found |= {} if generated else {name: function}
         elif name == "source" and isinstance(value, (str, Path)) and Path(value).is_file():
             found[name] = content(Path(value))
-        elif not (name.startswith("__") or name == "_abc_impl" or isinstance(value, DESCRIPTORS)):
+        elif not (name.startswith("__") or name == "_abc_impl" or hasattr(value, "__get__")):
             found[name] = value
     return found
 
@@ -323,7 +335,7 @@ def _plain(value: Any) -> Any:
     return f"bytes {digest(bytes(value))}" if isinstance(value, (bytes, bytearray)) else None
 
 
-def _name(kind: type) -> str:
+def _name(kind: Any) -> str:
     return f"{kind.__module__}.{kind.__qualname__}"
 
 

@@ -13,10 +13,8 @@ from geometry.inflating.parting import parted, to_middle
 from geometry.joint import Joint
 from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.joint_fields import cellwise
-from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import ModelError
-from thinlayer.identity import described
 
 
 def apart(joint: Joint, layers: Mapping[str, SeamLayer]) -> Joint:
@@ -44,21 +42,15 @@ def apart(joint: Joint, layers: Mapping[str, SeamLayer]) -> Joint:
     return parted(joint, eps, profile=profiles)
 
 
-def require_same_room(joint: Joint, layers: Mapping[str, SeamLayer], others: Mapping[str, SeamLayer]) -> None:
+def require_same_room(layers: Mapping[str, SeamLayer], others: Mapping[str, SeamLayer]) -> None:
     """Raise ModelError unless layers need the room that bodies have made for others."""
     for name, one in layers.items():
-        needed, made = (_shape(joint, each.thin, name) for each in (one, others[name]))
+        needed, made = ((each.thin.eps, each.profile) if each.thin else () for each in (one, others[name]))
         if needed != made:
             raise ModelError(
                 f"bodies have made room for a layer {name!r} of (thickness, profile) {made}, not {needed}; make a model "
                 "of its own, structure.interface(layer, bodies='extended')"
             )
-
-
-def _shape(joint: Joint, thin: ThinLayer | None, name: str) -> tuple[object, ...]:
-    if thin is None:
-        return ()
-    return (thin.eps, described(joint.relative_thickness(thin.profile, name)) if thin.profile else None)
 
 
 class Middle:

@@ -25,7 +25,6 @@ from thinlayer.discretisation.layered_model import LayeredModel
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
-from thinlayer.identity import described
 
 LARGEST_EPS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
 
@@ -108,8 +107,7 @@ class FullModel(LayeredModel):
         shapes: dict[str, tuple[object, ...]] = {name: ("a gap", gap.eps) for name, gap in gaps.items()}
         for name, one in self.layers.items():
             if thin := one.thin:
-                profile = self.joint.relative_thickness(thin.profile, name) if thin.profile else None
-                shapes[name] = (thin.eps, None if profile is None else described(profile), thin.fractions)
+                shapes[name] = (thin.eps, one.profile, thin.fractions)
         return shapes
 
     def _check(self, one: SeamLayer) -> None:

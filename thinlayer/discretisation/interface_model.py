@@ -80,7 +80,7 @@ class InterfaceModel(LayeredModel):
     def _check_beside(self, other: Self) -> None:
         self._check_layers()
         if self._bodies != "kept":
-            require_same_room(self.joint, self.layers, other.layers)
+            require_same_room(self.layers, other.layers)
 
     @cached_property
     def _middle(self) -> Middle | None:

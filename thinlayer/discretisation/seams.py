@@ -214,14 +214,19 @@ class SeamLayer:
             return np.zeros(self.structure.joint.dim, bool), False
         return self.at_rest.zero_tractions(self.sheet.planar, moving)
 
+    @property
+    def profile(self) -> Any:
+        """Description of the profile, as JSON; None: the thickness is uniform."""
+        given = self.thin.profile if self.thin else None
+        return described(self.structure.joint.relative_thickness(given, self.name)) if given else None
+
     def identity(self) -> dict[str, Any]:
         """Description of the layer without its law, as JSON."""
-        thin, profile = self.thin, self.thin.profile if self.thin else None
-        shape = self.structure.joint.relative_thickness(profile, self.name) if profile else None
+        thin = self.thin
         return {
             "eps": float(thin.eps) if thin else None,
             "order": thin.order if thin else None,
-            "profile": None if shape is None else described(shape),
+            "profile": self.profile,
             **({"eigenstrain": described(thin.eigenstrain)} if thin and thin.eigenstrain is not None else {}),
         }
 

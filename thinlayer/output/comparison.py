@@ -127,12 +127,12 @@ def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
 def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
     """Raise ModelError unless both models have the same data but for the layer's law."""
     there, here = (
-        model.made_from | {"supports": model.made_from["supports"][: len(model.supports.given)]}
+        {name: model.made_from[name] for name in ("plane", "bodies", "loads")}
+        | {"supports": model.made_from["supports"][: len(model.supports.given)]}
         for model in (full, interface)
     )
-    for name in ("plane", "bodies", "supports", "loads"):
-        if there[name] != here[name]:
-            raise ModelError(f"compare needs the same {name}: {told([*differences(there[name], here[name])])}")
+    if found := [*differences(there, here)]:
+        raise ModelError(f"compare needs the same {found[0][0][0]}: {told(found)}")
     for name, layer in interface.layers.items():
         both = [one.thin.profile for one in (full.layers[name], layer) if one.thin]
         shapes = [full.joint.relative_thickness(profile, name) for profile in both]  # a law on S has no thickness

@@ -19,7 +19,7 @@ from thinlayer.errors import ModelError, SolveError
 from thinlayer.files.folder import LOCK, Lock, moved_away, owned
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row, Table, read_back
-from thinlayer.identity import Resume, random_states, require_resume
+from thinlayer.identity import Resume, random_states
 from thinlayer.output.row_file import GENERATOR, RowFile, require_csv
 from thinlayer.parallel.agreement import on_all, require_same
 
@@ -73,8 +73,7 @@ def ensemble(
         comm = world()
         if not callable(make):
             raise ModelError(f"make is {make!r}; it must be a function that returns a function of a case")
-        require_csv(out)
-        require_resume(resume)
+        require_csv(out, resume)
         known = _checked(cases)
         ranks = comm.size if ranks is None else ranks
         _check_groups(ranks, comm.size, part, out, resume)

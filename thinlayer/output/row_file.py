@@ -11,7 +11,7 @@ from typing import Any
 from thinlayer.errors import ModelError
 from thinlayer.files.folder import moved_away
 from thinlayer.files.table import Row, Table, hash_of, replaced
-from thinlayer.identity import CODE, MISSING, SAME, Resume, described, differences, random_states, told
+from thinlayer.identity import CODE, MISSING, SAME, Resume, described, differences, random_states, require_resume, told
 
 GENERATOR = (
     "an iterator or generator of random numbers that goes on from row to row; make one in each run, from a number of the "
@@ -110,8 +110,9 @@ class RowFile:
         table.put(self.path)
 
 
-def require_csv(out: Any) -> None:
-    """Raise ModelError unless `out` may be the name of a csv file, or None."""
+def require_csv(out: Any, resume: Any) -> None:
+    """Raise ModelError unless `out` may be the name of a csv file, or None, and `resume` a choice."""
+    require_resume(resume)
     if not (out is None or isinstance(out, (str, Path))):
         raise ModelError(f"out is {out!r}; it must be the name of a csv file, or None")
     if out is not None and Path(out).is_dir():

@@ -18,7 +18,7 @@ from thinlayer.errors import ModelError
 from thinlayer.files.folder import LOCK, owned
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row, Table, read_back
-from thinlayer.identity import Resume, require_resume
+from thinlayer.identity import Resume
 from thinlayer.output.row_file import RowFile, require_csv
 from thinlayer.parallel.agreement import on_all, require_same
 
@@ -60,8 +60,7 @@ def sweep(
             is another sweep's. OSError: a row could not be written. All of them on all ranks.
     """
     with on_all(world()):
-        require_csv(out)
-        require_resume(resume)
+        require_csv(out, resume)
         try:
             given = () if isinstance(eps, str) else tuple(eps)
             if not given or not all(map(is_number, given)):

@@ -13,7 +13,6 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from geometry.parallel import on_root
-from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Audit, Report, State, cell_values
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table, replaced
@@ -27,11 +26,6 @@ TABLE = "table.csv"
 REQUIRED = {"t", "iterations", "residual", "supplied", "stored", "dissipated", "remainder"}  # columns to resume from
 REACTIONS = "reactions"
 MEMORY, FIELD, STORED, STRESS = "memory ", "field ", "stored ", "stress "  # prefixes of keys of parts in a state's file
-
-
-def fingerprint(model: Model, **choices: Any) -> str:
-    """Text of the model's identity and the choices of a march; only a march with the same text is resumed."""
-    return json.dumps({**model.identity(), **choices}, sort_keys=True)
 
 
 @dataclass
@@ -60,7 +54,7 @@ class Checkpoint:
     Args:
         folder: folder of the files.
         equations: the equations of the model.
-        mark: fingerprint of the march, see `fingerprint`.
+        mark: JSON of the model's identity and of the choices of the march; only a march with the same is resumed.
         needed: number of last states that are needed to resume the march.
     """
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from forms.base import ThinlayerError
-from geometry.parallel import on_root
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
@@ -21,7 +21,7 @@ from thinlayer.parallel.communicator import collect
 from thinlayer.parallel.log import logger
 from thinlayer.parts.phases import PhaseReport, seams_with_phases
 from thinlayer.solving.equations import Equations
-from thinlayer.time.checkpoint import Checkpoint, Pace, fingerprint
+from thinlayer.time.checkpoint import Checkpoint, Pace
 from thinlayer.time.history import History, dissipated_columns, phase_columns
 
 Observe = Mapping[str, Callable[[State], float]]
@@ -71,9 +71,9 @@ class Journal:
         self.history, self.pace = History(self.model, theta=float(choices["theta"])), pace
 
     def _mark(self, choices: Mapping[str, Any]) -> str:
-        """Fingerprint of the march. Of observing functions it has what stays as they collect values."""
+        """What the march is known by. Of observing functions it has what stays as they collect values."""
         observed = {name: code_of(described(function)) for name, function in self._observe.items()}
-        return on_root(self.model.comm, lambda: fingerprint(self.model, observe=observed, **choices))
+        return json.dumps({**self.model.identity(), "observe": observed, **choices}, sort_keys=True)
 
     def read(self, resume: Resume) -> bool:
         """Take over the march in the folder. False: there is no march, or `resume` is False.
