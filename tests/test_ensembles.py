@@ -139,16 +139,6 @@ def test_only_the_same_ensemble_is_resumed(tmp_path, monkeypatch):
     assert (tmp_path / "previous-1" / "t.csv").exists()
 
 
-class Drawing:
-    """Returns one function of a case, which draws from the generator that it holds."""
-
-    def __init__(self, random):
-        self.held = {"one": [random]}
-
-    def __call__(self):
-        return lambda case: {"u": float(self.held["one"][0].random())}
-
-
 def drawing(random):
     return lambda case: {"u": float(random())}
 
@@ -174,31 +164,11 @@ def shared_by_all(seed):
     return partial(drawing, lambda: random.random())
 
 
-def of_a_child(seeds):
-    return np.random.default_rng(*seeds.spawn(1)).random()
-
-
-def of_scipy(seed):
-    from scipy.stats import qmc  # slow
-
-    return partial(drawing, partial(of_sequence, qmc.Halton(1, seed=seed)))
-
-
-def of_sequence(points):
-    return points.random(1)[0, 0]
-
-
 DRAWN = {
+    "argument": lambda seed: partial(drawing, np.random.default_rng(seed).random),
     "of the module": of_the_module,
-    "attribute": lambda seed: Drawing(np.random.default_rng(seed)),
-    "legacy": lambda seed: Drawing(np.random.RandomState(seed)),
-    "method, argument": lambda seed: partial(drawing, np.random.default_rng(seed).random),
-    "Python's": lambda seed: partial(drawing, random=random.Random(seed).random),
     "of the run": only_the_run_draws,
     "shared by all": shared_by_all,
-    "iterator": lambda seed: partial(drawing, partial(next, iter(np.random.default_rng(seed).random(9)))),
-    "seeds": lambda seed: partial(drawing, partial(of_a_child, np.random.SeedSequence(seed))),
-    "of scipy": of_scipy,
 }
 
 

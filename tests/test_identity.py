@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 import collections
-import decimal
 import functools
 import importlib
 import json
-import operator
 import os
+import random
 import subprocess
 import sys
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
+import scipy.spatial
+import scipy.stats
 import ufl
 
 from forms.laws import LinearElastic
 from tests.viscous_joints import JOINT, SETUP, SLOW
 from thinlayer import ModelError, Structure, ThinLayer, compare, identity, march, piecewise, solve, sweep
-from thinlayer.identity import code_of, described, differences, told
+from thinlayer.identity import code_of, described, differences, random_states, told
 
 LAYER = ThinLayer(SLOW, 0.1, at=1.0)
 FACTOR = 2.0
@@ -152,30 +154,22 @@ THINGS = {
     "class of no file": lambda v: executed(f"class found:\n def F(self): return {v}")(),
     "functions of one line": lambda v: (lambda t: t) if v > 5 else (lambda t: 2 * t),
     "class decorator": lambda v: Times(scaled, v),
-    "partial": lambda v: functools.partial(scaled, x=v),
-    "default": lambda v: lambda x, F=v: F,
+    "partial": lambda v: partial(scaled, x=v),
     "vectorized": lambda v: np.vectorize(lambda a: v * a),
-    "cached": lambda v: functools.cache(lambda a: v * a),
     "compiled": lambda v: numba.njit(lambda a: v * a),
     "class": lambda v: type("Made", (), {"F": v}),
-    "shape of texts": lambda v: np.array([*"abcdefghijklmnopqrstuvwxyzabcd"]).reshape((-1, int(v))),
-    "large array": lambda v: np.linspace(0.0, v, 100),
     "order that counts": lambda v: collections.OrderedDict((n, 1.0) for n in ("FG" if v > 5 else "GF")),
     "numbers and texts as keys": lambda v: {1: v, "1": 2.0},
-    "set": lambda v: {"a", "b", v},
     "deque": lambda v: Chain([v], 1.0),
-    "own attribute": lambda v: Chain([1.0], v),
-    "decimal": decimal.Decimal,
-    "getter": lambda v: operator.itemgetter(int(v)),
     "method": lambda v: [v].index,
     "masked": lambda v: np.ma.array([1.0, 2.0], mask=[v > 5, False]),
     "expression": lambda v: ufl.as_ufl(v) * ufl.as_vector([1.0, 2.0]),
-    "beyond the digits of floats": lambda v: 2**60 + int(v),
     "ufunc": lambda v: np.sin if v > 5 else np.cos,
-    "frozen": lambda v: importlib.import_module("scipy.stats").weibull_min(1.5, scale=v),
-    "tree": lambda v: importlib.import_module("scipy.spatial").cKDTree(np.array([[0.0, 1.0], [2.0, v]])),
+    "frozen": lambda v: scipy.stats.weibull_min(1.5, scale=v),
+    "tree": lambda v: scipy.spatial.cKDTree(np.array([[0.0, 1.0], [2.0, v]])),
     "piecewise": lambda v: piecewise({0: 1.0, 1: v}),
     "law of a layer": lambda v: replace(LAYER, law=Spring(60.0, v)),
+    "law of a place": lambda v: LinearElastic(lambda x: v + x[0], 40.0),
     "joint": lambda v: replace(JOINT, points=JOINT.points * v),
     "twice": lambda v: (lambda one, other: [one, other, one if v > 5 else other])(
         Times(scaled, 1.0), Times(scaled, 2.0)
@@ -195,6 +189,33 @@ def test_things_are_the_same_in_another_process_and_others_if_they_differ():
                           env=os.environ | {"PYTHONHASHSEED": "1"}, cwd=Path(__file__).parents[1])  # fmt: skip
     there = json.loads(done.stdout)
     assert [name for name in found if there[name] != found[name]] == []
+
+
+def frozen():
+    variable = scipy.stats.norm()
+    variable.random_state = np.random.default_rng(1)
+    return variable
+
+
+STATES = {
+    "generator": (lambda: [np.random.default_rng(1)], lambda held: held[0].random()),
+    "method": (lambda: np.random.default_rng(1).random, lambda draw: draw()),
+    "legacy": (lambda: np.random.RandomState(1), lambda generator: generator.random()),
+    "Python's": (lambda: random.Random(1).random, lambda draw: draw()),
+    "iterator": (lambda: iter([1.0, 2.0]), next),
+    "seeds": (lambda: np.random.SeedSequence(1), lambda seeds: seeds.spawn(1)),
+    "sequence": (lambda: scipy.stats.qmc.Halton(1, seed=1), lambda points: points.random(1)),
+    "frozen": (frozen, lambda variable: variable.rvs()),
+}
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_what_gives_other_numbers_each_time_has_a_state(name):
+    make, draw = STATES[name]
+    one, other = make(), make()
+    assert random_states(partial(scaled, one)) == random_states(partial(scaled, other)) != []
+    draw(one)
+    assert random_states(partial(scaled, one)) != random_states(partial(scaled, other))
 
 
 class Gauge:
@@ -217,13 +238,13 @@ def test_observed_functions_are_all_code_that_they_call():
     for way in (
         functools.cache,
         numba.njit,
-        functools.partial,
+        partial,
         lambda f: lambda state: f(state),
         lambda f: Times(f, 1),
     ):
         assert observed(way(scaled)) == observed(way(scaled)) != observed(way(same))
     assert observed(Gauge([]).slip) == observed(Gauge([1.0]).slip) != observed(Gauge([]).gap)
-    one, again, other = (functools.partial(same, found, at=at) for found, at in (([], 1), ([3.0], 1), ([], 2)))
+    one, again, other = (partial(same, found, at=at) for found, at in (([], 1), ([3.0], 1), ([], 2)))
     assert observed(one) == observed(again) != observed(other)
 
 

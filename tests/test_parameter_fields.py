@@ -166,16 +166,6 @@ def test_a_body_of_several_materials():
             assert {key for key in state.memory if "PATCH" in key} <= {"body PATCH"}
 
 
-def test_only_the_same_functions_are_resumed(tmp_path):
-    def model(a):
-        return structure(LinearElastic.young(lambda x: 100 + a * x[0], 0.3)).interface(ThinLayer(GLUE, 0.1, at=1.0))
-
-    march(model(5.0), [0.5], out=tmp_path)
-    assert len(march(model(5.0), [0.5, 1.0], out=tmp_path, resume=True)) == 3
-    with pytest.raises(ModelError, match=r"is of another march .*bodies"):
-        march(model(6.0), [0.5, 1.0], out=tmp_path, resume=True)
-
-
 @pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("law", "message"),

@@ -370,8 +370,3 @@ def test_a_rigid_base_and_a_side_on_springs():
     state = solve(Structure(strip, **setup).interface(ThinLayer(GLUE, EPS, at=1.0)))
     w = 0.4 * HEIGHT / (3.0 * HEIGHT + GLUE.mu)
     assert state.energies()["springs RIGHT"] == pytest.approx(3.0 * HEIGHT * w**2 / 2, rel=1e-6)
-
-
-def test_identity():
-    one, same, other = (turned(parts=[Springs("BOTTOM", k, 7.0)]).identity() for k in (20.0, 20.0, 21.0))
-    assert one == same != other

@@ -203,10 +203,3 @@ def test_what_holds_a_structure():
         column(UflPart(energy=winkler), supports={})
     everywhere = UflPart(energy=lambda u, model: K / 2 * ufl.inner(u, u) * on_bottom(model))
     assert sinking(solve(column(everywhere, supports={}))) == pytest.approx(-P / K, rel=1e-9)
-
-
-def test_identity():
-    """Other parameters, another code, another structure."""
-    one, same = (column(UflPart(energy=winkler)).identity() for _ in range(2))
-    other = column(UflPart(energy=hardening)).identity()
-    assert one == same != other
