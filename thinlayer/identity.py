@@ -36,7 +36,7 @@ from thinlayer.compiling.sources import content
 from thinlayer.errors import ModelError
 
 Resume = bool | Literal["anyway"]
-CODE, CLASS, SAME = "(code)", "(class)", "(same as)"
+CODE, FILE, CLASS, SAME = "(code)", "(file)", "(class)", "(same as)"
 MISSING = object()  # in place of what only one of two descriptions has
 FEW, MANY = 24, 1000  # longest array that is shown, largest container; longer ones are hashed
 SHOWN = 4  # number of differences that a message names
@@ -234,8 +234,9 @@ class _Describer:
         read.pop("__wrapped__", None)
         found = self._named(read, at)
         self._read = outer
-        file, name = Path(code.co_filename), f"{function.__qualname__} {digest(_bytecode(code))}"
-        return {CODE: f"{name}, {file.name} {digest(file.read_bytes())}" if file.is_file() else name} | found
+        file = Path(code.co_filename)
+        found |= {FILE: f"{file.name} {digest(file.read_bytes())}"} if file.is_file() else {}
+        return found | {CODE: f"{function.__qualname__} {digest(_bytecode(code))}"}
 
 
 def _number(value: Any) -> int:

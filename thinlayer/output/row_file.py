@@ -11,7 +11,18 @@ from typing import Any
 from thinlayer.errors import ModelError
 from thinlayer.files.folder import moved_away
 from thinlayer.files.table import Row, Table, hash_of, replaced
-from thinlayer.identity import CODE, MISSING, SAME, Resume, described, differences, random_states, require_resume, told
+from thinlayer.identity import (
+    CODE,
+    FILE,
+    MISSING,
+    SAME,
+    Resume,
+    described,
+    differences,
+    random_states,
+    require_resume,
+    told,
+)
 
 GENERATOR = (
     "an iterator or generator of random numbers that goes on from row to row; make one in each run, from a number of the "
@@ -121,7 +132,7 @@ def require_csv(out: Any, resume: Any) -> None:
 
 def _changed(path: tuple[str, ...], one: Any, _: Any) -> tuple[str, ...] | None:
     """Path of a changed value, with "*" for values that only one description has; None for code."""
-    if {CODE, SAME} & {*path}:
+    if {CODE, FILE, SAME} & {*path}:
         return None
     return (*path[:-1], "*") if one is MISSING else path
 
