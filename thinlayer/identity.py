@@ -49,19 +49,17 @@ GENERATED = {*vars(dataclasses.make_dataclass("C", ["x"], order=True, frozen=Tru
 GOES_ON = (  # what gives other numbers each time
     np.random.Generator, np.random.BitGenerator, np.random.RandomState, np.random.SeedSequence, random.Random, Iterator,
 )  # fmt: skip
-_NUMBERS: dict[
-    int, tuple[Any, int]
-] = {}  # id -> an object that only this process knows, as it is alive, and its number
+_NUMBERS: dict[int, tuple[Any, int]] = {}  # id -> reference to an object that only this process knows, and its number
 
 
 def described(value: Any) -> Any:
     """A value as JSON that is the same in another process, on any number of ranks, if the value is.
 
     Numbers, texts, arrays and containers stand for themselves, whatever the order of a dict; dataclasses and other objects
-    for the data of a copy. The user's functions and classes stand for the hash of their file, and for what they close over,
-    have as defaults or attributes, and read of other places; those of libraries for their names. Anything else, such as an
-    open file or a function on a mesh, differs from the same object in another process. Files that a run reads, `sys.argv`
-    and `os.environ` are not described.
+    for the data of a copy. Functions of the user stand for their bytecode, the hash of their file, and for what they close
+    over, have as defaults or attributes, and read elsewhere; own classes for their functions and values; those of libraries
+    for their names. Anything else, such as an open file or a function on a mesh, differs from the same object in another
+    process. Files that a run reads, `sys.argv` and `os.environ` are not described.
     """
     return _Describer().of(value)
 
@@ -197,7 +195,8 @@ class _Describer:
         kind, top = type(value), type(value).__module__.partition(".")[0]
         if isinstance(value, ufl.core.expr.Expr) and not extract_domains(value):
             return f"{_name(kind)}, {compute_expression_signature(value, {})[:12]}"
-        if top == "mpi4py" or value is np.random.mtrand._rand:  # hold no data; is shared by all
+        shared = value is np.random.mtrand._rand or value is random._inst
+        if shared or top == "mpi4py":  # their states are no part of what refers to them
             return _name(kind)
         if _name(kind).startswith("scipy.spatial.") and kind.__name__ in ("cKDTree", "KDTree"):  # copied with what is
             return [_name(kind), self.of(np.asarray(value.data), at), value.leafsize]  # in memory by chance
