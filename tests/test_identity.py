@@ -50,7 +50,7 @@ def test_functions_are_the_numbers_they_refer_to(monkeypatch):
 
     first, law = described(load(-60.0)), described(Spring(60.0, 40.0))
     assert described(load(np.float64(-60))) == described(load(-60)) == first
-    assert described(Spring(60, np.int64(40))) == law
+    assert described([Spring(60, np.int64(40)), Spring(60.0, 40.0)]) == described([Spring(60.0, 40.0)] * 2)
     monkeypatch.setitem(globals(), "FACTOR", 2.5)  # of a function that the function calls
     assert told([*differences(first, described(load(-60.0)))]) == "scaled.FACTOR: 2.0 there, 2.5 here"
     assert described(Spring(60.0, 40.0)) != law

@@ -142,7 +142,8 @@ class _Describer:
             return {SAME: self._places[id(value)][0]}
         self._places[id(value)] = at, value
         found = self._composed(value, at)
-        if type(value) in EXPANDED:  # two that are equal count as one that is there twice
+        frozen = getattr(getattr(type(value), "__dataclass_params__", None), "frozen", False)
+        if frozen or type(value) in EXPANDED:  # two that are equal count as one that is there twice
             del self._places[id(value)]
         numbers = isinstance(found, list) and len(found) > FEW and all(isinstance(one, float) for one in found)
         long = numbers or (isinstance(found, (dict, list)) and len(found) > MANY)
