@@ -224,7 +224,7 @@ class _Describer:
         read = {name: cell.cell_contents for name, cell in cells if cell != types.CellType()}  # those with a value
         if not _is_own_file(code.co_filename):
             return {CODE: _name(function), **self._named(read, at)} if read else _name(function)
-        codes, outer = [*_codes(code)], self._read
+        codes, outer = _codes(code), self._read
         self._read = {name for one in codes for name in one.co_names}
         self.names |= self._read
         read = {name: function.__globals__[name] for name in self._read & function.__globals__.keys()} | read
@@ -241,15 +241,11 @@ class _Describer:
 
 def _number(value: Any) -> int:
     """Number of an object in this process; objects are not kept alive for it, where they allow that."""
-    known, number = _NUMBERS.get(id(value), (lambda: None, 0))
-    if known() is not value:
-        try:
-            known = weakref.ref(value)
-        except TypeError:
-            known = lambda: value  # noqa: E731
-        number = next(_COUNT)
-        _NUMBERS[id(value)] = known, number
-    return number
+    known = _NUMBERS.get(id(value))
+    if known is None or known[0]() is not value:
+        reference = weakref.ref(value) if type(value).__weakrefoffset__ else lambda: value
+        known = _NUMBERS[id(value)] = reference, next(_COUNT)
+    return known[1]
 
 
 def _members(kind: type) -> dict[str, Any]:
@@ -279,12 +275,9 @@ def _function_of(value: Any) -> types.FunctionType | None:
     return value
 
 
-def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
+def _codes(code: types.CodeType) -> list[types.CodeType]:
     """A code and those of functions within it."""
-    yield code
-    for one in code.co_consts:
-        if isinstance(one, types.CodeType):
-            yield from _codes(one)
+    return [code, *(one for part in code.co_consts if isinstance(part, types.CodeType) for one in _codes(part))]
 
 
 def _bytecode(code: Any) -> Any:

@@ -86,12 +86,8 @@ class RowFile:
             )
         try:
             content = json.loads(self.beside.read_text(encoding="utf-8"))
-            there, changing, hashes, drawn = (
-                content["made from"],
-                {*map(tuple, content["changing"])},
-                [*content["sha256"]],
-                bool(content["drawn"]),
-            )
+            there, changing = content["made from"], {*map(tuple, content["changing"])}
+            hashes, drawn = [*content["sha256"]], bool(content["drawn"])
         except (OSError, ValueError, LookupError, TypeError) as error:
             return f"{str(self.beside)!r} cannot be read ({error})"
         if hash_of(self.path) not in hashes:
