@@ -18,7 +18,7 @@ from tests.test_fourier import ABOVE, BELOW
 from thinlayer import SolveError, Structure, Surface, ThinLayer, compare, observed_orders, solve
 from thinlayer.solving import linear_solvers
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 TURN = Rotation.from_rotvec([0.7, -0.4, 0.5]).as_matrix()
 ELEMENTS = [
@@ -102,7 +102,7 @@ def mode(x, z: tuple[float, ...]):
     return ufl.as_vector([K1 / k * z[0] * s1 * c3, z[1] * c1 * c3, K3 / k * z[0] * c1 * s3])
 
 
-@pytest.mark.few(5)
+@pytest.mark.long
 @pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron"])
 def test_fourier_box(cell):
     """Errors of u-, u+ and K [u] against the plane problem's amplitudes fall with order 3 (faster on coarse meshes)."""

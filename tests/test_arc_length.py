@@ -15,7 +15,7 @@ from tests.arc_length_run import KINKED, PATH, Damage, Trilinear, across_and_alo
 from tests.snapping_bars import FAR, SHARP, STEEP, C, Cohesive, openings, sigma
 from thinlayer import ArcLength, SolveError, march, piecewise, solve
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 
 def turning_points(t, w, law) -> list[tuple[float, float]]:

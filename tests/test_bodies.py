@@ -41,7 +41,7 @@ from thinlayer import (
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.solving.solvers import Solver
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 JOINT = sandwich(1.0, 0.5, 0.5, 0.25)
 YIELDING = VonMises(60.0, 50.0, strength=1.0, hardening=20.0, kinematic=10.0)

@@ -13,7 +13,7 @@ from geometry.shapes.sizing import Grading
 from geometry.topology import node_jacobians
 from tests.meshes import volumes
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 SIDES = {"S", "TOP", "LEFT", "RIGHT", "BACK", "FRONT"}
 SOLIDS = ("tetrahedron", "hexahedron")

@@ -16,7 +16,7 @@ from geometry import block, sandwich
 from geometry.joint import Joint
 from thinlayer import Structure, Surface, ThinLayer, solve
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 TRACTION = np.array([0.3, -0.8, 0.2])  # tangential, normal, and along S in 3D
 LOWER, UPPER = LinearElastic.young(210.0, 0.25), LinearElastic.young(70.0, 0.35)

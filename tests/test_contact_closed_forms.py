@@ -111,6 +111,7 @@ def test_more_shear_than_friction_carries_raises(method):
     assert len(error.value.residuals) > 1
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize(
     ("load", "limit"), [(lambda x, t: (t, -2.0), 0.9), (lambda x, t: (0.1, 1.5 * t - 2.0), 1.9 / 1.5)]
 )

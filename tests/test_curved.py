@@ -15,7 +15,7 @@ from studies.problems import FOURIER_LAYER, fourier
 from tests.refused import refused
 from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, observed_orders, solve
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 INNER, OUTER = LinearElastic.young(200.0, 0.3), LinearElastic.young(70.0, 0.33)
 GLUE = LinearElastic(lmbda=3.0, mu=2.0)

@@ -30,7 +30,7 @@ from thinlayer.discretisation.free_rim import side_kinds
 from thinlayer.errors import RangeWarning
 from thinlayer.output.zoom import Zoom
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 BODY = LinearElastic.young(E=100.0, nu=0.3)
 EPS = (1 / 16, 1 / 32)

@@ -17,7 +17,7 @@ from studies.end_structures import BODY, edge, graded, grid
 from thinlayer import ModelError, Structure, ThinLayer, compare, solve
 from thinlayer.discretisation.end_weights import FacetWeights
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 LAW = LinearElastic.shear(8.0, 0.3)
 

@@ -17,7 +17,7 @@ from thinlayer import Structure, ThinLayer
 from thinlayer.discretisation.end_weights import FacetWeights
 from thinlayer.discretisation.free_rim import free_rim
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 EPS = 0.05
 BODY = LinearElastic.young(1e3, 0.3)

@@ -29,7 +29,7 @@ from thinlayer import (
     solve,
 )
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 LAW = LinearElastic.young(30.0, 0.3)
 GLUE = LinearElastic(7.0, 5.0)

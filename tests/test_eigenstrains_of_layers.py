@@ -28,7 +28,7 @@ from thinlayer import (
     solve,
 )
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 STEEL, EPS, WIDTH = LinearElastic.young(3e4, 0.3), 0.1, 2.0
 GLUE = LinearElastic(70.0, 50.0)  # per thickness
@@ -158,7 +158,7 @@ def test_a_layer_that_shrinks_while_it_hardens(kind):
     assert across(history.last)[0] == pytest.approx(hard * (0.1 + 0.9 * (n + 1) / (2 * n)), rel=1e-5)
 
 
-@pytest.mark.few(2)
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_friction_of_a_layer_that_is_pressed_by_in_situ_stress(kind):
     """t_T tends to C cos(Omega) + p sin(Omega), with a stress across the plane of which the law also knows."""

@@ -73,6 +73,7 @@ def test_ranks_give_the_rows_of_one_process(alone, there, their_folder):
     require_rows(alone, there, 1, their_folder)
 
 
+@pytest.mark.long
 @on_ranks(by_two, 2)
 def test_groups_of_ranks_give_the_rows_of_one_process(alone, there, their_folder):
     require_rows(alone, there, 2, their_folder)

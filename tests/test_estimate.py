@@ -38,7 +38,7 @@ from thinlayer.estimating.result import GoalError, _said
 from thinlayer.estimating.thickness import _error, _search
 from thinlayer.output.layer_report import ELASTIC, LayerReport
 
-pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(3)]
+pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
 
 
 # ---------------------------------------------------------------- the identity

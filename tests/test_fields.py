@@ -28,7 +28,7 @@ from tests.fields_run import (
 from tests.on_ranks import on_ranks
 from thinlayer import ContactReport, ModelError, PhaseReport, Structure, Surface, ThinLayer, fields, march, solve
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
 

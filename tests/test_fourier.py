@@ -11,7 +11,7 @@ from studies.problems import FOURIER_BODY, FOURIER_LAYER, fourier
 from tests import reference
 from thinlayer import Structure, Surface, ThinLayer, compare, observed_orders, solve
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 # (U, V, S, T) on both sides of S from an independent code
 BELOW = (-4.3703519223243e-4, 2.1589413886969e-3, -0.13658692636385, 0.60452444282214)

@@ -303,6 +303,7 @@ def on_its_boundary(m):
     return from_dolfinx(m, facet_tags=mesh.meshtags(m, dim - 1, facets, np.ones(len(facets), np.int32)), S="1")
 
 
+@pytest.mark.long
 @on_ranks(errors, 2)
 def test_errors_on_two_ranks(there):
     """All ranks have them, and none waits."""

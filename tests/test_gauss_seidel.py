@@ -17,7 +17,7 @@ from forms.contact import HolonomicCoulomb, Status, Tresca
 from tests.contact_laws import EXACT, LAWS
 from thinlayer.solving.contact.gauss_seidel import BlockRows, sweep_nodes
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 
 def stiffness(rng, size, spread=1e3):

@@ -11,7 +11,7 @@ from geometry import GeometryError, Joint, block, disc, inflate, ring, sandwich
 from geometry.topology import node_jacobians
 from tests.meshes import grid, in_layer, upper_cells, volumes
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 SIZES = (1e-1, 1e-2, 1e-3, 1e-4)
 BOX, TUBE = dict(depth=0.8, h_S=0.2), dict(angle=np.pi / 2, depth=0.6)

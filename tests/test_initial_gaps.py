@@ -10,7 +10,7 @@ from forms import HolonomicCoulomb, IncrementalCoulomb, LawError, LinearElastic,
 from geometry import block, ring, sandwich, wall
 from thinlayer import ContactReport, ModelError, SolveError, Structure, Surface, march, solve
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 LOWER, UPPER = LinearElastic.young(30.0, 0.3), LinearElastic.young(50.0, 0.2)
 

@@ -17,7 +17,7 @@ from thinlayer import ContactReport, Model, ModelError, State, Structure, Surfac
 from thinlayer.output.junction_tractions import JunctionTractions
 from thinlayer.output.surface_mass import reaction
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 LAYERS = {"BED": springs(2.0, 0.7), "HEAD": springs(1.2, 0.45, 0.007)}
 STRONG = ThinLayer(

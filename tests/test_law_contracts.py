@@ -25,7 +25,7 @@ from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, drive, march, solve
 from thinlayer.errors import RangeWarning, SolveError
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 L, M = 3.0, 2.0  # moduli per thickness; lmbda + 2 mu = 7
 EPS, CREEP = 0.1, 0.5

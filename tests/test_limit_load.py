@@ -26,7 +26,7 @@ from thinlayer.running.record import Record
 from thinlayer.solving.continuation import Continuation
 from thinlayer.solving.solvers import Solver
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 TAN, SIN, COS = np.tan(np.pi / 6), np.sin(np.pi / 6), np.cos(np.pi / 6)
 LIMITS = {SLIDING: 0.1 + TAN, FULL: 0.1 * COS + SIN}  # of the mean shear traction under a mean pressure of 1

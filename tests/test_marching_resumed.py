@@ -21,7 +21,7 @@ from tests.test_cli import thinlayer
 from tests.viscous_joints import JOINT, PULL, SETUP, SLOW, SUDDEN, interface
 from thinlayer import ModelError, RangeWarning, Structure, ThinLayer, march
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 COMM = MPI.COMM_WORLD
 
@@ -200,6 +200,7 @@ def resumed_march(folder: Path) -> None:
     marching_run.run(folder, THREE, resume=True)
 
 
+@pytest.mark.long
 @on_ranks(resumed_march, 2)
 def test_killed_on_one_rank_and_resumed_on_two(undisturbed, there, their_folder):
     require_undisturbed(their_folder, undisturbed, THREE)

@@ -27,9 +27,10 @@ from thinlayer import (
     solve,
 )
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("theta", "order"), [(1.0, 1), (0.5, 2)])
 def test_adaptive_steps(theta, order):
     """The error follows the tolerance; the steps grow as the creep slows down."""

@@ -19,7 +19,7 @@ from tests.refused import refused
 from tests.test_networks import cut_at, on
 from thinlayer import LayerReport, LimitLoad, ModelError, Structure, Surface, ThinLayer, march, plotting, solve
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 FAR = 0.2  # from junctions and ends: a traction of degree 1 takes their values one cell (0.125) farther
 STEPS = 1 / 1024  # of the last planned step, to which a limit is found

@@ -16,7 +16,7 @@ from tests.refused import refused
 from tests.test_networks import SQUARE, cut_at, on
 from thinlayer import Gap, ModelError, RangeWarning, Structure, Surface, ThinLayer, UflPart, compare, solve
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 RATIOS = (1e-1, 1e-2, 1e-3, 1e-4)
 BRICK = (1.0, 0.5)

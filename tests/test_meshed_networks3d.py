@@ -17,7 +17,7 @@ from tests.meshes import grid, renumbered, volumes
 from tests.test_meshed_networks import BRICK, RATIOS, WAYS, areas, check
 from thinlayer import Structure, Surface, ThinLayer, UflPart, solve
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 THICK = {"X": 0.7, "Y": 1.0, "Z": 1.3}  # of the layers of the cube over eps
 LAW = {"X": (0.3, 0.45), "Y": (0.6, 0.7), "Z": (0.4, 0.5)}  # their lmbda and mu per thickness

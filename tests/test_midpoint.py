@@ -76,6 +76,7 @@ SECOND_ORDER = {
 }
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("name", SECOND_ORDER)
 def test_second_order(name):
     """Against backward Euler with many steps, extrapolated; no error at all where creep is a straight line."""

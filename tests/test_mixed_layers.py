@@ -11,7 +11,7 @@ from geometry import GeometryError, ring, sandwich
 from tests.mixed_run import BODY, BRICKS, EPS, LAYER, bricks, mortar, near_ends, near_junctions, on_base
 from thinlayer import Structure, ThinLayer, compare, march, solve
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 
 @pytest.mark.parametrize("order", [0, 1])

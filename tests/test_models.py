@@ -24,7 +24,7 @@ from thinlayer.errors import RangeWarning
 from thinlayer.output.surface_mass import nodal_forces
 from thinlayer.solving.solvers import Solver
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 JOINT = sandwich(1.0, 0.5, 0.7, 0.25)
 BODY = LinearElastic.young(100.0, 0.3)

@@ -33,7 +33,7 @@ from tests.mohr_coulomb_points import (
 )
 from thinlayer.pointwise.drive import drive
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 SLOW = settings(max_examples=60)
 

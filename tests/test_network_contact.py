@@ -18,7 +18,7 @@ from thinlayer.parts.part import Interval
 from thinlayer.solving.contact.pieces import Condensation
 from thinlayer.solving.solvers import Solver
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 ROUNDED = 1e-8  # relative, of forces: solvers stop at 1e-10 of all forces
 
@@ -246,6 +246,7 @@ def test_a_course_that_slides_away_is_named(method):
         solve(dry_wall(h=0.25), 0.55, method=method)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["condensed", "newton"])
 def test_a_wall_ends_at_its_limit_and_names_the_seams_that_slide(method):
     """All beds carry 0.5 of the pressure above them, least the uppermost one, which carries a course of weight 0.035."""

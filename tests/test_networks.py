@@ -31,7 +31,7 @@ from tests.network_cases import (
 from tests.refused import refused
 from thinlayer import ContactReport, ModelError, Structure, Surface, ThinLayer, march, solve
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 ROCK = LinearElastic.young(10.0, 0.25)
 

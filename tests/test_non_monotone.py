@@ -30,7 +30,7 @@ from tests.non_monotone_points import (
     random_strains,
 )
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 SLOW = settings(max_examples=40)
 

@@ -26,7 +26,7 @@ from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, ma
 from thinlayer.discretisation.places import quadratures
 
 # layers whose thickness tends to zero under the same load, and columns of any height
-pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(3)]
+pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
 
 LMBDA, MU, ALPHA = 60.0, 40.0, 1.2
 CHI3 = np.array([[0.3, 0.5, -0.2], [0.5, 0.9, 0.4], [-0.2, 0.4, -0.6]])

@@ -16,7 +16,7 @@ from tests import reference
 from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, march, observed_orders, solve
 from thinlayer.errors import RangeWarning
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 # |t_full - t_order1| in L2(S) of the Fourier problem, from transfer matrices
 TRACTION_ERRORS = {1 / 8: 1.885e-3, 1 / 16: 5.320e-4, 1 / 32: 1.371e-4, 1 / 64: 3.452e-5}

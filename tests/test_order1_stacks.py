@@ -16,7 +16,7 @@ from tests.test_eigenstrains_of_layers import varying
 from thinlayer import Structure, ThinLayer, compare, observed_orders, solve
 from thinlayer.errors import RangeWarning
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 TWO = [(0.3, 60.0, 40.0), (0.7, 600.0, 20.0)]  # fraction, lmbda, mu of the sublayers, per thickness
 THREE = [(0.3, 400.0, 20.0), (0.3, 20.0, 60.0), (0.4, 60.0, 5.0)]

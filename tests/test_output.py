@@ -12,7 +12,7 @@ from tests.refused import refused
 from thinlayer import History, ModelError, Structure, Surface, Table, ThinLayer, fields, march, plotting, solve, sweep
 from thinlayer.output.grid import gather
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 
 def test_rows_are_committed_one_by_one(tmp_path):

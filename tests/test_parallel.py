@@ -209,6 +209,7 @@ def bad_input(folder: Path) -> list[list]:
     return COMM.allgather([done.returncode, done.stderr])
 
 
+@pytest.mark.long
 @on_ranks(bad_input, 2)
 def test_bad_input_on_two_ranks(there, their_folder):
     status, said = zip(*there, strict=True)
@@ -276,6 +277,7 @@ COMM = MPI.COMM_WORLD
 """
 
 
+@pytest.mark.long
 def test_an_error_of_one_rank_ends_all(tmp_path):
     """A file that only rank 0 writes, and cannot: the other rank must not wait for it."""
     (tmp_path / "file").write_text("")
@@ -335,6 +337,7 @@ def fails_beside_a_model() -> list[str]:
     return COMM.allgather(raised(lambda: sweep(run, [0.2, 0.1])))
 
 
+@pytest.mark.long
 @on_ranks(fails_beside_a_model, 2)
 def test_an_error_of_one_rank_where_others_build_a_model(there):
     """They learn of it there, and all ranks go on together."""

@@ -31,7 +31,7 @@ from tests.own_laws import Cubic, Slipping
 from tests.refused import refused
 from thinlayer import ModelError, RangeWarning, StepProblem, Structure, Surface, ThinLayer, compare, drive, march, solve
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 JOINT = sandwich(1.0, 0.5, 0.5, 0.25, structured=True)
 SUPPORTS = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}

@@ -47,7 +47,7 @@ from thinlayer import (
 from thinlayer.output.surface_mass import nodal_forces
 from thinlayer.running.cli import main
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 SIDES = (("LEFT", "RIGHT"), ("BOTTOM", "TOP"))
 ROCK = LinearElastic.young(10.0, 0.25)
@@ -369,6 +369,7 @@ def test_profiles_and_runs_of_periodic_cells(tmp_path):
     assert x[:, 0].max() < 2.0
 
 
+@pytest.mark.long
 def test_the_study_holds_and_can_fail(tmp_path, monkeypatch):
     assert main(["run", "homogenised_bond", "--quick", "--out", str(tmp_path / "right")]) == 0
     assert_drawn(tmp_path / "right" / "rigid_bricks.png")

@@ -30,7 +30,7 @@ from thinlayer import SolveError, Structure, Surface, ThinLayer, march, solve
 from thinlayer.output.probe import Probe
 from thinlayer.solving.solvers import Solver
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 CREEPS, YIELDS = Maxwell(3.0, 2.0, 0.8, 2.5), MohrCoulomb(3.0, 2.0, 0.005, 30.0, 0.05)
 

@@ -29,7 +29,7 @@ from thinlayer import (
 )
 from thinlayer.output.surface_mass import nodal_forces
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 ELEMENTS = {"tetrahedron": ("P1", "P2"), "hexahedron": ("Q1", "Q2", "S2")}
 

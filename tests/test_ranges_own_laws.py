@@ -29,7 +29,7 @@ from tests import ranges_told
 from tests.own_laws import Mises, StandardSolid, layer_of
 from thinlayer import Model, Structure, ThinLayer, march, solve
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 STIFF = LinearElastic.young(1e5, 0.3)
 

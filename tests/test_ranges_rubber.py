@@ -16,7 +16,7 @@ from thinlayer.ranges.checks import warn_of_model
 from thinlayer.ranges.pressure import pressure_length
 from thinlayer.ranges.sublayers import Sublayer
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 
 @pytest.mark.parametrize("nu", [0.45, 0.499, 0.4999])

@@ -264,6 +264,7 @@ def wrong_on_one_rank() -> list[list[str]]:
     return MPI.COMM_WORLD.allgather([*texts, str(found.value)])
 
 
+@pytest.mark.long
 @on_ranks(wrong_on_one_rank, 2)
 def test_all_ranks_refuse(there):
     one, two = there

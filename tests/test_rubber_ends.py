@@ -14,7 +14,7 @@ from tests.test_rubber import NUS, K, found, law_of, of, of_law
 from thinlayer import Structure, ThinLayer, compare, march, observed_orders, solve
 from thinlayer.parts import pressure
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 EPS = 1 / 8
 

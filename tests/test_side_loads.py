@@ -17,7 +17,7 @@ from thinlayer import ModelError, Pressure, Structure, ThinLayer, compare, obser
 from thinlayer.errors import RangeWarning
 from thinlayer.output.surface_mass import nodal_forces
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 HALVES = pytest.mark.filterwarnings("ignore:traction on:thinlayer.errors.RangeWarning")
 THICKNESSES = (1 / 16, 1 / 32)

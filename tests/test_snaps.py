@@ -16,7 +16,7 @@ from thinlayer import PhaseReport, SolveError, Structure, ThinLayer, march, piec
 from thinlayer.discretisation.places import quadratures
 from thinlayer.pointwise.columns import TIE
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 CHI = np.array([[-0.3, 0.5], [0.5, 0.9]])
 LAW = NonMonotoneUnrelaxed(60.0, 40.0, 1.2, 0.015, CHI)

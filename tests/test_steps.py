@@ -16,7 +16,7 @@ from thinlayer.errors import LimitLoad
 from thinlayer.solving.solvers import Solver
 from thinlayer.time.error import ErrorEstimate
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 # ---------------------------------------------------------------- where loads break
 PEAK = piecewise({0.0: 0.0, 1.5: 3.0, 3.0: 0.3})

@@ -13,7 +13,7 @@ from forms import Anisotropic, BulkLaw, HolonomicCoulomb, KelvinVoigt, LinearEla
 from geometry import block, sandwich
 from thinlayer import Structure, Surface, ThinLayer, compare, march, piecewise, solve
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 BODY = LinearElastic(30.0, 20.0)
 LAYER = ThinLayer(LinearElastic(3.0, 2.0), 0.05, at=1.0)

@@ -19,7 +19,7 @@ from tests.own_laws import Slipping, layer_of
 from tests.refused import refused
 from thinlayer import SolveError, Structure, ThinLayer, drive, march, solve
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 FACTOR, OF_NUMBA = 1.0, 1.0
 STEP = [{"w_T": 0.01, "w_N": 0.02}]

@@ -21,7 +21,7 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.output.grid import gather
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 BODY = LinearElastic.young(100.0, 0.3)
 

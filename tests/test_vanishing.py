@@ -24,7 +24,7 @@ from thinlayer.pointwise.material import Material
 from thinlayer.solving.equilibrium import Equilibrium
 from thinlayer.solving.solvers import Solver
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 ROUNDED = 1e-9
 CELLS = {

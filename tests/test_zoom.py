@@ -18,7 +18,7 @@ from tests.zoom_run import BODY, EPS, FREE, GLUE, HEIGHTS, PLACES, joint, state
 from thinlayer import ModelError, Probe, Structure, Surface, ThinLayer, Zoom, observed_orders, plotting, solve
 from thinlayer.output.meshed_places import meshed_places
 
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 STACK = Stack((0.3, LinearElastic(400.0, 20.0)), (0.3, LinearElastic(20.0, 60.0)), (0.4, LinearElastic(60.0, 5.0)))
 

@@ -68,6 +68,11 @@ class Addition:
         """Whether displacements follow motions of the part: it has a method `tied`."""
         return type(self).tied is not Addition.tied
 
+    @property
+    def works(self) -> bool:
+        """Whether `work` gives its forces at displacements, without the past and without the length of a step."""
+        return self.ties_nodes or type(self).work is not Addition.work
+
     def check(self, model: Host) -> None:
         """Raise ModelError unless the description fits the model; by default it does. Collective.
 
@@ -75,8 +80,8 @@ class Addition:
         """
 
     def is_linear(self, model: Host) -> bool:
-        """Whether the forces are linear in the displacements of a step; by default if `work` gives them."""
-        return self.ties_nodes or type(self).work is not Addition.work
+        """Whether the forces are linear in the unknowns."""
+        return True
 
     def is_symmetric(self, model: Host) -> bool:
         """Whether the tangent is symmetric."""
@@ -92,7 +97,7 @@ class Addition:
         Raises:
             ModelError: the part has neither of both, so that its forces would be missing in tractions.
         """
-        if type(self).work is Addition.work and not self.ties_nodes:
+        if not self.works:
             raise ModelError(
                 f"tractions on S contain the forces of the part {self.key!r}, which has neither work nor work_in; write "
                 "work_in(model, state, v), a UFL form (ufl.Form([]) if it has no forces)"
