@@ -98,6 +98,7 @@ def test_uniform_stress_without_any_support():
         assert set(report.status) == {"stick"}
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("method", SOLVERS)
 def test_more_shear_than_friction_carries_raises(method):
     law = HolonomicCoulomb(300.0, 80.0, 0.4, 0.2)

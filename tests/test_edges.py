@@ -274,6 +274,7 @@ def test_turned_structures_are_the_same(dim):
 
 
 # ---------------------------------------------------------------- what is refused
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("given", "message"), [({"edges": "open"}, "allowed: None, 'free', 'plain'"), ({"order": 0}, "use order=1")]
 )

@@ -168,6 +168,7 @@ def test_newton_begins_at_the_given_state():
 
 
 # ---------------------------------------------------------------- laws whose free ends are not known
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "law",
     [Stack((0.4, GLUE), (0.6, LinearElastic.shear(1.3, 0.4))), Anisotropic.springs(3.1, 1.2)],
@@ -257,6 +258,7 @@ def test_sentences():
     assert not any(math.isfinite(row["error"]) and math.isnan(row["noise"]) for row in estimated("between").table.rows)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("law", "words"),
     [
@@ -448,6 +450,7 @@ def test_thin_enough_passes_on_what_its_estimate_says(monkeypatch):
     assert "t = 0+" in str(found)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("tolerance", "goal", "message"),
     [(1.5, "traction", "tolerance is 1.5"), (0.1, "stress", "goal is 'stress'"), (0.001, "jump", "hardly falls")],
@@ -484,6 +487,7 @@ def test_what_has_no_estimate():
             given()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("law", "element", "message"),
     [

@@ -74,6 +74,7 @@ def test_steps_that_are_lost_in_rounding_are_refused(times, start):
         march(interface(), times, start=start)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("law", [SLOW, SUDDEN], ids=lambda law: type(law).__name__)
 def test_a_march_of_steps_that_get_lost_in_rounding_ends(law):
     """The error that is asked for needs steps that are shorter than the digits of their times allow."""

@@ -337,6 +337,7 @@ def test_inf_sup_constant(cell, bound, ends):
             assert bound < beta <= 1 + 1e-6, (model.name, h, eps)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("cell", CELLS)
 def test_s_with_too_few_cells(cell):
     """One cell between two ends where nothing jumps: a single normal jump for two pressures, refused, not wrong."""
@@ -346,6 +347,7 @@ def test_s_with_too_few_cells(cell):
 
 
 # ---------------------------------------------------------------- refused
+@pytest.mark.few(1)
 @pytest.mark.parametrize("build", BUILDS)
 def test_refused(build):
     joint = sandwich(1.0, 0.5, 0.5, 0.25)

@@ -76,6 +76,7 @@ def test_a_gap_that_does_not_close_carries_nothing():
             solve(column(law, load=0.1), method=method)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("method", ["condensed", "multigrid"])
 def test_a_ring_shrunk_on_a_hollow_shaft(method):
     """Lame's pressure for an interference, in plane stress, as K grows; S is a polygon, whose error falls with h."""

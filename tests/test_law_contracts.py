@@ -162,6 +162,7 @@ CURVED = {
 }
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", CURVED)
 def test_a_law_that_says_linear_is(name):
     """In a layer, in a body and at points."""

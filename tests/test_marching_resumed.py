@@ -200,7 +200,6 @@ def resumed_march(folder: Path) -> None:
     marching_run.run(folder, THREE, resume=True)
 
 
-@pytest.mark.long
 @on_ranks(resumed_march, 2)
 def test_killed_on_one_rank_and_resumed_on_two(undisturbed, there, their_folder):
     require_undisturbed(their_folder, undisturbed, THREE)

@@ -207,6 +207,7 @@ def test_a_march_that_yields_tells_the_error_of_its_steps_within_a_factor_two():
         assert told[n]["forces"] < 0.02  # forces hardly feel the steps
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("law", [LinearElastic(55.6, 83.3), HolonomicCoulomb(1e3, 1e3, friction=0.3)], ids=str)
 def test_laws_without_a_history_have_no_error_of_steps(law):
     contact = isinstance(law, HolonomicCoulomb)

@@ -178,6 +178,7 @@ def test_bodies_that_are_not_linear_are_refused():
         march(model(CREEP, body={"LOWER": BODY, "UPPER": Cubic(100.0, 50.0)}), [1.0], theta=0.5)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("law", [HolonomicCoulomb(100.0, 80.0, 0.3), IncrementalCoulomb(100.0, 80.0, 0.3)])
 def test_contact_is_refused(law):
     with pytest.raises(ModelError, match="Coulomb holds at the ends of steps: theta = 1"):

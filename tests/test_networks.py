@@ -281,6 +281,7 @@ def test_order_one_beside_a_seam_that_ends():
         bodies(apart).interface({"GLUE": layer, "CRACK": layer})
 
 
+@pytest.mark.few(1)
 @pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of the free ends
 @pytest.mark.parametrize("element", ["P2", "Q2"])
 def test_two_incompressible_seams(element):

@@ -330,6 +330,7 @@ def solid():
     return sandwich(1.0, 0.5, 0.5, 0.5, depth=0.5, structured=True)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", [NonMonotone, NonMonotoneUnrelaxed])
 def test_refused(kind):
     law, deep = kind(LMBDA, MU, ALPHA, 0.02, CHI), kind(LMBDA, MU, ALPHA, 0.02, CHI3)

@@ -118,6 +118,7 @@ def test_an_own_law_that_becomes_nearly_incompressible():
 
 
 # ---------------------------------------------------------------- thick, hard, nearly incompressible
+@pytest.mark.few(1)
 @pytest.mark.parametrize("law", [Own(60.0, 40.0), Compiled(60.0, 40.0), Mises(60.0, 40.0, 1e3), Incompressible(40.0)])
 def test_thicker_than_a_body(law):
     joint = sandwich(2.0, 0.4, 0.7, 0.2)
@@ -129,6 +130,7 @@ def test_thicker_than_a_body(law):
     assert "the layer is 0.41 thick, the thinner body 0.4 " in found[0]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", ["layer", "bodies", "incompressible"])
 def test_harder_than_a_body(kind):
     """E/(1 - nu^2) against E/(1 - nu^2); 4 mu of an incompressible layer. The sides are held: only this is told."""

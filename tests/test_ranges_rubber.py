@@ -189,6 +189,7 @@ def test_rubber_beside_a_soft_sublayer():
 BULK = 3 * 0.28 / 1.28  # t2/t1 of a Maxwell law with nu = 0.28 whose mean stress does not relax
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("law", "end", "lasting", "ratio"),
     [
@@ -216,6 +217,7 @@ def test_becomes_nearly_incompressible(law, end, lasting, ratio):
     assert times_too_stiff(found[1]) == pytest.approx(ratios[-1], rel=0.1)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "law",
     [

@@ -88,6 +88,7 @@ def test_elastic_laws_have_larger_errors(order):
     assert min(a / b for a, b in zip(found, RUBBER[0.45][1], strict=True)) > 1.3
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("width", "wrong"), [(5.7, 5e-3), (22.0, 3e-2)])
 def test_coarse_ends_are_left_alone(width, wrong, monkeypatch):
     """Cells longer than the fall of the pressure: with p = 0 there the layer is too soft, and softer for larger cells."""

@@ -386,6 +386,7 @@ class Rooted(TractionLaw):
         return self.k * ufl.sqrt(self.shift - w) * step.n + self.k * step.mid
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("shift", "what"), [(0.0, r"tangent \(the slope of the stress\)"), (-1.0, "stress")])
 def test_a_failing_law_says_what_and_where(shift, what):
     message = rf"failed at \d+ points: the {what} of Rooted is not finite at x = \(0\.\d+, 0"
