@@ -32,8 +32,8 @@ from ufl.algorithms.signature import compute_expression_signature
 from ufl.domain import extract_domains
 
 from forms.base import PACKAGES
-from thinlayer.compiling.sources import content
 from thinlayer.errors import ModelError
+from thinlayer.files.sources import content
 
 Resume = bool | Literal["anyway"]
 CODE, FILE, CLASS, SAME = "(code)", "(file)", "(class)", "(same as)"
