@@ -1,1 +1,1 @@
-"""Files that runs write: tables, folders, progress."""
+"""Files that runs write: tables, folders, progress; C sources with what they include."""
