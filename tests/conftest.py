@@ -35,16 +35,20 @@ def pytest_xdist_auto_num_workers(config):
 GOLDEN = (5**0.5 - 1) / 2  # its multiples fall into no step with the lists of a product of them
 
 
+LONG_LIST = 4  # cases; of shorter ones, which are often of different kinds, a part is run only where the test says so
+
+
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
 def pytest_collection_modifyitems(items):
     """Of a list that is marked so, the first case and a few others are in each run."""
-    seen = Counter()
+    test = lambda item: item.nodeid.partition("[")[0]
+    seen, cases = Counter(), Counter(map(test, items))
     for item in items:
-        if mark := item.get_closest_marker("few"):
-            test = item.nodeid.partition("[")[0]
-            if seen[test] * GOLDEN % 1 >= 1 / mark.args[0]:
+        mark, name = item.get_closest_marker("few"), test(item)
+        if mark and (cases[name] >= LONG_LIST or mark in item.own_markers):
+            if seen[name] * GOLDEN % 1 >= 1 / mark.args[0]:
                 item.add_marker("long")
-            seen[test] += 1
+            seen[name] += 1
 
 
 @pytest.fixture(autouse=True, scope="module" if MPI.COMM_WORLD.size == 1 else "function")

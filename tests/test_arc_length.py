@@ -68,6 +68,7 @@ def test_a_march_in_time_ends_where_a_path_turns():
         assert w[inside] == pytest.approx(in_time, abs=1e-10)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("change", [lambda t: t, lambda t: t + 0.3 * t**2])
 def test_a_load_that_has_a_limit(change):
     """The bar under a traction: it rises to the peak of the law, falls, and rises again; t as a load need not be linear."""
@@ -197,6 +198,7 @@ def distance(p, line) -> float:
     return float(np.linalg.norm(a + share[:, None] * v - p, axis=1).min())
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(("k", "w_0", "first"), [(5.4, 0.17, 0.22), (0.9, 0.07, 0.05), (31.0, 0.017, 0.1)])
 def test_a_path_goes_on_without_force(k, w_0, first):
     """Forces vanish, on one side first: a path that turned round there would go back along itself."""

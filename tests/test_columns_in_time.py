@@ -97,6 +97,7 @@ def held_traction(law: BulkLaw, t: np.ndarray, n: np.ndarray, times: list[float]
     return (jumps, stresses) if law.traits.rate else (jumps[1:], stresses[1:])
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("name", ["Kelvin-Voigt", "Maxwell t1 != t2", "Norton 1.5"])
 def test_any_direction(name):
     """A column at an angle, pulled and sheared at once; the tractions on its sides follow the stresses of the layer."""
@@ -126,6 +127,7 @@ def test_any_direction(name):
         assert surface.norm(difference) < EXACT * np.linalg.norm(jumps[-1])
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(("cell", "mode"), [("hexahedron", "normal"), ("tetrahedron", "shear")])
 def test_three_dimensions(cell, mode):
     """A law with memory of the whole stress, rate and layers in series; as in two dimensions."""

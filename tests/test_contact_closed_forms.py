@@ -149,6 +149,7 @@ def test_a_solver_that_fails_is_no_limit():
     assert not isinstance(error.value, LimitLoad)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("method", SOLVERS)
 def test_a_body_pulled_off(method):
     joint, setup = sliding_bar(12)

@@ -158,6 +158,7 @@ def wedge(x):
     return 0.5 + x[0]
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
 def test_wedge(cell):
     joint, setup = fourier(1 / 16, cell=cell)
@@ -233,6 +234,7 @@ def test_what_curved_and_varying_layers_cannot_do():
         Structure(round_joint, **twisted(round_joint)).full(ThinLayer(GLUE, 1.5, at=1.0), bodies="extended")
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
 def test_wavy_s_in_three_dimensions(cell):
     """S with both curvatures, on straight cells: first order in traction and jump."""

@@ -260,6 +260,7 @@ def test_held_sides_are_no_free_ends():
     assert works[0] == pytest.approx(works[1], rel=1e-12)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_turned_structures_are_the_same(dim):
     turned, straight = (

@@ -82,6 +82,7 @@ def test_a_straight_edge_along_which_loads_vary():
     assert found["free"].max() < 6e-4
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("shape", ["L", "hole"])
 def test_angular_plates(shape):
     """Weaker than an infinite layer by about its deficit along all ends; the same where the whole is turned in space."""

@@ -112,6 +112,7 @@ def test_a_hollow_cylinder_expands_freely():
     assert solve(Structure(tube, eigenstrain=hoops, **data).bonded()).energies()["bodies"] > 1e-5
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("plane", ["strain", "stress", "axisymmetric"])
 def test_bodies_that_yield_know_the_strain_less_the_eigenstrain(plane):
     """As a linear one below their strength, also what is across the plane; beyond it they carry no more."""

@@ -75,6 +75,7 @@ def test_uniform_shrinkage_on_s_is_resisted_along_s(plane):
 
 
 # ---------------------------------------------------------------- held, in time
+@pytest.mark.few(5)
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_stress_of_a_held_layer_follows_the_history_of_its_shrinkage(kind):
     """C e of an elastic one, the relaxing integral of a Maxwell one step by step; plates and layer in series."""
@@ -203,6 +204,7 @@ def varying(size):
     return strain
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(
     ("law", "scaled"),
     [(FOURIER_LAYER, False), (FOURIER_LAYER, True), (Rubber(600.0, 40.0), True)],

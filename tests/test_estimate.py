@@ -53,6 +53,7 @@ def test_the_densities_of_goals_add_up_to_their_changes(kind):
         assert integral == pytest.approx(goal.change, abs=1e-11 * size), name
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("dim", [2, 3], ids=["revolution", "tetrahedra"])
 def test_in_three_dimensions_too(dim):
     if dim == 3:
@@ -194,6 +195,7 @@ def test_equal_sublayers_are_one_law():
     assert two.goals["compliance"].change == pytest.approx(one.goals["compliance"].change, rel=1e-12)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("law", [LinearElastic.shear(50.0, 0.4), Norton(lmbda=20.0, mu=50.0, eta=9.0, p=1.5)])
 def test_between_soft_bodies_half_the_true_error_is_found_without_edge_terms(law):
     layer = ThinLayer(law, EPS, at=1.0)

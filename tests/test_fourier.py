@@ -50,6 +50,7 @@ def interface_errors(h: float, element: str) -> list[float]:
     return [surface.norm(found - wanted) / surface.norm(wanted) for found, wanted in pairs]
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(("element", "h"), [("P2", 1 / 96), ("Q2", 1 / 64)])
 def test_interface_model(element, h):
     fine = np.array(interface_errors(h, element))
@@ -90,6 +91,7 @@ def test_bodies_of_the_interface_model():
 EPS = (1 / 8, 1 / 16, 1 / 32, 1 / 64)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("bodies", ["kept", "extended"])
 def test_sweep(bodies):
     """P2 at h = 1/16: errors as the transfer matrices have them, to 1 % (h-errors are a hundredth of that)."""

@@ -252,6 +252,7 @@ class Dashpot(TractionLaw):
         return (K_N * normal + viscosity * v_N) * step.n + K_T * tangential + self.half * viscosity * v_T
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(
     ("law", "limit", "dt"),
     [

@@ -174,6 +174,7 @@ def test_columns(law, eps):
         assert history.table["dissipated"].max() > 0.1 * largest
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("eps", [0.3, 1e-2, 1e-4])
 def test_the_band_is_contact_on_columns(eps):
     check_column(BAND, eps, on_s=CONTACT)
@@ -243,6 +244,7 @@ def test_order_1(name):
     assert order == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(
     ("wrong", "floor"),
     [

@@ -266,6 +266,7 @@ def test_pressure_at_the_end_of_a_step(theta):
 
 
 # ---------------------------------------------------------------- no locking
+@pytest.mark.few(5)
 @pytest.mark.parametrize("cell", CELLS)
 def test_no_locking(cell):
     """The solution on coarse meshes, one cell through the thickness, is that on fine ones, however thin the layer is."""

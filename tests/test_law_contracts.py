@@ -74,6 +74,7 @@ def energy(law, step):
     return isotropic_energy(law.l, law.m, step.e)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("theta", [0.5, 0.7])
 def test_a_sublayer_without_memory_answers_where_forces_balance(theta):
     """Written with step.e or step.mid, on S and in the meshed layer, the same law."""

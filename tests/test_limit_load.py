@@ -175,6 +175,7 @@ def test_a_study_ends_with_status_3(tmp_path, monkeypatch, capsys):
 
 
 # ---------------------------------------------------------------- its sign
+@pytest.mark.few(5)
 @pytest.mark.parametrize(("kind", "law"), [("S", SLIDING), ("S", FULL), ("band", SLIDING)])
 def test_newton_cut_short_is_no_limit(kind, law):
     """With two steps of Newton's method: what they miss is found by other means, up to the limit itself."""

@@ -53,6 +53,7 @@ def test_shear_strength(law, kind):
 
 
 # ---------------------------------------------------------------- panels, meshed and not
+@pytest.mark.few(5)
 @pytest.mark.parametrize(("element", "bodies"), [("P2", "kept"), ("Q2", "kept"), ("P2", "extended")])
 def test_tractions_of_a_panel(element, bodies):
     """Away from junctions they differ by O(eps), as the numbers of an independent program for nodal reactions do."""
@@ -132,6 +133,7 @@ def test_limit_of_a_sheared_panel():
     assert limit.shares == pytest.approx({"BED": 1.0, "HEAD": 0.0}, abs=1e-3)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("cohesion", [None, 0.002])
 def test_limit_of_a_pulled_panel(cohesion):
     """A head of each course opens, and the bed between slides along half a brick; open heads take no part in it."""

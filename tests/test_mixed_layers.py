@@ -101,6 +101,7 @@ def test_eigenstrains_of_layers_act_on_cells_and_by_the_law():
         assert abs(mixed.audit.imbalance) < 1e-12
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("bodies", ["kept", "extended"])
 def test_a_layer_on_a_rigid_base_whose_law_and_cells_hold_the_body_together(bodies):
     structure, layer = on_base(), ThinLayer(LAYER, EPS, order=1, edges="plain", at=1.0)

@@ -108,6 +108,7 @@ def test_both_models_follow_the_law_at_a_point(name, eps):
     assert (point.energies[:, 1] > 0).sum() >= 3
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("name", ["psi = 0", "psi = 10", "monodirectional"])
 def test_turned_and_mirrored(name):
     """The same energies for a column at an angle, and for one whose shear is reversed."""

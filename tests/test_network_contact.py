@@ -239,6 +239,7 @@ def test_a_brick_that_is_lifted_is_named(method):
     assert imbalance(lifted(method, -0.3, HEAD)) < 1e-12
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("method", ["condensed", "newton"])
 def test_a_course_that_slides_away_is_named(method):
     """More shear than friction carries: 0.5 of the pressure."""

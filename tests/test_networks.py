@@ -121,6 +121,7 @@ def test_a_law_for_each_seam(element):
         assert traction == pytest.approx(0.01999684277, rel=2e-5)  # of the law at the jump; reactions are projections
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("element", YIELDED)
 def test_elastic_beds_and_heads_that_yield(element):
     stored, dissipated, imbalance = yielded(element)

@@ -118,6 +118,7 @@ def least_of_laminates(e, chi, pair, random, starts=4):
     return min(min(found) / 1e2, *(density(e, z, chi) for z in pair))
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("name", ["2D", "3D", "n (x) n"])
 def test_energy_is_the_least_of_all_laminates(name):
     """Of phases 0 and 1, 0 and -1; those of -1 and 1 have none that is lower. Another gain is not the least."""

@@ -44,6 +44,7 @@ def quads():
 
 
 # ---------------------------------------------------------------- columns
+@pytest.mark.few(5)
 @pytest.mark.parametrize(("eps", "angle"), [(0.3, 0.0), (1e-2, 0.7), (1e-4, 2.5)])
 def test_relaxed_law_in_columns(eps, angle):
     """Mixed and pure phases of both signs, sheared, opened and closed, at several angles; the closed formula on S."""
@@ -64,6 +65,7 @@ def test_relaxed_law_in_columns(eps, angle):
     assert np.abs(wrong - t).max() > 0.2 * np.abs(t).max()  # the tangent is (n_2, -n_1), not its opposite
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("eps", [0.3, 1e-4])
 def test_pure_phases_in_columns(eps):
     """The same phases and displacements at the ends of steps, in which facets may switch one after the other."""
@@ -86,6 +88,7 @@ def test_pure_phases_in_columns(eps):
         assert min(snap.lost for snap in history.snaps) > 0
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("kind", [NonMonotone, NonMonotoneUnrelaxed])
 def test_three_dimensions(kind):
     """Shear whose direction turns in S."""
@@ -103,6 +106,7 @@ def test_three_dimensions(kind):
         assert np.abs(difference).max() < 1e-9 * np.abs(point.jumps).max()
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(
     ("mode", "element", "eps"), [("normal", "Q1", 0.3), ("normal", "P2", 1e-4), ("shear", "Q2", 1e-2)]
 )

@@ -32,6 +32,7 @@ def rows(law_at, eps, cell, order=1, h=1 / 32):
     return found
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
 def test_soft_layer(cell):
     eps = [*TRACTION_ERRORS, 1 / 128]
@@ -79,6 +80,7 @@ def test_fourier_states_of_the_next_order():
     assert max(abs(a / b - 1) for a, b in zip(sizes, wrong, strict=True)) > 0.2
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("law", HARD.values(), ids=HARD)
 def test_layer_with_moduli_held(law):
     eps = (1 / 32, 1 / 128, 1 / 256, 1 / 512)

@@ -92,6 +92,7 @@ def test_hard_sublayers_in_the_reference():
 
 
 # ---------------------------------------------------------------- models
+@pytest.mark.few(5)
 @pytest.mark.parametrize("sublayers", [TWO, THREE], ids=["two", "three"])
 def test_sublayers(sublayers):
     """Order 2 with the errors of the transfer matrices; of the mirrored stack order 1."""
@@ -174,6 +175,7 @@ def test_a_graded_layer():
             Stack.graded(graded, n)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(("plane", "sublayers"), [("stress", UNEQUAL), ("axisymmetric", THREE)])
 def test_planes(plane, sublayers):
     """Order 2 against the meshed layer, on sides that slide."""

@@ -179,6 +179,7 @@ def test_there_must_be_something_to_draw_and_to_write(states, tmp_path):
     assert len(repr(states[0])) < 120
 
 
+@pytest.mark.few(5)
 def test_pictures(states, tmp_path):
     full, limit = states
     plotting.deformed({"meshed": full, "law": limit}, save=tmp_path / "d.png", component="y", title="t")

@@ -448,6 +448,7 @@ def test_refused_structures():
         homogenised_stiffness(curved.interface(layer))
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("kind", ["bonded", "interface"])
 def test_a_cell_of_bodies_that_yield_under_a_mean_strain(kind):
     """A uniform cell has the stress of one whose boundary is moved as the mean strain says, with the same dissipation."""

@@ -176,6 +176,7 @@ def test_meshed_rubber(bearing, nu):
     assert found == pytest.approx(closed_form(bearing, modulus(nu)), rel=0.016 if bearing == "annulus" else 0.012)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("bearing", SPANS)
 def test_meshed_incompressible_layers(bearing):
     """MUMPS puts off so many pivots here that it needs more memory than it foresees."""
@@ -183,6 +184,7 @@ def test_meshed_incompressible_layers(bearing):
     assert stiffness(bearing, state) == pytest.approx(closed_form(bearing, math.inf), rel=0.012)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(("slenderness", "exact"), [(5, 82.427496), (20, 339.973969)])
 def test_meshed_strips_of_other_widths(slenderness, exact):
     """Of nu = 0.499; half-widths are counted in thicknesses."""

@@ -114,6 +114,7 @@ def test_coarse_ends_are_left_alone(width, wrong, monkeypatch):
     assert error() > wrong
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("nu", WITH_ENDS)
 def test_errors_of_the_law_that_knows_its_ends(nu, monkeypatch):
     """To 15 %, jumps to 1.6e-5, which is their mesh's error; of order 2, unlike above. That program takes every kappa."""

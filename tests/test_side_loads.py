@@ -147,6 +147,7 @@ def test_bodies_of_revolution_and_bases():
         assert state.reaction("S").force == pytest.approx(-state.applied().force, rel=1e-8, abs=1e-10)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("edges", ["free", "plain"])
 @HALVES
 def test_three_sides_of_a_box(edges):

@@ -22,6 +22,7 @@ pytestmark = pytest.mark.few(5)
 PEAK = piecewise({0.0: 0.0, 1.5: 3.0, 3.0: 0.3})
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("law", [SLIDING, FULL], ids=lambda law: type(law).__name__)
 def test_a_peak_between_two_times_is_met(law):
     """Loads pass their limit on the way to a peak, and are below it at the times that were given."""

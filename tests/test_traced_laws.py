@@ -68,6 +68,7 @@ def shear(law: BulkLaw) -> float:
     return float(drive(law, STEP).tractions[0, 0])
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(
     ("law", "name"),
     [(ReadsGlobals(5.0), "FACTOR"), (JumpsReadGlobals(5.0), "FACTOR"), (KernelReadsGlobals(5.0), "OF_NUMBA")],
@@ -415,6 +416,7 @@ class AtRest(BulkLaw):
         return self.k * step.e * ways[self.way]()
 
 
+@pytest.mark.few(5)
 @pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of soft bodies
 @pytest.mark.parametrize(
     ("way", "message"),

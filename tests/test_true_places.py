@@ -184,6 +184,7 @@ def flat(name: str, **more) -> Structure:
     return Structure(joint, body=BODY, supports=supports, tractions=load, **more)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("name", ["both", "one"])
 def test_taper(name, monkeypatch):
     """Bodies that give up half of a thickness that varies, and one that gives up all of it above a flat rigid base.

@@ -37,6 +37,7 @@ TURN = STEEP.w_1 + C * sigma(STEEP, STEEP.w_1)
 GENTLE = replace(STEEP, fall=0.5 / C)  # displacements of the bar's end grow all along its path
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("n", [2, 3, 12])
 def test_displacement_control_ends_where_the_path_turns_back(n):
     """However long the steps: none leads beyond the loop. Then the path leads back, and on to the end."""

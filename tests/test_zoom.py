@@ -81,6 +81,7 @@ def test_stresses_through_the_thickness_have_the_order_of_the_law(law, order):
     assert found[-1] < (0.08 if order == 0 else 0.008)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("law", [Rubber.shear(40.0, 0.499), Incompressible(40.0), Rubber.shear(40.0, 0.4)])
 def test_stresses_in_rubber_have_order_two(law):
     """The slope of a pressure of degree 1, in the shear stress, has an error of the mesh."""
