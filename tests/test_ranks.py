@@ -35,7 +35,9 @@ def assert_same(found: Any, expected: Any, tolerance: float, name: str) -> None:
             assert_same(one, other, tolerance, f"{name}, {k}")
     else:
         size = np.abs(expected).max(initial=0.0)
-        assert found == pytest.approx(expected, rel=tolerance, abs=max(0.01 * tolerance * size, 1e-12)), name
+        assert found == pytest.approx(
+            expected, rel=tolerance, abs=max(0.01 * tolerance * size, 1e-3 * tolerance, 1e-12)
+        ), name
 
 
 @pytest.mark.long
