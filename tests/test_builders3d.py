@@ -72,6 +72,7 @@ def test_default_cells():
     assert len(block(1.0, 2.0, depth=3.0, cell="hexahedron").cells) == 5 * 10 * 15
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("arrangement", ["Left", "Right", "AlternateLeft", "AlternateRight"])
 def test_structured_tetrahedra_split_a_grid(arrangement):
     joint = sandwich(1.0, 0.6, 1.0, 0.2, depth=0.6, structured=True, arrangement=arrangement)
@@ -127,6 +128,7 @@ def test_grading_of_discs(cell):
     assert 0.025 < gap < 0.1
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("angle", SECTORS)
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral", *SOLIDS])
@@ -196,6 +198,7 @@ def test_small_holes_stay_round(cell):
     assert len(joint.cells) < 2000
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("symmetric", [False, True])
 @pytest.mark.parametrize(("first", "last"), [(0.1, 0.1), (0.01, 0.2), (0.2, 0.01), (0.05, 3.0), (3.0, 3.0)])
 def test_layers(first, last, symmetric):

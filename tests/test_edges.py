@@ -93,6 +93,7 @@ def test_the_stations_have_the_energy_of_an_end(dim, nu):
     assert not any(s.law.traits.constrained or s.flow(s.law) for s in others)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("nu", np.linspace(0, 0.45, 10))
 def test_the_energy_is_convex_at_free_ends(nu):
     """Smallest eigenvalue over mu, where all of an end's strips lie in one facet, and stresses along S fade."""
@@ -293,6 +294,7 @@ def require_plain(structure, layer, message, **options):
     assert model.identity() == structure.interface(replace(layer, edges="plain"), **options).identity()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("law", "given", "message"),
     [
@@ -369,6 +371,7 @@ def kinds(joint, supports, parts=(), **data):
     return side_kinds(model, sheet)[order].tolist()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("tilt", "supports", "expected"),
     [

@@ -51,6 +51,7 @@ def weights(joint, eps):
     return ends, FacetWeights.of(ends, sheet, eps, strips), area, strips, sheet
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron"])
 @pytest.mark.parametrize(("shape", "count", "length"), [("L", 6, 4.0), ("hole", 8, 5.2), ("notch", 8, 4.7)])
 def test_ends_of_an_angular_plate(shape, count, length, cell):

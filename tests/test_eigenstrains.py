@@ -287,6 +287,7 @@ def test_bodies_that_are_not_linear_balance_their_energy():
 
 
 # ---------------------------------------------------------------- contact
+@pytest.mark.few(1)
 @pytest.mark.parametrize("method", ["condensed", "multigrid", "newton", "relaxation"])
 def test_a_block_that_expands_against_its_base(method):
     """Springs of S and the block in series: w (K + M/H) = -(3 lmbda + 2 mu) e."""

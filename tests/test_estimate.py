@@ -53,7 +53,6 @@ def test_the_densities_of_goals_add_up_to_their_changes(kind):
         assert integral == pytest.approx(goal.change, abs=1e-11 * size), name
 
 
-@pytest.mark.few(5)
 @pytest.mark.parametrize("dim", [2, 3], ids=["revolution", "tetrahedra"])
 def test_in_three_dimensions_too(dim):
     if dim == 3:

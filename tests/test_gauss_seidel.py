@@ -120,6 +120,7 @@ def test_what_is_not_the_solution(d):
     assert min(worst.values()) > 1e-3, worst
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("name", LAWS)
 def test_many_nodes(name, d):

@@ -180,6 +180,7 @@ def test_no_room_at_a_face_in_the_plane_of_s():
         inflate(lap, 0.1, bodies="extended")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron", "quadrilateral", "triangle"])
 def test_edges_and_corners_of_s(cell):
     """A cube in a block: every facet of S gets its thickness, however many facets meet at a corner."""

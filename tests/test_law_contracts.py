@@ -235,6 +235,7 @@ OURS = [
 ]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("law", OURS, ids=lambda law: type(law).__name__)
 def test_laws_of_this_package_are_what_they_say(law):
     """They are not asked where they are solved."""

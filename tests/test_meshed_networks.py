@@ -104,6 +104,7 @@ def test_bricks_lean_where_they_are_kept(cell):
     assert by_brick[up, 0].mean() == pytest.approx(by_brick[low, 0].mean())
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("bodies", WAYS)
 @pytest.mark.parametrize("cell", CELLS)
 def test_a_crossing_is_a_quadrilateral(cell, bodies):
@@ -217,6 +218,7 @@ def test_cells_of_junctions_go_to_the_first_seam():
     assert areas(named)["LAYER/JUNCTIONS/WEST"] == pytest.approx(1e-4)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("bodies", WAYS)
 @pytest.mark.parametrize("cell", CELLS)
 def test_open_joints_are_gaps(cell, bodies):

@@ -167,6 +167,7 @@ def volumes_of_junctions(kind, a, b, c):
     }[kind]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("kind", "cell"), CASES)
 def test_volumes_of_junctions(kind, cell):
     """Triangles and quadrilaterals along lines, and polyhedra between them, however many cells fill them."""
@@ -183,6 +184,7 @@ def test_volumes_of_junctions(kind, cell):
         assert volumes(opened)[at_vertex].sum() == pytest.approx(0.014 * 0.02 * 0.026, rel=1e-10)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("bodies", WAYS)
 @pytest.mark.parametrize(("cell", "depth"), [("triangle", None), ("quadrilateral", None), *((c, 0.75) for c in CELLS)])
 def test_a_wall_on_a_rigid_base(cell, depth, bodies):

@@ -80,6 +80,7 @@ def pressed_and_sheared(law, w_N, w_T):
     return respond(law, jump_strain(w, E2[None]), np.zeros((1, 6)), at_rest(law, 1), E2[None])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("w_N", [-0.01, -1.0])
 @pytest.mark.parametrize(("nu", "holds"), [(0.2, False), (0.249, False), (0.251, True), (0.3, True)])
 def test_the_limit_in_compression(nu, holds, w_N):
@@ -100,6 +101,7 @@ def test_the_limit_in_compression(nu, holds, w_N):
     assert np.abs(found - t).max() < 1e-12 * abs(t[1]) if holds else np.abs(found - t).max() > 1e-4 * abs(t[1])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("ratio", "holds"), [(0.5, True), (0.999, True), (1.001, False), (1.5, False), (3.0, False)])
 def test_the_limit_in_tension(ratio, holds):
     """p up to C cos(Omega)/(1 - 2 nu + sin(Omega)); from 1.8 times that on, C cot(Omega), there is only the cut-off."""

@@ -137,6 +137,7 @@ def test_energy_is_the_least_of_all_laminates(name):
     assert (smaller[:3] > found.stored[:3] * (1 + 1e-4)).all()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", CHIS)
 def test_energy_is_below_those_of_phases_and_of_mixtures_of_one_strain(name):
     law = RELAXED[name]
@@ -154,6 +155,7 @@ def test_energy_is_below_those_of_phases_and_of_mixtures_of_one_strain(name):
     assert answer.stored[share == 1] == pytest.approx(transformed[share == 1], rel=1e-12)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("least", [False, True], ids=["C", "C = g/2"])
 @pytest.mark.parametrize("name", CHIS)
 def test_energy_is_convex_along_every_jump(name, least):
@@ -182,6 +184,7 @@ def test_what_is_not_convex():
     assert np.diff(at(swelling, e).stored, 2).min() < -1e-6
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("name", ["2D", "3D", "n (x) n", "sym(tangent (x) n)"])
 def test_stress_is_continuous(name, sign):
@@ -197,6 +200,7 @@ def test_stress_is_continuous(name, sign):
         assert above.stress == pytest.approx(below.stress, abs=1e-7 * ALPHA)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("phase", [0, 1, -1])
 @pytest.mark.parametrize("name", LAWS)
 def test_stress_is_the_derivative_of_the_energy(name, phase):

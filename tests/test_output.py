@@ -80,6 +80,7 @@ def test_tables_are_printed_as_they_are():
     refused(ModelError, "have texts for names, not 1", lambda: Table([{1: 2.0}]))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("text", ["x,y", "x\ny", "x\ry", "x\r\ny", "x\u2028y", "x\x0cy", "x\x85y", '"', " x "])
 def test_texts_are_read_as_they_were_written(tmp_path, text):
     table = Table([{"a": text, "b": 1.5}, {"a": None, "b": 2.0}])

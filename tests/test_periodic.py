@@ -64,6 +64,7 @@ def test_components_on_the_torus(cell):
     assert joint.splitting.pieces.max() + 1 == 2  # bricks
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("element", "nodes"), [("Q1", 64), ("Q2", 256), ("P1", 64), ("P2", 256)])
 def test_unknowns_of_a_bonded_cell_are_those_of_a_torus(element, nodes):
     cell = "triangle" if element[0] == "P" else "quadrilateral"

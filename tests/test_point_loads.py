@@ -41,6 +41,7 @@ def nodal(made, t=0.0):
 
 
 # ---------------------------------------------------------------- points
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("element", ["P1", "P2"])
 def test_a_force_at_one_node(kind, element):
@@ -151,6 +152,7 @@ def test_lines_that_are_none():
 
 
 # ---------------------------------------------------------------- pressures
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("kind", "bodies"), [("full", "kept"), ("full", "extended"), ("interface", ""), ("bonded", "")]
 )

@@ -91,6 +91,7 @@ def test_moment_of_a_tilted_strip(nu):
     assert moment / rotation == pytest.approx(wanted, rel=2e-3)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("order", [0, 1])
 @pytest.mark.parametrize(("nu", "factor"), [(0.3, 1.01), (0.45, 1.07), (0.49, 1.2)])
 @pytest.mark.parametrize("bearing", SPANS)

@@ -342,6 +342,7 @@ def test_a_traction_law_that_does_not_evolve():
         drive(Forgetful(1.0), STEP)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("eps", [np.int64(10), np.int32(10), 10, np.float32(10)])
 def test_whole_thicknesses(eps):
     assert ThinLayer(LinearElastic(60.0, 40.0), 1, at=eps).material == LinearElastic(6.0, 4.0)

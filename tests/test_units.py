@@ -155,6 +155,7 @@ def test_units_and_loads(name, kind, depth, system):
     same(run(name, CHANGED[system], kind, depth), run(name, Units(), kind, depth))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("system", CHANGED)
 @pytest.mark.parametrize("method", ["condensed", "multigrid", "newton", "relaxation"])
 def test_solvers_of_contact(method, system):

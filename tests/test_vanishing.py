@@ -82,6 +82,7 @@ SHRUNK = {"BOTTOM": {"y": 0.0}, "TOP": {"y": 0.0}, "LEFT": {"x": 0.0}}
 NU = 0.25
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", [HolonomicCoulomb, IncrementalCoulomb])
 @pytest.mark.parametrize("method", ["condensed", "multigrid", "newton"])
 @pytest.mark.parametrize("unit", [1.0, 1e9])
