@@ -24,7 +24,7 @@ import ufl
 from forms.laws import LinearElastic
 from tests.viscous_joints import JOINT, SETUP, SLOW
 from thinlayer import ModelError, Structure, ThinLayer, compare, identity, march, piecewise, solve, sweep
-from thinlayer.identity import code_of, described, differences, random_states, told
+from thinlayer.identity import code_of, described, differences, in_words, random_states
 
 LAYER = ThinLayer(SLOW, 0.1, at=1.0)
 FACTOR = 2.0
@@ -52,7 +52,7 @@ def test_functions_are_the_numbers_they_refer_to(monkeypatch):
     assert described(load(np.float64(-60))) == described(load(-60)) == first
     assert described([Spring(60, np.int64(40)), Spring(60.0, 40.0)]) == described([Spring(60.0, 40.0)] * 2)
     monkeypatch.setitem(globals(), "FACTOR", 2.5)  # of a function that the function calls
-    assert told([*differences(first, described(load(-60.0)))]) == "scaled.FACTOR: 2.0 there, 2.5 here"
+    assert in_words([*differences(first, described(load(-60.0)))]) == "scaled.FACTOR: 2.0 there, 2.5 here"
     assert described(Spring(60.0, 40.0)) != law
 
 
@@ -98,7 +98,7 @@ def test_functions_are_the_files_of_ones_own_that_they_stand_in(own, changed, ot
         {name: described(vars(own(**files))[name]) for name in ("load", "late")} for files in ({}, changed)
     )
     assert [name for name in before if before[name] != after[name]] == others
-    assert told([*differences(before, after)]).count("(file): ") in (0, 1)  # it is named once
+    assert in_words([*differences(before, after)]).count("(file): ") in (0, 1)  # it is named once
 
 
 def test_a_march_of_another_file_is_resumed_by_who_knows_better(own, tmp_path):

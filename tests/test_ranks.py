@@ -11,7 +11,7 @@ import pytest
 
 from tests.on_ranks import Asked
 
-CASES = {  # in a module of the tests: the largest difference, relative to the largest number of an entry
+CASES = {  # a function in a module of the tests: the largest relative difference of its numbers
     "test_junction_tractions:numbers": 1e-10,
     "test_lines:numbers": 1e-9,
     "test_probe:numbers": 1e-8,

@@ -98,7 +98,7 @@ def differences(one: Any, other: Any, path: tuple[str, ...] = ()) -> Iterator[tu
         yield path, one, other
 
 
-def told(found: list[tuple[tuple[str, ...], Any, Any]]) -> str:
+def in_words(found: list[tuple[tuple[str, ...], Any, Any]]) -> str:
     """The first of these differences in words, each pair of values once."""
     pairs = {(_short(one), _short(other)): ".".join(path) for path, one, other in reversed(found)}
     words = [f"{path}: {one} there, {other} here" for (one, other), path in reversed(pairs.items())]

@@ -69,8 +69,8 @@ class Addition:
         return type(self).tied is not Addition.tied
 
     @property
-    def works(self) -> bool:
-        """Whether `work` gives its forces at displacements, without the past and without the length of a step."""
+    def has_work(self) -> bool:
+        """Whether `work` gives its forces, at displacements alone, or it has none and ties nodes."""
         return self.ties_nodes or type(self).work is not Addition.work
 
     def check(self, model: Host) -> None:
@@ -95,9 +95,9 @@ class Addition:
         """Virtual work of the part's forces in a state, with which tractions on S are found; by default that of `work`.
 
         Raises:
-            ModelError: the part has neither of both, so that its forces would be missing in tractions.
+            ModelError: the part has neither method, so that its forces would be missing in tractions.
         """
-        if not self.works:
+        if not self.has_work:
             raise ModelError(
                 f"tractions on S contain the forces of the part {self.key!r}, which has neither work nor work_in; write "
                 "work_in(model, state, v), a UFL form (ufl.Form([]) if it has no forces)"

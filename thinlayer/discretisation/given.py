@@ -54,7 +54,7 @@ class Coordinates:
         clock: the model's.
         places: (n, d) some vertices of the joint, extreme ones among them.
         known: what was given for these coordinates.
-        told: the break times that marches have been told; empty: none was told yet.
+        planned: the break times that the last march has asked for; empty: none has yet.
     """
 
     mesh: Mesh
@@ -62,7 +62,7 @@ class Coordinates:
     clock: Clock
     places: Array
     known: dict[tuple[object, ...], Given] = field(default_factory=dict, repr=False, compare=False)
-    told: list[set[float]] = field(default_factory=list, repr=False, compare=False)
+    planned: list[set[float]] = field(default_factory=list, repr=False, compare=False)
 
     @classmethod
     def of(cls, domain: Domain) -> Self:
@@ -82,7 +82,7 @@ class Coordinates:
     @property
     def apart(self) -> Self:
         """The same with the same clock, for what may be replaced: its break times are not those of others."""
-        return changed(self, known={}, told=[])
+        return changed(self, known={}, planned=[])
 
     def moved(self, x: Expr) -> Self:
         """The same at other places."""
@@ -93,7 +93,7 @@ class Coordinates:
         key = (id(value), what, shapes, id(self.x))
         if key not in self.known:
             self.known[key] = given = Given(value, what, shapes, self, of_place=of_place)
-            if self.told and (late := sorted(given.breaks - self.told[-1])):
+            if self.planned and (late := sorted(given.breaks - self.planned[0])):
                 raise ModelError(
                     f"{what} is given after a march has begun, and changes its slope at t = {late[0]:g}, where no step "
                     "ends; a part gives it in check(model)"
@@ -109,8 +109,8 @@ class Coordinates:
     @property
     def breaks(self) -> set[float]:
         """The break times of all that was given here."""
-        self.told.append(set[float]().union(*(given.breaks for given in self.known.values())))
-        return self.told[-1]
+        self.planned[:] = [set[float]().union(*(given.breaks for given in self.known.values()))]
+        return self.planned[0]
 
 
 class Given:

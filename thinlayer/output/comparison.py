@@ -19,7 +19,7 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.mixed import MixedModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.identity import differences, told
+from thinlayer.identity import differences, in_words
 from thinlayer.output.pressure_report import columns_of_pressure
 from thinlayer.output.surface import Surface
 from thinlayer.parallel.agreement import on_all, require_same
@@ -132,7 +132,7 @@ def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
         for model in (full, interface)
     )
     if found := [*differences(there, here)]:
-        raise ModelError(f"compare needs the same {found[0][0][0]}: {told(found)}")
+        raise ModelError(f"compare needs the same {found[0][0][0]}: {in_words(found)}")
     for name, layer in interface.layers.items():
         both = [one.thin.profile for one in (full.layers[name], layer) if one.thin]
         shapes = [full.joint.relative_thickness(profile, name) for profile in both]  # a law on S has no thickness

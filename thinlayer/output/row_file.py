@@ -19,9 +19,9 @@ from thinlayer.identity import (
     Resume,
     described,
     differences,
+    in_words,
     random_states,
     require_resume,
-    told,
 )
 
 GENERATOR = (
@@ -98,7 +98,7 @@ class RowFile:
         if drawn:
             return f"{name!r} cannot be resumed: its rows were drawn from {GENERATOR}"
         found = [one for one in differences(there, self._made_from) if _changed(*one) not in changing]
-        return f"{name!r} is the table of another {self._kind} ({told(found)})" if found else None
+        return f"{name!r} is the table of another {self._kind} ({in_words(found)})" if found else None
 
     def write(self, table: Table) -> None:
         """Replace the table. The file beside it names the old and the new one, and is written first."""

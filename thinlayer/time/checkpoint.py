@@ -16,7 +16,7 @@ from geometry.parallel import on_root
 from thinlayer.discretisation.state import Audit, Report, State, cell_values
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table, replaced
-from thinlayer.identity import Resume, differences, digest, told
+from thinlayer.identity import Resume, differences, digest, in_words
 from thinlayer.parallel.exchange import carry
 from thinlayer.solving.equations import Equations
 from thinlayer.time.history import History, dissipated_columns
@@ -198,7 +198,7 @@ class Checkpoint:
                 return None
             raise ModelError(f"{self.path} cannot be read ({error}); remove it to start anew") from error
         if there != here and resume != "anyway":
-            other = told([*differences(there, here)])
+            other = in_words([*differences(there, here)])
             raise ModelError(
                 f"{self.path} is of another march ({other}); give another folder, remove it, or resume='anyway'"
             )

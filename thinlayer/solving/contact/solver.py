@@ -90,7 +90,7 @@ def _is_network(model: Model) -> bool:
 
 def _is_linear(model: Model) -> bool:
     """Whether the unknowns are displacements with a constant, symmetric stiffness, by forms alone, beside contact."""
-    added = all(part.works and part.is_linear(model) and part.is_symmetric(model) for part in model.parts)
+    added = all(part.has_work and part.is_linear(model) and part.is_symmetric(model) for part in model.parts)
     traits = [p.law.traits for p in model.terms if p.proportional]
     return (
         added
