@@ -177,7 +177,6 @@ def test_pressures_in_time_and_refused():
     grown = Structure(
         joint, body=BODY, supports={"OUTSIDE": 0.0}, tractions={"INSIDE": Pressure(lambda x, t: t * (1 + x[0]))}
     ).bonded()
-    assert grown.forces.not_finite(1.0) == []
     state = solve(grown, t=2.0)
     assert state.applied().force == pytest.approx([2 * np.pi, 0.0], rel=1e-3, abs=1e-9)  # from x to the outside
     assert out_of_balance(state) < 1e-9

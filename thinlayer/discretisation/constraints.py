@@ -14,7 +14,7 @@ from petsc4py import PETSc
 from scipy.sparse.csgraph import connected_components
 
 from geometry.errors import place as at_place
-from thinlayer.discretisation.prescribed import ROUNDING, Prescribed
+from thinlayer.discretisation.supports import ROUNDING, Prescribed
 from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
@@ -283,14 +283,15 @@ class Constraints:
 
     # ---------------------------------------------------------------- values
     def values(self, t: float) -> Array:
-        """(h,) values of `held` at a time, possibly not finite. Collective.
+        """(h,) values of `held` at a time. Collective.
 
         Raises:
-            ModelError: two conditions prescribe different values of a displacement.
+            ModelError: two conditions prescribe different values of a displacement, or one that is not finite.
         """
         c = self._values_of_rows(t)
-        if not self.comm.allreduce(int(not np.isfinite(c).all())):
-            self._require_agreement(c, when=f" at t = {t:g}")
+        if self.comm.allreduce(int(not np.isfinite(c).all())):
+            raise ModelError(f"a prescribed displacement is not finite at t = {t:g}")
+        self._require_agreement(c, when=f" at t = {t:g}")
         y, lo = np.zeros(self.n), self.first
         y[self._columns - lo] = (c[self._single] / self._coefficient)[self._first_of]
         for one, values in self._with_values(c):

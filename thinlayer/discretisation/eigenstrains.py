@@ -18,8 +18,9 @@ from forms.law import BulkLaw
 from forms.planes import Kinematics
 from forms.tangent import tangent_at_rest
 from forms.temperature import real
-from forms.work import summed
-from thinlayer.discretisation.given import Coordinates
+from forms.work import Term, summed
+from thinlayer.discretisation.clock import readings
+from thinlayer.discretisation.given import Coordinates, of_place
 from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
@@ -247,6 +248,37 @@ def given_strain(given: Any, matter: Matter) -> Expr | None:
     found = matter.kinematics.seen(summed(*strains))
     zero = all(isinstance(found[i, j], ufl.classes.Zero) for i in range(3) for j in range(3))
     return None if zero else found
+
+
+class VaryingStrains:
+    """The given strains of terms that vary in time or in place, as integrals over cells or facets. Collective.
+
+    Args:
+        terms: the terms of bodies and layers.
+        at: coordinates and time.
+    """
+
+    def __init__(self, terms: Sequence[Term], at: Coordinates) -> None:
+        self._at, self._forms = at, []
+        for p in terms:
+            if p.given is not None and (readings(p.given) or of_place(p.given)):
+                q = ufl.TestFunction(fem.functionspace(at.mesh, ("DG", 0, (3, 3))))
+                q = q("+") if p.measure.integral_type() == "interior_facet" else q
+                self._forms.append((p, fem.form(ufl.inner(p.given, q) * p.measure)))
+
+    def integrals(self, t: float) -> list[Array]:
+        """Integrals over this rank's cells or facets at a time.
+
+        Raises:
+            ModelError: a strain that is not finite.
+        """
+        with self._at.clock.at(t):
+            integrals = [np.asarray(fem.assemble_vector(form).array) for _, form in self._forms]
+        for (p, _), values in zip(self._forms, integrals, strict=True):
+            if self._at.mesh.comm.allreduce(int(not np.isfinite(values).all())):
+                what = "layer" if p.n is not None else "bodies"
+                raise ModelError(f"the eigenstrain of the {p.key or what} is not finite at t = {t:g}")
+        return integrals
 
 
 def _negative(rows: Rows, matter: Matter) -> Expr:

@@ -6,9 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import dolfinx.fem.petsc
 import numpy as np
 import ufl
 from dolfinx import fem
+from petsc4py import PETSc
 
 from forms.kinematics import Expr
 from forms.planes import LIFTED, Kinematics
@@ -18,6 +20,7 @@ from geometry.seam import LAYER, S
 from geometry.sheet import Sheet
 from thinlayer.discretisation.axis import refuse_axis, refuse_periodic, refuse_seam
 from thinlayer.discretisation.given import Coordinates, Load, Pressure
+from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.point_forms import ConcentratedForms
 from thinlayer.discretisation.point_loads import Concentrated
 from thinlayer.errors import ModelError, warn
@@ -82,6 +85,7 @@ class Forces:
         self._loads: list[tuple[str, Expr, ufl.Measure]] = []
         self._in_layers: list[tuple[str, Expr, Weighted]] = []
         self._seams: list[str] = []
+        self._form: tuple[fem.FunctionSpace, fem.Form] | None = None  # of the work in a space
         self._concentrated: list[tuple[str, Expr, ufl.Measure]] = []  # whole forces: their measures have no factor
         ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
         dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
@@ -247,7 +251,22 @@ class Forces:
                 works[name] = works[name] + work if name in works else work
         return works
 
-    def not_finite(self, t: float) -> list[str]:
+    def nodal_at(self, V: fem.FunctionSpace, t: float) -> PETSc.Vec:
+        """Nodal forces of the loads at a time, in a space; the caller destroys the vector. Collective.
+
+        Raises:
+            ModelError: loads that are not finite.
+        """
+        if self._form is None or self._form[0] is not V:
+            self._form = V, compiled(self.work(ufl.TestFunction(V)))
+        with self.at.clock.at(t):
+            b = dolfinx.fem.petsc.assemble_vector(self._form[1])
+        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        if not np.isfinite(b.norm()):
+            raise ModelError(": ".join([f"the loads are not finite at t = {t:g}", *self._not_finite(t)]))
+        return b
+
+    def _not_finite(self, t: float) -> list[str]:
         """The loads that are not finite at a time. Collective."""
         names = []
         for what, load, measure in [

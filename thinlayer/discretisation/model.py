@@ -36,13 +36,12 @@ from thinlayer.discretisation.origin import origin_of
 from thinlayer.discretisation.placed import placed
 from thinlayer.discretisation.point_forms import ConcentratedForms
 from thinlayer.discretisation.point_loads import Concentrated, check_loads
-from thinlayer.discretisation.prescribed import Prescribed
 from thinlayer.discretisation.reactions import on_centre
 from thinlayer.discretisation.rigid import free_translations, require_support
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.spaces import cut_at_faces, vector_space
-from thinlayer.discretisation.supports import ByPlace, Place, Supports
+from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Supports
 from thinlayer.errors import ModelError, warn
 from thinlayer.identity import described, digest
 from thinlayer.parallel.agreement import on_all, require_same

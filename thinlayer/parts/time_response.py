@@ -7,13 +7,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from thinlayer.discretisation.load_history import SAMPLE_FRACTIONS
 from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.pointwise.kernels import Array
 
 SIZES = tuple(10.0**k for k in range(-15, 7))  # sizes of the trial strains, or jumps in any unit
 LENGTHS = (1.0, 1e12, 1e30)  # lengths of the trial steps, in any unit of time
 LINEARITY_TOLERANCE = 1e-6  # relative difference of stiffness between strains of several sizes that counts as rounding
+SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # of a step, at which parameters are tried
 SAME = 1e-12  # relative difference of parameters at several times that counts as rounding
 
 

@@ -168,7 +168,7 @@ class Adjoint:
         equations, u = self.equations, displacements_of(other, self.model)
         equations.put_state(self.state, self._x)
         if isinstance(other.model, InterfaceModel):
-            theirs = layer_parts(other.model, equations.history.held, equations.bodies)
+            theirs = layer_parts(other.model, equations.constraints.held, equations.bodies)
             begun = self._rest_of(theirs, other.t) if old is None else old
             self._evaluate(theirs, other, u, self._between(other, begun))
             before = self._work(theirs, z)
@@ -179,7 +179,7 @@ class Adjoint:
             total = equations.nodal_residual(self._x)
             equations.put_state(self.state, self._x)
             forces = self._evaluate(equations.layers, self.state, u, self._interval) - total
-            forces[equations.history.held] = 0.0
+            forces[equations.constraints.held] = 0.0
             before = z.u.x.array[: len(forces)] * forces
         self._evaluate(equations.layers, self.state, u, self._interval)
         after = self._work(equations.layers, z)

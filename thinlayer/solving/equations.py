@@ -14,7 +14,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from thinlayer.discretisation.load_history import LoadHistory, linear_in_time
+from thinlayer.discretisation.eigenstrains import VaryingStrains
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import Audit, Configuration, Report, State
@@ -32,19 +32,21 @@ from thinlayer.solving.saddle import split
 from thinlayer.solving.tangent_matrix import DIFFERENT, TangentMatrix
 from thinlayer.solving.uniqueness import RigidMotions
 
+LINEARITY = 1e-9  # relative deviation from a straight line in time that still counts as rounding
+SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # fractions of a time interval at which linearity is tested
+
 
 class Equations(PartSum):
     """Residual and tangent of a model. The unknowns are the displacements, then the parts' own unknowns.
 
     If supports are inclined, plates rigid, or some displacements follow others, other unknowns are in the place of the
-    displacements, see `Substitution`.
+    displacements, see `Constraints`.
 
     The constructor and all methods are collective.
 
     Attributes:
         parts, traits, with_own, depends_on_dt, failed: as in `PartSum`.
         bodies, layers: the parts of the bodies, and of the layers.
-        history: the loads and supports over time.
         u: displacements of the last residual.
         loads: nodal forces of the loads in the balance of the present step.
         external: these less the parts' forces that do not depend on the unknowns.
@@ -59,11 +61,12 @@ class Equations(PartSum):
 
     def __init__(self, model: Model) -> None:
         self.model, self.comm = model, model.comm
-        self.history = LoadHistory(model)
+        self.constraints = model.constraints
+        self._strains = VaryingStrains(model.terms, model.coordinates)
         self.u, self._mid = fem.Function(model.V), fem.Function(model.V)
         self._kept = kept = Kept.of(model)
         self.bodies = kept.bodies = kept.bodies or body_parts(model)
-        self.layers = layer_parts(model, self.history.held, kept.bodies)
+        self.layers = layer_parts(model, self.constraints.held, kept.bodies)
         added = [part for addition in model.parts if (part := addition.part(model)) is not None]
         self._own_parts = [*self.layers, *added]
         super().__init__([*kept.bodies, *self._own_parts])
@@ -72,7 +75,6 @@ class Equations(PartSum):
         kept.matrix = self._matrix = kept.matrix or TangentMatrix(self.comm, self._layout.sizes)
         self.factor = kept.factor
         self.n_displacements = self._layout.sizes[DISPLACEMENTS]
-        self.constraints = model.constraints
         self._T = self._layout.widened(self.constraints.T)
         self._product: PETSc.Mat | None = None
         self.held = self._prescribed(None)[0].astype(np.int32)
@@ -108,8 +110,8 @@ class Equations(PartSum):
 
     def _prescribed(self, t: float | None) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
         """Numbers of the held unknowns, increasing, and their values at time t."""
-        of_supports = np.zeros(len(self.history.held)) if t is None else self.history.prescribed_at(t)
-        numbers: list[npt.NDArray[Any]] = [self.history.held]
+        of_supports = np.zeros(len(self.constraints.held)) if t is None else self.constraints.values(t)
+        numbers: list[npt.NDArray[Any]] = [self.constraints.held]
         values, first = [of_supports], self.n_displacements
         for part in self.with_own:
             own, held = part.own_held(t)
@@ -219,11 +221,11 @@ class Equations(PartSum):
         self.loads.set(0.0)
         for t, share in ((interval.t, interval.theta), (old.t, 1 - interval.theta)):
             if share:
-                b = self.history.loads_at(t)
+                b = self.loads_at(t)
                 self.loads.axpy(share, b)
                 b.destroy()
         self.prescribed = self._prescribed(interval.t)[1]
-        self.history.strains_at(interval.t)
+        self._strains_at(interval.t)
         largest_displacement = self.comm.allreduce(float(np.abs(self.prescribed).max(initial=0.0)), max)
         if self.model.strain:  # moves the sides of the cell, as supports would
             across = float(np.abs(self.model.strain.at(interval.t)).max()) * self.model.strain.size
@@ -235,6 +237,17 @@ class Equations(PartSum):
         self.external.set(0.0)
         self.ask("add_fixed", self.external)
         self.external.aypx(-1.0, self.loads)
+
+    def loads_at(self, t: float) -> PETSc.Vec:
+        """Nodal forces of the loads at a time, those of ties included; the caller destroys the vector.
+
+        Raises:
+            ModelError: loads that are not finite, or that nothing balances in a periodic joint.
+        """
+        b = self.model.forces.nodal_at(self.model.V, t)
+        self.model.supports.require_balance(b, t)
+        b.array[:] += self.constraints.loads_at(t)
+        return b
 
     def given_forces(self) -> PETSc.Vec:
         """The forces of the present step that are given, as those on the unknowns; the caller destroys the vector."""
@@ -248,7 +261,7 @@ class Equations(PartSum):
 
     def given_forces_at(self, t: float) -> PETSc.Vec:
         """Loads and given forces of parts at a time, as those on the unknowns; the caller destroys the vector."""
-        loads = self.history.loads_at(t)
+        loads = self.loads_at(t)
         out = self.on_unknowns(loads, [part.load_at(t) for part in self.with_own])
         loads.destroy()
         return out
@@ -340,7 +353,7 @@ class Equations(PartSum):
         change.destroy()
         found, end = self.end_parts(self.u, self.interval.t)
         every = found.values()
-        end = replace(end, reactions=self._reactions.at_end(self._forces, self.interval, self.history.loads_at))
+        end = replace(end, reactions=self._reactions.at_end(self._forces, self.interval, self.loads_at))
         audit = Audit(
             supplied + sum(one.supplied for one in every),
             sum(one.after - one.before for one in every),
@@ -368,12 +381,28 @@ class Equations(PartSum):
 
     def linear_in_time(self, start: float, end: float) -> bool:
         """Whether loads, supports and parameters of laws are linear between two times. Tested at a few times."""
-        return linear_in_time(self._given_at, start, end, self.comm)
+        first, last = self._given_at(start), self._given_at(end)
+        for share in SAMPLE_FRACTIONS:
+            now = self._given_at(start + share * (end - start))
+            for a, b, c in zip(first, last, now, strict=True):
+                apart = np.abs((1 - share) * a + share * b - c).max(initial=0.0)
+                size = np.abs([a, b, c]).max(initial=0.0)
+                if self.comm.allreduce(float(apart), max) > LINEARITY * self.comm.allreduce(float(size), max):
+                    return False
+        return True
 
     def _given_at(self, t: float) -> list[npt.NDArray[np.float64]]:
-        """Loads, prescribed displacements and varying parameters at time t, on this rank."""
+        """Loads, prescribed displacements, given strains and varying parameters at time t, on this rank."""
         self.ask("at_time", t)
-        return [*self.history.given_at(t), *chain(*self.ask("parameters"))]
+        b = self.loads_at(t)
+        loads = b.array_r.copy()
+        b.destroy()
+        return [loads, self.constraints.values(t), *self._strains_at(t), *chain(*self.ask("parameters"))]
+
+    def _strains_at(self, t: float) -> list[npt.NDArray[np.float64]]:
+        if self.model.strain:  # has words of its own for values that are not finite
+            self.model.strain.at(t)
+        return self._strains.integrals(t)
 
     # ---------------------------------------------------------------- end
     def destroy(self) -> None:

@@ -219,7 +219,7 @@ class TimeStepping:
 
     def _resultant(self, t: float) -> list[float]:
         """Sum of the loads on the bodies at time t, those of rigid plates included, (d,)."""
-        model, loads = self.solver.model, self.solver.equations.history.loads_at(t)
+        model, loads = self.solver.model, self.solver.equations.loads_at(t)
         translations = [*rigid_motions(model.V, model.joint).values()][: model.joint.dim]
         forces = [float(loads.dot(motion.x.petsc_vec)) for motion in translations]
         loads.destroy()
