@@ -34,13 +34,15 @@ class KernelLaw(BulkLaw):
     Attributes:
         memory: number of internal values.
         energetic: whether the kernel fills `energies`.
-        isotropic: whether a kernel in C does not read the director n; of one in numba this is found out.
+        isotropic: whether the kernel does not read the director n, so that it can be that of a body.
+        relaxes: whether stress or internal values depend on dt, of a law without `rate`.
     """
 
     ignored: ClassVar = ("stress", "advance", "energy", "dissipation", "dissipated", "holds")
     memory: ClassVar[int] = 0
     energetic: ClassVar[bool] = False
     isotropic: ClassVar[bool] = False
+    relaxes: ClassVar[bool] = False
     kernel: ClassVar[Callable[..., bool]]
     source: ClassVar[Path | None] = None
 

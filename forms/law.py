@@ -382,10 +382,6 @@ class BulkLaw(Law):
         """
         return None
 
-    def trial_strain(self, a: npt.NDArray[np.float64], n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """A strain (3, 3) to test the law with, made of any matrix a (3, 3) and the director n (3,)."""
-        return (a + a.T) / 2
-
     # ---------------------------------------------------------------- other laws of the same kind
     def eased(self, ease: float) -> BulkLaw:
         """A law between this one (ease = 0) and one whose equilibrium is easy to find (ease = 1), for continuation."""

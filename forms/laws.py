@@ -1,5 +1,6 @@
 """The names that users import from `forms`: laws, contracts of laws, and what laws are written with."""
 
+from forms.check import check
 from forms.contact import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, Tresca
 from forms.elastic import Anisotropic, LinearElastic
 from forms.incompressible import Incompressible
@@ -42,5 +43,6 @@ __all__ = [
     "TractionLaw",
     "Tresca",
     "VonMises",
+    "check",
     "choice",
 ]

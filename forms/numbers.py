@@ -6,6 +6,7 @@ UFL's own evaluation does that again at each occurrence and component, which tak
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -47,16 +48,21 @@ FUNCTIONS: dict[type, Any] = {
 }
 
 
-def numbers(expression: Expr) -> Values:
+def numbers(expression: Expr, values: Mapping[Expr, Values] | None = None) -> Values:
     """The numbers of an expression after `expand_derivatives`; NaN or infinite where a function has none.
+
+    Args:
+        expression: the expression.
+        values: numbers of its symbols.
 
     Raises:
         Exception: of any type, from UFL: a part, such as a coefficient, has no number.
     """
-    known: dict[Any, Any] = {}  # axes of each array: those of the part's shape, then its free indices
+    known: dict[Any, Any] = dict(values or {})  # axes of each array: those of the part's shape, then its free indices
     with np.errstate(all="ignore"):
         for part in unique_post_traversal(expression):
-            known[part] = _numbers(part, [known[operand] for operand in part.ufl_operands])
+            if part not in known:
+                known[part] = _numbers(part, [known[operand] for operand in part.ufl_operands])
     return np.asarray(known[expression])
 
 

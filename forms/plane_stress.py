@@ -98,9 +98,6 @@ class PlaneStress(BulkLaw):
         require(d == 2, self, "dimension of the model", d, "2")
         self.law.check_dimension(d)
 
-    def trial_strain(self, a: Array, n: Array) -> Array:
-        return self.law.trial_strain(a, n)
-
     def plane_stress(self) -> Self:
         return self
 

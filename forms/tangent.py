@@ -10,20 +10,18 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from ufl.algorithms import expand_derivatives
-from ufl.utils.stacks import StackDict
 
-from forms.kernel import KernelLaw
 from forms.kinematics import MANDEL, ROOT2
+from forms.kinematics import mandel as in_mandel
 from forms.law import BulkLaw, LawError, Step
 from forms.numbers import numbers
-from forms.trace import symbolic, traces_director
+from forms.trace import reads, symbolic
 
 Array = npt.NDArray[np.float64]
 SMALL_STRAIN = 1e-6  # strain of the divided differences: too small for yielding, large enough against rounding
 STRAINS = (1e-6, 1e-2, 10.0)  # sizes of the strains at which `uncoupled_axes` evaluates laws, elastic and beyond
 UNCOUPLED = 1e-9  # share of a traction, or component of a unit normal, below which it counts as zero
 NEGATIVE = 1e-6  # a negative eigenvalue beyond this share of the tangent's largest entry is not a rounding error
-SCALES = np.array([1.0 if i == j else ROOT2 for i, j in MANDEL])  # factor of each tensor component in Mandel's order
 LONG = 1e30  # length of a time step in which rates become zero
 
 
@@ -81,36 +79,25 @@ def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
         return _of_kernel(law, n, dt)
     try:
         point = symbolic(law)
-        stress: Any = expand_derivatives(ufl.as_ufl(point.law.stress(point.step)))
+        C: Any = expand_derivatives(ufl.diff(in_mandel(point.law.stress(point.step)), point.strain))
         given = np.concatenate([n, [dt, 1.0], law.parameter_values()])
-        before = np.zeros(point.numbers.ufl_shape[0] - 6 - len(given))
-        found = []
-        for e in np.eye(7, 6):  # the last one is zero strain
-            numbers = {point.numbers: np.concatenate([e, before, given])}
-            found.append([float(stress.evaluate((0.0,), numbers, ij, StackDict())) for ij in MANDEL])
+        rest = np.zeros(point.numbers.ufl_shape[0] - len(given))
+        found = numbers(C, {point.numbers: np.concatenate([rest, given])})
     except Exception:  # as in _stress
         return None
-    C = SCALES[:, None] * (np.array(found[:6]) - found[6]).T
-    return C if np.isfinite(C).all() else None
+    return found if np.isfinite(found).all() else None
 
 
 def needs_director(law: BulkLaw) -> bool:
-    """Whether the stress of a law depends on the director n; a kernel in C says so itself (`KernelLaw.isotropic`)."""
-    law = law.in_space
-    if law.traits.in_ufl:
-        return traces_director(law)
-    assert isinstance(law, KernelLaw)
-    if law.source is not None:
-        return not law.isotropic
-    unknown = np.full(3, np.nan)
-    for size in STRAINS:
-        stress, tangent, memory = np.zeros(6), np.zeros((6, 6)), np.zeros(law.memory)
-        given = np.linspace(-size, size, 6), np.zeros(6), memory, 1.0, 1.0, unknown, law.parameter_values()
-        with np.errstate(all="ignore"):
-            type(law).kernel(*given, stress, tangent, memory.copy(), np.zeros(3))
-        if not (np.isfinite(stress).all() and np.isfinite(tangent).all()):
-            return True
-    return False
+    """Whether the stress of a law depends on the director n; a kernel says so itself (`KernelLaw.isotropic`)."""
+    one: Any = law.in_space
+    return reads(one, "n") if one.traits.in_ufl else not one.isotropic
+
+
+def takes_time(law: BulkLaw) -> bool:
+    """Whether a law creeps or relaxes: its response depends on the length of the step. A kernel says so itself."""
+    one: Any = law.in_space
+    return bool(one.traits.rate or (reads(one, "dt") if one.traits.in_ufl else one.relaxes))
 
 
 def _of_kernel(law: Any, n: Array, dt: float) -> Array | None:

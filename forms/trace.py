@@ -1,32 +1,31 @@
 """Traced laws: called once with symbols in place of all numbers, and identified by a key of the result.
 
-Compiled code and results of checks are stored under this key. The class of a law would not do as a key, because its methods
+Compiled code is stored under this key. The class of a law would not do as a key, because its methods
 may read globals, attributes and other functions, which may change.
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import basix.ufl
 import numpy as np
+import numpy.typing as npt
 import ufl
-from ufl.classes import Constant, ConstantValue, Index, Label, MultiIndex, ScalarValue, Variable, Zero
+from ufl.classes import Constant, ConstantValue, Index, Label, MultiIndex, ScalarValue, Variable
 from ufl.core.expr import Expr as Node
 from ufl.corealg.traversal import traverse_unique_terminals
 
 from forms.declarations import SIZES
 from forms.kinematics import Expr, from_mandel
-from forms.law import BulkLaw, LawError, Step, explained, shaped
+from forms.law import BulkLaw, LawError, Step
 
+Array = npt.NDArray[np.float64]
 _DOMAIN = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))  # symbols need a mesh
 _KNOWN: dict[tuple[Any, ...], int] = {}  # known parts of expressions -> their numbers
-_STRESSES: dict[tuple[Any, int | None], int] = {}  # laws of this package -> their keys
 
 
 @dataclass(frozen=True)
@@ -56,11 +55,11 @@ def _symbols(length: int) -> Expr:
     return ufl.Constant(_DOMAIN, shape=(length,))
 
 
-def symbolic(law: BulkLaw) -> Symbolic:
-    """A law at a point, in a step."""
+def symbolic(law: BulkLaw, values: Array | None = None) -> Symbolic:
+    """A law at a point, in a step; with numbers as inputs, if they are given."""
     shapes = {name: _shape(value) for name, value in law.parameters().items()}
     length = 6 + 6 + law.memory + 3 + 2 + sum(int(np.prod(shape)) for shape in shapes.values())
-    numbers = _symbols(length)
+    numbers = _symbols(length) if values is None else ufl.as_vector([ufl.as_ufl(float(one)) for one in values])
     inputs = iter(numbers[i] for i in range(length))
 
     def take(shape: tuple[int, ...]) -> Expr:
@@ -88,86 +87,17 @@ def named(law: BulkLaw) -> tuple[Any, ...] | None:
     return (type(law), repr(law.choices()), *map(_shape, law.parameters().values()))
 
 
-def stress_key(law: BulkLaw, d: int | None) -> int:
-    """Key of the stress, and of the energy if there is one, of a law whose stress is a part of a form.
-
-    Args:
-        law: the law.
-        d: number of components of its director; None in a body.
-
-    Raises:
-        LawError: the law fails, compares numbers in Python, or has no stress at all.
-    """
-    known = named(law)
-    if known is None:
-        return _stress_key(law, d)
-    if (known, d) not in _STRESSES:
-        _STRESSES[known, d] = _stress_key(law, d)
-    return _STRESSES[known, d]
-
-
-def _stress_key(law: BulkLaw, d: int | None) -> int:
+def reads(law: BulkLaw, name: str) -> bool:
+    """Whether the stress of a law in UFL, or its new internal variables, depend on `n` or `dt` of the step."""
     point = symbolic(law)
-    director: Expr = point.step.n
-    n = None if d is None else ufl.as_vector([director[i] for i in range(d)])
-    step = Step(point.step.e, n)
-    with explained(law, "stress"), undecided(law, "stress"):
-        stress = shaped(law, "stress", point.law.stress(step), (3, 3))
-    if isinstance(stress, Zero):
-        raise LawError(
-            f"{type(law).__name__}.stress is zero, whatever the strain; a law of this kind needs a stiffness"
-        )
-    if not law.traits.has_energy:
-        return key([stress])
-    with explained(law, "energy"), undecided(law, "energy"):
-        return key([stress, shaped(law, "energy", point.law.energy(step), ())])
-
-
-def traces_director(law: BulkLaw) -> bool:
-    """Whether the director appears in the stress of a law in UFL, or in its internal variables after a step."""
-    point, n = symbolic(law), ufl.Constant(_DOMAIN, shape=(3,))
-    step = point.step._replace(n=n)
+    symbol = ufl.Constant(_DOMAIN, shape=getattr(point.step, name).ufl_shape)
+    step = point.step._replace(**{name: symbol})
     found = [point.law.stress(point.law.own_step(step)), *point.law.advance(step).values()]
-    return any(n is part for one in found for part in traverse_unique_terminals(ufl.as_ufl(one)))
+    return any(symbol is part for one in found for part in traverse_unique_terminals(ufl.as_ufl(one)))
 
 
 def _unpacked(values: Expr, shape: tuple[int, ...]) -> Expr:
     return {(): lambda: values[0], (3,): lambda: values, (3, 3): lambda: from_mandel(values)}[shape]()
-
-
-# ---------------------------------------------------------------- decisions
-def asked_by_ufl() -> bool:
-    """Whether UFL called the caller of this function. UFL compares expressions, since 2025 also with numbers."""
-    return sys._getframe(2).f_globals.get("__name__", "").partition(".")[0] == "ufl"
-
-
-@contextmanager
-def undecided(law: BulkLaw, method: str) -> Iterator[None]:
-    """Raise LawError where a law's code uses ==, != or the truth of symbols. UFL may still compare expressions.
-
-    Python would compare symbols instead of numbers, always with the result False: the branch would never be taken.
-    """
-    message = (
-        f"{type(law).__name__}.{method}: a parameter, or a value computed from it, is compared or used as a condition "
-        "in Python; laws are traced once for all numbers: write ufl.conditional(ufl.eq(a, b), c, d)"
-    )
-
-    def guarded(original: Callable[..., Any]) -> Callable[..., Any]:
-        def asked(*arguments: Any) -> Any:
-            if not asked_by_ufl():
-                raise LawError(message)
-            return original(*arguments)
-
-        return asked
-
-    kept = {name: getattr(Node, name) for name in ("__eq__", "__ne__", "__bool__")}
-    try:
-        for name, original in kept.items():
-            setattr(Node, name, guarded(original))
-        yield
-    finally:
-        for name, original in kept.items():
-            setattr(Node, name, original)
 
 
 # ---------------------------------------------------------------- keys

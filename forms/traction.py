@@ -136,9 +136,6 @@ class OfJumps(BulkLaw):
     def at(self, x: npt.NDArray[np.float64], t: float) -> dict[str, npt.NDArray[np.float64]]:
         return self.law.at(x, t)
 
-    def trial_strain(self, a: npt.NDArray[np.float64], n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        return super().trial_strain(np.outer(a[0], n), n)
-
     def plane_stress(self) -> Self:
         """The law itself: jumps and tractions are the same in plane stress."""
         return self

@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 from mpi4py import MPI
 
+from forms.kernel import KernelLaw
 from forms.law import BulkLaw, Law, explained
 from forms.planes import PLANES, Kinematics
 from forms.tangent import Array, is_checked_at_rest, needs_director, require_stable_body, tangent_at_rest
@@ -187,6 +188,8 @@ def require_body_law(name: str, law: Law) -> None:
         reason = "its phases are those of a layer's columns"
     elif traits.compiled and _reads_director(law):  # others have none in a body, and say so
         reason = "its stress depends on the normal of S, which a body has not"
+        if isinstance(law, KernelLaw):
+            reason += ", or its class does not say isotropic = True"
     if reason:
         raise ModelError(f"body {name!r}: {kind} is for layers: {reason}")
     if traits.softens:

@@ -4,25 +4,48 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from forms.check import NOT_SYMMETRIC
 from forms.kinematics import MANDEL
-from forms.law import LawError
-from forms.symmetry import NOT_SYMMETRIC
+from forms.law import BulkLaw, LawError
+from forms.tangent import takes_time
 from forms.work import Term
 from thinlayer.discretisation.clock import Hand
+from thinlayer.discretisation.layer import LAYER
 from thinlayer.discretisation.state import Configuration
 from thinlayer.parts.part import Array, Block, FileOrder, Interval, Outcome, Part, PartTraits
-from thinlayer.parts.softening import may_soften
-from thinlayer.parts.time_response import not_linear_at_once, takes_time
-from thinlayer.pointwise.compiled_term import CompiledTerm
+from thinlayer.pointwise.compiled_term import CompiledTerm, Response
 from thinlayer.pointwise.quadrature import Origin
 
 ASYMMETRY = 1e-8  # skew part of a tangent, relative to its size, that still counts as rounding
+SAME = 1e-12  # relative difference of parameters at several times that counts as rounding
+SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # of a step, at which parameters are looked at
+
+
+def may_soften(law: BulkLaw) -> bool:
+    """Whether the stress of a layer's law is looked at as jumps grow.
+
+    It is not if the law says `softens`, is linear or not symmetric, has a rate, bounds stresses or switches phases: its
+    stress falls for other reasons, or never.
+    """
+    has = law.traits
+    return has.symmetric and not (has.softens or has.linear or has.rate or has.bounded or has.switches)
+
+
+def falls(
+    points: CompiledTerm, e: Array, e_old: Array, memory: Array, response: Response | None = None
+) -> tuple[str, str] | None:
+    """Name of a law whose stress falls at strains e or since e_old, and where; None: it does not. Collective."""
+    term = points.term
+    known = response or points.respond(e, e_old, memory, 0.0, 1.0)
+    count = points.comm.allreduce(points.falls(e, e_old, memory, known))
+    return (type(term.law).__name__, f"at {count} points of the {term.key or LAYER}") if count else None
 
 
 class GivenAtPoints:
@@ -198,14 +221,29 @@ class CompiledPart(Part):
     def undeclared_softening(self) -> tuple[str, str] | None:
         if self._in_body or not may_soften(self.law):
             return None
-        count = self.comm.allreduce(self.points.falls(self._e, self._e_old, self._memory, self._response))
-        return (type(self.law).__name__, f"at {count} points of the {self.key}") if count else None
+        return falls(self.points, self._e, self._e_old, self._memory, self._response)
 
     def takes_time(self) -> str:
-        return type(self.law).__name__ if takes_time(self.points) else ""
+        return next((type(law).__name__ for _, law in self.law.sublayers if takes_time(law)), "")
 
     def answers_at_once(self, times: Sequence[float]) -> tuple[str, bool] | None:
-        return not_linear_at_once(self.points, times)
+        for (_, law), changes in zip(self.law.sublayers, self._change(times), strict=True):
+            if not takes_time(law) and (changes or not law.traits.linear):
+                return type(law).__name__, bool(changes)
+        return None
+
+    def _change(self, times: Sequence[float]) -> Array:
+        """For each sublayer, whether its parameters change in time; looked at at `times` and between them. Collective."""
+        points = self.points
+        points.at_time(times[0])
+        first = points.material.of_sublayers
+        change = np.zeros(len(first), int)
+        for a, b in pairwise(times if points.material.varies else ()):
+            for share in (*SAMPLE_FRACTIONS, 1.0):
+                points.at_time(a + share * (b - a))
+                now = points.material.of_sublayers
+                change |= [not np.allclose(*both, rtol=SAME, atol=0.0) for both in zip(first, now, strict=True)]
+        return np.asarray(self.comm.allreduce(change) > 0)
 
     def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
         if self._in_body:

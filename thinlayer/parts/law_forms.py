@@ -15,17 +15,18 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from ufl.algorithms.check_arities import ArityMismatch
 
+from forms.check import check
 from forms.elastic import LinearElastic
 from forms.kinematics import Expr
-from forms.law import LawError, Step
-from forms.symmetry import require_declared_stress, require_symmetric_tangent
-from forms.trace import named, stress_key
+from forms.law import BulkLaw, LawError, Step
+from forms.trace import named
 from forms.work import Term, energy, stress, work
 from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.measures import compiled
 from thinlayer.parts.forms import FormPart, matrix
 from thinlayer.parts.part import Interval, PartTraits
-from thinlayer.parts.softening import Softening
+from thinlayer.parts.compiled import GivenAtPoints, falls, may_soften
+from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.pointwise.spreading import add_spread
 
 
@@ -46,9 +47,7 @@ class LawForms(FormPart):
         everywhere = [p for p in terms if p.n is None]
         self._terms = terms = [p for p in terms if not p.law.traits.compiled]
         for p in terms:
-            computed = stress_key(p.law, None if p.n is None else p.n.ufl_shape[0])
-            require_declared_stress(p.law, computed)
-            require_symmetric_tangent(p.law, computed)
+            check(p.law, None if p.n is None else p.n.ufl_shape[0])
         proportional = [p.proportional for p in terms]
         linear = [p for p, yes in zip(terms, proportional, strict=True) if yes]
         others = [p for p, yes in zip(terms, proportional, strict=True) if not yes]
@@ -140,11 +139,31 @@ class LawForms(FormPart):
         return found if 0 < found < np.inf else 1.0
 
     @cached_property
-    def _softening(self) -> Softening:
-        return Softening(self._u.function_space, _given(self._terms, self._over.balanced))
+    def _softening(self) -> list[tuple[CompiledTerm, GivenAtPoints]]:
+        """The layers' laws that may soften, at points."""
+        terms = [p for p in self._terms if p.n is not None and may_soften(p.law)]
+        points = [CompiledTerm(self._u.function_space, replace(p, law=_at_points(p.law))) for p in terms]
+        return [(one, GivenAtPoints(one)) for one in points]
 
     def undeclared_softening(self) -> tuple[str, str] | None:
-        return self._softening.found(self._end, self.interval.old.u)
+        old = self.interval.old
+        for points, given in self._softening:
+            e, e_old = (
+                points.strain(u.x.petsc_vec) + given(t) for u, t in ((self._end, self.interval.t), (old.u, old.t))
+            )
+            if found := falls(points, e, e_old, points.rest()):
+                return found
+        return None
+
+    def destroy(self) -> None:
+        super().destroy()
+        for points, _ in self.__dict__.get("_softening", ()):
+            points.destroy()
+
+
+def _at_points(law: BulkLaw) -> BulkLaw:
+    """The law compiled, with the present values of its Constants."""
+    return law.mapped(lambda value, _: np.asarray(getattr(value, "value", value), float)).for_points()
 
 
 def _traits(p: Term) -> PartTraits:

@@ -21,14 +21,13 @@ import numpy.typing as npt
 import ufl
 from dolfinx import jit
 from mpi4py import MPI
-from ufl.conditional import Condition
 
+from forms.check import check
 from forms.declarations import SIZES
 from forms.kernel import KernelLaw
 from forms.kinematics import Expr, mandel
-from forms.law import BulkLaw, LawError, Step, explained, shaped
-from forms.symmetry import require_declared_stress
-from forms.trace import Symbolic, key, named, require_numbers_alone, symbolic, undecided
+from forms.law import BulkLaw, LawError, Step
+from forms.trace import Symbolic, key, named, require_numbers_alone, symbolic
 from thinlayer.compiling.compiled import SourceError, library
 from thinlayer.identity import described, digest
 
@@ -67,11 +66,16 @@ class Kernel:
 
 
 def kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
-    """The compiled functions of a law with real parameters, one for each sublayer. Collective."""
+    """The compiled functions of a law with real parameters, one for each sublayer. Collective.
+
+    Raises:
+        LawError: a law is not what it declares, see `forms.check`; it is the same on all ranks.
+    """
     return [_kernel(comm, one, a) for a, one in law.sublayers]
 
 
 def _kernel(comm: MPI.Intracomm, law: BulkLaw, fraction: float) -> Kernel:
+    check(law)
     if law.in_space is not law:
         return replace(_kernel(comm, law.in_space.otherwise or law.in_space, fraction), plane=True)
     numbers, kind = law.parameter_values(), type(law)
@@ -79,7 +83,6 @@ def _kernel(comm: MPI.Intracomm, law: BulkLaw, fraction: float) -> Kernel:
         address, keep = _compiled_from_c(comm, law)
         return Kernel(address, law.memory, numbers, fraction, keep=keep)
     if isinstance(law, KernelLaw):
-        _rehearse(law, numbers)
         address, keep = _compiled_by_numba(kind, len(numbers))
         return Kernel(address, law.memory, numbers, fraction, keep=keep)
     substitute = law.otherwise
@@ -149,7 +152,6 @@ def _compiled(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
     computed = key(outputs.all)
     if comm.allreduce(int(computed not in _COMPILED)):
         require_numbers_alone(law, point.numbers, outputs.all)
-        require_declared_stress(law, computed)
         expression, module, _ = jit.ffcx_jit(comm, (_point_expression(point, outputs), np.zeros((1, 1))))
         address = int(module.ffi.cast("intptr_t", expression.tabulate_tensor_float64))
         _COMPILED[computed] = address, (expression, module)
@@ -170,28 +172,12 @@ class _Outputs(NamedTuple):
 
 
 def _outputs(law: BulkLaw, point: Symbolic) -> _Outputs:
-    """Outputs of a law for symbols.
-
-    Raises:
-        LawError: the law fails, returns wrong shapes, or compares numbers in Python.
-    """
+    """Outputs of a law for symbols."""
     one, step = point.law, point.step
-    method, advances = law.methods
-    with explained(law, method), undecided(law, method):
-        stress = mandel(shaped(law, "stress", one.stress(one.own_step(step)), (3, 3)))
-    with explained(law, advances), undecided(law, advances):
-        new = one.advance(step)
-    if not isinstance(new, dict) or set(new) != set(law.internal):
-        given = sorted(new) if isinstance(new, dict) else repr(new)
-        raise LawError(f"{type(law).__name__}.{advances} gives {given}; it must give {sorted(law.internal)}")
-    memory = []
-    for name, shape in law.internal.items():
-        memory += _packed(shaped(law, f"{advances}[{name!r}]", new[name], shape), shape)
-    with explained(law, "holds"), undecided(law, "holds"):
-        failing = ufl.as_ufl(_nan_unless(one, step))
-    with explained(law, "energy or dissipation"), undecided(law, "energy or dissipation"):
-        energies = [ufl.as_ufl(one) for one in _energies(one, step, new)]
-    return _Outputs(stress, failing, memory, energies)
+    stress, new = mandel(one.stress(one.own_step(step))), one.advance(step)
+    memory = [value for name, shape in law.internal.items() for value in _packed(new[name], shape)]
+    energies = [ufl.as_ufl(energy) for energy in _energies(one, step, new)]
+    return _Outputs(stress, ufl.as_ufl(_nan_unless(one, step)), memory, energies)
 
 
 def _point_expression(point: Symbolic, outputs: _Outputs) -> Expr:
@@ -206,11 +192,7 @@ def _point_expression(point: Symbolic, outputs: _Outputs) -> Expr:
 def _nan_unless(law: BulkLaw, step: Step) -> Expr:
     if type(law).holds is BulkLaw.holds:
         return 0.0
-    condition = law.holds(law.own_step(step))
-    if not isinstance(condition, Condition):
-        allowed = "a UFL condition: ufl.lt(a, b), ufl.And(c, d), ..."
-        raise LawError(f"{type(law).__name__}.holds gives {repr(condition)[:80]}; it must give {allowed}")
-    return ufl.sqrt(ufl.conditional(condition, 0.0, -1.0))
+    return ufl.sqrt(ufl.conditional(law.holds(law.own_step(step)), 0.0, -1.0))
 
 
 def _energies(law: BulkLaw, step: Step, new: dict[str, Expr]) -> list[Expr]:
@@ -240,30 +222,6 @@ def _compiled_from_c(comm: MPI.Intracomm, law: KernelLaw) -> tuple[int, Any]:
     if function is None or ffi.typeof(function) is not ffi.typeof(C_KERNEL.format("(*)")):
         raise LawError(f"{name}: {str(source)!r} has no function {C_KERNEL.format(' kernel')}")
     return int(ffi.cast("intptr_t", ffi.addressof(module.lib, "kernel"))), module
-
-
-def _rehearse(law: KernelLaw, parameters: Array) -> None:
-    """Call the kernel once, uncompiled, at rest: Python has clear messages, and checks indices."""
-    name = type(law).__name__
-    kernel = getattr(law, "kernel", None)
-    if kernel is None:
-        raise LawError(
-            f"{name} needs a static method kernel(...), or source, the name of a C file; see forms.KernelLaw"
-        )
-    memory = law.memory
-    outputs = np.zeros(6), np.zeros((6, 6)), np.zeros(memory), np.zeros(3)
-    rest = np.zeros(6), np.zeros(6), np.zeros(memory), 1.0, 1.0, np.array([0.0, 1.0, 0.0])
-    try:
-        with np.errstate(all="ignore"):
-            done = type(law).kernel(*rest, parameters.copy(), *outputs)
-    except ArithmeticError:
-        return
-    except Exception as error:
-        raise LawError(
-            f"{name}.kernel: {type(error).__name__}: {error}; see forms.KernelLaw for its arguments"
-        ) from error
-    if not isinstance(done, (bool, np.bool_)):
-        raise LawError(f"{name}.kernel returns {done!r}; it must return whether it succeeded")
 
 
 _BY_NUMBA: dict[Any, tuple[int, Any]] = {}

@@ -11,13 +11,17 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from forms.fields import number_of
+from forms.kernel import KernelLaw
 from forms.law import BulkLaw, LawError
 from forms.planes import Kinematics
+from forms.trace import named
 from thinlayer.compiling.compiled import library
 from thinlayer.errors import ModelError
 from thinlayer.pointwise.kernels import Array, kernels
 
 PLANE_STRAIN = [*Kinematics().slots(2)]
+TRIAL_SIZES = tuple(10.0**k for k in range(-15, 7))  # of strains, or jumps in any unit
+TRIAL_STEPS = (1.0, 0.0, 1e12, 1e30)  # lengths of steps in any unit of time
 SOURCE = Path(__file__).with_name("response.c")
 
 
@@ -41,6 +45,8 @@ class Material:
         self.parameters = np.concatenate([k.parameters for k in self._kernels])
         layers = len(self._kernels)
         self.memory = sum(k.values for k in self._kernels) + (3 * layers if layers > 1 else 0)
+        for _, one in law.sublayers:
+            _check_kernel(comm, one.in_space)
 
     def take(self, law: BulkLaw) -> None:
         """Use the parameters of another law of the same kind from now on; nothing is compiled.
@@ -141,6 +147,39 @@ class Material:
         """Pointers to arrays, made contiguous (outputs are)."""
         kinds = {"i": "int32_t[]", "l": "intptr_t[]", "d": "double[]"}
         return [self._library.ffi.from_buffer(kinds[a.dtype.char], np.ascontiguousarray(a)) for a in arrays]
+
+
+_KERNELS: set[tuple[type[BulkLaw], bytes]] = set()  # checked ones, with their numbers
+
+
+def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
+    """Raise LawError unless a KernelLaw of one's own depends on the director and on dt as its class says.
+
+    Its compiled function is called for strains, or jumps, of all sizes, with steps of several lengths.
+    """
+    key = type(law), law.parameter_values().tobytes()
+    if not isinstance(law, KernelLaw) or named(law) is not None or key in _KERNELS:
+        return
+    _KERNELS.add(key)  # also while it is checked, as the law is compiled again
+    material, name = Material(comm, law), type(law).__name__
+    e = np.array(TRIAL_SIZES)[:, None] * np.cos(np.arange(6.0 * len(TRIAL_SIZES))).reshape(-1, 6)
+    q, n = np.zeros((len(e), law.memory)), np.tile([0.6, 0.8, 0.0], (len(e), 1))
+
+    def same(n: Array, dt: float) -> bool:
+        """Whether stress and internal values are those of `usual`."""
+        found = material.update(range(6), e, 0 * e, q, n, dt, 1.0)
+        return all(np.array_equal(found[k], usual[k], equal_nan=True) for k in (0, 2))
+
+    usual = material.update(range(6), e, 0 * e, q, n, TRIAL_STEPS[0], 1.0)
+    said = ""
+    if law.isotropic and not same(np.full_like(n, np.nan), TRIAL_STEPS[0]):
+        said = "isotropic = True, but its kernel reads the director n: write isotropic = False"
+    elif not law.traits.rate and law.relaxes == all(same(n, dt) for dt in TRIAL_STEPS[1:]):
+        does = "does not depend" if law.relaxes else "depends"
+        said = f"relaxes = {law.relaxes}, but its answer {does} on dt: write relaxes = {not law.relaxes}"
+    if said:
+        _KERNELS.discard(key)
+        raise LawError(f"{name} says {said} in the class")
 
 
 def _varying(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:

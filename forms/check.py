@@ -1,0 +1,236 @@
+"""What a law of one's own must be: `check` says it, and `drive` and all models ask it of the laws they get."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from ufl.algorithms import expand_derivatives
+from ufl.classes import Zero
+from ufl.conditional import Condition
+from ufl.indexed import Indexed
+
+from forms.fields import is_field
+from forms.kernel import KernelLaw
+from forms.kinematics import Expr, mandel
+from forms.law import BulkLaw, Law, LawError, Step, explained, shaped
+from forms.numbers import numbers
+from forms.trace import named, symbolic
+
+Array = npt.NDArray[np.float64]
+STRAINS = (0.01, 0.3)  # sizes of the strains at which laws are evaluated
+TOLERANCE = 1e-8  # relative difference that counts as rounding
+NOT_SYMMETRIC = (
+    "{}: the tangent is not symmetric, it differs from its transpose by {:.1e} of its size; "
+    "write symmetric = False in the class, or correct it"
+)
+_PASSED: set[tuple[Any, ...]] = set()  # laws with their numbers
+
+
+def check(law: Law, d: int | None = 3) -> None:
+    """Raise LawError unless a law computes what its class declares, with the numbers that it has.
+
+    Models and `drive` ask this once for each law and its numbers, but for laws of this package and of contact. A law in UFL
+
+    - gives a stress (3, 3), internal variables and energies of the shapes that it declares; tensors are symmetric;
+    - gives the same with symbols in place of its numbers, with which it is compiled: Python must not compare them;
+    - has one tangent for all strains if it says `linear`, and a symmetric one unless it says `symmetric = False`;
+    - has the slope of its energy for a stress, if it is symmetric and has neither memory nor rate.
+
+    A `kernel` in Python is called once. What compiled kernels read is found out where they are compiled.
+
+    Args:
+        law: the law.
+        d: number of components of the director where the stress is a part of a form; None in a body.
+    """
+    if law.traits.nodal:
+        return
+    for _, sublayer in law.of_strains().sublayers:
+        one: Any = sublayer.in_space
+        values = [np.asarray(_number(value)).tobytes() for value in one.parameters().values()]
+        key = type(one), d, repr(one.choices()), *values
+        if named(one) is None and key not in _PASSED:
+            require_computed(one, d)
+            _PASSED.add(key)
+
+
+def require_computed(law: BulkLaw, d: int | None = 3) -> None:
+    """As `check`, whatever has been asked before."""
+    if isinstance(law, KernelLaw):
+        _rehearse(law)
+        return
+    given, name, method = law.mapped(lambda value, _: _number(value)), type(law).__name__, law.methods[0]
+    point = symbolic(given)
+    found = _computed(point.law, _directed(point.step, d, law))
+    if isinstance(found[method], Zero) and not law.traits.compiled:
+        raise LawError(f"{name}.{method} is zero, whatever the strain; a law of this kind needs a stiffness")
+    flat = mandel(found[method])
+    asked: dict[str, Expr] = {**found, "tangent": ufl.diff(flat, point.strain)}
+    if law.traits.has_energy and law.traits.symmetric and not (law.traits.rate or law.internal):
+        asked["slope"] = ufl.diff(found["energy"], point.strain) - flat
+    asked = {key: expand_derivatives(one) for key, one in asked.items()}
+
+    def values(key: str, sample: Array) -> Array | None:
+        return _evaluated(lambda: asked[key], {point.numbers: sample})
+
+    for size in STRAINS:
+        e, sample = _sample(given, size)
+        _require_no_decisions(given, d, sample, found, values)
+        for key in found:
+            _require_symmetric(law, key, values(key, sample))
+        turned = [np.concatenate([change, sample[6:]]) for change in (e, -e, 3 * e[::-1])]
+        tangents = [C for one in turned if (C := values("tangent", one)) is not None]
+        for C in tangents:
+            if law.traits.linear and _apart(C, tangents[0]):
+                raise LawError(
+                    f"{name} declares linear = True, but its stress is not affine in the strain; "
+                    "write linear = False in the class, or correct the stress"
+                )
+            if law.traits.symmetric and (skew := _apart(C, C.T)):
+                raise LawError(NOT_SYMMETRIC.format(name, skew))
+        if "slope" in asked:
+            _require_slope(name, values("slope", sample), values(method, sample))
+
+
+def _computed(law: BulkLaw, step: Step) -> dict[str, Expr]:
+    """What a law gives in a step, by its methods.
+
+    Raises:
+        LawError: a method fails, or gives another shape.
+    """
+    name, (method, advances) = type(law).__name__, law.methods
+    with explained(law, method):
+        found = {method: shaped(law, method, law.stress(law.own_step(step)), (3, 3))}
+    with explained(law, advances):
+        new = law.advance(step)
+    if not isinstance(new, dict) or set(new) != set(law.internal):
+        given = sorted(new) if isinstance(new, dict) else repr(new)
+        raise LawError(f"{name}.{advances} gives {given}; it must give {sorted(law.internal)}")
+    for variable, shape in law.internal.items():
+        key = f"{advances}[{variable!r}]"
+        found[key] = shaped(law, key, new[variable], shape)
+    if type(law).holds is not BulkLaw.holds:
+        with explained(law, "holds"):
+            condition = law.holds(law.own_step(step))
+        if not isinstance(condition, Condition):
+            allowed = "a UFL condition: ufl.lt(a, b), ufl.And(c, d), ..."
+            raise LawError(f"{name}.holds gives {repr(condition)[:80]}; it must give {allowed}")
+        found["holds"] = ufl.as_vector([ufl.conditional(condition, 1.0, 0.0)])
+    if law.traits.has_energy:
+        with explained(law, "energy or dissipation"):
+            found["energy"] = shaped(law, "energy", law.energy(Step(step.e, step.n, q=new)), ())
+            found["dissipation"] = shaped(law, "dissipation", law.dissipated(step), ())
+    return found
+
+
+def _directed(step: Step, d: int | None, law: BulkLaw) -> Step:
+    """The step with the director as the law gets it."""
+    if law.traits.compiled:
+        return step
+    return step._replace(n=None if d is None else ufl.as_vector([step.n[i] for i in range(d)]))
+
+
+def _sample(law: BulkLaw, size: float) -> tuple[Array, Array]:
+    """A strain (6,), and inputs of a law as `Symbolic.numbers` has them, with this strain, dt = 0.1 and theta = 1."""
+    random = np.random.default_rng(3)
+    e, n = size * random.normal(size=6), random.normal(size=3)
+    before = 0.1 * size * random.normal(size=6), size * random.random(law.memory)
+    return e, np.concatenate([e, *before, n / np.linalg.norm(n), [0.1, 1.0], law.parameter_values()])
+
+
+def _require_no_decisions(
+    law: BulkLaw, d: int | None, sample: Array, found: dict[str, Expr], values: Callable[[str, Array], Array | None]
+) -> None:
+    """Raise LawError if a law gives something else with numbers than with symbols."""
+    place, stress = 12 + law.memory, values(law.methods[0], sample)
+    work = 0.0 if stress is None else float(np.abs(stress).max() * np.abs(sample[:6]).max())
+    least = {"energy": work, "dissipation": work}  # where no energy is stored rounding is left
+    for dt, theta in ((0.1, 1.0), (0.0, 0.5)):
+        inputs = sample.copy()
+        inputs[place + 3 : place + 5] = dt, theta
+        try:
+            point = symbolic(law, inputs)
+            given = _computed(point.law, _directed(point.step, d, law))
+        except Exception:  # numbers that cannot be divided, say
+            continue
+        for key, one in given.items():
+            direct, traced = _evaluated(lambda one=one: one), values(key, inputs)
+            if direct is not None and traced is not None and _apart(direct, traced, least.get(key, 0.0)):
+                raise LawError(
+                    f"{type(law).__name__}.{key}: a parameter, or a value computed from it, is compared or used as a "
+                    "condition in Python; laws are traced once for all numbers: write "
+                    "ufl.conditional(ufl.eq(a, b), c, d)"
+                )
+
+
+def _require_symmetric(law: BulkLaw, key: str, tensor: Array | None) -> None:
+    if tensor is not None and tensor.ndim == 2 and (skew := _apart(tensor, tensor.T)):
+        raise LawError(
+            f"{type(law).__name__}.{key} is not symmetric: it differs from its transpose by {skew:.1e} of its size; "
+            "use ufl.sym, or vectors (3,) as internal variables"
+        )
+
+
+def _require_slope(name: str, apart: Array | None, stress: Array | None) -> None:
+    if apart is not None and stress is not None and np.abs(apart).max() > TOLERANCE * np.abs(stress).max():
+        raise LawError(
+            f"{name}: the derivative of the energy by the strain is not the stress, it is "
+            f"{np.abs(apart).max() / (np.abs(stress).max() or 1.0):.1e} of the stress away; correct one of them, or write "
+            "symmetric = False in the class if the stress has no energy"
+        )
+
+
+def _apart(a: Array, b: Array, least: float = 0.0) -> float:
+    """Largest difference of two arrays over their largest number, or over `least`; 0 if it is rounding."""
+    apart, largest = np.abs(a - b).max(), max(np.abs(a).max(), np.abs(b).max(), least)
+    return float(apart / largest) if apart > TOLERANCE * largest else 0.0
+
+
+def _evaluated(expression: Callable[[], Expr], values: dict[Expr, Array] | None = None) -> Array | None:
+    """The numbers of an expression; None if it has none, or they are not finite."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # UFL warns where it finds no number
+            found = numbers(expand_derivatives(ufl.as_ufl(expression())), values)
+    except Exception:  # parts without a value, such as a coordinate: the compiler will report errors
+        return None
+    return found if np.isfinite(found).all() else None
+
+
+def _number(value: Any) -> Any:
+    """A parameter as numbers, if it is a number or a Constant; 1 for a function; others unchanged."""
+    if is_field(value) or isinstance(value, Indexed):  # values at places, or at quadrature points
+        return 1.0
+    try:
+        array = np.asarray(getattr(value, "value", value), float)
+    except (TypeError, ValueError):
+        return value
+    return array if array.ndim else float(array) if np.isfinite(array) else 1.0
+
+
+def _rehearse(law: KernelLaw) -> None:
+    """Call a kernel once, uncompiled, at rest: Python has clear messages, and checks indices."""
+    name, memory = type(law).__name__, law.memory
+    if law.source is not None:
+        return
+    if getattr(law, "kernel", None) is None:
+        raise LawError(
+            f"{name} needs a static method kernel(...), or source, the name of a C file; see forms.KernelLaw"
+        )
+    outputs = np.zeros(6), np.zeros((6, 6)), np.zeros(memory), np.zeros(3)
+    rest = np.zeros(6), np.zeros(6), np.zeros(memory), 1.0, 1.0, np.array([0.0, 1.0, 0.0])
+    try:
+        with np.errstate(all="ignore"):
+            done = type(law).kernel(*rest, law.parameter_values(), *outputs)
+    except ArithmeticError:
+        return
+    except Exception as error:
+        raise LawError(
+            f"{name}.kernel: {type(error).__name__}: {error}; see forms.KernelLaw for its arguments"
+        ) from error
+    if not isinstance(done, (bool, np.bool_)):
+        raise LawError(f"{name}.kernel returns {done!r}; it must return whether it succeeded")
