@@ -11,7 +11,6 @@ import numpy.typing as npt
 import ufl
 from ufl.algorithms import expand_derivatives
 from ufl.classes import Zero
-from ufl.conditional import Condition
 from ufl.indexed import Indexed
 
 from forms.fields import is_field
@@ -72,14 +71,15 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
     asked: dict[str, Expr] = {**found, "tangent": ufl.diff(flat, point.strain)}
     if law.traits.has_energy and law.traits.symmetric and not (law.traits.rate or law.internal):
         asked["slope"] = ufl.diff(found["energy"], point.strain) - flat
-    asked = {key: expand_derivatives(one) for key, one in asked.items()}
+    with explained(law, method):
+        asked = {key: expand_derivatives(one) for key, one in asked.items()}
 
     def values(key: str, sample: Array) -> Array | None:
-        return _evaluated(lambda: asked[key], {point.numbers: sample})
+        return _evaluated(asked[key], {point.numbers: sample})
 
     for size in STRAINS:
-        e, sample = _sample(given, size)
-        _require_no_decisions(given, d, sample, found, values)
+        e, sample = _sample(given, size, 2 if d == 2 else 3)
+        _require_no_decisions(law, d, sample, values)
         for key in found:
             _require_symmetric(law, key, values(key, sample))
         turned = [np.concatenate([change, sample[6:]]) for change in (e, -e, 3 * e[::-1])]
@@ -113,13 +113,6 @@ def _computed(law: BulkLaw, step: Step) -> dict[str, Expr]:
     for variable, shape in law.internal.items():
         key = f"{advances}[{variable!r}]"
         found[key] = shaped(law, key, new[variable], shape)
-    if type(law).holds is not BulkLaw.holds:
-        with explained(law, "holds"):
-            condition = law.holds(law.own_step(step))
-        if not isinstance(condition, Condition):
-            allowed = "a UFL condition: ufl.lt(a, b), ufl.And(c, d), ..."
-            raise LawError(f"{name}.holds gives {repr(condition)[:80]}; it must give {allowed}")
-        found["holds"] = ufl.as_vector([ufl.conditional(condition, 1.0, 0.0)])
     if law.traits.has_energy:
         with explained(law, "energy or dissipation"):
             found["energy"] = shaped(law, "energy", law.energy(Step(step.e, step.n, q=new)), ())
@@ -134,31 +127,31 @@ def _directed(step: Step, d: int | None, law: BulkLaw) -> Step:
     return step._replace(n=None if d is None else ufl.as_vector([step.n[i] for i in range(d)]))
 
 
-def _sample(law: BulkLaw, size: float) -> tuple[Array, Array]:
+def _sample(law: BulkLaw, size: float, d: int) -> tuple[Array, Array]:
     """A strain (6,), and inputs of a law as `Symbolic.numbers` has them, with this strain, dt = 0.1 and theta = 1."""
     random = np.random.default_rng(3)
-    e, n = size * random.normal(size=6), random.normal(size=3)
+    e, n = size * random.normal(size=6), np.pad(random.normal(size=d), (0, 3 - d))
     before = 0.1 * size * random.normal(size=6), size * random.random(law.memory)
     return e, np.concatenate([e, *before, n / np.linalg.norm(n), [0.1, 1.0], law.parameter_values()])
 
 
 def _require_no_decisions(
-    law: BulkLaw, d: int | None, sample: Array, found: dict[str, Expr], values: Callable[[str, Array], Array | None]
+    law: BulkLaw, d: int | None, sample: Array, values: Callable[[str, Array], Array | None]
 ) -> None:
     """Raise LawError if a law gives something else with numbers than with symbols."""
     place, stress = 12 + law.memory, values(law.methods[0], sample)
     work = 0.0 if stress is None else float(np.abs(stress).max() * np.abs(sample[:6]).max())
     least = {"energy": work, "dissipation": work}  # where no energy is stored rounding is left
-    for dt, theta in ((0.1, 1.0), (0.0, 0.5)):
-        inputs = sample.copy()
-        inputs[place + 3 : place + 5] = dt, theta
+    for dt, theta, of_place in ((0.1, 1.0, 1.0), (0.0, 0.5, 0.0)):
+        given = law.mapped(lambda value, _, of_place=of_place: _number(value, of_place))  # type: ignore[misc]
+        inputs = np.concatenate([sample[: place + 3], [dt, theta], given.parameter_values()])
         try:
-            point = symbolic(law, inputs)
-            given = _computed(point.law, _directed(point.step, d, law))
+            point = symbolic(given, inputs)
+            found = _computed(point.law, _directed(point.step, d, law))
         except Exception:  # numbers that cannot be divided, say
             continue
-        for key, one in given.items():
-            direct, traced = _evaluated(lambda one=one: one), values(key, inputs)
+        for key, one in found.items():
+            direct, traced = _evaluated(one), values(key, inputs)
             if direct is not None and traced is not None and _apart(direct, traced, least.get(key, 0.0)):
                 raise LawError(
                     f"{type(law).__name__}.{key}: a parameter, or a value computed from it, is compared or used as a "
@@ -190,26 +183,26 @@ def _apart(a: Array, b: Array, least: float = 0.0) -> float:
     return float(apart / largest) if apart > TOLERANCE * largest else 0.0
 
 
-def _evaluated(expression: Callable[[], Expr], values: dict[Expr, Array] | None = None) -> Array | None:
+def _evaluated(expression: Expr, values: dict[Expr, Array] | None = None) -> Array | None:
     """The numbers of an expression; None if it has none, or they are not finite."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # UFL warns where it finds no number
-            found = numbers(expand_derivatives(ufl.as_ufl(expression())), values)
+            found = numbers(expand_derivatives(expression), values)
     except Exception:  # parts without a value, such as a coordinate: the compiler will report errors
         return None
     return found if np.isfinite(found).all() else None
 
 
-def _number(value: Any) -> Any:
-    """A parameter as numbers, if it is a number or a Constant; 1 for a function; others unchanged."""
+def _number(value: Any, of_place: float = 1.0) -> Any:
+    """A parameter as numbers, if it is a number or a Constant; `of_place` for a function; others unchanged."""
     if is_field(value) or isinstance(value, Indexed):  # values at places, or at quadrature points
-        return 1.0
+        return of_place
     try:
         array = np.asarray(getattr(value, "value", value), float)
     except (TypeError, ValueError):
         return value
-    return array if array.ndim else float(array) if np.isfinite(array) else 1.0
+    return array if array.ndim else float(array) if np.isfinite(array) else of_place
 
 
 def _rehearse(law: KernelLaw) -> None:

@@ -25,7 +25,6 @@ OF_ONE_STRESS = (
     "stations_at_ends",
     "inside",
     "plane_stress",
-    "otherwise",
     "energetic",
 )  # attributes valid for one stress only
 ENERGIES = ("energy", "dissipation", "dissipated")
@@ -159,8 +158,6 @@ def _require_used(law: Any) -> None:
         raise LawError(f"{name} declares a dissipation but no energy; write a method energy(step) too")
     if _own(kind, "at") and (not _own(kind, "varies") or inspect.getattr_static(kind, "varies") is False):
         raise LawError(f"{name} has a method at, but no parameters vary; write varies = True in the class")
-    if _own(kind, "otherwise") and kind.otherwise is not None and not law.traits.compiled:
-        raise LawError(f"{name} has a law otherwise, but holds everywhere; write a method holds(step), a UFL condition")
 
 
 def _own(kind: Any, name: str) -> bool:

@@ -38,7 +38,7 @@ class KernelLaw(BulkLaw):
         relaxes: whether stress or internal values depend on dt, of a law without `rate`.
     """
 
-    ignored: ClassVar = ("stress", "advance", "energy", "dissipation", "dissipated", "holds")
+    ignored: ClassVar = ("stress", "advance", "energy", "dissipation", "dissipated")
     memory: ClassVar[int] = 0
     energetic: ClassVar[bool] = False
     isotropic: ClassVar[bool] = False

@@ -34,8 +34,8 @@ class Step(NamedTuple):
     """Input of a law at one point, over a time step from t to t + dt.
 
     Attributes:
-        e: strain at the end of the step, (3, 3). Laws without rate and internal variables get no step: for their stress
-            and `holds`, in a body, in the layer, on S and in a `Stack`, e is the strain at t + theta dt.
+        e: strain at the end of the step, (3, 3). Laws without rate and internal variables get no step: for
+            their stress, in a body, in the layer, on S and in a `Stack`, e is the strain at t + theta dt.
         n: director of the layer: unit vector from the lower to the upper body; None inside a body. Compiled laws
             (`Traits.compiled`) get (3,), in 2D with a zero; laws whose stress is a part of a form get (d,).
             `forms.kinematics.lift(n)` is (3,) in both cases.
@@ -250,14 +250,11 @@ class BulkLaw(Law):
 
     Attributes:
         powers: parameter -> power of eps that keeps the interface law finite and not zero as eps -> 0.
-        otherwise: law evaluated in plane strain where `holds` is false, and always in 3D; it has the same parameters and
-            internal values. Without it, points where `holds` is false fail, and the solver takes a smaller step.
         volume_compliance: of a law with a pressure p (`constrained`), tr e/p; 0: the volume stays the same.
         methods: names of the methods that give the stress and the new internal values, for messages.
     """
 
     takes_fields: ClassVar = True
-    otherwise: ClassVar[BulkLaw | None] = None
     volume_compliance: ClassVar[Any] = 0.0
     methods: ClassVar[tuple[str, str]] = ("stress", "advance")
 
@@ -268,7 +265,7 @@ class BulkLaw(Law):
             "eases": kind.eased is not BulkLaw.eased,
             "in_series": not (said.constrained or said.switches),
             "in_ufl": True,
-            "compiled": said.rate or bool(self.internal) or said.varies or kind.holds is not BulkLaw.holds,
+            "compiled": said.rate or bool(self.internal) or said.varies,
         }
 
     def of_strains(self) -> BulkLaw:
@@ -298,10 +295,6 @@ class BulkLaw(Law):
     def dissipated(self, step: Step) -> Expr:
         """Dissipated energy per unit volume in the step, UFL; of laws without rate it has no power."""
         return step.dt * self.dissipation(step)
-
-    def holds(self, step: Step) -> Expr:
-        """UFL condition (ufl.lt, ufl.And, ...) for the points where the law holds; elsewhere `otherwise` is evaluated."""
-        return None
 
     def end_strips(self) -> Strips | None:
         """Strips along a free end of a layer with this law, for its interface law of order 1; None: they are not known."""

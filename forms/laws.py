@@ -7,7 +7,7 @@ from forms.incompressible import Incompressible
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw, Law, LawError, Step, choice
 from forms.non_monotone import NonMonotone, NonMonotoneUnrelaxed
-from forms.plastic import MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn
+from forms.plastic import MohrCoulomb, MohrCoulombMonodirectional
 from forms.rubber import Rubber
 from forms.series import Stack
 from forms.temperature import Tabulated
@@ -31,7 +31,6 @@ __all__ = [
     "Maxwell",
     "MohrCoulomb",
     "MohrCoulombMonodirectional",
-    "MohrCoulombReturn",
     "NonMonotone",
     "NonMonotoneUnrelaxed",
     "Norton",

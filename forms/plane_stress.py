@@ -32,7 +32,7 @@ class PlaneStress(BulkLaw):
     """
 
     law: BulkLaw
-    ignored: ClassVar = ("stress", "advance", "energy", "dissipation", "dissipated", "holds")
+    ignored: ClassVar = ("stress", "advance", "energy", "dissipation", "dissipated")
 
     def __post_init__(self) -> None:
         """Nothing: the law has been checked."""

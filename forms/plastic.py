@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import ufl
 
@@ -110,61 +110,9 @@ class Plastic(BulkLaw):
             return self.with_parameters({"elastic_fraction": h + share * (1 - h)})
         return self.with_parameters({"elastic_fraction": max(h, LEAST_FRACTION) ** (1 - ease) if ease else h})
 
-    # ---------------------------------------------------------------- of a step, UFL
-    def _elastic_strain(self, e: Expr, q: Any) -> Expr:
-        return e - q["plastic"]
-
-    def _trial(self, step: Step) -> Expr:
-        """Trial stress of the plastic part at t + theta dt: without plastic flow in the step."""
-        return lame(self.lmbda, self.mu, self._elastic_strain(step.mid, step.q))
-
-    def _flow(self, step: Step) -> tuple[Expr, Expr]:
-        """Increments up to t + theta dt of the plastic strain, (3, 3), traceless, and of the accumulated one."""
-        raise NotImplementedError
-
-    def _hardened(self, p: Expr) -> Expr:
-        """Cohesion at the accumulated plastic strain p."""
-        return self.cohesion + self.hardening * p + self.saturation * p / (self._half + p)
-
-    @property
-    def _half(self) -> Expr:
-        """p_0, or 1 where nothing saturates."""
-        return ufl.conditional(ufl.gt(self.saturation, 0), self.saturation_strain, 1.0)
-
-    def _size(self, p: Expr, excess: Expr, slope: Expr, weight: Expr, growth: Expr) -> Expr:
-        """The flow x > 0 with excess = slope x + weight (c(p + growth x) - c(p)): a root of a quadratic equation."""
-        d = self._half + p
-        a = slope + weight * growth * self.hardening
-        b = a * d + weight * growth * self.saturation * self._half / d - growth * excess
-        root = ufl.sqrt(b * b + 4 * a * growth * excess * d)
-        small, large = 2 * excess * d / (b + root), (root - b) / (2 * a * growth)
-        return ufl.conditional(ufl.gt(b, 0), small, large)
-
-    def stress(self, step: Step) -> Expr:
-        plastic = self._trial(step) - 2 * self.mu * self._flow(step)[0]
-        return (1 - self.elastic_fraction) * plastic + self.elastic_fraction * lame(self.lmbda, self.mu, step.mid)
-
-    def advance(self, step: Step) -> dict[str, Expr]:
-        flow, growth = self._flow(step)
-        return {
-            "plastic": step.q["plastic"] + flow / step.theta,
-            "accumulated": step.q["accumulated"] + growth / step.theta,
-        }
-
-    def energy(self, step: Step) -> Expr:
-        stored = isotropic_energy(self.lmbda, self.mu, self._elastic_strain(step.e, step.q))
-        return (1 - self.elastic_fraction) * stored + self.elastic_fraction * isotropic_energy(
-            self.lmbda, self.mu, step.e
-        )
-
-    def dissipated(self, step: Step) -> Expr:
-        flow, _ = self._flow(step)
-        stress = self._trial(step) - 2 * self.mu * flow
-        return (1 - self.elastic_fraction) * ufl.inner(stress, flow) / step.theta
-
 
 @dataclass(frozen=True)
-class MohrCoulomb(Plastic):
+class MohrCoulomb(KernelLaw, Plastic):
     """Mohr-Coulomb elasto-plasticity: on every plane |shear stress| <= C - tan(Omega) normal stress.
 
     In principal stresses s_1 >= s_2 >= s_3: (s_1 - s_3)/2 <= c cos(Omega) - (s_1 + s_3)/2 sin(Omega); plastic flow as if
@@ -181,9 +129,10 @@ class MohrCoulomb(Plastic):
     and under lasting shear t_T tends to C cos(Omega) - t_N sin(Omega): (34)-(35) hold with w^p only if the plastic strain
     has the form of a jump, which it has not.
 
-    This closed form is used where it holds: psi = 0, plane strain, and s_33 between the in-plane principal stresses
-    (at yield |p| (1 - 2 nu) <= R, which fails in compression for small nu and Omega, with C = 0 for
-    nu < (1 - sin(Omega))/2, and in tension near the apex). `MohrCoulombReturn` is used elsewhere, point by point.
+    This holds for psi = 0, in plane strain, and for s_33 between the in-plane principal stresses (at yield
+    |p| (1 - 2 nu) <= R, which fails in compression for small nu and Omega, with C = 0 for nu < (1 - sin(Omega))/2, and in
+    tension near the apex). The law itself is compiled from C: the return to faces, edges and apex of the yield surface in
+    principal stresses. On edges and at the apex p grows by 2 cos(Omega) times the flow along both planes together.
 
     For psi = 0 the flow keeps the mean stress, and from mean stresses above C cot(Omega) it cannot return to the yield
     surface. There the stress is cut off to C cot(Omega) times the identity, with a volumetric plastic strain: the material
@@ -194,6 +143,10 @@ class MohrCoulomb(Plastic):
     """
 
     dilatancy_angle: float = 0.0
+    memory: ClassVar = 7
+    energetic: ClassVar = True
+    isotropic: ClassVar = True
+    source: ClassVar = Path(__file__).with_name("mohr_coulomb.c")
 
     def check(self) -> None:
         super().check()
@@ -204,50 +157,6 @@ class MohrCoulomb(Plastic):
             self.dilatancy_angle,
             f"0 <= dilatancy_angle <= friction_angle = {self.friction_angle:g} degrees",
         )
-
-    @property
-    def otherwise(self) -> MohrCoulombReturn:  # type: ignore[override]
-        return MohrCoulombReturn.__new__(MohrCoulombReturn).with_parameters(self.parameters())  # checked already
-
-    def holds(self, step: Step) -> Expr:
-        trial = self._trial(step)
-        centre, radius2, bound = self._circle(trial, step.q)
-        in_plane = ufl.And(ufl.eq(trial[0, 2], 0), ufl.eq(trial[1, 2], 0))
-        between = ufl.le((trial[2, 2] - centre) ** 2, ufl.min_value(radius2, bound**2))
-        return ufl.And(ufl.And(in_plane, between), ufl.And(ufl.ge(bound, 0), ufl.eq(self.dilatancy_angle, 0)))
-
-    def _circle(self, trial: Expr, q: Any) -> tuple[Expr, Expr, Expr]:
-        """Centre and squared radius of the in-plane circle of a trial stress, and the old bound of the radius."""
-        angle = ufl.pi / 180 * self.friction_angle
-        centre = (trial[0, 0] + trial[1, 1]) / 2
-        radius2 = (trial[0, 0] - trial[1, 1]) ** 2 / 4 + trial[0, 1] ** 2
-        return centre, radius2, self._hardened(q["accumulated"]) * ufl.cos(angle) - centre * ufl.sin(angle)
-
-    def _flow(self, step: Step) -> tuple[Expr, Expr]:
-        trial, shear = self._trial(step), 2 * ufl.cos(ufl.pi / 180 * self.friction_angle)
-        centre, radius2, bound = self._circle(trial, step.q)
-        beyond = ufl.gt(radius2, bound**2)
-        radius = ufl.sqrt(ufl.conditional(beyond, radius2, 1))
-        excess = ufl.conditional(beyond, radius - bound, 1)
-        size = ufl.conditional(beyond, self._size(step.q["accumulated"], excess, 2 * self.mu, shear / 2, shear), 0)
-        deviator = [[trial[0, 0] - centre, trial[0, 1], 0], [trial[0, 1], trial[1, 1] - centre, 0], [0, 0, 0]]
-        return size / radius * ufl.as_tensor(deviator), shear * size
-
-
-@dataclass(frozen=True)
-class MohrCoulombReturn(KernelLaw, MohrCoulomb):
-    """`MohrCoulomb` by the return to faces, edges and apex of its yield surface in principal stresses, in 3D.
-
-    Parameters (angles in degrees) and internal variables are the same; it holds for all stresses, and is compiled from C.
-    On edges and at the apex p grows by 2 cos(Omega) times the flow along both planes together.
-    """
-
-    memory: ClassVar = 7
-    energetic: ClassVar = True
-    isotropic: ClassVar = True
-    source: ClassVar = Path(__file__).with_name("mohr_coulomb.c")
-    otherwise: ClassVar = None  # type: ignore[assignment]
-    stiffness = isotropic_stiffness  # that of the closed form: Python cannot evaluate the C source
 
 
 @dataclass(frozen=True)
@@ -282,7 +191,8 @@ class MohrCoulombMonodirectional(Plastic):
         return ufl.max_value(self.lmbda * ufl.tr(e) + 2 * self.mu * ufl.dot(n, ufl.dot(e, n)), 0)
 
     def _trial(self, step: Step) -> Expr:
-        e, n = self._elastic_strain(step.mid, step.q), lift(step.n)
+        """Trial stress of the plastic part at t + theta dt: without plastic flow in the step."""
+        e, n = step.mid - step.q["plastic"], lift(step.n)
         stress = lame(self.lmbda, self.mu, e)
         if not self.unilateral:
             return stress
@@ -290,7 +200,7 @@ class MohrCoulombMonodirectional(Plastic):
         return stress - opening * lame(self.lmbda, self.mu, ufl.outer(n, n))
 
     def energy(self, step: Step) -> Expr:
-        e = self._elastic_strain(step.e, step.q)
+        e = step.e - step.q["plastic"]
         stored = isotropic_energy(self.lmbda, self.mu, e)
         if self.unilateral:
             stored -= self._tension(e, lift(step.n)) ** 2 / (2 * (self.lmbda + 2 * self.mu))
@@ -299,8 +209,9 @@ class MohrCoulombMonodirectional(Plastic):
         )
 
     def _flow(self, step: Step) -> tuple[Expr, Expr]:
+        """Increments up to t + theta dt of the plastic strain, (3, 3), traceless, and of the accumulated one."""
         n, p = lift(step.n), step.q["accumulated"]
-        e = self._elastic_strain(step.mid, step.q)  # needs only the traction: compiles 50 times faster than with _trial
+        e = step.mid - step.q["plastic"]  # needs only the traction: compiles 50 times faster than with _trial
         e_N = ufl.dot(n, ufl.dot(e, n))
         t_N, t_T = self.lmbda * ufl.tr(e) + 2 * self.mu * e_N, 2 * self.mu * (ufl.dot(e, n) - e_N * n)
         t_N = ufl.min_value(t_N, 0) if self.unilateral else t_N
@@ -309,6 +220,38 @@ class MohrCoulombMonodirectional(Plastic):
         beyond = ufl.gt(size2, ufl.max_value(bound, 0) ** 2)
         size = ufl.sqrt(ufl.conditional(beyond, size2, 1))
         excess = ufl.conditional(beyond, size - bound, 1)
-        slip = ufl.min_value(self._size(p, excess, self.mu, 1, 1), size / self.mu)  # no shear is left where t_N pulls
+        slip = ufl.min_value(self._size(p, excess), size / self.mu)  # no shear is left where t_N pulls
         slip = ufl.conditional(beyond, slip, 0)
         return slip / size * ufl.sym(ufl.outer(t_T, n)), slip
+
+    def _hardened(self, p: Expr) -> Expr:
+        """Cohesion at the accumulated plastic strain p."""
+        return self.cohesion + self.hardening * p + self.saturation * p / (self._half + p)
+
+    @property
+    def _half(self) -> Expr:
+        """p_0, or 1 where nothing saturates."""
+        return ufl.conditional(ufl.gt(self.saturation, 0), self.saturation_strain, 1.0)
+
+    def _size(self, p: Expr, excess: Expr) -> Expr:
+        """The slip x > 0 with excess = mu x + c(p + x) - c(p): a root of a quadratic equation."""
+        d, a = self._half + p, self.mu + self.hardening
+        b = a * d + self.saturation * self._half / d - excess
+        root = ufl.sqrt(b * b + 4 * a * excess * d)
+        return ufl.conditional(ufl.gt(b, 0), 2 * excess * d / (b + root), (root - b) / (2 * a))
+
+    def stress(self, step: Step) -> Expr:
+        plastic = self._trial(step) - 2 * self.mu * self._flow(step)[0]
+        return (1 - self.elastic_fraction) * plastic + self.elastic_fraction * lame(self.lmbda, self.mu, step.mid)
+
+    def advance(self, step: Step) -> dict[str, Expr]:
+        flow, growth = self._flow(step)
+        return {
+            "plastic": step.q["plastic"] + flow / step.theta,
+            "accumulated": step.q["accumulated"] + growth / step.theta,
+        }
+
+    def dissipated(self, step: Step) -> Expr:
+        flow, _ = self._flow(step)
+        stress = self._trial(step) - 2 * self.mu * flow
+        return (1 - self.elastic_fraction) * ufl.inner(stress, flow) / step.theta

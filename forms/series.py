@@ -53,7 +53,7 @@ class Stack(BulkLaw):
 
     fractions: tuple[float, ...]
     laws: tuple[BulkLaw, ...]
-    ignored: ClassVar = ("stress", "advance", "energy", "dissipation", "dissipated", "holds")
+    ignored: ClassVar = ("stress", "advance", "energy", "dissipation", "dissipated")
 
     def __init__(self, *sublayers: tuple[float, BulkLaw]) -> None:
         try:

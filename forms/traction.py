@@ -65,7 +65,7 @@ class TractionLaw(Law):
     """
 
     ignored: ClassVar = (
-        *("stress", "advance", "dissipated", "holds", "otherwise", "eased", "stiffness", "plane_stress"),
+        *("stress", "advance", "dissipated", "eased", "stiffness", "plane_stress"),
         *("stations", "elastic_moduli", "inside"),
     )
 

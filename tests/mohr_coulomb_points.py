@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
-
 import numpy as np
 
-from forms import MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn
+from forms import MohrCoulomb, MohrCoulombMonodirectional
 from tests.at_points import E2, tensor
 
 LMBDA, MU, C, OMEGA = 60.0, 40.0, 0.1, 30.0  # nu = 0.3
@@ -16,21 +13,13 @@ PLANE = [0, 1, 3]
 THETAS = [1.0, 0.7, 0.5]
 
 
-@dataclass(frozen=True)
-class ClosedOnly(MohrCoulomb):
-    """The closed in-plane form, without another law where it does not hold."""
-
-    otherwise: ClassVar = None
-
-
-LAW, CLOSED, RETURN = (kind(LMBDA, MU, C, OMEGA) for kind in (MohrCoulomb, ClosedOnly, MohrCoulombReturn))
+LAW = MohrCoulomb(LMBDA, MU, C, OMEGA)
 MONO = MohrCoulombMonodirectional(LMBDA, MU, C, OMEGA)
 LAWS = {
-    "closed form and return": LAW,
-    "return": RETURN,
-    "psi = 12": MohrCoulombReturn(LMBDA, MU, C, OMEGA, dilatancy_angle=12.0),
-    "psi = Omega": MohrCoulombReturn(LMBDA, MU, C, OMEGA, dilatancy_angle=OMEGA),
-    "elastic fraction": MohrCoulombReturn(LMBDA, MU, C, OMEGA, 0.2, 12.0),
+    "psi = 0": LAW,
+    "psi = 12": MohrCoulomb(LMBDA, MU, C, OMEGA, dilatancy_angle=12.0),
+    "psi = Omega": MohrCoulomb(LMBDA, MU, C, OMEGA, dilatancy_angle=OMEGA),
+    "elastic fraction": MohrCoulomb(LMBDA, MU, C, OMEGA, 0.2, 12.0),
     "monodirectional": MONO,
     "unilateral": MohrCoulombMonodirectional(LMBDA, MU, C, OMEGA, unilateral=True),
     "unilateral, elastic fraction": MohrCoulombMonodirectional(LMBDA, MU, C, OMEGA, 0.2, unilateral=True),

@@ -93,6 +93,7 @@ class Mises(KernelLaw):
     quadratic: ClassVar = True
     memory: ClassVar = 6  # plastic strain
     energetic: ClassVar = True
+    isotropic: ClassVar = True
 
     @staticmethod
     def kernel(e, e_old, q, dt, theta, n, parameters, stress, tangent, q_new, energies):

@@ -21,7 +21,6 @@ from forms import (
     Maxwell,
     MohrCoulomb,
     MohrCoulombMonodirectional,
-    MohrCoulombReturn,
     Norton,
     Stack,
 )
@@ -105,7 +104,7 @@ def test_bearings_without_friction():
 @pytest.mark.parametrize("gap", [1e-1, 1e-3, 1e-4, 1e-6])
 def test_tangents_next_to_coinciding_stresses(pair, gap):
     """A turn of the principal axes turns the stress: C : (W e - e W) = W s - s W, also just beyond first yield."""
-    law = MohrCoulombReturn(70.0, 40.0, cohesion=0.3, friction_angle=30.0, dilatancy_angle=12.0)
+    law = MohrCoulomb(70.0, 40.0, cohesion=0.3, friction_angle=30.0, dilatancy_angle=12.0)
     angle, n = np.radians(30.0), E2[None]
     shape = np.array([1.0, 0.3, -1.0])
     shape[1] = shape[pair[0] if pair == (0, 1) else 2] + (-gap if pair == (0, 1) else gap)
@@ -126,7 +125,7 @@ def test_tangents_next_to_coinciding_stresses(pair, gap):
         assert found == pytest.approx(vector((W @ s - s @ W)[None])[0], abs=1e-6 * 80.0 * np.abs(turned).max())
 
 
-@pytest.mark.parametrize("law", [MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn])
+@pytest.mark.parametrize("law", [MohrCoulomb, MohrCoulombMonodirectional])
 def test_angles_that_look_like_radians(law):
     with pytest.warns(
         RangeWarning, match=rf"^{law.__name__}: friction_angle is 0\.6 degrees.*friction_angle = 34\.38$"

@@ -14,7 +14,6 @@ from forms import (
     Maxwell,
     MohrCoulomb,
     MohrCoulombMonodirectional,
-    MohrCoulombReturn,
     NonMonotone,
     NonMonotoneUnrelaxed,
     Norton,
@@ -144,7 +143,6 @@ CHI = [[0.0, 0.5], [0.5, 1.0]]
 YIELDING = (60.0, 40.0, 0.3, 30.0)
 REFUSED = {
     "MohrCoulomb": (MohrCoulomb(*YIELDING), "MohrCoulomb bounds stresses"),
-    "Return": (MohrCoulombReturn(*YIELDING), "MohrCoulombReturn bounds stresses"),
     "Monodirectional": (MohrCoulombMonodirectional(*YIELDING), "MohrCoulombMonodirectional bounds stresses"),
     "stacked": (Stack((0.5, CREEP), (0.5, MohrCoulomb(*YIELDING))), "MohrCoulomb bounds stresses"),
     "NonMonotone": (NonMonotone(60.0, 40.0, 1.5, 0.15, CHI), "NonMonotone answers at once, and not linearly"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms import Incompressible, LinearElastic, Maxwell, MohrCoulomb, MohrCoulombReturn, Norton, limits
+from forms import Incompressible, LinearElastic, Maxwell, MohrCoulomb, Norton, limits
 from tests.mohr_coulomb_points import LAW, LAWS, LMBDA, MONO, MU, OMEGA, C
 from tests.own_laws import Slipping
 from thinlayer.errors import ModelError, SolveError
@@ -26,7 +26,7 @@ def test_opening_held():
     errors = [np.abs(t - exact) for t in ends]
     assert np.log2(errors[1] / errors[2]) == pytest.approx([1, 1], abs=0.01)
     assert 2 * ends[2] - ends[1] == pytest.approx(exact, abs=5e-6)
-    for law in (MONO, MohrCoulombReturn(LMBDA, MU, C, OMEGA, dilatancy_angle=10.0), MohrCoulomb(LMBDA, MU, C, 29.9)):
+    for law in (MONO, MohrCoulomb(LMBDA, MU, C, OMEGA, dilatancy_angle=10.0), MohrCoulomb(LMBDA, MU, C, 29.9)):
         assert np.abs(closing_and_shearing(law, 400).tractions[-1] - exact).max() > 5e-4
     mono = closing_and_shearing(MONO, 10).tractions[-1]  # any number of steps: it is penalised Coulomb
     assert mono == pytest.approx([C + np.tan(np.radians(OMEGA)) * 1.4, -1.4], rel=1e-12)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from forms import LawError, MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn
+from forms import LawError, MohrCoulomb, MohrCoulombMonodirectional
 from tests.mohr_coulomb_points import LAW, LMBDA, MU
 
 
@@ -27,10 +27,6 @@ from tests.mohr_coulomb_points import LAW, LMBDA, MU
         (lambda: MohrCoulomb(LMBDA, MU, 0.1, 30.0, elastic_fraction=-0.1), "elastic_fraction is -0.1"),
         (lambda: MohrCoulomb(LMBDA, 0.0, 0.1, 30.0), "mu is 0.0; allowed: > 0"),
         (lambda: MohrCoulomb(-30.0, MU, 0.1, 30.0), "lmbda is -30.0"),
-        (lambda: MohrCoulombReturn(LMBDA, MU, 0.1, 30.0, dilatancy_angle=31.0),
-            "MohrCoulombReturn: dilatancy_angle is 31.0",
-        ),
-        (lambda: MohrCoulombReturn(LMBDA, MU, -0.1, 30.0), "MohrCoulombReturn: cohesion is -0.1"),
         (lambda: MohrCoulomb(LMBDA, MU, "0.1", 30.0), "cohesion is '0.1'; allowed: a number"),
         (lambda: MohrCoulombMonodirectional(LMBDA, MU, -0.1, 30.0), "MohrCoulombMonodirectional: cohesion is -0.1"),
         (lambda: MohrCoulombMonodirectional(LMBDA, MU, 0.1, 95.0), "friction_angle is 95.0"),

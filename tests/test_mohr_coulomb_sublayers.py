@@ -51,7 +51,7 @@ def test_elastic_and_monodirectional_sublayers():
     assert abs(mean[0] - limits.stratified(law.fractions, stiffnesses)[0, 0]) > 0.05 * mean[0]
 
 
-@pytest.mark.parametrize("name", ["closed form and return", "monodirectional", "unilateral"])
+@pytest.mark.parametrize("name", ["psi = 0", "monodirectional", "unilateral"])
 def test_sublayers_that_all_yield(name):
     """Equal ones are the law itself, whatever the split; of others, under pressure, the order does not matter."""
     law, random = LAWS[name], np.random.default_rng(9)

@@ -12,6 +12,7 @@ import numpy as np
 from forms.base import is_number
 from forms.kinematics import MANDEL, ROOT2
 from forms.law import Law
+from forms.tangent import takes_time
 from forms.temperature import real
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.files.table import Table
@@ -118,9 +119,9 @@ def drive(
             f"dt is 0 in step {int(np.argmin(lengths)) + 1}; {type(law).__name__} lets no jump change at once"
         )
     timeless = f"dt is missing: {type(law).__name__} depends on the length of the steps in time"
-    if no_time and law.traits.rate:
-        raise ModelError(timeless)
     point = MaterialPoint(law.of_strains(), normal, axes, float(theta))
+    if no_time and any(takes_time(one) for _, one in point.law.sublayers):
+        raise ModelError(timeless)
     states = [point.rest()]
     parts: list[int] = []
 
@@ -133,8 +134,6 @@ def drive(
         except SolveError as error:
             asked = ", ".join(f"{name} = {value:g}" for name, value in steps[k].items())
             raise SolveError(f"step {k + 1} of {len(path)} ({asked}): {error}", history()) from None
-        if no_time and point.depends_on_time(states[-1], state):
-            raise ModelError(timeless)
         states.append(state)
         parts.append(taken)
     return history()

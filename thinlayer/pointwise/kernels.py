@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -46,7 +46,6 @@ class Kernel:
         memory: number of internal values of the function.
         parameters: real parameters, one after the other.
         fraction: share of the thickness.
-        otherwise: address of the function that is called where this one gives NaN; 0 if there is none.
         plane: whether the strains out of the plane are found at each point, where the stresses there are zero.
         keep: objects that must live as long as the addresses are used.
     """
@@ -55,7 +54,6 @@ class Kernel:
     memory: int
     parameters: Array
     fraction: float = 1.0
-    otherwise: int = 0
     plane: bool = False
     keep: Any = field(default=None, repr=False, compare=False)
 
@@ -77,49 +75,15 @@ def kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
 def _kernel(comm: MPI.Intracomm, law: BulkLaw, fraction: float) -> Kernel:
     check(law)
     if law.in_space is not law:
-        return replace(_kernel(comm, law.in_space.otherwise or law.in_space, fraction), plane=True)
-    numbers, kind = law.parameter_values(), type(law)
-    if isinstance(law, KernelLaw) and law.source is not None:
+        return replace(_kernel(comm, law.in_space, fraction), plane=True)
+    numbers = law.parameter_values()
+    if not isinstance(law, KernelLaw):
+        address, keep = _compiled_by_ffcx(comm, law)
+    elif law.source is not None:
         address, keep = _compiled_from_c(comm, law)
-        return Kernel(address, law.memory, numbers, fraction, keep=keep)
-    if isinstance(law, KernelLaw):
-        address, keep = _compiled_by_numba(kind, len(numbers))
-        return Kernel(address, law.memory, numbers, fraction, keep=keep)
-    substitute = law.otherwise
-    if substitute is not None:
-        _require_substitute(law, substitute)
-    address, keep = _compiled_by_ffcx(comm, law)
-    if substitute is None:
-        return Kernel(address, law.memory, numbers, fraction, keep=keep)
-    other = _kernel(comm, substitute, fraction)
-    return Kernel(address, law.memory, numbers, fraction, other.address, keep=(keep, other.keep))
-
-
-def _require_substitute(law: BulkLaw, other: Any) -> None:
-    """Raise LawError unless the law `otherwise` has the same parameters and internal values, in the same order."""
-    name, kind = type(law).__name__, type(other).__name__
-    if not isinstance(other, BulkLaw) or other.sublayers[0][1] is not other:
-        raise LawError(
-            f"{name}.otherwise is {other!r}; it must be a law, a property that returns Other(**self.parameters())"
-        )
-    if other.otherwise is not None:
-        raise LawError(
-            f"{name}.otherwise is a {kind}, which has a law otherwise too; it must be one that holds everywhere"
-        )
-    mine, others = law.parameters(), other.parameters()
-    if list(mine) != list(others) or not all(np.array_equal(mine[key], others[key]) for key in mine):
-        raise LawError(
-            f"{name}.otherwise has the parameters {others}; it must have those of {name}, in their order: {mine}"
-        )
-    same = law.memory == other.memory  # the shapes of a `KernelLaw` are its own
-    if other.traits.in_ufl:
-        same = list(law.internal.items()) == list(other.internal.items())
-    if not same:
-        kept = f"internal values {other.internal}" if other.traits.in_ufl else f"{other.memory} internal values"
-        asked = f"those of {name}, {law.internal}: {law.memory} numbers"
-        raise LawError(f"{name}.otherwise keeps {kept}; it must keep {asked}")
-    if law.traits.has_energy != other.traits.has_energy:
-        raise LawError(f"one of {name} and {kind}, its law otherwise, declares an energy; both must, or none")
+    else:
+        address, keep = _compiled_by_numba(type(law), len(numbers))
+    return Kernel(address, law.memory, numbers, fraction, keep=keep)
 
 
 def memory_slots(law: BulkLaw, name: str, shape: tuple[int, ...] = ()) -> list[tuple[float, BulkLaw, int]]:
@@ -149,50 +113,29 @@ def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
 def _compiled(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
     point = symbolic(law)
     outputs = _outputs(law, point)
-    computed = key(outputs.all)
+    computed = key(outputs)
     if comm.allreduce(int(computed not in _COMPILED)):
-        require_numbers_alone(law, point.numbers, outputs.all)
+        require_numbers_alone(law, point.numbers, outputs)
         expression, module, _ = jit.ffcx_jit(comm, (_point_expression(point, outputs), np.zeros((1, 1))))
         address = int(module.ffi.cast("intptr_t", expression.tabulate_tensor_float64))
         _COMPILED[computed] = address, (expression, module)
     return _COMPILED[computed]
 
 
-class _Outputs(NamedTuple):
-    """Outputs of a law at a point, UFL: stress (6,), 0 or NaN where it does not hold, internal values, energies (3)."""
-
-    stress: Expr
-    failing: Expr
-    memory: list[Expr]
-    energies: list[Expr]
-
-    @property
-    def all(self) -> list[Expr]:
-        return [self.stress, self.failing, *self.memory, *self.energies]
-
-
-def _outputs(law: BulkLaw, point: Symbolic) -> _Outputs:
-    """Outputs of a law for symbols."""
+def _outputs(law: BulkLaw, point: Symbolic) -> list[Expr]:
+    """Outputs of a law for symbols: stress (6,), internal values, three energies."""
     one, step = point.law, point.step
     stress, new = mandel(one.stress(one.own_step(step))), one.advance(step)
     memory = [value for name, shape in law.internal.items() for value in _packed(new[name], shape)]
-    energies = [ufl.as_ufl(energy) for energy in _energies(one, step, new)]
-    return _Outputs(stress, ufl.as_ufl(_nan_unless(one, step)), memory, energies)
+    return [stress, *memory, *(ufl.as_ufl(energy) for energy in _energies(one, step, new))]
 
 
-def _point_expression(point: Symbolic, outputs: _Outputs) -> Expr:
+def _point_expression(point: Symbolic, outputs: list[Expr]) -> Expr:
     """A vector of the outputs and the tangent, a function of one Constant with all inputs."""
-    tangent = ufl.diff(outputs.stress, point.strain)
-    rows = [outputs.stress[i] for i in range(6)]
-    rows[0] += outputs.failing
-    rows += [*outputs.memory, *(tangent[i, j] for i in range(6) for j in range(6))]
-    return ufl.as_vector([*rows, *outputs.energies])
-
-
-def _nan_unless(law: BulkLaw, step: Step) -> Expr:
-    if type(law).holds is BulkLaw.holds:
-        return 0.0
-    return ufl.sqrt(ufl.conditional(law.holds(law.own_step(step)), 0.0, -1.0))
+    stress, *memory = outputs[:-3]
+    tangent = ufl.diff(stress, point.strain)
+    rows = [*(stress[i] for i in range(6)), *memory, *(tangent[i, j] for i in range(6) for j in range(6))]
+    return ufl.as_vector([*rows, *outputs[-3:]])
 
 
 def _energies(law: BulkLaw, step: Step, new: dict[str, Expr]) -> list[Expr]:

@@ -13,13 +13,11 @@ from mpi4py import MPI
 from forms.fields import number_of
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw, LawError
-from forms.planes import Kinematics
 from forms.trace import named
 from thinlayer.compiling.compiled import library
 from thinlayer.errors import ModelError
 from thinlayer.pointwise.kernels import Array, kernels
 
-PLANE_STRAIN = [*Kinematics().slots(2)]
 TRIAL_SIZES = tuple(10.0**k for k in range(-15, 7))  # of strains, or jumps in any unit
 TRIAL_STEPS = (1.0, 0.0, 1e12, 1e30)  # lengths of steps in any unit of time
 SOURCE = Path(__file__).with_name("response.c")
@@ -37,7 +35,6 @@ class Material:
         self.law, self._current, self._kernels = law, law, kernels(comm, law)
         self._library = library(SOURCE, comm)
         self._addresses = np.array([k.address for k in self._kernels], np.intp)
-        self._others = np.array([k.otherwise for k in self._kernels], np.intp)
         self._memories = np.array([k.memory for k in self._kernels], np.int32)
         self._planes = np.array([k.plane for k in self._kernels], np.int32)
         self._counts = np.array([len(k.parameters) for k in self._kernels], np.int32)
@@ -123,11 +120,8 @@ class Material:
                 raise ModelError(f"{name} has the shape {array.shape}; it must be {(points, width)}")
         s, C, energies = np.empty((points, 6)), np.empty((points, m, m)), np.empty((points, 3))
         q_new = np.empty((points, self.memory))
-        in_plane = components.tolist() == PLANE_STRAIN  # laws with `otherwise` are closed forms of plane strain
-        addresses = self._addresses if in_plane else np.where(self._others, self._others, self._addresses)
         law = self._given(
-            addresses,
-            self._others,
+            self._addresses,
             self._memories,
             self._planes,
             self._counts,

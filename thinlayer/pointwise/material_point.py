@@ -69,13 +69,6 @@ class MaterialPoint:
         self.stiffness = max(self.stiffness, np.abs(tangent).max())
         return MaterialPointState(old.t + dt, w, self.E.T @ stress[0], tangent, stress[0], memory[0], energies[0])
 
-    def depends_on_time(self, old: MaterialPointState, now: MaterialPointState) -> bool:
-        """Whether the response to a step from one state to the jump of another depends on its duration."""
-        short, long = (self._respond(old, now.w, dt) for dt in (1.0, 2.0))
-        if short is None or long is None:
-            return short is not long
-        return not (np.array_equal(short.stress, long.stress) and np.array_equal(short.memory, long.memory))
-
     def advance(
         self, old: MaterialPointState, jumps_given: Array, goal: Array, dt: float
     ) -> tuple[MaterialPointState, int]:

@@ -11,7 +11,7 @@
 typedef void function(double *, const double *, const double *, const double *, const int *, const uint8_t *, void *);
 
 typedef struct {
-    function *law, *otherwise; /* which answers where the law leaves a NaN; or NULL */
+    function *law;
     int memory, plane, n_parameters; /* plane: the strains out of the plane are unknown, the stresses there zero */
     double fraction, out_strains[3];
     double *in, *out;
@@ -27,16 +27,10 @@ typedef struct {
 
 static const double root2 = 1.4142135623730951, FARTHEST = 1e3, NO_STRAIN = 1e-13, LIGHT = 1e-6;
 
-static void call(function *law, sublayer *a)
-{
-    memset(a->out, 0, (45 + a->memory) * sizeof(double));
-    law(a->out, NULL, a->in, NULL, NULL, NULL, NULL);
-}
-
 static void evaluate_in_space(sublayer *a)
 {
-    call(a->law, a);
-    if (a->otherwise && isnan(a->out[0])) call(a->otherwise, a);
+    memset(a->out, 0, (45 + a->memory) * sizeof(double));
+    a->law(a->out, NULL, a->in, NULL, NULL, NULL, NULL);
 }
 
 static double *tangent(const sublayer *a) { return a->out + 6 + a->memory; }
@@ -300,7 +294,7 @@ static int in_series(sublayer *layers, int count, const double *e, const frame *
  * by its strains 33, 13 and 23; parameters: of all points,
  * or, with `varying`, (points, n), of each. With `fixed`, strains stay e_old, those of sublayers too: nothing is solved, there is
  * no stress, and the energies are those of e_old. */
-int run(int count, const intptr_t *addresses, const intptr_t *others, const int32_t *memories, const int32_t *planes,
+int run(int count, const intptr_t *addresses, const int32_t *memories, const int32_t *planes,
         const int32_t *n_parameters, const double *fractions, const double *parameters, int varying, int m, const int32_t *slots, int points, int width,
         const double *e, const double *e_old, const double *q, const double *n, double dt, double theta, int fixed,
         double *stress, double *C, double *q_new, double *energy)
@@ -315,7 +309,7 @@ int run(int count, const intptr_t *addresses, const intptr_t *others, const int3
     }
     for (int i = 0; i < count; i++) {
         sublayer *a = &layers[i];
-        a->law = (function *)addresses[i], a->otherwise = (function *)others[i];
+        a->law = (function *)addresses[i];
         a->memory = memories[i], a->plane = planes[i], a->n_parameters = n_parameters[i];
         a->fraction = fractions[i];
         a->in = next, a->out = a->in + 17 + a->memory + a->n_parameters;
