@@ -24,26 +24,6 @@ def von_mises_shear(mu: float, strength: float, hardening: float, w: Array) -> A
     return np.where(w <= first, mu * w, mu * first + slope * (w - first))
 
 
-def von_mises_fixed_opening(lmbda: float, mu: float, strength: float, w_N: float, w_T: Array) -> Array:
-    """Tractions (..., 2), t_T and t_N, of an ideally plastic layer that is sheared, w_T >= 0, at a held w_N. Exact in time.
-
-    In the plane of sqrt(3) t_T and 3/2 s_N the yield surface is a circle; s_N is the normal component of the deviator. From
-    first yield at w_y on, t_T = Y/sqrt(3) tanh(sqrt(3) mu (w_T - w_y)/Y + artanh(sqrt(3) t_y/Y)): s_N fades.
-
-    Raises:
-        LawError: the opening alone makes the layer yield.
-    """
-    x, s_N = np.asarray(w_T, float), 2 * mu * w_N  # 3/2 of the deviator's component
-    if not abs(s_N) < strength:
-        raise LawError(f"2 mu |w_N| = {abs(s_N):g} at the start is not below Y = {strength:g}")
-    first = math.sqrt(strength**2 - s_N**2) / math.sqrt(3)  # t_T at first yield
-    angle = math.sqrt(3) * (mu * x - first) / strength + math.atanh(math.sqrt(3) * first / strength)
-    yields = mu * x > first
-    t_T = np.where(yields, strength / math.sqrt(3) * np.tanh(angle), mu * x)
-    fading = np.where(yields, np.sign(s_N) * strength / np.cosh(np.minimum(angle, 300)), s_N)
-    return np.stack([t_T, (lmbda + 2 * mu / 3) * w_N + 2 / 3 * fading], axis=-1)
-
-
 def prandtl_pressure(k: float) -> float:
     """Mean pressure (2 + pi) k under which a strip footing sinks into a half space with the yield stress in shear k."""
     return (2 + math.pi) * k

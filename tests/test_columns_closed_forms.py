@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms import LinearElastic, Stack, limits
+from forms import LinearElastic, Stack
+from tests import closed_forms
 from tests.columns_in_time import (
     AXIS,
     EXACT,
@@ -37,40 +38,40 @@ SERIES = Stack((0.3, MAXWELL), (0.5, KELVIN), (0.2, LinearElastic(LMBDA, MU)))
 
 def series_creep(mode, t):
     parts = [
-        limits.maxwell_creep(LOAD[mode], K[mode], T1, t),
-        limits.kelvin_voigt_creep(LOAD[mode], K[mode], G[mode], t),
+        closed_forms.maxwell_creep(LOAD[mode], K[mode], T1, t),
+        closed_forms.kelvin_voigt_creep(LOAD[mode], K[mode], G[mode], t),
         LOAD[mode] / K[mode],
     ]
-    return limits.stack_creep(SERIES.fractions, parts)
+    return closed_forms.stack_creep(SERIES.fractions, parts)
 
 
 def kelvin_creep(mode, t):
-    return limits.kelvin_voigt_creep(LOAD[mode], K[mode], G[mode], t)
+    return closed_forms.kelvin_voigt_creep(LOAD[mode], K[mode], G[mode], t)
 
 
 def kelvin_moved(mode, t):
-    return limits.kelvin_voigt_displaced(MOVE[mode], K[mode], G[mode], C[mode], t)
+    return closed_forms.kelvin_voigt_displaced(MOVE[mode], K[mode], G[mode], C[mode], t)
 
 
 def maxwell_moved(mode, t):
-    return MOVE[mode] - C[mode] * limits.maxwell_relaxation(MOVE[mode], K[mode], C[mode], T1, t)
+    return MOVE[mode] - C[mode] * closed_forms.maxwell_relaxation(MOVE[mode], K[mode], C[mode], T1, t)
 
 
 def two_times_creep(mode, t):
-    return limits.maxwell_normal_creep(LMBDA, MU, T1, T2, LOAD[mode], t)
+    return closed_forms.maxwell_normal_creep(LMBDA, MU, T1, T2, LOAD[mode], t)
 
 
 def norton_creep(p):
-    return lambda mode, t: limits.norton_creep(LOAD[mode], K[mode], 5.0, p, t, shear=mode == "shear")
+    return lambda mode, t: closed_forms.norton_creep(LOAD[mode], K[mode], 5.0, p, t, shear=mode == "shear")
 
 
 def power_creep_normal(mode, t):
-    return limits.power_creep_normal(LMBDA, MU, CREEP.A, CREEP.n, LOAD[mode], t)
+    return closed_forms.power_creep_normal(LMBDA, MU, CREEP.A, CREEP.n, LOAD[mode], t)
 
 
 def power_moved(mode, t):
     compliance = 1 / MU + C[mode]
-    return MOVE[mode] - C[mode] * limits.power_relaxation(compliance, CREEP.A, CREEP.n, MOVE[mode] / compliance, t)
+    return MOVE[mode] - C[mode] * closed_forms.power_relaxation(compliance, CREEP.A, CREEP.n, MOVE[mode] / compliance, t)
 
 
 CLOSED = {  # law, mode, whether the end is moved, end of time, jump(mode, t), number at t = 1 from independent code
@@ -118,7 +119,7 @@ def test_maxwell_creep_is_exact(mode):
     for theta in (1.0, 0.5):
         history = marched(MAXWELL, mode, theta, [0.1, 0.5, 1.0], load=LOAD[mode])
         for state in history:
-            expected = limits.maxwell_creep(LOAD[mode], K[mode], T1, state.t)
+            expected = closed_forms.maxwell_creep(LOAD[mode], K[mode], T1, state.t)
             assert jump_of(history, mode, state) == pytest.approx(expected, rel=1e-11)
 
 
@@ -126,8 +127,8 @@ def test_maxwell_creep_is_exact(mode):
 def test_norton_above_two_comes_to_rest_in_finite_time():
     """p = 3: the end of the closed form is the elastic jump, reached and kept."""
     load, stop = LOAD["shear"], 2 * (0.5 * 5.0 * 2**-1.5) ** 0.5 / MU
-    assert limits.norton_creep(load, MU, 5.0, 3.0, 0.999 * stop, shear=True) < load / MU
-    assert limits.norton_creep(load, MU, 5.0, 3.0, 1.001 * stop, shear=True) == pytest.approx(load / MU, rel=EXACT)
+    assert closed_forms.norton_creep(load, MU, 5.0, 3.0, 0.999 * stop, shear=True) < load / MU
+    assert closed_forms.norton_creep(load, MU, 5.0, 3.0, 1.001 * stop, shear=True) == pytest.approx(load / MU, rel=EXACT)
     history = marched(NORTON_3, "shear", 1.0, np.linspace(0, 2 * stop, 201)[1:], load=load)
     assert jump_of(history, "shear") == pytest.approx(load / MU, rel=1e-3)
 
@@ -138,12 +139,12 @@ def test_creep_by_nortons_power_law_goes_on_and_that_of_the_papers_law_stops():
     for theta in (1.0, 0.5):
         history = marched(CREEP, "shear", theta, [0.1, 0.5, 2.0], load=LOAD["shear"])
         for state in history:
-            expected = limits.power_creep(MU, CREEP.A, CREEP.n, LOAD["shear"], state.t)
+            expected = closed_forms.power_creep(MU, CREEP.A, CREEP.n, LOAD["shear"], state.t)
             assert jump_of(history, "shear", state) == pytest.approx(expected, rel=1e-9)
-    dashpot = limits.norton(0.0, 0.0, eta, p, np.zeros(2), np.array([3 ** ((CREEP.n + 1) / 2) * CREEP.A, 0.0]), [0, 1])
+    dashpot = closed_forms.norton(0.0, 0.0, eta, p, np.zeros(2), np.array([3 ** ((CREEP.n + 1) / 2) * CREEP.A, 0.0]), [0, 1])
     assert dashpot == pytest.approx([1.0, 0.0], rel=1e-12)  # its dashpot alone, from the numbers of a data sheet
-    stopped = limits.norton_creep(LOAD["shear"], MU, eta, p, 1e3, shear=True)
-    assert stopped < 0.1 * limits.power_creep(MU, CREEP.A, CREEP.n, LOAD["shear"], 1e3)
+    stopped = closed_forms.norton_creep(LOAD["shear"], MU, eta, p, 1e3, shear=True)
+    assert stopped < 0.1 * closed_forms.power_creep(MU, CREEP.A, CREEP.n, LOAD["shear"], 1e3)
 
 
 def test_incompressible_column():

@@ -10,8 +10,9 @@ import pytest
 import ufl
 from mpi4py import MPI
 
-from forms import BulkLaw, Stack, limits
+from forms import BulkLaw, Stack
 from geometry import sandwich
+from tests import closed_forms
 from tests.columns_in_time import BODY, EXACT, LAWS, LOAD, TIMES, both, check_balance, check_same, column, joint
 from tests.laws_at_points import KELVIN, LMBDA, MAXWELL_2, MU, NORTON_3
 from tests.own_laws import Hardening
@@ -111,7 +112,7 @@ def test_any_direction(name):
         powers = np.linalg.solve(np.vander(times, increasing=True), [sign * s @ tangent for s in stresses])
         return lambda x, time: sum(row * time**k for k, row in enumerate(map(ufl.as_vector, powers.tolist())))
 
-    a = np.linalg.solve(limits.elastic_stiffness(BODY.lmbda, BODY.mu, n), t)
+    a = np.linalg.solve(closed_forms.elastic_stiffness(BODY.lmbda, BODY.mu, n), t)
     e = (np.outer(a, n) + np.outer(n, a)) / 2
     body = BODY.lmbda * np.trace(e) * np.eye(2) + 2 * BODY.mu * e
     tractions = {"TOP": tuple(t)}

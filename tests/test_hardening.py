@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from forms import LawError, MohrCoulomb, MohrCoulombMonodirectional, VonMises, limits
+from tests import closed_forms
 from tests.at_points import E2, at_rest, respond, tensor, traction
 from tests.mohr_coulomb_points import elastic, excess, normals, strains
 from thinlayer import drive
@@ -136,12 +137,12 @@ def test_a_layer_of_metal_under_shear_at_a_held_opening():
     for count in (40, 80):
         w = np.linspace(0, 0.03, count + 1)[1:]
         found = drive(law, [{"w_T": 0.0, "w_N": w_N}] + [{"w_T": one, "w_N": w_N} for one in w]).tractions[1:]
-        exact = limits.von_mises_fixed_opening(LMBDA, MU, Y, w_N, w)
+        exact = closed_forms.von_mises_fixed_opening(LMBDA, MU, Y, w_N, w)
         errors.append(np.abs(found - exact).max() / Y)
     assert errors[1] < 0.01
     assert errors[0] / errors[1] == pytest.approx(2, rel=0.1)
     with pytest.raises(LawError, match="not below Y"):
-        limits.von_mises_fixed_opening(LMBDA, MU, Y, 0.01, w)
+        closed_forms.von_mises_fixed_opening(LMBDA, MU, Y, 0.01, w)
 
 
 def test_a_layer_that_slips_hardens():
@@ -151,8 +152,8 @@ def test_a_layer_that_slips_hardens():
     history = drive(law, [{"w_T": a, "w_N": b} for a, b in path])
     slip, gone, n, apart = np.zeros(2), 0.0, np.array([0.0, 1.0]), 0.0
     for w, found in zip(np.array(path), history.tractions, strict=True):
-        t, new = limits.penalised_coulomb(LMBDA, MU, C, OMEGA, w, slip, n, hardening=H, accumulated=gone)
-        wrong, _ = limits.penalised_coulomb(LMBDA, MU, C, OMEGA, w, slip, n, hardening=H)
+        t, new = closed_forms.penalised_coulomb(LMBDA, MU, C, OMEGA, w, slip, n, hardening=H, accumulated=gone)
+        wrong, _ = closed_forms.penalised_coulomb(LMBDA, MU, C, OMEGA, w, slip, n, hardening=H)
         assert found == pytest.approx(t, rel=1e-10)
         apart = max(apart, np.abs(found - wrong).max() / np.abs(t).max())
         gone, slip = gone + float(np.linalg.norm(new - slip)), new

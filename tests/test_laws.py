@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mpi4py import MPI
 
-from forms import Anisotropic, LawError, LinearElastic, Stack, limits
+from forms import Anisotropic, LawError, LinearElastic, Stack
 from forms.kinematics import layer_frame
+from tests import closed_forms
 from tests.at_points import at_rest, jump_strain, respond, traction
 from thinlayer import ThinLayer
 
@@ -44,7 +45,7 @@ def test_elastic(dim, lmbda, mu, w, a, b):
     """Eq. (17) and its energy, w.K w/2."""
     n, law = direction(a, b, dim), LinearElastic(lmbda, mu)
     t, energy = traction_and_energy(law, w[:dim], n)
-    expected = limits.elastic(lmbda, mu, w[:dim], n)
+    expected = closed_forms.elastic(lmbda, mu, w[:dim], n)
     size = (lmbda + 2 * mu) * max(np.linalg.norm(w), 1e-300)
     assert t[:dim] == pytest.approx(expected, abs=1e-13 * size)
     assert energy == pytest.approx(expected @ w[:dim] / 2, rel=1e-10, abs=1e-13 * size)
@@ -58,7 +59,7 @@ def test_stratified(dim, m, w, a, b):
     n = direction(a, b, dim)
     laws = [LinearElastic(m[2 * k], m[2 * k + 1]) for k in range(3)]
     fractions = (0.3, 0.5, 0.2)
-    K = limits.stratified(fractions, [limits.elastic_stiffness(law.lmbda, law.mu, n) for law in laws])
+    K = closed_forms.stratified(fractions, [closed_forms.elastic_stiffness(law.lmbda, law.mu, n) for law in laws])
     t, energy = traction_and_energy(Stack(*zip(fractions, laws, strict=True)), w[:dim], n)
     size = np.linalg.norm(K) * max(np.linalg.norm(w), 1e-300)
     assert t[:dim] == pytest.approx(K @ w[:dim], abs=1e-11 * size)

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from forms import MohrCoulomb, limits
+from forms import MohrCoulomb
+from tests import closed_forms
 from tests.at_points import E2, at_rest, jump_strain, respond, tensor, traction
 from tests.mohr_coulomb_points import (
     LAW,
@@ -45,12 +46,12 @@ def pressed_and_sheared(law, w_N, w_T):
 def test_the_limit_in_compression(nu, holds, w_N):
     """C = 0: s_33 is the intermediate stress at yield for nu > (1 - sin(Omega))/2 = 1/4, at any pressure."""
     lmbda, mu = 2 * MU * nu / (1 - 2 * nu), MU
-    assert limits.mohr_coulomb_holds(lmbda, mu, 0.0, OMEGA, w_N) == holds
+    assert closed_forms.mohr_coulomb_holds(lmbda, mu, 0.0, OMEGA, w_N) == holds
     answer = pressed_and_sheared(MohrCoulomb(lmbda, mu, 0.0, OMEGA), w_N, -3 * w_N)
     assert answer.failed == 0
     assert answer.dissipated > 0
     w = np.array([-3 * w_N, w_N])
-    t, _ = limits.mohr_coulomb(lmbda, mu, 0.0, OMEGA, w, 0 * w, 0 * w)
+    t, _ = closed_forms.mohr_coulomb(lmbda, mu, 0.0, OMEGA, w, 0 * w, 0 * w)
     found = traction(answer.stress, E2[None])[0, :2]
     assert np.abs(found - t).max() < 1e-12 * abs(t[1]) if holds else np.abs(found - t).max() > 1e-4 * abs(t[1])
 
@@ -62,11 +63,11 @@ def test_the_limit_in_tension(ratio, holds):
     angle, nu = np.radians(OMEGA), 0.3
     p = ratio * C * np.cos(angle) / (1 - 2 * nu + np.sin(angle))
     w_N = p / (LMBDA + MU)
-    assert limits.mohr_coulomb_holds(LMBDA, MU, C, OMEGA, w_N) == holds
+    assert closed_forms.mohr_coulomb_holds(LMBDA, MU, C, OMEGA, w_N) == holds
     found = pressed_and_sheared(LAW, w_N, 0.05)
     assert found.failed == 0
     w = np.array([0.05, w_N])
-    t, _ = limits.mohr_coulomb(LMBDA, MU, C, OMEGA, w, 0 * w, 0 * w)
+    t, _ = closed_forms.mohr_coulomb(LMBDA, MU, C, OMEGA, w, 0 * w, 0 * w)
     apart = np.abs(traction(found.stress, E2[None])[0, :2] - t).max()
     assert apart < 1e-12 * abs(t).max() if holds else apart > 1e-5 * abs(t).max()
     if ratio == 3.0:
@@ -76,11 +77,11 @@ def test_the_limit_in_tension(ratio, holds):
 @given(st.lists(st.tuples(st.floats(-0.03, 0.03), st.floats(-0.03, 0.0)), min_size=1, max_size=6))
 @SLOW
 def test_the_layer_is_its_closed_formula(path):
-    """`limits.mohr_coulomb`, any path in compression; absolute tolerances for jumps next to nothing."""
+    """`closed_forms.mohr_coulomb`, any path in compression; absolute tolerances for jumps next to nothing."""
     history = drive(LAW, [{"w_T": w_T, "w_N": w_N} for w_T, w_N in path])
     w_old = s = np.zeros(2)
     for w, found in zip(np.array(path), history.tractions, strict=True):
-        t, s = limits.mohr_coulomb(LMBDA, MU, C, OMEGA, w, w_old, s)
+        t, s = closed_forms.mohr_coulomb(LMBDA, MU, C, OMEGA, w, w_old, s)
         w_old = w
         assert found == pytest.approx(t, rel=1e-9, abs=1e-13)
 

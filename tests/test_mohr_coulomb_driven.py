@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from forms import Incompressible, LinearElastic, Maxwell, MohrCoulomb, Norton, limits
+from tests import closed_forms
 from tests.mohr_coulomb_points import LAW, LAWS, LMBDA, MONO, MU, OMEGA, C
 from tests.own_laws import Slipping
 from thinlayer.errors import ModelError, SolveError
@@ -82,7 +83,7 @@ def test_drive_under_a_constant_normal_stress():
     assert (found.parts == 1).all()
     w_old = s = np.zeros(2)
     for w, t in zip(found.jumps, found.tractions, strict=True):
-        expected, s = limits.mohr_coulomb(LMBDA, MU, C, OMEGA, w, w_old, s)
+        expected, s = closed_forms.mohr_coulomb(LMBDA, MU, C, OMEGA, w, w_old, s)
         assert t == pytest.approx(expected, rel=1e-11)
         w_old = w
     work = np.sum(found.tractions * np.diff(found.jumps, axis=0, prepend=0), axis=1)
@@ -119,10 +120,10 @@ def test_drive_any_law():
     elastic_layer = drive(LinearElastic(LMBDA, MU), [{"t_T": 0.5, "t_N": 1.0}])
     assert elastic_layer.jumps[0] == pytest.approx([0.5 / MU, 1.0 / (LMBDA + 2 * MU)], rel=1e-11)
     norton = drive(Norton(LMBDA, MU, 5.0, 1.5), [{"t_T": 0.5, "t_N": 0.0}] * 100, dt=0.01, theta=0.5)
-    assert norton.jumps[-1, 0] == pytest.approx(limits.norton_creep(0.5, MU, 5.0, 1.5, 1.0, shear=True), rel=1e-3)
+    assert norton.jumps[-1, 0] == pytest.approx(closed_forms.norton_creep(0.5, MU, 5.0, 1.5, 1.0, shear=True), rel=1e-3)
     assert norton.t[-1] == pytest.approx(1.0)
     maxwell = drive(Maxwell(LMBDA, MU, 0.7), [{"t_T": 0.5, "t_N": 1.0}] * 11, dt=[0.0] + 10 * [0.1], theta=0.5)
-    assert maxwell.jumps[-1, 1] == pytest.approx(limits.maxwell_creep(1.0, LMBDA + 2 * MU, 0.7, 1.0), rel=1e-9)
+    assert maxwell.jumps[-1, 1] == pytest.approx(closed_forms.maxwell_creep(1.0, LMBDA + 2 * MU, 0.7, 1.0), rel=1e-9)
     assert drive(Slipping(70.0, 30.0, 12.0, 90.0), [{"w_T": 0.01, "w_N": -0.01}], dt=1.0).energies == pytest.approx(
         np.full((1, 3), np.nan), nan_ok=True
     )

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack, limits
+from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack
 from geometry import block, sandwich
 from studies.fig3_mohr_coulomb import R_X, glue
 from studies.problems import MORTAR, sheared
 from studies.rates import COULOMB, FLOOR, bar
+from tests import closed_forms
 from tests.columns_in_time import both, check_balance, check_same
 from tests.columns_in_time import column as tall_column
 from thinlayer import Structure, Surface, ThinLayer, compare, march, solve
@@ -61,7 +62,7 @@ def column(law, jumps, eps: float, angle: float = 0.0, flip: bool = False) -> tu
     mirror = np.diag([-1.0 if flip else 1.0, *np.ones(d - 1)])
     turn = np.eye(d)
     turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    K = limits.elastic_stiffness(BODY.lmbda, BODY.mu, np.eye(d)[1])
+    K = closed_forms.elastic_stiffness(BODY.lmbda, BODY.mu, np.eye(d)[1])
     slopes = np.linalg.solve(K, xyz(point.tractions).T).T
     w, slopes = xyz(point.jumps) @ mirror @ turn.T, slopes @ mirror @ turn.T
 

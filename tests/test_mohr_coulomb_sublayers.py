@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack, limits
+from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack
+from tests import closed_forms
 from tests.at_points import E2, at_rest, jump_strain, material, respond, tensor, traction
 from tests.mohr_coulomb_points import LAW, LAWS, LMBDA, MONO, MU, OMEGA, C, normals
 from thinlayer.pointwise.drive import drive
@@ -22,7 +23,7 @@ def test_monodirectional_is_penalised_coulomb(unilateral):
         w = old + 0.01 * random.normal(size=3)
         answer = respond(law, jump_strain(w, n[None]), jump_strain(old, n[None]), q, n[None])
         before = slip
-        t, slip = limits.penalised_coulomb(LMBDA, MU, 1.0, OMEGA, w[0], slip, n, unilateral=unilateral)
+        t, slip = closed_forms.penalised_coulomb(LMBDA, MU, 1.0, OMEGA, w[0], slip, n, unilateral=unilateral)
         assert traction(answer.stress, n[None])[0] == pytest.approx(t, abs=1e-12)
         assert tensor(answer.q[0]) @ n == pytest.approx(slip / 2, abs=1e-15)
         seen.add((bool(np.abs(slip - before).max() > 1e-9), bool(w[0] @ n > 0)))
@@ -34,13 +35,13 @@ def test_elastic_and_monodirectional_sublayers():
     """t = K (w - w^p), the threshold on the common traction."""
     above = LinearElastic(100.0, 15.0)
     law, random, n = Stack((0.3, above), (0.7, MONO)), np.random.default_rng(3), np.array([0.6, 0.8])
-    stiffnesses = [limits.elastic_stiffness(part.lmbda, part.mu, n) for part in (above, MONO)]
+    stiffnesses = [closed_forms.elastic_stiffness(part.lmbda, part.mu, n) for part in (above, MONO)]
     w, slip, path, expected, slips = np.zeros(2), np.zeros(2), [], [], 0
     tangent = np.array([n[1], -n[0]])
     for _ in range(20):
         w = w + 0.01 * random.normal(size=2) - (w @ n) * n - 0.002 * n
         before = slip
-        t, slip = limits.stratified_coulomb(law.fractions, stiffnesses, C, OMEGA, w, slip, n)
+        t, slip = closed_forms.stratified_coulomb(law.fractions, stiffnesses, C, OMEGA, w, slip, n)
         slips += bool(np.abs(slip - before).max() > 1e-9)
         path.append({"w_T": w @ tangent, "w_N": w @ n})
         expected.append([t @ tangent, t @ n])
@@ -48,7 +49,7 @@ def test_elastic_and_monodirectional_sublayers():
     assert 3 < slips < 20
     assert found.tractions == pytest.approx(np.array(expected), rel=1e-8, abs=1e-10)
     mean = [np.sum(law.fractions * np.array([k[0, 0] for k in stiffnesses]))]  # the arithmetic mean is another law
-    assert abs(mean[0] - limits.stratified(law.fractions, stiffnesses)[0, 0]) > 0.05 * mean[0]
+    assert abs(mean[0] - closed_forms.stratified(law.fractions, stiffnesses)[0, 0]) > 0.05 * mean[0]
 
 
 @pytest.mark.parametrize("name", ["psi = 0", "monodirectional", "unilateral"])
@@ -119,14 +120,14 @@ def test_elastic_and_full_sublayers():
         w, share = np.array([w_T, w_N], float), share_old
 
         def lack(share, w=w, share_old=share_old, s=s):
-            t, _ = limits.mohr_coulomb(LMBDA, MU, C, OMEGA, share, share_old, s)
+            t, _ = closed_forms.mohr_coulomb(LMBDA, MU, C, OMEGA, share, share_old, s)
             return t - K @ (w - a * share) / (1 - a)
 
         for _ in range(50):
             J = np.column_stack([(lack(share + d) - lack(share - d)) / 2e-7 for d in 1e-7 * np.eye(2)])
             share = share - np.linalg.solve(J, lack(share))
         assert np.abs(lack(share)).max() < 1e-10
-        t, s = limits.mohr_coulomb(LMBDA, MU, C, OMEGA, share, share_old, s)
+        t, s = closed_forms.mohr_coulomb(LMBDA, MU, C, OMEGA, share, share_old, s)
         yielded += np.linalg.norm(s) > C * np.cos(np.pi / 6) - (LMBDA + MU) * share[1] / 2 - 1e-12
         share_old = share
         path.append({"w_T": w_T, "w_N": w_N})

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from forms import KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, limits
+from forms import KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
+from tests import closed_forms
 from tests.at_points import DT, E2, jump_strain, material, respond, tensor, traction, vector
 from tests.laws_at_points import (
     ELASTIC,
@@ -46,7 +47,7 @@ def test_kelvin_voigt_traction(jumps, theta):
     """Eq. (17)."""
     w_old, w, n = jumps
     mid, rate = theta * w + (1 - theta) * w_old, (w - w_old) / DT
-    expected = [limits.kelvin_voigt(LMBDA, MU, 0.3, 0.5, *one) for one in zip(mid, rate, n, strict=True)]
+    expected = [closed_forms.kelvin_voigt(LMBDA, MU, 0.3, 0.5, *one) for one in zip(mid, rate, n, strict=True)]
     assert traction_of(KELVIN, jumps, theta) == pytest.approx(np.array(expected), rel=EXACT)
 
 
@@ -56,7 +57,7 @@ def test_norton_traction(jumps, theta, p):
     """Eq. (22) with the modulus of the symmetrised product, 1 and 1/2."""
     w_old, w, n = jumps
     mid, rate = theta * w + (1 - theta) * w_old, (w - w_old) / DT
-    expected = [limits.norton(LMBDA, MU, 5.0, p, *one) for one in zip(mid, rate, n, strict=True)]
+    expected = [closed_forms.norton(LMBDA, MU, 5.0, p, *one) for one in zip(mid, rate, n, strict=True)]
     assert traction_of(Norton(LMBDA, MU, 5.0, p), jumps, theta) == pytest.approx(np.array(expected), rel=EXACT)
 
 
@@ -128,7 +129,7 @@ def test_maxwell_rate_form(jumps, theta):
     first = respond(MAXWELL, jump_strain(w_old, n), np.zeros((len(n), 6)), q, n, 0.0, 1.0)
     then = respond(MAXWELL, jump_strain(w, n), jump_strain(w_old, n), first.q, n, DT, theta)
     t_old, t_mid, t = (traction(s, n) for s in (first.q, then.stress, then.q))
-    elastic = np.array([limits.elastic(LMBDA, MU, *one) for one in zip(w - w_old, n, strict=True)])
+    elastic = np.array([closed_forms.elastic(LMBDA, MU, *one) for one in zip(w - w_old, n, strict=True)])
     assert (t - t_old) / DT + t_mid / 0.7 == pytest.approx(elastic / DT, rel=1e-11)
 
 
@@ -142,7 +143,7 @@ def test_maxwell_with_two_times_is_no_equation_of_first_order():
     for dt in np.diff(t):
         answer = respond(MAXWELL_2, e, e, answer.q, n, dt, 0.5)
         found.append(answer.q[0, 1])
-    expected = limits.maxwell_normal_relaxation(LMBDA, MU, 0.7, 1.5, 0.02, t)
+    expected = closed_forms.maxwell_normal_relaxation(LMBDA, MU, 0.7, 1.5, 0.02, t)
     assert found == pytest.approx(expected, rel=1e-3)
 
     def worst(rate):
@@ -158,8 +159,8 @@ def test_volumetric_rate_at_the_bound_of_t2():
     """t2 = 3 nu t1/(1 + nu): the mean stress does not relax."""
     nu = LMBDA / (2 * (LMBDA + MU))
     t2 = 3 * nu * 0.7 / (1 + nu)
-    assert limits.volumetric_rate(LMBDA, MU, 0.7, t2) == pytest.approx(0.0, abs=ROUNDING)
-    assert limits.volumetric_rate(LMBDA, MU, 0.7, 0.7) == pytest.approx(1 / 0.7, rel=EXACT)
+    assert closed_forms.volumetric_rate(LMBDA, MU, 0.7, t2) == pytest.approx(0.0, abs=ROUNDING)
+    assert closed_forms.volumetric_rate(LMBDA, MU, 0.7, 0.7) == pytest.approx(1 / 0.7, rel=EXACT)
     law = Maxwell(LMBDA, MU, 0.7, t2 * (1 + 1e-12))
     e = vector(0.01 * np.eye(3)[None])
     q = np.zeros((1, 6))
@@ -192,8 +193,8 @@ def test_elastic_sublayers_have_the_harmonic_means(jumps):
     law = Stack((0.3, STIFF), (0.45, soft), (0.25, ELASTIC))
     found = traction_of(law, (0 * w, w, n), dt=0.0)
     for t, one, normal in zip(found, w, n, strict=True):
-        stiffnesses = [limits.elastic_stiffness(part.lmbda, part.mu, normal) for part in law.laws]
-        assert t == pytest.approx(limits.stratified(law.fractions, stiffnesses) @ one, rel=1e-11)
+        stiffnesses = [closed_forms.elastic_stiffness(part.lmbda, part.mu, normal) for part in law.laws]
+        assert t == pytest.approx(closed_forms.stratified(law.fractions, stiffnesses) @ one, rel=1e-11)
     mean = lambda values: 1 / sum(a / value for a, value in zip(law.fractions, values, strict=True))
     mu, lmbda = (mean([getattr(part, name) for part in law.laws]) for name in ("mu", "lmbda"))
     normal = traction_of(law, (np.zeros((1, 3)), E2[None], E2[None]), dt=0.0)[0, 1]

@@ -161,6 +161,12 @@ def test_laws_that_decide_by_a_number(parent, decision):
     refused(LawError, r"^Mine\.(stress|traction): .*ufl\.conditional\(ufl\.", lambda: check(law))
 
 
+def test_decisions_by_a_parameter_that_varies_are_told():
+    """Where it is zero somewhere on S."""
+    law = type("Mine", (Deciding,), {"decision": DECISIONS["true"]})(5.0, lambda x: x[0])
+    refused(LawError, r"^Mine\.stress: .*ufl\.conditional", lambda: check(law))
+
+
 def test_conditions_of_ufl_are_no_decisions():
     @dataclass(frozen=True)
     class Conditional(Deciding):

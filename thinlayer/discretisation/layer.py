@@ -13,7 +13,6 @@ from dolfinx.mesh import Mesh
 
 from forms.base import is_number
 from forms.contact import ContactLaw
-from forms.declarations import require_declarations
 from forms.law import BulkLaw, LawError
 from forms.planes import Kinematics
 from forms.series import folded
@@ -76,7 +75,6 @@ class ThinLayer:
             )
         if not isinstance(self.law, BulkLaw):
             raise LawError(f"the layer's law is {self.law!r}; it must be a law of strains, such as forms.LinearElastic")
-        require_declarations(self.law)
         object.__setattr__(self, "law", folded(self.law))
         _check_thickness("layer's thickness eps", self.eps)
         if self.at is not None:

@@ -13,8 +13,7 @@ ALLOWED_THETA = "theta = 1"  # the last words of errors
 def require_ends(equations: Equations, theta: float, times: Sequence[float]) -> None:
     """Raise ModelError if theta < 1 and a part does not balance at the ends of steps then. Collective.
 
-    Laws without rate at points are tried if they are not linear or their parameters vary. A law in a Stack must declare its
-    traits.
+    Laws at points that creep or relax may be of any kind; others say `linear`, and their parameters do not change in time.
 
     Args:
         equations: the equations of the model.

@@ -1,0 +1,276 @@
+"""The paper's interface laws as closed formulas in numpy, which tests hold laws against.
+
+They are independent of the models. Barred parameters (per thickness) throughout; w is the jump [u], n the unit normal from
+the lower to the upper body.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from forms import LawError
+
+Array = npt.NDArray[np.float64]
+
+
+def elastic_stiffness(lmbda: float, mu: float, n: Array) -> Array:
+    """K_L of Eqs. (16)-(17), (d, d): mu tangentially, lmbda + 2 mu along n."""
+    n = np.asarray(n, float)
+    return mu * np.eye(len(n)) + (lmbda + mu) * np.outer(n, n)
+
+
+def elastic(lmbda: float, mu: float, w: Array, n: Array) -> Array:
+    """Traction of an elastic layer, the elastic part of Eq. (17): t = K_L [u]."""
+    return elastic_stiffness(lmbda, mu, n) @ np.asarray(w, float)
+
+
+def acoustic_tensor(C: Array, n: Array) -> Array:
+    """K_ik = C_ijkl n_j n_l of an anisotropic layer, (3, 3), for C (3, 3, 3, 3)."""
+    return np.einsum("ijkl,j,l->ik", C, n, n)
+
+
+def stratified(fractions: Sequence[float], stiffnesses: Sequence[Array]) -> Array:
+    """Stiffness of sublayers in series, (sum a_i K_i^-1)^-1.
+
+    Equations (51)-(52) give 1/mu = sum a_i/mu_i and, with lmbda averaged alone, a wrong normal part; the sums that the
+    paper calls stiffnesses are compliances. It is 1/(lmbda + 2 mu) that averages.
+    """
+    compliance = sum(a * np.linalg.inv(K) for a, K in zip(fractions, stiffnesses, strict=True))
+    return np.asarray(np.linalg.inv(compliance))
+
+
+# ---------------------------------------------------------------- laws with time: tractions at a point
+def kelvin_voigt(
+    lmbda: float, mu: float, theta_lmbda: float, theta_mu: float, w: Array, rate: Array, n: Array
+) -> Array:
+    """Traction of Eqs. (16)-(17), t = K_L [u] + K_th d[u]/dt; K_th is K_L of the viscosities modulus times theta."""
+    return elastic(lmbda, mu, w, n) + elastic(lmbda * theta_lmbda, mu * theta_mu, rate, n)
+
+
+def norton(lmbda: float, mu: float, eta: float, p: float, w: Array, rate: Array, n: Array) -> Array:
+    """Traction of Eqs. (22)-(24), t = K_L [u] + eta |v (x)_s n|^(p - 2) (v_N n + v_T/2), v = d[u]/dt.
+
+    The modulus is that of the symmetrised product, |v (x)_s n|^2 = v_N^2 + |v_T|^2/2. Equations (22)-(24) print the bars
+    around v alone. The 1/2 of the tangential part, right in print, is that of the shear strain.
+    """
+    n, v = np.asarray(n, float), np.asarray(rate, float)
+    v_N = v @ n
+    v_T = v - v_N * n
+    modulus = np.sqrt(v_N**2 + v_T @ v_T / 2)
+    return elastic(lmbda, mu, w, n) + (eta * modulus ** (p - 2) * (v_N * n + v_T / 2) if modulus else 0 * n)
+
+
+def volumetric_rate(lmbda: float, mu: float, t1: float, t2: float) -> float:
+    """1/t_v = ((1 + nu)/t1 - 3 nu/t2)/(1 - 2 nu): the trace of Eq. (18), with the rate of strain on its left.
+
+    The trace is the three-dimensional one, s_33 included.
+    """
+    nu = lmbda / (2 * (lmbda + mu))
+    return ((1 + nu) / t1 - 3 * nu / t2) / (1 - 2 * nu)
+
+
+# ---------------------------------------------------------------- laws with time: one component, K its stiffness
+def kelvin_voigt_creep(traction: float, K: float, G: float, t: Array) -> Array:
+    """Jump under a traction held from t = 0 on, Eq. (16) with stiffness K and viscosity G of the component."""
+    return traction / K * -np.expm1(-K * np.asarray(t) / G)
+
+
+def kelvin_voigt_displaced(d: float, K: float, G: float, c: float, t: Array) -> Array:
+    """Jump when the end of a body of compliance c > 0 is moved by d at t = 0 and held: Eq. (16) and t = (d - [u])/c."""
+    return d / (1 + K * c) * -np.expm1(-(K + 1 / c) * np.asarray(t) / G)
+
+
+def maxwell_creep(traction: float, K: float, t1: float, t: Array) -> Array:
+    """Jump under a traction held from t = 0 on, d[u]/dt = (dt/dt + t/t1)/K.
+
+    Equation (19) prints [u] for its rate, and for 1/K the coefficients (1 + nu)/E, -(1 - nu)/(E nu); the right ones are
+    1/mu = 2 (1 + nu)/E and 1/(lmbda + 2 mu) = (1 + nu)(1 - 2 nu)/(E (1 - nu)).
+    """
+    return traction / K * (1 + np.asarray(t) / t1)
+
+
+def maxwell_relaxation(d: float, K: float, c: float, t1: float, t: Array) -> Array:
+    """Traction when the end of a body of compliance c >= 0 is moved by d at t = 0 and held; Eq. (19) corrected."""
+    return d / (c + 1 / K) * np.exp(-np.asarray(t) / (t1 * (1 + K * c)))
+
+
+def maxwell_normal_relaxation(lmbda: float, mu: float, t1: float, t2: float, w: float, t: Array) -> Array:
+    """Normal traction of a jump w held from t = 0 on, t1 != t2 in Eq. (18).
+
+    The deviatoric part, of stiffness 4 mu/3, relaxes with t1, the spherical one, of stiffness lmbda + 2 mu/3, with t_v
+    (`volumetric_rate`): no differential equation of first order holds for their sum.
+    """
+    t = np.asarray(t, float)
+    return w * (4 / 3 * mu * np.exp(-t / t1) + (lmbda + 2 / 3 * mu) * np.exp(-t * volumetric_rate(lmbda, mu, t1, t2)))
+
+
+def maxwell_normal_creep(lmbda: float, mu: float, t1: float, t2: float, traction: float, t: Array) -> Array:
+    """Normal jump under a normal traction held from t = 0 on, t1 != t2 in Eq. (18).
+
+    With the parts s + p = t_N of `maxwell_normal_relaxation`, of stiffnesses k_s + k_p = K and rates r_s, r_p:
+    K d[u_N]/dt = r_s s + r_p p, and p tends to k_p r_s t_N/(k_p r_s + k_s r_p) like exp(-t (k_p r_s + k_s r_p)/K).
+    """
+    t = np.asarray(t, float)
+    k_s, k_p = 4 / 3 * mu, lmbda + 2 / 3 * mu
+    r_s, r_p, K = 1 / t1, volumetric_rate(lmbda, mu, t1, t2), lmbda + 2 * mu
+    rate = (k_p * r_s + k_s * r_p) / K
+    last = traction * k_p * r_s / (K * rate)
+    lag = (traction * k_p / K - last) * -np.expm1(-rate * t) / rate  # integral of p - last
+    return np.asarray((traction + r_s * (traction - last) * t + r_p * last * t + (r_p - r_s) * lag) / K, float)
+
+
+def norton_creep(traction: float, K: float, eta: float, p: float, t: Array, *, shear: bool) -> Array:
+    """Jump under a traction > 0 held from t = 0 on, any p > 1 but 2: t = K w + c (dw/dt)^(p - 1).
+
+    c is eta for a normal jump and eta 2^(-p/2) for a shear one (Eq. (22) with |v (x)_s n|). With r = t - K w and
+    q = 1/(p - 1): r^(1 - q) = t^(1 - q) - (1 - q) K c^(-q) t. For p > 2 rest is reached in finite time.
+    """
+    q = 1 / (p - 1)
+    c = eta * 2 ** (-p / 2) if shear else eta
+    left = traction ** (1 - q) - (1 - q) * K * c**-q * np.asarray(t)
+    return (traction - np.maximum(left, 0.0) ** (1 / (1 - q))) / K
+
+
+def power_creep(mu: float, A: float, n: float, traction: float, t: Array) -> Array:
+    """Tangential jump of `NortonCreep` under a traction > 0 held from t = 0 on: it grows for ever, at a steady rate."""
+    return np.asarray(traction / mu + 3 ** ((n + 1) / 2) * A * traction**n * np.asarray(t, float))
+
+
+def power_relaxation(compliance: float, A: float, n: float, traction: float, t: Array) -> Array:
+    """Tangential traction > 0 of `NortonCreep`, n > 1, where layer and bodies of this compliance, 1/mu + C, are held.
+
+    compliance dt_T/dt = -3^((n + 1)/2) A t_T^n.
+    """
+    return np.asarray(
+        (traction ** (1 - n) + (n - 1) * 3 ** ((n + 1) / 2) * A / compliance * np.asarray(t)) ** (1 / (1 - n))
+    )
+
+
+def power_creep_normal(lmbda: float, mu: float, A: float, n: float, traction: float, t: Array) -> Array:
+    """Normal jump of `NortonCreep`, n > 1, under a traction > 0 held from t = 0 on, which ends as k w_N = t_N.
+
+    With k = lmbda + 2 mu/3 the deviator s = t_N - k w_N has ds/dt (1 + 4 mu/(3 k)) = -3 mu A (3/2)^(n - 1) s^n.
+    """
+    k, first = lmbda + 2 * mu / 3, 4 / 3 * mu * traction / (lmbda + 2 * mu)
+    rate = 3 * mu * A * 1.5 ** (n - 1) / (1 + 4 * mu / (3 * k))
+    return np.asarray((traction - (first ** (1 - n) + (n - 1) * rate * np.asarray(t)) ** (1 / (1 - n))) / k)
+
+
+def stack_creep(fractions: Sequence[float], jumps: Sequence[Array]) -> Array:
+    """Jump of sublayers in series under a common traction, sum a_i w_i; w_i: jump if the whole layer were sublayer i.
+
+    Jumps, hence compliances, add; Eqs. (51)-(52) print sums of compliances as stiffnesses.
+    """
+    return np.asarray(sum(a * np.asarray(w) for a, w in zip(fractions, jumps, strict=True)))
+
+
+# ---------------------------------------------------------------- Mohr-Coulomb; angles in degrees, (T, N): frame of S
+def mohr_coulomb(
+    lmbda: float, mu: float, cohesion: float, friction_angle: float, w: Array, w_old: Array, s_old: Array
+) -> tuple[Array, Array]:
+    """Traction (t_T, t_N) and in-plane deviator s = (s_T, s_N) after a step of backward Euler of the full law, psi = 0.
+
+    With p = (lmbda + mu) w_N: s = s_old + mu (w - w_old), shortened to |s| = R = C cos(Omega) - p sin(Omega) where it is
+    longer; t_T = s_T, t_N = p + s_N. It replaces Eqs. (31)-(35), which lack the factor 2 of plastic shear strains and write
+    the plastic strain as a jump, which it is not. It holds in plane strain where yield and s_33 say so
+    (`mohr_coulomb_holds`). All arguments may be arrays (..., 2); from rest s_old = w_old = 0.
+    """
+    w, w_old = np.asarray(w, float), np.asarray(w_old, float)
+    angle = np.radians(friction_angle)
+    p = (lmbda + mu) * w[..., 1]
+    trial = np.asarray(s_old, float) + mu * (w - w_old)
+    R, size = cohesion * np.cos(angle) - p * np.sin(angle), np.linalg.norm(trial, axis=-1)
+    s = trial * np.where(size > R, R / np.where(size > 0, size, 1.0), 1.0)[..., None]
+    return s + np.stack([0 * p, p], axis=-1), s
+
+
+def mohr_coulomb_holds(
+    lmbda: float, mu: float, cohesion: float, friction_angle: float, w_N: Array
+) -> npt.NDArray[np.bool_]:
+    """Whether s_33 is the intermediate principal stress where the layer yields at a normal jump: |p| (1 - 2 nu) <= R.
+
+    In compression with C = 0 this is nu >= (1 - sin(Omega))/2, in tension p <= C cos(Omega)/(1 - 2 nu + sin(Omega)).
+    Beyond this the stress returns to edges or the apex of the yield surface, and there is no closed form.
+    """
+    angle, p = np.radians(friction_angle), (lmbda + mu) * np.asarray(w_N, float)
+    nu = lmbda / (2 * (lmbda + mu))
+    return np.asarray(np.abs(p) * (1 - 2 * nu) <= cohesion * np.cos(angle) - p * np.sin(angle))
+
+
+def penalised_coulomb(
+    lmbda: float,
+    mu: float,
+    cohesion: float,
+    friction_angle: float,
+    w: Array,
+    slip: Array,
+    n: Array,
+    *,
+    unilateral: bool = False,
+    hardening: float = 0.0,
+    accumulated: float = 0.0,
+) -> tuple[Array, Array]:
+    """Traction and new slip w^p of the monodirectional law, one step: t = K_L (w - w^p), |t_T| <= C - tan(Omega) t_N.
+
+    Equations (36)-(38) with the elastic strain, the moduli per thickness, t_T = stress n in place of tau_i, and slip along
+    t_T whatever its sign. Where t_N > C cot(Omega) no shear is left. Unilateral: t_N <= 0. With linear hardening C is the
+    cohesion at first, and `accumulated` the sum of the |dw^p| so far.
+    """
+    K, C = elastic_stiffness(lmbda, mu, n), cohesion + hardening * accumulated
+    return _coulomb(K, C, friction_angle, w, slip, n, unilateral, hardening)
+
+
+def stratified_coulomb(
+    fractions: Sequence[float],
+    stiffnesses: Sequence[Array],
+    cohesion: float,
+    friction_angle: float,
+    w: Array,
+    slip: Array,
+    n: Array,
+) -> tuple[Array, Array]:
+    """Traction and new slip of isotropic sublayers, one of them monodirectional, in one step: t = K (w - w^p).
+
+    Equations (54)-(55), with the sign of t_T in the flow and K = `stratified`; the threshold is on the common traction
+    and w^p is the jump of the plastic sublayer, its fraction of the thickness times that of `penalised_coulomb`.
+    """
+    return _coulomb(stratified(fractions, stiffnesses), cohesion, friction_angle, w, slip, n, False)
+
+
+def _coulomb(
+    K: Array, cohesion: float, friction_angle: float, w: Array, slip: Array, n: Array, unilateral: bool, H: float = 0.0
+) -> tuple[Array, Array]:
+    n, slip = np.asarray(n, float), np.asarray(slip, float)
+    trial = K @ (np.asarray(w, float) - slip)
+    t_N = min(float(trial @ n), 0.0) if unilateral else float(trial @ n)
+    shear = trial - (trial @ n) * n
+    bound, size = cohesion - np.tan(np.radians(friction_angle)) * t_N, np.linalg.norm(shear)
+    if H and size > bound:
+        mu = shear @ K @ shear / size**2
+        bound = (bound * mu + size * H) / (mu + H)
+    t_T = shear * min(1.0, max(bound, 0.0) / size) if size else shear
+    return t_N * n + t_T, slip + np.linalg.solve(K, shear - t_T)
+
+
+def von_mises_fixed_opening(lmbda: float, mu: float, strength: float, w_N: float, w_T: Array) -> Array:
+    """Tractions (..., 2), t_T and t_N, of an ideally plastic layer that is sheared, w_T >= 0, at a held w_N. Exact in time.
+
+    In the plane of sqrt(3) t_T and 3/2 s_N the yield surface is a circle; s_N is the normal component of the deviator. From
+    first yield at w_y on, t_T = Y/sqrt(3) tanh(sqrt(3) mu (w_T - w_y)/Y + artanh(sqrt(3) t_y/Y)): s_N fades.
+
+    Raises:
+        LawError: the opening alone makes the layer yield.
+    """
+    x, s_N = np.asarray(w_T, float), 2 * mu * w_N  # 3/2 of the deviator's component
+    if not abs(s_N) < strength:
+        raise LawError(f"2 mu |w_N| = {abs(s_N):g} at the start is not below Y = {strength:g}")
+    first = math.sqrt(strength**2 - s_N**2) / math.sqrt(3)  # t_T at first yield
+    angle = math.sqrt(3) * (mu * x - first) / strength + math.atanh(math.sqrt(3) * first / strength)
+    yields = mu * x > first
+    t_T = np.where(yields, strength / math.sqrt(3) * np.tanh(angle), mu * x)
+    fading = np.where(yields, np.sign(s_N) * strength / np.cosh(np.minimum(angle, 300)), s_N)
+    return np.stack([t_T, (lmbda + 2 * mu / 3) * w_N + 2 / 3 * fading], axis=-1)
