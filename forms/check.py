@@ -124,7 +124,8 @@ def _directed(step: Step, d: int | None, law: BulkLaw) -> Step:
     """The step with the director as the law gets it."""
     if law.traits.compiled:
         return step
-    return step._replace(n=None if d is None else ufl.as_vector([step.n[i] for i in range(d)]))
+    n: Any = step.n
+    return step._replace(n=None if d is None else ufl.as_vector([n[i] for i in range(d)]))
 
 
 def _sample(law: BulkLaw, size: float, d: int) -> tuple[Array, Array]:

@@ -87,9 +87,15 @@ def _numbers(part: Any, operands: list[Any]) -> Any:
         if isinstance(part, Indexed):
             place = tuple(slice(None) if isinstance(i, Index) else int(i) for i in indices)
             return _summed(values[place], named + inner, free)
-        return _summed(values, inner, named + free if isinstance(part, ComponentTensor) else free)
+        if isinstance(part, ComponentTensor):
+            return _summed(values, inner, named + free)
+        shape = [-1 - k for k in range(len(part.ufl_shape))]
+        return _summed(values, shape + inner, shape + free)
     if not isinstance(part, Sum):  # whose operands have the same indices
-        operands = [_spread(values, of, free) for values, of in zip(operands, part.ufl_operands, strict=True)]
+        operands = [
+            _spread(values, of, len(part.ufl_shape), free)
+            for values, of in zip(operands, part.ufl_operands, strict=True)
+        ]
     function = FUNCTIONS.get(type(part)) or np.vectorize(lambda *values: _scalar(part, values))
     return function(*operands)
 
@@ -100,10 +106,11 @@ def _summed(values: Values, axes: list[int], kept: list[int]) -> Values:
     return np.einsum(values, [places[name] for name in axes], [places[name] for name in kept])
 
 
-def _spread(values: Any, operand: Any, free: list[int]) -> Values:
-    """Values of a scalar with an axis for each free index, also for those that it does not depend on."""
-    own = dict(zip(operand.ufl_free_indices, np.shape(values), strict=True))
-    return np.reshape(values, [own.get(name, 1) for name in free])
+def _spread(values: Any, operand: Any, axes: int, free: list[int]) -> Values:
+    """Values with so many axes of their shape, and one for each free index, also for those they do not depend on."""
+    shape = operand.ufl_shape
+    own = dict(zip(operand.ufl_free_indices, np.shape(values)[len(shape) :], strict=True))
+    return np.reshape(values, [*[1] * (axes - len(shape)), *shape, *(own.get(name, 1) for name in free)])
 
 
 def _scalar(part: Any, values: tuple[Any, ...]) -> Any:

@@ -79,10 +79,10 @@ def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
         return _of_kernel(law, n, dt)
     try:
         point = symbolic(law)
-        C: Any = expand_derivatives(ufl.diff(in_mandel(point.law.stress(point.step)), point.strain))
+        tangent: Any = expand_derivatives(ufl.diff(in_mandel(point.law.stress(point.step)), point.strain))
         given = np.concatenate([n, [dt, 1.0], law.parameter_values()])
         rest = np.zeros(point.numbers.ufl_shape[0] - len(given))
-        found = numbers(C, {point.numbers: np.concatenate([rest, given])})
+        found = numbers(tangent, {point.numbers: np.concatenate([rest, given])})
     except Exception:  # as in _stress
         return None
     return found if np.isfinite(found).all() else None

@@ -11,10 +11,10 @@ import pytest
 import ufl
 
 from forms import Anisotropic, BulkLaw, LinearElastic, Stack
-from tests import closed_forms
 from forms.elastic import VOIGT
 from geometry import block, sandwich
 from geometry.joint import Joint
+from tests import closed_forms
 from thinlayer import Structure, Surface, ThinLayer, solve
 
 pytestmark = pytest.mark.few(5)

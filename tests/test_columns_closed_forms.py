@@ -71,7 +71,9 @@ def power_creep_normal(mode, t):
 
 def power_moved(mode, t):
     compliance = 1 / MU + C[mode]
-    return MOVE[mode] - C[mode] * closed_forms.power_relaxation(compliance, CREEP.A, CREEP.n, MOVE[mode] / compliance, t)
+    return MOVE[mode] - C[mode] * closed_forms.power_relaxation(
+        compliance, CREEP.A, CREEP.n, MOVE[mode] / compliance, t
+    )
 
 
 CLOSED = {  # law, mode, whether the end is moved, end of time, jump(mode, t), number at t = 1 from independent code
@@ -128,7 +130,9 @@ def test_norton_above_two_comes_to_rest_in_finite_time():
     """p = 3: the end of the closed form is the elastic jump, reached and kept."""
     load, stop = LOAD["shear"], 2 * (0.5 * 5.0 * 2**-1.5) ** 0.5 / MU
     assert closed_forms.norton_creep(load, MU, 5.0, 3.0, 0.999 * stop, shear=True) < load / MU
-    assert closed_forms.norton_creep(load, MU, 5.0, 3.0, 1.001 * stop, shear=True) == pytest.approx(load / MU, rel=EXACT)
+    assert closed_forms.norton_creep(load, MU, 5.0, 3.0, 1.001 * stop, shear=True) == pytest.approx(
+        load / MU, rel=EXACT
+    )
     history = marched(NORTON_3, "shear", 1.0, np.linspace(0, 2 * stop, 201)[1:], load=load)
     assert jump_of(history, "shear") == pytest.approx(load / MU, rel=1e-3)
 
@@ -141,7 +145,9 @@ def test_creep_by_nortons_power_law_goes_on_and_that_of_the_papers_law_stops():
         for state in history:
             expected = closed_forms.power_creep(MU, CREEP.A, CREEP.n, LOAD["shear"], state.t)
             assert jump_of(history, "shear", state) == pytest.approx(expected, rel=1e-9)
-    dashpot = closed_forms.norton(0.0, 0.0, eta, p, np.zeros(2), np.array([3 ** ((CREEP.n + 1) / 2) * CREEP.A, 0.0]), [0, 1])
+    dashpot = closed_forms.norton(
+        0.0, 0.0, eta, p, np.zeros(2), np.array([3 ** ((CREEP.n + 1) / 2) * CREEP.A, 0.0]), [0, 1]
+    )
     assert dashpot == pytest.approx([1.0, 0.0], rel=1e-12)  # its dashpot alone, from the numbers of a data sheet
     stopped = closed_forms.norton_creep(LOAD["shear"], MU, eta, p, 1e3, shear=True)
     assert stopped < 0.1 * closed_forms.power_creep(MU, CREEP.A, CREEP.n, LOAD["shear"], 1e3)

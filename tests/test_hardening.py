@@ -197,7 +197,7 @@ def test_parameters_out_of_range(build, message):
 
 def test_a_torn_point_bears_the_mean_stress_of_the_apex():
     """psi = 0: the deviator is gone, and the cohesion is that of the flow that took it away."""
-    law = SOILS["return"]
+    law = SOILS["Mohr-Coulomb"]
     e = np.array([[0.02, 0.011, 0.012, 0.002, 0.0, 0.0]])
     found = respond(law, e, 0 * e, at_rest(law, 1), normals(1))
     p = found.q[0, 6]

@@ -65,10 +65,7 @@ def test_a_body_force_counts():
 
 def test_the_law_eases():
     assert FULL.traits.eases
-    assert (
-        [FULL.eased(ease).elastic_fraction for ease in (0, 1)]
-        == pytest.approx([FULL.elastic_fraction, 1.0])
-    )
+    assert [FULL.eased(ease).elastic_fraction for ease in (0, 1)] == pytest.approx([FULL.elastic_fraction, 1.0])
 
 
 def test_adaptive_steps_and_stacks():

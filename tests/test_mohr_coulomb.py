@@ -177,9 +177,7 @@ def test_associated_return_is_the_closest_stress():
     assert len(others) > 100
     others = np.concatenate([others, returned])
     assert (np.einsum("ki,kmi->km", away, others[None] - returned[:, None]) <= 1e-12).all()
-    other = MohrCoulomb(
-        LMBDA, MU, C, OMEGA, dilatancy_angle=12.0
-    )  # which is not associated: some stress is closer
+    other = MohrCoulomb(LMBDA, MU, C, OMEGA, dilatancy_angle=12.0)  # which is not associated: some stress is closer
     returned = respond(other, e, 0 * e, at_rest(other, 100), normals(100)).stress
     away = compliance(trial - returned)
     assert (np.einsum("ki,kmi->km", away, others[None] - returned[:, None]) > 1e-6).any()

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import pytest
-import ufl
 from mpi4py import MPI
 
-from forms import BulkLaw, HolonomicCoulomb, KernelLaw, LawError, LinearElastic, Stack
+from forms import KernelLaw, LawError, LinearElastic
 from geometry import sandwich
 from tests.on_ranks import on_ranks
 from tests.refused import refused

@@ -57,7 +57,7 @@ def test_stacks_fold_every_trait():
     mixed = halves(KelvinVoigt(1.0, 1.0, 1.0, 1.0), MohrCoulomb(1.0, 1.0, 1.0, 30.0)).traits
     assert mixed == Traits(
         rate=True, remembers=True, bounded=True, eases=True, compiled=True, has_energy=True, quadratic=True, in_series=True,
-        in_ufl=True, symmetric=False,
+        symmetric=False,
     )  # fmt: skip
 
 

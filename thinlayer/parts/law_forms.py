@@ -23,9 +23,9 @@ from forms.trace import named
 from forms.work import Term, energy, stress, work
 from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.measures import compiled
+from thinlayer.parts.compiled import GivenAtPoints, falls, may_soften
 from thinlayer.parts.forms import FormPart, matrix
 from thinlayer.parts.part import Interval, PartTraits
-from thinlayer.parts.compiled import GivenAtPoints, falls, may_soften
 from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.pointwise.spreading import add_spread
 

@@ -33,7 +33,7 @@ def require_ends(equations: Equations, theta: float, times: Sequence[float]) -> 
         if hasattr(part, "answers_at_once"):
             at_once = [*filter(None, [part.answers_at_once(times)])]
         for name, changes in at_once:
-            how = "with parameters that change in time" if changes else "not linearly"
+            how = "with parameters that change in time" if changes else "not linearly (linear = True is not declared)"
             raise ModelError(
                 f"theta is {theta}; {name} answers at once, and {how}: if forces balance within a step, states at the ends "
                 f"of steps oscillate about the solution, and nothing damps them: {ALLOWED_THETA}"
