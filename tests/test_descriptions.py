@@ -150,13 +150,13 @@ def test_histories(tmp_path):
         ((", eps = 0.3", ""), "layer: eps is missing: the thickness of the layer, a length"),
         (("E = 900", 'law = "Rubbr", E = 1'), "layer.law: unknown law of strains 'Rubbr', did you mean 'Rubber'?"),
         (("E = 900", 'law = "Tresca", E = 1'), "layer.law: unknown law of strains 'Tresca'; known: Anisotropic"),
-        (("E = 900", 'law = "Norton", E = 1'), "layer: eta is missing; Norton has E and nu, G and nu, K and G, or"),
+        (("E = 900", 'law = "Norton", E = 1'), "layer: eta is missing: Norton has E and nu, G and nu, K and G, or"),
         (("E = 900", 'law = "Norton", E = 1, eta = "a", p = 1'), "layer.eta: 'a' is no finite number"),
         (("E = 900", 'law = "Norton", E = 1, eta = 3, p = 0.5'), "layer: Norton: p is 0.5; allowed: > 1"),
         (("E = 900, nu = 0.35", 'law = "Incompressible"'), "layer: moduli are missing; Incompressible has one: mu"),
         (("[3, -50]", "5"), "tractions.TOP: 5 is no vector; give its components, or {pressure = 5}"),
         (("[3, -50]", "{times = [1, 0], values = [1, 2]}"), "tractions.TOP: a history is {times = [0, 1], values ="),
-        (("[3, -50]", "{times = [0, 1]}"), "tractions.TOP: values is missing: a history has times and values"),
+        (("[3, -50]", "{times = [0, 1]}"), "tractions.TOP: values is missing: a history is {times ="),
         (("[3, -50]", "{times = [0, 1], values = [[1, 2], 3]}"), "tractions.TOP.values.2: 3 is no vector; give its"),
         (("[3, -50]", "{times = [0, 1], values = [[1, 2], [3, 4]]}"), "tractions.TOP: a history needs times, the ends"),
         (
@@ -222,55 +222,51 @@ def test_settings_of_laws_and_meshes(tmp_path):
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ("layer.eps=0,1", "'0,1' is no finite number"),
-        ("layer={E = 1, nu = 0, eps = 'a'}", "eps: 'a' is no finite number"),
-        ("tractions.TOP=[1, 2", "'[1, 2' is no vector"),
+        ("layer.eps=0,1", "layer.eps: '0,1' is no finite number"),
+        ("layer={E = 1, nu = 0, eps = 'a'}", "layer.eps: 'a' is no finite number"),
+        ("tractions.TOP=[1, 2", "tractions.TOP: '[1, 2' is no vector"),
         ("tractions.TOP.pressure=1", "[3, -50] has no 'pressure'; set the whole entry"),
-        ("times=1\nbonded=true", "'1\\nbonded=true' are no times"),
-        ("times=[1, 1]", "[1, 1] are no times; give numbers > 0 that grow"),
-        ("units=mm", "'mm' are not two units; give those of lengths and of stresses, such as 'mm, MPa'"),
-        ("plane=strian", "unknown choice 'strian', did you mean 'strain'?; known: axisymmetric, strain, stress"),
-        ("element=P1", "unknown choice 'P1'; known: P2, Q2, S2"),
-        ("bodies=true", "true is no text; allowed: kept, extended"),
-        ("bonded=1", "1 is neither true nor false"),
-        ("tolerance={tration = 0.1}", "unknown quantity 'tration', did you mean 'traction'?; known: compliance, jump"),
-        ("supports.LEFT=true", "true is no finite number"),
-        ("supports.LEFT={}", "no component is given, such as {x = 0}"),
-        ("supports.'(1, a)'=0", "a place is the name of a facet set, or the coordinates"),
-        ("supports.'(1, 2)'={n = 0}", "unknown component 'n'; known: x, y, z"),
-        ("loads=[{place = [1, 2]}]", "1: force is missing: the vector of the force"),
-        ("loads={place = [1, 2]}", "{'place': [1, 2]} is no list of tables"),
-        ("goals.stiffness=true", "what is asked for? give kind, one of compliance, reaction"),
-        ("goals.traction=true", "this quantity is told of every layer"),
-        ("goals={reaction = {place = 'LEFT'}}", "reaction: direction is missing: reaction has place"),
-        ("goals.compliance=3", "3 is no table; it has arguments of a goal, or is true"),
+        ("times=1\nbonded=true", "times: '1\\nbonded=true' are no times"),
+        ("times=[1, 1]", "times: [1, 1] are no times; give numbers > 0 that grow"),
+        ("units=mm", "units: 'mm' are not two units; give those of lengths and of stresses, such as 'mm, MPa'"),
+        ("plane=strian", "plane: unknown choice 'strian', did you mean 'strain'?; known: axisymmetric"),
+        ("element=P1", "element: unknown choice 'P1'; known: P2, Q2, S2"),
+        ("bodies=true", "bodies: true is no text; allowed: kept, extended"),
+        ("bonded=1", "bonded: 1 is neither true nor false"),
+        ("tolerance={tration = 0.1}", "tolerance: unknown quantity 'tration', did you mean 'traction'?; known: compl"),
+        ("supports.LEFT=true", "supports.LEFT: true is no finite number"),
+        ("supports.LEFT={}", "supports.LEFT: no component is given, such as {x = 0}"),
+        ("supports.'(1, a)'=0", "supports.(1, a): a place is the name of a facet set, or the coordinates"),
+        ("supports.'(1, 2)'={n = 0}", "supports.(1, 2): unknown component 'n'; known: x, y, z"),
+        ("loads=[{place = [1, 2]}]", "loads.1: force is missing: the vector of the force"),
+        ("loads={place = [1, 2]}", "loads: {'place': [1, 2]} is no list of tables"),
+        ("goals.stiffness=true", "goals.stiffness: what is asked for? give kind, one of compliance, reaction"),
+        ("goals.traction=true", "goals.traction: this quantity is told of every layer"),
+        ("goals={reaction = {place = 'LEFT'}}", "goals.reaction: direction is missing: reaction has place"),
+        ("goals.compliance=3", "goals.compliance: 3 is no table; it has arguments of a goal, or is true"),
         (
             "goals.displacement={x = [1, 2], direction = [1, 0], side = 'top'}",
-            "side: unknown choice 'top'; known: lower",
+            "goals.displacement.side: unknown choice 'top'; known: lower",
         ),
     ],
 )
 def test_settings_refused(tmp_path, setting, message):
+    """With the option and the keys of the entry."""
     with pytest.raises(DescriptionError) as error:
         described(tmp_path, LEAST, setting)
-    assert str(error.value).startswith(f"--set {setting!r}: {message}")
+    assert f"--set {setting!r}: {message}" in str(error.value)
 
 
 def test_options_are_named_beside_the_file(tmp_path):
-    """Where a table of both is wrong; an option that cannot be read is told with its form."""
+    """An option that cannot be read is told with its form."""
     for settings, message in (
         (
             ["layer.nuu=0.3"],
             r"joint.toml with --set 'layer.nuu=0.3': layer: unknown key of LinearElastic 'nuu', did you",
         ),
-        (["layr.E=1"], "joint.toml with --set 'layr.E=1': unknown key 'layr', did you mean 'layer'?"),
-        (["layer.eps=1", "layer.G=3"], "--set 'layer.eps=1', --set 'layer.G=3': layer: moduli are E and nu and G"),
+        (["layer.eps=1", "layer.G=3"], "with --set 'layer.eps=1', --set 'layer.G=3': layer: moduli are E and nu and G"),
         (["tolerance=0.1", "tolerance.jump=0.2"], "^--set 'tolerance.jump=0.2': 0.1 has no 'jump'"),
-        (
-            ["layer={A = {E = 1, nu = 0, eps = 1}}", "tolerance=0.1"],
-            "^--set 'tolerance=0.1': a thickness is sought of one",
-        ),
-        (["times=[2]", "tractions.TOP={times=[0, 1], values=[[0, 1], [0, 2]]}"], "': it is given from 0 to 1"),
+        (["layer={A = {E = 1, nu = 0, eps = 1}}", "tolerance=0.1"], "tolerance: a thickness is sought of one"),
         (["layer.E"], "^--set 'layer.E' cannot be read; give KEY=VALUE in TOML, such as layer.E=2e3"),
         (["=1"], "^--set '=1' cannot be read"),
         (["[a]\n[b]\nc=1"], "^--set .* cannot be read"),

@@ -24,12 +24,6 @@ from thinlayer.estimating import goals as kinds
 from thinlayer.estimating.goals import Goal
 
 LEAST_EPS = 1e-9  # thickness over the size of the bodies: below, rounding is larger than its effect
-GOALS = {
-    "compliance": kinds.Compliance,
-    "reaction": kinds.Reaction,
-    "mean_traction": kinds.MeanTraction,
-    "displacement": kinds.Displacement,
-}
 
 
 @dataclass(frozen=True)
@@ -113,7 +107,8 @@ def _by_name(given: Mapping[str | None, Material], make: Any) -> Any:
 
 
 def _goal(name: str, kind: str, **arguments: Any) -> Goal:
-    made: Goal = GOALS[kind](**arguments)
+    of_kind = getattr(kinds, kind.title().replace("_", ""))
+    made: Goal = of_kind(**arguments)
     if name in (kind, made.name):
         return made
     called: Any = type("Called", (type(made),), {"name": name})  # what is asked of its kind holds under any name

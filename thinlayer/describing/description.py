@@ -8,23 +8,34 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from forms.base import is_finite
 from thinlayer.describing.materials import Material, materials
-from thinlayer.describing.section import History, Keys, Section, is_growing, read
+from thinlayer.describing.section import (
+    History,
+    Keys,
+    Reader,
+    Section,
+    choice,
+    history,
+    is_growing,
+    positive,
+    read,
+)
 
 Place = str | tuple[float, ...]
 Vector = tuple[float, ...]
 
-GOALS = {
+GOALS: dict[str, dict[str, Reader]] = {
     "compliance": {},
-    "reaction": {"place": True, "direction": True},
-    "mean_traction": {"direction": True, "seam": False},
-    "displacement": {"x": True, "direction": True, "side": False},
-}  # kind -> its arguments: whether they must be given
+    "reaction": {"place": Section.text, "direction": Section.vector},
+    "mean_traction": {"direction": Section.vector, "seam": Section.text},
+    "displacement": {"x": Section.vector, "direction": Section.vector, "side": choice("lower", "upper")},
+}  # kind -> its arguments
 ALWAYS = ("traction", "jump")  # quantities that every estimate has, besides goals
 
 
@@ -35,9 +46,9 @@ class Description:
     Attributes:
         section: the whole table, for words about where entries stand.
         mesh: arguments of `geometry.read`.
-        units: of lengths and of stresses, as texts; None: not given.
         body: region -> its law; None stands for all.
         layer: seam -> its law and thickness; None stands for all.
+        units: of lengths and of stresses, as texts; None: not given.
         supports: place -> prescribed displacements, as in `Structure`.
         tractions: name of a facet set -> components, or {"pressure": number}.
         body_force: components, or region or seam -> components; None: none.
@@ -52,20 +63,20 @@ class Description:
 
     section: Section
     mesh: Mapping[str, Any]
-    units: tuple[str, str] | None
     body: Mapping[str | None, Material]
     layer: Mapping[str | None, Material]
-    supports: Mapping[Place, Any]
-    tractions: Mapping[str, Any]
-    body_force: Vector | Mapping[str, Vector] | None
-    loads: tuple[Mapping[str, Any], ...]
-    plane: str | None
-    element: str | None
-    bodies: str
-    times: tuple[float, ...]
-    goals: Mapping[str, Mapping[str, Any]]
-    tolerance: Mapping[str, float]
-    bonded: bool
+    units: tuple[str, str] | None = None
+    supports: Mapping[Place, Any] = field(default_factory=dict)
+    tractions: Mapping[str, Any] = field(default_factory=dict)
+    body_force: Vector | Mapping[str, Vector] | None = None
+    loads: tuple[Mapping[str, Any], ...] = ()
+    plane: str | None = None
+    element: str | None = None
+    bodies: str = "kept"
+    times: tuple[float, ...] = ()
+    goals: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    tolerance: Mapping[str, float] = field(default_factory=dict)
+    bonded: bool = False
 
     @classmethod
     def read(cls, path: Path, settings: Iterable[str] = ()) -> Description:
@@ -75,29 +86,9 @@ class Description:
             DescriptionError: where, what is wrong, and what is allowed.
         """
         section = read(path, settings)
-        section.allow(KEYS)
-        goals = _goals(section)
-        bonded = section.values.get("bonded", False)
-        if not isinstance(bonded, bool):
-            section.refuse(f"{bonded!r} is neither true nor false", "bonded")
-        found = cls(
-            section,
-            _mesh(section),
-            _units(section),
-            materials(section, "body", thin=False),
-            materials(section, "layer", thin=True),
-            _supports(section.table("supports", "places with what they prescribe, such as LEFT = 0")),
-            _tractions(section.table("tractions", "names of facet sets with a vector, such as TOP = [0, -50]")),
-            _body_force(section),
-            tuple(_load(one) for one in section.tables("loads", "place and force, or first, second and force")),
-            section.text("plane", ("strain", "stress", "axisymmetric")),
-            section.text("element", ("P2", "Q2", "S2")),  # of degree 2, as interface laws of order 1 need it
-            section.text("bodies", ("kept", "extended")) or "kept",
-            _times(section),
-            goals,
-            _tolerance(section, [*ALWAYS, *(goals or ["compliance"])]),
-            bonded,
-        )
+        law = "the parameters of a law, such as E and nu, in a table"
+        needed = {"mesh": MESH, "body": f"{law} [body]", "layer": f"{law} [layer]"}
+        found = cls(section, **section.entries(READERS, needed))
         found._require_loads()
         found._require_times()
         if found.tolerance and None not in found.layer:
@@ -132,9 +123,6 @@ class Description:
                 self.section.refuse(reach, *keys)
 
 
-KEYS = tuple(one.name for one in fields(Description))[1:]
-
-
 def _histories(value: Any, *keys: str) -> Iterator[tuple[Keys, History]]:
     """Histories in tables in tables, with the keys that lead to them."""
     if isinstance(value, History):
@@ -143,49 +131,56 @@ def _histories(value: Any, *keys: str) -> Iterator[tuple[Keys, History]]:
         yield from _histories(inner, *keys, str(key))
 
 
-def _mesh(section: Section) -> dict[str, Any]:
+def _mesh(section: Section, key: str) -> dict[str, Any]:
     """Arguments of `read`. S is all that is between `upper` and `lower` if these are given alone."""
-    what = 'the name of a mesh file, mesh = "joint.msh"'
-    given = section.require("mesh", what)
-    one = section.inner({"path": given} if isinstance(given, str) else given, "path and arguments of read", "mesh")
-    one.allow(["path", "S", "upper", "lower", "direction", "scale"])
-    one.require("path", what)
-    found: dict[str, Any] = {"path": one.text("path")}
-    found |= {key: one.texts(key) for key in ("upper", "lower") if key in one.values}
-    if "direction" in one.values:
-        found["direction"] = one.vector("direction")
-    if "scale" in one.values:
-        found["scale"] = one.positive("scale", "a factor on the coordinates")
-    if "S" in one.values:  # of a table `read` checks the sides
-        found["S"] = one.values["S"] if isinstance(one.values["S"], Mapping) else one.texts("S")
-    elif {"upper", "lower"} <= one.values.keys():
-        found["S"] = None
-    return found
+    given, sides = section.values[key], dict.fromkeys(("upper", "lower"), Section.texts)
+    one = section.inner({"path": given} if isinstance(given, str) else given, "path and arguments of read", key)
+    readers: dict[str, Reader] = {
+        "path": Section.text,
+        "S": _sides,
+        **sides,
+        "direction": Section.vector,
+        "scale": positive("a factor"),
+    }
+    found = one.entries(readers, {"path": MESH})
+    return {"S": None, **found} if sides.keys() <= found.keys() else found
 
 
-def _units(section: Section) -> tuple[str, str] | None:
-    text = section.text("units")
-    if text is None:
-        return None
+def _sides(section: Section, key: str) -> Any:
+    """Names of facets; of a table `read` checks the sides."""
+    value = section.values[key]
+    return value if isinstance(value, Mapping) else section.texts(key)
+
+
+def _units(section: Section, key: str) -> tuple[str, str]:
+    text = section.text(key)
     lengths, _, stresses = map(str.strip, text.partition(","))
     if not lengths or not stresses or "," in stresses:
-        section.refuse(f"{text!r} are not two units; give those of lengths and of stresses, such as 'mm, MPa'", "units")
+        section.refuse(f"{text!r} are not two units; give those of lengths and of stresses, such as 'mm, MPa'", key)
     return lengths, stresses
 
 
-def _supports(section: Section) -> dict[Place, Any]:
+def _bonded(section: Section, key: str) -> bool:
+    value = section.values[key]
+    if not isinstance(value, bool):
+        section.refuse(f"{value!r} is neither true nor false", key)
+    return value
+
+
+def _supports(section: Section, key: str) -> dict[Place, Any]:
     """Place -> a number, or components."""
-    found: dict[Place, Any] = {}
-    for key, value in section.values.items():
-        place = _place(key, section)
+    places, found = section.table(key, "places with what they prescribe, such as LEFT = 0"), dict[Place, Any]()
+    for name, value in places.values.items():
+        place = _place(name, places)
         if isinstance(value, Mapping):
-            one = section.table(key, "components")
-            one.allow(["x", "y", "z", *(["n"] if isinstance(place, str) else [])], "component")
-            found[place] = {axis: one.history(axis, Section.number) for axis in value}
+            axes = ["x", "y", "z", *(["n"] if isinstance(place, str) else [])]
+            found[place] = places.table(name, "components").entries(
+                dict.fromkeys(axes, history(Section.number)), kind="component"
+            )
             if not value:
-                section.refuse("no component is given, such as {x = 0}", key)
+                places.refuse("no component is given, such as {x = 0}", name)
         else:
-            found[place] = section.number(key)
+            found[place] = places.number(name)
     return found
 
 
@@ -202,85 +197,91 @@ def _place(text: str, section: Section) -> Place:
     return point
 
 
-def _tractions(section: Section) -> dict[str, Any]:
+def _tractions(section: Section, key: str) -> dict[str, Any]:
     """Name of a facet set -> components, or {"pressure": number}."""
-
-    def traction(section: Section, key: str) -> Any:
-        value = section.values[key]
-        if isinstance(value, Mapping):
-            one = section.table(key, "pressure")
-            one.allow(["pressure"])
-            one.require("pressure", "a stress, > 0 where it presses")
-            return {"pressure": one.history("pressure", Section.number)}
-        if is_finite(value):
-            section.refuse(f"{value:g} is no vector; give its components, or {{pressure = {value:g}}}", key)
-        return section.vector(key)
-
-    return {key: section.history(key, traction) for key in section.values}
+    sets = section.table(key, "names of facet sets with a vector, such as TOP = [0, -50]")
+    return {name: history(_traction)(sets, name) for name in sets.values}
 
 
-def _body_force(section: Section) -> Vector | dict[str, Vector] | None:
+def _traction(section: Section, key: str) -> Any:
+    value = section.values[key]
+    if isinstance(value, Mapping):
+        what = {"pressure": "a stress, > 0 where it presses"}
+        return section.table(key, "pressure").entries({"pressure": history(Section.number)}, what)
+    if is_finite(value):
+        section.refuse(f"{value:g} is no vector; give its components, or {{pressure = {value:g}}}", key)
+    return section.vector(key)
+
+
+def _body_force(section: Section, key: str) -> Vector | dict[str, Vector]:
     """Components, or region or seam -> components."""
-    if "body_force" not in section.values:
-        return None
-    if not isinstance(section.values["body_force"], Mapping):
-        return section.vector("body_force")
-    one = section.table("body_force", "names of regions and seams")
-    return {name: one.vector(name) for name in one.values}
+    value = section.values[key]
+    if not isinstance(value, Mapping):
+        return section.vector(key)
+    return section.table(key, "names of regions and seams").entries(dict.fromkeys(value, Section.vector))
 
 
-def _load(section: Section) -> dict[str, Any]:
-    """A force at a point, or per length of edges."""
-    line = "first" in section.values or "second" in section.values
-    where = ("first", "second") if line else ("place",)
-    section.allow([*where, "force", "body"])
-    for key in (*where, "force"):
-        section.require(key, "the vector of the force" if key == "force" else "where the load acts")
-    found: dict[str, Any] = {key: section.text(key) if line else section.vector(key) for key in where}
-    found["force"] = section.history("force", Section.vector)
-    return found | ({"body": section.text("body")} if "body" in section.values else {})
+def _loads(section: Section, key: str) -> tuple[dict[str, Any], ...]:
+    """Forces at points, or per length of edges."""
+    found = []
+    for one in section.tables(key, "place and force, or first, second and force"):
+        where: dict[str, Reader] = {"place": Section.vector}
+        if {"first", "second"} & one.values.keys():
+            where = {"first": Section.text, "second": Section.text}
+        needed = {**dict.fromkeys(where, "where the load acts"), "force": "the vector of the force"}
+        found.append(one.entries({**where, "force": history(Section.vector), "body": Section.text}, needed))
+    return tuple(found)
 
 
-def _times(section: Section) -> tuple[float, ...]:
-    times = section.values.get("times", [])
+def _times(section: Section, key: str) -> tuple[float, ...]:
+    times = section.values[key]
     if not is_growing(times) or (times and times[0] <= 0):
-        section.refuse(f"{times!r} are no times; give numbers > 0 that grow, such as [0.5, 1]", "times")
+        section.refuse(f"{times!r} are no times; give numbers > 0 that grow, such as [0.5, 1]", key)
     return tuple(float(t) for t in times)
 
 
-def _goals(section: Section) -> dict[str, dict[str, Any]]:
-    goals, found = section.table("goals", "names with what they ask for, such as compliance = true"), {}
+def _goals(section: Section, key: str) -> dict[str, dict[str, Any]]:
+    goals, found = section.table(key, "names with what they ask for, such as compliance = true"), {}
     for name, value in goals.values.items():
         if name in ALWAYS:
             goals.refuse("this quantity is told of every layer; give a goal another name", name)
         one = goals.inner({} if value is True else value, "arguments of a goal, or is true", name)
-        kind = one.text("kind", GOALS) or name
+        kind = one.text("kind", GOALS) if "kind" in one.values else name
         if kind not in GOALS:
             goals.refuse(f"what is asked for? give kind, one of {', '.join(GOALS)}, or one of them as the key", name)
-        arguments = GOALS[kind]
-        one.allow(["kind", *arguments], f"key of {kind}")
-        for key, needed in arguments.items():
-            if needed:
-                one.require(key, f"{kind} has {', '.join(arguments)}")
-        one.text("side", ("lower", "upper"))
-        read = {
-            key: one.vector(key) if key in ("direction", "x") else one.text(key)
-            for key in arguments
-            if key in one.values
-        }
-        found[name] = {"kind": kind, **read}
+        readers = GOALS[kind]
+        needed = {key: f"{kind} has {', '.join(readers)}" for key in readers if key not in ("seam", "side")}
+        found[name] = {"kind": kind, **one.entries({"kind": Section.text, **readers}, needed)}
     return found
 
 
-def _tolerance(section: Section, quantities: list[str]) -> dict[str, float]:
+def _tolerance(section: Section, key: str) -> dict[str, float]:
     """Quantity -> its largest relative change; a number alone is that of the traction."""
-    value = section.values.get("tolerance")
-    if value is None:
-        return {}
-    what = "the largest relative change that is allowed, between 0 and 1"
-    one = section.inner(value if isinstance(value, Mapping) else {"traction": value}, what, "tolerance")
-    one.allow(quantities, "quantity")
-    for name in one.values:
-        if one.positive(name, what) >= 1:
-            one.refuse(f"{one.values[name]!r} is not < 1; it is {what}", name)
-    return {name: float(one.values[name]) for name in one.values}
+    value, what = section.values[key], "the largest relative change that is allowed, between 0 and 1"
+    one = section.inner(value if isinstance(value, Mapping) else {"traction": value}, what, key)
+    goals = section.values.get("goals") or {"compliance": True}
+    found = one.entries(dict.fromkeys([*ALWAYS, *goals], positive(what)), kind="quantity")
+    for name, number in found.items():
+        if number >= 1:
+            one.refuse(f"{number:g} is not < 1; it is {what}", name)
+    return found
+
+
+MESH = 'the name of a mesh file, mesh = "joint.msh"'
+READERS: dict[str, Reader] = {
+    "mesh": _mesh,
+    "units": _units,
+    "body": materials,
+    "layer": partial(materials, thin=True),
+    "supports": _supports,
+    "tractions": _tractions,
+    "body_force": _body_force,
+    "loads": _loads,
+    "plane": choice("strain", "stress", "axisymmetric"),
+    "element": choice("P2", "Q2", "S2"),  # of degree 2, as interface laws of order 1 need it
+    "bodies": choice("kept", "extended"),
+    "times": _times,
+    "goals": _goals,
+    "tolerance": _tolerance,
+    "bonded": _bonded,
+}

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, fields
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
 import forms.laws
-from forms.base import unknown
 from forms.elastic import LinearElastic
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw, LawError, scalars
 from forms.series import Stack
-from thinlayer.describing.section import Section
+from thinlayer.describing.section import Reader, Section, choice, positive
 
 ELASTIC = ("E", "nu", "K", "G", "mu", "lmbda")
 PAIRS = "E and nu, G and nu, K and G, or lmbda and mu (G is mu)"
@@ -36,29 +35,24 @@ class Material:
     eigenstrain: float | None
 
 
-def materials(section: Section, key: str, *, thin: bool) -> dict[str | None, Material]:
+def materials(section: Section, key: str, *, thin: bool = False) -> dict[str | None, Material]:
     """The materials in the table of a key, of layers with a thickness, by name; None stands for all.
 
     Raises:
         DescriptionError: an unknown law or parameter, one that is missing, moduli that are no pair, or a law's own error.
     """
-    what = "the parameters of a law, such as E and nu"
-    if not section.values.get(key):
-        section.refuse(f"{key} is missing: {what}, in a table [{key}]")
+    what, thickness = "the parameters of a law, such as E and nu", "the thickness of the layer, a length"
     whole = section.table(key, what)
     inside = [isinstance(value, dict) for value in whole.values.values()]
     if any(inside) and not all(inside):
         whole.refuse(f"it has tables with names beside keys without one; give each name a table with {what}")
     tables = {name: whole.table(name, what) for name in whole.values} if any(inside) else {None: whole}
-    beside = ["eps", "eigenstrain"] if thin else ["eigenstrain"]
-    return {
-        name: Material(
-            _law(one, beside),
-            one.positive("eps", "the thickness of the layer, a length") if thin else 0.0,
-            one.number("eigenstrain") if "eigenstrain" in one.values else None,
-        )
-        for name, one in tables.items()
-    }
+    found = {}
+    for name, one in tables.items():
+        needed = {"eps": positive(thickness)} if thin else {}
+        law, beside = _law(one, {**needed, "eigenstrain": Section.number}, dict.fromkeys(needed, thickness))
+        found[name] = Material(law, beside.get("eps", 0.0), beside.get("eigenstrain"))
+    return found
 
 
 @cache
@@ -72,40 +66,45 @@ def known_laws() -> dict[str, type[BulkLaw]]:
     }
 
 
-def _law(section: Section, beside: Collection[str]) -> BulkLaw:
-    """The law {law: its name, parameter: value}, or {sublayers: ...}, of a table with other keys beside these."""
+def _law(section: Section, beside: Mapping[str, Reader], needed: Mapping[str, str]) -> tuple[BulkLaw, dict[str, Any]]:
+    """The law {law: its name, parameter: value}, or {sublayers: ...}, of a table, and the entries beside it."""
     if "sublayers" in section.values or section.values.get("law") == "Stack":
-        section.allow(["law", "sublayers", *beside], "key of Stack")
-        if section.values.get("law", "Stack") != "Stack":
-            section.refuse(f"sublayers are those of a Stack, not of {section.values['law']!r}", "law")
-        each = section.tables("sublayers", "a fraction of the thickness and a law")
-        pairs = [(one.positive("fraction", "share of the thickness"), _law(one, ["fraction"])) for one in each]
-        try:
-            return Stack(*pairs)
-        except LawError as error:
-            section.refuse(str(error), "sublayers")
-    name = section.text("law") or "LinearElastic"
-    if name not in known_laws():
-        section.refuse(unknown("law of strains", name, known_laws()), "law")
+        of_stack = {"law": choice("Stack"), "sublayers": _sublayers, **beside}
+        found = section.entries(of_stack, {**needed, "sublayers": "tables with a law"}, "key of Stack")
+        return _made(section, lambda: Stack(*found["sublayers"])), found
+    name = section.text("law", known_laws(), "law of strains") if "law" in section.values else "LinearElastic"
     kind: Any = known_laws()[name]
     parameters = {f.name: f for f in fields(kind) if f.init}
-    pair, shear = {"lmbda", "mu"} <= parameters.keys(), "mu" in parameters
-    elastic = ELASTIC if pair else ("E", "G") if shear else ()
-    section.allow([*dict.fromkeys(["law", *elastic, *parameters, *beside])], f"key of {name}")
-    given = {key: _value(section, key, kind) for key in parameters if key in section.values}
-    if shear:
-        given |= _pair(section, name) if pair else {"mu": _shear(section, name)}
-    for key, one in parameters.items():
-        if key not in given and one.default is MISSING:
-            others = [one for one in parameters if not (shear and one in ("lmbda", "mu"))]
-            section.refuse(f"{key} is missing; {name} has {', '.join([PAIRS, *others] if shear else others)}")
+    elastic = ELASTIC if "lmbda" in parameters else ("E", "G", "mu") if "mu" in parameters else ()
+    own = [key for key in parameters if key not in elastic]
+    readers: dict[str, Reader] = {"law": Section.text, **beside}
+    readers |= dict.fromkeys(elastic, Section.number) | dict.fromkeys(own, partial(_value, kind))
+    has = f"{name} has {', '.join([PAIRS, *own] if elastic else own)}"
+    words = {**{key: has for key in own if parameters[key].default is MISSING}, **needed}
+    found = section.entries(readers, words, f"key of {name}")
+    moduli = {key: found[key] for key in elastic if key in found}
+    given = {key: found[key] for key in own if key in found}
+    if elastic:
+        given |= _pair(section, name, moduli) if "lmbda" in parameters else _shear(section, name, moduli)
+    return _made(section, lambda: kind(**given)), found
+
+
+def _made(section: Section, make: Callable[[], BulkLaw]) -> BulkLaw:
     try:
-        return kind(**given)
+        return make()
     except (LawError, TypeError, ValueError) as error:
         section.refuse(str(error))
 
 
-def _value(section: Section, key: str, kind: Any) -> Any:
+def _sublayers(section: Section, key: str) -> list[tuple[float, BulkLaw]]:
+    what, pairs = "share of the thickness", []
+    for one in section.tables(key, "a fraction of the thickness and a law"):
+        law, beside = _law(one, {"fraction": positive(what)}, {"fraction": what})
+        pairs.append((beside["fraction"], law))
+    return pairs
+
+
+def _value(kind: Any, section: Section, key: str) -> Any:
     """The value of a parameter: a number where the law has a number, else what is given, lists as arrays."""
     if key in scalars(kind):
         return section.number(key)
@@ -116,25 +115,24 @@ def _value(section: Section, key: str, kind: Any) -> Any:
         section.refuse("it needs a table of numbers", key)
 
 
-def _shear(section: Section, name: str) -> float:
+def _shear(section: Section, name: str, moduli: Mapping[str, float]) -> dict[str, float]:
     """The shear modulus of an incompressible law."""
-    given = [key for key in ("E", "G", "mu") if key in section.values]
-    if len(given) != 1:
-        section.refuse(f"moduli are {' and '.join(given) or 'missing'}; {name} has one: mu (which is G), or E = 3 mu")
-    value = section.positive(given[0], "a modulus")
-    return value / 3 if given == ["E"] else value
+    if len(moduli) != 1:
+        section.refuse(f"moduli are {' and '.join(moduli) or 'missing'}; {name} has one: mu (which is G), or E = 3 mu")
+    (key,) = moduli
+    value = positive("a modulus")(section, key)
+    return {"mu": value / 3 if key == "E" else value}
 
 
-def _pair(section: Section, name: str) -> dict[str, float]:
+def _pair(section: Section, name: str, moduli: Mapping[str, float]) -> dict[str, float]:
     """Lame's moduli from a pair of elastic constants."""
-    given = {key: section.number(key) for key in ELASTIC if key in section.values}
-    known = {"G" if key == "mu" and "lmbda" not in given else key: value for key, value in given.items()}
-    if len(given) != 2 or known.keys() not in ({"E", "nu"}, {"G", "nu"}, {"K", "G"}, {"lmbda", "mu"}):
-        section.refuse(f"moduli are {' and '.join(given) or 'missing'}; {name} has a pair: {PAIRS}")
+    known = {"G" if key == "mu" and "lmbda" not in moduli else key: value for key, value in moduli.items()}
+    if len(moduli) != 2 or known.keys() not in ({"E", "nu"}, {"G", "nu"}, {"K", "G"}, {"lmbda", "mu"}):
+        section.refuse(f"moduli are {' and '.join(moduli) or 'missing'}; {name} has a pair: {PAIRS}")
     if "lmbda" in known:
         return known
-    for key in given.keys() - {"nu"}:
-        section.positive(key, "a modulus")
+    for key in moduli.keys() - {"nu"}:
+        positive("a modulus")(section, key)
     if "K" in known:
         return {"lmbda": known["K"] - 2 * known["G"] / 3, "mu": known["G"]}
     if not -1 < known["nu"] < 0.5:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 from forms.base import InputError, is_finite, unknown
 
 Keys = tuple[str, ...]
+NONE: Mapping[str, str] = {}
 
 
 class DescriptionError(InputError):
@@ -51,22 +52,12 @@ def read(path: Path, settings: Iterable[str] = ()) -> Section:
     mesh = {"path": mesh} if isinstance(mesh, str) else mesh
     if isinstance(mesh, dict) and isinstance(mesh.get("path"), str):
         values["mesh"] = {**mesh, "path": str(path.parent / mesh["path"])}
-    options: list[tuple[Keys, str]] = []
+    name = str(path)
     for text in settings:
         option = f"--set {text!r}"
-        keys, value = _assignment(text, option)
-        values = _put(values, keys, value, option)
-        options.append((keys, option))
-
-    def told(keys: Keys) -> str:
-        for theirs, option in reversed(options):
-            if keys[: len(theirs)] == theirs:
-                return ": ".join(filter(None, [option, ".".join(keys[len(theirs) :])]))
-        within = ", ".join(option for theirs, option in options if theirs[: len(keys)] == keys)
-        name = f"{path} with {within}" if within else str(path)
-        return ": ".join(filter(None, [name, ".".join(keys)]))
-
-    return Section(values, (), told)
+        values = _put(values, *_assignment(text, option), option)
+        name += f"{',' if '--set' in name else ' with'} {option}"
+    return Section(values, (), name)
 
 
 def _assignment(text: str, option: str) -> tuple[Keys, Any]:
@@ -107,42 +98,40 @@ class Section:
     Attributes:
         values: its entries.
         path: the keys that lead to it.
-        told: words for where an entry stands, by the keys that lead to it.
+        name: the file, and the options that set keys anew.
     """
 
     values: Mapping[str, Any]
     path: Keys
-    told: Callable[[Keys], str]
+    name: str
 
     def refuse(self, what: str, *keys: str) -> NoReturn:
         """Raise DescriptionError about this table, or about an entry of it."""
-        raise DescriptionError(f"{self.told((*self.path, *keys))}: {what}")
+        raise DescriptionError(": ".join(filter(None, [self.name, ".".join((*self.path, *keys)), what])))
 
-    def allow(self, keys: Iterable[str], kind: str = "key") -> None:
-        """Raise DescriptionError if there is an entry with another key."""
-        known = [*keys]
+    def entries(
+        self, readers: Mapping[str, Reader], needed: Mapping[str, str] = NONE, kind: str = "key"
+    ) -> dict[str, Any]:
+        """What readers take from the entries of their keys.
+
+        Args:
+            readers: key -> what reads it, of all keys that are allowed.
+            needed: key that must be given -> words for what it is.
+            kind: the word for a key.
+        """
         for key in self.values:
-            if key not in known:
-                self.refuse(unknown(kind, key, known))
-
-    def require(self, key: str, what: str) -> Any:
-        """The value of a key; raises DescriptionError if there is none, with words for what it is."""
-        if key not in self.values:
-            self.refuse(f"{key} is missing: {what}")
-        return self.values[key]
+            if key not in readers:
+                self.refuse(unknown(kind, key, readers))
+        for key, what in needed.items():
+            if key not in self.values:
+                self.refuse(f"{key} is missing: {what}")
+        return {key: read(self, key) for key, read in readers.items() if key in self.values}
 
     def number(self, key: str) -> float:
         """A finite number."""
         if not is_finite(self.values[key]):
             self.refuse(f"{_shown(self.values[key])} is no finite number", key)
         return float(self.values[key])
-
-    def positive(self, key: str, what: str) -> float:
-        """A number > 0 that must be given."""
-        self.require(key, what)
-        if (number := self.number(key)) <= 0:
-            self.refuse(f"{self.values[key]!r} is not > 0; it is {what}", key)
-        return number
 
     def vector(self, key: str) -> tuple[float, ...]:
         """Components of a vector, 2 or 3 finite numbers."""
@@ -151,33 +140,18 @@ class Section:
             self.refuse(f"{_shown(value)} is no vector; give 2 components, in 3D 3, such as [0, -50]", key)
         return tuple(float(one) for one in value)
 
-    def history(self, key: str, read: Callable[[Section, str], Any]) -> Any:
-        """A value that `read` takes from a table at a key, or a `History` of such values, {times = ..., values = ...}."""
-        given = self.values[key]
-        if not isinstance(given, Mapping) or not {"times", "values"} & given.keys():
-            return read(self, key)
-        one = self.table(key, "times and values")
-        one.allow(["times", "values"])
-        times, values = (one.require(name, "a history has times and values") for name in ("times", "values"))
-        if not (isinstance(values, list) and is_growing(times) and len(times) == len(values) >= 2):
-            self.refuse("a history is {times = [0, 1], values = [0, 5]}: two or more, times that grow", key)
-        each = Section({str(k): value for k, value in enumerate(values, 1)}, (*one.path, "values"), self.told)
-        return History({float(t): read(each, str(k)) for k, t in enumerate(times, 1)})
-
-    def text(self, key: str, allowed: Iterable[str] | None = None) -> str | None:
-        """A text, or None if it is not given."""
-        if key not in self.values:
-            return None
+    def text(self, key: str, allowed: Collection[str] = (), kind: str = "choice") -> str:
+        """A text, one of those that are allowed if there are any."""
         value = self.values[key]
         if not isinstance(value, str) or not value:
             self.refuse(f"{_shown(value)} is no text" + (f"; allowed: {', '.join(allowed)}" if allowed else ""), key)
-        if allowed is not None and value not in (known := [*allowed]):
-            self.refuse(unknown("choice", value, known), key)
+        if allowed and value not in allowed:
+            self.refuse(unknown(kind, value, allowed), key)
         return value
 
-    def texts(self, key: str) -> str | list[str] | None:
-        """A text or several in a list, or None."""
-        value = self.values.get(key)
+    def texts(self, key: str) -> str | list[str]:
+        """A text or several in a list."""
+        value = self.values[key]
         several = isinstance(value, list) and value and all(isinstance(one, str) for one in value)
         return value if several else self.text(key)
 
@@ -189,7 +163,7 @@ class Section:
         """A value of this table as a table."""
         if not isinstance(value, Mapping):
             self.refuse(f"{_shown(value)} is no table; it has {what}", *keys)
-        return Section(value, (*self.path, *keys), self.told)
+        return Section(value, (*self.path, *keys), self.name)
 
     def tables(self, key: str, what: str) -> list[Section]:
         """The tables in a list."""
@@ -197,6 +171,46 @@ class Section:
         if not isinstance(value, list):
             self.refuse(f"{_shown(value)} is no list of tables; each has {what}", key)
         return [self.inner(one, what, key, str(number)) for number, one in enumerate(value, 1)]
+
+
+Reader = Callable[[Section, str], Any]
+
+
+def choice(*allowed: str) -> Reader:
+    """Reader of one of these texts."""
+    return lambda section, key: section.text(key, allowed)
+
+
+def positive(what: str) -> Reader:
+    """Reader of a number > 0, with words for what it is."""
+
+    def read(section: Section, key: str) -> float:
+        if (number := section.number(key)) <= 0:
+            section.refuse(f"{section.values[key]!r} is not > 0; it is {what}", key)
+        return number
+
+    return read
+
+
+def history(read: Reader) -> Reader:
+    """Reader of what `read` reads, or of a `History` of such values, {times = ..., values = ...}."""
+
+    def read_each(section: Section, key: str) -> Any:
+        given, what = (
+            section.values[key],
+            "a history is {times = [0, 1], values = [0, 5]}: two or more, times that grow",
+        )
+        if not isinstance(given, Mapping) or not {"times", "values"} & given.keys():
+            return read(section, key)
+        parts = dict.fromkeys(("times", "values"), lambda one, name: one.values[name])
+        times, values = section.table(key, what).entries(parts, dict.fromkeys(parts, what)).values()
+        if not (isinstance(values, list) and is_growing(times) and len(times) == len(values) >= 2):
+            section.refuse(what, key)
+        each = {str(k): value for k, value in enumerate(values, 1)}
+        inner = Section(each, (*section.path, key, "values"), section.name)
+        return History({float(t): read(inner, str(k)) for k, t in enumerate(times, 1)})
+
+    return read_each
 
 
 def is_growing(times: Any) -> bool:
