@@ -11,11 +11,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-import thinlayer.files.table
 import thinlayer.running.record
 from studies import rates
 from tests.folders_run import same_errors
@@ -101,12 +99,10 @@ def test_a_lock_is_that_of_the_file_which_is_there(tmp_path, monkeypatch):
 
 def test_links_to_folders(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "there")
-    with pytest.raises(
-        ModelError, match=r"in '\S+/link/in': '\S+/link' is a link to '\S+/there', which is no folder; give"
-    ):
-        march(interface(), [0.1], out=tmp_path / "link" / "in")
+    out = tmp_path / "link" / "in"
+    refused(ModelError, r"no files can be written in .*link/in", lambda: march(interface(), [0.1], out=out))
     (tmp_path / "there").mkdir()
-    assert len(march(interface(), [0.1], out=tmp_path / "link" / "in")) == 2
+    assert len(march(interface(), [0.1], out=out)) == 2
 
 
 def test_file_systems_without_locks(tmp_path, monkeypatch):
@@ -126,11 +122,9 @@ def test_the_table_of_another_sweep_is_not_adopted(tmp_path, monkeypatch):
         return row(e)
 
     sweep(run, [0.4, 0.2], path)
-    before = path.read_bytes()
     sweep(run, [0.4, 0.2, 0.1], path, resume=True)
     assert found == [0.4, 0.2, 0.1]
-    sweep(run, [0.4, 0.2], path)  # the same again replaces it
-    assert path.read_bytes() == before
+    before = path.read_bytes()
     monkeypatch.setitem(globals(), "FACTOR", 3.0)
     with pytest.raises(
         ModelError,
@@ -140,12 +134,11 @@ def test_the_table_of_another_sweep_is_not_adopted(tmp_path, monkeypatch):
     assert path.read_bytes() == before
     assert sweep(run, [0.4], path)["error_traction"] == pytest.approx([1.2])
     assert (tmp_path / "previous-1" / "t.csv").read_bytes() == before
-    text = path.read_text()
-    path.write_text(text.replace("0.4", "0.5"))
-    refused(ModelError, "it has been changed since", lambda: sweep(run, [0.4], path, resume=True))
-    path.write_text(text)
-    (tmp_path / "t.csv.json").write_text('{"made from": 3}')
+    beside = tmp_path / "t.csv.json"
+    beside.write_text(beside.read_text().replace("0.4", "0.5"))
     refused(ModelError, r"t\.csv\.json' cannot be read", lambda: sweep(run, [0.4], path, resume=True))
+    beside.unlink()
+    refused(ModelError, "that tells what it is made from", lambda: sweep(run, [0.4], path, resume=True))
 
 
 class Study:
@@ -200,14 +193,9 @@ def study(out, options, rows=(0.4, 0.2), resume=False, stop_at=None):
         return row(e) | {"b": options["b"]}
 
     with Record("s", out, options, resume=resume) as record:
-        try:
-            table = record.sweep(run, rows)
-            record.write("more.csv", table)
-            plotting.rates(table, save=record.path("rates.png"))
-            record.close()
-        except BaseException as error:
-            record.stop(repr(error))
-            raise
+        table = record.sweep(run, rows)
+        record.write("more.csv", table)
+        plotting.rates(table, save=record.path("rates.png"))
     return table
 
 
@@ -222,18 +210,35 @@ def test_an_older_run_is_moved_away_and_never_mixed(tmp_path):
     assert {path.name: path.read_bytes() for path in (tmp_path / "previous-1").iterdir()} == first
     table = study(tmp_path, {"b": 2.0}, resume=True)
     assert list(table["b"]) == [2.0, 2.0]
-    refused(ModelError, "had the options", lambda: study(tmp_path, {"b": 3.0}, resume=True))
+    refused(ModelError, r"options\.b: 2\.0 there, 3\.0 here", lambda: study(tmp_path, {"b": 3.0}, resume=True))
     study(tmp_path, {"b": 3.0})
     assert {path.name for path in (tmp_path / "previous-2").iterdir()} == first.keys()
+
+
+def test_a_march_that_was_not_finished_is_moved_away_with_its_run(tmp_path):
+    def marched():
+        with Record("s", tmp_path, {}) as record:
+            record.march(interface(), [0.1], "m")
+            raise RuntimeError("killed")
+
+    refused(RuntimeError, "killed", marched)
+    with Record("s", tmp_path, {}) as record:
+        record.write("table.csv", Table([row(0.1)]))
+    assert (tmp_path / "previous-1" / "unfinished" / "m" / "march.json").exists()
+    assert json.loads((tmp_path / "run.json").read_text())["files"] == ["table.csv"]
 
 
 def test_bad_input_leaves_the_older_run_where_it_was(tmp_path):
     study(tmp_path, {"b": 1.0})
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    with Record("s", tmp_path, {"b": 2.0}) as record:
-        record.path("table.csv")
-        assert {path.name for path in tmp_path.iterdir()} == {".lock", "previous-1", "run.json"}
-        record.withdraw()
+
+    def begun():
+        with Record("s", tmp_path, {"b": 2.0}) as record:
+            record.path("table.csv")
+            assert {path.name for path in tmp_path.iterdir()} == {".lock", "previous-1", "run.json"}
+            raise ModelError("bad")
+
+    refused(ModelError, "bad", begun)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
@@ -242,11 +247,11 @@ def test_only_the_same_run_is_resumed(tmp_path, monkeypatch):
     run = json.loads((tmp_path / "run.json").read_text())
     assert run["petsc"].keys() == {"options", "PETSC_OPTIONS", "files"}
     monkeypatch.setattr(thinlayer.running.record, "code", lambda: "0123456789ab")
-    refused(ModelError, "was made with other source code", lambda: study(tmp_path, {"b": 1.0}, resume=True))
+    refused(ModelError, r"another one \(code: ", lambda: study(tmp_path, {"b": 1.0}, resume=True))
     monkeypatch.undo()
     options = {"options": {"-thinlayer_snes_rtol": "0.9"}, "PETSC_OPTIONS": "", "files": []}
     monkeypatch.setattr(thinlayer.running.record, "petsc_options", lambda: options)
-    with pytest.raises(ModelError, match="had other PETSc options: -thinlayer_snes_rtol"):
+    with pytest.raises(ModelError, match=r"petsc\.-thinlayer_snes_rtol: nothing there, 0\.9 here"):
         study(tmp_path, {"b": 1.0}, resume=True)
     monkeypatch.undo()
     for text in ("[]", "{", '{"study": "s", "options": 3}', "\xff"):
@@ -269,33 +274,25 @@ def test_other_tables_are_not_drawn(tmp_path):
 
 
 # ---------------------------------------------------------------- the command line
-@pytest.mark.parametrize(
-    ("out", "message"),
-    [("file/x", "no files can be written in 'file/x'"), (" ", "--out is empty"), ("file", "is a file")],
-)
-def test_folders_that_cannot_be(tmp_path, monkeypatch, capsys, out, message):
+@pytest.mark.parametrize("out", ["file/x", "file"])
+def test_folders_that_cannot_be(tmp_path, monkeypatch, capsys, out):
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("")
     monkeypatch.setattr(rates, "run", lambda *_, **__: pytest.fail("it was run"))
-    try:
-        status = cli.main(["run", "rates", "--law", "elastic", "--out", out])
-    except SystemExit as stop:
-        status = stop.code
-    said = capsys.readouterr().err
-    assert status == 2
-    assert message in said
+    assert cli.main(["run", "rates", "--law", "elastic", "--out", out]) == 2
+    assert f"no files can be written in {out!r}" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_files_that_cannot_be_written_and_defects(tmp_path, monkeypatch, capsys):
     def writes_too_much(record, **_):
         record.sweep(row, [0.2])
-        monkeypatch.setattr(thinlayer.files.table.os, "fsync", fail_to_write)
+        monkeypatch.setattr(os, "fsync", fail_to_write)
         record.write("more.csv", Table([row(0.2)]))
 
     monkeypatch.setattr(rates, "run", writes_too_much)
     words = ["run", "rates", "--law", "elastic", "--out", str(tmp_path / "a")]
-    assert cli.main(words) == 5
+    assert cli.main(words) == 3
     assert (
         "more.csv' could not be written or read: No space left on device\nresults so far are kept in"
         in capsys.readouterr().err
@@ -305,7 +302,7 @@ def test_files_that_cannot_be_written_and_defects(tmp_path, monkeypatch, capsys)
     monkeypatch.setattr(rates, "run", lambda *_, **__: 1 / 0)
     monkeypatch.setattr(sys, "argv", ["thinlayer", *words[:5], str(tmp_path / "b")])
     before = signal.getsignal(signal.SIGINT)
-    assert cli.start() == 70
+    assert cli.start() == 3
     signal.signal(signal.SIGINT, before)
     said = capsys.readouterr().err
     assert "ZeroDivisionError" in said
@@ -332,7 +329,7 @@ def test_an_interrupt_before_anything_has_begun():
         "cli.start()\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=240)
-    assert done.returncode == 130
+    assert done.returncode == 3
     assert done.stderr == "thinlayer: interrupted; nothing was done\n"
 
 
@@ -346,42 +343,6 @@ def test_texts_are_read_whatever_the_locale():
 
 
 # ---------------------------------------------------------------- damage
-def damaged(arrays):
-    """Ways to spoil a state's file."""
-    yield arrays | {"u": arrays["u"][:, :-1]}
-    yield arrays | {"u": arrays["u"][:-1]}
-    yield arrays | {"u": arrays["u"].astype(complex)}
-    yield arrays | {"u": arrays["u"].ravel()}
-    yield arrays | {"u": arrays["u"] * np.nan}
-    yield arrays | {"u": np.array(["a"])}
-    yield arrays | {"u": np.float64(3.0)}
-    yield arrays | {"t": np.array([0.1, 0.2])}
-    yield arrays | {"t": np.array("now")}
-    yield arrays | {"stored layer": np.zeros(0)}
-    yield arrays | {"march": np.array("0123456789ab")}
-    yield arrays | {"memory layer": arrays["memory layer"][:, :4]}
-    numbers, values = np.split(arrays["stress layer"], [1], axis=1)  # once files had the components in the plane alone
-    in_plane = values.reshape(len(values), -1, 6)[:, :, [0, 1, 3]].reshape(len(values), -1)
-    yield arrays | {"stress layer": np.hstack([numbers, in_plane])}
-    yield arrays | {"memory layer": arrays["memory layer"][::2]}
-
-
-def test_damaged_observations(tmp_path):
-    march(interface(SUDDEN), [0.1], out=tmp_path, observe={"one": one})
-    content = json.loads((tmp_path / "march.json").read_text())
-    for spoilt in (
-        content | {"rows": [*content["rows"][:-1], [*content["rows"][-1][:-1], "zz"]]},
-        content | {"columns": [*content["columns"][:-1], "other"]},
-    ):
-        (tmp_path / "march.json").write_text(json.dumps(spoilt))
-        with pytest.raises(ModelError, match=r"march\.json cannot be read"):
-            march(interface(SUDDEN), [0.3], out=tmp_path, resume=True, observe={"one": one})
-
-
-def one(state):
-    return 1.0
-
-
 def test_names_of_files_that_cannot_be():
     for run in (lambda out: march(interface(SUDDEN), [0.1], out=out), lambda out: sweep(row, [0.4], out)):
         with pytest.raises(ModelError, match=r"no files can be written .*null"):
@@ -389,27 +350,23 @@ def test_names_of_files_that_cannot_be():
 
 
 def test_damaged_marches(tmp_path):
+    """A file that is not as the march wrote it: cut, of another time, gone, with another number."""
     march(interface(SUDDEN), [0.1, 0.2], out=tmp_path)
-    path, content = tmp_path / "states" / "000002.npz", json.loads((tmp_path / "march.json").read_text())
-    with np.load(path) as file:
-        arrays = dict(file)
-    whole = path.read_bytes()
-    for spoilt in damaged(arrays):
-        np.savez(path, **spoilt)
-        with pytest.raises(ModelError, match=r"000002\.npz (is damaged|cannot be read|is of another march)"):
+    table, states = tmp_path / "march.json", tmp_path / "states"
+    whole = {path: path.read_bytes() for path in (table, states / "000002.npz")}
+    for path, spoilt in (
+        (table, whole[table][:700]),
+        (table, b"[]"),
+        (table, whole[table].replace(b'"theta": 1.0', b'"theta": 0.5')),
+        (states / "000002.npz", whole[states / "000002.npz"][:-9]),
+        (states / "000002.npz", (states / "000001.npz").read_bytes()),
+        (states / "000002.npz", None),
+    ):
+        assert spoilt != whole[path]
+        path.unlink() if spoilt is None else path.write_bytes(spoilt)
+        with pytest.raises(ModelError, match=rf"{path.name}'? (cannot be read|is lost or damaged)"):
             march(interface(SUDDEN), [0.3], out=tmp_path, resume=True)
-    path.write_bytes(whole)
-    rows = content["rows"]
-    for spoilt in (
-        [], {}, None, content | {"pace": {"step": "x"}}, content | {"pace": {"step": None, "more": 1}},
-        content | {"pace": {"step": None, "largest": "x"}}, content | {"rows": []}, content | {"rows": 3},
-        content | {"rows": [*rows[:2], rows[2][:-1]]}, content | {"rows": [["x"] * len(rows[0])] * 3},
-        content | {"columns": content["columns"][1:]}, content | {"mark": 3}, content | {"mark": "[1]"},
-    ):  # fmt: skip
-        (tmp_path / "march.json").write_text(json.dumps(spoilt))
-        with pytest.raises(ModelError, match=r"march\.json cannot be read"):
-            march(interface(SUDDEN), [0.3], out=tmp_path, resume=True)
-    (tmp_path / "march.json").write_text(json.dumps(content))
+        path.write_bytes(whole[path])
     assert len(march(interface(SUDDEN), [0.1, 0.2, 0.3], out=tmp_path, resume=True)) == 4
 
 

@@ -87,17 +87,10 @@ def test_what_is_observed_in_another_order(tmp_path):
     assert resumed.table["other"] == pytest.approx([0.0, -0.2, -0.3])
 
 
-def test_files_that_do_not_fit_together(tmp_path):
+def test_times_that_end_before_a_resumed_march(tmp_path):
     march(interface(), [0.1, 0.2], out=tmp_path)
     with pytest.raises(ModelError, match=r"is at t = 0\.2; times end before"):
         march(interface(), [0.1], out=tmp_path, resume=True)
-    states = tmp_path / "states"
-    (states / "000002.npz").write_bytes((states / "000001.npz").read_bytes())
-    with pytest.raises(ModelError, match="another time than row 2"):
-        march(interface(), [0.3], out=tmp_path, resume=True)
-    (states / "000002.npz").unlink()
-    with pytest.raises(ModelError, match=r"000002\.npz cannot be read"):
-        march(interface(), [0.3], out=tmp_path, resume=True)
 
 
 def test_only_the_same_march_is_resumed(tmp_path):
@@ -109,10 +102,6 @@ def test_only_the_same_march_is_resumed(tmp_path):
     with pytest.raises(ModelError, match=r"another march \(law\.S\.theta_mu: 0\.5 there, 0\.6 here\)"):
         march(interface(KelvinVoigt(60.0, 40.0, 0.3, 0.6)), [0.1], out=tmp_path, resume=True)
     assert [state.t for state in longer] == pytest.approx([0.0, 0.1, 0.2, 0.3])
-    for name in ("states/000002.npz", "march.json"):
-        (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:700])
-        with pytest.raises(ModelError, match=f"{Path(name).name} cannot be read"):
-            march(interface(), [0.1], out=tmp_path, resume=True)
     assert len(march(interface(), [0.1], out=tmp_path)) == 2
     assert len(list((tmp_path / "states").iterdir())) == 2
 
@@ -153,7 +142,8 @@ def resumed_study(folder: Path) -> list[list]:
 @on_ranks(resumed_study, 2)
 def test_a_killed_study_is_resumed(tmp_path, there, their_folder):
     """On two ranks, where it was on one; not as another study, nor with other options."""
-    for ranks, status, text in zip(there, (2, 2, 0), ("rates, not limits", "had the options", ""), strict=True):
+    texts = "rates, not limits", "options.eps.1: 0.02 there, 0.01 here", ""
+    for ranks, status, text in zip(there, (2, 2, 0), texts, strict=True):
         assert [one[:2] for one in ranks] == [[2, status]] * 2, ranks
         assert text in ranks[0][2]
     assert thinlayer(*STUDY, tmp_path).returncode == 0

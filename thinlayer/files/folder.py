@@ -1,15 +1,18 @@
-"""Folders that one run at a time writes into, and files of earlier runs in them."""
+"""Files that are whole or as they were, folders that one run at a time writes into, and files of earlier runs in them."""
 
 from __future__ import annotations
 
 import errno
 import fcntl
+import hashlib
+import json
 import os
 import re
 import socket
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Any, BinaryIO
 
 from mpi4py import MPI
 
@@ -18,10 +21,65 @@ from thinlayer.errors import ModelError
 
 LOCK = ".lock"
 PREVIOUS = "previous-"
-PROBE = 1 << 16  # bytes that must be free on the disk before a run starts
 WITHOUT_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL)  # errors of file systems without locks
 
 
+# ---------------------------------------------------------------- whole files
+@contextmanager
+def replaced(path: Path) -> Iterator[BinaryIO]:
+    """A file that replaces another one once it is complete on the disk; after an error nothing of it is left."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f"{path.name}.part")
+    try:
+        with partial.open("wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except BaseException as error:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.filename is None:
+            error.filename = str(path)
+        raise
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def hash_of(path: Path) -> str | None:
+    """Hash of the content of a file; None if there is no file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.exists() else None
+
+
+def write_sealed(path: Path, content: Mapping[str, Any]) -> None:
+    """Write data as JSON with their hash."""
+    with replaced(path) as file:
+        file.write(json.dumps({**content, "hash": _seal(content)}).encode())
+
+
+def read_sealed(path: Path) -> dict[str, Any]:
+    """The data of `write_sealed`.
+
+    Raises:
+        ModelError: the file cannot be read, or is not as it was written.
+    """
+    try:
+        content = dict(json.loads(path.read_text(encoding="utf-8")))
+        if content.pop("hash", None) != _seal(content):
+            raise ValueError("it is damaged, or has been changed")
+    except (OSError, ValueError, TypeError) as error:
+        raise ModelError(f"{str(path)!r} cannot be read ({error}); remove it to start anew") from error
+    return content
+
+
+def _seal(content: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+# ---------------------------------------------------------------- locks
 @contextmanager
 def owned(folder: Path, comm: MPI.Intracomm | None = None, name: str = LOCK) -> Iterator[None]:
     """Own a folder in a block: no other run may write into it. Collective.
@@ -37,120 +95,73 @@ def owned(folder: Path, comm: MPI.Intracomm | None = None, name: str = LOCK) -> 
     Raises:
         ModelError: another run is at work there, or no files can be written.
     """
-    lock = Lock(folder, name)
-    on_root(comm, lock.take)
-    try:
+    with ExitStack() as stack:
+        on_root(comm, lambda: stack.enter_context(locked(folder, name)))
         yield
-    finally:
-        lock.free()  # nothing on ranks that have not taken it
-
-
-class Lock:
-    """A lock on a folder, on one rank."""
-
-    def __init__(self, folder: Path, name: str = LOCK) -> None:
-        self.folder, self.path = folder, folder / name
-        self._file: int | None = None
-        self._made: list[Path] = []
-
-    def take(self) -> None:
-        """Make the folder and lock it; errors as in `owned`."""
-        try:
-            self._make()
-            while self._file is None:
-                self._open()
-            self._try_disk()
-        except ModelError:  # a ValueError with a complete message
-            self.free()
-            raise
-        except (OSError, ValueError) as error:  # a name with a null character is no OSError
-            self.free()
-            what = getattr(error, "strerror", None) or str(error)
-            raise ModelError(f"no files can be written in {str(self.folder)!r}: {what}; give another folder") from error
-
-    def _make(self) -> None:
-        absolute = self.folder.absolute()
-        for folder in (*reversed(absolute.parents), absolute):
-            if not folder.is_dir():
-                if folder.is_symlink():
-                    raise OSError(
-                        errno.ENOENT, f"{str(folder)!r} is a link to {os.readlink(folder)!r}, which is no folder"
-                    )
-                folder.mkdir(exist_ok=True)
-                self._made.insert(0, folder)
-
-    def _open(self) -> None:
-        """Try once to open and lock the file; a run that ends removes it, so that an opened file may be there no more."""
-        file = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
-        try:
-            with _maybe_without_locks():
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            there = os.stat(self.path)
-            if os.path.samestat(there, os.fstat(file)):
-                self._file, file = file, -1
-        except BlockingIOError:
-            who = os.pread(file, 200, 0).decode(errors="replace").strip() or "another process"
-            raise ModelError(
-                f"another run ({who}) is writing into {str(self.folder)!r}; wait for it, or give another folder"
-            ) from None
-        except FileNotFoundError:
-            pass
-        finally:
-            if file >= 0:
-                os.close(file)
-
-    def _try_disk(self) -> None:
-        assert self._file is not None
-        os.ftruncate(self._file, 0)
-        written = os.pwrite(self._file, b" " * PROBE, 0)
-        if written < PROBE:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        os.fsync(self._file)
-        os.ftruncate(self._file, 0)
-        os.pwrite(self._file, f"process {os.getpid()} on {socket.gethostname()}\n".encode(), 0)
-
-    def free(self) -> None:
-        """Remove the lock, and the folders made for it if they are empty."""
-        if self._file is not None:
-            with suppress(OSError):
-                self.path.unlink()
-            with suppress(OSError):
-                os.close(self._file)
-            self._file = None
-        with suppress(OSError):
-            for folder in self._made:
-                folder.rmdir()
-        self._made = []
 
 
 @contextmanager
-def _maybe_without_locks() -> Iterator[None]:
-    """Ignore errors of file systems without locks: runs go on without protection."""
+def locked(folder: Path, name: str = LOCK) -> Iterator[None]:
+    """The same on one rank."""
+    made, file = [], -1
     try:
-        yield
-    except OSError as error:
-        if error.errno not in WITHOUT_LOCKS:
+        try:
+            made = [one for one in (folder, *folder.parents) if not one.is_dir()]
+            folder.mkdir(parents=True, exist_ok=True)
+            file = _lock(folder / name)
+        except ModelError:  # a ValueError with a complete message
             raise
+        except (OSError, ValueError) as error:  # a name with a null character is no OSError
+            raise ModelError(f"no files can be written in {str(folder)!r}: {error}; give another folder") from error
+        yield
+    finally:
+        if file >= 0:
+            (folder / name).unlink(missing_ok=True)
+            os.close(file)
+        for one in made:
+            with suppress(OSError, ValueError):
+                one.rmdir()
 
 
-def moved_away(folder: Path, names: Iterable[str]) -> dict[Path, Path]:
-    """Move files of an earlier run into folder/previous-N, N counting up; where they are now -> where they were."""
+def _lock(path: Path) -> int:
+    """Open and lock a file; if a run that ends has removed it meanwhile, the one that is there then."""
+    while True:
+        with ExitStack() as stack:
+            file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+            stack.callback(os.close, file)
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                who = os.pread(file, 200, 0).decode(errors="replace").strip() or "another process"
+                raise ModelError(
+                    f"another run ({who}) is writing into {str(path.parent)!r}; wait for it, or give another folder"
+                ) from None
+            except OSError as error:
+                if error.errno not in WITHOUT_LOCKS:  # there runs go on without protection
+                    raise
+            if os.fstat(file).st_nlink:
+                os.truncate(file, 0)
+                os.pwrite(file, f"process {os.getpid()} on {socket.gethostname()}\n".encode(), 0)
+                stack.pop_all()
+                return file
+
+
+# ---------------------------------------------------------------- earlier runs
+def moved_away(folder: Path, names: Iterable[str]) -> Path | None:
+    """Move files of an earlier run into folder/previous-N, N counting up; None: there are none."""
     there = [folder / name for name in names if (folder / name).exists()]
     if not there:
-        return {}
+        return None
     numbers = [int(m[1]) for path in folder.iterdir() if (m := re.fullmatch(rf"{PREVIOUS}(\d+)", path.name))]
     target = folder / f"{PREVIOUS}{max(numbers, default=0) + 1}"
     target.mkdir()
-    moved = {}
     for path in there:
         path.rename(target / path.name)
-        moved[target / path.name] = path
-    return moved
+    return target
 
 
-def moved_back(moved: dict[Path, Path]) -> None:
+def moved_back(previous: Path) -> None:
     """Undo `moved_away`."""
-    for now, before in moved.items():
-        now.rename(before)
-    for folder in {now.parent for now in moved}:
-        folder.rmdir()
+    for path in [*previous.iterdir()]:
+        path.rename(previous.parent / path.name)
+    previous.rmdir()

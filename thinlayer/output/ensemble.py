@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import ExitStack, nullcontext
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -16,11 +15,11 @@ from mpi4py import MPI
 from forms.base import is_number
 from geometry.parallel import on_root, within, world
 from thinlayer.errors import ModelError, SolveError
-from thinlayer.files.folder import LOCK, Lock, moved_away, owned
+from thinlayer.files.folder import LOCK, locked, owned, read_sealed
 from thinlayer.files.progress import track
-from thinlayer.files.table import Row, Table, read_back
+from thinlayer.files.table import Row, Table
 from thinlayer.identity import Resume, random_states
-from thinlayer.output.row_file import GENERATOR, RowFile, require_csv
+from thinlayer.output.row_file import GENERATOR, RowFile, make_room, plain, require_csv
 from thinlayer.parallel.agreement import on_all, require_same
 
 RUN, FAILURE = "run", "failure"  # columns that an ensemble adds
@@ -79,22 +78,21 @@ def ensemble(
         _check_groups(ranks, comm.size, part, out, resume)
     require_same(None, cases=known, out=out and str(out), resume=resume, ranks=ranks, part=list(part))
     group, groups = comm.rank // ranks, comm.size // ranks
-    share = _Share(part[0] * groups + group, part[1] * groups)
     files = None if out is None else _Files(Path(out), make, known, resume)
     name = f".{Path(out).name}.{part[0]}-of-{part[1]}{LOCK}" if out is not None else ""
     own: Any = comm.Split(group)
     try:
         with nullcontext() if files is None else owned(files.path.parent, name=name):
             there = {} if files is None else on_root(None, files.begin)
-            rows = _Rows(known, share, files if own.rank == 0 else None, there)
+            first, step = part[0] * groups + group, part[1] * groups
+            rows = _Rows(known, first, step, files if own.rank == 0 else None)
             error: Exception | None = None
             try:
-                rows.compute(make, own, keep_failures=keep_failures)
+                rows.compute(make, own, there, keep_failures=keep_failures)
             except Exception as problem:  # the other groups go on
                 error = problem
             _raise_together(comm, group, error)
-            found = [row for some in comm.allgather(rows.own if own.rank == 0 else {}) for row in some.values()]
-            done = there | _by_run(found)
+            done = there | {k: row for some in comm.allgather(rows.own) for k, row in some.items()}
             if files is not None:
                 done |= on_root(None, lambda: files.merge(WAIT))
             return _table(known, done)
@@ -102,36 +100,22 @@ def ensemble(
         own.Free()
 
 
-@dataclass(frozen=True)
-class _Share:
-    """The runs number, number + of, number + 2 of, ..."""
-
-    number: int
-    of: int
-
-    @property
-    def name(self) -> str:
-        """Name of the file of these runs."""
-        return f"{self.number}-of-{self.of}.csv"
-
-
 class _Rows:
-    """The rows of a group."""
+    """The rows of a group: of the runs first, first + step, first + 2 step, ..."""
 
-    def __init__(self, cases: list[Row], share: _Share, files: _Files | None, there: Mapping[int, Row]) -> None:
-        self._cases, self._share, self._there = cases, share, there
-        self._inputs: list[dict[str, float | str]] = [
-            {n: v for n, v in case.items() if v is not None} for case in cases
-        ]
+    def __init__(self, cases: list[Row], first: int, step: int, files: _Files | None) -> None:
+        self._cases, self._first, self._step = cases, first, step
         self._files, self.own = files, dict[int, Row]()
 
-    def compute(self, make: Callable[[], Run], comm: MPI.Intracomm, *, keep_failures: bool) -> None:
+    def compute(
+        self, make: Callable[[], Run], comm: MPI.Intracomm, there: Collection[int], *, keep_failures: bool
+    ) -> None:
         """Compute the rows that are not there yet. Collective over the group."""
-        left = [k for k in range(self._share.number, len(self._cases), self._share.of) if k not in self._there]
+        left = [k for k in range(self._first, len(self._cases), self._step) if k not in there]
         if not left:
             return
-        file = self._files.of(self._share) if self._files else None
-        kept = _by_run(self._files.rows_in(file)) if file and self._files else {}
+        file = self._files.of(f"{self._first}-of-{self._step}") if self._files else None
+        kept = self._files.rows_in(file) if file and self._files else {}
         with within(comm):
             with on_all(comm):
                 run = make()
@@ -143,27 +127,24 @@ class _Rows:
             for k in track(left, "ensemble", "run {}"):
                 self.own[k] = self._row(run, k, comm, keep_failures)
                 with on_all(comm):
-                    if self._share.of > 1 and random_states((make, run)) != states:
+                    if self._step > 1 and random_states((make, run)) != states:
                         raise ModelError(f"groups and parts of an ensemble draw the same numbers, as from {GENERATOR}")
                 if file and self._files:
-                    file.write(_table(self._cases, kept | self.own))
+                    file.write((kept | self.own).values())
                     self._files.merge(0.0)
 
     def _row(self, run: Run, k: int, comm: MPI.Intracomm, keep_failures: bool) -> Row:
-        case = self._cases[k]
-        failure: str | None = None
+        case, failure = self._cases[k], None
         found: Any = {}
         try:
             with on_all(comm):
-                found = run(self._inputs[k])
+                found = run({**case})  # type: ignore[dict-item]  # None is in no case
                 _check_row(found, case, k)
         except SolveError as error:
             if not keep_failures:
                 raise
             failure = str(error)
-        values = {name: read_back(value if isinstance(value, str) else float(value)) for name, value in found.items()}
-        row: Row = {RUN: float(k), **case, **values}
-        return row | ({FAILURE: failure} if keep_failures else {})
+        return {RUN: float(k), **case, **plain(found)} | ({FAILURE: failure} if keep_failures else {})
 
 
 class _Files:
@@ -173,22 +154,20 @@ class _Files:
         self.path, self._make, self._cases, self._resume = path, make, cases, resume
         self._folder = path.with_name(f"{path.name}.parts")
 
-    def _files(self) -> list[RowFile]:
-        return [RowFile(one, self._make, "ensemble", (RUN,)) for one in sorted(self._folder.glob("*-of-*.csv"))]
-
-    def of(self, share: _Share) -> RowFile:
+    def of(self, name: str) -> RowFile:
         """The file of a group."""
-        return RowFile(self._folder / share.name, self._make, "ensemble", (RUN,))
+        return RowFile(self._folder / f"{name}.json", self._make, "ensemble")
 
-    def rows_in(self, file: RowFile) -> list[Row]:
+    def rows_in(self, file: RowFile) -> dict[int, Row]:
         """The rows of a file, of this ensemble, or with "anyway" of any."""
-        return file.begin(self._resume or True)
+        return _by_run(file.read(anyway=self._resume == "anyway"))
 
     def begin(self) -> dict[int, Row]:
         """The rows of all files; those of an earlier ensemble are moved away first unless it is resumed."""
-        if not self._resume:
-            moved_away(self.path.parent, [self.path.name, self._folder.name])
-        rows = _by_run([row for file in self._files() for row in self.rows_in(file)])
+        make_room(self.path, self._folder, self._resume)
+        rows: dict[int, Row] = {}
+        for path in sorted(self._folder.glob("*-of-*.json")):
+            rows |= self.rows_in(self.of(path.stem))
         for k, row in rows.items():
             case = self._cases[k] if k < len(self._cases) else {}
             changed = [name for name, value in case.items() if row.get(name) != value]
@@ -206,22 +185,21 @@ class _Files:
         Args:
             wait: s to wait for another job that writes it; 0: leave it to that job.
         """
-        lock, end = Lock(self._folder, f".merge{LOCK}"), time.monotonic() + wait
-        while True:
-            try:
-                lock.take()
-                break
-            except ModelError:
-                if time.monotonic() >= end:
-                    if wait:
+        end = time.monotonic() + wait
+        with ExitStack() as stack:
+            while True:
+                try:
+                    stack.enter_context(locked(self._folder, f".merge{LOCK}"))
+                    break
+                except ModelError:
+                    if not wait:
+                        return {}
+                    if time.monotonic() >= end:
                         raise
-                    return {}
-                time.sleep(0.05)
-        try:
-            rows = _by_run([row for file in self._files() for row in Table.load_here(file.path).rows])
+                    time.sleep(0.05)
+            files = self._folder.glob("*-of-*.json")
+            rows = _by_run([row for path in files for row in read_sealed(path)["rows"]])
             _table(self._cases, rows).put(self.path)
-        finally:
-            lock.free()
         return rows
 
 
@@ -250,7 +228,7 @@ def _checked(cases: Any) -> list[Row]:
         if list(case) != list(known[0]):
             raise ModelError(f"case {k} has {', '.join(map(str, case))}, the first one {', '.join(map(str, known[0]))}")
         _check_names(case, f"case {k}")
-        known[k] = {name: value if isinstance(value, str) else float(value) for name, value in case.items()}
+        known[k] = plain(case)
     return known
 
 

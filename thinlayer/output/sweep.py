@@ -17,9 +17,9 @@ from geometry.parallel import on_root, world
 from thinlayer.errors import ModelError
 from thinlayer.files.folder import LOCK, owned
 from thinlayer.files.progress import track
-from thinlayer.files.table import Row, Table, read_back
+from thinlayer.files.table import Row, Table
 from thinlayer.identity import Resume
-from thinlayer.output.row_file import RowFile, require_csv
+from thinlayer.output.row_file import RowFile, make_room, plain, require_csv
 from thinlayer.parallel.agreement import on_all, require_same
 
 ERRORS = ("eps", "error_traction", "error_jump")
@@ -50,8 +50,8 @@ def sweep(
         run: eps -> a row with error_traction and error_jump, such as `compare` returns; the same on all ranks.
         eps: thicknesses, > 0 and different.
         out: csv file; each row is on the disk before the next one is computed, and stays if a later one fails. Beside it
-            stands out.json, which tells what the rows were made from: the code of `run` and what it refers to. The file of
-            another sweep, or of anything else, is moved to previous-1, previous-2, ... in its folder.
+            stands out.json, from which a sweep is resumed: the rows, and what they were made from, the code of `run` and
+            what it refers to. Those of an earlier sweep that is not resumed are moved to previous-1, previous-2, ...
         resume: True: keep the rows that `out` already has, and compute the others. "anyway": even those of another sweep.
 
     Raises:
@@ -73,15 +73,22 @@ def sweep(
     require_same(world(), eps=values, out=out and str(out), resume=resume)
     path = None if out is None else Path(out)
     with nullcontext() if path is None else owned(path.parent, name=f".{path.name}{LOCK}"):
-        file = None if path is None else RowFile(path, run, "sweep", ERRORS)
-        kept = [] if file is None else on_root(None, lambda: file.begin(resume))
-        rows = {float(row["eps"]): {n: v for n, v in row.items() if n not in ORDERS} for row in kept}  # type: ignore[arg-type]
+        file = None if path is None else RowFile(path.with_name(f"{path.name}.json"), run, "sweep")
+
+        def kept() -> list[Row]:
+            if path is None or file is None:
+                return []
+            make_room(path, file.path, resume)
+            return file.read(anyway=resume == "anyway")
+
+        rows: dict[float, Row] = {float(row["eps"]): row for row in on_root(None, kept)}  # type: ignore[arg-type]
         for e in track(values, "sweep", "eps = {:g}"):
             if e not in rows:
                 rows[e] = _row(run, e, next(iter(rows.values()), None))
                 if file is not None:
-                    table = _with_orders(rows)
-                    on_root(None, lambda table=table: file.write(table))  # type: ignore[misc]
+                    on_root(None, lambda: file.write(rows.values()))
+            if path is not None:  # also where a killed run has left the last row in the file beside it alone
+                _with_orders(rows).write(path)
         return _with_orders(rows)
 
 
@@ -93,7 +100,7 @@ def _row(run: Callable[[float], Mapping[str, Any]], eps: float, first: Row | Non
     problem = _flaw(row, eps, first)
     if problem := next(filter(None, world().allgather(problem)), None):
         raise ModelError(f"run({eps:g}) returns {problem}; {what}")
-    row = {name: read_back(row[name]) for name in (*ERRORS, *(n for n in row if n not in ERRORS))} | {"eps": eps}
+    row = plain({name: row[name] for name in (*ERRORS, *(n for n in row if n not in ERRORS))}) | {"eps": eps}
     return row if first is None else {name: row[name] for name in first}
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import importlib.util
 import re
-from argparse import ArgumentTypeError
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -54,20 +53,11 @@ def _option(argument: ast.arg, text: str) -> dict[str, Any]:
     """
     line = re.search(rf"^\s+{argument.arg}: (.*)$", text, re.MULTILINE)
     found: dict[str, Any] = {"help": line[1].replace("%", "%%") if line else None}
-    kind = ast.unparse(argument.annotation) if argument.annotation else ""
-    if kind == "bool":
-        return found | {"action": "store_true"}
-    if kind == "Sequence[float]":
-        return found | {"nargs": "+", "type": thickness, "metavar": "E"}
-    if isinstance(argument.annotation, ast.Subscript) and kind.startswith("Literal["):
-        allowed = ast.literal_eval(argument.annotation.slice)
-        return found | {"choices": allowed, "type": type(allowed[0])}
-    raise TypeError(f"option {argument.arg} of a study is a {kind}; allowed: bool, Sequence[float], Literal[...]")
-
-
-def thickness(text: str) -> float:
-    """The value of a thickness given on the command line."""
-    eps = float(text)
-    if not 0 < eps < float("inf"):
-        raise ArgumentTypeError(f"{text}: a thickness must be > 0")
-    return eps
+    match ast.unparse(argument.annotation) if argument.annotation else "":
+        case "bool":
+            return found | {"action": "store_true"}
+        case "Sequence[float]":
+            return found | {"nargs": "+", "type": float, "metavar": "E"}
+        case kind:
+            allowed = ast.literal_eval(kind.removeprefix("Literal"))
+            return found | {"choices": allowed, "type": type(allowed[0])}

@@ -16,7 +16,8 @@ from thinlayer.errors import ModelError
 from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.result import Estimate
 from thinlayer.estimating.thickness import thin_enough
-from thinlayer.files.table import Table, hash_of
+from thinlayer.files.folder import hash_of
+from thinlayer.files.table import Table
 from thinlayer.output import plotting
 from thinlayer.parallel.agreement import on_all
 from thinlayer.running.record import Record

@@ -12,12 +12,10 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from thinlayer.files.say import say
-
 if TYPE_CHECKING:
     from thinlayer.running.record import Record
 
-OK, CHECK_FAILED, BAD_INPUT, SOLVE_FAILED, NOT_WRITTEN, CRASHED, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
+OK, CHECK_FAILED, BAD_INPUT, UNFINISHED = range(4)
 
 
 def end_on_interrupt() -> None:
@@ -29,7 +27,7 @@ def end_on_interrupt() -> None:
 def _end(number: int, frame: FrameType | None) -> None:
     if is_first():
         os.write(2, b"thinlayer: interrupted; nothing was done\n")
-    os._exit(INTERRUPTED)
+    os._exit(UNFINISHED)
 
 
 def is_first() -> bool:
@@ -62,7 +60,7 @@ def recorded(
     *,
     options: Mapping[str, Any],
     petsc: Mapping[str, str | None],
-    resume: bool | None,
+    resume: bool = False,
     verbose: int,
 ) -> int:
     """Run something that keeps its results in a folder; returns the exit status. Collective.
@@ -73,7 +71,7 @@ def recorded(
         work: what is run.
         options: options chosen by the user, for run.json.
         petsc: PETSc options to set.
-        resume: whether an earlier run in the folder is continued; None: it cannot be.
+        resume: whether an earlier run in the folder is continued.
         verbose: 1: attempts of solves are shown; 2: their steps as well.
     """
     ignore_working_folder()
@@ -86,44 +84,33 @@ def recorded(
     from thinlayer.solving.options import given_elsewhere
 
     set_signals()
-    abort.STATUS = CRASHED
+    abort.STATUS = UNFINISHED
     if verbose:
         log.show(logging.INFO if verbose == 1 else logging.DEBUG)
-    root = MPI.COMM_WORLD.rank == 0
+    comm = MPI.COMM_WORLD
+    root = comm.rank == 0
     if root and (elsewhere := given_elsewhere()):
         print(f"thinlayer: PETSc options from PETSC_OPTIONS or a file petscrc: {elsewhere}", file=sys.stderr)
     PETSc.Options().setValue("options_left", False)  # options that are not read are errors of ours, not PETSc's report
     for option, value in petsc.items():
         PETSc.Options().setValue(option, value)
-    _tell_ranges()
-    record = Record(name, out, {**options, **petsc}, resume=bool(resume))
-    kept = f"results so far are kept in {out}{'' if resume is None else '; --resume continues'}"
+    # warnings are of results; the line they come from is this program's
+    warnings.formatwarning = lambda message, category, *_, **__: f"thinlayer: {category.__name__}: {message}\n"
+    record = Record(name, out, {**options, **petsc}, resume=resume)
     try:
         with record:
-            try:
-                work(record)
-                record.close()
-            except InputError:
-                record.withdraw()
-                raise
-            except BaseException as error:
-                record.stop(_reason(error))
-                raise
+            work(record)
     except InputError as error:
         return stop(root, BAD_INPUT, f"{type(error).__name__}: {error}")
-    except SolveError as error:
-        return stop(root, SOLVE_FAILED, f"{error}\nresults so far are kept in {out}")
-    except OSError as error:
-        message = f"{not_written(error)}\n{kept}"
-        if not getattr(error, "on_all_ranks", False):
-            _end_all_ranks(MPI.COMM_WORLD, NOT_WRITTEN, message)
-        return stop(root, NOT_WRITTEN, message)
-    except KeyboardInterrupt:
-        message = f"interrupted; {kept}"
-        _end_all_ranks(MPI.COMM_WORLD, INTERRUPTED, message)
-        return stop(root, INTERRUPTED, message)
+    except (SolveError, OSError, KeyboardInterrupt) as error:
+        message = f"{reason(error)}\nresults so far are kept in {out}"
+        if comm.size > 1 and not (isinstance(error, SolveError) or getattr(error, "on_all_ranks", False)):
+            stop(True, UNFINISHED, message)  # the others may not know of it
+            sys.stderr.flush()
+            comm.Abort(UNFINISHED)
+        return stop(root, UNFINISHED, message)
     except BaseException as error:
-        if MPI.COMM_WORLD.size > 1:  # the error may be on one rank only, for which the others would wait for ever
+        if comm.size > 1:  # the error may be on one rank only, for which the others would wait for ever
             abort.abort(error)
         raise
     if root:
@@ -135,31 +122,14 @@ def recorded(
     return OK
 
 
-def _tell_ranges() -> None:
-    """Show warnings of results out of range without the line that they come from, which is this program's."""
-    from thinlayer.errors import RangeWarning
-
-    usual = warnings.formatwarning
-
-    def shown(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> str:
-        if not issubclass(category, RangeWarning):
-            return usual(message, category, *where, **more)
-        return f"thinlayer: {category.__name__}: {message}\n"
-
-    warnings.formatwarning = shown
-
-
-def _reason(error: BaseException) -> str:
-    """Text of an error for run.json."""
+def reason(error: BaseException) -> str:
+    """Words for an error that ends a run."""
+    if isinstance(error, OSError):
+        where = f" {str(error.filename)!r}" if error.filename else ""
+        return f"a file{where} could not be written or read: {error.strerror or error}"
     if isinstance(error, KeyboardInterrupt):
         return "interrupted"
-    return str(error) if isinstance(error, (RuntimeError, OSError)) else f"{type(error).__name__}: {error}"
-
-
-def not_written(error: OSError) -> str:
-    """Words for a file that could not be written or read."""
-    where = f" {str(error.filename)!r}" if error.filename else ""
-    return f"a file{where} could not be written or read: {error.strerror or error}"
+    return str(error) if isinstance(error, RuntimeError) else f"{type(error).__name__}: {error}"
 
 
 def stop(root: bool, status: int, message: str) -> int:
@@ -169,9 +139,9 @@ def stop(root: bool, status: int, message: str) -> int:
     return status
 
 
-def _end_all_ranks(comm: Any, status: int, message: str) -> None:
-    """End all ranks of a parallel run, as the others may not know of the error; a serial run goes on."""
-    if comm.size > 1:
-        stop(True, status, message)
-        sys.stderr.flush()
-        comm.Abort(status)
+def say(text: object) -> None:
+    """Print, or do nothing once the reader of standard output has gone, as in `python3 -m thinlayer list | head -1`."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

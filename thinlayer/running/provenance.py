@@ -15,21 +15,8 @@ from petsc4py import PETSc
 from forms.base import PACKAGES
 
 INSTALLED = (
-    "fenics-dolfinx",
-    "fenics-basix",
-    "fenics-ufl",
-    "fenics-ffcx",
-    "petsc4py",
-    "mpi4py",
-    "numba",
-    "gmsh",
-    "meshio",
-    "pyvista",
-    "vtk",
-    "numpy",
-    "scipy",
-    "matplotlib",
-    "rich",
+    "fenics-dolfinx fenics-basix fenics-ufl fenics-ffcx petsc4py mpi4py numba gmsh meshio pyvista vtk numpy scipy "
+    "matplotlib rich"
 )
 
 
@@ -40,7 +27,7 @@ def versions() -> dict[str, str]:
 
     found = {"python": platform.python_version(), "thinlayer": thinlayer.__version__}
     found["petsc"] = ".".join(map(str, PETSc.Sys.getVersion()))
-    for name in INSTALLED:
+    for name in INSTALLED.split():
         try:
             found[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:

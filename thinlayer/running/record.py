@@ -6,27 +6,31 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from types import TracebackType
 from typing import Any, Self
 
 from geometry.parallel import on_root, world
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError, SolveError
-from thinlayer.files.say import say
-from thinlayer.files.table import Table, hash_of
+from thinlayer.errors import InputError, ModelError, SolveError
+from thinlayer.files.folder import hash_of, locked, moved_away, moved_back, replaced
+from thinlayer.files.table import Table
+from thinlayer.identity import differences, in_words
 from thinlayer.output.sweep import sweep
 from thinlayer.parallel.log import logger
+from thinlayer.running.process import reason, say
 from thinlayer.running.provenance import code, petsc_options, versions
-from thinlayer.running.run_folder import MARCHES, RUN, RunFolder
 from thinlayer.solving.options import PREFIX
 from thinlayer.time.history import History
 from thinlayer.time.marching import march
 from thinlayer.time.plan import Adaptive
 
 LOG = logger("study")
+RUN = "run.json"
+MARCHES = "unfinished"  # folder for the states of marches, needed to resume
 
 
 @dataclass
@@ -63,7 +67,8 @@ class Record:
     """The results of a study's run: tables, pictures, checks. The file run.json describes the input they are from.
 
     In a `with` statement the record owns its folder: other runs there are refused, and the files of an earlier run are
-    moved to previous-1, previous-2, ... They come back if the study stops before it writes anything. Only rank 0 writes.
+    moved to previous-1, previous-2, ... They come back if the study stops before it writes anything. At the end of the
+    statement run.json tells whether the study is done, or why it is not. Only rank 0 writes.
 
     Attributes:
         study: name of the study.
@@ -83,35 +88,145 @@ class Record:
         self.results: dict[str, Any] = {}
         self.checks: list[Check] = []
         self.solves: list[dict[str, Any]] = []
-        self._begun = self._noted = False
-        self._folder = RunFolder(self.out)
+        self._files: set[str] = set()  # names of the run's files except run.json
+        self._previous: Path | None = None  # where the files of an earlier run are now
+        self._lock = ExitStack()
         self._start = time.perf_counter()
         self.root = world().rank == 0
+        self._owns = False
 
+    # ---------------------------------------------------------------- the folder
     def __enter__(self) -> Self:
-        """Lock the folder; errors as in `RunFolder.take`. Collective."""
-        on_root(world(), lambda: self._folder.take(self._problem if self.resume else None))
+        """Lock the folder, and move the files of an earlier run away unless it is resumed. Collective.
+
+        Raises:
+            ModelError: the folder cannot be written, belongs to a run that goes on, or has tables without a run.json; or
+                the earlier run cannot be resumed.
+        """
+        with ExitStack() as stack:
+            on_root(world(), lambda: self._take(stack))
+            self._lock = stack.pop_all()
+        self._owns = True
         return self
 
-    def __exit__(self, *_: object) -> None:
-        """Unlock the folder; not collective."""
-        self._folder.free()
+    def _take(self, stack: ExitStack) -> None:
+        stack.enter_context(locked(self.out))
+        if (self.out / RUN).exists():
+            if self.resume:
+                self._files |= {*self._resumed()["files"]}
+            else:
+                self._previous = moved_away(self.out, self._earlier())
+        elif tables := sorted(path.name for path in self.out.glob("*.csv")):
+            raise ModelError(
+                f"{self.out} has tables ({', '.join(tables)}) and no run.json; give another --out, or remove them"
+            )
 
-    def withdraw(self) -> None:
-        """Remove run.json if the run has written nothing else; not collective."""
-        if self.root:
-            self._folder.withdraw()
+    def __exit__(self, _: type[BaseException] | None, error: BaseException | None, __: TracebackType | None) -> None:
+        """Write run.json, and unlock the folder; of bad input without results nothing stays. Collective if all is well.
+
+        Raises:
+            OSError: run.json cannot be written; on all ranks.
+        """
+        with self._lock:
+            if error is None:
+                self.close()
+            elif self.root:
+                with suppress(OSError):
+                    results = any((self.out / name).exists() for name in self._files)
+                    if not isinstance(error, InputError):
+                        self._write(reason(error))
+                    elif not results:
+                        (self.out / RUN).unlink(missing_ok=True)
+                        if self._previous:
+                            moved_back(self._previous)
+
+    def _earlier(self) -> list[str]:
+        """Files of the run whose run.json is in the folder."""
+        try:
+            names = self._read()["files"]
+        except ModelError:
+            names = [MARCHES, *(path.name for path in self.out.iterdir() if path.suffix in (".csv", ".png"))]
+        # run.json last: it is still there if the process is killed while files are moved
+        return [*(name for name in names if Path(name).name == name), RUN]
+
+    def _read(self) -> dict[str, Any]:
+        """The content of run.json; on rank 0. ModelError: the file cannot be read, or has other content."""
+        path = self.out / RUN
+        try:
+            run = json.loads(path.read_text(encoding="utf-8"))
+            return {name: run[name] for name in ("study", "options", "code", "petsc", "files", "tables")}
+        except (OSError, ValueError, LookupError, TypeError) as error:
+            raise ModelError(f"{path} cannot be read ({error})") from error
+
+    def _of_study(self) -> dict[str, Any]:
+        """The same, of this study; ModelError: it is of another."""
+        run = self._read()
+        if run["study"] != self.study:
+            raise ModelError(f"the run in {self.out} is of the study {run['study']}, not {self.study}")
+        return run
+
+    def _resumed(self) -> dict[str, Any]:
+        """The same; ModelError: the run had other options or source code."""
+
+        def settings(petsc: Mapping[str, Any]) -> dict[str, Any]:
+            return {name: value for name, value in petsc["options"].items() if name.startswith(f"-{PREFIX}")}
+
+        run = self._of_study()
+        there = {"options": run["options"], "code": run["code"], "petsc": settings(run["petsc"])}
+        here = {"options": self.identity()[1], "code": code(), "petsc": settings(petsc_options())}
+        if found := [*differences(there, here)]:
+            raise ModelError(f"--resume: the run in {self.out} was another one ({in_words(found)}); run the study anew")
+        return run
 
     def identity(self) -> list[Any]:
-        """Identity of the run, independent of its folder."""
+        """Identity of the run for what is resumed within it (`thinlayer.identity`), independent of its folder."""
         return [self.study, json.loads(json.dumps(self.options, default=str))]
 
+    def check_drawn(self) -> None:
+        """Raise ModelError if the tables in the folder are not those of a run of the study. Collective."""
+
+        def check() -> None:
+            for name, found in self._of_study()["tables"].items():
+                if hash_of(self.out / name) not in (None, found):
+                    raise ModelError(f"{self.out / name} is not the table that the run in {self.out} wrote")
+
+        on_root(world(), check)
+
+    def close(self, error: str | None = None) -> None:
+        """Write run.json. Collective; raises OSError on all ranks."""
+        on_root(world(), lambda: self._write(error))
+
+    def _write(self, error: str | None) -> None:
+        tables = sorted(name for name in self._files if error is None and name.endswith(".csv"))
+        content = {
+            "study": self.study,
+            "options": self.options,
+            "code": code(),
+            "petsc": petsc_options(),
+            "parameters": self.parameters,
+            "ranks": world().size,
+            "versions": versions(),
+            "seconds": round(time.perf_counter() - self._start, 3),
+            "results": self.results,
+            "checks": [asdict(check) for check in self.checks],
+            "solves": self.solves,
+            "error": error,
+            "files": sorted(self._files),
+            "tables": {name: hash_of(self.out / name) for name in tables},
+        }
+        with replaced(self.out / RUN) as file:
+            file.write((json.dumps(content, indent=1, default=str) + "\n").encode())
+        if error is None:
+            shutil.rmtree(self.out / MARCHES, ignore_errors=True)
+
+    # ---------------------------------------------------------------- files
     def path(self, name: str) -> Path:
         """Path of a file in the folder. From now on it counts as one of the run's files; its writer makes the folder."""
-        if name not in self._folder.files and name != RUN:
-            self._folder.files.add(name)
-            if self._folder.taken and self.root:  # so that run.json names the files even if the run is killed
-                self.stop("not finished")
+        if name not in self._files:
+            self._files.add(name)
+            if self._owns and self.root:  # so that run.json names the files even if the run is killed
+                with suppress(OSError):
+                    self._write("not finished")
         return self.out / name
 
     def table(self, name: str) -> Table:
@@ -130,76 +245,29 @@ class Record:
         """Read a table of the folder. Collective."""
         return Table.load(self.path(name))
 
+    # ---------------------------------------------------------------- results
     def say(self, text: object) -> None:
         """Print on rank 0."""
         if self.root:
             say(text)
 
-    def check_drawn(self) -> None:
-        """Raise ModelError if the tables in the folder are not those of a run of the study. Collective."""
-
-        def check() -> None:
-            run = self._folder.read_run()
-            if run["study"] != self.study:
-                raise ModelError(f"the run in {self.out} is of the study {run['study']}, not {self.study}")
-            for name, found in dict(run.get("tables", {})).items():
-                if hash_of(self.out / name) not in (None, found):
-                    raise ModelError(f"{self.out / name} is not the table that the run in {self.out} wrote")
-
-        on_root(world(), check)
-
-    def _problem(self) -> str | None:
-        """Reason why the run in the folder cannot be resumed; None if it can."""
-        run = self._folder.read_run("--resume: ")
-        if run["study"] != self.study:
-            return f"--resume: the run in {self.out} is of the study {run['study']}, not {self.study}"
-        if run["options"] != self.identity()[1]:
-            return f"--resume: the run in {self.out} had the options {run['options']}, not {self.options}"
-        if run.get("code") != code():
-            return f"--resume: the run in {self.out} was made with other source code; run the study anew"
-        there = run["petsc"]["options"] if isinstance(run.get("petsc"), dict) else {}
-        here = petsc_options()["options"]
-        names = [
-            name for name in {**there, **here} if name.startswith(f"-{PREFIX}") and there.get(name) != here.get(name)
-        ]
-        if names:
-            return f"--resume: the run in {self.out} had other PETSc options: {', '.join(sorted(names))}"
-        return None
-
     def sweep(self, run: Callable[[float], Mapping[str, Any]], eps: Sequence[float], name: str = "table.csv") -> Table:
         """Run `thinlayer.sweep`, with its table in the folder; it is resumed if the run is. Collective."""
-
-        def noted(e: float) -> Mapping[str, Any]:
-            row = run(e)
-            self._begin()
-            return row
-
         self.path(f"{name}.json")
-        return sweep(noted, eps, self.path(name), resume=self.resume)
+        return sweep(run, eps, self.path(name), resume=self.resume)
 
     def march(self, model: Model, times: Sequence[float] | Adaptive, name: str, **choices: Any) -> History:
         """Run `thinlayer.march`; files to resume it from are kept until the run is done. Collective."""
-        if not (self._begun or self.resume):  # files of a run that was killed
-            on_root(world(), lambda: shutil.rmtree(self.path(MARCHES), ignore_errors=True))
-        self._begun = True
+        history = None
         try:
             history = march(model, times, out=self.path(MARCHES) / name, resume=self.resume, **choices)
         except SolveError as error:
-            self._noted_states(error.history)
+            history = error.history
             raise
-        self._begin()
-        self._noted_states(history)
+        finally:
+            for state in history or ():
+                self.solved(state)
         return history
-
-    def _noted_states(self, history: History | None) -> None:
-        for state in history or ():
-            self.solved(state)
-
-    def _begin(self) -> None:
-        """Write run.json as soon as there is a result that a later run can resume."""
-        if not self._noted:
-            self._noted = True
-            self.close("not finished")
 
     def solved(self, state: State) -> State:
         """Note for run.json how a state was found; returns the state."""
@@ -223,30 +291,3 @@ class Record:
     def failed(self) -> list[Check]:
         """Checks that do not hold."""
         return [check for check in self.checks if not check.passed]
-
-    def close(self, error: str | None = None) -> None:
-        """Write run.json. Collective; raises OSError on all ranks."""
-        on_root(world(), lambda: self._write(error))
-
-    def stop(self, error: str) -> None:
-        """Write run.json, unless that raises OSError; not collective."""
-        if self.root:
-            with suppress(OSError):
-                self._write(error)
-
-    def _write(self, error: str | None) -> None:
-        content = {
-            "study": self.study,
-            "options": self.options,
-            "code": code(),
-            "petsc": petsc_options(),
-            "parameters": self.parameters,
-            "ranks": world().size,
-            "versions": versions(),
-            "seconds": round(time.perf_counter() - self._start, 3),
-            "results": self.results,
-            "checks": [asdict(check) for check in self.checks],
-            "solves": self.solves,
-            "error": error,
-        }
-        self._folder.write_run(content, done=error is None)

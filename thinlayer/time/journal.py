@@ -70,10 +70,11 @@ class Journal:
         self._written = 0
         self.history, self.pace = History(self.model, theta=float(choices["theta"])), pace
 
-    def _mark(self, choices: Mapping[str, Any]) -> str:
+    def _mark(self, choices: Mapping[str, Any]) -> dict[str, Any]:
         """What the march is known by. Of observing functions it has what stays as they collect values."""
         observed = {name: code_of(described(function)) for name, function in self._observe.items()}
-        return json.dumps({**self.model.identity(), "observe": observed, **choices}, sort_keys=True)
+        mark: dict[str, Any] = json.loads(json.dumps({**self.model.identity(), "observe": observed, **choices}))
+        return mark
 
     def read(self, resume: Resume) -> bool:
         """Take over the march in the folder. False: there is no march, or `resume` is False.
@@ -125,16 +126,16 @@ class Journal:
     def _row(self, state: State, dt: float) -> Row:
         values: dict[str, Any] = {"t": state.t, "dt": dt}
         for name in COLUMNS[len(values) :]:
-            value = getattr(state.report if hasattr(state.report, name) else state.audit, name)
-            values[name] = None if math.isnan(value) else value
-        for column, seam in dissipated_columns(self.model).items():
-            values[column] = None if math.isnan(state.dissipated[seam]) else state.dissipated[seam]
+            values[name] = getattr(state.report if hasattr(state.report, name) else state.audit, name)
+        values |= {column: state.dissipated[seam] for column, seam in dissipated_columns(self.model).items()}
         if seams := seams_with_phases(self.model):
-            values["energy"] = None if math.isnan(state.audit.total) else state.audit.total
+            values["energy"] = state.audit.total
         for seam in seams:
             report = PhaseReport(state, seam)
             values |= {column: getattr(report, name) for name, column in phase_columns(self.model, seam).items()}
-        return values | {name: self._observed(name, state) for name in self._observe}
+        known = {name: None if math.isnan(value) else value for name, value in values.items()}
+
+        return known | {name: self._observed(name, state) for name in self._observe}
 
     def _observed(self, name: str, state: State) -> float:
         """The value of an observing function on rank 0. ModelError: the function fails, or ranks find other values."""
