@@ -212,9 +212,9 @@ def test_rows_drawn_from_seeds_of_their_cases_are_resumed(tmp_path, generator):
     ("change", "what"),
     [
         ({"cases": []}, "one case or more"),
-        ({"cases": 3}, "cases is 3; it needs mappings"),
+        ({"cases": 3}, "cases is 3; an ensemble needs"),
         ({"cases": [{"a": 1.0}, {"b": 1.0}]}, "case 1 has b, the first one a"),
-        ({"cases": [{"a": None}]}, "case 0: a is None"),
+        ({"cases": [{"a": None}]}, "case 0 has a"),
         ({"cases": [{"seed": 2**53 + 1}]}, "of which a table keeps 9007199254740992"),
         ({"cases": [{"run": 1.0}]}, "case 0 has 'run'"),
         ({"ranks": 2}, "ranks is 2; allowed: a number that divides the number of ranks, 1"),
@@ -224,8 +224,8 @@ def test_rows_drawn_from_seeds_of_their_cases_are_resumed(tmp_path, generator):
         ({"make": None}, "make is None; it must be a function"),
         ({"make": lambda: 3}, "make returns 3"),
         ({"out": 3}, "out is 3; it must be the name of a csv file"),
-        ({"make": lambda: lambda case: {"E": 1.0}}, "the row of run 0 has 'E', which is a column of the case"),
-        ({"make": lambda: lambda case: [1.0]}, r"run 0 returns \[1\.0\]"),
+        ({"make": lambda: lambda case: {"E": 1.0}}, "the row of run 0 has 'E'"),
+        ({"make": lambda: lambda case: [1.0]}, r"the row of run 0 is \[1\.0\]"),
     ],
 )
 def test_bad_input_is_told(change, what):

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
 
-from forms.base import is_number
 from geometry.parallel import on_root, within, world
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.files.folder import LOCK, locked, owned, read_sealed
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row, Table
 from thinlayer.identity import Resume, random_states
-from thinlayer.output.row_file import GENERATOR, RowFile, make_room, plain, require_csv
+from thinlayer.output.row_file import GENERATOR, RowFile, checked, make_room, require_csv
 from thinlayer.parallel.agreement import on_all, require_same
 
 RUN, FAILURE = "run", "failure"  # columns that an ensemble adds
@@ -73,7 +70,7 @@ def ensemble(
         if not callable(make):
             raise ModelError(f"make is {make!r}; it must be a function that returns a function of a case")
         require_csv(out, resume)
-        known = _checked(cases)
+        known = _known(cases)
         ranks = comm.size if ranks is None else ranks
         _check_groups(ranks, comm.size, part, out, resume)
     require_same(None, cases=known, out=out and str(out), resume=resume, ranks=ranks, part=list(part))
@@ -135,16 +132,16 @@ class _Rows:
 
     def _row(self, run: Run, k: int, comm: MPI.Intracomm, keep_failures: bool) -> Row:
         case, failure = self._cases[k], None
-        found: Any = {}
+        found: Row = {}
         try:
             with on_all(comm):
-                found = run({**case})  # type: ignore[dict-item]  # None is in no case
-                _check_row(found, case, k)
+                given: Any = {**case}
+                found = checked(run(given), f"the row of run {k}", (RUN, FAILURE, *case))
         except SolveError as error:
             if not keep_failures:
                 raise
             failure = str(error)
-        return {RUN: float(k), **case, **plain(found)} | ({FAILURE: failure} if keep_failures else {})
+        return {RUN: float(k), **case, **found} | ({FAILURE: failure} if keep_failures else {})
 
 
 class _Files:
@@ -216,55 +213,24 @@ def _table(cases: list[Row], rows: Mapping[int, Row]) -> Table:
     return Table({name: row.get(name) for name in names} for row in ordered)
 
 
-def _checked(cases: Any) -> list[Row]:
+def _known(cases: Any) -> list[Row]:
     """The cases as rows; raises ModelError."""
-    try:
-        known = [dict(case) for case in cases]
-    except (TypeError, ValueError) as error:
-        raise ModelError(f"cases is {str(cases)[:200]}; it needs mappings of names to numbers or texts") from error
-    if not known:
-        raise ModelError("an ensemble needs one case or more")
-    for k, case in enumerate(known):
-        if list(case) != list(known[0]):
-            raise ModelError(f"case {k} has {', '.join(map(str, case))}, the first one {', '.join(map(str, known[0]))}")
-        _check_names(case, f"case {k}")
-        known[k] = plain(case)
-    return known
-
-
-def _check_names(row: Mapping[Any, Any], what: str) -> None:
-    for name, value in row.items():
-        if not isinstance(name, str) or name in (RUN, FAILURE):
-            raise ModelError(f"{what} has {name!r}; names are texts other than {RUN!r} and {FAILURE!r}")
-        if isinstance(value, bool) or not isinstance(value, (Real, str)):
-            raise ModelError(f"{what}: {name} is {value!r}, which is neither a number nor a text")
-        if not isinstance(value, str) and math.isfinite(value) and float(value) != value:
-            raise ModelError(
-                f"{what}: {name} is {value!r}, of which a table keeps {float(value):.17g}; take it below 2^53"
-            )
-
-
-def _check_row(row: Any, case: Row, k: int) -> None:
-    """Raise ModelError unless a run has returned a row."""
-    if not isinstance(row, Mapping):
-        raise ModelError(f"run {k} returns {row!r}; it must return names with numbers or texts")
-    _check_names(row, f"the row of run {k}")
-    if taken := [name for name in row if name in case]:
-        raise ModelError(f"the row of run {k} has {taken[0]!r}, which is a column of the case")
+    if not isinstance(cases, Iterable) or not (known := [*cases]):
+        raise ModelError(f"cases is {cases!r:.80}; an ensemble needs one case or more")
+    rows = [checked(case, f"case {k}", (RUN, FAILURE)) for k, case in enumerate(known)]
+    for k, row in enumerate(rows):
+        if [*row] != [*rows[0]] or None in row.values():
+            raise ModelError(f"case {k} has {', '.join(row)}, the first one {', '.join(rows[0])}; all need the same")
+    return rows
 
 
 def _check_groups(ranks: Any, size: int, part: Any, out: Any, resume: Resume) -> None:
     """Raise ModelError unless the ranks and the part of the cases are in range."""
-    if not (is_number(ranks) and ranks >= 1 and ranks == int(ranks) and size % int(ranks) == 0):
+    if ranks not in [n for n in range(1, size + 1) if size % n == 0]:
         raise ModelError(f"ranks is {ranks!r}; allowed: a number that divides the number of ranks, {size}")
-    try:
-        k, n = part
-        right = 0 <= k < n and k == int(k) and n == int(n)
-    except (TypeError, ValueError):
-        right = False
-    if not right:
+    if not (isinstance(part, tuple) and [*map(type, part)] == [int, int] and 0 <= part[0] < part[1]):
         raise ModelError(f"part is {part!r}; allowed: (k, n), the k-th of n parts, 0 <= k < n")
-    if n > 1 and (out is None or not resume):
+    if part[1] > 1 and (out is None or not resume):
         raise ModelError("parts of an ensemble share a table: give out=... and resume=True")
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
@@ -100,9 +101,24 @@ def make_room(table: Path, beside: Path, resume: Resume) -> None:
         )
 
 
-def plain(row: Mapping[str, Any]) -> Row:
-    """A row with texts, None, and floats."""
-    return {name: value if value is None or isinstance(value, str) else float(value) for name, value in row.items()}
+def checked(row: Any, what: str, taken: Collection[str]) -> Row:
+    """A row that a user gives, with floats, texts and None.
+
+    Raises:
+        ModelError: the row, which is `what`, has a column that is taken, or entries that are neither numbers nor texts.
+    """
+    if not isinstance(row, Mapping):
+        raise ModelError(f"{what} is {row!r:.80}; it needs a mapping of names to numbers or texts")
+    found: Row = {}
+    for name, value in row.items():
+        if not isinstance(name, str) or name in taken:
+            raise ModelError(f"{what} has {name!r}; names of columns are texts, other than {', '.join(taken)}")
+        if not (value is None or isinstance(value, str) or (isinstance(value, Real) and not isinstance(value, bool))):
+            raise ModelError(f"{what}: {name} = {value!r} is neither a number nor a text")
+        kept = found[name] = value if value is None or isinstance(value, str) else float(value)
+        if isinstance(value, Integral) and value != kept:
+            raise ModelError(f"{what}: {name} = {value!r}, of which a table keeps {kept:.17g}; take it below 2^53")
+    return found
 
 
 def _changed(path: tuple[str, ...], one: Any, _: Any) -> tuple[str, ...] | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import nullcontext
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from thinlayer.files.folder import LOCK, owned
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row, Table
 from thinlayer.identity import Resume
-from thinlayer.output.row_file import RowFile, make_room, plain, require_csv
+from thinlayer.output.row_file import RowFile, checked, make_room, require_csv
 from thinlayer.parallel.agreement import on_all, require_same
 
 ERRORS = ("eps", "error_traction", "error_jump")
@@ -94,34 +93,17 @@ def sweep(
 
 def _row(run: Callable[[float], Mapping[str, Any]], eps: float, first: Row | None) -> Row:
     """The row of a thickness, as any rank's error is all ranks'."""
-    what = "return what compare returns"
+    what = f"the row that run({eps:g}) returns"
     with on_all(world()):
-        row = run(eps)
-    problem = _flaw(row, eps, first)
-    if problem := next(filter(None, world().allgather(problem)), None):
-        raise ModelError(f"run({eps:g}) returns {problem}; {what}")
-    row = plain({name: row[name] for name in (*ERRORS, *(n for n in row if n not in ERRORS))}) | {"eps": eps}
-    return row if first is None else {name: row[name] for name in first}
-
-
-def _flaw(row: Any, eps: float, first: Row | None) -> str | None:
-    """Description of an error in a row; None if it is right."""
-    if not isinstance(row, Mapping):
-        return repr(row)
-    if missing := {*ERRORS} - row.keys():
-        return f"a row without {', '.join(sorted(missing))}"
-    if taken := [name for name in row if name in ORDERS or not isinstance(name, str)]:
-        return f"a row with {taken[0]!r}; names of columns are texts, and the sweep itself adds {', '.join(ORDERS)}"
-    for name, value in row.items():
-        if not (value is None or isinstance(value, str) or (isinstance(value, Real) and not isinstance(value, bool))):
-            return f"{name} = {value!r}, which is neither a number nor a text"
-        if name in ERRORS and not isinstance(value, Real):
-            return f"{name} = {value!r}, which is no number"
-    if not abs(float(row["eps"]) - eps) <= SAME_EPS * eps:
-        return f"a row of another thickness, eps = {float(row['eps']):g}"
-    if first is not None and set(row) != set(first):
-        return f"a row with the columns {', '.join(row)}, where the first row has {', '.join(first)}"
-    return None
+        row = checked(run(eps), what, ORDERS)
+        if wrong := [name for name in ERRORS if not isinstance(row.get(name), float)]:
+            raise ModelError(f"{what} has no number {', '.join(wrong)}; return what compare returns")
+        if not abs(row["eps"] - eps) <= SAME_EPS * eps:  # type: ignore[operator]
+            raise ModelError(f"{what} is of another thickness, eps = {row['eps']:g}")
+        if first is not None and row.keys() != first.keys():
+            raise ModelError(f"{what} has the columns {', '.join(row)}, where the first row has {', '.join(first)}")
+    order = first or (*ERRORS, *(name for name in row if name not in ERRORS))
+    return {name: row[name] for name in order} | {"eps": eps}
 
 
 def _with_orders(rows: Mapping[float, Row]) -> Table:
