@@ -7,7 +7,7 @@ and of `goals`. All moduli are real ones; a layer's are divided by its thickness
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -16,8 +16,6 @@ from typing import Any
 from forms.base import is_finite
 from thinlayer.describing.materials import Material, materials
 from thinlayer.describing.section import (
-    History,
-    Keys,
     Reader,
     Section,
     choice,
@@ -95,12 +93,6 @@ class Description:
             section.refuse("a thickness is sought of one layer for all seams; give [layer] without names", "tolerance")
         return found
 
-    @property
-    def histories(self) -> dict[Keys, History]:
-        """Keys of each value that is given by times -> its history."""
-        loads = dict(enumerate(self.loads, 1))
-        return dict(_histories({"supports": self.supports, "tractions": self.tractions, "loads": loads}))
-
     def _require_loads(self) -> None:
         supports = [v for one in self.supports.values() for v in (one.values() if isinstance(one, Mapping) else [one])]
         strained = any(one.eigenstrain for one in (*self.body.values(), *self.layer.values()))
@@ -114,21 +106,13 @@ class Description:
             self.section.refuse(
                 f"times is missing: {type(slow[0]).__name__} depends on the rate of strains; give ends of time steps"
             )
-        for keys, one in self.histories.items():
+        for one in self.section.histories:
             first, last = min(one.values), max(one.values)
             if not self.times:
-                self.section.refuse("a history needs times, the ends of time steps", *keys)
+                self.section.refuse("a history needs times, the ends of time steps", *one.keys)
             if first > 0 or last < self.times[-1]:
                 reach = f"it is given from {first:g} to {last:g}, and times go from 0 to {self.times[-1]:g}"
-                self.section.refuse(reach, *keys)
-
-
-def _histories(value: Any, *keys: str) -> Iterator[tuple[Keys, History]]:
-    """Histories in tables in tables, with the keys that lead to them."""
-    if isinstance(value, History):
-        yield keys, value
-    for key, inner in value.items() if isinstance(value, Mapping) else ():
-        yield from _histories(inner, *keys, str(key))
+                self.section.refuse(reach, *one.keys)
 
 
 def _mesh(section: Section, key: str) -> dict[str, Any]:

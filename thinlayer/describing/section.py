@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import tomllib
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -21,9 +21,10 @@ class DescriptionError(InputError):
 
 @dataclass(frozen=True)
 class History:
-    """Values at times, two or more; linear between them."""
+    """Values at times, two or more, linear between them; and the keys that lead to them."""
 
     values: Mapping[float, Any]
+    keys: Keys
 
 
 def read(path: Path, settings: Iterable[str] = ()) -> Section:
@@ -57,7 +58,7 @@ def read(path: Path, settings: Iterable[str] = ()) -> Section:
         option = f"--set {text!r}"
         values = _put(values, *_assignment(text, option), option)
         name += f"{',' if '--set' in name else ' with'} {option}"
-    return Section(values, (), name)
+    return Section(values, (), name, [])
 
 
 def _assignment(text: str, option: str) -> tuple[Keys, Any]:
@@ -99,11 +100,13 @@ class Section:
         values: its entries.
         path: the keys that lead to it.
         name: the file, and the options that set keys anew.
+        histories: all histories that have been read, in whatever table of the description.
     """
 
     values: Mapping[str, Any]
     path: Keys
     name: str
+    histories: list[History]
 
     def refuse(self, what: str, *keys: str) -> NoReturn:
         """Raise DescriptionError about this table, or about an entry of it."""
@@ -163,7 +166,7 @@ class Section:
         """A value of this table as a table."""
         if not isinstance(value, Mapping):
             self.refuse(f"{_shown(value)} is no table; it has {what}", *keys)
-        return Section(value, (*self.path, *keys), self.name)
+        return replace(self, values=value, path=(*self.path, *keys))
 
     def tables(self, key: str, what: str) -> list[Section]:
         """The tables in a list."""
@@ -206,9 +209,10 @@ def history(read: Reader) -> Reader:
         times, values = section.table(key, what).entries(parts, dict.fromkeys(parts, what)).values()
         if not (isinstance(values, list) and is_growing(times) and len(times) == len(values) >= 2):
             section.refuse(what, key)
-        each = {str(k): value for k, value in enumerate(values, 1)}
-        inner = Section(each, (*section.path, key, "values"), section.name)
-        return History({float(t): read(inner, str(k)) for k, t in enumerate(times, 1)})
+        inner = section.inner({str(k): value for k, value in enumerate(values, 1)}, what, key, "values")
+        found = History({float(t): read(inner, str(k)) for k, t in enumerate(times, 1)}, (*section.path, key))
+        section.histories.append(found)
+        return found
 
     return read_each
 
