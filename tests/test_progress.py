@@ -46,7 +46,7 @@ def three_runs(terminal: bool, seconds: float) -> str:
 def test_a_pipe_gets_a_line_a_minute():
     """Steps of 25 s: 12 of them are 300 s."""
     lines = three_runs(False, 25.0).splitlines()
-    assert lines[0] == "sweep: 1 of 3, eps = 0.4, march: t = 3 of 4, 75 s so far, about 4 min left"
+    assert lines[0] == "sweep: 1 of 3, eps = 0.4, march: t = 3 of 4, 0:01:15 so far, about 0:03:45 left"
     assert [line.split(", ")[1] for line in lines] == ["eps = 0.4", "eps = 0.2", "eps = 0.1", "eps = 0.1"]
 
 
@@ -54,7 +54,7 @@ def test_a_terminal_gets_one_line_that_changes_and_goes():
     told = three_runs(True, 2.0)
     assert "\n" not in told
     assert told.endswith("\r\x1b[K")
-    assert "sweep: 1 of 3, eps = 0.4, march: t = 3 of 4, 6 s so far, about 18 s left" in told
+    assert "sweep: 1 of 3, eps = 0.4, march: t = 3 of 4, 0:00:06 so far, about 0:00:18 left" in told
 
 
 @pytest.mark.parametrize("terminal", [True, False])
@@ -75,7 +75,7 @@ def test_work_of_unknown_length_counts_what_is_done():
     with teller.telling("thin_enough"):
         for _ in range(4):
             estimate()
-    assert stream.getvalue().splitlines() == ["thin_enough: 2 done, estimate, 80 s so far"]
+    assert stream.getvalue().splitlines() == ["thin_enough: 2 done, estimate, 0:01:20 so far"]
 
 
 def test_all_long_work_tells(monkeypatch, capsys, tmp_path):

@@ -12,16 +12,15 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import timedelta
 from typing import TextIO, TypeVar
 
 from mpi4py import MPI
 
 T = TypeVar("T")
 LEAST = 1e-3  # share from which on the time left is told
-AFTER, AGAIN = (
-    {True: 5.0, False: 60.0},
-    {True: 0.2, False: 60.0},
-)  # s before the first line and the next: on a terminal, else
+# s before the first line and the next: on a terminal, else
+AFTER, AGAIN = {True: 5.0, False: 60.0}, {True: 0.2, False: 60.0}
 
 
 @dataclass(eq=False)
@@ -80,9 +79,8 @@ class Teller:
         if now < self._due or MPI.COMM_WORLD.rank or not logging.getLogger("thinlayer").isEnabledFor(logging.WARNING):
             return
         self._due, self._shown = now + AGAIN[stream.isatty()], True
-        line = ", ".join(
-            filter(None, (*map(_words, self._open), f"{_time(now - self._begun)} so far", self._left(now)))
-        )
+        words = (*map(_words, self._open), f"{_time(now - self._begun)} so far", self._left(now))
+        line = ", ".join(filter(None, words))
         stream.write(f"\r\x1b[K{line[:120]}" if stream.isatty() else f"{line}\n")
         stream.flush()
 
@@ -101,13 +99,7 @@ def _words(work: _Work) -> str:
 
 
 def _time(seconds: float) -> str:
-    return (
-        f"{seconds:.0f} s"
-        if seconds < 100
-        else f"{seconds / 60:.0f} min"
-        if seconds < 6000
-        else f"{seconds / 3600:.1f} h"
-    )
+    return str(timedelta(seconds=round(seconds)))
 
 
 _teller = Teller(lambda: sys.stderr, time.monotonic)
