@@ -163,18 +163,18 @@ def test_what_changes_beside_it_does_not_hide_what_a_sweep_is_made_from(tmp_path
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
-        ({"eps": 0.2}, "a row of another thickness, eps = 0.2"),
-        ({"error_jump": "x"}, "error_jump = 'x', which is no number"),
+        ({"eps": 0.2}, "another thickness, eps = 0.2"),
+        ({"error_jump": "x"}, "no number error_jump"),
         ({"error_jump": 1j}, "neither a number nor a text"),
         ({"note": [1.0]}, "neither a number nor a text"),
-        ({"eps": float("nan")}, "a row of another thickness, eps = nan"),
-        ({"order_jump": 1.0}, "a row with 'order_jump'; .*the sweep itself adds order_traction, order_jump"),
-        ({3: 1.0}, "a row with 3; names of columns are texts"),
+        ({"eps": float("nan")}, "another thickness, eps = nan"),
+        ({"order_jump": 1.0}, "'order_jump'; names of columns"),
+        ({3: 1.0}, "3; names of columns are texts"),
         ({"more": 1.0}, "columns eps, error_traction, error_jump, more, where the first row has eps"),
     ],
 )
 def test_rows_that_do_not_fit(change, problem):
-    with pytest.raises(ModelError, match=rf"run\(0\.1\) returns .*{problem}"):
+    with pytest.raises(ModelError, match=rf"run\(0\.1\) returns.* {problem}"):
         sweep(lambda e: row(e) | (change if e == 0.1 else {}), [0.4, 0.1])
 
 
@@ -245,11 +245,11 @@ def test_bad_input_leaves_the_older_run_where_it_was(tmp_path):
 def test_only_the_same_run_is_resumed(tmp_path, monkeypatch):
     study(tmp_path, {"b": 1.0})
     run = json.loads((tmp_path / "run.json").read_text())
-    assert run["petsc"].keys() == {"options", "PETSC_OPTIONS", "files"}
+    assert run["petsc"].keys() == {"options", "PETSC_OPTIONS"}
     monkeypatch.setattr(thinlayer.running.record, "code", lambda: "0123456789ab")
     refused(ModelError, r"another one \(code: ", lambda: study(tmp_path, {"b": 1.0}, resume=True))
     monkeypatch.undo()
-    options = {"options": {"-thinlayer_snes_rtol": "0.9"}, "PETSC_OPTIONS": "", "files": []}
+    options = {"options": {"-thinlayer_snes_rtol": "0.9"}, "PETSC_OPTIONS": ""}
     monkeypatch.setattr(thinlayer.running.record, "petsc_options", lambda: options)
     with pytest.raises(ModelError, match=r"petsc\.-thinlayer_snes_rtol: nothing there, 0\.9 here"):
         study(tmp_path, {"b": 1.0}, resume=True)

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import argparse
 import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from thinlayer.running.catalogue import studies
 from thinlayer.running.process import BAD_INPUT, OK, UNFINISHED, is_first, reason, recorded, say, set_signals, stop
@@ -55,47 +55,38 @@ def command_line() -> argparse.ArgumentParser:
     commands.add_parser("list", help="list the studies").set_defaults(work=_list)
     info = commands.add_parser("info", help="print the versions of the packages that results depend on")
     info.set_defaults(work=_info)
-    draw = commands.add_parser("draw", help="draw the pictures of a study again, from the tables of an earlier run")
+    what = "draw the pictures of a study again, from the tables of an earlier run"
+    draw = _add(commands, "draw", _draw, what, help=what)
     draw.add_argument("study", metavar="STUDY", choices=studies(), help="name of a study; the command list prints all")
-    draw.set_defaults(work=_draw)
     run = commands.add_parser("run", help="run a study", description="Run a study; STUDY --help shows its options.")
     names = run.add_subparsers(dest="study", required=True, metavar="STUDY")
-    about = f"PETSc options start with {PETSC_PREFIX}, as {PETSC_PREFIX}ksp_type cg."
-    usage = "[options] [PETSc options]"
-    works = []
     for study in studies().values():
-        one = names.add_parser(
-            study.name,
-            allow_abbrev=False,  # --h would print the help
-            usage=f"%(prog)s {usage}",
-            description=f"{study.summary} {about}",
-            epilog=STATUSES,
-        )
+        one = _add(names, study.name, _run, study.summary)
         for name, details in study.options.items():
             one.add_argument(f"--{name}", default=None, **details)
         one.add_argument("--resume", action="store_true", help="continue a run that was killed, with the same options")
-        one.set_defaults(work=_run)
-        works.append(one)
-    estimate = commands.add_parser(
-        "estimate",
-        allow_abbrev=False,
-        help="tell by how much the answer changes if the mesh of a layer is dropped",
-        usage=f"%(prog)s DESCRIPTION {usage}",
-        description="May you drop the layer, and by how much does the answer change? DESCRIPTION is a file in TOML, which "
-        f"names a mesh file; thinlayer/guide/estimate.md has its keys. {about}",
-        epilog=STATUSES,
+    what = "tell by how much the answer changes if the mesh of a layer is dropped"
+    estimate = _add(commands, "estimate", _estimate, f"{what}; thinlayer/guide/estimate.md has the keys", help=what)
+    estimate.add_argument(
+        "description", type=Path, metavar="DESCRIPTION", help="a file in TOML, which names a mesh file"
     )
-    estimate.add_argument("description", type=Path, metavar="DESCRIPTION", help="the description, a file in TOML")
     keys = "a key of the description anew, as layer.E=2e3 or 'tractions.RIGHT=[60, 0]'; may be repeated"
     estimate.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=keys)
-    estimate.set_defaults(work=_estimate)
-    for one in (*works, estimate):
-        verbose = "show the attempts of solves; twice: their steps as well"
-        one.add_argument("-v", "--verbose", action="count", default=0, help=verbose)
-    for one in (*works, estimate, draw):
-        where = "folder of tables and pictures (default: out/STUDY, out/estimate/NAME)"
-        one.add_argument("--out", type=Path, metavar="DIR", help=where)
     return parser
+
+
+def _add(commands: Any, name: str, work: Callable[..., int], what: str, **more: str) -> argparse.ArgumentParser:
+    """The parser of a command that has a folder; --h does not print its help."""
+    about = f"{what} PETSc options start with {PETSC_PREFIX}, as {PETSC_PREFIX}ksp_type cg."
+    one: argparse.ArgumentParser = commands.add_parser(
+        name, allow_abbrev=False, description=about, epilog=STATUSES, **more
+    )
+    verbose = "show the attempts of solves; twice: their steps as well"
+    one.add_argument("-v", "--verbose", action="count", default=0, help=verbose)
+    where = "folder of tables and pictures (default: out/STUDY, out/estimate/NAME)"
+    one.add_argument("--out", type=Path, metavar="DIR", help=where)
+    one.set_defaults(work=work)
+    return one
 
 
 def _petsc_options(parser: argparse.ArgumentParser, rest: Sequence[str]) -> dict[str, str | None]:

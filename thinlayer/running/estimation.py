@@ -88,12 +88,8 @@ def _thicknesses(record: Record, case: Case, name: str) -> list[dict[str, Any]]:
             continue  # bonded bodies have none
         goal = goals.get(quantity, quantity)
         try:
-            how: dict[str, Any] = {
-                "times": case.given.times or None,
-                "bonded": name == BOND,
-                "bodies": case.given.bodies,
-            }
-            thin = thin_enough(case.structure, layer, tolerance, goal, **how)
+            times, bodies = case.given.times or None, case.given.bodies
+            thin = thin_enough(case.structure, layer, tolerance, goal, times=times, bonded=name == BOND, bodies=bodies)
             eps, told = thin.eps, str(thin)
         except ModelError as error:  # an answer too: no thickness is thin enough
             eps, told = None, str(error).removeprefix("thin_enough: ")

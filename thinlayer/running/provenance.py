@@ -36,11 +36,9 @@ def versions() -> dict[str, str]:
 
 
 def petsc_options() -> dict[str, Any]:
-    """The PETSc options in force, and the environment variable and the files that may have set them."""
-    places = (Path.home() / ".petscrc", Path(".petscrc"), Path("petscrc"))
+    """The PETSc options in force, and the environment variable that may have set them."""
     found = {f"-{name}": value for name, value in sorted(PETSc.Options().getAll().items())}
-    files = [str(path.absolute()) for path in places if path.is_file()]
-    return {"options": found, "PETSC_OPTIONS": os.environ.get("PETSC_OPTIONS", ""), "files": files}
+    return {"options": found, "PETSC_OPTIONS": os.environ.get("PETSC_OPTIONS", "")}
 
 
 @cache

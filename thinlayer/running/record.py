@@ -198,22 +198,11 @@ class Record:
 
     def _write(self, error: str | None) -> None:
         tables = sorted(name for name in self._files if error is None and name.endswith(".csv"))
-        content = {
-            "study": self.study,
-            "options": self.options,
-            "code": code(),
-            "petsc": petsc_options(),
-            "parameters": self.parameters,
-            "ranks": world().size,
-            "versions": versions(),
-            "seconds": round(time.perf_counter() - self._start, 3),
-            "results": self.results,
-            "checks": [asdict(check) for check in self.checks],
-            "solves": self.solves,
-            "error": error,
-            "files": sorted(self._files),
-            "tables": {name: hash_of(self.out / name) for name in tables},
-        }
+        content = {name: getattr(self, name) for name in ("study", "options", "parameters", "results", "solves")}
+        content |= {"code": code(), "petsc": petsc_options(), "versions": versions(), "ranks": world().size}
+        content |= {"seconds": round(time.perf_counter() - self._start, 3), "checks": [*map(asdict, self.checks)]}
+        content |= {"error": error, "files": sorted(self._files)}
+        content["tables"] = {name: hash_of(self.out / name) for name in tables}
         with replaced(self.out / RUN) as file:
             file.write((json.dumps(content, indent=1, default=str) + "\n").encode())
         if error is None:
