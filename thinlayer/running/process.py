@@ -9,7 +9,6 @@ import sys
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -19,15 +18,9 @@ OK, CHECK_FAILED, BAD_INPUT, UNFINISHED = range(4)
 
 
 def end_on_interrupt() -> None:
-    """Let an interrupt end the process with a message. An exception raised while C++ modules load would abort them."""
+    """Let an interrupt end the process. An exception raised while C++ modules load would abort them with a report."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, _end)
-
-
-def _end(number: int, frame: FrameType | None) -> None:
-    if is_first():
-        os.write(2, b"thinlayer: interrupted; nothing was done\n")
-    os._exit(UNFINISHED)
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def is_first() -> bool:
@@ -37,7 +30,7 @@ def is_first() -> bool:
 
 def set_signals() -> None:
     """Restore Python's handling of signals. PETSc replaces it when it starts, and prints reports of its own."""
-    if signal.getsignal(signal.SIGINT) is _end:
+    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     for number in (signal.SIGPIPE, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.getsignal(number))
