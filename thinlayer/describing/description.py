@@ -138,10 +138,10 @@ def _sides(section: Section, key: str) -> Any:
 
 def _units(section: Section, key: str) -> tuple[str, str]:
     text = section.text(key)
-    lengths, _, stresses = map(str.strip, text.partition(","))
-    if not lengths or not stresses or "," in stresses:
+    lengths, *stresses = map(str.strip, text.split(","))
+    if not lengths or len(stresses) != 1 or not stresses[0]:
         section.refuse(f"{text!r} are not two units; give those of lengths and of stresses, such as 'mm, MPa'", key)
-    return lengths, stresses
+    return lengths, stresses[0]
 
 
 def _bonded(section: Section, key: str) -> bool:

@@ -88,10 +88,7 @@ class Table:
         try:
             import pandas
         except ImportError as error:
-            raise ModelError(
-                "pandas is not installed: `./fenicsx python3 -m pip install --no-deps --target packages pandas`, then run "
-                "with PYTHONPATH=packages"
-            ) from error
+            raise ModelError("pandas is not installed; how it is added is in thinlayer/guide/results.md") from error
         return pandas.DataFrame(self.rows, columns=self.columns)
 
     @classmethod

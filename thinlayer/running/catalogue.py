@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import importlib.util
 import re
 from dataclasses import dataclass
 from functools import cache
@@ -29,12 +28,8 @@ class Study:
 @cache
 def studies() -> dict[str, Study]:
     """All studies by name."""
-    spec = importlib.util.find_spec("studies")
-    if spec is None or not spec.submodule_search_locations:
-        raise FileNotFoundError("the folder 'studies' is not next to the package 'thinlayer'; run from a clone")
-    folder = Path(next(iter(spec.submodule_search_locations)))
     found = {}
-    for path in sorted(folder.glob("*.py")):
+    for path in sorted((Path(__file__).parents[2] / "studies").glob("*.py")):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         for node in tree.body:
             if isinstance(node, ast.FunctionDef) and node.name == "run":

@@ -92,12 +92,11 @@ def _add(commands: Any, name: str, work: Callable[..., int], what: str, **more: 
 def _petsc_options(parser: argparse.ArgumentParser, rest: Sequence[str]) -> dict[str, str | None]:
     """PETSc options, given as -thinlayer_NAME [VALUE] ..., by their names; ends with an error at any other argument."""
     options: dict[str, str | None] = {}
-    name = None
+    name = ""
     for word in rest:
         if word.startswith(PETSC_PREFIX):
-            name = word[1:]
-            options[name] = None
-        elif name is not None and options[name] is None and not word.startswith("--"):
+            options[name := word[1:]] = None
+        elif name and options[name] is None and not word.startswith("--"):
             options[name] = word
         else:
             parser.error(f"unrecognized argument {word!r}; --help has all; PETSc options start with {PETSC_PREFIX}")
@@ -111,9 +110,8 @@ def _list(*_: object) -> int:
 def _info(*_: object) -> int:
     from thinlayer.running.provenance import versions
 
-    found = versions()
     set_signals()
-    return _told(found)
+    return _told(versions())
 
 
 def _told(texts: Mapping[str, str]) -> int:

@@ -56,11 +56,8 @@ class Check:
         self.passed = above and below  # NaN passes neither
 
     def __str__(self) -> str:
-        ends = [
-            f">= {self.low:.6g}" if self.low is not None else "",
-            f"<= {self.high:.6g}" if self.high is not None else "",
-        ]
-        return f"{self.name}: {self.value:.6g} ({' and '.join(e for e in ends if e)})"
+        ends = [f"{sign} {end:.6g}" for sign, end in ((">=", self.low), ("<=", self.high)) if end is not None]
+        return f"{self.name}: {self.value:.6g} ({' and '.join(ends)})"
 
 
 class Record:

@@ -134,7 +134,6 @@ class Journal:
             report = PhaseReport(state, seam)
             values |= {column: getattr(report, name) for name, column in phase_columns(self.model, seam).items()}
         known = {name: None if math.isnan(value) else value for name, value in values.items()}
-
         return known | {name: self._observed(name, state) for name in self._observe}
 
     def _observed(self, name: str, state: State) -> float:
