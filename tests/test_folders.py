@@ -97,14 +97,6 @@ def test_a_lock_is_that_of_the_file_which_is_there(tmp_path, monkeypatch):
         pass
 
 
-def test_links_to_folders(tmp_path):
-    (tmp_path / "link").symlink_to(tmp_path / "there")
-    out = tmp_path / "link" / "in"
-    refused(ModelError, r"no files can be written in .*link/in", lambda: march(interface(), [0.1], out=out))
-    (tmp_path / "there").mkdir()
-    assert len(march(interface(), [0.1], out=out)) == 2
-
-
 def test_file_systems_without_locks(tmp_path, monkeypatch):
     def unknown(*_):
         raise OSError(errno.ENOLCK, "No locks available")

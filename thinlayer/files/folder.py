@@ -9,6 +9,7 @@ import json
 import os
 import re
 import socket
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -101,14 +102,14 @@ def owned(folder: Path, comm: MPI.Intracomm | None = None, name: str = LOCK) -> 
 
 
 @contextmanager
-def locked(folder: Path, name: str = LOCK) -> Iterator[None]:
-    """The same on one rank."""
+def locked(folder: Path, name: str = LOCK, wait: float = 0.0) -> Iterator[None]:
+    """The same on one rank, which waits for another run for some seconds."""
     made, file = [], -1
     try:
         try:
             made = [one for one in (folder, *folder.parents) if not one.is_dir()]
             folder.mkdir(parents=True, exist_ok=True)
-            file = _lock(folder / name)
+            file = _lock(folder / name, time.monotonic() + wait)
         except ModelError:  # a ValueError with a complete message
             raise
         except (OSError, ValueError) as error:  # a name with a null character is no OSError
@@ -123,7 +124,7 @@ def locked(folder: Path, name: str = LOCK) -> Iterator[None]:
                 one.rmdir()
 
 
-def _lock(path: Path) -> int:
+def _lock(path: Path, end: float) -> int:
     """Open and lock a file; if a run that ends has removed it meanwhile, the one that is there then."""
     while True:
         with ExitStack() as stack:
@@ -132,6 +133,9 @@ def _lock(path: Path) -> int:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
+                if time.monotonic() < end:
+                    time.sleep(0.05)
+                    continue
                 who = os.pread(file, 200, 0).decode(errors="replace").strip() or "another process"
                 raise ModelError(
                     f"another run ({who}) is writing into {str(path.parent)!r}; wait for it, or give another folder"

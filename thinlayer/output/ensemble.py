@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
@@ -182,18 +181,13 @@ class _Files:
         Args:
             wait: s to wait for another job that writes it; 0: leave it to that job.
         """
-        end = time.monotonic() + wait
         with ExitStack() as stack:
-            while True:
-                try:
-                    stack.enter_context(locked(self._folder, f".merge{LOCK}"))
-                    break
-                except ModelError:
-                    if not wait:
-                        return {}
-                    if time.monotonic() >= end:
-                        raise
-                    time.sleep(0.05)
+            try:
+                stack.enter_context(locked(self._folder, f".merge{LOCK}", wait))
+            except ModelError:
+                if wait:
+                    raise
+                return {}
             files = self._folder.glob("*-of-*.json")
             rows = _by_run([row for path in files for row in read_sealed(path)["rows"]])
             _table(self._cases, rows).put(self.path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -72,15 +73,11 @@ def sweep(
     require_same(world(), eps=values, out=out and str(out), resume=resume)
     path = None if out is None else Path(out)
     with nullcontext() if path is None else owned(path.parent, name=f".{path.name}{LOCK}"):
-        file = None if path is None else RowFile(path.with_name(f"{path.name}.json"), run, "sweep")
-
-        def kept() -> list[Row]:
-            if path is None or file is None:
-                return []
-            make_room(path, file.path, resume)
-            return file.read(anyway=resume == "anyway")
-
-        rows: dict[float, Row] = {float(row["eps"]): row for row in on_root(None, kept)}  # type: ignore[arg-type]
+        file, kept = None if path is None else RowFile(path.with_name(f"{path.name}.json"), run, "sweep"), list[Row]()
+        if path is not None and file is not None:
+            on_root(None, partial(make_room, path, file.path, resume))
+            kept = on_root(None, partial(file.read, anyway=resume == "anyway"))
+        rows: dict[float, Row] = {float(row["eps"]): row for row in kept}  # type: ignore[arg-type]
         for e in track(values, "sweep", "eps = {:g}"):
             if e not in rows:
                 rows[e] = _row(run, e, next(iter(rows.values()), None))

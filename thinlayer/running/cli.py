@@ -166,5 +166,4 @@ def _estimate(_: argparse.ArgumentParser, chosen: argparse.Namespace, petsc: Pet
         run(record, given, chosen.description)
 
     out = chosen.out or Path("out", "estimate", chosen.description.stem)
-    options = {"set": chosen.set} if chosen.set else {}
-    return recorded("estimate", out, work, options=options, petsc=petsc, verbose=chosen.verbose)
+    return recorded("estimate", out, work, options={"set": chosen.set}, petsc=petsc, verbose=chosen.verbose)

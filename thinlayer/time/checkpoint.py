@@ -176,8 +176,7 @@ class Checkpoint:
                 f"{self.path} is of another march ({other}); give another folder, remove it, or resume='anyway'"
             )
         if there["observe"].keys() != here["observe"].keys():
-            names = sorted(there["observe"]), sorted(here["observe"])
-            raise ModelError(f"{self.path}: the march observes {names[0]}, not {names[1]}")
+            raise ModelError(f"{self.path}: the march observes {[*there['observe']]}, not {[*here['observe']]}")
         return content if resume else None
 
     def _read_state(self, row: int, table: Table) -> State:
