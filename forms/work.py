@@ -34,6 +34,7 @@ class Term:
         kinematics: those of the strain.
         volume: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell (B-bar), of
             compiled laws over cells; None: it is that of the displacements.
+        traction: on S, stress (3, 3) -> its traction (d,), what it does in [u] per area; None: stress n.
         flow: of a law with a pressure on S at order 1, eps^3/(12 mu): flux along S over the slope of the pressure; else 0.
     """
 
@@ -47,6 +48,7 @@ class Term:
     kinematics: Kinematics = LIFTED
     volume: int | None = None
     flow: Any = 0
+    traction: Callable[[Expr], Expr] | None = None
 
     def step(self, u: Expr) -> Step:
         """Input of the law for a displacement u."""
@@ -126,6 +128,10 @@ def surface(
         return [term(law, lambda u: jump_strain(sides.jump(u), n) / eps, weight, given=given)]
     held = Faces(n, eps, ufl.zero(d), ufl.zero(d, d), given, sides.kinematics.along)
 
+    def opened(i: int) -> Faces:
+        unit = ufl.as_vector([float(i == j) for j in range(d)])
+        return Faces(n, eps, unit, ufl.zero(d, d), ufl.zero(3, 3), lambda gradient, u: ufl.zero(3, 3), slope)
+
     def at(station: Station) -> Term:
         known = sides.known(station.law)
         return term(
@@ -134,6 +140,9 @@ def surface(
             weight * station.share,
             given=None if given is None else station.strain(known, held),
             flow=eps**3 * station.flow(known),
+            traction=lambda stress: ufl.as_vector(
+                [eps * station.share * ufl.inner(stress, station.strain(known, opened(i))) for i in range(d)]
+            ),
         )
 
     return [at(station) for station in (law.stations() if ends is None else law.stations_at_ends(ends))]

@@ -165,9 +165,7 @@ def bent(mu: float, eps: float = 0.0) -> float:
 
 def curvature(surface: Surface, state: State) -> float:
     """Curvature near the middle of the strips: that of the parabola through the mean displacements of both sides of S."""
-    sides = surface.sides
-    u = surface.displacement(state)
-    x, v = surface.profile((sides.upper(u) + sides.lower(u)) / 2)
+    x, v = surface.profile(surface.displacements(state).mean(axis=0))
     near = x[:, 0] < 0.1 * LENGTH
     return float(2 * np.polyfit(x[near, 0] ** 2, v[near, 1], 1)[0])
 

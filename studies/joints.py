@@ -6,13 +6,16 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import ufl
 
 from forms import LinearElastic
-from forms.kinematics import Expr
 from geometry import Joint, disc, read, ring, sandwich
 from studies.sweeping import Solution, last, layer_of
 from thinlayer import State, Structure, Surface, solve
+
+Array = npt.NDArray[Any]
 
 young = LinearElastic.young
 STEEL, ALUMINIUM, STONE = young(E=210e3, nu=0.3), young(E=70e3, nu=0.33), young(E=20e3, nu=0.2)
@@ -46,9 +49,9 @@ def arch(element: str) -> tuple[Joint, dict[str, Any]]:
     }
 
 
-def inside_joints(x: Expr) -> Expr:
+def inside_joints(x: Array) -> Array:
     """Away from the ends of the arch's joints."""
-    return abs(ufl.sqrt(x[0] ** 2 + x[1] ** 2) - ARCH_RADIUS) < MIDDLE
+    return abs(np.sqrt(x[0] ** 2 + x[1] ** 2) - ARCH_RADIUS) < MIDDLE
 
 
 def rods(sizes: tuple[float, float]) -> tuple[Joint, dict[str, Any]]:
@@ -64,13 +67,13 @@ def rods(sizes: tuple[float, float]) -> tuple[Joint, dict[str, Any]]:
     }
 
 
-def inside_rods(x: Expr) -> Expr:
+def inside_rods(x: Array) -> Array:
     """Away from the edge, where the layer's free side disturbs."""
     return _radius(x) < 0.75 * RADIUS
 
 
-def _radius(x: Expr) -> Expr:
-    return ufl.sqrt(sum(x[k] ** 2 for k in (0, 2)[: len(x) - 1]))
+def _radius(x: Array) -> Array:
+    return np.sqrt(sum(x[k] ** 2 for k in (0, 2)[: len(x) - 1]))
 
 
 def against_section(full: Solution, limit: Solution) -> dict[str, float]:
@@ -90,8 +93,8 @@ def against_section(full: Solution, limit: Solution) -> dict[str, float]:
             ("_axisymmetric", there, Surface(limit_there.model)),
         ):
             found[f"rise_{name}{where}"] = _rise(one)
-            part = 1 - _radius(ufl.SpatialCoordinate(surface.model.domain.mesh)) ** 2 / RADIUS**2
-            normal = ufl.dot(surface.traction(one), surface.sides.n)
+            part = 1 - _radius(surface.x) ** 2 / RADIUS**2
+            normal = surface.frame(surface.traction(one))[-1]
             found[f"traction_{name}{where}"] = surface.integral(part * normal) / surface.integral(part)
     return found
 

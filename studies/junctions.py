@@ -8,8 +8,8 @@ from math import cos, radians, sin
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import ufl
-from dolfinx import fem
 from scipy.spatial import cKDTree
 
 from forms import LinearElastic
@@ -203,19 +203,15 @@ def check(record: Record, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
     record.check(f"{name}: least order of the jump on all of S", min(orders["jump"]), low=low)
 
 
-def far_from_junctions(surface: Surface, distance: float) -> Expr:
+def far_from_junctions(surface: Surface, distance: float) -> npt.NDArray[np.float64]:
     """1 on the facets of S whose middles are farther than a distance from junctions and from where S ends, else 0."""
-    domain = surface.model.domain
-    joint = domain.joint
+    joint = surface.joint
     on_s = np.unique(joint.table.vertices[joint.surface_rows])
     outer = joint.table.vertices[joint.table.cells[:, 1] < 0]
     special = on_s[(joint.splitting.valence[on_s] != 2) | np.isin(on_s, outer)]
     middles = joint.points[joint.table.vertices[joint.surface_rows]].mean(axis=1)
-    far = np.zeros(len(joint.cells))
-    far[joint.surface_cells[cKDTree(joint.points[special]).query(middles)[0] > distance, 1]] = 1.0
-    mark = fem.Function(fem.functionspace(domain.mesh, ("DG", 0)))
-    mark.x.array[mark.function_space.dofmap.list.ravel()] = domain.on_cells(far)
-    return surface.sides.upper(mark)
+    far = cKDTree(joint.points[special]).query(middles)[0] > distance
+    return np.asarray(far[surface.rows, None] * np.ones_like(surface.weights))
 
 
 def stored(law: LinearElastic, u: Expr) -> Expr:

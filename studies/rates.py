@@ -104,7 +104,7 @@ def normal_jumps(full: Solution, limit: Solution) -> dict[str, float]:
     size = surface.norm(surface.jump(last(limit)))
     found = {}
     for name, solution in {"full": full, "interface": limit}.items():
-        projected = surface.sides.upper(surface.nodal(surface.jump(last(solution))))
+        projected = surface.at_points(surface.nodal(surface.jump(last(solution))))
         found[f"normal_jump_{name}"] = surface.norm(surface.frame(projected)[1]) / size
     return found
 

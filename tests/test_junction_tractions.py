@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
+from thinlayer.output.junction_tractions import JunctionTractions
+from thinlayer.output.nodal_forces import reaction
 
 from forms import Incompressible, LinearElastic, MohrCoulomb
 from geometry import Joint, Seam, sandwich, wall
@@ -14,8 +16,6 @@ from tests.meshes import renumbered
 from tests.network_cases import BED, HEAD, panel, pushed, springs, three_bricks
 from tests.test_networks import cut_at, on
 from thinlayer import ContactReport, Model, ModelError, State, Structure, Surface, ThinLayer, solve
-from thinlayer.output.junction_tractions import JunctionTractions
-from thinlayer.output.surface_mass import reaction
 
 pytestmark = pytest.mark.few(5)
 

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 import ufl
+from thinlayer.output.concentration import most_of
 
 from forms import Incompressible, LinearElastic, Stack
 from geometry import GeometryError, sandwich
@@ -15,7 +16,6 @@ from geometry.inflating.inflation import inflate
 from tests.mixed_run import BODY, EPS, LAYER, near_ends, plane, space
 from tests.refused import refused
 from thinlayer import ModelError, RangeWarning, Structure, Surface, ThinLayer, compare, estimate, observed_orders, solve
-from thinlayer.output.concentration import most_of
 
 SOFT = LinearElastic.shear(8.0, 0.3)  # free ends of which the law of order 1 knows
 M, MU = 140.0, 40.0  # of the layer, per thickness

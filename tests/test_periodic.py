@@ -6,6 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 import ufl
+from thinlayer.output.nodal_forces import nodal_forces
 
 from forms import HolonomicCoulomb, Incompressible, LinearElastic, VonMises
 from forms.law import BulkLaw
@@ -44,7 +45,6 @@ from thinlayer import (
     piecewise,
     solve,
 )
-from thinlayer.output.surface_mass import nodal_forces
 from thinlayer.running.cli import main
 
 pytestmark = pytest.mark.few(5)

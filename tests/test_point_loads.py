@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import ufl
+from thinlayer.output.nodal_forces import nodal_forces
 
 from forms.contact import HolonomicCoulomb
 from forms.laws import LinearElastic
@@ -27,7 +28,6 @@ from thinlayer import (
     piecewise,
     solve,
 )
-from thinlayer.output.surface_mass import nodal_forces
 
 pytestmark = pytest.mark.few(5)
 

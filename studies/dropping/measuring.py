@@ -16,7 +16,6 @@ from dolfinx import fem, la
 from scipy.optimize import brentq
 
 from forms import LinearElastic, Rubber
-from forms.kinematics import Expr
 from geometry import sandwich
 from studies.dropping.cases import STEEL, Case, unwarned
 from studies.dropping.structures import corner, displaced, free, loaded
@@ -81,14 +80,15 @@ class Dropped:
         """Changes of traction and jump to meshed layers, relative, where the estimate tells them; of goals, absolute."""
         model = self.found.better.model
         assert isinstance(model, InterfaceModel)
-        parts = {
-            name: away_from_ends(model, model.layers[name], one.near) if one.near else 1
-            for name, one in self.found.layers.items()
-        }
+
+        def part(surface: Surface) -> Any:
+            one = self.found.layers[surface.seam]
+            return away_from_ends(surface, model.layers[surface.seam], one.near) if one.near else 1.0
+
         goals = {
             goal.name: goal.value(self.full, model) - self.found.goals[goal.name].value for goal in self.case.asked
         }
-        return self._on_s(self.full, parts) | goals
+        return self._on_s(self.full, part) | goals
 
     @property
     def estimated(self) -> dict[str, float]:
@@ -98,14 +98,13 @@ class Dropped:
 
     def inner(self, state: State) -> dict[str, float]:
         """Relative changes of traction and jump to a state on the inner half of S, from x = 1/4 to 3/4."""
-        x = ufl.SpatialCoordinate(self.found.better.model.domain.mesh)
-        part = ufl.conditional(abs(x[0] - 0.5) < INNER, 1.0, 0.0) if self.case.inner else 1
-        return self._on_s(state, dict.fromkeys(self.found.layers, part))
+        return self._on_s(state, lambda on: abs(on.x[0] - 0.5) < INNER if self.case.inner else 1.0)
 
-    def _on_s(self, state: State, parts: dict[str, Expr]) -> dict[str, float]:
+    def _on_s(self, state: State, part_of: Callable[[Surface], Any]) -> dict[str, float]:
         squares = np.zeros((2, 2))
-        for name, part in parts.items():
+        for name in self.found.layers:
             surface = Surface(self.found.better.model, name)
+            part = part_of(surface)
             for row, field in zip(squares, (surface.traction, surface.jump), strict=True):
                 before = field(self.found.state)
                 row += surface.norm(field(state) - before, part) ** 2, surface.norm(before, part) ** 2
@@ -171,7 +170,7 @@ def along(one: Dropped) -> Table:
             columns[f"{which}_{name}"] = values[:, 1]
     density = found.density()
     order = np.argsort(density.x[:, 0])
-    _, on_s = surface.profile(ufl.dot(surface.traction(found.state), surface.jump(one.full)))
+    _, on_s = surface.profile((surface.traction(found.state) * surface.jump(one.full)).sum(axis=0))
     columns["density"] = density.values[order]
     columns["true_density"] = on_s - _of_layer(one, x[:, 0]) / density.areas[order]
     return Table(

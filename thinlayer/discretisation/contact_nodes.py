@@ -137,7 +137,7 @@ class ContactNodes:
         size = np.linalg.norm(vectors, axis=1)
         if self.comm.allreduce(int((size <= 0).any())):
             raise ModelError("contact: a node of S has no normal, its facets fold back; use a finer mesh there")
-        self.frames = (-1.0 if turned else 1.0) * _frames(vectors / size[:, None])
+        self.frames = (-1.0 if turned else 1.0) * frames_at(vectors / size[:, None])
         self._note_held(held)
         with on_all(self.comm):
             self.gap = np.zeros(len(upper)) if gap is None else gap(np.ascontiguousarray(self.x.T))
@@ -310,7 +310,7 @@ def _vertex_areas(corners: Array) -> tuple[Array, Array]:
     return np.linalg.norm(spans, axis=2) / share, mean / np.linalg.norm(mean, axis=1)[:, None]
 
 
-def _frames(n: Array) -> Array:
+def frames_at(n: Array) -> Array:
     """Axes of S at normals (n, d), tangents first, equal to those of `forms.kinematics.layer_frame`."""
     if n.shape[1] == 2:
         return np.stack([np.column_stack([n[:, 1], -n[:, 0]]), n], axis=1)

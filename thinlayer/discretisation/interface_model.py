@@ -30,7 +30,6 @@ from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.joint_fields import cellwise, relative_thickness
 from thinlayer.discretisation.layer import Layers, ThinLayer, for_terms, real_law
 from thinlayer.discretisation.layered_model import LayeredModel
-from thinlayer.discretisation.pairs import Pairs
 from thinlayer.discretisation.placed import known_at
 from thinlayer.discretisation.point_forms import ConcentratedForms
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
@@ -133,11 +132,6 @@ class InterfaceModel(LayeredModel):
     def sides(self) -> Interface:
         """The two sides of S."""
         return self.sides_of(S)
-
-    @cached_property
-    def pairs(self) -> Pairs | None:
-        """Functions with a value for each pair of bodies around a vertex of S; None where seams do not meet. Collective."""
-        return Pairs(self.domain) if self.joint.seams_meet else None
 
     def _layer_terms(self) -> list[forms.Term]:
         with on_all(self.comm):

@@ -60,7 +60,7 @@ class Compliance(Goal):
 
 def _mean_size(surface: Surface, state: State) -> float:
     """Root mean square of the tractions on a surface."""
-    return surface.norm(surface.traction(state)) / math.sqrt(surface.integral(ufl.as_ufl(1.0)))
+    return surface.norm(surface.traction(state)) / math.sqrt(surface.integral(1.0))
 
 
 def _moves(model: InterfaceModel, t: float) -> bool:
@@ -96,7 +96,7 @@ class Reaction(Goal):
         forces = [one.force for one in state.reactions_by_place().values()]
         found = float(sum(np.linalg.norm(one) for one in [*forces, state.applied().force]))
         surfaces = [Surface(model, name) for name in model.layers]  # of moments all resultants are zero
-        return max(found, sum(_mean_size(one, state) * one.integral(ufl.as_ufl(1.0)) for one in surfaces))
+        return max(found, sum(_mean_size(one, state) * one.integral(1.0) for one in surfaces))
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         model = adjoint.model

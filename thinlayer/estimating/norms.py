@@ -34,10 +34,12 @@ class Norms:
         model = better.model
         surface = Surface(model, one.name)
         assert one.thin
-        part = away_from_ends(surface.model, one, NEAR_ENDS * float(one.thin.eps))
-        t, w = surface.traction(before), surface.jump(before)
-        fields = [surface.traction(better) - t, t]
-        if isinstance(before.model, InterfaceModel):
+        part = away_from_ends(surface, one, NEAR_ENDS * float(one.thin.eps))
+        has_law = isinstance(before.model, InterfaceModel)
+        traction = surface.traction if has_law else surface.reaction
+        t, w = traction(before), surface.jump(before)
+        fields = [traction(better) - t, t]
+        if has_law:
             fields += [surface.jump(better) - w, w]
         found = np.array([surface.norm(f, part) ** 2 for f in fields])
         moved = float(better.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) ** 2 * surface.integral(part)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import basix
 import numpy as np
-import ufl
 from scipy.spatial import cKDTree
 
-from forms.kinematics import Expr
 from geometry.inflating.parting import points_on_middle
 from geometry.joint import Joint
 from geometry.sheet import Rim
@@ -15,8 +13,8 @@ from geometry.topology import FloatArray, IntArray
 from thinlayer.compiling.compat import exterior_facet_entities, interpolation_points
 from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.joint_fields import cellwise
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
+from thinlayer.output.surface import Surface
 from thinlayer.output.surface_density import SurfaceDensity
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart
 from thinlayer.solving.adjoint import Adjoint
@@ -36,16 +34,14 @@ def distance_to(joint: Joint, rim: Rim, x: FloatArray) -> FloatArray:
     return found
 
 
-def away_from_ends(model: InterfaceModel, one: SeamLayer, length: float) -> Expr:
-    """1 on the part of a seam that is farther than a length from its free ends, 0 elsewhere. Collective."""
-    joint, rim = model.joint, free_rim(model, one.sheet)
+def away_from_ends(surface: Surface, one: SeamLayer, length: float) -> FloatArray:
+    """(n, q) 1 on the part of a seam that is farther than a length from its free ends, 0 elsewhere. Collective."""
+    rim = free_rim(surface.model, one.sheet)
     if not len(rim.vertices):
-        return ufl.as_ufl(1.0)
-    vertices = np.unique(one.sheet.vertices)
-    values = np.zeros(len(joint.points))
-    values[vertices] = distance_to(joint, rim, joint.points[vertices]) - length * (1 + SAME_PLACE)
-    beyond = cellwise(model.domain, ("Lagrange", 1), values[joint.corners][..., None])
-    return ufl.conditional(ufl.gt(model.sides_of(one.name).upper(beyond), 0.0), 1.0, 0.0)
+        return np.ones_like(surface.weights)
+    x = surface.joint.points[surface.corners].reshape(-1, surface.joint.dim)
+    beyond = distance_to(surface.joint, rim, x).reshape(surface.corners.shape) - length * (1 + SAME_PLACE)
+    return np.asarray(beyond @ surface.shapes.T > 0, float)
 
 
 def density_of(adjoint: Adjoint, summands: dict[str, FloatArray]) -> SurfaceDensity:

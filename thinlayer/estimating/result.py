@@ -7,7 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from forms.kinematics import Expr
+import numpy as np
+import numpy.typing as npt
+
 from thinlayer.discretisation.bonded_model import BondedModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
@@ -15,6 +17,7 @@ from thinlayer.estimating.better import BetterLaw, creeps
 from thinlayer.estimating.goals import Goal
 from thinlayer.estimating.places import density_of
 from thinlayer.files.table import Table
+from thinlayer.output.surface import Surface
 from thinlayer.output.surface_density import SurfaceDensity
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.options import OptionValue
@@ -186,9 +189,9 @@ class Estimate:
                 f"that the change {goal.change:.4g} has no density on S (it would add up to {density.total:.4g})"
             )
 
-    def map(self, goal: str = "compliance") -> Expr:
-        """`density` as a scalar UFL expression on S of the model of `better`. Collective."""
-        return self.density(goal).expression
+    def map(self, goal: str = "compliance") -> npt.NDArray[np.float64]:
+        """(n, q) `density` as a field on S, for `Surface(estimate.better.model)`. Collective."""
+        return self.density(goal).on(Surface(self.better.model))
 
     # ---------------------------------------------------------------- words
     @property

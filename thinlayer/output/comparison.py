@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
-import ufl
+import numpy.typing as npt
 from petsc4py import PETSc
-from ufl.algorithms.analysis import extract_coefficients, extract_constants
 
 from forms.base import is_number
-from forms.kinematics import Expr
 from geometry.parallel import on_root
 from geometry.seam import S
 from thinlayer.discretisation.full_model import FullModel
@@ -25,7 +24,7 @@ from thinlayer.output.surface import Surface
 from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.time.history import SAME_TIME, History
 
-Where = Callable[[Expr], Expr]
+Where = Callable[[npt.NDArray[np.float64]], Any]
 ROUNDING = 1e-12  # a jump up to this share of the displacements is their rounding
 SAME_PROFILE = 1e-9  # relative difference of equal thickness profiles
 
@@ -40,14 +39,15 @@ def compare(
 ) -> dict[str, float]:
     """Difference between the interface law and the meshed layer. Collective.
 
-    Tractions are the bodies' reactions on S, jumps are differences at matched points of both faces (`Surface`).
+    Tractions are the law's own, and the mean of stress n through the thickness of the meshed layer. Jumps are differences
+    at matched points of both faces (`Surface`).
 
     Args:
         full: state of a full model, or its history.
         interface: state of the interface model of the same joint, or its history.
         seam: name of the seam to measure on; default all of S.
-        where: part of S to measure on, a function of the coordinates that returns a UFL condition, such as
-            `lambda x: x[0] > 1` or `lambda x: ufl.And(x[0] > 1, x[0] < 9)`; default all of S.
+        where: part of S to measure on, a numpy function of the coordinates, such as `lambda x: x[0] > 1` or
+            `lambda x: (x[0] > 1) & (x[0] < 9)`; default all of S.
         at: time of the states to take from histories; default the last. A state must be of this time.
 
     Returns:
@@ -59,7 +59,8 @@ def compare(
 
     Raises:
         ModelError: the states are not a full and an interface model of the same structure (joint, bodies, supports, loads,
-            plane, element, thickness), or are of two times; `where` is no condition, or holds nowhere on S; unknown seam.
+            plane, element, thickness), or are of two times; `where` is no function of places, or holds nowhere on S;
+            unknown seam.
     """
     for one in (full, interface):
         if not isinstance(one, (State, History)):
@@ -90,7 +91,7 @@ def compare(
     _require_same_places(meshed, limit)
     on_root(meshed.comm, lambda: _require_same_structure(meshed, limit))
     surface = Surface(limit, seam)
-    part = 1 if where is None else _part(surface, where)
+    part = _part(surface, where)
     row = {"eps": max(float(one.thin.eps) for one in meshed.layers.values() if one.thin)}
     moved = float(interface.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) * math.sqrt(surface.integral(part))
     sizes = {}
@@ -140,22 +141,11 @@ def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
             raise ModelError("compare needs the same profile of the thickness in both models")
 
 
-def _part(surface: Surface, where: Where) -> Expr:
-    """1 on a part of S, 0 elsewhere."""
-    mesh = surface.model.domain.mesh
+def _part(surface: Surface, where: Where | None) -> npt.NDArray[np.float64]:
+    """(n, q) 1 on a part of S, 0 elsewhere."""
     with on_all(surface.model.comm):
-        try:
-            condition = where(ufl.SpatialCoordinate(mesh))
-            part = ufl.conditional(condition, 1.0, 0.0)
-        except Exception as error:
-            raise ModelError(
-                "where is no function of coordinates that returns a UFL condition, as x[0] > 1 or ufl.And(a, b) are: "
-                f"{error}"
-            ) from error
-        # a text tells more, but names functions and constants by numbers that each rank counts by itself
-        named = extract_coefficients(part) or extract_constants(part)
-        shown = (part * ufl.dx(domain=mesh)).signature() if named else str(condition)
-    require_same(surface.model.comm, where=shown)
-    if surface.integral(part) <= 0:
+        part = surface.where(1.0 if where is None else where)
+    require_same(surface.model.comm, where=part)
+    if not part.any():
         raise ModelError("where holds nowhere on S, or on less than its quadrature points see")
     return part

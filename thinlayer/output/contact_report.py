@@ -16,11 +16,11 @@ from geometry.joint import Joint
 from geometry.order import edges_of, order_on_s
 from geometry.splitting import connected
 from thinlayer.discretisation.contact_nodes import Array, ContactNodes, ContactSurface
-from thinlayer.discretisation.pairs import pair_numbers
+from thinlayer.discretisation.pairs import pair_numbers, pairs_of
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table
-from thinlayer.output.surface_mass import contact_forces, nodal_forces
+from thinlayer.output.nodal_forces import contact_forces, nodal_forces
 
 PINNED = "pinned"
 NAMES = {Status.SEPARATED: "separated", Status.SLIDING: "sliding", Status.STICK: "stick"}
@@ -106,7 +106,7 @@ class ContactReport:
         kind = np.where(p <= ROUNDING * largest, Status.SEPARATED, kind)
         pinned = nodes.held.all(axis=1)
         axes = nodes.frames.reshape(len(w), d * d)
-        facets, pairs = _numbered(model.joint, seam, nodes)
+        facets, pairs = _corners(model.joint, seam), pairs_of(model.joint, seam, nodes.file_numbers)
         vertices = model.joint.masters[nodes.numbers]
         columns = [
             pairs,
@@ -223,13 +223,12 @@ class ContactReport:
         return "\n".join(lines)
 
 
-def _numbered(joint: Joint, seam: str, nodes: ContactNodes) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Numbers of the pairs of bodies at the corners (m, k) of a seam's facets, and of its nodes, see `pair_numbers`."""
+def _corners(joint: Joint, seam: str) -> npt.NDArray[np.int64]:
+    """(m, k) numbers of the pairs of bodies at the corners of a seam's facets, in the order of the facets' own element."""
     here = joint.seam_numbers == list(joint.seams).index(seam)
-    rows, facets = joint.surface_rows[here], pair_numbers(joint)[here]
-    row, corner = np.divmod(nodes.file_numbers, facets.shape[1])
+    facets = pair_numbers(joint)[here]
     own = joint.surface[here, : facets.shape[1]].argsort(axis=1).argsort(axis=1)
-    return np.take_along_axis(facets, own, axis=1), facets[np.searchsorted(rows, row), corner]
+    return np.take_along_axis(facets, own, axis=1)
 
 
 def _balance(state: State, held: npt.NDArray[np.int32]) -> tuple[float, float]:

@@ -70,8 +70,9 @@ def write(solution: State | History, path: str | Path, *, surface: Surface | Non
             raise ModelError(f"cannot write {str(path)!r}; allowed endings: .pvd (VTK, all fields), .bp (VTX, u)")
         if path.suffix == VTX and not dolfinx.has_adios2:
             raise ModelError("VTX needs a DOLFINx with ADIOS2; write a .pvd file instead")
-        if surface is not None and not isinstance(surface, Surface):
-            raise ModelError(f"surface is {surface!r:.80}; give Surface(limit.model)")
+        model = surface.model if isinstance(surface, Surface) else states[0].model
+        if surface is not None and not (isinstance(surface, Surface) and isinstance(model, InterfaceModel)):
+            raise ModelError(f"surface is {surface!r:.80}; give Surface(limit.model), of an interface model")
         if surface is not None and (path.suffix == VTX or surface.model.joint is not states[0].model.joint):
             raise ModelError("a surface is for .pvd files, and of an interface model of the same joint as the states")
     require_same(comm, models=states[0].model.mark, states=[state.t for state in states], path=str(path))
@@ -81,8 +82,7 @@ def write(solution: State | History, path: str | Path, *, surface: Surface | Non
     if path.suffix == VTX:
         _write_vtx(states, path)
         return
-    own = states[0].model
-    _write_vtk(states, path, surface.model if surface else own if isinstance(own, InterfaceModel) else None)
+    _write_vtk(states, path, model if isinstance(model, InterfaceModel) else None)
 
 
 def _states(solution: State | History) -> list[State]:

@@ -1,191 +1,300 @@
-"""Fields on S: traction, jump and displacements of both faces, for the full and the interface model."""
+"""S as a mesh of its own: the fields of states there, as numbers, the same on all ranks."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property, partial
+from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
+import basix
 import numpy as np
 import numpy.typing as npt
-import ufl
+import scipy.sparse
+import scipy.sparse.linalg
 from dolfinx import fem
+from scipy.spatial import cKDTree
 
 from forms.base import is_number
-from forms.interface import Interface
-from forms.kinematics import Expr, layer_frame, lift
 from geometry.errors import unknown
+from geometry.inflating.parting import points_on_middle
+from geometry.joint import Joint
 from geometry.order import order_on_s
 from geometry.seam import S
-from thinlayer.discretisation.interface_model import InterfaceModel
+from geometry.topology import FACET_TYPES, IntArray, lagrange
+from thinlayer.discretisation.contact_nodes import frames_at
 from thinlayer.discretisation.mixed import MixedModel
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.state import State, transfer
+from thinlayer.discretisation.pairs import pair_numbers
+from thinlayer.discretisation.state import State, cell_values
 from thinlayer.errors import ModelError
-from thinlayer.output.concentration import most_of, sums_on_facets, widened
-from thinlayer.output.junction_tractions import JunctionTractions
+from thinlayer.output import tractions
 from thinlayer.output.lines import Line, Plane, lines_on
-from thinlayer.output.other_side import OtherSide
-from thinlayer.output.seam_tractions import SeamTractions
-from thinlayer.output.surface_expression import expression_on_s, integrated, short
-from thinlayer.output.surface_nodes import SurfaceNodes
+from thinlayer.parallel.exchange import carry
+
+Array = npt.NDArray[np.float64]
+Where = Array | npt.NDArray[np.bool_] | Callable[[Array], Any]
+ROUNDING = 1e-12  # of sums, relative
 
 
-@dataclass(frozen=True, init=False)
-class Surface:
-    """Traction, jump and displacements on S, of states of an interface model or of a full model of the same joint.
-
-    Those of a full model are transferred to the spaces of the interface model.
+class Rule:
+    """Points on the n facets of a surface, q on each.
 
     Attributes:
-        model: an interface model (of a mixed model given, its own one).
-        seam: name of a seam of its joint; "S": all of them.
-
-    Raises:
-        ModelError: another kind of model; an unknown seam.
+        points: (q, d - 1) in the reference facet.
+        shapes: (q, k) values of the functions of degree 1 of the corners.
+        x, n: (d, n, q) places, and unit normals from the lower to the upper side.
+        weights: (n, q) of integrals over S, in axisymmetry over the whole revolution.
     """
 
-    model: InterfaceModel
-    seam: str = S
+    def __init__(self, surface: Surface, points: Array, weights: Array) -> None:
+        joint, nodes = surface.joint, surface.nodes_of_facets
+        places = points_on_middle(joint)[nodes]
+        self.points, self.shapes = points, lagrange(surface.kind, 1).tabulate(0, points)[0, :, :, 0]
+        table = lagrange(surface.kind, joint.degree).tabulate(1, points)[..., 0]
+        self.x = np.einsum("qa,fad->dfq", table[0], places)
+        along = np.einsum("jqa,fad->jfqd", table[1:], places)
+        across = np.stack([along[0, ..., 1], -along[0, ..., 0]], -1) if joint.dim == 2 else np.cross(*along)
+        size = np.linalg.norm(across, axis=-1)
+        up = joint.points[joint.corners[surface.cells[:, 1]]].mean(axis=1) - joint.points[surface.corners].mean(axis=1)
+        sign = np.sign(np.einsum("fqd,fd->fq", across, up))
+        self.n = np.moveaxis(across * (sign / size)[..., None], -1, 0)
+        self.weights = weights * size * surface.model.kinematics.factor_at(np.moveaxis(self.x, 0, -1))
+
+
+class Surface:
+    """S of a joint, or one of its seams, and the fields of states of all models of the joint there.
+
+    A field is an array with a value at each of q points of quadrature of each of n facets: (n, q), of vectors (d, n, q).
+    The constructor and all methods that take a state are collective; the results are those of all S on every rank.
+
+    Args:
+        model: a model of the joint.
+        seam: name of a seam; "S": all of them.
+
+    Attributes:
+        x, n: (d, n, q) places and unit normals, from the lower to the upper side.
+        weights: (n, q) of integrals: areas, in axisymmetry of the whole revolution.
+        rows: (n,) positions of the facets in `joint.surface_rows`.
+        cells: (n, 2) numbers in the joint of the cells below (-1: a rigid base) and above.
+        corners: (n, k) their vertices in the joint.
+        points: (q, d - 1) the points of quadrature in the reference facet.
+        shapes: (q, k) values at the points of the functions of degree 1 of the corners.
+
+    Raises:
+        ModelError: no model, or an unknown seam.
+    """
 
     def __init__(self, model: Model, seam: str = S) -> None:
-        if isinstance(model, MixedModel):
-            model = model.by_law
-        if not isinstance(model, InterfaceModel):
+        if not isinstance(model, Model):
             hint = ": give the state's model" if isinstance(model, State) else ""
-            raise ModelError(f"Surface needs an interface model, not {short(model)}{hint}")
+            raise ModelError(f"Surface needs a model, not {model!r:.80}{hint}")
         if seam not in (S, *model.joint.seams):
             raise ModelError(unknown("seam", seam, model.joint.seams))
-        object.__setattr__(self, "model", model)
-        object.__setattr__(self, "seam", seam)
+        self.model, self.seam = model.by_law if isinstance(model, MixedModel) else model, seam
+        self.joint: Joint = self.model.domain.joint if self.model.broken else model.joint
+        joint = self.joint
+        self.kind = FACET_TYPES[joint.cell_type]
+        self.rows: IntArray = np.searchsorted(joint.surface_rows, joint.rows_of(seam))
+        self.cells, self.nodes_of_facets = joint.surface_cells[self.rows], joint.surface[self.rows]
+        self.corners = self.nodes_of_facets[:, : joint.table.vertices.shape[1]]
+        self._rules: dict[int, Rule] = {}
+        self._rule = self.rule(2 * model.structure.degree + 2 * (joint.degree - 1) + model.kinematics.degree)
+        self.x, self.n, self.weights = self._rule.x, self._rule.n, self._rule.weights
+        self.points, self.shapes = self._rule.points, self._rule.shapes
+
+    def __repr__(self) -> str:
+        return f"Surface({self.model!r}, {self.seam!r})"
+
+    def rule(self, degree: int) -> Rule:
+        """The points of a quadrature rule."""
+        if degree not in self._rules:
+            self._rules[degree] = Rule(self, *basix.make_quadrature(basix.CellType[self.kind], degree))
+        return self._rules[degree]
+
+    # ---------------------------------------------------------------- fields of states
+    def displacements(self, state: State) -> Array:
+        """(2, d, n, q) displacements of the lower and of the upper side; zero of a rigid base.
+
+        Raises:
+            ModelError: no state, or one of another joint.
+        """
+        self._require_same_joint(state)
+        return self.sides(state.u, state.model, self.points)
+
+    def jump(self, state: State) -> Array:
+        """(d, n, q) [u] = u(upper) - u(lower)."""
+        lower, upper = self.displacements(state)
+        return np.asarray(upper - lower)
+
+    def traction(self, state: State) -> Array:
+        """(d, n, q) traction t = stress n on S, linear on each facet: an L2 projection.
+
+        - Of an interface model it is the law's own: what works in [u]. Under contact it is that at the nodes.
+        - Of a meshed layer it is the mean of stress n through the thickness; zero where layers meet.
+        - Without layers, and in mixed models, it is the bodies' reaction (`reaction`).
+        """
+        self._require_same_joint(state)
+        model = state.model
+        if isinstance(model, MixedModel) or not model.layers:
+            return self.reaction(state)
+        return self.at_points(tractions.by_law(self, state) if model.broken else tractions.through(self, state))
+
+    def reaction(self, state: State) -> Array:
+        """(d, n, q) the traction whose nodal forces are the bodies' reactions on both sides, linear on each facet.
+
+        Where a support holds one side it is that of the other side. Where supports hold both sides, and in a cycle of
+        seams around a vertex, reactions do not tell all of it: it is then the one closest to the means around.
+        """
+        self._require_same_joint(state)
+        return self.at_points(tractions.by_reactions(self, state))
 
     def _require_same_joint(self, state: State) -> None:
         if not isinstance(state, State):
-            raise ModelError(f"Surface takes a state, as solve returns it or history.last is, not {short(state)}")
+            raise ModelError(f"Surface takes a state, as solve returns it or history.last is, not {state!r:.80}")
         if state.model.joint is not self.model.joint:
             raise ModelError("this state's model has another joint than the surface; build both from the same one")
 
-    def _expression(self, f: Any, *shapes: tuple[int, ...]) -> Expr:
-        """`f` as a UFL expression on S of one of these shapes (none given: any); a condition becomes 1 or 0."""
-        jumping = () if self._on_base else (self.model.V, self.trace_space, self._nodes.space)
-        return expression_on_s(f, self.model, jumping, shapes)
+    def sides(self, f: fem.Function, model: Model, points: Array) -> Array:
+        """(2, m, n, q) values of a function of a model, below and above, at points (q, d - 1) of each facet.
 
-    @property
-    def sides(self) -> Interface:
-        """The two sides of S, or of the seam."""
-        return self.model.sides_of(self.seam)
+        A body's cell has one number in the joint, and one order of its degrees of freedom, in all models.
+        """
+        domain, many = model.domain, len(self.joint.cells)
+        own = np.arange(domain.mesh.topology.index_map(self.joint.dim).size_local)
+        own = own[domain.original_cells[own] < many]
+        wanted, at = np.unique(self.cells, return_inverse=True)
+        at, m = at.reshape(self.cells.shape), f.function_space.dofmap.bs
+        there = carry(model.comm, domain.original_cells[own], cell_values(f, own), wanted[wanted >= 0])
+        values = np.vstack([np.zeros(((wanted < 0).sum(), there.shape[1])), there]).reshape(len(wanted), -1, m)
+        element = f.function_space.ufl_element().basix_element
+        geometry = np.asarray(basix.geometry(basix.CellType[self.joint.cell_type]))
+        shapes = lagrange(self.kind, 1).tabulate(0, points)[0, :, :, 0]
+        out = np.zeros((2, m, len(self.rows), len(points)))
+        for side, cells in enumerate(self.cells.T):
+            local = (self.joint.corners[cells][:, None] == self.corners[..., None]).argmax(axis=2)
+            kinds, kind = np.unique(local, axis=0, return_inverse=True)
+            for k, corners in enumerate(kinds):  # ways in which a facet lies in its cell
+                here = np.flatnonzero((kind.ravel() == k) & (cells >= 0))
+                table = element.tabulate(0, shapes @ geometry[corners])[0, :, :, 0]
+                out[side][:, here] = np.einsum("qa,fam->mfq", table, values[at[here, side]])
+        return out
 
-    @property
-    def _on_base(self) -> bool:
-        """Whether the surface stands on a rigid base."""
-        return bool(set(self._seams) & set(self.model.joint.base_seams))
+    # ---------------------------------------------------------------- integrals
+    def _field(self, f: Any) -> Array:
+        """A field, or a number everywhere; raises ModelError."""
+        try:
+            values = np.asarray(f, float)
+            return values if values.shape[-2:] == self.weights.shape else np.broadcast_to(values, self.weights.shape)
+        except (TypeError, ValueError):
+            raise ModelError(
+                f"{f!r:.80} is no field on S; give an array (..., n, q) = (..., {str(self.weights.shape)[1:]}, "
+                "as surface.jump(state) or surface.x[0] is"
+            ) from None
 
-    @property
-    def _seams(self) -> tuple[str, ...]:
-        return tuple(self.model.joint.seams) if self.seam == S else (self.seam,)
-
-    @property
-    def entity_maps(self) -> Any:
-        """How the mesh of the facets of S lies in the model's, for `fem.form`; None where seams do not meet."""
-        return self.model.pairs.maps if self.model.pairs else None
-
-    @cached_property
-    def trace_space(self) -> fem.FunctionSpace:
-        """Degree-1 vector functions, broken across S."""
-        return self.model.space(1)
-
-    @cached_property
-    def _nodes(self) -> SurfaceNodes:
-        return SurfaceNodes(self.model, self.sides, self.trace_space)
-
-    @cached_property
-    def _junctions(self) -> JunctionTractions | None:
-        return JunctionTractions(self.model, self.model.pairs) if self.model.pairs else None
-
-    @cached_property
-    def _tractions(self) -> SeamTractions:
-        sides, trace = self.sides, self.trace_space
-        return SeamTractions(self.model, self._seams, sides, trace, None if self._on_base else OtherSide(trace, sides))
-
-    def displacement(self, state: State) -> fem.Function:
-        """Displacement of a state (of either model) in the interface model's space. Collective.
+    def where(self, part: Where | float) -> Array:
+        """(n, q) weights of a part of S: of a field, or a numpy function of places x (d, n, q).
 
         Raises:
-            ModelError: not a state, of another joint, of another element.
+            ModelError: neither.
         """
-        self._require_same_joint(state)
-        if state.model is self.model:
-            return state.u
-        if state.model.element != self.model.element:
+        try:
+            return self._field(part(self.x) if callable(part) else part)
+        except Exception as error:
             raise ModelError(
-                f"the state has elements {state.model.element}, the surface's model {self.model.element}: displacements "
-                "need the same"
-            )
-        return transfer(state.u, state.model, self.model.V, self.model)
+                f"where is no numpy function of coordinates, as lambda x: x[0] > 1 or lambda x: (x[0] > 1) & (x[0] < 9): "
+                f"{error}"
+            ) from error
 
-    def jump(self, state: State) -> Expr:
-        """[u] = u(upper face) - u(lower face), a UFL expression on S. Collective."""
-        return self.sides.jump(self.displacement(state))
+    def integral(self, f: Any) -> Any:
+        """Integral over S of a field: a float, of vectors an array (d,)."""
+        found = (self._field(f) * self.weights).sum(axis=(-2, -1))
+        return found if found.ndim else float(found)
 
-    def traction(self, state: State) -> Expr:
-        """Traction t = stress n on S, (d,), a UFL expression of degree 1 on S. Collective.
+    def norm(self, f: Any, where: Where | float = 1.0) -> float:
+        """L2 norm over S of a field, weighted with `where`."""
+        return float(np.sqrt((self._field(f) ** 2 * self.where(where) * self.weights).sum()))
 
-        It is the mean of the bodies' reactions on both faces. Where a support holds a component of one body, the reaction
-        of this body contains that of the support, and the reaction of the other body alone is taken. Where supports hold
-        a component of both bodies (on a rigid base: of the body), the traction does not follow from reactions:
-
-        - under contact it is that of the law;
-        - where supports hold the bodies together it is zero, if this follows from the interface law
-          (`SeamLayer.zero_tractions`; a meshed layer about as hard as the bodies is strained there: take a surface
-          of order 1);
-        - elsewhere it is extrapolated linearly from the nodes around, two nodes deep (zero where supports hold all of
-          these, too). This is exact for uniform and linear tractions.
-
-        Where seams meet, a body's corner feels the tractions of several: see `JunctionTractions`. The traction has one
-        value there for each pair of bodies that a seam joins, and jumps where a seam changes from one pair to another.
-        It is then a function on a mesh of the facets of S; DOLFINx needs to be told how that lies in the model's mesh:
-        `fem.form(t[0] * surface.sides.measure, entity_maps=surface.entity_maps)`.
-
-        At nodes where S ends inside the bodies the traction is zero, because nothing jumps there.
-        """
-        self._require_same_joint(state)
-        if self._junctions:
-            return self.sides.upper(self._junctions.recovered(state))
-        return self._tractions.recovered(state)
-
-    def nodal(self, f: Expr) -> fem.Function:
-        """L2 projection of a vector expression on S to degree 1, a function on the upper side's nodes. Collective.
-
-        Where seams meet it has the nodes of tractions (`traction`), one for each pair of bodies around a vertex.
-        """
-        return self._nodes.project(self._expression(f, (self.model.joint.dim,)))
-
-    def frame(self, f: Expr) -> Expr:
-        """A vector expression on S in the frame of S: tangential components, then the normal one, (d,).
+    def frame(self, f: Any) -> Array:
+        """(d, n, q) a vector field in the frame of S: tangential components, then the normal one.
 
         The tangents are those of `forms.kinematics.layer_frame`: (n_2, -n_1) in 2D, its first and third axis in 3D.
         """
-        f, n = self._expression(f, (self.model.joint.dim,)), self.sides.n
-        axes = layer_frame(n)
-        tangential = [ufl.dot(lift(f), axes[:, column]) for column in (0, 2)[: len(n) - 1]]
-        return ufl.as_vector([*tangential, ufl.dot(f, n)])
+        f, n = self._field(f), self.n
+        if self.joint.dim == 2:
+            return np.stack([n[1] * f[0] - n[0] * f[1], (n * f).sum(axis=0)])
+        axes = frames_at(np.moveaxis(n, 0, -1).reshape(-1, 3)).reshape(*self.weights.shape, 3, 3)
+        return np.einsum("fqij,jfq->ifq", axes, f)
 
-    def profile(self, f: Expr) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Places (n, d) and values of an expression, projected to degree 1, at the vertices of S. Collective.
+    # ---------------------------------------------------------------- nodes
+    @cached_property
+    def _numbered(self) -> tuple[IntArray, IntArray, IntArray]:
+        """Numbers of the nodes, one for each pair of bodies at a vertex; node, and vertex, at each corner (n, k)."""
+        vertices = self.joint.table.vertices[self.joint.surface_rows[self.rows]]
+        at = (vertices[:, None] == self.corners[..., None]).argmax(axis=2)
+        codes = np.take_along_axis(pair_numbers(self.joint)[self.rows], at, axis=1)
+        numbers, nodes = np.unique(codes, return_inverse=True)
+        return numbers, nodes.reshape(codes.shape), self.joint.masters[self.corners]
 
-        In order along S in 2D, piece after piece, else by the coordinates; the same on every rank. Where seams meet, there
-        is a value for each pair of bodies around a vertex, and each piece of S has one pair at each vertex.
+    @property
+    def numbers(self) -> IntArray:
+        """(m,) numbers of the nodes (`pair_numbers`): where seams meet, one for each pair of bodies at a vertex."""
+        return self._numbered[0]
 
-        Args:
-            f: vector expression on S, values (n, d), or a scalar one, values (n,).
+    @property
+    def nodes(self) -> IntArray:
+        """(n, k) position in `numbers` of the node at each corner."""
+        return self._numbered[1]
+
+    @property
+    def places(self) -> Array:
+        """(m, d) places of the nodes."""
+        found = np.zeros((len(self.numbers), self.joint.dim))
+        found[self.nodes] = self.joint.points[self._numbered[2]]
+        return found
+
+    @cached_property
+    def mass(self) -> scipy.sparse.csc_matrix:
+        """(m, m) mass matrix of the functions of degree 1."""
+        M = np.einsum("fq,qa,qb->fab", self.weights, self.shapes, self.shapes)
+        rows, columns = np.broadcast_arrays(self.nodes[:, :, None], self.nodes[:, None])
+        return scipy.sparse.csc_matrix((M.ravel(), (rows.ravel(), columns.ravel())), shape=(len(self.numbers),) * 2)
+
+    def sums(self, of_corners: Array) -> Array:
+        """(m, ...) sums at the nodes of values (n, k, ...) at the corners of facets."""
+        out = np.zeros((len(self.numbers), *of_corners.shape[2:]))
+        np.add.at(out, self.nodes, of_corners)
+        return out
+
+    def projected(self, moments: Array) -> Array:
+        """(m, ...) nodal values of moments (n, k, ...), integrals with the functions of degree 1."""
+        sums = self.sums(moments)
+        return np.asarray(self._solver(sums.reshape(len(sums), -1))).reshape(sums.shape)
+
+    @cached_property
+    def _solver(self) -> Callable[[Array], Array]:
+        solve: Callable[[Array], Array] = scipy.sparse.linalg.splu(self.mass).solve
+        return solve
+
+    def nodal(self, f: Any) -> Array:
+        """(m,) or (m, d): the L2 projection of a field to degree 1, at the nodes (`numbers`, `places`)."""
+        return self.projected(np.einsum("fq,qa,...fq->fa...", self.weights, self.shapes, self._field(f)))
+
+    def at_points(self, nodal: Array) -> Array:
+        """(n, q) or (d, n, q) field of nodal values (m,) or (m, d)."""
+        return np.asarray(np.einsum("qa,fa...->...fq", self.shapes, nodal[self.nodes]))
+
+    def profile(self, f: Any) -> tuple[Array, Array]:
+        """Places (m, d) and values (m,) or (m, d) of a field, projected to degree 1, at the vertices of S.
+
+        In order along S in 2D, piece after piece, else by the coordinates. Where seams meet, there is a value for each pair
+        of bodies around a vertex, and each piece of S has one pair at each vertex.
         """
-        numbers, x, values = self._nodes.values(self._expression(f, (self.model.joint.dim,), ()))
-        of_facets = self.model.pairs.of_facets if self.model.pairs else None
-        order = order_on_s(self.model.joint, numbers, x, self.seam, of_facets)
+        values, x = self.nodal(f), self.places
+        order = order_on_s(self.joint, self.numbers, x, self.seam, self.numbers[self.nodes])
         return x[order], values[order]
 
-    def along(self, f: Expr, *, plane: Plane | None = None) -> list[Line]:
-        """Values of an expression, projected to degree 1, along the lines of S, by arc length. Collective.
+    def along(self, f: Any, *, plane: Plane | None = None) -> list[Line]:
+        """Values of a field, projected to degree 1, along the lines of S, by arc length.
 
         In 2D a line is a piece of a seam: it ends where the seam ends, branches or crosses itself. In 3D it is where a
         plane cuts a seam. Lines are ordered by seam, then by the place at which they start, the lower one of their ends by
@@ -193,34 +302,26 @@ class Surface:
         its neighbours. Where another seam meets a line and values jump, there are two rows of one s.
 
         Args:
-            f: vector expression on S, values (n, d), or a scalar one, values (n,).
+            f: the field.
             plane: in 3D a point of the plane and its normal, ((x, y, z), (n_x, n_y, n_z)).
 
         Raises:
-            ModelError: a plane in 2D, none in 3D, one that does not cut S; expressions that are none on S.
+            ModelError: no field; a plane in 2D, none in 3D, one that does not cut S.
         """
-        joint, pairs = self.model.joint, self.model.pairs
-        numbers, _, values = self._nodes.values(self._expression(f, (self.model.joint.dim,), ()))
-        of_rows = pairs.of_facets if pairs else joint.masters[joint.table.vertices[joint.surface_rows]]
-        rows = {name: np.searchsorted(joint.surface_rows, joint.rows_of(name)) for name in self._seams}
-        return lines_on(joint, {name: of_rows[at] for name, at in rows.items()}, numbers, values, plane)
+        joint, nodal = self.joint, self.nodal(f)
+        at = (self.corners[:, None] == joint.table.vertices[joint.surface_rows[self.rows]][..., None]).argmax(axis=2)
+        nodes = np.take_along_axis(self.nodes, at, axis=1)
+        seams = joint.seam_numbers[self.rows]
+        names = list(joint.seams)
+        chosen = {name: nodes[seams == k] for k, name in enumerate(names) if self.seam in (S, name)}
+        return lines_on(joint, chosen, np.arange(len(nodal)), nodal, plane)
 
-    def integral(self, f: Expr) -> float:
-        """Integral over S of a scalar expression. Collective."""
-        form = self._expression(f, ()) * self.sides.factor * self.sides.measure
-        form = integrated(form, partial(fem.form, entity_maps=self.entity_maps))
-        return float(self.model.comm.allreduce(fem.assemble_scalar(form)))
-
-    def norm(self, f: Expr, where: Expr = 1) -> float:
-        """L2 norm over S of a vector expression, or of one of another shape, weighted with `where`. Collective."""
-        f = self._expression(f)
-        return float(np.sqrt(self.integral(self._expression(where, ()) * ufl.inner(f, f))))
-
-    def most_of(self, f: Expr, all_but: float, *, margin: float = 0.0) -> npt.NDArray[np.bool_]:
-        """(n_S,) the fewest facets of S that hold the integral of |f| but for a share, for `Structure.mixed`. Collective.
+    # ---------------------------------------------------------------- parts of S
+    def most_of(self, f: Any, all_but: float, *, margin: float = 0.0) -> npt.NDArray[np.bool_]:
+        """(n_S,) the fewest facets of S that hold the integral of |f| but for a share, for `Structure.mixed`.
 
         Args:
-            f: scalar expression on S, such as `Estimate.map` gives.
+            f: scalar field, such as `Estimate.map` gives.
             all_but: the share that the others may hold, from 0 to less than 1.
             margin: length by which the part of S that is chosen is made wider.
 
@@ -229,7 +330,29 @@ class Surface:
         """
         if not is_number(margin) or not 0 <= margin < np.inf:
             raise ModelError(f"margin is {margin!r}; it must be a length >= 0")
-        if self.model.pairs:
+        if self.joint.seams_meet:
             raise ModelError("most_of needs seams that do not meet, as mixed models do")
-        sums = sums_on_facets(self.model, self.sides, self._expression(f, ()))
-        return widened(self.model, most_of(sums, all_but), margin)
+        joint, sums = self.joint, np.zeros(len(self.joint.surface_rows))
+        sums[self.rows] = (np.abs(self._field(f)) * self.weights).sum(axis=1)
+        chosen = most_of(sums, all_but)
+        vertices = joint.table.vertices[joint.surface_rows]
+        near, _ = cKDTree(joint.points[np.unique(vertices[chosen])]).query(joint.points[vertices].mean(axis=1))
+        return np.asarray(chosen | (near < margin))
+
+
+def most_of(sums: Array, all_but: float) -> npt.NDArray[np.bool_]:
+    """The fewest values >= 0 whose sum is that of all but for a share.
+
+    Raises:
+        ModelError: a share out of range; values that are not finite, or all zero.
+    """
+    if not is_number(all_but) or not 0 <= all_but < 1:
+        raise ModelError(f"all_but is {all_but!r}, a share of an integral; allowed: from 0 to less than 1")
+    total = float(sums.sum())
+    if not (np.isfinite(total) and total > 0):
+        raise ModelError(f"the integral over S is {total:g}; nothing tells one part of S from another")
+    order = np.argsort(-sums, kind="stable")
+    left = total - np.cumsum(sums[order])
+    chosen = np.zeros(len(sums), bool)
+    chosen[order[: int(np.argmax(left <= (all_but + ROUNDING) * total)) + 1]] = True
+    return chosen

@@ -10,13 +10,11 @@ import pyvista
 
 from forms.contact import Status
 from geometry.joint import Joint
-from geometry.seam import S
 from geometry.topology import lagrange
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.pairs import pair_numbers
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_report import NAMES, PINNED, ContactReport
-from thinlayer.output.facet_nodes import FacetNodes
 from thinlayer.output.layer_report import STATUSES, LayerReport
 from thinlayer.output.surface import Surface
 from thinlayer.output.vtk_cells import vtk_order, vtk_type
@@ -44,27 +42,22 @@ def surface_block(
         model: an interface model.
         of_facets: name -> means (n_S, components), on rank 0.
     """
-    joint, d = model.joint, model.joint.dim
-    mixed = 0 < len(joint.base_seams) < len(joint.seams)
-    pieces = []
-    for name in joint.seams if mixed else (S,):
-        surface = Surface(model, name)
-        nodes, sides, u = FacetNodes(surface), surface.sides, surface.displacement(state)
-        x = sides.x
-        fields = (x, sides.n, surface.traction(state), sides.upper(u), sides.lower(u))
-        found = [nodes.values(one) for one in fields]
-        pieces += model.comm.gather((nodes.rows, *found), root=0) or []
+    joint, d, surface = model.joint, model.joint.dim, Surface(model)
+    lower, upper = surface.displacements(state)
+    fields = dict(zip(FIELDS, (surface.x, surface.n, surface.traction(state), upper, lower), strict=True))
+    degree = max(joint.degree, model.structure.degree)
+    # from values at the points of quadrature to those at the nodes: exact for polynomials of this degree
+    to_nodes = np.linalg.pinv(lagrange(surface.kind, degree).tabulate(0, surface.points)[0, :, :, 0])
+    at = {name: np.einsum("nq,dfq->fnd", to_nodes, f) for name, f in fields.items()}
     own = state.model is model
     contacts = {name: ContactReport(state, name) for name in model.contacts if own}
     status = {name: LayerReport(state, name).status for name in joint.seams if own and name not in contacts}
     if model.comm.rank:
         return None
-    rows, *found = (np.concatenate(arrays) for arrays in zip(*pieces, strict=True))
-    order = np.argsort(rows)
-    at = _turned(joint, nodes, dict(zip(FIELDS, (one[order] for one in found), strict=True)))
-
     n, k = at["x"].shape[:2]
-    kind, in_vtk = (POLY_LINE, [0, *range(2, k), 1]) if d == 2 else (vtk_type(nodes.kind, k), vtk_order(nodes.kind, k))
+    kind, in_vtk = (
+        (POLY_LINE, [0, *range(2, k), 1]) if d == 2 else (vtk_type(surface.kind, k), vtk_order(surface.kind, k))
+    )
     cells = np.column_stack([np.full(n, k), np.arange(n * k).reshape(n, k)[:, in_vtk]]).ravel()
     block = pyvista.UnstructuredGrid(cells, np.full(n, kind), _in_space(at["x"]))
     block.point_data.update(_of_nodes({name: at[name] for name in FIELDS if name != "x"}, d))
@@ -81,15 +74,6 @@ def surface_block(
         block.field_data["contact codes"] = _legend(CONTACT_CODES | {"no contact law": NO_CONTACT})
     block.cell_data.update(of_facets)
     return block
-
-
-def _turned(joint: Joint, nodes: FacetNodes, at: Mapping[str, Array]) -> dict[str, Array]:
-    """Values (n_S, nodes, d) with the nodes in the order of the joint's facets, which does not depend on the ranks."""
-    own = joint.table.nodes(joint.surface_rows, joint.cells, joint.cell_type)
-    shapes = lagrange(nodes.kind, joint.degree).tabulate(0, lagrange(nodes.kind, nodes.degree).points)[0, :, :, 0]
-    places = np.einsum("ng,fgd->fnd", shapes, joint.points[own])
-    which = np.linalg.norm(at["x"][:, None] - places[:, :, None], axis=3).argmin(axis=2)
-    return {name: np.take_along_axis(values, which[..., None], axis=1) for name, values in at.items()}
 
 
 def _legend(codes: Mapping[str, int]) -> list[str]:

@@ -7,11 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from forms.kinematics import Expr
 from geometry.inflating.parting import points_on_middle
 from geometry.topology import FloatArray, IntArray
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.joint_fields import cellwise
+from thinlayer.output.surface import Surface
 
 
 @dataclass(frozen=True)
@@ -55,11 +54,8 @@ class SurfaceDensity:
         """Its integral over S."""
         return float(self.sums.sum())
 
-    @cached_property
-    def expression(self) -> Expr:
-        """It as a UFL expression on S."""
-        joint = self.model.joint
-        values = np.zeros(len(joint.points))
+    def on(self, surface: Surface) -> FloatArray:
+        """(n, q) the density as a field on S, or on a seam."""
+        values = np.zeros(len(self.model.joint.points))
         values[self.vertices] = self.values
-        f = cellwise(self.model.domain, ("Lagrange", 1), values[joint.corners][..., None])
-        return f("+") if any(name not in joint.base_seams for name in self.model.layers) else f
+        return np.asarray(values[surface.corners] @ surface.shapes.T)

@@ -62,8 +62,8 @@ def density(
 
 
 def _by_arc_length(figure: Picture, axes: Axes, given: SurfaceDensity, name: str, unit: str, quantity: str) -> None:
-    start = 0.0
-    for number, line in enumerate(Surface(given.model, name).along(given.expression)):
+    start, surface = 0.0, Surface(given.model, name)
+    for number, line in enumerate(surface.along(given.on(surface))):
         if number:
             axes.axvline(start, color="0.7", linewidth=0.8)
         values = line.values.ravel()

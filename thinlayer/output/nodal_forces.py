@@ -1,0 +1,54 @@
+"""Nodal forces: of forms, of the layer on the bodies, and of contact laws."""
+
+from __future__ import annotations
+
+import dolfinx.la
+import ufl
+from dolfinx import fem
+
+from forms.kinematics import Expr
+from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
+from thinlayer.discretisation.measures import compiled
+from thinlayer.discretisation.state import State
+
+
+def reaction(state: State) -> fem.Function:
+    """Nodal forces that the layer (or the other body) exerts on the bodies, on the nodes of the faces of S. Collective.
+
+    r_i = int_body stress(u) : e(phi_i) - L(phi_i), with the work of additions to the model (springs at the end of S, say)
+    on the left. The functions phi_i have degree 1 and jump at the faces of S.
+    """
+    model = state.model
+    W = model.space(1, broken_at_faces=True)
+    v = ufl.TestFunction(W)
+    # Each form by itself: in a sum DOLFINx 0.9 loses integrals over overlapping sets of regions with unlike quadrature.
+    r = nodal_forces(W, state.work(state.bodies, v))
+    if (added := model.added_work_in(state, v)).integrals():
+        r.x.array[:] += nodal_forces(W, added).x.array
+    r.x.array[:] -= nodal_forces(W, model.external_work(v, state.t)).x.array
+    return r
+
+
+def nodal_forces(V: fem.FunctionSpace, form: Expr) -> fem.Function:
+    """Values of a linear form on the basis functions of a space, ghosts included. Collective."""
+    vector = fem.assemble_vector(compiled(form))
+    vector.scatter_reverse(dolfinx.la.InsertMode.add)
+    vector.scatter_forward()
+    values = fem.Function(V)
+    values.x.array[:] = vector.array
+    return values
+
+
+def contact_forces(state: State) -> fem.Function:
+    """Nodal forces that a contact law passes to the bodies, in the state's space. Collective."""
+    model, forces = state.model, fem.Function(state.model.V)
+    for name, law in model.contacts.items():
+        nodes = ContactNodes(ContactSurface.of(model, name), gap=law.gaps)
+        out = nodes.zero()
+        slip = state.memory[model.layers[name].key]
+        nodes.add_forces(-law.traction(nodes.apart(state.u.x.petsc_vec), slip), out)
+        forces.x.array[: out.getLocalSize()] += out.array_r
+        nodes.destroy()
+        out.destroy()
+    forces.x.scatter_forward()
+    return forces

@@ -1,0 +1,188 @@
+"""Tractions on S in a state: of interface laws, of meshed layers, and those of the bodies' reactions; values at nodes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import basix
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+import scipy.sparse.linalg
+import ufl
+from dolfinx import fem
+from scipy.spatial import cKDTree
+from ufl.classes import Zero
+
+from forms.kinematics import MANDEL, ROOT2, from_mandel
+from geometry.compat import cell_nodes
+from geometry.topology import lagrange
+from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
+from thinlayer.discretisation.origin import column_numbers
+from thinlayer.discretisation.pairs import component_at, pairs_of
+from thinlayer.discretisation.state import State
+from thinlayer.output.law_points import LawPoints, law_points
+from thinlayer.output.nodal_forces import reaction
+
+if TYPE_CHECKING:
+    from thinlayer.output.surface import Surface
+
+Array = npt.NDArray[np.float64]
+LEAST_SQUARES_TOLERANCE = 1e-15  # relative tolerance for the tractions whose forces are the reactions
+NEAR = 1e-9  # distance of the centres of a facet and of its column, over the size of the joint
+MOST_ITERATIONS = 2000  # of this solver; it needs 29 to 45 on uniform meshes
+
+
+# ---------------------------------------------------------------- interface laws
+def by_law(surface: Surface, state: State) -> Array:
+    """(m, d) tractions of the interface laws, projected to degree 1; zero on open seams. Collective."""
+    joint, d = surface.joint, surface.joint.dim
+    moments = np.zeros((*surface.corners.shape, d))
+    place = np.full(len(joint.table.vertices), -1)
+    place[joint.surface_rows[surface.rows]] = np.arange(len(surface.rows))
+    for points in law_points(state):
+        q = points.quadrature
+        if q.region.dim == d:
+            continue
+        at = place[points.entities]
+        mine = np.flatnonzero(at >= 0)
+        cells, rows, rule = q.cells[mine], at[mine], surface.rule(q.degree)
+        there, x = np.moveaxis(rule.x[:, rows], 0, -1), q.joint_x.T[cells]
+        order = np.linalg.norm(there[:, :, None] - x[:, None], axis=3).argmin(axis=2)
+        t = np.take_along_axis(_traction(points)[cells], order[..., None], axis=1)
+        np.add.at(moments, rows, np.einsum("fq,qa,fqd->fad", rule.weights[rows], rule.shapes, t))
+    found = surface.projected(state.model.comm.allreduce(moments))
+    for name in state.model.contacts:
+        if surface.seam in (name, "S"):
+            found += _of_contact(surface, state, name)
+    return found
+
+
+def _traction(points: LawPoints) -> Array:
+    """(points, d) what the stresses of a term on S do in [u], per area."""
+    term, q, stress = points.term, points.quadrature, points.stress()
+    if term.traction is None:
+        return np.asarray(np.einsum("pij,pj->pi", stress, q.n)[:, : q.dim])
+    units = [from_mandel(ufl.as_vector([float(i == k) for i in range(6)])) for k in range(6)]
+    of_each = [t[i] for t in map(term.traction, units) for i in range(q.dim)]
+    if all(isinstance(one, Zero) for one in of_each):  # a station that bears the difference of the faces alone
+        return np.zeros((q.count, q.dim))
+    works = q.values(ufl.as_vector(of_each)).reshape(q.count, len(MANDEL), q.dim)
+    in_mandel = np.stack([stress[:, i, j] * (1.0 if i == j else ROOT2) for i, j in MANDEL], axis=1)
+    return np.asarray(np.einsum("pkd,pk->pd", works, in_mandel))
+
+
+def _of_contact(surface: Surface, state: State, name: str) -> Array:
+    """(m, d) tractions of a contact law at its nodes; zero elsewhere."""
+    model, law = state.model, state.model.contacts[name]
+    nodes = ContactNodes(ContactSurface.of(model, name), gap=law.gaps)
+    t = law.traction(nodes.apart(state.u.x.petsc_vec), state.memory[model.layers[name].key])
+    numbers = pairs_of(model.joint, name, nodes.file_numbers)
+    rows = np.concatenate(model.comm.allgather(np.column_stack([numbers, np.einsum("nij,ni->nj", nodes.frames, t)])))
+    nodes.destroy()
+    out = np.zeros((len(surface.numbers), model.joint.dim))
+    out[np.searchsorted(surface.numbers, rows[:, 0].astype(np.int64))] = rows[:, 1:]
+    return out
+
+
+# ---------------------------------------------------------------- meshed layers
+def through(surface: Surface, state: State) -> Array:
+    """(m, d) means of stress n through the thickness of meshed layers, projected to degree 1. Collective."""
+    model, joint, d = state.model, surface.joint, surface.joint.dim
+    moments = np.zeros((*surface.corners.shape, d))
+    numbers, centres = column_numbers(model.domain.joint)
+    on_s = joint.points[surface.corners]
+    apart, row = cKDTree(on_s.mean(axis=1)).query(centres)
+    row = np.where(
+        apart <= NEAR * np.ptp(joint.points, axis=0).max(), row, -1
+    )  # cells where layers meet are in no column
+    layers = {one.key: one for one in model.layers.values()}
+    for points in law_points(state):
+        q, layer = points.quadrature, layers.get(points.term.key)
+        if points.term.n is None or layer is None or layer.thin is None:
+            continue
+        column = numbers[points.entities]
+        rows = np.where(column >= 0, row[column], -1)
+        mine = np.flatnonzero(rows >= 0)
+        cells, rows = q.cells[mine], rows[mine]
+        kind = joint.cell_type
+        X, _ = basix.make_quadrature(basix.CellType[kind], q.degree)
+        shapes = lagrange(kind, 1).tabulate(0, X)[0, :, :, 0]
+        inflated, region = model.domain.joint, q.region.mesh
+        vertices = np.asarray(region.geometry.input_global_indices)[cell_nodes(region)[mine][:, : shapes.shape[1]]]
+        corner = np.linalg.norm(inflated.reference[vertices][:, :, None] - on_s[rows][:, None], axis=3).argmin(axis=2)
+        to_facet = (corner[..., None] == np.arange(surface.corners.shape[1])).astype(float)
+        N = np.einsum("qc,fca->fqa", shapes, to_facet)
+        eps: Array = np.full(cells.shape, float(layer.thin.eps))
+        if layer.thin.profile is not None:
+            eps *= np.einsum(
+                "fqa,fa->fq", N, joint.relative_thickness(layer.thin.profile, layer.name)[surface.corners[rows]]
+            )
+        t = np.einsum("pij,pj->pi", points.stress(), q.n)[:, :d][cells]
+        np.add.at(moments, rows, np.einsum("fq,fqa,fqd->fad", q.weights[cells] / eps, N, t))
+    return surface.projected(model.comm.allreduce(moments))
+
+
+# ---------------------------------------------------------------- reactions
+def by_reactions(surface: Surface, state: State) -> Array:
+    """(m, d) tractions whose nodal forces are the bodies' reactions, see `Surface.reaction`. Collective."""
+    model, d = state.model, surface.joint.dim
+    r = reaction(state)
+    held = fem.Function(r.function_space)
+    held.x.array[model.held_in(r.function_space)] = 1.0
+    held.x.scatter_forward()
+    corners = np.asarray(basix.geometry(basix.CellType[surface.kind]))
+    forces, fixed = (np.moveaxis(surface.sides(f, model, corners), 1, -1) for f in (r, held))  # (2, n, k, d)
+    sides, count = _side_nodes(surface)
+    force, known = np.zeros((count, d)), np.zeros((count, d), bool)
+    force[sides], known[sides] = forces, fixed < 0.5
+    there = np.zeros(count, bool)
+    there[sides[1]] = True
+    there[sides[0][surface.cells[:, 0] >= 0]] = True  # what a rigid base gives is not known here
+    known &= there[:, None]
+    areas = surface.sums(np.einsum("fq,qa->fa", surface.weights, surface.shapes))
+    M = _to_sides(surface, sides, count)
+    around = np.abs(M) @ np.ones(len(areas))
+    out = np.zeros((len(areas), d))
+    for k in range(d):
+        guess, rows = _lumped(surface, sides, force[:, k] / around, known[:, k]), np.flatnonzero(known[:, k])
+        scale = areas**-0.5
+        A = scipy.sparse.diags(around[rows] ** -0.5) @ M[rows] @ scipy.sparse.diags(scale)
+        b = (force[rows, k] - M[rows] @ guess) * around[rows] ** -0.5
+        size = np.abs(b).max(initial=0.0) or 1.0
+        tolerance = LEAST_SQUARES_TOLERANCE
+        change = scipy.sparse.linalg.lsqr(A, b / size, atol=tolerance, btol=tolerance, iter_lim=MOST_ITERATIONS)[0]
+        out[:, k] = guess + size * scale * change
+    return out
+
+
+def _side_nodes(surface: Surface) -> tuple[npt.NDArray[np.int64], int]:
+    """(2, n, k) numbers from 0 of the bodies' nodes at the corners, below and above; and how many there are."""
+    joint = surface.joint
+    of = np.stack([component_at(joint, cells, surface.corners) for cells in surface.cells.T])
+    numbers = joint.masters[surface.corners] * (of.max() + 2) + of + 1
+    known, found = np.unique(numbers, return_inverse=True)
+    return found.reshape(numbers.shape), len(known)
+
+
+def _to_sides(surface: Surface, sides: npt.NDArray[np.int64], count: int) -> scipy.sparse.csr_matrix:
+    """(count, m) nodal forces on the bodies of nodal tractions."""
+    M = np.einsum("fq,qa,qb->fab", surface.weights, surface.shapes, surface.shapes)
+    columns = np.broadcast_to(surface.nodes[:, None], M.shape).ravel()
+    rows = [np.broadcast_to(side[..., None], M.shape).ravel() for side in sides]
+    values = np.concatenate([M.ravel(), -M.ravel()])
+    shape = count, len(surface.numbers)
+    return scipy.sparse.csr_matrix((values, (np.concatenate(rows), np.tile(columns, 2))), shape=shape)
+
+
+def _lumped(surface: Surface, sides: npt.NDArray[np.int64], means: Array, known: npt.NDArray[np.bool_]) -> Array:
+    """(m,) tractions from means of forces over areas at the bodies' nodes; where none is known, of the nodes around."""
+    signs = np.array([1.0, -1.0])[:, None, None]
+    counts = surface.sums(known[sides].sum(axis=0).astype(float))
+    found = surface.sums((signs * means[sides] * known[sides]).sum(axis=0)) / np.maximum(counts, 1.0)
+    seen = np.minimum(counts, 1.0)[surface.nodes]
+    of_facets = seen.sum(axis=1)
+    mean = (found[surface.nodes] * seen).sum(axis=1) / np.maximum(of_facets, 1.0)
+    around = np.broadcast_to(np.minimum(of_facets, 1.0)[:, None], surface.nodes.shape)
+    beside = surface.sums(mean[:, None] * around) / np.maximum(surface.sums(around), 1.0)
+    return np.where(counts > 0, found, beside)
