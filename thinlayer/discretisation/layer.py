@@ -23,6 +23,7 @@ from thinlayer.discretisation.eigenstrains import StrainGiven
 from thinlayer.errors import ModelError
 
 # keys of what laws remember and store, in states and in files
+BY_LAW = "law"  # last part of the keys of laws that act where a layer is not meshed
 LAYER, CONTACT, BODY, PRESSURE = "layer", "contact", "body", "pressure"
 BODIES = "bodies"  # name of all bodies together, beside the names of seams
 EDGES = (None, "free", "plain")

@@ -129,15 +129,12 @@ class Surface:
     def traction(self, state: State) -> Array:
         """(d, n, q) traction t = stress n on S, linear on each facet: an L2 projection.
 
-        - Of an interface model it is the law's own: what works in [u]. Under contact it is that at the nodes.
+        - Of an interface law it is its own: what works in [u]. Under contact it is that at the nodes.
         - Of a meshed layer it is the mean of stress n through the thickness; zero where layers meet.
-        - Without layers, and in mixed models, it is the bodies' reaction (`reaction`).
+        - Without layers it is the bodies' reaction (`reaction`).
         """
         self._require_same_joint(state)
-        model = state.model
-        if isinstance(model, MixedModel) or not model.layers:
-            return self.reaction(state)
-        return self.at_points(tractions.by_law(self, state) if model.broken else tractions.through(self, state))
+        return self.at_points(tractions.of_layers(self, state)) if state.model.layers else self.reaction(state)
 
     def reaction(self, state: State) -> Array:
         """(d, n, q) the traction whose nodal forces are the bodies' reactions on both sides, linear on each facet.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import basix
@@ -16,12 +17,13 @@ from ufl.classes import Zero
 
 from forms.kinematics import MANDEL, ROOT2, from_mandel
 from geometry.compat import cell_nodes
-from geometry.topology import lagrange
+from geometry.seam import S
+from geometry.topology import IntArray, lagrange
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
 from thinlayer.discretisation.origin import column_numbers
 from thinlayer.discretisation.pairs import component_at, pairs_of
 from thinlayer.discretisation.state import State
-from thinlayer.output.law_points import LawPoints, law_points
+from thinlayer.output.law_points import LawPoints, law_points, law_points_elsewhere
 from thinlayer.output.nodal_forces import reaction
 
 if TYPE_CHECKING:
@@ -33,29 +35,33 @@ NEAR = 1e-9  # distance of the centres of a facet and of its column, over the si
 MOST_ITERATIONS = 2000  # of this solver; it needs 29 to 45 on uniform meshes
 
 
-# ---------------------------------------------------------------- interface laws
-def by_law(surface: Surface, state: State) -> Array:
-    """(m, d) tractions of the interface laws, projected to degree 1; zero on open seams. Collective."""
-    joint, d = surface.joint, surface.joint.dim
-    moments = np.zeros((*surface.corners.shape, d))
+# ---------------------------------------------------------------- of layers
+def of_layers(surface: Surface, state: State) -> Array:
+    """(m, d) tractions of a state with layers, see `Surface.traction`: the projection to degree 1. Collective."""
+    joint, moments = surface.joint, np.zeros((*surface.corners.shape, surface.joint.dim))
     place = np.full(len(joint.table.vertices), -1)
     place[joint.surface_rows[surface.rows]] = np.arange(len(surface.rows))
-    for points in law_points(state):
-        q = points.quadrature
-        if q.region.dim == d:
-            continue
-        at = place[points.entities]
-        mine = np.flatnonzero(at >= 0)
-        cells, rows, rule = q.cells[mine], at[mine], surface.rule(q.degree)
-        there, x = np.moveaxis(rule.x[:, rows], 0, -1), q.joint_x.T[cells]
-        order = np.linalg.norm(there[:, :, None] - x[:, None], axis=3).argmin(axis=2)
-        t = np.take_along_axis(_traction(points)[cells], order[..., None], axis=1)
-        np.add.at(moments, rows, np.einsum("fq,qa,fqd->fad", rule.weights[rows], rule.shapes, t))
+    columns = _columns(surface, state) if not state.model.broken else None
+    for points in chain(law_points(state), law_points_elsewhere(state)):
+        if points.quadrature.region.dim < joint.dim:
+            _add_of_law(moments, surface, place[points.entities], points)
+        elif points.term.n is not None and columns is not None:
+            _add_of_cells(moments, surface, columns[points.entities], points)
     found = surface.projected(state.model.comm.allreduce(moments))
     for name in state.model.contacts:
-        if surface.seam in (name, "S"):
+        if surface.seam in (name, S):
             found += _of_contact(surface, state, name)
     return found
+
+
+def _add_of_law(moments: Array, surface: Surface, rows: IntArray, points: LawPoints) -> None:
+    """Add the moments of an interface law's traction, with the functions of degree 1; `rows`: facets, or -1."""
+    q, mine = points.quadrature, np.flatnonzero(rows >= 0)
+    cells, rows, rule = q.cells[mine], rows[mine], surface.rule(q.degree)
+    there, x = np.moveaxis(rule.x[:, rows], 0, -1), q.joint_x.T[cells]
+    order = np.linalg.norm(there[:, :, None] - x[:, None], axis=3).argmin(axis=2)
+    t = np.take_along_axis(_traction(points)[cells], order[..., None], axis=1)
+    np.add.at(moments, rows, np.einsum("fq,qa,fqd->fad", rule.weights[rows], rule.shapes, t))
 
 
 def _traction(points: LawPoints) -> Array:
@@ -85,42 +91,32 @@ def _of_contact(surface: Surface, state: State, name: str) -> Array:
     return out
 
 
-# ---------------------------------------------------------------- meshed layers
-def through(surface: Surface, state: State) -> Array:
-    """(m, d) means of stress n through the thickness of meshed layers, projected to degree 1. Collective."""
-    model, joint, d = state.model, surface.joint, surface.joint.dim
-    moments = np.zeros((*surface.corners.shape, d))
-    numbers, centres = column_numbers(model.domain.joint)
-    on_s = joint.points[surface.corners]
-    apart, row = cKDTree(on_s.mean(axis=1)).query(centres)
-    row = np.where(
-        apart <= NEAR * np.ptp(joint.points, axis=0).max(), row, -1
-    )  # cells where layers meet are in no column
-    layers = {one.key: one for one in model.layers.values()}
-    for points in law_points(state):
-        q, layer = points.quadrature, layers.get(points.term.key)
-        if points.term.n is None or layer is None or layer.thin is None:
-            continue
-        column = numbers[points.entities]
-        rows = np.where(column >= 0, row[column], -1)
-        mine = np.flatnonzero(rows >= 0)
-        cells, rows = q.cells[mine], rows[mine]
-        kind = joint.cell_type
-        X, _ = basix.make_quadrature(basix.CellType[kind], q.degree)
-        shapes = lagrange(kind, 1).tabulate(0, X)[0, :, :, 0]
-        inflated, region = model.domain.joint, q.region.mesh
-        vertices = np.asarray(region.geometry.input_global_indices)[cell_nodes(region)[mine][:, : shapes.shape[1]]]
-        corner = np.linalg.norm(inflated.reference[vertices][:, :, None] - on_s[rows][:, None], axis=3).argmin(axis=2)
-        to_facet = (corner[..., None] == np.arange(surface.corners.shape[1])).astype(float)
-        N = np.einsum("qc,fca->fqa", shapes, to_facet)
-        eps: Array = np.full(cells.shape, float(layer.thin.eps))
-        if layer.thin.profile is not None:
-            eps *= np.einsum(
-                "fqa,fa->fq", N, joint.relative_thickness(layer.thin.profile, layer.name)[surface.corners[rows]]
-            )
-        t = np.einsum("pij,pj->pi", points.stress(), q.n)[:, :d][cells]
-        np.add.at(moments, rows, np.einsum("fq,fqa,fqd->fad", q.weights[cells] / eps, N, t))
-    return surface.projected(model.comm.allreduce(moments))
+def _columns(surface: Surface, state: State) -> IntArray:
+    """For each cell of an inflated joint the facet of the surface that it has become; -1: none, as where layers meet."""
+    joint = surface.joint
+    numbers, centres = column_numbers(state.model.domain.joint)
+    apart, row = cKDTree(joint.points[surface.corners].mean(axis=1)).query(centres)
+    row = np.where(apart <= NEAR * np.ptp(joint.points, axis=0).max(), row, -1)
+    return np.where(numbers >= 0, row[numbers], -1)
+
+
+def _add_of_cells(moments: Array, surface: Surface, rows: IntArray, points: LawPoints) -> None:
+    """Add the moments of the mean of stress n through a meshed layer; `rows`: facets of its cells, or -1."""
+    joint, q, mine = surface.joint, points.quadrature, np.flatnonzero(rows >= 0)
+    layer = next(one for one in points.state.model.layers.values() if one.key == points.term.key)
+    cells, rows = q.cells[mine], rows[mine]
+    X, _ = basix.make_quadrature(basix.CellType[joint.cell_type], q.degree)
+    shapes, region = lagrange(joint.cell_type, 1).tabulate(0, X)[0, :, :, 0], q.region.mesh
+    vertices = np.asarray(region.geometry.input_global_indices)[cell_nodes(region)[mine][:, : shapes.shape[1]]]
+    on_s, reference = joint.points[surface.corners[rows]], points.state.model.domain.joint.reference[vertices]
+    corner = np.linalg.norm(reference[:, :, None] - on_s[:, None], axis=3).argmin(axis=2)
+    to_facet = (corner[..., None] == np.arange(on_s.shape[1])).astype(float)
+    N = np.einsum("qc,fca->fqa", shapes, to_facet)
+    assert layer.thin
+    relative = joint.relative_thickness(layer.thin.profile, layer.name)[surface.corners[rows]]
+    eps = float(layer.thin.eps) * np.einsum("fqa,fa->fq", N, relative)
+    t = np.einsum("pij,pj->pi", points.stress(), q.n)[:, : joint.dim][cells]
+    np.add.at(moments, rows, np.einsum("fq,fqa,fqd->fad", q.weights[cells] / eps, N, t))
 
 
 # ---------------------------------------------------------------- reactions
@@ -156,7 +152,7 @@ def by_reactions(surface: Surface, state: State) -> Array:
     return out
 
 
-def _side_nodes(surface: Surface) -> tuple[npt.NDArray[np.int64], int]:
+def _side_nodes(surface: Surface) -> tuple[IntArray, int]:
     """(2, n, k) numbers from 0 of the bodies' nodes at the corners, below and above; and how many there are."""
     joint = surface.joint
     of = np.stack([component_at(joint, cells, surface.corners) for cells in surface.cells.T])
@@ -165,7 +161,7 @@ def _side_nodes(surface: Surface) -> tuple[npt.NDArray[np.int64], int]:
     return found.reshape(numbers.shape), len(known)
 
 
-def _to_sides(surface: Surface, sides: npt.NDArray[np.int64], count: int) -> scipy.sparse.csr_matrix:
+def _to_sides(surface: Surface, sides: IntArray, count: int) -> scipy.sparse.csr_matrix:
     """(count, m) nodal forces on the bodies of nodal tractions."""
     M = np.einsum("fq,qa,qb->fab", surface.weights, surface.shapes, surface.shapes)
     columns = np.broadcast_to(surface.nodes[:, None], M.shape).ravel()
@@ -175,7 +171,7 @@ def _to_sides(surface: Surface, sides: npt.NDArray[np.int64], count: int) -> sci
     return scipy.sparse.csr_matrix((values, (np.concatenate(rows), np.tile(columns, 2))), shape=shape)
 
 
-def _lumped(surface: Surface, sides: npt.NDArray[np.int64], means: Array, known: npt.NDArray[np.bool_]) -> Array:
+def _lumped(surface: Surface, sides: IntArray, means: Array, known: npt.NDArray[np.bool_]) -> Array:
     """(m,) tractions from means of forces over areas at the bodies' nodes; where none is known, of the nodes around."""
     signs = np.array([1.0, -1.0])[:, None, None]
     counts = surface.sums(known[sides].sum(axis=0).astype(float))

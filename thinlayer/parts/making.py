@@ -12,6 +12,7 @@ from forms.work import Term
 from geometry.inflating.parting import points_on_middle
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.free_rim import free_of_pressure
+from thinlayer.discretisation.layer import BY_LAW
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.places import compiled_terms
 from thinlayer.parts.carried import Carried, Carrier
@@ -22,8 +23,6 @@ from thinlayer.parts.law_forms import LawForms
 from thinlayer.parts.mean_stress import MeanStressPart
 from thinlayer.parts.part import Part
 from thinlayer.parts.pressure import PressurePart, has_flow
-
-ON_S = "law"  # last part of the keys of laws that act where a layer is not meshed
 
 
 def body_parts(model: Model) -> list[Part]:
@@ -75,7 +74,7 @@ def _elsewhere(model: Model) -> list[Part]:
     parts: list[FormPart | CompiledPart] = [
         LawForms(key, other.V, [p for p in in_forms if p.key == key]) for key in keys
     ]
-    return [Carried(part, carrier, f"{part.key}/{ON_S}") for part in [*parts, *_compiled(other, terms)]]
+    return [Carried(part, carrier, f"{part.key}/{BY_LAW}") for part in [*parts, *_compiled(other, terms)]]
 
 
 def _compiled(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:

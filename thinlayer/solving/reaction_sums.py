@@ -10,10 +10,9 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from geometry.seam import BASE
-from thinlayer.discretisation.layer import LAYER, PRESSURE
+from thinlayer.discretisation.layer import BY_LAW, LAYER, PRESSURE
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reactions import rigid_values
-from thinlayer.parts.making import ON_S
 from thinlayer.parts.part import Interval, Part
 
 Array = npt.NDArray[np.float64]
@@ -70,7 +69,7 @@ class ReactionSums:
         if layers and model.joint.base_seams:  # on which laws may act beside meshed layers, which supports hold
             for number, (place, _) in enumerate(model.supports.entries):
                 if place == BASE:
-                    keys = {part.key for part in self.parts if part.key.endswith(f"/{ON_S}")}
+                    keys = {part.key for part in self.parts if part.key.endswith(f"/{BY_LAW}")}
                     rows[0][number] -= self._of_parts(keys, r)
         rest = constraints.passed_on(r.array_r) + of_ties - constraints.prescribed.conditions.T @ by_supports
         for tie in constraints.ties:
