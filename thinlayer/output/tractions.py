@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import chain
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import basix
 import numpy as np
@@ -15,7 +17,7 @@ from dolfinx import fem
 from scipy.spatial import cKDTree
 from ufl.classes import Zero
 
-from forms.kinematics import MANDEL, ROOT2, from_mandel
+from forms.kinematics import MANDEL, ROOT2, Expr, from_mandel
 from geometry.compat import cell_nodes
 from geometry.seam import S
 from geometry.topology import IntArray, lagrange
@@ -25,12 +27,14 @@ from thinlayer.discretisation.pairs import component_at, pairs_of
 from thinlayer.discretisation.state import State
 from thinlayer.output.law_points import LawPoints, law_points, law_points_elsewhere
 from thinlayer.output.nodal_forces import reaction
+from thinlayer.pointwise.quadrature import Quadrature
 
 if TYPE_CHECKING:
     from thinlayer.output.surface import Surface
 
 Array = npt.NDArray[np.float64]
 LEAST_SQUARES_TOLERANCE = 1e-15  # relative tolerance for the tractions whose forces are the reactions
+_OF_EACH: WeakKeyDictionary[Quadrature, Array] = WeakKeyDictionary()
 NEAR = 1e-9  # distance of the centres of a facet and of its column, over the size of the joint
 MOST_ITERATIONS = 2000  # of this solver; it needs 29 to 45 on uniform meshes
 
@@ -66,16 +70,22 @@ def _add_of_law(moments: Array, surface: Surface, rows: IntArray, points: LawPoi
 
 def _traction(points: LawPoints) -> Array:
     """(points, d) what the stresses of a term on S do in [u], per area."""
-    term, q, stress = points.term, points.quadrature, points.stress()
-    if term.traction is None:
+    q, stress = points.quadrature, points.stress()
+    if points.term.traction is None:
         return np.asarray(np.einsum("pij,pj->pi", stress, q.n)[:, : q.dim])
-    units = [from_mandel(ufl.as_vector([float(i == k) for i in range(6)])) for k in range(6)]
-    of_each = [t[i] for t in map(term.traction, units) for i in range(q.dim)]
-    if all(isinstance(one, Zero) for one in of_each):  # a station that bears the difference of the faces alone
-        return np.zeros((q.count, q.dim))
-    works = q.values(ufl.as_vector(of_each)).reshape(q.count, len(MANDEL), q.dim)
+    if q not in _OF_EACH:
+        _OF_EACH[q] = _of_each_stress(points.term.traction, q)
     in_mandel = np.stack([stress[:, i, j] * (1.0 if i == j else ROOT2) for i, j in MANDEL], axis=1)
-    return np.asarray(np.einsum("pkd,pk->pd", works, in_mandel))
+    return np.asarray(np.einsum("pkd,pk->pd", _OF_EACH[q], in_mandel))
+
+
+def _of_each_stress(traction: Callable[[Expr], Expr], q: Quadrature) -> Array:
+    """(points, 6, d) tractions of unit stresses in Mandel's order."""
+    units = [from_mandel(ufl.as_vector([float(i == k) for i in range(6)])) for k in range(6)]
+    found = [t[i] for t in map(traction, units) for i in range(q.dim)]
+    if all(isinstance(one, Zero) for one in found):  # a station that bears the difference of the faces alone
+        return np.zeros((q.count, 6, q.dim))
+    return q.values(ufl.as_vector(found)).reshape(q.count, 6, q.dim)
 
 
 def _of_contact(surface: Surface, state: State, name: str) -> Array:
