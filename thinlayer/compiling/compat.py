@@ -84,16 +84,6 @@ def create_submesh(mesh: Mesh, dim: int, entities: npt.NDArray[np.int32]) -> tup
     return sub, {sub: inverse}, parents
 
 
-def joined_maps(*maps: Any) -> Any:
-    """Entity maps of several meshes for one form; None for a mesh that needs none."""
-    given = [one for one in maps if one]
-    if not given:
-        return None
-    if isinstance(given[0], dict):
-        return {sub: inverse for one in given for sub, inverse in one.items()}
-    return [one for several in given for one in several]
-
-
 def belongs_to(bc: fem.DirichletBC, V: fem.FunctionSpace) -> bool:
     """Whether the degrees of freedom of a condition are those of a space, or of a component of it."""
     space = bc.function_space  # of C++ in DOLFINx 0.9
