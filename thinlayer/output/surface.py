@@ -141,6 +141,7 @@ class Surface:
 
         Where a support holds one side it is that of the other side. Where supports hold both sides, and in a cycle of
         seams around a vertex, reactions do not tell all of it: it is then the one closest to the means around.
+        At a tip of S it is zero.
         """
         self._require_same_joint(state)
         return self.at_points(tractions.by_reactions(self, state))

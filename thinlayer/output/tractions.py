@@ -142,17 +142,18 @@ def by_reactions(surface: Surface, state: State) -> Array:
     sides, count = _side_nodes(surface)
     force, known = np.zeros((count, d)), np.zeros((count, d), bool)
     force[sides], known[sides] = forces, fixed < 0.5
-    there = np.zeros(count, bool)
-    there[sides[1]] = True
-    there[sides[0][surface.cells[:, 0] >= 0]] = True  # what a rigid base gives is not known here
+    there, apart = np.zeros(count, bool), sides[0] != sides[1]
+    tip = surface.sums(apart.astype(float)) == 0  # both sides are one node there
+    there[sides[1][apart]] = True
+    there[sides[0][apart & (surface.cells[:, :1] >= 0)]] = True  # what a rigid base gives is not known here
     known &= there[:, None]
     areas = surface.sums(np.einsum("fq,qa->fa", surface.weights, surface.shapes))
     M = _to_sides(surface, sides, count)
-    around = np.abs(M) @ np.ones(len(areas))
+    around = np.where(there, np.abs(M) @ np.ones(len(areas)), 1.0)
     out = np.zeros((len(areas), d))
     for k in range(d):
         guess, rows = _lumped(surface, sides, force[:, k] / around, known[:, k]), np.flatnonzero(known[:, k])
-        scale = areas**-0.5
+        guess, scale = np.where(tip, 0.0, [guess, areas**-0.5])
         A = scipy.sparse.diags(around[rows] ** -0.5) @ M[rows] @ scipy.sparse.diags(scale)
         b = (force[rows, k] - M[rows] @ guess) * around[rows] ** -0.5
         size = np.abs(b).max(initial=0.0) or 1.0
