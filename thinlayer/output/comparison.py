@@ -145,6 +145,8 @@ def _part(surface: Surface, where: Where | None) -> npt.NDArray[np.float64]:
     """(n, q) 1 on a part of S, 0 elsewhere."""
     with on_all(surface.model.comm):
         part = surface.where(1.0 if where is None else where)
+        if not np.isin(part, (0.0, 1.0)).all():
+            raise ModelError("where gives numbers; it must hold or not at each place, as lambda x: x[0] > 1 does")
     require_same(surface.model.comm, where=part)
     if not part.any():
         raise ModelError("where holds nowhere on S, or on less than its quadrature points see")

@@ -181,8 +181,10 @@ class Surface:
     def _field(self, f: Any) -> Array:
         """A field, or a number everywhere; raises ModelError."""
         try:
-            values = np.asarray(f, float)
-            return values if values.shape[-2:] == self.weights.shape else np.broadcast_to(values, self.weights.shape)
+            values = np.asarray(f, float) if np.shape(f) else np.full(self.weights.shape, float(f))
+            if values.shape[-2:] != self.weights.shape:
+                raise ValueError
+            return values
         except (TypeError, ValueError):
             raise ModelError(
                 f"{f!r:.80} is no field on S; give an array (..., n, q) = (..., {str(self.weights.shape)[1:]}, "
@@ -218,6 +220,8 @@ class Surface:
         The tangents are those of `forms.kinematics.layer_frame`: (n_2, -n_1) in 2D, its first and third axis in 3D.
         """
         f, n = self._field(f), self.n
+        if f.shape != n.shape:
+            raise ModelError(f"frame needs a vector field, of shape {n.shape}, not {f.shape}")
         if self.joint.dim == 2:
             return np.stack([n[1] * f[0] - n[0] * f[1], (n * f).sum(axis=0)])
         axes = frames_at(np.moveaxis(n, 0, -1).reshape(-1, 3)).reshape(*self.weights.shape, 3, 3)
