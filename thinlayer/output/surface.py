@@ -144,7 +144,9 @@ class Surface:
         At a tip of S it is zero.
         """
         self._require_same_joint(state)
-        return self.at_points(tractions.by_reactions(self, state))
+        whole = Surface(self.model)  # forces at junctions are of all seams there
+        nodal = tractions.by_reactions(whole, state)
+        return self.at_points(nodal[np.searchsorted(whole.numbers, self.numbers)])
 
     def _require_same_joint(self, state: State) -> None:
         if not isinstance(state, State):
