@@ -147,12 +147,14 @@ def by_reactions(surface: Surface, state: State) -> Array:
     there[sides[1][apart]] = True
     there[sides[0][apart & (surface.cells[:, :1] >= 0)]] = True  # what a rigid base gives is not known here
     known &= there[:, None]
+    both = np.stack([sides.ravel(), np.broadcast_to(surface.nodes, sides.shape).ravel()])
+    of_one = np.bincount(np.unique(both, axis=1)[0], minlength=count) == 1  # else forces of several seams add up there
     areas = surface.sums(np.einsum("fq,qa->fa", surface.weights, surface.shapes))
     M = _to_sides(surface, sides, count)
     around = np.where(there, np.abs(M) @ np.ones(len(areas)), 1.0)
     out = np.zeros((len(areas), d))
     for k in range(d):
-        guess, rows = _lumped(surface, sides, force[:, k] / around, known[:, k]), np.flatnonzero(known[:, k])
+        guess, rows = _lumped(surface, sides, force[:, k] / around, known[:, k] & of_one), np.flatnonzero(known[:, k])
         guess, scale = np.where(tip, 0.0, [guess, areas**-0.5])
         A = scipy.sparse.diags(around[rows] ** -0.5) @ M[rows] @ scipy.sparse.diags(scale)
         b = (force[rows, k] - M[rows] @ guess) * around[rows] ** -0.5
