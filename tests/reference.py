@@ -77,10 +77,7 @@ def errors(layer: np.ndarray, limit: np.ndarray) -> tuple[float, float, float]:
 
 def stacked(sublayers: list, eps: float) -> np.ndarray:
     """Transfer through sublayers (fraction, lmbda, mu), from the lower to the upper one, with moduli per thickness."""
-    layer = np.eye(4)
-    for a, lmbda, mu in sublayers:
-        layer = expm(strip(lmbda * eps, mu * eps) * a * eps) @ layer
-    return layer
+    return through(sublayers, eps)[0]
 
 
 def in_series(sublayers: list, eps: float, way: str = "") -> np.ndarray:
@@ -143,17 +140,23 @@ def interface_displacement(y: np.ndarray, side: int) -> np.ndarray:
     return values[inverse.ravel()].T
 
 
+def through(layer: list, eps: float) -> tuple[np.ndarray, np.ndarray]:
+    """Transfer through sublayers (fraction, lmbda, mu) with moduli per thickness, and its mean over the thickness."""
+    whole, mean = np.eye(4), np.zeros((4, 4))
+    for a, lmbda, mu in layer:
+        both = expm(np.block([[strip(lmbda * eps, mu * eps), np.eye(4)], [np.zeros((4, 8))]]) * a * eps)
+        whole, mean = both[:4, :4] @ whole, mean + both[:4, 4:] @ whole / eps
+    return whole, mean
+
+
 def sweep_errors(eps: float, bodies: str) -> tuple[float, float]:
-    """Relative L2 errors (traction, jump) of the interface law against the layer, mean traction of both faces."""
-    h = HEIGHT if bodies == "kept" else HEIGHT - eps / 2
-    body = expm(strip(*BODY) * h)
-    layer = expm(strip(LAYER[0] * eps, LAYER[1] * eps) * eps)
+    """Relative L2 errors (traction, jump) of the interface law against the layer, mean traction through it."""
+    body = expm(strip(*BODY) * (HEIGHT if bodies == "kept" else HEIGHT - eps / 2))
+    layer, mean = through([(1, *LAYER)], eps)
     _, below, above, _ = clamped(body, layer, body)
     _, b0, a0, _ = interface_states()
-    traction, limit = (below[2:] + above[2:]) / 2, b0[2:]
-    jump, jump0 = above[:2] - below[:2], a0[:2] - b0[:2]
     relative = lambda a, b: float(np.linalg.norm(a - b) / np.linalg.norm(b))
-    return relative(traction, limit), relative(jump, jump0)
+    return relative((mean @ below)[2:], b0[2:]), relative((above - below)[:2], (a0 - b0)[:2])
 
 
 # ---------------------------------------------------------------- in time
@@ -181,7 +184,7 @@ def maxwell(lmbda: float, mu: float, t1: float, t2: float):
 
 
 def marched(layer: list, loads: np.ndarray, dt: float, theta: float = 1.0, eps: float | None = None) -> np.ndarray:
-    """(steps + 1, 4) amplitudes at each step: jump (U, V), mean traction (S, T).
+    """(steps + 1, 4) amplitudes at each step: jump (U, V), traction (S, T), of a layer its mean through it.
 
     Args:
         layer: (fraction, moduli of d) of each sublayer, from the lower to the upper face; moduli per thickness.
@@ -196,13 +199,12 @@ def marched(layer: list, loads: np.ndarray, dt: float, theta: float = 1.0, eps: 
         d = (1 - z) / (dt * (theta + (1 - theta) * z))
         moduli = [(a, *one(d)) for a, one in layer]
         if eps is None:
-            between = [spring(lmbda / a, mu / a) for a, lmbda, mu in moduli]
+            layers = [np.linalg.multi_dot([np.eye(4), *(spring(lmbda / a, mu / a) for a, lmbda, mu in moduli)])] * 2
         else:
-            between = [expm(strip(lmbda * eps, mu * eps) * a * eps) for a, lmbda, mu in moduli]
-        states = clamped(body, *between, body)
-        below, above = states[1], states[-2]
+            layers = through(moduli, eps)
+        _, below, above, _ = clamped(body, layers[0], body)
         scale = np.polyval(np.asarray(loads)[::-1], z)
-        sums[k] = scale * np.concatenate([above[:2] - below[:2], (above[2:] + below[2:]) / 2])
+        sums[k] = scale * np.concatenate([(above - below)[:2], (layers[1] @ below)[2:]])
     n = np.arange(len(loads))
     series = np.exp(-2j * np.pi * np.outer(n, np.arange(POINTS)) / POINTS) @ sums / POINTS
     return (series / RADIUS ** n[:, None]).real
