@@ -8,7 +8,6 @@ import numpy as np
 
 from forms import LinearElastic, Stack
 from geometry import block
-from studies.measured import along_S
 from thinlayer import State, Structure, Surface, Table, ThinLayer, observed_orders, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
@@ -73,7 +72,9 @@ class StratifiedBar:
 
     def stiffness(self, state: State) -> tuple[np.ndarray, np.ndarray]:
         """x and t_T/u_T at the vertices of S, both projected to degree 1; without the supported end, where it is 0/0."""
-        x, u, t = along_S(self.surface, state)
+        surface = self.surface
+        x, u = surface.profile(surface.frame(surface.jump(state)))
+        _, t = surface.profile(surface.frame(surface.reaction(state)))
         free = np.abs(u[:, 0]) > 1e-9 * np.abs(u[:, 0]).max()
         return x[free, 0], t[free, 0] / u[free, 0]
 
