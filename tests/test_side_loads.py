@@ -8,7 +8,6 @@ from functools import lru_cache
 import numpy as np
 import pytest
 import ufl
-from thinlayer.output.nodal_forces import nodal_forces
 
 from forms import Anisotropic, LinearElastic
 from forms.ends import free_end
@@ -16,6 +15,7 @@ from geometry import block, disc, sandwich
 from tests.side_loads_run import BODY, EPS, GLUE, SIDES, box, loaded
 from thinlayer import ModelError, Pressure, Structure, ThinLayer, compare, observed_orders, solve
 from thinlayer.errors import RangeWarning
+from thinlayer.output.nodal_forces import nodal_forces
 
 pytestmark = pytest.mark.few(5)
 
