@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import ufl
-from thinlayer.output.nodal_forces import contact_forces, nodal_forces
 
 from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic
 from forms.contact import ContactLaw, Status
@@ -15,6 +14,7 @@ from geometry import wall
 from thinlayer import History, State, Structure, march, piecewise
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
 from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.output.nodal_forces import contact_forces, nodal_forces
 
 PUSHES = [0.2, 0.3, 0.1, -0.2, 0.0]  # shear stress, over the pressure
 DRY = {"BED": (200.0, 80.0, 0.5), "HEAD": (100.0, 40.0, 0.3)}  # K_N, K_T, friction

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import ufl
-from thinlayer.output.nodal_forces import nodal_forces
 
 from forms import LinearElastic
 from geometry import GeometryError, Joint, disc, faults, inflate, ring, sandwich
 from geometry.seam import Seam
 from geometry.topology import lagrange
 from thinlayer import Structure, ThinLayer
+from thinlayer.output.nodal_forces import nodal_forces
 
 QUADS = np.array([[0, 1, 2, 3], [2, 3, 4, 5]])
 

@@ -11,7 +11,6 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
-from thinlayer.output.nodal_forces import nodal_forces
 
 from forms import Anisotropic, LawError, LinearElastic, MohrCoulomb, Stack
 from forms.work import work
@@ -22,6 +21,7 @@ from tests.own_laws import Cubic
 from tests.refused import refused
 from thinlayer import ModelError, OptionError, SolveError, Structure, Surface, ThinLayer, compare, piecewise, solve
 from thinlayer.errors import RangeWarning
+from thinlayer.output.nodal_forces import nodal_forces
 from thinlayer.solving.solvers import Solver
 
 pytestmark = pytest.mark.few(5)
