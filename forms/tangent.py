@@ -19,7 +19,6 @@ from forms.trace import reads, symbolic
 
 Array = npt.NDArray[np.float64]
 SMALL_STRAIN = 1e-6  # strain of the divided differences: too small for yielding, large enough against rounding
-STRAINS = (1e-6, 1e-2, 10.0)  # sizes of the strains at which `uncoupled_axes` evaluates laws, elastic and beyond
 UNCOUPLED = 1e-9  # share of a traction, or component of a unit normal, below which it counts as zero
 NEGATIVE = 1e-6  # a negative eigenvalue beyond this share of the tangent's largest entry is not a rounding error
 LONG = 1e30  # length of a time step in which rates become zero
@@ -129,29 +128,6 @@ def _stress(law: BulkLaw, e: Array, n: Array) -> Array | None:
     except Exception:  # whatever a law contains that has no number: the model says what is wrong with it
         return None
     return mandel(stress) if np.shape(stress) == (3, 3) and np.isfinite(stress).all() else None
-
-
-def uncoupled_axes(law: BulkLaw, n: Array) -> npt.NDArray[np.bool_] | None:
-    """(d,) whether the traction of a layer's law along an axis is zero as long as the jump along this axis is zero.
-
-    None if the law has a traction without a jump, has parameters that vary, or cannot be evaluated. A law with memory is
-    evaluated from rest, a law with a rate at zero rate. The pressure of an incompressible layer is a traction along n.
-    """
-    if law.traits.varies or law.fields or not law.traits.in_ufl:
-        return None
-    director = np.pad(n, (0, 3 - len(n))) if law.traits.compiled else n
-    N = np.array([mandel((np.outer(v, n) + np.outer(n, v)) / 2) for v in np.eye(len(n))])
-    coupled = law.traits.constrained & (np.abs(n) > UNCOUPLED)
-    for size in (0.0, *STRAINS):
-        for b, axis in enumerate(np.eye(len(n))):
-            e = np.zeros((3, 3))
-            e[: len(n), : len(n)] = size * (np.outer(axis, n) + np.outer(n, axis)) / 2
-            stress = _stress(law, e, director)
-            if stress is None or (size == 0 and stress.any()):
-                return None
-            t = np.abs(N @ stress)
-            coupled |= (t > UNCOUPLED * t.max()) & (np.arange(len(n)) != b)
-    return np.asarray(~coupled)
 
 
 def is_checked_at_rest(law: BulkLaw) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from forms.kinematics import MANDEL, ROOT2
 from forms.law import BulkLaw
@@ -16,7 +15,6 @@ from forms.tangent import (
     require_stable_layer,
     tangent_at_rest,
     tangent_over,
-    uncoupled_axes,
 )
 from thinlayer.errors import ModelError
 
@@ -94,28 +92,3 @@ class AtRest:
                     f"{lmbda / (lmbda + mu) / 2:.4g}); allowed: at most {largest:g} (nu = "
                     f"{largest / (largest + 1) / 2:.4f}), beyond which the next term locks; {remedy}"
                 )
-
-    def zero_tractions(self, planar: bool, moving: bool) -> tuple[npt.NDArray[np.bool_], bool]:
-        """Which tractions are zero because supports of both bodies hold the jump at zero.
-
-        Some are not zero in spite of this: those of laws with a stress at zero strain, the pressure of incompressible
-        layers, and those of laws with memory or rate if supports move.
-
-        Args:
-            planar: whether S is planar.
-            moving: whether supports move in time.
-
-        Returns:
-            (d,) for each axis whether the traction along it is zero where supports hold this component of both bodies;
-            and whether the whole traction is zero where they hold all components.
-        """
-        none, laws = np.zeros(len(self.n), bool), [law for _, law, _ in self.sublayers]
-        if moving and any(law.traits.rate or law.internal for law in laws):
-            return none, False
-        along = np.full(len(self.n), planar)
-        for law in laws:
-            uncoupled = uncoupled_axes(law, self.n)
-            if uncoupled is None:
-                return none, False
-            along &= uncoupled
-        return along, not any(law.traits.constrained for law in laws)

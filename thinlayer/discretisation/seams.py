@@ -200,20 +200,6 @@ class SeamLayer:
             )
         law.check_threshold()
 
-    def zero_tractions(self, moving: bool) -> tuple[npt.NDArray[np.bool_], bool]:
-        """Which tractions are zero because supports of both bodies hold the jump at zero, see `AtRest.zero_tractions`.
-
-        All are False for contact laws, for layers with an eigenstrain, for order 1, whose tractions also depend on
-        gradients along S, and where parameters are functions.
-
-        Args:
-            moving: whether supports move in time.
-        """
-        thin = self.thin
-        if self.contact or (thin and (thin.order or thin.eigenstrain is not None or thin.law.fields)):
-            return np.zeros(self.structure.joint.dim, bool), False
-        return self.at_rest.zero_tractions(self.sheet.planar, moving)
-
     @property
     def profile(self) -> Any:
         """Description of the profile, as JSON; None: the thickness is uniform."""
