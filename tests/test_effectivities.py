@@ -76,7 +76,7 @@ def test_between_rollers_changes_are_those_to_the_meshed_layer(dropped):
     row, (compliance, _) = effectivities(dropped("1"))
     traction, jump = _ratios(dropped("1"), _with_layer(dropped("1")))
     assert (traction, jump) == (pytest.approx(0.99933, abs=2e-4), pytest.approx(1.007739, abs=2e-4))
-    assert (row["traction"], row["jump"]) == (pytest.approx(1.0, abs=0.005), pytest.approx(1.0, abs=0.012))
+    assert (row["traction"], row["jump"]) == (pytest.approx(1.008, abs=0.002), pytest.approx(1.0, abs=0.012))
     assert compliance["effectivity"] == pytest.approx(1.15, abs=0.01)
 
 
