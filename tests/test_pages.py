@@ -17,7 +17,7 @@ from studies.rates import LAWS
 from tests.documents import CLONE, GUIDES, PAGES, anchors, sections
 from thinlayer import RangeWarning, compare, solve
 from thinlayer.describing.case import Case
-from thinlayer.describing.description import KEYS, Description
+from thinlayer.describing.description import READERS, Description
 from thinlayer.running.catalogue import studies
 from thinlayer.running.cli import main
 
@@ -120,7 +120,7 @@ def test_errors_of_the_first_example_are_those_of_a_meshed_layer():
 def test_keys_of_descriptions_are_those_of_the_guide():
     table = PAGES[GUIDES["estimate"]].partition("| Key |")[2].partition("\n\n")[0]
     keys = re.findall(r"`(\w+)`", " ".join(line.split("|")[1] for line in table.splitlines()[2:]))
-    assert sorted(keys) == sorted(KEYS)
+    assert sorted(keys) == sorted(READERS)
 
 
 def test_links_lead_somewhere():

@@ -54,5 +54,5 @@ def _option(argument: ast.arg, text: str) -> dict[str, Any]:
         case "Sequence[float]":
             return found | {"nargs": "+", "type": float, "metavar": "E"}
         case kind:
-            allowed = ast.literal_eval(kind.removeprefix("Literal"))
+            allowed = tuple(ast.literal_eval(kind.removeprefix("Literal")))
             return found | {"choices": allowed, "type": type(allowed[0])}
