@@ -130,7 +130,8 @@ class Surface:
         """(d, n, q) traction t = stress n on S, linear on each facet: an L2 projection.
 
         - Of an interface law it is its own: what works in [u]. Under contact it is that at the nodes.
-        - Of a meshed layer it is the mean of stress n through the thickness; zero where layers meet.
+        - Of a meshed layer it is the mean of stress n through the thickness, elastic sublayers weighted by compliance; zero
+          where layers meet. Where the thickness varies on a rigid base it differs from the law's by O(eps).
         - Without layers it is the bodies' reaction (`reaction`).
         """
         self._require_same_joint(state)

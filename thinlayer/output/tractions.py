@@ -18,12 +18,15 @@ from scipy.spatial import cKDTree
 from ufl.classes import Zero
 
 from forms.kinematics import MANDEL, ROOT2, Expr, from_mandel
+from forms.law import LawError
 from geometry.compat import cell_nodes
 from geometry.seam import S
 from geometry.topology import IntArray, lagrange
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
+from thinlayer.discretisation.layer import real_law
 from thinlayer.discretisation.origin import column_numbers
 from thinlayer.discretisation.pairs import component_at, pairs_of
+from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.output.law_points import LawPoints, law_points, law_points_elsewhere
 from thinlayer.output.nodal_forces import reaction
@@ -125,8 +128,30 @@ def _add_of_cells(moments: Array, surface: Surface, rows: IntArray, points: LawP
     assert layer.thin
     relative = joint.relative_thickness(layer.thin.profile, layer.name)[surface.corners[rows]]
     eps = float(layer.thin.eps) * np.einsum("fqa,fa->fq", N, relative)
-    t = np.einsum("pij,pj->pi", points.stress(), q.n)[:, : joint.dim][cells]
-    np.add.at(moments, rows, np.einsum("fq,fqa,fqd->fad", q.weights[cells] / eps, N, t))
+    n = q.n[:, : joint.dim]
+    t = np.einsum("pij,pj->pi", points.stress(), q.n)[:, : joint.dim]
+    along, across = _weights(layer, points)
+    t = along * t + (across - along) * np.einsum("pi,pi,pj->pj", t, n, n)
+    np.add.at(moments, rows, np.einsum("fq,fqa,fqd->fad", q.weights[cells] / eps, N, t[cells]))
+
+
+def _weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float]:
+    """Weights of a sublayer's stresses in the mean through the layer: its share of the jump over that of the thickness.
+
+    So it is what works in [u]: elastic sublayers share tangential and normal jumps by their compliances. Others have 1.
+    """
+    model = points.state.model
+    sublayers = real_law(layer.layer, model.kinematics).sublayers
+    if len(sublayers) == 1:
+        return 1.0, 1.0
+    try:
+        moduli = [law.elastic_moduli() for _, law in sublayers]
+    except LawError:
+        return 1.0, 1.0
+    k = [p.measure for p in model.layer_terms if p.key == layer.key].index(points.term.measure)
+    shares = np.array([(a / mu, a / (lmbda + 2 * mu)) for (a, _), (lmbda, mu) in zip(sublayers, moduli, strict=True)])
+    along, across = shares[k] / shares.sum(axis=0) / sublayers[k][0]
+    return float(along), float(across)
 
 
 # ---------------------------------------------------------------- reactions
