@@ -12,8 +12,8 @@ import numpy as np
 from forms import BulkLaw, Incompressible, LinearElastic, Rubber
 from geometry import sandwich
 from thinlayer import Structure, ThinLayer, compare, observed_orders, plotting, solve
-from thinlayer.discretisation import free_ends
-from thinlayer.discretisation.free_ends import LEAST_CONTRAST
+from thinlayer.discretisation import reduction
+from thinlayer.discretisation.reduction import LEAST_CONTRAST
 from thinlayer.errors import RangeWarning
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
@@ -87,7 +87,7 @@ def _contrasts(record: Record, ratios: Sequence[float], thicknesses: Sequence[fl
     """
     table = record.table("contrasts.csv")
     cases = [(nu, eps, contrast) for nu in ratios for eps in thicknesses for contrast in CONTRASTS]
-    with patch.object(free_ends, "LEAST_CONTRAST", 0.0):
+    with patch.object(reduction, "LEAST_CONTRAST", 0.0):
         for nu, eps, contrast in track(cases, "free_ends", "nu, eps, E/mu = {}"):
             law = LinearElastic.shear(BODY_E / contrast, nu).scaled(1 / eps)
             known, ignored = _errors(record, law, eps, ["free", "plain"])

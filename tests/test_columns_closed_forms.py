@@ -177,7 +177,7 @@ def test_traction_law_in_time():
             assert jump_of(history, mode) == pytest.approx(root, rel=1e-9)
         assert np.isnan(history.table["imbalance"]).all()  # it declares no energy
         assert np.isfinite(history.table["supplied"]).all()
-    with pytest.raises(ModelError, match="Slipping is a law of jump and traction: it has no meshed layer"):
+    with pytest.raises(ModelError, match="Slipping is a law on S, without a thickness"):
         Structure(joint(), **column("shear", load=0.5)).full(law)
 
 

@@ -228,8 +228,6 @@ def test_what_curved_and_varying_layers_cannot_do():
     round_joint = ring(*RADII, 0.25)
     with pytest.raises(GeometryError, match=r"S is not planar.*use bodies='extended'"):
         Structure(round_joint, **twisted(round_joint)).full(ThinLayer(GLUE, 0.01, at=1.0))
-    with pytest.raises(ModelError, match="order=1 on a curved S needs bodies at their true places"):
-        Structure(round_joint, **twisted(round_joint)).interface(ThinLayer(GLUE, 0.01, order=1, at=1.0))
     with pytest.raises(GeometryError, match=r"turn inside out, the first at \("):
         Structure(round_joint, **twisted(round_joint)).full(ThinLayer(GLUE, 1.5, at=1.0), bodies="extended")
 

@@ -73,7 +73,7 @@ def test_openings_that_are_weaker_alone_are_not_convex():
         strips = Strips(Strip(end.c_N, 1.0), Strip(), Strip(), 0.0, 0.0)
         ends = straight_ends(free_rim(one, layer.sheet), layer.sheet)
         sides = one.sides_of("S")
-        weights = FacetWeights.of(ends, layer.sheet, EPS, strips).expressions(one, layer, sides, strips)
+        weights = FacetWeights.of(ends, layer.sheet, EPS, strips).expressions(one.domain, sides)
         M = law.lmbda + 2 * law.mu
 
         def taken(u, v, sides=sides, weights=weights, M=M):

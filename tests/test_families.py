@@ -109,10 +109,10 @@ def test_a_meshed_layer_keeps_its_shape():
     same = ThinLayer(LinearElastic(20.0, 30.0), 0.01, at=1.0)
     assert apart(solve(first.with_layer(same)), solve(joined().full(same))) < 1e-11
     with pytest.raises(
-        ModelError, match=r"the mesh has a layer 'S' of .* \(0\.01, None, \(\)\), not \(0\.03, None, \(\)\)"
+        ModelError, match=r"made room for a layer 'S' of .* \(0\.01, None, \(\)\), not \(0\.03, None, \(\)\)"
     ):
         first.with_layer(SOFT)
-    with pytest.raises(ModelError, match="it has no meshed layer"):
+    with pytest.raises(ModelError, match="is a law on S, without a thickness"):
         first.with_layer(HolonomicCoulomb(60.0, 40.0, friction=0.3))
 
 

@@ -8,11 +8,11 @@ from functools import cache
 import pytest
 
 from forms import Incompressible, LinearElastic, Rubber, limits
-from geometry import faults, wall
+from geometry import faults
 from tests.ranges_told import told
 from tests.test_meshed_networks import panel
 from tests.test_rubber_bearings import PLATES, modulus
-from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, solve
+from thinlayer import Structure, Surface, ThinLayer, compare, solve
 
 MU, A, SHIM = 1.2, 20.0, 10.0  # MPa; half-width or radius, and thickness of shims, mm
 OPENING = 0.01  # mm
@@ -89,10 +89,3 @@ def test_meshed_rubber_at_junctions():
         )
         found.append(state.energies())
     assert found[0] == pytest.approx(found[1], rel=0.03)
-
-
-def test_refused_where_seams_meet():
-    structure = Structure(wall(2, 2, (2.0, 1.0), 0.5), body=PLATES, supports={"BOTTOM": 0.0})
-    law = Rubber(30.0, 1.0)
-    with pytest.raises(ModelError, match="without junctions"):
-        structure.interface({"BED": ThinLayer(law, 0.05, order=1, at=1.0), "HEAD": ThinLayer(law, 0.05, at=1.0)})

@@ -531,4 +531,3 @@ def test_refused_models():
                 "HEAD": elastic,
             }
         )
-    refused(ModelError, r"order=1 needs an S without junctions", lambda: bricks.full(replace(elastic, order=1)))

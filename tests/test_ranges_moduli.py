@@ -1,4 +1,4 @@
-"""Stiffness and moduli at rest are those of differences; order 1 of laws that lock is refused."""
+"""Stiffness and moduli at rest are those of differences."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from forms import Anisotropic, BulkLaw, KelvinVoigt, LinearElastic, Maxwell
 from forms.planes import Kinematics
 from forms.stations import GAUSS, Faces
 from forms.tangent import average_lame, in_plane_modulus, tangent_at_rest
-from studies.problems import fourier
-from thinlayer import ModelError, Structure, ThinLayer
 
 MODULI = np.diag([7.0, 5, 9, 2, 3, 4])
 MODULI[:3, :3] += np.array([[0, 1.2, 0.7], [1.2, 0, 1.9], [0.7, 1.9, 0]])
@@ -71,31 +69,3 @@ def test_change_through_the_layer_leaves_the_faces_without_traction(n, plane):
     assert stress @ normal == pytest.approx(np.zeros(3), abs=1e-12)
     along = np.eye(3) - np.outer(normal, normal)
     assert along @ found @ along == pytest.approx(along @ given @ along, abs=1e-12)
-
-
-# ---------------------------------------------------------------- order 1 of laws that lock
-def rubber(change):
-    lmbda, mu = 12.0 * change * 40.0, 40.0
-    voigt = np.diag([lmbda + 2 * mu] * 3 + [mu] * 3)
-    voigt[:3, :3] += lmbda * (1 - np.eye(3))
-    return {
-        "KelvinVoigt": KelvinVoigt(lmbda, mu, 0.3, 0.4),
-        "Maxwell": Maxwell(lmbda, mu, 0.7),
-        "Anisotropic": Anisotropic(voigt, "layer"),
-    }
-
-
-@pytest.mark.parametrize("name", rubber(1.0))
-def test_order_1_of_laws_that_lock(name):
-    joint, setup = fourier(1 / 8, cell="quadrilateral")
-    with pytest.raises(
-        ModelError, match=r"lmbda/mu = 12\.12 at rest .nu = 0\.4619.*at most 12 .nu = 0\.4615.*use order=0"
-    ):
-        Structure(joint, **setup).interface(ThinLayer(rubber(1.01)[name], 0.1, order=1, at=1.0))
-    Structure(joint, **setup).interface(ThinLayer(rubber(0.99)[name], 0.1, order=1, at=1.0))
-    Structure(joint, **setup).interface(ThinLayer(rubber(1.01)[name], 0.1, at=1.0))
-
-
-def test_order_1_in_plane_stress_does_not_lock():
-    joint, setup = fourier(1 / 8, cell="quadrilateral")
-    Structure(joint, plane="stress", **setup).interface(ThinLayer(rubber(100.0)["Anisotropic"], 0.1, order=1, at=1.0))

@@ -14,7 +14,6 @@ from geometry import sandwich
 from studies.problems import fourier
 from tests.ranges_told import told
 from tests.refused import refused
-from tests.test_tips import partly
 from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, march, observed_orders, solve
 
 K = np.pi  # wave number of the Fourier problem: bodies of height .5, E = 100, nu = .3, top traction (.5 sin, cos)
@@ -249,10 +248,6 @@ def test_refused():
     refused(LawError, "lmbda is 0", lambda: Rubber(0.0, 1.0))
     refused(LawError, "mu is -1", lambda: Rubber(1.0, -1.0))
     joint, setup = fourier(1 / 4)
-    layer = ThinLayer(Rubber(90.0, 3.0), 0.1, order=1, at=1.0)
-    refused(ModelError, "in plane stress", lambda: Structure(joint, plane="stress", **setup).interface(layer))
-    tip = partly(joint, lambda x: x[:, 0] < 0.5)
-    refused(ModelError, "end inside the bodies", lambda: Structure(tip, **setup).interface(layer))
     negative = ThinLayer(Rubber(lambda x: 90.0 - 100 * x[0], 3.0), 0.1, order=1, at=1.0)
     for build in (Structure.full, Structure.interface):
         with pytest.raises(LawError, match=r"lmbda is -.*allowed: > 0.*, at x = "):

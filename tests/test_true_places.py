@@ -19,7 +19,7 @@ from tests.refused import refused
 from tests.test_order1 import apart
 from thinlayer import ModelError, Pressure, Probe, Structure, Surface, ThinLayer, compare, observed_orders, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.discretisation.reduction import Reduction
 from thinlayer.output.grid import gather
 
 pytestmark = pytest.mark.few(5)
@@ -101,7 +101,7 @@ def of_tubes(eps: float, order: int, bodies: str, law=GLUE) -> list[float]:
 @pytest.fixture
 def any_s(monkeypatch):
     """Order 1 with bodies that meet on a curved S, which is refused: the wrong law of these tests."""
-    monkeypatch.setattr(SeamLayer, "_check_flat", lambda *_: None)
+    monkeypatch.setattr(Reduction, "bent", None)
 
 
 @pytest.mark.usefixtures("any_s")
@@ -340,9 +340,6 @@ def test_other_layers_of_the_same_thickness():
 
 def test_refused():
     whole, layer = quarter(), ThinLayer(GLUE, 1 / 8, order=1, at=1.0)
-    refused(ModelError, "order=1 on a curved S needs bodies at their true places", lambda: whole.interface(layer))
-    with pytest.raises(ModelError, match="order=1 of a thickness that varies needs bodies at their true places"):
-        flat("both").full(replace(layer, profile=wavy))
     refused(GeometryError, "known: extended, kept", lambda: whole.interface(layer, bodies="moved"))
     with pytest.raises(ModelError, match="'S' has no ThinLayer"):
         Structure(whole.joint, body=BODY, supports=whole.supports, element="Q1").interface(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -29,7 +30,31 @@ def warn(message: str, comm: MPI.Intracomm) -> None:
 
 
 class ModelError(InputError):
-    """A model that cannot be built. Says what is wrong, where, and what is allowed."""
+    """A model that cannot be built. Says what is wrong, where, and what is allowed.
+
+    Attributes:
+        key: of the condition that does not hold; "": it has none.
+    """
+
+    key = ""
+
+
+@dataclass(frozen=True)
+class Refused:
+    """Why something is not known: the key of the condition that does not hold, the reason, and what to do instead."""
+
+    key: str
+    reason: str
+    remedy: str = "mesh the layer (structure.full)"
+
+    def __str__(self) -> str:
+        return f"{self.reason}; {self.remedy}"
+
+    def error(self, what: str = "") -> ModelError:
+        """The error of one who asks for it, after some words."""
+        error = ModelError(f"{what}{self}")
+        error.key = self.key
+        return error
 
 
 class SolveError(ThinlayerError, RuntimeError):

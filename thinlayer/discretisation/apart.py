@@ -42,17 +42,6 @@ def apart(joint: Joint, layers: Mapping[str, SeamLayer]) -> Joint:
     return parted(joint, eps, profile=profiles)
 
 
-def require_same_room(layers: Mapping[str, SeamLayer], others: Mapping[str, SeamLayer]) -> None:
-    """Raise ModelError unless layers need the room that bodies have made for others."""
-    for name, one in layers.items():
-        needed, made = ((each.thin.eps, each.profile) if each.thin else () for each in (one, others[name]))
-        if needed != made:
-            raise ModelError(
-                f"bodies have made room for a layer {name!r} of (thickness, profile) {made}, not {needed}; make a model "
-                "of its own, structure.interface(layer, bodies='extended')"
-            )
-
-
 class Middle:
     """S midway between bodies that stand apart.
 

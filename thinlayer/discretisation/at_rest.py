@@ -16,7 +16,7 @@ from forms.tangent import (
     tangent_at_rest,
     tangent_over,
 )
-from thinlayer.errors import ModelError
+from thinlayer.errors import Refused
 
 
 class AtRest:
@@ -72,23 +72,17 @@ class AtRest:
             if is_checked_at_rest(law):
                 require_stable_layer(law, C, self.n)
 
-    def require_no_locking(self) -> None:
-        """Raise ModelError for laws of order 1 that would lock because displacements are linear through the layer."""
+    def locks(self) -> Refused | None:
+        """Why the law of order 1 locks, as displacements are linear through the layer; None: it does not."""
         largest = min(station.largest_ratio for station in self.law.stations())
         for _, law, C in self.sublayers:
             lmbda, mu = (0.0, 1.0) if C is None else average_lame(C)
             if lmbda > largest * mu:
-                if law.traits.remembers or law.traits.rate:
-                    remedy = (
-                        "use order=0 or the meshed layer (structure.full): Rubber, whose pressure flows along S, has no "
-                        "such law, as its flow would have a memory and rate, too"
-                    )
-                else:
-                    remedy = (
-                        "use order=0, the meshed layer (structure.full), or Rubber or LinearElastic if it is isotropic"
-                    )
-                raise ModelError(
-                    f"order=1 of {type(law).__name__} with lmbda/mu = {lmbda / mu:.4g} at rest (nu = "
-                    f"{lmbda / (lmbda + mu) / 2:.4g}); allowed: at most {largest:g} (nu = "
-                    f"{largest / (largest + 1) / 2:.4f}), beyond which the next term locks; {remedy}"
+                ratios = [f"{x:.4g} (nu = {x / (x + 1) / 2:.4f})" for x in (lmbda / mu, largest)]
+                reason = (
+                    f"order=1 of {type(law).__name__} with lmbda/mu = {ratios[0]} at rest locks; allowed: {ratios[1]}"
                 )
+                elastic = not (law.traits.remembers or law.traits.rate)
+                rubber = ", or Rubber or LinearElastic if it is isotropic" if elastic else ""
+                return Refused("locks", reason, f"use order=0, or mesh the layer (structure.full){rubber}")
+        return None

@@ -211,7 +211,8 @@ class BrokenMesh:
         _, _, x = self._vertices(tag)
         with on_all(self.comm):
             for one in law.at_places(x) if law.fields else [law]:
-                AtRest(one, np.eye(self._dim)[-1]).require_no_locking()
+                if refused := AtRest(one, np.eye(self._dim)[-1]).locks():
+                    raise refused.error()
 
     def _vertices(self, tag: int) -> tuple[fem.FunctionSpace, npt.NDArray[np.int32], npt.NDArray[np.float64]]:
         """Functions of degree 1, their unknowns on the facets with a tag, and the places (d, n) of these."""

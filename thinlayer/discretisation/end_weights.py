@@ -10,12 +10,11 @@ from dolfinx import fem
 
 from forms.ends.weights import EndWeights, Strips
 from forms.interface import Interface
+from geometry.domain import Domain
 from geometry.ends import StraightEnd, share_within
 from geometry.sheet import Sheet
 from geometry.topology import FloatArray
 from thinlayer.discretisation.joint_fields import cellwise
-from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.seams import SeamLayer
 
 FAR = 1e3  # distance, over the size of the joint, of ends that there are not
 
@@ -29,6 +28,7 @@ class FacetWeights:
         resistance: mean further resistance to the flow of a pressure, over that of an infinite layer, (n,).
         m: (n, d) normal of the nearest end; zero where there is none.
         offset: (n,) m . x of its points.
+        sheet, eps, strips: that they are made from.
     """
 
     a_N: FloatArray
@@ -36,6 +36,9 @@ class FacetWeights:
     resistance: FloatArray
     m: FloatArray
     offset: FloatArray
+    sheet: Sheet
+    eps: float
+    strips: Strips
 
     @classmethod
     def of(cls, ends: list[StraightEnd], sheet: Sheet, eps: float, strips: Strips) -> FacetWeights:
@@ -54,21 +57,20 @@ class FacetWeights:
                 weights[k] += strip.c / strip.length * np.bincount(facet, part, count) / area
             closer = end.faces(centre) & (end.distance(centre) < nearest)
             nearest[closer], m[closer], offset[closer] = end.distance(centre)[closer], end.m, end.offset
-        return cls(weights[0], weights[1], weights[2], m, offset)
+        return cls(weights[0], weights[1], weights[2], m, offset, sheet, eps, strips)
 
     @property
     def overlap(self) -> bool:
         """Whether strips of several ends lie on one another, and leave the layer no stiffness."""
         return bool(max(self.a_N.max(initial=0.0), self.a_T.max(initial=0.0)) >= 1)
 
-    def expressions(self, model: Model, one: SeamLayer, sides: Interface, strips: Strips) -> EndWeights:
+    def expressions(self, domain: Domain, sides: Interface) -> EndWeights:
         """The weights as UFL expressions on S. Collective."""
-        assert one.thin
-        joint, mesh, eps = model.joint, model.domain.mesh, float(one.thin.eps)
+        joint, mesh, eps, strips = self.sheet.joint, domain.mesh, self.eps, self.strips
         values = np.zeros((len(joint.cells), 4 + joint.dim))
-        upper = joint.surface_cells[one.sheet.facets, 1]
+        upper = joint.surface_cells[self.sheet.facets, 1]
         values[upper] = np.column_stack([self.a_N, self.a_T, 1 / (1 + self.resistance), self.offset, self.m])
-        known = sides.upper(cellwise(model.domain, ("DG", 0, (4 + joint.dim,)), values[:, None]))
+        known = sides.upper(cellwise(domain, ("DG", 0, (4 + joint.dim,)), values[:, None]))
         m = ufl.as_vector([known[4 + k] for k in range(joint.dim)])
         distance = known[3] - ufl.dot(m, sides.upper(ufl.SpatialCoordinate(mesh)))
         f_N, f_T = (

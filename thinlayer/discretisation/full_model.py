@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Self
 
@@ -10,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from forms import work as forms
-from forms.law import BulkLaw
 from forms.tangent import needs_director
 from geometry.errors import unknown
 from geometry.inflating.inflation import inflate
@@ -20,7 +18,7 @@ from geometry.seam import BASE
 from thinlayer.discretisation.axis import require_revolution, require_shifts
 from thinlayer.discretisation.forces import Weighted
 from thinlayer.discretisation.joint_fields import director
-from thinlayer.discretisation.layer import Gap, LawOnS, Layers, constants, gaps_of, real_law
+from thinlayer.discretisation.layer import Gap, Layers, constants, gaps_of, real_law
 from thinlayer.discretisation.layered_model import LayeredModel
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup
@@ -88,39 +86,13 @@ class FullModel(LayeredModel):
                     f"the seam {name!r} is open, and its width is not known: give it a Gap(eps), or use "
                     "structure.interface"
                 )
-        for one in self.layers.values():
-            self._check(one)
+        self.require("mesh")
         return gaps
 
     def _check_beside(self, other: Self) -> None:
-        here, there = self._shapes(self._checked_layers()), other._shapes(gaps_of(other.layer))
-        for name, shape in here.items():
-            if shape != there.get(name):
-                raise ModelError(
-                    f"the mesh has a layer {name!r} of (thickness, profile, fractions) {there.get(name)}, not {shape}; "
-                    "make a model of its own, structure.full(layer)"
-                )
+        self._checked_layers()
+        self._require_shapes(other)
         self._check_junctions(self.domain.joint)
-
-    def _shapes(self, gaps: Mapping[str, Gap]) -> dict[str, tuple[object, ...]]:
-        """Name of a seam -> what its mesh depends on."""
-        shapes: dict[str, tuple[object, ...]] = {name: ("a gap", gap.eps) for name, gap in gaps.items()}
-        for name, one in self.layers.items():
-            if thin := one.thin:
-                shapes[name] = (thin.eps, one.profile, thin.fractions)
-        return shapes
-
-    def _check(self, one: SeamLayer) -> None:
-        """Raise an error if a layer cannot be meshed."""
-        layer = one.layer
-        if isinstance(layer, LawOnS):
-            raise ModelError(f"{type(layer).__name__} is a law of jump and traction: it has no meshed layer")
-        one.check(self._bodies)
-        if layer.law.traits.softens:
-            raise ModelError(
-                f"the stress of {layer.law!r} falls as strains grow: in a meshed layer all strain would gather in one row "
-                "of cells; take mixing=1, or NonMonotoneUnrelaxed, which has one phase for each column"
-            )
 
     def _check_size(self, eps: float) -> None:
         """Raise ModelError if a thickness is out of proportion."""
@@ -131,31 +103,18 @@ class FullModel(LayeredModel):
             )
 
     def _check_junctions(self, inflated: Joint) -> None:
-        """Raise ModelError if a law cannot be that of cells where layers meet."""
+        """Raise ModelError if a law cannot be that of cells where layers meet, which are in no column of a layer."""
         assert inflated.band is not None
         for region, name in inflated.band.junctions.items():
-            law = real_law(self.layers[name].layer, self.structure.kinematics)
-            self._check_junction(name, law, region in inflated.band.aligned)
-
-    def _check_junction(self, name: str, law: BulkLaw, aligned: bool) -> None:
-        """Raise ModelError if a seam's law cannot be that of cells where layers meet, which are in no column of a layer.
-
-        Args:
-            name: of the seam.
-            law: its law.
-            aligned: whether all layers that meet at one place have one normal there.
-        """
-        hint = "give junctions=... the name of a seam with another law, such as forms.LinearElastic"
-        if law.traits.switches:
-            raise ModelError(
-                f"{type(law).__name__} of the seam {name!r} has one phase for each column of a layer, and cells where "
-                f"layers meet are in none; {hint}"
-            )
-        if not aligned and needs_director(law):
-            raise ModelError(
-                f"{type(law).__name__} of the seam {name!r} depends on the normal of S, which is not defined where layers "
-                f"meet; {hint}"
-            )
+            law = self.reductions[name].law
+            if law.traits.switches:
+                why = "has one phase for each column of a layer, and cells where layers meet are in none"
+            elif region not in inflated.band.aligned and needs_director(law):
+                why = "depends on the normal of S, which is not defined where layers meet"
+            else:
+                continue
+            law_of = f"{type(law).__name__} of the seam {name!r}"
+            raise ModelError(f"{law_of} {why}; give junctions=... the name of a seam with another law")
 
     def _layer_terms(self) -> list[forms.Term]:
         mesh, band, n = self.domain.mesh, self.domain.joint.band, director(self.domain)

@@ -21,11 +21,9 @@ from geometry.inflating.motion import kept_motion
 from geometry.joint import Joint
 from geometry.seam import S
 from geometry.topology import FloatArray
-from thinlayer.discretisation.apart import Middle, apart, require_same_room
+from thinlayer.discretisation.apart import Middle, apart
 from thinlayer.discretisation.axis import require_revolution
 from thinlayer.discretisation.forces import Forces, Weighted
-from thinlayer.discretisation.free_ends import SeamEnds
-from thinlayer.discretisation.free_rim import require_unloaded_sides
 from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.joint_fields import cellwise, relative_thickness
 from thinlayer.discretisation.layer import Layers, ThinLayer, for_terms, real_law
@@ -35,7 +33,7 @@ from thinlayer.discretisation.point_forms import ConcentratedForms
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.side_loads import add_side_loads
-from thinlayer.errors import ModelError
+from thinlayer.errors import ModelError, Refused
 from thinlayer.parallel.agreement import on_all
 from thinlayer.pointwise.quadrature import quadrature_degree
 
@@ -54,7 +52,7 @@ class InterfaceModel(LayeredModel):
 
     def _checked(self) -> Joint:
         check_layering(1, self._bodies)
-        self._check_layers()
+        self.require("interface law")
         if self._bodies == "kept":
             return self.joint
         joint = apart(self.joint, self.layers)
@@ -66,20 +64,14 @@ class InterfaceModel(LayeredModel):
         points = partial(ConcentratedForms, self.domain, self.joint, structure.degree, forces.at)
         to_base = 2 * self._middle.to_s if self._middle else None
         for one in self.layers.values():
-            if one.flows:
-                require_unloaded_sides(one, structure.tractions)
-            elif one.thin and one.thin.order == 1:
-                add_side_loads(forces, self, one, self.sides_of(one.name), points, self.ends[one.name], to_base)
+            if one.thin and one.thin.order == 1:
+                add_side_loads(forces, self, one, self.sides_of(one.name), points, to_base)
         return forces
 
-    def _check_layers(self) -> None:
-        for one in self.layers.values():
-            one.check(self._bodies)
-
     def _check_beside(self, other: Self) -> None:
-        self._check_layers()
+        self.require("interface law")
         if self._bodies != "kept":
-            require_same_room(self.layers, other.layers)
+            self._require_shapes(other)
 
     @cached_property
     def _middle(self) -> Middle | None:
@@ -135,20 +127,16 @@ class InterfaceModel(LayeredModel):
 
     def _layer_terms(self) -> list[forms.Term]:
         with on_all(self.comm):
-            self.ends = {name: self._ends_of(one) for name, one in self.layers.items()}
+            for name, one in self.layers.items():
+                if self.reductions[name].weights is None and one.thin and one.thin.edges == "free":
+                    self.reductions[name].require("ends", f"edges='free' of {one}: ")
         return [term for one in self.layers.values() if not one.contact for term in self.terms_of(one)]
-
-    def _ends_of(self, one: SeamLayer) -> SeamEnds:
-        ends = SeamEnds.of(self, one, self._bodies)
-        if ends.unknown and one.thin and one.thin.edges == "free":
-            raise ModelError(f"edges='free' of {one}: {ends.unknown}")
-        return ends
 
     @property
     def remarks(self) -> list[str]:
         """What was chosen at the free ends of layers of order 1."""
-        some = [(one, self.ends[name].said) for name, one in self.layers.items() if one.thin and one.thin.order]
-        return [f"free ends of {one}: {said}" for one, said in some]
+        ordered = [known for known in self.reductions.values() if known.one.thin and known.one.thin.order]
+        return [f"free ends of {known.one}: {known.said}" for known in ordered]
 
     def shifts(self) -> FloatArray | None:
         """As in `Model`: by layers of order 1, whose law knows that faces stand apart, between bodies that meet on S."""
@@ -163,15 +151,15 @@ class InterfaceModel(LayeredModel):
         except GeometryError:  # bodies that do not part in one piece
             return None
 
-    def free_ends(self, name: str) -> str | None:
+    def free_ends(self, name: str) -> Refused | None:
         """Why the interface law of a seam knows nothing of its free ends; None: it does, or there are none.
 
         Raises:
             ModelError: no layer of this name.
         """
-        if name not in self.ends:
-            raise ModelError(unknown("layer", name, self.ends))
-        return self.ends[name].unknown
+        if name not in self.reductions:
+            raise ModelError(unknown("layer", name, self.reductions))
+        return self.reductions[name].why_not("ends")
 
     def terms_of(self, one: SeamLayer, sides: Interface | None = None) -> list[forms.Term]:
         """The terms of a layer without contact on its seam, or on some sides that are given."""
@@ -186,7 +174,8 @@ class InterfaceModel(LayeredModel):
         else:
             eps = self._thickness(one.name, one.thin, sides)
             slope = self._middle.slope(sides) if self._middle and one.thin.profile else None
-            ends = self.ends[one.name].expressions(self, one, sides)
+            weights = self.reductions[one.name].weights
+            ends = weights.expressions(self.domain, sides) if weights else None
             if ends is not None:
                 finer = {"quadrature_degree": quadrature_degree(self.V, measure) + AT_ENDS}
                 sides = replace(sides, measure=measure.reconstruct(metadata=finer))
@@ -202,7 +191,7 @@ class InterfaceModel(LayeredModel):
         return eps
 
     def _data(self) -> dict[str, Any]:
-        known = [name for name, ends in self.ends.items() if ends.weights is not None]
+        known = [name for name, reduction in self.reductions.items() if reduction.weights]
         return super()._data() | ({"free ends": known} if known else {})
 
     def _places_of(self, one: SeamLayer) -> list[Weighted]:

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Self
 
 from thinlayer.discretisation.given import Load
-from thinlayer.discretisation.layer import Layers
+from thinlayer.discretisation.layer import Layers, gaps_of
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import loads_of_layers
 from thinlayer.discretisation.setup import Setup
@@ -43,7 +43,7 @@ class LayeredModel(Model):
         with on_all(self.comm):
             new.forces = new._forces(new.structure)
             if new.strain or new.stress:
-                new.require_order_zero()
+                new.require("mean strain")
             if new.stress and not new.broken:
                 raise ModelError(
                     "with_layer: under a mean stress a meshed layer is a part of the cell; build the model anew"
@@ -55,6 +55,20 @@ class LayeredModel(Model):
 
     def _loads_of_layers(self, structure: Setup) -> dict[str, Load]:
         return loads_of_layers(structure.body_force, self.joint, self.layers)
+
+    def _require_shapes(self, other: Self) -> None:
+        """Raise ModelError unless layers and gaps need the room that bodies have made for those of another model."""
+        count = 2 if self.broken else 3  # sublayers have cells in meshed layers alone
+        needed, made = (
+            {name: ("a gap", gap.eps) for name, gap in gaps_of(model.layer).items()}
+            | {name: one.shape[:count] for name, one in model.layers.items()}
+            for model in (self, other)
+        )
+        for name in (name for name in needed if needed[name] != made.get(name)):
+            raise ModelError(
+                f"bodies have made room for a layer {name!r} of (thickness, profile, fractions) {made.get(name)}, not "
+                f"{needed[name]}; make a model of its own"
+            )
 
     @abstractmethod
     def _check_beside(self, other: Self) -> None:

@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 import ufl
+from mpi4py import MPI
 from scipy.spatial import cKDTree
 
 from forms import work as forms
@@ -17,12 +18,12 @@ from geometry.errors import place
 from geometry.seam import LAYER, S
 from thinlayer.compiling.compat import exterior_facet_entities
 from thinlayer.discretisation.followers import at_cuts
-from thinlayer.discretisation.free_rim import free_rim, why_alone
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.joint_fields import cellwise
-from thinlayer.discretisation.layer import Layers, ThinLayer, layers_of
+from thinlayer.discretisation.layer import Layers, layers_of
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError, warn
@@ -51,13 +52,13 @@ class MixedModel(FullModel):
     def __init__(self, structure: Setup, layer: Layers, where: Where, *, bodies: str, cells_through: int) -> None:
         with on_all(structure.comm):
             self.meshed = _facets(structure, where)
-            _require(structure, layer, self.meshed)
+            _require(structure, layer, self.meshed, bodies)
         self.layer, self._bodies, self._cells_through, self._junctions = layer, bodies, cells_through, None
         self.by_law = self._law_beside(InterfaceModel(structure, _on_all_of_s(structure, layer), bodies=bodies))
         with on_all(structure.comm):
-            for one in self.by_law.layers.values():
-                if reason := why_alone(self.by_law, one, self.meshed):
-                    raise ModelError(f"{reason}: mesh all of the layer there")
+            for reduction in self.by_law.reductions.values():
+                if refused := reduction.held_alone(self.meshed):
+                    raise refused.error()
         options = {"bodies": bodies, "cells_through": cells_through, "meshed": described(self.meshed)}
         super(FullModel, self).__init__(structure, layer, **options)
         self._follow()
@@ -65,16 +66,11 @@ class MixedModel(FullModel):
     def _data(self) -> dict[str, Any]:
         return super()._data() | {"meshed": described(self.meshed)}
 
-    def _check(self, one: SeamLayer) -> None:
-        super()._check(_of_order(one, 0))
-        if one.thin and one.thin.order:
-            one.check_next_term(self._bodies)
-
     def with_layer(self, layer: Layers) -> Self:
         """As in other models. Collective."""
         assert self.meshed is not None
         with on_all(self.comm):
-            _require(self.structure, layer, self.meshed)
+            _require(self.structure, layer, self.meshed, self._bodies)
         new = super().with_layer(layer)
         new.by_law = self._law_beside(self.by_law.with_layer(_on_all_of_s(self.structure, layer)))
         new._follow()
@@ -89,14 +85,14 @@ class MixedModel(FullModel):
         """An interface model whose laws know of no free ends where these have cells. Collective."""
         assert self.meshed is not None
         with on_all(model.comm):
-            plain = {
-                name: one.layer for name, one in model.layers.items() if _knows_ends_of_cells(model, one, self.meshed)
-            }
+            plain = [k for k, known in model.reductions.items() if _ends_have_cells(known, self.meshed, model.comm)]
         if not plain:
             return model
-        others = {name: one.layer for name, one in model.layers.items()}
-        known = {name: replace(layer, edges="plain") for name, layer in plain.items() if isinstance(layer, ThinLayer)}
-        return model.with_layer(dict.fromkeys(model.joint.seams) | others | known)
+        layers = {
+            name: replace(one.thin, edges="plain") if one.thin and name in plain else one.layer
+            for name, one in model.layers.items()
+        }
+        return model.with_layer(dict.fromkeys(model.joint.seams) | layers)
 
     def law_elsewhere(self) -> tuple[Model, list[forms.Term]] | None:
         """The terms of the interface laws on the facets without cells, and the interface model. Collective."""
@@ -106,12 +102,7 @@ class MixedModel(FullModel):
             return None
         terms = []
         for name, one in model.layers.items():
-            wanted = self.layers[name].thin
-            assert wanted
-            measure, of_order = (
-                self._without_cells(name),
-                model.terms_of(_of_order(one, wanted.order), self._sides(one)),
-            )
+            measure, of_order = self._without_cells(name), model.terms_of(self.layers[name], self._sides(one))
             terms += [replace(p, measure=measure(1, metadata=p.measure.metadata())) for p in of_order]
         return model, terms
 
@@ -181,7 +172,7 @@ def _facets(structure: Setup, where: Where) -> BoolArray:
     return found
 
 
-def _require(structure: Setup, layer: Layers, meshed: BoolArray) -> None:
+def _require(structure: Setup, layer: Layers, meshed: BoolArray, bodies: str) -> None:
     """Raise ModelError for what a mixed model cannot have, with the reason."""
     joint = structure.joint
     if joint.base_seams and len(joint.seams) > 1:
@@ -190,17 +181,8 @@ def _require(structure: Setup, layer: Layers, meshed: BoolArray) -> None:
         raise ModelError("a mixed model is not for periodic cells")
     if structure.element[0] == "S":
         raise ModelError("a mixed model needs nodal displacements, not elements S2")
-    for one in layers_of(joint, layer).values():
-        if not isinstance(one, ThinLayer):
-            raise ModelError(
-                f"a mixed model needs a ThinLayer on each seam, as it is meshed on a part of it, not {one!r}"
-            )
-        traits, kind = one.law.traits, type(one.law).__name__
-        if traits.constrained or traits.phases or one.law.fields:
-            what = (
-                "a pressure" if traits.constrained else "phases" if traits.phases else "parameters that are functions"
-            )
-            raise ModelError(f"a mixed model is not for {kind}, which has {what}: these do not pass from cells to S")
+    for name, one in layers_of(joint, layer).items():
+        Reduction(SeamLayer(name, one, structure), bodies).require("mixed", "a mixed model: ")
     rim = structure.sheet.rim
     by_law = rim[~meshed[structure.sheet.parts[0][rim.simplex]]]
     for name in structure.tractions or {}:
@@ -222,40 +204,22 @@ def _on_all_of_s(structure: Setup, layer: Layers) -> Layers:
     return dict.fromkeys(structure.joint.seams) | {name: replace(one, order=0, edges=None) for name, one in given}
 
 
-def _of_order(one: SeamLayer, order: int) -> SeamLayer:
-    """A layer with the interface law of some order."""
-    if one.thin is None or one.thin.order == order:
-        return one
-    return SeamLayer(one.name, replace(one.thin, order=order, edges=None), one.structure)
-
-
-def _knows_ends_of_cells(model: InterfaceModel, one: SeamLayer, meshed: BoolArray) -> bool:
+def _ends_have_cells(reduction: Reduction, meshed: BoolArray, comm: MPI.Intracomm) -> bool:
     """Whether a law has constants of free ends, all of which have cells.
 
     Raises:
         ModelError: only some have, and the law acts within their reach.
     """
-    if not (one.thin and one.thin.order) or model.free_ends(one.name) is not None:
-        return False
-    joint, sheet = model.joint, one.sheet
-    rim = free_rim(model, sheet)
-    has_cells = meshed[sheet.parts[0][rim.simplex]]
-    by_law = np.unique(joint.table.vertices[joint.surface_rows[sheet.facets][~meshed[sheet.facets]]])
-    if not (has_cells.any() and len(by_law)):
-        return bool(has_cells.all())
+    one, rim, joint = reduction.one, reduction.free, reduction.one.sheet.joint
+    has_cells = meshed[one.sheet.parts[0][rim.simplex]]
+    by_law = np.unique(joint.table.vertices[joint.surface_rows[one.sheet.facets][~meshed[one.sheet.facets]]])
+    if reduction.weights is None or not (has_cells.any() and len(by_law)):
+        return reduction.weights is not None and bool(has_cells.all())
     x = joint.points[rim[has_cells].vertices].mean(axis=1)
     near, at = cKDTree(x).query(joint.points[by_law])
-    if has_cells.all():
-        if near.min() < REACH * one.thin.eps:
-            warn(
-                f"{one} is meshed over {near.min() / one.thin.eps:.2g} thicknesses at its free end at "
-                f"{place(x[at[near.argmin()]])}: the end's stresses reach the law beyond; mesh {REACH:g} or more",
-                model.comm,
-            )
-        return True
-    if near.min() < REACH * one.thin.eps:
-        raise ModelError(
-            f"{one} is meshed at its free end at {place(x[at[near.argmin()]])} over {near.min():.3g} only; the law there, "
-            f"which has the constants of other free ends, needs {REACH:g} thicknesses, or edges='plain'"
-        )
-    return False
+    if (width := near.min() / reduction.weights.eps) < REACH:
+        there = f"{one} is meshed over {width:.2g} thicknesses at its free end at {place(x[at[near.argmin()]])}"
+        if not has_cells.all():
+            raise ModelError(f"{there}; the law beside, with constants of others, needs {REACH:g}, or edges='plain'")
+        warn(f"{there}: the end's stresses reach the law beyond; mesh {REACH:g} or more", comm)
+    return bool(has_cells.all())

@@ -37,6 +37,7 @@ from thinlayer.discretisation.placed import placed
 from thinlayer.discretisation.point_forms import ConcentratedForms
 from thinlayer.discretisation.point_loads import Concentrated, check_loads
 from thinlayer.discretisation.reactions import on_centre
+from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.rigid import free_translations, require_support
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup
@@ -58,6 +59,7 @@ class Model(ABC):
         joint: the joint before inflating.
         plane, element, body_laws: the structure's.
         layers: name of a seam -> its layer, in the joint's order; empty where the bodies are bonded.
+        reductions: name of a seam -> which interface law stands for its layer, and why not.
         domain: the distributed mesh.
         comm: the domain's communicator.
         V: displacement space; broken across S in the interface model.
@@ -89,6 +91,7 @@ class Model(ABC):
 
     name: ClassVar[str]
     broken: ClassVar[bool] = False
+    _bodies = "kept"
     followers: Followers | None = None
 
     def __init__(self, structure: Setup, layer: object, **options: object) -> None:
@@ -141,6 +144,7 @@ class Model(ABC):
         with on_all(structure.comm):
             given = {} if layer is None else layers_of(self.joint, layer)
             self.layers = {name: SeamLayer(name, one, structure) for name, one in given.items()}
+            self.reductions = {name: Reduction(one, self._bodies) for name, one in self.layers.items()}
             checked = check()
         what = require_same(structure.comm, model=self.name, layer=layer, options=self._options)
         self.mark = structure.mark + what
@@ -218,20 +222,16 @@ class Model(ABC):
         if strain is not None and stress is not None:
             raise ModelError("give a mean strain or a mean stress, not both")
         if not (strain is None and stress is None):
-            self.require_order_zero()
+            self.require("mean strain")
         return (
             None if strain is None else MeanStrain(strain, self.coordinates, self.joint),
             None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.solids),
         )
 
-    def require_order_zero(self) -> None:
-        """Raise ModelError if a layer is of order 1, which a mean strain does not reach."""
-        ordered = [name for name, one in self.layers.items() if one.thin and one.thin.order]
-        if ordered:
-            raise ModelError(
-                f"the layer {ordered[0]!r} is of order 1, whose strains along S have a part of the mean strain; under a "
-                "mean strain layers are of order 0"
-            )
+    def require(self, question: str, what: str = "") -> None:
+        """Raise ModelError, after some words, if a layer does not meet a condition of a question (`Reduction.why_not`)."""
+        for reduction in self.reductions.values():
+            reduction.require(question, what)
 
     @abstractmethod
     def _checked(self) -> Joint:
@@ -303,10 +303,6 @@ class Model(ABC):
     def remarks(self) -> list[str]:
         """Sentences for the log: what was chosen that the user left open."""
         return []
-
-    def free_ends(self, name: str) -> str | None:
-        """Why the layer of a seam is taken for an infinite one at its free ends; None: it is not."""
-        return None
 
     def shifts(self) -> FloatArray | None:
         """(n_cells, d) how far layers that have no cells part the bodies, by cell of the joint; None: not, or not known."""

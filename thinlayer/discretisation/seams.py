@@ -14,14 +14,11 @@ from forms.contact import ContactLaw
 from forms.kinematics import Expr
 from forms.law import Law
 from geometry.domain import Domain
-from geometry.errors import place
 from geometry.joint import Joint
 from geometry.seam import S
 from geometry.sheet import Sheet
-from geometry.topology import is_tensor
 from thinlayer.compiling.compat import interior_facet_entities
 from thinlayer.discretisation.at_rest import AtRest
-from thinlayer.discretisation.axis import is_across
 from thinlayer.discretisation.eigenstrains import Matter, given_strain
 from thinlayer.discretisation.given import Coordinates, Load
 from thinlayer.discretisation.layer import CONTACT, LAYER, PRESSURE, LawOnS, Layer, ThinLayer, real_law
@@ -112,99 +109,17 @@ class SeamLayer:
         matter = Matter(str(self), real_law(self.layer, kinematics), self.sheet.mean_normal, kinematics, at)
         return given_strain(self.thin.eigenstrain, matter)
 
-    def check(self, bodies: str) -> None:
-        """Raise ModelError or LawError if the layer does not suit the joint or the elements, or is not stable.
-
-        Args:
-            bodies: "kept", or "extended": at their true places.
-        """
-        joint, element = self.structure.joint, self.structure.element
-        if not isinstance(self.layer, ThinLayer | LawOnS):
-            raise ModelError(
-                f"the layer is {self.layer!r}; give ThinLayer(law, eps), or a law of jumps or of contact on S"
-            )
-        self.law.check_dimension(joint.dim)
-        if self.contact:
-            self._check_contact(self.contact)
-            return
-        if self.thin:
-            if self.thin.order == 1:
-                self._check_order_1(bodies)
-            if self.thin.law.traits.constrained and element not in ("P2", "Q2"):
-                raise ModelError(
-                    f"an incompressible layer needs elements P2 or Q2 for its displacements, not {element}"
-                )
-            joint.relative_thickness(self.thin.profile, self.name)  # a user's function, may fail on one rank alone
-        for one in self.samples:
-            one.at_rest.require_stable()
-
-    def check_next_term(self, bodies: str) -> None:
-        """Raise ModelError or LawError unless the next term of the law holds away from tips and junctions; as `check`."""
-        if self.thin and self.thin.law.traits.constrained and self.structure.plane == "stress":
-            raise ModelError(
-                f"order=1 of {type(self.thin.law).__name__} in plane stress: no pressure builds up in a sheet; use "
-                "LinearElastic or order=0"
-            )
-        if self.structure.degree != 2:
-            element = self.structure.element
-            raise ModelError(f"order=1 needs elements of degree 2 (its law has gradients on S), not {element}")
-        self._check_flat(bodies)
-        for one in self.samples:
-            one.at_rest.require_no_locking()
-
-    def _check_order_1(self, bodies: str) -> None:
-        self.check_next_term(bodies)
-        if self.sheet.tip is not None:
-            raise ModelError(
-                f"order=1 needs an S that does not end inside the bodies, and {self} ends at {place(self.sheet.tip)}: its "
-                "law has gradients at the tip"
-            )
-        if self.sheet.junction is not None:
-            raise ModelError(
-                f"order=1 needs an S without junctions, and {self} meets another one, or branches, at "
-                f"{place(self.sheet.junction)}: the next term leaves out what a junction adds, which is of the same order"
-            )
-
-    def _check_flat(self, bodies: str) -> None:
-        """Raise ModelError for a bent layer whose next term would be wrong."""
-        assert self.thin
-        if (bent := self._bent) and bodies == "kept":
-            raise ModelError(
-                f"order=1 {bent} needs bodies at their true places: where they meet on S the next term is wrong; use "
-                "bodies='extended', for the interface and the full model alike"
-            )
-        if bent and len(self.thin.law.sublayers) > 1:
-            raise ModelError(
-                f"order=1 of a Stack {bent}: the next term leaves out that the sublayers' shares of the jump turn along S; "
-                "use order=0, or mesh the layer (structure.full)"
-            )
-
-    @property
-    def _bent(self) -> str | None:
-        """In what way the layer is not flat and of one thickness, if it is not."""
-        if self.thin and self.thin.profile is not None:
-            return "of a thickness that varies"
-        if not self.sheet.planar:
-            return "on a curved S"
-        if not is_across(self.structure.kinematics, self.sheet.mean_normal[None]):
-            return "on an S that is not across the axis of revolution, its normal along y, and so curved,"
-        return None
-
-    def _check_contact(self, law: ContactLaw) -> None:
-        """Raise ModelError unless displacements are of degree 1: contact laws act at the vertices of S."""
-        linear = "Q1" if is_tensor(self.structure.joint.cell_type) else "P1"
-        if self.structure.element != linear:
-            raise ModelError(
-                f"a contact law acts at the vertices of S and needs element={linear!r}, not {self.structure.element}: "
-                "nodes in the middle of edges would carry most of the pressure, or none of it"
-            )
-        law.check_threshold()
 
     @property
     def profile(self) -> Any:
         """Description of the profile, as JSON; None: the thickness is uniform."""
         given = self.thin.profile if self.thin else None
         return described(self.structure.joint.relative_thickness(given, self.name)) if given else None
+
+    @property
+    def shape(self) -> tuple[Any, ...]:
+        """Thickness, profile and fractions of sublayers, which the mesh of the layer depends on; (): a law on S."""
+        return (self.thin.eps, self.profile, self.thin.fractions) if self.thin else ()
 
     def identity(self) -> dict[str, Any]:
         """Description of the layer without its law, as JSON."""

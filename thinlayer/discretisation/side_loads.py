@@ -35,8 +35,6 @@ from geometry.seam import LAYER
 from geometry.sheet import Rim, Sheet
 from geometry.topology import FloatArray, IntArray, ridge_keys
 from thinlayer.discretisation.forces import Forces, Weighted
-from thinlayer.discretisation.free_ends import SeamEnds
-from thinlayer.discretisation.free_rim import loose_rim
 from thinlayer.discretisation.given import Coordinates, Load, Pressure, vanishes
 from thinlayer.discretisation.joint_fields import cellwise
 from thinlayer.discretisation.layer import real_law
@@ -44,7 +42,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.point_forms import ConcentratedForms
 from thinlayer.discretisation.point_loads import Nodes
 from thinlayer.discretisation.seams import SeamLayer
-from thinlayer.errors import warn
+from thinlayer.errors import Refused, warn
 
 ANTIPLANE = (
     0.2713773  # 7 zeta(3)/pi^3: mean distance over the thickness of the tractions that balance a load along the end
@@ -103,7 +101,6 @@ def add_side_loads(
     one: SeamLayer,
     sides: Interface,
     points: Callable[[], ConcentratedForms],
-    ends: SeamEnds,
     to_base: Expr | None,
 ) -> None:
     """Add the tractions on the side of a layer of order 1 to the forces of an interface model.
@@ -114,15 +111,19 @@ def add_side_loads(
         one: the layer.
         sides: of its seam.
         points: makes forms of what acts at nodes.
-        ends: free ends of its seam; if their constants are known, they say what loads there do.
         to_base: (d,) how far a rigid base is from the facets of the body; None: the body meets it.
     """
-    free = ridge_keys(loose_rim(model, one.sheet).vertices)
+    reduction = model.reductions[one.name]
+    free = ridge_keys(reduction.loose.vertices)
     for load in SideLoad.of(model, one):
-        known = np.isin(ridge_keys(load.rim.vertices), free) & (ends.weights is not None)
+        if one.flows:
+            reason = f"the {load.what} acts on the side of {one}, whose pressure of order 1 is zero at free ends"
+            raise Refused("loaded side", reason).error()
+        known = np.isin(ridge_keys(load.rim.vertices), free) & (reduction.weights is not None)
         found = [*_at_ends(load.on(known), forces.at, model, one, sides)]
         if not known.all():
-            why = f", as {ends.unknown}" if ends.unknown else " where a support holds the side"
+            refused = reduction.why_not("ends")
+            why = f", as {refused.reason}" if refused else " where a support holds the side"
             warn(
                 f"{load.what}: each face of {one} gets half of the force, and how it reaches the faces makes a difference "
                 f"as large as the force, which is not known{why}; mesh the layer (structure.full) if that matters",

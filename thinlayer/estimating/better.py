@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from forms.base import InputError
 from forms.law import BulkLaw
-from forms.next_order import for_next_order
-from forms.tangent import average_lame
-from thinlayer.discretisation.free_ends import LEAST_CONTRAST, softest_body
-from thinlayer.discretisation.free_rim import free_rim, loose_rim, why_alone
+from forms.tangent import average_lame, is_isotropic
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
+from thinlayer.discretisation.reduction import LEAST_CONTRAST, Reduction, softest_body
 from thinlayer.discretisation.seams import SeamLayer
-from thinlayer.errors import ModelError
+from thinlayer.discretisation.state import State
+from thinlayer.errors import ModelError, Refused
+from thinlayer.estimating.places import NEAR_ENDS, distance_to
+from thinlayer.output.layer_report import ELASTIC, LayerReport
 from thinlayer.parallel.agreement import on_all
-from thinlayer.ranges.sublayers import VOLUME
 
-WITHOUT_ENDS = "without edge terms: off by up to a half"
 OFF = 0.5  # of the true error: estimates without edge terms are less off between bodies of E/mu below LEAST_CONTRAST
 LEAST_HEIGHT = 4.0  # of a body, over the thickness, from which on estimates were found to be within 25 % of true errors
 SAME = 1e-6  # part of a tangent, over its largest entry, that counts as none
@@ -58,66 +57,40 @@ def creeps(law: BulkLaw) -> bool:
     return law.traits.rate or relaxes(law)
 
 
-def better_layers(model: InterfaceModel) -> dict[str, ThinLayer]:
-    """Name of a seam -> its layer with the better law.
-
-    Raises:
-        ModelError: there is none.
-    """
-    if not model.layers:
-        raise ModelError("estimate: there is no layer whose mesh could be dropped")
-    return {name: _better(model, one) for name, one in model.layers.items()}
-
-
-def _better(model: InterfaceModel, one: SeamLayer) -> ThinLayer:
-    thin, law = one.thin, one.law
-    if thin is None:
-        raise ModelError(
-            f"estimate: {one} has a law on S, {type(law).__name__}, without a thickness: there is no mesh that it replaces"
-        )
-    if thin.order == 1:
-        raise ModelError(f"estimate: {one} has order=1 already, and an estimate needs a better law; give it order=0")
-    if law.traits.phases or law.traits.softens:
-        raise ModelError(
-            f"estimate: {type(law).__name__} has phases, or a stress that falls as strains grow; no estimate of its error "
-            "is known: mesh the layer (structure.full)"
-        )
-    in_sheet = one.structure.plane == "stress"  # no pressure builds up there
-    ends = len(loose_rim(model, one.sheet).vertices) > 0
-    return replace(thin, law=thin.law if in_sheet else for_next_order(thin.law, ends), order=1)
-
-
 def better_model(model: InterfaceModel) -> tuple[InterfaceModel, dict[str, BetterLaw]]:
     """The model with better laws of its layers, and name of a seam -> what its law is. Collective.
 
     Raises:
         ModelError: there are none.
     """
+    if not model.layers:
+        raise ModelError("estimate: there is no layer whose mesh could be dropped")
     with on_all(model.comm):
-        for one in model.layers.values():
-            if reason := why_alone(model, one):
-                raise ModelError(f"estimate: {reason}: mesh the layer (structure.full, structure.mixed)")
-        layers = better_layers(model)
+        model.require("estimate", "estimate: ")
+        layers = {name: reduction.better() for name, reduction in model.reductions.items()}
     try:
         better = model.with_layer({**dict.fromkeys(model.joint.seams), **layers})
     except InputError as error:
         raise ModelError(f"estimate: the better law, of order 1, is not known here: {error}") from error
     found = {}
-    for name, one in better.layers.items():
-        ends, why = len(free_rim(better, one.sheet).vertices) > 0, better.free_ends(name)
+    for name, reduction in better.reductions.items():
+        ends, why = len(reduction.free.vertices) > 0, reduction.why_not("ends")
         with_ends = ", with its free ends" if ends and why is None else ""
-        lacks, off = _lacks(one, why)
-        found[name] = BetterLaw(layers[name], f"order 1 of {type(one.law).__name__}{with_ends}", ends, lacks, off)
+        lacks, off = _lacks(reduction, why)
+        found[name] = BetterLaw(
+            layers[name], f"order 1 of {type(reduction.one.law).__name__}{with_ends}", ends, lacks, off
+        )
     return better, found
 
 
-def _lacks(one: SeamLayer, why: str | None) -> tuple[str, float]:
+def _lacks(reduction: Reduction, why: Refused | None) -> tuple[str, float]:
     """What the better law of a layer lacks, in words and by how much; `why` its ends are not known, None if they are."""
+    one = reduction.one
     assert one.thin
-    if why is not None and not _is_told_without_ends(one):
-        return f"no estimate without edge terms ({why})", math.nan
+    if why is not None and not all(_is_told_without_ends(sample) for sample in one.samples):
+        return f"no estimate without edge terms ({why.reason})", math.nan
     height = float(min(one.sheet.heights)) / float(one.thin.eps)
-    found = [f"{WITHOUT_ENDS} ({why})"] if why is not None else []
+    found = [f"without edge terms: off by up to a half ({why.reason})"] if why is not None else []
     if height < LEAST_HEIGHT * (1 - SAME):
         found += [
             f"a body is {height:.2g} thicknesses high, allowed: {LEAST_HEIGHT:g}: off by up to a half, goals by more"
@@ -125,15 +98,32 @@ def _lacks(one: SeamLayer, why: str | None) -> tuple[str, float]:
     return "; ".join(found), OFF if found else 0.0
 
 
-def _is_told_without_ends(one: SeamLayer) -> bool:
+def _is_told_without_ends(sample: SeamLayer) -> bool:
     """Whether a layer has one isotropic law that does not relax, and bodies so soft that its free ends do not dominate."""
-    for sample in one.samples:
-        (_, law, C), *others = sample.at_rest.sublayers
-        if others or C is None or relaxes(law):
-            return False
-        lmbda, mu = average_lame(C)
-        if np.abs(C - lmbda * np.outer(VOLUME, VOLUME) - 2 * mu * np.eye(6)).max() > SAME * np.abs(C).max():
-            return False
-        if softest_body(sample) >= LEAST_CONTRAST * mu:
-            return False
-    return True
+    (_, law, C), *others = sample.at_rest.sublayers
+    if others or C is None or relaxes(law) or not is_isotropic(C):
+        return False
+    return softest_body(sample) < LEAST_CONTRAST * average_lame(C)[1]
+
+
+def why_unknown(state: State) -> str:
+    """Why the errors of the layers' laws cannot be told from a state of the better laws; "": they can. Collective.
+
+    At a free end a layer that yields redistributes what the laws on S do not see; estimates there were found to be four
+    times too low.
+    """
+    for name, one in state.model.layers.items():
+        if not one.law.traits.bounded:
+            continue
+        assert one.thin
+        report = LayerReport(state, name)
+        yields = report.status != ELASTIC
+        if not yields.any():
+            continue
+        if not one.law.traits.symmetric:
+            return f"{one} slides or yields with a dilatancy unlike its friction: no estimate is known"
+        joint, rim = state.model.joint, state.model.reductions[name].free
+        centres = joint.points[joint.table.vertices[report.rows[yields]]].mean(axis=1)
+        if np.any(distance_to(joint, rim, centres) < NEAR_ENDS * one.thin.eps):
+            return f"{one} yields at its free ends: no estimate (found up to 4 times too low)"
+    return ""

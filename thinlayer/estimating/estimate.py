@@ -11,18 +11,16 @@ import numpy as np
 
 from geometry.seam import LAYER
 from thinlayer.discretisation.bonded_model import BondedModel
-from thinlayer.discretisation.free_rim import side_kinds
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Layers
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.estimating.better import BetterLaw, better_model
+from thinlayer.estimating.better import BetterLaw, better_model, why_unknown
 from thinlayer.estimating.goal import Goal
 from thinlayer.estimating.goals import Compliance, Reaction
 from thinlayer.estimating.norms import Norms, field_of_ends
 from thinlayer.estimating.places import NEAR_ENDS
 from thinlayer.estimating.result import Estimate, GoalError, LayerError
-from thinlayer.estimating.yielding import why_not
 from thinlayer.files.progress import telling
 from thinlayer.parallel.agreement import on_all
 from thinlayer.solving.options import OptionValue
@@ -76,7 +74,7 @@ def estimate(
     else:
         like = given if isinstance(given.model, InterfaceModel) and not model.linear else None
         better, before = solve(model, given.t, options=options, like=like), (None, None)
-    unknown = why_not(better) or next((law.lacks for law in laws.values() if math.isnan(law.off)), "")
+    unknown = why_unknown(better) or next((law.lacks for law in laws.values() if math.isnan(law.off)), "")
     total, layers = Norms(np.zeros(4)), {}
     for name, law in laws.items():
         norms = Norms(np.zeros(4)) if unknown else Norms.on(given, better, model.layers[name])
@@ -114,8 +112,9 @@ def _is_known(goal: Goal, model: InterfaceModel) -> bool:
     """
     if isinstance(goal, Compliance):
         return not any(name.endswith(f"/{LAYER}") for name in model.structure.tractions or {})
-    based = [one for name, one in model.layers.items() if name in model.joint.base_seams]
-    return not isinstance(goal, Reaction) or all((side_kinds(model, one.sheet) == "free").all() for one in based)
+    based = [known for name, known in model.reductions.items() if name in model.joint.base_seams]
+    free = [len(known.rim("free").vertices) == len(known.one.sheet.rim.vertices) for known in based]
+    return not isinstance(goal, Reaction) or all(free)
 
 
 def _checked_goals(goals: Any) -> dict[str, Goal]:

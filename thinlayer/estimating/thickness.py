@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from forms.base import is_number
-from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.model import Model
@@ -169,7 +168,7 @@ def _thickest(model: InterfaceModel, quantity: str) -> float:
     found = [min(one.sheet.heights) / LEAST_HEIGHT for one in model.layers.values()]
     for one in model.layers.values() if quantity in FIELDS else ():
         areas = Areas(one.sheet, model.kinematics)
-        length = areas.length(free_rim(model, one.sheet))
+        length = areas.length(model.reductions[one.name].free)
         found += [(1 - INSIDE) * areas.total / length / NEAR_ENDS] if length else []
     return min(found)
 

@@ -74,7 +74,7 @@ def _check(model: Model) -> None:
         raise ModelError(
             f"homogenised_stiffness is not for plane={model.plane!r}: a body of revolution has no mean strain"
         )
-    model.require_order_zero()
+    model.require("mean strain")
     for law in (p.law for p in model.terms if not p.proportional):
         raise ModelError(
             f"{law!r} is not linear, or has stresses without strains: there is no stiffness but at a state; march under "

@@ -8,24 +8,21 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from forms.elastic import LARGEST_NU, ROUNDING
 from forms.ends.fields import EndFields, end_fields
 from forms.inside import FaceValues, Inside
-from forms.law import BulkLaw, LawError
+from forms.law import BulkLaw
 from geometry.ends import StraightEnd, straight_ends
-from geometry.errors import GeometryError, place, unknown
+from geometry.errors import place, unknown
 from geometry.seam import S
 from geometry.sheet import Rim
 from geometry.topology import IntArray
-from thinlayer.discretisation.free_ends import LEAST_CONTRAST, softest_body
-from thinlayer.discretisation.free_rim import free_of_pressure, free_rim, why_oblique
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import real_law
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.side_loads import SideLoad
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
+from thinlayer.errors import ModelError, Refused
 from thinlayer.output.faces_at import FacesAt
 from thinlayer.output.pressure_at import pressure_at
 
@@ -69,19 +66,10 @@ class Zoomable:
         if name not in model.layers:
             raise ModelError(f"the seam {name!r} is open: no layer is there")
         one = model.layers[name]
-        thin, start = one.thin, f"zoom into {one}: "
-        if thin is None:
-            raise ModelError(f"{start}{type(one.layer).__name__} is a law on S, without a thickness")
-        if thin.eigenstrain is not None:
-            raise ModelError(f"{start}its eigenstrain is not in the fields of the zoom")
+        model.reductions[name].require("inside", f"zoom into {one}: ")
         if model.forces.weighs(name):
-            raise ModelError(f"{start}the stresses of a body force in the layer are not in the fields of the zoom")
-        if model.domain.joint.parted is not None:
-            raise ModelError(f"{start}it needs bodies='kept', which meet on S")
-        try:
-            return cls(state, model, one, real_law(one.layer, model.kinematics).inside())
-        except LawError as error:
-            raise ModelError(f"{start}{error}") from error
+            raise ModelError(f"zoom into {one}: a body force in the layer is not in the fields inside")
+        return cls(state, model, one, real_law(one.layer, model.kinematics).inside())
 
     @property
     def law(self) -> BulkLaw:
@@ -147,46 +135,18 @@ class Zoomable:
     @cached_property
     def rim(self) -> Rim:
         """Where S has free ends."""
-        return free_rim(self.model, self.one.sheet)
+        return self.model.reductions[self.one.name].free
 
     @cached_property
-    def why_no_ends(self) -> str | None:
+    def why_no_ends(self) -> Refused | None:
         """Why stresses at free ends are not known; None: they are."""
-        one, moduli = self.one, self.inside.moduli
-        assert one.thin
-        if moduli is None:
-            return "the fields of free ends are those of a layer of one law"
-        for load in SideLoad.of(self.model, one):
-            return f"the {load.what} acts on the layer's side"
-        if self.inside.flows and one.thin.order == 0:
-            return "the pressure of order 0 does not fall there"
-        if self.inside.flows and len(free_of_pressure(self.model, one)[1].vertices):
-            return "cells there are longer than the fall of the pressure; make them shorter (h_ends=...)"
-        if not self.inside.flows and not 0 <= self.nu <= LARGEST_NU + ROUNDING:
-            return f"Poisson's ratio is {self.nu:.4g}; the fields of free ends need 0 to {LARGEST_NU}"
-        if one.thin.profile is not None:
-            return "the thickness varies"
-        if self.model.kinematics.degree:
-            return "free ends of a body of revolution are curved"
-        if reason := why_oblique(self.model, one.sheet):
-            return reason
-        try:
-            straight_ends(self.rim, one.sheet)
-        except GeometryError as error:
-            return str(error)
-        if not one.sheet.planar:
-            return "S is curved"
-        contrast = softest_body(one) / moduli[1]
-        if contrast < LEAST_CONTRAST:
-            return (
-                "the fields of free ends are those between rigid faces: Young's modulus of a body on S is "
-                f"{contrast:.4g} times mu of the layer; allowed: at least {LEAST_CONTRAST:g} times"
-            )
-        return None
+        for load in SideLoad.of(self.model, self.one):
+            return Refused("loaded side", f"the {load.what} acts on the layer's side")
+        return self.model.reductions[self.one.name].why_not("ends inside")
 
     def _require_ends(self) -> None:
         if self.why_no_ends:
-            raise ModelError(f"zoom into {self.one} at its free ends: {self.why_no_ends}")
+            raise self.why_no_ends.error(f"zoom into {self.one} at its free ends: ")
 
     @property
     def nu(self) -> float:
@@ -228,10 +188,8 @@ class Zoomable:
         if self.why_no_ends:
             close = self._distance(x) < NEAR * self.thickness(x)
             if close.any():
-                raise ModelError(
-                    f"zoom into {self.one} at {place(x[close.argmax()])}, within {NEAR:g} thicknesses of a free end: "
-                    f"{self.why_no_ends}"
-                )
+                at = f"zoom into {self.one} at {place(x[close.argmax()])}, within {NEAR:g} thicknesses of a free end: "
+                raise self.why_no_ends.error(at)
             return []
         reach = NEAR * self.eps if self.inside.flows else np.inf  # of the fields beside the pressure of S
         found = []

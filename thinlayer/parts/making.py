@@ -11,7 +11,6 @@ from petsc4py import PETSc
 from forms.work import Term
 from geometry.inflating.parting import points_on_middle
 from thinlayer.discretisation.contact_nodes import ContactSurface
-from thinlayer.discretisation.free_rim import free_of_pressure
 from thinlayer.discretisation.layer import BY_LAW
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.places import compiled_terms
@@ -100,4 +99,5 @@ def _free(model: Model, term: Term) -> npt.NDArray[np.float64] | None:
     if not has_flow(term):
         return None
     one = next(one for one in model.layers.values() if one.key == term.key)
-    return points_on_middle(model.domain.joint)[np.unique(free_of_pressure(model, one)[0].vertices)]
+    known = model.reductions[one.name]
+    return points_on_middle(model.domain.joint)[np.unique(known.loose[~known.coarse].vertices)]

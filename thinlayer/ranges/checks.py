@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+from mpi4py import MPI
 
 from forms.tangent import in_plane_modulus
-from thinlayer.discretisation.free_rim import why_alone
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
 from thinlayer.ranges.areas import Areas
-from thinlayer.ranges.cavitation import warn_of_cavitation
 from thinlayer.ranges.excess import LEAST_ERROR
 from thinlayer.ranges.faces import Faces
-from thinlayer.ranges.pressure import warn_of_coarse_ends, warn_of_free_ends, warn_of_pressure
+from thinlayer.ranges.pressure import beyond_free_ends, too_stiff
 from thinlayer.ranges.strains import warn_of_strains
 from thinlayer.ranges.sublayers import Sublayer, acts_on_jumps, stiffness_of_jumps, sublayers_of
 
 LEAST_OVERLAP = 2.0  # least closing, relative to the thickness, that leads to a warning; the bodies overlap from 1 on
 CORNER_ANGLE = 0.25  # largest angle, in rad, between a facet and the mean of its neighbours that is not a corner of S
+CAVITATION = 2.5  # mean stress over the shear modulus at which small holes in rubber grow (Gent and Lindley 1959)
 
 
 def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
@@ -32,21 +33,29 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
         model: the model.
         lasting: durations > 0 of the loads at the times of interest; () for sudden loads.
     """
+    for remark in _of_model(model, lasting) if model.broken else ():
+        warn(remark, model.comm)
+
+
+def _of_model(model: Model, lasting: Sequence[float]) -> Iterator[str]:
     for one in _thin(model):
         sublayers = sublayers_of(one)
-        _warn_of_facets(model, one)
+        yield from _of_facets(model, one)
         if not acts_on_jumps(sublayers):
-            _warn_of_thickness(model, one)
-            _warn_of_hard_layer(model, one, sublayers)
+            yield from _of_thickness(model, one, sublayers)
         if one.flows or _told_by_states(one, sublayers):
             continue
         at_once = [] if lasting and one.law.traits.rate else [sublayers]
-        warn_of_free_ends(model, one, [*at_once, *(sublayers_of(one, dt) for dt in lasting)])
-    for one in model.layers.values() if model.broken else ():
-        if one.flows:
-            warn_of_coarse_ends(model, one)
-        if reason := why_alone(model, one):
-            warn(f"{reason}: what it bears is left out; support the bodies too, or mesh the layer", model.comm)
+        yield from beyond_free_ends(model, one, [*at_once, *(sublayers_of(one, dt) for dt in lasting)])
+    for known in model.reductions.values():
+        if known.one.flows and known.coarse.any():
+            delta, largest = known.falls[known.coarse].min(), known.loose[known.coarse].depth.max()
+            yield (
+                f"the pressure of {known.one} falls to zero at free ends over delta = {delta:.3g}, and cells there are up "
+                f"to {largest:.3g} long: it is not set to zero there, as if they were held; make cells there shorter"
+            )
+        if refused := known.held_alone():
+            yield f"{refused.reason}: what it bears is left out; {refused.remedy}"
 
 
 def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
@@ -60,20 +69,42 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
         return
     model = states[0].model
     warn_of_strains(states)
-    for one in model.layers.values() if model.broken else ():
-        if one.flows:
-            warn_of_cavitation(one, states)
+    for known in model.reductions.values() if model.broken else ():
+        pulls = [_tension(known, state) for state in states]
+        if max(pulls) > CAVITATION:
+            warn(
+                f"at t = {states[int(np.argmax(pulls))].t:.4g} the pressure of {known.one} is a tension, {max(pulls):.3g} "
+                f"times its shear modulus: from about {CAVITATION:g} times on small holes in rubber grow and tear it "
+                "(cavitation), which its law does not contain; do not use results under such loads",
+                model.comm,
+            )
     for one in _thin(model):
-        found = [faces for faces in (Faces.of(state, one) for state in states) if faces]
-        if not found:
-            continue
-        if not (model.linear or acts_on_jumps(sublayers_of(one))):
-            _warn_of_overlap(one, max(found, key=lambda faces: faces.mean_closing))
-        if one.flows or one.law.traits.phases:  # the strain of a phase brings about no pressure
-            continue
-        told = one.law.traits.linear and warn_of_pressure(model, one, found, start)
-        if not told and _told_by_states(one, sublayers := sublayers_of(one)):
-            warn_of_free_ends(model, one, [sublayers])
+        for remark in _of_states([faces for faces in (Faces.of(state, one) for state in states) if faces], one, start):
+            warn(remark, model.comm)
+
+
+def _of_states(found: Sequence[Faces], one: SeamLayer, start: float | None) -> Iterator[str]:
+    """What states tell on rank 0, which has the faces of S."""
+    if not found:
+        return
+    model, sublayers = found[0].state.model, sublayers_of(one)
+    faces = max(found, key=lambda faces: faces.mean_closing)
+    if not (model.linear or acts_on_jumps(sublayers)) and faces.mean_closing > LEAST_OVERLAP:
+        # of the mean over S, as jumps are large at single places in any case; not from 1 on, because under one load jumps
+        # stay as the thickness tends to zero; not of linear models, whose results are proportional to loads of any size
+        worst = np.unravel_index(faces.closing.argmax(), faces.closing.shape)
+        x = ", ".join(f"{c:.4g}" for c in model.joint.points[faces.sheet.vertices[worst]])
+        yield (
+            f"at t = {faces.state.t:.4g} {one} closes by {faces.mean_closing:.3g} times its thickness, on average over S "
+            f"(most near ({x}), by {faces.closing[worst]:.3g} times): bodies overlap, and the law is for small strains; "
+            "check loads, thickness and parameters"
+        )
+    if one.flows or one.law.traits.phases:  # the strain of a phase brings about no pressure
+        return
+    told = [*too_stiff(one, found, start)] if one.law.traits.linear else []
+    yield from told
+    if not told and _told_by_states(one, sublayers):
+        yield from beyond_free_ends(model, one, [sublayers])
 
 
 def _told_by_states(one: SeamLayer, sublayers: list[Sublayer]) -> bool:
@@ -87,8 +118,8 @@ def _thin(model: Model) -> list[SeamLayer]:
     return [sample for one in model.layers.values() if one.thin for sample in one.samples] if model.broken else []
 
 
-def _warn_of_facets(model: Model, one: SeamLayer) -> None:
-    """Warn if slip along straight facets of a curved S is resisted by the angles between the facets.
+def _of_facets(model: Model, one: SeamLayer) -> Iterator[str]:
+    """Slip along straight facets of a curved S that is resisted by the angles between the facets.
 
     A slip w opens the layer by w . (N - n), with the facet's normal n and the mean normal N of its neighbours at each
     vertex. This adds the normal stiffness times the mean of |N - n|^2 to the tangential one. Angles above CORNER_ANGLE
@@ -107,65 +138,46 @@ def _warn_of_facets(model: Model, one: SeamLayer) -> None:
     angle = math.sqrt(float(np.einsum("nij,nik,njk->", areas.mass, tilt, tilt)) / areas.total)
     normal, tangential = stiffness_of_jumps(one)
     if normal * angle**2 > LEAST_ERROR * tangential:
-        effect = (
-            f"is about {1 + normal * angle**2 / tangential:.3g} times too stiff against it,"
-            if tangential
-            else "resists"
-        )
-        warn(
+        share = normal * angle**2 / tangential if tangential else math.inf
+        effect = f"is about {1 + share:.3g} times too stiff against it," if tangential else "resists"
+        yield (
             f"S is curved and its facets are straight, {math.degrees(angle):.2g} degrees off its normal on average: a slip "
-            f"along S opens the layer there, which {effect} by the mesh alone; use curved cells (degree 2), or a finer "
-            "mesh",
-            model.comm,
+            f"along S opens the layer there, which {effect} by the mesh alone; use curved cells (degree 2), or a finer mesh"
         )
 
 
-def _warn_of_thickness(model: Model, one: SeamLayer) -> None:
-    """Warn if the layer is thicker than a body.
-
-    The law is the start of a series in eps over the length on which the bodies' stresses vary.
-    """
-    height, layer = min(one.sheet.heights), one.thin
-    if layer and layer.eps > height:
-        warn(
-            f"{one} is {layer.eps:.4g} thick, the thinner body {height:.4g} high: the interface law is for thicknesses "
-            "well below that of the bodies; mesh the layer (structure.full), or check eps",
-            model.comm,
-        )
-
-
-def _warn_of_hard_layer(model: Model, one: SeamLayer, sublayers: list[Sublayer]) -> None:
-    """Warn if the layer is harder than a body.
+def _of_thickness(model: Model, one: SeamLayer, sublayers: list[Sublayer]) -> Iterator[str]:
+    """A layer thicker than a body, whose law is the start of a series in eps over its stresses' length; or a harder one.
 
     Order 0 leaves eps grad_S <u>, about eps t/E_body, out of a jump of about eps t/E_layer.
     """
-    layer, n, bodies = one.thin, one.at_rest.n, model.structure.bodies_at_rest
-    if layer is None or layer.order == 1 or not sublayers or any(C is None for C in bodies):
+    height, layer = min(one.sheet.heights), one.thin
+    assert layer
+    if layer.eps > height:
+        yield (
+            f"{one} is {layer.eps:.4g} thick, the thinner body {height:.4g} high: the interface law is for thicknesses "
+            "well below that of the bodies; mesh the layer (structure.full), or check eps"
+        )
+    if layer.order == 1 or not sublayers or any(C is None for C in model.structure.bodies_at_rest):
         return
-    softest = min(in_plane_modulus(C, n) for C in bodies if C is not None)
+    softest = min(in_plane_modulus(C, one.at_rest.n) for C in model.structure.bodies_at_rest if C is not None)
     hardest = max(one.along for one in sublayers)
     if hardest > softest > 0:
-        warn(
+        yield (
             f"{one} is {hardest / softest:.3g} times as hard as the softer body (moduli in the plane of S): its jump is "
-            "less than what order 0 leaves out; use order=1, mesh the layer (structure.full), or check its parameters",
-            model.comm,
+            "less than what order 0 leaves out; use order=1, mesh the layer (structure.full), or check its parameters"
         )
 
 
-def _warn_of_overlap(one: SeamLayer, faces: Faces) -> None:
-    """Warn if the bodies overlap by more than the thickness on average, which laws of small strains do not prevent.
+def _tension(known: Reduction, state: State) -> float:
+    """Largest pressure p (tension > 0) of a layer over its shear modulus, at the vertices of S. Collective.
 
-    The mean over S is tested, because at single places, such as ends, jumps are large in any case. The limit is not zero,
-    because as the thickness tends to zero under the same load, jumps stay and exceed it in the end. Linear models are not
-    tested: their results are proportional to loads of any size.
+    0 if it has none that flows, or none that pulls.
     """
-    closing, state = faces.closing, faces.state
-    if faces.mean_closing > LEAST_OVERLAP:
-        worst = np.unravel_index(closing.argmax(), closing.shape)
-        x = ", ".join(f"{c:.4g}" for c in state.model.joint.points[faces.sheet.vertices[worst]])
-        warn(
-            f"at t = {state.t:.4g} {one} closes by {faces.mean_closing:.3g} times its thickness, on average over S "
-            f"(most near ({x}), by {closing[worst]:.3g} times): the bodies overlap, and the law is for small strains; "
-            "check loads, thickness and the law's parameters",
-            state.model.comm,
-        )
+    p = state.fields.get(known.one.pressure_key) if known.one.flows else None
+    if p is None:
+        return 0.0
+    own = p.function_space.dofmap.index_map.size_local
+    x = p.function_space.tabulate_dof_coordinates()[:own, : known.one.structure.joint.dim]
+    mu = known.law.fields_at(x.T).get("mu", known.law.parameters()["mu"])
+    return float(state.model.comm.allreduce((p.x.array[:own] / mu).max(initial=0.0), MPI.MAX))

@@ -11,7 +11,6 @@ import scipy.sparse.linalg
 
 from forms.tangent import is_isotropic
 from geometry.topology import FloatArray, IntArray
-from thinlayer.discretisation.free_rim import neglected_rim
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.ranges.faces import Faces
 from thinlayer.ranges.sublayers import Sublayer, sublayers_of
@@ -82,8 +81,7 @@ def pressure_excess(faces: Faces, layer: Sublayer) -> Excess:
     stiff = areas.of_simplices[:, None, None] * sheet.gradients @ np.swapaxes(sheet.gradients, 1, 2)
     volume = _assemble(mass * compliance[:, None], number)
     whole = volume + _assemble(stiff * (eps**3 / (12 * layer.mu))[:, None, None], number)
-    model = faces.state.model
-    rim = neglected_rim(model, model.layers[sheet.name])
+    rim = faces.state.model.reductions[sheet.name].neglected
     fine = rim[rim.depth <= layer.length * eps[rim.simplex]]
     inside = np.setdiff1d(np.arange(len(used)), np.searchsorted(used, fine.vertices))
     if not b[inside].any():

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from thinlayer.discretisation.free_rim import free_of_pressure, neglected_rim
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
-from thinlayer.errors import warn
 from thinlayer.ranges.areas import Areas
 from thinlayer.ranges.excess import LEAST_ERROR, pressure_excess
 from thinlayer.ranges.faces import Faces
@@ -22,59 +20,41 @@ LONG_PRESSURE = 1.0  # (nu = 6/13) of a shorter length, relative to eps, sheared
 LATE_OPENING = 0.5  # least opening of the last state that is tested, relative to the largest one
 
 
-def warn_of_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublayer]]) -> None:
-    """Warn if the pressure of a nearly incompressible layer falls to zero at free ends over a long length delta.
+def beyond_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublayer]]) -> Iterator[str]:
+    """Where the pressure of a nearly incompressible layer falls to zero at free ends over a long length delta, in words.
 
     Interface laws do not contain this effect. Between rigid faces a strip of half-width l carries only the share
-    1 - tanh(l/delta) delta/l of the load that the law gives. The warning names the largest factor.
+    1 - tanh(l/delta) delta/l of the load that the law gives; the largest factor is named.
 
     Args:
         model: the interface model.
         one: the layer.
         layers: the sublayers at several times.
     """
-    layers = [sublayers for sublayers in layers if any(one.nearly for one in sublayers)]
-    if not layers:
+    layers, rim = [s for s in layers if any(k.nearly for k in s)], model.reductions[one.name].neglected
+    if not layers or not len(rim.vertices):
         return
-    assert one.thin
-    rim, eps = neglected_rim(model, one), one.thin.eps
-    if not len(rim.vertices):
-        return
-    if any(one.length == math.inf for sublayers in layers for one in sublayers):
-        warn(
-            f"{one} is incompressible and S has free ends: its law holds the normal jump [u_N] at zero, as if these "
-            "ends were held; a layer with free ends is squeezed out, and its normal jump is not zero; use order=1, mesh "
-            "the layer (structure.full), or support its sides if they are held",
-            model.comm,
+    if any(k.length == math.inf for sublayers in layers for k in sublayers):
+        yield (
+            f"{one} is incompressible and S has free ends: its law holds the normal jump [u_N] at zero, as if these ends "
+            "were held; a layer with free ends is squeezed out; use order=1, mesh the layer (structure.full), or support "
+            "its sides if they are held"
         )
         return
-    areas = Areas(one.sheet, model.kinematics)
+    assert one.thin
+    areas, eps = Areas(one.sheet, model.kinematics), one.thin.eps
     width = areas.total / areas.length(rim)
     lengths = [pressure_length(sublayers, width / eps) for sublayers in layers]
-    worst = max(layers[lengths.index(max(lengths))], key=lambda one: one.length)
+    worst = max(layers[lengths.index(max(lengths))], key=lambda k: k.length)
     delta = eps * max(lengths)
     y = delta / width
     lost = 1 / (1 - math.tanh(1 / y) * y) - 1
     if lost > 1 / (1 - LEAST_ERROR) - 1:
-        warn(
+        yield (
             f"{one} is nearly incompressible{worst.when}: its pressure falls to zero at the free ends of S over delta "
-            f"= {delta:.3g}, {y:.2g} of the area of S over the length of its free ends ({width:.3g}); between "
-            f"rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps; "
-            f"{_remedy(one)}, or support its sides if they are held",
-            model.comm,
-        )
-
-
-def warn_of_coarse_ends(model: Model, one: SeamLayer) -> None:
-    """Warn if cells at free ends are too large for the pressure of a law with flow to fall to zero there."""
-    _, coarse, falls = free_of_pressure(model, one)
-    if len(coarse.depth):
-        delta, largest = falls.min(), coarse.depth.max()
-        warn(
-            f"the pressure of {one} falls to zero at the free ends of S over delta = {delta:.3g}, and cells there are up "
-            f"to {largest:.3g} long: the pressure is not set to zero at such ends, as if they were held; make cells there "
-            f"shorter than {delta:.3g}",
-            model.comm,
+            f"= {delta:.3g}, {y:.2g} of the area of S over the length of its free ends ({width:.3g}); between rigid bodies "
+            f"its law would be about {1 + lost:.3g} times too stiff against normal jumps; {_remedy(one)}, or support its "
+            "sides if they are held"
         )
 
 
@@ -105,33 +85,28 @@ def pressure_length(sublayers: list[Sublayer], width: float) -> float:
     return math.sqrt(flow / sum(one.compliance for one in sublayers))
 
 
-def warn_of_pressure(model: Model, one: SeamLayer, found: Sequence[Faces], start: float | None) -> bool:
-    """Warn if the law is too stiff for the openings found, compared with a layer whose pressure evens out along S.
+def too_stiff(one: SeamLayer, found: Sequence[Faces], start: float | None) -> Iterator[str]:
+    """How many times a law is too stiff for the openings found, against a layer whose pressure evens out along S, in words.
 
     Two states are tested: the one with the largest opening and the last one with at least half of it, as laws that creep
-    or relax become nearly incompressible with time. True if there was a warning.
+    or relax become nearly incompressible with time.
     """
     openings = [float(np.abs(faces.opening).max()) for faces in found]
-    most = openings.index(max(openings))
     last = max(k for k, opening in enumerate(openings) if opening >= LATE_OPENING * max(openings))
-    worst, sublayer = LEAST_ERROR, None
-    for faces in (found[k] for k in sorted({most, last})):
-        state = faces.state
-        sublayers = sublayers_of(one, 0.0 if start is None else state.t - start)
-        if len(sublayers) != 1 or not sublayers[0].nearly or sublayers[0].length == math.inf:
-            continue
-        excess = pressure_excess(faces, sublayers[0])
-        told = excess.opening if excess.hidden and sublayers[0].length > LONG_PRESSURE else excess.work
-        if told > worst:
-            worst, sublayer = told, sublayers[0]
-    if sublayer:
-        warn(
-            f"{one} is nearly incompressible{sublayer.when} (lmbda/mu = {sublayer.lmbda / sublayer.mu:.4g}): with the "
-            f"jumps found, the layer alone is {1 + worst:.3g} times too stiff, as its interface law lets no material "
-            f"flow along S; the structure is off by less where the bodies are soft; {_remedy(one)}",
-            model.comm,
+    told = []
+    for faces in (found[k] for k in sorted({openings.index(max(openings)), last})):
+        sublayers = sublayers_of(one, 0.0 if start is None else faces.state.t - start)
+        if len(sublayers) == 1 and sublayers[0].nearly and sublayers[0].length < math.inf:
+            excess = pressure_excess(faces, sublayers[0])
+            hidden = excess.hidden and sublayers[0].length > LONG_PRESSURE
+            told.append((excess.opening if hidden else excess.work, sublayers[0]))
+    worst, layer = max(told, key=lambda pair: pair[0], default=(0.0, None))
+    if layer and worst > LEAST_ERROR:
+        yield (
+            f"{one} is nearly incompressible{layer.when} (lmbda/mu = {layer.lmbda / layer.mu:.4g}): with the jumps found, "
+            f"the layer alone is {1 + worst:.3g} times too stiff, as its interface law lets no material flow along S; the "
+            f"structure is off by less where the bodies are soft; {_remedy(one)}"
         )
-    return sublayer is not None
 
 
 def _remedy(one: SeamLayer) -> str:

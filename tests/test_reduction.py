@@ -1,0 +1,168 @@
+"""Which interface law stands for a layer, asked of data alone: the key of the first condition that does not hold."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from forms import (
+    Anisotropic,
+    HolonomicCoulomb,
+    Incompressible,
+    KelvinVoigt,
+    LinearElastic,
+    Maxwell,
+    MohrCoulomb,
+    NonMonotone,
+    Rubber,
+    Stack,
+)
+from geometry import disc, ring, sandwich, wall
+from tests.test_tips import partly
+from thinlayer import ModelError, Structure, ThinLayer
+from thinlayer.discretisation.reduction import Reduction
+from thinlayer.discretisation.seams import SeamLayer
+
+BODY, GLUE = LinearElastic.young(E=100.0, nu=0.3), LinearElastic.shear(1.0, 0.3)
+CONTACT = HolonomicCoulomb(50.0, 20.0, 0.5)
+SOFTENING = NonMonotone(0.6, 0.4, alpha=1.0, transformation_energy=0.3, chi=[[0, 0.5], [0.5, 0]], mixing=0.5)
+STACK = Stack((0.5, GLUE), (0.5, LinearElastic(1.0, 1.0)))
+PLATES = sandwich(1.0, 0.3, 0.3, 0.3)
+ROUND = ring(1.0, 1.5, 2.0, 0.3, degree=2)
+SIDE = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}}
+varies = lambda x: 1 + x[0]
+
+
+def thin(law=GLUE, order=1, **given):
+    return ThinLayer(law, 0.1, **{"order": order, "at": 1.0} | given)
+
+
+def elastic(ratio):
+    """Anisotropic in name, with this lmbda/mu."""
+    return Anisotropic(np.diag([2.0, 2, 2, 1, 1, 1]) + np.pad(np.full((3, 3), ratio), (0, 3)))
+
+
+TABLE = {
+    "interface law": [
+        (None, thin(), {}),
+        ("no layer", "glue", {}),
+        ("element", CONTACT, {}),
+        (None, CONTACT, {"element": "P1"}),
+        ("element", thin(Incompressible(40.0), 0), {"element": "P1"}),
+        ("element", thin(), {"element": "P1"}),
+        (None, thin(order=0), {"element": "P1"}),
+        ("pressure in a sheet", thin(Rubber(90.0, 3.0)), {"plane": "stress"}),
+        (None, thin(Rubber(90.0, 3.0), 0), {"plane": "stress"}),
+        ("bent", thin(profile=varies), {}),
+        (None, thin(profile=varies), {"bodies": "extended"}),
+        ("bent", thin(), {"joint": ROUND, "supports": {"INSIDE": 0.0}}),
+        (None, thin(), {"joint": ROUND, "supports": {"INSIDE": 0.0}, "bodies": "extended"}),
+        ("bent stack", thin(STACK, profile=varies), {"bodies": "extended"}),
+        *(
+            (key, thin(law), {})
+            for x, key in ((12.1, "locks"), (11.9, None))
+            for law in (Maxwell(x, 1.0, 0.7), KelvinVoigt(x, 1.0, 0.3, 0.4), elastic(x))
+        ),
+        (None, thin(Maxwell(12.1, 1.0, 0.7), 0), {}),
+        (None, thin(elastic(1200.0)), {"plane": "stress"}),
+        ("tip", thin(), {"joint": partly(PLATES, lambda x: x[:, 0] < 0.5)}),
+        ("junction", thin(), {"joint": wall(2, 2, (1.0, 0.5), 0.25)}),
+    ],
+    "ends": [
+        (None, thin(), {}),
+        ("no thickness", CONTACT, {}),
+        ("order 0", thin(order=0), {}),
+        ("plain", thin(edges="plain"), {}),
+        ("no constants", thin(Anisotropic(np.eye(6))), {}),
+        ("no constants", thin(LinearElastic.young(varies, 0.3)), {}),
+        ("no constants", thin(Rubber(varies, 1.0)), {}),
+        ("no constants", thin(LinearElastic.young(1.0, -0.1)), {}),
+        ("no constants", thin(LinearElastic.shear(1.0, 0.46)), {}),
+        ("eigenstrain", thin(eigenstrain=0.01), {}),
+        *(("contrast", thin(kind.shear(25.1, 0.3)), {}) for kind in (LinearElastic, Rubber)),
+        (None, thin(LinearElastic.shear(24.9, 0.3)), {}),
+        ("coarse", thin(Rubber(74.0, 1.0)), {}),
+        (None, thin(Rubber(76.0, 1.0)), {}),  # its pressure falls over 0.2517, cells are 0.25 long
+        ("apart", thin(), {"bodies": "extended"}),
+        ("radius", thin(), {"plane": "axisymmetric", "joint": PLATES.moved((0.39, 0.0))}),
+        (None, thin(), {"plane": "axisymmetric", "joint": PLATES.moved((0.41, 0.0))}),
+        ("curved end", thin(), {"joint": disc(1.0, lower=0.3, upper=0.3, h=0.4)}),
+        ("short", thin(), {"joint": sandwich(0.35, 0.3, 0.3, 0.15)}),
+        ("oblique", thin(), {"joint": PLATES.rotated(0.5), "supports": SIDE}),
+        (None, thin(STACK), {"supports": SIDE | {"RIGHT": {"x": 0.0}}}),  # there are no free ends
+    ],
+    "inside": [
+        (None, thin(), {}),
+        ("no thickness", CONTACT, {}),
+        ("eigenstrain", thin(eigenstrain=0.01), {}),
+        ("apart", thin(), {"bodies": "extended"}),
+        ("no fields", thin(elastic(1.0)), {}),
+        ("no fields", thin(Stack((0.5, GLUE), (0.5, MohrCoulomb(4.0, 3.0, cohesion=1.0, friction_angle=30.0))), 0), {}),
+        ("no fields", thin(LinearElastic.shear(varies, 0.3)), {}),
+    ],
+    "ends inside": [
+        (None, thin(order=0), {}),
+        ("sublayers", thin(STACK), {}),
+        ("no constants", thin(LinearElastic.shear(3.0, 0.48), 0), {}),
+        ("order 0", thin(Rubber.shear(3.0, 0.48), 0), {}),
+        ("coarse", thin(Rubber(74.0, 1.0)), {}),
+        ("contrast", thin(LinearElastic.shear(25.1, 0.3)), {}),
+        ("radius", thin(), {"plane": "axisymmetric", "joint": PLATES.moved((0.41, 0.0))}),
+        ("bent", thin(order=0, profile=varies), {}),
+        ("curved end", thin(), {"joint": disc(1.0, lower=0.3, upper=0.3, h=0.4)}),
+        ("oblique", thin(), {"joint": PLATES.rotated(0.5), "supports": SIDE}),
+    ],
+    "mesh": [
+        (None, thin(elastic(13.0)), {"element": "P1"}),  # of any order
+        ("no thickness", CONTACT, {}),
+        ("no layer", "glue", {}),
+        ("softens", thin(SOFTENING, 0), {}),
+    ],
+    "mixed": [
+        (None, thin(), {}),
+        ("not passed on", thin(Incompressible(40.0)), {}),
+        ("not passed on", thin(LinearElastic.young(varies, 0.3)), {}),
+        ("locks", thin(elastic(13.0)), {}),
+    ],
+    "estimate": [
+        (None, thin(order=0), {}),
+        ("no thickness", CONTACT, {}),
+        ("order 1", thin(), {}),
+        ("phases", thin(SOFTENING, 0), {}),
+        ("held alone", thin(order=0), {"supports": {"BOTTOM": 0.0, "LEFT/LAYER": 0.0}}),
+        (None, thin(order=0), {"supports": {"BOTTOM": 0.0, "LEFT": 0.0, "LEFT/LAYER": 0.0}}),
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    ("question", "key", "layer", "given"), [(question, *row) for question, rows in TABLE.items() for row in rows]
+)
+def test_the_first_condition_that_does_not_hold(question, key, layer, given):
+    given = dict(given)
+    joint, bodies = given.pop("joint", PLATES), given.pop("bodies", "kept")
+    structure = Structure(joint, body=BODY, **{"supports": {"BOTTOM": 0.0}} | given)
+    known = Reduction(SeamLayer(next(iter(joint.seams)), layer, structure), bodies)
+    refused = known.why_not(question)
+    assert (refused and refused.key) == key
+    if refused:
+        with pytest.raises(ModelError, match="; ") as found:
+            known.require(question)
+        assert found.value.key == key
+
+
+def test_models_ask():
+    """What an interface law cannot do a meshed layer may."""
+    held = ((PLATES, "BOTTOM"), (ROUND, "INSIDE"))
+    wedge, curved = (Structure(joint, body=BODY, supports={name: 0.0}) for joint, name in held)
+    for build, layer in (
+        (wedge.interface, thin(edges="free", eigenstrain=0.01)),
+        (wedge.interface, thin(profile=varies)),
+        (curved.interface, thin()),
+        (lambda one: wedge.mixed(one, where=lambda x: x[0] < 0.5), thin(elastic(13.0))),
+        (wedge.full, "glue"),
+    ):
+        with pytest.raises(ModelError) as found:
+            build(layer)
+        assert found.value.key
+    assert wedge.full(thin(elastic(13.0))).layers["S"].thin.order == 1

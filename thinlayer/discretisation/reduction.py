@@ -1,0 +1,373 @@
+"""Reduction: which interface law stands for a layer on its seam and, where none does, why, and what to do instead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from forms.elastic import LARGEST_NU, ROUNDING
+from forms.ends.weights import Strips
+from forms.law import BulkLaw, LawError
+from forms.next_order import for_next_order
+from forms.tangent import average_lame, is_checked_at_rest, tangent_at_rest
+from geometry.ends import straight_ends
+from geometry.errors import GeometryError, place
+from geometry.sheet import Rim
+from geometry.topology import FloatArray, is_tensor
+from thinlayer.discretisation.axis import is_across
+from thinlayer.discretisation.end_weights import FacetWeights
+from thinlayer.discretisation.free_rim import SLIGHT, held_directions, side_kinds
+from thinlayer.discretisation.layer import LawOnS, ThinLayer, real_law
+from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.errors import Refused
+
+LEAST_CONTRAST = 40.0  # Young's modulus of the bodies over the layer's mu
+LEAST_RADIUS = 4.0  # of curved ends, over the thickness; what constants leave out there is of the order of its inverse
+BENDING = 44.0  # 48 (1 - nu^2): (eps k)^3 E/mu where half-spaces yield to a pressure of wave number k as the layer does
+
+
+class Reduction:
+    """The interface law of a layer on its seam: of the joint, the layer and the structure's data, without a mesh or forms.
+
+    Attributes:
+        one: the layer on its seam.
+        bodies: "kept" or "extended", as of its model.
+    """
+
+    def __init__(self, one: SeamLayer, bodies: str = "kept") -> None:
+        self.one, self.bodies = one, bodies
+
+    def why_not(self, question: str) -> Refused | None:
+        """The first condition of a question (`QUESTIONS`) that does not hold; None: all do. The same on all ranks.
+
+        Raises:
+            LawError, GeometryError: parameters out of range, or a bad profile.
+        """
+        return next((refused for ask in QUESTIONS[question] for refused in ask(self)), None)
+
+    def require(self, question: str, what: str = "") -> None:
+        """Raise ModelError with its key, after some words, for the first condition that does not hold; as `why_not`."""
+        if refused := self.why_not(question):
+            raise refused.error(what)
+
+    @cached_property
+    def law(self) -> BulkLaw:
+        """The law with real parameters, for the structure's kinematics."""
+        return real_law(self.one.layer, self.one.structure.kinematics)
+
+    @cached_property
+    def bent(self) -> str | None:
+        """In what way the layer is not flat and of one thickness, if it is not."""
+        if self.one.thin and self.one.thin.profile is not None:
+            return "of a thickness that varies"
+        if not self.one.sheet.planar:
+            return "on a curved S"
+        across = is_across(self.one.structure.kinematics, self.one.sheet.mean_normal[None])
+        return None if across else "on an S that is not across the axis of revolution, and so curved,"
+
+    # ---------------------------------------------------------------- sides
+    def rim(self, *kinds: str) -> Rim:
+        """The part of the seam's rim where the layer's side is of some kinds (`side_kinds`)."""
+        return self.one.sheet.rim[np.isin(self._kinds, kinds)]
+
+    @cached_property
+    def _kinds(self) -> npt.NDArray[np.str_]:
+        return side_kinds(self.one)
+
+    @cached_property
+    def free(self) -> Rim:
+        """Where an end has a field of its own: nothing holds the side along m or n, or something oblique does."""
+        return self.rim("free", "oblique")
+
+    @cached_property
+    def loose(self) -> Rim:
+        """Where the side is not held along m: loads on it reach the layer, and a pressure falls to zero."""
+        return self.rim("free", "antisymmetric", "oblique")
+
+    @cached_property
+    def neglected(self) -> Rim:
+        """The free ends of which the law knows nothing: all, or none."""
+        return self.free[np.full(len(self.free.vertices), self.why_not("ends") is not None)]
+
+    @cached_property
+    def falls(self) -> FloatArray:
+        """(n,) eps sqrt(lmbda/(12 mu)) at the loose sides, over which a pressure of order 1 falls to zero; may be inf."""
+        thin, joint, at = self.one.thin, self.one.sheet.joint, self.loose.vertices
+        assert thin
+        laws = self.law.at_places(joint.points[at].mean(axis=1).T) if self.law.fields else [self.law] * len(at)
+        squares = np.array([12 * law.parameters()["mu"] * law.volume_compliance for law in laws])
+        relative = joint.relative_thickness(thin.profile, self.one.name)[at].mean(axis=1)
+        with np.errstate(divide="ignore"):
+            return np.asarray(thin.eps * relative / np.sqrt(squares))
+
+    @property
+    def coarse(self) -> npt.NDArray[np.bool_]:
+        """(n,) at which loose sides cells are longer than the fall of a pressure.
+
+        It is not set to zero there, as if they were held: it would be too small over a whole cell.
+        """
+        return np.asarray(self.loose.depth > self.falls)
+
+    def held_alone(self, meshed: npt.NDArray[np.bool_] | None = None) -> Refused | None:
+        """Where supports hold the layer's own side, NAME/LAYER, and not the bodies beside it; None: nowhere.
+
+        `meshed` (n_S,) are facets of S with cells, which do know of it.
+        """
+        sheet, apart = self.one.sheet, held_directions(self.one) - held_directions(self.one, of_layer=False)
+        alone = np.abs(apart).max(axis=(1, 2)) > SLIGHT
+        if meshed is not None:
+            alone &= ~meshed[sheet.parts[0][sheet.rim.simplex]]
+        if not alone.any():
+            return None
+        at = place(sheet.joint.points[sheet.rim.vertices[alone][0, 0]])
+        reason = f"a support holds the side of {self.one} alone, at {at}, of which no law on S knows"
+        return Refused("held alone", reason, "support the bodies too, or mesh the layer")
+
+    # ---------------------------------------------------------------- better laws
+    def better(self) -> ThinLayer:
+        """The layer with the law of order 1 that an error is estimated from, if the conditions of "estimate" hold."""
+        assert self.one.thin
+        law, loose = self.one.thin.law, len(self.loose.vertices) > 0
+        in_sheet = self.one.structure.plane == "stress"  # no pressure builds up there
+        return replace(self.one.thin, law=law if in_sheet else for_next_order(law, loose), order=1)
+
+    # ---------------------------------------------------------------- ends
+    @property
+    def said(self) -> str:
+        """What the law knows of the free ends, in words."""
+        refused = self.why_not("ends")
+        return f"not corrected, as {refused.reason}" if refused else "corrected" if self.weights else "none"
+
+    @cached_property
+    def strips(self) -> Strips | None:
+        """The strips along free ends; None: they are not known for the law."""
+        return self.law.end_strips()
+
+    @cached_property
+    def contrast(self) -> float:
+        """The least Young's modulus at rest of the bodies on the seam over the layer's mu."""
+        return softest_body(self.one) / float(self.law.parameters()["mu"])
+
+    @property
+    def width(self) -> float:
+        """Area of the seam over the length of its free ends, over the thickness."""
+        assert self.one.thin
+        return float(self.one.sheet.areas.sum() / self.free.length.sum()) / float(self.one.thin.eps)
+
+    @cached_property
+    def all_weights(self) -> FacetWeights:
+        """Weights of the free ends on the facets, if conditions before `overlap` hold."""
+        assert self.one.thin
+        assert self.strips
+        strips = self.strips.of_spread(min(self.width, (self.contrast / BENDING) ** (1 / 3)))
+        sheet, eps = self.one.sheet, float(self.one.thin.eps)
+        return FacetWeights.of(straight_ends(self.free, sheet), sheet, eps, strips)
+
+    @cached_property
+    def weights(self) -> FacetWeights | None:
+        """Weights of the free ends on the facets; None: there are none, or the law does not know them."""
+        return None if self.why_not("ends") or not len(self.free.vertices) else self.all_weights
+
+
+def softest_body(one: SeamLayer) -> float:
+    """The least Young's modulus at rest of the bodies on a seam, at the mean over all directions."""
+    joint, n, found = one.structure.joint, one.sheet.mean_normal, [np.inf]
+    sides = joint.surface_cells[one.sheet.facets]
+    cells = np.unique(sides[sides >= 0])
+    for number in np.unique(joint.region[cells]):
+        law = one.structure.body_laws[joint.regions[number]]
+        centres = joint.points[joint.corners[cells[joint.region[cells] == number]]].mean(axis=1)
+        for known in law.samples(centres.T) if law.fields else [law]:
+            C = tangent_at_rest(known, n) if is_checked_at_rest(known) else known.stiffness(n)
+            if C is not None:
+                lmbda, mu = average_lame(C)
+                found.append(mu * (3 * lmbda + 2 * mu) / (lmbda + mu))
+    return float(min(found))
+
+
+# ---------------------------------------------------------------- conditions, each group in its order
+def _law(r: Reduction) -> Iterator[Refused]:
+    """Of a law of order 0, and of a meshed layer."""
+    one, layer, setup = r.one, r.one.layer, r.one.structure
+    if not isinstance(layer, ThinLayer | LawOnS):
+        yield Refused("no layer", f"the layer is {layer!r}", "give ThinLayer(law, eps), or a law of jumps or contact")
+    one.law.check_dimension(setup.joint.dim)
+    if one.contact:
+        linear = "Q1" if is_tensor(setup.joint.cell_type) else "P1"
+        if setup.element != linear:  # nodes in the middle of edges would carry most of the pressure, or none of it
+            reason = f"a contact law acts at the vertices of S, and displacements are {setup.element}"
+            yield Refused("element", reason, f"give element={linear!r}")
+        one.contact.check_threshold()
+        return
+    if one.law.traits.constrained and setup.element not in ("P2", "Q2"):
+        reason = f"an incompressible layer needs elements P2 or Q2 for its displacements, not {setup.element}"
+        yield Refused("element", reason, "give element='P2', on quadrilaterals and hexahedra 'Q2'")
+    if one.thin:
+        setup.joint.relative_thickness(one.thin.profile, one.name)  # a user's function, may fail on one rank alone
+    for sample in one.samples:
+        sample.at_rest.require_stable()
+
+
+def _next_term(r: Reduction) -> Iterator[Refused]:
+    """Of the next term of a law, away from tips and junctions."""
+    thin, setup, kind = r.one.thin, r.one.structure, type(r.one.law).__name__
+    if thin is None or thin.order == 0:
+        return
+    if thin.law.traits.constrained and setup.plane == "stress":
+        reason = f"order=1 of {kind} in plane stress: no pressure builds up in a sheet"
+        yield Refused("pressure in a sheet", reason, "use LinearElastic or order=0")
+    if setup.degree != 2:
+        reason = f"order=1 needs elements of degree 2 (its law has gradients on S), not {setup.element}"
+        yield Refused("element", reason, "use them, or order=0")
+    if r.bent and r.bodies == "kept":
+        reason = f"order=1 {r.bent} needs bodies at their true places: where they meet on S the next term is wrong"
+        yield Refused("bent", reason, "use bodies='extended', for the interface and the full model alike")
+    if r.bent and len(thin.law.sublayers) > 1:
+        reason = f"order=1 of a Stack {r.bent}: the sublayers' shares of the jump turn along S"
+        yield Refused("bent stack", reason, "use order=0, or mesh the layer (structure.full)")
+    yield from filter(None, (sample.at_rest.locks() for sample in r.one.samples))
+
+
+def _on_all_of_s(r: Reduction) -> Iterator[Refused]:
+    """Of the next term at tips and junctions."""
+    thin, sheet = r.one.thin, r.one.sheet
+    if thin is None or thin.order == 0:
+        return
+    if sheet.tip is not None:
+        reason = f"order=1 has gradients at the tip, and {r.one} ends at {place(sheet.tip)}, inside the bodies"
+        yield Refused("tip", reason, "use order=0")
+    if sheet.junction is not None:
+        reason = f"order=1 leaves out what junctions add, and {r.one} meets another one, or branches, at "
+        yield Refused("junction", reason + place(sheet.junction), "use order=0, or mesh the layer (structure.full)")
+
+
+def _meshed(r: Reduction) -> Iterator[Refused]:
+    if r.one.law.traits.softens:
+        reason = f"the stress of {r.one.law!r} falls as strains grow: all strain would gather in one row of cells"
+        yield Refused("softens", reason, "take mixing=1, or NonMonotoneUnrelaxed, which has one phase for each column")
+
+
+def _meshed_in_part(r: Reduction) -> Iterator[Refused]:
+    traits, kind = r.one.law.traits, type(r.one.law).__name__
+    kept = {"a pressure": traits.constrained, "phases": traits.phases, "functions as parameters": r.one.law.fields}
+    for what in (what for what, given in kept.items() if given):
+        yield Refused("not passed on", f"{kind} has {what}, which do not pass from cells to S")
+
+
+def _under_mean_strain(r: Reduction) -> Iterator[Refused]:
+    if r.one.thin and r.one.thin.order:
+        reason = f"{r.one} is of order 1, whose strains along S have a part of the mean strain"
+        yield Refused("order 1", reason, "use order=0")
+
+
+def _thickness(r: Reduction) -> Iterator[Refused]:
+    if r.one.thin is None:
+        kind = type(r.one.law).__name__
+        yield Refused("no thickness", f"{kind} is a law on S, without a thickness", "give a ThinLayer")
+
+
+def _corrected(r: Reduction) -> Iterator[Refused]:
+    """Of an interface law that knows its free ends, or has none."""
+    one, thin = r.one, r.one.thin
+    assert thin
+    if thin.order == 0:
+        yield Refused("order 0", "the interface law is of order 0", "use order=1")
+    if not len(r.free.vertices):
+        return
+    if thin.edges == "plain":
+        yield Refused("plain", "edges='plain' was asked for", "leave edges=None")
+    if thin.eigenstrain is not None:
+        yield Refused("eigenstrain", "constants of free ends are not known for a layer with eigenstrain=...")
+    if r.bodies != "kept":
+        yield Refused("apart", "bodies are not kept, but apart: ends of the layer may be oblique", "use bodies='kept'")
+    if one.structure.plane == "axisymmetric":
+        radius = float(one.structure.joint.points[r.free.vertices, 0].min()) / float(thin.eps)
+        if radius < LEAST_RADIUS * (1 - ROUNDING):
+            reason = f"free ends of a body of revolution are curved: their least radius is {radius:.3g} thicknesses"
+            yield Refused("radius", f"{reason}; allowed: at least {LEAST_RADIUS:g}")
+    yield from _ends(r)
+    assert r.strips
+    if r.width < r.strips.longest:
+        reason = f"S is short: its area over the length of its free ends is {r.width:.3g} thicknesses"
+        yield Refused("short", f"{reason}; allowed: at least {r.strips.longest:.3g}")
+    if r.all_weights.overlap:
+        yield Refused("overlap", f"strips of {r.strips.longest * thin.eps:.3g} along free ends lie on one another")
+
+
+def _ends(r: Reduction) -> Iterator[Refused]:
+    """Of fields and constants of free ends, which are those of straight ones between rigid faces."""
+    one, sheet = r.one, r.one.sheet
+    if r.strips is None:
+        known = f"LinearElastic with Poisson's ratio from 0 to {LARGEST_NU:g}, Rubber and Incompressible, by numbers"
+        yield Refused("no constants", f"free ends are not known of this {type(one.law).__name__}: they are of {known}")
+    if r.bent:
+        yield Refused("bent", f"free ends are not known of a layer {r.bent}")
+    if len(oblique := r.rim("oblique").vertices):
+        at = place(sheet.joint.points[oblique[0, 0]])
+        yield Refused("oblique", f"something holds the layer's side at {at} neither along S nor across it")
+    if r.contrast < LEAST_CONTRAST * (1 - ROUNDING):
+        reason = (
+            f"faces are rigid beside free ends: Young's modulus of a body is {r.contrast:.4g} times mu of the layer"
+        )
+        yield Refused("contrast", f"{reason}; allowed: at least {LEAST_CONTRAST:g} times")
+    if one.flows and r.coarse.any():
+        at, fall = place(sheet.joint.points[r.loose[r.coarse].vertices[0, 0]]), r.falls.min()
+        reason = f"cells at free ends must not be longer than the fall of the pressure there, {fall:.3g}, as at {at}"
+        yield Refused("coarse", reason, "make them shorter (h_ends=...)")
+    try:
+        straight_ends(r.free, sheet)
+    except GeometryError as error:
+        yield Refused("curved end", str(error))
+
+
+def _estimated(r: Reduction) -> Iterator[Refused]:
+    """Of a law of order 0 whose error a better law tells."""
+    thin, traits = r.one.thin, r.one.law.traits
+    yield from filter(None, [r.held_alone()])
+    if thin and thin.order == 1:
+        yield Refused("order 1", f"{r.one} has order=1 already, and an estimate needs a better law", "give it order=0")
+    if traits.phases or traits.softens:
+        yield Refused("phases", f"{type(r.one.law).__name__} has phases, or a stress that falls as strains grow")
+
+
+def _inside(r: Reduction) -> Iterator[Refused]:
+    """Of stresses inside the layer."""
+    if r.one.thin and r.one.thin.eigenstrain is not None:
+        yield Refused("eigenstrain", "its eigenstrain is not in the fields inside")
+    if r.bodies != "kept":
+        yield Refused("apart", "bodies are apart and do not meet on S", "use bodies='kept'")
+    try:
+        r.law.inside()
+    except LawError as error:
+        yield Refused("no fields", str(error))
+
+
+def _ends_inside(r: Reduction) -> Iterator[Refused]:
+    """Of stresses inside the layer at its free ends."""
+    assert r.one.thin
+    inside = r.law.inside()
+    if inside.moduli is None:
+        yield Refused("sublayers", "the fields of free ends are those of a layer of one law")
+    if inside.flows and r.one.thin.order == 0:
+        yield Refused("order 0", "the pressure of order 0 does not fall at free ends", "use order=1")
+    if r.one.structure.plane == "axisymmetric":
+        yield Refused("radius", "free ends of a body of revolution are curved")
+    yield from _ends(r)
+
+
+Ask = Callable[[Reduction], Iterator[Refused]]
+QUESTIONS: dict[str, tuple[Ask, ...]] = {
+    "law": (_law,),
+    "mesh": (_thickness, _law, _meshed),
+    "mixed": (_thickness, _law, _meshed, _meshed_in_part, _next_term),
+    "mean strain": (_under_mean_strain,),
+    "interface law": (_law, _next_term, _on_all_of_s),
+    "ends": (_thickness, _corrected),
+    "estimate": (_thickness, _estimated),
+    "inside": (_thickness, _inside),
+    "ends inside": (_thickness, _inside, _ends_inside),
+}
