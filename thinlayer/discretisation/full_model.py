@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Self
 
-import numpy as np
-import numpy.typing as npt
-
 from forms import work as forms
 from forms.tangent import needs_director
 from geometry.errors import unknown
@@ -28,14 +25,9 @@ LARGEST_EPS = 1e6  # largest thickness over the bodies' size: beyond it coordina
 
 
 class FullModel(LayeredModel):
-    """The model whose layers are meshed.
-
-    Attributes:
-        meshed: (n_S,) which facets of S have cells of the layer; None: all.
-    """
+    """The model whose layers are meshed."""
 
     name = "full"
-    meshed: npt.NDArray[np.bool_] | None = None
 
     def __init__(
         self, structure: Setup, layer: Layers, *, bodies: str, cells_through: int, junctions: str | None = None

@@ -7,6 +7,7 @@ from functools import cached_property, partial
 from typing import Any, Self
 
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from ufl.algorithms.analysis import extract_coefficients
@@ -46,8 +47,10 @@ class InterfaceModel(LayeredModel):
     name = "interface"
     broken = True
 
-    def __init__(self, structure: Setup, layer: Layers, *, bodies: str = "kept") -> None:
-        self.layer, self._bodies = layer, bodies
+    def __init__(
+        self, structure: Setup, layer: Layers, *, bodies: str = "kept", meshed: npt.NDArray[np.bool_] | None = None
+    ) -> None:
+        self.layer, self._bodies, self.meshed = layer, bodies, meshed
         super().__init__(structure, layer, **({} if bodies == "kept" else {"bodies": bodies}))
 
     def _checked(self) -> Joint:

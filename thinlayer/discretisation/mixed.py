@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from forms import work as forms
 from forms.interface import Interface
 from geometry.errors import place
+from geometry.parallel import world
 from geometry.seam import LAYER, S
 from thinlayer.compiling.compat import exterior_facet_entities
 from thinlayer.discretisation.followers import at_cuts
@@ -54,11 +55,7 @@ class MixedModel(FullModel):
             self.meshed = _facets(structure, where)
             _require(structure, layer, self.meshed, bodies)
         self.layer, self._bodies, self._cells_through, self._junctions = layer, bodies, cells_through, None
-        self.by_law = self._law_beside(InterfaceModel(structure, _on_all_of_s(structure, layer), bodies=bodies))
-        with on_all(structure.comm):
-            for reduction in self.by_law.reductions.values():
-                if refused := reduction.held_alone(self.meshed):
-                    raise refused.error()
+        self.by_law = InterfaceModel(structure, _on_all_of_s(structure, layer), bodies=bodies, meshed=self.meshed)
         options = {"bodies": bodies, "cells_through": cells_through, "meshed": described(self.meshed)}
         super(FullModel, self).__init__(structure, layer, **options)
         self._follow()
@@ -72,7 +69,7 @@ class MixedModel(FullModel):
         with on_all(self.comm):
             _require(self.structure, layer, self.meshed, self._bodies)
         new = super().with_layer(layer)
-        new.by_law = self._law_beside(self.by_law.with_layer(_on_all_of_s(self.structure, layer)))
+        new.by_law = self.by_law.with_layer(_on_all_of_s(self.structure, layer))
         new._follow()
         return new
 
@@ -80,19 +77,6 @@ class MixedModel(FullModel):
         """Let nodes at cuts follow both faces. Collective."""
         self.followers = at_cuts(self.domain, self.V, self.layers)
         self.constraints = self._constrained()
-
-    def _law_beside(self, model: InterfaceModel) -> InterfaceModel:
-        """An interface model whose laws know of no free ends where these have cells. Collective."""
-        assert self.meshed is not None
-        with on_all(model.comm):
-            plain = [k for k, known in model.reductions.items() if _ends_have_cells(known, self.meshed, model.comm)]
-        if not plain:
-            return model
-        layers = {
-            name: replace(one.thin, edges="plain") if one.thin and name in plain else one.layer
-            for name, one in model.layers.items()
-        }
-        return model.with_layer(dict.fromkeys(model.joint.seams) | layers)
 
     def law_elsewhere(self) -> tuple[Model, list[forms.Term]] | None:
         """The terms of the interface laws on the facets without cells, and the interface model. Collective."""
@@ -182,7 +166,9 @@ def _require(structure: Setup, layer: Layers, meshed: BoolArray, bodies: str) ->
     if structure.element[0] == "S":
         raise ModelError("a mixed model needs nodal displacements, not elements S2")
     for name, one in layers_of(joint, layer).items():
-        Reduction(SeamLayer(name, one, structure), bodies).require("mixed", "a mixed model: ")
+        known = Reduction(SeamLayer(name, one, structure), bodies, meshed)
+        known.require("mixed", "a mixed model: ")
+        _warn_of_reach(known, meshed, structure.comm or world())
     rim = structure.sheet.rim
     by_law = rim[~meshed[structure.sheet.parts[0][rim.simplex]]]
     for name in structure.tractions or {}:
@@ -204,22 +190,17 @@ def _on_all_of_s(structure: Setup, layer: Layers) -> Layers:
     return dict.fromkeys(structure.joint.seams) | {name: replace(one, order=0, edges=None) for name, one in given}
 
 
-def _ends_have_cells(reduction: Reduction, meshed: BoolArray, comm: MPI.Intracomm) -> bool:
-    """Whether a law has constants of free ends, all of which have cells.
-
-    Raises:
-        ModelError: only some have, and the law acts within their reach.
-    """
-    one, rim, joint = reduction.one, reduction.free, reduction.one.sheet.joint
-    has_cells = meshed[one.sheet.parts[0][rim.simplex]]
-    by_law = np.unique(joint.table.vertices[joint.surface_rows[one.sheet.facets][~meshed[one.sheet.facets]]])
-    if reduction.weights is None or not (has_cells.any() and len(by_law)):
-        return reduction.weights is not None and bool(has_cells.all())
-    x = joint.points[rim[has_cells].vertices].mean(axis=1)
+def _warn_of_reach(known: Reduction, meshed: BoolArray, comm: MPI.Intracomm) -> None:
+    """Warn where a law of order 1 acts beside a free end with cells."""
+    one, sheet, ends, joint = known.one, known.one.sheet, known.rim("meshed").vertices, known.one.sheet.joint
+    by_law = np.unique(joint.table.vertices[joint.surface_rows[sheet.facets][~meshed[sheet.facets]]])
+    if not (one.thin and one.thin.order and len(ends) and len(by_law)):
+        return
+    x = joint.points[ends].mean(axis=1)
     near, at = cKDTree(x).query(joint.points[by_law])
-    if (width := near.min() / reduction.weights.eps) < REACH:
-        there = f"{one} is meshed over {width:.2g} thicknesses at its free end at {place(x[at[near.argmin()]])}"
-        if not has_cells.all():
-            raise ModelError(f"{there}; the law beside, with constants of others, needs {REACH:g}, or edges='plain'")
-        warn(f"{there}: the end's stresses reach the law beyond; mesh {REACH:g} or more", comm)
-    return bool(has_cells.all())
+    if (width := near.min() / one.thin.eps) < REACH:
+        warn(
+            f"{one} is meshed over {width:.2g} thicknesses at its free end at {place(x[at[near.argmin()]])}: the end's "
+            f"stresses reach the law beyond; mesh {REACH:g} or more",
+            comm,
+        )

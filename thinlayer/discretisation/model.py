@@ -83,6 +83,7 @@ class Model(ABC):
         coordinates: place and time as arguments of what is given, and the clock.
         centre: (d,) mean place of the mesh's points; of bodies of revolution on the axis.
         broken: whether displacements jump across S.
+        meshed: (n_S,) which facets of S have cells of the layer; None: all of a full model, none of others.
         followers: displacements that follow others; None: none does.
         mark: hash of the data, equal on all ranks.
         family: what the model has in common with those that were made from it by `with_layer` and `with_loads`.
@@ -91,6 +92,7 @@ class Model(ABC):
 
     name: ClassVar[str]
     broken: ClassVar[bool] = False
+    meshed: npt.NDArray[np.bool_] | None = None
     _bodies = "kept"
     followers: Followers | None = None
 
@@ -144,7 +146,7 @@ class Model(ABC):
         with on_all(structure.comm):
             given = {} if layer is None else layers_of(self.joint, layer)
             self.layers = {name: SeamLayer(name, one, structure) for name, one in given.items()}
-            self.reductions = {name: Reduction(one, self._bodies) for name, one in self.layers.items()}
+            self.reductions = {name: Reduction(one, self._bodies, self.meshed) for name, one in self.layers.items()}
             checked = check()
         what = require_same(structure.comm, model=self.name, layer=layer, options=self._options)
         self.mark = structure.mark + what

@@ -30,16 +30,20 @@ LEAST_RADIUS = 4.0  # of curved ends, over the thickness; what constants leave o
 BENDING = 44.0  # 48 (1 - nu^2): (eps k)^3 E/mu where half-spaces yield to a pressure of wave number k as the layer does
 
 
+BoolArray = npt.NDArray[np.bool_]
+
+
 class Reduction:
     """The interface law of a layer on its seam: of the joint, the layer and the structure's data, without a mesh or forms.
 
     Attributes:
         one: the layer on its seam.
         bodies: "kept" or "extended", as of its model.
+        meshed: (n_S,) which facets of S have cells, beside which a law acts; None: none.
     """
 
-    def __init__(self, one: SeamLayer, bodies: str = "kept") -> None:
-        self.one, self.bodies = one, bodies
+    def __init__(self, one: SeamLayer, bodies: str = "kept", meshed: BoolArray | None = None) -> None:
+        self.one, self.bodies, self.meshed = one, bodies, meshed
 
     def why_not(self, question: str) -> Refused | None:
         """The first condition of a question (`QUESTIONS`) that does not hold; None: all do. The same on all ranks.
@@ -76,7 +80,15 @@ class Reduction:
 
     @cached_property
     def _kinds(self) -> npt.NDArray[np.str_]:
-        return side_kinds(self.one)
+        kinds = side_kinds(self.one)
+        return np.where(self.has_cells & np.isin(kinds, ["free", "oblique"]), "meshed", kinds)
+
+    @property
+    def has_cells(self) -> BoolArray:
+        """(n,) at which ridges of the rim the layer has cells, which know of its end."""
+        sheet = self.one.sheet
+        facets = sheet.parts[0][sheet.rim.simplex]
+        return np.zeros(len(facets), bool) if self.meshed is None else self.meshed[facets]
 
     @cached_property
     def free(self) -> Rim:
@@ -105,27 +117,12 @@ class Reduction:
             return np.asarray(thin.eps * relative / np.sqrt(squares))
 
     @property
-    def coarse(self) -> npt.NDArray[np.bool_]:
+    def coarse(self) -> BoolArray:
         """(n,) at which loose sides cells are longer than the fall of a pressure.
 
         It is not set to zero there, as if they were held: it would be too small over a whole cell.
         """
         return np.asarray(self.loose.depth > self.falls)
-
-    def held_alone(self, meshed: npt.NDArray[np.bool_] | None = None) -> Refused | None:
-        """Where supports hold the layer's own side, NAME/LAYER, and not the bodies beside it; None: nowhere.
-
-        `meshed` (n_S,) are facets of S with cells, which do know of it.
-        """
-        sheet, apart = self.one.sheet, held_directions(self.one) - held_directions(self.one, of_layer=False)
-        alone = np.abs(apart).max(axis=(1, 2)) > SLIGHT
-        if meshed is not None:
-            alone &= ~meshed[sheet.parts[0][sheet.rim.simplex]]
-        if not alone.any():
-            return None
-        at = place(sheet.joint.points[sheet.rim.vertices[alone][0, 0]])
-        reason = f"a support holds the side of {self.one} alone, at {at}, of which no law on S knows"
-        return Refused("held alone", reason, "support the bodies too, or mesh the layer")
 
     # ---------------------------------------------------------------- better laws
     def better(self) -> ThinLayer:
@@ -264,6 +261,15 @@ def _under_mean_strain(r: Reduction) -> Iterator[Refused]:
         yield Refused("order 1", reason, "use order=0")
 
 
+def _held_alone(r: Reduction) -> Iterator[Refused]:
+    """Of supports that hold the layer's own side, NAME/LAYER: they hold the bodies beside it, too, or it has cells."""
+    rim, alone = r.one.sheet.rim, held_directions(r.one) - held_directions(r.one, of_layer=False)
+    if len(at := rim.vertices[(np.abs(alone).max(axis=(1, 2)) > SLIGHT) & ~r.has_cells]):
+        where = place(r.one.sheet.joint.points[at[0, 0]])
+        reason = f"a support holds the side of {r.one} alone, at {where}, of which no law on S knows"
+        yield Refused("held alone", reason, "support the bodies too, or mesh the layer")
+
+
 def _thickness(r: Reduction) -> Iterator[Refused]:
     if r.one.thin is None:
         kind = type(r.one.law).__name__
@@ -327,7 +333,6 @@ def _ends(r: Reduction) -> Iterator[Refused]:
 def _estimated(r: Reduction) -> Iterator[Refused]:
     """Of a law of order 0 whose error a better law tells."""
     thin, traits = r.one.thin, r.one.law.traits
-    yield from filter(None, [r.held_alone()])
     if thin and thin.order == 1:
         yield Refused("order 1", f"{r.one} has order=1 already, and an estimate needs a better law", "give it order=0")
     if traits.phases or traits.softens:
@@ -363,11 +368,12 @@ Ask = Callable[[Reduction], Iterator[Refused]]
 QUESTIONS: dict[str, tuple[Ask, ...]] = {
     "law": (_law,),
     "mesh": (_thickness, _law, _meshed),
-    "mixed": (_thickness, _law, _meshed, _meshed_in_part, _next_term),
+    "mixed": (_thickness, _law, _meshed, _meshed_in_part, _held_alone, _next_term),
+    "sides": (_held_alone,),
     "mean strain": (_under_mean_strain,),
     "interface law": (_law, _next_term, _on_all_of_s),
     "ends": (_thickness, _corrected),
-    "estimate": (_thickness, _estimated),
+    "estimate": (_thickness, _held_alone, _estimated),
     "inside": (_thickness, _inside),
     "ends inside": (_thickness, _inside, _ends_inside),
 }

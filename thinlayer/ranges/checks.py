@@ -54,7 +54,7 @@ def _of_model(model: Model, lasting: Sequence[float]) -> Iterator[str]:
                 f"the pressure of {known.one} falls to zero at free ends over delta = {delta:.3g}, and cells there are up "
                 f"to {largest:.3g} long: it is not set to zero there, as if they were held; make cells there shorter"
             )
-        if refused := known.held_alone():
+        if refused := known.why_not("sides"):
             yield f"{refused.reason}: what it bears is left out; {refused.remedy}"
 
 
