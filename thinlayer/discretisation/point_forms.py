@@ -48,7 +48,11 @@ class ConcentratedForms:
     def terms(self, load: Concentrated) -> list[tuple[Expr, ufl.Measure]]:
         """Pairs of a load per volume (d,) and a measure. Collective."""
         nodes, d = load.nodes(self.joint), self.joint.dim
-        lengths, given = self._in_space(nodes)[1][..., None], self.at.given(load.force, load.what, (d,))
+        along = nodes.in_space(self.joint, self.domain.joint.cell_points)[1]
+        lengths = (
+            np.ones((*along.shape[:2], 1)) if nodes.along is None else np.linalg.norm(along, axis=2, keepdims=True)
+        )
+        given = self.at.given(load.force, load.what, (d,))
         return [
             (at.given(load.force, load.what, (d,)).expression * g[0], measure)
             for at, g, measure in self.at_nodes(nodes, lengths, given.varies)
@@ -64,7 +68,9 @@ class ConcentratedForms:
                 places have no meaning.
         """
         n, k, c = weights.shape
-        d, x, found = self.joint.dim, self._in_space(nodes)[0], []
+        d, joint, found = self.joint.dim, self.domain.joint, []
+        kept = joint.band is not None and joint.band.bodies == "kept"
+        x = nodes.in_space(joint, joint.reference[joint.cells] if kept else joint.cell_points)[0]
         wholes = [(np.arange(n), slice(None))]
         for some, column in [(r, slice(j, j + 1)) for r in _rounds(nodes.cells) for j in range(k)] if split else wholes:
             one = Nodes(nodes.cells[some], nodes.points[some, column])
@@ -75,23 +81,6 @@ class ConcentratedForms:
             at = self.at.moved(cellwise(self.domain, ("DG", 0, (d,)), places)) if split else self.at
             found.append((at, g, self._dx))
         return found
-
-    def _in_space(self, nodes: Nodes) -> tuple[Array, Array]:
-        """Places (n, k, d) of nodes, as arguments of loads, and weights (n, k)."""
-        joint = self.domain.joint
-        kept = joint.band is not None and joint.band.bodies == "kept"
-        shown = joint.reference[joint.cells] if kept else joint.cell_points
-        element = basix.create_element(
-            basix.ElementFamily.P, basix.CellType[joint.cell_type], joint.degree, basix.LagrangeVariant.equispaced
-        )
-        places, weights = np.zeros_like(nodes.points), np.ones(nodes.points.shape[:2])
-        for row, cell in enumerate(nodes.cells):
-            table = element.tabulate(1, nodes.points[row])[..., 0]
-            places[row] = table[0] @ shown[cell]
-            if nodes.along is not None:
-                J = np.einsum("jkn,ni->kij", table[1:], joint.cell_points[cell])
-                weights[row] = np.linalg.norm(np.einsum("kij,kj->ki", J, nodes.along[row]), axis=1)
-        return places, weights
 
     def _densities(self, nodes: Nodes, weights: Array) -> Array:
         """(n_cells, m, ...) degrees of freedom of g times weights (n, k, ...), summed over the nodes of each cell."""

@@ -37,6 +37,18 @@ class Nodes:
     points: Array
     along: Array | None = None
 
+    def in_space(self, joint: Joint, cell_points: Array) -> tuple[Array, Array]:
+        """Places (n, k, d), and `along` as vectors in space, zero if there is none; nodes of cells have these places."""
+        kind = basix.CellType[joint.cell_type]
+        element = basix.create_element(basix.ElementFamily.P, kind, joint.degree, basix.LagrangeVariant.equispaced)
+        places, along = np.zeros_like(self.points), np.zeros_like(self.points)
+        for row, cell in enumerate(self.cells):
+            table = element.tabulate(1, self.points[row])[..., 0]
+            places[row] = table[0] @ cell_points[cell]
+            if self.along is not None:
+                along[row] = np.einsum("jkn,ni,kj->ki", table[1:], cell_points[cell], self.along[row])
+        return places, along
+
 
 class Concentrated(Protocol):
     """A load at points or along lines."""
@@ -132,7 +144,7 @@ class LineLoad:
             k = _in_one_body(joint, cells, components[cells, columns], self.body, self.what)
             chosen.append((cells[k], columns[k]))
         cells, columns = np.array(chosen).T
-        return _along_edges(kind, cells, edges[columns])
+        return along_edges(kind, cells, edges[columns])
 
 
 def _edges_of(joint: Joint, name: str) -> set[tuple[int, int]]:
@@ -150,8 +162,11 @@ def _edges_of(joint: Joint, name: str) -> set[tuple[int, int]]:
     return found
 
 
-def _along_edges(kind: basix.CellType, cells: npt.NDArray[np.int64], ends: npt.NDArray[np.int64]) -> Nodes:
-    s, w = basix.make_quadrature(basix.CellType.interval, 2 * EDGE_POINTS - 1)
+def along_edges(
+    kind: basix.CellType, cells: npt.NDArray[np.int64], ends: npt.NDArray[np.int64], count: int = EDGE_POINTS
+) -> Nodes:
+    """Gauss points on edges of cells (n,) between these corners (n, 2)."""
+    s, w = basix.make_quadrature(basix.CellType.interval, 2 * count - 1)
     X = np.asarray(basix.geometry(kind))[ends]  # (n, 2, d)
     points = X[:, None, 0] + s[None, :, :1] * (X[:, None, 1] - X[:, None, 0])
     return Nodes(cells, points, w[None, :, None] * (X[:, None, 1] - X[:, None, 0]))

@@ -40,7 +40,7 @@ from thinlayer.discretisation.joint_fields import cellwise
 from thinlayer.discretisation.layer import real_law
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.point_forms import ConcentratedForms
-from thinlayer.discretisation.point_loads import Nodes
+from thinlayer.discretisation.point_loads import Nodes, along_edges
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import Refused, warn
 
@@ -206,15 +206,14 @@ def _halves(
     assert one.thin
     joint, based = model.domain.joint, one.name in model.joint.base_seams
     below, above = joint.surface_cells[one.sheet.parts[0][load.rim.simplex]].T
-    upper = Edge.of(joint, above, load.rim.vertices, joint.cell_points)
-    lower = Edge.of(joint, above, load.rim.vertices, joint.points[joint.cells]) if based else None
-    lower = lower or Edge.of(joint, below, load.rim.vertices, joint.cell_points)
-    height = float(one.thin.eps) * one.sheet.mean_normal if joint.parted is None else upper.x - lower.x
-    areas = _areas(height + 0 * upper.x, (upper.along + lower.along) / 2, load.rim.outward)
-    weights = load.weights(areas) / 2
-    faces = [upper] if based else [upper, lower]
-    nodes = Nodes(np.concatenate([face.cells for face in faces]), np.concatenate([face.X for face in faces]))
-    weights = np.concatenate([model.kinematics.factor_at(face.x)[..., None] * weights for face in faces])
+    faces = [_ridges(joint, cells, load.rim.vertices) for cells in (above, above if based else below)]
+    places = joint.cell_points, joint.points[joint.cells] if based else joint.cell_points
+    x, along = np.stack([face.in_space(joint, at) for face, at in zip(faces, places, strict=True)], axis=1)
+    height = float(one.thin.eps) * one.sheet.mean_normal + 0 * x[0] if joint.parted is None else x[0] - x[1]
+    weights = load.weights(_areas(height, along.mean(axis=0), load.rim.outward)) / 2
+    faces = faces[:1] if based else faces
+    nodes = Nodes(np.concatenate([face.cells for face in faces]), np.concatenate([face.points for face in faces]))
+    weights = np.concatenate([model.kinematics.factor_at(at)[..., None] * weights for at in x[: len(faces)]])
     for at, g, measure in points.at_nodes(nodes, weights, load.varies):
         force, moved = load.at_points(at, g)
 
@@ -224,41 +223,15 @@ def _halves(
         yield force, Weighted(measure, 1, mean=moved, on_base=on_base if based else None)
 
 
-@dataclass(frozen=True)
-class Edge:
-    """Ridges of S on one face of a layer: vertices in 2D, edges in 3D with two Gauss points.
-
-    Attributes:
-        cells: (n,) cells that have them.
-        X: (n, k, d) points in the reference cell.
-        x: (n, k, d) their places.
-        along: (n, k, d) length in space that belongs to a point, as a vector along the edge; zero in 2D.
-    """
-
-    cells: IntArray
-    X: FloatArray
-    x: FloatArray
-    along: FloatArray
-
-    @classmethod
-    def of(cls, joint: Joint, cells: IntArray, vertices: IntArray, cell_points: FloatArray) -> Edge:
-        """The ridges of these vertices (n, d - 1) in cells (n,) whose nodes have these places."""
-        kind = basix.CellType[joint.cell_type]
-        corner = (joint.corners[cells][:, None] == vertices[..., None]).argmax(axis=2)
-        ends = np.asarray(basix.geometry(kind))[corner]  # (n, d - 1, d)
-        s, w = np.zeros((1, 1)), np.ones(1)
-        if joint.dim == 3:
-            s, w = basix.make_quadrature(basix.CellType.interval, 3)
-        tangent = (ends[:, -1] - ends[:, 0])[:, None]
-        X = ends[:, :1] + s[None, :, :1] * tangent
-        element = basix.create_element(basix.ElementFamily.P, kind, joint.degree, basix.LagrangeVariant.equispaced)
-        x, along = np.zeros_like(X), np.zeros_like(X)
-        for row, cell in enumerate(cells):
-            table = element.tabulate(1, X[row])[..., 0]
-            x[row] = table[0] @ cell_points[cell]
-            J = np.einsum("jkn,ni->kij", table[1:], cell_points[cell])
-            along[row] = w[:, None] * np.einsum("kij,kj->ki", J, np.broadcast_to(tangent[row], X[row].shape))
-        return cls(cells, X, x, along)
+def _ridges(joint: Joint, cells: IntArray, vertices: IntArray) -> Nodes:
+    """Ridges of S, given by vertices (n, d - 1), in cells (n,): the vertices in 2D, edges in 3D with two Gauss points."""
+    kind, corner = (
+        basix.CellType[joint.cell_type],
+        (joint.corners[cells][:, None] == vertices[..., None]).argmax(axis=2),
+    )
+    if joint.dim == 3:
+        return along_edges(kind, cells, corner, 2)
+    return Nodes(cells, np.asarray(basix.geometry(kind))[corner])
 
 
 def _areas(height: FloatArray, along: FloatArray, outward: FloatArray) -> FloatArray:
