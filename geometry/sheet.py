@@ -46,6 +46,15 @@ class Rim:
         found = [ridge_keys(facets[:, list(pair)]) for pair in pairs]
         return np.asarray(np.isin(ridge_keys(self.vertices), np.concatenate(found)))
 
+    def distance(self, points: FloatArray, x: FloatArray) -> FloatArray:
+        """(n,) distances of places (n, d) from the ridges, whose vertices are some of these points; inf: there are none."""
+        found = np.full(len(x), np.inf)
+        for first, last in points[self.vertices][:, [0, -1]]:
+            along = last - first
+            share = np.clip((x - first) @ along / max(along @ along, np.finfo(float).tiny), 0.0, 1.0)
+            found = np.minimum(found, np.linalg.norm(x - first - share[:, None] * along, axis=1))
+        return found
+
 
 def continued(joint: Joint, facets: IntArray) -> IntArray:
     """Keys of the ridges of S where facets go on over the layer's side: they are all outer facets there.

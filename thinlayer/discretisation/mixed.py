@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from mpi4py import MPI
-from scipy.spatial import cKDTree
 
 from forms import work as forms
 from forms.interface import Interface
@@ -192,15 +191,13 @@ def _on_all_of_s(structure: Setup, layer: Layers) -> Layers:
 
 def _warn_of_reach(known: Reduction, meshed: BoolArray, comm: MPI.Intracomm) -> None:
     """Warn where a law of order 1 acts beside a free end with cells."""
-    one, sheet, ends, joint = known.one, known.one.sheet, known.rim("meshed").vertices, known.one.sheet.joint
-    by_law = np.unique(joint.table.vertices[joint.surface_rows[sheet.facets][~meshed[sheet.facets]]])
-    if not (one.thin and one.thin.order and len(ends) and len(by_law)):
-        return
-    x = joint.points[ends].mean(axis=1)
-    near, at = cKDTree(x).query(joint.points[by_law])
-    if (width := near.min() / one.thin.eps) < REACH:
-        warn(
-            f"{one} is meshed over {width:.2g} thicknesses at its free end at {place(x[at[near.argmin()]])}: the end's "
-            f"stresses reach the law beyond; mesh {REACH:g} or more",
-            comm,
-        )
+    one, sheet, ends, x = known.one, known.one.sheet, known.rim("meshed"), known.one.sheet.joint.points
+    by_law = np.unique(sheet.joint.table.vertices[sheet.joint.surface_rows[sheet.facets][~meshed[sheet.facets]]])
+    if one.thin and one.thin.order and len(by_law):
+        near = ends.distance(x, x[by_law])
+        if (width := near.min() / one.thin.eps) < REACH:
+            warn(
+                f"{one} is meshed over {width:.2g} thicknesses at its free end, up to {place(x[by_law[near.argmin()]])}: "
+                f"the end's stresses reach the law beyond; mesh {REACH:g} or more",
+                comm,
+            )

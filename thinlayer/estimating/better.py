@@ -16,7 +16,7 @@ from thinlayer.discretisation.reduction import LEAST_CONTRAST, Reduction, softes
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, Refused
-from thinlayer.estimating.places import NEAR_ENDS, distance_to
+from thinlayer.estimating.places import NEAR_ENDS
 from thinlayer.output.layer_report import ELASTIC, LayerReport
 from thinlayer.parallel.agreement import on_all
 
@@ -122,8 +122,8 @@ def why_unknown(state: State) -> str:
             continue
         if not one.law.traits.symmetric:
             return f"{one} slides or yields with a dilatancy unlike its friction: no estimate is known"
-        joint, rim = state.model.joint, state.model.reductions[name].free
+        joint, ends = state.model.joint, state.model.reductions[name].free
         centres = joint.points[joint.table.vertices[report.rows[yields]]].mean(axis=1)
-        if np.any(distance_to(joint, rim, centres) < NEAR_ENDS * one.thin.eps):
+        if np.any(ends.distance(joint.points, centres) < NEAR_ENDS * one.thin.eps):
             return f"{one} yields at its free ends: no estimate (found up to 4 times too low)"
     return ""

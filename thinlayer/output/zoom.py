@@ -77,7 +77,7 @@ class Zoom:
     @property
     def law(self) -> BulkLaw:
         """The layer's law with real parameters, in a plane that of its kinematics."""
-        return self._known.law
+        return self._known.model.reductions[self.seam].law
 
     # ---------------------------------------------------------------- stresses
     def stress(self, x: Any, height: Any = 0.0) -> Array:

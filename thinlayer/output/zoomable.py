@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from forms.ends.fields import EndFields, end_fields
 from forms.inside import FaceValues, Inside
-from forms.law import BulkLaw
 from geometry.ends import StraightEnd, straight_ends
 from geometry.errors import place, unknown
 from geometry.seam import S
@@ -70,11 +69,6 @@ class Zoomable:
         if model.forces.weighs(name):
             raise ModelError(f"zoom into {one}: a body force in the layer is not in the fields inside")
         return cls(state, model, one, real_law(one.layer, model.kinematics).inside())
-
-    @property
-    def law(self) -> BulkLaw:
-        """The law with real parameters, for the model's kinematics."""
-        return real_law(self.one.layer, self.model.kinematics)
 
     @property
     def eps(self) -> float:
@@ -186,7 +180,7 @@ class Zoomable:
         if not len(self.rim.vertices):
             return []
         if self.why_no_ends:
-            close = self._distance(x) < NEAR * self.thickness(x)
+            close = self.rim.distance(self.model.joint.points, x) < NEAR * self.thickness(x)
             if close.any():
                 at = f"zoom into {self.one} at {place(x[close.argmax()])}, within {NEAR:g} thicknesses of a free end: "
                 raise self.why_no_ends.error(at)
@@ -199,7 +193,7 @@ class Zoomable:
             if np.isfinite(distance).any():
                 found.append((end, distance))
         ends = self._ends_near(x)
-        wrong = (ends > 1) | ((ends == 0) & (self._distance(x) < NEAR * self.eps))
+        wrong = (ends > 1) | ((ends == 0) & (self.rim.distance(self.model.joint.points, x) < NEAR * self.eps))
         if wrong.any():
             raise ModelError(
                 f"zoom into {self.one} at {place(x[wrong.argmax()])}, within {NEAR:g} thicknesses of where two free ends "
@@ -211,15 +205,6 @@ class Zoomable:
         """(n,) how many free ends are near places (n, d) beside them."""
         near = [end.beside(x) & (end.distance(x) <= NEAR * self.eps) for end in self._ends]
         return np.asarray(np.sum(near, axis=0), np.int64)
-
-    def _distance(self, x: Array) -> Array:
-        """Distances (n,) of places from the free ends."""
-        ridges = self.model.joint.points[self.rim.vertices]
-        start, step = ridges[:, 0], ridges[:, -1] - ridges[:, 0]
-        length = np.maximum(np.einsum("rd,rd->r", step, step), np.finfo(float).tiny)
-        share = np.clip(np.einsum("nrd,rd->nr", x[:, None] - start, step) / length, 0.0, 1.0)
-        nearest = start + share[..., None] * step
-        return np.asarray(np.linalg.norm(x[:, None] - nearest, axis=2).min(axis=1))
 
 
 def _lifted(v: Array) -> Array:
