@@ -6,9 +6,13 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+import ufl
+from dolfinx import fem
 from mpi4py import MPI
 
 from forms.tangent import in_plane_modulus
+from thinlayer.discretisation.layer import BODY
+from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.seams import SeamLayer
@@ -18,11 +22,11 @@ from thinlayer.ranges.areas import Areas
 from thinlayer.ranges.excess import LEAST_ERROR
 from thinlayer.ranges.faces import Faces
 from thinlayer.ranges.pressure import beyond_free_ends, too_stiff
-from thinlayer.ranges.strains import warn_of_strains
 from thinlayer.ranges.sublayers import Sublayer, acts_on_jumps, stiffness_of_jumps, sublayers_of
 
 LEAST_OVERLAP = 2.0  # least closing, relative to the thickness, that leads to a warning; the bodies overlap from 1 on
 CORNER_ANGLE = 0.25  # largest angle, in rad, between a facet and the mean of its neighbours that is not a corner of S
+LARGEST_STRAIN = 0.1  # root mean square over a body, beyond which changes of shape are no longer small
 CAVITATION = 2.5  # mean stress over the shear modulus at which small holes in rubber grow (Gent and Lindley 1959)
 
 
@@ -83,6 +87,43 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
             warn(remark, model.comm)
 
 
+def warn_of_strains(states: Sequence[State]) -> None:
+    """Warn where strains of bodies that are not linear exceed `LARGEST_STRAIN`, once for all states. Collective.
+
+    The root mean square over a body is tested, because at single places, such as corners, strains are large in any case.
+    Linear bodies are not tested: their results are proportional to loads of any size.
+
+    Args:
+        states: of one model.
+    """
+    if not states:
+        return
+    model = states[0].model
+    for term in (p for p in model.bodies if not p.law.traits.linear):
+        u = fem.Function(model.V)
+        e, one = term.strain(u), fem.Constant(model.domain.mesh, 1.0)
+        squares = compiled(ufl.inner(e, e) * term.weight * term.measure)
+        volume = model.comm.allreduce(fem.assemble_scalar(compiled(one * term.weight * term.measure)))
+        found = []
+        for state in states:
+            u.x.array[:] = state.u.x.array
+            whole = model.comm.allreduce(fem.assemble_scalar(squares))
+            found.append(math.sqrt(whole / volume))
+        beyond = [k for k, strain in enumerate(found) if strain > LARGEST_STRAIN]
+        if not beyond:
+            continue
+        worst = max(beyond, key=found.__getitem__)
+        name = term.key.removeprefix(f"{BODY} ")
+        warn(
+            f"at t = {states[worst].t:.4g} strains of {f'the body {name!r}' if name else 'the bodies'} are "
+            f"{found[worst]:.3g} (root mean square over its volume), beyond {LARGEST_STRAIN:g} from "
+            f"t = {states[beyond[0]].t:.4g} on: the theory is for small strains; what yields there flows at loads that it "
+            "cannot bear: do not use these states, and take smaller loads or motions of supports; or check the units of "
+            "the moduli",
+            model.comm,
+        )
+
+
 def _of_states(found: Sequence[Faces], one: SeamLayer, start: float | None) -> Iterator[str]:
     """What states tell on rank 0, which has the faces of S."""
     if not found:
@@ -99,12 +140,9 @@ def _of_states(found: Sequence[Faces], one: SeamLayer, start: float | None) -> I
             f"(most near ({x}), by {faces.closing[worst]:.3g} times): bodies overlap, and the law is for small strains; "
             "check loads, thickness and parameters"
         )
-    if one.flows or one.law.traits.phases:  # the strain of a phase brings about no pressure
-        return
-    told = [*too_stiff(one, found, start)] if one.law.traits.linear else []
-    yield from told
-    if not told and _told_by_states(one, sublayers):
-        yield from beyond_free_ends(model, one, [sublayers])
+    if one.law.traits.linear and not one.flows:
+        told = [*too_stiff(one, found, start)]
+        yield from told or (beyond_free_ends(model, one, [sublayers]) if _told_by_states(one, sublayers) else ())
 
 
 def _told_by_states(one: SeamLayer, sublayers: list[Sublayer]) -> bool:

@@ -15,8 +15,7 @@ from thinlayer.errors import ModelError, SolveError
 from thinlayer.files.folder import owned
 from thinlayer.identity import Resume, require_resume
 from thinlayer.parallel.agreement import on_all, require_same
-from thinlayer.ranges.checks import warn_of_model, warn_of_states
-from thinlayer.ranges.strains import warn_of_strains
+from thinlayer.ranges.checks import warn_of_model, warn_of_states, warn_of_strains
 from thinlayer.ranges.times import warn_of_steps
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.options import OptionValue
