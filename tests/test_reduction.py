@@ -166,3 +166,14 @@ def test_models_ask():
             build(layer)
         assert found.value.key
     assert wedge.full(thin(elastic(13.0))).layers["S"].thin.order == 1
+
+
+def test_ends_with_cells_are_no_ends_of_the_law_beside_them():
+    """One of two ends: the law has the constants of the other one alone."""
+    structure = Structure(PLATES, body=BODY, supports={"BOTTOM": 0.0})
+    meshed = PLATES.points[PLATES.surface].mean(axis=1)[:, 0] < 0.5
+    known = Reduction(SeamLayer("S", thin(), structure), meshed=meshed)
+    assert known.rim("meshed").outward == pytest.approx(np.array([[-1.0, 0.0]]))
+    assert known.free.outward == pytest.approx(np.array([[1.0, 0.0]]))
+    assert set(known.weights.m[:, 0]) == {1.0}
+    assert Reduction(SeamLayer("S", thin(STACK), structure), meshed=meshed | True).why_not("ends") is None

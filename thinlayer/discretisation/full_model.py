@@ -52,8 +52,11 @@ class FullModel(LayeredModel):
         first = () if self._junctions is None else (self._junctions,)
         thin = {name: one.thin for name, one in self.layers.items() if one.thin}
         eps = {name: layer.eps for given in (thin, gaps) for name, layer in given.items()}
-        for thickness in eps.values():
-            self._check_size(thickness)
+        if (thickest := max(eps.values(), default=0.0)) > LARGEST_EPS * self.structure.size:
+            raise ModelError(
+                f"the layer's thickness eps is {thickest:g}, the bodies measure {self.structure.size:g}: next to such a "
+                "layer their shape is lost in rounding; is eps in the unit of the mesh?"
+            )
         inflated = inflate(
             self.joint,
             eps,
@@ -85,14 +88,6 @@ class FullModel(LayeredModel):
         self._checked_layers()
         self._require_shapes(other)
         self._check_junctions(self.domain.joint)
-
-    def _check_size(self, eps: float) -> None:
-        """Raise ModelError if a thickness is out of proportion."""
-        if eps > LARGEST_EPS * self.structure.size:
-            raise ModelError(
-                f"the layer's thickness eps is {eps:g}, the bodies measure {self.structure.size:g}: next to such a "
-                "layer their shape is lost in rounding; is eps in the unit of the mesh?"
-            )
 
     def _check_junctions(self, inflated: Joint) -> None:
         """Raise ModelError if a law cannot be that of cells where layers meet, which are in no column of a layer."""

@@ -139,7 +139,7 @@ class InterfaceModel(LayeredModel):
     def remarks(self) -> list[str]:
         """What was chosen at the free ends of layers of order 1."""
         ordered = [known for known in self.reductions.values() if known.one.thin and known.one.thin.order]
-        return [f"free ends of {known.one}: {known.said}" for known in ordered]
+        return [f"free ends of {known.one}: {known.known_ends}" for known in ordered]
 
     def shifts(self) -> FloatArray | None:
         """As in `Model`: by layers of order 1, whose law knows that faces stand apart, between bodies that meet on S."""

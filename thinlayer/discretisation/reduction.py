@@ -28,8 +28,6 @@ from thinlayer.errors import Refused
 LEAST_CONTRAST = 40.0  # Young's modulus of the bodies over the layer's mu
 LEAST_RADIUS = 4.0  # of curved ends, over the thickness; what constants leave out there is of the order of its inverse
 BENDING = 44.0  # 48 (1 - nu^2): (eps k)^3 E/mu where half-spaces yield to a pressure of wave number k as the layer does
-
-
 BoolArray = npt.NDArray[np.bool_]
 
 
@@ -134,7 +132,7 @@ class Reduction:
 
     # ---------------------------------------------------------------- ends
     @property
-    def said(self) -> str:
+    def known_ends(self) -> str:
         """What the law knows of the free ends, in words."""
         refused = self.why_not("ends")
         return f"not corrected, as {refused.reason}" if refused else "corrected" if self.weights else "none"
@@ -196,13 +194,11 @@ def _law(r: Reduction) -> Iterator[Refused]:
     if one.contact:
         linear = "Q1" if is_tensor(setup.joint.cell_type) else "P1"
         if setup.element != linear:  # nodes in the middle of edges would carry most of the pressure, or none of it
-            reason = f"a contact law acts at the vertices of S, and displacements are {setup.element}"
-            yield Refused("element", reason, f"give element={linear!r}")
+            yield Refused("element", f"a contact law acts at vertices, not in {setup.element}", f"element={linear!r}")
         one.contact.check_threshold()
         return
     if one.law.traits.constrained and setup.element not in ("P2", "Q2"):
-        reason = f"an incompressible layer needs elements P2 or Q2 for its displacements, not {setup.element}"
-        yield Refused("element", reason, "give element='P2', on quadrilaterals and hexahedra 'Q2'")
+        yield Refused("element", f"an incompressible layer needs elements P2 or Q2, not {setup.element}", "give them")
     if one.thin:
         setup.joint.relative_thickness(one.thin.profile, one.name)  # a user's function, may fail on one rank alone
     for sample in one.samples:
@@ -211,15 +207,14 @@ def _law(r: Reduction) -> Iterator[Refused]:
 
 def _next_term(r: Reduction) -> Iterator[Refused]:
     """Of the next term of a law, away from tips and junctions."""
-    thin, setup, kind = r.one.thin, r.one.structure, type(r.one.law).__name__
+    thin, setup = r.one.thin, r.one.structure
     if thin is None or thin.order == 0:
         return
     if thin.law.traits.constrained and setup.plane == "stress":
-        reason = f"order=1 of {kind} in plane stress: no pressure builds up in a sheet"
+        reason = f"order=1 of {type(thin.law).__name__} in plane stress: no pressure builds up in a sheet"
         yield Refused("pressure in a sheet", reason, "use LinearElastic or order=0")
     if setup.degree != 2:
-        reason = f"order=1 needs elements of degree 2 (its law has gradients on S), not {setup.element}"
-        yield Refused("element", reason, "use them, or order=0")
+        yield Refused("element", f"order=1 has gradients on S, elements are {setup.element}", "use degree 2")
     if r.bent and r.bodies == "kept":
         reason = f"order=1 {r.bent} needs bodies at their true places: where they meet on S the next term is wrong"
         yield Refused("bent", reason, "use bodies='extended', for the interface and the full model alike")
@@ -257,8 +252,7 @@ def _meshed_in_part(r: Reduction) -> Iterator[Refused]:
 
 def _under_mean_strain(r: Reduction) -> Iterator[Refused]:
     if r.one.thin and r.one.thin.order:
-        reason = f"{r.one} is of order 1, whose strains along S have a part of the mean strain"
-        yield Refused("order 1", reason, "use order=0")
+        yield Refused("order 1", f"{r.one} has order=1, whose strains along S have a mean part", "use order=0")
 
 
 def _held_alone(r: Reduction) -> Iterator[Refused]:
@@ -272,8 +266,8 @@ def _held_alone(r: Reduction) -> Iterator[Refused]:
 
 def _thickness(r: Reduction) -> Iterator[Refused]:
     if r.one.thin is None:
-        kind = type(r.one.law).__name__
-        yield Refused("no thickness", f"{kind} is a law on S, without a thickness", "give a ThinLayer")
+        law = type(r.one.law).__name__
+        yield Refused("no thickness", f"{law} is a law on S, without a thickness", "give a ThinLayer")
 
 
 def _corrected(r: Reduction) -> Iterator[Refused]:
@@ -293,13 +287,13 @@ def _corrected(r: Reduction) -> Iterator[Refused]:
     if one.structure.plane == "axisymmetric":
         radius = float(one.structure.joint.points[r.free.vertices, 0].min()) / float(thin.eps)
         if radius < LEAST_RADIUS * (1 - ROUNDING):
-            reason = f"free ends of a body of revolution are curved: their least radius is {radius:.3g} thicknesses"
-            yield Refused("radius", f"{reason}; allowed: at least {LEAST_RADIUS:g}")
+            reason = f"free ends are curved: their radius is {radius:.3g} thicknesses; allowed: {LEAST_RADIUS:g}"
+            yield Refused("radius", reason)
     yield from _ends(r)
     assert r.strips
     if r.width < r.strips.longest:
-        reason = f"S is short: its area over the length of its free ends is {r.width:.3g} thicknesses"
-        yield Refused("short", f"{reason}; allowed: at least {r.strips.longest:.3g}")
+        reason = f"S is short: its area over the length of free ends is {r.width:.3g} thicknesses; allowed: "
+        yield Refused("short", f"{reason}{r.strips.longest:.3g}")
     if r.all_weights.overlap:
         yield Refused("overlap", f"strips of {r.strips.longest * thin.eps:.3g} along free ends lie on one another")
 
@@ -317,9 +311,9 @@ def _ends(r: Reduction) -> Iterator[Refused]:
         yield Refused("oblique", f"something holds the layer's side at {at} neither along S nor across it")
     if r.contrast < LEAST_CONTRAST * (1 - ROUNDING):
         reason = (
-            f"faces are rigid beside free ends: Young's modulus of a body is {r.contrast:.4g} times mu of the layer"
+            f"faces must be rigid beside free ends: E of a body is {r.contrast:.4g} times mu of the layer; allowed: "
         )
-        yield Refused("contrast", f"{reason}; allowed: at least {LEAST_CONTRAST:g} times")
+        yield Refused("contrast", f"{reason}at least {LEAST_CONTRAST:g}")
     if one.flows and r.coarse.any():
         at, fall = place(sheet.joint.points[r.loose[r.coarse].vertices[0, 0]]), r.falls.min()
         reason = f"cells at free ends must not be longer than the fall of the pressure there, {fall:.3g}, as at {at}"
