@@ -15,7 +15,6 @@ from geometry import sandwich
 from geometry.ends import straight_ends
 from thinlayer import Structure, ThinLayer
 from thinlayer.discretisation.end_weights import FacetWeights
-from thinlayer.discretisation.free_rim import free_rim
 
 pytestmark = pytest.mark.few(5)
 
@@ -71,7 +70,7 @@ def test_openings_that_are_weaker_alone_are_not_convex():
         one = model(law, h, "plain")
         end, layer = free_end(0.45), one.layers["S"]
         strips = Strips(Strip(end.c_N, 1.0), Strip(), Strip(), 0.0, 0.0)
-        ends = straight_ends(free_rim(one, layer.sheet), layer.sheet)
+        ends = straight_ends(one.reductions["S"].free, layer.sheet)
         sides = one.sides_of("S")
         weights = FacetWeights.of(ends, layer.sheet, EPS, strips).expressions(one.domain, sides)
         M = law.lmbda + 2 * law.mu

@@ -12,6 +12,7 @@ import ufl
 
 from forms import Anisotropic, LinearElastic, Maxwell, MohrCoulomb, Norton, Stack, VonMises
 from geometry import sandwich
+from geometry.sheet import Rim
 from tests.estimate_run import EPS, GLUE, KINDS, LOWER, estimated, several, structure
 from tests.on_ranks import on_ranks
 from tests.pictures import assert_drawn
@@ -30,7 +31,7 @@ from thinlayer import (
     thin_enough,
 )
 from thinlayer.estimating import better, thickness
-from thinlayer.estimating.places import away_from_ends, distance_to
+from thinlayer.estimating.places import away_from_ends
 from thinlayer.estimating.result import GoalError, _said
 from thinlayer.estimating.thickness import _error, _search
 from thinlayer.output.layer_report import ELASTIC, LayerReport
@@ -357,7 +358,7 @@ def test_distances_from_edges_and_not_from_their_lines():
     x = np.random.default_rng(4).uniform(-1, 2, (50, 3))
     along = np.concatenate([points[a] + share * (points[b] - points[a]) for a, b in edges])
     wanted = np.linalg.norm(x[:, None] - along, axis=2).min(axis=1)
-    found = distance_to(SimpleNamespace(points=points), SimpleNamespace(vertices=edges), x)
+    found = Rim(edges, *[np.zeros(len(edges))] * 4).distance(points, x)
     assert found == pytest.approx(wanted, abs=1e-3)
 
 

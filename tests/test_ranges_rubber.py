@@ -11,7 +11,6 @@ from geometry import block, disc, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests.ranges_told import STIFF, excess, opened, strip_excess, times_too_stiff, told
 from thinlayer import Structure, Surface, ThinLayer, march, piecewise, solve
-from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.ranges.checks import warn_of_model
 from thinlayer.ranges.pressure import pressure_length
 from thinlayer.ranges.sublayers import Sublayer
@@ -110,7 +109,7 @@ def test_ends():
     """Free: no support of the layer's whole side holds it, along S or across it. A closed S has no end."""
     joint = sandwich(1.0, 0.5, 0.5, 0.25)
     layer, data = ThinLayer(FOURIER_LAYER, 0.1, at=1.0), dict(body=STIFF)
-    rim_of = lambda model: free_rim(model, model.layers["S"].sheet)
+    rim_of = lambda model: model.reductions["S"].free
     for supports, ends in (
         ({}, 2),
         ({"RIGHT": {"y": 0.0}}, 1),

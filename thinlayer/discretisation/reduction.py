@@ -20,9 +20,9 @@ from geometry.sheet import Rim
 from geometry.topology import FloatArray, is_tensor
 from thinlayer.discretisation.axis import is_across
 from thinlayer.discretisation.end_weights import FacetWeights
-from thinlayer.discretisation.free_rim import SLIGHT, held_directions, side_kinds
 from thinlayer.discretisation.layer import LawOnS, ThinLayer, real_law
 from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.discretisation.sides import SLIGHT, held_directions, side_kinds
 from thinlayer.errors import Refused
 
 LEAST_CONTRAST = 40.0  # Young's modulus of the bodies over the layer's mu

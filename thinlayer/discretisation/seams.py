@@ -109,7 +109,6 @@ class SeamLayer:
         matter = Matter(str(self), real_law(self.layer, kinematics), self.sheet.mean_normal, kinematics, at)
         return given_strain(self.thin.eigenstrain, matter)
 
-
     @property
     def profile(self) -> Any:
         """Description of the profile, as JSON; None: the thickness is uniform."""

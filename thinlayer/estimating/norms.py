@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
@@ -65,7 +64,7 @@ def field_of_ends(model: InterfaceModel, one: SeamLayer) -> float:
     It falls over a length that grows with lmbda/mu. The numbers are those of pressed layers between rigid faces with nu
     from 0.2 to 0.45, to 30 %; a layer whose pressure flows along S has most of it.
     """
-    rim, sublayers = free_rim(model, one.sheet), [a for sample in one.samples for a in sublayers_of(sample)]
+    rim, sublayers = model.reductions[one.name].free, [a for sample in one.samples for a in sublayers_of(sample)]
     if one.flows or not len(rim.vertices) or not sublayers:
         return 0.0
     assert one.thin

@@ -7,11 +7,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from geometry.inflating.parting import points_on_middle
-from geometry.joint import Joint
-from geometry.sheet import Rim
 from geometry.topology import FloatArray, IntArray
 from thinlayer.compiling.compat import exterior_facet_entities, interpolation_points
-from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
 from thinlayer.output.surface import Surface
@@ -23,24 +20,14 @@ NEAR_ENDS = 3.0  # distance from free ends, over the thickness, within which tra
 SAME_PLACE = 1e-9  # distance of two places that are one, over the size of the joint
 
 
-def distance_to(joint: Joint, rim: Rim, x: FloatArray) -> FloatArray:
-    """Distances (n,) of places x (n, d) from the ridges of a rim: points in 2D, straight edges in 3D."""
-    found = np.full(len(x), np.inf)
-    for first, last in joint.points[rim.vertices][:, [0, -1]]:
-        along = last - first
-        square = float(along @ along)
-        share = np.clip((x - first) @ along / square, 0.0, 1.0) if square else np.zeros(len(x))
-        found = np.minimum(found, np.linalg.norm(x - first - share[:, None] * along, axis=1))
-    return found
-
-
 def away_from_ends(surface: Surface, one: SeamLayer, length: float) -> FloatArray:
     """(n, q) 1 on the part of a seam that is farther than a length from its free ends, 0 elsewhere. Collective."""
-    rim = free_rim(surface.model, one.sheet)
+    assert isinstance(surface.model, InterfaceModel)
+    rim = surface.model.reductions[one.name].free
     if not len(rim.vertices):
         return np.ones_like(surface.weights)
     x = surface.joint.points[surface.corners].reshape(-1, surface.joint.dim)
-    beyond = distance_to(surface.joint, rim, x).reshape(surface.corners.shape) - length * (1 + SAME_PLACE)
+    beyond = rim.distance(surface.joint.points, x).reshape(surface.corners.shape) - length * (1 + SAME_PLACE)
     return np.asarray(beyond @ surface.shapes.T > 0, float)
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from geometry.joint import Joint
 from geometry.seam import LAYER, S
-from geometry.sheet import Rim, Sheet, continued
+from geometry.sheet import Rim, continued
 from geometry.topology import FloatArray, ridge_keys
 from thinlayer.discretisation.addition import Addition
 from thinlayer.discretisation.axis import AXES, on_axis
@@ -19,12 +18,6 @@ from thinlayer.discretisation.seams import SeamLayer
 ROUNDING = 1e-6  # of squares of cosines between directions
 SLIGHT = 1e-3  # share of a direction, cos^2, that counts as none: 2 degrees
 BENT = 0.03  # the same where S is curved: straight facets are 10 degrees off it
-
-
-def free_rim(model: Any, sheet: Sheet) -> Rim:
-    """Where a seam of an interface model has free ends (`Reduction.free`)."""
-    rim: Rim = model.reductions[sheet.name].free
-    return rim
 
 
 def side_kinds(one: SeamLayer) -> npt.NDArray[np.str_]:
