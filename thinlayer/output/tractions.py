@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import chain
-from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import basix
@@ -30,10 +29,8 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.output.law_points import LawPoints, law_points, law_points_elsewhere
 from thinlayer.output.nodal_forces import reaction
+from thinlayer.output.surface_mesh import SurfaceMesh
 from thinlayer.pointwise.quadrature import Quadrature
-
-if TYPE_CHECKING:
-    from thinlayer.output.surface import Surface
 
 Array = npt.NDArray[np.float64]
 LEAST_SQUARES_TOLERANCE = 1e-15  # relative tolerance for the tractions whose forces are the reactions
@@ -43,7 +40,7 @@ MOST_ITERATIONS = 2000  # of this solver; it needs 29 to 45 on uniform meshes
 
 
 # ---------------------------------------------------------------- of layers
-def of_layers(surface: Surface, state: State) -> Array:
+def of_layers(surface: SurfaceMesh, state: State) -> Array:
     """(m, d) tractions of a state with layers, see `Surface.traction`: the projection to degree 1. Collective."""
     joint, moments = surface.joint, np.zeros((*surface.corners.shape, surface.joint.dim))
     place = np.full(len(joint.table.vertices), -1)
@@ -61,7 +58,7 @@ def of_layers(surface: Surface, state: State) -> Array:
     return found
 
 
-def _add_of_law(moments: Array, surface: Surface, rows: IntArray, points: LawPoints) -> None:
+def _add_of_law(moments: Array, surface: SurfaceMesh, rows: IntArray, points: LawPoints) -> None:
     """Add the moments of an interface law's traction, with the functions of degree 1; `rows`: facets, or -1."""
     q, mine = points.quadrature, np.flatnonzero(rows >= 0)
     cells, rows, rule = q.cells[mine], rows[mine], surface.rule(q.degree)
@@ -91,7 +88,7 @@ def _of_each_stress(traction: Callable[[Expr], Expr], q: Quadrature) -> Array:
     return q.values(ufl.as_vector(found)).reshape(q.count, 6, q.dim)
 
 
-def _of_contact(surface: Surface, state: State, name: str) -> Array:
+def _of_contact(surface: SurfaceMesh, state: State, name: str) -> Array:
     """(m, d) tractions of a contact law at its nodes; zero elsewhere."""
     model, law = state.model, state.model.contacts[name]
     nodes = ContactNodes(ContactSurface.of(model, name), gap=law.gaps)
@@ -104,7 +101,7 @@ def _of_contact(surface: Surface, state: State, name: str) -> Array:
     return out
 
 
-def _columns(surface: Surface, state: State) -> IntArray:
+def _columns(surface: SurfaceMesh, state: State) -> IntArray:
     """For each cell of an inflated joint the facet of the surface that it has become; -1: none, as where layers meet."""
     joint = surface.joint
     numbers, centres = column_numbers(state.model.domain.joint)
@@ -113,7 +110,7 @@ def _columns(surface: Surface, state: State) -> IntArray:
     return np.where(numbers >= 0, row[numbers], -1)
 
 
-def _add_of_cells(moments: Array, surface: Surface, rows: IntArray, points: LawPoints) -> None:
+def _add_of_cells(moments: Array, surface: SurfaceMesh, rows: IntArray, points: LawPoints) -> None:
     """Add the moments of the mean of stress n through a meshed layer; `rows`: facets of its cells, or -1."""
     joint, q, mine = surface.joint, points.quadrature, np.flatnonzero(rows >= 0)
     layer = next(one for one in points.state.model.layers.values() if one.key == points.term.key)
@@ -155,7 +152,7 @@ def _weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float]:
 
 
 # ---------------------------------------------------------------- reactions
-def by_reactions(surface: Surface, state: State) -> Array:
+def by_reactions(surface: SurfaceMesh, state: State) -> Array:
     """(m, d) tractions whose nodal forces are the bodies' reactions, see `Surface.reaction`. Collective."""
     model, d = state.model, surface.joint.dim
     r = reaction(state)
@@ -190,7 +187,7 @@ def by_reactions(surface: Surface, state: State) -> Array:
     return out
 
 
-def _side_nodes(surface: Surface) -> tuple[IntArray, int]:
+def _side_nodes(surface: SurfaceMesh) -> tuple[IntArray, int]:
     """(2, n, k) numbers from 0 of the bodies' nodes at the corners, below and above; and how many there are."""
     joint = surface.joint
     of = np.stack([component_at(joint, cells, surface.corners) for cells in surface.cells.T])
@@ -199,7 +196,7 @@ def _side_nodes(surface: Surface) -> tuple[IntArray, int]:
     return found.reshape(numbers.shape), len(known)
 
 
-def _to_sides(surface: Surface, sides: IntArray, count: int) -> scipy.sparse.csr_matrix:
+def _to_sides(surface: SurfaceMesh, sides: IntArray, count: int) -> scipy.sparse.csr_matrix:
     """(count, m) nodal forces on the bodies of nodal tractions."""
     M = np.einsum("fq,qa,qb->fab", surface.weights, surface.shapes, surface.shapes)
     columns = np.broadcast_to(surface.nodes[:, None], M.shape).ravel()
@@ -209,7 +206,7 @@ def _to_sides(surface: Surface, sides: IntArray, count: int) -> scipy.sparse.csr
     return scipy.sparse.csr_matrix((values, (np.concatenate(rows), np.tile(columns, 2))), shape=shape)
 
 
-def _lumped(surface: Surface, sides: IntArray, means: Array, known: npt.NDArray[np.bool_]) -> Array:
+def _lumped(surface: SurfaceMesh, sides: IntArray, means: Array, known: npt.NDArray[np.bool_]) -> Array:
     """(m,) tractions from means of forces over areas at the bodies' nodes; where none is known, of the nodes around."""
     signs = np.array([1.0, -1.0])[:, None, None]
     counts = surface.sums(known[sides].sum(axis=0).astype(float))

@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from thinlayer.files.words import reason, say
+
 if TYPE_CHECKING:
     from thinlayer.running.record import Record
 
@@ -115,26 +117,8 @@ def recorded(
     return OK
 
 
-def reason(error: BaseException) -> str:
-    """Words for an error that ends a run."""
-    if isinstance(error, OSError):
-        where = f" {str(error.filename)!r}" if error.filename else ""
-        return f"a file{where} could not be written or read: {error.strerror or error}"
-    if isinstance(error, KeyboardInterrupt):
-        return "interrupted"
-    return str(error) if isinstance(error, RuntimeError) else f"{type(error).__name__}: {error}"
-
-
 def stop(root: bool, status: int, message: str) -> int:
     """Print a message on standard error, on rank 0; returns the status."""
     if root:
         print(f"thinlayer: {message}", file=sys.stderr)
     return status
-
-
-def say(text: object) -> None:
-    """Print, or do nothing once the reader of standard output has gone, as in `python3 -m thinlayer list | head -1`."""
-    try:
-        print(text, flush=True)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

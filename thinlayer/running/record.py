@@ -18,10 +18,10 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import InputError, ModelError, SolveError
 from thinlayer.files.folder import hash_of, locked, moved_away, moved_back, replaced
 from thinlayer.files.table import Table
+from thinlayer.files.words import reason, say
 from thinlayer.identity import differences, in_words
 from thinlayer.output.sweep import sweep
 from thinlayer.parallel.log import logger
-from thinlayer.running.process import reason, say
 from thinlayer.running.provenance import code, petsc_options, versions
 from thinlayer.solving.options import PREFIX
 from thinlayer.time.history import History

@@ -1,0 +1,24 @@
+"""Words on standard output, and those of errors that end a run; imports nothing of MPI."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+
+def reason(error: BaseException) -> str:
+    """Words for an error that ends a run."""
+    if isinstance(error, OSError):
+        where = f" {str(error.filename)!r}" if error.filename else ""
+        return f"a file{where} could not be written or read: {error.strerror or error}"
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted"
+    return str(error) if isinstance(error, RuntimeError) else f"{type(error).__name__}: {error}"
+
+
+def say(text: object) -> None:
+    """Print, or do nothing once the reader of standard output has gone, as in `python3 -m thinlayer list | head -1`."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
