@@ -37,7 +37,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     stiff = record.table("table.csv")
     for kappa in track(KAPPA[:: 2 if quick else 1], "limits", "kappa = {:g}"):
         state, surface = interface(kappa, kappa)
-        difference = surface.norm(surface.traction(state) - surface.traction(bonded))
+        difference = surface.norm(surface.reaction(state) - surface.reaction(bonded))
         row = {"kappa": kappa, "jump_times_kappa": surface.norm(surface.jump(state)) * kappa}
         stiff.append(row | {"traction_difference_times_kappa": difference * kappa})
 

@@ -130,7 +130,7 @@ class Rollers:
             x = surface.x[0]
             shape = np.sin(np.pi * x), np.cos(np.pi * x)
             found = []
-            for field, wanted in zip((surface.traction(state), surface.jump(state)), exact, strict=True):
+            for field, wanted in zip((surface.reaction(state), surface.jump(state)), exact, strict=True):
                 amplitudes = [2 * surface.integral(field[k] * shape[k]) for k in range(2)]
                 found.append(float(np.linalg.norm(amplitudes - wanted) / np.linalg.norm(wanted)))
             return (*found, abs(state.energies()["loads"] / work - 1))
@@ -170,7 +170,7 @@ class FreeEnds:
         def errors(state: State) -> tuple[float, ...]:
             surface, found = Surface(state.model), []
             inner = abs(surface.x[0] - 0.5) < INNER
-            for field in (surface.traction, surface.jump):
+            for field in (surface.reaction, surface.jump):
                 meshed = field(full)
                 found.append(surface.norm(field(state) - meshed, inner) / surface.norm(meshed, inner))
             return (*found, abs(state.energies()["loads"] / work - 1))

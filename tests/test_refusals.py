@@ -151,7 +151,7 @@ def test_states_of_another_time_than_asked_for(states):
 
 
 def test_sweeps(tmp_path):
-    with pytest.raises(ModelError, match="without error_jump; return what compare returns"):
+    with pytest.raises(ModelError, match="no number error_jump; return what compare returns"):
         sweep(lambda e: {"eps": e, "error_traction": 1.0}, [0.1])
     refused(ValueError, "is a folder", lambda: sweep(lambda e: {}, [0.1], out=tmp_path))
 
