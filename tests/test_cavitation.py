@@ -23,7 +23,7 @@ def disc(motion):
 
 
 def tensions(messages):
-    found = [re.search(r"a tension of ([0-9.]+) times its shear modulus", one) for one in messages]
+    found = [re.search(r"is a tension, ([0-9.]+) times its shear modulus", one) for one in messages]
     return [float(one[1]) for one in found if one]
 
 
