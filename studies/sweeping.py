@@ -9,7 +9,7 @@ from typing import Any
 from forms import BulkLaw, Law
 from forms.kinematics import Expr
 from geometry import Joint
-from thinlayer import History, Model, State, Structure, Table, ThinLayer, compare, plotting, solve
+from thinlayer import History, Model, State, Structure, Table, ThinLayer, compare, observed_orders, plotting, solve
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import LawOnS
@@ -119,7 +119,10 @@ class Sweep:
         self.record.say(table)
         if order and len(eps) > 1:
             for name in ("traction", "jump"):
-                value = table[f"order_{name}"][-1]
+                column = (
+                    "error_reaction" if name == "traction" and "error_reaction" in table.columns else f"error_{name}"
+                )
+                value = observed_orders(eps, table[column])[-1] or 0.0
                 what = f"last observed order of the {name}" + (f", {self.case}" if self.case else "")
                 self.record.check(what, value, low=order[0], high=order[1])
         return table

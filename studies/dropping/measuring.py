@@ -98,16 +98,25 @@ class Dropped:
 
     def inner(self, state: State) -> dict[str, float]:
         """Relative changes of traction and jump to a state on the inner half of S, from x = 1/4 to 3/4."""
-        return self._on_s(state, lambda on: abs(on.x[0] - 0.5) < INNER if self.case.inner else 1.0)
 
-    def _on_s(self, state: State, part_of: Callable[[Surface], Any]) -> dict[str, float]:
+        def part(on: Surface) -> Any:
+            return abs(on.x[0] - 0.5) < INNER if self.case.inner else 1.0
+
+        return self._on_s(state, part, Surface.reaction)  # as the other program has it
+
+    def _on_s(
+        self,
+        state: State,
+        part_of: Callable[[Surface], Any],
+        traction: Callable[[Surface, State], Array] = Surface.traction,
+    ) -> dict[str, float]:
         squares = np.zeros((2, 2))
         for name in self.found.layers:
             surface = Surface(self.found.better.model, name)
             part = part_of(surface)
-            for row, field in zip(squares, (surface.traction, surface.jump), strict=True):
-                before = field(self.found.state)
-                row += surface.norm(field(state) - before, part) ** 2, surface.norm(before, part) ** 2
+            for row, field in zip(squares, (traction, Surface.jump), strict=True):
+                before = field(surface, self.found.state)
+                row += surface.norm(field(surface, state) - before, part) ** 2, surface.norm(before, part) ** 2
         return {name: math.sqrt(change / size) for name, (change, size) in zip(FIELDS, squares, strict=True)}
 
 
