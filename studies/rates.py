@@ -23,7 +23,7 @@ from geometry import Joint
 from studies import fig3_mohr_coulomb as fig3
 from studies import joints
 from studies.problems import FOURIER_BODY, FOURIER_LAYER, MORTAR, fourier, of, pressed, sheared
-from studies.sweeping import Floors, Solution, Sweep, check_floors, draw_rates, last, middle
+from studies.sweeping import Floors, Solution, Sweep, by_reaction, check_floors, draw_rates, last, middle
 from thinlayer import History, Surface, Table, ThinLayer, observed_orders, plotting
 from thinlayer.running.record import Record
 
@@ -107,13 +107,6 @@ def normal_jumps(full: Solution, limit: Solution) -> dict[str, float]:
         projected = surface.at_points(surface.nodal(surface.jump(last(solution))))
         found[f"normal_jump_{name}"] = surface.norm(surface.frame(projected)[1]) / size
     return found
-
-
-def by_reaction(full: Solution, limit: Solution) -> dict[str, float]:
-    """Error of the traction whose forces are the bodies' reactions; those of both laws' own nearly cancel the next term."""
-    surface = Surface(last(limit).model)
-    meshed, wanted = (surface.reaction(last(one)) for one in (full, limit))
-    return {"error_reaction": surface.norm(meshed - wanted) / surface.norm(wanted)}
 
 
 def no_normal_jump(record: Record, tables: Tables) -> None:

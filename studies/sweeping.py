@@ -9,7 +9,19 @@ from typing import Any
 from forms import BulkLaw, Law
 from forms.kinematics import Expr
 from geometry import Joint
-from thinlayer import History, Model, State, Structure, Table, ThinLayer, compare, observed_orders, plotting, solve
+from thinlayer import (
+    History,
+    Model,
+    State,
+    Structure,
+    Surface,
+    Table,
+    ThinLayer,
+    compare,
+    observed_orders,
+    plotting,
+    solve,
+)
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import LawOnS
@@ -150,6 +162,13 @@ def layer_of(solution: Solution) -> ThinLayer:
     (layer,) = last(solution).model.layers.values()
     assert layer.thin is not None, "a layer with a thickness"
     return layer.thin
+
+
+def by_reaction(full: Solution, limit: Solution) -> dict[str, float]:
+    """Error of the traction whose forces are the bodies' reactions; those of both laws' own nearly cancel the next term."""
+    surface = Surface(last(limit).model)
+    meshed, wanted = (surface.reaction(last(one)) for one in (full, limit))
+    return {"error_reaction": surface.norm(meshed - wanted) / surface.norm(wanted)}
 
 
 def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: Floors) -> None:

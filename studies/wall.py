@@ -123,7 +123,7 @@ def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
     for name, model in models.items():
         history = march(model, list(SHIFTS))
         record.solved(history.last)
-        forces[name] = [beds.integral(beds.traction(state)[0]) / length for state in history]
+        forces[name] = [beds.integral(beds.reaction(state)[0]) / length for state in history]
         for t, force in zip(history.t, forces[name], strict=True):
             table.append({"model": name, "shift_mm": float(t), "shear_MPa": force})
     by_law, *meshed = (np.array(one[1:]) for one in forces.values())

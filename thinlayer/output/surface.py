@@ -37,6 +37,8 @@ class Surface(SurfaceMesh):
     def traction(self, state: State) -> Array:
         """(d, n, q) traction t = stress n on S, linear on each facet: an L2 projection.
 
+        On the surface of a model with a contact law, whose tractions are at nodes, all are lumped there.
+
         - Of an interface law it is its own: what works in [u]. Under contact it is that at the nodes.
         - Of a meshed layer it is the mean of stress n through the thickness, elastic sublayers weighted by compliance; zero
           where layers meet. Where the thickness varies on a rigid base it differs from the law's by O(eps).

@@ -229,6 +229,11 @@ class SurfaceMesh:
         sums = self.sums(moments)
         return np.asarray(self._solver(sums.reshape(len(sums), -1))).reshape(sums.shape)
 
+    def lumped(self, moments: Array) -> Array:
+        """(m, ...) the same over the areas around nodes, as contact laws define tractions."""
+        areas = self.sums(np.einsum("fq,qa->fa", self.weights, self.shapes))
+        return np.asarray((self.sums(moments).T / areas).T)
+
     @cached_property
     def _solver(self) -> Callable[[Array], Array]:
         solve: Callable[[Array], Array] = scipy.sparse.linalg.splu(self.mass).solve

@@ -51,7 +51,8 @@ def of_layers(surface: SurfaceMesh, state: State) -> Array:
             _add_of_law(moments, surface, place[points.entities], points)
         elif points.term.n is not None and columns is not None:
             _add_of_cells(moments, surface, columns[points.entities], points)
-    found = surface.projected(state.model.comm.allreduce(moments))
+    moments = state.model.comm.allreduce(moments)
+    found = surface.lumped(moments) if surface.model.contact else surface.projected(moments)
     for name in state.model.contacts:
         if surface.seam in (name, S):
             found += _of_contact(surface, state, name)
