@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from forms import BulkLaw, LinearElastic, VonMises
 from geometry import sandwich, wall
+from studies.sweeping import by_reaction
 from thinlayer import Model, State, Structure, ThinLayer, compare, march, observed_orders, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
@@ -87,13 +88,16 @@ class _Blocks:
 
     def errors(self, state: State) -> dict[str, float]:
         """Errors on the inner half of S, of the work of the loads, of tractions on all of S; share of the unknowns."""
-        inner = compare(self.full, state, where=lambda x: abs(x[0] - 0.5) < 0.25)
+
+        def inside(x: Array) -> npt.NDArray[np.bool_]:
+            return np.asarray(abs(x[0] - 0.5) < 0.25)
+
         works = [one.energies()["loads"] for one in (self.full, state)]
         return {
-            "error_traction": inner["error_traction"],
-            "error_jump": inner["error_jump"],
+            "error_traction": by_reaction(self.full, state, inside)["error_reaction"],
+            "error_jump": compare(self.full, state, where=inside)["error_jump"],
             "error_work": abs(works[1] / works[0] - 1),
-            "error_all": compare(self.full, state)["error_traction"],
+            "error_all": by_reaction(self.full, state)["error_reaction"],
             "unknowns": _unknowns(state.model) / _unknowns(self.full.model),
         }
 

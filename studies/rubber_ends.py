@@ -11,6 +11,7 @@ import numpy as np
 
 from forms import BulkLaw, Incompressible, LinearElastic, Rubber
 from geometry import sandwich
+from studies.sweeping import by_reaction
 from thinlayer import Structure, ThinLayer, compare, observed_orders, plotting, solve
 from thinlayer.discretisation import reduction
 from thinlayer.discretisation.reduction import LEAST_CONTRAST
@@ -60,7 +61,9 @@ def _errors(record: Record, law: BulkLaw, eps: float, laws: Sequence[str]) -> li
             warnings.simplefilter("ignore", RangeWarning)
             limit = record.solved(solve(blocks.interface(ThinLayer(law, eps, order=1, edges=edges, at=1.0))))
         work = limit.energies()["loads"] / full.energies()["loads"]
-        row = dict(compare(full, limit, where=lambda x: abs(x[0] - 0.5) < 0.25))
+        inner = lambda x: abs(x[0] - 0.5) < 0.25  # noqa: E731
+        row = dict(compare(full, limit, where=inner))
+        row["error_traction"] = by_reaction(full, limit, inner)["error_reaction"]
         found.append(row | {"error_work": abs(work - 1)})
     return found
 

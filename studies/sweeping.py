@@ -25,6 +25,7 @@ from thinlayer import (
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import LawOnS
+from thinlayer.output.surface_mesh import Where
 from thinlayer.running.record import Record
 
 Solution = State | History
@@ -164,11 +165,11 @@ def layer_of(solution: Solution) -> ThinLayer:
     return layer.thin
 
 
-def by_reaction(full: Solution, limit: Solution) -> dict[str, float]:
+def by_reaction(full: Solution, limit: Solution, where: Where | float = 1.0) -> dict[str, float]:
     """Error of the traction whose forces are the bodies' reactions; those of both laws' own nearly cancel the next term."""
     surface = Surface(last(limit).model)
     meshed, wanted = (surface.reaction(last(one)) for one in (full, limit))
-    return {"error_reaction": surface.norm(meshed - wanted) / surface.norm(wanted)}
+    return {"error_reaction": surface.norm(meshed - wanted, where) / surface.norm(wanted, where)}
 
 
 def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: Floors) -> None:
