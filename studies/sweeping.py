@@ -135,7 +135,7 @@ class Sweep:
                 column = (
                     "error_reaction" if name == "traction" and "error_reaction" in table.columns else f"error_{name}"
                 )
-                value = observed_orders(eps, table[column])[-1] or 0.0
+                value = observed_orders(table["eps"], table[column])[-1] or 0.0
                 what = f"last observed order of the {name}" + (f", {self.case}" if self.case else "")
                 self.record.check(what, value, low=order[0], high=order[1])
         return table
