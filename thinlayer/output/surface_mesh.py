@@ -64,6 +64,7 @@ class SurfaceMesh:
     """S of a joint, or one of its seams, as a mesh of its own, whole on every rank.
 
     A field is an array with a value at each of q points of quadrature of each of n facets: (n, q), of vectors (d, n, q).
+    A constant vector v is `np.reshape(v, (-1, 1, 1))` beside it: numpy would take a plain one along the points.
 
     Args:
         model: a model of the joint.
@@ -164,8 +165,8 @@ class SurfaceMesh:
 
     def integral(self, f: Any) -> Any:
         """Integral over S of a field: a float, of vectors an array (d,)."""
-        found = (self._field(f) * self.weights).sum(axis=(-2, -1))
-        return found if found.ndim else float(found)
+        total = (self._field(f) * self.weights).sum(axis=(-2, -1))
+        return total if total.ndim else float(total)
 
     def norm(self, f: Any, where: Where | float = 1.0) -> float:
         """L2 norm over S of a field, weighted with `where`."""
@@ -186,13 +187,13 @@ class SurfaceMesh:
 
     # ---------------------------------------------------------------- nodes
     @cached_property
-    def _numbered(self) -> tuple[IntArray, IntArray, IntArray]:
-        """Numbers of the nodes, one for each pair of bodies at a vertex; node, and vertex, at each corner (n, k)."""
+    def _numbered(self) -> tuple[IntArray, IntArray]:
+        """Numbers of the nodes, one for each pair of bodies at a vertex, and the node at each corner (n, k)."""
         vertices = self.joint.table.vertices[self.joint.surface_rows[self.rows]]
         at = (vertices[:, None] == self.corners[..., None]).argmax(axis=2)
         codes = np.take_along_axis(pair_numbers(self.joint)[self.rows], at, axis=1)
         numbers, nodes = np.unique(codes, return_inverse=True)
-        return numbers, nodes.reshape(codes.shape), self.joint.masters[self.corners]
+        return numbers, nodes.reshape(codes.shape)
 
     @property
     def numbers(self) -> IntArray:
@@ -207,9 +208,9 @@ class SurfaceMesh:
     @property
     def places(self) -> Array:
         """(m, d) places of the nodes."""
-        found = np.zeros((len(self.numbers), self.joint.dim))
-        found[self.nodes] = self.joint.points[self._numbered[2]]
-        return found
+        x = np.zeros((len(self.numbers), self.joint.dim))
+        x[self.nodes] = self.joint.points[self.joint.masters[self.corners]]
+        return x
 
     @cached_property
     def mass(self) -> scipy.sparse.csc_matrix:
@@ -231,8 +232,12 @@ class SurfaceMesh:
 
     def lumped(self, moments: Array) -> Array:
         """(m, ...) the same over the areas around nodes, as contact laws define tractions."""
-        areas = self.sums(np.einsum("fq,qa->fa", self.weights, self.shapes))
-        return np.asarray((self.sums(moments).T / areas).T)
+        return np.asarray((self.sums(moments).T / self.areas).T)
+
+    @cached_property
+    def areas(self) -> Array:
+        """(m,) areas of S around the nodes."""
+        return self.sums(np.einsum("fq,qa->fa", self.weights, self.shapes))
 
     @cached_property
     def _solver(self) -> Callable[[Array], Array]:
@@ -273,11 +278,9 @@ class SurfaceMesh:
             ModelError: no field; a plane in 2D, none in 3D, one that does not cut S.
         """
         joint, nodal = self.joint, self.nodal(f)
-        at = (self.corners[:, None] == joint.table.vertices[joint.surface_rows[self.rows]][..., None]).argmax(axis=2)
-        nodes = np.take_along_axis(self.nodes, at, axis=1)
+        nodes = np.searchsorted(self.numbers, pair_numbers(joint)[self.rows])  # in the order of the joint's facets
         seams = joint.seam_numbers[self.rows]
-        names = list(joint.seams)
-        chosen = {name: nodes[seams == k] for k, name in enumerate(names) if self.seam in (S, name)}
+        chosen = {name: nodes[seams == k] for k, name in enumerate(joint.seams) if self.seam in (S, name)}
         return lines_on(joint, chosen, np.arange(len(nodal)), nodal, plane)
 
     # ---------------------------------------------------------------- parts of S

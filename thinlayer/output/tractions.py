@@ -52,11 +52,11 @@ def of_layers(surface: SurfaceMesh, state: State) -> Array:
         elif points.term.n is not None and columns is not None:
             _add_of_cells(moments, surface, columns[points.entities], points)
     moments = state.model.comm.allreduce(moments)
-    found = surface.lumped(moments) if surface.model.contact else surface.projected(moments)
+    nodal = surface.lumped(moments) if surface.model.contact else surface.projected(moments)
     for name in state.model.contacts:
         if surface.seam in (name, S):
-            found += _of_contact(surface, state, name)
-    return found
+            nodal += _of_contact(surface, state, name)
+    return nodal
 
 
 def _add_of_law(moments: Array, surface: SurfaceMesh, rows: IntArray, points: LawPoints) -> None:
@@ -83,10 +83,10 @@ def _traction(points: LawPoints) -> Array:
 def _of_each_stress(traction: Callable[[Expr], Expr], q: Quadrature) -> Array:
     """(points, 6, d) tractions of unit stresses in Mandel's order."""
     units = [from_mandel(ufl.as_vector([float(i == k) for i in range(6)])) for k in range(6)]
-    found = [t[i] for t in map(traction, units) for i in range(q.dim)]
-    if all(isinstance(one, Zero) for one in found):  # a station that bears the difference of the faces alone
+    components = [t[i] for t in map(traction, units) for i in range(q.dim)]
+    if all(isinstance(t, Zero) for t in components):  # a station that bears the difference of the faces alone
         return np.zeros((q.count, 6, q.dim))
-    return q.values(ufl.as_vector(found)).reshape(q.count, 6, q.dim)
+    return q.values(ufl.as_vector(components)).reshape(q.count, 6, q.dim)
 
 
 def _of_contact(surface: SurfaceMesh, state: State, name: str) -> Array:
@@ -172,7 +172,7 @@ def by_reactions(surface: SurfaceMesh, state: State) -> Array:
     known &= there[:, None]
     both = np.stack([sides.ravel(), np.broadcast_to(surface.nodes, sides.shape).ravel()])
     of_one = np.bincount(np.unique(both, axis=1)[0], minlength=count) == 1  # else forces of several seams add up there
-    areas = surface.sums(np.einsum("fq,qa->fa", surface.weights, surface.shapes))
+    areas = surface.areas
     M = _to_sides(surface, sides, count)
     around = np.where(there, np.abs(M) @ np.ones(len(areas)), 1.0)
     out = np.zeros((len(areas), d))
@@ -193,8 +193,8 @@ def _side_nodes(surface: SurfaceMesh) -> tuple[IntArray, int]:
     joint = surface.joint
     of = np.stack([component_at(joint, cells, surface.corners) for cells in surface.cells.T])
     numbers = joint.masters[surface.corners] * (of.max() + 2) + of + 1
-    known, found = np.unique(numbers, return_inverse=True)
-    return found.reshape(numbers.shape), len(known)
+    known, positions = np.unique(numbers, return_inverse=True)
+    return positions.reshape(numbers.shape), len(known)
 
 
 def _to_sides(surface: SurfaceMesh, sides: IntArray, count: int) -> scipy.sparse.csr_matrix:
@@ -211,10 +211,10 @@ def _lumped(surface: SurfaceMesh, sides: IntArray, means: Array, known: npt.NDAr
     """(m,) tractions from means of forces over areas at the bodies' nodes; where none is known, of the nodes around."""
     signs = np.array([1.0, -1.0])[:, None, None]
     counts = surface.sums(known[sides].sum(axis=0).astype(float))
-    found = surface.sums((signs * means[sides] * known[sides]).sum(axis=0)) / np.maximum(counts, 1.0)
+    nodal = surface.sums((signs * means[sides] * known[sides]).sum(axis=0)) / np.maximum(counts, 1.0)
     seen = np.minimum(counts, 1.0)[surface.nodes]
     of_facets = seen.sum(axis=1)
-    mean = (found[surface.nodes] * seen).sum(axis=1) / np.maximum(of_facets, 1.0)
+    mean = (nodal[surface.nodes] * seen).sum(axis=1) / np.maximum(of_facets, 1.0)
     around = np.broadcast_to(np.minimum(of_facets, 1.0)[:, None], surface.nodes.shape)
     beside = surface.sums(mean[:, None] * around) / np.maximum(surface.sums(around), 1.0)
-    return np.where(counts > 0, found, beside)
+    return np.where(counts > 0, nodal, beside)
