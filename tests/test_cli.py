@@ -155,7 +155,7 @@ def test_failed_solve_keeps_what_was_done(tmp_path, monkeypatch, capsys):
     from thinlayer import SolveError, solve
 
     def fails_for_thin_layers(model):
-        if model.layer.eps < 0.05:
+        if model.layers["S"].thin.eps < 0.05:
             raise SolveError("linear solve failed: DIVERGED_MAX_IT")
         return solve(model)
 

@@ -49,7 +49,7 @@ def blocks(of_t=lambda t: t, *, body=SOFT, law=LAW, top=None, kind=Structure.int
 
 def excesses(history):
     """Of every state the largest excess of a column."""
-    law = history.model.layer.law
+    law = history.model.layers["S"].law
     for state in history:
         columns = quadratures(state.model)["layer"].columns
         phase, drive, bound = (columns.mean(state.memory["layer"][:, k]) for k in (0, 2, 3))

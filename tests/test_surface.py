@@ -117,9 +117,9 @@ def test_all_models_of_a_joint_have_one_surface():
     """States of other elements are compared, to P1's error."""
     one, (_, setup) = state(), fourier(1 / 8)
     surface, structure = Surface(one.model), Structure(one.model.joint, **setup)
-    for model in (structure.bonded(), structure.full(one.model.layer)):
+    for model in (structure.bonded(), structure.full(one.model.on_seams)):
         assert np.array_equal(Surface(model).traction(one), surface.traction(one))
-    linear = solve(Structure(one.model.joint, **setup, element="P1").interface(one.model.layer))
+    linear = solve(Structure(one.model.joint, **setup, element="P1").interface(one.model.on_seams))
     for field in (surface.jump, surface.traction):
         assert surface.norm(field(linear)) == pytest.approx(surface.norm(field(one)), rel=0.2)
 

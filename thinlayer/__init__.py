@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.discretisation.clock import piecewise
     from thinlayer.discretisation.eigenstrains import Eigenstrain, Prestress, ThermalExpansion
     from thinlayer.discretisation.given import Pressure
-    from thinlayer.discretisation.layer import Gap, ThinLayer
+    from thinlayer.discretisation.layer import Bond, Gap, ThinLayer
     from thinlayer.discretisation.model import Model
     from thinlayer.discretisation.point_loads import LineLoad, PointLoad
     from thinlayer.discretisation.reactions import Resultant
@@ -63,7 +63,7 @@ __version__ = "0.1.0"
 _NAMES = {
     "discretisation.broken_mesh": ["BrokenMesh"],
     "discretisation.eigenstrains": ["Eigenstrain", "Prestress", "ThermalExpansion"],
-    "discretisation.layer": ["Gap", "ThinLayer"],
+    "discretisation.layer": ["Bond", "Gap", "ThinLayer"],
     "discretisation.clock": ["piecewise"],
     "discretisation.given": ["Pressure"],
     "discretisation.model": ["Model"],

@@ -15,8 +15,8 @@ from geometry.seam import BASE
 from thinlayer.discretisation.axis import require_revolution, require_shifts
 from thinlayer.discretisation.forces import Weighted
 from thinlayer.discretisation.joint_fields import director
-from thinlayer.discretisation.layer import Gap, Layers, constants, gaps_of, real_law
-from thinlayer.discretisation.layered_model import LayeredModel
+from thinlayer.discretisation.layer import Layers, constants, real_law
+from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
@@ -24,7 +24,7 @@ from thinlayer.errors import ModelError
 LARGEST_EPS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
 
 
-class FullModel(LayeredModel):
+class FullModel(Model):
     """The model whose layers are meshed."""
 
     name = "full"
@@ -32,7 +32,7 @@ class FullModel(LayeredModel):
     def __init__(
         self, structure: Setup, layer: Layers, *, bodies: str, cells_through: int, junctions: str | None = None
     ) -> None:
-        self.layer, self._bodies, self._cells_through, self._junctions = layer, bodies, cells_through, junctions
+        self._bodies, self._cells_through, self._junctions = bodies, cells_through, junctions
         chosen = {} if junctions is None else {"junctions": junctions}
         super().__init__(structure, layer, bodies=bodies, cells_through=cells_through, **chosen)
 
@@ -44,7 +44,8 @@ class FullModel(LayeredModel):
         check_layering(self._cells_through, self._bodies)
         if self._bodies == "kept":
             require_shifts(self.structure.kinematics, self.joint)
-        gaps = self._checked_layers()
+        self._check_layers()
+        gaps = self.gaps
         if self._junctions is not None and self._junctions not in [*self.joint.seams]:
             raise ModelError(f"junctions: {unknown('seam', self._junctions, self.joint.seams)}")
         if self._junctions in gaps:
@@ -72,20 +73,22 @@ class FullModel(LayeredModel):
         require_revolution(self.structure.kinematics, inflated)
         return inflated
 
-    def _checked_layers(self) -> dict[str, Gap]:
-        """Check each layer by itself; returns the gaps."""
-        gaps = gaps_of(self.layer)
-        for name in self.joint.seams:
-            if name not in self.layers and name not in gaps:
+    def _check_layers(self) -> None:
+        """Check each layer by itself."""
+        if self.bonds:
+            raise ModelError(
+                f"the seam {self.bonds[0]!r} has a Bond, which interface models alone take: make a joint without this seam"
+            )
+        for name, given in self.on_seams.items():
+            if given is None:
                 raise ModelError(
                     f"the seam {name!r} is open, and its width is not known: give it a Gap(eps), or use "
                     "structure.interface"
                 )
         self.require("mesh")
-        return gaps
 
     def _check_beside(self, other: Self) -> None:
-        self._checked_layers()
+        self._check_layers()
         self._require_shapes(other)
         self._check_junctions(self.domain.joint)
 

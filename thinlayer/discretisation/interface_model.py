@@ -21,6 +21,7 @@ from geometry.inflating.layering import check_layering
 from geometry.inflating.motion import kept_motion
 from geometry.joint import Joint
 from geometry.seam import S
+from geometry.splitting import Splitting
 from geometry.topology import FloatArray
 from thinlayer.discretisation.apart import Middle, apart
 from thinlayer.discretisation.axis import require_revolution
@@ -28,7 +29,7 @@ from thinlayer.discretisation.forces import Forces, Weighted
 from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.joint_fields import cellwise, relative_thickness
 from thinlayer.discretisation.layer import Layers, ThinLayer, for_terms, real_law
-from thinlayer.discretisation.layered_model import LayeredModel
+from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.placed import known_at
 from thinlayer.discretisation.point_forms import ConcentratedForms
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
@@ -41,8 +42,8 @@ from thinlayer.pointwise.quadrature import quadrature_degree
 AT_ENDS = 2  # how much higher the degree of quadrature is where weights of free ends are linear along S
 
 
-class InterfaceModel(LayeredModel):
-    """The model whose layer is replaced by its interface law on S."""
+class InterfaceModel(Model):
+    """The model whose layers are replaced by their interface laws on S, or by bonds."""
 
     name = "interface"
     broken = True
@@ -50,7 +51,7 @@ class InterfaceModel(LayeredModel):
     def __init__(
         self, structure: Setup, layer: Layers, *, bodies: str = "kept", meshed: npt.NDArray[np.bool_] | None = None
     ) -> None:
-        self.layer, self._bodies, self.meshed = layer, bodies, meshed
+        self._bodies, self.meshed = bodies, meshed
         super().__init__(structure, layer, **({} if bodies == "kept" else {"bodies": bodies}))
 
     def _checked(self) -> Joint:
@@ -71,8 +72,25 @@ class InterfaceModel(LayeredModel):
                 add_side_loads(forces, self, one, self.sides_of(one.name), points, to_base)
         return forces
 
+    @property
+    def _clamped(self) -> tuple[str, ...]:
+        return tuple(name for name in self.bonds if name in self.joint.base_seams)
+
+    @cached_property
+    def splitting(self) -> Splitting:
+        """As in `Model`: cut along the seams without a bond."""
+        joint = self.domain.joint
+        if not self.bonds:
+            return joint.splitting
+        cut = [joint.rows_of(name) for name in joint.seams if name not in self.bonds]
+        return joint.split_along(np.concatenate([np.empty(0, np.int64), *cut]))
+
     def _check_beside(self, other: Self) -> None:
         self.require("interface law")
+        if self.bonds != other.bonds:
+            raise ModelError(
+                f"this model has bonds on the seams {list(other.bonds)}, not {list(self.bonds)}; make a model of its own"
+            )
         if self._bodies != "kept":
             self._require_shapes(other)
 

@@ -122,8 +122,17 @@ class Gap:
         _check_thickness("gap's width eps", self.eps)
 
 
+@dataclass(frozen=True)
+class Bond:
+    """A perfect bond in place of a layer: both sides of its seam move as one, and a rigid base holds its side.
+
+    Interface models alone take it; in a meshed one leave the seam out of the joint.
+    """
+
+
 Layer = ThinLayer | LawOnS
-Layers = Layer | Mapping[str, Layer | Gap | None]
+OnSeam = Layer | Gap | Bond | None
+Layers = Layer | Bond | Mapping[str, OnSeam]
 
 
 def _check_thickness(what: str, eps: Any) -> None:
@@ -131,8 +140,8 @@ def _check_thickness(what: str, eps: Any) -> None:
         raise LawError(f"the {what} is {eps!r}; allowed: > 0")
 
 
-def layers_of(joint: Joint, given: Any) -> dict[str, Any]:
-    """The layer of each seam that is not open: one for all, or {name of a seam: layer; None or a `Gap` for an open joint}.
+def on_seams(joint: Joint, given: Any) -> dict[str, Any]:
+    """What is on each seam: one layer or bond for all, or {name of a seam: it; None or a `Gap` for an open joint}.
 
     They are in the order of the joint's seams, so that the order in which they are given makes no difference.
 
@@ -147,13 +156,12 @@ def layers_of(joint: Joint, given: Any) -> dict[str, Any]:
     for name in joint.seams:
         if name not in given:
             raise ModelError(f"the seam {name!r} has no layer; give layer={{{name!r}: ..., ...}}")
-    layers = {name: given[name] for name in joint.seams}
-    return {name: one for name, one in layers.items() if one is not None and not isinstance(one, Gap)}
+    return {name: given[name] for name in joint.seams}
 
 
-def gaps_of(given: Layers) -> dict[str, Gap]:
-    """The gap of each seam that has one."""
-    return {name: one for name, one in given.items() if isinstance(one, Gap)} if isinstance(given, Mapping) else {}
+def layers_of(given: Mapping[str, Any]) -> dict[str, Any]:
+    """The layer of each seam that has one."""
+    return {name: layer for name, layer in given.items() if not isinstance(layer, Gap | Bond | None)}
 
 
 def real_law(layer: Layer, kinematics: Kinematics) -> BulkLaw:

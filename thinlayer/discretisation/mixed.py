@@ -21,7 +21,7 @@ from thinlayer.discretisation.followers import at_cuts
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.joint_fields import cellwise
-from thinlayer.discretisation.layer import Layers, layers_of
+from thinlayer.discretisation.layer import Layers, layers_of, on_seams
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
@@ -53,7 +53,7 @@ class MixedModel(FullModel):
         with on_all(structure.comm):
             self.meshed = _facets(structure, where)
             _require(structure, layer, self.meshed, bodies)
-        self.layer, self._bodies, self._cells_through, self._junctions = layer, bodies, cells_through, None
+        self._bodies, self._cells_through, self._junctions = bodies, cells_through, None
         self.by_law = InterfaceModel(structure, _on_all_of_s(structure, layer), bodies=bodies, meshed=self.meshed)
         options = {"bodies": bodies, "cells_through": cells_through, "meshed": described(self.meshed)}
         super(FullModel, self).__init__(structure, layer, **options)
@@ -164,7 +164,7 @@ def _require(structure: Setup, layer: Layers, meshed: BoolArray, bodies: str) ->
         raise ModelError("a mixed model is not for periodic cells")
     if structure.element[0] == "S":
         raise ModelError("a mixed model needs nodal displacements, not elements S2")
-    for name, one in layers_of(joint, layer).items():
+    for name, one in layers_of(on_seams(joint, layer)).items():
         known = Reduction(SeamLayer(name, one, structure), bodies, meshed)
         known.require("mixed", "a mixed model: ")
         _warn_of_reach(known, meshed, structure.comm or world())
@@ -185,7 +185,7 @@ def _on_all_of_s(structure: Setup, layer: Layers) -> Layers:
     """The layers of the interface model: of order 0 where seams meet, as junctions, which have cells, know no order 1."""
     if not structure.joint.seams_meet:
         return layer
-    given = layers_of(structure.joint, layer).items()
+    given = layers_of(on_seams(structure.joint, layer)).items()
     return dict.fromkeys(structure.joint.seams) | {name: replace(one, order=0, edges=None) for name, one in given}
 
 

@@ -1,4 +1,4 @@
-"""Model: a discretised structure; base of the models with a meshed layer, an interface law, or bonded bodies."""
+"""Model: a discretised structure; base of the models with meshed layers, and with interface laws."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from thinlayer.discretisation.eigenstrains import Matter, given_strain
 from thinlayer.discretisation.family import Family
 from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
 from thinlayer.discretisation.given import Coordinates, Load, Pressure
-from thinlayer.discretisation.layer import BODIES, BODY, constants, layers_of
+from thinlayer.discretisation.layer import BODIES, BODY, Bond, Gap, Layers, OnSeam, constants, layers_of, on_seams
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.origin import origin_of
@@ -39,7 +39,7 @@ from thinlayer.discretisation.point_loads import Concentrated, check_loads
 from thinlayer.discretisation.reactions import on_centre
 from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.rigid import free_translations, require_support
-from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.discretisation.seams import SeamLayer, loads_of_layers
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.spaces import cut_at_faces, vector_space
 from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Supports
@@ -58,7 +58,8 @@ class Model(ABC):
         structure: the structure, shared with other models.
         joint: the joint before inflating.
         plane, element, body_laws: the structure's.
-        layers: name of a seam -> its layer, in the joint's order; empty where the bodies are bonded.
+        on_seams: name of a seam -> what was given for it: a layer, a `Bond`, a `Gap` or None.
+        layers: name of a seam -> its layer, in the joint's order.
         reductions: name of a seam -> which interface law stands for its layer, and why not.
         domain: the distributed mesh.
         comm: the domain's communicator.
@@ -96,7 +97,7 @@ class Model(ABC):
     _bodies = "kept"
     followers: Followers | None = None
 
-    def __init__(self, structure: Setup, layer: object, **options: object) -> None:
+    def __init__(self, structure: Setup, layer: Layers, **options: object) -> None:
         self.structure, self.joint, self.plane = structure, structure.joint, structure.plane
         self.element, self.body_laws = structure.element, structure.body_laws
         self._options, self.family = options, Family()
@@ -140,12 +141,12 @@ class Model(ABC):
             require_support(*given, self.constraints, resistances, self.kinematics)
         self.made_from = self._data()
 
-    def _lay(self, layer: object, check: Callable[[], Result]) -> Result:
-        """Take the layers of the seams, or none, and return the result of a check of them. Collective."""
+    def _lay(self, layer: Layers, check: Callable[[], Result]) -> Result:
+        """Take the layers of the seams and return the result of a check of them. Collective."""
         structure = self.structure
         with on_all(structure.comm):
-            given = {} if layer is None else layers_of(self.joint, layer)
-            self.layers = {name: SeamLayer(name, one, structure) for name, one in given.items()}
+            self.on_seams: dict[str, OnSeam] = on_seams(self.joint, layer)
+            self.layers = {name: SeamLayer(name, one, structure) for name, one in layers_of(self.on_seams).items()}
             self.reductions = {name: Reduction(one, self._bodies, self.meshed) for name, one in self.layers.items()}
             checked = check()
         what = require_same(structure.comm, model=self.name, layer=layer, options=self._options)
@@ -198,17 +199,13 @@ class Model(ABC):
 
         given = structure.tractions, structure.body_force, at, structure.loads
         forces = Forces(self.domain, *given, forms, self.kinematics)
-        for name, load in self._loads_of_layers(structure).items():
+        for name, load in loads_of_layers(structure.body_force, self.joint, self.layers, self.bonds).items():
             forces.add_layer(name, load, self._places_of(self.layers[name]), self._coordinates_on(at))
         return forces
 
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
         """Coordinates of the places of layers."""
         return at
-
-    def _loads_of_layers(self, structure: Setup) -> dict[str, Load]:
-        """Name of a seam -> force per volume of its layer."""
-        return {}
 
     @abstractmethod
     def _places_of(self, one: SeamLayer) -> list[Weighted]:
@@ -235,6 +232,16 @@ class Model(ABC):
         for reduction in self.reductions.values():
             reduction.require(question, what)
 
+    @property
+    def bonds(self) -> tuple[str, ...]:
+        """Names of the seams whose bodies are bonded."""
+        return tuple(name for name, given in self.on_seams.items() if isinstance(given, Bond))
+
+    @property
+    def gaps(self) -> dict[str, Gap]:
+        """Name of a seam -> its gap, of those that have some width."""
+        return {name: given for name, given in self.on_seams.items() if isinstance(given, Gap)}
+
     @abstractmethod
     def _checked(self) -> Joint:
         """Check that the layer suits the structure, and return the joint to distribute. Not collective."""
@@ -248,6 +255,52 @@ class Model(ABC):
         return None
 
     # ---------------------------------------------------------------- other models of the family
+    def with_layer(self, layer: Layers) -> Self:
+        """The same model with other layers; it shares mesh, space, supports, loads and the bodies' matrix. Collective.
+
+        Args:
+            layer: as in `Structure.full` or `Structure.interface`, with bonds on the same seams; of a full model layers
+                and gaps of the same thickness, profile and fractions, which are those of the mesh.
+
+        Raises:
+            ModelError, LawError: as there; another shape of a meshed layer.
+        """
+        new = self._derived()
+        new._lay(layer, partial(new._check_beside, self))
+        with on_all(self.comm):
+            new.given_on = {name: new._given_on(one) for name, one in new.layers.items()}
+        new.layer_terms = new._strained(new._terms_of_layers())
+        with on_all(self.comm):
+            new.forces = new._forces(new.structure)
+            if new.strain or new.stress:
+                new.require("mean strain")
+            if new.stress and not new.broken:
+                raise ModelError(
+                    "with_layer: under a mean stress a meshed layer is a part of the cell; build the model anew"
+                )
+        if new.constraints.ties:  # the thickness is an arm of plates
+            new.constraints = new._constrained()
+        new.made_from = new._data()
+        return new
+
+    @abstractmethod
+    def _check_beside(self, other: Self) -> None:
+        """Raise an error unless the layers suit the mesh of another model."""
+
+    def _require_shapes(self, other: Self) -> None:
+        """Raise ModelError unless layers and gaps need the room that bodies have made for those of another model."""
+        count = 2 if self.broken else 3  # sublayers have cells in meshed layers alone
+        needed, made = (
+            {name: ("a gap", gap.eps) for name, gap in model.gaps.items()}
+            | {name: one.shape[:count] for name, one in model.layers.items()}
+            for model in (self, other)
+        )
+        for name in (name for name in needed if needed[name] != made.get(name)):
+            raise ModelError(
+                f"bodies have made room for a layer {name!r} of (thickness, profile, fractions) {made.get(name)}, not "
+                f"{needed[name]}; make a model of its own"
+            )
+
     def with_loads(
         self,
         *,
@@ -314,8 +367,7 @@ class Model(ABC):
     @cached_property
     def splitting(self) -> Splitting:
         """The joint's mesh, cut where displacements jump."""
-        joint = self.domain.joint
-        return joint.splitting if self.broken else joint.split_along(np.empty(0, np.int64))
+        return self.domain.joint.split_along(np.empty(0, np.int64))
 
     def space(self, degree: int, *, family: str | None = None, broken_at_faces: bool = False) -> fem.FunctionSpace:
         """A vector space on the model's mesh with the jumps of its displacements. Collective.
@@ -465,6 +517,7 @@ class Model(ABC):
             "law": {name: described(one.law) for name, one in self.layers.items()},
             "bodies": {name: described(law) for name, law in self.body_laws.items()},
             "layers": {name: one.identity() for name, one in self.layers.items()},
+            **({"bonds": list(self.bonds)} if self.bonds else {}),
             "supports": [[str(place), described(given)] for place, given in self.supports.entries],
             "loads": described(self.forces.given),
             "parts": described(list(self.parts)),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -131,8 +131,8 @@ class SeamLayer:
         }
 
 
-def loads_of_layers(given: Any, joint: Joint, layers: Mapping[str, SeamLayer]) -> dict[str, Load]:
-    """Name of a seam -> force per volume of its layer, among the body forces as given.
+def loads_of_layers(given: Any, joint: Joint, layers: Mapping[str, SeamLayer], bonds: Sequence[str]) -> dict[str, Load]:
+    """Name of a seam -> force per volume of its layer, among the body forces as given; a bond leaves it out.
 
     Raises:
         ModelError: a load of a seam without a layer that has a thickness.
@@ -142,6 +142,8 @@ def loads_of_layers(given: Any, joint: Joint, layers: Mapping[str, SeamLayer]) -
         if name not in (S, *joint.seams):
             continue
         for seam in joint.seams if name == S else (name,):
+            if seam in bonds:
+                continue
             layer = layers.get(seam)
             if layer is None or not layer.thin:
                 raise ModelError(

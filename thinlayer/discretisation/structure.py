@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from thinlayer.discretisation.bonded_model import BondedModel
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.layer import Layers
+from thinlayer.discretisation.layer import Bond, Layers
 from thinlayer.discretisation.mixed import MixedModel, Where
 from thinlayer.discretisation.setup import Setup
 
@@ -75,8 +74,8 @@ class Structure(Setup):
         """The model whose layer is replaced by its interface law on S. Collective.
 
         Args:
-            layer: a thin layer, or a law on S alone: a `TractionLaw` or a contact law; of a joint with several seams,
-                {name of a seam: its layer; None or a `Gap` for an open joint}, or one layer for all.
+            layer: a thin layer, or a law on S alone: a `TractionLaw` or a contact law; or a `Bond`. Of a joint with several
+                seams, {name of a seam: its layer or bond; None or a `Gap` for an open joint}, or one for all.
             bodies: "kept": bodies meet on S. "extended": they stand where `full(layer, bodies="extended")` has them, each
                 half of the thickness away from S (on a rigid base all of it): order 1 on a curved S, or with a thickness
                 that varies, needs this. All layers then have a thickness, and seams do not meet.
@@ -102,10 +101,10 @@ class Structure(Setup):
         """
         return MixedModel(self, layer, where, bodies=bodies, cells_through=cells_through)
 
-    def bonded(self) -> BondedModel:
-        """The model without a layer: bodies perfectly bonded on S (on a rigid base S does not move). Collective.
+    def bonded(self) -> InterfaceModel:
+        """The model without layers: bodies are bonded on all of S (on a rigid base S does not move). Collective.
 
         Raises:
             ModelError, GeometryError, LawError: says what cannot be built, where, and what is allowed.
         """
-        return BondedModel(self)
+        return self.interface(Bond())

@@ -10,6 +10,8 @@ import numpy as np
 from forms.base import InputError
 from forms.law import BulkLaw
 from forms.tangent import average_lame, is_isotropic
+from geometry.errors import unknown
+from geometry.seam import S
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.reduction import LEAST_CONTRAST, Reduction, softest_body
@@ -57,8 +59,8 @@ def creeps(law: BulkLaw) -> bool:
     return law.traits.rate or relaxes(law)
 
 
-def better_model(model: InterfaceModel) -> tuple[InterfaceModel, dict[str, BetterLaw]]:
-    """The model with better laws of its layers, and name of a seam -> what its law is. Collective.
+def better_model(model: InterfaceModel, seam: str) -> tuple[InterfaceModel, dict[str, BetterLaw]]:
+    """The model with better laws of a seam's layer, or of all ("S"), and name of a seam -> what its law is. Collective.
 
     Raises:
         ModelError: there are none.
@@ -66,14 +68,19 @@ def better_model(model: InterfaceModel) -> tuple[InterfaceModel, dict[str, Bette
     if not model.layers:
         raise ModelError("estimate: there is no layer whose mesh could be dropped")
     with on_all(model.comm):
-        model.require("estimate", "estimate: ")
-        layers = {name: reduction.better() for name, reduction in model.reductions.items()}
+        if seam not in (S, *model.layers):
+            raise ModelError(f"estimate: {unknown('layer', seam, model.layers)}")
+        chosen = {name: reduction for name, reduction in model.reductions.items() if seam in (S, name)}
+        for reduction in chosen.values():
+            reduction.require("estimate", "estimate: ")
+        layers = {name: reduction.better() for name, reduction in chosen.items()}
     try:
-        better = model.with_layer({**dict.fromkeys(model.joint.seams), **layers})
+        better = model.with_layer(model.on_seams | layers)
     except InputError as error:
         raise ModelError(f"estimate: the better law, of order 1, is not known here: {error}") from error
     found = {}
-    for name, reduction in better.reductions.items():
+    for name in layers:
+        reduction = better.reductions[name]
         ends, why = len(reduction.free.vertices) > 0, reduction.why_not("ends")
         with_ends = ", with its free ends" if ends and why is None else ""
         lacks, off = _lacks(reduction, why)

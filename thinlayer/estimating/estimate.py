@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from geometry.seam import LAYER
-from thinlayer.discretisation.bonded_model import BondedModel
+from geometry.seam import LAYER, S
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Layers
 from thinlayer.discretisation.state import State
@@ -35,6 +34,7 @@ def estimate(
     layer: Layers | None = None,
     goals: Sequence[Goal] = (Compliance(),),
     *,
+    seam: str = S,
     options: Mapping[str, OptionValue] | None = None,
 ) -> Estimate:
     """By how much the answer changes if a layer's mesh is dropped, estimated without meshing it. Collective.
@@ -45,10 +45,11 @@ def estimate(
     of neither law are those of the layer.
 
     Args:
-        state: a state of an interface model of order 0, or its history (marched with theta = 1, all states kept), which is
-            then marched again; or a state of bonded bodies ("may the layer be ignored altogether?").
-        layer: for bonded bodies, what was left out: as in `Structure.interface`, with the thickness.
+        state: a state of an interface model with layers of order 0, or with bonds ("may the layer be ignored
+            altogether?"); or its history (marched with theta = 1, all states kept), which is then marched again.
+        layer: what was left out at the bonds: one layer for all of them, or {name of a seam: its layer}.
         goals: numbers whose change is wanted.
+        seam: name of the seam whose layer is dropped; the others stay as they are in the state. "S": all of them.
         options: PETSc options, as in `solve`.
 
     Raises:
@@ -63,7 +64,7 @@ def estimate(
         checked = _checked_goals(goals)
         if isinstance(state, State) and not state.sudden:
             _require_no_memory(state)
-    model, laws = _with_better_laws(given, layer)
+    model, laws = _with_better_laws(given, layer, seam)
     with on_all(model.comm):
         for goal in checked.values():
             goal.check(model)
@@ -72,7 +73,7 @@ def estimate(
         history = march(model, times[times > times[0]].tolist(), start=float(times[0]), options=options)
         better, before = history.last, (_one_before(history), theirs)
     else:
-        like = given if isinstance(given.model, InterfaceModel) and not model.linear else None
+        like = given if not (given.model.bonds or model.linear) else None
         better, before = solve(model, given.t, options=options, like=like), (None, None)
     unknown = why_unknown(better) or next((law.lacks for law in laws.values() if math.isnan(law.off)), "")
     total, layers = Norms(np.zeros(4)), {}
@@ -128,18 +129,21 @@ def _checked_goals(goals: Any) -> dict[str, Goal]:
     return dict(zip(names, given, strict=True))
 
 
-def _with_better_laws(state: State, layer: Layers | None) -> tuple[InterfaceModel, dict[str, BetterLaw]]:
+def _with_better_laws(state: State, layer: Layers | None, seam: str) -> tuple[InterfaceModel, dict[str, BetterLaw]]:
     """The interface model with better laws of the layers, and what they are. Collective."""
     model = state.model
-    if isinstance(model, InterfaceModel):
-        if layer is not None:
-            raise ModelError("estimate: layer= is for a state of bonded bodies; an interface model has its layers")
-        return better_model(model)
-    if not isinstance(model, BondedModel):
+    if not isinstance(model, InterfaceModel):
         raise ModelError(f"estimate: a {model.name} model has nothing dropped; give a state of an interface model")
+    if not model.bonds:
+        if layer is not None:
+            raise ModelError("estimate: layer= is for seams with a Bond, of which this model has none")
+        return better_model(model, seam)
     if layer is None:
-        raise ModelError("estimate: bodies are bonded in this state; give layer=, what was left out")
-    return better_model(model.structure.interface(layer))  # type: ignore[attr-defined]
+        raise ModelError(f"estimate: bodies are bonded at {', '.join(model.bonds)}; give layer=, what was left out")
+    left_out = layer if isinstance(layer, Mapping) else dict.fromkeys(model.bonds, layer)
+    if set(left_out) != set(model.bonds):
+        raise ModelError(f"estimate: layer= has the seams {', '.join(left_out)}; bonded are {', '.join(model.bonds)}")
+    return better_model(InterfaceModel(model.structure, {**model.on_seams, **left_out}), seam)
 
 
 def _one_before(history: History) -> State | None:

@@ -34,7 +34,7 @@ class Norms:
         surface = Surface(model, one.name)
         assert one.thin
         part = away_from_ends(surface, one, NEAR_ENDS * float(one.thin.eps))
-        has_law = isinstance(before.model, InterfaceModel)
+        has_law = one.name in before.model.layers
         traction = surface.traction if has_law else surface.reaction
         t, w = traction(before), surface.jump(before)
         fields = [traction(better) - t, t]

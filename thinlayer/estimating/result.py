@@ -10,7 +10,6 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from thinlayer.discretisation.bonded_model import BondedModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.estimating.better import BetterLaw, creeps
@@ -157,7 +156,9 @@ class Estimate:
     @property
     def dropped(self) -> str:
         """What the given state has in place of the layers, in words."""
-        return "perfect bond" if isinstance(self.state.model, BondedModel) else "order 0"
+        bonds, layers = self.state.model.bonds, self.state.model.layers
+        of = f" of {', '.join(bonds)}" if layers else ""
+        return f"perfect bond{of}{', order 0' if layers else ''}" if bonds else "order 0"
 
     # ---------------------------------------------------------------- where
     def density(self, goal: str = "compliance") -> SurfaceDensity:
@@ -193,6 +194,12 @@ class Estimate:
         """(n, q) `density` as a field on S, for `Surface(estimate.better.model)`. Collective."""
         return self.density(goal).on(Surface(self.better.model))
 
+    def by_seam(self, goal: str = "compliance") -> dict[str, float]:
+        """Name of a seam -> the part of the change of a goal that its layer causes; errors as of `density`. Collective."""
+        surface, seams = Surface(self.better.model), list(self.better.model.joint.seams)
+        changes, number = self.density(goal).on(surface) * surface.weights, surface.joint.seam_numbers[surface.rows]
+        return {name: float(changes[number == seams.index(name)].sum()) for name in self.layers}
+
     # ---------------------------------------------------------------- words
     @property
     def table(self) -> Table:
@@ -227,12 +234,13 @@ class Estimate:
         """What the estimate says."""
         if self.unknown:
             return [f"{self.dropped}: {self.unknown}", *self.caveats]
-        pairs = zip(("traction", "jump"), (self.traction, self.jump), self.floors, strict=True)
-        errors = [f"{_or_below(error, least)} in {name}" for name, error, least in pairs if math.isfinite(error)]
+        errors = _said_of_fields((self.traction, self.jump), self.floors)
         errors += [_said(name, goal) for name, goal in self.goals.items()]
         found = [f"{self.dropped}: {', '.join(errors)}"]
         for name, one in self.layers.items():
             where = f" of {name}" if len(self.layers) > 1 else ""
+            if where and math.isfinite(one.traction):
+                found.append(f"{name}: {', '.join(_said_of_fields((one.traction, one.jump), one.floors))}")
             if one.near:
                 found.append(f"within {one.near:.3g} of free ends{where}: not known")
             if math.isnan(one.traction):
@@ -244,6 +252,11 @@ class Estimate:
 
     def __repr__(self) -> str:
         return f"Estimate({self})"
+
+
+def _said_of_fields(errors: tuple[float, float], floors: tuple[float, float]) -> list[str]:
+    pairs = zip(("traction", "jump"), errors, floors, strict=True)
+    return [f"{_or_below(error, least)} in {name}" for name, error, least in pairs if math.isfinite(error)]
 
 
 def _said(name: str, goal: GoalError) -> str:

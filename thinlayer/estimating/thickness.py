@@ -6,10 +6,12 @@ import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from forms.base import is_number
+from geometry.seam import S
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.layer import ThinLayer
+from thinlayer.discretisation.layer import Bond, Layers, ThinLayer, on_seams
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.discretisation.structure import Structure
@@ -73,10 +75,11 @@ class ThinEnough:
 @telling("thin_enough")
 def thin_enough(
     structure: Structure,
-    layer: ThinLayer,
+    layer: Layers,
     tolerance: float,
     goal: str | Goal = "traction",
     *,
+    seam: str = S,
     t: float = 0.0,
     times: Sequence[float] | None = None,
     bonded: bool = False,
@@ -91,9 +94,11 @@ def thin_enough(
 
     Args:
         structure: bodies, supports and loads.
-        layer: the layer, with a thickness; its law.
+        layer: the layer, one for all seams, or {name of a seam: its layer, bond or gap}.
         tolerance: relative error that is allowed, between 0 and 1.
         goal: "traction" or "jump", on S away from its free ends; or a goal.
+        seam: name of the seam whose layer becomes thinner; the others stay as they are, and their errors are not counted.
+            "S": all of them, where one layer is given for all.
         t: time of the loads and supports, as in `solve`.
         times: ends of time steps, as in `march`, for layers with a rate or a memory; t is then not used.
         bonded: whether the layer is ignored altogether, instead of replaced by its law of order 0.
@@ -104,7 +109,9 @@ def thin_enough(
         ModelError: arguments out of range; a layer of which nothing can be estimated; no thickness is thin enough.
         SolveError: as in `solve`.
     """
-    _check(structure, layer, tolerance, goal, bonded, bodies)
+    given = _checked(structure, layer, tolerance, goal, seam, bonded, bodies)
+    thin: Any = layer if isinstance(layer, ThinLayer) else given[seam]
+    chosen = list(given) if seam == S else [seam]
 
     def solved(model: Model) -> State | History:
         return solve(model, t, options=options) if times is None else march(model, times, options=options)
@@ -112,11 +119,11 @@ def thin_enough(
     goals = (goal,) if isinstance(goal, Goal) else (Compliance(),)
     quantity = goal if isinstance(goal, str) else goal.name
 
-    def of_material(eps: float) -> ThinLayer:
-        return replace(layer, eps=eps, law=layer.material, at=None)
+    def of_material(eps: float) -> dict[str, Any]:
+        return dict.fromkeys(chosen, replace(thin, eps=eps, law=thin.material, at=None))
 
-    begun = structure.interface(layer, bodies=bodies)
-    alone = solved(structure.bonded()) if bonded else None
+    begun = structure.interface(given, bodies=bodies)
+    alone = solved(structure.interface({**given, **dict.fromkeys(chosen, Bond())})) if bonded else None
 
     heard: dict[float, list[warnings.WarningMessage]] = {}
     caveats: dict[float, list[str]] = {}
@@ -125,34 +132,38 @@ def thin_enough(
         with warnings.catch_warnings(record=True) as heard[eps]:  # those of the answer are passed on
             warnings.simplefilter("always", RangeWarning)
             if alone is not None:
-                found = estimate(alone, of_material(eps), goals, options=options)
+                found = estimate(alone, of_material(eps), goals, seam=seam, options=options)
             else:
-                kept = bodies == "kept"
-                model = (
-                    begun.with_layer(of_material(eps)) if kept else structure.interface(of_material(eps), bodies=bodies)
-                )
-                found = estimate(solved(model), goals=goals, options=options)
+                layers = {**given, **of_material(eps)}
+                model = begun.with_layer(layers) if bodies == "kept" else structure.interface(layers, bodies=bodies)
+                found = estimate(solved(model), goals=goals, seam=seam, options=options)
         caveats[eps] = found.caveats
         return _error(found, quantity)
 
     rows: dict[float, float] = {}
-    eps, found = _search(error, _thickest(begun, quantity), tolerance, rows)
+    eps, found = _search(error, _thickest(begun, chosen, quantity), tolerance, rows)
     for one in heard[eps]:
         warnings.warn(one.message, stacklevel=3)
     table = Table([{"eps": one, "error": rows[one]} for one in sorted(rows, reverse=True)])
     return ThinEnough(eps, tolerance, quantity, table, found, "; ".join(caveats[eps]), bonded)
 
 
-def _check(
-    structure: Structure, layer: ThinLayer, tolerance: float, goal: str | Goal, bonded: bool, bodies: str
-) -> None:
+def _checked(
+    structure: Structure, layer: Layers, tolerance: float, goal: str | Goal, seam: str, bonded: bool, bodies: str
+) -> dict[str, Any]:
+    """What is on each seam; raises ModelError for arguments out of range."""
     if not isinstance(structure, Structure):
         raise ModelError(f"thin_enough takes a Structure, of which it makes models, not {structure!r:.80}")
     with on_all(structure.comm):
         if bonded and bodies != "kept":
             raise ModelError("thin_enough: bonded bodies meet on S; bodies='extended' is for the interface law alone")
-        if not isinstance(layer, ThinLayer):
-            raise ModelError(f"thin_enough: the layer is {layer!r:.80}; give a ThinLayer, one for all seams")
+        given = on_seams(structure.joint, layer)
+        if seam not in given and not (seam == S and isinstance(layer, ThinLayer)):
+            raise ModelError(
+                f"thin_enough: name the seam of the layer that becomes thinner: {', '.join(given)}, not {seam!r}"
+            )
+        if not isinstance(sought := given.get(seam, layer), ThinLayer):
+            raise ModelError(f"thin_enough: the layer is {sought!r:.80}; give a ThinLayer")
         if not (is_number(tolerance) and 0 < tolerance < 1):
             raise ModelError(f"thin_enough: the tolerance is {tolerance!r}; allowed: between 0 and 1")
         if not (isinstance(goal, Goal) or goal in FIELDS):
@@ -161,12 +172,14 @@ def _check(
             )
         if bonded and goal == "jump":
             raise ModelError("thin_enough: bonded bodies have no jump; take the traction, or a goal")
+    return given
 
 
-def _thickest(model: InterfaceModel, quantity: str) -> float:
+def _thickest(model: InterfaceModel, chosen: Sequence[str], quantity: str) -> float:
     """The largest thickness for which an interface law is tried."""
-    found = [min(one.sheet.heights) / LEAST_HEIGHT for one in model.layers.values()]
-    for one in model.layers.values() if quantity in FIELDS else ():
+    layers = [model.layers[name] for name in chosen]
+    found = [min(one.sheet.heights) / LEAST_HEIGHT for one in layers]
+    for one in layers if quantity in FIELDS else ():
         areas = Areas(one.sheet, model.kinematics)
         length = areas.length(model.reductions[one.name].free)
         found += [(1 - INSIDE) * areas.total / length / NEAR_ENDS] if length else []

@@ -42,10 +42,17 @@ class Surface(SurfaceMesh):
         - Of an interface law it is its own: what works in [u]. Under contact it is that at the nodes.
         - Of a meshed layer it is the mean of stress n through the thickness, elastic sublayers weighted by compliance; zero
           where layers meet. Where the thickness varies on a rigid base it differs from the law's by O(eps).
-        - Without layers it is the bodies' reaction (`reaction`).
+        - At bonds it is the bodies' reaction (`reaction`).
         """
         self._require_same_joint(state)
-        return self.at_points(of_layers(self, state)) if state.model.layers else self.reaction(state)
+        model = state.model
+        if not model.bonds:
+            return self.at_points(of_layers(self, state))
+        bonded = np.isin(
+            self.joint.seam_numbers[self.rows], [list(self.joint.seams).index(name) for name in model.bonds]
+        )
+        reaction = self.reaction(state)
+        return reaction if bonded.all() else np.where(bonded[:, None], reaction, self.at_points(of_layers(self, state)))
 
     def reaction(self, state: State) -> Array:
         """(d, n, q) the traction whose nodal forces are the bodies' reactions on both sides, linear on each facet.

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from geometry.parallel import on_root, world
+from geometry.seam import S
 from thinlayer.describing.case import Case
 from thinlayer.describing.description import Description
 from thinlayer.discretisation.model import Model
@@ -82,19 +85,20 @@ def _estimate(record: Record, case: Case, model: Model, **left_out: Any) -> Esti
 def _thicknesses(record: Record, case: Case, name: str) -> list[dict[str, Any]]:
     """The thickness below which each quantity changes by less than its tolerance; told as soon as it is known."""
     goals, rows = {goal.name: goal for goal in case.goals}, []
-    layer: Any = case.layer
-    for quantity, tolerance in case.given.tolerance.items():
+    seams = [*case.layer] if isinstance(case.layer, Mapping) else [S]
+    given: dict[str, Any] = {"times": case.given.times or None, "bodies": case.given.bodies, "bonded": name == BOND}
+    for (quantity, tolerance), seam in product(case.given.tolerance.items(), seams):
         if name == BOND and quantity == "jump":
             continue  # bonded bodies have none
-        goal = goals.get(quantity, quantity)
+        of = {"seam": seam} if len(seams) > 1 else {}
         try:
-            times, bodies = case.given.times or None, case.given.bodies
-            thin = thin_enough(case.structure, layer, tolerance, goal, times=times, bonded=name == BOND, bodies=bodies)
-            eps, told = thin.eps, str(thin)
+            goal = goals.get(quantity, quantity)
+            thin = thin_enough(case.structure, case.layer, tolerance, goal, seam=seam, **given)
+            eps, words = thin.eps, str(thin)
         except ModelError as error:  # an answer too: no thickness is thin enough
-            eps, told = None, str(error).removeprefix("thin_enough: ")
-        rows.append({"instead": name, "quantity": quantity, "tolerance": tolerance, "eps": eps})
-        record.say(f"  {told}")
+            eps, words = None, str(error).removeprefix("thin_enough: ")
+        rows.append({"instead": name, **of, "quantity": quantity, "tolerance": tolerance, "eps": eps})
+        record.say(f"  {f'{seam}: ' if of else ''}{words}")
     return rows
 
 

@@ -162,19 +162,19 @@ class Adjoint:
 
         Args:
             z: weights.
-            other: u_0, of an interface model of the same mesh, or of bonded bodies.
+            other: u_0, of an interface model of the same mesh, with other laws or with bonds.
             old: as of the constructor, for u_0.
         """
         equations, u = self.equations, displacements_of(other, self.model)
         equations.put_state(self.state, self._x)
-        if isinstance(other.model, InterfaceModel):
+        if not other.model.bonds:
             theirs = layer_parts(other.model, equations.constraints.held, equations.bodies)
             begun = self._rest_of(theirs, other.t) if old is None else old
             self._evaluate(theirs, other, u, self._between(other, begun))
             before = self._work(theirs, z)
             for part in theirs:
                 part.destroy()
-        else:  # forces of the bond, opposite ones at the nodes of both sides
+        else:  # forces on S that balance those of the bodies, opposite ones at the nodes of both sides
             equations.put_state(Configuration(u, other.t, fields=self.state.fields), self._x)
             total = equations.nodal_residual(self._x)
             equations.put_state(self.state, self._x)

@@ -61,7 +61,7 @@ def default_method(model: Model) -> str:
     if own or not _is_linear(model) or model.joint.periods or model.layer_terms:
         return "newton"
     network = _is_network(model)
-    narrow = (_most_vertices if network else _vertices)(model.joint) * model.joint.dim <= CONDENSED_UP_TO[
+    narrow = (_most_vertices(model) if network else _vertices(model.joint)) * model.joint.dim <= CONDENSED_UP_TO[
         model.joint.dim
     ]
     return "condensed" if narrow and model.comm.size == 1 else "newton" if network else "multigrid"
@@ -72,10 +72,11 @@ def _vertices(joint: Joint) -> int:
     return len(np.unique(joint.surface)) * (1 if joint.rigid_base else 2)
 
 
-def _most_vertices(joint: Joint) -> int:
+def _most_vertices(model: Model) -> int:
     """Largest number of vertices on S of one body of a network."""
+    joint = model.joint
     cell, corner = np.nonzero(np.isin(joint.corners, joint.surface))
-    pairs = np.unique(np.column_stack([joint.splitting.pieces[cell], joint.corners[cell, corner]]), axis=0)
+    pairs = np.unique(np.column_stack([model.splitting.pieces[cell], joint.corners[cell, corner]]), axis=0)
     return int(np.bincount(pairs[:, 0]).max())
 
 
