@@ -132,7 +132,7 @@ def test_refused_solves():
     refused(ModelError, "theta", lambda: march(model, [1.0], theta=0.5))
     refused(ModelError, "like", lambda: solve(model, like=3))
     refused(ModelError, "for another one", lambda: solve(elastic.structure.bonded(), like=solve(elastic)))
-    squared = Structure(joint, **setup | {"element": "P2"}).interface(elastic.layer)
+    squared = Structure(joint, **setup | {"element": "P2"}).interface(elastic.on_seams)
     refused(ModelError, "for another one, with the same element", lambda: solve(elastic, like=solve(squared)))
     refused(ModelError, "seam is 'BED'; name one with a contact law: S", lambda: ContactReport(solve(model), "BED"))
     other, data = sliding_bar(5)
