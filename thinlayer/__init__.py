@@ -54,10 +54,9 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.solving.options import OptionError
     from thinlayer.solving.solvers import solve
     from thinlayer.solving.step_problem import StepProblem
-    from thinlayer.time.arc_length import ArcLength
     from thinlayer.time.history import History
     from thinlayer.time.marching import follow, march
-    from thinlayer.time.plan import Adaptive
+    from thinlayer.time.plan import Adaptive, ArcLength
 
 __version__ = "0.1.0"
 _NAMES = {
@@ -95,10 +94,9 @@ _NAMES = {
     "solving.options": ["OptionError"],
     "solving.solvers": ["solve"],
     "solving.step_problem": ["StepProblem"],
-    "time.arc_length": ["ArcLength"],
     "time.history": ["History"],
     "time.marching": ["follow", "march"],
-    "time.plan": ["Adaptive"],
+    "time.plan": ["Adaptive", "ArcLength"],
 }  # module -> its public names
 _HOME = {name: module for module, names in _NAMES.items() for name in names}
 _MODULES = {"plotting": "output.plotting", "fields": "output.fields", "goals": "estimating.goals"}

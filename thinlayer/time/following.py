@@ -1,25 +1,30 @@
-"""Marching along an equilibrium path, also where loads or supports turn back."""
+"""Marching along an equilibrium path: to its end, also where loads turn back, or as long as it leads on in time."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError, SolveError
+from thinlayer.errors import ModelError, SolveError, TurningPoint
 from thinlayer.files.progress import telling
 from thinlayer.identity import Resume
 from thinlayer.parallel.log import logger
 from thinlayer.solving.options import OptionValue
 from thinlayer.solving.solvers import Solver
-from thinlayer.time.arc_length import ArcLength
 from thinlayer.time.history import SAME_TIME, History
 from thinlayer.time.journal import Journal
 from thinlayer.time.path import EquilibriumPath
 from thinlayer.time.path_equations import PathEquations
+from thinlayer.time.plan import ArcLength
 
 WANTED_ITERATIONS = 4  # number of Newton steps at which the length of the next step stays the same
 LEAST_FACTOR, MOST_FACTOR = 0.5, 2.0  # bounds of the ratio of the lengths of two steps
+CLOSENESS = 1e-3  # length of the shortest step before a turning point, relative to the first step
+MANY_STEPS = 10**6
 CORNER_LENGTH = 0.125  # largest length, relative to the first step, of a failed step that may contain a corner
 
 
@@ -167,3 +172,57 @@ class PathFollowing:
                 pass  # the path may turn back before its end
         state = self._path.step(last, length)
         return self._path.land(last, state, end) if state.t > end - self._near else state
+
+
+class PathInTime(PathFollowing):
+    """A march to given times along an equilibrium path, which ends where the path turns back in time.
+
+    Displacements of supports or loads control it. Steps along the path pass over no part of it: were they steps in time, a
+    step could end beyond a loop of the path. At break times of the data the path begins anew, with t increasing.
+
+    Args:
+        solver: solver of the model, for the first state.
+        journal: journal of the march.
+        times: times at which steps must end, the break times of the data among them.
+        start: time of the first state.
+        options: PETSc options of the linear solver; they override our defaults.
+    """
+
+    def __init__(
+        self,
+        solver: Solver,
+        journal: Journal,
+        times: Sequence[float],
+        start: float,
+        options: Mapping[str, OptionValue] | None,
+    ) -> None:
+        self._times, lengths = times, np.diff([start, *times])
+        first = float(lengths[0])
+        plan = ArcLength(times[-1], first, smallest=CLOSENESS, largest=float(lengths.max()) / first, steps=MANY_STEPS)
+        super().__init__(solver, journal, plan, start, options)
+        self._turned: SolveError | None = None
+
+    def _travel(self) -> None:
+        breaks = np.array([*self.solver.model.break_times])
+        for end in self._times:
+            self.plan = replace(self.plan, end=end)
+            if len(breaks) and np.abs(breaks - self._history.last.t).min() <= self._near:
+                self._aimed, self._journal.before = False, None
+            self._path.balance.middle = (self._history.last.t + end) / 2
+            while self._history.last.t < end - self._near:
+                try:
+                    self._go_on()
+                except SolveError as error:
+                    if self._turned is None:
+                        raise
+                    raise TurningPoint(self._history.last.t, self._history) from error
+
+    def _checked(self, last: State, state: State) -> State:
+        """As in `PathFollowing`. SolveError: beyond this state, or between the two, the path leads back in time."""
+        super()._checked(last, state)
+        if not (self._path.leads_on and state.t > last.t):
+            self._turned = SolveError("the path turns back in time")
+            self._path.aim(self._journal.before, last)
+            raise self._turned
+        self._turned = None
+        return state

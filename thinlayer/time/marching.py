@@ -20,14 +20,11 @@ from thinlayer.ranges.times import warn_of_steps
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.options import OptionValue
 from thinlayer.solving.solvers import SOFTENS, Solver, comm_of
-from thinlayer.time.arc_length import ArcLength, require_choices, require_path
 from thinlayer.time.checkpoint import Pace
-from thinlayer.time.controlled import PathInTime, last_of
-from thinlayer.time.following import PathFollowing
+from thinlayer.time.following import PathFollowing, PathInTime
 from thinlayer.time.history import History
 from thinlayer.time.journal import Journal, Observe, columns
-from thinlayer.time.plan import Adaptive, Plan
-from thinlayer.time.scheme import require_ends
+from thinlayer.time.plan import Adaptive, ArcLength, Plan, require_choices, require_ends, require_path
 from thinlayer.time.step_error import tell_steps
 from thinlayer.time.stepping import TimeStepping
 
@@ -171,7 +168,8 @@ def follow(
         raise ModelError(
             f"follow takes a history or a state, and an ArcLength(...), not {begun!r:.80} and {path!r:.80}"
         )
-    before, last = last_of(begun)
+    *earlier, last = [begun] if isinstance(begun, State) else begun
+    before = earlier[-1] if earlier else None
     model = last.model
     with on_all(model.comm):
         _check(model, 1.0, keep, None, False, observe)

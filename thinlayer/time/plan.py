@@ -1,10 +1,11 @@
-"""The times at which steps of a march end, and the lengths of steps."""
+"""What a march is asked for: times, adaptive steps, or a path by arc length; and what models allow of it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from numbers import Integral
 
 import numpy as np
 import numpy.typing as npt
@@ -12,9 +13,12 @@ import numpy.typing as npt
 from forms.base import is_number
 from forms.temperature import real
 from thinlayer.errors import ModelError
+from thinlayer.parts.pressure import PressurePart
+from thinlayer.solving.equations import Equations
 from thinlayer.time.history import SAME_TIME
 
 HALVINGS = 10  # largest number of times that a planned step is halved
+ALLOWED_THETA = "theta = 1"  # the last words of errors
 MOST_SHORTENED = 1e6  # length of the first adaptive step relative to that of the shortest, by default
 
 
@@ -151,3 +155,121 @@ def _with_breaks(start: float, targets: list[float], breaks: set[float]) -> list
         if np.abs(found - t).min() > near:
             found = np.append(found, t)
     return [float(t) for t in np.sort(found)[1:]]
+
+
+# ---------------------------------------------------------------- theta
+def require_ends(equations: Equations, theta: float, times: Sequence[float]) -> None:
+    """Raise ModelError if theta < 1 and a part does not balance at the ends of steps then. Collective.
+
+    Laws at points that creep or relax may be of any kind; others say `linear`, and their parameters do not change in time.
+
+    Args:
+        equations: the equations of the model.
+        theta: theta of the march.
+        times: start of the march, and the times at which steps end.
+    """
+    if theta == 1:
+        return
+    at_ends = f"theta is {theta}; {{}} holds at the ends of steps: {ALLOWED_THETA}"
+    bounds = (
+        f"theta is {theta}; {{}} bounds stresses: with theta < 1 they are kept within the bound at t + theta dt, "
+        f"where forces balance, and may exceed it at the end of the step; allowed: {ALLOWED_THETA}"
+    )
+    equations.refuse({"releases": at_ends, "switches": at_ends, "bounded": bounds})
+    for part in equations.parts:
+        at_once = [(name, False) for name, has in part.named().items() if has.nonlinear and not has.rate]
+        if hasattr(part, "answers_at_once"):
+            at_once = [*filter(None, [part.answers_at_once(times)])]
+        for name, changes in at_once:
+            how = "with parameters that change in time" if changes else "not linearly (linear = True is not declared)"
+            raise ModelError(
+                f"theta is {theta}; {name} answers at once, and {how}: if forces balance within a step, states at the ends "
+                f"of steps oscillate about the solution, and nothing damps them: {ALLOWED_THETA}"
+            )
+
+
+# ---------------------------------------------------------------- paths
+@dataclass(frozen=True)
+class ArcLength:
+    """An equilibrium path of a model, followed by arc length; t is the parameter of loads and supports and may decrease.
+
+    The path starts at the state of t = start, with t increasing, and goes on in the direction of its last increment.
+    Energies are not compared: stable and unstable equilibria are followed alike. Steps should be short compared with the
+    features of the path, as events within a step go unnoticed.
+
+    The length of a step is sqrt(|du|^2/U^2 + dt^2/T^2), with the L2 norm of the change du of nodal displacements,
+    T = `first`, and U from the first step. Step lengths adapt to the number of Newton steps; steps that fail are halved.
+    `smallest` and `largest` are relative to the length of the first step.
+
+    Attributes:
+        end: time > start at which the march ends; the last step ends there.
+        first: change of t in the first step, > 0.
+        smallest: length below which a step is not shortened further (default: 1e-6).
+        largest: length of the longest step (default: 1; longer steps may pass over loops of the path).
+        steps: largest number of steps; a longer path is a SolveError.
+        back: time < start below which the march ends, too. Without it a path that comes back to start - (end - start) is
+            a SolveError. Loads and supports are evaluated at such times.
+
+    Raises:
+        ModelError: values out of range.
+    """
+
+    end: float
+    first: float
+    smallest: float = 1e-6
+    largest: float = 1.0
+    steps: int = 1000
+    back: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("end", "first", "smallest", "largest", "back"):
+            value = getattr(self, name)
+            if value is None and name == "back":
+                continue
+            signed = name in ("end", "back")
+            number = float(value) if is_number(value) else math.nan
+            if not (math.isfinite(number) or (name == "largest" and number > 0)) or not (signed or number > 0):
+                raise ModelError(f"ArcLength: {name} is {value!r}; allowed: a number" + " > 0" * (not signed))
+        if not isinstance(self.steps, Integral) or isinstance(self.steps, bool) or self.steps < 1:
+            raise ModelError(f"ArcLength: steps is {self.steps!r}; allowed: a whole number > 0")
+        if self.largest < self.smallest:
+            raise ModelError(f"ArcLength: largest is {self.largest:g}; allowed: >= smallest = {self.smallest:g}")
+
+    def lowest(self, start: float) -> float:
+        """The time below which the march ends."""
+        return 2 * start - self.end if self.back is None else float(self.back)
+
+    def check(self, start: float) -> None:
+        """Raise ModelError unless the path can begin at the time `start`."""
+        if not math.isfinite(start) or not self.end > start:
+            raise ModelError(f"ArcLength: end is {self.end:g}; it must come after start = {start:g}")
+        if self.first > self.end - start:
+            raise ModelError(f"ArcLength: first is {self.first:g}; end - start is {self.end - start:g}")
+        if not distinct(start, start + self.first) or self.first**2 < np.finfo(float).tiny:
+            raise ModelError(f"ArcLength: first is {self.first:g}: a step from t = {start:g} that is lost in rounding")
+        if not self.lowest(start) < start:
+            raise ModelError(f"ArcLength: back is {self.back:g}; it must be less than start = {start:g}")
+
+
+def require_choices(theta: float, method: str | None) -> None:
+    """Raise ModelError unless a path is followed by Newton's method, with forces that balance at t itself."""
+    if theta != 1:
+        raise ModelError(f"theta is {theta}; forces on a path balance at t itself: theta = 1")
+    if method not in (None, "newton"):
+        raise ModelError(f"method is {method!r}; a path is followed by Newton's method")
+
+
+def require_path(equations: Equations) -> None:
+    """Raise ModelError unless paths of the model can be followed: no part has a rate or bounds. Collective."""
+    refused = {
+        "releases": "{} is a contact law: march in time instead of ArcLength",
+        "bounded": "{} bounds stresses: on a path loads stay at their limit; march in time, which finds the limit",
+        "switches": "{} has pure phases: its equilibria do not form one curve; march in time, which finds the snaps",
+        "rate": "{} depends on rates, and t is no time on a path: march in time",
+    }
+    for part in equations.of_kind(PressurePart):
+        for name in part.named():
+            raise ModelError(f"{name} is incompressible: paths have displacements alone, no pressures; march in time")
+    equations.refuse(refused)
+    for name in filter(None, equations.ask("takes_time")):
+        raise ModelError(f"{name} creeps or relaxes, and t is no time on a path: march in time")
