@@ -147,20 +147,25 @@ def across(C: Array, n: Array) -> Array:
     return np.asarray(N @ C @ N.T)
 
 
-def require_stable_layer(law: BulkLaw, C: Array | None, n: Array) -> None:
-    """Raise LawError if n.C.n of a layer's tangent at rest has a negative eigenvalue; does nothing if C is None."""
-    if C is not None and np.isfinite(C).all():
-        _require_positive(law, "across the layer (of n.C.n)", across(C, n), C)
+def known_at_rest(law: BulkLaw, n: Array) -> Array | None:
+    """The tangent (6, 6) of a law at rest, computed or else declared; None: it is not known. As in `tangent_at_rest`."""
+    return tangent_at_rest(law, n) if is_checked_at_rest(law) else law.stiffness(n)
 
 
-def require_stable_body(law: BulkLaw, C: Array | None, slots: Sequence[int]) -> None:
-    """Raise LawError if a body's tangent at rest has a negative eigenvalue for strains of these components; likewise."""
-    if C is not None and np.isfinite(C).all():
-        _require_positive(law, "(of C)", C[np.ix_(slots, slots)], C)
+def require_stable(law: BulkLaw, C: Array | None, n: Array | None = None, slots: Sequence[int] = ()) -> None:
+    """Raise LawError if a tangent at rest has a negative eigenvalue; does nothing if it is not known.
 
+    Eigenvalues are those of the matrix itself: without an energy its symmetric part may be indefinite, and it still stable.
 
-def _require_positive(law: BulkLaw, what: str, A: Array, C: Array) -> None:
-    """Test eigenvalues of A itself: without an energy its symmetric part may be indefinite although A is stable."""
+    Args:
+        law: the law.
+        C: its tangent, (6, 6); None: not known.
+        n: director (d,) of a layer, whose n.C.n is tested.
+        slots: components of the strains of a body, if it is none.
+    """
+    if C is None or not np.isfinite(C).all():
+        return
+    A, what = (C[np.ix_(slots, slots)], "(of C)") if n is None else (across(C, n), "across the layer (of n.C.n)")
     lowest, size = float(np.linalg.eigvals(A).real.min()), float(np.abs(C).max())
     if lowest < -NEGATIVE * size:
         raise LawError(

@@ -22,7 +22,7 @@ from thinlayer.solving.contact.problem import ContactProblem
 from thinlayer.solving.contact.solver import SCHEMES
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
-from thinlayer.solving.options import PREFIX, defaults, require_all_read
+from thinlayer.solving.petsc import PREFIX, defaults, require_all_read
 from thinlayer.solving.solvers import Solver
 
 STIFFNESS = (15e8, 5e8)  # lmbda, mu per thickness, N/mm^3

@@ -17,7 +17,7 @@ from thinlayer.parts.part import Interval
 from thinlayer.running.record import Record
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import direct_solver, mark
-from thinlayer.solving.options import PREFIX, defaults
+from thinlayer.solving.petsc import PREFIX, defaults
 
 STEEL = LinearElastic.young(E=210e3, nu=0.3)  # MPa
 RUNS, EARLY = 200, 20

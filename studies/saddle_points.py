@@ -18,7 +18,7 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row
 from thinlayer.running.record import Record
-from thinlayer.solving.options import OptionValue
+from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import Solver
 
 RATIOS = (0.3, 0.45, 0.49, 0.499, 0.4999, 0.5)  # Poisson's

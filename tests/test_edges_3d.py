@@ -15,7 +15,7 @@ from geometry.ends import straight_ends
 from geometry.sheet import Sheet
 from studies.end_structures import BODY, edge, graded, grid
 from thinlayer import ModelError, Structure, ThinLayer, compare, solve
-from thinlayer.discretisation.end_weights import FacetWeights
+from thinlayer.discretisation.sides import FacetWeights
 
 pytestmark = pytest.mark.few(5)
 

@@ -14,7 +14,7 @@ from forms.ends.weights import Strip, Strips
 from geometry import sandwich
 from geometry.ends import straight_ends
 from thinlayer import Structure, ThinLayer
-from thinlayer.discretisation.end_weights import FacetWeights
+from thinlayer.discretisation.sides import FacetWeights
 
 pytestmark = pytest.mark.few(5)
 

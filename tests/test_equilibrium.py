@@ -15,7 +15,7 @@ from geometry import sandwich
 from thinlayer import SolveError, Structure, Surface, ThinLayer, march, solve
 from thinlayer.solving.contact.solver import ContactFinder
 from thinlayer.solving.equilibrium import Equilibrium
-from thinlayer.solving.linear_solvers import solve_linear
+from thinlayer.solving.petsc import solve_linear
 
 STEEL = LinearElastic.young(E=210e3, nu=0.3)
 PLATES = sandwich(40, 4, 6, h=2.0)

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from thinlayer.solving.force_scale import AIM, ALLOWED, EPSILON, ForceScale
+from thinlayer.solving.balance import AIM, ALLOWED, EPSILON, ForceScale
 
 STIFF = 1e6  # N/mm
 

@@ -297,7 +297,7 @@ def test_a_profile_of_booleans():
 
 def test_places_are_names_or_points():
     with pytest.raises(
-        ModelError, match=r"traction on \(1\.0, 0\.5\): tractions act on facet sets.*BOTTOM, LEFT, RIGHT, TOP"
+        ModelError, match=r"traction on \(1\.0, 0\.5\): a place is the name of a facet set.*BOTTOM, LEFT, RIGHT, TOP"
     ):
         model(tractions={(1.0, 0.5): (1.0, 0.0)})
     refused(ModelError, r"tractions is .*must be \{facet name: traction\}", lambda: model(tractions=[(1.0, 0.0)]))

@@ -23,7 +23,6 @@ from tests.on_ranks import on_ranks
 from tests.phases_of_bars import BAR
 from tests.test_mohr_coulomb_models import PATH, PATH_3D, check_path, column
 from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, march, piecewise, solve
-from thinlayer.discretisation.places import quadratures
 from thinlayer.discretisation.state import displacements_of
 
 # layers whose thickness tends to zero under the same load, and columns of any height
@@ -244,7 +243,7 @@ def test_temperature_along_s():
     alpha = Tabulated([(20.0, 0.9), (100.0, 1.1)])
     law = heated(T, kind=NonMonotone, alpha=alpha)
     state = solve(Structure(where, **setup).interface(ThinLayer(law, 0.02, at=1.0)))
-    x = quadratures(state.model)["layer"].joint_x[0]
+    x = state.model.quadratures["layer"].joint_x[0]
     a, C = alpha(25 + 60 * x), OF_T(25 + 60 * x)
     expected = np.clip(0.5 + (a * 0.7 * 0.02 - C) / (a**2 * law.G), 0, 1)
     assert state.memory["layer"][:, 0] == pytest.approx(expected, abs=1e-5)  # bodies of 1e9 give way a little
@@ -270,7 +269,7 @@ def test_phases_by_hand():
     for model in models(HEATED):
         history = march(model, [0.6, 1.0])
         for state in history:
-            x, report = quadratures(model)["layer"].joint_x[0], PhaseReport(state)
+            x, report = model.quadratures["layer"].joint_x[0], PhaseReport(state)
             places, phases = report.profile()
             by_hand = [state.memory["layer"][np.floor(8 * x).astype(int) == k, 0].mean() for k in range(8)]
             assert places[:, 0] == pytest.approx(np.arange(8) / 8 + 1 / 16)

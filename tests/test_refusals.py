@@ -45,7 +45,7 @@ def states():
 def test_tractions_inside_are_refused():
     with pytest.raises(ModelError, match="'UPPER_FACE': its facets lie inside"):
         Structure(JOINT, tractions={"UPPER_FACE": (1.0, 0.0)}, **SETUP).full(LAYER)
-    with pytest.raises(ModelError, match="a traction on S is what the model computes"):
+    with pytest.raises(ModelError, match="traction on 'S': its facets lie inside, or below a layer"):
         Structure(JOINT, tractions={"S": (1.0, 0.0)}, **SETUP).full(LAYER)
 
 

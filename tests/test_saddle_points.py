@@ -12,8 +12,8 @@ from forms import Incompressible, LinearElastic, Rubber
 from geometry import block, sandwich
 from tests.on_ranks import on_ranks
 from thinlayer import Model, RigidPlate, SolveError, State, Structure, Surface, ThinLayer, march, solve
-from thinlayer.solving import linear_solvers, saddle
-from thinlayer.solving.options import OptionError
+from thinlayer.solving import linear_solvers
+from thinlayer.solving.petsc import OptionError
 
 BLOCKS, FACTORS = {"pc_type": "fieldsplit"}, {"pc_type": "cholesky"}
 MU, EPS = 1.3, 0.6  # MPa, mm: of the rubber
@@ -109,7 +109,7 @@ def test_all_ratios_take_the_same_iterations(held, upper):
 def test_bodies_that_seem_to_yield_too_much(monkeypatch):
     """If the Schur complement overestimates what bodies yield, iterations grow: it has the right size."""
     structure = Structure(PLATES, body=UPPER, supports={"BOTTOM": 0.0}, **PRESSED)
-    model, compliance = structure.interface(soft(Incompressible(1.2))), saddle._compliance
+    model, compliance = structure.interface(soft(Incompressible(1.2))), linear_solvers._compliance
     right = solve(model, options=BLOCKS).report.iterations
 
     def wrong(*given):
@@ -117,7 +117,7 @@ def test_bodies_that_seem_to_yield_too_much(monkeypatch):
         matrix.scale(1e3)
         return matrix
 
-    monkeypatch.setattr(saddle, "_compliance", wrong)
+    monkeypatch.setattr(linear_solvers, "_compliance", wrong)
     assert solve(model, options={**BLOCKS, "ksp_max_it": 1000}).report.iterations > 1.4 * right
 
 

@@ -13,7 +13,6 @@ from forms import BulkLaw, LinearElastic, NonMonotoneUnrelaxed
 from forms.elastic import lame
 from geometry import sandwich
 from thinlayer import PhaseReport, SolveError, Structure, ThinLayer, march, piecewise
-from thinlayer.discretisation.places import quadratures
 from thinlayer.pointwise.columns import TIE
 
 pytestmark = pytest.mark.few(5)
@@ -51,7 +50,7 @@ def excesses(history):
     """Of every state the largest excess of a column."""
     law = history.model.layers["S"].law
     for state in history:
-        columns = quadratures(state.model)["layer"].columns
+        columns = state.model.quadratures["layer"].columns
         phase, drive, bound = (columns.mean(state.memory["layer"][:, k]) for k in (0, 2, 3))
         yield law.excess(np.rint(phase), drive, bound).max()
 

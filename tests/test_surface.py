@@ -14,7 +14,6 @@ from studies.problems import FOURIER_LAYER, fourier
 from tests.meshes import renumbered
 from tests.refused import refused
 from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, march, solve
-from thinlayer.discretisation.places import quadratures
 from thinlayer.discretisation.state import Audit, Report, State
 
 STEEL = LinearElastic(3.0, 2.0)
@@ -67,7 +66,7 @@ def test_profile_of_an_arc():
 def test_fronts_around_a_circle():
     """Phases that grow with y on a closed S: more than half where y > .3, which is between neighbours in two places."""
     model = on(ring(0.8, RADIUS, 2.0, 0.3), PURE)
-    ((key, quadrature),) = quadratures(model).items()
+    ((key, quadrature),) = model.quadratures.items()
     memory = np.zeros((quadrature.count, sum(int(np.prod(s)) for s in PURE.internal.values())))
     x = quadrature.columns.centres[quadrature.columns.of]
     memory[:, list(PURE.internal).index("phase")] = 0.5 + (x[:, 1] - 0.3) / 1.6

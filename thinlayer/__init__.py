@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.discretisation.broken_mesh import BrokenMesh
     from thinlayer.discretisation.clock import piecewise
-    from thinlayer.discretisation.eigenstrains import Eigenstrain, Prestress, ThermalExpansion
     from thinlayer.discretisation.given import Pressure
+    from thinlayer.discretisation.given_strains import Eigenstrain, Prestress, ThermalExpansion
     from thinlayer.discretisation.layer import Bond, Gap, ThinLayer
     from thinlayer.discretisation.model import Model
     from thinlayer.discretisation.point_loads import LineLoad, PointLoad
@@ -51,7 +51,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.parts.springs import Springs
     from thinlayer.parts.ufl_part import UflPart
     from thinlayer.pointwise.drive import PointHistory, drive
-    from thinlayer.solving.options import OptionError
+    from thinlayer.solving.petsc import OptionError
     from thinlayer.solving.solvers import solve
     from thinlayer.solving.step_problem import StepProblem
     from thinlayer.time.history import History
@@ -61,7 +61,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
 __version__ = "0.1.0"
 _NAMES = {
     "discretisation.broken_mesh": ["BrokenMesh"],
-    "discretisation.eigenstrains": ["Eigenstrain", "Prestress", "ThermalExpansion"],
+    "discretisation.given_strains": ["Eigenstrain", "Prestress", "ThermalExpansion"],
     "discretisation.layer": ["Bond", "Gap", "ThinLayer"],
     "discretisation.clock": ["piecewise"],
     "discretisation.given": ["Pressure"],
@@ -91,7 +91,7 @@ _NAMES = {
     "parts.plates": ["RigidPlate"],
     "parts.springs": ["Springs"],
     "parts.ufl_part": ["UflPart"],
-    "solving.options": ["OptionError"],
+    "solving.petsc": ["OptionError"],
     "solving.solvers": ["solve"],
     "solving.step_problem": ["StepProblem"],
     "time.history": ["History"],

@@ -4,48 +4,26 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import dolfinx.fem.petsc
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from mpi4py import MPI
 
 from forms.kinematics import Expr
-from forms.planes import Kinematics
-from geometry.domain import Domain
-from geometry.joint import Joint
 from thinlayer.discretisation.axis import AXES
-from thinlayer.discretisation.constraints import Constraints, Tied
-from thinlayer.discretisation.given import Coordinates
+from thinlayer.discretisation.constraints import Tied
 from thinlayer.discretisation.layer import BODIES, BODY, CONTACT, LAYER
 from thinlayer.discretisation.measures import compiled
-from thinlayer.discretisation.supports import Place, Supports
+from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 
 TAKEN = ("forms", "forms of layers", LAYER, "pressure", CONTACT, BODIES, "loads")  # keys that every model may have
 
 
-class Host(Protocol):
-    """The attributes of a `Model` that an addition may use."""
-
-    comm: MPI.Intracomm
-    domain: Domain
-    coordinates: Coordinates
-    joint: Joint
-    V: fem.FunctionSpace
-    dx: ufl.Measure
-    ds: ufl.Measure
-    plane: str
-    kinematics: Kinematics
-    centre: npt.NDArray[np.float64]
-    supports: Supports
-    constraints: Constraints
-
-    def shifts(self) -> npt.NDArray[np.float64] | None:
-        """See `Model.shifts`."""
+Host = Any  # a `Model`, which imports this module
 
 
 class Addition:

@@ -12,8 +12,8 @@ from forms.tangent import (
     Array,
     average_lame,
     is_checked_at_rest,
-    require_stable_layer,
-    tangent_at_rest,
+    known_at_rest,
+    require_stable,
     tangent_over,
 )
 from thinlayer.errors import Refused
@@ -33,10 +33,7 @@ class AtRest:
 
     def __init__(self, law: BulkLaw, n: Array) -> None:
         self.law, self.n = law, n
-        self.sublayers = [
-            (share, one, tangent_at_rest(one, n) if is_checked_at_rest(one) else one.stiffness(n))
-            for share, one in law.sublayers
-        ]
+        self.sublayers = [(share, one, known_at_rest(one, n)) for share, one in law.sublayers]
 
     def over(self, dt: float) -> list[Array | None]:
         """Tangents of the sublayers under loads that have lasted dt > 0; None: it is not known, or that at rest."""
@@ -70,7 +67,7 @@ class AtRest:
         """Raise LawError if a stiffness at rest is negative: equilibria would be unstable."""
         for _, law, C in self.sublayers:
             if is_checked_at_rest(law):
-                require_stable_layer(law, C, self.n)
+                require_stable(law, C, self.n)
 
     def locks(self) -> Refused | None:
         """Why the law of order 1 locks, as displacements are linear through the layer; None: it does not."""

@@ -56,30 +56,44 @@ def require_shifts(kinematics: Kinematics, joint: Joint) -> None:
         )
 
 
-def refuse_axis(kinematics: Kinematics, joint: Joint, name: str, what: str) -> None:
-    """Raise ModelError if the facets of a name lie on the axis: there is no boundary."""
-    facets = joint.facets.get(name, joint.facets.get(name.split("/")[0]))
-    if facets is not None and len(facets) and on_axis(kinematics, joint)[facets].all():
-        raise ModelError(f"{what} on {name!r}: these facets are the axis of revolution, which is no boundary")
+def boundary(
+    domain: Domain, kinematics: Kinematics, name: object, what: str, *, inside: bool = False, side: bool = False
+) -> tuple[int, ...]:
+    """Facet values of a place of the outer boundary, given by its name.
+
+    Args:
+        domain: the mesh.
+        kinematics: of the mesh.
+        name: as a user gives it.
+        what: first words of errors.
+        inside: whether the place may lie inside the bodies, or on the axis, but not on S.
+        side: whether it may be the side of a layer that is not meshed, without facets.
+
+    Raises:
+        ModelError, GeometryError: another place, no place, or an empty one.
+    """
+    joint = domain.joint
+    base = joint.band.base if joint.band else joint
+    if not isinstance(name, str):
+        known = ", ".join(sorted(base.facets.keys() - {S}))
+        raise ModelError(f"{what}: a place is the name of a facet set; known: {known}")
+    whole = name.split("/")[0]
+    refuse_periodic(joint, name, what)
+    if name in base.seams or whole == S or not (inside or domain.is_outer(name)):
+        raise ModelError(f"{what}: its facets lie inside, or below a layer; take a facet set on the outer boundary")
+    facets = joint.facets.get(name, joint.facets.get(whole))
+    if not inside and facets is not None and len(facets) and on_axis(kinematics, joint)[facets].all():
+        raise ModelError(f"{what}: these facets are the axis of revolution, which is no boundary")
+    if not domain.values(name) and not (side and name.endswith(f"/{LAYER}")):
+        why = ", as the layer is a surface here: mesh it (structure.full)" * name.endswith(f"/{LAYER}")
+        raise ModelError(f"{what}: this facet set is empty{why}")
+    return domain.values(name)
 
 
 def refuse_periodic(joint: Joint, name: str, what: str) -> None:
     """Raise ModelError if a name is that of a periodic side: inside the periodic structure there is no boundary."""
     if joint.periods and name.split("/")[0] in joint.periods.names:
         raise ModelError(
-            f"{what} on {name!r}: this side is identified with another one, the structure goes on there; a periodic cell "
-            "is loaded by a mean strain, Structure(..., strain=...)"
+            f"{what}: this side is identified with another one, the structure goes on there; a periodic cell is loaded by "
+            "a mean strain, Structure(..., strain=...)"
         )
-
-
-def require_facets(domain: Domain, name: str, what: str) -> None:
-    """Raise ModelError if a facet set is empty, as the side of a layer is while S is a surface."""
-    if not domain.values(name):
-        why = ", as the layer is a surface here: mesh it (structure.full)" * name.endswith(f"/{LAYER}")
-        raise ModelError(f"{what}: this facet set is empty{why}")
-
-
-def refuse_seam(joint: Joint, name: str, message: str) -> None:
-    """Raise ModelError if a name is S or that of a seam: what acts there is the layer."""
-    if name in joint.seams or name.split("/")[0] == S:
-        raise ModelError(message)

@@ -26,10 +26,10 @@ from geometry.joint import Profile
 from thinlayer.compiling.compat import interior_facet_entities
 from thinlayer.discretisation.at_rest import AtRest
 from thinlayer.discretisation.axis import ON_AXIS
-from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.layer import ThinLayer, for_terms, real_law
-from thinlayer.discretisation.placed import known_at
+from thinlayer.discretisation.quadratures import known_at
+from thinlayer.discretisation.spaces import Keys, broken_space
 from thinlayer.errors import ModelError
 from thinlayer.parallel.agreement import on_all
 from thinlayer.parallel.communicator import communicator

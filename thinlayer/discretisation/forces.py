@@ -15,14 +15,12 @@ from petsc4py import PETSc
 from forms.kinematics import Expr
 from forms.planes import LIFTED, Kinematics
 from geometry.domain import Domain
-from geometry.errors import unknown
 from geometry.seam import LAYER, S
 from geometry.sheet import Sheet
-from thinlayer.discretisation.axis import refuse_axis, refuse_periodic, refuse_seam
-from thinlayer.discretisation.given import Coordinates, Load, Pressure
+from thinlayer.discretisation.axis import boundary
+from thinlayer.discretisation.given import Coordinates, Load, Pressure, by_body
 from thinlayer.discretisation.measures import compiled
-from thinlayer.discretisation.point_forms import ConcentratedForms
-from thinlayer.discretisation.point_loads import Concentrated
+from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms
 from thinlayer.errors import ModelError, warn
 
 BodyForce = Load | Mapping[str, Load]
@@ -32,13 +30,13 @@ WEIGHT = "body force in the layer {!r}"  # the words for it, by the name of the 
 
 @dataclass(frozen=True)
 class Weighted:
-    """A place of a layer's volume, or of its side.
+    """Where a load acts: in cells or on facets of bodies, in a layer's volume, or on its side.
 
     Attributes:
-        measure: of its cells, or of its seam.
+        measure: of the cells or facets; of a layer on S its seam.
         weight: factor of the measure, times the thickness on S.
         value: how a function of place and time is taken there.
-        mean: mean over the thickness of displacements there; of a side what its load does work in.
+        mean: what the load does work in, of displacements; of a layer their mean over the thickness.
         on_base: the part of this mean that is of a rigid base, for motions that move it as well; None: there is no base.
     """
 
@@ -58,10 +56,11 @@ class Forces:
         body_force: force per volume in the bodies, or region name -> force.
         at: coordinates for loads that are functions.
         loads: loads at points and along lines.
-        forms: makes the forms of these.
+        points: makes forms of these.
         kinematics: of the mesh; all measures have their factor.
 
     Attributes:
+        at, points: the arguments.
         given: description of kind and place -> the load as given.
         loaded: names of the facet sets with tractions.
 
@@ -76,17 +75,14 @@ class Forces:
         body_force: BodyForce | None,
         at: Coordinates,
         loads: Sequence[Concentrated] = (),
-        forms: Callable[[], ConcentratedForms] | None = None,
+        points: ConcentratedForms | None = None,
         kinematics: Kinematics = LIFTED,
     ) -> None:
-        self.domain, self.at, self._kinematics = domain, at, kinematics
+        self.domain, self.at, self.points, self._kinematics = domain, at, points, kinematics
         self.given: dict[str, Any] = {}
         self.loaded: list[str] = []
-        self._loads: list[tuple[str, Expr, ufl.Measure]] = []
-        self._in_layers: list[tuple[str, Expr, Weighted]] = []
-        self._seams: list[str] = []
+        self._loads: list[tuple[str, Expr, Weighted, str]] = []  # words, force, its place, the seam if it is a layer's
         self._form: tuple[fem.FunctionSpace, fem.Form] | None = None  # of the work in a space
-        self._concentrated: list[tuple[str, Expr, ufl.Measure]] = []  # whole forces: their measures have no factor
         ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
         dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
         if tractions is not None and not isinstance(tractions, Mapping):
@@ -94,7 +90,7 @@ class Forces:
         tractions = tractions or {}
         for name in sorted(tractions, key=str):  # in the same order on all ranks
             load = tractions[name]
-            values = self._outer(name)
+            values = boundary(domain, kinematics, name, f"traction on {name!r}", side=True)
             self._add(f"traction on {name!r}", load, ds(values) if values else None)
             self.loaded += [name] if values else []
             self._warn_of_gaps(name)
@@ -102,14 +98,17 @@ class Forces:
             if side not in tractions:
                 self._refuse_end(name, side)
             if side not in tractions and (share := self._share(name)):
-                what, loaded, _ = self._loads[-1]
-                self._loads.append((what, share * loaded, ds(domain.values(side))))
-        for name, load in self._by_region(body_force).items():
-            self._add(f"body force in {name!r}", load, dx(domain.cell_values(name)))
+                what, loaded, *_ = self._loads[-1]
+                self.add_weighted("", what, share * loaded, Weighted(ds(domain.values(side)), 1))
+        seams = (*(domain.joint.band.base if domain.joint.band else domain.joint).seams, S)
+        for name, load in by_body(body_force, domain.joint, "", seams).items():
+            if load is not None:
+                self._add(f"body force in {name!r}", load, dx(domain.cell_values(name)))
         for one in loads:
             self.given[f"{one.what}, {len(self.given)}"] = one
-            assert forms is not None
-            self._concentrated += [(one.what, density, measure) for density, measure in forms().terms(one)]
+            assert points is not None
+            for density, measure in points.terms(one):  # whole forces: their measures have no factor
+                self.add_weighted("", one.what, density, Weighted(measure, 1))
         self._everywhere = dx
 
     def add_layer(self, name: str, load: Load, places: Sequence[Weighted], at: Coordinates) -> None:
@@ -132,9 +131,8 @@ class Forces:
         return WEIGHT.format(name) in self.given
 
     def add_weighted(self, name: str, what: str, force: Expr, place: Weighted) -> None:
-        """Add a force, a UFL vector, at a place of the layer of a seam."""
-        self._in_layers.append((what, place.value(force) * place.weight, place))
-        self._seams.append(name)
+        """Add a force, a UFL vector, at a place: of the layer of a seam, or of the bodies ("")."""
+        self._loads.append((what, place.value(force) * place.weight, place, name))
 
     def _add(self, what: str, load: Load | Pressure, measure: ufl.Measure | None) -> None:
         self.given[what] = load
@@ -142,25 +140,7 @@ class Forces:
             raise ModelError(f"{what} is {load!r}: there is no normal inside a body; give a vector")
         checked = self.at.traction(load, what, ufl.FacetNormal(self.domain.mesh))
         if measure is not None:
-            self._loads.append((what, checked, measure))
-
-    def _outer(self, name: str) -> tuple[int, ...]:
-        """Facet values of a traction's place; () for the side of a layer that is not meshed."""
-        if not isinstance(name, str):
-            raise ModelError(
-                f"traction on {name!r}: tractions act on facet sets, given by their name; known: "
-                + ", ".join(sorted(self.domain.joint.facets.keys() - {S}))
-            )
-        what = S if name.split("/")[0] == S else repr(name)
-        refuse_seam(self.domain.joint, name, f"a traction on {what} is what the model computes; load another facet set")
-        values = self.domain.values(name)
-        refuse_periodic(self.domain.joint, name, "traction")
-        refuse_axis(self._kinematics, self.domain.joint, name, "a traction")
-        if not self.domain.is_outer(name):
-            raise ModelError(f"traction on {name!r}: its facets lie inside; tractions act on the outer boundary")
-        if not values and not name.endswith(f"/{LAYER}"):
-            raise ModelError(f"traction on {name!r}: this facet set is empty")
-        return values
+            self.add_weighted("", what, checked, Weighted(measure, self._kinematics.factor))
 
     def _warn_of_gaps(self, name: str) -> None:
         """Warn where a gap ends that bodies gave up a part of their loaded faces to."""
@@ -220,35 +200,17 @@ class Forces:
             )
         return sum(bool(some.all()) for some in covered) / len(sides)
 
-    def _by_region(self, body_force: BodyForce | None) -> dict[str, Load]:
-        joint = self.domain.joint
-        regions, seams = joint.bodies, [*(joint.band.base if joint.band else joint).seams, S]
-        if body_force is None:
-            return {}
-        forces = dict(body_force) if isinstance(body_force, Mapping) else dict.fromkeys(regions, body_force)
-        for name in forces:
-            if name not in regions and name not in seams:
-                raise ModelError(unknown("body", name, regions))
-        return {name: forces[name] for name in regions if name in forces}
-
     def work(self, v: Expr) -> Expr:
         """Virtual work of the loads, a UFL form linear in v that reads the clock."""
         form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self.domain.joint.dim)), v) * self._everywhere
-        for _, load, measure in self._loads:
-            form += ufl.inner(load, v) * self._kinematics.factor * measure
-        for _, load, measure in self._concentrated:
-            form += ufl.inner(load, v) * measure
-        for _, load, one in self._in_layers:
-            form += ufl.inner(load, one.mean(v)) * one.measure
-        return form
+        return sum((ufl.inner(load, one.mean(v)) * one.measure for _, load, one, _ in self._loads), form)
 
     def work_on_bases(self, v: Expr) -> dict[str, Expr]:
         """Virtual work of what goes to rigid bases by itself, in motions v that move them, by seam; see `work`."""
         works: dict[str, Expr] = {}
-        for name, (_, load, one) in zip(self._seams, self._in_layers, strict=True):
+        for _, load, one, name in self._loads:
             if one.on_base:
-                work = ufl.inner(load, one.on_base(v)) * one.measure
-                works[name] = works[name] + work if name in works else work
+                works[name] = works.get(name, ufl.Form([])) + ufl.inner(load, one.on_base(v)) * one.measure
         return works
 
     def nodal_at(self, V: fem.FunctionSpace, t: float) -> PETSc.Vec:
@@ -269,12 +231,8 @@ class Forces:
     def _not_finite(self, t: float) -> list[str]:
         """The loads that are not finite at a time. Collective."""
         names = []
-        for what, load, measure in [
-            *self._loads,
-            *self._concentrated,
-            *((what, load, one.measure) for what, load, one in self._in_layers),
-        ]:
-            form = fem.form(ufl.inner(load, load) * measure)
+        for what, load, one, _ in self._loads:
+            form = fem.form(ufl.inner(load, load) * one.measure)
             with self.at.clock.at(t):
                 total = fem.assemble_scalar(form)
             if self.domain.comm.allreduce(int(not np.isfinite(total))):

@@ -14,8 +14,8 @@ from geometry.joint import Joint
 from geometry.seam import BASE
 from thinlayer.discretisation.axis import require_revolution, require_shifts
 from thinlayer.discretisation.forces import Weighted
-from thinlayer.discretisation.joint_fields import director
 from thinlayer.discretisation.layer import Layers, constants, real_law
+from thinlayer.discretisation.mesh_functions import director
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from dataclasses import replace as changed
 from functools import cached_property
@@ -24,10 +24,11 @@ from forms.base import is_number
 from forms.kinematics import Expr
 from geometry.domain import Domain
 from geometry.errors import place as at_place
+from geometry.errors import unknown
+from geometry.joint import Joint
 from thinlayer.compiling.compat import interpolation_points
 from thinlayer.discretisation.clock import Clock, Reading, readings
-from thinlayer.discretisation.joint_fields import shift
-from thinlayer.discretisation.sampling import places_in_cells, sampled
+from thinlayer.discretisation.mesh_functions import places_in_cells, sampled, shift
 from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
@@ -295,6 +296,19 @@ def vanishes(load: Load | Pressure) -> bool:
     """Whether a load is zero at all places and times: numbers."""
     value: Any = load.p if isinstance(load, Pressure) else load
     return not callable(value) and not np.any(np.asarray(value, float))
+
+
+def by_body(given: Any, joint: Joint, what: str = "", others: Sequence[str] = ()) -> dict[str, Any]:
+    """What is given for each body, one for all or by name, in the same order on all ranks; None: nothing.
+
+    Raises:
+        ModelError: a name, after some words, that is none of a body nor one of others.
+    """
+    each = given if isinstance(given, Mapping) else dict.fromkeys(joint.bodies, given)
+    for name in each:
+        if name not in joint.bodies and name not in others:
+            raise ModelError(what + unknown("body", name, joint.bodies))
+    return {name: each.get(name) for name in joint.bodies}
 
 
 # ---------------------------------------------------------------- content

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any, Self
@@ -19,19 +20,18 @@ from forms.law import BulkLaw
 from geometry.errors import GeometryError, unknown
 from geometry.inflating.layering import check_layering
 from geometry.inflating.motion import kept_motion
+from geometry.inflating.parting import parted
 from geometry.joint import Joint
 from geometry.seam import S
 from geometry.splitting import Splitting
 from geometry.topology import FloatArray
-from thinlayer.discretisation.apart import Middle, apart
 from thinlayer.discretisation.axis import require_revolution
 from thinlayer.discretisation.forces import Forces, Weighted
 from thinlayer.discretisation.given import Coordinates
-from thinlayer.discretisation.joint_fields import cellwise, relative_thickness
 from thinlayer.discretisation.layer import Layers, ThinLayer, for_terms, real_law
+from thinlayer.discretisation.mesh_functions import Middle, cellwise, relative_thickness
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.placed import known_at
-from thinlayer.discretisation.point_forms import ConcentratedForms
+from thinlayer.discretisation.quadratures import known_at
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.side_loads import add_side_loads
@@ -65,11 +65,10 @@ class InterfaceModel(Model):
 
     def _forces(self, structure: Setup) -> Forces:
         forces = super()._forces(structure)  # raises errors of bad data
-        points = partial(ConcentratedForms, self.domain, self.joint, structure.degree, forces.at)
         to_base = 2 * self._middle.to_s if self._middle else None
         for one in self.layers.values():
             if one.thin and one.thin.order == 1:
-                add_side_loads(forces, self, one, self.sides_of(one.name), points, to_base)
+                add_side_loads(forces, self, one, self.sides_of(one.name), to_base)
         return forces
 
     @property
@@ -100,7 +99,7 @@ class InterfaceModel(Model):
         return None if self.domain.joint.parted is None else Middle(self.domain)
 
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
-        return self._middle.coordinates(at) if self._middle else at
+        return at.moved(at.x + self._middle.to_s) if self._middle else at
 
     def _given_on(self, one: SeamLayer) -> Expr | None:
         given = one.given(self._coordinates_on(self.coordinates))
@@ -241,3 +240,28 @@ class InterfaceModel(Model):
             values[vertices] = found
             on_s[name] = upper(cellwise(self.domain, ("Lagrange", 1), values[joint.corners][..., None]))
         return known_at(law, self.domain.mesh, on_s)
+
+
+def apart(joint: Joint, layers: Mapping[str, SeamLayer]) -> Joint:
+    """The joint whose bodies have made room for layers, which have no cells.
+
+    Args:
+        joint: the joint.
+        layers: name of a seam -> its layer.
+
+    Raises:
+        ModelError: seams that meet, or one without a thickness. GeometryError: as of `geometry.inflate`.
+    """
+    if joint.seams_meet:
+        raise ModelError(
+            "bodies='extended' of an interface model needs seams that do not meet or branch: S has no middle there"
+        )
+    thin = {name: one.thin for name, one in layers.items() if one.thin}
+    for name in joint.seams:
+        if name not in thin:
+            raise ModelError(
+                f"bodies='extended' of an interface model: {name!r} has no ThinLayer, so that no thickness tells where "
+                "bodies are; use bodies='kept'"
+            )
+    eps, profiles = ({name: getattr(one, of) for name, one in thin.items()} for of in ("eps", "profile"))
+    return parted(joint, eps, profile=profiles)

@@ -19,7 +19,7 @@ from forms.series import folded
 from forms.traction import TractionLaw
 from geometry.errors import unknown
 from geometry.joint import Joint, Profile
-from thinlayer.discretisation.eigenstrains import StrainGiven
+from thinlayer.discretisation.given_strains import StrainGiven
 from thinlayer.errors import ModelError
 
 # keys of what laws remember and store, in states and in files

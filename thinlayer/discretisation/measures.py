@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import exterior_facet_indices
+from mpi4py import MPI
 from ufl.algorithms import estimate_total_polynomial_degree
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
@@ -103,6 +105,15 @@ def compiled_scalars(form: Expr) -> list[fem.Form]:
         rule = f"{sorted(integral.metadata().items())} {_degree(integral)}"
         by_rule.setdefault(rule, []).append(integral)
     return [compiled(ufl.Form(integrals)) for integrals in by_rule.values()]
+
+
+def per_unit(comm: MPI.Intracomm, form: Expr, constant: fem.Constant) -> npt.NDArray[np.float64]:
+    """Values (k,) of a UFL form without arguments, linear in a constant (k,), for each unit value of this. Collective."""
+    forms, values = compiled_scalars(form), np.zeros(len(constant.value))
+    for k in range(len(values)):
+        constant.value[:] = np.eye(len(values))[k]
+        values[k] = comm.allreduce(sum(map(fem.assemble_scalar, forms)))
+    return values
 
 
 def _degree(integral: Any) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, ClassVar, Self, TypeVar
 
@@ -25,20 +25,15 @@ from geometry.topology import FloatArray, is_tensor
 from thinlayer.discretisation.addition import check_additions
 from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.constraints import Constraints, Followers
-from thinlayer.discretisation.eigenstrains import Matter, given_strain
-from thinlayer.discretisation.family import Family
 from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
 from thinlayer.discretisation.given import Coordinates, Load, Pressure
+from thinlayer.discretisation.given_strains import Matter, MeanStrain, MeanStress, given_strain
 from thinlayer.discretisation.layer import BODIES, BODY, Bond, Gap, Layers, OnSeam, constants, layers_of, on_seams
-from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
-from thinlayer.discretisation.origin import origin_of
-from thinlayer.discretisation.placed import placed
-from thinlayer.discretisation.point_forms import ConcentratedForms
-from thinlayer.discretisation.point_loads import Concentrated, check_loads
-from thinlayer.discretisation.reactions import on_centre
+from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms, check_loads
+from thinlayer.discretisation.quadratures import compiled_terms, origin_of, placed
 from thinlayer.discretisation.reduction import Reduction
-from thinlayer.discretisation.rigid import free_translations, require_support
+from thinlayer.discretisation.rigid import free_translations, on_centre, require_support, resisted, rigid_motions
 from thinlayer.discretisation.seams import SeamLayer, loads_of_layers
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.spaces import cut_at_faces, vector_space
@@ -46,9 +41,22 @@ from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Suppor
 from thinlayer.errors import ModelError, warn
 from thinlayer.identity import described, digest
 from thinlayer.parallel.agreement import on_all, require_same
-from thinlayer.pointwise.quadrature import quadrature_degree
+from thinlayer.pointwise.quadrature import Quadrature, quadrature_degree
 
 Result = TypeVar("Result")
+
+
+@dataclass
+class Family:
+    """What models have in common, beside mesh and space, that differ in the laws of their layers or in their loads.
+
+    Attributes:
+        several: whether there are models that were derived from others: nothing is kept for one.
+        kept: matrices for later solves; it goes with the last model. None: nothing, or a solver has it.
+    """
+
+    several: bool = False
+    kept: Any = None
 
 
 class Model(ABC):
@@ -132,13 +140,13 @@ class Model(ABC):
         for name in self.forces.loaded:
             if self.supports.clamps(self.V, name):
                 warn(f"traction on {name!r}: supports hold all of it, so the load changes reactions alone", self.comm)
-        resistances = [partial(part.resistance, self) for part in self.parts if not part.ties_nodes]
         if not (self.broken and any(name in self.layers for name in self.joint.base_seams)):
-            given = self.V, self.joint
+            resistances = [partial(part.resistance, self) for part in self.parts if not part.ties_nodes]
+            motions = rigid_motions(self.V, self.joint, self.kinematics)
             if self.joint.periods:
-                self.supports.anchored = free_translations(*given, self.constraints, resistances, self.kinematics)
+                self.supports.anchored = free_translations(motions, resisted(motions, self.constraints, resistances))
                 self.constraints = self._constrained()
-            require_support(*given, self.constraints, resistances, self.kinematics)
+            require_support(motions, resisted(motions, self.constraints, resistances))
         self.made_from = self._data()
 
     def _lay(self, layer: Layers, check: Callable[[], Result]) -> Result:
@@ -193,12 +201,9 @@ class Model(ABC):
     # ---------------------------------------------------------------- differences between kinds of models
     def _forces(self, structure: Setup) -> Forces:
         at = self.coordinates.apart
-
-        def forms() -> ConcentratedForms:
-            return ConcentratedForms(self.domain, self.joint, structure.degree, at)
-
+        points = ConcentratedForms(self.domain, self.joint, structure.degree, at)
         given = structure.tractions, structure.body_force, at, structure.loads
-        forces = Forces(self.domain, *given, forms, self.kinematics)
+        forces = Forces(self.domain, *given, points, self.kinematics)
         for name, load in loads_of_layers(structure.body_force, self.joint, self.layers, self.bonds).items():
             forces.add_layer(name, load, self._places_of(self.layers[name]), self._coordinates_on(at))
         return forces
@@ -349,7 +354,7 @@ class Model(ABC):
     def _derived(self) -> Self:
         """A copy that shares all that this model has."""
         new = copy.copy(self)
-        for name in ("linear", "symmetric"):
+        for name in ("linear", "symmetric", "quadratures"):
             vars(new).pop(name, None)
         self.family.several = True
         return new
@@ -414,6 +419,11 @@ class Model(ABC):
         """All terms of the model, with the strains that are given at a time, such as minus the eigenstrain."""
         return Hand(t).terms(self.terms)
 
+    @cached_property
+    def quadratures(self) -> dict[str, Quadrature]:
+        """The quadrature points of compiled laws, by the keys of their memory. Collective."""
+        return {key: Quadrature(self.V, p, self.origin) for key, p in compiled_terms(self.terms).items()}
+
     @property
     def contacts(self) -> dict[str, ContactLaw]:
         """Name of a seam -> its contact law."""
@@ -469,11 +479,6 @@ class Model(ABC):
         """Whether all laws and all additions have symmetric tangents."""
         laws = [p.law for p in self.terms] + list(self.contacts.values())
         return all(law.traits.symmetric for law in laws) and all(part.is_symmetric(self) for part in self.parts)
-
-    @property
-    def substituted(self) -> bool:
-        """Whether solvers have other unknowns than displacements."""
-        return self.constraints.T is not None
 
     @property
     def break_times(self) -> set[float]:

@@ -1,24 +1,29 @@
-"""Loads at vertices and along edges, and in which cells and where they act."""
+"""Loads at vertices and along edges: in which cells and where they act, and their virtual work as forms."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import basix
 import basix.ufl
 import numpy as np
 import numpy.typing as npt
+import ufl
 
+from forms.kinematics import Expr
+from geometry.domain import Domain
 from geometry.errors import place as at_place
 from geometry.errors import unknown
 from geometry.joint import Joint
 from thinlayer.discretisation.axis import refuse_periodic
-from thinlayer.discretisation.given import Load
+from thinlayer.discretisation.given import Coordinates, Load
+from thinlayer.discretisation.mesh_functions import cellwise
 from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 EDGE_POINTS = 4  # Gauss points on an edge: exact for degree 7
 
 
@@ -50,19 +55,6 @@ class Nodes:
         return places, along
 
 
-class Concentrated(Protocol):
-    """A load at points or along lines."""
-
-    force: Load
-
-    @property
-    def what(self) -> str:
-        """Words for errors."""
-
-    def nodes(self, joint: Joint) -> Nodes:
-        """Where it acts. Raises GeometryError or ModelError: no such place, or several nodes are there."""
-
-
 @dataclass(frozen=True)
 class PointLoad:
     """A force at a vertex of the mesh.
@@ -80,11 +72,11 @@ class PointLoad:
 
     @property
     def what(self) -> str:
-        """As in `Concentrated`."""
+        """Words for errors."""
         return f"point load at {tuple(self.place)!r}"
 
     def nodes(self, joint: Joint) -> Nodes:
-        """As in `Concentrated`."""
+        """Where it acts. Raises GeometryError or ModelError: no such place, or several nodes are there."""
         vertex = joint.nearest_point(self.place)
         same = joint.masters == joint.masters[vertex] if joint.periods else np.arange(len(joint.points)) == vertex
         cells, corners = np.nonzero(same[joint.corners])
@@ -110,56 +102,53 @@ class LineLoad:
 
     @property
     def what(self) -> str:
-        """As in `Concentrated`."""
+        """Words for errors."""
         return f"line load between {self.first!r} and {self.second!r}"
 
     def nodes(self, joint: Joint) -> Nodes:
-        """As in `Concentrated`."""
+        """Where it acts. Raises GeometryError or ModelError: no such place, or several nodes are there."""
         if joint.dim != 3:
             raise ModelError(f"{self.what}: lines are edges of solids; in two dimensions give a PointLoad")
         names = joint.facets
         for name in (self.first, self.second):
             if name not in names:
                 raise ModelError(f"{self.what}: {unknown('facet set', name, names)}")
-            refuse_periodic(joint, name, "line load")
+            refuse_periodic(joint, name, f"line load on {name!r}")
         if len(np.intersect1d(joint.table.index(names[self.first]), joint.table.index(names[self.second]))):
             raise ModelError(f"{self.what}: both have the same facets; a line lies between two sides")
-        on = [np.isin(np.arange(len(joint.points)), joint.facets[name]) for name in (self.first, self.second)]
         kind = basix.CellType[joint.cell_type]
         edges = np.array(basix.topology(kind)[1])
-        near = np.flatnonzero((on[0] & on[1])[joint.corners].sum(axis=1) >= 2)
-        ends = np.sort(joint.corners[near][:, edges], axis=2)
-        shared = _edges_of(joint, self.first) & _edges_of(joint, self.second)
-        found: dict[tuple[int, int], list[tuple[int, int]]] = {}
-        for row, column in zip(*np.nonzero((on[0] & on[1])[ends].all(axis=2)), strict=True):
-            pair = (int(ends[row, column, 0]), int(ends[row, column, 1]))
-            if pair in shared:
-                found.setdefault(pair, []).append((int(near[row]), int(column)))
-        if not found:
+        on_both = np.isin(joint.corners, names[self.first]) & np.isin(joint.corners, names[self.second])
+        near = np.flatnonzero(on_both.sum(axis=1) >= 2)
+        numbers = _edge_numbers(joint, near, edges)
+        shared = np.intersect1d(_edges_of(joint, self.first), _edges_of(joint, self.second))
+        if not len(shared):
             raise ModelError(f"{self.what}: they have no edge in common")
-        components = joint.splitting.components(1)
-        chosen = []
-        for around in found.values():
-            cells, columns = np.array(around).T
-            k = _in_one_body(joint, cells, components[cells, columns], self.body, self.what)
-            chosen.append((cells[k], columns[k]))
+        components, chosen = joint.splitting.components(1), []
+        for number in shared:
+            rows, columns = np.nonzero(numbers == number)
+            k = _in_one_body(joint, near[rows], components[near[rows], columns], self.body, self.what)
+            chosen.append((near[rows[k]], columns[k]))
         cells, columns = np.array(chosen).T
         return along_edges(kind, cells, edges[columns])
 
 
-def _edges_of(joint: Joint, name: str) -> set[tuple[int, int]]:
-    """Edges of the facets of a name, as pairs of vertices."""
+def _edge_numbers(joint: Joint, cells: IntArray, edges: IntArray) -> IntArray:
+    """(n, k) numbers of edges of cells (n,), given by corners (k, 2): the same for the same two vertices."""
+    ends = np.sort(joint.corners[cells][:, edges], axis=2)
+    return np.asarray(ends @ [len(joint.points), 1])
+
+
+def _edges_of(joint: Joint, name: str) -> IntArray:
+    """Numbers of the edges of the facets of a name."""
     rows = joint.table.index(joint.facets[name])
     cells, local = joint.table.cells[rows, 0], joint.table.local[rows, 0]
-    kind = basix.CellType[joint.cell_type]
-    topology = basix.topology(kind)
-    found = set()
+    topology = basix.topology(basix.CellType[joint.cell_type])
+    found = []
     for number, corners in enumerate(topology[2]):
-        inside = [edge for edge in topology[1] if set(edge) <= set(corners)]
-        for edge in inside:
-            ends = np.sort(joint.corners[cells[local == number]][:, edge], axis=1)
-            found |= {(int(a), int(b)) for a, b in ends}
-    return found
+        inside = np.array([edge for edge in topology[1] if set(edge) <= set(corners)])
+        found.append(_edge_numbers(joint, cells[local == number], inside).ravel())
+    return np.concatenate(found)
 
 
 def along_edges(
@@ -194,11 +183,93 @@ def _in_one_body(
     return int(kept[cells[kept].argmin()])
 
 
+Concentrated = PointLoad | LineLoad
+
+
 def check_loads(loads: Any) -> tuple[Concentrated, ...]:
     """Loads as a tuple; raises ModelError if one of them is none."""
-    if isinstance(loads, PointLoad | LineLoad):
+    if isinstance(loads, Concentrated):
         raise ModelError(f"loads is {loads!r}; it must be a list of loads")
     for one in loads:
-        if not isinstance(one, PointLoad | LineLoad):
+        if not isinstance(one, Concentrated):
             raise ModelError(f"one of loads is {one!r}; allowed: PointLoad, LineLoad")
     return tuple(loads)
+
+
+class ConcentratedForms:
+    """Virtual work of loads at points, a UFL form: sum over cells of int F . v g dX = F . v at the load's place.
+
+    g is the element's polynomial on the reference cell for which that holds for all displacements v of the cell.
+
+    Args:
+        domain: the domain.
+        joint: the joint before inflating, whose cells are the first of the domain's.
+        degree: of the displacements.
+        at: coordinates and time.
+    """
+
+    def __init__(self, domain: Domain, joint: Joint, degree: int, at: Coordinates) -> None:
+        self.domain, self.joint, self.at, self._degree = domain, joint, at, degree
+        kind = basix.CellType[joint.cell_type]
+        self._ufl = basix.ufl.element("DG", domain.mesh.basix_cell(), degree)
+        self._element = self._ufl.basix_element
+        X, w = basix.make_quadrature(kind, 2 * degree)
+        phi = self._element.tabulate(0, X)[0, :, :, 0]
+        self._inverse = np.linalg.inv(phi.T @ (w[:, None] * phi))
+        mesh = domain.mesh
+        dx = ufl.Measure("dx", domain=mesh, subdomain_data=domain.cell_tags, metadata={"quadrature_degree": 2 * degree})
+        self._dx = dx(domain.cell_values(*joint.bodies))
+        self._jacobian = abs(ufl.JacobianDeterminant(mesh))
+
+    def terms(self, load: Concentrated) -> list[tuple[Expr, ufl.Measure]]:
+        """Pairs of a load per volume (d,) and a measure. Collective."""
+        nodes, d = load.nodes(self.joint), self.joint.dim
+        along = nodes.in_space(self.joint, self.domain.joint.cell_points)[1]
+        lengths = (
+            np.ones((*along.shape[:2], 1)) if nodes.along is None else np.linalg.norm(along, axis=2, keepdims=True)
+        )
+        given = self.at.given(load.force, load.what, (d,))
+        return [
+            (at.given(load.force, load.what, (d,)).expression * g[0], measure)
+            for at, g, measure in self.at_nodes(nodes, lengths, given.varies)
+        ]
+
+    def at_nodes(self, nodes: Nodes, weights: Array, split: bool) -> list[tuple[Coordinates, Expr, ufl.Measure]]:
+        """Places, densities g (c,) and measures: the sum over them of int g f dX is that over nodes of weights times f.
+
+        Args:
+            nodes: the nodes, without `along`.
+            weights: (n, k, c).
+            split: whether nodes in one cell are parted, so that each has its place as the argument of loads; else the
+                places have no meaning.
+        """
+        n, k, c = weights.shape
+        d, joint, found = self.joint.dim, self.domain.joint, []
+        kept = joint.band is not None and joint.band.bodies == "kept"
+        x = nodes.in_space(joint, joint.reference[joint.cells] if kept else joint.cell_points)[0]
+        wholes = [(np.arange(n), slice(None))]
+        for some, column in [(r, slice(j, j + 1)) for r in _rounds(nodes.cells) for j in range(k)] if split else wholes:
+            one = Nodes(nodes.cells[some], nodes.points[some, column])
+            element = basix.ufl.blocked_element(self._ufl, shape=(c,))
+            g = cellwise(self.domain, element, self._densities(one, weights[some, column])) / self._jacobian
+            places = np.zeros((len(self.domain.joint.cells), 1, d))
+            places[one.cells] = x[some, column][:, :1]
+            at = self.at.moved(cellwise(self.domain, ("DG", 0, (d,)), places)) if split else self.at
+            found.append((at, g, self._dx))
+        return found
+
+    def _densities(self, nodes: Nodes, weights: Array) -> Array:
+        """(n_cells, m, ...) degrees of freedom of g times weights (n, k, ...), summed over the nodes of each cell."""
+        out = np.zeros((len(self.domain.joint.cells), len(self._inverse), *weights.shape[2:]))
+        phi = self._element.tabulate(0, nodes.points.reshape(-1, self.joint.dim))[0, :, :, 0]
+        g = (phi @ self._inverse.T).reshape(*nodes.points.shape[:2], -1)
+        np.add.at(out, nodes.cells, np.einsum("nk...,nkm->nm...", weights, g))
+        return out
+
+
+def _rounds(cells: npt.NDArray[np.int64]) -> Iterable[npt.NDArray[np.int64]]:
+    """Rows of nodes in groups in which each cell is at most once."""
+    order = np.argsort(cells, kind="stable")
+    first = np.searchsorted(cells[order], cells[order])
+    turn = np.arange(len(cells)) - first
+    return [order[turn == k] for k in range(int(turn.max(initial=-1)) + 1)]

@@ -4,70 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import Mesh
-from mpi4py import MPI
 
-from forms.kinematics import Expr
-from forms.planes import Kinematics
 from forms.temperature import real
 from geometry.domain import Domain
 from geometry.errors import place as at_place
-from geometry.joint import Joint
 from geometry.seam import BASE, S
-from thinlayer.discretisation.measures import compiled, compiled_scalars
+from thinlayer.discretisation.measures import per_unit
+from thinlayer.discretisation.rigid import balanced_motions, on_centre, rigid_expression
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
 ROUNDING = 1e-12  # coordinates over the size of the structure, components over a force, that are told as zero
-AXIAL = {2: ((0, 1, 1.0),), 3: ((1, 2, 1.0), (0, 2, -1.0), (0, 1, 1.0))}  # planes (i, j) that rotations turn, and sense
-
-
-class Held(Protocol):
-    """The attributes of a `Model` that tell what holds and loads it."""
-
-    comm: MPI.Intracomm
-    domain: Domain
-    joint: Joint
-    centre: Array
-    kinematics: Kinematics
-    parts: tuple[Any, ...]
-
-    @property
-    def holders(self) -> list[Place]:
-        """What holds it, as rows of `Configuration.reactions`."""
-
-    def external_work(self, v: Expr, t: float) -> Expr:
-        """Virtual work of the loads."""
-
-    def work_on_bases(self, v: Expr, t: float) -> dict[str, Expr]:
-        """Virtual work of the loads that go to rigid bases by themselves, by seam."""
-
-
-class Solved(Protocol):
-    """The attributes of a `State` from which its reactions follow."""
-
-    @property
-    def model(self) -> Held:
-        """The model."""
-
-    @property
-    def u(self) -> fem.Function:
-        """Displacements."""
-
-    @property
-    def t(self) -> float:
-        """Time."""
-
-    @property
-    def reactions(self) -> Array | None:
-        """Forces and moments of `Held.holders`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,110 +81,33 @@ def _moment(arm: Array, force: Array) -> Array:
     return np.asarray(np.cross(arm, force), float)
 
 
-def count(dim: int) -> int:
-    """Number of rigid motions."""
-    return dim + len(AXIAL[dim])
-
-
-def rigid(x: npt.NDArray[Any], about: Array) -> Array:
-    """Unit translations and rotations about a point, at places x (n, d): (n, d, k)."""
-    n, d = x.shape
-    out: Array = np.zeros((n, d, count(d)))
-    out[:, np.arange(d), np.arange(d)] = 1.0
-    for k, (i, j, sense) in enumerate(AXIAL[d]):
-        out[:, i, d + k], out[:, j, d + k] = -sense * (x[:, j] - about[j]), sense * (x[:, i] - about[i])
-    return out
-
-
-def balanced_motions(kinematics: Kinematics, dim: int) -> Array:
-    """(k,) 1 for the motions of `rigid` in which forces have a resultant, 0 for those that revolution cancels."""
-    found = np.zeros(count(dim))
-    found[[*kinematics.translations(dim)]] = 1.0
-    found[dim:] = float(kinematics.turns)
-    return found
-
-
-def on_centre(kinematics: Kinematics, x: Array) -> Array:
-    """A place (d,), or of bodies of revolution its place on the axis."""
-    moved = np.zeros(len(x))
-    free = [*kinematics.translations(len(x))]
-    moved[free] = x[free]
-    return moved
-
-
-def rigid_expression(mesh: Mesh, motion: fem.Constant, about: Array) -> Expr:
-    """A sum of rigid motions as a UFL vector (d,), `motion` having k factors of the motions of `rigid`."""
-    x, d = ufl.SpatialCoordinate(mesh), len(about)
-    parts = [motion[i] for i in range(d)]
-    for k, (i, j, sense) in enumerate(AXIAL[d]):
-        parts[i] += -sense * motion[d + k] * (x[j] - float(about[j]))
-        parts[j] += sense * motion[d + k] * (x[i] - float(about[i]))
-    return ufl.as_vector(parts)
-
-
-def rigid_values(V: fem.FunctionSpace, about: Array) -> Array:
-    """The motions of `rigid` in a space: (n, k) at the displacements of this rank. Collective."""
-    d = V.dofmap.bs
-    owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
-    try:
-        places = V.tabulate_dof_coordinates()[:, :d]
-    except RuntimeError:  # the unknowns are no nodal displacements
-        columns = []
-        for k in range(count(d)):
-            f = fem.Function(V)
-            f.interpolate(lambda x, k=k: rigid(x[:d].T, about)[:, :, k].T)
-            f.x.scatter_forward()
-            columns.append(f.x.array[:owned].copy())
-        return np.column_stack(columns)
-    return np.asarray(rigid(places, about).reshape(-1, count(d))[:owned])
-
-
 def centroid(domain: Domain, name: str) -> Array:
     """Centroid (d,) of the facets of a name, the sides of the layer that continue it included. Collective."""
     mesh = domain.mesh
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=domain.facet_tags)
-    values = domain.values(name, layer_sides=True)
-    x = ufl.SpatialCoordinate(mesh)
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=domain.facet_tags)(domain.values(name, layer_sides=True))
     chosen = fem.Constant(mesh, np.zeros(domain.joint.dim + 1))
-    form = compiled(ufl.dot(chosen, ufl.as_vector([*x, 1.0])) * ds(values))
-    sums = np.zeros(domain.joint.dim + 1)
-    for k in range(len(sums)):
-        chosen.value[:] = np.eye(len(sums))[k]
-        sums[k] = domain.comm.allreduce(fem.assemble_scalar(form))
+    sums = per_unit(domain.comm, ufl.dot(chosen, ufl.as_vector([*ufl.SpatialCoordinate(mesh), 1.0])) * ds, chosen)
     found = sums[:-1] / sums[-1]
     return np.asarray(np.where(np.abs(found) > ROUNDING * np.ptp(domain.joint.points), found, 0.0))
 
 
-def work_in_motions(comm: MPI.Intracomm, work: Expr, motion: fem.Constant) -> Array:
-    """Work (k,) of forces in rigid motions, from its UFL form in `rigid_expression(mesh, motion, ...)`. Collective."""
-    forms, values = compiled_scalars(work), np.zeros(len(motion.value))
-    for k in range(len(values)):
-        motion.value[:] = np.eye(len(values))[k]
-        values[k] = comm.allreduce(sum(map(fem.assemble_scalar, forms)))
-    return values
-
-
-def applied_to(state: Solved, about: Sequence[float] | None) -> Resultant:
+def applied_to(state: Any, about: Sequence[float] | None) -> Resultant:
     """See `State.applied`."""
     model = state.model
     point = model.centre if about is None else require_point(about, model.joint.dim)
-    motion = fem.Constant(model.domain.mesh, np.zeros(count(len(point))))
-    v = rigid_expression(model.domain.mesh, motion, model.centre)
-    values = work_in_motions(model.comm, model.external_work(v, state.t), motion)
-    values += sum(_on_bases(state).values())
+    motion, v = rigid_expression(model.domain.mesh, model.centre)
+    values = per_unit(model.comm, model.external_work(v, state.t), motion) + sum(_on_bases(state).values())
     return Resultant.of(values * balanced_motions(model.kinematics, len(point)), model.centre).at(point)
 
 
-def _on_bases(state: Solved) -> dict[str, Array]:
+def _on_bases(state: Any) -> dict[str, Array]:
     """Forces and moments (k,), about the centre, of the loads that go to rigid bases by themselves, by seam. Collective."""
     model = state.model
-    motion = fem.Constant(model.domain.mesh, np.zeros(count(model.joint.dim)))
-    v = rigid_expression(model.domain.mesh, motion, model.centre)
-    works = model.work_on_bases(v, state.t)
-    return {name: work_in_motions(model.comm, work, motion) for name, work in works.items()}
+    motion, v = rigid_expression(model.domain.mesh, model.centre)
+    return {name: per_unit(model.comm, work, motion) for name, work in model.work_on_bases(v, state.t).items()}
 
 
-def all_reactions(state: Solved, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
+def all_reactions(state: Any, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
     """See `State.reactions_by_place`."""
     model = state.model
     if state.reactions is None:
@@ -248,7 +125,7 @@ def all_reactions(state: Solved, about: Sequence[float] | None = None) -> dict[P
     return found
 
 
-def reaction_of(state: Solved, place: Place, about: Sequence[float] | None) -> Resultant:
+def reaction_of(state: Any, place: Place, about: Sequence[float] | None) -> Resultant:
     """See `State.reaction`."""
     model, every = state.model, all_reactions(state)
     bases = {BASE, *model.joint.base_seams}
@@ -267,7 +144,7 @@ def reaction_of(state: Solved, place: Place, about: Sequence[float] | None) -> R
     return total.at(on_centre(model.kinematics, _middle(model, place, chosen)))
 
 
-def _middle(model: Held, place: Place, chosen: Sequence[Place]) -> Array:
+def _middle(model: Any, place: Place, chosen: Sequence[Place]) -> Array:
     """The default point of moments: the centroid of a facet set, the vertex itself."""
     domain = model.domain
     if isinstance(place, str) and place in domain.facet_values and domain.values(place, layer_sides=True):

@@ -13,16 +13,15 @@ from forms.elastic import LARGEST_NU, ROUNDING
 from forms.ends.weights import Strips
 from forms.law import BulkLaw, LawError
 from forms.next_order import for_next_order
-from forms.tangent import average_lame, is_checked_at_rest, tangent_at_rest
+from forms.tangent import average_lame, known_at_rest
 from geometry.ends import straight_ends
 from geometry.errors import GeometryError, place
 from geometry.sheet import Rim
 from geometry.topology import FloatArray, is_tensor
 from thinlayer.discretisation.axis import is_across
-from thinlayer.discretisation.end_weights import FacetWeights
 from thinlayer.discretisation.layer import LawOnS, ThinLayer, real_law
 from thinlayer.discretisation.seams import SeamLayer
-from thinlayer.discretisation.sides import SLIGHT, held_directions, side_kinds
+from thinlayer.discretisation.sides import SLIGHT, FacetWeights, held_directions, side_kinds
 from thinlayer.errors import Refused
 
 LEAST_CONTRAST = 40.0  # Young's modulus of the bodies over the layer's mu
@@ -177,7 +176,7 @@ def softest_body(one: SeamLayer) -> float:
         law = one.structure.body_laws[joint.regions[number]]
         centres = joint.points[joint.corners[cells[joint.region[cells] == number]]].mean(axis=1)
         for known in law.samples(centres.T) if law.fields else [law]:
-            C = tangent_at_rest(known, n) if is_checked_at_rest(known) else known.stiffness(n)
+            C = known_at_rest(known, n)
             if C is not None:
                 lmbda, mu = average_lame(C)
                 found.append(mu * (3 * lmbda + 2 * mu) / (lmbda + mu))

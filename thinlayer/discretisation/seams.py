@@ -19,8 +19,8 @@ from geometry.seam import S
 from geometry.sheet import Sheet
 from thinlayer.compiling.compat import interior_facet_entities
 from thinlayer.discretisation.at_rest import AtRest
-from thinlayer.discretisation.eigenstrains import Matter, given_strain
 from thinlayer.discretisation.given import Coordinates, Load
+from thinlayer.discretisation.given_strains import Matter, given_strain
 from thinlayer.discretisation.layer import CONTACT, LAYER, PRESSURE, LawOnS, Layer, ThinLayer, real_law
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError

@@ -13,17 +13,17 @@ from mpi4py import MPI
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw, Law, explained
 from forms.planes import PLANES, Kinematics
-from forms.tangent import Array, is_checked_at_rest, needs_director, require_stable_body, tangent_at_rest
+from forms.tangent import Array, known_at_rest, needs_director, require_stable
 from geometry.errors import unknown
 from geometry.joint import Joint
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import Addition
 from thinlayer.discretisation.axis import require_revolution
-from thinlayer.discretisation.eigenstrains import StrainGiven as Eigenstrain
 from thinlayer.discretisation.forces import BodyForce
-from thinlayer.discretisation.given import Load, Pressure
-from thinlayer.discretisation.mean_strain import Strain
+from thinlayer.discretisation.given import Load, Pressure, by_body
+from thinlayer.discretisation.given_strains import Strain
+from thinlayer.discretisation.given_strains import StrainGiven as Eigenstrain
 from thinlayer.discretisation.point_loads import Concentrated, check_loads
 from thinlayer.discretisation.supports import ByPlace
 from thinlayer.errors import ModelError
@@ -80,9 +80,10 @@ class Setup:
             self.loads = check_loads(loads)
             self._check_choices()
             self.body_laws = self._laws_of(body)
-            self.eigenstrains = self._by_body(eigenstrain)
+            strains = by_body(eigenstrain, joint, "eigenstrain: ")
+            self.eigenstrains = {name: given for name, given in strains.items() if given is not None}
             for law, C in zip(self._bodies_with_numbers, self.bodies_at_rest, strict=True):
-                require_stable_body(law, C, self.kinematics.slots(joint.dim))
+                require_stable(law, C, slots=self.kinematics.slots(joint.dim))
         self.mark = require_same(
             comm, joint=joint, body=body, supports=_ordered(supports), tractions=tractions, body_force=body_force,
             loads=self.loads, plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress,
@@ -118,7 +119,7 @@ class Setup:
         """Tangents of the bodies' laws at rest; None: not known."""
         n = self.sheet.mean_normal
         laws = [self.kinematics.law(law) for law in self._bodies_with_numbers]
-        return [tangent_at_rest(law, n) if is_checked_at_rest(law) else law.stiffness(n) for law in laws]
+        return [known_at_rest(law, n) for law in laws]
 
     @cached_property
     def _bodies_with_numbers(self) -> list[BulkLaw]:
@@ -152,26 +153,12 @@ class Setup:
 
     def _laws_of(self, body: BulkLaw | Mapping[str, BulkLaw]) -> dict[str, BulkLaw]:
         """The law of each body, in the same order on all ranks."""
-        regions = self.joint.bodies
-        laws: dict[str, BulkLaw] = dict(body) if isinstance(body, Mapping) else dict.fromkeys(regions, body)
-        for name in laws:
-            if name not in regions:
-                raise ModelError(unknown("body", name, regions))
-        for name in regions:
-            law = laws.get(name)
+        laws = by_body(body, self.joint)
+        for name, law in laws.items():
             if not isinstance(law, Law):
                 raise ModelError(f"body {name!r} has no law; give body=law or body={{{name!r}: law, ...}}")
             require_body_law(name, law)
-        return {name: laws[name] for name in regions}
-
-    def _by_body(self, given: Eigenstrains | None) -> dict[str, Any]:
-        """The eigenstrain of each body that has one, in the same order on all ranks."""
-        regions = self.joint.bodies
-        each = dict(given) if isinstance(given, Mapping) else dict.fromkeys(regions, given)
-        for name in each:
-            if name not in regions:
-                raise ModelError(f"eigenstrain: {unknown('body', name, regions)}")
-        return {name: each[name] for name in regions if each.get(name) is not None}
+        return laws
 
 
 def require_body_law(name: str, law: Law) -> None:

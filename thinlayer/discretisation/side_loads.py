@@ -36,11 +36,10 @@ from geometry.sheet import Rim, Sheet
 from geometry.topology import FloatArray, IntArray, ridge_keys
 from thinlayer.discretisation.forces import Forces, Weighted
 from thinlayer.discretisation.given import Coordinates, Load, Pressure, vanishes
-from thinlayer.discretisation.joint_fields import cellwise
 from thinlayer.discretisation.layer import real_law
+from thinlayer.discretisation.mesh_functions import cellwise
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.point_forms import ConcentratedForms
-from thinlayer.discretisation.point_loads import Nodes, along_edges
+from thinlayer.discretisation.point_loads import ConcentratedForms, Nodes, along_edges
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import Refused, warn
 
@@ -100,7 +99,6 @@ def add_side_loads(
     model: Model,
     one: SeamLayer,
     sides: Interface,
-    points: Callable[[], ConcentratedForms],
     to_base: Expr | None,
 ) -> None:
     """Add the tractions on the side of a layer of order 1 to the forces of an interface model.
@@ -110,7 +108,6 @@ def add_side_loads(
         model: the model.
         one: the layer.
         sides: of its seam.
-        points: makes forms of what acts at nodes.
         to_base: (d,) how far a rigid base is from the facets of the body; None: the body meets it.
     """
     reduction = model.reductions[one.name]
@@ -129,7 +126,7 @@ def add_side_loads(
                 f"as large as the force, which is not known{why}; mesh the layer (structure.full) if that matters",
                 model.comm,
             )
-            found += _halves(load.on(~known), model, one, points(), to_base)
+            found += _halves(load.on(~known), model, one, forces.points, to_base)
         for force, place in found:
             forces.add_weighted(one.name, load.what, force, place)
 
@@ -200,10 +197,11 @@ def _handed(shares: Expr, m: Expr, sides: Interface, based: bool) -> Weighted:
 
 # ---------------------------------------------------------------- other ends
 def _halves(
-    load: SideLoad, model: Model, one: SeamLayer, points: ConcentratedForms, to_base: Expr | None
+    load: SideLoad, model: Model, one: SeamLayer, points: ConcentratedForms | None, to_base: Expr | None
 ) -> Iterator[tuple[Expr, Weighted]]:
     """The load as forces on the rims of both faces, half of it on each; a rigid base takes its half by itself."""
     assert one.thin
+    assert points is not None
     joint, based = model.domain.joint, one.name in model.joint.base_seams
     below, above = joint.surface_cells[one.sheet.parts[0][load.rim.simplex]].T
     faces = [_ridges(joint, cells, load.rim.vertices) for cells in (above, above if based else below)]

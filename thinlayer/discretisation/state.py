@@ -12,15 +12,14 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from forms.kinematics import Expr, lift
-from forms.work import Term, added, energy
+from forms.kinematics import MANDEL, Expr, from_mandel, lift
+from forms.work import Term, added, energy, stress
 from thinlayer.discretisation.clock import Hand
+from thinlayer.discretisation.given_strains import MEAN_STRAIN, PAIRS, of_components
 from thinlayer.discretisation.layer import BODIES, LAYER, PRESSURE
-from thinlayer.discretisation.mean_strain import MEAN_STRAIN, PAIRS
-from thinlayer.discretisation.measures import compiled, compiled_scalars, whole
+from thinlayer.discretisation.measures import compiled_scalars, per_unit, whole
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reactions import Resultant, all_reactions, applied_to, reaction_of
-from thinlayer.discretisation.stresses import stressed
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 from thinlayer.parallel.exchange import carry
@@ -260,7 +259,19 @@ class State(Configuration):
         return sum(ufl.inner(s, p.strain(v)) * p.weight * measure for p, s, measure in self._stressed(terms))
 
     def _stressed(self, terms: Iterable[Term]) -> Iterator[tuple[Term, Expr, ufl.Measure]]:
-        return stressed(self.model, terms, self.u, self.stresses)
+        """Terms, their stresses (3, 3), and the measures to integrate these with; a compiled law on S has none."""
+        for p in terms:
+            if not p.law.traits.compiled:
+                yield p, stress(p, self.u), p.measure
+                continue
+            if p.measure.integral_type() != "cell":
+                raise ModelError(
+                    f"the stress of {type(p.law).__name__} on S is not kept as a field; see Surface.traction"
+                )
+            rules = self.model.quadratures.items()
+            key, points = next((key, one) for key, one in rules if one.term.measure is p.measure)
+            values = self.stresses.get(key, np.zeros((points.count, len(MANDEL))))
+            yield p, from_mandel(points.function(values)), points.measure
 
     def mean_stress(self) -> npt.NDArray[np.float64]:
         """Mean stress (d, d) of the bodies and of meshed layers. Collective.
@@ -268,15 +279,14 @@ class State(Configuration):
         In a periodic cell with a layer on S, which has no volume, it is the stress of the cell as a whole.
         """
         model, d = self.model, self.model.joint.dim
-        chosen = fem.Constant(model.domain.mesh, np.zeros((d, d)))
+        chosen = fem.Constant(model.domain.mesh, np.zeros(len(PAIRS[d])))
         terms = self.bodies if model.broken else [*self.bodies, *self.layers]
-        part = compiled(sum(ufl.inner(s, lift(chosen)) * p.weight * measure for p, s, measure in self._stressed(terms)))
+        unit = lift(of_components(chosen))
+        works = sum(ufl.inner(s, unit) * p.weight * measure for p, s, measure in self._stressed(terms))
         volume = self._sum(sum(fem.Constant(model.domain.mesh, 1.0) * p.weight * p.measure for p in terms))
         out = np.zeros((d, d))
-        for i, j in zip(*np.triu_indices(d), strict=True):
-            chosen.value[:] = 0.0
-            chosen.value[i, j] = 1.0
-            out[i, j] = out[j, i] = model.comm.allreduce(fem.assemble_scalar(part)) / volume
+        for (i, j), value in zip(PAIRS[d], per_unit(model.comm, works, chosen), strict=True):
+            out[i, j] = out[j, i] = value / volume
         return out
 
     def _stored(self, points: Sequence[Term]) -> float:

@@ -18,9 +18,8 @@ from forms.base import is_number
 from forms.planes import LIFTED, Kinematics
 from geometry.domain import Domain
 from geometry.errors import unknown
-from geometry.seam import LAYER, S
 from thinlayer.compiling.compat import interpolation_points
-from thinlayer.discretisation.axis import AXES, on_axis, refuse_periodic, refuse_seam
+from thinlayer.discretisation.axis import AXES, boundary, on_axis
 from thinlayer.discretisation.given import Coordinates, Value
 from thinlayer.discretisation.normals import node_normals, smooth
 from thinlayer.errors import ModelError
@@ -51,7 +50,7 @@ class Supports:
         kinematics: on an axis of revolution the component x is zero.
 
     Attributes:
-        functions: (number of the entry, component) -> a function as a UFL vector (d,) of equal entries.
+        values: (number of the entry, component) -> what is given; a clamped facet has none.
         moving: places where a component is a function, or a number that is not 0.
         given: (place, components) as given; `entries` has the clamped ones too.
         anchored: components that one vertex of a periodic joint does not move along, because nothing else would prevent
@@ -77,32 +76,18 @@ class Supports:
         entries: list[tuple[Place, Components]] = []
         for place, support in given.items():
             if isinstance(place, str):
-                refuse_periodic(domain.joint, place, "support")
-                what = S if place.split("/")[0] == S else repr(place)
-                refuse_seam(
-                    domain.joint, place, f"a support on {what} would replace the layer; support another facet set"
-                )
-                if not domain.values(place) and not place.endswith(f"/{LAYER}"):
-                    raise ModelError(f"support on {place!r}: this facet set is empty")
+                boundary(domain, kinematics, place, f"support on {place!r}", inside=True, side=True)
             else:
                 self._require_point(place)
                 domain.joint.nearest_point(place)
             entries.append((place, self._components(place, support)))
         self.given = tuple(entries)
-        values = {
+        self.values = {
             (number, axis): at.given(value, f"support on {place!r}: component {axis}", ())
             for number, (place, components) in enumerate(entries)
             for axis, value in components.items()
         }
-        on_mesh = fem.Constant(domain.mesh, np.zeros(len(self.axes)))  # a function may give plain numbers
-        self.functions = {
-            key: ufl.as_vector([value.expression] * len(self.axes)) + on_mesh
-            for key, value in values.items()
-            if value.varies
-        }
-        self.moving = [
-            entries[k][0] for (k, _), component in values.items() if component.varies or component.value != 0
-        ]
+        self.moving = [entries[k][0] for (k, _), given in self.values.items() if given.varies or given.value != 0]
         self.anchored: tuple[str, ...] = ()
         self.on_axis = on_axis(kinematics, domain.joint)
 
@@ -263,91 +248,73 @@ class Prescribed:
         self.size = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
         self.extent = float(np.ptp(supports.domain.joint.points, axis=0).max())
         self._sources = [
-            self._source(number, place, axis, value)
+            self._source(number, place, axis)
             for number, (place, components) in enumerate(supports.entries)
-            for axis, value in components.items()
+            for axis in components
         ]
         if any(one.axis == NORMAL for one in self._sources) and not self._nodal:
             raise ModelError("supports along normals need nodal displacements, not elements S2; use Q2 or P2")
         self._find_conditions()
 
     # ---------------------------------------------------------------- conditions
-    def _source(self, entry: int, place: Place, axis: str, given: Value) -> _Source:
-        value, expression = fem.Function(self.V), self.supports.functions.get((entry, axis))
-        if expression is not None:
-            points = interpolation_points(self.V)
-            return _Source(entry, place, axis, value, fem.Expression(expression, points))
-        if given:
-            value.interpolate(lambda x: np.full((self.d, x.shape[1]), float(given)))  # type: ignore[arg-type]
+    def _source(self, entry: int, place: Place, axis: str) -> _Source:
+        value, given = fem.Function(self.V), self.supports.values.get((entry, axis))
+        if given is not None and given.varies:
+            on_mesh = fem.Constant(self.V.mesh, np.zeros(self.d))  # a function may give plain numbers
+            expression = ufl.as_vector([given.expression] * self.d) + on_mesh
+            return _Source(entry, place, axis, value, fem.Expression(expression, interpolation_points(self.V)))
+        if given is not None and given.value:
+            value.interpolate(lambda x: np.full((self.d, x.shape[1]), float(given.value)))
         return _Source(entry, place, axis, value, None)
 
     def _find_conditions(self) -> None:
         """Find the conditions on this rank: source, the degree of freedom that has the value, and direction."""
-        d, axes = self.d, self.supports.axes
-        clamped = range(len(self.supports.given), len(self.supports.entries))
-        whole = np.zeros(self.size, bool)  # what clamped facets hold
-        source: list[Numbers] = []
-        dof: list[Numbers] = []
-        direction: list[Numbers] = []
-        for number, one in enumerate(self._sources):
-            if one.axis == NORMAL:
-                continue
-            dofs = np.unique(self.supports.dofs(self.V, one.place, one.axis))
-            dofs = dofs[dofs < self.size]
-            whole[dofs] |= one.entry in clamped
-            source.append(np.full(len(dofs), number))
-            dof.append(dofs)
-            direction.append(np.tile(np.eye(d)[axes.index(one.axis)], (len(dofs), 1)))
-        for others in (self.supports.anchors(self.V), self.supports.axis(self.V)):  # zero by themselves
-            owned = others[others < self.size]
-            source.append(np.full(len(owned), -1))
-            dof.append(owned)
-            direction.append(np.eye(d)[owned % d])
-        for some, numbers in zip(self._normal_conditions(), (source, dof, direction), strict=True):
-            numbers.append(some)
-        self._source_of, self._dof, self.directions = (
-            np.concatenate(source).astype(np.int64), np.concatenate(dof).astype(np.int64), np.concatenate(direction)
-        )  # fmt: skip
-        entry = np.array([*(one.entry for one in self._sources), -1])[self._source_of]
-        block = self._dof // d
-        held_by_base = whole.reshape(-1, d)[block]
-        kept = np.isin(entry, clamped) | ~((np.abs(self.directions) > 0) & held_by_base).any(axis=1)
+        supports, V, d = self.supports, self.V, self.d
+        along_axes = [(k, one) for k, one in enumerate(self._sources) if one.axis != NORMAL]
+        held = [(k, supports.dofs(V, one.place, one.axis)) for k, one in along_axes]
+        found: list[tuple[Numbers, Numbers, Array]] = []
+        for number, dofs in (*held, (-1, supports.anchors(V)), (-1, supports.axis(V))):
+            own = np.unique(dofs[dofs < self.size])
+            found.append((np.full(len(own), number), own, np.eye(d)[own % d]))
+        found.append(self._normal_conditions())
+        source, dof, directions = (np.concatenate(column) for column in zip(*found, strict=True))
+        entry = np.array([*(one.entry for one in self._sources), -1])[source]
+        clamped = entry >= len(supports.given)  # all others do not count at a base
+        fast = np.zeros(self.size, bool)
+        fast[dof[clamped]] = True
+        kept = clamped | ~((np.abs(directions) > 0) & fast.reshape(-1, d)[dof // d]).any(axis=1)
         self.entry, self._source_of, self._dof, self.directions = (
-            array[kept] for array in (entry, self._source_of, self._dof, self.directions)
+            array[kept] for array in (entry, source, dof, directions)
         )
         self.blocks = self._dof // d
-        row = np.repeat(np.arange(len(self.entry)), d)
         column = (self.blocks[:, None] * d + np.arange(d)).ravel()
+        begins = np.arange(0, len(column) + 1, d)
         self.conditions = scipy.sparse.csr_matrix(
-            (self.directions.ravel(), (row, column)), (len(self.entry), self.size)
+            (self.directions.ravel(), column, begins), (len(self.entry), self.size)
         )
         self.conditions.eliminate_zeros()
 
-    def _normal_conditions(self) -> tuple[Array, Array, Array]:
+    def _normal_conditions(self) -> tuple[Numbers, Numbers, Array]:
         """Conditions along normals: source, degree of freedom, direction."""
-        d = self.d
-        source: list[Numbers] = [np.empty(0, np.int64)]
-        block: list[Numbers] = [np.empty(0, np.int64)]
-        normals: list[Numbers] = [np.empty((0, d))]
+        d, domain = self.d, self.supports.domain
+        sources: list[Numbers] = [np.empty(0, int)]
+        blocks: list[Numbers] = [np.empty(0, int)]
+        normals: list[Array] = [np.empty((0, d))]
         for number, one in enumerate(self._sources):
-            if one.axis != NORMAL:
-                continue
-            assert isinstance(one.place, str)
-            facets = self.supports.domain.facets(one.place, layer_sides=True)
-            found, n = node_normals(self.supports.domain, self.V, facets)
-            source.append(np.full(len(found), number))
-            block.append(found)
-            normals.append(n)
-        sources, blocks, vectors = np.concatenate(source), np.concatenate(block), np.concatenate(normals)
-        order = np.argsort(blocks, kind="stable")
+            if one.axis == NORMAL:
+                nodes, n = node_normals(domain, self.V, domain.facets(str(one.place), layer_sides=True))
+                sources.append(np.full(len(nodes), number))
+                blocks.append(nodes)
+                normals.append(n)
+        source, block, normal = map(np.concatenate, (sources, blocks, normals))
+        order = np.argsort(block, kind="stable")
         rows: list[tuple[int, int, Array]] = []
-        for here in np.split(order, np.flatnonzero(np.diff(blocks[order])) + 1) if len(order) else []:
-            surface, unit = smooth(vectors[here])
-            pairs = np.unique(np.column_stack([sources[here], surface]), axis=0)
-            rows += [(int(s), int(blocks[here[0]]), unit[k]) for s, k in pairs]
-        if not rows:
-            return np.empty(0), np.empty(0), np.empty((0, d))
-        return np.array([s for s, _, _ in rows]), np.array([b * d for _, b, _ in rows]), np.array([n for *_, n in rows])
+        for same in np.split(order, np.flatnonzero(np.diff(block[order])) + 1) if len(order) else []:
+            surface, unit = smooth(normal[same])
+            pairs = np.unique(np.column_stack([source[same], surface]), axis=0)
+            rows += [(int(s), int(block[same[0]]) * d, unit[k]) for s, k in pairs]
+        dofs, units = np.array([row[:2] for row in rows], int).reshape(-1, 2), [row[2] for row in rows]
+        return dofs[:, 0], dofs[:, 1], np.array(units).reshape(-1, d)
 
     # ---------------------------------------------------------------- values
     @property

@@ -22,7 +22,7 @@ from thinlayer.estimating.places import NEAR_ENDS
 from thinlayer.estimating.result import Estimate, GoalError, LayerError
 from thinlayer.files.progress import telling
 from thinlayer.parallel.agreement import on_all
-from thinlayer.solving.options import OptionValue
+from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import solve
 from thinlayer.time.history import History
 from thinlayer.time.marching import march

@@ -19,7 +19,7 @@ from thinlayer.files.table import Table
 from thinlayer.output.surface import Surface
 from thinlayer.output.surface_density import SurfaceDensity
 from thinlayer.solving.adjoint import Adjoint
-from thinlayer.solving.options import OptionValue
+from thinlayer.solving.petsc import OptionValue
 
 SAME = 1e-7  # difference of a change from the integral of its density, over the goal, that counts as none
 ROUNDING = 1e-6  # of a goal that is zero but for rounding, over its scale

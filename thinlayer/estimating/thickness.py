@@ -26,7 +26,7 @@ from thinlayer.files.progress import telling
 from thinlayer.files.table import Table
 from thinlayer.parallel.agreement import on_all
 from thinlayer.ranges.areas import Areas
-from thinlayer.solving.options import OptionValue
+from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import solve
 from thinlayer.time.history import History
 from thinlayer.time.marching import march

@@ -10,11 +10,10 @@ import numpy.typing as npt
 
 from forms.work import added
 from thinlayer.discretisation.clock import piecewise
-from thinlayer.discretisation.family import Family
 from thinlayer.discretisation.forces import Forces
 from thinlayer.discretisation.given import Coordinates
-from thinlayer.discretisation.mean_strain import PAIRS, MeanStrain, Strain
-from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.given_strains import PAIRS, MeanStrain, Strain
+from thinlayer.discretisation.model import Family, Model
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.parallel.agreement import on_all
 from thinlayer.solving.solvers import Solver

@@ -20,7 +20,7 @@ from geometry.topology import IntArray
 from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.layer import BY_LAW, LAYER, PRESSURE
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.places import compiled_terms, quadratures
+from thinlayer.discretisation.quadratures import compiled_terms
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.pointwise.quadrature import Quadrature
 
@@ -108,7 +108,7 @@ def law_points_elsewhere(state: State) -> Iterator[LawPoints]:
 def _quadratures(model: Model) -> list[Quadrature]:
     """The quadrature points of all terms of a model, made once. Collective."""
     if model not in _FOUND:
-        compiled = {id(one.term): one for one in quadratures(model).values()}
+        compiled = {id(one.term): one for one in model.quadratures.values()}
         _FOUND[model] = [compiled.get(id(term)) or Quadrature(model.V, term, model.origin) for term in model.terms]
     return _FOUND[model]
 

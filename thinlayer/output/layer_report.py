@@ -13,7 +13,7 @@ from geometry.errors import unknown
 from geometry.seam import S
 from geometry.topology import IntArray
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.places import compiled_terms
+from thinlayer.discretisation.quadratures import compiled_terms
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError

@@ -11,8 +11,8 @@ import pyvista
 from forms.contact import Status
 from geometry.joint import Joint
 from geometry.topology import lagrange
+from thinlayer.discretisation.contact_nodes import pair_numbers
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.pairs import pair_numbers
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_report import NAMES, PINNED, ContactReport
 from thinlayer.output.layer_report import STATUSES, LayerReport

@@ -21,10 +21,9 @@ from geometry.joint import Joint
 from geometry.order import order_on_s
 from geometry.seam import S
 from geometry.topology import FACET_TYPES, IntArray, lagrange
-from thinlayer.discretisation.contact_nodes import frames_at
+from thinlayer.discretisation.contact_nodes import frames_at, pair_numbers
 from thinlayer.discretisation.mixed import MixedModel
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.pairs import pair_numbers
 from thinlayer.discretisation.state import State, cell_values
 from thinlayer.errors import ModelError
 from thinlayer.output.lines import Line, Plane, lines_on

@@ -21,10 +21,9 @@ from forms.law import LawError
 from geometry.compat import cell_nodes
 from geometry.seam import S
 from geometry.topology import IntArray, lagrange
-from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
+from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, component_at, pairs_of
 from thinlayer.discretisation.layer import real_law
-from thinlayer.discretisation.origin import column_numbers
-from thinlayer.discretisation.pairs import component_at, pairs_of
+from thinlayer.discretisation.quadratures import column_numbers
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.output.law_points import LawPoints, law_points, law_points_elsewhere

@@ -13,7 +13,7 @@ from geometry.inflating.parting import points_on_middle
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.layer import BY_LAW
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.places import compiled_terms
+from thinlayer.discretisation.quadratures import compiled_terms
 from thinlayer.parts.carried import Carried, Carrier
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact import ContactPart

@@ -15,9 +15,9 @@ from petsc4py import PETSc
 from forms.kinematics import lift
 from forms.law import Step
 from forms.work import Term
-from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.clock import OverStep
-from thinlayer.discretisation.mean_strain import MEAN_STRAIN, MeanStress, of_components
+from thinlayer.discretisation.given_strains import MEAN_STRAIN, MeanStress, of_components
+from thinlayer.discretisation.spaces import Keys, broken_space
 from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
 
 

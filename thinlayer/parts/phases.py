@@ -13,7 +13,6 @@ from forms.law import BulkLaw, Law
 from geometry.order import along, by_place
 from geometry.topology import IntArray
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.places import quadratures
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
@@ -54,7 +53,7 @@ class PhaseReport:
     def _parts(self) -> list[tuple[Quadrature, Array, Array]]:
         """Quadrature points, phases (n,) and weights (n,) of each law that has phases."""
         parts = []
-        for key, quadrature in quadratures(self.state.model).items():
+        for key, quadrature in self.state.model.quadratures.items():
             if quadrature.term.key != self._layer.key:
                 continue
             memory = self.state.memory[key]

@@ -14,10 +14,11 @@ from dolfinx import fem
 from forms.kinematics import Expr
 from geometry.errors import unknown
 from thinlayer.discretisation.addition import Addition, Host
-from thinlayer.discretisation.axis import AXES, refuse_periodic, refuse_seam, require_facets
+from thinlayer.discretisation.axis import AXES, boundary
 from thinlayer.discretisation.constraints import Tied
 from thinlayer.discretisation.given import Given
-from thinlayer.discretisation.reactions import Array, balanced_motions, centroid, count, on_centre, require_point, rigid
+from thinlayer.discretisation.reactions import Array, centroid, require_point
+from thinlayer.discretisation.rigid import balanced_motions, count, on_centre, rigid
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 
@@ -135,14 +136,7 @@ class RigidPlate(Addition):
 
     def check(self, model: Host) -> None:
         """As in `Addition`."""
-        if not isinstance(self.place, str):
-            raise ModelError(f"{self.what}: a place is the name of a facet set")
-        inside = f"{self.what}: its facets lie inside, or below a layer; plates lie on the outer boundary"
-        refuse_seam(model.joint, self.place, inside)
-        refuse_periodic(model.joint, self.place, "rigid plate")
-        require_facets(model.domain, self.place, self.what)
-        if not model.domain.is_outer(self.place):
-            raise ModelError(inside)
+        boundary(model.domain, model.kinematics, self.place, self.what)
         d = model.joint.dim
         names = motion_names(d)
         if not isinstance(self.motion, Mapping):

@@ -14,9 +14,11 @@ from forms.base import is_finite
 from forms.kinematics import Expr
 from geometry.errors import place as at_place
 from thinlayer.discretisation.addition import Addition, Host
-from thinlayer.discretisation.axis import refuse_axis, refuse_seam, require_facets
+from thinlayer.discretisation.axis import boundary
 from thinlayer.discretisation.given import DEGREE, Given
-from thinlayer.discretisation.reactions import Array, count, rigid_expression, work_in_motions
+from thinlayer.discretisation.measures import per_unit
+from thinlayer.discretisation.reactions import Array
+from thinlayer.discretisation.rigid import rigid_expression
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 from thinlayer.parts.forms import FormPart, matrix
@@ -63,16 +65,7 @@ class Springs(Addition):
 
     def check(self, model: Host) -> None:
         """Raise ModelError or GeometryError unless the facet set exists and lies on the outer boundary."""
-        if not isinstance(self.place, str):
-            raise ModelError(f"springs on {self.place!r}: a place is the name of a facet set")
-        inside = (
-            f"springs on {self.place!r}: its facets lie inside, or below a layer; springs act on the outer boundary"
-        )
-        refuse_seam(model.joint, self.place, inside)
-        require_facets(model.domain, self.place, f"springs on {self.place!r}")
-        if not model.domain.is_outer(self.place):
-            raise ModelError(inside)
-        refuse_axis(model.kinematics, model.joint, self.place, "springs")
+        boundary(model.domain, model.kinematics, self.place, f"springs on {self.place!r}")
         self._check_functions(model)
 
     def _check_functions(self, model: Host) -> None:
@@ -103,9 +96,8 @@ class Springs(Addition):
 
     def reaction(self, model: Host, u: fem.Function) -> list[tuple[Place, Array]]:
         """As in `Addition`: the force and moment of the springs."""
-        motion = fem.Constant(model.domain.mesh, np.zeros(count(model.joint.dim)))
-        v = rigid_expression(model.domain.mesh, motion, model.centre)
-        return [(self.place, -work_in_motions(model.comm, self.work(model, u, v), motion))]
+        motion, v = rigid_expression(model.domain.mesh, model.centre)
+        return [(self.place, -per_unit(model.comm, self.work(model, u, v), motion))]
 
     def part(self, model: Host) -> FormPart:
         """The springs as a part of a model's balance. Collective."""

@@ -76,7 +76,7 @@ def recorded(
     from thinlayer.errors import InputError, SolveError
     from thinlayer.parallel import abort, log
     from thinlayer.running.record import Record
-    from thinlayer.solving.options import given_elsewhere
+    from thinlayer.solving.petsc import given_elsewhere
 
     set_signals()
     abort.STATUS = UNFINISHED

@@ -23,7 +23,7 @@ from thinlayer.identity import differences, in_words
 from thinlayer.output.sweep import sweep
 from thinlayer.parallel.log import logger
 from thinlayer.running.provenance import code, petsc_options, versions
-from thinlayer.solving.options import PREFIX
+from thinlayer.solving.petsc import PREFIX
 from thinlayer.time.history import History
 from thinlayer.time.marching import march
 from thinlayer.time.plan import Adaptive

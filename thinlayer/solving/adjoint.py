@@ -16,10 +16,10 @@ from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.state import Configuration, State, displacements_of
 from thinlayer.parts.making import layer_parts
 from thinlayer.parts.part import DISPLACEMENTS, Interval, Part
+from thinlayer.solving.balance import PartSum
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import linear_solvers, mark, solve_linear
-from thinlayer.solving.options import OptionValue, defaults, value_of
-from thinlayer.solving.part_sum import PartSum
+from thinlayer.solving.linear_solvers import linear_solvers, mark
+from thinlayer.solving.petsc import OptionValue, defaults, solve_linear, value_of
 
 Array = npt.NDArray[np.float64]
 

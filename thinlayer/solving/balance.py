@@ -1,64 +1,249 @@
-"""Tests of balance: the residual at which solvers stop, and the check of each state before it is returned."""
+"""The balance of forces of a step: the sum of its parts, the forces that residuals are compared with, tests of balance."""
 
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from collections.abc import Iterable, Mapping
+from functools import reduce
+from operator import or_
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from thinlayer.errors import SolveError
-from thinlayer.solving.force_scale import ALLOWED, ForceScale
+from thinlayer.discretisation.state import Configuration
+from thinlayer.errors import ModelError, SolveError
+from thinlayer.parts.part import Array, Block, FieldPart, Interval, Memory, Outcome, Part, PartTraits
+
+AIM = 1e-10  # residual at which solvers stop, relative to the forces
+ALLOWED = 1e-6  # largest residual of an accepted state, relative to the forces
+EPSILON = float(np.finfo(float).eps)
+ROUNDING_SHARE = 1e-14  # rounding of summed forces, relative to stiffness times displacement
+TINY = 1e-300  # divisor instead of zero if there are no forces
 
 
-class Balance(Protocol):
-    """The equations of a step, as far as the tests of balance need them.
+class ForceScale:
+    """The forces that the residuals of a step are compared with. Norms of forces and residuals are Euclidean.
+
+    Its rules:
+
+    1. Residuals are relative to "the forces": the largest of the loads, the forces of the stresses at the last residual,
+       and the residual at the start of the step.
+    2. If supports move stiff bodies, or if loads end at zero, all forces may be rounding errors. Therefore the forces have
+       a lower bound: 1e-14 of stiffness times displacement, their rounding, divided by the 1e-6 of rule 6.
+    3. Solvers stop at a residual of 1e-10 of the forces.
+    4. If bodies have moved far on soft springs, rounding may exceed rule 3. Solvers then stop at the rounding of stiffness
+       times displacement, but at no more than 1e-6 of the forces of rules 1 and 2 without those of the stresses.
+    5. A residual as small as the rounding of prescribed displacements is always allowed; no solver can reduce it.
+    6. A state is accepted with a residual of at most 1e-6 of the forces, or at most that of rule 5.
+
+    Neither a factor common to all forces, such as a change of units, nor a rigid motion of supports and bodies changes a
+    relative residual.
+
+    Args:
+        stiffness: norm of the diagonal of the bodies' stiffness.
+        cancelling: norm of the diagonal of the stiffness of springs that act on differences of displacements.
 
     Attributes:
-        comm: communicator.
-        failed: number of points where a part of the balance failed.
-        scale: the forces that residuals are compared with.
+        stiffness: the argument.
+        forces: the forces of rules 1 and 2 for the last residual.
+        displacement: largest displacement that is known before the step: prescribed, or that of the state before.
+    """
+
+    def __init__(self, stiffness: float, cancelling: float = 0.0) -> None:
+        self.stiffness, self._largest_stiffness = stiffness, max(stiffness, cancelling)
+        self.begin(0.0, 0.0, 0.0)
+
+    def begin(self, loads: float, prescribed: float, moved: float) -> None:
+        """Begin a step.
+
+        Args:
+            loads: norm of the loads.
+            prescribed: largest displacement that supports prescribe.
+            moved: largest displacement of the state before.
+        """
+        self._loads, self._unbalanced, self.displacement = loads, 0.0, max(prescribed, moved)
+        self._least_forces = ROUNDING_SHARE / ALLOWED * self.stiffness * self.displacement
+        self._support_rounding = EPSILON * self.stiffness * prescribed
+        self.forces = self.least
+
+    def start(self, unbalanced: float) -> None:
+        """Take the norm of the residual at the start of the step; the step may have no other forces."""
+        self._unbalanced = unbalanced if np.isfinite(unbalanced) else 0.0
+
+    @property
+    def least(self) -> float:
+        """The forces of rules 1 and 2 without those of the stresses."""
+        return max(self._loads, self._unbalanced, self._least_forces)
+
+    def see(self, *stresses: float) -> None:
+        """Take norms of the forces of the stresses at a new residual."""
+        self.forces = max([self.least, *stresses])
+
+    def rounding(self, largest_displacement: float) -> float:
+        """Rounding of the forces."""
+        return EPSILON * self._largest_stiffness * largest_displacement
+
+    def aim(self, largest_displacement: float) -> float:
+        """Norm of the residual at which solvers stop."""
+        return max(
+            AIM * self.forces, self._support_rounding, min(self.rounding(largest_displacement), ALLOWED * self.least)
+        )
+
+    @property
+    def allowed(self) -> float:
+        """Largest norm of the residual of an accepted state."""
+        return max(ALLOWED * self.forces, self._support_rounding)
+
+    def relative(self, norm: float) -> float:
+        """The norm of a residual divided by the forces."""
+        return norm / max(self.forces, TINY)
+
+
+Kind = TypeVar("Kind", bound=Part)
+
+
+class PartSum:
+    """Parts of a balance of forces, added up. All methods are collective.
+
+    Attributes:
+        parts: the parts.
+        traits: the traits of all parts together.
+        with_own: the parts with own unknowns.
+        depends_on_dt: whether the tangent depends on the length of the step.
+        failed: number of points where parts failed in the last evaluation.
+        comm, held, scale: communicator, held unknowns of this rank, and the forces that residuals are compared with, of
+            the equations of a step.
     """
 
     comm: MPI.Intracomm
-    failed: int
+    held: npt.NDArray[np.int32]
     scale: ForceScale
 
+    def __init__(self, parts: Iterable[Part]) -> None:
+        self.parts = list(parts)
+        self.traits = reduce(or_, (part.traits for part in self.parts), PartTraits())
+        self.with_own = [part for part in self.parts if isinstance(part, FieldPart)]
+        for part in self.parts:
+            if hasattr(part, "field") and not isinstance(part, FieldPart):
+                raise ModelError(f"the part {part.key!r} has a field of its own; derive it from FieldPart")
+        timed = (part.traits.rate or (part.traits.remembers and not part.traits.switches) for part in self.parts)
+        self.depends_on_dt, self.failed = any(timed), 0
+
+    def of_kind(self, kind: type[Kind]) -> list[Kind]:
+        """The parts of a kind."""
+        return [part for part in self.parts if isinstance(part, kind)]
+
+    def having(self, trait: str) -> list[str]:
+        """Names of the laws, and of parts that are none, that have a trait."""
+        return [name for part in self.parts for name, traits in part.named().items() if getattr(traits, trait)]
+
+    def refuse(self, reasons: Mapping[str, str]) -> None:
+        """Raise ModelError if a part has one of these traits, with the reason, in which {} is the part's name."""
+        for trait, reason in reasons.items():
+            for name in self.having(trait):
+                raise ModelError(reason.format(name))
+
+    def ask(self, name: str, *arguments: Any) -> list[Any]:
+        """What an optional method or attribute gives in each of the parts that have it, see `Part`."""
+        answers = [getattr(part, name) for part in self.parts if hasattr(part, name)]
+        return [answer(*arguments) if callable(answer) else answer for answer in answers]
+
+    # ---------------------------------------------------------------- a step
     @property
-    def held(self) -> npt.NDArray[np.int32]:
-        """Unknowns of this rank that supports prescribe."""
+    def memory_at_rest(self) -> dict[str, Memory]:
+        """Memory at rest of the parts that have one, by key."""
+        return {part.key: rest for part in self.parts if (rest := part.rest()) is not None}
+
+    @property
+    def stresses_at_rest(self) -> dict[str, Array]:
+        """Stresses at rest, zero, of the parts whose stresses states keep, by key."""
+        return {
+            part.key: np.zeros((len(rest), width))
+            for part in self.parts
+            if (width := getattr(part, "stress_width", 0)) and (rest := part.rest()) is not None
+        }
+
+    def begin_parts(self, interval: Interval) -> None:
+        """Begin a step in all parts."""
+        for part in self.parts:
+            part.begin(interval)
+
+    def forces(self, u: fem.Function, mid: fem.Function, out: PETSc.Vec, each: PETSc.Vec | None = None) -> list[float]:
+        """Evaluate all parts and write the sum of their nodal forces.
+
+        Returns:
+            The norms that the force scale shall know; given a vector `each` to work with, the norms of all parts' forces.
+        """
+        out.set(0.0)
+        sizes = []
+        for part in self.parts:
+            part.evaluate(u, mid)
+            if each is None:
+                sizes.append(part.add_forces(out))
+            else:
+                each.set(0.0)
+                part.add_forces(each)
+                sizes.append(float(each.norm()))
+                out.axpy(1.0, each)
+        self.failed = sum(part.failed for part in self.parts)
+        return sizes
 
     def failure(self) -> str:
-        """Text that says which part failed and where; "" if none did."""
+        """Text that says which part failed in the last evaluation and where; "" if none did."""
+        return next(filter(None, self.ask("failure")), "")
 
+    def blocks(self, relative_residual: float = 0.0, *, rigid: bool = False) -> list[Block]:
+        """Blocks of the tangent at the last evaluation; `rigid`: of the parts alone that resist rigid motions."""
+        parts = [part for part in self.parts if not (rigid and part.traits.inner)]
+        return [block for part in parts for block in part.tangents(relative_residual)]
 
-def aim(equations: Balance, x: PETSc.Vec) -> float:
-    """Norm of the residual at which solvers stop, at unknowns x. Collective."""
-    return equations.scale.aim(float(x.norm(PETSc.NormType.INFINITY)))
+    @property
+    def excess(self) -> float:
+        """Largest gain of energy if a column changed its phase; <= 0: no column gains."""
+        return max([-np.inf, *self.ask("excess")])
 
+    def switch(self) -> bool:
+        """Change columns to the phases of lowest energy in the last evaluation. True if any column changes."""
+        return any(self.ask("switch"))
 
-def free_norm(equations: Balance, r: PETSc.Vec) -> float:
-    """Norm of a residual over the unknowns that are not held. Collective."""
-    free = r.array_r.copy()
-    free[equations.held] = 0.0
-    return math.sqrt(equations.comm.allreduce(float(free @ free)))
+    def end_parts(self, u: fem.Function, t: float) -> tuple[dict[str, Outcome], Configuration]:
+        """End the step in all parts, at displacements u of the last evaluation: energies by key, new configuration."""
+        found = {part.key: part.commit() for part in self.parts}
+        memory = {key: one.memory for key, one in found.items() if one.memory is not None}
+        if lost := [part.key for part in self.parts if part.traits.remembers and part.key not in memory]:
+            raise ModelError(f"the part {lost[0]!r} remembers, and its commit returned an Outcome without memory=...")
+        fields = {part.key: part.own_result() for part in self.with_own}
+        stored = {key: one.after for key, one in found.items() if one.kept}
+        stresses = {key: one.stress for key, one in found.items() if one.stress is not None}
+        return found, Configuration(u.copy(), t, memory, fields, stored, stresses=stresses)
 
+    # ---------------------------------------------------------------- tests of balance
+    def aim(self, x: PETSc.Vec) -> float:
+        """Norm of the residual at which solvers stop, at unknowns x."""
+        return self.scale.aim(float(x.norm(PETSc.NormType.INFINITY)))
 
-def require_equilibrium(equations: Balance, x: PETSc.Vec, r: PETSc.Vec) -> None:
-    """Raise SolveError unless the residual r at unknowns x is small against the forces. Collective.
+    def free_norm(self, r: PETSc.Vec) -> float:
+        """Norm of a residual over the unknowns that are not held."""
+        free = r.array_r.copy()
+        free[self.held] = 0.0
+        return math.sqrt(self.comm.allreduce(float(free @ free)))
 
-    PETSc options do not change this test, so a solver that stopped too early is noticed here.
-    """
-    size, scale = free_norm(equations, r), equations.scale
-    if size <= scale.allowed:
-        return
-    failed = f"; {equations.failure()}" if equations.failed else ""
-    raise SolveError(
-        f"what the solver returned is no equilibrium: {scale.relative(size):.1e} of the forces of loads and stresses "
-        f"is out of balance, allowed: {ALLOWED:g}{failed}",
-        advice="do PETSc options (in the script, on the command line, in PETSC_OPTIONS or a file petscrc) end the solve "
-        "early?",
-    )
+    def require_equilibrium(self, r: PETSc.Vec) -> None:
+        """Raise SolveError unless a residual is small against the forces.
+
+        PETSc options do not change this test, so a solver that stopped too early is noticed here.
+        """
+        size, scale = self.free_norm(r), self.scale
+        if size <= scale.allowed:
+            return
+        failed = f"; {self.failure()}" if self.failed else ""
+        raise SolveError(
+            f"what the solver returned is no equilibrium: {scale.relative(size):.1e} of the forces of loads and stresses "
+            f"is out of balance, allowed: {ALLOWED:g}{failed}",
+            advice="do PETSc options (in the script, on the command line, in PETSC_OPTIONS or a file petscrc) end the "
+            "solve early?",
+        )

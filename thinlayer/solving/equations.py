@@ -14,23 +14,17 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from thinlayer.discretisation.eigenstrains import VaryingStrains
+from thinlayer.discretisation.given_strains import VaryingStrains
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import Audit, Configuration, Report, State
 from thinlayer.errors import LooseBody
 from thinlayer.parts.making import body_parts, diagonal_at_rest, layer_parts
 from thinlayer.parts.part import DISPLACEMENTS, Interval
-from thinlayer.solving.balance import free_norm, require_equilibrium
-from thinlayer.solving.force_scale import ForceScale
-from thinlayer.solving.kept import Kept
-from thinlayer.solving.layout import Layout
-from thinlayer.solving.linear_solvers import MULTIGRIDS, orthonormal, rigid_modes
-from thinlayer.solving.part_sum import PartSum
-from thinlayer.solving.reaction_sums import ReactionSums
-from thinlayer.solving.saddle import split
-from thinlayer.solving.tangent_matrix import DIFFERENT, TangentMatrix
-from thinlayer.solving.uniqueness import RigidMotions
+from thinlayer.solving.balance import ForceScale, PartSum
+from thinlayer.solving.holding import ReactionSums, RigidMotions
+from thinlayer.solving.linear_solvers import MULTIGRIDS, orthonormal, split
+from thinlayer.solving.tangent_matrix import DIFFERENT, Kept, Layout, TangentMatrix
 
 LINEARITY = 1e-9  # relative deviation from a straight line in time that still counts as rounding
 SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # fractions of a time interval at which linearity is tested
@@ -143,8 +137,6 @@ class Equations(PartSum):
 
     def near_null(self) -> list[PETSc.Vec]:
         """The unknowns of rigid motions of the whole structure, orthonormal."""
-        if self._T is None:
-            return rigid_modes(self.model)
         found = []
         for motion in rigid_motions(self.model.V, self.model.joint, self.model.kinematics).values():
             x = self.vector()
@@ -283,7 +275,7 @@ class Equations(PartSum):
         """
         self.residual(x, out)
         if self.model.strain is None:
-            self.scale.start(free_norm(self, out))
+            self.scale.start(self.free_norm(out))
 
     def residual(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Internal forces less loads, then the parts' own residuals. All forces are NaN if a part failed."""
@@ -300,7 +292,7 @@ class Equations(PartSum):
         for part in self.with_own:
             rows[part.key][:] = part.own_residual()
         rows[DISPLACEMENTS][:] = self.constraints.forces(rows[DISPLACEMENTS])
-        self._relative_residual = self.scale.relative(free_norm(self, out)) if self.traits.singular else 0.0
+        self._relative_residual = self.scale.relative(self.free_norm(out)) if self.traits.singular else 0.0
 
     def nodal_residual(self, x: PETSc.Vec) -> npt.NDArray[np.float64]:
         """(m,) internal forces less loads at the displacements of this rank, whatever the unknowns are in their place."""
@@ -336,35 +328,27 @@ class Equations(PartSum):
         Raises:
             SolveError: x is no equilibrium, even if the solver converged. LooseBody: parts released a body.
         """
-        out, change = self.vector(), self.u.x.petsc_vec.duplicate()
+        out, old = self.vector(), self.vector()
         self.residual(x, out)
-        require_equilibrium(self, x, out)
+        self.require_equilibrium(out)
         if self.traits.releases:
             self.require_unique()
-        self.u.x.petsc_vec.copy(change)
-        change.axpy(-1.0, self.interval.old.u.x.petsc_vec)
-        old = self.vector()
         self.put_state(self.interval.old, old)
-        moved = x.array_r[self.held] - old.array_r[self.held]
-        prescribed_work = self.comm.allreduce(float(out.array_r[self.held] @ x.array_r[self.held]))
-        supplied = float(self.loads.dot(change)) + self.comm.allreduce(float(out.array_r[self.held] @ moved))
+        held, before = out.array_r[self.held], self.interval.old.u.x.array
+        moved, change = x.array_r[self.held] - old.array_r[self.held], (self.u.x.array - before)[: self.n_displacements]
+        works = held @ x.array_r[self.held], held @ moved + self.loads.array_r @ change
+        prescribed_work, supplied = map(float, self.comm.allreduce(np.array(works)))
         old.destroy()
         out.destroy()
-        change.destroy()
         found, end = self.end_parts(self.u, self.interval.t)
-        every = found.values()
         end = replace(end, reactions=self._reactions.at_end(self._forces, self.interval, self.loads_at))
-        audit = Audit(
-            supplied + sum(one.supplied for one in every),
-            sum(one.after - one.before for one in every),
-            sum(one.dissipated for one in every),
-            sum(one.remainder for one in every),
-            sum(one.after for one in every),
-        )
+        names = ("supplied", "before", "dissipated", "remainder", "after")
+        more, start, lost, remainder, total = (sum(getattr(one, name) for one in found.values()) for name in names)
+        audit = Audit(supplied + more, total - start, lost, remainder, total)
         dissipated = self.model.by_place({key: one.dissipated for key, one in found.items()})
         sudden = self.interval.dt == 0 and self.interval.old.at_rest
-        more = {"sudden": sudden, "prescribed_work": prescribed_work, "dissipated": dissipated}
-        return State(**vars(end), model=self.model, report=report, audit=audit, **more)
+        known: dict[str, Any] = {"sudden": sudden, "prescribed_work": prescribed_work, "dissipated": dissipated}
+        return State(**vars(end), model=self.model, report=report, audit=audit, **known)
 
     def squares_of_strains(self, x: PETSc.Vec) -> dict[str, float]:
         """Integrals of the squares of strains or jumps that unknowns x cause, by the keys of parts that measure them."""

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
 
 from petsc4py import PETSc
 
 from thinlayer.errors import SolveError
+from thinlayer.solving.balance import ALLOWED
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.finder import Found
-from thinlayer.solving.force_scale import ALLOWED
-from thinlayer.solving.linear_solvers import mark, solve_linear
+from thinlayer.solving.linear_solvers import mark
 from thinlayer.solving.newton import newton, reason_name
-from thinlayer.solving.options import PREFIX
+from thinlayer.solving.petsc import PREFIX, solve_linear
 
 # Relative residuals; keys: True for direct solvers, False for Krylov methods.
 REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # refinement ends at this residual
@@ -25,21 +26,64 @@ OVERSHOOT = 10.0  # residual after the linear step, relative to the forces, at w
 UNRESISTED = 1e4  # linear step, relative to the old displacements, that shows a layer that yields everywhere
 
 
-class Equilibrium:
+@dataclass(frozen=True)
+class Found:
+    """Unknowns at the end of a step.
+
+    Attributes:
+        x: the unknowns; the vector belongs to the finder and is valid until the next `find` or `close`.
+        iterations: number of iterations; of Newton's method, if the finder uses it.
+        residual: norm of the residual relative to the forces.
+    """
+
+    x: PETSc.Vec
+    iterations: int
+    residual: float
+
+
+class Finder(ABC):
+    """Finds the unknowns of the step that its equations have begun; keeps matrices and factors between steps.
+
+    Attributes:
+        eases: whether it finds equilibria of eased laws.
+        reused: whether the last step used a solver of an earlier step, and so read no PETSc options.
+    """
+
+    eases = True
+    reused = False
+
+    @abstractmethod
+    def find(self, start: PETSc.Vec | None = None) -> Found:
+        """The unknowns at the end of the step. Collective.
+
+        Args:
+            start: unknowns to begin from; None: those of the old state.
+
+        Raises:
+            SolveError: the unknowns were not found.
+        """
+
+    def forget(self) -> bool:
+        """Drop what depends on the last step. True if this step used it: then another try may succeed."""
+        return False
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free matrices, vectors and factors."""
+
+
+class Equilibrium(Finder):
     """A `Finder` for static equilibrium that keeps its factor as long as the matrix stays the same.
 
     Attributes:
         equations: the equations of the step.
         nonlinear: whether Newton's method follows the linear step.
-        reused: whether the last step used the solver of an earlier one.
     """
-
-    eases = True
 
     def __init__(self, equations: Equations, *, nonlinear: bool, own_test: bool, yields: bool, advice: str) -> None:
         self.equations, self.nonlinear = equations, nonlinear
         self._own_test, self._yields, self._advice = own_test, yields, advice
-        self._factor, self.reused = equations.factor, False
+        self._factor = equations.factor
         self._vectors = [equations.vector() for _ in range(4)]
 
     def forget(self) -> bool:

@@ -1,17 +1,27 @@
-"""Linear solvers for a model: their PETSc options, properties of the matrix, and rigid motions for multigrid."""
+"""Linear solvers for a model: their PETSc options, what PETSc is told of the matrix, and its blocks with pressures.
+
+With pressures on S the tangent is [A B'; B -C], and PETSc's PCFIELDSPLIT takes it block by block.
+The Schur complement of the pressures is -(C + B A^-1 B'). C has the compliance and the flow of the layer, and is assembled.
+B A^-1 B' is what the sides of S yield to pressures: for waves of length l about l/E, with Young's modulus E of the bodies.
+It is replaced by a multiple of the mass matrix of S: the compliance under waves as long as cells, 1'B D^-1 B'1 over 1'M 1
+with the diagonal D of A, times the square root of the number of cells along S. That is the geometric mean of the
+compliances from the shortest waves to the longest. Where bodies are stiff, or waves short, C is the larger one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import math
+from collections.abc import Mapping, Sequence
 
+import numpy as np
+import numpy.typing as npt
 from petsc4py import PETSc
 
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.rigid import rigid_motions
-from thinlayer.errors import SolveError
-from thinlayer.parts.part import FieldPart, Part
+from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Part
 from thinlayer.parts.pressure import PressurePart
-from thinlayer.solving.options import OptionError, OptionValue, require_known_values
+from thinlayer.solving.petsc import OptionError, OptionValue
+from thinlayer.solving.tangent_matrix import Layout
 
 DIRECT: dict[str, OptionValue] = {
     "ksp_type": "preonly",
@@ -34,7 +44,7 @@ MULTIGRID: dict[str, OptionValue] = {
     "mg_levels_pc_type": "jacobi",
 }
 MULTIGRIDS = ("gamg", "hypre", "ml")  # PETSc's kinds of algebraic multigrid, for the displacements
-# for saddle points: multigrid for the displacements after a factorisation for the pressures on S (`solving/saddle.py`). A
+# for saddle points: multigrid for the displacements after a factorisation for the pressures on S, see above. A
 # preconditioner that is not symmetric takes half the iterations of one for MINRES, and each costs the same.
 BLOCKS: dict[str, OptionValue] = {
     "ksp_type": "gmres",
@@ -103,77 +113,10 @@ def direct_solver(model: Model) -> dict[str, OptionValue]:
     return {**DIRECT, "pc_type": "cholesky" if model.symmetric else "lu"}
 
 
-def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, ours: Collection[str] | None = None) -> None:
-    """Solve A x = b. Collective.
-
-    Args:
-        ksp: the solver.
-        b: right-hand side.
-        x: solution.
-        ours: names of the options that are our defaults; None: the caller looks at PETSc's errors.
-
-    Raises:
-        OptionError: PETSc does not accept the value of an option. PETSc.Error instead of both if `ours` is None.
-        SolveError: PETSc, or a library that it calls, has failed. Do not use the solver again: its vectors stay locked. b
-            is unchanged.
-    """
-    right = b.copy()  # PETSc leaves the right-hand side locked after an error
-    try:
-        ksp.solve(right, x)
-    except PETSc.Error as error:
-        if ours is None:
-            raise
-        require_known_values(error, ours)
-        raise failed_in_petsc(error) from error
-    finally:
-        right.destroy()
-
-
-def solve_nonlinear(snes: PETSc.SNES, x: PETSc.Vec, *own: PETSc.Vec) -> None:
-    """Solve from x, in place, by an SNES. Collective.
-
-    After an error PETSc leaves vectors locked for ever: the solution's after one in a function that it has called, the
-    residual's after one in a linear solve. Therefore it gets a copy of x, and after an error the SNES and its vectors go.
-
-    Args:
-        snes: the solver.
-        x: unknowns; unchanged after an error.
-        own: vectors that only this SNES uses, as that of its function; destroyed after an error.
-
-    Raises:
-        Exception: what a function that PETSc has called raises. PETSc.Error: PETSc itself has failed.
-    """
-    inside = x.copy()
-    try:
-        snes.solve(None, inside)
-    except PETSc.Error as error:
-        for thing in (snes, *own):
-            thing.destroy()
-        if error.__cause__ is not None:
-            raise error.__cause__ from None
-        raise
-    else:
-        inside.copy(x)
-    finally:
-        inside.destroy()
-
-
-def failed_in_petsc(error: PETSc.Error) -> SolveError:
-    """A SolveError for an error of PETSc, so that a march can try a shorter step."""
-    said = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines()]
-    return SolveError(f"PETSc: {said[-1] if said else ''} (error {error.ierr})")
-
-
 def mark(A: PETSc.Mat, model: Model, *, saddle: bool) -> None:
     """Tell PETSc whether a tangent is symmetric, and whether it is positive definite, as it is not at a saddle point."""
     A.setOption(PETSc.Mat.Option.SYMMETRIC, model.symmetric)
     A.setOption(PETSc.Mat.Option.SPD, model.symmetric and model.linear and not saddle)
-
-
-def rigid_modes(model: Model) -> list[PETSc.Vec]:
-    """Orthonormal rigid motions. Collective."""
-    motions = rigid_motions(model.V, model.joint, model.kinematics)
-    return orthonormal([motion.x.petsc_vec.copy() for motion in motions.values()])
 
 
 def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
@@ -183,3 +126,72 @@ def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
             v.axpy(-v.dot(b), b)
         v.normalize()
     return vectors
+
+
+def split(
+    pc: PETSc.PC,
+    A: PETSc.Mat,
+    layout: Layout,
+    held: npt.NDArray[np.int32],
+    masses: Mapping[str, PETSc.Mat],
+    motions: Sequence[PETSc.Vec],
+) -> None:
+    """Tell a PCFIELDSPLIT its blocks "u", displacements, and "p", pressures, and the Schur complement. Collective.
+
+    Args:
+        pc: the preconditioner, which has read its options.
+        A: the tangent, with supports, see `Equations.hold`.
+        layout: of the unknowns: displacements and fields on S.
+        held: held unknowns of this rank.
+        masses: key of a field on S -> its mass matrix.
+        motions: rigid motions: their displacements, or also further unknowns.
+    """
+    first, last = A.getOwnershipRange()
+    n, bs = layout.sizes[DISPLACEMENTS], layout.fields[DISPLACEMENTS].function_space.dofmap.index_map_bs
+    of_u = PETSc.IS().createStride(n, first, 1, comm=A.comm)
+    of_u.setBlockSize(bs)
+    of_p = PETSc.IS().createStride(last - first - n, first + n, 1, comm=A.comm)
+    modes = [PETSc.Vec().createWithArray(v.array_r[:n].copy(), (n, None), bsize=bs, comm=A.comm) for v in motions]
+    of_u.compose("nearnullspace", PETSc.NullSpace().create(vectors=orthonormal(modes), comm=A.comm))
+    pc.setFieldSplitIS(("u", of_u), ("p", of_p))
+    schur = A.createSubMatrix(of_p, of_p)
+    added = _compliance(A, layout, held, masses)
+    schur.axpy(-1.0, added, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    pc.setFieldSplitSchurPreType(PETSc.PC.FieldSplitSchurPreType.USER, schur)
+    for thing in (added, schur, of_u, of_p):
+        thing.destroy()
+
+
+def _compliance(
+    A: PETSc.Mat, layout: Layout, held: npt.NDArray[np.int32], masses: Mapping[str, PETSc.Mat]
+) -> PETSc.Mat:
+    """Multiples of the mass matrices that stand for B A^-1 B', without rows and columns of held unknowns."""
+    diagonal, ones, forces, free = A.getDiagonal(), layout.vector(), layout.vector(), layout.vector()
+    free.set(1.0)
+    free.array[held] = 0.0
+    scaled = []
+    for key, M in masses.items():
+        ones.set(0.0)
+        layout.split(ones.array)[key][:] = layout.split(free.array_r)[key]
+        A.mult(ones, forces)
+        f, d = (layout.split(v.array_r)[DISPLACEMENTS] for v in (forces, diagonal))
+        yielding = layout.comm.allreduce(float((f**2 / np.abs(d)).sum()))
+        mine = M.copy()
+        mask = M.createVecRight()
+        mask.array[:] = layout.split(free.array_r)[key]
+        mine.diagonalScale(mask, mask)
+        mask.array[:] = layout.split(ones.array_r)[key]
+        image = M.createVecLeft()
+        M.mult(mask, image)
+        space = layout.fields[key].function_space
+        along = M.getSize()[0] ** (1 / space.mesh.topology.dim)
+        mine.scale(math.sqrt(along) * yielding / image.dot(mask))
+        scaled.append(mine)
+        mask.destroy()
+        image.destroy()
+    rows = [[one if k == i else None for k, one in enumerate(scaled)] for i in range(len(scaled))]
+    nest = PETSc.Mat().createNest(rows, comm=A.comm)
+    whole = nest.convert("aij", PETSc.Mat())
+    for thing in (nest, *scaled, diagonal, ones, forces, free):
+        thing.destroy()
+    return whole

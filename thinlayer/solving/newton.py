@@ -8,11 +8,9 @@ from typing import Any
 from petsc4py import PETSc
 
 from thinlayer.errors import SolveError
-from thinlayer.solving.balance import aim
+from thinlayer.solving.balance import ALLOWED
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.force_scale import ALLOWED
-from thinlayer.solving.linear_solvers import solve_nonlinear
-from thinlayer.solving.options import PREFIX, OptionError, OptionValue
+from thinlayer.solving.petsc import PREFIX, OptionError, OptionValue, solve_nonlinear
 
 NEWTON: dict[str, OptionValue] = {
     "snes_type": "newtonls",
@@ -84,7 +82,7 @@ def newton(equations: Equations, x: PETSc.Vec, *, own_test: bool, stop_early: bo
             given_up = "displacements grow without bound"
         if given_up:
             return Reason.DIVERGED_DTOL
-        return Reason.CONVERGED_FNORM_ABS if norms[2] <= aim(equations, x) else False
+        return Reason.CONVERGED_FNORM_ABS if norms[2] <= equations.aim(x) else False
 
     A = equations.tangent()
     equations.hold(A)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -22,23 +22,22 @@ from thinlayer.parts.part import Interval
 from thinlayer.ranges.checks import warn_of_model, warn_of_states
 from thinlayer.ranges.times import warn_of_no_time
 from thinlayer.solving.contact.solver import METHODS, check_method, contact_finder, default_method
-from thinlayer.solving.continuation import Continuation
+from thinlayer.solving.continuation import Restraint, through_eased_laws
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.equilibrium import Equilibrium
-from thinlayer.solving.finder import Attempt, Finder, Found
-from thinlayer.solving.linear_solvers import failed_in_petsc, linear_solvers
+from thinlayer.solving.equilibrium import Equilibrium, Finder, Found
+from thinlayer.solving.linear_solvers import linear_solvers
 from thinlayer.solving.newton import CONTACT, EASED_CONTACT, NEWTON, SINGULAR, YIELDING
-from thinlayer.solving.options import (
+from thinlayer.solving.petsc import (
     PREFIX,
     OptionError,
     OptionValue,
     defaults,
+    failed_in_petsc,
     is_set,
     require_all_read,
     require_known_values,
     value_of,
 )
-from thinlayer.solving.restraint import Restraint
 
 SOFTENS = (
     "the stress of {} falls as jumps grow, and an equilibrium may be one of several; follow them from rest with "
@@ -79,12 +78,11 @@ def solve(
         ModelError: a law without an instantaneous response; loads that are not finite; `like` of another joint.
         ModelError: unknown method, or a linear solve of a non-linear law.
     """
-    with on_all(comm_of(model)):
-        _require_model(model)
-        if not is_number(t) or not math.isfinite(t):
-            raise ModelError(f"t is {t!r}; it must be a finite number")
-    require_same(model.comm, t=t)
     with Solver(model, options=options, method=method, like=like) as solver:
+        with on_all(model.comm):
+            if not is_number(t) or not math.isfinite(t):
+                raise ModelError(f"t is {t!r}; it must be a finite number")
+        require_same(model.comm, t=t)
         late = "{} depends on rates: no equilibrium without time; use march(model, times)"
         solver.equations.refuse({"softens": f"solve: {SOFTENS}", "rate": late})
         warn_of_model(model)
@@ -105,20 +103,7 @@ def comm_of(model: Any) -> MPI.Intracomm:
     return model.comm if isinstance(model, Model) else world()
 
 
-def _require_model(model: Any) -> None:
-    if not isinstance(model, Model):
-        raise ModelError(f"model is {model!r}; give what Structure.full or Structure.interface returns")
-
-
-def _default_method(model: Model) -> str:
-    if model.contact:
-        return default_method(model)
-    return "linear" if model.linear else "newton"
-
-
 def _check_like(model: Model, like: Any) -> None:
-    if like is None:
-        return
     if not isinstance(like, State) or like.model.joint is not model.joint:
         given = f"a state of a model of another joint ({like.model!r})" if isinstance(like, State) else repr(like)[:200]
         raise ModelError(f"like is {given}; it must be a state of a model of the same joint")
@@ -127,6 +112,23 @@ def _check_like(model: Model, like: Any) -> None:
         model.bonds,
     ):
         raise ModelError("like is a state of an interface model for another one, with the same element and bonds")
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One try of a step, as data.
+
+    Attributes:
+        name: for the log.
+        linear: PETSc options of the linear solver, without prefix.
+        options: PETSc options of Newton's method, without prefix.
+        eased: whether eased laws are solved first, beginning with an elastic one.
+    """
+
+    name: str
+    linear: Mapping[str, OptionValue] = field(default_factory=dict)
+    options: Mapping[str, OptionValue] = field(default_factory=dict)
+    eased: bool = False
 
 
 class Solver:
@@ -144,9 +146,13 @@ class Solver:
         like: State | None = None,
     ) -> None:
         with on_all(comm_of(model)):
-            _require_model(model)
-            self.model, self.method = model, _default_method(model) if method is None else method
-            self._check(method, like)
+            if not isinstance(model, Model):
+                raise ModelError(f"model is {model!r}; give what Structure.full or Structure.interface returns")
+            ours = default_method(model) if model.contact else "linear" if model.linear else "newton"
+            self.model, self.method = model, ours if method is None else method
+            self._check()
+            if like is not None:
+                _check_like(model, like)
             named = options is None or (isinstance(options, Mapping) and all(isinstance(name, str) for name in options))
             if not named:
                 raise OptionError(f"options is {options!r}; it must be {{name without prefix: value}}")
@@ -167,14 +173,13 @@ class Solver:
         )
         self._warned = False  # whether the user was warned of a law that softens
 
-    def _check(self, method: Any, like: Any) -> None:
-        """Raise an error unless the method and the state `like` suit the model."""
+    def _check(self) -> None:
+        """Raise an error unless the method suits the model."""
         model, allowed = self.model, ("newton", *METHODS) if self.model.contact else ("linear", "newton")
-        if self.method not in allowed:
+        if self.method in METHODS:
             check_method(model, self.method)
-            raise ModelError(f"unknown method {method!r}; allowed: {', '.join(allowed)}")
-        check_method(model, self.method)
-        _check_like(model, like)
+        elif self.method not in allowed:
+            raise ModelError(f"unknown method {self.method!r}; allowed: {', '.join(allowed)}")
         if self.method == "linear" and not model.linear:
             raise ModelError("method='linear' cannot solve a non-linear law; use method='newton'")
 
@@ -364,8 +369,8 @@ class Solver:
         return found
 
     def _through_eased_laws(self, attempt: Attempt) -> tuple[Found, int]:
-        """Result of `Continuation`, and its number of solves. All solves begin with the strains and memory of the step."""
-        continuation, spent, residual = Continuation(), 0, math.nan
+        """Result of eased laws, and the number of solves. All of them begin with the strains and memory of the step."""
+        spent, residual = 0, math.nan
         reached = self.equations.vector()
 
         def solve(ease: float, begin: PETSc.Vec | None) -> PETSc.Vec:
@@ -381,7 +386,8 @@ class Solver:
             return found.x
 
         try:
-            return Found(continuation.follow(solve), spent, residual), continuation.solves
+            x, solves = through_eased_laws(solve)
+            return Found(x, spent, residual), solves
         except SolveError as error:
             self.equations.ease(0.0)
             if loose := self.equations.loose_body(reached):

@@ -15,7 +15,7 @@ from forms.kinematics import Expr
 from forms.law import LawError
 from forms.work import Term, work
 from thinlayer.compiling.compat import belongs_to
-from thinlayer.discretisation.places import compiled_terms
+from thinlayer.discretisation.quadratures import compiled_terms
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.parallel.agreement import on_all
@@ -26,9 +26,7 @@ from thinlayer.parts.part import DISPLACEMENTS, Array, FieldPart, Interval, Part
 from thinlayer.parts.ufl_part import has_arity
 from thinlayer.pointwise.columns import TIE
 from thinlayer.pointwise.compiled_term import CompiledTerm
-from thinlayer.solving.balance import free_norm, require_equilibrium
-from thinlayer.solving.force_scale import ForceScale
-from thinlayer.solving.part_sum import PartSum
+from thinlayer.solving.balance import ForceScale, PartSum
 from thinlayer.solving.tangent_matrix import TangentMatrix
 
 
@@ -188,9 +186,9 @@ class StepProblem(PartSum):
         assert self._interval is not None
         self.scale.begin(0.0, self.comm.allreduce(float(np.abs(self._prescribed()).max(initial=0.0)), max), moved)
         self.scale.see(*self._sizes)
-        if free_norm(self, self._forces) > self.scale.allowed:
+        if self.free_norm(self._forces) > self.scale.allowed:
             self.scale.see(*self._sizes, self._self_balanced())
-        require_equilibrium(self, x, self._forces)
+        self.require_equilibrium(self._forces)
         if self.excess > TIE:
             raise SolveError(
                 "columns of the layer must change phase: call switch() and solve again until it returns False"

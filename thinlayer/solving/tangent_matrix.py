@@ -1,14 +1,72 @@
-"""The tangent as one matrix: the sum of the blocks that parts of the balance add."""
+"""The order of the unknowns, the tangent as one matrix of the parts' blocks, its factor, and what families keep of them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from thinlayer.parts.part import Block
+from forms.work import Term
+from thinlayer.discretisation.model import Model
+from thinlayer.parts.part import DISPLACEMENTS, Block, Part
+from thinlayer.solving.petsc import PREFIX
+
+
+class Layout:
+    """The unknowns of this rank, field after field. Collective.
+
+    Args:
+        comm: communicator.
+        fields: key -> the function whose values are unknowns, in the order of the unknowns.
+    """
+
+    def __init__(self, comm: MPI.Intracomm, fields: Mapping[str, fem.Function]) -> None:
+        self.comm, self.fields = comm, fields
+        maps = {
+            key: (f.function_space.dofmap.index_map, f.function_space.dofmap.index_map_bs) for key, f in fields.items()
+        }
+        self.sizes = {key: int(imap.size_local * bs) for key, (imap, bs) in maps.items()}
+        self._ends = np.cumsum([*self.sizes.values()])
+
+    def vector(self) -> PETSc.Vec:
+        """A vector of unknowns, zero."""
+        return PETSc.Vec().createMPI((int(self._ends[-1]), None), comm=self.comm)
+
+    def split(self, values: npt.NDArray[np.float64]) -> dict[str, npt.NDArray[np.float64]]:
+        """The unknowns of this rank, split by key; the arrays are views."""
+        return dict(zip(self.sizes, np.split(values, self._ends[:-1]), strict=True))
+
+    def put(self, x: PETSc.Vec) -> None:
+        """Write unknowns into their functions, ghosts included."""
+        for key, values in self.split(x.array_r).items():
+            f = self.fields[key]
+            f.x.array[: len(values)] = values
+            f.x.scatter_forward()
+
+    def widened(self, T: PETSc.Mat | None) -> PETSc.Mat | None:
+        """A matrix of displacements on all unknowns, the others as they are; None of None. The caller destroys it."""
+        if T is None:
+            return None
+        size, n = int(self._ends[-1]), self.sizes[DISPLACEMENTS]
+        counts = np.array(self.comm.allgather((n, size)))
+        first_u, first = (np.cumsum(column) - column for column in counts.T)
+        begins, columns, values = T.getValuesCSR()
+        rank = np.searchsorted(first_u, columns, side="right") - 1
+        columns = np.append(columns - first_u[rank] + first[rank], first[self.comm.rank] + np.arange(n, size))
+        begins = np.append(begins, begins[-1] + 1 + np.arange(size - n))
+        csr = begins.astype(PETSc.IntType), columns.astype(PETSc.IntType), np.append(values, np.ones(size - n))
+        return PETSc.Mat().createAIJ(((size, None), (size, None)), csr=csr, comm=self.comm)
+
+    def rows(self, local: npt.NDArray[np.int32]) -> npt.NDArray[PETSc.IntType]:
+        """Global numbers of unknowns of this rank."""
+        n = int(self._ends[-1])
+        return (self.comm.scan(n) - n + local).astype(PETSc.IntType)
+
 
 SAME, SUBSET, DIFFERENT = (
     PETSc.Mat.Structure.SAME_NONZERO_PATTERN,
@@ -97,3 +155,103 @@ def _zero_diagonal(comm: MPI.Intracomm, n: int) -> PETSc.Mat:
     first = comm.scan(n) - n
     csr = (places, (first + places[:-1]).astype(PETSc.IntType), np.zeros(n))
     return PETSc.Mat().createAIJ(((n, None), (n, None)), csr=csr, comm=comm)
+
+
+class Factor:
+    """A KSP and the matrix that it has factored. Collective.
+
+    Attributes:
+        ksp: the solver; None: there is none.
+        of: what the factored matrix depends on; None: not known.
+    """
+
+    def __init__(self) -> None:
+        self.ksp: PETSc.KSP | None = None
+        self.of: Hashable = None
+        self._options: dict[str, Any] = {}
+
+    def renew(self, A: PETSc.Mat, of: Hashable, tell: Callable[[PETSc.KSP, PETSc.Mat], None]) -> bool:
+        """Take another matrix, which is factored by the next solve.
+
+        Args:
+            A: the matrix.
+            of: what it depends on.
+            tell: function that tells a solver what is known of the matrix, see `Equations.tell`.
+
+        Returns:
+            Whether the solver stays: it then orders the unknowns anew only if A has another nonzero pattern.
+        """
+        options = {name: value for name, value in PETSc.Options().getAll().items() if name.startswith(PREFIX)}
+        stays = self.ksp is not None and options == self._options and self.ksp.getPC().getType() != "fieldsplit"
+        if not stays:
+            self.destroy()
+            self.ksp = PETSc.KSP().create(A.comm)
+            self.ksp.setOptionsPrefix(PREFIX)
+        assert self.ksp is not None
+        self.ksp.setOperators(A)
+        if not stays:
+            self.ksp.setFromOptions()
+        tell(self.ksp, A)
+        self._options, self.of = options, of
+        return stays
+
+    def destroy(self) -> None:
+        """Free the solver and its factor."""
+        if self.ksp is not None:
+            self.ksp.destroy()
+        self.ksp = self.of = None
+
+
+class Kept:
+    """Matrices of the equations of a model, which may serve other models of its family.
+
+    Attributes:
+        bodies: parts that depend on mesh and bodies alone; empty: they are yet to be made.
+        matrix: the tangent; None: it is yet to be made.
+        factor: of the tangent.
+    """
+
+    def __init__(self) -> None:
+        self.bodies: Sequence[Part] = ()
+        self.matrix: TangentMatrix | None = None
+        self.factor = Factor()
+        self._terms: Sequence[Term] = ()
+        self._pattern: Any = None
+
+    @classmethod
+    def of(cls, model: Model) -> Kept:
+        """What the model's family has, made fit for this model; new if it has nothing."""
+        kept = model.family.kept or cls()
+        model.family.kept = None
+        pattern = (
+            [(p.key, type(p.law), p.law.traits, len(p.law.sublayers)) for p in model.layer_terms],
+            [(name, type(one.law), one.thin and one.thin.order) for name, one in model.layers.items()],
+        )
+        if pattern != kept._pattern:
+            kept._free_matrix()
+        if model.layer_terms is not kept._terms:
+            kept.factor.of = None
+        kept._terms, kept._pattern = model.layer_terms, pattern
+        return kept
+
+    def give_back(self, model: Model) -> None:
+        """Leave all to the family if it has other models, else free it."""
+        if model.family.several:
+            if model.family.kept is not None:  # by another solver at the same time
+                model.family.kept.destroy()
+            model.family.kept = self
+        else:
+            self.destroy()
+
+    def _free_matrix(self) -> None:
+        self.factor.destroy()
+        if self.matrix is not None:
+            self.matrix.destroy()
+        self.matrix = None
+
+    def destroy(self) -> None:
+        """Free all matrices."""
+        self._free_matrix()
+        for part in self.bodies:
+            part.destroy()
+        self.bodies = ()

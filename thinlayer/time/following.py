@@ -13,7 +13,7 @@ from thinlayer.errors import ModelError, SolveError, TurningPoint
 from thinlayer.files.progress import telling
 from thinlayer.identity import Resume
 from thinlayer.parallel.log import logger
-from thinlayer.solving.options import OptionValue
+from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import Solver
 from thinlayer.time.history import SAME_TIME, History
 from thinlayer.time.journal import Journal

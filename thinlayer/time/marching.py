@@ -18,7 +18,7 @@ from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.ranges.checks import warn_of_model, warn_of_states, warn_of_strains
 from thinlayer.ranges.times import warn_of_steps
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.options import OptionValue
+from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import SOFTENS, Solver, comm_of
 from thinlayer.time.checkpoint import Pace
 from thinlayer.time.following import PathFollowing, PathInTime

@@ -10,11 +10,10 @@ from petsc4py import PETSc
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.parts.part import Interval
-from thinlayer.solving.balance import aim
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import direct_solver, mark, solve_linear
+from thinlayer.solving.linear_solvers import direct_solver, mark
 from thinlayer.solving.newton import reason_name
-from thinlayer.solving.options import PREFIX, OptionValue, defaults, require_all_read, require_known_values
+from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, require_all_read, require_known_values, solve_linear
 
 QUOTIENT_STEP = 1e-3  # step of difference quotients in t, relative to the unit of t
 
@@ -71,7 +70,7 @@ class PathEquations:
         self._require_law()
         self.r.array[held] = 0.0
         size = float(self.r.norm())
-        return equations.scale.relative(size) if size <= aim(equations, self.x) else None
+        return equations.scale.relative(size) if size <= equations.aim(self.x) else None
 
     def _begin(self, last: State, t: float) -> None:
         try:

@@ -12,12 +12,12 @@ from petsc4py import PETSc
 from forms.contact import ContactLaw
 from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.errors import ModelError, SolveError
+from thinlayer.solving.balance import TINY
 from thinlayer.solving.contact.dense import STALLED, DenseSystem, Load
 from thinlayer.solving.contact.orders import chains_of, oblique_order
 from thinlayer.solving.contact.problem import ContactProblem
 from thinlayer.solving.contact.schur import FactorError, SchurFactor
 from thinlayer.solving.contact.side_displacements import SideDisplacements
-from thinlayer.solving.force_scale import TINY
 
 TOLERANCE = 1e-11  # residual at which Newton's method stops, relative to the forces
 RAMP = (0.1, 0.3, 0.6, 1.0)  # factors of stiffness and friction in the last attempt, solve after solve

@@ -14,10 +14,10 @@ from scipy import sparse
 
 from forms.contact import ContactLaw
 from thinlayer.discretisation.contact_nodes import Array
+from thinlayer.solving.balance import ALLOWED, ForceScale
 from thinlayer.solving.contact.gauss_seidel import sweep_nodes
 from thinlayer.solving.contact.turning import Sliding, sliding, turned
-from thinlayer.solving.force_scale import ALLOWED, ForceScale
-from thinlayer.solving.options import PREFIX, OptionValue, defaults
+from thinlayer.solving.petsc import PREFIX, OptionValue, defaults
 
 Indices = npt.NDArray[Any]
 Mask = npt.NDArray[np.bool_]

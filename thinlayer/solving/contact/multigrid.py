@@ -18,8 +18,8 @@ from thinlayer.solving.contact.problem import ContactProblem
 from thinlayer.solving.contact.surface_stiffness import SurfaceStiffness
 from thinlayer.solving.contact.tangent import Tangent
 from thinlayer.solving.contact.turning import Sliding, sliding, turned
-from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID, solve_nonlinear
-from thinlayer.solving.options import PREFIX, OptionError, OptionValue, defaults, is_set
+from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
+from thinlayer.solving.petsc import PREFIX, OptionError, OptionValue, defaults, is_set, solve_nonlinear
 
 Reductions = tuple[float, float]  # factors by which the first and the later linear solves reduce the residual
 

@@ -17,15 +17,14 @@ from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.errors import SolveError
 from thinlayer.parts.contact import ContactPart
-from thinlayer.solving.balance import free_norm
+from thinlayer.solving.balance import ALLOWED, TINY, ForceScale
 from thinlayer.solving.contact.gauss_seidel import BlockRows
 from thinlayer.solving.contact.pair_nodes import PairNodes
 from thinlayer.solving.contact.pieces import Condensation
 from thinlayer.solving.contact.schur import FactorError
 from thinlayer.solving.contact.sparse_solver import SparseSolver
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.finder import Found
-from thinlayer.solving.force_scale import ALLOWED, TINY, ForceScale
+from thinlayer.solving.equilibrium import Finder, Found
 
 TOLERANCE = 1e-11  # residual at which Newton's method stops, relative to the forces
 STALLED = 1e-9  # residual, relative to the forces, that is accepted if Newton steps do not reduce it
@@ -38,7 +37,7 @@ TRIALS = 12  # largest number of trials of a step's length
 FLAT = 0.1  # work along a step at its end, relative to that at its beginning, that ends the search of its length
 
 
-class NetworkFinder:
+class NetworkFinder(Finder):
     """Steps of a contact model with linear bodies, any number of which meet: a `Finder`. On one rank.
 
     The bodies are condensed to the displacements of all nodes in contact, body by body, once. Newton's method then solves
@@ -52,11 +51,8 @@ class NetworkFinder:
         like: a state of a model of the same joint, from which the first step begins; None: that before the step.
     """
 
-    eases = True
-
     def __init__(self, equations: Equations, like: State | None) -> None:
         self.equations, self._like = equations, like
-        self.reused = False
         self._x, self._r = equations.vector(), equations.vector()
         held = np.zeros(self._x.getLocalSize(), bool)
         held[equations.held] = True
@@ -116,20 +112,16 @@ class NetworkFinder:
         b = equations.external.array_r - self._K[:, equations.held] @ equations.prescribed
         g = np.where(self._free, 0.0, system.stiffness.diagonal() * u)
         g[self._free] = condensation.condense(b)
-        size = max(equations.scale.least, free_norm(equations, equations.external), TINY)
+        size = max(equations.scale.least, equations.free_norm(equations.external), TINY)
         u, residuals = system.solve(u if known else system.bonded(g), g, size)
         condensation.expand(b, u[self._free], x.array)
         equations.residual(x, self._r)
-        relative = equations.scale.relative(free_norm(equations, self._r))
+        relative = equations.scale.relative(equations.free_norm(self._r))
         if not relative <= ALLOWED:
             raise SolveError(
                 f"contact: the residual of the whole problem is {relative:.1e} of the forces", residuals=residuals
             )
         return Found(x, len(residuals) - 1, relative)
-
-    def forget(self) -> bool:
-        """False: the condensed bodies do not depend on the step, so nothing is dropped."""
-        return False
 
     def close(self) -> None:
         """Free the factor and vectors."""

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.solving.contact.schur import FactorError
 from thinlayer.solving.linear_solvers import DIRECT
-from thinlayer.solving.options import PREFIX, defaults
+from thinlayer.solving.petsc import PREFIX, defaults
 
 Indices = npt.NDArray[Any]
 AT_ONCE = 64  # number of right-hand sides that are solved together

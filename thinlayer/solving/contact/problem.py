@@ -10,9 +10,8 @@ from petsc4py import PETSc
 
 from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.parts.contact import ContactPart
+from thinlayer.solving.balance import AIM, TINY
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.force_scale import AIM, TINY
-from thinlayer.solving.linear_solvers import rigid_modes
 
 Rows = tuple[npt.NDArray[Any], npt.NDArray[Any], Array]
 
@@ -45,7 +44,7 @@ class ContactProblem:
         (part,) = equations.of_kind(ContactPart)
         self.equations, self.comm = equations, equations.comm
         self.K, self.held, self.nodes, self.law = equations.K, equations.held, part.nodes, part.law
-        self.near = PETSc.NullSpace().create(vectors=rigid_modes(equations.model), comm=self.comm)
+        self.near = PETSc.NullSpace().create(vectors=equations.near_null(), comm=self.comm)
         self.b, self.prescribed, self.loads, self._forces = (self.K.createVecLeft() for _ in range(4))
         self.slip, self._key = part.rest(), part.key
         self.lift, self.pull, self._displacements = (self.K.createVecLeft() for _ in range(3))

@@ -10,10 +10,10 @@ from petsc4py import PETSc
 
 from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.errors import ModelError, SolveError
+from thinlayer.solving.balance import ALLOWED
 from thinlayer.solving.contact.gauss_seidel import relax
 from thinlayer.solving.contact.problem import ContactProblem
-from thinlayer.solving.force_scale import ALLOWED
-from thinlayer.solving.options import PREFIX, OptionError
+from thinlayer.solving.petsc import PREFIX, OptionError
 
 SLOW = 1e5  # largest residual, relative to the tolerance of the increments: slow convergence has small increments
 FIXED = 1e20  # diagonal entry of held components of contact nodes, relative to the mean stiffness

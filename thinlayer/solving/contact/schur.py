@@ -18,8 +18,7 @@ from petsc4py import PETSc
 from forms.base import ThinlayerError
 from thinlayer.compiling.compiled import library
 from thinlayer.solving.contact.problem import Rows
-from thinlayer.solving.options import PREFIX, OptionValue, defaults
-from thinlayer.solving.petsc_missing import keep_unknowns, schur_of
+from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, keep_unknowns, schur_of
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]

@@ -18,7 +18,7 @@ from thinlayer.solving.contact.network import NetworkFinder
 from thinlayer.solving.contact.problem import ContactProblem
 from thinlayer.solving.contact.relaxation import ContactRelaxation
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.finder import Finder, Found
+from thinlayer.solving.equilibrium import Finder, Found
 
 SCHEMES: dict[str, type[Scheme]] = {
     "condensed": Condensed,
@@ -95,13 +95,13 @@ def _is_linear(model: Model) -> bool:
     traits = [p.law.traits for p in model.terms if p.proportional]
     return (
         added
-        and not model.substituted
+        and model.constraints.T is None  # else the unknowns are others
         and len(traits) == len(model.terms)
         and all(one.symmetric and not (one.constrained or one.compiled) for one in traits)
     )
 
 
-class ContactFinder:
+class ContactFinder(Finder):
     """Steps of a contact model with linear bodies: a `Finder`. Collective.
 
     Args:
@@ -116,7 +116,7 @@ class ContactFinder:
         self.problem = ContactProblem(equations)
         self._scheme: Scheme = SCHEMES[method](self.problem)
         self._like = self._jumps(like) if like else None
-        self._has_solved = self.reused = False
+        self._has_solved = False
 
     def _jumps(self, state: State) -> Array:
         u = displacements_of(state, self.problem.equations.model)  # owns the vector
@@ -139,10 +139,6 @@ class ContactFinder:
         self._like, self._has_solved = None, True
         return Found(problem.displacements(u), steps, residuals[-1])
 
-    def forget(self) -> bool:
-        """False: matrices and factors do not depend on the step, so nothing is dropped."""
-        return False
-
     def close(self) -> None:
         """Free matrices and factors."""
         self._scheme.close()
@@ -155,22 +151,22 @@ def contact_finder(equations: Equations, method: str, like: State | None) -> Fin
 
 
 def check_method(model: Model, method: Any) -> None:
-    """Raise ModelError if a method is for contact and does not suit the model."""
-    if method in METHODS and model.contact is None:
+    """Raise ModelError unless one of METHODS suits the model."""
+    if model.contact is None:
         raise ModelError(f"method={method!r} is for contact laws; the model has none")
     if method in ("condensed", "relaxation") and model.comm.size > 1:
         raise ModelError(f"method={method!r} is for one rank, not {model.comm.size}; use method='multigrid'")
-    if method in METHODS and _is_network(model) and (method != "condensed" or model.joint.periods):
+    if _is_network(model) and (method != "condensed" or model.joint.periods):
         raise ModelError(
             f"method={method!r} is for one seam without branches, not periodic, whose jumps are independent of each other; "
             "use method='newton'" + (" or, on one rank, 'condensed'" if not model.joint.periods else "")
         )
-    if method in METHODS and not _is_linear(model):
+    if not _is_linear(model):
         raise ModelError(
             f"method={method!r} needs linear bodies without stresses at rest, linear, symmetric parts and layers, and no "
             "inclined supports or rigid plates; "
             "use method='newton'"
         )
     own = [type(law).__name__ for law in model.contacts.values() if law.numbers is None]
-    if method in METHODS and own:
+    if own:
         raise ModelError(f"method={method!r} needs one of the laws of forms.contact, not {own[0]}; use method='newton'")

@@ -7,8 +7,8 @@ import scipy.sparse
 from petsc4py import PETSc
 
 from thinlayer.discretisation.contact_nodes import Array
-from thinlayer.solving.linear_solvers import DIRECT, solve_linear
-from thinlayer.solving.options import PREFIX, defaults
+from thinlayer.solving.linear_solvers import DIRECT
+from thinlayer.solving.petsc import PREFIX, defaults, solve_linear
 
 
 class SparseSolver:

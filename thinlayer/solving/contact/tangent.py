@@ -8,7 +8,7 @@ from petsc4py import PETSc
 from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.solving.contact.blocks import faster_products, in_blocks, smooth_in_blocks
 from thinlayer.solving.contact.surface_stiffness import SurfaceStiffness
-from thinlayer.solving.options import PREFIX
+from thinlayer.solving.petsc import PREFIX
 
 CLIP_NORMAL, CLIP_TANGENTIAL = 30.0, 1.0  # largest stiffness of springs in the hierarchy, relative to E/h
 FLOOR = 1e-3  # least stiffness of springs in the hierarchy, relative to E/h, for bodies that nothing else holds

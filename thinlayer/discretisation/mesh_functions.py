@@ -1,20 +1,83 @@
-"""Functions on other meshes, such as computed temperatures, at the places of a model."""
+"""Functions on a model's mesh: from values by cell of the joint, or from functions on other meshes."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
+import ufl
 from dolfinx import fem, geometry
 from dolfinx.mesh import Mesh
 
+from forms.interface import Interface
 from forms.kinematics import Expr
+from geometry.domain import Domain
 from geometry.errors import place
+from geometry.inflating.parting import to_middle
+from geometry.joint import Profile
+from geometry.seam import S
 from thinlayer.compiling.compat import interpolation_points
 from thinlayer.errors import ModelError
 from thinlayer.parallel.communicator import communicator
 
+
+def cellwise(domain: Domain, element: tuple[Any, ...], values: npt.NDArray[np.float64]) -> fem.Function:
+    """A function given by its degrees of freedom on each cell of the joint, (n_cells, dofs per cell, components)."""
+    f = fem.Function(fem.functionspace(domain.mesh, element))
+    dofs = f.function_space.dofmap.list
+    f.x.array.reshape(-1, values.shape[2])[dofs.ravel()] = domain.on_cells(values).reshape(-1, values.shape[2])
+    return f
+
+
+def relative_thickness(domain: Domain, profile: Profile, name: str = S) -> fem.Function:
+    """The thickness profile on a seam, or on S, of degree 1 between vertices; its values elsewhere have no meaning."""
+    joint = domain.joint
+    return cellwise(domain, ("Lagrange", 1), joint.relative_thickness(profile, name)[joint.corners][..., None])
+
+
+def director(domain: Domain) -> Expr:
+    """Unit normal of S in the cells of the meshed layer, (d,), from the lower to the upper body; zero in bodies."""
+    joint, band = domain.joint, domain.joint.band
+    assert band is not None
+    values = np.zeros((*joint.corners.shape, joint.dim))
+    values[-len(band.director) :] = band.director
+    n = cellwise(domain, ("DG", 1, (joint.dim,)), values)
+    return n / ufl.sqrt(ufl.dot(n, n))
+
+
+def shift(domain: Domain) -> fem.Function:
+    """Displacement (d,) of each place by inflating: rigid for the bodies, away from S for the layer."""
+    joint = domain.joint
+    return cellwise(domain, ("Lagrange", joint.degree, (joint.dim,)), (joint.points - joint.reference)[joint.cells])
+
+
 Array = npt.NDArray[np.float64]
 INWARDS = 1e-6  # way of a place towards the middle of its cell, so that it is on one side of S, over the distance
+
+
+class Middle:
+    """S midway between bodies that stand apart.
+
+    Args:
+        domain: the mesh.
+
+    Attributes:
+        to_s: (d,) how far S is from the places of its facets, on either side.
+    """
+
+    def __init__(self, domain: Domain) -> None:
+        joint = domain.joint
+        self.to_s = cellwise(domain, ("DG", joint.degree, (joint.dim,)), to_middle(joint))
+
+    def thickness(self, sides: Interface) -> Expr:
+        """Distance of the bodies along n; S is half of it away from either."""
+        return -2 * ufl.dot(sides.upper(self.to_s), sides.n)
+
+    def slope(self, sides: Interface) -> Expr:
+        """(d,) gradient of the thickness along S."""
+        slope = -2 * ufl.dot(sides.n, sides.upper.gradient(self.to_s))
+        return slope - ufl.dot(slope, sides.fibre) * sides.n
 
 
 def sampled(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Function:

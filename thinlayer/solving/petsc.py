@@ -1,0 +1,213 @@
+"""PETSc's options, with errors for those that no solver reads, its solves, and functions of it that petsc4py lacks.
+
+- `schur_of` and `keep_unknowns`: MUMPS's Schur complement. Without it a bar with 256 squares would take 514 solves more.
+- `was_read`: whether PETSc has read an option. Without it misspelt options would be ignored silently.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from petsc4py import PETSc
+
+from forms.base import InputError
+from thinlayer.errors import SolveError
+
+PREFIX = "thinlayer_"
+# PETSc's error codes that a wrong value of an option can cause: not supported, wrong, out of range, wrong state, user's
+# function missing, unknown type, no such factorisation
+OPTION_ERRORS = (56, 62, 63, 73, 83, 86, 92)
+OptionValue = str | int | float | bool | None
+_PLACED: set[str] = set()  # names, without the prefix, of the options that `defaults` has put into PETSc's database
+
+
+class OptionError(InputError):
+    """A PETSc option that no solver reads."""
+
+
+@contextmanager
+def defaults(options: Mapping[str, OptionValue]) -> Iterator[None]:
+    """Within a `with` block, PETSc's database has these options under our prefix, unless the user has set them."""
+    database = PETSc.Options()
+    theirs = database.getAll()  # hasName would mark the option as read
+    ours = {PREFIX + name: value for name, value in options.items() if PREFIX + name not in theirs}
+    for name, value in ours.items():
+        database.setValue(name, value)
+        _PLACED.add(name.removeprefix(PREFIX))
+    try:
+        yield
+    finally:
+        for name in ours:
+            database.delValue(name)
+            _PLACED.discard(name.removeprefix(PREFIX))
+
+
+def is_set(name: str, given: Mapping[str, OptionValue]) -> bool:
+    """Whether the user has set an option, in a script or in PETSc's database."""
+    return name in given or PREFIX + name in PETSc.Options().getAll()
+
+
+def value_of(name: str, given: Mapping[str, OptionValue]) -> str | None:
+    """The user's value of an option, in PETSc's database or in a script; None: not set."""
+    found = PETSc.Options().getAll().get(PREFIX + name, given.get(name))
+    return None if found is None else str(found)
+
+
+def given_elsewhere() -> str:
+    """The options under our prefix in PETSc's database, written as on a command line."""
+    found = sorted(PETSc.Options().getAll().items())
+    return " ".join(f"-{name} {value}".rstrip() for name, value in found if name.startswith(PREFIX))
+
+
+def unread() -> list[str]:
+    """Names, without the prefix, of options under our prefix that are set and that no solver has read."""
+    ours = [name for name in PETSc.Options().getAll() if name.startswith(PREFIX)]
+    return [name.removeprefix(PREFIX) for name in ours if not was_read(name)]
+
+
+def require_all_read(solver: str, ours: Collection[str]) -> None:
+    """Raise OptionError if the last solve has not read all options that the user has set; ours may stay unread."""
+    names = [name for name in unread() if name not in _PLACED.intersection(ours)]
+    if names:
+        listed = ", ".join(f"-{PREFIX}{name}" for name in names)
+        raise OptionError(
+            f"PETSc options not read by the {solver} solver: {listed}; a direct solver has no tolerances, "
+            f"-{PREFIX}ksp_view and -{PREFIX}snes_view show what is at work"
+        )
+
+
+def require_known_values(error: PETSc.Error, ours: Collection[str]) -> None:
+    """Raise OptionError if a wrong value of one of the user's options may have caused a PETSc error."""
+    if error.ierr in OPTION_ERRORS:
+        found = {k.removeprefix(PREFIX): v for k, v in PETSc.Options().getAll().items() if k.startswith(PREFIX)}
+        theirs = [name for name in found if name not in _PLACED.intersection(ours)]
+        given = ", ".join(f"-{PREFIX}{name} {found[name]}" for name in theirs)
+        if theirs:
+            raise OptionError(f"PETSc does not take the value of one of these options: {given}") from error
+
+
+POINTER = ctypes.c_void_p
+ARGUMENTS = {  # name of a function -> types of its arguments; all functions return PETSc's error code
+    "PetscOptionsUsed": (POINTER, ctypes.c_char_p, POINTER),
+    "MatFactorSetSchurIS": (POINTER, POINTER),
+    "MatFactorCreateSchurComplement": (POINTER, POINTER, POINTER),
+    "MatCopy": (POINTER, POINTER, ctypes.c_int),
+    "MatDestroy": (POINTER,),
+}
+
+
+@cache
+def function(name: str) -> Any:
+    """The function of this name, one of ARGUMENTS.
+
+    Raises:
+        ImportError: the library of this PETSc has no such function.
+    """
+    try:
+        found = getattr(ctypes.CDLL(PETSc.__file__), name)
+    except (OSError, AttributeError) as error:
+        version = ".".join(map(str, PETSc.Sys.getVersion()))
+        raise ImportError(
+            f"PETSc {version}, which petsc4py loads from {PETSc.__file__}, does not export its function {name}, which "
+            "petsc4py lacks; use a petsc4py that is linked to a shared library of PETSc 3.22 or newer"
+        ) from error
+    found.argtypes = ARGUMENTS[name]
+    return found
+
+
+def _call(name: str, *arguments: Any) -> None:
+    if code := function(name)(*arguments):
+        raise PETSc.Error(code)
+
+
+def was_read(option: str) -> bool:
+    """Whether PETSc has read an option of its database; the name includes the prefix."""
+    used = ctypes.c_int(0)
+    _call("PetscOptionsUsed", None, option.encode(), ctypes.byref(used))
+    return bool(used.value)
+
+
+def keep_unknowns(factor: PETSc.Mat, unknowns: npt.NDArray[Any]) -> None:
+    """Tell a factor, before the factorisation, which unknowns (c,) to keep: it then computes their Schur complement."""
+    places = PETSc.IS().createGeneral(unknowns.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
+    _call("MatFactorSetSchurIS", factor.handle, places.handle)
+    places.destroy()
+
+
+def schur_of(factor: PETSc.Mat, c: int) -> npt.NDArray[np.float64]:
+    """Copy (c, c) of the Schur complement of the c unknowns that a Cholesky factor keeps; its upper triangle is set."""
+    out = np.empty((c, c))
+    dense = PETSc.Mat().createDense((c, c), array=out.T, comm=PETSc.COMM_SELF)  # PETSc stores columns
+    inside, status = POINTER(), ctypes.c_int()
+    _call("MatFactorCreateSchurComplement", factor.handle, ctypes.byref(inside), ctypes.byref(status))
+    _call("MatCopy", inside, dense.handle, 0)
+    _call("MatDestroy", ctypes.byref(inside))
+    dense.destroy()
+    return out
+
+
+def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, ours: Collection[str] | None = None) -> None:
+    """Solve A x = b. Collective.
+
+    Args:
+        ksp: the solver.
+        b: right-hand side.
+        x: solution.
+        ours: names of the options that are our defaults; None: the caller looks at PETSc's errors.
+
+    Raises:
+        OptionError: PETSc does not accept the value of an option. PETSc.Error instead of both if `ours` is None.
+        SolveError: PETSc, or a library that it calls, has failed. Do not use the solver again: its vectors stay locked. b
+            is unchanged.
+    """
+    right = b.copy()  # PETSc leaves the right-hand side locked after an error
+    try:
+        ksp.solve(right, x)
+    except PETSc.Error as error:
+        if ours is None:
+            raise
+        require_known_values(error, ours)
+        raise failed_in_petsc(error) from error
+    finally:
+        right.destroy()
+
+
+def solve_nonlinear(snes: PETSc.SNES, x: PETSc.Vec, *own: PETSc.Vec) -> None:
+    """Solve from x, in place, by an SNES. Collective.
+
+    After an error PETSc leaves vectors locked for ever: the solution's after one in a function that it has called, the
+    residual's after one in a linear solve. Therefore it gets a copy of x, and after an error the SNES and its vectors go.
+
+    Args:
+        snes: the solver.
+        x: unknowns; unchanged after an error.
+        own: vectors that only this SNES uses, as that of its function; destroyed after an error.
+
+    Raises:
+        Exception: what a function that PETSc has called raises. PETSc.Error: PETSc itself has failed.
+    """
+    inside = x.copy()
+    try:
+        snes.solve(None, inside)
+    except PETSc.Error as error:
+        for thing in (snes, *own):
+            thing.destroy()
+        if error.__cause__ is not None:
+            raise error.__cause__ from None
+        raise
+    else:
+        inside.copy(x)
+    finally:
+        inside.destroy()
+
+
+def failed_in_petsc(error: PETSc.Error) -> SolveError:
+    """A SolveError for an error of PETSc, so that a march can try a shorter step."""
+    said = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines()]
+    return SolveError(f"PETSc: {said[-1] if said else ''} (error {error.ierr})")
