@@ -42,13 +42,6 @@ def states():
     return solve(pulled.full(LAYER)), solve(pulled.interface(LAYER))
 
 
-def test_tractions_inside_are_refused():
-    with pytest.raises(ModelError, match="'UPPER_FACE': its facets lie inside"):
-        Structure(JOINT, tractions={"UPPER_FACE": (1.0, 0.0)}, **SETUP).full(LAYER)
-    with pytest.raises(ModelError, match="traction on 'S': its facets lie inside, or below a layer"):
-        Structure(JOINT, tractions={"S": (1.0, 0.0)}, **SETUP).full(LAYER)
-
-
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
@@ -213,13 +206,6 @@ def test_free_sliding_is_no_solution_of_multigrid(monkeypatch):
     model = Structure(joint, **SETUP | {"tractions": {"TOP": (1.0, 0.0, 0.0)}, "element": "Q1"}).interface(layer)
     with pytest.raises(SolveError):
         solve(model)
-
-
-def test_energies_of_bonded_bodies():
-    state = solve(Structure(JOINT, tractions={"TOP": (0.1, 1.0)}, **SETUP).bonded())
-    energies = state.energies()
-    assert energies["layer"] == 0.0
-    assert energies["bodies"] == pytest.approx(energies["loads"] / 2)
 
 
 def test_every_error_is_one_of_the_package(states, tmp_path):

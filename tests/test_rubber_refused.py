@@ -6,7 +6,7 @@ import pytest
 from mpi4py import MPI
 
 from forms import HolonomicCoulomb, Incompressible, LawError, LinearElastic, Rubber, Stack
-from geometry import block, faults, sandwich
+from geometry import faults, sandwich
 from tests.on_ranks import on_ranks
 from tests.refused import refused
 from thinlayer import ModelError, Pressure, Structure, ThinLayer
@@ -34,17 +34,6 @@ def layer(law=RUBBER, order=1, **options):
 )
 def test_laws(make, said):
     refused(LawError, said, lambda: make())
-
-
-def test_displacements_of_s_cannot_be_prescribed():
-    """Else the mean pressure of an incompressible layer would be undetermined."""
-    for joint, supports in (
-        (JOINT, {"S/LOWER": 0.0, "S/UPPER": 0.0}),
-        (JOINT, {"S": 0.0}),
-        (block(1.0, 0.5, 0.25), {"S": {"y": 0.0}}),
-    ):
-        with pytest.raises(ModelError, match=r"support on 'S.*': its facets lie inside, or below a layer"):
-            Structure(joint, body=BODY, supports=supports).interface(layer(INCOMPRESSIBLE))
 
 
 def test_loads_on_the_side_of_the_layer():

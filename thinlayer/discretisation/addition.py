@@ -13,7 +13,7 @@ import ufl
 from dolfinx import fem
 
 from forms.kinematics import Expr
-from thinlayer.discretisation.axis import AXES
+from thinlayer.discretisation.boundary import AXES
 from thinlayer.discretisation.constraints import Tied
 from thinlayer.discretisation.layer import BODIES, BODY, CONTACT, LAYER
 from thinlayer.discretisation.measures import compiled

@@ -24,10 +24,9 @@ from forms.work import Term, surface
 from geometry.errors import unknown
 from geometry.joint import Profile
 from thinlayer.compiling.compat import interior_facet_entities
-from thinlayer.discretisation.at_rest import AtRest
-from thinlayer.discretisation.axis import ON_AXIS
+from thinlayer.discretisation.boundary import ON_AXIS
 from thinlayer.discretisation.contact_nodes import ContactSurface
-from thinlayer.discretisation.layer import ThinLayer, for_terms, real_law
+from thinlayer.discretisation.layer import AtRest, ThinLayer, for_terms, real_law
 from thinlayer.discretisation.quadratures import known_at
 from thinlayer.discretisation.spaces import Keys, broken_space
 from thinlayer.errors import ModelError

@@ -23,6 +23,8 @@ from thinlayer.parallel.agreement import on_all
 from thinlayer.parallel.exchange import ask
 
 IntArray = npt.NDArray[np.int64]
+Array = npt.NDArray[np.float64]
+NONE = np.empty(0, np.int32)
 
 
 def component_at(joint: Joint, cells: IntArray, vertices: IntArray) -> IntArray:
@@ -47,10 +49,6 @@ def pairs_of(joint: Joint, seam: str, file_numbers: IntArray) -> IntArray:
     rows, facets = joint.surface_rows[here], pair_numbers(joint)[here]
     row, corner = np.divmod(file_numbers, facets.shape[1])
     return np.asarray(facets[np.searchsorted(rows, row), corner])
-
-
-Array = npt.NDArray[np.float64]
-NONE = np.empty(0, np.int32)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from forms.planes import LIFTED, Kinematics
 from geometry.domain import Domain
 from geometry.seam import LAYER, S
 from geometry.sheet import Sheet
-from thinlayer.discretisation.axis import boundary
+from thinlayer.discretisation.boundary import on_boundary
 from thinlayer.discretisation.given import Coordinates, Load, Pressure, by_body
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms
@@ -90,7 +90,7 @@ class Forces:
         tractions = tractions or {}
         for name in sorted(tractions, key=str):  # in the same order on all ranks
             load = tractions[name]
-            values = boundary(domain, kinematics, name, f"traction on {name!r}", side=True)
+            values = on_boundary(domain, kinematics, name, f"traction on {name!r}", side=True)
             self._add(f"traction on {name!r}", load, ds(values) if values else None)
             self.loaded += [name] if values else []
             self._warn_of_gaps(name)
@@ -101,9 +101,8 @@ class Forces:
                 what, loaded, *_ = self._loads[-1]
                 self.add_weighted("", what, share * loaded, Weighted(ds(domain.values(side)), 1))
         seams = (*(domain.joint.band.base if domain.joint.band else domain.joint).seams, S)
-        for name, load in by_body(body_force, domain.joint, "", seams).items():
-            if load is not None:
-                self._add(f"body force in {name!r}", load, dx(domain.cell_values(name)))
+        for name, load in by_body({} if body_force is None else body_force, domain.joint, "", seams).items():
+            self._add(f"body force in {name!r}", load, dx(domain.cell_values(name)))
         for one in loads:
             self.given[f"{one.what}, {len(self.given)}"] = one
             assert points is not None

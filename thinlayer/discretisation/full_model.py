@@ -12,7 +12,7 @@ from geometry.inflating.inflation import inflate
 from geometry.inflating.layering import check_layering
 from geometry.joint import Joint
 from geometry.seam import BASE
-from thinlayer.discretisation.axis import require_revolution, require_shifts
+from thinlayer.discretisation.boundary import require_revolution, require_shifts
 from thinlayer.discretisation.forces import Weighted
 from thinlayer.discretisation.layer import Layers, constants, real_law
 from thinlayer.discretisation.mesh_functions import director

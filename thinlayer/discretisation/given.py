@@ -299,7 +299,7 @@ def vanishes(load: Load | Pressure) -> bool:
 
 
 def by_body(given: Any, joint: Joint, what: str = "", others: Sequence[str] = ()) -> dict[str, Any]:
-    """What is given for each body, one for all or by name, in the same order on all ranks; None: nothing.
+    """What is given for bodies, one for all or by name, in the same order on all ranks.
 
     Raises:
         ModelError: a name, after some words, that is none of a body nor one of others.
@@ -308,7 +308,7 @@ def by_body(given: Any, joint: Joint, what: str = "", others: Sequence[str] = ()
     for name in each:
         if name not in joint.bodies and name not in others:
             raise ModelError(what + unknown("body", name, joint.bodies))
-    return {name: each.get(name) for name in joint.bodies}
+    return {name: each[name] for name in joint.bodies if name in each}
 
 
 # ---------------------------------------------------------------- content

@@ -27,7 +27,11 @@ from thinlayer.errors import ModelError
 MEAN_STRAIN = "mean strain"  # key of the mean strain under a mean stress, in the fields of states
 Array = npt.NDArray[np.float64]
 Strain = Sequence[Sequence[float]] | Array | Callable[[Expr, Any], Sequence[Sequence[Any]]]
-SYMMETRY = 1e-12  # difference of a strain from its transpose, at most, over its size
+PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}  # Voigt's order
+Rows = list[list[Any]]  # numbers, or UFL scalars of place and time
+Tensor = float | Sequence[Sequence[float]] | Array | Callable[[Expr, Any], Any]
+SYMMETRY = 1e-12  # difference of a table from its transpose, at most, over its size
+SINGULAR = 1e-12  # smallest singular value of a stiffness, over its largest, below which no strain causes some stresses
 
 
 class MeanStrain:
@@ -59,8 +63,8 @@ class MeanStrain:
     def at(self, t: float) -> Array:
         """The strain (d, d) at a time; raises ModelError if it is not finite or not symmetric."""
         strain = self._given.at_time(t)
-        if np.abs(strain - strain.T).max() > SYMMETRY * np.abs(strain).max():
-            raise ModelError(f"{self.what} is not symmetric at t = {t:g}: {strain.tolist()}")
+        rows: Any = strain.tolist()
+        require_symmetric(rows, f"{self.what} at t = {t:g}")
         return strain
 
     @property
@@ -103,20 +107,11 @@ class MeanStress(MeanStrain):
         return self.at(t)[tuple(np.array(PAIRS[self._dim]).T)]
 
 
-PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}  # Voigt's order
-
-
 def of_components(e: Expr) -> Expr:
     """The strain (d, d) of a UFL vector in Voigt's order, shears twice."""
     d = {3: 2, 6: 3}[e.ufl_shape[0]]
     place = {pair: k for k, pair in enumerate(PAIRS[d])}
     return ufl.as_tensor([[e[place[min(i, j), max(i, j)]] / (1 if i == j else 2) for j in range(d)] for i in range(d)])
-
-
-Rows = list[list[Any]]  # numbers, or UFL scalars of place and time
-Tensor = float | Sequence[Sequence[float]] | Array | Callable[[Expr, Any], Any]
-SYMMETRY = 1e-12  # difference of a table from its transpose, at most, over its size
-SINGULAR = 1e-12  # smallest singular value of a stiffness, over its largest, below which no strain causes some stresses
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from geometry.joint import Joint
 from geometry.seam import S
 from geometry.splitting import Splitting
 from geometry.topology import FloatArray
-from thinlayer.discretisation.axis import require_revolution
+from thinlayer.discretisation.boundary import require_revolution
 from thinlayer.discretisation.forces import Forces, Weighted
 from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.layer import Layers, ThinLayer, for_terms, real_law

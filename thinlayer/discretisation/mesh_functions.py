@@ -21,6 +21,9 @@ from thinlayer.compiling.compat import interpolation_points
 from thinlayer.errors import ModelError
 from thinlayer.parallel.communicator import communicator
 
+Array = npt.NDArray[np.float64]
+INWARDS = 1e-6  # way of a place towards the middle of its cell, so that it is on one side of S, over the distance
+
 
 def cellwise(domain: Domain, element: tuple[Any, ...], values: npt.NDArray[np.float64]) -> fem.Function:
     """A function given by its degrees of freedom on each cell of the joint, (n_cells, dofs per cell, components)."""
@@ -50,10 +53,6 @@ def shift(domain: Domain) -> fem.Function:
     """Displacement (d,) of each place by inflating: rigid for the bodies, away from S for the layer."""
     joint = domain.joint
     return cellwise(domain, ("Lagrange", joint.degree, (joint.dim,)), (joint.points - joint.reference)[joint.cells])
-
-
-Array = npt.NDArray[np.float64]
-INWARDS = 1e-6  # way of a place towards the middle of its cell, so that it is on one side of S, over the distance
 
 
 class Middle:

@@ -35,6 +35,10 @@ from thinlayer.parallel.agreement import on_all
 
 Array = npt.NDArray[np.float64]
 SAME_PLACE = 1e-9  # distance before inflating, relative to the size of the joint, of nodes above one another
+BoolArray = npt.NDArray[np.bool_]
+Where = BoolArray | Callable[[npt.NDArray[np.float64]], Any]
+UPRIGHT = 1e-4  # shift of bodies along S, over that across it, that counts as none: S is planar to 1e-5
+REACH = 3.0  # largest width, over the thickness, of the strips on which a law has the constants of a free end
 
 
 def at_cuts(domain: Domain, V: fem.FunctionSpace, layers: Mapping[str, SeamLayer]) -> Followers | None:
@@ -97,12 +101,6 @@ def _owned(domain: Domain, V: fem.FunctionSpace, *names: str) -> npt.NDArray[np.
     facets = np.unique(np.concatenate([domain.facets(name) for name in names]))
     found = fem.locate_dofs_topological(V, V.mesh.topology.dim - 1, facets)
     return np.unique(found[found < V.dofmap.index_map.size_local]).astype(np.int64)
-
-
-BoolArray = npt.NDArray[np.bool_]
-Where = BoolArray | Callable[[npt.NDArray[np.float64]], Any]
-UPRIGHT = 1e-4  # shift of bodies along S, over that across it, that counts as none: S is planar to 1e-5
-REACH = 3.0  # largest width, over the thickness, of the strips on which a law has the constants of a free end
 
 
 class MixedModel(FullModel):

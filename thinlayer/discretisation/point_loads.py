@@ -17,7 +17,7 @@ from geometry.domain import Domain
 from geometry.errors import place as at_place
 from geometry.errors import unknown
 from geometry.joint import Joint
-from thinlayer.discretisation.axis import refuse_periodic
+from thinlayer.discretisation.boundary import refuse_periodic
 from thinlayer.discretisation.given import Coordinates, Load
 from thinlayer.discretisation.mesh_functions import cellwise
 from thinlayer.errors import ModelError

@@ -18,7 +18,7 @@ from geometry.ends import straight_ends
 from geometry.errors import GeometryError, place
 from geometry.sheet import Rim
 from geometry.topology import FloatArray, is_tensor
-from thinlayer.discretisation.axis import is_across
+from thinlayer.discretisation.boundary import is_across
 from thinlayer.discretisation.layer import LawOnS, ThinLayer, real_law
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.sides import SLIGHT, FacetWeights, held_directions, side_kinds

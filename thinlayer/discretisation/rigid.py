@@ -14,7 +14,7 @@ from dolfinx.mesh import Mesh
 from forms.kinematics import Expr
 from forms.planes import LIFTED, Kinematics
 from geometry.joint import Joint
-from thinlayer.discretisation.axis import AXES
+from thinlayer.discretisation.boundary import AXES
 from thinlayer.discretisation.constraints import Constraints
 from thinlayer.errors import ModelError
 

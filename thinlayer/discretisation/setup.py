@@ -19,7 +19,7 @@ from geometry.joint import Joint
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import Addition
-from thinlayer.discretisation.axis import require_revolution
+from thinlayer.discretisation.boundary import require_revolution
 from thinlayer.discretisation.forces import BodyForce
 from thinlayer.discretisation.given import Load, Pressure, by_body
 from thinlayer.discretisation.given_strains import Strain
@@ -154,7 +154,8 @@ class Setup:
     def _laws_of(self, body: BulkLaw | Mapping[str, BulkLaw]) -> dict[str, BulkLaw]:
         """The law of each body, in the same order on all ranks."""
         laws = by_body(body, self.joint)
-        for name, law in laws.items():
+        for name in self.joint.bodies:
+            law = laws.get(name)
             if not isinstance(law, Law):
                 raise ModelError(f"body {name!r} has no law; give body=law or body={{{name!r}: law, ...}}")
             require_body_law(name, law)

@@ -19,13 +19,14 @@ from geometry.seam import LAYER, S
 from geometry.sheet import Rim, Sheet, continued
 from geometry.topology import FloatArray, ridge_keys
 from thinlayer.discretisation.addition import Addition
-from thinlayer.discretisation.axis import AXES, on_axis
+from thinlayer.discretisation.boundary import AXES, on_axis
 from thinlayer.discretisation.mesh_functions import cellwise
 from thinlayer.discretisation.seams import SeamLayer
 
 ROUNDING = 1e-6  # of squares of cosines between directions
 SLIGHT = 1e-3  # share of a direction, cos^2, that counts as none: 2 degrees
 BENT = 0.03  # the same where S is curved: straight facets are 10 degrees off it
+FAR = 1e3  # distance, over the size of the joint, of ends that there are not
 
 
 def side_kinds(one: SeamLayer) -> npt.NDArray[np.str_]:
@@ -78,9 +79,6 @@ def _normals(joint: Joint, rim: Rim, name: str) -> FloatArray:
         if length := np.linalg.norm(mean):
             out[k] = mean / length
     return out
-
-
-FAR = 1e3  # distance, over the size of the joint, of ends that there are not
 
 
 @dataclass(frozen=True)

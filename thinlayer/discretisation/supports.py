@@ -19,9 +19,8 @@ from forms.planes import LIFTED, Kinematics
 from geometry.domain import Domain
 from geometry.errors import unknown
 from thinlayer.compiling.compat import interpolation_points
-from thinlayer.discretisation.axis import AXES, boundary, on_axis
+from thinlayer.discretisation.boundary import AXES, node_normals, on_axis, on_boundary, smooth
 from thinlayer.discretisation.given import Coordinates, Value
-from thinlayer.discretisation.normals import node_normals, smooth
 from thinlayer.errors import ModelError
 
 BALANCE = 1e-10  # sum of the loads along an axis, over the sum of their sizes, that still counts as rounding
@@ -76,7 +75,7 @@ class Supports:
         entries: list[tuple[Place, Components]] = []
         for place, support in given.items():
             if isinstance(place, str):
-                boundary(domain, kinematics, place, f"support on {place!r}", inside=True, side=True)
+                on_boundary(domain, kinematics, place, f"support on {place!r}", inside=True, side=True)
             else:
                 self._require_point(place)
                 domain.joint.nearest_point(place)

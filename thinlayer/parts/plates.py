@@ -14,7 +14,7 @@ from dolfinx import fem
 from forms.kinematics import Expr
 from geometry.errors import unknown
 from thinlayer.discretisation.addition import Addition, Host
-from thinlayer.discretisation.axis import AXES, boundary
+from thinlayer.discretisation.boundary import AXES, on_boundary
 from thinlayer.discretisation.constraints import Tied
 from thinlayer.discretisation.given import Given
 from thinlayer.discretisation.reactions import Array, centroid, require_point
@@ -136,7 +136,7 @@ class RigidPlate(Addition):
 
     def check(self, model: Host) -> None:
         """As in `Addition`."""
-        boundary(model.domain, model.kinematics, self.place, self.what)
+        on_boundary(model.domain, model.kinematics, self.place, self.what)
         d = model.joint.dim
         names = motion_names(d)
         if not isinstance(self.motion, Mapping):

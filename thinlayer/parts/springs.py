@@ -14,7 +14,7 @@ from forms.base import is_finite
 from forms.kinematics import Expr
 from geometry.errors import place as at_place
 from thinlayer.discretisation.addition import Addition, Host
-from thinlayer.discretisation.axis import boundary
+from thinlayer.discretisation.boundary import on_boundary
 from thinlayer.discretisation.given import DEGREE, Given
 from thinlayer.discretisation.measures import per_unit
 from thinlayer.discretisation.reactions import Array
@@ -65,7 +65,7 @@ class Springs(Addition):
 
     def check(self, model: Host) -> None:
         """Raise ModelError or GeometryError unless the facet set exists and lies on the outer boundary."""
-        boundary(model.domain, model.kinematics, self.place, f"springs on {self.place!r}")
+        on_boundary(model.domain, model.kinematics, self.place, f"springs on {self.place!r}")
         self._check_functions(model)
 
     def _check_functions(self, model: Host) -> None:

@@ -23,6 +23,7 @@ ALLOWED = 1e-6  # largest residual of an accepted state, relative to the forces
 EPSILON = float(np.finfo(float).eps)
 ROUNDING_SHARE = 1e-14  # rounding of summed forces, relative to stiffness times displacement
 TINY = 1e-300  # divisor instead of zero if there are no forces
+Kind = TypeVar("Kind", bound=Part)
 
 
 class ForceScale:
@@ -101,9 +102,6 @@ class ForceScale:
     def relative(self, norm: float) -> float:
         """The norm of a residual divided by the forces."""
         return norm / max(self.forces, TINY)
-
-
-Kind = TypeVar("Kind", bound=Part)
 
 
 class PartSum:

@@ -24,6 +24,16 @@ from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, solve_linear
 FIRST_DECREMENT, LEAST_DECREMENT = 0.5, 1 / 64  # decrements of the ease from one law to the next
 MOST_SOLVES = 30  # number of solves after which continuation gives up
 EASED_RUN_AWAY = 1e5  # displacements, relative to those of an elastic layer, at which no equilibrium is expected
+Result = TypeVar("Result")
+FIRST_STIFFNESS, LEAST_STIFFNESS = 1.0, 1e-12  # of the springs, relative to the mean diagonal entry of K
+SOFTENING_FACTOR = 10.0  # stiffness of springs divided by that of the next ones
+SETTLED_GROWTH = 1.3  # growth of the distance per SOFTENING_FACTOR below which an equilibrium is near
+RUN_AWAY = 30.0  # distance, relative to that of an elastic layer, that shows that there is no equilibrium
+STOP_DISTANCE = 1e6  # distance, relative to that of an elastic layer, at which the search ends
+TOLERANCE = 1e-3  # residual of solutions with springs, relative to the forces of the springs
+ITERATIONS, HALVINGS = 40, 6  # largest numbers of Newton's steps, and of trial lengths of one step
+COMPARED_RESIDUALS = 6  # number of last residuals, the largest of which bounds a new one
+LEAST_DECREASE = 0.1  # relative decrease of the residual over the length of the step
 
 
 def through_eased_laws(solve: Callable[[float, PETSc.Vec | None], PETSc.Vec]) -> tuple[PETSc.Vec, int]:
@@ -62,18 +72,6 @@ def through_eased_laws(solve: Callable[[float, PETSc.Vec | None], PETSc.Vec]) ->
         return x, solves
     finally:
         reached.destroy()
-
-
-Result = TypeVar("Result")
-FIRST_STIFFNESS, LEAST_STIFFNESS = 1.0, 1e-12  # of the springs, relative to the mean diagonal entry of K
-SOFTENING_FACTOR = 10.0  # stiffness of springs divided by that of the next ones
-SETTLED_GROWTH = 1.3  # growth of the distance per SOFTENING_FACTOR below which an equilibrium is near
-RUN_AWAY = 30.0  # distance, relative to that of an elastic layer, that shows that there is no equilibrium
-STOP_DISTANCE = 1e6  # distance, relative to that of an elastic layer, at which the search ends
-TOLERANCE = 1e-3  # residual of solutions with springs, relative to the forces of the springs
-ITERATIONS, HALVINGS = 40, 6  # largest numbers of Newton's steps, and of trial lengths of one step
-COMPARED_RESIDUALS = 6  # number of last residuals, the largest of which bounds a new one
-LEAST_DECREASE = 0.1  # relative decrease of the residual over the length of the step
 
 
 class Restraint:

@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 from geometry.errors import place
 from geometry.seam import BASE
-from thinlayer.discretisation.axis import AXES
+from thinlayer.discretisation.boundary import AXES
 from thinlayer.discretisation.layer import BY_LAW, LAYER, PRESSURE
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions, rigid_values
@@ -21,6 +21,14 @@ from thinlayer.errors import LooseBody
 from thinlayer.parts.part import Interval, Part
 
 Array = npt.NDArray[np.float64]
+# Largest eigenvalue of a motion that supports allow, relative to the largest one, of the Gram matrix of the motions at
+# supports.
+ALLOWED_MOTION = 1e-10
+# Least stiffness against a rigid motion, relative to that of the bodies. Rounding of the forces moves a body by eps over
+# this ratio, relative to the displacements: here by a thousandth.
+RESISTED_MOTION = 1e3 * np.finfo(float).eps
+SEVERAL = 1e-6  # least singular value of motions of a piece that are independent of each other
+Sparse = Any  # scipy.sparse.csr_matrix, which has no types
 
 
 class ReactionSums:
@@ -104,18 +112,6 @@ class ReactionSums:
         keys = [*(part.key for part in self.parts), *(p.key for p in self.model.layer_terms)]
         starts = (f"{key}/", f"{key} ") if len(self.model.joint.seams) == 1 else (f"{key}/",)
         return {key, PRESSURE + key.removeprefix(LAYER), *(one for one in keys if one.startswith(starts))}
-
-
-# Largest eigenvalue of a motion that supports allow, relative to the largest one, of the Gram matrix of the motions at
-# supports.
-ALLOWED_MOTION = 1e-10
-# Least stiffness against a rigid motion, relative to that of the bodies. Rounding of the forces moves a body by eps over
-# this ratio, relative to the displacements: here by a thousandth.
-RESISTED_MOTION = 1e3 * np.finfo(float).eps
-
-SEVERAL = 1e-6  # least singular value of motions of a piece that are independent of each other
-
-Sparse = Any  # scipy.sparse.csr_matrix, which has no types
 
 
 def _of_pieces(motions: Array, piece: npt.NDArray[np.int32], pieces: int) -> Sparse:

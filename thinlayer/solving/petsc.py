@@ -25,6 +25,14 @@ PREFIX = "thinlayer_"
 OPTION_ERRORS = (56, 62, 63, 73, 83, 86, 92)
 OptionValue = str | int | float | bool | None
 _PLACED: set[str] = set()  # names, without the prefix, of the options that `defaults` has put into PETSc's database
+POINTER = ctypes.c_void_p
+ARGUMENTS = {  # name of a function -> types of its arguments; all functions return PETSc's error code
+    "PetscOptionsUsed": (POINTER, ctypes.c_char_p, POINTER),
+    "MatFactorSetSchurIS": (POINTER, POINTER),
+    "MatFactorCreateSchurComplement": (POINTER, POINTER, POINTER),
+    "MatCopy": (POINTER, POINTER, ctypes.c_int),
+    "MatDestroy": (POINTER,),
+}
 
 
 class OptionError(InputError):
@@ -90,16 +98,6 @@ def require_known_values(error: PETSc.Error, ours: Collection[str]) -> None:
         given = ", ".join(f"-{PREFIX}{name} {found[name]}" for name in theirs)
         if theirs:
             raise OptionError(f"PETSc does not take the value of one of these options: {given}") from error
-
-
-POINTER = ctypes.c_void_p
-ARGUMENTS = {  # name of a function -> types of its arguments; all functions return PETSc's error code
-    "PetscOptionsUsed": (POINTER, ctypes.c_char_p, POINTER),
-    "MatFactorSetSchurIS": (POINTER, POINTER),
-    "MatFactorCreateSchurComplement": (POINTER, POINTER, POINTER),
-    "MatCopy": (POINTER, POINTER, ctypes.c_int),
-    "MatDestroy": (POINTER,),
-}
 
 
 @cache

@@ -16,6 +16,12 @@ from thinlayer.discretisation.model import Model
 from thinlayer.parts.part import DISPLACEMENTS, Block, Part
 from thinlayer.solving.petsc import PREFIX
 
+SAME, SUBSET, DIFFERENT = (
+    PETSc.Mat.Structure.SAME_NONZERO_PATTERN,
+    PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN,
+    PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN,
+)
+
 
 class Layout:
     """The unknowns of this rank, field after field. Collective.
@@ -66,13 +72,6 @@ class Layout:
         """Global numbers of unknowns of this rank."""
         n = int(self._ends[-1])
         return (self.comm.scan(n) - n + local).astype(PETSc.IntType)
-
-
-SAME, SUBSET, DIFFERENT = (
-    PETSc.Mat.Structure.SAME_NONZERO_PATTERN,
-    PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN,
-    PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN,
-)
 
 
 class TangentMatrix:
