@@ -16,6 +16,7 @@ from geometry.seam import LAYER, S
 from geometry.splitting import connected
 from thinlayer.compiling.compat import interpolation_points
 from thinlayer.errors import ModelError
+from thinlayer.parallel.exchange import send
 
 AXES = "xyz"  # names of components and of motions
 ON_AXIS = 1e-10  # distance from the axis, over the size of the joint, that is rounding
@@ -168,12 +169,11 @@ def _at_owners(
     domain: Domain, V: fem.FunctionSpace, blocks: npt.NDArray[np.int64], rows: Array
 ) -> tuple[npt.NDArray[np.int64], Array]:
     """Rows of local blocks on the ranks that own the blocks. Collective."""
-    imap, comm = V.dofmap.index_map, domain.comm
-    everywhere = comm.allgather((imap.local_to_global(blocks.astype(np.int32)), rows))
-    numbers, found = (np.concatenate(some) for some in zip(*everywhere, strict=True))
-    first, last = imap.local_range
-    mine = (numbers >= first) & (numbers < last)
-    return numbers[mine] - first, found[mine]
+    imap = V.dofmap.index_map
+    owners = np.concatenate([np.full(imap.size_local, domain.comm.rank), imap.owners])[blocks]
+    numbers = imap.local_to_global(blocks.astype(np.int32)).astype(float)
+    received = send(domain.comm, owners, np.column_stack([numbers, rows]))
+    return received[:, 0].astype(np.int64) - imap.local_range[0], received[:, 1:]
 
 
 def smooth(normals: Array) -> tuple[npt.NDArray[np.int64], Array]:

@@ -20,7 +20,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import seam_entities
 from thinlayer.errors import ModelError
 from thinlayer.parallel.agreement import on_all
-from thinlayer.parallel.exchange import ask
+from thinlayer.parallel.exchange import send
 
 IntArray = npt.NDArray[np.int64]
 Array = npt.NDArray[np.float64]
@@ -137,26 +137,21 @@ class ContactNodes:
         rows = self._corners()
         owners = np.full(imap.size_local + imap.num_ghosts, self.comm.rank)
         owners[imap.size_local :] = imap.owners
-        kept: list[Array] = []
-
-        def keep(received: Array, _: npt.NDArray[np.int64]) -> Array:
-            kept.append(received)
-            return np.zeros(len(received))
-
-        ask(self.comm, owners[rows[:, 0].astype(int)], np.column_stack([self._global(rows[:, 0]), rows[:, 1:]]), keep)
-        pairs, at = np.unique(kept[0][:, :2], axis=0, return_inverse=True)
+        sent = np.column_stack([self._global(rows[:, 0]), rows[:, 1:]])
+        corners = send(self.comm, owners[rows[:, 0].astype(int)], sent)
+        pairs, at = np.unique(corners[:, :2], axis=0, return_inverse=True)
         upper, at = pairs[:, 0], at.ravel()
         vectors = np.zeros((len(upper), d))
-        self.weights = np.asarray(np.bincount(at, kept[0][:, 2], len(upper)), float)
+        self.weights = np.asarray(np.bincount(at, corners[:, 2], len(upper)), float)
         for k in range(d):
-            vectors[:, k] = np.bincount(at, kept[0][:, 3 + k], len(upper))
+            vectors[:, k] = np.bincount(at, corners[:, 3 + k], len(upper))
         first = np.zeros(len(upper), int)
         first[at] = np.arange(len(at))
         self.upper = (upper - self._first).astype(np.int32)
         self._lower = pairs[:, 1].astype(np.int64)  # global
-        self.numbers = kept[0][first, 3 + d].astype(np.int64)
+        self.numbers = corners[first, 3 + d].astype(np.int64)
         self.file_numbers = np.full(len(upper), np.iinfo(np.int64).max)
-        np.minimum.at(self.file_numbers, at, kept[0][:, 4 + d].astype(np.int64))
+        np.minimum.at(self.file_numbers, at, corners[:, 4 + d].astype(np.int64))
         self.x = V.tabulate_dof_coordinates()[self.upper, :d]
         if not self.comm.allreduce(len(upper)):
             raise ModelError("contact: S has no node where the bodies can part; it is one cell long, or has no facets")

@@ -12,6 +12,11 @@ from mpi4py import MPI
 Array = npt.NDArray[Any]
 
 
+def send(comm: MPI.Intracomm, rank: Array, rows: Array) -> Array:
+    """Send row k to rank[k]; returns the rows received, by the rank they came from. Collective."""
+    return np.concatenate(comm.alltoall([rows[rank == r] for r in range(comm.size)]))
+
+
 def ask(comm: MPI.Intracomm, rank: Array, questions: Array, answer: Callable[[Array, Array], Array]) -> Array:
     """Send question k to rank[k] and return the answers in the same order. Collective.
 
@@ -50,22 +55,15 @@ def carry(comm: MPI.Intracomm, cells: Array, values: Array, wanted: Array) -> Ar
     def meeting_rank(c: Array) -> Array:
         return c * comm.size // max(highest, 1)
 
-    known: dict[str, Array] = {}
+    rows = send(comm, meeting_rank(cells), np.column_stack([cells.astype(float), values]))
+    rows = rows[np.argsort(rows[:, 0])]
+    known = rows[:, 0].astype(np.int64)
 
-    def keep(rows: Array, _: Array) -> Array:
-        numbers = rows[:, 0].astype(np.int64)
-        order = np.argsort(numbers)
-        known["cells"], known["values"] = numbers[order], rows[order, 1:]
-        return np.zeros(len(rows))
-
-    ask(comm, meeting_rank(cells), np.column_stack([cells.astype(float), values]), keep)
-
-    def tell(rows: Array, _: Array) -> Array:
-        out = np.full((len(rows), known["values"].shape[1]), np.nan)
-        if len(known["cells"]):
-            at = np.minimum(np.searchsorted(known["cells"], rows), len(known["cells"]) - 1)
-            found = known["cells"][at] == rows
-            out[found] = known["values"][at[found]]
+    def tell(asked: Array, _: Array) -> Array:
+        out = np.full((len(asked), rows.shape[1] - 1), np.nan)
+        if len(known):
+            at = np.minimum(np.searchsorted(known, asked), len(known) - 1)
+            out[known[at] == asked] = rows[at[known[at] == asked], 1:]
         return out
 
     return ask(comm, meeting_rank(wanted), wanted, tell)
