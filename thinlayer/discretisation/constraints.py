@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -81,15 +82,19 @@ class _Group:
     def turned(self) -> bool:
         return self.rank < len(self.columns) and not np.array_equal(self.frame, np.eye(len(self.columns)))
 
+    @cached_property
+    def _inverse(self) -> Array:
+        return np.asarray(np.linalg.pinv(self.N @ self.frame[:, : self.rank], rcond=INDEPENDENT))
+
     def held(self, c: Array) -> Array:
         """Values of the held unknowns."""
-        return np.asarray(np.linalg.pinv(self.N @ self.frame[:, : self.rank], rcond=INDEPENDENT) @ c)
+        return np.asarray(self._inverse @ c)
 
     def apart(self, c: Array) -> Array:
         """What each condition lacks."""
         return np.asarray(np.abs(self.N @ self.frame[:, : self.rank] @ self.held(c) - c))
 
-    @property
+    @cached_property
     def shares(self) -> Array:
         """Forces on the unknowns -> the least forces of the conditions that balance them."""
         return np.asarray(np.linalg.pinv(self.N.T, rcond=INDEPENDENT))
@@ -226,37 +231,25 @@ class Constraints:
 
     # ---------------------------------------------------------------- what they hold
     def _resolve(self) -> None:
-        """Part the conditions into groups that share no unknowns, and find what each holds."""
+        """Part the conditions into groups that share no unknowns, and find what each holds.
+
+        A condition on one unknown that no other kind of condition has is none of a group. Groups are known on all ranks.
+        """
         A, lo, hi = self._rows, self.first, self.first + self.n
-        row_of = np.repeat(np.arange(A.shape[0]), np.diff(A.indptr))
-        everywhere = {int(k) for one in self.slots.values() for k in one}
-        everywhere |= set(_union(self.comm, A.indices[(A.indices < lo) | (A.indices >= hi)]))
-        far = np.zeros(A.shape[0], bool)  # conditions on unknowns that other ranks may have conditions on
-        while True:
-            wider = far.copy()
-            wider[row_of[np.isin(A.indices, [*everywhere])]] = True
-            if not self.comm.allreduce(int((wider & ~far).sum())):
-                break
-            far = wider
-            everywhere |= set(_union(self.comm, A.indices[far[row_of]]))
-        near, single = ~far, np.diff(A.indptr) == 1
-        shared = np.unique(A.indices[(near & ~single)[row_of]])
-        single &= near
-        single[single] = ~np.isin(A.indices[A.indptr[:-1][single]], shared)
-        self._single = np.flatnonzero(single)
+        counts = np.diff(A.indptr)
+        foreign = (A.indices < lo) | (A.indices >= hi)
+        shared = A.indices[foreign | (counts > 1).repeat(counts)]
+        everywhere = self.comm.allgather(np.unique(np.concatenate([shared, *self.slots.values()])))
+        single = counts == 1
+        single[single] = ~np.isin(A.indices[A.indptr[:-1][single]], np.concatenate(everywhere))
+        self._single, self._grouped = np.flatnonzero(single), np.flatnonzero(~single & (counts > 0))
         at = A.indptr[self._single]
         self._columns, self._first_of, self._inverse, self._repeated = np.unique(
             A.indices[at], return_index=True, return_inverse=True, return_counts=True
         )
         self._coefficient = A.data[at]
-        others = np.flatnonzero(near & ~single & (np.diff(A.indptr) > 0))
-        self._groups = _groups(A[others], others)
-        self._far = np.flatnonzero(far)
-        counts = self.comm.allgather(len(self._far))
-        self._first_far = sum(counts[: self.comm.rank])
-        gathered = scipy.sparse.vstack(self.comm.allgather(A[self._far]), format="csr")
-        self._far_groups = _groups(gathered, np.arange(sum(counts)))
-        held = [self._columns, *(one.columns[: one.rank] for one in (*self._groups, *self._far_groups))]
+        self._groups = _groups(scipy.sparse.vstack(self.comm.allgather(A[self._grouped]), format="csr"))
+        held = [self._columns, *(one.columns[: one.rank] for one in self._groups)]
         mine = np.unique(np.concatenate(held)).astype(np.int64)
         mine = mine[(mine >= lo) & (mine < hi)] - lo
         slots = np.concatenate([*self.slots.values(), np.empty(0, np.int64)]) - lo
@@ -264,8 +257,8 @@ class Constraints:
 
     def _frames(self) -> PETSc.Mat | None:
         """Q; None: the identity."""
-        turned = [one for one in (*self._groups, *self._far_groups) if one.turned]
-        if not self.comm.allreduce(len(turned)):
+        turned = [one for one in self._groups if one.turned]
+        if not turned:
             return None
         lo, same = self.first, np.ones(self.n, bool)
         i, j, v = [], [], []
@@ -300,25 +293,23 @@ class Constraints:
             y[columns[own] - lo] = one.held(values)[own]
         return y[self.held]
 
-    def _with_values(self, c: Array) -> Iterator[tuple[_Group, Array]]:
-        """Groups, each with the values of its conditions."""
-        far = np.concatenate(self.comm.allgather(c[self._far]))
-        yield from ((one, c[one.rows]) for one in self._groups)
-        yield from ((one, far[one.rows]) for one in self._far_groups)
+    def _with_values(self, c: Array) -> list[tuple[_Group, Array]]:
+        """Groups, each with the values of its conditions; those of this rank's are given."""
+        every = np.concatenate(self.comm.allgather(c[self._grouped]))
+        return [(one, every[one.rows]) for one in self._groups]
 
-    def _by_rows(self, of_group: Callable[[_Group, bool], Array]) -> Array:
-        """(r,) numbers for this rank's conditions from those of each group, whether near or far."""
-        out, far = np.zeros(self._rows.shape[0]), np.zeros(self.comm.allreduce(len(self._far)))
-        for groups, numbers in ((self._groups, out), (self._far_groups, far)):
-            for one in groups:
-                numbers[one.rows] = of_group(one, numbers is far)
-        out[self._far] = far[self._first_far : self._first_far + len(self._far)]
+    def _by_rows(self, of_groups: Sequence[Array]) -> Array:
+        """(r,) numbers for this rank's conditions from those of each group."""
+        out, every = np.zeros(self._rows.shape[0]), np.zeros(sum(len(one.rows) for one in self._groups))
+        for one, numbers in zip(self._groups, of_groups, strict=True):
+            every[one.rows] = numbers
+        last = int(self.comm.scan(len(self._grouped)))
+        out[self._grouped] = every[last - len(self._grouped) : last]
         return out
 
     def _require_agreement(self, c: Array, when: str = "") -> None:
         """Raise ModelError if values (r,) of conditions contradict each other."""
-        given = {id(one): values for one, values in self._with_values(c)}
-        apart = self._by_rows(lambda one, _: one.apart(given[id(one)]))
+        apart = self._by_rows([one.apart(values) for one, values in self._with_values(c)])
         value = (c[self._single] / self._coefficient)[self._first_of]
         apart[self._single] = np.abs(c[self._single] - self._coefficient * value[self._inverse])
         largest = self.comm.allreduce(float(np.abs(c).max(initial=0.0)), max)
@@ -403,13 +394,12 @@ class Constraints:
         """(k,) the least forces of the supports' conditions, along their directions, that balance nodal forces r (n,)."""
         f = self._times(self._T0, r, transposed=True)
 
-        def of_group(one: _Group, far: bool) -> Array:
-            own = (one.columns >= self.first) & (one.columns < self.first + self.n)
-            part = np.zeros(len(one.columns))
-            part[own] = f[one.columns[own] - self.first]
-            return np.asarray(one.shares @ (self.comm.allreduce(part) if far else part))
-
-        out = self._by_rows(of_group)
+        ends = np.cumsum([0, *(len(one.columns) for one in self._groups)])
+        columns = np.concatenate([np.empty(0, np.int64), *(one.columns for one in self._groups)]) - self.first
+        own, parts = (columns >= 0) & (columns < self.n), np.zeros(len(columns))
+        parts[own] = f[columns[own]]
+        parts = self.comm.allreduce(parts)
+        out = self._by_rows([one.shares @ parts[a:b] for one, a, b in zip(self._groups, ends, ends[1:], strict=False)])
         out[self._single] = (f[self._columns - self.first] / self._repeated)[self._inverse] / self._coefficient
         return out[: len(self.prescribed.entry)]
 
@@ -481,13 +471,8 @@ class Constraints:
         return found
 
 
-def _union(comm: MPI.Intracomm, numbers: Numbers) -> list[int]:
-    """The numbers of all ranks. Collective."""
-    return np.unique(np.concatenate(comm.allgather(np.unique(numbers)))).tolist()
-
-
-def _groups(A: Sparse, rows: Numbers) -> list[_Group]:
-    """Groups of rows of A that share columns; `rows` are their numbers."""
+def _groups(A: Sparse) -> list[_Group]:
+    """Groups of rows of A that share columns."""
     columns, local = np.unique(A.indices, return_inverse=True)
     if not len(columns):
         return []
@@ -500,7 +485,7 @@ def _groups(A: Sparse, rows: Numbers) -> list[_Group]:
         _, sizes, right = np.linalg.svd(N)
         rank = int((sizes > INDEPENDENT * max(1.0, sizes[0])).sum())
         frame = np.eye(len(c)) if rank == len(c) else right.T
-        found.append(_Group(rows[r], columns[c].astype(np.int64), N, frame, rank))
+        found.append(_Group(r, columns[c].astype(np.int64), N, frame, rank))
     return found
 
 
