@@ -31,7 +31,7 @@ from thinlayer.discretisation.quadratures import known_at
 from thinlayer.discretisation.spaces import Keys, broken_space
 from thinlayer.errors import ModelError
 from thinlayer.parallel.agreement import on_all
-from thinlayer.parallel.communicator import communicator
+from thinlayer.parallel.exchange import communicator
 
 Array = npt.NDArray[np.float64]
 Facets = npt.NDArray[np.int32]

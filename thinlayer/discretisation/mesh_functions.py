@@ -19,7 +19,7 @@ from geometry.joint import Profile
 from geometry.seam import S
 from thinlayer.compiling.compat import interpolation_points
 from thinlayer.errors import ModelError
-from thinlayer.parallel.communicator import communicator
+from thinlayer.parallel.exchange import communicator
 
 Array = npt.NDArray[np.float64]
 INWARDS = 1e-6  # way of a place towards the middle of its cell, so that it is on one side of S, over the distance

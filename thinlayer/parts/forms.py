@@ -13,7 +13,7 @@ from petsc4py import PETSc
 from forms.kinematics import Expr
 from thinlayer.discretisation.measures import compiled, compiled_summands
 from thinlayer.discretisation.state import Configuration
-from thinlayer.parallel.communicator import communicator
+from thinlayer.parallel.exchange import communicator
 from thinlayer.parts.part import Array, Block, Interval, Outcome, Part
 
 

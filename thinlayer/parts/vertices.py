@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from geometry.compat import cell_nodes
 from geometry.topology import IntArray
 from thinlayer.discretisation.spaces import Keys, broken_space
-from thinlayer.parallel.communicator import communicator
+from thinlayer.parallel.exchange import communicator
 from thinlayer.parts.part import Array
 from thinlayer.pointwise.quadrature import Region
 

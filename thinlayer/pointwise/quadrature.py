@@ -21,7 +21,7 @@ from forms.work import Term
 from geometry.topology import IntArray
 from thinlayer.compiling.compat import create_submesh
 from thinlayer.errors import ModelError
-from thinlayer.parallel.communicator import communicator
+from thinlayer.parallel.exchange import communicator
 from thinlayer.pointwise.columns import Columns
 
 Array = npt.NDArray[np.float64]

@@ -19,7 +19,7 @@ from thinlayer.discretisation.quadratures import compiled_terms
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.parallel.agreement import on_all
-from thinlayer.parallel.communicator import communicator
+from thinlayer.parallel.exchange import communicator
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.forms import FormPart
 from thinlayer.parts.part import DISPLACEMENTS, Array, FieldPart, Interval, Part

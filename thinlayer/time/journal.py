@@ -17,7 +17,7 @@ from thinlayer.errors import ModelError
 from thinlayer.files.table import Row
 from thinlayer.identity import Resume, code_of, described
 from thinlayer.parallel.agreement import on_all
-from thinlayer.parallel.communicator import collect
+from thinlayer.parallel.exchange import collect
 from thinlayer.parallel.log import logger
 from thinlayer.parts.phases import PhaseReport, seams_with_phases
 from thinlayer.solving.equations import Equations
