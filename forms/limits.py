@@ -1,30 +1,25 @@
-"""Closed forms of layers and bodies in numpy: friction of the full Mohr-Coulomb law here, others in `forms/limits_*.py`.
+"""Closed forms in numpy: friction of the full Mohr-Coulomb law, rubber bearings, plasticity, the bar of section 6.2.
 
-They are independent of the models; studies compare both. Barred parameters (per thickness) throughout; w is the jump [u], n
-the unit normal from the lower to the upper body.
+Models never use these formulas; studies and tests compare with them.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import astuple, dataclass
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ive
 
 from forms.declarations import LawError
-from forms.limits_bar import Bar as Bar
-from forms.limits_non_monotone import NonMonotoneLimit as NonMonotoneLimit
-from forms.limits_non_monotone import lamination as lamination
-from forms.limits_plastic import PlasticCylinder as PlasticCylinder
-from forms.limits_plastic import prandtl_pressure as prandtl_pressure
-from forms.limits_plastic import von_mises_shear as von_mises_shear
-from forms.limits_rubber import rubber_annulus as rubber_annulus
-from forms.limits_rubber import rubber_disc as rubber_disc
-from forms.limits_rubber import rubber_disc_pressure as rubber_disc_pressure
-from forms.limits_rubber import rubber_strip as rubber_strip
-from forms.limits_rubber import rubber_strip_tilted as rubber_strip_tilted
 
 Array = npt.NDArray[np.float64]
+ROUNDING = 1e-12  # relative tolerance for parameters that equal a bound exactly
 
 
+# ---------------------------------------------------------------- friction; moduli per thickness, w is the jump [u]
 def mohr_coulomb_fixed_opening(
     lmbda: float,
     mu: float,
@@ -82,3 +77,320 @@ def apparent_friction(friction_angle: float, dilatancy_angle: float) -> float:
     return float(
         np.sin(friction_angle) * np.cos(dilatancy_angle) / (1 - np.sin(friction_angle) * np.sin(dilatancy_angle))
     )
+
+
+# ---------------------------------------------------------------- rubber bearings; real moduli, not per thickness
+# Plates that do not stretch part by w_N. The pressure p of the layer between them is zero on the free ends, and solves
+#     (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = w_N.
+# With delta = eps sqrt(lmbda/(12 mu)) it is lmbda w_N/eps times one less the solution of delta^2 lap_S v = v that is one
+# on the free ends. For lmbda to infinity this is Stefan's squeeze film and has the leading term of Gent and Lindley (Proc.
+# Inst. Mech. Eng. 173, 1959): eps times the stiffness is 4 mu s^2 of a strip and 6 mu s^2 of a disc, where s is the loaded
+# over the free area.
+def rubber_strip(lmbda: float, mu: float, eps: float, a: float) -> float:
+    """Mean normal traction per opening of a strip |x| < a in plane strain, stress per length.
+
+    [lmbda (1 - tanh(x)/x) + 2 mu]/eps with x = a/delta; 4 mu a^2/eps^3 + 2 mu/eps for an infinite lmbda.
+
+    Args:
+        lmbda: first Lame modulus of the layer, stress; > 0 or math.inf.
+        mu: its shear modulus, stress; > 0.
+        eps: its thickness, length; > 0.
+        a: half the width of the strip, length; > 0.
+
+    Raises:
+        LawError: an argument out of range.
+    """
+    return (_held(lmbda, mu, a / eps, 0.5) + 2 * mu) / eps
+
+
+def rubber_strip_tilted(lmbda: float, mu: float, eps: float, a: float) -> float:
+    """Moment about the middle per rotation of a strip |x| < a in plane strain, per length out of the plane; a force.
+
+    w_N = theta x gives p = (lmbda theta/eps) (x - a sinh(x/delta)/sinh(a/delta)), and with 2 mu w_N/eps the moment.
+    Arguments and errors as of `rubber_strip`.
+    """
+    return (_held(lmbda, mu, a / eps, 1.5) + 2 * mu) / eps * 2 * a**3 / 3
+
+
+def rubber_disc(lmbda: float, mu: float, eps: float, radius: float) -> float:
+    """Mean normal traction per opening of a disc, stress per length.
+
+    [lmbda (1 - 2 I_1(x)/(x I_0(x))) + 2 mu]/eps with x = radius/delta; 3 mu radius^2/(2 eps^3) + 2 mu/eps for an infinite
+    lmbda. Arguments and errors as of `rubber_strip`.
+    """
+    return (_held(lmbda, mu, radius / eps, 1.0) + 2 * mu) / eps
+
+
+def rubber_disc_pressure(lmbda: float, mu: float, eps: float, radius: float, r: Array) -> Array:
+    """Pressure p per opening of a disc at the radii r <= radius, tension > 0, stress per length, of the shape of r.
+
+    (lmbda/eps) (1 - I_0(r/delta)/I_0(radius/delta)); 3 mu (radius^2 - r^2)/eps^3 where delta is
+    a thousand times the radius, or infinite. The normal traction is p + 2 mu/eps. Arguments as of `rubber_strip`.
+    """
+    delta = eps * math.sqrt(lmbda / (12 * mu))
+    if not radius > 1e-3 * delta:
+        return np.asarray(3 * mu * (radius**2 - r**2) / eps**3)
+    share = ive(0, r / delta) / ive(0, radius / delta) * np.exp((r - radius) / delta)
+    return np.asarray(lmbda / eps * (1 - share))
+
+
+def _held(lmbda: float, mu: float, slenderness: float, k: float) -> float:
+    """lmbda times the share I_(k+1)(x)/I_(k-1)(x) = 1 - 2 k I_k(x)/(x I_(k-1)(x)) of the load that flow leaves.
+
+    k = 1/2, 3/2 of strips (opened, tilted), 1 of a disc. Written like this it loses no digits for any x.
+    """
+    if not (lmbda > 0 and 0 < mu < math.inf and 0 < slenderness < math.inf):
+        raise LawError(f"lmbda = {lmbda}, mu = {mu}, width over eps {slenderness}; allowed: > 0, lmbda <= math.inf")
+    if lmbda == math.inf:
+        return 3 * mu * slenderness**2 / (k * (k + 1))
+    x = slenderness / math.sqrt(lmbda / (12 * mu))
+    return float(lmbda * ive(k + 1, x) / ive(k - 1, x))
+
+
+# ---------------------------------------------------------------- von Mises' plasticity
+def prandtl_pressure(k: float) -> float:
+    """Mean pressure (2 + pi) k under which a strip footing sinks into a half space with the yield stress in shear k."""
+    return (2 + math.pi) * k
+
+
+@dataclass(frozen=True)
+class PlasticCylinder:
+    """A thick-walled cylinder in plane strain under pressure from inside, of an incompressible, ideally plastic material.
+
+    Von Mises' and Tresca's conditions are the same here, with the yield stress in shear k: s_zz is the mean of the others.
+    The plastic zone is a <= r <= c; for c = a it begins, for c = b the cylinder can bear no more.
+
+    Attributes:
+        a, b: inner and outer radius, 0 < a < b, lengths.
+        mu: shear modulus, stress.
+        k: yield stress in shear, > 0; Y/sqrt(3) for von Mises.
+    """
+
+    a: float
+    b: float
+    mu: float
+    k: float
+
+    def pressure(self, c: float) -> float:
+        """Pressure with a plastic zone up to c: k (2 ln(c/a) + 1 - c^2/b^2)."""
+        return self.k * (2 * math.log(c / self.a) + 1 - (c / self.b) ** 2)
+
+    def zone(self, pressure: float) -> float:
+        """Outer radius c of the plastic zone; a if there is none. LawError: no equilibrium, the pressure is too high."""
+        if pressure <= self.pressure(self.a):
+            return self.a
+        if pressure > self.pressure(self.b):
+            raise LawError(f"the pressure is {pressure:g}; the cylinder bears {self.pressure(self.b):g}")
+        from scipy.optimize import brentq  # takes a while to import
+
+        return float(brentq(lambda c: self.pressure(c) - pressure, self.a, self.b, xtol=1e-14 * self.b))
+
+    def displacement(self, pressure: float, r: Array) -> Array:
+        """Radial displacement k c^2/(2 mu r), elastic p a^2/(2 mu r (1 - a^2/b^2)), at radii r."""
+        c = self.zone(pressure)
+        elastic = pressure * self.a**2 / (1 - (self.a / self.b) ** 2)
+        size = self.k * c**2 if c > self.a else elastic
+        return np.asarray(size / (2 * self.mu * np.asarray(r, float)))
+
+    def radial_stress(self, pressure: float, r: Array) -> Array:
+        """-p + 2 k ln(r/a) in the plastic zone, -k c^2 (1/r^2 - 1/b^2) outside, at radii r."""
+        c, r = self.zone(pressure), np.asarray(r, float)
+        size = self.k * c**2 if c > self.a else pressure * self.a**2 / (1 - (self.a / self.b) ** 2)
+        plastic = -pressure + 2 * self.k * np.log(r / self.a)
+        return np.where(r < c, plastic, -size * (1 / r**2 - 1 / self.b**2))
+
+
+# ---------------------------------------------------------------- the bar of section 6.2 of the paper, of Eq. (44)
+def fraction(x: Array, cost: float, g: float) -> Array:
+    """Signed phase fraction of least energy at a drive x, where mixing gains g; for g = 0 phases do not mix."""
+    excess = np.abs(x) - cost
+    return np.asarray(np.sign(x) * (np.clip(0.5 + excess / g, 0, 1) if g else excess > 0))
+
+
+def phase_energy(x: Array, cost: float, g: float, phase: Array | float) -> Array:
+    """Energy that a signed phase fraction adds to the elastic energy at a drive x."""
+    share = np.abs(phase)
+    return np.asarray(cost * share - x * phase - share * (1 - share) * g / 2)
+
+
+class Response(NamedTuple):
+    """A bar whose layer is in given phases; all of one shape.
+
+    Attributes:
+        phase: signed fraction of the layer in phase 1 or -1.
+        sigma: stress.
+        U: elongation of the layer.
+        energy: energy of the whole bar, per section.
+        local: whether all strains are admissible for their phases, so that the response is a local minimiser.
+    """
+
+    phase: Array
+    sigma: Array
+    U: Array
+    energy: Array
+    local: npt.NDArray[np.bool_]
+
+    def least(self) -> Response:
+        """The response of least energy along the last axis; of several the one with the least transformed part."""
+        where = np.argmin(self.energy, axis=-1)[..., None]
+        phase, sigma, U, energy = (np.asarray(np.take_along_axis(a, where, -1)[..., 0], float) for a in self[:4])
+        return Response(phase, sigma, U, energy, np.asarray(np.take_along_axis(self.local, where, -1)[..., 0], bool))
+
+
+@dataclass(frozen=True)
+class Bar:
+    """Section 6.2: a layer ]0, eps l[ of rigidity k = eps kbar and phases -1, 0, 1, and a body ]eps l, l[ of rigidity K.
+
+    u(0) = 0, u(l) = delta. A layer's law of this package with lmbda = 0 and chi = n (x) n has the thickness eps l and, per
+    thickness, 2 mu = kbar/l and C = l cbar. All thresholds are linear in eps. eps = 0 is the limit, Eq. (48), corrected:
+    sigma = (kbar/l) U for kbar [u], likewise less alpha; in between sigma = sigma_m is the law (printed is the body's
+    balance, with l/K for K/l); delta_1 - delta_0 = l alpha/kbar.
+
+    Attributes:
+        l: length, layer included.
+        K: rigidity of the body, stress.
+        kbar: rigidity of the layer over eps, stress.
+        alpha: transformation stress.
+        cbar: c eps of Eq. (44), stress; cbar >= alpha^2/(2 kbar), below which phases 1 and -1 would mix.
+        eps: share of the layer in the length, 0 <= eps < 1.
+
+    Raises:
+        LawError: a parameter out of range.
+    """
+
+    l: float  # noqa: E741
+    K: float
+    kbar: float
+    alpha: float
+    cbar: float
+    eps: float
+
+    def __post_init__(self) -> None:
+        bound = self.alpha**2 / (2 * self.kbar) * (1 - ROUNDING)
+        if not (0 < min(astuple(self)[:5]) < math.inf and self.cbar >= bound and 0 <= self.eps < 1):
+            raise LawError(f"{self}; allowed: all > 0, cbar >= alpha^2/(2 kbar) = {bound:g}, 0 <= eps < 1")
+
+    @property
+    def sigma_m(self) -> float:
+        """Stress at which phases 0 and 1 are in equilibrium, k c/alpha - alpha/2."""
+        return self.sigma_up - self.alpha / 2
+
+    @property
+    def sigma_up(self) -> float:
+        """Stress up to which phase 0 holds, k c/alpha; phase 1 holds down to sigma_up - alpha."""
+        return self.kbar * self.cbar / self.alpha
+
+    @property
+    def R(self) -> float:
+        """Compliance over the length, (1 - eps)/K + eps/k."""
+        return (1 - self.eps) / self.K + 1 / self.kbar
+
+    @property
+    def free_elongation(self) -> float:
+        """Elongation of the layer in phase 1 without stress, eps l alpha/k."""
+        return self.l * self.alpha / self.kbar
+
+    @property
+    def delta_0(self) -> float:
+        """delta at which phase 1 begins in the global minimiser, sigma_m l R."""
+        return self.sigma_m * self.l * self.R
+
+    @property
+    def delta_1(self) -> float:
+        """delta at which phase 0 ends, delta_0 + eps l alpha/k; Eq. (47) prints l alpha alpha/k."""
+        return self.delta_0 + self.free_elongation
+
+    @property
+    def up(self) -> float:
+        """delta at which a layer all in phase 0 snaps to phase 1: l R k c/alpha. The paper has no snaps."""
+        return self.l * self.R * self.sigma_up
+
+    @property
+    def down(self) -> float:
+        """delta at which a layer all in phase 1 snaps back: up - l alpha (1 - eps)/K."""
+        return self.up - self.l * self.alpha * (1 - self.eps) / self.K
+
+    @property
+    def loop_area(self) -> float:
+        """Energy lost per section in a cycle over both snaps of pure phases, eps alpha/(k R) l alpha (1 - eps)/K."""
+        return self.free_elongation * self.alpha * (1 - self.eps) / (self.K * self.R)
+
+    # ------------------------------------------------------------ the global minimiser, at any shape of delta
+    def phase(self, delta: Array | float) -> Array:
+        """Signed fraction of the layer in phase 1 (delta > 0) or -1, Eq. (46): (|delta| - delta_0)/(delta_1 - delta_0)."""
+        delta = np.asarray(delta, float)
+        return np.asarray(np.sign(delta) * np.clip((np.abs(delta) - self.delta_0) / self.free_elongation, 0, 1))
+
+    def sigma(self, delta: Array | float) -> Array:
+        """Stress: delta/(l R), then sigma_m, then (delta - eps l alpha/k)/(l R).
+
+        Equation (47) prints (k/(eps l)) K/K_eps, without delta, in the first case and likewise in the third.
+        """
+        return self._response(delta, self.phase(delta)).sigma
+
+    def U(self, delta: Array | float) -> Array:
+        """Elongation of the layer: eps l sigma/k, then delta - sigma_m l (1 - eps)/K, then eps l (sigma + alpha)/k.
+
+        The first and third cases before Eq. (47) print K delta/(K_eps (1 - eps)), which exceeds delta.
+        """
+        return self._response(delta, self.phase(delta)).U
+
+    def energy(self, delta: Array | float) -> Array:
+        """Least energy of the bar per section, the right-hand side of Eq. (45) (a minimum over U)."""
+        return self._response(delta, self.phase(delta)).energy
+
+    def boundary(self, delta: Array | float) -> Array:
+        """Length eps S of phase 0, from x = 0 on: eps l - (k/alpha)(delta - delta_0) while phases mix.
+
+        Equation (47) prints sigma k l/(alpha K) without the factor 1 - eps, with a minus, and inside the brackets.
+        """
+        return self.eps * self.l * (1 - np.abs(self.phase(delta)))
+
+    # ------------------------------------------------------------ local minimisers
+    def branch(self, delta: Array | float, phase: int) -> Response:
+        """The layer all in phase -1, 0 or 1, whether it holds there or not."""
+        return self._response(delta, phase)
+
+    def layouts(self, delta: Array | float, n: int) -> Response:
+        """The layer as n equal elements, m = 0, ..., n of them in phase 1 (delta < 0: -1); the last axis is m.
+
+        Their places do not matter, and no layout with both 1 and -1, or with -1 instead of 1, has less energy.
+        `Response.least` is the global minimiser of n elements; its energy tends to `energy` from above like n^-2.
+        """
+        delta = np.asarray(delta, float)[..., None]
+        return self._response(delta, np.where(delta < 0, -1, 1) * (np.arange(n + 1) / n))
+
+    def _response(self, delta: Array | float, phase: Array | float) -> Response:
+        delta, phase = np.broadcast_arrays(np.asarray(delta, float), np.asarray(phase, float))
+        share = np.abs(phase)
+        sigma = np.asarray((delta - phase * self.free_elongation) / (self.l * self.R), float)
+        U = np.asarray(self.l * (sigma + self.alpha * phase) / self.kbar, float)
+        energy = self.l * self.R * sigma**2 / 2 + share * self.sigma_m * self.free_elongation
+        kept = (share == 1) | (np.abs(sigma) <= self.sigma_up)
+        changed = (share == 0) | (np.sign(phase) * sigma >= self.sigma_up - self.alpha)
+        return Response(phase, sigma, U, energy, kept & changed)
+
+    # ------------------------------------------------------------ a uniform layer that softens
+    def layer(self, U: Array | float, mixing: float = 1.0) -> tuple[Array, Array, Array]:
+        """Stress, energy per section and signed phase fraction of the layer alone at an elongation U.
+
+        mixing = 1: the convex envelope of Eq. (45) and its derivative; 0: W_min of Eq. (44), of pure phases.
+        """
+        x, g = self.alpha * np.asarray(U, float), mixing * self.alpha * self.free_elongation
+        C, stiffness = self.l * self.cbar, self.kbar / self.l
+        phase = fraction(x, C, g)
+        elastic = stiffness * np.square(U)
+        return stiffness * np.asarray(U) - self.alpha * phase, elastic / 2 + phase_energy(x, C, g, phase), phase
+
+    def path(self, mixing: float, end: float | None = None) -> Array:
+        """Equilibrium path of a uniform layer from rest on, as vertices (delta, sigma) joined by straight lines, (4, 2).
+
+        The layer starts to mix at the second vertex and has changed at the third; between them delta decreases if
+        mixing < (1 - eps)/(K R), and grows otherwise. The last is at delta = end, beyond the others (default: twice
+        the largest).
+        """
+        change = mixing * self.alpha / 2
+        sigma = np.array([0, self.sigma_up - change, self.sigma_up - self.alpha + change])
+        delta = self.l * self.R * sigma + np.array([0, 0, self.free_elongation])
+        last = 2 * delta.max() if end is None else end
+        return np.column_stack([[*delta, last], [*sigma, (last - self.free_elongation) / (self.l * self.R)]])

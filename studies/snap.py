@@ -106,7 +106,7 @@ def follow_strip(record: Record, bar: Block, pure: History, *, quick: bool) -> l
             rows += path.rows if first == FIRST[0] else []
         record.check(f"strip, r = {r:g}: distance of paths from the closed form", max(errors), high=ROUNDING)
         turns.append(turning_points(path))
-        error = np.abs(np.divide(turns[-1], LIMIT.turning_points(r)) - 1).max()
+        error = np.abs(np.divide(turns[-1], exact[1:3, 0]) - 1).max()
         record.check(f"strip, r = {r:g}: relative error of turning points", error, high=ROUNDING)
     (more, less), a, b = mixings[-2:], *np.array(turns[-2:])
     snaps = moved([snap.t for snap in pure.snaps])

@@ -8,11 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ive, kve
 
 from forms import LawError
+from forms.limits import fraction, phase_energy
+from forms.non_monotone import lamination_gain
 
 Array = npt.NDArray[np.float64]
 
@@ -274,3 +278,97 @@ def von_mises_fixed_opening(lmbda: float, mu: float, strength: float, w_N: float
     t_T = np.where(yields, strength / math.sqrt(3) * np.tanh(angle), mu * x)
     fading = np.where(yields, np.sign(s_N) * strength / np.cosh(np.minimum(angle, 300)), s_N)
     return np.stack([t_T, (lmbda + 2 * mu / 3) * w_N + 2 / 3 * fading], axis=-1)
+
+
+def von_mises_shear(mu: float, strength: float, hardening: float, w: Array) -> Array:
+    """Traction of a layer under a shear w that only grows, at w_N = 0; mu and H + K per thickness.
+
+    sqrt(3) t_T = Y + (H + K) p with the accumulated plastic strain p = (w - t_T/mu)/sqrt(3).
+    """
+    first = strength / (math.sqrt(3) * mu)
+    return np.where(w <= first, mu * w, mu * first + mu * hardening / (3 * mu + hardening) * (w - first))
+
+
+# ---------------------------------------------------------------- non-monotone layers
+@dataclass(frozen=True)
+class NonMonotoneLimit:
+    """Section 6.1: the non-monotone interface law, relaxed and with pure phases, for jumps w (..., d) in global axes.
+
+    Phases z = -1, 0, 1 have the energies e:C:e/2 - z alpha chi:e + c |z| per volume, Eq. (39); C = lim eps c. The limit
+    needs alpha ~ eps^0, not the "power eta < 1" of Eq. (41). chi (d, d) is in the layer's axes: the second is n, the first
+    in 2D (n_2, -n_1).
+    """
+
+    lmbda: float
+    mu: float
+    alpha: float
+    transformation_energy: float
+    chi: Array
+    n: Array
+
+    def relaxed(self, w: Array, mixing: float = 1.0) -> tuple[Array, Array]:
+        """Traction (..., d) and signed phase fraction (...): t = K_L w - phase alpha chi n.
+
+        |phase| = 1/2 + (|x| - C)/g, not outside [0, 1], with the sign of the drive x and g = mixing alpha^2 G; C >= g/2, as
+        phases 1 and -1 would mix below. mixing = 1 is the relaxed form of Eqs. (42)-(43), whose stress is that of the least
+        energy. Equation (43) prints alpha chi_12 [u_i] for alpha chi_ij [u_i] n_j and leaves out phase -1.
+        """
+        phase = fraction(self.drive(w), self.transformation_energy, self._gain(mixing))
+        return self._traction(w, phase), phase
+
+    def pure(self, w: Array, phase: int) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """Traction (..., d) of a layer all in one phase z = -1, 0 or 1, and whether the phase holds at these jumps.
+
+        t = K_L w - z alpha chi n, Eqs. (41)-(42), which print lmbda + mu for the normal stiffness lmbda + 2 mu and [u_1]
+        for [u_2]. Phase 0 holds for drives |x| <= C, phases z = -1, 1 for z x >= C.
+        """
+        x, C = self.drive(w), self.transformation_energy
+        return self._traction(w, np.full(x.shape, float(phase))), phase * x >= C if phase else np.abs(x) <= C
+
+    def energy(self, w: Array, phase: Array | float, mixing: float = 1.0) -> Array:
+        """Energy per area (...): w.K_L w/2 - phase x + C |phase| - |phase| (1 - |phase|) g/2; of pure phases Eq. (44)."""
+        x = self.drive(w)
+        elastic = np.sum(w * self._traction(w, 0 * x), axis=-1) / 2
+        return elastic + phase_energy(x, self.transformation_energy, self._gain(mixing), phase)
+
+    def drive(self, w: Array) -> Array:
+        """Drive x = alpha chi_ij w_i n_j (...): the energy per area that phase 1 gains over phase 0, before its cost C."""
+        return self.alpha * np.asarray(w, float) @ self._transformation
+
+    def _gain(self, mixing: float) -> float:
+        return mixing * self.alpha**2 * lamination_gain(self.lmbda, self.mu, self.chi)
+
+    def _traction(self, w: Array, phase: Array) -> Array:
+        stiffness = elastic_stiffness(self.lmbda, self.mu, self.n)
+        return np.asarray(w, float) @ stiffness - self.alpha * phase[..., None] * self._transformation
+
+    @property
+    def _transformation(self) -> Array:
+        """Chi n in global axes."""
+        n, across = self.n, self.chi[:, 1]
+        if len(n) == 2:
+            return np.array([[n[1], n[0]], [-n[0], n[1]]]) @ across
+        if n[1] < -1 + 1e-12:  # no smallest rotation: a half turn about the third axis
+            return np.array([-1, -1, 1]) * across
+        axis = np.array([0.0, 1.0, 0.0])
+        middle = (axis + n) / np.linalg.norm(axis + n)
+        about_axis = 2 * axis * across[1] - across  # the smallest rotation from e_2 to n is two half turns
+        return 2 * middle * (middle @ about_axis) - about_axis
+
+
+# ---------------------------------------------------------------- rubber
+def rubber_annulus(lmbda: float, mu: float, eps: float, inner: float, outer: float) -> float:
+    """Mean normal traction per opening of an annulus inner < r < outer, free at both ends, as `forms.limits.rubber_disc`.
+
+    For an infinite lmbda (3 mu/(2 eps^3)) (outer^2 + inner^2 - (outer^2 - inner^2)/ln(outer/inner)) + 2 mu/eps.
+    """
+    if math.isinf(lmbda):
+        flow = outer**2 + inner**2 - (outer**2 - inner**2) / math.log(outer / inner)
+        return (1.5 * mu / eps**2 * flow + 2 * mu) / eps
+    ends = np.array([inner, outer]) / (eps * math.sqrt(lmbda / (12 * mu)))
+    # both solutions are scaled to be of order one at the end where they are largest
+    rising, falling = np.exp(ends - ends[1]), np.exp(ends[0] - ends)
+    at_ends = np.transpose([ive(0, ends) * rising, kve(0, ends) * falling])
+    integrals = [np.diff(ends * ive(1, ends) * rising)[0], -np.diff(ends * kve(1, ends) * falling)[0]]
+    lost = 2 * float(np.linalg.solve(at_ends, np.ones(2)) @ integrals) / (ends[1] ** 2 - ends[0] ** 2)
+    return (lmbda * (1 - lost) + 2 * mu) / eps

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from forms import limits
-from tests.phases_of_bars import BAR, DELTAS, LONG, SLOW, body, density, lowest_phase, positive
+from forms import LawError, limits
+from tests.phases_of_bars import BAR, DELTAS, LONG, SLOW, body, positive
 
 
 def dual(bar, delta):
@@ -138,62 +138,12 @@ def test_relaxed_response_is_continuous_and_monotone(bar):
     assert (np.diff(bar.boundary(delta[2000:])) <= 0).all()
 
 
-@pytest.mark.parametrize("delta", DELTAS)
-def test_displacement_is_a_minimiser_without_gaps(delta):
-    bar = LONG
-    x = np.linspace(0, bar.l, 20001)
-    u = bar.displacement(x, delta)
-    assert u[[0, -1]] == pytest.approx([0, delta], abs=1e-14)
-    strain = np.diff(u) / np.diff(x)
-    middle, dx = (x[1:] + x[:-1]) / 2, np.diff(x)
-    layer = middle < bar.eps * bar.l
-    density_min = density(bar, strain, lowest_phase(bar, strain))
-    energy = np.sum(np.where(layer, density_min, bar.K / 2 * strain**2) * dx)
-    assert energy == pytest.approx(bar.energy(delta), rel=1e-3, abs=1e-14)
-    assert bar.displacement(bar.eps * bar.l, delta) == pytest.approx(bar.U(delta), abs=1e-14)
-    first = middle < bar.boundary(delta) - dx[0]
-    assert (lowest_phase(bar, strain[layer & first]) == 0).all()
-    assert (lowest_phase(bar, strain[layer & (middle > bar.boundary(delta) + dx[0])]) == np.sign(delta)).all()
-    thin = replace(bar, eps=0.0)
-    assert thin.displacement(0.0, delta) == pytest.approx(thin.U(delta), abs=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"l": 0.0}, "l is 0.0; allowed: > 0"),
-        ({"K": -2.0}, "K is -2.0"),
-        ({"kbar": np.inf}, "kbar is inf"),
-        ({"alpha": 0}, "alpha is 0"),
-        ({"cbar": float("nan")}, "cbar is nan"),
-        ({"K": "2"}, "K is '2'"),
-        ({"eps": 1.0}, "eps is 1.0; allowed: 0 <= eps < 1"),
-        ({"eps": -0.1}, "eps is -0.1"),
-        ({"cbar": 0.27}, "cbar is 0.27; allowed: >= alpha.*0.272"),
-    ],
-)
-def test_bar_out_of_range(change, message):
-    with pytest.raises(ValueError, match=message):
+@pytest.mark.parametrize("change", [{"l": 0.0}, {"kbar": np.inf}, {"cbar": np.nan}, {"eps": 1.0}, {"cbar": 0.27}])
+def test_bar_out_of_range(change):
+    with pytest.raises(LawError, match="allowed: all > 0, cbar >= "):
         replace(LONG, **change)
 
 
 def test_bound_of_the_transformation_energy_is_allowed():
     bar = limits.Bar(1.1, 1.3, 3, 1.2, 1.2**2 / 6, 0.2)
     assert bar.sigma_m == pytest.approx(0, abs=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: LONG.branch(1.0, 2), "phase is 2; allowed: -1, 0, 1"),
-        (lambda: LONG.layouts(1.0, 0), "n is 0"),
-        (lambda: LONG.layouts(1.0, 2.5), "n is 2.5"),
-        (lambda: LONG.displacement(1.8, 1.0), "allowed: \\[0, 1.7\\]"),
-        (lambda: LONG.layer(1.0, 1.1), "mixing = 1.1"),
-        (lambda: LONG.lost(-0.1), "mixing = -0.1"),
-        (lambda: LONG.path(0.5, end=0.1), "end is 0.1"),
-    ],
-)
-def test_refused_by_the_bar(call, message):
-    with pytest.raises(ValueError, match=message):
-        call()

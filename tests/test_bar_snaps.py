@@ -120,8 +120,11 @@ def test_equilibrium_path_of_a_uniform_layer(mixing):
     slope = (LONG.layer(U + h, mixing)[1] - LONG.layer(U - h, mixing)[1]) / (2 * h)
     assert np.median(np.abs(slope - sigma)) < 1e-8
     back = delta[1:] < delta[:-1] - 1e-12
-    assert back.any() == (mixing < LONG.snap_free)
-    assert LONG.lost(mixing) == pytest.approx(lost_in_both(LONG, vertices) if back.any() else 0, rel=1e-12)
+    excess = (1 - LONG.eps) / (LONG.K * LONG.R) - mixing  # of the layer's steepness over the body's
+    assert back.any() == (excess > 0)
+    if back.any():
+        lost = LONG.free_elongation * LONG.alpha * excess
+        assert lost_in_both(LONG, vertices) == pytest.approx(lost, rel=1e-12)
 
 
 def distance_to_polygon(p, vertices):
@@ -146,13 +149,7 @@ def test_fraction_of_a_softening_layer_has_the_least_energy():
         assert phase == pytest.approx(z[np.argmin(mixed)], abs=2e-4)
 
 
-def test_turning_points():
-    assert LONG.turning_points(1e-12) == pytest.approx((LONG.up, LONG.down), rel=1e-10)
-    near = LONG.turning_points(LONG.snap_free * (1 - 1e-9))
-    assert near[0] == pytest.approx(near[1], rel=1e-8)
-    assert near[0] > near[1]
-    with pytest.raises(ValueError, match="no snap; allowed: < "):
-        LONG.turning_points(LONG.snap_free)
+def test_a_layer_that_mixes_all_has_the_thresholds_of_least_energy():
     vertices = LONG.path(1.0)
     assert vertices[1:3, 0] == pytest.approx([LONG.delta_0, LONG.delta_1], rel=1e-12)
     assert vertices[1:3, 1] == pytest.approx([LONG.sigma_m] * 2, rel=1e-12)

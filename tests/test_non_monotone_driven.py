@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms import NonMonotone, NonMonotoneUnrelaxed, Stack, limits
+from forms import NonMonotone, NonMonotoneUnrelaxed, Stack
+from tests.closed_forms import NonMonotoneLimit
 from tests.non_monotone_points import (
     ACROSS,
     ALONG,
@@ -33,7 +34,7 @@ def test_drive_is_the_closed_formula(n):
     """Along jumps, and with mixing = 1 along tractions, which have one jump each."""
     d = len(n)
     chi, path = (CHI2, CHI3)[d - 2], np.array(PATHS[d])
-    limit = limits.NonMonotoneLimit(LMBDA, MU, ALPHA, C, chi, np.eye(d)[1])
+    limit = NonMonotoneLimit(LMBDA, MU, ALPHA, C, chi, np.eye(d)[1])
     for mixing in (0.4, 1.0):
         law = NonMonotone(LMBDA, MU, ALPHA, C, chi, mixing=mixing)
         found = drive(law, pulled("w", path), n)
@@ -59,7 +60,7 @@ def test_as_printed_it_is_another_law():
     t, z = found.tractions, found.memory[:, 0]
     assert set(z) == {-1, 0, 1}
     for phase in (-1, 0, 1):
-        formula, holds = limits.NonMonotoneLimit(LMBDA, MU, ALPHA, C, CHI2, np.eye(2)[1]).pure(path, phase)
+        formula, holds = NonMonotoneLimit(LMBDA, MU, ALPHA, C, CHI2, np.eye(2)[1]).pure(path, phase)
         assert (holds == (z == phase)).all()
         assert t[holds] == pytest.approx(formula[holds], rel=1e-12)
     softer = (LMBDA + MU) * path[:, 1] - z * ALPHA * CHI2[1, 1]

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms import LawError, NonMonotone, NonMonotoneUnrelaxed, Tabulated, limits
+from forms import LawError, NonMonotone, NonMonotoneUnrelaxed, Tabulated
 from forms.non_monotone import lamination_gain
 from forms.planes import LIFTED
 from tests.at_points import E2, jump_strain, material, traction
+from tests.closed_forms import NonMonotoneLimit
 from tests.non_monotone_points import ALPHA, CHI2, EPS, LMBDA, MU, TABLE, C
 from tests.refused import refused
 from thinlayer import ThinLayer, drive
@@ -82,7 +83,7 @@ def test_a_field_of_temperatures():
         stress, _, q, _, failed = points.update(range(6), e, 0 * e, np.zeros((3, 2)), n, 1.0, 1.0)
         assert failed == 0
         for k, C_k in enumerate((0.013, 0.023, 0.033)):
-            t, phase = limits.NonMonotoneLimit(LMBDA, MU, ALPHA, C_k, CHI2, np.eye(2)[1]).relaxed(w[k, :2])
+            t, phase = NonMonotoneLimit(LMBDA, MU, ALPHA, C_k, CHI2, np.eye(2)[1]).relaxed(w[k, :2])
             assert traction(stress, n)[k, :2] == pytest.approx(t, rel=1e-11, abs=1e-13)
             assert q[k, 0] == pytest.approx(phase, abs=1e-11)
     assert len(set(q[:, 0])) == 3

@@ -10,9 +10,10 @@ import pytest
 import ufl
 from scipy.optimize import brentq
 
-from forms import LawError, LinearElastic, NonMonotone, NonMonotoneUnrelaxed, Stack, Tabulated, limits
+from forms import LawError, LinearElastic, NonMonotone, NonMonotoneUnrelaxed, Stack, Tabulated
 from geometry import block, sandwich
 from studies.sweep_non_monotone import CASES, Formula, blocks
+from tests.closed_forms import NonMonotoneLimit
 from tests.columns_in_time import BODY, both, check_balance, check_same, joint, jump_of
 from tests.columns_in_time import C as COMPLIANCE
 from tests.columns_in_time import K as STIFFNESS
@@ -54,7 +55,7 @@ def test_relaxed_law_in_columns(eps, angle):
         assert np.abs(history.table["imbalance"]).max() < 1e-9
         assert np.abs(history.table["dissipated"]).max() < 1e-12 * history.table["energy"].max()
     n, mirrored = np.array([0.0, 1.0]), CHI * [[1, -1], [-1, 1]]
-    limit_law = limits.NonMonotoneLimit(LMBDA, MU, ALPHA, RELAXED.transformation_energy, CHI, n)
+    limit_law = NonMonotoneLimit(LMBDA, MU, ALPHA, RELAXED.transformation_energy, CHI, n)
     t, phases = limit_law.relaxed(point.jumps)
     assert point.tractions == pytest.approx(t, abs=1e-9 * np.abs(t).max())
     for k, phase in enumerate(phases):
@@ -71,7 +72,7 @@ def test_pure_phases_in_columns(eps):
     """The same phases and displacements at the ends of steps, in which facets may switch one after the other."""
     limit, full, point = column(PURE, CLEAR, eps, angle=0.7)
     surface = Surface(limit.model)
-    limit_law = limits.NonMonotoneLimit(LMBDA, MU, ALPHA, PURE.transformation_energy, CHI, np.array([0.0, 1.0]))
+    limit_law = NonMonotoneLimit(LMBDA, MU, ALPHA, PURE.transformation_energy, CHI, np.array([0.0, 1.0]))
     for k, phase in enumerate(CLEAR_PHASES):
         t, holds = limit_law.pure(point.jumps[k], phase)
         assert holds

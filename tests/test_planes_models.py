@@ -20,7 +20,7 @@ from forms import (
     VonMises,
 )
 from forms.elastic import lame
-from forms.limits_plastic import PlasticCylinder
+from forms.limits import PlasticCylinder
 from geometry import sandwich
 from studies.problems import fourier
 from tests.columns_in_time import check_same, column, joint

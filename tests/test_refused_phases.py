@@ -11,7 +11,7 @@ import pytest
 import ufl
 from mpi4py import MPI
 
-from forms import BulkLaw, LawError, LinearElastic, NonMonotoneUnrelaxed, Stack, Tabulated, limits
+from forms import BulkLaw, LawError, LinearElastic, NonMonotoneUnrelaxed, Stack, Tabulated
 from geometry import GeometryError, sandwich
 from tests.on_ranks import on_ranks
 from thinlayer import (
@@ -239,16 +239,6 @@ def test_an_empty_history():
     assert len(history.t) == 0
     with pytest.raises(ModelError, match="no accepted state"):
         _ = history.last
-
-
-def test_closed_forms():
-    bar = limits.Bar(l=1.0, K=2.0, kbar=3.0, alpha=1.2, cbar=0.9, eps=0.1)
-    for mixing in ("0.5", None, [0.5], 1.5):
-        with pytest.raises(ValueError, match=r"mixing = .*allowed: 0 <= mixing <= 1"):
-            bar.layer(0.1, mixing)
-    for phase in (2.0, np.array([0.5, -1.1]), np.nan):
-        with pytest.raises(ValueError, match=r"phase is .*; allowed: -1 <= phase <= 1"):
-            limits.NonMonotoneLimit(2.0, 3.0, 1.2, 0.9, SLIP_AND_OPENING, [0.0, 1.0]).energy([0.1, 0.2], phase)
 
 
 # ---------------------------------------------------------------- ranks

@@ -10,6 +10,7 @@ import pytest
 
 from forms import Incompressible, LinearElastic, Rubber, limits
 from geometry import sandwich
+from tests.closed_forms import rubber_annulus
 from tests.test_rubber_closed_forms import ANNULUS, EPS, MU, RADIUS, STRIP
 from thinlayer import Structure, Surface, ThinLayer, solve
 
@@ -23,9 +24,8 @@ pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"
 
 
 def closed_form(bearing, lmbda):
-    stiffness = getattr(limits, f"rubber_{bearing}")
-    ends = ANNULUS if bearing == "annulus" else SPANS[bearing][1:]
-    return stiffness(lmbda, MU, EPS, *ends)
+    stiffness = {"strip": limits.rubber_strip, "disc": limits.rubber_disc, "annulus": rubber_annulus}[bearing]
+    return stiffness(lmbda, MU, EPS, *(ANNULUS if bearing == "annulus" else SPANS[bearing][1:]))
 
 
 def modulus(nu):
