@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from forms import LinearElastic
-from forms.ends.corner import Corner
-from forms.ends.fields import EndFields
+from forms.ends.fields import Corner, EndFields
 from geometry import sandwich
 from thinlayer import Probe, State, Structure, ThinLayer, Zoom, observed_orders, plotting, solve
 from thinlayer.files.progress import track

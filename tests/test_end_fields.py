@@ -8,8 +8,7 @@ from scipy.optimize import brentq
 
 from forms.declarations import LawError
 from forms.ends import free_end
-from forms.ends.corner import Corner
-from forms.ends.fields import EVEN, EndFields, end_fields
+from forms.ends.fields import EVEN, Corner, EndFields, end_fields
 
 RATIOS = (0.1, 0.3, 0.45, 0.5)
 FIELDS = {nu: EndFields(nu, degree=8, levels=8) for nu in (0.2, 0.45)}  # to seven digits
@@ -114,11 +113,9 @@ def test_strengths_are_those_of_the_traction_near_the_corner(nu):
 
 def test_strengths_do_not_depend_on_the_radius_but_on_the_exponent():
     fields = FIELDS[0.2]
-    from forms.ends.places import values_at
 
     def strength(corner, r):
-        (u,), (stress,) = values_at(fields._solutions[1:2], corner.arc(r))
-        return corner.strength(r, u, stress, np.array([0.0, 1.0]))
+        return corner.strength(r, *fields._solutions[1].at(corner.arc(r)), np.array([0.0, 1.0]))
 
     found = [strength(fields.corner, r) for r in (0.01, 0.1, 0.45)]
     np.testing.assert_allclose(found, fields.strengths[1], rtol=1e-5)

@@ -3,27 +3,157 @@
 Inside a layer between much stiffer faces stresses are those of a strip without end, plus fields that take their tractions
 off the free side and fade within a few thicknesses. Between faces that do not move further these fields are those of the
 half strip (`forms.ends.half_strip`). The tractions are linear through the thickness, so there are four fields.
+
+At its corners, where a face meets the free side, the layer is a wedge of 90 degrees, 0 < theta < pi/2, held at theta = 0
+and free at theta = pi/2. Its stresses grow like H r^(lambda - 1) towards the corner (Williams 1952). With Muskhelishvili's
+potentials phi = a z^lambda, psi = b z^lambda
+
+    2 mu (u + i v) = kappa phi - z conj(phi') - conj(psi),   kappa = 3 - 4 nu,
+    s_xx + s_yy = 4 Re phi',   s_yy - s_xx + 2 i s_xy = 2 (conj(z) phi'' + psi').
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+import numpy.typing as npt
+from numpy.polynomial import legendre
 
 from forms.ends.constants import lame_over_mu
-from forms.ends.corner import LEAST_NU, Corner
-from forms.ends.half_strip import DEGREE, LEVELS, MIDDLE, half_grid, loaded, pressure_length
-from forms.ends.places import values_at
-from forms.ends.quadrilaterals import Array, Solution
+from forms.ends.half_strip import DEGREE, LEVELS, MIDDLE, HalfStrip, Solution
 
+Array = npt.NDArray[np.float64]
+ANGLES = 24  # Gauss points of an arc around the corner
+NONE = np.zeros(2)
+LEAST_NU = 0.01  # below, the exponent is so near zero that the strength is lost in what is regular at the corner
 RADIUS = 0.3  # of the arc from which strengths are taken
 # each field: powers of the height y of the stresses 11 and 12 on the end that it takes away, as (component, power), and
 # which displacement is zero on the middle line
 LOADS = ((0, 0, 1), (1, 0, 0), (0, 1, 0), (1, 1, 1))
 EVEN = np.array([1.0, -1.0, -1.0, 1.0])  # whether the mirror image, at y -> -y, of a field is itself
 SIGNS = np.array([1.0, 1.0, -1.0])  # of stresses 11, 22, 12 in a mirror
+
+
+@dataclass(frozen=True)
+class Corner:
+    """The singular field at the corner between a layer's free side and a rigid face; plane strain, stresses over mu.
+
+    In plane stress nu is nu/(1 + nu) of the layer. The polar angle is that from the face, into the layer.
+
+    Attributes:
+        nu: Poisson's ratio, in [0, 0.5].
+    """
+
+    nu: float
+
+    def __post_init__(self) -> None:
+        lame_over_mu(self.nu)  # raises errors of ratios out of range
+
+    @cached_property
+    def exponent(self) -> float:
+        """lambda, from 1 at nu = 0 to 0.595 at nu = 0.5: stresses grow like r^(lambda - 1).
+
+        The only root from 0 to 1 of 4 kappa sin(lambda pi/2)^2 = (kappa + 1)^2 - 4 lambda^2.
+        """
+        k = 3 - 4 * self.nu
+
+        def excess(power: float) -> float:
+            return 4 * k * math.sin(power * math.pi / 2) ** 2 - (k + 1) ** 2 + 4 * power**2
+
+        from scipy.optimize import brentq  # takes a while to import
+
+        return float(brentq(excess, 0.0, 1.0, xtol=1e-15, rtol=1e-14)) if excess(1.0) > 0 else 1.0
+
+    def _values(self, power: float, coefficients: Array, r: Array, angle: Array) -> tuple[Array, Array]:
+        """Displacements (..., 2) and stresses 11, 22, 12 (..., 3) of a = c_0 + i c_1, b = c_2 + i c_3."""
+        a, b = coefficients[0] + 1j * coefficients[1], coefficients[2] + 1j * coefficients[3]
+        z = r * np.exp(1j * angle)
+        first, second, third = z**power, power * z ** (power - 1), power * (power - 1) * z ** (power - 2)
+        u = ((3 - 4 * self.nu) * a * first - z * np.conj(a * second) - np.conj(b * first)) / 2
+        mean, other = 4 * (a * second).real, 2 * (np.conj(z) * a * third + b * second)
+        return (
+            np.stack([u.real, u.imag], axis=-1),
+            np.stack([(mean - other.real) / 2, (mean + other.real) / 2, other.imag / 2], axis=-1),
+        )
+
+    def _mode(self, power: float) -> Array:
+        """Coefficients (4,) of the field that is zero on the face and free of tractions on the side."""
+        rows = np.empty((4, 4))
+        for k, one in enumerate(np.eye(4)):
+            on_face, _ = self._values(power, one, np.array(1.0), np.array(0.0))
+            _, on_side = self._values(power, one, np.array(1.0), np.array(np.pi / 2))
+            rows[:, k] = [*on_face, on_side[0], on_side[2]]
+        return np.asarray(np.linalg.svd(rows)[2][-1])
+
+    @cached_property
+    def _unit(self) -> Array:
+        mode = self._mode(self.exponent)
+        return mode / self._values(self.exponent, mode, np.array(1.0), np.array(0.0))[1][1]
+
+    @cached_property
+    def _dual(self) -> Array:
+        return self._mode(-self.exponent)
+
+    def field(self, r: Array, angle: Array) -> tuple[Array, Array]:
+        """The field with H = 1: traction r^(lambda - 1) on the face, across it.
+
+        Returns:
+            Displacements (..., 2), for mu = 1, and stresses 11, 22, 12, (..., 3), with axis 1 along the face.
+        """
+        return self._values(self.exponent, self._unit, np.asarray(r), np.asarray(angle))
+
+    @property
+    def shear(self) -> float:
+        """Traction along the face over that across it; axis 1 leads away from the corner."""
+        return float(self.field(np.array(1.0), np.array(0.0))[1][2])
+
+    @cached_property
+    def _arc(self) -> tuple[Array, Array]:
+        points, weights = legendre.leggauss(ANGLES)
+        return (points + 1) * np.pi / 4, weights * np.pi / 4
+
+    def arc(self, r: float) -> Array:
+        """Places (n, 2) on the arc of radius r around the corner, at which `strength` takes displacements and stresses."""
+        angles = self._arc[0]
+        return r * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+    def strength(self, r: float, u: Array, stress: Array, start: Array = NONE, slope: Array = NONE) -> float:
+        """H of a field, by reciprocity with the dual field, of displacements ~ r^(-lambda).
+
+        Any radius gives the same, as long as the face does not move.
+
+        Args:
+            r: radius of the arc.
+            u: displacements (n, 2), times mu, less that of the face, at `arc`.
+            stress: 11, 22, 12, (n, 3), there.
+            start, slope: (2,) traction on the side, at the corner and its change over the distance from it; by default the
+                side is free.
+
+        Returns:
+            H, in the unit of stress times that of r to the power 1 - lambda.
+        """
+        unit = self._reciprocal(1.0, *self.field(np.array(1.0), self._arc[0]))
+        found = self._reciprocal(r, u, stress)
+        if start.any() or slope.any():
+            along = self._values(-self.exponent, self._dual, np.array(r), np.array(np.pi / 2))[0]
+            found += float(along @ (start * r / (1 - self.exponent) + slope * r**2 / (2 - self.exponent)))
+        return found / unit
+
+    def _reciprocal(self, r: float, u: Array, stress: Array) -> float:
+        """Work of the stresses in the dual displacements, less that of the dual stresses, on an arc."""
+        angles, weights = self._arc
+        dual_u, dual = self._values(-self.exponent, self._dual, np.array(r), angles)
+        return float(weights @ (_work(stress, angles, dual_u) - _work(dual, angles, u))) * r
+
+
+def _work(stress: Array, angles: Array, u: Array) -> Array:
+    """Work (n,) of the tractions of stresses 11, 22, 12 (n, 3) on an arc in displacements (n, 2)."""
+    c, s = np.cos(angles), np.sin(angles)
+    t_x, t_y = stress[:, 0] * c + stress[:, 2] * s, stress[:, 2] * c + stress[:, 1] * s
+    return np.asarray(t_x * u[:, 0] + t_y * u[:, 1])
 
 
 @dataclass(frozen=True)
@@ -47,16 +177,12 @@ class EndFields:
 
     @cached_property
     def _solutions(self) -> list[Solution]:
-        lmbda = lame_over_mu(self.nu)
-        grid = half_grid(lmbda, pressure_length(lmbda), self.degree, self.levels)
-        solutions = []
-        for component, power, odd in LOADS:
+        strip = HalfStrip(self.nu, self.degree, self.levels)
 
-            def traction(x: Array, component: int = component, power: int = power) -> Array:
-                return np.eye(2)[component] * ((x[:, 1] - MIDDLE) ** power)[:, None]
+        def loaded(component: int, power: int, odd: int) -> Solution:
+            return strip.loaded(lambda x: np.eye(2)[component] * (x[:, 1:] - MIDDLE) ** power, odd)
 
-            solutions.append(loaded(grid, traction, odd))
-        return solutions
+        return [loaded(*load) for load in LOADS]
 
     @cached_property
     def corner(self) -> Corner:
@@ -71,7 +197,7 @@ class EndFields:
             y: (n,) heights, from -1/2 to 1/2.
         """
         lower = np.stack([x, MIDDLE - np.abs(y)], axis=1)
-        found = values_at(self._solutions, lower)[1]
+        found = np.stack([solution.at(lower)[1] for solution in self._solutions])
         mirrored = found * (EVEN[:, None, None] * SIGNS)
         return np.where((y > 0)[:, None], mirrored, found)
 
@@ -82,9 +208,9 @@ class EndFields:
             return np.full(4, np.nan)
         corner, arc = self.corner, self.corner.arc(RADIUS)
         found = []
-        for u, stress, (component, power, _) in zip(*values_at(self._solutions, arc), LOADS, strict=True):
+        for solution, (component, power, _) in zip(self._solutions, LOADS, strict=True):
             load = np.eye(2)[component]
-            found.append(corner.strength(RADIUS, u, stress, load * (-MIDDLE) ** power, load * power))
+            found.append(corner.strength(RADIUS, *solution.at(arc), load * (-MIDDLE) ** power, load * power))
         return np.array(found)
 
 
