@@ -1,4 +1,48 @@
-"""UFL: kinematics, laws, and the work line that carries a law into a body, a meshed layer or a surface S."""
+"""UFL: kinematics, laws, and the work line that carries a law into a body, a meshed layer or a surface S.
 
-from forms.laws import *  # noqa: F403
-from forms.laws import __all__ as __all__
+The names here are those that users import: laws, contracts of laws, and what laws are written with.
+"""
+
+from forms.check import check
+from forms.contact import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, Tresca
+from forms.elastic import Anisotropic, LinearElastic
+from forms.kernel import KernelLaw
+from forms.law import BulkLaw, Law, LawError, Step, choice
+from forms.non_monotone import NonMonotone, NonMonotoneUnrelaxed
+from forms.plastic import MohrCoulomb, MohrCoulombMonodirectional, VonMises
+from forms.rubber import Incompressible, Rubber
+from forms.series import Stack
+from forms.temperature import Tabulated
+from forms.traction import JumpStep, TractionLaw
+from forms.viscous import KelvinVoigt, Maxwell, Norton, NortonCreep
+
+__all__ = [
+    "Anisotropic",
+    "BulkLaw",
+    "ContactLaw",
+    "HolonomicCoulomb",
+    "Incompressible",
+    "IncrementalCoulomb",
+    "JumpStep",
+    "KelvinVoigt",
+    "KernelLaw",
+    "Law",
+    "LawError",
+    "LinearElastic",
+    "Maxwell",
+    "MohrCoulomb",
+    "MohrCoulombMonodirectional",
+    "NonMonotone",
+    "NonMonotoneUnrelaxed",
+    "Norton",
+    "NortonCreep",
+    "Rubber",
+    "Stack",
+    "Step",
+    "Tabulated",
+    "TractionLaw",
+    "Tresca",
+    "VonMises",
+    "check",
+    "choice",
+]

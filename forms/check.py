@@ -17,8 +17,7 @@ from forms.fields import is_field
 from forms.kernel import KernelLaw
 from forms.kinematics import Expr, mandel
 from forms.law import BulkLaw, Law, LawError, Step, explained, shaped
-from forms.numbers import numbers
-from forms.trace import named, symbolic
+from forms.trace import named, numbers, symbolic
 
 Array = npt.NDArray[np.float64]
 STRAINS = (0.01, 0.3)  # sizes of the strains at which laws are evaluated

@@ -18,13 +18,12 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from forms.declarations import SIZES, require_dataclass, require_declarations, reset_inherited
+from forms.declarations import SIZES, Traits, require_dataclass, require_declarations, reset_inherited
 from forms.declarations import LawError as LawError
-from forms.fields import OfPlaces, field_of, is_field, number_of
+from forms.fields import Array, Field, OfPlaces, field_of, is_field, number_of
 from forms.inside import Inside
 from forms.kinematics import Expr
 from forms.stations import Station, at_gauss_points
-from forms.traits import Traits
 
 if TYPE_CHECKING:
     from forms.ends.weights import EndWeights, Strips
@@ -381,7 +380,7 @@ class BulkLaw(Law):
         return self
 
     def plane_stress(self) -> BulkLaw:
-        """The law of in-plane strains whose out-of-plane stresses are zero; by default `forms.plane_stress.PlaneStress`.
+        """The law of in-plane strains whose out-of-plane stresses are zero; by default `PlaneStress`.
 
         Raises:
             LawError: a law with a pressure, or whose phases switch, that has no method plane_stress of its own.
@@ -392,8 +391,6 @@ class BulkLaw(Law):
                 f"plane stress is not defined for {type(self).__name__}, because {why} would need more than a strain out "
                 "of the plane at each point; use plane='strain', or write a method plane_stress beside its stress"
             )
-        from forms.plane_stress import PlaneStress  # a law itself
-
         return PlaneStress(self)
 
     @property
@@ -408,6 +405,124 @@ class BulkLaw(Law):
     def scaled(self, ratio: float) -> Self:
         """The law that has the same interface law in a layer `ratio` times as thick: parameters times ratio**power."""
         return self.mapped(lambda value, power: (value if is_field(value) else np.asarray(value, float)) * ratio**power)
+
+
+@dataclass(frozen=True, eq=False)
+class OfLaw(BulkLaw):
+    """A law that is another one in other words: it has the parameters and the memory of that one.
+
+    Attributes:
+        law: that law.
+    """
+
+    law: Any
+
+    def __post_init__(self) -> None:
+        """Nothing: the law has been checked."""
+
+    @property
+    def powers(self) -> Mapping[str, float]:  # type: ignore[override]
+        return self.law.powers
+
+    @property
+    def internal(self) -> Mapping[str, tuple[int, ...]]:  # type: ignore[override]
+        return self.law.internal
+
+    @property
+    def break_times(self) -> set[float]:
+        return self.law.break_times
+
+    @property
+    def fields(self) -> dict[str, Field]:
+        return self.law.fields
+
+    def fields_at(self, x: Array) -> dict[str, Array]:
+        return self.law.fields_at(x)
+
+    def check(self) -> None:
+        self.law.check()
+
+    def check_dimension(self, d: int) -> None:
+        self.law.check_dimension(d)
+
+    def at(self, x: Array, t: float) -> dict[str, Array]:
+        return self.law.at(x, t)
+
+    def parameters(self) -> dict[str, Any]:
+        return self.law.parameters()
+
+    def choices(self) -> tuple[tuple[str, Any], ...]:
+        return ("law", type(self.law)), *self.law.choices()
+
+    def with_parameters(self, values: Mapping[str, Any]) -> Self:
+        return self._of(self.law.with_parameters(values))
+
+    def mapped(self, change: Callable[[Any, float], Any]) -> Self:
+        return self._of(self.law.mapped(change))
+
+    def _of(self, law: Law) -> Self:
+        """The same for a law with other parameters, unchecked."""
+        return super().with_parameters({"law": law})
+
+    def plane_stress(self) -> Self:
+        return self
+
+
+OUT_OF_PLANE_STRAINS = "out_of_plane"  # internal variable: strains 33, 13 and 23 in Mandel's components
+IN_PLANE, OUT_OF_PLANE = [0, 1, 3], [2, 4, 5]  # Mandel's components
+
+
+class PlaneStress(OfLaw):
+    """A law whose strains out of the plane are those at which the stresses there are zero, at t + theta dt.
+
+    They are found point by point by Newton's method in compiled code (`thinlayer/pointwise/response.c`) and kept as
+    internal values after those of the law, which gets all strains, old and new ones. Tangents are condensed; energies are
+    those of the law. A point where there are no such strains fails, and the solver takes a smaller step.
+
+    Attributes:
+        law: the law in three dimensions.
+    """
+
+    ignored: ClassVar = ("stress", "advance", "energy", "dissipation", "dissipated")
+
+    @cached_property
+    def traits(self) -> Traits:
+        varies = self.law.traits.varies or bool(self.law.fields)  # and areas are free to change, whatever flows
+        return replace(self.law.traits, compiled=True, varies=varies, isochoric=False)
+
+    @property
+    def internal(self) -> Mapping[str, tuple[int, ...]]:  # type: ignore[override]
+        return {**self.law.internal, OUT_OF_PLANE_STRAINS: (3,)}
+
+    @property
+    def memory(self) -> int:
+        return self.law.memory + 3
+
+    @property
+    def in_space(self) -> BulkLaw:
+        return self.law
+
+    def eased(self, ease: float) -> Self:
+        return self._of(self.law.eased(ease))
+
+    def check_dimension(self, d: int) -> None:
+        require(d == 2, self, "dimension of the model", d, "2")
+        super().check_dimension(d)
+
+    def condensed(self, C: Array) -> Array:
+        """C (6, 6) condensed; the rows out of the plane are those of the isotropic tensor nearest to it in plane stress."""
+        bulk = C[:3, :3].sum() / 9
+        mu = (np.trace(C) - 3 * bulk) / 10
+        lmbda = bulk - 2 * mu / 3
+        lmbda *= 2 * mu / (lmbda + 2 * mu) if lmbda + 2 * mu > 0 else 0.0
+        volume = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+        out = lmbda * np.outer(volume, volume) + 2 * mu * np.eye(6)
+        coupling = C[np.ix_(IN_PLANE, OUT_OF_PLANE)]
+        inner = np.linalg.pinv(C[np.ix_(OUT_OF_PLANE, OUT_OF_PLANE)])
+        out[np.ix_(IN_PLANE, IN_PLANE)] = (
+            C[np.ix_(IN_PLANE, IN_PLANE)] - coupling @ inner @ C[np.ix_(OUT_OF_PLANE, IN_PLANE)]
+        )
+        return np.asarray(out)
 
 
 @cache

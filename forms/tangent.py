@@ -14,8 +14,7 @@ from ufl.algorithms import expand_derivatives
 from forms.kinematics import MANDEL, ROOT2
 from forms.kinematics import mandel as in_mandel
 from forms.law import BulkLaw, LawError, Step
-from forms.numbers import numbers
-from forms.trace import reads, symbolic
+from forms.trace import numbers, reads, symbolic
 
 Array = npt.NDArray[np.float64]
 SMALL_STRAIN = 1e-6  # strain of the divided differences: too small for yielding, large enough against rounding

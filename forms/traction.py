@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
 import ufl
 
+from forms.declarations import Traits
 from forms.kinematics import Expr
-from forms.law import BulkLaw, Law, LawError, Step, shaped
-from forms.traits import Traits
+from forms.law import BulkLaw, Law, LawError, OfLaw, Step, shaped
 
 
 class JumpStep(NamedTuple):
@@ -101,44 +98,20 @@ class TractionLaw(Law):
         return ufl.as_ufl(0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class OfJumps(BulkLaw):
+class OfJumps(OfLaw):
     """A traction law as a law of strains sym(w (x) n): its stress is the T with T n = t and T : sym(v (x) n) = t . v.
+
+    It is the same in plane stress.
 
     Attributes:
         law: the traction law.
     """
 
-    law: TractionLaw
     methods: ClassVar = ("traction", "evolve")
 
     @cached_property
     def traits(self) -> Traits:
         return self.law.traits
-
-    @property
-    def internal(self) -> Mapping[str, tuple[int, ...]]:  # type: ignore[override]
-        return self.law.internal
-
-    @property
-    def break_times(self) -> set[float]:
-        return self.law.break_times
-
-    def parameters(self) -> dict[str, Any]:
-        return self.law.parameters()
-
-    def choices(self) -> tuple[tuple[str, Any], ...]:
-        return self.law.choices()
-
-    def with_parameters(self, values: Mapping[str, Any]) -> Self:
-        return type(self)(self.law.with_parameters(values))
-
-    def at(self, x: npt.NDArray[np.float64], t: float) -> dict[str, npt.NDArray[np.float64]]:
-        return self.law.at(x, t)
-
-    def plane_stress(self) -> Self:
-        """The law itself: jumps and tractions are the same in plane stress."""
-        return self
 
     def stress(self, step: Step) -> Expr:
         t, n = shaped(self, "traction", self.law.traction(self._jumps(step)), (3,)), step.n

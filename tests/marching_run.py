@@ -8,7 +8,7 @@ from pathlib import Path
 
 import ufl
 
-from forms.laws import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
+from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from geometry import block, sandwich
 from tests.own_laws import Mises
 from tests.ranks import Ending

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import pytest
 
-from forms.laws import Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulomb
+from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulomb
 from forms.traction import TractionLaw
 from geometry import block
 from tests.arc_length_run import HEIGHT, WIDTH, E, bar

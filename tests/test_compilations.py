@@ -11,7 +11,7 @@ import dolfinx.jit
 import pytest
 import ufl
 
-from forms.laws import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
+from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from studies.problems import fourier
 from thinlayer import Structure, ThinLayer, compare, drive, march, solve
 from thinlayer.pointwise import kernels

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms import LinearElastic, MohrCoulomb
-from forms.laws import HolonomicCoulomb, Incompressible, KelvinVoigt, Norton
+from forms import HolonomicCoulomb, Incompressible, KelvinVoigt, LinearElastic, MohrCoulomb, Norton
 from geometry import sandwich
 from thinlayer import ModelError, RigidPlate, Springs, Structure, ThinLayer, march, piecewise, solve
 from thinlayer.solving.solvers import Solver

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms.laws import Norton
+from forms import Norton
 from tests.viscous_joints import JOINT, SETUP, SLOW, SUDDEN, interface
 from thinlayer import Adaptive, ArcLength, ModelError, SolveError, Structure, ThinLayer, march, piecewise
 

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 import ufl
 
+from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, TractionLaw
 from forms.declarations import LawError
-from forms.laws import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, TractionLaw
 from studies.problems import FOURIER_LAYER, fourier
 from tests import reference
 from tests.own_laws import layer_of

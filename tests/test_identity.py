@@ -21,7 +21,7 @@ import scipy.spatial
 import scipy.stats
 import ufl
 
-from forms.laws import LinearElastic
+from forms import LinearElastic
 from tests.viscous_joints import JOINT, SETUP, SLOW
 from thinlayer import ModelError, Structure, ThinLayer, compare, identity, march, piecewise, solve, sweep
 from thinlayer.identity import code_of, described, differences, in_words, random_states

@@ -9,7 +9,7 @@ import pytest
 import ufl
 from dolfinx import fem
 
-from forms.laws import LinearElastic
+from forms import LinearElastic
 from geometry import ring, sandwich
 from tests.supports_run import BODY, CREEP, EPS, GLUE, KINDS, MORTAR, model, out_of_balance, turn
 from thinlayer import ModelError, Pressure, Structure, ThinLayer, march, solve

@@ -14,7 +14,7 @@ from petsc4py import PETSc
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import splu
 
-from forms.laws import Anisotropic, Incompressible, LawError, LinearElastic, Stack, VonMises
+from forms import Anisotropic, Incompressible, LawError, LinearElastic, Stack, VonMises
 from forms.work import work
 from geometry import GeometryError, Joint, block, ring, sandwich
 from studies.problems import FOURIER_BODY, fourier

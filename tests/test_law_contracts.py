@@ -17,9 +17,9 @@ from forms import Anisotropic, BulkLaw, KelvinVoigt, KernelLaw, LawError, Linear
 from forms.check import require_computed
 from forms.elastic import lame
 from forms.kinematics import lift
-from forms.numbers import numbers
-from forms.plane_stress import PlaneStress
+from forms.law import PlaneStress
 from forms.tangent import tangent_at_rest
+from forms.trace import numbers
 from forms.viscous import isotropic_energy
 from geometry import sandwich
 from tests.own_laws import Fragile, Mises

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms.laws import BulkLaw, LinearElastic, Norton, Stack
+from forms import BulkLaw, LinearElastic, Norton, Stack
 from tests.refused import refused
 from tests.viscous_joints import G_N, JOINT, K_N, PULL, SETUP, SLOW, SUDDEN, interface, opening
 from thinlayer import ArcLength, ModelError, RangeWarning, Structure, Surface, ThinLayer, compare, march, solve

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from forms.laws import KelvinVoigt, LinearElastic
+from forms import KelvinVoigt, LinearElastic
 from tests import marching_run
 from tests.on_ranks import alone, on_ranks
 from tests.ranks import CLONE, Ended, Ending, clean, mpirun

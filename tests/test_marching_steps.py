@@ -10,8 +10,8 @@ import pytest
 import ufl
 from scipy.optimize import brentq
 
+from forms import BulkLaw, KernelLaw, LinearElastic, MohrCoulomb, Norton
 from forms.contact import HolonomicCoulomb, IncrementalCoulomb
-from forms.laws import BulkLaw, KernelLaw, LinearElastic, MohrCoulomb, Norton
 from geometry import sandwich
 from tests.viscous_joints import BODY, G_N, K_N, SLOW, SUDDEN, interface, opening
 from thinlayer import (

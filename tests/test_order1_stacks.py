@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from forms import Anisotropic, Incompressible, KelvinVoigt, LawError, LinearElastic, Maxwell, MohrCoulomb, Stack
-from forms.sharing import in_series
+from forms.series import in_series
 from geometry import sandwich
 from studies.problems import FOURIER_BODY, FOURIER_LAYER, fourier
 from tests import reference

@@ -25,8 +25,8 @@ from forms import (
     Stack,
 )
 from forms.elastic import lame
+from forms.law import PlaneStress
 from forms.non_monotone import lamination_gain
-from forms.plane_stress import PlaneStress
 from forms.planes import Kinematics
 from thinlayer import SolveError, drive
 from thinlayer.pointwise.material import Material

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms.laws import LinearElastic
+from forms import LinearElastic
 from geometry import block, sandwich
 from tests.arc_length_run import KINKED
 from tests.refused import refused

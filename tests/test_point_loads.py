@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import ufl
 
+from forms import LinearElastic
 from forms.contact import HolonomicCoulomb
-from forms.laws import LinearElastic
 from geometry import GeometryError, block, ring, sandwich
 from tests.supports_run import BODY, CREEP, EPS, GLUE, KINDS, model, out_of_balance
 from thinlayer import (

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from forms import Stack
-from forms.laws import Incompressible, LinearElastic
+from forms import Incompressible, LinearElastic, Stack
 from geometry import block, sandwich, wall
 from tests.arc_length_run import KINKED, PATH, tilted
 from tests.refused import refused

@@ -11,8 +11,8 @@ from typing import ClassVar
 import pytest
 import ufl
 
+from forms import LinearElastic
 from forms.law import BulkLaw
-from forms.laws import LinearElastic
 from geometry import block
 from tests import ranges_told
 from tests.arc_length_run import HEIGHT, WIDTH, bar

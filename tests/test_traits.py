@@ -11,7 +11,7 @@ import pytest
 import forms.law
 import forms.series
 from forms import BulkLaw, KelvinVoigt, LawError, LinearElastic, MohrCoulomb, NonMonotone, NonMonotoneUnrelaxed, Stack
-from forms.traits import Traits, trait
+from forms.declarations import Traits, trait
 from tests.own_laws import AgeingSpring
 
 STIFF = LinearElastic(30.0, 20.0)

@@ -10,7 +10,7 @@ import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
-from forms.laws import LinearElastic, Maxwell
+from forms import LinearElastic, Maxwell
 from geometry import sandwich
 from tests.taylor import observed_orders
 from thinlayer import ArcLength, ModelError, Structure, Surface, ThinLayer, UflPart, march, solve

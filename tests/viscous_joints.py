@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from forms.laws import KelvinVoigt, LinearElastic, Maxwell
+from forms import KelvinVoigt, LinearElastic, Maxwell
 from geometry import sandwich
 from thinlayer import Structure, Surface, ThinLayer
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-import forms.laws
+import forms
 from forms.elastic import LinearElastic
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw, LawError, scalars
@@ -58,7 +58,7 @@ def materials(section: Section, key: str, *, thin: bool = False) -> dict[str | N
 @cache
 def known_laws() -> dict[str, type[BulkLaw]]:
     """The laws of strains that a description may name."""
-    found = {name: getattr(forms.laws, name) for name in forms.laws.__all__}
+    found = {name: getattr(forms, name) for name in forms.__all__}
     return {
         name: kind
         for name, kind in found.items()

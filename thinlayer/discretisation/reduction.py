@@ -12,7 +12,7 @@ import numpy.typing as npt
 from forms.elastic import LARGEST_NU, ROUNDING
 from forms.ends.weights import Strips
 from forms.law import BulkLaw, LawError
-from forms.next_order import for_next_order
+from forms.rubber import for_next_order
 from forms.tangent import average_lame, known_at_rest
 from geometry.ends import straight_ends
 from geometry.errors import GeometryError, place
