@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property
 
 import dolfinx.fem.petsc
@@ -15,6 +14,7 @@ from thinlayer.discretisation.measures import compiled, compiled_summands
 from thinlayer.discretisation.state import Configuration
 from thinlayer.parallel.exchange import communicator
 from thinlayer.parts.part import Array, Block, Interval, Outcome, Part
+from thinlayer.pointwise.assembling import add_forces_of, forces_of, matrix_of
 
 
 class FormPart(Part):
@@ -67,20 +67,9 @@ class FormPart(Part):
         u.copy(self._u.x.petsc_vec)
         self._u.x.scatter_forward()
 
-    def _assembled(self, forms: Sequence[fem.Form]) -> PETSc.Vec:
-        """Nodal forces of forms; the caller destroys the vector."""
-        first, *others = forms
-        b = dolfinx.fem.petsc.assemble_vector(first)
-        for form in others:
-            dolfinx.fem.petsc.assemble_vector(b, form)
-        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        return b
-
     def add_fixed(self, out: PETSc.Vec) -> None:
         if self._g:
-            b = self._assembled(self._g)
-            out.axpy(1.0, b)
-            b.destroy()
+            add_forces_of(out, *self._g)
 
     def add_forces(self, out: PETSc.Vec) -> float:
         return self._add(self._mid.x.petsc_vec, out)
@@ -93,10 +82,7 @@ class FormPart(Part):
             size = float(self._product.norm())
             out.axpy(1.0, self._product)
         if self._F or self._g:
-            b = self._assembled(self._F + self._g)
-            size = max(size, float(b.norm()))
-            out.axpy(1.0, b)
-            b.destroy()
+            size = max(size, add_forces_of(out, *self._F, *self._g))
         return size
 
     def tangents(self, relative_residual: float) -> list[Block]:
@@ -127,7 +113,7 @@ class FormPart(Part):
         supplied = 0.0
         remainder = (2 * theta - 1) * of_change
         if self._F or self._g:
-            b = self._assembled(self._F + self._g)
+            b = forces_of(*self._F, *self._g)
             supplied = self._supplied()
             worked = float(b.dot(change)) + supplied
             b.destroy()
@@ -167,6 +153,4 @@ class FormPart(Part):
 
 def matrix(form: Expr) -> PETSc.Mat:
     """The assembled matrix of a bilinear form, without supports."""
-    K = dolfinx.fem.petsc.assemble_matrix(compiled(form))
-    K.assemble()
-    return K
+    return matrix_of(compiled(form))

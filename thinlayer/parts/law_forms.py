@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from operator import or_
 
-import dolfinx.fem.petsc
 import numpy as np
 import ufl
 from dolfinx import fem
@@ -26,8 +25,8 @@ from thinlayer.discretisation.measures import compiled
 from thinlayer.parts.compiled import GivenAtPoints, falls, may_soften
 from thinlayer.parts.forms import FormPart, matrix
 from thinlayer.parts.part import Interval, PartTraits
+from thinlayer.pointwise.assembling import add_forces_of, add_spread, matrix_of
 from thinlayer.pointwise.compiled_term import CompiledTerm
-from thinlayer.pointwise.spreading import add_spread
 
 
 class LawForms(FormPart):
@@ -107,10 +106,7 @@ class LawForms(FormPart):
     def add_layer_forces(self, keys: Collection[str], out: PETSc.Vec) -> None:
         if (form := self._of_layer(tuple(sorted(keys)))) is not None:
             self._take(self._mid.x.petsc_vec)
-            b = dolfinx.fem.petsc.assemble_vector(form)
-            b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-            out.axpy(1.0, b)
-            b.destroy()
+            add_forces_of(out, form)
 
     def _of_layer(self, keys: tuple[str, ...]) -> fem.Form | None:
         """Virtual work of the layers' terms with these keys; None: there are none."""
@@ -130,8 +126,7 @@ class LawForms(FormPart):
         self._u.x.array[:] = 0.0
         found = 0.0
         for form in self._J:
-            A = dolfinx.fem.petsc.assemble_matrix(form)
-            A.assemble()
+            A = matrix_of(form)
             diagonal = A.getDiagonal()
             found = max(found, float(diagonal.max()[1]))
             diagonal.destroy()

@@ -1,11 +1,14 @@
-"""The parts of a model's balance of forces."""
+"""The parts of a model's balance of forces, those that another model of the same joint makes among them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.work import Term
@@ -14,13 +17,13 @@ from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.layer import BY_LAW
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.quadratures import compiled_terms
-from thinlayer.parts.carried import Carried, Carrier
+from thinlayer.discretisation.state import Configuration, transfer
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact import ContactPart
 from thinlayer.parts.forms import FormPart
 from thinlayer.parts.law_forms import LawForms
 from thinlayer.parts.mean_stress import MeanStressPart
-from thinlayer.parts.part import Part
+from thinlayer.parts.part import Array, Block, FileOrder, Interval, Memory, Outcome, Part, PartTraits
 from thinlayer.parts.pressure import PressurePart, has_flow
 
 
@@ -101,3 +104,148 @@ def _free(model: Model, term: Term) -> npt.NDArray[np.float64] | None:
     one = next(one for one in model.layers.values() if one.key == term.key)
     known = model.reductions[one.name]
     return points_on_middle(model.domain.joint)[np.unique(known.loose[~known.coarse].vertices)]
+
+
+# ---------------------------------------------------------------- parts of another model
+# Optional methods and attributes of parts that have no displacements, see `Part`.
+SAME = {
+    *("stress_width", "failure", "at_time", "parameters", "ease", "excess", "switch", "undeclared_softening"),
+    *("takes_time", "answers_at_once", "unit_jump_measure", "comms"),
+}
+
+
+class Carrier:
+    """Displacements and nodal forces of one model as those of another model of the same joint. Collective.
+
+    Body cells of both models have the same degrees of freedom, so that this is a change of numbers.
+
+    Args:
+        model: the model that solvers see.
+        other: the one whose parts act.
+
+    Attributes:
+        V: space of the other model.
+        matrix: displacements of the other model by those of the first one.
+    """
+
+    def __init__(self, model: Model, other: Model) -> None:
+        self.V = other.V
+        (n, first), (rows, _) = (_range(one.V) for one in (model, other))
+        numbers = fem.Function(model.V)
+        numbers.x.array[:n] = first + np.arange(n)
+        numbers.x.scatter_forward()
+        columns = np.rint(transfer(numbers, model, other.V, other).x.array[:rows]).astype(PETSc.IntType)
+        starts = np.arange(rows + 1, dtype=PETSc.IntType)
+        csr = (starts, columns, np.ones(rows))
+        self.matrix = PETSc.Mat().createAIJ(((rows, None), (n, None)), csr=csr, comm=model.comm)
+
+    def displacements(self, u: fem.Function) -> fem.Function:
+        """Displacements in the other model."""
+        out = fem.Function(self.V)
+        self.matrix.mult(u.x.petsc_vec, out.x.petsc_vec)
+        out.x.scatter_forward()
+        return out
+
+    def add_forces(self, forces: PETSc.Vec, out: PETSc.Vec) -> None:
+        """Add nodal forces of the other model to those of the first one."""
+        self.matrix.multTransposeAdd(forces, out, out)
+
+    def stiffness(self, K: PETSc.Mat) -> PETSc.Mat:
+        """A stiffness matrix of the other model as one of the first one."""
+        return K.ptap(self.matrix)
+
+
+def _range(V: fem.FunctionSpace) -> tuple[int, int]:
+    """Number of this rank's degrees of freedom, and the first of them."""
+    dofmap = V.dofmap
+    first, last = dofmap.index_map.local_range
+    return (last - first) * dofmap.index_map_bs, first * dofmap.index_map_bs
+
+
+class Carried(Part):
+    """A part without own unknowns of another model, on the displacements of this one.
+
+    Args:
+        part: the part.
+        carrier: between both models.
+        key: key of the part here.
+    """
+
+    def __init__(self, part: FormPart | CompiledPart, carrier: Carrier, key: str) -> None:
+        self.key, self._part, self._carrier = key, part, carrier
+        self.traits = part.traits
+        self.K = None if part.K is None else carrier.stiffness(part.K)
+        self._values = fem.Function(carrier.V)  # whose memory the vector has
+        self._forces = self._values.x.petsc_vec
+
+    # ---------------------------------------------------------------- a step
+    def _old(self, old: Configuration) -> Configuration:
+        """A configuration of this model as one of the other, of this part alone."""
+        u, kept = self._carrier.displacements(old.u), (old.memory, old.stored, old.stresses)
+        own: list[Any] = [{self._part.key: values[self.key]} if self.key in values else {} for values in kept]
+        return Configuration(u, old.t, own[0], {}, own[1], old.at_rest, stresses=own[2])
+
+    def begin(self, interval: Interval) -> None:
+        super().begin(interval)
+        self._part.begin(replace(interval, old=self._old(interval.old)))
+
+    def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
+        self._part.evaluate(self._carrier.displacements(u), self._carrier.displacements(mid))
+        self.failed = self._part.failed
+
+    def add_forces(self, out: PETSc.Vec) -> float:
+        self._forces.set(0.0)
+        size = self._part.add_forces(self._forces)
+        self._carrier.add_forces(self._forces, out)
+        return size
+
+    def add_fixed(self, out: PETSc.Vec) -> None:
+        if isinstance(self._part, FormPart):
+            self._forces.set(0.0)
+            self._part.add_fixed(self._forces)
+            self._carrier.add_forces(self._forces, out)
+
+    def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
+        self._forces.set(0.0)
+        self._part.add_forces_in(self._old(state), self._forces)
+        self._carrier.add_forces(self._forces, out)
+
+    def tangents(self, relative_residual: float) -> list[Block]:
+        found = []
+        for block in self._part.tangents(relative_residual):
+            if self.K is not None and block.matrix == self._part.K:
+                found.append(replace(block, matrix=self.K))
+                continue
+            found.append(replace(block, matrix=self._carrier.stiffness(block.matrix), kept=False))
+            if not block.kept:
+                block.matrix.destroy()
+        return found
+
+    def commit(self) -> Outcome:
+        return replace(self._part.commit(), kept=True)
+
+    # ---------------------------------------------------------------- what does not depend on displacements
+    def __getattr__(self, name: str) -> Any:
+        if name in SAME:
+            return getattr(self._part, name)
+        raise AttributeError(name)
+
+    def rest(self) -> Memory | None:
+        return self._part.rest()
+
+    def named(self) -> dict[str, PartTraits]:
+        return self._part.named()
+
+    @property
+    def file_order(self) -> FileOrder | None:
+        return self._part.file_order
+
+    def error_measure(self, u: fem.Function) -> Array:
+        """As in `Part`; empty if the part measures nothing."""
+        measure = getattr(self._part, "error_measure", None)
+        return measure(self._carrier.displacements(u)) if measure else np.empty(0)
+
+    def destroy(self) -> None:
+        if self.K is not None:
+            self.K.destroy()
+        self._part.destroy()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import basix.ufl
-import dolfinx.fem.petsc
 import numpy as np
 import ufl
 from dolfinx import fem
@@ -19,6 +18,7 @@ from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.given_strains import MEAN_STRAIN, MeanStress, of_components
 from thinlayer.discretisation.spaces import Keys, broken_space
 from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
+from thinlayer.pointwise.assembling import matrix_of, values_of
 
 
 class MeanStressPart(FieldPart):
@@ -48,12 +48,8 @@ class MeanStressPart(FieldPart):
         strained = [(p, p.law.stress(Step(lift(of_components(E)) / given.size, p.n))) for p in bodies]
         couple = sum(ufl.inner(s, p.strain(v)) * p.weight * p.measure for p, s in strained)
         tensor = lift(of_components(F)) / given.size
-        self.B, self.D = (
-            dolfinx.fem.petsc.assemble_matrix(fem.form(form))
-            for form in (couple, sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in strained))
-        )
-        self.B.assemble()
-        self.D.assemble()
+        own = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in strained)
+        self.B, self.D = matrix_of(fem.form(couple)), matrix_of(fem.form(own))
         self._turned = PETSc.Mat()
         self.B.transpose(self._turned)
         of_given = [p for p in bodies if p.given is not None]
@@ -75,14 +71,8 @@ class MeanStressPart(FieldPart):
 
     def _of_given(self, t: float, *, at_rest: bool = False) -> Array:
         """Own forces (own unknowns,) of the strains given to the bodies, at a time or at rest."""
-        if self._own_of_given is None:
-            return np.zeros(self.own_size)
         self._over.look_at(t, at_rest=at_rest)
-        b = dolfinx.fem.petsc.assemble_vector(self._own_of_given)
-        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        found = b.array_r.copy()
-        b.destroy()
-        return np.asarray(found)
+        return np.asarray(values_of(self._own_of_given, self.own_size))
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         theta, self._u = self.interval.theta, u

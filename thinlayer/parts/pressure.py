@@ -5,23 +5,28 @@ from __future__ import annotations
 import math
 from functools import cached_property
 
-import dolfinx.fem.petsc
+import basix.ufl
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from petsc4py import PETSc
+from scipy.spatial import cKDTree
 from ufl.classes import Zero
 
 from forms.kinematics import Expr
 from forms.work import Term
+from geometry.compat import cell_nodes
 from geometry.topology import IntArray
+from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.layer import LAYER, PRESSURE
+from thinlayer.parallel.communicator import communicator
 from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
-from thinlayer.parts.vertices import at_places, identified
+from thinlayer.pointwise.assembling import add_spread, matrix_of, values_of
 from thinlayer.pointwise.quadrature import Origin, Quadrature, Region
-from thinlayer.pointwise.spreading import add_spread
+
+SAME_PLACE = 1e-9  # distance, relative to the size of S, at which two vertices are one
 
 
 class PressurePart(FieldPart):
@@ -69,8 +74,7 @@ class PressurePart(FieldPart):
         self.field = self._p = fem.Function(space)
         q, v = region.side(ufl.TestFunction(space)), ufl.TrialFunction(V)
         form = q * ufl.tr(term.strain(v)) * term.weight * term.measure
-        self.G = dolfinx.fem.petsc.assemble_matrix(fem.form(form, entity_maps=region.maps))
-        self.G.assemble()
+        self.G = matrix_of(region.compiled(form))
         self.C = self._compliance(space, term, points)
         self.unit = stiffness / self.G.norm(PETSc.NormType.INFINITY)
         if self.C is not None:  # else the rounding of volumes beside stiff bodies would count as much as forces
@@ -81,7 +85,7 @@ class PressurePart(FieldPart):
         strained = [term] if term.given is not None else []
         self._over = OverStep(V.mesh, strained)
         room = sum(q * ufl.tr(self._over.now(p.given)) * p.weight * p.measure for p in strained)
-        self._room = fem.form(room, entity_maps=region.maps) if strained else None
+        self._room = region.compiled(room) if strained else None
         self._turned = PETSc.Mat()
         self.G.transpose(self._turned)
         self._volume, self._forces = self.G.createVecLeft(), self.G.createVecRight()
@@ -102,12 +106,9 @@ class PressurePart(FieldPart):
         if has_flow(term):  # on S: gradients of functions of its mesh are along S
             flow = self._means(term.flow) * term.kinematics.on(region.mesh).factor
             forms.append(flow * ufl.inner(ufl.grad(p), ufl.grad(q)) * ufl.dx(region.mesh))
-        matrices = [dolfinx.fem.petsc.assemble_matrix(fem.form(one, entity_maps=region.maps)) for one in forms]
-        for matrix in matrices:
-            matrix.assemble()
-        if not matrices:
+        if not forms:
             return None
-        C, *others = matrices
+        C, *others = (matrix_of(region.compiled(form)) for form in forms)
         for other in others:
             C.axpy(1.0, other)
             other.destroy()
@@ -119,7 +120,7 @@ class PressurePart(FieldPart):
         measure, q = self.region.measure, self.region.side(ufl.TestFunction(found.function_space))
         sums = []
         for one in (f, fem.Constant(self.region.parent_mesh, 1.0)):
-            vector = fem.assemble_vector(fem.form(one * q * measure, entity_maps=self.region.maps))
+            vector = fem.assemble_vector(self.region.compiled(one * q * measure))
             vector.scatter_reverse(la.InsertMode.add)
             vector.scatter_forward()
             sums.append(vector.array)
@@ -133,9 +134,7 @@ class PressurePart(FieldPart):
         if region.dim == region.parent_mesh.topology.dim:
             return None
         p, q, factor = ufl.TrialFunction(space), ufl.TestFunction(space), self._kinematics.on(region.mesh).factor
-        mass = dolfinx.fem.petsc.assemble_matrix(fem.form(factor * ufl.inner(p, q) * ufl.dx(region.mesh)))
-        mass.assemble()
-        return mass
+        return matrix_of(fem.form(factor * ufl.inner(p, q) * ufl.dx(region.mesh)))
 
     def _end(self) -> Array:
         """Pressures of this rank at the end of the step, in the units of `field`."""
@@ -159,14 +158,8 @@ class PressurePart(FieldPart):
 
     def _of_given(self, t: float, *, at_rest: bool = False) -> Array:
         """What given strains add to `own_residual`, at a time or at rest."""
-        if self._room is None:
-            return np.zeros(self.own_size)
         self._over.look_at(t, at_rest=at_rest)
-        b = dolfinx.fem.petsc.assemble_vector(self._room)
-        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        found = self.unit * b.array_r
-        b.destroy()
-        return np.asarray(found)
+        return np.asarray(self.unit * values_of(self._room, self.own_size))
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         self.G.mult(u.x.petsc_vec, self._volume)
@@ -241,3 +234,24 @@ class PressurePart(FieldPart):
 def has_flow(term: Term) -> bool:
     """Whether the pressure of a term is that of an interface law of order 1, which flows along S."""
     return not isinstance(ufl.as_ufl(term.flow), Zero)
+
+
+def identified(region: Region, masters: IntArray) -> fem.FunctionSpace:
+    """Functions that are the same at vertices that periodic sides identify (`Joint.masters`). Collective."""
+    mesh = region.mesh
+    element = basix.ufl.element("Lagrange", mesh.basix_cell(), 1)
+    corners = cell_nodes(mesh)[:, : element.basix_element.dim]
+    vertices = np.asarray(mesh.geometry.input_global_indices, np.int64)[corners]
+    comm = communicator(region.parent_mesh)
+    return broken_space(comm, Keys.of_entities(comm, mesh, element, [masters[vertices]]))
+
+
+def at_places(space: fem.FunctionSpace, places: Array) -> npt.NDArray[np.int64]:
+    """Unknowns of this rank of a space of degree 1 at some of its vertices (n, d). Collective."""
+    owned = space.dofmap.index_map.size_local
+    x = space.tabulate_dof_coordinates()[:owned, : places.shape[1]]
+    ends = space.mesh.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)))
+    low, high = (np.array(one) for one in zip(*ends, strict=True))
+    size = float((high.max(axis=0) - low.min(axis=0)).max())
+    distance, _ = cKDTree(places).query(x)
+    return np.flatnonzero(distance <= SAME_PLACE * size).astype(np.int64)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import dolfinx.fem.petsc
-import dolfinx.mesh
 import numpy as np
+import scipy.sparse
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
@@ -16,12 +15,12 @@ from forms.kinematics import MANDEL, ROOT2, Expr
 from forms.law import LawError
 from forms.tangent import LONG
 from forms.work import Term
+from thinlayer.errors import ModelError
+from thinlayer.pointwise.assembling import add_spread, matrix_of
 from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
-from thinlayer.pointwise.mean_volume import MeanVolume
-from thinlayer.pointwise.quadrature import Origin, Quadrature
-from thinlayer.pointwise.spreading import add_spread
+from thinlayer.pointwise.quadrature import DIAGONAL, Origin, Quadrature
 
 # Size of a tangent below which underflow may have cost digits.
 UNDERFLOW = np.finfo(float).tiny / np.finfo(float).eps ** 2
@@ -69,7 +68,8 @@ class CompiledTerm(Quadrature):
 
     def __init__(self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None) -> None:
         super().__init__(V, term, origin)
-        self.B = B = self._strain_matrix(V)
+        # displacements -> strains at the points (m rows each); assembled once, as strains are linear
+        self.B = B = matrix_of(self.form_of(self.term.strain(ufl.TrialFunction(V))))
         B.diagonalScale(L=self._vector(np.repeat(1 / self._integrals, len(self.slots))))
         self._volume = None if term.volume is None else MeanVolume(self, term.volume)
         if self._volume:
@@ -81,21 +81,11 @@ class CompiledTerm(Quadrature):
         self.switching = Switching(term.law, self.columns) if term.law.traits.switches else None
         self._at_rest = self.tangent_at_rest() if term.law.traits.singular else None
 
-    def _strain_matrix(self, V: fem.FunctionSpace) -> PETSc.Mat:
-        """B: displacements -> strains at the points (m rows each), unprojected; assembled once, as strains are linear."""
-        W = self._space((len(self.slots),))
-        du, q = ufl.TrialFunction(V), self.region.side(ufl.TestFunction(W))
-        rows = _components(self.term.strain(du), self.slots)
-        form = fem.form(ufl.inner(rows, q) * self.measure, entity_maps=self.region.maps)
-        B = dolfinx.fem.petsc.assemble_matrix(form)
-        B.assemble()
-        return B
-
     def form_of(self, strain: Expr) -> fem.Form:
         """A form from which `values_of` computes the values of a strain (3, 3) at the points."""
         q = self.region.side(ufl.TestFunction(self._space((len(self.slots),))))
         rows = _components(strain, self.slots)
-        return fem.form(ufl.inner(rows, q) * self.measure, entity_maps=self.region.maps)
+        return self.region.compiled(ufl.inner(rows, q) * self.measure)
 
     def values_of(self, form: fem.Form) -> Array:
         """Strains (points, m) of a form, with the present values of its constants, as the law gets them."""
@@ -253,3 +243,56 @@ def _components(strain: Expr, slots: Sequence[int]) -> Expr:
     """Mandel components of a strain (3, 3) in these slots, a UFL vector."""
     pairs = [MANDEL[k] for k in slots]
     return ufl.as_vector([strain[i, j] * (1.0 if i == j else ROOT2) for i, j in pairs])
+
+
+class MeanVolume:
+    """Mean volume strains (B-bar): the projection, in L2 with the term's weights, of the traces of strains in each cell.
+
+    Elements whose volume strains are more than their displacements can keep at zero resist flow that keeps volumes. With
+    these strains projected they do not, and stiffnesses stay symmetric (Hughes 1980; Simo, Taylor and Pister 1985). The
+    projection is orthogonal: a stress does the same work in projected strains as the stress with its mean part projected
+    does in the others.
+
+    Args:
+        points: the quadrature points of a term over cells; its slots start with 11, 22 and 33.
+        degree: of the polynomials of the coordinates: 0, means over cells, or 1.
+
+    Raises:
+        ModelError: another degree, or a term that is not over cells.
+    """
+
+    def __init__(self, points: Quadrature, degree: int) -> None:
+        if degree not in (0, 1) or points.region.dim < points.dim:
+            raise ModelError(f"volume is {degree!r}; allowed: 0 or 1, for a law of cells, or None")
+        self._cells, self._width = points.cells, len(points.slots)
+        x, root = points.x[points.cells], np.sqrt(points.weights[points.cells])
+        basis = np.ones((*root.shape, 1))
+        if degree:
+            centred = x - x.mean(axis=1, keepdims=True)
+            basis = np.concatenate(
+                [basis, centred / np.abs(centred).max(axis=(1, 2), keepdims=True, initial=0)], axis=2
+            )
+        U = np.linalg.svd(basis * root[..., None], full_matrices=False)[0]
+        self._change = (U @ U.swapaxes(1, 2)) * root[:, None, :] / root[:, :, None] - np.eye(root.shape[1])
+
+    def projected(self, values: Array) -> Array:
+        """Strains or stresses (points, m) with their traces projected."""
+        out, here = values.copy(), values[self._cells][..., : len(DIAGONAL)].sum(axis=2)
+        change = np.einsum("cpq,cq->cp", self._change, here) / len(DIAGONAL)
+        out[self._cells[..., None], np.arange(len(DIAGONAL))] += change[..., None]
+        return out
+
+    def matrix(self, B: PETSc.Mat) -> PETSc.Mat:
+        """The matrix of projected strains (m rows a point) for that of strains, which is destroyed. Collective."""
+        rows = self._cells[..., None] * self._width + np.arange(len(DIAGONAL))  # (cells, points, 3)
+        shape = (*rows.shape, *rows.shape[1:])
+        change = np.broadcast_to(self._change[:, :, None, :, None] / len(DIAGONAL), shape)
+        at = [np.broadcast_to(one, shape).ravel() for one in (rows[:, :, :, None, None], rows[:, None, None, :, :])]
+        (own, _), (first, _) = B.getSizes()[0], B.getOwnershipRange()
+        M = scipy.sparse.csr_matrix((change.ravel(), at), (own, own)) + scipy.sparse.eye(own, format="csr")
+        csr = M.indptr.astype(PETSc.IntType), (first + M.indices).astype(PETSc.IntType), M.data
+        A = PETSc.Mat().createAIJ((B.getSizes()[0], B.getSizes()[0]), csr=csr, comm=B.getComm())
+        out = A.matMult(B)
+        for one in (A, B):
+            one.destroy()
+        return out

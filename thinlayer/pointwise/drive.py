@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import ufl
 
 from forms.base import is_number
-from forms.kinematics import MANDEL, ROOT2
+from forms.kinematics import MANDEL, ROOT2, layer_frame
 from forms.law import Law
 from forms.tangent import takes_time
 from forms.temperature import real
+from forms.trace import numbers
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.files.table import Table
 from thinlayer.pointwise.kernels import Array
@@ -148,14 +150,8 @@ def _frame(n: Sequence[float]) -> tuple[Array, Array]:
     if normal.shape not in ((2,), (3,)) or not np.isfinite(normal).all() or not normal.any():
         raise ModelError(f"the normal n is {n!r}; allowed: 2 or 3 numbers, not all zero")
     normal = normal / np.linalg.norm(normal)
-    if len(normal) == 2:
-        return normal, np.array([[normal[1], normal[0]], [-normal[0], normal[1]], [0.0, 0.0]])
-    a, b, c = normal
-    s = (1 - b) / (a * a + c * c) if b < 0 and a * a + c * c > 0 else 1 / (1 + b) if b >= 0 else 2.0
-    first, last = [1 - s * a * a, -a, -s * a * c], [-s * a * c, -c, 1 - s * c * c]
-    if b < -1 + 1e-12:  # n = -e_2: half a turn about the third axis
-        first, last = [-1.0, -a, 0.0], [0.0, c, 1.0]  # normal to n up to rounding
-    return normal, np.array([first, last, normal]).T
+    frame = numbers(layer_frame(ufl.as_vector(normal.tolist())))
+    return normal, frame[:, :2] if len(normal) == 2 else np.array([frame[:, 0], frame[:, 2], normal]).T
 
 
 def _read(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]:

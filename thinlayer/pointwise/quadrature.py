@@ -60,7 +60,7 @@ class Region:
         mesh: submesh of the cells or facets of the measure, ghosts included.
         dim: dimension of its cells.
         parent: local number in `parent_mesh` of each cell of `mesh`.
-        maps: entity maps for fem.form.
+        maps: its entity maps.
 
     Raises:
         ModelError: a measure of another kind, or one for entities with tags that has no tags.
@@ -77,6 +77,10 @@ class Region:
         """Put the mesh of facets of S, which may have a place on either side, at places (n, d) of the joint's points."""
         geometry = self.mesh.geometry
         geometry.x[:, : places.shape[1]] = places[np.asarray(geometry.input_global_indices, np.int64)]
+
+    def compiled(self, form: Expr) -> fem.Form:
+        """A form of functions on `mesh` and on `parent_mesh`."""
+        return fem.form(form, entity_maps=self.maps)
 
     def side(self, f: Expr) -> Expr:
         """A function on `mesh`, restricted as integrands of the measure require."""
@@ -204,7 +208,7 @@ class Quadrature:
 
     def _integrated(self, rows: Expr, q: Expr) -> Array:
         """Quadrature weight times the values (points, m) of m functions at each point."""
-        form = fem.form(ufl.inner(rows, q) * self.measure, entity_maps=self.region.maps)
+        form = self.region.compiled(ufl.inner(rows, q) * self.measure)
         return np.asarray(fem.assemble_vector(form).array.reshape(-1, q.ufl_shape[0])[: self.count])
 
     def values(self, f: Expr) -> Array:
