@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.elastic import LinearElastic
-from forms.law import Law, LawError, positive, require
+from forms.law import Law, LawError, positive
 from forms.temperature import real
 
 Array = npt.NDArray[np.float64]
@@ -55,9 +55,7 @@ class ContactLaw(Law):
 
     def check(self) -> None:
         positive(self, "K_N", "K_T")
-        require(
-            callable(self.gap) or bool(np.isfinite(self.gap)), self, "gap", self.gap, "a finite number, or a function"
-        )
+        self.require(callable(self.gap) or bool(np.isfinite(self.gap)), "gap", "a finite number, or a function")
 
     def parameters(self) -> dict[str, Any]:
         return super().parameters() | ({"gap": np.nan} if callable(self.gap) else {})
@@ -247,7 +245,7 @@ class _Coulomb(ContactLaw):
         super().check()
         for name in ("friction", "cohesion"):
             value = getattr(self, name)
-            require(bool(np.isfinite(value)) and value >= 0, self, name, value, ">= 0")
+            self.require(bool(np.isfinite(value)) and value >= 0, name, ">= 0", value)
 
     def threshold(self, p: Array) -> Array:
         return self.cohesion + self.friction * p
@@ -312,7 +310,7 @@ class Tresca(ContactLaw):
 
     def check(self) -> None:
         super().check()
-        require(bool(np.isfinite(self.bound)) and self.bound >= 0, self, "bound", self.bound, ">= 0")
+        self.require(bool(np.isfinite(self.bound)) and self.bound >= 0, "bound", ">= 0")
 
     def threshold(self, p: Array) -> Array:
         return np.full_like(p, self.bound)

@@ -18,10 +18,11 @@ from forms.ends.weights import EndWeights, Strips
 from forms.fields import Field, OutOfRange, Parameter, field_of
 from forms.inside import Inside, Sublayers
 from forms.kinematics import MANDEL, ROOT2, Expr, layer_frame
-from forms.law import BulkLaw, LawError, Step, choice, require
+from forms.law import BulkLaw, LawError, Step, choice
 from forms.stations import Faces, Station, at_gauss_points
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+VOIGT_PLACES = ((0, 5, 4), (5, 1, 3), (4, 3, 2))  # of the components of a tensor
 LARGEST_NU = 0.45  # of layers whose free ends are known without a pressure on S
 ROUNDING = 1e-9  # of ratios of moduli
 OUT_OF_PLANE = [2, 3, 4]
@@ -35,9 +36,9 @@ def lame(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
 
 def require_moduli(law: BulkLaw, lmbda: float, mu: float) -> None:
     """Raise LawError unless mu > 0 and lmbda + 2 mu/3 > 0."""
-    require(math.isfinite(mu) and mu > 0, law, "mu", mu, "> 0")
+    law.require(math.isfinite(mu) and mu > 0, "mu", "> 0", mu)
     bound = -2 / 3 * mu
-    require(math.isfinite(lmbda) and lmbda > bound, law, "lmbda", lmbda, f"> -2 mu/3 = {bound:g}")
+    law.require(math.isfinite(lmbda) and lmbda > bound, "lmbda", f"> -2 mu/3 = {bound:g}", lmbda)
 
 
 def isotropic_stiffness(law: BulkLaw, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -202,12 +203,12 @@ class Anisotropic(LinearLaw):
 
     def check(self) -> None:
         C = np.asarray(self.C, float)
-        require(C.shape == (6, 6), self, "shape of C", C.shape, "(6, 6)")
-        require(bool(np.isfinite(C).all()), self, "C", "not finite", "finite numbers")
-        require(np.allclose(C, C.T, rtol=1e-10, atol=0), self, "C", "not symmetric", "C = C^T")
+        self.require(C.shape == (6, 6), "shape of C", "(6, 6)", C.shape)
+        self.require(bool(np.isfinite(C).all()), "C", "finite numbers", "not finite")
+        self.require(np.allclose(C, C.T, rtol=1e-10, atol=0), "C", "C = C^T", "not symmetric")
         lowest = np.linalg.eigvalsh(C)[0]
-        require(lowest >= -1e-10 * np.abs(C).max(), self, "smallest eigenvalue of C", f"{lowest:g}", ">= 0")
-        require(self.frame in ("global", "layer"), self, "frame", repr(self.frame), "'global', 'layer'")
+        self.require(lowest >= -1e-10 * np.abs(C).max(), "smallest eigenvalue of C", ">= 0", f"{lowest:g}")
+        self.require(self.frame in ("global", "layer"), "frame", "'global', 'layer'", repr(self.frame))
         object.__setattr__(self, "C", C)
 
     @classmethod
@@ -228,13 +229,10 @@ class Anisotropic(LinearLaw):
         e = turn.T * step.mid * turn
         voigt = ufl.as_vector([e[i, j] if i == j else 2 * e[i, j] for i, j in VOIGT])
         s = ufl.dot(ufl.as_tensor(self.C) if isinstance(self.C, np.ndarray) else self.C, voigt)
-        index = {pair: k for k, pair in enumerate(VOIGT)} | {pair[::-1]: k for k, pair in enumerate(VOIGT)}
-        return turn * ufl.as_tensor([[s[index[i, j]] for j in range(3)] for i in range(3)]) * turn.T
+        return turn * ufl.as_tensor([[s[k] for k in row] for row in VOIGT_PLACES]) * turn.T
 
     def stiffness(self, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        place = {pair: k for k, pair in enumerate(VOIGT)}
-        place |= {(j, i): k for (i, j), k in place.items()}
-        rows = np.array([[place[i, j] for j in range(3)] for i in range(3)])
+        rows = np.array(VOIGT_PLACES)
         C = np.asarray(self.C, float)[rows[:, :, None, None], rows[None, None]]
         if self.frame == "layer":
             axis = np.pad(n, (0, 3 - len(n)))
@@ -245,13 +243,8 @@ class Anisotropic(LinearLaw):
         return np.asarray(C[first[:, None], second[:, None], first, second] * np.outer(weight, weight))
 
     def plane_stress(self) -> Anisotropic:
-        C, out = self.C, OUT_OF_PLANE
-        condensed = np.zeros((6, 6))
-        coupling = C[np.ix_(IN_PLANE, out)]
-        condensed[np.ix_(IN_PLANE, IN_PLANE)] = (
-            C[np.ix_(IN_PLANE, IN_PLANE)] - coupling @ np.linalg.pinv(C[np.ix_(out, out)]) @ coupling.T
-        )
-        condensed[3:5, 3:5] = C[
-            3:5, 3:5
-        ]  # out-of-plane shear strains are zero, but sublayers in series need a stiffness
+        C, along, out = self.C, np.ix_(IN_PLANE, IN_PLANE), OUT_OF_PLANE
+        condensed, coupling = np.zeros((6, 6)), C[np.ix_(IN_PLANE, out)]
+        condensed[along] = C[along] - coupling @ np.linalg.pinv(C[np.ix_(out, out)]) @ coupling.T
+        condensed[3:5, 3:5] = C[3:5, 3:5]  # these shear strains are zero, but sublayers in series need a stiffness
         return self.with_parameters({"C": condensed})

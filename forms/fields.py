@@ -27,6 +27,11 @@ class OutOfRange(InputError):
         self.k = k
 
 
+def _operators(combine: Callable[[Any, Any], Any]) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
+    """The methods of `Field` that combine it with another value, on its right and on its left."""
+    return lambda one, other: one._with(combine, other), lambda one, other: one._with(combine, other, turned=True)
+
+
 @dataclass(frozen=True, eq=False)
 class Field:
     """A parameter as a function of the place, or a value computed from such parameters and numbers.
@@ -70,29 +75,10 @@ class Field:
         other = other if isinstance(other, Field) else float(other)
         return Field(combine, (other, self) if turned else (self, other))
 
-    def __add__(self, other: Any) -> Any:
-        return self._with(operator.add, other)
-
-    def __radd__(self, other: Any) -> Any:
-        return self._with(operator.add, other, turned=True)
-
-    def __sub__(self, other: Any) -> Any:
-        return self._with(operator.sub, other)
-
-    def __rsub__(self, other: Any) -> Any:
-        return self._with(operator.sub, other, turned=True)
-
-    def __mul__(self, other: Any) -> Any:
-        return self._with(operator.mul, other)
-
-    def __rmul__(self, other: Any) -> Any:
-        return self._with(operator.mul, other, turned=True)
-
-    def __truediv__(self, other: Any) -> Any:
-        return self._with(operator.truediv, other)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return self._with(operator.truediv, other, turned=True)
+    __add__, __radd__ = _operators(operator.add)
+    __sub__, __rsub__ = _operators(operator.sub)
+    __mul__, __rmul__ = _operators(operator.mul)
+    __truediv__, __rtruediv__ = _operators(operator.truediv)
 
 
 class OfPlaces:

@@ -23,7 +23,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, Self
+from typing import ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -86,16 +86,19 @@ class FaceValues:
         return np.asarray(in_s + t_N[:, None, None] * both + shear + np.swapaxes(shear, 1, 2))
 
 
-class Inside(Protocol):
-    """What gives the stresses inside a layer."""
+class Inside:
+    """What gives the stresses inside a layer.
+
+    Attributes:
+        flows: whether the pressure is a field that flows along S, and falls towards free ends.
+    """
+
+    flows: ClassVar[bool] = False
 
     @property
     def moduli(self) -> tuple[float, float] | None:
         """Real lmbda and mu of a layer of one law; None: it has several."""
-
-    @property
-    def flows(self) -> bool:
-        """Whether the pressure is a field that flows along S, and falls towards free ends."""
+        raise NotImplementedError
 
     def stress(self, faces: FaceValues, eps: Array, y: Array) -> Array:
         """Stresses (n, 3, 3) at heights y (n,), from -1/2 to 1/2.
@@ -105,10 +108,11 @@ class Inside(Protocol):
             eps: (n,) thickness.
             y: heights.
         """
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class Pressed:
+class Pressed(Inside):
     """A layer of one law with a pressure.
 
     Attributes:
@@ -118,18 +122,13 @@ class Pressed:
     lmbda: float
     mu: float
 
+    flows: ClassVar[bool] = True
+
     @property
     def moduli(self) -> tuple[float, float]:
-        """As of `Inside`."""
         return self.lmbda, self.mu
 
-    @property
-    def flows(self) -> bool:
-        """As of `Inside`."""
-        return True
-
     def stress(self, faces: FaceValues, eps: Array, y: Array) -> Array:
-        """As of `Inside`."""
         mu, (e_S, E_1) = self.mu, faces.in_s
         change = np.trace(E_1, axis1=1, axis2=2)
         t_T = mu * (faces.slip / eps[:, None] + faces.turns[0]) - (y * eps)[:, None] * faces.slope
@@ -141,7 +140,7 @@ class Pressed:
 
 
 @dataclass(frozen=True)
-class Sublayers:
+class Sublayers(Inside):
     """The sublayers of a layer, from the lower to the upper face.
 
     Attributes:
@@ -159,13 +158,7 @@ class Sublayers:
 
     @property
     def moduli(self) -> tuple[float, float] | None:
-        """As of `Inside`."""
         return (float(self.lmbda[0]), float(self.mu[0])) if len(self.mu) == 1 else None
-
-    @property
-    def flows(self) -> bool:
-        """As of `Inside`."""
-        return False
 
     @cached_property
     def _ends(self) -> Array:

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from forms.ends.weights import EndWeights, Strips
 
 
+UNKNOWN = object()
+
+
 class Step(NamedTuple):
     """Input of a law at one point, over a time step from t to t + dt.
 
@@ -42,6 +45,7 @@ class Step(NamedTuple):
         q: internal variables at the beginning, by name.
         dt: length of the step; 0 at a sudden load; None in problems without time.
         theta: forces balance at t + theta dt; from 1 (backward Euler) down to 1/2 (midpoint).
+        rates: whether the law declares `rate`.
     """
 
     e: Expr
@@ -50,6 +54,7 @@ class Step(NamedTuple):
     q: Mapping[str, Expr] = {}
     dt: Expr | None = None
     theta: Expr = 1.0
+    rates: bool = True
 
     @property
     def mid(self) -> Expr:
@@ -59,25 +64,13 @@ class Step(NamedTuple):
     @property
     def rate(self) -> Expr:
         """Strain rate of the step."""
-        if self.dt is None:
+        if self.dt is None or not self.rates:
             raise LawError("a law that uses step.rate must declare rate = True")
         return (self.e - self.e_old) / self.dt
-
-    def without_rate(self) -> Step:
-        """The same step for a law that declares no rate."""
-        return _NoRate(*self)
 
     def between(self, old: Expr, new: Expr) -> Expr:
         """Value at t + theta dt of a quantity that is `old` at the beginning and `new` at the end of the step."""
         return self.theta * new + (1 - self.theta) * old
-
-
-class _NoRate(Step):
-    __slots__ = ()
-
-    @property
-    def rate(self) -> Expr:
-        raise LawError("a law that uses step.rate must declare rate = True")
 
 
 def choice(default: Any) -> Any:
@@ -123,11 +116,9 @@ class Law(OfPlaces):
         for f in fields(self):
             bases = [one for one in type(self).__mro__ if one.__module__ in (__name__, OfPlaces.__module__)]
             own = any(f.name in vars(one) for one in bases)
-            require(not own, self, f"the parameter {f.name!r}", "a name that all laws use", "another one")
+            self.require(not own, f"the parameter {f.name!r}", "another one", "a name that all laws use")
             allowed = "a number" + (", a function in numpy" if f.name in self.functions else "")
-            require(
-                not isinstance(getattr(self, f.name), ufl.core.expr.Expr), self, f.name, "a UFL expression", allowed
-            )
+            self.require(not isinstance(getattr(self, f.name), ufl.core.expr.Expr), f.name, allowed, "a UFL expression")
         kind: Any = type(self)
         for f in fields(self):
             if f.name in scalars(kind) and f.name not in self.functions and self.takes_fields:
@@ -135,7 +126,7 @@ class Law(OfPlaces):
             self._check_number(f.name, getattr(self, f.name), f.default is None, f.name in scalars(kind))
         own_places = kind.at is not Law.at
         for name in self.fields:
-            require(not own_places, self, name, "a function of the place", "a number, as `at` gives what varies")
+            self.require(not own_places, name, "a number, as `at` gives what varies", "a function of the place")
         if not self.fields:  # else where they are known, see `check_at`
             self.check()
         _ = self.traits  # raises errors in the declarations of the class
@@ -157,6 +148,12 @@ class Law(OfPlaces):
 
     def check(self) -> None:
         """Raise LawError if a parameter is out of its range."""
+
+    def require(self, condition: bool, name: str, allowed: str, value: object = UNKNOWN) -> None:
+        """Raise LawError "Law: name is value; allowed: ..." unless the condition holds; by default of a parameter."""
+        if not condition:
+            value = getattr(self, name) if value is UNKNOWN else value
+            raise LawError(f"{type(self).__name__}: {name} is {value}; allowed: {allowed}")
 
     def check_dimension(self, d: int) -> None:
         """Raise LawError if the law cannot be used in a model of dimension d."""
@@ -506,7 +503,7 @@ class PlaneStress(OfLaw):
         return self._of(self.law.eased(ease))
 
     def check_dimension(self, d: int) -> None:
-        require(d == 2, self, "dimension of the model", d, "2")
+        self.require(d == 2, "dimension of the model", "2", d)
         super().check_dimension(d)
 
     def condensed(self, C: Array) -> Array:
@@ -519,9 +516,8 @@ class PlaneStress(OfLaw):
         out = lmbda * np.outer(volume, volume) + 2 * mu * np.eye(6)
         coupling = C[np.ix_(IN_PLANE, OUT_OF_PLANE)]
         inner = np.linalg.pinv(C[np.ix_(OUT_OF_PLANE, OUT_OF_PLANE)])
-        out[np.ix_(IN_PLANE, IN_PLANE)] = (
-            C[np.ix_(IN_PLANE, IN_PLANE)] - coupling @ inner @ C[np.ix_(OUT_OF_PLANE, IN_PLANE)]
-        )
+        along = np.ix_(IN_PLANE, IN_PLANE)
+        out[along] = C[along] - coupling @ inner @ C[np.ix_(OUT_OF_PLANE, IN_PLANE)]
         return np.asarray(out)
 
 
@@ -542,12 +538,6 @@ def scalars(kind: Any) -> frozenset[str]:
             if {float, int}.intersection(kinds) and not {np.ndarray, list, tuple}.intersection(kinds):
                 found.add(f.name)
     return frozenset(found)
-
-
-def require(condition: bool, law: Law, name: str, value: object, allowed: str) -> None:
-    """Raise LawError "Law: name is value; allowed: ..." unless the condition holds."""
-    if not condition:
-        raise LawError(f"{type(law).__name__}: {name} is {value}; allowed: {allowed}")
 
 
 @contextmanager
@@ -584,4 +574,4 @@ def positive(law: Law, *names: str) -> None:
     """Raise LawError unless these parameters of the law are finite and > 0."""
     for name in names:
         value = getattr(law, name)
-        require(math.isfinite(value) and value > 0, law, name, value, "> 0")
+        law.require(math.isfinite(value) and value > 0, name, "> 0", value)

@@ -14,7 +14,7 @@ import ufl
 from forms.base import is_number
 from forms.elastic import isotropic_stiffness, lame, require_moduli
 from forms.kinematics import Expr, layer_frame, lift
-from forms.law import BulkLaw, LawError, Step, require
+from forms.law import BulkLaw, LawError, Step
 from forms.temperature import Field, OfTemperature, evaluated, place, real, temperatures
 from forms.viscous import isotropic_energy
 
@@ -78,11 +78,11 @@ class Phases(BulkLaw):
     def _check_material(self) -> None:
         require_moduli(self, self.lmbda, self.mu)
         chi = np.array(self.chi, float)
-        require(chi.shape in ((2, 2), (3, 3)), self, "shape of chi", chi.shape, "(2, 2) in plane strain, (3, 3) in 3D")
-        require(bool(np.isfinite(chi).all()), self, "chi", "not finite", "finite numbers")
+        self.require(chi.shape in ((2, 2), (3, 3)), "shape of chi", "(2, 2) in plane strain, (3, 3) in 3D", chi.shape)
+        self.require(bool(np.isfinite(chi).all()), "chi", "finite numbers", "not finite")
         rounding = 1e-12 * float(np.abs(chi).max())
-        require(bool((np.abs(chi - chi.T) <= rounding).all()), self, "chi", chi.tolist(), "a symmetric tensor")
-        require(bool(chi.any()), self, "chi", "zero", "a tensor that is not zero")
+        self.require(bool((np.abs(chi - chi.T) <= rounding).all()), "chi", "a symmetric tensor", chi.tolist())
+        self.require(bool(chi.any()), "chi", "a tensor that is not zero", "zero")
         object.__setattr__(self, "chi", (chi + chi.T) / 2)
 
     def _check_temperature(self) -> None:
@@ -92,18 +92,18 @@ class Phases(BulkLaw):
                     f"{type(self).__name__}: {name} is a function of T; give T, a number or a function (x, t)"
                 )
         if not (self.T is None or callable(self.T)):
-            require(is_number(self.T) and math.isfinite(self.T), self, "T", repr(self.T), "a number, a function")
+            self.require(is_number(self.T) and math.isfinite(self.T), "T", "a number, a function", repr(self.T))
         if not self.varies:
             numbers = self.parameters()
             self._check_phases(numbers["alpha"], numbers["transformation_energy"], lambda k: "")
 
     def plane_stress(self) -> Phases:
         """The law with the modulus lmbda of plane stress: chi acts in the plane, and every phase has the same moduli."""
-        require(len(self.chi) == 2, self, "shape of chi", self.chi.shape, "(2, 2) in plane stress")
+        self.require(len(self.chi) == 2, "shape of chi", "(2, 2) in plane stress", self.chi.shape)
         return replace(self, lmbda=2 * self.lmbda * self.mu / (self.lmbda + 2 * self.mu))
 
     def check_dimension(self, d: int) -> None:
-        require(len(self.chi) == d, self, "shape of chi", self.chi.shape, f"({d}, {d}) in a model of dimension {d}")
+        self.require(len(self.chi) == d, "shape of chi", f"({d}, {d}) in a model of dimension {d}", self.chi.shape)
 
     def _check_phases(self, alpha: Any, transformation_energy: Any, where: Callable[[int], str]) -> None:
         """Raise LawError unless these values, (n,) or numbers, are in range; `where(k)` names the place of the k-th."""
@@ -111,7 +111,7 @@ class Phases(BulkLaw):
             values = np.ravel(values).astype(float)
             bad = np.flatnonzero(~((values > 0) & np.isfinite(values)))
             for k in bad[np.argsort(values[bad])][:1]:
-                require(False, self, name + where(k), f"{values[k]:g}", "> 0")
+                self.require(False, name + where(k), "> 0", f"{values[k]:g}")
 
     @property
     def varies(self) -> bool:
@@ -199,7 +199,7 @@ class NonMonotone(Phases):
     singular: ClassVar = True
 
     def check(self) -> None:
-        require(0 < self.mixing <= 1, self, "mixing", self.mixing, "0 < mixing <= 1")
+        self.require(0 < self.mixing <= 1, "mixing", "0 < mixing <= 1")
         self._check_material()
         object.__setattr__(self, "G", lamination_gain(self.lmbda, self.mu, self.chi))
         self._check_temperature()
@@ -211,7 +211,7 @@ class NonMonotone(Phases):
         )
         for k in np.flatnonzero(~(values >= least * (1 - 1e-12)))[:1]:
             allowed = f">= mixing alpha^2 G/2 = {least[k]:g}: phases 1 and -1 would mix"
-            require(False, self, f"transformation_energy{where(k)}", f"{values[k]:g}", allowed)
+            self.require(False, f"transformation_energy{where(k)}", allowed, f"{values[k]:g}")
 
     @property
     def softens(self) -> bool:

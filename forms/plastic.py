@@ -15,7 +15,7 @@ from forms.elastic import LinearElastic, isotropic_stiffness, lame, require_modu
 from forms.fields import Parameter, is_field
 from forms.kernel import KernelLaw
 from forms.kinematics import Expr, lift
-from forms.law import BulkLaw, LawError, Step, choice, positive, require
+from forms.law import BulkLaw, LawError, Step, choice, positive
 from forms.viscous import isotropic_energy
 
 LIKELY_RADIANS = 1.6  # degrees; smaller friction angles were probably meant in radians (pi/2 = 1.57)
@@ -26,9 +26,9 @@ def require_hardening(law: BulkLaw, *names: str) -> None:
     """Raise LawError unless these parameters and the saturation strain are >= 0, the latter > 0 if it is used."""
     for name in (*names, "saturation_strain"):
         value = law.parameters()[name]
-        require(math.isfinite(value) and value >= 0, law, name, value, ">= 0, finite")
+        law.require(math.isfinite(value) and value >= 0, name, ">= 0, finite", value)
     strain, saturation = (law.parameters()[name] for name in ("saturation_strain", "saturation"))
-    require(strain > 0 or saturation == 0, law, "saturation_strain", strain, "> 0 where saturation > 0")
+    law.require(strain > 0 or saturation == 0, "saturation_strain", "> 0 where saturation > 0", strain)
 
 
 @dataclass(frozen=True)
@@ -74,30 +74,17 @@ class Plastic(BulkLaw):
 
     def check(self) -> None:
         require_moduli(self, self.lmbda, self.mu)
-        require(math.isfinite(self.cohesion) and self.cohesion >= 0, self, "cohesion", self.cohesion, ">= 0, finite")
-        require(
-            0 <= self.friction_angle < 90,
-            self,
-            "friction_angle",
-            self.friction_angle,
-            "0 <= friction_angle < 90 degrees",
-        )
+        self.require(math.isfinite(self.cohesion) and self.cohesion >= 0, "cohesion", ">= 0, finite")
+        self.require(0 <= self.friction_angle < 90, "friction_angle", "0 <= friction_angle < 90 degrees")
         if 0 < self.friction_angle < LIKELY_RADIANS:
             angle = self.friction_angle
             warn_of_range(
                 f"{type(self).__name__}: friction_angle is {angle:g} degrees, almost no friction; angles are in degrees: "
-                f"{angle:g} radians would be friction_angle = {math.degrees(angle):.4g}",
+                f"{angle:g} radians would be friction_angle = {math.degrees(angle):.4g}"
             )
-        require(
-            self.cohesion > 0 or self.friction_angle > 0,
-            self,
-            "cohesion",
-            self.cohesion,
-            "> 0 where friction_angle = 0: nothing would resist shear",
-        )
-        require(
-            0 <= self.elastic_fraction < 1, self, "elastic_fraction", self.elastic_fraction, "0 <= elastic_fraction < 1"
-        )
+        allowed = "> 0 where friction_angle = 0: nothing would resist shear"
+        self.require(self.cohesion > 0 or self.friction_angle > 0, "cohesion", allowed)
+        self.require(0 <= self.elastic_fraction < 1, "elastic_fraction", "0 <= elastic_fraction < 1")
         require_hardening(self, "hardening", "saturation")
 
     def eased(self, ease: float) -> Plastic:
@@ -150,13 +137,8 @@ class MohrCoulomb(KernelLaw, Plastic):
 
     def check(self) -> None:
         super().check()
-        require(
-            0 <= self.dilatancy_angle <= self.friction_angle,
-            self,
-            "dilatancy_angle",
-            self.dilatancy_angle,
-            f"0 <= dilatancy_angle <= friction_angle = {self.friction_angle:g} degrees",
-        )
+        allowed = f"0 <= dilatancy_angle <= friction_angle = {self.friction_angle:g} degrees"
+        self.require(0 <= self.dilatancy_angle <= self.friction_angle, "dilatancy_angle", allowed)
 
 
 @dataclass(frozen=True)
@@ -184,7 +166,7 @@ class MohrCoulombMonodirectional(Plastic):
 
     def check(self) -> None:
         super().check()
-        require(isinstance(self.unilateral, bool), self, "unilateral", repr(self.unilateral), "True or False")
+        self.require(isinstance(self.unilateral, bool), "unilateral", "True or False", repr(self.unilateral))
 
     def _tension(self, e: Expr, n: Expr) -> Expr:
         """Normal tension of an elastic strain, which an opening along n removes."""

@@ -14,7 +14,7 @@ from forms.ends.constants import free_end
 from forms.ends.weights import EndWeights, Strips, of_pressure_at_ends
 from forms.inside import Inside, Pressed, Sublayers
 from forms.kinematics import Expr
-from forms.law import BulkLaw, Step, positive, require
+from forms.law import BulkLaw, Step, positive
 from forms.stations import Station, of_pressure
 
 
@@ -99,7 +99,7 @@ class Rubber(LinearLaw):
 
     def check(self) -> None:
         hint = "> 0 (for other layers there is LinearElastic)"
-        require(math.isfinite(self.lmbda) and self.lmbda > 0, self, "lmbda", self.lmbda, hint)
+        self.require(math.isfinite(self.lmbda) and self.lmbda > 0, "lmbda", hint)
         positive(self, "mu")
 
     def stress(self, step: Step) -> Expr:

@@ -17,7 +17,7 @@ from forms.elastic import LinearElastic
 from forms.fields import Array, Field
 from forms.inside import Inside, Sublayers
 from forms.kinematics import Expr, jump_strain, lift
-from forms.law import BulkLaw, LawError, require
+from forms.law import BulkLaw, LawError
 from forms.stations import Faces, Station
 
 
@@ -160,13 +160,13 @@ class Stack(BulkLaw):
         require_declarations(self)
 
     def check(self) -> None:
-        require(len(self.laws) > 0, self, "number of sublayers", 0, ">= 1")
-        require(min(self.fractions) > 0, self, "fractions", self.fractions, "each > 0")
+        self.require(len(self.laws) > 0, "number of sublayers", ">= 1", 0)
+        self.require(min(self.fractions) > 0, "fractions", "each > 0")
         total = sum(self.fractions)
-        require(abs(total - 1) < 1e-12, self, "sum of the fractions", total, "1")
+        self.require(abs(total - 1) < 1e-12, "sum of the fractions", "1", total)
         for law in self.laws:
             allowed = "laws that give a stress for a strain, point by point"
-            require(isinstance(law, BulkLaw) and law.traits.in_series, self, "a sublayer", law, allowed)
+            self.require(isinstance(law, BulkLaw) and law.traits.in_series, "a sublayer", allowed, law)
 
     @classmethod
     def graded(cls, law: Callable[[float], BulkLaw], n: int) -> Stack:

@@ -93,8 +93,7 @@ def symbolic(law: BulkLaw, values: Array | None = None) -> Symbolic:
     end, old = variable(take((6,))), take((6,))
     q = {name: _unpacked(take((SIZES[shape],)), shape) for name, shape in law.internal.items()}
     n, dt, theta = take((3,)), take(()), take(())
-    step = Step(from_mandel(end), n, from_mandel(old), q, dt, theta)
-    step = step if law.traits.rate else step.without_rate()
+    step = Step(from_mandel(end), n, from_mandel(old), q, dt, theta, law.traits.rate)
     return Symbolic(law.with_parameters({name: take(shape) for name, shape in shapes.items()}), step, end, numbers)
 
 

@@ -22,6 +22,7 @@ class JumpStep(NamedTuple):
     q: Mapping[str, Expr]
     dt: Expr | None
     theta: Expr
+    rates: bool
 
     @property
     def mid(self) -> Expr:
@@ -31,6 +32,8 @@ class JumpStep(NamedTuple):
     @property
     def rate(self) -> Expr:
         """Rate of the jump over the step."""
+        if not self.rates:
+            raise LawError("a law that uses step.rate must declare rate = True")
         return (self.w - self.w_old) / self.dt
 
     @classmethod
@@ -42,15 +45,7 @@ class JumpStep(NamedTuple):
             return 2 * ufl.dot(e, n) - ufl.dot(ufl.dot(e, n), n) * n
 
         w_old = None if step.e_old is None else jump(step.e_old)
-        return cls(jump(step.e), w_old, n, step.q, step.dt, step.theta)
-
-
-class _NoRate(JumpStep):
-    __slots__ = ()
-
-    @property
-    def rate(self) -> Expr:
-        raise LawError("a law that uses step.rate must declare rate = True")
+        return cls(jump(step.e), w_old, n, step.q, step.dt, step.theta, step.rates)
 
 
 class TractionLaw(Law):
@@ -114,20 +109,17 @@ class OfJumps(OfLaw):
         return self.law.traits
 
     def stress(self, step: Step) -> Expr:
-        t, n = shaped(self, "traction", self.law.traction(self._jumps(step)), (3,)), step.n
+        t, n = shaped(self, "traction", self.law.traction(JumpStep.of(step)), (3,)), step.n
         return ufl.outer(t, n) + ufl.outer(n, t) - ufl.dot(t, n) * ufl.outer(n, n)
 
     def advance(self, step: Step) -> dict[str, Expr]:
-        return self.law.evolve(self._jumps(step)) if self.internal else {}
+        return self.law.evolve(JumpStep.of(step)) if self.internal else {}
 
     def energy(self, step: Step) -> Expr:
-        return self.law.energy(self._jumps(step))
+        return self.law.energy(JumpStep.of(step))
 
     def dissipation(self, step: Step) -> Expr:
-        return self.law.dissipation(self._jumps(step))
-
-    def _jumps(self, step: Step) -> JumpStep:
-        return JumpStep.of(step) if self.traits.rate else _NoRate(*JumpStep.of(step))
+        return self.law.dissipation(JumpStep.of(step))
 
 
 @cache

@@ -11,7 +11,7 @@ import ufl
 
 from forms.elastic import isotropic_stiffness, lame, require_moduli
 from forms.kinematics import Expr
-from forms.law import BulkLaw, Step, positive, require
+from forms.law import BulkLaw, Step, positive
 
 # Largest tangent of a power-law dashpot in a step, relative to its spring's modulus; a stiffer dashpot is taken as linear.
 MOST_STIFFNESS = 1e6
@@ -74,7 +74,7 @@ class KelvinVoigt(SpringBesideDashpot):
         positive(self, "theta_mu")
         bulk = self.lmbda * self.theta_lmbda + 2 / 3 * self.mu * self.theta_mu
         allowed = "lmbda theta_lmbda + 2 mu theta_mu/3 >= 0"
-        require(math.isfinite(bulk) and bulk >= 0, self, "theta_lmbda", self.theta_lmbda, allowed)
+        self.require(math.isfinite(bulk) and bulk >= 0, "theta_lmbda", allowed)
 
     @property
     def own_times(self) -> tuple[float, ...]:
@@ -171,7 +171,7 @@ class Maxwell(SpringBeforeDashpot):
         bound = 3 * nu * self.t1 / (1 + nu)
         allowed = f"> 0 and >= 3 nu t1/(1 + nu) = {bound:g}"
         t2 = self.t2
-        require(t2 is not None and math.isfinite(t2) and t2 > 0 and t2 >= bound, self, "t2", t2, allowed)
+        self.require(t2 is not None and math.isfinite(t2) and t2 > 0 and t2 >= bound, "t2", allowed, t2)
 
     @property
     def _volumetric_rate(self) -> Expr:
@@ -226,8 +226,8 @@ class Norton(SpringBesideDashpot):
     def check(self) -> None:
         require_moduli(self, self.lmbda, self.mu)
         positive(self, "eta")
-        require(math.isfinite(self.rest) and self.rest >= 0, self, "rest", self.rest, ">= 0")
-        require(math.isfinite(self.p) and self.p > 1, self, "p", self.p, "> 1")
+        self.require(math.isfinite(self.rest) and self.rest >= 0, "rest", ">= 0")
+        self.require(math.isfinite(self.p) and self.p > 1, "p", "> 1")
 
     def _viscous(self, step: Step) -> Expr:
         dt: Expr = step.dt
@@ -265,7 +265,7 @@ class NortonCreep(SpringBeforeDashpot):
     def check(self) -> None:
         require_moduli(self, self.lmbda, self.mu)
         positive(self, "A")
-        require(math.isfinite(self.n) and self.n >= 1, self, "n", self.n, ">= 1")
+        self.require(math.isfinite(self.n) and self.n >= 1, "n", ">= 1")
 
     def _rates(self, step: Step) -> tuple[Expr, Expr]:
         """With q of the trial stress and x = q/q_trial at t + theta dt: x + c x^n = 1, a convex function of x."""

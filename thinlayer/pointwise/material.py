@@ -121,12 +121,7 @@ class Material:
         s, C, energies = np.empty((points, 6)), np.empty((points, m, m)), np.empty((points, 3))
         q_new = np.empty((points, self.memory))
         law = self._given(
-            self._addresses,
-            self._memories,
-            self._planes,
-            self._counts,
-            self._fractions,
-            self.parameters.ravel(),
+            self._addresses, self._memories, self._planes, self._counts, self._fractions, self.parameters.ravel()
         )
         failed = self._library.lib.run(
             len(self._kernels), *law, varying,
