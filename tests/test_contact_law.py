@@ -164,31 +164,6 @@ def test_stiffness_of_a_layer():
     assert Tresca.of_layer(15.0, 5.0, bound=2.0).bound == 2.0
 
 
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: HolonomicCoulomb(0.0, 1.0, 0.3), ["K_N is 0.0", "> 0"]),
-        (lambda: HolonomicCoulomb(1.0, -1.0, 0.3), ["K_T is -1.0", "> 0"]),
-        (lambda: IncrementalCoulomb(1.0, 1.0, -0.3), ["friction is -0.3", ">= 0"]),
-        (lambda: HolonomicCoulomb(1.0, 1.0, float("nan")), ["friction is nan"]),
-        (lambda: HolonomicCoulomb(1.0, 1.0, 0.3, -1.0), ["cohesion is -1.0"]),
-        (lambda: HolonomicCoulomb(float("inf"), 1.0, 0.3), ["K_N is inf"]),
-        (lambda: HolonomicCoulomb("stiff", 1.0, 0.3), ["K_N is 'stiff'", "a number"]),
-        (lambda: HolonomicCoulomb(1.0, 1.0, f=0.3), ["no parameter 'f'", "friction"]),
-        (lambda: Tresca(1.0, 1.0, -1.0), ["bound is -1.0"]),
-        (lambda: HolonomicCoulomb.of_layer(15.0, -5.0, friction=0.3), ["mu is -5.0"]),
-        (lambda: HolonomicCoulomb.of_layer(15.0, 5.0, f=0.3), ["no parameter 'f'", "friction"]),
-        (lambda: HolonomicCoulomb.of_layer("a", 5.0, friction=0.3), ["lmbda", "'a'"]),
-        (lambda: ContactLaw(1.0, 1.0).threshold(np.ones(1)), ["has no threshold"]),
-    ],
-)
-def test_errors(make, words):
-    with pytest.raises(LawError) as error:
-        make()
-    for word in words:
-        assert word in str(error.value)
-
-
 @dataclass(frozen=True)
 class Own(ContactLaw):
     number: int

@@ -179,22 +179,6 @@ def test_eased_metal_is_elastic_in_the_end():
     assert np.linalg.norm(found[1]) > np.linalg.norm(found[0])
 
 
-@pytest.mark.parametrize(
-    ("build", "message"),
-    [
-        (lambda: VonMises(LMBDA, MU, 0.0), "VonMises: strength is 0.0; allowed: > 0"),
-        (lambda: VonMises(LMBDA, MU, Y, hardening=-1.0), "hardening is -1.0; allowed: >= 0, finite"),
-        (lambda: VonMises(LMBDA, MU, Y, saturation=0.1), "saturation_strain is 0.0; allowed: > 0 where saturation > 0"),
-        (lambda: VonMises.young(-1.0, 0.3, Y), "E is -1.0; allowed: > 0"),
-        (lambda: MohrCoulomb(LMBDA, MU, C, OMEGA, saturation=0.1), "saturation_strain is 0.0; allowed: > 0 where"),
-        (lambda: MohrCoulomb(LMBDA, MU, C, OMEGA, hardening=np.inf), "hardening is inf; allowed: >= 0, finite"),
-    ],
-)
-def test_parameters_out_of_range(build, message):
-    with pytest.raises(LawError, match=message):
-        build()
-
-
 def test_a_torn_point_bears_the_mean_stress_of_the_apex():
     """psi = 0: the deviator is gone, and the cohesion is that of the flow that took it away."""
     law = SOILS["Mohr-Coulomb"]

@@ -16,56 +16,21 @@ from thinlayer.errors import ModelError
 GOOD = {"lmbda": LMBDA, "mu": MU, "alpha": ALPHA, "transformation_energy": C, "chi": CHI2}
 BOUND = ALPHA**2 * lamination_gain(LMBDA, MU, CHI2) / 2
 BAD = [
-    *(({name: value}, f"{name} is .*allowed: .*")
-      for name in ("alpha", "transformation_energy")
-      for value in (0.0, -1.0, np.nan, np.inf, "1", None, [1.0, 2.0], True, 1j)),
-    ({"alpha": -0.1}, "alpha is -0.1; allowed: > 0"),
-    ({"transformation_energy": 0}, "transformation_energy is 0; allowed: > 0"),
-    ({"mu": 0.0}, "mu is 0.0; allowed: > 0"),
-    ({"lmbda": -27.0}, "lmbda is -27.0; allowed: > -2 mu/3 = -26.6"),
-    ({"lmbda": "soft"}, "lmbda is 'soft'; allowed: a number"),
-    ({"mu": lambda T: T}, "mu is .*allowed: a number"),
-    ({"chi": np.array([[1.0, 0.2], [0.1, 1.0]])}, r"chi is \[\[1.0, 0.2\], \[0.1, 1.0\]\]; allowed: a symmetric tensor"),
-    ({"chi": [[1.0, 1e-6], [0.0, 1.0]]}, "chi is .*allowed: a symmetric tensor"),
-    ({"chi": np.zeros((2, 2))}, "chi is zero; allowed: a tensor that is not zero"),
-    ({"chi": np.eye(2) * np.nan}, "chi is not finite; allowed: finite numbers"),
-    ({"chi": [[1.0, np.inf], [np.inf, 1.0]]}, "chi is not finite"),
-    ({"chi": np.ones((2, 3))}, r"shape of chi is \(2, 3\); allowed: \(2, 2\) in plane strain, \(3, 3\) in 3D"),
-    ({"chi": np.eye(4)}, r"shape of chi is \(4, 4\)"),
-    ({"chi": 1.0}, r"shape of chi is \(\)"),
-    ({"chi": np.ones(6)}, r"shape of chi is \(6,\)"),
-    ({"chi": [[1.0, 2.0], [3.0]]}, r"chi is \[\[1.0, 2.0\], \[3.0\]\]; allowed: numbers"),
-    ({"chi": [["1", "2"], ["2", "1"]]}, "chi is .*allowed: numbers"),
-    ({"chi": None}, "chi is None; allowed: numbers"),
-    ({"chi": lambda T: np.eye(2)}, "chi is <.*allowed: numbers"),
-    ({"T": "warm"}, "T is 'warm'; allowed: "),
-    ({"T": np.nan}, "T is nan; allowed: a number, a function"),
     ({"alpha": TABLE}, r"alpha is a function of T; give T, a number or a function \(x, t\)"),
-    ({"transformation_energy": lambda T: T}, "transformation_energy is a function of T; give T"),
     ({"alpha": TABLE, "T": 41.0}, r"alpha\(T\): T is 41; the table knows 0 to 40"),
     ({"transformation_energy": lambda T: -T, "T": 2.0}, "transformation_energy is -2; allowed: > 0"),
-]  # fmt: skip
-BAD_RELAXED = [
     (
         {"transformation_energy": 0.999 * BOUND},
         rf"transformation_energy is {0.999 * BOUND:g}; allowed: >= mixing alpha\^2 G/2 = {BOUND:g}: phases 1 and -1",
     ),
     ({"transformation_energy": 0.499 * BOUND, "mixing": 0.5}, "transformation_energy is .*: phases 1 and -1 would mix"),
     ({"transformation_energy": lambda T: 0.999 * BOUND + 0 * T, "T": 20.0}, "transformation_energy is .*: phases 1"),
-    *(({"mixing": value}, "mixing is .*allowed: .*") for value in (0.0, -0.5, 1.0001, np.nan, np.inf, "all", None)),
-    ({"G": 0.01}, "has no parameter 'G'; known: lmbda, mu, alpha, transformation_energy, chi, T, mixing"),
 ]
 
 
-@pytest.mark.parametrize("kind", [NonMonotone, NonMonotoneUnrelaxed])
 @pytest.mark.parametrize(("change", "message"), BAD)
-def test_bad_parameters(kind, change, message):
-    refused(LawError, f"^{kind.__name__}: {message}", lambda: kind(**{**GOOD, **change}))
-
-
-@pytest.mark.parametrize(("change", "message"), BAD_RELAXED)
-def test_bad_parameters_of_the_relaxed_law(change, message):
-    refused(LawError, f"^NonMonotone:? {message}", lambda: NonMonotone(**{**GOOD, **change}))
+def test_bad_parameters(change, message):
+    refused(LawError, f"^NonMonotone: {message}", lambda: NonMonotone(**{**GOOD, **change}))
 
 
 def test_parameters_that_are_just_allowed():
@@ -91,17 +56,6 @@ def test_a_law_equals_itself_alone():
     assert len(same) == 3
     assert law != RELAXED["n (x) n"]
     assert Stack((0.5, STIFF), (0.5, law)) != Stack((0.5, STIFF), (0.5, RELAXED["n (x) n"]))
-
-
-@pytest.mark.parametrize("kind", [NonMonotone, NonMonotoneUnrelaxed])
-def test_unknown_names(kind):
-    with pytest.raises(
-        LawError,
-        match=f"{kind.__name__} has no parameter 'cbar'; known: lmbda, mu, alpha, transformation_energy, chi, T",
-    ):
-        kind(LMBDA, MU, ALPHA, cbar=C, chi=CHI2)
-    if kind is NonMonotoneUnrelaxed:
-        refused(LawError, "no parameter 'mixing'", lambda: kind(**GOOD, mixing=0.5))
 
 
 def test_where_the_laws_have_no_place():
