@@ -62,8 +62,9 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
         _rehearse(law)
         return
     given, name, method = law.mapped(lambda value, _: _number(value)), type(law).__name__, law.methods[0]
-    point = symbolic(given)
-    found = _computed(point.law, _directed(point.step, d, law))
+    d = 3 if law.traits.compiled else d
+    point = symbolic(given, d=d)
+    found = _computed(point.law, point.step)
     if isinstance(found[method], Zero) and not law.traits.compiled:
         raise LawError(f"{name}.{method} is zero, whatever the strain; a law of this kind needs a stiffness")
     flat = mandel(found[method])
@@ -77,7 +78,7 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
         return _evaluated(asked[key], {point.numbers: sample})
 
     for size in STRAINS:
-        e, sample = _sample(given, size, 2 if d == 2 else 3)
+        e, sample = _sample(given, size, d or 3)
         _require_no_decisions(law, d, sample, values)
         for key in found:
             _require_symmetric(law, key, values(key, sample))
@@ -119,14 +120,6 @@ def _computed(law: BulkLaw, step: Step) -> dict[str, Expr]:
     return found
 
 
-def _directed(step: Step, d: int | None, law: BulkLaw) -> Step:
-    """The step with the director as the law gets it."""
-    if law.traits.compiled:
-        return step
-    n: Any = step.n
-    return step._replace(n=None if d is None else ufl.as_vector([n[i] for i in range(d)]))
-
-
 def _sample(law: BulkLaw, size: float, d: int) -> tuple[Array, Array]:
     """A strain (6,), and inputs of a law as `Symbolic.numbers` has them, with this strain, dt = 0.1 and theta = 1."""
     random = np.random.default_rng(3)
@@ -146,8 +139,8 @@ def _require_no_decisions(
         given = law.mapped(lambda value, _, of_place=of_place: _number(value, of_place))  # type: ignore[misc]
         inputs = np.concatenate([sample[: place + 3], [dt, theta], given.parameter_values()])
         try:
-            point = symbolic(given, inputs)
-            found = _computed(point.law, _directed(point.step, d, law))
+            point = symbolic(given, inputs, d)
+            found = _computed(point.law, point.step)
         except Exception:  # numbers that cannot be divided, say
             continue
         for key, one in found.items():

@@ -13,11 +13,11 @@ from ufl.algorithms import expand_derivatives
 
 from forms.kinematics import MANDEL, ROOT2
 from forms.kinematics import mandel as in_mandel
-from forms.law import BulkLaw, LawError, Step
+from forms.law import BulkLaw, LawError
 from forms.trace import numbers, reads, symbolic
 
 Array = npt.NDArray[np.float64]
-SMALL_STRAIN = 1e-6  # strain of the divided differences: too small for yielding, large enough against rounding
+SMALL_STRAIN = 1e-6 * np.array([1.0, -0.7, 0.4, 0.5, -0.3, 0.6])  # too small for yielding; at none a norm has no slope
 UNCOUPLED = 1e-9  # share of a traction, or component of a unit normal, below which it counts as zero
 NEGATIVE = 1e-6  # a negative eigenvalue beyond this share of the tangent's largest entry is not a rounding error
 LONG = 1e30  # length of a time step in which rates become zero
@@ -27,8 +27,8 @@ def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
     """d stress/d strain of a law for small strains from rest, (6, 6) in Mandel's order; None if it cannot be evaluated.
 
     For a law with memory it is the instantaneous tangent, for a law with a rate the tangent when rates are zero. For an
-    incompressible layer the stress is without the pressure. If the law declares no stiffness, its stress is evaluated,
-    which takes some milliseconds.
+    incompressible layer the stress is without the pressure. If the law declares no stiffness, its stress is
+    differentiated, which takes some milliseconds.
 
     Args:
         law: the law, with numbers for parameters.
@@ -40,20 +40,7 @@ def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
     declared = law.stiffness(n)
     if declared is not None:
         return declared
-    if law.traits.compiled:
-        n = np.pad(n, (0, 3 - len(n)))
-    if not law.traits.in_ufl:
-        return _of_kernel(law, n, LONG if law.traits.rate else 0.0)
-    columns = []
-    for i, j in MANDEL:
-        e = np.zeros((3, 3))
-        e[i, j] = e[j, i] = SMALL_STRAIN if i == j else SMALL_STRAIN / ROOT2
-        up, down = (_stress(law, sign * e, n) for sign in (1, -1))
-        if up is None or down is None:
-            return None
-        columns.append((up - down) / (2 * SMALL_STRAIN))
-    C = np.column_stack(columns)
-    return C if np.isfinite(C).all() else None
+    return _computed(law, n, LONG if law.traits.rate else 0.0)
 
 
 def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
@@ -72,18 +59,30 @@ def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
     if law.in_space is not law:
         C = tangent_over(law.in_space, n, dt)
         return None if C is None else law.condensed(C)
-    n = np.pad(n, (0, 3 - len(n)))
+    return _computed(law, n, dt)
+
+
+def _computed(law: BulkLaw, n: Array, dt: float) -> Array | None:
+    """The tangent at the end of a step from rest, the mean of those of two small opposite strains; None without numbers."""
+    n3 = np.pad(n, (0, 3 - len(n)))
     if not law.traits.in_ufl:
-        return _of_kernel(law, n, dt)
+        return _of_kernel(law, n3, dt)
+    rest = np.zeros(6 + law.memory)
     try:
-        point = symbolic(law)
-        tangent: Any = expand_derivatives(ufl.diff(in_mandel(point.law.stress(point.step)), point.strain))
-        given = np.concatenate([n, [dt, 1.0], law.parameter_values()])
-        rest = np.zeros(point.numbers.ufl_shape[0] - len(given))
-        found = numbers(tangent, {point.numbers: np.concatenate([rest, given])})
-    except Exception:  # as in _stress
+        given = law.mapped(lambda value, _: np.asarray(getattr(value, "value", value), float))
+        point = symbolic(given, d=3 if law.traits.compiled else len(n))
+        stress = in_mandel(point.law.stress(point.law.own_step(point.step)))
+        tangent: Any = expand_derivatives(ufl.diff(stress, point.strain))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # UFL warns of roots of negative numbers
+            inputs = [
+                np.concatenate([e, rest, n3, [dt, 1.0], given.parameter_values()])
+                for e in (SMALL_STRAIN, -SMALL_STRAIN)
+            ]
+            C = np.mean([numbers(tangent, {point.numbers: one}) for one in inputs], axis=0)
+    except Exception:  # whatever a law contains that has no number: the model says what is wrong with it
         return None
-    return found if np.isfinite(found).all() else None
+    return np.asarray(C) if np.isfinite(C).all() else None
 
 
 def needs_director(law: BulkLaw) -> bool:
@@ -112,28 +111,11 @@ def _of_kernel(law: Any, n: Array, dt: float) -> Array | None:
     return tangent if np.isfinite(tangent).all() else None
 
 
-def _stress(law: BulkLaw, e: Array, n: Array) -> Array | None:
-    """Stress (6,) of a strain applied to the law at rest; None if the law is not in UFL, or has no value there."""
-    zero = ufl.as_matrix(np.zeros((3, 3)).tolist())
-    shapes: dict[tuple[int, ...], Any] = {(): ufl.as_ufl(0.0), (3,): ufl.as_vector([0.0] * 3)}
-    q = {name: shapes.get(shape, zero) for name, shape in law.internal.items()}
-    dt = ufl.as_ufl(LONG if law.traits.rate else 0.0)
-    try:
-        named = law.mapped(lambda value, _: ufl.as_tensor(value.tolist()) if np.ndim(value) else float(value))
-        step = Step(ufl.as_matrix(e.tolist()), ufl.as_vector(n.tolist()), zero, q, dt, 1.0)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # UFL warns of roots of negative numbers
-            stress = numbers(expand_derivatives(ufl.as_ufl(named.stress(step))))
-    except Exception:  # whatever a law contains that has no number: the model says what is wrong with it
-        return None
-    return mandel(stress) if np.shape(stress) == (3, 3) and np.isfinite(stress).all() else None
-
-
 def is_checked_at_rest(law: BulkLaw) -> bool:
     """Whether the tangent of a layer's law at rest is computed, by `tangent_at_rest`, and must not be negative.
 
-    It may be negative for laws that declare `softens`. Divided differences cannot compute it for laws with both memory and
-    rate, nor for non-linear laws of jumps, because the size of a small jump is not known.
+    It may be negative for laws that declare `softens`. It has no meaning for laws with both memory and rate, nor for
+    non-linear laws of jumps, because the size of a small jump is not known.
     """
     return not (
         law.traits.softens or (law.traits.rate and law.internal) or (law.traits.of_jumps and not law.traits.linear)

@@ -78,8 +78,8 @@ def _symbols(length: int) -> Expr:
     return ufl.Constant(_DOMAIN, shape=(length,))
 
 
-def symbolic(law: BulkLaw, values: Array | None = None) -> Symbolic:
-    """A law at a point, in a step; with numbers as inputs, if they are given."""
+def symbolic(law: BulkLaw, values: Array | None = None, d: int | None = 3) -> Symbolic:
+    """A law at a point, in a step, with a director of d components or None; with numbers as inputs, if they are given."""
     shapes = {name: _shape(value) for name, value in law.parameters().items()}
     length = 6 + 6 + law.memory + 3 + 2 + sum(int(np.prod(shape)) for shape in shapes.values())
     numbers = _symbols(length) if values is None else ufl.as_vector([ufl.as_ufl(float(one)) for one in values])
@@ -92,7 +92,8 @@ def symbolic(law: BulkLaw, values: Array | None = None) -> Symbolic:
 
     end, old = variable(take((6,))), take((6,))
     q = {name: _unpacked(take((SIZES[shape],)), shape) for name, shape in law.internal.items()}
-    n, dt, theta = take((3,)), take(()), take(())
+    normal, dt, theta = take((3,)), take(()), take(())
+    n = None if d is None else normal if d == 3 else ufl.as_vector([normal[0], normal[1]])
     step = Step(from_mandel(end), n, from_mandel(old), q, dt, theta, law.traits.rate)
     return Symbolic(law.with_parameters({name: take(shape) for name, shape in shapes.items()}), step, end, numbers)
 

@@ -33,23 +33,17 @@ INDEPENDENT = {
 
 @pytest.mark.parametrize("nu", [0.07, 0.33, 0.4985])
 def test_the_table_is_what_the_half_strip_gives(nu):
-    found, second = half_strip(nu, DEGREE, LEVELS)
+    found = half_strip(nu, DEGREE, LEVELS)
     table = free_end(nu)
     for name in (*COLUMNS, "kappa"):
         assert getattr(found, name) == pytest.approx(getattr(table, name), rel=ROUGH), name
-    # tractions on the middle line, which converge more slowly than the energy; for small nu c_N is a small part of them
-    assert second["c_T"] == pytest.approx(found.c_T, rel=3e-4)
-    assert second["c_N"] == pytest.approx(found.c_N, abs=3e-5)
 
 
 def test_an_incompressible_layer_has_constants_of_shear_and_flow():
-    found, second = half_strip(0.5, DEGREE, LEVELS)
+    found = half_strip(0.5, DEGREE, LEVELS)
     table = free_end(0.5)
     for name in ("c_T", "m_T", "kappa"):
         assert getattr(found, name) == pytest.approx(getattr(table, name), rel=ROUGH), name
-    assert second["kappa"] == pytest.approx(
-        found.kappa, rel=1e-10
-    )  # of the pressure far away, by the discrete reciprocity
     assert math.isinf(found.c_N)
     assert math.isinf(table.c_N)
 
@@ -72,7 +66,7 @@ def test_the_stiffness_of_a_strip(nu, stiffness):
 
 
 def test_the_half_strip_converges():
-    coarse, fine = (half_strip(0.4, degree, levels)[0] for degree, levels in ((5, 4), (8, 8)))
+    coarse, fine = (half_strip(0.4, degree, levels) for degree, levels in ((5, 4), (8, 8)))
     assert 1e-7 < coarse.c_N / free_end(0.4).c_N - 1 < 1e-3
     assert abs(fine.c_N / free_end(0.4).c_N - 1) < 3e-8
 

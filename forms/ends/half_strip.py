@@ -280,50 +280,23 @@ class HalfStrip:
         unknowns = [cell.all_unknowns(u[kept]) for cell, kept in zip(self.cells, self._kept, strict=True)]
         return Solution(self.cells, unknowns, float(load @ u))
 
-    def on_middle(self, solution: Solution) -> Array:
-        """Integrals of the stresses 11, 22, 12 over the middle line, (3,)."""
-        ends = np.sort(self.points[self.points[:, 1] == MIDDLE, 0])
-        points, w = legendre.leggauss(self.square.degree + 3)
-        x = (ends[:-1, None] + np.diff(ends)[:, None] * (points + 1) / 2).ravel()
-        _, stress = solution.at(np.stack([x, np.full_like(x, MIDDLE)], axis=1))
-        return np.asarray(np.kron(np.diff(ends), w / 2) @ stress)
 
-
-def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> tuple[FreeEnd, dict[str, float]]:
-    """Solve for the constants of a free end; arguments and errors as of `HalfStrip`.
-
-    Returns:
-        The constants, and second values of some: of c_N and c_T from the tractions on the middle line, which balance those
-        of a face, instead of the energy; at nu = 0.5 of kappa from the pressure far from the end.
-    """
+def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> FreeEnd:
+    """Solve for the constants of a free end; arguments and errors as of `HalfStrip`."""
     strip = HalfStrip(nu, degree, levels)
     lmbda, M = strip.lmbda, strip.lmbda + 2
     # T: u_x is odd in y - 1/2; the end is pushed by mu w, which the uniform strain misses there
     sheared = strip.loaded(lambda x: np.full_like(x, 1.0) * [0, 1], odd=0)
     w, x, y, s11, _, s12 = sheared.everywhere()
     c_T, m_T = 2 * sheared.work, -2 * float(np.sum(w * (s12 * x + s11 * (y - MIDDLE))))
-    second = {"c_T": -float(strip.on_middle(sheared)[2])}
     if nu == 0.5:
-        kappa, second["kappa"] = _flow(strip)
-        return FreeEnd(nu, math.inf, math.inf, math.inf, c_T, m_T, kappa), second
+        # Poiseuille's flow out of the end, 1/8 - (y - 1/2)^2/2 with the pressure x, has a shear stress on it
+        flow = strip.loaded(lambda x: (MIDDLE - x[:, 1:]) * [0, 1], odd=1)
+        return FreeEnd(nu, math.inf, math.inf, math.inf, c_T, m_T, 1 / (1 - 24 * flow.work))
     # N: u_y is odd in y - 1/2; the end is pressed by lmbda w, here by 1
     pressed = strip.loaded(lambda x: np.full_like(x, 1.0) * [1, 0], odd=1)
     w, x, y, s11, s22, s12 = pressed.everywhere()
     c_N, rho_N = 2 * pressed.work * lmbda**2 / M, -2 * float(np.sum(w * s11))
     m_N = -2 * lmbda / M * float(np.sum(w * (s22 * x + s12 * (y - MIDDLE))))
-    second["c_N"] = -lmbda / M * float(strip.on_middle(pressed)[1])
     kappa = flow_factor(strip.delta, c_N * M / lmbda - strip.delta) if lmbda else 0.0
-    return FreeEnd(nu, c_N, m_N, rho_N, c_T, m_T, kappa), second
-
-
-def _flow(strip: HalfStrip) -> tuple[float, float]:
-    """kappa of an incompressible layer, from the energy and from the pressure, of Poiseuille's flow out of the end.
-
-    With Y = y - 1/2 the flow 1/8 - Y^2/2 with the pressure x has the shear stress -Y on the end, which is taken away. The
-    pressure far from the end then is x + 1/kappa - 1.
-    """
-    flow = strip.loaded(lambda x: (MIDDLE - x[:, 1:]) * [0, 1], odd=1)
-    w, x, _, s11, s22, _ = flow.everywhere()
-    last = x > np.unique(strip.points[:, 0])[-2]
-    far = float(np.sum((w * (s11 + s22))[last]) / (2 * np.sum(w[last])))
-    return 1 / (1 - 24 * flow.work), 1 / (1 + far)
+    return FreeEnd(nu, c_N, m_N, rho_N, c_T, m_T, kappa)
