@@ -151,7 +151,11 @@ def _frame(n: Sequence[float]) -> tuple[Array, Array]:
         raise ModelError(f"the normal n is {n!r}; allowed: 2 or 3 numbers, not all zero")
     normal = normal / np.linalg.norm(normal)
     frame = numbers(layer_frame(ufl.as_vector(normal.tolist())))
-    return normal, frame[:, :2] if len(normal) == 2 else np.array([frame[:, 0], frame[:, 2], normal]).T
+    if len(normal) == 2:
+        return normal, frame[:, :2]
+    along = frame[:, [0, 2]]
+    along -= np.outer(normal, normal @ along)  # what a half turn leaves near n = -e_2
+    return normal, np.column_stack([along, normal])
 
 
 def _read(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]:

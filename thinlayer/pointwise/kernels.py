@@ -102,15 +102,9 @@ _COMPILED: dict[Any, tuple[int, Any]] = {}  # by key of the equations; this pack
 
 
 def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
-    known = named(law)
-    if known is None:
-        return _compiled(comm, law)
-    if comm.allreduce(int(known not in _COMPILED)):
-        _COMPILED[known] = _compiled(comm, law)
-    return _COMPILED[known]
-
-
-def _compiled(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
+    name = named(law)
+    if name is not None and not comm.allreduce(int(name not in _COMPILED)):
+        return _COMPILED[name]
     point = symbolic(law)
     outputs = _outputs(law, point)
     computed = key(outputs)
@@ -119,15 +113,20 @@ def _compiled(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
         expression, module, _ = jit.ffcx_jit(comm, (_point_expression(point, outputs), np.zeros((1, 1))))
         address = int(module.ffi.cast("intptr_t", expression.tabulate_tensor_float64))
         _COMPILED[computed] = address, (expression, module)
+    if name is not None:
+        _COMPILED[name] = _COMPILED[computed]
     return _COMPILED[computed]
 
 
 def _outputs(law: BulkLaw, point: Symbolic) -> list[Expr]:
-    """Outputs of a law for symbols: stress (6,), internal values, three energies."""
+    """Outputs of a law for symbols: stress (6,), internal values, three energies: zero if it declares none."""
     one, step = point.law, point.step
     stress, new = mandel(one.stress(one.own_step(step))), one.advance(step)
     memory = [value for name, shape in law.internal.items() for value in _packed(new[name], shape)]
-    return [stress, *memory, *(ufl.as_ufl(energy) for energy in _energies(one, step, new))]
+    energies: list[Expr] = [0.0, 0.0, 0.0]
+    if law.traits.has_energy:
+        energies = [one.energy(Step(step.e, step.n, q=new)), one.dissipated(step), one.remainder(step)]
+    return [stress, *memory, *map(ufl.as_ufl, energies)]
 
 
 def _point_expression(point: Symbolic, outputs: list[Expr]) -> Expr:
@@ -136,13 +135,6 @@ def _point_expression(point: Symbolic, outputs: list[Expr]) -> Expr:
     tangent = ufl.diff(stress, point.strain)
     rows = [*(stress[i] for i in range(6)), *memory, *(tangent[i, j] for i in range(6) for j in range(6))]
     return ufl.as_vector([*rows, *outputs[-3:]])
-
-
-def _energies(law: BulkLaw, step: Step, new: dict[str, Expr]) -> list[Expr]:
-    """Stored, dissipated, remainder; zero for laws that declare no energy."""
-    if not law.traits.has_energy:
-        return [ufl.as_ufl(0.0)] * 3
-    return [law.energy(Step(step.e, step.n, q=new)), law.dissipated(step), law.remainder(step)]
 
 
 def _packed(value: Expr, shape: tuple[int, ...]) -> list[Expr]:

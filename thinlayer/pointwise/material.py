@@ -34,11 +34,14 @@ class Material:
     def __init__(self, comm: MPI.Intracomm, law: BulkLaw) -> None:
         self.law, self._current, self._kernels = law, law, kernels(comm, law)
         self._library = library(SOURCE, comm)
-        self._addresses = np.array([k.address for k in self._kernels], np.intp)
-        self._memories = np.array([k.memory for k in self._kernels], np.int32)
-        self._planes = np.array([k.plane for k in self._kernels], np.int32)
         self._counts = np.array([len(k.parameters) for k in self._kernels], np.int32)
-        self._fractions = np.array([k.fraction for k in self._kernels])
+        self._sublayers: list[npt.NDArray[Any]] = [
+            np.array([k.address for k in self._kernels], np.intp),
+            np.array([k.memory for k in self._kernels], np.int32),
+            np.array([k.plane for k in self._kernels], np.int32),
+            self._counts,
+            np.array([k.fraction for k in self._kernels]),
+        ]
         self.parameters = np.concatenate([k.parameters for k in self._kernels])
         layers = len(self._kernels)
         self.memory = sum(k.values for k in self._kernels) + (3 * layers if layers > 1 else 0)
@@ -120,11 +123,8 @@ class Material:
                 raise ModelError(f"{name} has the shape {array.shape}; it must be {(points, width)}")
         s, C, energies = np.empty((points, 6)), np.empty((points, m, m)), np.empty((points, 3))
         q_new = np.empty((points, self.memory))
-        law = self._given(
-            self._addresses, self._memories, self._planes, self._counts, self._fractions, self.parameters.ravel()
-        )
         failed = self._library.lib.run(
-            len(self._kernels), *law, varying,
+            len(self._kernels), *self._given(*self._sublayers, self.parameters.ravel()), varying,
             m, *self._given(components), points, self.memory, *self._given(e, e_old, q, n), dt, theta, fixed,
             *self._given(s, C, q_new, energies),
         )  # fmt: skip
@@ -192,10 +192,7 @@ def _varying(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
 
 def _kinds(law: BulkLaw) -> list[tuple[type[BulkLaw], str]]:
     """Class and choices of each sublayer, which determine its compiled code."""
-    kinds: list[tuple[type[BulkLaw], str]] = []
-    for _, one in law.sublayers:
-        kinds.append((type(one), repr(one.choices())))
-    return kinds
+    return [(type(one), repr(one.choices())) for _, one in law.sublayers]
 
 
 def _numbers(law: BulkLaw) -> list[Array]:

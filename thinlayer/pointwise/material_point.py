@@ -128,13 +128,45 @@ class MaterialPoint:
         the missing traction, farther each time.
         """
         free, farther = np.logical_not(jumps_given), 1.0
-        self._respond(old, old.w, dt)  # sets self.stiffness
-        now = self._respond(old, np.where(jumps_given, goal, old.w), dt)
-        for _ in range(ITERATIONS):
-            if now is None or farther > FARTHEST:
+
+        def missing(state: MaterialPointState) -> float:
+            return float(np.abs(goal - state.traction)[free].max(initial=0.0))
+
+        def moved(state: MaterialPointState, step: Array) -> MaterialPointState | None:
+            w = state.w.copy()
+            w[free] += step
+            return self._respond(old, w, dt)
+
+        def along(step: Array, most: float) -> MaterialPointState | None:
+            """A state between `now` and a step that misses no more traction than this; None if there is none."""
+            tried = (moved(now, 0.5**shortening * step) for shortening in range(SHORTENINGS))
+            return next((state for state in tried if state is not None and missing(state) <= most), None)
+
+        def out_of_rounding(step: Array) -> MaterialPointState | None:
+            """A state that misses less traction where the tangent is almost infinite, as for a dashpot at rest.
+
+            Newton steps are then lost in the rounding of the jump; steps here grow from the least change of the jump.
+            Returns `now` if already this least change alters the tractions by more than is missing: only rounding is left.
+            Returns None if no step helps, or if the tangent is not that large.
+            """
+            size, least = np.abs(step).max(), ROUNDING * np.abs(now.w).max()
+            if not 0 < size <= STEEP * least:
                 return None
-            left = goal[free] - now.traction[free]
-            error = np.abs(left).max(initial=0.0)
+            for k in range(SHORTENINGS):
+                state = moved(now, 4**k * least / size * step)
+                if state is None or missing(state) <= error * (1 - 1e-4):
+                    return state
+                if np.abs(state.traction - now.traction)[free].max() > error:
+                    return now if k == 0 else None
+            return None
+
+        self._respond(old, old.w, dt)  # sets self.stiffness
+        reached = self._respond(old, np.where(jumps_given, goal, old.w), dt)
+        for _ in range(ITERATIONS):
+            if reached is None or farther > FARTHEST:
+                return None
+            now = reached
+            left, error = (goal - now.traction)[free], missing(now)
             scale = max(np.abs(one).max() for one in (now.traction, old.traction, goal * free))
             if error <= TOLERANCE * scale:
                 return now
@@ -142,59 +174,11 @@ class MaterialPoint:
             if np.linalg.cond(slope) < 1e13:
                 farther = 1.0
                 step = np.linalg.solve(slope, left)
-                found = self._along(old, now, free, goal, step, dt, error * (1 - 1e-4))
-                if found is None:
-                    found = self._out_of_rounding(old, now, free, goal, step, dt)
-            if found is now:
-                return now
-            if found is None and error <= LOOSE_TOLERANCE * scale:
+                found = along(step, error * (1 - 1e-4)) or out_of_rounding(step)
+            if found is now or (found is None and error <= LOOSE_TOLERANCE * scale):
                 return now
             if found is None:
-                found = self._along(old, now, free, goal, farther * left / self.stiffness, dt, error)
+                found = along(farther * left / self.stiffness, error)
                 farther *= 2
-            now = found
-        return None
-
-    def _out_of_rounding(
-        self, old: MaterialPointState, now: MaterialPointState, free: Array, goal: Array, step: Array, dt: float
-    ) -> MaterialPointState | None:
-        """A state with a smaller error where the tangent is almost infinite, as for a dashpot at rest.
-
-        Newton steps are then lost in the rounding of the jump; steps here grow from the least change of the jump. Returns
-        `now` if already this least change alters the tractions by more than their error: only rounding is left. Returns
-        None if no step helps, or if the tangent is not that large.
-        """
-        size, least = np.abs(step).max(), ROUNDING * np.abs(now.w).max()
-        error = np.abs(goal[free] - now.traction[free]).max()
-        if not 0 < size <= STEEP * least:
-            return None
-        for k in range(SHORTENINGS):
-            w = now.w.copy()
-            w[free] += 4**k * least / size * step
-            found = self._respond(old, w, dt)
-            if found is None:
-                return None
-            if np.abs(goal[free] - found.traction[free]).max() <= error * (1 - 1e-4):
-                return found
-            if np.abs(found.traction - now.traction)[free].max() > error:
-                return now if k == 0 else None
-        return None
-
-    def _along(
-        self,
-        old: MaterialPointState,
-        now: MaterialPointState,
-        free: Array,
-        goal: Array,
-        direction: Array,
-        dt: float,
-        bound: float,
-    ) -> MaterialPointState | None:
-        """A state between `now` and a step whose error of tractions is within the bound; None if there is none."""
-        for shortening in range(SHORTENINGS):
-            w = now.w.copy()
-            w[free] += 0.5**shortening * direction
-            found = self._respond(old, w, dt)
-            if found is not None and np.abs(goal[free] - found.traction[free]).max() <= bound:
-                return found
+            reached = found
         return None
