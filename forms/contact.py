@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.elastic import LinearElastic
+from forms.fields import place_of
 from forms.law import Law, LawError, positive
-from forms.temperature import real
+from forms.temperature import values_of
 
 Array = npt.NDArray[np.float64]
 
@@ -64,17 +65,8 @@ class ContactLaw(Law):
         """Initial gaps (n,) at places x (d, n); raises LawError if they are not n finite numbers."""
         if not callable(self.gap):
             return np.full(x.shape[1], float(self.gap))
-        what = f"{type(self).__name__}: gap(x) for x of shape {x.shape}"
-        try:
-            found = np.array(np.broadcast_to(real(self.gap(x.copy())), (x.shape[1],)))
-        except Exception as error:
-            raise LawError(
-                f"{what}: {type(error).__name__}: {error}; it must give n lengths for places (d, n)"
-            ) from error
-        if not np.isfinite(found).all():
-            at = np.flatnonzero(~np.isfinite(found))[0]
-            raise LawError(f"{what} is {found[at]} at x = ({', '.join(f'{c:g}' for c in x[:, at])})")
-        return found
+        it = "it must be a numpy function of places (d, n) that gives n lengths"
+        return values_of(f"{type(self).__name__}: gap(x)", self.gap, x, it=it, where=lambda k: f" at {place_of(x, k)}")
 
     def _traits_of_methods(self) -> dict[str, bool]:
         return {"has_energy": self.memory, "remembers": self.memory, "of_jumps": True, "nodal": True}

@@ -152,8 +152,6 @@ def _require_used(law: Any) -> None:
         raise LawError(
             f"{name} has a kernel but inherits a source, which would be used instead; write source = None in the class"
         )
-    if partial := [one for one in ("holds", "otherwise") if _own(kind, one)]:
-        raise LawError(f"{name} has a method {partial[0]}, which is never called: a law holds for all strains")
     advancing = [one for one in ("advance", "evolve") if _own(kind, one)]
     if advancing and not law.internal:
         raise LawError(

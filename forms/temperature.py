@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from forms.fields import place_of
 from forms.law import LawError
 
 OfTemperature = Callable[[Any], Any]  # (n,) temperatures -> (n,) values, numpy
@@ -63,45 +64,49 @@ def real(values: Any) -> npt.NDArray[np.float64]:
 
 def place(x: npt.NDArray[np.float64], t: float, k: int) -> str:
     """Text of the k-th of the places x (d, n) and of the time t, for messages."""
-    return f" at x = ({', '.join(f'{c:g}' for c in x[:, k])}), t = {t:g}"
+    return f" at {place_of(x, k)}, t = {t:g}"
+
+
+def values_of(
+    what: str,
+    function: Callable[..., Any],
+    x: npt.NDArray[np.float64],
+    *more: Any,
+    it: str,
+    where: Callable[[int], str],
+) -> npt.NDArray[np.float64]:
+    """Values (n,) of a user's function at x, (n,) or (d, n).
+
+    Args:
+        what: the function, in messages.
+        function: of x and of what else it takes.
+        x: where, and `more`, its other arguments.
+        it: what the function must be, in messages.
+        where: names the k-th place.
+
+    Raises:
+        LawError: the function fails, or does not return n finite real numbers.
+    """
+    try:
+        values = np.array(np.broadcast_to(real(function(x.copy(), *more)), x.shape[-1:]))
+    except LawError as error:
+        raise LawError(f"{what}: {error}") from None
+    except Exception as error:
+        raise LawError(f"{what} fails for an array {x.shape}: {type(error).__name__}: {error}; {it}") from error
+    for k in np.flatnonzero(~np.isfinite(values))[:1]:
+        raise LawError(f"{what} is {values[k]}{where(int(k))}; {it}")
+    return values
 
 
 def evaluated(law: object, name: str, given: float | OfTemperature, T: npt.NDArray[np.float64]) -> Any:
-    """Values (n,) of a law's parameter, a number or a function of the temperature, at temperatures T (n,).
-
-    Raises:
-        LawError: the function fails, or does not return n finite numbers.
-    """
+    """Values (n,) of a law's parameter, a number or a function of the temperature, at temperatures T (n,)."""
     if not callable(given):
         return np.full(len(T), float(given))
-    try:
-        values = np.broadcast_to(real(given(T.copy())), T.shape)
-    except LawError as error:
-        raise LawError(f"{type(law).__name__}: {name}(T): {error}") from None
-    except Exception as error:
-        raise LawError(
-            f"{type(law).__name__}: {name}(T) fails for T of shape {T.shape}: {type(error).__name__}: {error}; "
-            "it must be a numpy function of temperatures, or Tabulated([(T, value), ...])"
-        ) from error
-    if not np.isfinite(values).all():
-        raise LawError(f"{type(law).__name__}: {name}(T) is not finite at T = {T[~np.isfinite(values)][0]:g}")
-    return values
+    it = "it must be a numpy function of temperatures, or Tabulated([(T, value), ...])"
+    return values_of(f"{type(law).__name__}: {name}(T)", given, T, it=it, where=lambda k: f" at T = {T[k]:g}")
 
 
 def temperatures(law: object, T: Field, x: npt.NDArray[np.float64], t: float) -> npt.NDArray[np.float64]:
-    """A temperature field at places x (d, n) and a time, (n,).
-
-    Raises:
-        LawError: the field fails, or does not return n finite numbers.
-    """
-    try:
-        values = np.array(np.broadcast_to(real(T(x.copy(), t)), (x.shape[1],)))
-    except Exception as error:
-        raise LawError(
-            f"{type(law).__name__}: T(x, t) fails for x of shape {x.shape}: {type(error).__name__}: {error}; "
-            "it must be a numpy function of places (d, n) and a time that gives n temperatures"
-        ) from error
-    bad = np.flatnonzero(~np.isfinite(values))
-    if len(bad):
-        raise LawError(f"{type(law).__name__}: T is {values[bad[0]]}{place(x, t, bad[0])}")
-    return values
+    """A temperature field at places x (d, n) and a time, (n,)."""
+    it = "T(x, t) must be a numpy function of places (d, n) and a time that gives n temperatures"
+    return values_of(f"{type(law).__name__}: T", T, x, t, it=it, where=lambda k: place(x, t, k))

@@ -174,7 +174,7 @@ def test_models_with_other_gaps_are_others():
         (np.nan, "gap is nan"),
         ("wide", "gap is 'wide'"),
         (ufl.sin(1.0) * 0 + np.inf, "gap"),
-        (lambda x: x, "it must give n lengths"),
+        (lambda x: x, "that gives n lengths"),
         (lambda x: np.full(x.shape[1], np.inf), r"is inf at x = \("),
         (lambda x: 1 / 0, "ZeroDivisionError"),
         (lambda x: x[0] > 0, "not real numbers"),

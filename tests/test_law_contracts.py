@@ -507,8 +507,6 @@ def test_methods_that_a_compiled_law_and_a_stack_never_ask(method):
         type("Own", (Stack,), {method: never})((1.0, LinearElastic(L, M)))
     with pytest.raises(LawError, match="Own has a kernel but inherits a source, which would be used instead"):
         type("Own", (forms.MohrCoulomb,), {"kernel": staticmethod(never)})(L, M, 0.4, 30)
-    with pytest.raises(LawError, match="Own has a method holds, which is never called: a law holds for all strains"):
-        type("Own", (LinearElastic,), {"holds": never})(L, M)
     type("Own", (Mises,), {"kernel": Mises.kernel, "stress": never})(L, M, 1.0)  # beside the kernel: a note
 
 

@@ -110,20 +110,20 @@ X = np.array([[0.0, 1.0], [0.0, 0.5]])
 @pytest.mark.parametrize(
     ("alpha", "C", "T", "message"),
     [
-        (lambda T: np.ones(3), C, None, r"alpha\(T\) fails for T of shape \(2,\).*numpy function"),
+        (lambda T: np.ones(3), C, None, r"alpha\(T\) fails for an array \(2,\).*numpy function"),
         (lambda T: 1 / 0, C, None, r"alpha\(T\) fails .*ZeroDivisionError"),
         (lambda T: "warm", C, None, r"alpha\(T\) fails"),
         (lambda: 1.0, C, None, r"alpha\(T\) fails .*TypeError"),
-        (ALPHA, lambda T: np.nan * T, None, r"transformation_energy\(T\) is not finite at T = 5"),
+        (ALPHA, lambda T: np.nan * T, None, r"transformation_energy\(T\) is nan at T = 5"),
         (ALPHA, lambda T: None, None, r"transformation_energy\(T\) fails .*it gives object values"),
         (ALPHA, lambda T: 5 - T, None, r"transformation_energy at x = \(1, 0.5\), t = 0.5 is -5; allowed: > 0"),
         (lambda T: 0 * T, C, None, r"alpha at x = \(0, 0\), t = 0.5 is 0; allowed: > 0"),
         (lambda T: 0.3 * T, C, None, r"transformation_energy at x = .* is 0.02; allowed: >= mixing alpha\^2 G/2 = "),
         (TABLE, C, lambda x, t: 50 * x[0], r"alpha\(T\): T is 50; the table knows 0 to 40"),
-        (ALPHA, C, lambda x, t: np.zeros(3), r"T\(x, t\) fails for x of shape \(2, 2\)"),
-        (ALPHA, C, lambda x: 1.0, r"T\(x, t\) fails .*TypeError"),
+        (ALPHA, C, lambda x, t: np.zeros(3), r"T fails for an array \(2, 2\)"),
+        (ALPHA, C, lambda x: 1.0, r"T fails .*TypeError.*T\(x, t\) must be a numpy function"),
         (ALPHA, C, lambda x, t: np.where(x[0] > 0, np.inf, 1.0), r"T is inf at x = \(1, 0.5\), t = 0.5"),
-        (ALPHA, C, lambda x, t: "cold", r"T\(x, t\) fails .*TypeError"),
+        (ALPHA, C, lambda x, t: "cold", r"T fails .*TypeError.*T\(x, t\) must be a numpy function"),
     ],
 )
 def test_functions_that_are_none(alpha, C, T, message):
