@@ -127,21 +127,13 @@ def _unpacked(values: Expr, shape: tuple[int, ...]) -> Expr:
 def key(expressions: Iterable[Expr]) -> int:
     """A number that identifies expressions: equal for expressions of the same structure, whatever their symbols' names."""
     names: dict[tuple[type, int], int] = {}  # symbols and free indices -> order of appearance
-    found: dict[int, int] = {}  # parts by id, so that shared parts are visited once
+    found: dict[Node, int] = {}
     whole = list(expressions)
-    stack = list(whole)
-    while stack:
-        node = stack[-1]
-        left = [part for part in node.ufl_operands if id(part) not in found]
-        if left:
-            stack += left
-            continue
-        stack.pop()
-        if id(node) not in found:
-            kind = type(node)
-            own = _terminal(node, names) if node._ufl_is_terminal_ else tuple(found[id(p)] for p in node.ufl_operands)
-            found[id(node)] = _KNOWN.setdefault((kind, *own), len(_KNOWN))
-    return _KNOWN.setdefault(("all", *(found[id(node)] for node in whole)), len(_KNOWN))
+    for node in (node for expression in whole for node in unique_post_traversal(expression)):
+        if node not in found:
+            own = _terminal(node, names) if node._ufl_is_terminal_ else tuple(found[part] for part in node.ufl_operands)
+            found[node] = _KNOWN.setdefault((type(node), *own), len(_KNOWN))
+    return _KNOWN.setdefault(("all", *(found[expression] for expression in whole)), len(_KNOWN))
 
 
 def _terminal(node: Any, names: dict[tuple[type, int], int]) -> tuple[Any, ...]:
@@ -159,15 +151,8 @@ def _terminal(node: Any, names: dict[tuple[type, int], int]) -> tuple[Any, ...]:
 
 def require_numbers_alone(law: BulkLaw, numbers: Expr, expressions: Iterable[Expr]) -> None:
     """Raise LawError if expressions contain anything but the inputs of the law."""
-    seen: set[int] = set()
-    stack = list(expressions)
-    while stack:
-        node = stack.pop()
-        if id(node) in seen:
-            continue
-        seen.add(id(node))
-        stack += node.ufl_operands
-        if node._ufl_is_terminal_ and node is not numbers and not isinstance(node, (ConstantValue, MultiIndex, Label)):
+    for node in (node for expression in expressions for node in traverse_unique_terminals(expression)):
+        if node is not numbers and not isinstance(node, (ConstantValue, MultiIndex, Label)):
             raise LawError(
                 f"{type(law).__name__} contains {str(node)[:80]}, a {type(node).__name__}; a compiled law knows "
                 "only its parameters and its step: declare a parameter, or `varies` and `at`"

@@ -128,16 +128,6 @@ def test_any_bar(bar, share):
     assert bar.energy(delta) <= min(bar.branch(delta, z).energy for z in (-1, 0, 1)) + 1e-12 * scale * bar.delta_1
 
 
-@SLOW
-@given(bar=bars)
-def test_relaxed_response_is_continuous_and_monotone(bar):
-    delta = np.linspace(-2 * bar.delta_1, 2 * bar.delta_1, 4001)
-    rise = np.diff(bar.sigma(delta)) / np.diff(delta)
-    assert rise.min() >= -1e-9 / (bar.l * bar.R)
-    assert rise.max() <= (1 + 1e-9) / (bar.l * bar.R)
-    assert (np.diff(bar.boundary(delta[2000:])) <= 0).all()
-
-
 @pytest.mark.parametrize("change", [{"l": 0.0}, {"kbar": np.inf}, {"cbar": np.nan}, {"eps": 1.0}, {"cbar": 0.27}])
 def test_bar_out_of_range(change):
     with pytest.raises(LawError, match="allowed: all > 0, cbar >= "):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -146,14 +147,6 @@ class Carrier:
         out.x.scatter_forward()
         return out
 
-    def add_forces(self, forces: PETSc.Vec, out: PETSc.Vec) -> None:
-        """Add nodal forces of the other model to those of the first one."""
-        self.matrix.multTransposeAdd(forces, out, out)
-
-    def stiffness(self, K: PETSc.Mat) -> PETSc.Mat:
-        """A stiffness matrix of the other model as one of the first one."""
-        return K.ptap(self.matrix)
-
 
 def _range(V: fem.FunctionSpace) -> tuple[int, int]:
     """Number of this rank's degrees of freedom, and the first of them."""
@@ -174,7 +167,7 @@ class Carried(Part):
     def __init__(self, part: FormPart | CompiledPart, carrier: Carrier, key: str) -> None:
         self.key, self._part, self._carrier = key, part, carrier
         self.traits = part.traits
-        self.K = None if part.K is None else carrier.stiffness(part.K)
+        self.K = None if part.K is None else part.K.ptap(carrier.matrix)
         self._values = fem.Function(carrier.V)  # whose memory the vector has
         self._forces = self._values.x.petsc_vec
 
@@ -193,22 +186,22 @@ class Carried(Part):
         self._part.evaluate(self._carrier.displacements(u), self._carrier.displacements(mid))
         self.failed = self._part.failed
 
-    def add_forces(self, out: PETSc.Vec) -> float:
+    def _carried(self, add: Callable[[PETSc.Vec], Any], out: PETSc.Vec) -> Any:
+        """Add nodal forces that are added to a vector of the other model; returns what this returns."""
         self._forces.set(0.0)
-        size = self._part.add_forces(self._forces)
-        self._carrier.add_forces(self._forces, out)
+        size = add(self._forces)
+        self._carrier.matrix.multTransposeAdd(self._forces, out, out)
         return size
+
+    def add_forces(self, out: PETSc.Vec) -> float:
+        return float(self._carried(self._part.add_forces, out))
 
     def add_fixed(self, out: PETSc.Vec) -> None:
         if isinstance(self._part, FormPart):
-            self._forces.set(0.0)
-            self._part.add_fixed(self._forces)
-            self._carrier.add_forces(self._forces, out)
+            self._carried(self._part.add_fixed, out)
 
     def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
-        self._forces.set(0.0)
-        self._part.add_forces_in(self._old(state), self._forces)
-        self._carrier.add_forces(self._forces, out)
+        self._carried(partial(self._part.add_forces_in, self._old(state)), out)
 
     def tangents(self, relative_residual: float) -> list[Block]:
         found = []
@@ -216,7 +209,7 @@ class Carried(Part):
             if self.K is not None and block.matrix == self._part.K:
                 found.append(replace(block, matrix=self.K))
                 continue
-            found.append(replace(block, matrix=self._carrier.stiffness(block.matrix), kept=False))
+            found.append(replace(block, matrix=block.matrix.ptap(self._carrier.matrix), kept=False))
             if not block.kept:
                 block.matrix.destroy()
         return found

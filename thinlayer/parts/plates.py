@@ -91,14 +91,11 @@ class RigidPlate(Addition):
 
     def motion_in(self, state: State) -> PlateMotion:
         """The plate's motion in a state. Collective."""
-        values, d = self._in_units(state.model, state.u), state.model.joint.dim
-        rotation = values[d] if d == 2 else values[d:]
-        return PlateMotion(values[:d], np.asarray(rotation), self.point(state.model))
-
-    def _in_units(self, model: Any, u: fem.Function) -> Array:
+        model: Any = state.model
         (tie,) = (one for one in model.constraints.ties if one.key == self.key)
-        q, d = model.constraints.motion(tie, u.x.array[: model.constraints.n]), model.joint.dim
-        return np.append(q[:d], q[d:] / self.size(model))
+        q, d = model.constraints.motion(tie, state.u.x.array[: model.constraints.n]), model.joint.dim
+        rotation = q[d:] / self.size(model)  # of lengths
+        return PlateMotion(q[:d], np.asarray(rotation[0] if d == 2 else rotation), self.point(model))
 
     def _tie(self, model: Host, about: Array, size: float) -> Any:
         """(n, k) sparse: displacements of this rank by the plate's motions, rotations times a length. Collective.
