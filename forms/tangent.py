@@ -114,8 +114,8 @@ def _of_kernel(law: Any, n: Array, dt: float) -> Array | None:
 def is_checked_at_rest(law: BulkLaw) -> bool:
     """Whether the tangent of a layer's law at rest is computed, by `tangent_at_rest`, and must not be negative.
 
-    It may be negative for laws that declare `softens`. It has no meaning for laws with both memory and rate, nor for
-    non-linear laws of jumps, because the size of a small jump is not known.
+    It may be negative for laws that declare `softens`. It is not computed for laws with both memory and rate, nor
+    for non-linear laws of jumps, because the size of a small jump is not known.
     """
     return not (
         law.traits.softens or (law.traits.rate and law.internal) or (law.traits.of_jumps and not law.traits.linear)
