@@ -21,8 +21,6 @@ def layer(law=RUBBER, order=1, **options):
     return ThinLayer(law, 0.1, order=order, at=1.0, **options)
 
 
-
-
 def test_loads_on_the_side_of_the_layer():
     """A load on the side of the layer is of order eps, and would squeeze it; zero says that the side is free."""
     loads = [

@@ -18,10 +18,10 @@ from forms.kinematics import Expr
 from forms.work import Term
 from geometry.compat import cell_nodes
 from geometry.topology import IntArray
-from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.layer import LAYER, PRESSURE
-from thinlayer.parallel.communicator import communicator
+from thinlayer.discretisation.spaces import Keys, broken_space
+from thinlayer.parallel.exchange import communicator
 from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
 from thinlayer.pointwise.assembling import add_spread, matrix_of, values_of
 from thinlayer.pointwise.quadrature import Origin, Quadrature, Region
