@@ -9,8 +9,7 @@ from dolfinx import fem
 
 from forms import Incompressible, IncrementalCoulomb, LinearElastic
 from geometry import GeometryError, Joint, Seam, sandwich, wall
-from geometry.splitting import Splitting
-from geometry.topology import FacetTable, facet_normals
+from geometry.topology import FacetTable, Splitting, facet_normals
 from tests.meshes import renumbered
 from tests.network_cases import (
     BED,

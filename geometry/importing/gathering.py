@@ -13,9 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from geometry.compat import cell_nodes
+from geometry.dolfinx_mesh import cell_nodes, vertices_of_facets
 from geometry.errors import GeometryError
-from geometry.facets import vertices_of_facets
 from geometry.importing.cells import Cells
 from geometry.importing.naming import Groups, Named, SeamsOf, Sides
 from geometry.joint import Joint

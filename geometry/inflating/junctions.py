@@ -16,8 +16,7 @@ import numpy as np
 from geometry.errors import GeometryError, place
 from geometry.inflating.bands import Footing, Posts
 from geometry.joint import FLAT, Joint
-from geometry.splitting import connected
-from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, lagrange
+from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, connected, lagrange
 
 
 @dataclass(frozen=True)

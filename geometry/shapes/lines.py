@@ -8,8 +8,7 @@ from typing import Self
 import numpy as np
 from scipy.spatial import cKDTree
 
-from geometry.splitting import connected
-from geometry.topology import BoolArray, FloatArray, IntArray
+from geometry.topology import BoolArray, FloatArray, IntArray, connected
 
 
 @dataclass(frozen=True)

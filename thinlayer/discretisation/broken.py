@@ -18,7 +18,8 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from thinlayer.compiling.compat import index_map, space_with_dofmap
+from geometry.dolfinx_mesh import index_map
+from thinlayer.compiling.compat import space_with_dofmap
 from thinlayer.parallel.exchange import ask
 
 IntArray = npt.NDArray[np.int64]

@@ -21,8 +21,7 @@ from geometry.inflating.layering import check_layering
 from geometry.inflating.motion import kept_motion
 from geometry.joint import Joint
 from geometry.seam import S
-from geometry.splitting import Splitting
-from geometry.topology import FloatArray
+from geometry.topology import FloatArray, Splitting
 from thinlayer.discretisation.apart import Middle, apart
 from thinlayer.discretisation.axis import require_revolution
 from thinlayer.discretisation.forces import Forces, Weighted

@@ -9,7 +9,7 @@ import ufl
 from dolfinx import fem
 
 from geometry.domain import Domain
-from geometry.splitting import connected
+from geometry.topology import connected
 from thinlayer.compiling.compat import interpolation_points
 
 Array = npt.NDArray[np.float64]

@@ -8,7 +8,7 @@ from dolfinx import fem
 
 from geometry.domain import Domain
 from geometry.joint import Joint
-from geometry.splitting import Splitting
+from geometry.topology import Splitting
 from thinlayer.discretisation.broken import Keys, broken_space
 
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from scipy.spatial import cKDTree
 
-from geometry.compat import cell_nodes
+from geometry.dolfinx_mesh import cell_nodes
 from geometry.topology import IntArray
 from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.parallel.communicator import communicator
