@@ -18,7 +18,7 @@ def place(x: npt.NDArray[np.float64]) -> str:
     return f"({', '.join(f'{c:.6g}' for c in x)})"
 
 
-def refuse(bad: npt.NDArray[np.bool_], x: npt.NDArray[np.float64], message: str) -> None:
+def refuse(bad: npt.NDArray[np.bool_] | np.bool_, x: npt.NDArray[np.float64], message: str) -> None:
     """Raise GeometryError if any of n things is bad.
 
     Args:
@@ -28,6 +28,6 @@ def refuse(bad: npt.NDArray[np.bool_], x: npt.NDArray[np.float64], message: str)
     """
     if bad.any():
         first = x[bad.argmax()].reshape(-1, x.shape[-1]).mean(axis=0)
-        for name, value in {"at": place(first), "bad": bad.sum(), "all": len(bad)}.items():
+        for name, value in {"at": place(first), "bad": bad.sum(), "all": np.size(bad)}.items():
             message = message.replace(f"{{{name}}}", str(value))
         raise GeometryError(message)

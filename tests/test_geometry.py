@@ -147,6 +147,7 @@ def test_inflation_errors(change, message):
         (dict(width=1.0, height=1.0, h=-1.0), "cell size h is -1.0; allowed"),
         (dict(width=1.0, height=1.0, h_ends=1e-7), "cell size h_ends"),
         (dict(width=1.0, height=1.0, cell="triangel"), "did you mean 'triangle'"),
+        (dict(width=1.0, height=1.0, h_end=0.1), "unknown keyword 'h_end', did you mean 'h_ends'"),
         (dict(width=1.0, height=1.0, structured=True, arrangement="Up"), "known: AlternateLeft"),
     ],
 )
