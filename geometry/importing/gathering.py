@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from numbers import Integral
-from typing import Any
+from typing import Any, Unpack
 
 import dolfinx
 import numpy as np
@@ -15,8 +15,7 @@ from mpi4py import MPI
 
 from geometry.dolfinx_mesh import cell_nodes, vertices_of_facets
 from geometry.errors import GeometryError
-from geometry.importing.cells import Cells
-from geometry.importing.naming import Groups, Named, SeamsOf, Sides
+from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
 from geometry.joint import Joint
 from geometry.parallel import on_root, world
 from geometry.topology import CELL_TYPES, FloatArray, IntArray, corner_count, geometry_degree
@@ -31,11 +30,8 @@ def from_dolfinx(
     *,
     regions: Mapping[int, str] | None = None,
     facets: Mapping[int, str] | None = None,
-    S: SeamsOf = "S",
-    upper: str | Sequence[str] | None = None,
-    lower: str | Sequence[str] | None = None,
-    direction: Sequence[float] | None = None,
     comm: MPI.Intracomm | None = None,
+    **sides: Unpack[SidesOf],
 ) -> Joint:
     """A joint from a mesh of DOLFINx, on any number of ranks, with or without ghosts. Collective.
 
@@ -64,7 +60,7 @@ def from_dolfinx(
     parts = comm.gather(mine) or []
     if cell_tags is None and regions is None:
         regions = {0: WHOLE}
-    return on_root(comm, partial(_joined, parts, regions, facets, (S, upper, lower, direction)))
+    return on_root(comm, partial(_joined, parts, regions, facets, sides))
 
 
 @dataclass(frozen=True)
@@ -104,10 +100,7 @@ class _Part:
         if len(kinds) > 1 or kinds[0] not in CELL_TYPES:
             raise GeometryError(f"cells are of type {', '.join(kinds)}; allowed: one of {', '.join(CELL_TYPES)}")
         kind, dim, cells = kinds[0], topology.dim, cell_nodes(mesh)
-        try:
-            geometry_degree(kind, cells.shape[1])
-        except ValueError as error:
-            raise GeometryError(f"{error} (degree 1 or 2)") from None
+        geometry_degree(kind, cells.shape[1])
         owned = topology.index_map(dim).size_local
         region, tagged = np.zeros(owned, np.int64), np.full(owned, cell_tags is None)
         numbers, values = _tags(mesh, cell_tags, dim, "cell_tags")
@@ -141,7 +134,7 @@ def _tags(mesh: dolfinx.mesh.Mesh, tags: Any, dim: int, what: str) -> tuple[npt.
     return np.asarray(tags.indices), np.asarray(tags.values, np.int64)
 
 
-def _joined(parts: list[Any], regions: Any, facets: Any, sides: tuple[Any, ...]) -> Joint:
+def _joined(parts: list[Any], regions: Any, facets: Any, sides: SidesOf) -> Joint:
     """The joint of all ranks' parts, in the order of places: of the nodes, and of the cells' nodes."""
     for part in parts:
         if isinstance(part, Exception):
@@ -165,8 +158,7 @@ def _joined(parts: list[Any], regions: Any, facets: Any, sides: tuple[Any, ...])
         raise GeometryError("no cell has a tag")
     sets = _groups(facets, tags, np.ones(len(tags), bool), "facet")
     named = {name: np.unique(np.searchsorted(cells.used, rows[member]), axis=0) for name, member in sets.items()}
-    chosen = Sides.of(*sides)
-    return Named.of(cells, groups, named, "tags", chosen).joint(chosen)
+    return Named(cells, groups, named, "tags", Sides.of(**sides)).joint()
 
 
 def _groups(names: Any, values: IntArray, tagged: npt.NDArray[np.bool_], what: str) -> Groups:
