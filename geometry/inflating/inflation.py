@@ -10,11 +10,11 @@ import numpy as np
 from geometry.errors import GeometryError, place
 from geometry.inflating.bands import Copies, Footing, Posts, band_cells, posts_of
 from geometry.inflating.blocks import Filled, fill
+from geometry.inflating.extended import extended_motion, face_motion
 from geometry.inflating.faces import moved_facets
 from geometry.inflating.junctions import Corners, are_filled, common_normals, junction_posts, junctions_of, polyhedra_of
+from geometry.inflating.kept import NOT_KEPT, UNIFORM, is_swept, kept_motion, require_apart, require_room
 from geometry.inflating.layering import Layering, check_junctions, check_layering, claims_of, facets_with_cells
-from geometry.inflating.motion import NOT_KEPT, UNIFORM, extended_motion, face_motion, kept_motion
-from geometry.inflating.room import is_swept, require_apart, require_room
 from geometry.joint import Band, Joint, Profile
 from geometry.periodic import repeated, require_inside
 from geometry.seam import JUNCTIONS, LAYER

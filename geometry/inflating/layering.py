@@ -9,10 +9,10 @@ from typing import TypeVar
 import numpy as np
 
 from forms.base import is_finite
-from geometry.errors import GeometryError, place, unknown
+from geometry.errors import GeometryError, place, refuse, unknown
 from geometry.inflating.bands import Posts, level_heights
 from geometry.joint import Joint, Profile
-from geometry.topology import BoolArray, FloatArray, IntArray, ridges
+from geometry.topology import BoolArray, FloatArray, IntArray
 
 WAYS = ("kept", "extended")
 THINNEST = 1e-11  # thickness of a meshed layer over the size of its joint
@@ -38,31 +38,18 @@ def facets_with_cells(joint: Joint, gaps: Sequence[str], meshed: BoolArray | Non
         GeometryError: `meshed` is none of n_S truth values; no facet gets cells; S branches, or seams meet, at a facet
             that gets none.
     """
-    in_gaps = np.isin(joint.seam_numbers, [list(joint.seams).index(name) for name in gaps])
+    in_gaps = np.isin(np.array([*joint.seams])[joint.seam_numbers], list(gaps))
     if meshed is None:
         return np.asarray(~in_gaps)
     chosen, n = np.asarray(meshed), len(joint.surface_rows)
     if chosen.dtype != bool or chosen.shape != (n,):
         raise GeometryError(f"meshed has shape {chosen.shape} and type {chosen.dtype}; it needs {n} truth values")
-    vertices = joint.table.vertices[joint.surface_rows]
-    without = vertices[~chosen & ~in_gaps]
-    lacking = np.intersect1d(without, _meetings(joint))
-    if len(lacking):
-        raise GeometryError(
-            f"S branches, or seams meet, at {place(joint.points[lacking[0]])}: the facets of S there need cells"
-        )
-    if not (found := chosen & ~in_gaps).any():
+    without = np.unique(joint.table.vertices[joint.surface_rows[~chosen & ~in_gaps]])
+    lacking = "S branches, or seams meet, at {at}: the facets of S there need cells"
+    refuse(np.isin(without, joint.meetings), joint.points[without], lacking)
+    if not (chosen & ~in_gaps).any():
         raise GeometryError("no facet of S gets cells: there is no layer to mesh; use the interface model")
-    return np.asarray(found)
-
-
-def _meetings(joint: Joint) -> IntArray:
-    """The vertices where S branches, or where seams meet."""
-    found, counts = ridges(joint.surface, joint.cell_type)
-    vertices = joint.table.vertices[joint.surface_rows]
-    pairs = np.unique(np.column_stack([vertices.ravel(), joint.seam_numbers.repeat(vertices.shape[1])]), axis=0)
-    several, times = np.unique(pairs[:, 0], return_counts=True)
-    return np.union1d(found[counts > 2].ravel(), several[times > 1])
+    return np.asarray(chosen & ~in_gaps)
 
 
 def by_seam(joint: Joint, given: Given | Mapping[str, Given], what: str, *default: Given) -> dict[str, Given]:
@@ -137,9 +124,7 @@ class Layering:
                     f"{size:.3g}; use the interface model"
                 )
             if len(some) and not (all(map(is_finite, some)) and min(some) > 0 and abs(sum(some) - 1) <= 1e-12):
-                raise GeometryError(
-                    f"the sublayers' fractions {tuple(some)}{which} must be numbers > 0 and add up to 1"
-                )
+                raise GeometryError(f"the fractions {tuple(some)}{which} of sublayers must be > 0 and add up to 1")
         if joint.tip is not None:
             raise GeometryError(
                 f"S ends inside the bodies (near {place(joint.tip)}): the layer has no room at its tip and cannot be "
@@ -168,24 +153,17 @@ def check_junctions(joint: Joint, posts: Posts, seams: IntArray, meeting: IntArr
         meeting: these posts.
         layers: the layers.
     """
-    names = np.array(list(joint.seams))[seams]
+    names, x = np.array(list(joint.seams))[seams], joint.points[posts.nodes[meeting]]
     reasons = {
-        "the sublayers of one layer have no place in the others": np.array(
-            [len(layers.fractions[n]) > 0 for n in names], bool
-        ),
-        "junctions are meshed between layers of uniform thickness only": np.isin(names, layers.varying),
-        "junctions are meshed between straight-sided cells only": np.full(len(meeting), joint.degree == 2),
+        "the sublayers of one layer have no place in the others": [
+            n for n, some in layers.fractions.items() if len(some)
+        ],
+        "junctions are meshed between layers of uniform thickness only": layers.varying,
+        "junctions are meshed between straight-sided cells only": [*joint.seams] if joint.degree == 2 else [],
     }
-    for reason, holds in reasons.items():
-        if holds.any():
-            x = joint.points[posts.nodes[meeting[holds][0]]]
-            raise GeometryError(
-                f"S branches at {place(x)}, where three or more bodies meet: {reason}; use the interface model"
-            )
+    for reason, of_seams in reasons.items():
+        where = "S branches at {at}, where three or more bodies meet"
+        refuse(np.isin(names, list(of_seams)), x, f"{where}: {reason}; use the interface model")
     odd = posts.top[meeting] % 2 > 0
-    if odd.any():
-        first = meeting[odd][0]
-        x = joint.points[posts.nodes[first]]
-        raise GeometryError(
-            f"cells_through is {posts.top[first]}: layers meet at {place(x)} and need an even number of cells there"
-        )
+    through = f"cells_through is {posts.top[meeting][odd.argmax()]}" if odd.any() else ""
+    refuse(odd, x, f"{through}: layers meet at {{at}} and need an even number of cells there")

@@ -17,8 +17,8 @@ from forms.interface import Interface
 from forms.kinematics import Expr
 from forms.law import BulkLaw
 from geometry.errors import GeometryError, unknown
+from geometry.inflating.kept import kept_motion
 from geometry.inflating.layering import check_layering
-from geometry.inflating.motion import kept_motion
 from geometry.joint import Joint
 from geometry.seam import S
 from geometry.topology import FloatArray, Splitting
