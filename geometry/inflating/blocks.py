@@ -14,11 +14,11 @@ from itertools import product
 
 import numpy as np
 
-from geometry.errors import GeometryError, place
+from geometry.errors import refuse
 from geometry.inflating.bands import Posts
 from geometry.inflating.junctions import Corners
 from geometry.joint import Joint
-from geometry.topology import BoolArray, FloatArray, IntArray, is_tensor
+from geometry.topology import BoolArray, FloatArray, IntArray, is_tensor, sums
 
 
 @dataclass(frozen=True)
@@ -81,10 +81,9 @@ class _Keys:
 def _means(number: IntArray, values: FloatArray, nodes: IntArray) -> tuple[FloatArray, IntArray]:
     """Means of values (n, d) with equal numbers (n,), and one of their nodes (n,)."""
     count = np.bincount(number)
-    out, of = np.zeros((len(count), values.shape[1])), np.zeros(len(count), np.int64)
-    np.add.at(out, number, values)
+    of = np.zeros(len(count), np.int64)
     of[number] = nodes
-    return out / np.maximum(count, 1)[:, None], of
+    return sums(number, values, len(count)) / np.maximum(count, 1)[:, None], of
 
 
 def fill(
@@ -135,13 +134,12 @@ def _cubes(joint: Joint, keys: _Keys, around: Corners) -> tuple[IntArray, IntArr
     """(n, 8) key points of the blocks at corners of polyhedra, where three posts and three polygons meet; one of these."""
     pairs, at = np.unique(np.column_stack([around.of, around.copies]), axis=0, return_inverse=True)
     count = np.bincount(at.ravel())
-    wrong = np.flatnonzero(count != 3)
-    if len(wrong):
-        x = joint.points[keys.nodes[pairs[wrong[0], 1]]]
-        raise GeometryError(
-            f"S branches at {place(x)}, where junctions meet: hexahedra need three "
-            f"layers around each corner of a body there, not {count[wrong[0]]}; use tetrahedra, or the interface model"
-        )
+    refuse(
+        count != 3,
+        joint.points[keys.nodes[pairs[:, 1]]],
+        "S branches at {at}, where junctions meet: hexahedra need three layers around each corner of a body there, not "
+        f"{count[(count != 3).argmax()]}; use tetrahedra, or the interface model",
+    )
     rows = np.argsort(at.ravel(), kind="stable").reshape(-1, 3)
     sides, polygons = around.sides[rows, 0], around.polygons[rows, 0]
     one, other = sides[:, 0].T

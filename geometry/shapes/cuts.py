@@ -17,7 +17,7 @@ from geometry.periods import SAME_PLACE
 from geometry.seam import LEAST_COSINE, Seam
 from geometry.shapes.drawing import Drawing, Extent, Shape
 from geometry.shapes.sizing import Cells, gmsh
-from geometry.topology import BoolArray, FloatArray, IntArray, connected
+from geometry.topology import BoolArray, FloatArray, IntArray, connected, sums
 
 SIDES = ("BOTTOM", "RIGHT", "TOP", "LEFT")
 NEAR = 0.5  # least distance between lines that do not meet, over the cell size there
@@ -258,10 +258,8 @@ def _relaxed(points: FloatArray, box: FloatArray) -> FloatArray:
         one, other = pairs[short].T
         way = cells.points[other] - cells.points[one]
         way *= SHORT * size / 2 / np.linalg.norm(way, axis=1)[:, None]
-        moved = np.zeros_like(cells.points)
-        np.add.at(moved, one, way)
-        np.add.at(moved, other, -way)
-        points = points + moved[:n]
+        count = len(cells.points)
+        points = points + (sums(one, way, count) - sums(other, way, count))[:n]
     return points
 
 
@@ -276,8 +274,7 @@ def _centres(points: FloatArray, box: FloatArray) -> FloatArray:
     to = x - points[own][:, None]
     area = np.abs(to[:, 0, 0] * to[:, 1, 1] - to[:, 0, 1] * to[:, 1, 0])  # twice that of a triangle over the point
     moment = area[:, None] * to.sum(axis=1) / 3
-    total = np.bincount(own, area, n)
-    return np.asarray(points + np.stack([np.bincount(own, m, n) for m in moment.T], axis=1) / total[:, None])
+    return np.asarray(points + sums(own, moment, n) / np.bincount(own, area, n)[:, None])
 
 
 @dataclass(frozen=True)
