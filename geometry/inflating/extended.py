@@ -164,10 +164,10 @@ def _solve(matrix: scipy.sparse.csr_matrix, b: FloatArray) -> FloatArray:
     ksp.setType("cg")
     ksp.getPC().setType("icc")
     ksp.setTolerances(rtol=TOLERANCE, atol=0.0, max_it=5000)
-    right, x = A.createVecLeft(), A.createVecRight()
-    right.array[:] = b
+    solution = np.zeros_like(b)
+    right, x = (PETSc.Vec().createWithArray(values, comm=MPI.COMM_SELF) for values in (b, solution))
     ksp.solve(right, x)
-    solution, reason = x.array.copy(), ksp.getConvergedReason()
+    reason = ksp.getConvergedReason()
     for thing in (A, ksp, right, x):
         thing.destroy()
     if reason < 0:
