@@ -147,9 +147,7 @@ class Joint:
             raise GeometryError(f"{S!r} is all seams together and cannot name one of several")
         for name in self.seams:
             if name not in self.facets:
-                raise GeometryError(
-                    f"the mesh has no facets named {name!r}; named facets: {', '.join(sorted(self.facets))}"
-                )
+                raise GeometryError(f"the mesh has no facets named {name!r}; known: {', '.join(sorted(self.facets))}")
         rows = np.concatenate([self.rows_of(name) for name in self.seams])
         rows, counts = np.unique(rows, return_counts=True)
         if (counts > 1).any():

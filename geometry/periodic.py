@@ -28,9 +28,7 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
             a seam on a periodic side; a joint whose layer is meshed.
     """
     if joint.band is not None:
-        raise GeometryError(
-            "the joint's layer is meshed; in a periodic joint it is a surface, S, with an interface model"
-        )
+        raise GeometryError("the joint's layer is meshed; in a periodic joint it is a surface with an interface model")
     if not sides:
         raise GeometryError('periodic needs pairs of sides, such as ("LEFT", "RIGHT")')
     before = joint.periods or Periods((), ())
@@ -46,13 +44,11 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
 def require_inside(joint: Joint) -> None:
     """Raise GeometryError if S reaches a periodic side: inflated, opposite sides would not match."""
     for names, pair in zip(joint.periods.sides, joint.periods.pairs, strict=True) if joint.periods else ():
-        refuse(
-            np.isin(np.unique(pair), joint.surface),
-            joint.points[np.unique(pair)],
-            f"S reaches the periodic sides {' and '.join(map(repr, names))}, at {{at}}: the layer cannot be meshed, as the "
-            "sides would not match when it opens; cut the cell where S is not, use the interface model, or mesh a large "
-            "piece that is not periodic",
-        )
+        sides, both = " and ".join(map(repr, names)), np.unique(pair)
+        reason = "the layer cannot be meshed, as the sides would not match when it opens"
+        remedy = "cut the cell where S is not, use the interface model, or mesh a large piece that is not periodic"
+        message = f"S reaches the periodic sides {sides}, at {{at}}: {reason}; {remedy}"
+        refuse(np.isin(both, joint.surface), joint.points[both], message)
 
 
 def repeated(inflated: Joint, periods: Periods) -> Joint:

@@ -59,17 +59,12 @@ class Periods:
             refuse(apart > SAME_PLACE * size, points[pair[:, 0]], message)
         master = self.masters(len(points))
         identified = np.bincount(master, minlength=len(master))[master] > 1
-        refuse(
-            np.all(identified[seams], axis=1), points[seams], f"a seam lies on the periodic boundary, at {{at}}: {CUT}"
-        )
+        refuse(identified[seams].all(axis=1), points[seams], f"a seam lies on the periodic boundary, at {{at}}: {CUT}")
         nodes = corners[:, np.array(basix.topology(basix.CellType[cell_type])[1])].reshape(-1, 2)
         names = " and ".join(f"{first!r} and {second!r}" for first, second in self.sides)
-        refuse(
-            _folded(points, nodes, master),
-            points[nodes],
-            f"a periodic cell needs three cells or more between its sides ({names}): near {{at}} two edges have the same "
-            "ends; use a finer mesh",
-        )
+        narrow = f"a periodic cell needs three cells or more between its sides ({names})"
+        remedy = "two edges have the same ends; use a finer mesh"
+        refuse(_folded(points, nodes, master), points[nodes], f"{narrow}: near {{at}} {remedy}")
 
 
 def _folded(points: FloatArray, nodes: IntArray, master: IntArray) -> BoolArray:

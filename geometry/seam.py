@@ -43,9 +43,7 @@ class Seam:
     def reversed(self) -> Seam:
         """The seam with the opposite normal. GeometryError: neither regions nor a direction are given."""
         if self == Seam():
-            raise GeometryError(
-                "a seam whose upper side follows the order of regions cannot be reversed; name its sides"
-            )
+            raise GeometryError("a seam whose sides follow the order of regions cannot be reversed; name its sides")
         way = None if self.direction is None else tuple(-c for c in self.direction)
         return Seam(self.upper, self.lower, way)
 
@@ -63,9 +61,7 @@ class Seam:
                 raise GeometryError(unknown("region", region, regions))
         shared = sorted(set(self.upper) & set(self.lower))
         if shared and self.direction is None:
-            raise GeometryError(
-                f"region {shared[0]!r} is on both sides of {name!r}; give the direction of the upper side"
-            )
+            raise GeometryError(f"region {shared[0]!r} is on both sides of {name!r}; give the direction upwards")
         if self.direction is not None:
             if set(self.upper) != set(self.lower):
                 raise GeometryError(f"{name!r}: a direction tells the upper side, or regions do; give one of them")
@@ -115,9 +111,6 @@ class Seam:
         else:
             second, first = region[:, 1] > region[:, 0], region[:, 1] < region[:, 0]
             what = "have one region on both sides; give the direction of the upper side"
-        refuse(
-            ~(first | second),
-            x,
-            f"{name!r} does not separate two bodies: some of its facets {what}, the first at {{at}}",
-        )
+        reason = f"{name!r} does not separate two bodies: some of its facets {what}, the first at {{at}}"
+        refuse(~(first | second), x, reason)
         return np.asarray(second)

@@ -247,9 +247,7 @@ class Named:
     def _require_facets(self, name: str) -> None:
         """Raise GeometryError unless a set of facets of the mesh has this name."""
         if not self.facets:
-            raise GeometryError(
-                f"no facets are named {name!r} or anything else; name some, or give S=None, upper and lower"
-            )
+            raise GeometryError(f"no facets are named {name!r} or anything else; name some, or give S=None and sides")
         if name not in self.facets:
             raise GeometryError(f"{unknown('set of facets', name, self.facets)} ({self.source})")
 

@@ -217,10 +217,7 @@ def _vertices(mesh: meshio.Mesh, cells: Cells, groups: Groups) -> dict[str, IntA
     number[cells.used] = np.arange(len(cells.used))
     rows = np.concatenate([block.data[:, : corner_count(kind)] for block in blocks]).astype(np.int64)
     for name, member in groups.items():
-        refuse(
-            member & (number[rows] < 0).any(axis=1),
-            mesh.points[rows, : cells.points.shape[1]],
-            f"{{bad}} of {member.sum()} facets named {name!r} are not part of the bodies' mesh, the first at {{at}}; in "
-            "gmsh fragment the bodies with it, or embed it",
-        )
+        loose, x = member & (number[rows] < 0).any(axis=1), mesh.points[rows, : cells.points.shape[1]]
+        what = f"{{bad}} of {member.sum()} facets named {name!r} are not part of the bodies' mesh, the first at {{at}}"
+        refuse(loose, x, f"{what}; in gmsh fragment the bodies with it, or embed it")
     return {name: np.unique(np.sort(number[rows[member]], axis=1), axis=0) for name, member in groups.items()}

@@ -168,12 +168,10 @@ def posts_of(joint: Joint, copies: Copies, heights: Sequence[FloatArray]) -> tup
     _, first, at = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     at = at.ravel()
     ends = np.column_stack([below, above])[first]
-    refuse(
-        ends[:, 0] == ends[:, 1],
-        joint.points[joint.surface.ravel()[first]],
-        "at {at} one body lies on both sides of S: the layer has no room there and cannot be meshed; use the interface "
-        "model",
+    closed = (
+        "one body lies on both sides of S: the layer has no room there and cannot be meshed; use the interface model"
     )
+    refuse(ends[:, 0] == ends[:, 1], joint.points[joint.surface.ravel()[first]], f"at {{at}} {closed}")
     turned = below != ends[at, 0]
     seam = np.repeat(joint.seam_numbers, joint.surface.shape[1])
     kinds: list[FloatArray] = []
@@ -189,7 +187,7 @@ def posts_of(joint: Joint, copies: Copies, heights: Sequence[FloatArray]) -> tup
             )
         if way and joint.dim == 3:
             raise GeometryError(
-                f"the upper side of S changes at {place(x)}: in 3D a layer needs one upper side and one lower side there"
+                f"the upper side of S changes at {place(x)}: in 3D each layer needs one on one side there"
             )
     posts = Posts(
         len(joint.points) + len(copies.new), ends, joint.surface.ravel()[first], kind_of_seam[seam[first]], tuple(kinds)

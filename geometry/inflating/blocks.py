@@ -134,12 +134,9 @@ def _cubes(joint: Joint, keys: _Keys, around: Corners) -> tuple[IntArray, IntArr
     """(n, 8) key points of the blocks at corners of polyhedra, where three posts and three polygons meet; one of these."""
     pairs, at = np.unique(np.column_stack([around.of, around.copies]), axis=0, return_inverse=True)
     count = np.bincount(at.ravel())
-    refuse(
-        count != 3,
-        joint.points[keys.nodes[pairs[:, 1]]],
-        "S branches at {at}, where junctions meet: hexahedra need three layers around each corner of a body there, not "
-        f"{count[(count != 3).argmax()]}; use tetrahedra, or the interface model",
-    )
+    need = "where junctions meet: hexahedra need three layers around each corner of a body there"
+    remedy = f"not {count[(count != 3).argmax()]}; use tetrahedra, or the interface model"
+    refuse(count != 3, joint.points[keys.nodes[pairs[:, 1]]], f"S branches at {{at}}, {need}, {remedy}")
     rows = np.argsort(at.ravel(), kind="stable").reshape(-1, 3)
     sides, polygons = around.sides[rows, 0], around.polygons[rows, 0]
     one, other = sides[:, 0].T

@@ -65,12 +65,8 @@ def face_motion(joint: Joint, copies: Copies, given_up: tuple[FloatArray, FloatA
     gap = np.einsum("fkd,fkd->fk", motion[index], normals) / g
     lowest = np.full(n, np.inf)
     np.minimum.at(lowest, index, gap)
-    refuse(
-        (lowest < LEAST_COSINE) & uniform,
-        x,
-        "bodies='extended' cannot keep the shape: an outer face touches S at {at} and is nearly parallel to it, so the "
-        "body cannot give way there; use bodies='kept' if S is planar",
-    )
+    parallel = "an outer face touches S at {at} and is nearly parallel to it, so the body cannot give way there"
+    refuse((lowest < LEAST_COSINE) & uniform, x, f"bodies='extended': {parallel}; use bodies='kept' if S is planar")
     error = np.where(uniform[index].all(axis=1, keepdims=True), 0.0, np.abs(gap - 1))
     if error.max() > NO_CORNER:
         at = index.flat[error.argmax()]

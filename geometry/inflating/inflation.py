@@ -263,12 +263,9 @@ def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int
     before = node_jacobians(joint.points, joint.cells, joint.cell_type)
     after = node_jacobians(points, cells, joint.cell_type)
     n = len(joint.cells)
-    refuse(
-        (before * after[:n] <= 0).any(axis=1),
-        joint.points[joint.cells],
-        "eps is too large for these bodies: {bad} cells turn inside out, the first at {at}; take a smaller eps, larger "
-        "cells there (at sharp ends several times eps), or on planar seams bodies='kept', which keeps cells",
-    )
+    large = "eps is too large for these bodies: {bad} cells turn inside out, the first at {at}; take a smaller eps"
+    remedy = "larger cells there (at sharp ends several times eps), or on planar seams bodies='kept', which keeps cells"
+    refuse((before * after[:n] <= 0).any(axis=1), joint.points[joint.cells], f"{large}, {remedy}")
     folded = np.abs(np.sign(after[n:]).sum(axis=1)) < after.shape[1]
     where = "the layer" if folded[:n_bands].any() else "a junction of layers"
     what = f"S turns too sharply for this eps: {{bad}} cells of {where} are folded, the first at {{at}}"

@@ -176,12 +176,10 @@ def polyhedra_of(joint: Joint, posts: Posts, corners: Corners) -> Corners:
         axis=(1, 2)
     )  # Euler's formula
     wrong = np.concatenate([around.sides[~whole, 0, 0], corners.sides[ends[corners.polygons] > 2][:, 0]])
-    refuse(
-        wrong >= 0,
-        joint.points[posts.nodes[wrong]],
-        "S branches at {at}, where junctions meet in a way that is not meshed: the layers' ends enclose no polyhedron; use "
-        "the interface model",
+    open_ends = (
+        "junctions meet in a way that is not meshed: the layers' ends enclose no polyhedron; use the interface model"
     )
+    refuse(wrong >= 0, joint.points[posts.nodes[wrong]], f"S branches at {{at}}, where {open_ends}")
     return around
 
 

@@ -40,11 +40,8 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
     count = int(pieces.max()) + 1
     ends = np.where(cells >= 0, pieces[cells], count)
     count += bool((cells < 0).any())
-    refuse(
-        ends[:, 0] == ends[:, 1],
-        joint.points[joint.corners[cells[:, 1]]],
-        f"one body, as at {{at}}, lies below S and above it: {NOT_KEPT}",
-    )
+    around = f"one body, as at {{at}}, lies below S and above it: {NOT_KEPT}"
+    refuse(ends[:, 0] == ends[:, 1], joint.points[joint.corners[cells[:, 1]]], around)
     area = _areas(joint)
     pairs, at = np.unique(ends, axis=0, return_inverse=True)
     at = at.ravel()

@@ -67,9 +67,7 @@ def check_layering(cells_through: int, bodies: str) -> None:
     if bodies not in WAYS:
         raise GeometryError(unknown("way to make room for the layer (bodies=...)", bodies, WAYS))
     if not is_finite(cells_through) or int(cells_through) != cells_through or cells_through < 1:
-        raise GeometryError(
-            f"cells_through is {cells_through!r}; the layer needs a whole number >= 1 of cells through its thickness"
-        )
+        raise GeometryError(f"cells_through is {cells_through!r}; the layer needs a whole number >= 1 of cells")
 
 
 @dataclass(frozen=True)
@@ -118,7 +116,9 @@ class Layering:
                     f"{whole:.3g}; use the interface model"
                 )
             if len(some) and not (all(map(is_finite, some)) and min(some) > 0 and abs(sum(some) - 1) <= 1e-12):
-                raise GeometryError(f"the fractions {tuple(some)}{which} of sublayers must be > 0 and add up to 1")
+                raise GeometryError(
+                    f"the fractions {tuple(some)}{which} of sublayers must be numbers > 0 and add up to 1"
+                )
         if joint.tip is not None:
             raise GeometryError(
                 f"S ends inside the bodies (near {place(joint.tip)}): the layer has no room at its tip and cannot be "

@@ -130,12 +130,9 @@ def _path(name: str, points: Any) -> FloatArray:
     way, whole = np.diff(x, axis=0), x[-1] - x[0]
     if not way.any(axis=1).all():
         raise GeometryError(f"two points of the fault {name!r} that follow each other are the same")
-    refuse(
-        way @ whole <= LEAST_COSINE * np.linalg.norm(way, axis=1) * np.linalg.norm(whole),
-        x[:-1],
-        f"the fault {name!r} turns back at {{at}}, so that its left side cannot be told by one vector; give its parts "
-        "names of their own",
-    )
+    back = way @ whole <= LEAST_COSINE * np.linalg.norm(way, axis=1) * np.linalg.norm(whole)
+    reason = "so that its left side cannot be told by one vector; give its parts names of their own"
+    refuse(back, x[:-1], f"the fault {name!r} turns back at {{at}}, {reason}")
     return x
 
 

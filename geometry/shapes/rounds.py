@@ -231,9 +231,7 @@ class Fibre(Shape):
             what = "radius" if self.round else "smaller half side"
             raise GeometryError(f"radius is {self.radius}; it must be less than the {what} of the matrix, {self.reach}")
         if self.gridded and not self.round:
-            raise GeometryError(
-                f"cell {self.kind!r} needs a matrix with an outer circle; in a rectangle use 'triangle'"
-            )
+            raise GeometryError(f"{self.kind!r} needs a matrix with an outer circle; in a rectangle use 'triangle'")
 
     @property
     def round(self) -> bool:
