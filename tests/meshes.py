@@ -164,6 +164,20 @@ def grid(axes, inside, cell, keep=lambda x: np.ones(len(x), bool)):
     return Joint(points, cells, cell, region, ("OUT", "IN"), facets, {"S": Seam(("OUT",), ("IN",))})
 
 
+def part_of(joint, kept, **changes):
+    """The joint without some of its cells (kept: (n_cells,) whether each stays), and with other changes."""
+    used, cells = np.unique(joint.cells[kept], return_inverse=True)
+    new = np.full(len(joint.points), -1)
+    new[used] = np.arange(len(used))
+    around = {name: joint.table.cells[joint.table.index(rows)] for name, rows in joint.facets.items()}
+    own = {name: ((beside >= 0) & kept[beside]).any(axis=1) for name, beside in around.items()}
+    facets = {name: new[rows[own[name]]] for name, rows in joint.facets.items() if own[name].any()}
+    present, region = np.unique(joint.region[kept], return_inverse=True)
+    regions = tuple(joint.regions[k] for k in present)
+    parts = dict(points=joint.points[used], cells=cells.reshape(len(region), -1), facets=facets)
+    return replace(joint, **parts | dict(region=region, regions=regions) | changes)
+
+
 def upper_cells(joint):
     """(n_cells,) whether each cell is part of a body above S."""
     pieces = joint.splitting.pieces

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -30,9 +31,7 @@ ELEMENTS = [
 
 
 def turned(joint: Joint) -> Joint:
-    return Joint(
-        joint.points @ TURN.T, joint.cells, joint.cell_type, joint.region, joint.regions, joint.facets, joint.seams
-    )
+    return replace(joint, points=joint.points @ TURN.T)
 
 
 @pytest.mark.parametrize("eps", [0.3, 1e-2, 1e-4])

@@ -18,6 +18,7 @@ pytestmark = pytest.mark.few(5)
 SIDES = {"S", "TOP", "LEFT", "RIGHT", "BACK", "FRONT"}
 SOLIDS = ("tetrahedron", "hexahedron")
 BOXES = [("tetrahedron", False), ("tetrahedron", True), ("hexahedron", False)]
+PLANE = [("triangle", False), ("triangle", True), ("quadrilateral", False)]
 SECTORS = [tau, 4.0, 1.0]
 
 
@@ -49,20 +50,19 @@ def edge_lengths(joint: Joint, where: np.ndarray) -> np.ndarray:
     return np.linalg.norm(joint.points[pairs[:, 1]] - joint.points[pairs[:, 0]], axis=1)
 
 
-@pytest.mark.parametrize(("cell", "structured"), BOXES)
+@pytest.mark.parametrize(("cell", "structured"), PLANE + BOXES)
 def test_boxes(cell, structured):
-    joint = block(2.0, 1.5, 0.5, depth=1.0, cell=cell, structured=structured)
-    check(joint, SIDES)
-    assert joint.cell_type == cell
-    assert region_volumes(joint) == pytest.approx({"BODY": 3.0})
-    assert joint.interface_normals == pytest.approx(np.tile([0.0, 1.0, 0.0], (len(joint.facets["S"]), 1)))
-
-    joint = sandwich(2.0, 0.8, 1.1, 0.4, depth=1.0, h_S=0.2, h_ends=0.1, cell=cell, structured=structured)
-    check(joint, SIDES | {"BOTTOM"})
-    assert region_volumes(joint) == pytest.approx({"LOWER": 1.6, "UPPER": 2.2})
-    assert joint.interface_normals == pytest.approx(np.tile([0.0, 1.0, 0.0], (len(joint.facets["S"]), 1)))
-    planes = {"S": (1, 0), "BOTTOM": (1, -0.8), "TOP": (1, 1.1), "LEFT": (0, 0), "RIGHT": (0, 2), "BACK": (2, 0)}
-    for name, (axis, value) in (planes | {"FRONT": (2, 1)}).items():
+    depth, names = (1.0, SIDES) if cell in SOLIDS else (None, SIDES - {"BACK", "FRONT"})
+    kind = dict(depth=depth, cell=cell, structured=structured)
+    for joint in (block(2.0, 1.5, 0.5, **kind), sandwich(2.0, 0.8, 1.1, 0.4, h_S=0.2, h_ends=0.1, **kind)):
+        two = len(joint.regions) == 2
+        check(joint, names | {"BOTTOM"} if two else names)
+        assert joint.cell_type == cell
+        assert region_volumes(joint) == pytest.approx({"LOWER": 1.6, "UPPER": 2.2} if two else {"BODY": 3.0})
+        normal = np.eye(joint.dim)[1]
+        assert joint.interface_normals == pytest.approx(np.tile(normal, (len(joint.facets["S"]), 1)))
+    planes = {"S": (1, 0), "BOTTOM": (1, -0.8), "TOP": (1, 1.1), "LEFT": (0, 0), "RIGHT": (0, 2)}
+    for name, (axis, value) in (planes | ({"BACK": (2, 0), "FRONT": (2, 1)} if depth else {})).items():
         assert on(joint, name)[:, axis] == pytest.approx(value, abs=1e-12), name
 
 

@@ -12,6 +12,7 @@ from forms import Anisotropic, LawError, LinearElastic
 from geometry import GeometryError, block, ring, sandwich
 from geometry.seam import Seam
 from studies.problems import FOURIER_LAYER, fourier
+from tests.meshes import part_of
 from tests.refused import refused
 from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, observed_orders, solve
 
@@ -132,18 +133,7 @@ def test_material_frame_follows_s(degree):
 def test_rigid_base_takes_all_of_eps():
     """A layer between a hub and a rigid shaft: the base stays on S."""
     whole = ring(*RADII, 0.25)
-    keep = whole.region == whole.regions.index("OUTER")
-    nodes, cells = np.unique(whole.cells[keep], return_inverse=True)
-    facets = {name: np.searchsorted(nodes, whole.facets[name]) for name in ("S", "OUTSIDE")}
-    hub = replace(
-        whole,
-        points=whole.points[nodes],
-        cells=cells.reshape(-1, whole.cells.shape[1]),
-        region=np.zeros(keep.sum(), np.int64),
-        regions=("OUTER",),
-        facets=facets,
-        seams={"S": Seam()},
-    )
+    hub = part_of(whole, whole.region == whole.regions.index("OUTER"), seams={"S": Seam()})
     setup = {"body": OUTER, "supports": {}, "tractions": twisted(hub)["tractions"]}
     rows = []
     for eps in EPS:

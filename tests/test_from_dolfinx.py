@@ -231,12 +231,8 @@ def test_ghosts_and_tags_on_ghosts_do_not_count_twice():
         ({"facets": ["S"]}, r"facets is \['S'\]; give \{number in facet_tags: name\}"),
         ({"S": "GLUE"}, "unknown set of facets 'GLUE'; known: BOTTOM, S, TOP"),
         ({"facets": {3: "GLUE", 4: "BOTTOM"}}, "unknown set of facets 'S'; known: BOTTOM, GLUE"),
-        ({"upper": "UPPERS"}, "unknown region 'UPPERS', did you mean 'UPPER'"),
-        ({"upper": None}, "lies inside LOWER and UPPER; name the regions above it in upper"),
         ({"facets": {3: "UPPER"}, "S": "UPPER"}, "'UPPER' names both cells and facets"),
         ({"facets": {3: "S", 4: "S"}}, "6 of 12 facets named 'S' lie on the outer boundary"),
-        ({"regions": {1: "LAYER", 2: "UPPER"}}, "'LAYER' cannot be a name"),
-        ({"direction": (1, 0, 0), "upper": None}, r"direction is \(1.0, 0.0, 0.0\); it needs 2 components"),
     ],
 )
 def test_refused(change, message):
@@ -260,7 +256,6 @@ def whole(cell, degree, points, cells):
     return mesh.create_mesh(MPI.COMM_WORLD, **parameters)
 
 
-SQUARE = [(0, 0), (1, 0), (0, 1), (1, 1)]
 UNUSABLE = {
     "a line": (lambda: mesh.create_unit_interval(MPI.COMM_WORLD, 3), "cells are of type interval; allowed: one of tri"),
     "prisms": (
@@ -270,18 +265,6 @@ UNUSABLE = {
     "degree 3": (
         lambda: whole("triangle", 3, basix.ufl.element("Lagrange", "triangle", 3).basix_element.points, [range(10)]),
         r"a triangle has 10 nodes; allowed: 3, 6 \(degree 1 or 2\)",
-    ),
-    "a surface in space": (
-        lambda: whole("quadrilateral", 1, [(*x, x[0] + x[1]) for x in SQUARE], [[0, 1, 2, 3]]),
-        "2D mesh in 3D: 1 quadrilateral cells at z = 0 to 2",
-    ),
-    "nodes at one place": (
-        lambda: whole("triangle", 1, [*SQUARE, (1, 0), (0, 1)], [[0, 1, 2], [4, 5, 3]]),
-        "2 pairs of nodes at the same place",
-    ),
-    "no volume": (
-        lambda: whole("triangle", 1, [*SQUARE, (2, 2)], [[0, 1, 3], [0, 3, 4]]),
-        "1 of 2 cells are degenerate",
     ),
     "folded": (lambda: whole("quadrilateral", 1, [(0, 0), (1, 0), (0, 1), (0.2, 0.2)], [[0, 1, 2, 3]]), "are folded"),
 }

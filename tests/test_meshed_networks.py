@@ -10,7 +10,7 @@ from forms import Anisotropic, Incompressible, LawError, LinearElastic, Stack
 from geometry import GeometryError, Joint, Seam, inflate, wall
 from geometry.topology import node_jacobians
 from tests.meshed_cases import SHARES, jump_errors, mortar, panel, star, yielded, yielding
-from tests.meshes import grid, volumes
+from tests.meshes import grid, part_of, volumes
 from tests.network_cases import springs
 from tests.refused import refused
 from tests.test_networks import SQUARE, cut_at, on
@@ -149,25 +149,10 @@ def test_stars(angles, cell):
 def test_layers_that_meet_on_the_boundary(cell):
     """Two seams end in one point of a straight side, 90 degrees apart: the boundary closes the triangle between them."""
     joint = star((-90, -45, 45, 90), cell)  # the half-disc on the left is taken away
-    left = np.flatnonzero(joint.region == 3)
-    keep = np.setdiff1d(np.arange(len(joint.cells)), left)
-    nodes, cells = np.unique(joint.cells[keep], return_inverse=True)
-    number = np.full(len(joint.points), -1)
-    number[nodes] = np.arange(len(nodes))
-    seams = {name: joint.seams[name] for name in ("L1", "L2")}
-    facets = {name: number[joint.facets[name]] for name in seams}
-    facets["SIDE"] = number[np.concatenate([joint.facets["L0"], joint.facets["L3"]])]
-    facets["RIM"] = number[joint.facets["RIM"]][(number[joint.facets["RIM"]] >= 0).all(axis=1)]
-    facets["RIM"] = facets["RIM"][(np.abs(joint.points[nodes][facets["RIM"]][..., 0]) > 1e-9).any(axis=1)]
-    base = Joint(
-        joint.points[nodes],
-        cells.reshape(-1, joint.cells.shape[1]),
-        cell,
-        joint.region[keep],
-        joint.regions[:3],
-        facets,
-        seams,
-    )
+    base = part_of(joint, joint.region != 3, seams={name: joint.seams[name] for name in ("L1", "L2")})
+    facets = dict(base.facets)
+    facets["SIDE"] = np.concatenate([facets.pop("L0"), facets.pop("L3")])
+    base = replace(base, facets=facets)
     eps = 0.01
     opened = inflate(base, eps, bodies="extended")
     check(base, opened)

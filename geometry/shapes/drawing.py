@@ -98,7 +98,7 @@ class Shape(ABC):
         """Draw with gmsh's built-in kernel."""
 
     def settle(self, points: FloatArray, cells: IntArray) -> FloatArray:
-        """The final places (n_points, d) of a mesh's points; vertices do not move."""
+        """The final places (n_points, d) of the points of a grid of degree 2; vertices do not move."""
         return points
 
     @property
@@ -110,11 +110,6 @@ class Shape(ABC):
     def gridded(self) -> bool:
         """Whether the mesh is a grid, split or not."""
         return self.cells.structured or is_tensor(self.kind)
-
-    @property
-    def curved_grid(self) -> bool:
-        """Whether the mesh is a grid of cells of degree 2."""
-        return is_tensor(self.kind) and self.cells.degree == 2
 
     @property
     def sizes(self) -> tuple[float, float, float]:
@@ -210,22 +205,12 @@ class Shape(ABC):
             used[body] = True
         place, new = np.empty((len(used), self.dim)), np.cumsum(used) - 1
         place[nodes] = x.reshape(-1, 3)[:, : self.dim]
-
-        def number(rows: Any) -> IntArray:
-            return np.asarray(new[rows], np.int64)
-
-        names = tuple(drawing.bodies)
-        cells = number(np.concatenate(bodies)[:, order])
-        return partial(
-            Joint,
-            self.settle(place[used], cells) * unit,
-            cells,
-            self.kind,
-            np.repeat(np.arange(len(bodies)), [len(body) for body in bodies]),
-            names,
-            {name: number(rows[:, : corner_count(facet_type)]) for name, rows in facets.items()},
-            drawing.seams,
-        )
+        points, cells = place[used], new[np.concatenate(bodies)[:, order]]
+        if is_tensor(self.kind) and self.cells.degree == 2:
+            points = self.settle(points, cells)
+        region = np.repeat(np.arange(len(bodies)), [len(body) for body in bodies])
+        facets = {name: new[rows[:, : corner_count(facet_type)]] for name, rows in facets.items()}
+        return partial(Joint, points * unit, cells, self.kind, region, tuple(drawing.bodies), facets, drawing.seams)
 
     def _elements(self, kind: str, tags: Sequence[int]) -> IntArray:
         """Nodes (n, k) of the elements of one type on the entities with these tags, in gmsh's order."""
@@ -272,12 +257,9 @@ class Prism(Shape):
         _, h_S, h_ends = self.sizes
         swept = self.sweep(plane.floor, (0.0, 0.0, self.depth), Grading.of(self.depth, h_ends, h_S, symmetric=True))
         facets = {name: walls(curves, plane.floor) for name, curves in plane.facets.items()}
-        return Drawing(
-            {name: [swept[tag][0] for tag in tags] for name, tags in plane.bodies.items()},
-            {**facets, "BACK": plane.floor, "FRONT": [front for _, front in swept.values()]},
-            plane.floor,
-            plane.gradings,
-        )
+        bodies = {name: [swept[tag][0] for tag in tags] for name, tags in plane.bodies.items()}
+        ends = {"BACK": plane.floor, "FRONT": [front for _, front in swept.values()]}
+        return replace(plane, bodies=bodies, facets=facets | ends)
 
 
 def _scaled(value: Any, factor: float) -> Any:

@@ -134,7 +134,7 @@ class Rings(Prism):
 
     def settle(self, points: FloatArray, cells: IntArray) -> FloatArray:
         """Nodes of a curved polar grid on circles."""
-        return curve_grid(points, cells, self.kind, [0, 1]) if self.curved_grid else points
+        return curve_grid(points, cells, self.kind, [0, 1])
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ class Discs(Shape):
     def settle(self, points: FloatArray, cells: IntArray) -> FloatArray:
         """Nodes of a curved polar grid on circles, those of the square grid on its straight lines."""
         core = 0.0 if self.hole else CORE * self.radius
-        return curve_grid(points, cells, self.kind, [0, 2], core) if self.curved_grid else points
+        return curve_grid(points, cells, self.kind, [0, 2], core)
 
 
 @dataclass(frozen=True)
@@ -297,7 +297,7 @@ class Fibre(Shape):
 
     def settle(self, points: FloatArray, cells: IntArray) -> FloatArray:
         """Nodes of a curved polar grid on circles, those of the square grid on its straight lines."""
-        return curve_grid(points, cells, self.kind, [0, 1], CORE * self.radius) if self.curved_grid else points
+        return curve_grid(points, cells, self.kind, [0, 1], CORE * self.radius)
 
 
 def is_circle(angle: float) -> bool:
