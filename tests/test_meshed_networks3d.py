@@ -12,7 +12,7 @@ from geometry import GeometryError, Joint, Seam, inflate, wall
 from geometry.inflating import inflation
 from geometry.topology import FacetTable
 from tests.meshed_cases import star
-from tests.meshes import grid, renumbered, volumes
+from tests.meshes import grid, parted, renumbered, volumes
 from tests.test_meshed_networks import BRICK, RATIOS, WAYS, areas, check
 from thinlayer import Structure, Surface, ThinLayer, solve
 
@@ -48,16 +48,6 @@ def cube(kind: str, cell: str, m: int = 4) -> Joint:
         facets |= {name: table.vertices[flat[k] & (x[:, 0, k] == at)] for name, at in ((low, -1.0), (high, 1.0))}
     names = tuple(f"BLOCK {k + 1}" for k in range(region.max() + 1))
     return Joint(whole.points, whole.cells, cell, region, names, facets, seams)
-
-
-def parted(whole: Joint, region: np.ndarray) -> Joint:
-    """A mesh with S between all cells of different regions; the outer facets are OUT."""
-    table = whole.table
-    first, second = table.cells.T
-    cut = (second >= 0) & (region[first] != region[second])
-    facets = {"S": table.vertices[cut], "OUT": table.vertices[second < 0]}
-    names = tuple(f"B{k}" for k in range(region.max() + 1))
-    return Joint(whole.points, whole.cells, whole.cell_type, region, names, facets, {"S": Seam()})
 
 
 def half_star(cell: str, collar: bool) -> Joint:

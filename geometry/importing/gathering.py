@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import partial
 from numbers import Integral
-from typing import Any, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import dolfinx
 import numpy as np
@@ -63,8 +62,7 @@ def from_dolfinx(
     return on_root(comm, partial(_joined, parts, regions, facets, sides))
 
 
-@dataclass(frozen=True)
-class _Part:
+class _Part(NamedTuple):
     """The part of a mesh on one rank. Nodes have the mesh's global numbers.
 
     Attributes:
@@ -108,15 +106,9 @@ class _Part:
         region[numbers[own]], tagged[numbers[own]] = values[own], True
         facets, tags = _tags(mesh, facet_tags, dim - 1, "facet_tags")
         whole = np.reshape(geometry.index_map().local_to_global(cells.ravel()), cells.shape)
-        return cls(
-            kind,
-            np.asarray(geometry.x[: geometry.index_map().size_local, : geometry.dim], float),
-            whole[:owned],
-            region,
-            tagged,
-            vertices_of_facets(mesh, kind, facets, whole[:, : corner_count(kind)]),
-            tags,
-        )
+        points = np.asarray(geometry.x[: geometry.index_map().size_local, : geometry.dim], float)
+        vertices = vertices_of_facets(mesh, kind, facets, whole[:, : corner_count(kind)])
+        return cls(kind, points, whole[:owned], region, tagged, vertices, tags)
 
 
 def _tags(mesh: dolfinx.mesh.Mesh, tags: Any, dim: int, what: str) -> tuple[npt.NDArray[np.int32], IntArray]:
@@ -139,16 +131,12 @@ def _joined(parts: list[Any], regions: Any, facets: Any, sides: SidesOf) -> Join
     for part in parts:
         if isinstance(part, Exception):
             raise part
-    points, nodes, region, tagged, rows, tags = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("points", "nodes", "region", "tagged", "facets", "tags")
-    )
-    kind = parts[0].type
+    (kind, *_), *arrays = zip(*parts, strict=True)
+    points, nodes, region, tagged, rows, tags = map(np.concatenate, arrays)
     if not len(nodes):
         raise GeometryError("the mesh has no cells")
     order = np.lexsort(points.T[::-1])
-    number = np.empty(len(order), np.int64)
-    number[order] = np.arange(len(order))
+    number = np.argsort(order)
     points, nodes, rows = points[order], number[nodes], np.sort(number[rows], axis=1)
     order = np.lexsort(np.sort(nodes[:, : corner_count(kind)], axis=1).T[::-1])
     nodes, region, tagged = nodes[order], region[order], tagged[order]

@@ -9,8 +9,8 @@ node where they have the same weights on the same key points.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +21,7 @@ from geometry.joint import Joint
 from geometry.topology import BoolArray, FloatArray, IntArray, is_tensor, sums
 
 
-@dataclass(frozen=True)
-class Filled:
+class Filled(NamedTuple):
     """Cells in junctions and the nodes that they add.
 
     Attributes:
@@ -38,17 +37,18 @@ class Filled:
     nodes: IntArray
 
 
-@dataclass(frozen=True)
-class _Keys:
+class _Keys(NamedTuple):
     """The key points: copies of nodes of S, then middles of posts, centres of polygons, centres of polyhedra.
 
     Attributes:
-        start: number of the first key point of each kind.
+        middles, centres, insides: numbers of the first middle, of the first centre of a polygon, and of a polyhedron.
         values: (n, d) at the key points.
         nodes: (n,) the node of S below each.
     """
 
-    start: tuple[int, ...]
+    middles: int
+    centres: int
+    insides: int
     values: FloatArray
     nodes: IntArray
 
@@ -62,20 +62,9 @@ class _Keys:
             _means(polygons, values[copies], nodes[copies]),
             _means(around.of, values[around.copies[:, 0]], nodes[around.copies[:, 0]]),
         )
-        start = np.cumsum([0, *(len(of_kind) for _, of_kind in kinds)])
-        return cls(tuple(map(int, start)), *(np.concatenate([kind[k] for kind in kinds]) for k in range(2)))
-
-    def middles(self, posts: IntArray) -> IntArray:
-        """Of posts."""
-        return self.start[1] + posts
-
-    def centres(self, polygons: IntArray) -> IntArray:
-        """Of polygons."""
-        return self.start[2] + polygons
-
-    def insides(self, polyhedra: IntArray) -> IntArray:
-        """Centres of polyhedra."""
-        return self.start[3] + polyhedra
+        first = np.cumsum([len(of_kind) for _, of_kind in kinds[:-1]])
+        middles, centres, insides = map(int, first)
+        return cls(middles, centres, insides, *map(np.concatenate, zip(*kinds, strict=True)))
 
 
 def _means(number: IntArray, values: FloatArray, nodes: IntArray) -> tuple[FloatArray, IntArray]:
@@ -110,7 +99,7 @@ def fill(
         cubes, corner = _cubes(joint, keys, around)
         blocks.append(cubes)
     elif len(around.of):
-        blocks += [keys.insides(around.of)[:, None], _squares(keys, around)]
+        blocks += [keys.insides + around.of[:, None], _squares(keys, around)]
     grids, added, below = _numbered(posts, junctions, keys, blocks, joint.dim, half)
     quads = _pieces(grids[0], 2).reshape(len(junctions.of), k, half * half, 4)
     if solid:
@@ -126,7 +115,7 @@ def fill(
 
 def _squares(keys: _Keys, corners: Corners) -> IntArray:
     """(n * k, 4) key points of the blocks at corners of polygons."""
-    middles, centres = keys.middles(corners.sides), keys.centres(corners.polygons)
+    middles, centres = keys.middles + corners.sides, keys.centres + corners.polygons
     return np.stack([corners.copies, middles[..., 0], middles[..., 1], centres], axis=-1).reshape(-1, 4)
 
 
@@ -143,9 +132,9 @@ def _cubes(joint: Joint, keys: _Keys, around: Corners) -> tuple[IntArray, IntArr
     n = np.arange(len(rows))
     second = np.where((sides[:, 1] == one[:, None]).any(axis=1), 1, 2)  # the other polygon at the first post
     third = sides[n, second].sum(axis=1) - one
-    a, b, c = (keys.middles(post) for post in (one, other, third))
-    ab, ac, bc = (keys.centres(polygons[n, at]) for at in (0 * second, second, 3 - second))
-    return np.stack([pairs[:, 1], a, b, ab, c, ac, bc, keys.insides(around.of[rows[:, 0]])], axis=1), rows[:, 0]
+    a, b, c = (keys.middles + post for post in (one, other, third))
+    ab, ac, bc = (keys.centres + polygons[n, at] for at in (0 * second, second, 3 - second))
+    return np.stack([pairs[:, 1], a, b, ab, c, ac, bc, keys.insides + around.of[rows[:, 0]]], axis=1), rows[:, 0]
 
 
 def _numbered(
@@ -165,7 +154,7 @@ def _numbered(
 
     known = np.unique(junctions.sides)
     ends, level = posts.ends[known], np.arange(half + 1)
-    halves = [np.column_stack([end, keys.middles(known)]) for end in ends.T]
+    halves = [np.column_stack([end, keys.middles + known]) for end in ends.T]
     there = [posts.number(known[:, None], way).ravel() for way in (level, 2 * half - level)]
     rows = np.concatenate([codes(one) for one in (*halves, *blocks)])
     found, at = np.unique(rows, axis=0, return_inverse=True)

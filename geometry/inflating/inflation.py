@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -99,7 +100,7 @@ def inflate(
     motion[nodes], footprint[nodes] = moved, below
 
     bands, names = _bands(joint, posts, footing, layers)
-    between = _Cells.empty(joint)
+    between = _Cells(joint.cells[:0], joint.region[:0], bands.director[:0])
     if len(meetings.of):
         filled = fill(joint, posts, meetings, around, copied, footprint[: len(copied)])
         motion, footprint = np.concatenate([motion, filled.values]), np.concatenate([footprint, filled.nodes])
@@ -148,8 +149,7 @@ def inflate(
     return repeated(opened, periods) if periods else opened
 
 
-@dataclass(frozen=True)
-class _Cells:
+class _Cells(NamedTuple):
     """Cells of layers.
 
     Attributes:
@@ -161,16 +161,6 @@ class _Cells:
     cells: IntArray
     region: IntArray
     director: FloatArray
-
-    @classmethod
-    def empty(cls, joint: Joint) -> _Cells:
-        """No cells."""
-        return cls(joint.cells[:0], joint.region[:0], np.empty((0, joint.corners.shape[1], joint.dim)))
-
-    @classmethod
-    def joined(cls, several: Sequence[_Cells]) -> _Cells:
-        """All of several sets of cells."""
-        return cls(*(np.concatenate([getattr(one, of) for one in several]) for of in ("cells", "region", "director")))
 
 
 def _junctions(
@@ -228,7 +218,7 @@ def _bands(joint: Joint, posts: Posts, footing: Footing, layers: Layering) -> tu
         names[seam] = tuple(f"{whole}/{k + 1}" for k in range(len(fractions))) if len(fractions) else (whole,)
         found.append(_Cells(cells, first + sublayer, director))
         first += len(names[seam])
-    return _Cells.joined(found), names
+    return _Cells(*map(np.concatenate, zip(*found, strict=True))), names
 
 
 def _motion(

@@ -9,7 +9,7 @@ boundary one more polygon closes it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,8 +19,7 @@ from geometry.joint import FLAT, Joint
 from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, connected, lagrange, sums
 
 
-@dataclass(frozen=True)
-class Corners:
+class Corners(NamedTuple):
     """Corners of polygons; k of them, one at each vertex of a junction, belong together.
 
     Attributes:
@@ -39,11 +38,6 @@ class Corners:
     def none(cls, k: int) -> Corners:
         """No corners."""
         return cls(*(np.empty(shape, np.int64) for shape in ((0, k), (0, k, 2), (0, k), 0)))
-
-    @classmethod
-    def joined(cls, *several: Corners) -> Corners:
-        """All of several sets of corners."""
-        return cls(*(np.concatenate([getattr(one, f.name) for one in several]) for f in fields(cls)))
 
 
 def junction_posts(posts: Posts) -> IntArray:
@@ -167,7 +161,8 @@ def polyhedra_of(joint: Joint, posts: Posts, corners: Corners) -> Corners:
     ends = np.bincount(corners.polygons[np.unique(corners.of, return_index=True)[1]].ravel())
     faces = _faces(corners, ends == 1, len(posts.nodes))
     uses = np.bincount(faces.sides.ravel(), minlength=len(posts.nodes))  # two for each polygon
-    around = Corners.joined(faces, _outer_polygons(faces, posts, np.flatnonzero(uses == 2), len(ends)))
+    outer = _outer_polygons(faces, posts, np.flatnonzero(uses == 2), len(ends))
+    around = Corners(*map(np.concatenate, zip(faces, outer, strict=True)))
 
     uses = np.bincount(around.sides.ravel(), minlength=len(posts.nodes))
     columns = (around.copies, around.sides[:, 0], around.polygons)

@@ -17,7 +17,7 @@ from forms.base import is_number
 from geometry.errors import GeometryError
 from geometry.joint import Joint
 from geometry.seam import S, Seam
-from geometry.shapes.sizing import CELLS, RANGE, Cells, Grading, gmsh, require_wide, times
+from geometry.shapes.sizing import CELLS, PARTS, RANGE, Cells, Grading, gmsh, require_wide, times
 from geometry.topology import FACET_TYPES, FloatArray, IntArray, corner_count, is_tensor
 
 FAMILIES = {"interval": "line", "quadrilateral": "quadrangle"}  # gmsh's names, where they differ from ours
@@ -114,7 +114,9 @@ class Shape(ABC):
     @property
     def sizes(self) -> tuple[float, float, float]:
         """(h, h_S, h_ends) with their defaults."""
-        return self.cells.sizes(self.extent.thinnest, self.dim)
+        h = float(self.cells.h or self.extent.thinnest / PARTS[self.dim])
+        h_S = float(self.cells.h_S or h)
+        return h, h_S, float(self.cells.h_ends or h_S)
 
     def build(self) -> Joint:
         """Mesh with gmsh and take the arrays over.

@@ -121,12 +121,6 @@ class Cells:
         h, h_S, h_ends = (size and times(size, factor) for size in (self.h, self.h_S, self.h_ends))
         return replace(self, h=h, h_S=h_S, h_ends=h_ends)
 
-    def sizes(self, thinnest: float, dim: int) -> tuple[float, float, float]:
-        """(h, h_S, h_ends) with their defaults for a shape whose thinnest part has this length."""
-        h = float(self.h or thinnest / PARTS[dim])
-        h_S = float(self.h_S or h)
-        return h, h_S, float(self.h_ends or h_S)
-
 
 @dataclass(frozen=True)
 class Grading:

@@ -30,22 +30,21 @@ def space_with_dofmap(V: fem.FunctionSpace, dofs: npt.NDArray[np.int32], imap: A
 
 def interior_facet_entities(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
     """(cell, local facet, cell, local facet) of interior facets, (n, 4); facets with one local cell are left out."""
-    kind, topology = fem.IntegralType.interior_facet, mesh.topology
-    entities = first_that_fits(
-        lambda: fem.compute_integration_domains(kind, topology, facets),
-        lambda: cpp.fem.compute_integration_domains(kind, topology._cpp_object, facets, topology.dim - 1),
-    )
-    return np.array(entities, dtype=np.int32).reshape(-1, 4)
+    return _facet_entities(fem.IntegralType.interior_facet, mesh, facets).reshape(-1, 4)
 
 
 def exterior_facet_entities(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
     """(cell, local facet) of exterior facets, (n, 2)."""
-    kind, topology = fem.IntegralType.exterior_facet, mesh.topology
+    return _facet_entities(fem.IntegralType.exterior_facet, mesh, facets).reshape(-1, 2)
+
+
+def _facet_entities(kind: Any, mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    topology = mesh.topology
     entities = first_that_fits(
         lambda: fem.compute_integration_domains(kind, topology, facets),
         lambda: cpp.fem.compute_integration_domains(kind, topology._cpp_object, facets, topology.dim - 1),
     )
-    return np.array(entities, dtype=np.int32).reshape(-1, 2)
+    return np.array(entities, dtype=np.int32)
 
 
 def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
