@@ -115,6 +115,14 @@ def write(path, points, blocks, tags, names):
     return path
 
 
+def blocks_of(joint):
+    """Cells and sets of facets of a plane joint, as meshio has them, and the numbers of regions and of sets from 1 on."""
+    kind, order = ("triangle", [0, 1, 2]) if joint.cell_type == "triangle" else ("quad", [0, 1, 3, 2])
+    sets = list(joint.facets.values())
+    tags = [joint.region + 1, *(np.full(len(rows), k) for k, rows in enumerate(sets, 1))]
+    return [(kind, joint.corners[:, order]), *(("line", rows) for rows in sets)], tags
+
+
 def squares(path, points=GRID, cells=QUADS, lines=LINES, regions=(1, 1, 2, 2), more=(), names=NAMES, kind="quad"):
     """Two squares LOW below two squares UP, in between S, above TOP."""
     blocks, tags = [("line", lines), (kind, cells)], [[1, 1, 2, 2][: len(lines)], regions]

@@ -78,7 +78,10 @@ def test_names():
         (dict(eps=0.0), "eps is 0.0; it must be > 0"),
         (dict(eps=-0.1), "must be > 0"),
         (dict(eps=float("nan")), "must be > 0"),
-        (dict(cells_through=0), "cells_through is 0"),
+        (dict(eps="thin"), "eps is 'thin'; it must be > 0"),
+        (dict(eps=True), "eps is True"),
+        (dict(fractions="ab"), "fractions .* must be numbers > 0"),
+        (dict(cells_through=0), "cells_through is 0; the layer needs a whole number >= 1 of cells"),
         (dict(cells_through=2.5), "cells_through is 2.5"),
         (dict(fractions=(0.5, 0.6)), "add up to 1"),
         (dict(fractions=(1.5, -0.5)), "add up to 1"),
@@ -90,20 +93,9 @@ def test_inflation_errors(change, message):
     refused(GeometryError, message, lambda: inflate(SANDWICH, **({"eps": 0.1} | change)))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (dict(width=0.0, height=1.0), "width is 0.0"),
-        (dict(width=1.0, height=float("inf")), "height of BODY is inf"),
-        (dict(width=1.0, height=1.0, h=-1.0), "cell size h is -1.0; allowed"),
-        (dict(width=1.0, height=1.0, h_ends=1e-7), "cell size h_ends"),
-        (dict(width=1.0, height=1.0, cell="triangel"), "did you mean 'triangle'"),
-        (dict(width=1.0, height=1.0, h_end=0.1), "unknown keyword 'h_end', did you mean 'h_ends'"),
-        (dict(width=1.0, height=1.0, structured=True, arrangement="Up"), "known: AlternateLeft"),
-    ],
-)
-def test_builder_errors(arguments, message):
-    refused(GeometryError, message, lambda: block(**arguments))
+def test_places_and_angles_are_numbers():
+    refused(GeometryError, "angle is nan", lambda: SANDWICH.rotated(float("nan")))
+    refused(GeometryError, r"point 3\.0 is not a place; give 2 coordinates", lambda: SANDWICH.nearest_point(3.0))
 
 
 def test_s_must_separate_two_bodies():

@@ -10,6 +10,7 @@ import pytest
 
 from geometry import GeometryError, Joint, block, disc, inflate, ring, sandwich
 from tests.meshes import check_sound, grid, in_layer, part_of, upper_cells, volumes
+from tests.refused import refused
 
 pytestmark = pytest.mark.few(5)
 
@@ -176,5 +177,4 @@ def test_no_room_between_aligned_grids(cell):
     block_in_it = lambda x: (x[:, 0] > 2) & (x[:, 1] > 0) & (x[:, 1] < 1)
     joint = grid(axes, block_in_it, cell, keep=lambda x: ~gap(x) | block_in_it(x))
     inflate(joint, 0.05)
-    with pytest.raises(GeometryError, match=r"no room for a layer of thickness 0.2 at \("):
-        inflate(joint, 0.2)
+    refused(GeometryError, r"no room for a layer of thickness 0.2 at \(", lambda: inflate(joint, 0.2))

@@ -6,11 +6,9 @@ import gmsh
 import numpy as np
 import pytest
 
-from forms import LinearElastic
-from geometry import GeometryError, inflate, read, sandwich
+from geometry import GeometryError, inflate, read
 from tests.meshes import GRID, LINES, NAMES, SPACE, boxes, drawing, in_layer, save, sides, squares, volume, volumes
 from tests.refused import refused
-from thinlayer import Structure, ThinLayer
 
 
 @pytest.fixture
@@ -22,10 +20,8 @@ def draw():
 def test_unconnected_bodies(draw, tmp_path):
     low, up = boxes(draw, (0, -1, 2, 1), (0, 0, 2, 1), shared=False)
     path = save(tmp_path / "a.msh", 2, {(2, "LOW"): [low], (2, "UP"): [up], (1, "S"): sides(0, 0, 2, 0)[:1]}, h=0.5)
-    with pytest.raises(
-        GeometryError, match=r"^\S*a\.msh: \d+ pairs of nodes at the same place, .* \(.*BooleanFragments"
-    ):
-        read(path, upper="UP")
+    words = r"^\S*a\.msh: \d+ pairs of nodes at the same place, .* \(.*BooleanFragments"
+    refused(GeometryError, words, lambda: read(path, upper="UP"))
 
 
 @pytest.mark.parametrize(
@@ -161,22 +157,14 @@ def test_no_room_for_the_layer(draw, tmp_path, width):
     refused(GeometryError, r"no room for a layer of thickness 11 at \([\d.]+, [\d.]+\)", lambda: inflate(joint, 11.0))
 
 
-def test_several_joints_in_one_body(draw, tmp_path):
-    """S does not end there; the interface law holds at each of them."""
-    parts = boxes(draw, (0, 0, 2, 1), (0, 1, 2, 1), (0, 2, 2, 1))
-    groups = {(2, "BODY"): parts, (1, "S"): sides(0, 1, 2, 0) + sides(0, 2, 2, 0), (1, "BOTTOM"): sides(0, 0, 2, 0)}
-    joint = read(save(tmp_path / "a.msh", 2, groups | {(1, "TOP"): sides(0, 3, 2, 0)}), direction=(0, 1))
-    assert joint.tip is None
-    assert not joint.seams_meet
-    assert volume(inflate(joint, 0.1)) == pytest.approx(6.4)
-    assert volume(inflate(joint, 0.1, bodies="extended")) == pytest.approx(6.0)
-
-
-def test_upper_body_on_both_sides(draw, tmp_path):
-    """Two parallel lines: n turns round, which is not a curved S."""
+@pytest.mark.parametrize("choice", [dict(direction=(0, 1)), dict(upper="IN")])
+def test_several_joints(draw, tmp_path, choice):
+    """Two parallel lines: S does not end there; with the upper body on both sides n turns round, which is no curved S."""
     parts = boxes(draw, (0, 0, 2, 1), (0, 1, 2, 1), (0, 2, 2, 1))
     groups = {(2, "OUT"): parts[::2], (2, "IN"): parts[1:2], (1, "S"): sides(0, 1, 2, 0) + sides(0, 2, 2, 0)}
-    joint = read(save(tmp_path / "a.msh", 2, groups), upper="IN")
+    joint = read(save(tmp_path / "a.msh", 2, groups), **choice)
+    assert joint.tip is None
+    assert not joint.seams_meet
     assert volume(inflate(joint, 0.1)) == pytest.approx(6.4)
     assert volume(inflate(joint, 0.1, bodies="extended")) == pytest.approx(6.0)
 
@@ -236,10 +224,8 @@ def test_gap_beside_s(draw, tmp_path, open_end):
     cells = [[0, 1, 4, 3], [1, 2, 5, 4], [3, 4, 7, 6], [4, 9, 8, 7]]
     path = squares(tmp_path / "a.msh", np.array(points, float), cells, [[3, 4]], names={**NAMES, "S": (1, 1)})
     if not open_end:
-        with pytest.raises(
-            GeometryError, match=r"1 pairs of nodes .* \(2, 1\).* stay unbonded, draw it wider than 1e-09"
-        ):
-            read(path, upper="UP")
+        words = r"1 pairs of nodes .* \(2, 1\).* stay unbonded, draw it wider than 1e-09"
+        refused(GeometryError, words, lambda: read(path, upper="UP"))
     else:
         assert volume(inflate(read(path, upper="UP"), 0.1)) == pytest.approx(4.1, rel=1e-5)
 
@@ -261,20 +247,3 @@ def test_gap_beside_s(draw, tmp_path, open_end):
 )
 def test_arguments_of_read(data, message):
     refused(GeometryError, message, lambda: read(**{"path": "a.msh"} | data))
-
-
-def test_arguments_of_inflate():
-    joint = sandwich(1.0, 1.0, 1.0, 1.0)
-    for data, message in (
-        ({"eps": "thin"}, "eps is 'thin'; it must be > 0"),
-        ({"eps": True}, "eps is True"),
-        ({"fractions": "ab"}, "fractions .* must be numbers > 0"),
-        ({"cells_through": 0}, "cells_through is 0; the layer needs"),
-    ):
-        with pytest.raises(GeometryError, match=message):
-            inflate(joint, **{"eps": 0.1} | data)
-    law, supports = LinearElastic(1.0, 1.0), {"BOTTOM": 0}
-    with pytest.raises(GeometryError, match="cells_through is 0; the layer needs a whole number >= 1 of cells"):
-        Structure(joint, body=law, supports=supports).full(ThinLayer(law, 0.1, at=1.0), cells_through=0)
-    refused(GeometryError, "angle is nan", lambda: joint.rotated(float("nan")))
-    refused(GeometryError, r"point 3\.0 is not a place; give 2 coordinates", lambda: joint.nearest_point(3.0))

@@ -15,7 +15,7 @@ from geometry.inflating.bands import Copies, Posts, level_heights
 from geometry.joint import Joint, Profile
 from geometry.seam import BASE, CUT, LAYER, LOWER_FACE, UPPER_FACE
 from geometry.sheet import continued
-from geometry.topology import BITS, BoolArray, FacetTable, FloatArray, IntArray, ridge_keys, ridges
+from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, ridge_keys, ridges
 
 WAYS = ("kept", "extended")
 THINNEST = 1e-11  # thickness of a meshed layer over the size of its joint
@@ -228,7 +228,5 @@ def _side_faces(layers: IntArray, n_bands: int, cell_type: str, faces: IntArray)
 
 def _ridges(rows: IntArray, dim: int) -> IntArray:
     """Keys of the ridges of facets given by vertices: vertices in 2D, edges (and a quadrilateral's diagonals) in 3D."""
-    rows = np.sort(rows, axis=1)
-    k = range(rows.shape[1])
-    pairs = [(i, i) for i in k] if dim == 2 else list(combinations(k, 2))
-    return np.stack([(rows[:, i] << BITS) + rows[:, j] for i, j in pairs], axis=1)
+    pairs = combinations(range(rows.shape[1]), dim - 1)
+    return np.stack([ridge_keys(rows[:, list(pair)]) for pair in pairs], axis=1)
