@@ -90,7 +90,8 @@ class Cells:
 
     def refuse(self, bad: BoolArray, what: str) -> None:
         """Raise GeometryError if there are bad cells, with their number and the first one's place."""
-        refuse(bad, self.points[self.nodes], f"{{bad}} of {{all}} cells {what}; the first is at {{at}}")
+        if bad.any():  # the places of all nodes of cells are many
+            refuse(bad, self.points[self.nodes], f"{{bad}} of {{all}} cells {what}; the first is at {{at}}")
 
     def require_sound(self) -> None:
         """Raise GeometryError for cells without volume, folded or duplicate cells, and for nodes at the same place."""
@@ -219,7 +220,7 @@ class Named:
             self._require_facets(name)
         seams, facets = dict(self.sides.seams), self.facets
         if not seams:
-            surface, seams[S] = named._seam()
+            surface, seams[S] = named._single()
             facets = {S: surface, **{name: rows for name, rows in facets.items() if name != self.sides.S}}
         cells, region = self.cells, np.stack(list(named.regions.values())).argmax(axis=0)
         return Joint(cells.points, cells.nodes, cells.type, region, tuple(named.regions), facets, seams)
@@ -251,7 +252,7 @@ class Named:
         if name not in self.facets:
             raise GeometryError(f"{unknown('set of facets', name, self.facets)} ({self.source})")
 
-    def _seam(self) -> tuple[IntArray, Seam]:
+    def _single(self) -> tuple[IntArray, Seam]:
         """Facets (n, k) of the only seam, and its sides."""
         name, upper, lower, way = self.sides.S, self.sides.upper, self.sides.lower, self.sides.direction
         regions, whole = f"regions: {', '.join(self.regions)}", tuple(self.regions)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import degrees
 from typing import Any, Self
@@ -95,9 +95,7 @@ def faulted(cells: Cells, width: float, height: float, faults: Mapping[str, Any]
     cells.check({"width": width, "height": height}, 2)
     if not isinstance(faults, Mapping) or not faults:
         raise GeometryError(f"faults is {faults!r}; it must be {{name: points of the fault}}, one or more")
-    for name in faults:
-        if name in SIDES or not isinstance(name, str):
-            raise GeometryError(f"{name!r} cannot be the name of a fault; not allowed: {', '.join(SIDES)}")
+    _check_names(faults, "fault")
     given = {name: _path(name, points) for name, points in faults.items()}
     ways = {name: x[-1] - x[0] for name, x in given.items()}
     seams = {name: Seam(direction=(-float(way[1]), float(way[0]))) for name, way in ways.items()}
@@ -109,8 +107,14 @@ def faulted(cells: Cells, width: float, height: float, faults: Mapping[str, Any]
         if not any(names[k] == name for k in lines.line):
             raise GeometryError(f"the fault {name!r} lies outside the block (0, {width:g}) x (0, {height:g})")
     shape = CutRectangle(cells, width, height, min(width, height), names, lines, seams, "BLOCK")
-    _require_apart(shape, "faults", "let them meet, draw them farther apart, or use smaller cells")
-    return shape
+    return _apart(shape, "faults", "let them meet, draw them farther apart, or use smaller cells")
+
+
+def _check_names(names: Iterable[Any], what: str) -> None:
+    """Raise GeometryError for names that lines inside cannot have."""
+    for name in names:
+        if name in SIDES or not isinstance(name, str):
+            raise GeometryError(f"{name!r} cannot be the name of a {what}; not allowed: {', '.join(SIDES)}")
 
 
 def _points(given: Any, what: str) -> FloatArray:
@@ -152,30 +156,22 @@ def _inside(width: float, height: float, cuts: FloatArray, names: Sequence[str])
     return lines
 
 
-def _require_apart(shape: CutRectangle, what: str, remedy: str) -> None:
-    """Raise GeometryError for lines that nearly touch."""
+def _apart(shape: CutRectangle, what: str, remedy: str) -> CutRectangle:
+    """The shape; raises GeometryError for lines that nearly touch, or meet at a sharp angle."""
     size = shape.sizes[2]
     distance, at = shape.lines.nearest()
     if distance < NEAR * size:
-        raise GeometryError(
-            f"{what} nearly touch each other or a side, or are as short, at {place(at)}: {distance:.3g}, less than "
-            f"{NEAR:g} cells of size {size:g}; {remedy}"
-        )
+        touch = f"{what} nearly touch each other or a side, or are as short, at {place(at)}"
+        raise GeometryError(f"{touch}: {distance:.3g}, less than {NEAR:g} cells of size {size:g}; {remedy}")
     angle, at = shape.lines.sharpest()
     if angle < SHARP:
-        raise GeometryError(
-            f"{what} meet each other or a side at {degrees(angle):.3g} degrees at {place(at)}; allowed: at least "
-            f"{degrees(SHARP):.3g}"
-        )
+        meet = f"{what} meet each other or a side at {degrees(angle):.3g} degrees at {place(at)}"
+        raise GeometryError(f"{meet}; allowed: at least {degrees(SHARP):.3g}")
+    return shape
 
 
 def grained(
-    cells: Cells,
-    width: float,
-    height: float,
-    grains: int | Any,
-    seed: int,
-    seams: Callable[[int, int], str] | None,
+    cells: Cells, width: float, height: float, grains: Any, seed: int, seams: Callable[[int, int], str] | None
 ) -> CutRectangle:
     """Voronoi grains of given points, or of random ones. Raises GeometryError, see `builders.grains`."""
     cells.check({"width": width, "height": height}, 2)
@@ -191,17 +187,13 @@ def grained(
         points = np.asarray(_seeds(grains, width, height) / size, float)
     ridges, pairs = _ridges(points, box)
     named = [seams(int(a), int(b)) for a, b in pairs + 1] if seams else ["S"] * len(pairs)
-    for name in dict.fromkeys(named):
-        if name in SIDES or not isinstance(name, str):
-            raise GeometryError(f"{name!r} cannot be the name of a seam; not allowed: {', '.join(SIDES)}")
+    _check_names(named, "seam")
     names = (*SIDES, *named)
     lines = _inside(width, height, ridges * size, names)
     grain = size * float(np.sqrt(box.prod() / len(points)))
-    shape = CutRectangle(
-        cells, width, height, grain, names, lines, {name: Seam() for name in sorted(set(named))}, "GRAIN", points * size
-    )
-    _require_apart(shape, "boundaries of grains", "use smaller cells, another seed or other points")
-    return shape
+    sides = {name: Seam() for name in sorted(set(named))}
+    shape = CutRectangle(cells, width, height, grain, names, lines, sides, "GRAIN", points * size)
+    return _apart(shape, "boundaries of grains", "use smaller cells, another seed or other points")
 
 
 def _seeds(given: Any, width: float, height: float) -> FloatArray:
