@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from forms import LinearElastic
@@ -34,6 +35,7 @@ def joint() -> Joint:
 def save(folder: Path, text: str = TEXT) -> Path:
     """The mesh file lap.msh, and lap.toml; the path of the latter."""
     plates = joint()
+    plates = replace(plates, facets={name: plates.facets[name] for name in ("S", "LEFT", "RIGHT")})
     blocks, tags = blocks_of(plates)
     facets = ["GLUE" if name == "S" else name for name in plates.facets]
     names = {name: (k, d) for d, of in ((1, facets), (2, plates.regions)) for k, name in enumerate(of, 1)}
