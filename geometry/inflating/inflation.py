@@ -10,10 +10,10 @@ import numpy as np
 
 from geometry.errors import GeometryError, refuse
 from geometry.inflating.bands import Copies, Footing, Posts, band_cells, posts_of
-from geometry.inflating.blocks import Filled, fill
-from geometry.inflating.extended import extended_motion, face_motion
-from geometry.inflating.junctions import Corners, are_filled, common_normals, junction_posts, junctions_of, polyhedra_of
-from geometry.inflating.kept import NOT_KEPT, UNIFORM, is_swept, kept_motion, require_apart, require_room
+from geometry.inflating.corners import Corners, are_filled, common_normals, junction_posts, junctions_of, polyhedra_of
+from geometry.inflating.extended_bodies import extended_motion, face_motion
+from geometry.inflating.filling import Filled, fill
+from geometry.inflating.kept_bodies import NOT_KEPT, UNIFORM, is_swept, kept_motion, require_apart, require_room
 from geometry.inflating.layering import Layering, check_junctions, check_layering, moved_facets
 from geometry.joint import Band, Joint, Profile
 from geometry.periodic import repeated, require_inside

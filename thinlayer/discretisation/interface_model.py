@@ -17,7 +17,7 @@ from forms.interface import Interface
 from forms.kinematics import Expr
 from forms.law import BulkLaw
 from geometry.errors import GeometryError, unknown
-from geometry.inflating.kept import kept_motion
+from geometry.inflating.kept_bodies import kept_motion
 from geometry.inflating.layering import check_layering
 from geometry.joint import Joint
 from geometry.seam import S

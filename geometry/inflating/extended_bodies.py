@@ -9,7 +9,7 @@ from petsc4py import PETSc
 
 from geometry.errors import GeometryError, place, refuse
 from geometry.inflating.bands import Copies
-from geometry.inflating.kept import UNIFORM
+from geometry.inflating.kept_bodies import UNIFORM
 from geometry.joint import Joint
 from geometry.topology import FloatArray, IntArray, facet_normals, is_tensor, lagrange, sums, weights_between
 

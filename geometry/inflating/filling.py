@@ -16,7 +16,7 @@ import numpy as np
 
 from geometry.errors import refuse
 from geometry.inflating.bands import Posts
-from geometry.inflating.junctions import Corners
+from geometry.inflating.corners import Corners
 from geometry.joint import Joint
 from geometry.topology import BoolArray, FloatArray, IntArray, is_tensor, sums
 
