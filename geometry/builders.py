@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from math import tau
+from typing import Unpack
 
 from mpi4py import MPI
 
@@ -11,11 +12,10 @@ from geometry.joint import Joint
 from geometry.parallel import on_root
 from geometry.periodic import periodic
 from geometry.shapes.boxes import Boxes
-from geometry.shapes.bricks import BondCell, Bricks
+from geometry.shapes.bricks import repeated_bond, running_bond
 from geometry.shapes.cuts import faulted, grained
-from geometry.shapes.fibre import Fibre
-from geometry.shapes.rounds import Discs, Rings
-from geometry.shapes.sizing import Cells
+from geometry.shapes.rounds import Discs, Fibre, Rings
+from geometry.shapes.sizing import Cells, Curved, Grid, Sizes
 
 
 def block(
@@ -24,12 +24,8 @@ def block(
     h: float | None = None,
     *,
     depth: float | None = None,
-    h_S: float | None = None,
-    h_ends: float | None = None,
-    cell: str | None = None,
-    structured: bool = False,
-    arrangement: str = "Right",
     comm: MPI.Intracomm | None = None,
+    **cells: Unpack[Grid],
 ) -> Joint:
     """A body (0, width) x (0, height), in 3D x (0, depth), on a rigid base; S is its bottom side. Collective.
 
@@ -52,8 +48,7 @@ def block(
     Raises:
         GeometryError: a size is not positive, a name is unknown, a cell is of the other dimension.
     """
-    cells = Cells(h, h_S, h_ends, cell, structured=structured, arrangement=arrangement)
-    return on_root(comm, Boxes(cells, depth, width, (("BODY", height),)).build)
+    return on_root(comm, Boxes(Cells.of(h, cells, Grid), depth, width, (("BODY", height),)).build)
 
 
 def sandwich(
@@ -63,12 +58,8 @@ def sandwich(
     h: float | None = None,
     *,
     depth: float | None = None,
-    h_S: float | None = None,
-    h_ends: float | None = None,
-    cell: str | None = None,
-    structured: bool = False,
-    arrangement: str = "Right",
     comm: MPI.Intracomm | None = None,
+    **cells: Unpack[Grid],
 ) -> Joint:
     """Two bodies, stacked: (0, width) x (-lower, 0) and (0, width) x (0, upper), in 3D x (0, depth). Collective.
 
@@ -84,8 +75,7 @@ def sandwich(
     Raises:
         GeometryError: a size is not positive, a name is unknown, a cell is of the other dimension.
     """
-    cells = Cells(h, h_S, h_ends, cell, structured=structured, arrangement=arrangement)
-    return on_root(comm, Boxes(cells, depth, width, (("LOWER", lower), ("UPPER", upper))).build)
+    return on_root(comm, Boxes(Cells.of(h, cells, Grid), depth, width, (("LOWER", lower), ("UPPER", upper))).build)
 
 
 def disc(
@@ -95,11 +85,8 @@ def disc(
     h: float | None = None,
     *,
     hole: float = 0.0,
-    h_S: float | None = None,
-    h_ends: float | None = None,
-    cell: str = "tetrahedron",
-    degree: int = 1,
     comm: MPI.Intracomm | None = None,
+    **cells: Unpack[Curved],
 ) -> Joint:
     """Two coaxial cylinders, stacked along their axis, the y axis; S is the disc at y = 0 where they meet. Collective.
 
@@ -120,8 +107,7 @@ def disc(
     Raises:
         GeometryError: a size is not positive, the hole does not fit, a name is unknown, the degree is not 1 or 2.
     """
-    cells = Cells(h, h_S, h_ends, cell, degree)
-    return on_root(comm, Discs(cells, radius, lower, upper, hole).build)
+    return on_root(comm, Discs(Cells.of(h, cells, Curved), radius, lower, upper, hole).build)
 
 
 def ring(
@@ -132,11 +118,8 @@ def ring(
     *,
     angle: float = tau,
     depth: float | None = None,
-    h_S: float | None = None,
-    h_ends: float | None = None,
-    cell: str | None = None,
-    degree: int = 1,
     comm: MPI.Intracomm | None = None,
+    **cells: Unpack[Curved],
 ) -> Joint:
     """Two concentric rings about the origin, or sectors of them, in 3D tubes; S is where they meet. Collective.
 
@@ -162,8 +145,7 @@ def ring(
         GeometryError: a size is not positive, the radii do not grow, the angle is out of range, a name is unknown, a
             cell is of the other dimension, the degree is not 1 or 2.
     """
-    cells = Cells(h, h_S, h_ends, cell, degree)
-    return on_root(comm, Rings(cells, depth, inner, interface, outer, angle).build)
+    return on_root(comm, Rings(Cells.of(h, cells, Curved), depth, inner, interface, outer, angle).build)
 
 
 def fibre(
@@ -197,7 +179,7 @@ def fibre(
             degree is not 1 or 2.
     """
     lengths = around if isinstance(around, tuple) else (around,)
-    return on_root(comm, lambda: Fibre(Cells(h, h_S, None, cell, degree), radius, lengths).build())
+    return on_root(comm, lambda: Fibre(Cells(h, h_S, cell=cell, degree=degree), radius, lengths).build())
 
 
 def wall(
@@ -229,7 +211,7 @@ def wall(
         GeometryError: a size is not positive, a number is not whole, a cell is of the other dimension.
     """
     size = tuple(brick) if depth is None else (*brick, depth)
-    return on_root(comm, Bricks(Cells(h, None, None, cell), size, bricks, courses).build)
+    return on_root(comm, lambda: running_bond(Cells(h, cell=cell), size, bricks, courses))
 
 
 def bond_cell(
@@ -264,7 +246,7 @@ def bond_cell(
         GeometryError: a size is not positive, a cell is of the other dimension, the cut is along a joint.
     """
     size = tuple(brick) if depth is None else (*brick, depth)
-    joint = on_root(comm, BondCell(Cells(h, None, None, cell), size, cut).build)
+    joint = on_root(comm, lambda: repeated_bond(Cells(h, cell=cell), size, cut))
     return periodic(joint, ("LEFT", "RIGHT"), ("BOTTOM", "TOP"))
 
 
@@ -276,9 +258,8 @@ def grains(
     *,
     seed: int = 0,
     seams: Callable[[int, int], str] | None = None,
-    h_S: float | None = None,
-    h_ends: float | None = None,
     comm: MPI.Intracomm | None = None,
+    **cells: Unpack[Sizes],
 ) -> Joint:
     """The rectangle (0, width) x (0, height), filled with Voronoi grains; S is all boundaries between them. Collective.
 
@@ -303,8 +284,7 @@ def grains(
         GeometryError: a size or number out of range; points outside, or two at one place; a name of a seam that sides have;
             a side of a grain shorter than half a cell, sides that meet at less than 6 degrees, with the place.
     """
-    cells = Cells(h, h_S, h_ends, "triangle")
-    return on_root(comm, lambda: grained(cells, width, height, grains, seed, seams).build())
+    return on_root(comm, lambda: grained(Cells.of(h, cells, Sizes), width, height, grains, seed, seams).build())
 
 
 def faults(
@@ -313,9 +293,8 @@ def faults(
     faults: Mapping[str, Sequence[tuple[float, float]]],
     h: float | None = None,
     *,
-    h_S: float | None = None,
-    h_ends: float | None = None,
     comm: MPI.Intracomm | None = None,
+    **cells: Unpack[Sizes],
 ) -> Joint:
     """The block (0, width) x (0, height) with faults, which may cross, branch, and end inside or outside. Collective.
 
@@ -339,5 +318,4 @@ def faults(
             or has the name of a side; faults that come nearer to each other or to a side than half a cell without
             touching, or that meet at less than 6 degrees, with the place.
     """
-    cells = Cells(h, h_S, h_ends, "triangle")
-    return on_root(comm, lambda: faulted(cells, width, height, faults).build())
+    return on_root(comm, lambda: faulted(Cells.of(h, cells, Sizes), width, height, faults).build())

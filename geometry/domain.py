@@ -16,9 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from geometry.compat import create_mesh, with_cell_points
+from geometry.dolfinx_mesh import create_mesh, facets_of_cells, vertices_of_facets, with_cell_points
 from geometry.errors import GeometryError, unknown
-from geometry.facets import facets_of_cells, vertices_of_facets
 from geometry.joint import Joint
 from geometry.parallel import world
 from geometry.seam import BASE, LAYER, S

@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
-import scipy.sparse
-from scipy.sparse.csgraph import connected_components
 
-from geometry.errors import GeometryError, place
+from geometry.errors import refuse
 from geometry.joint import FLAT
 from geometry.sheet import Rim, Sheet
-from geometry.topology import FloatArray, IntArray
+from geometry.topology import BoolArray, FloatArray, IntArray, connected
 
 CORNER = 0.7  # cosine of the least angle between straight ends that meet: at smaller ones the end counts as curved
 
@@ -43,20 +40,20 @@ class StraightEnd:
         """Distance (...) of places (..., d) of S from it."""
         return np.asarray(self.offset - x @ self.m)
 
-    def has(self, x: FloatArray) -> npt.NDArray[np.bool_]:
+    def has(self, x: FloatArray) -> BoolArray:
         """Whether places (n, d) of S lie on it."""
         allowed = (self.level[1] - self.level[0]) / 2
         return np.asarray((np.abs(self.distance(x)) <= allowed) & self._reaches(x))
 
-    def beside(self, x: FloatArray) -> npt.NDArray[np.bool_]:
+    def beside(self, x: FloatArray) -> BoolArray:
         """Whether places (n, d) of S lie on it, or beside it, inwards."""
         return self.has(x) | self.faces(x)
 
-    def faces(self, x: FloatArray) -> npt.NDArray[np.bool_]:
+    def faces(self, x: FloatArray) -> BoolArray:
         """Whether places (n, d) of S lie beside it, inwards."""
         return np.asarray((self.distance(x) > 0) & self._reaches(x))
 
-    def _reaches(self, x: FloatArray) -> npt.NDArray[np.bool_]:
+    def _reaches(self, x: FloatArray) -> BoolArray:
         """Whether places (n, d) lie in its plane, between its first and its last point."""
         at, (low, high), (bottom, top), level = x @ self.along, self.reach, self.level, x @ self.n
         return np.asarray((at >= low) & (at <= high) & (level >= bottom) & (level <= top))
@@ -78,12 +75,11 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
         on_line = (cosine > 1 - FLAT) & (np.abs(offsets - offset) <= FLAT * size)
         same = on_line & _connected(rim.vertices, on_line, left[0])
         on_it, others = rim[same], rim[(cosine > CORNER) & (cosine <= 1 - FLAT)]
-        meeting = np.isin(others.vertices, on_it.vertices).any(axis=1)
-        if meeting.any():
-            raise GeometryError(
-                f"ends of S must be straight, or meet at angles of 45 degrees or more: one is curved at "
-                f"{place(joint.points[others.vertices[meeting][0, 0]])}"
-            )
+        refuse(
+            np.isin(others.vertices, on_it.vertices).any(axis=1),
+            joint.points[others.vertices[:, 0]],
+            "ends of S must be straight, or meet at angles of 45 degrees or more: one is curved at {at}",
+        )
         along = x[left[0], -1] - x[left[0], 0]
         length = np.linalg.norm(along)
         along = along / length if length else along
@@ -96,17 +92,12 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
     return ends
 
 
-def _connected(vertices: IntArray, chosen: npt.NDArray[np.bool_], first: int) -> npt.NDArray[np.bool_]:
-    """(n,) ridges that chosen ones connect with the first one, by their vertices (n, d - 1)."""
-    _, number = np.unique(vertices, return_inverse=True)
-    number = number.reshape(vertices.shape)[chosen]
-    ridges = np.repeat(np.arange(len(number)), number.shape[1])
-    pairs = scipy.sparse.coo_matrix((np.ones(len(ridges)), (ridges, number.ravel()))).tocsr()
-    _, label = connected_components(pairs @ pairs.T, directed=False)
-    found = np.zeros(len(vertices), bool)
-    at = np.flatnonzero(chosen)
-    found[at[label == label[np.searchsorted(at, first)]]] = True
-    return found
+def _connected(vertices: IntArray, chosen: BoolArray, first: int) -> BoolArray:
+    """(n,) ridges that chosen ones connect with the first one, which is chosen, by their vertices (n, d - 1)."""
+    n, at = len(vertices), np.flatnonzero(chosen)
+    ends = vertices[at].ravel()
+    label = connected(at.repeat(vertices.shape[1]), n + ends, n + int(ends.max()) + 1)[:n]
+    return chosen & (label == label[first])
 
 
 def share_within(d: FloatArray, length: float) -> FloatArray:

@@ -12,22 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forms.base import is_finite
-from geometry.errors import GeometryError, place, unknown
+from geometry.errors import GeometryError, place, refuse, unknown
 from geometry.periods import Periods
 from geometry.seam import JUNCTIONS, RESERVED, S, Seam
-from geometry.splitting import Splitting
 from geometry.topology import (
     CELL_TYPES,
     FACET_TYPES,
     FacetTable,
     FloatArray,
     IntArray,
+    Splitting,
     corner_count,
     facet_normals,
     geometry_degree,
-    lagrange,
     ridge_keys,
     ridges,
+    weights_between,
 )
 
 Profile = Callable[[FloatArray], FloatArray]
@@ -114,18 +114,13 @@ class Joint:
     def __post_init__(self) -> None:
         if self.cell_type not in CELL_TYPES:
             raise GeometryError(unknown("cell type", self.cell_type, CELL_TYPES))
-        try:
-            geometry_degree(self.cell_type, self.cells.shape[1])
-        except ValueError as error:
-            raise GeometryError(str(error)) from None
+        geometry_degree(self.cell_type, self.cells.shape[1])
         self._check_regions()
         for name, facets in self.facets.items():
             if len(facets) == 0:
                 raise GeometryError(f"the facets named {name!r} are an empty set")
-            missing = self.table.index(facets) < 0
-            if missing.any():
-                x = self.points[facets[missing][0]].mean(axis=0)
-                raise GeometryError(f"some facets named {name!r} are not facets of the mesh's cells, as at {place(x)}")
+            missing = f"some facets named {name!r} are not facets of the mesh's cells, as at {{at}}"
+            refuse(self.table.index(facets) < 0, self.points[facets], missing)
         if self.band is None:
             self._check_seams()
             self._take_out_seams()
@@ -147,25 +142,18 @@ class Joint:
         if not self.seams:
             raise GeometryError(f"a joint needs a seam, such as {S!r}")
         if JUNCTIONS in self.seams:
-            raise GeometryError(
-                f"{JUNCTIONS!r} cannot be the name of a seam: it is the part of a layer where layers meet"
-            )
+            raise GeometryError(f"{JUNCTIONS!r} cannot be the name of a seam: it is a layer's part where layers meet")
         if len(self.seams) > 1 and S in self.seams:
             raise GeometryError(f"{S!r} is all seams together and cannot name one of several")
         for name in self.seams:
             if name not in self.facets:
-                raise GeometryError(
-                    f"the mesh has no facets named {name!r}; named facets: {', '.join(sorted(self.facets))}"
-                )
+                raise GeometryError(f"the mesh has no facets named {name!r}; known: {', '.join(sorted(self.facets))}")
         rows = np.concatenate([self.rows_of(name) for name in self.seams])
-        found, counts = np.unique(rows, return_counts=True)
+        rows, counts = np.unique(rows, return_counts=True)
         if (counts > 1).any():
-            row = found[counts > 1][0]
-            names = [name for name in self.seams if row in self.rows_of(name)]
-            raise GeometryError(
-                f"{(counts > 1).sum()} facets are in two seams, {names[0]!r} and {names[1]!r}, the first at "
-                f"{place(self.points[self.table.vertices[row]].mean(axis=0))}; a facet has one layer"
-            )
+            first, second, *_ = (name for name in self.seams if rows[counts > 1][0] in self.rows_of(name))
+            both = f"{{bad}} facets are in two seams, {first!r} and {second!r}, the first at {{at}}"
+            refuse(counts > 1, self.points[self.table.vertices[rows]], f"{both}; a facet has one layer")
         _ = self.surface_cells
 
     def _take_out_seams(self) -> None:
@@ -216,10 +204,7 @@ class Joint:
     @cached_property
     def table(self) -> FacetTable:
         """All facets of the mesh with the cells that meet there."""
-        try:
-            return FacetTable.of(self.corners, self.cell_type)
-        except ValueError as error:
-            raise GeometryError(str(error)) from None
+        return FacetTable.of(self.corners, self.cell_type)
 
     # ---------------------------------------------------------------- S
     def rows_of(self, name: str) -> IntArray:
@@ -253,13 +238,13 @@ class Joint:
         for number, (name, seam) in enumerate(self.seams.items()):
             here = np.flatnonzero(self.seam_numbers == number)
             outer = out[here, 0] < 0
-            if outer.any() and (seam.lower or not outer.all()):
-                x = self.points[self.surface[here[outer.argmax()]]].mean(axis=0)
+            if seam.lower or not outer.all():
                 sides = f"between {'+'.join(seam.lower)} and {'+'.join(seam.upper)} " if seam.lower else ""
-                raise GeometryError(
-                    f"{outer.sum()} of {len(here)} facets of {name!r} lie on the outer boundary, the first at {place(x)}; "
-                    f"{sides}each needs a cell on both sides, or all must stand on a rigid base"
+                what = (
+                    f"{{bad}} of {{all}} facets of {name!r} lie on the outer boundary, the first at {{at}}; {sides}each"
                 )
+                needs = "needs a cell on both sides, or all must stand on a rigid base"
+                refuse(outer, self.points[self.surface[here]], f"{what} {needs}")
             if not outer.any():
                 wrong = here[~self._second_is_upper(name, seam, out[here], self.surface[here])]
                 out[wrong] = out[wrong][:, ::-1]
@@ -304,18 +289,18 @@ class Joint:
         return self.table.nodes(self.surface_rows, self.cells, self.cell_type)
 
     @cached_property
-    def branch(self) -> FloatArray | None:
-        """A place where S branches: more than two of its facets meet there; None if there is none."""
-        found, counts = ridges(self.surface, self.cell_type)
-        return self.points[found[counts > 2][0]].mean(axis=0) if (counts > 2).any() else None
-
-    @cached_property
-    def seams_meet(self) -> bool:
-        """Whether S branches, or two seams have a vertex in common."""
-        _, counts = ridges(self.masters[self.surface], self.cell_type)
+    def meetings(self) -> IntArray:
+        """(n,) vertices where S branches, more than two of its facets meeting there, or where seams meet; masters only."""
+        found, counts = ridges(self.masters[self.surface], self.cell_type)
         vertices = self.masters[self.table.vertices[self.surface_rows]]
         keys = np.unique(vertices * len(self.seams) + self.seam_numbers[:, None])
-        return bool((counts > 2).any()) or len(np.unique(keys // len(self.seams))) < len(keys)
+        several, seams = np.unique(keys // len(self.seams), return_counts=True)
+        return np.union1d(found[counts > 2], several[seams > 1])
+
+    @property
+    def seams_meet(self) -> bool:
+        """Whether S branches, or two seams have a vertex in common."""
+        return len(self.meetings) > 0
 
     @cached_property
     def tips(self) -> IntArray:
@@ -366,27 +351,22 @@ class Joint:
         rows = self.rows_of(name)
         vertices = np.unique(self.table.vertices[rows])
         try:
-            found = np.asarray(profile(self.points[vertices].T))
-            if found.dtype.kind not in "fiu":
-                raise TypeError(f"it returns {found.dtype}")
+            given = np.asarray(profile(self.points[vertices].T))
+            if given.dtype.kind not in "fiu":
+                raise TypeError(f"it returns {given.dtype}")
         except Exception as error:
-            raise GeometryError(
-                f"the thickness profile is no numpy function of coordinates x (d, n): {error}"
-            ) from error
-        if found.shape not in ((), vertices.shape):
-            raise GeometryError(f"the thickness profile returns shape {found.shape} for {len(vertices)} points of S")
-        values[vertices] = found
+            reason = f"the thickness profile is no numpy function of coordinates x (d, n): {error}"
+            raise GeometryError(reason) from error
+        if given.shape not in ((), vertices.shape):
+            raise GeometryError(f"the thickness profile returns shape {given.shape} for {len(vertices)} points of S")
+        values[vertices] = given
         bad = vertices[~(np.isfinite(values[vertices]) & (values[vertices] > 0))]
         if len(bad):
-            raise GeometryError(
-                f"the thickness profile is {values[bad[0]]:g} at {place(self.points[bad[0]])}; it must be > 0 on S"
-            )
-        k = corner_count(FACET_TYPES[self.cell_type])
-        surface = self.surface[np.searchsorted(self.surface_rows, rows)]
-        if surface.shape[1] > k:
-            element = lagrange(FACET_TYPES[self.cell_type], 1)
-            between = element.tabulate(0, lagrange(FACET_TYPES[self.cell_type], 2).points[k:])[0, :, :, 0]
-            values[surface[:, k:]] = values[surface[:, :k]] @ between.T
+            at = place(self.points[bad[0]])
+            raise GeometryError(f"the thickness profile is {values[bad[0]]:g} at {at}; it must be > 0 on S")
+        surface, k = self.surface[np.searchsorted(self.surface_rows, rows)], corner_count(FACET_TYPES[self.cell_type])
+        if self.degree == 2:
+            values[surface[:, k:]] = values[surface[:, :k]] @ weights_between(FACET_TYPES[self.cell_type]).T
         return values
 
     def rotated(self, angle: float) -> Joint:

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import scipy.spatial
 
-from geometry.errors import GeometryError, place, unknown
+from geometry.errors import GeometryError, place, refuse, unknown
 from geometry.joint import Joint
-from geometry.periods import SAME_PLACE, Periods
+from geometry.periods import CUT, SAME_PLACE, Periods
 from geometry.topology import IntArray
 
 
@@ -28,9 +28,7 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
             a seam on a periodic side; a joint whose layer is meshed.
     """
     if joint.band is not None:
-        raise GeometryError(
-            "the joint's layer is meshed; in a periodic joint it is a surface, S, with an interface model"
-        )
+        raise GeometryError("the joint's layer is meshed; in a periodic joint it is a surface with an interface model")
     if not sides:
         raise GeometryError('periodic needs pairs of sides, such as ("LEFT", "RIGHT")')
     before = joint.periods or Periods((), ())
@@ -46,14 +44,11 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
 def require_inside(joint: Joint) -> None:
     """Raise GeometryError if S reaches a periodic side: inflated, opposite sides would not match."""
     for names, pair in zip(joint.periods.sides, joint.periods.pairs, strict=True) if joint.periods else ():
-        reached = np.intersect1d(pair, joint.surface)
-        if len(reached):
-            sides = " and ".join(map(repr, names))
-            raise GeometryError(
-                f"S reaches the periodic sides {sides}, at {place(joint.points[reached[0]])}: the layer cannot be meshed, "
-                "as the sides would not match when it opens; cut the cell where S is not, use the interface model, or mesh "
-                "a large piece that is not periodic"
-            )
+        sides, both = " and ".join(map(repr, names)), np.unique(pair)
+        reason = "the layer cannot be meshed, as the sides would not match when it opens"
+        remedy = "cut the cell where S is not, use the interface model, or mesh a large piece that is not periodic"
+        message = f"S reaches the periodic sides {sides}, at {{at}}: {reason}; {remedy}"
+        refuse(np.isin(both, joint.surface), joint.points[both], message)
 
 
 def repeated(inflated: Joint, periods: Periods) -> Joint:
@@ -67,29 +62,24 @@ def _matched(joint: Joint, first: str, second: str) -> IntArray:
     rows = [_outer_rows(joint, name) for name in (first, second)]
     nodes = [np.unique(joint.table.nodes(row, joint.cells, joint.cell_type)) for row in rows]
     x = [joint.points[node] for node in nodes]
-    vector = x[1].min(axis=0) - x[0].min(axis=0)
-    size = np.ptp(joint.points, axis=0).max()
-    for here, there, move, name, other in ((0, 1, vector, first, second), (1, 0, -vector, second, first)):
-        apart, at = scipy.spatial.cKDTree(x[there]).query(x[here] + move)
+    vector, size = x[1].min(axis=0) - x[0].min(axis=0), np.ptp(joint.points, axis=0).max()
+    unlike, remedy = f"the sides {first!r} and {second!r} do not match", "mesh both alike"
+    ways = [(x[0], x[1], vector, first, second), (x[1], x[0], -vector, second, first)]
+    partners = []
+    for places, others, move, name, other in ways:
+        apart, at = scipy.spatial.cKDTree(others).query(places + move)
+        partners.append(at)
         if apart.max() > SAME_PLACE * size:
-            lost = x[here][apart.argmax()]
+            lost = places[apart.argmax()]
             raise GeometryError(
-                f"the sides {first!r} and {second!r} do not match: {name!r} has a node at {place(lost)}, and {other!r} has "
-                f"none at {place(lost + move)}; mesh both alike"
+                f"{unlike}: {name!r} has a node at {place(lost)}, and {other!r} has none at {place(lost + move)}; {remedy}"
             )
-        if here == 0:
-            partner = nodes[1][at]
     image = np.full(len(joint.points), -1)
-    image[nodes[0]] = partner
-    moved = joint.table.index(image[joint.table.vertices[rows[0]]])
-    wrong = ~np.isin(moved, rows[1])
-    if wrong.any() or len(rows[0]) != len(rows[1]):
-        lost = joint.points[joint.table.vertices[rows[0][wrong.argmax()]]].mean(axis=0)
-        raise GeometryError(
-            f"the sides {first!r} and {second!r} do not match: their nodes do, but not their facets, as at {place(lost)}; "
-            "mesh both alike"
-        )
-    return np.column_stack([nodes[0], partner])
+    image[nodes[0]] = nodes[1][partners[0]]
+    facets = joint.table.vertices[rows[0]]
+    wrong = ~np.isin(joint.table.index(image[facets]), rows[1]) | (len(rows[0]) != len(rows[1]))
+    refuse(wrong, joint.points[facets], f"{unlike}: their nodes do, but not their facets, as at {{at}}; {remedy}")
+    return np.column_stack([nodes[0], image[nodes[0]]])
 
 
 def _outer_rows(joint: Joint, name: str) -> IntArray:
@@ -97,15 +87,8 @@ def _outer_rows(joint: Joint, name: str) -> IntArray:
     if name not in joint.facets:
         raise GeometryError(unknown("side", name, joint.facets.keys() - joint.seams.keys()))
     if name in joint.seams:
-        raise GeometryError(
-            f"the seam {name!r} cannot be a periodic side: the cells on its two sides are no neighbours in the mesh; cut "
-            "the periodic cell through bodies instead"
-        )
+        raise GeometryError(f"the seam {name!r} cannot be a periodic side: {CUT}")
     rows = np.unique(joint.table.index(joint.facets[name]))
-    inner = joint.table.cells[rows, 1] >= 0
-    if inner.any():
-        x = joint.points[joint.table.vertices[rows[inner][0]]].mean(axis=0)
-        raise GeometryError(
-            f"{name!r} is no side of the joint: {inner.sum()} of its facets lie inside, as at {place(x)}"
-        )
+    inner, x = joint.table.cells[rows, 1] >= 0, joint.points[joint.table.vertices[rows]]
+    refuse(inner, x, f"{name!r} is no side of the joint: {{bad}} of its facets lie inside, as at {{at}}")
     return rows

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 import basix
 import numpy as np
 
-from geometry.errors import GeometryError, place
-from geometry.splitting import connected
-from geometry.topology import BITS, FloatArray, IntArray
+from geometry.errors import refuse
+from geometry.topology import BoolArray, FloatArray, IntArray, connected, ridge_keys
 
 SAME_PLACE = 1e-6  # distance of two places that are the same, at most, over the size of the joint
+CUT = "the cells on its two sides are no neighbours in the mesh; cut the periodic cell through bodies instead"
 
 
 @dataclass(frozen=True)
@@ -53,42 +53,31 @@ class Periods:
             seams: (m, k) vertices of the outer facets that are in seams.
         """
         size = np.ptp(points, axis=0).max()
-        for names, pair, vector in zip(self.sides, self.pairs, self.vectors(points), strict=True):
+        for (first, second), pair, vector in zip(self.sides, self.pairs, self.vectors(points), strict=True):
             apart = np.abs(points[pair[:, 1]] - points[pair[:, 0]] - vector).max(axis=1)
-            if apart.max() > SAME_PLACE * size:
-                x = points[pair[apart.argmax(), 0]]
-                raise GeometryError(f"the sides {names[0]!r} and {names[1]!r} do not match any more at {place(x)}")
+            message = f"the sides {first!r} and {second!r} do not match any more at {{at}}"
+            refuse(apart > SAME_PLACE * size, points[pair[:, 0]], message)
         master = self.masters(len(points))
         identified = np.bincount(master, minlength=len(master))[master] > 1
-        on_side = identified[seams].all(axis=1)
-        if on_side.any():
-            x = points[seams[on_side][0]].mean(axis=0)
-            raise GeometryError(
-                f"a seam lies on the periodic boundary, at {place(x)}: the cells on its two sides are no neighbours in the "
-                "mesh; cut the periodic cell through bodies instead"
-            )
-        folded = _folded(points, corners[:, np.array(basix.topology(basix.CellType[cell_type])[1])], master)
-        if folded is not None:
-            pairs = " and ".join(f"{one!r} and {other!r}" for one, other in self.sides)
-            raise GeometryError(
-                f"a periodic cell needs three cells or more between its sides ({pairs}): near {place(folded)} two edges "
-                "have the same ends; use a finer mesh"
-            )
+        refuse(identified[seams].all(axis=1), points[seams], f"a seam lies on the periodic boundary, at {{at}}: {CUT}")
+        nodes = corners[:, np.array(basix.topology(basix.CellType[cell_type])[1])].reshape(-1, 2)
+        names = " and ".join(f"{first!r} and {second!r}" for first, second in self.sides)
+        narrow = f"a periodic cell needs three cells or more between its sides ({names})"
+        remedy = "two edges have the same ends; use a finer mesh"
+        refuse(_folded(points, nodes, master), points[nodes], f"{narrow}: near {{at}} {remedy}")
 
 
-def _folded(points: FloatArray, edges: IntArray, master: IntArray) -> FloatArray | None:
-    """Middle of an edge that has the ends of another one, or one end twice, in the periodic mesh; None if there is none.
+def _folded(points: FloatArray, nodes: IntArray, master: IntArray) -> BoolArray:
+    """(n,) whether edges, by their nodes (n, 2), have the ends of another one, or one end twice, in the periodic mesh.
 
     Args:
         points: (n, d) nodes.
-        edges: (n_cells, edges of a cell, 2) their ends.
+        nodes: ends of the edges.
         master: (n,) the node that each one is identified with.
     """
-    nodes = edges.reshape(-1, 2)
     ends = master[nodes]
     turned = ends[:, 0] > ends[:, 1]
     along = (points[nodes[:, 1]] - points[nodes[:, 0]]) * np.where(turned, -1.0, 1.0)[:, None]
-    _, first, number = np.unique((ends.min(axis=1) << BITS) + ends.max(axis=1), return_index=True, return_inverse=True)
+    _, first, number = np.unique(ridge_keys(ends), return_index=True, return_inverse=True)
     apart = np.abs(along - along[first[number.ravel()]]).max(axis=1)
-    folded = (ends[:, 0] == ends[:, 1]) | (apart > SAME_PLACE * np.ptp(points, axis=0).max())
-    return np.asarray(points[nodes[folded][0]].mean(axis=0)) if folded.any() else None
+    return np.asarray((ends[:, 0] == ends[:, 1]) | (apart > SAME_PLACE * np.ptp(points, axis=0).max()))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forms.base import is_finite
-from geometry.errors import GeometryError, place, unknown
+from geometry.errors import GeometryError, refuse, unknown
 from geometry.topology import FloatArray, IntArray
 
 S = "S"
@@ -43,9 +43,7 @@ class Seam:
     def reversed(self) -> Seam:
         """The seam with the opposite normal. GeometryError: neither regions nor a direction are given."""
         if self == Seam():
-            raise GeometryError(
-                "a seam whose upper side follows the order of regions cannot be reversed; name its sides"
-            )
+            raise GeometryError("a seam whose sides follow the order of regions cannot be reversed; name its sides")
         way = None if self.direction is None else tuple(-c for c in self.direction)
         return Seam(self.upper, self.lower, way)
 
@@ -63,9 +61,7 @@ class Seam:
                 raise GeometryError(unknown("region", region, regions))
         shared = sorted(set(self.upper) & set(self.lower))
         if shared and self.direction is None:
-            raise GeometryError(
-                f"region {shared[0]!r} is on both sides of {name!r}; give the direction of the upper side"
-            )
+            raise GeometryError(f"region {shared[0]!r} is on both sides of {name!r}; give the direction upwards")
         if self.direction is not None:
             if set(self.upper) != set(self.lower):
                 raise GeometryError(f"{name!r}: a direction tells the upper side, or regions do; give one of them")
@@ -89,12 +85,10 @@ class Seam:
         """
         way = np.asarray(self.direction, float)
         cosine = normals @ way / np.linalg.norm(normals, axis=1) / np.linalg.norm(way)
-        told = np.abs(cosine) >= LEAST_COSINE
-        if not told.all():
-            raise GeometryError(
-                f"direction {self.direction} does not tell the upper side of {name!r}: it lies in the facet near "
-                f"{place(x[~told][0])}"
-            )
+        untold = (
+            f"direction {self.direction} does not tell the upper side of {name!r}: it lies in the facet near {{at}}"
+        )
+        refuse(np.abs(cosine) < LEAST_COSINE, x, untold)
         return np.asarray((to_second * normals).sum(axis=1) * cosine > 0)
 
     def between_regions(self, name: str, x: FloatArray, region: IntArray, regions: Sequence[str]) -> NDArray[np.bool_]:
@@ -112,13 +106,11 @@ class Seam:
         if self.lower or self.upper:
             lower, upper = (np.isin(region, [regions.index(one) for one in side]) for side in (self.lower, self.upper))
             below, above = lower if self.lower else ~upper, upper if self.upper else ~lower
-            upper = above[:, 1] & below[:, 0]
-            told, what = upper | (above[:, 0] & below[:, 1]), "have the same body on both sides"
+            second, first = above[:, 1] & below[:, 0], above[:, 0] & below[:, 1]
+            what = "have the same body on both sides"
         else:
-            upper, told = region[:, 1] > region[:, 0], region[:, 1] != region[:, 0]
+            second, first = region[:, 1] > region[:, 0], region[:, 1] < region[:, 0]
             what = "have one region on both sides; give the direction of the upper side"
-        if not told.all():
-            raise GeometryError(
-                f"{name!r} does not separate two bodies: some of its facets {what}, the first at {place(x[~told][0])}"
-            )
-        return np.asarray(upper)
+        reason = f"{name!r} does not separate two bodies: some of its facets {what}, the first at {{at}}"
+        refuse(~(first | second), x, reason)
+        return np.asarray(second)

@@ -1,15 +1,21 @@
-"""Cells and facets as plain arrays: which facets a mesh has, which cells meet there, normals, folded cells."""
+"""Cells and facets as plain arrays: which facets a mesh has, which cells meet there, and how facets that are cut part them.
+
+The cells around a vertex, an edge or a face are in one component there if facets that are not cut lead from one to the
+other, around this entity. A vertex on a cut has two components, one at its tip, three where three cuts meet.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 
 import basix
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse
+from scipy.sparse.csgraph import connected_components
 
-from forms.base import InputError
+from geometry.errors import GeometryError
 
 IntArray = npt.NDArray[np.int64]
 FloatArray = npt.NDArray[np.float64]
@@ -37,10 +43,12 @@ def corner_count(cell_type: str) -> int:
 
 
 def geometry_degree(cell_type: str, n_nodes: int) -> int:
-    """Degree of cells with that many nodes, 1 or 2; raises InputError for another number."""
+    """Degree of cells with that many nodes, 1 or 2; raises GeometryError for another number."""
     allowed = {int(lagrange(cell_type, degree).dim): degree for degree in (1, 2)}
     if n_nodes not in allowed:
-        raise InputError(f"a {cell_type} has {n_nodes} nodes; allowed: {', '.join(map(str, allowed))}")
+        raise GeometryError(
+            f"a {cell_type} has {n_nodes} nodes; allowed: {', '.join(map(str, allowed))} (degree 1 or 2)"
+        )
     return allowed[n_nodes]
 
 
@@ -49,9 +57,23 @@ def local_facets(cell_type: str, degree: int = 1) -> IntArray:
     return np.array(lagrange(cell_type, degree).entity_closure_dofs[-2], np.int64)
 
 
+def sums(number: IntArray, values: FloatArray, n: int) -> FloatArray:
+    """(n, ...) sums of the values (..., ...) of equal numbers from 0 to n - 1."""
+    out = np.zeros((n, *values.shape[number.ndim :]))
+    np.add.at(out, number, values)
+    return out
+
+
 def is_tensor(cell_type: str) -> bool:
     """Whether cells are quadrilaterals or hexahedra."""
     return cell_type in ("quadrilateral", "hexahedron")
+
+
+@cache
+def weights_between(cell_type: str) -> FloatArray:
+    """(m, k) values of linear functions of the k vertices at the m further nodes of a cell of degree 2."""
+    further = lagrange(cell_type, 2).points[corner_count(cell_type) :]
+    return np.asarray(lagrange(cell_type, 1).tabulate(0, further)[0, :, :, 0])
 
 
 @dataclass(frozen=True)
@@ -74,7 +96,7 @@ class FacetTable:
 
     @classmethod
     def of(cls, corners: IntArray, cell_type: str) -> FacetTable:
-        """The table of a mesh given by its cells' vertices; raises InputError if more than two cells share a facet."""
+        """The table of a mesh given by its cells' vertices; raises GeometryError if more than two cells share a facet."""
         rows = np.sort(np.concatenate([corners[:, f] for f in local_facets(cell_type)]), axis=1)
         beginning, keys = rows[:, 0], []
         for column in rows.T[1:-1]:
@@ -87,7 +109,9 @@ class FacetTable:
         keys.append(whole[start])
         counts = np.diff(start, append=len(whole))
         if counts.max(initial=0) > 2:
-            raise InputError(f"{(counts > 2).sum()} facets belong to more than two cells: the mesh is not conforming")
+            raise GeometryError(
+                f"{(counts > 2).sum()} facets belong to more than two cells: the mesh is not conforming"
+            )
         double = counts == 2
         pairs = np.full((len(start), 2), -1, np.int64)  # positions among all cells' facets
         pairs[:, 0] = order[start]
@@ -153,3 +177,160 @@ def facet_normals(points: FloatArray, nodes: IntArray, cell_type: str) -> FloatA
     else:
         normal = np.cross(tangents[0], tangents[1])
     return np.asarray(normal / np.linalg.norm(normal, axis=-1, keepdims=True), float)
+
+
+@dataclass(frozen=True)
+class Splitting:
+    """The components of a mesh that is cut along some facets. The cut does not depend on the numbers of cells.
+
+    Attributes:
+        cells: (n_cells, k) nodes, vertices first.
+        cell_type: type of the cells.
+        table: their facets.
+        cut: (m,) rows of `table`.
+    """
+
+    cells: IntArray
+    cell_type: str
+    table: FacetTable
+    cut: IntArray
+
+    @cached_property
+    def _topology(self) -> list[IntArray]:
+        return [np.array(of_dim) for of_dim in basix.topology(basix.CellType[self.cell_type])]
+
+    @property
+    def _corners(self) -> IntArray:
+        return self.cells[:, : len(self._topology[0])]
+
+    def entities(self, dim: int) -> IntArray:
+        """(n_cells, entities of a cell) number of each of the cell's entities of a dimension, among those of the mesh."""
+        topology = self._topology
+        top = len(topology) - 1
+        if dim == top:
+            return np.arange(len(self.cells))[:, None]
+        if dim == 0:
+            return self._corners
+        if dim == top - 1:
+            out = np.empty((len(self.cells), len(topology[dim])), np.int64)
+            for cell, local in zip(self.table.cells.T, self.table.local.T, strict=True):
+                there = np.flatnonzero(cell >= 0)
+                out[cell[there], local[there]] = there
+            return out
+        ends = np.sort(self._corners[:, topology[dim]], axis=2)
+        _, number = np.unique((ends[..., 0] << BITS) + ends[..., 1], return_inverse=True)
+        return np.asarray(number.reshape(ends.shape[:2]), np.int64)
+
+    @cached_property
+    def keys(self) -> list[IntArray]:
+        """For each dimension (n_cells, entities of a cell): a number >= 0 for each component of each entity of the mesh."""
+        out, start = [], 0
+        for dim in range(len(self._topology)):
+            numbers, split = self.entities(dim), self.components(dim)
+            count = int(split.max(initial=0)) + 1
+            out.append(start + numbers * count + split)
+            start += (int(numbers.max(initial=-1)) + 1) * count
+        return out
+
+    @cached_property
+    def _touched(self) -> IntArray:
+        """(n_cells, corners) whether each corner lies on the cut."""
+        on_cut = np.zeros(int(self.cells.max(initial=-1)) + 1, bool)
+        on_cut[self.table.vertices[self.cut]] = True
+        return on_cut[self._corners]
+
+    def components(self, dim: int) -> IntArray:
+        """(n_cells, entities of a cell) number of the cell's component around each of its entities of a dimension.
+
+        The component with the smallest cell has number 0; so have all cells around entities that are not split.
+        """
+        topology = self._topology
+        out = np.zeros((len(self.cells), len(topology[dim])), np.int64)
+        top = len(topology) - 1
+        if dim == top - 1:
+            second = self.table.cells[self.cut, 1] >= 0
+            rows = self.cut[second]
+            out[self.table.cells[rows, 1], self.table.local[rows, 1]] = 1
+        elif dim < top - 1:
+            self._around(dim, out)
+        return out
+
+    def _around(self, dim: int, out: IntArray) -> None:
+        """Fill in the components around vertices, or edges of a mesh in 3D."""
+        near = np.flatnonzero(self._touched.any(axis=1))
+        local = self._topology[dim]
+        touched = self._touched[near][:, local].any(axis=2)
+        ends = np.sort(self._corners[near][:, local], axis=2)
+        keys = (ends[..., 0] << BITS) + ends[..., -1]
+        position = np.full(len(self.cells), -1, np.int64)
+        position[near] = np.arange(len(near))
+
+        first, second = self.table.cells.T
+        linked = (second >= 0) & (position[first] >= 0) & (position[second] >= 0)
+        linked[self.cut] = False
+        facets = np.flatnonzero(linked)
+        pairs = position[self.table.cells[facets]]
+        inside = np.array(
+            [[i for i, entity in enumerate(local) if set(entity) <= set(facet)] for facet in self._topology[-2]]
+        )
+        links: list[IntArray] = []
+        for cell, facet in zip(pairs.T, self.table.local[facets].T, strict=True):
+            entity = inside[facet]
+            order = np.argsort(np.take_along_axis(keys[cell], entity, axis=1), axis=1)
+            links.append((cell[:, None] * len(local) + np.take_along_axis(entity, order, axis=1)).ravel())
+        label = connected(links[0], links[1], keys.size)
+
+        _, first_place = np.unique(label, return_index=True)  # of each component; places are in the order of cells
+        order = np.lexsort((first_place, keys.ravel()[first_place]))
+        start = np.flatnonzero(np.diff(keys.ravel()[first_place][order], prepend=-1))
+        number = np.empty(len(order), np.int64)
+        number[order] = np.arange(len(order)) - np.repeat(start, np.diff(start, append=len(order)))
+        out[near] = np.where(touched, number[label].reshape(keys.shape), 0)
+
+    @cached_property
+    def of_nodes(self) -> IntArray:
+        """(n_cells, k) number of the cell's component around each of its nodes."""
+        dofs = lagrange(self.cell_type, geometry_degree(self.cell_type, self.cells.shape[1])).entity_dofs
+        out = np.zeros(self.cells.shape, np.int64)
+        for dim, of_dim in enumerate(dofs[:-1]):
+            if any(map(len, of_dim)):
+                numbers = self.components(dim)
+                for entity, nodes in enumerate(of_dim):
+                    out[:, nodes] = numbers[:, [entity]]
+        return out
+
+    @cached_property
+    def copies(self) -> tuple[IntArray, IntArray]:
+        """The nodes of the split mesh beyond those of the mesh: (m, 2) node and component > 0, in ascending order.
+
+        And (n_cells, k) nodes of the split mesh: component 0 keeps a node's number, copies follow after the last node.
+        """
+        split, n = self.of_nodes, int(self.cells.max(initial=-1)) + 1
+        where = np.nonzero(split)
+        pairs, number = np.unique(np.column_stack([self.cells[where], split[where]]), axis=0, return_inverse=True)
+        cells = self.cells.copy()
+        cells[where] = n + number.ravel()
+        return pairs, cells
+
+    @cached_property
+    def pieces(self) -> IntArray:
+        """(n_cells,) number of the connected piece of each cell, in the order of their first cells."""
+        corners = self.copies[1][:, : self._corners.shape[1]]
+        first = corners[:, :1].repeat(corners.shape[1] - 1, axis=1)
+        label = connected(first.ravel(), corners[:, 1:].ravel(), int(corners.max(initial=-1)) + 1)[corners[:, 0]]
+        _, start, number = np.unique(label, return_index=True, return_inverse=True)
+        return np.argsort(np.argsort(start))[number.ravel()]
+
+    @cached_property
+    def valence(self) -> IntArray:
+        """(n_points,) number of components of the cells around each vertex; 0 for nodes that are no vertices."""
+        corners, split = self._corners, self.of_nodes[:, : self._corners.shape[1]]
+        out = np.zeros(int(self.cells.max(initial=-1)) + 1, np.int64)
+        np.maximum.at(out, corners.ravel(), split.ravel() + 1)
+        return out
+
+
+def connected(first: IntArray, second: IntArray, n: int) -> IntArray:
+    """(n,) labels of the connected components of a graph, given by its links."""
+    graph = scipy.sparse.coo_matrix((np.ones(len(first), np.int8), (first, second)), shape=(n, n))
+    return np.asarray(connected_components(graph, directed=False)[1], np.int64)

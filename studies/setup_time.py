@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 from forms import LinearElastic
 from geometry import Joint, sandwich
-from geometry.compat import create_mesh
+from geometry.dolfinx_mesh import create_mesh
 from studies.performance import peak
 from thinlayer import Structure, ThinLayer, plotting
 from thinlayer.files.progress import track

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from forms import LinearElastic
 from geometry import Joint, sandwich
-from tests.meshes import write
+from tests.meshes import blocks_of, write
 from thinlayer import Structure, ThinLayer
 
 EPS = 0.4
@@ -36,13 +35,10 @@ def joint() -> Joint:
 def save(folder: Path, text: str = TEXT) -> Path:
     """The mesh file lap.msh, and lap.toml; the path of the latter."""
     plates = joint()
-    lines = {name if name != "S" else "GLUE": plates.facets[name] for name in ("S", "LEFT", "RIGHT")}
-    order = [0, 1, 3, 2]  # of the corners of a quadrilateral in gmsh
-    blocks = [("line", rows) for rows in lines.values()] + [("quad", plates.corners[:, order])]
-    tags = [np.full(len(rows), k) for k, rows in enumerate(lines.values(), 1)] + [plates.region + 1]
-    names = {name: (k, 1) for k, name in enumerate(lines, 1)} | {
-        name: (k, 2) for k, name in enumerate(plates.regions, 1)
-    }
+    plates = replace(plates, facets={name: plates.facets[name] for name in ("S", "LEFT", "RIGHT")})
+    blocks, tags = blocks_of(plates)
+    facets = ["GLUE" if name == "S" else name for name in plates.facets]
+    names = {name: (k, d) for d, of in ((1, facets), (2, plates.regions)) for k, name in enumerate(of, 1)}
     write(folder / "lap.msh", plates.points, blocks, tags, names)
     (folder / "lap.toml").write_text(text)
     return folder / "lap.toml"

@@ -12,7 +12,7 @@ import numpy as np
 
 from geometry import Joint
 from geometry.seam import Seam
-from geometry.topology import FacetTable, geometry_degree, lagrange
+from geometry.topology import FacetTable, geometry_degree, lagrange, node_jacobians
 
 CELLS = {"triangle": (2, False), "quadrilateral": (2, True), "tetrahedron": (3, False), "hexahedron": (3, True)}
 GRID = np.array([[x, y] for y in (-1.0, 0.0, 1.0) for x in (0.0, 1.0, 2.0)])
@@ -115,6 +115,14 @@ def write(path, points, blocks, tags, names):
     return path
 
 
+def blocks_of(joint):
+    """Cells and sets of facets of a plane joint, as meshio has them, and the numbers of regions and of sets from 1 on."""
+    kind, order = ("triangle", [0, 1, 2]) if joint.cell_type == "triangle" else ("quad", [0, 1, 3, 2])
+    sets = list(joint.facets.values())
+    tags = [joint.region + 1, *(np.full(len(rows), k) for k, rows in enumerate(sets, 1))]
+    return [(kind, joint.corners[:, order]), *(("line", rows) for rows in sets)], tags
+
+
 def squares(path, points=GRID, cells=QUADS, lines=LINES, regions=(1, 1, 2, 2), more=(), names=NAMES, kind="quad"):
     """Two squares LOW below two squares UP, in between S, above TOP."""
     blocks, tags = [("line", lines), (kind, cells)], [[1, 1, 2, 2][: len(lines)], regions]
@@ -162,6 +170,41 @@ def grid(axes, inside, cell, keep=lambda x: np.ones(len(x), bool)):
         facets[name] = table.vertices[outer & np.isclose(points[table.vertices][..., k], axes[k][0]).all(axis=1)]
     facets["TOP"] = table.vertices[outer & np.isclose(points[table.vertices][..., 1], axes[1][-1]).all(axis=1)]
     return Joint(points, cells, cell, region, ("OUT", "IN"), facets, {"S": Seam(("OUT",), ("IN",))})
+
+
+def check_sound(joint, sides, base=None):
+    """No cell is folded, or turned round from what it is in base, and the sides' facets are the outer ones, each once."""
+    signs = np.sign(node_jacobians(joint.points, joint.cells, joint.cell_type))
+    assert (signs == signs[:, :1]).all()
+    if base is not None:
+        before = np.sign(node_jacobians(base.points, base.cells, base.cell_type))
+        assert (signs[: len(before), 0] == before[:, 0]).all()
+    rows = np.sort(joint.table.index(np.concatenate([joint.facets[name] for name in sides])))
+    assert np.array_equal(rows, np.flatnonzero(joint.table.cells[:, 1] < 0))
+
+
+def part_of(joint, kept, **changes):
+    """The joint without some of its cells (kept: (n_cells,) whether each stays), and with other changes."""
+    used, cells = np.unique(joint.cells[kept], return_inverse=True)
+    new = np.full(len(joint.points), -1)
+    new[used] = np.arange(len(used))
+    around = {name: joint.table.cells[joint.table.index(rows)] for name, rows in joint.facets.items()}
+    own = {name: ((beside >= 0) & kept[beside]).any(axis=1) for name, beside in around.items()}
+    facets = {name: new[rows[own[name]]] for name, rows in joint.facets.items() if own[name].any()}
+    present, region = np.unique(joint.region[kept], return_inverse=True)
+    regions = tuple(joint.regions[k] for k in present)
+    parts = dict(points=joint.points[used], cells=cells.reshape(len(region), -1), facets=facets)
+    return replace(joint, **parts | dict(region=region, regions=regions) | changes)
+
+
+def parted(whole, region):
+    """A mesh with S between all cells of different regions; the outer facets are OUT."""
+    table = whole.table
+    first, second = table.cells.T
+    cut = (second >= 0) & (region[first] != region[second])
+    facets = {"S": table.vertices[cut], "OUT": table.vertices[second < 0]}
+    names = tuple(f"B{k}" for k in range(region.max() + 1))
+    return Joint(whole.points, whole.cells, whole.cell_type, region, names, facets, {"S": Seam()})
 
 
 def upper_cells(joint):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from forms import Anisotropic, LinearElastic
 from geometry import Joint, block, sandwich
 from tests import reference
+from tests.refused import refused
 from tests.test_columns import GLUE, LOWER, UPPER, check_column, tensor_of
 from tests.test_fourier import ABOVE, BELOW
 from thinlayer import SolveError, Structure, Surface, ThinLayer, compare, observed_orders, solve
@@ -30,9 +32,7 @@ ELEMENTS = [
 
 
 def turned(joint: Joint) -> Joint:
-    return Joint(
-        joint.points @ TURN.T, joint.cells, joint.cell_type, joint.region, joint.regions, joint.facets, joint.seams
-    )
+    return replace(joint, points=joint.points @ TURN.T)
 
 
 @pytest.mark.parametrize("eps", [0.3, 1e-2, 1e-4])
@@ -206,5 +206,4 @@ def test_stiff_layers_fall_back_on_factorising(monkeypatch):
     monkeypatch.setitem(linear_solvers.MULTIGRID_FROM, 3, 1000)
     monkeypatch.setitem(linear_solvers.MULTIGRID, "ksp_max_it", 30)
     assert solve(model).report.iterations == 1
-    with pytest.raises(SolveError, match="DIVERGED"):
-        solve(model, options={"pc_type": "gamg", "ksp_type": "cg"})
+    refused(SolveError, "DIVERGED", lambda: solve(model, options={"pc_type": "gamg", "ksp_type": "cg"}))

@@ -11,8 +11,7 @@ from scipy.spatial import cKDTree
 
 from forms import LinearElastic
 from geometry import GeometryError, Joint, faults, fibre, grains, inflate, periodic
-from geometry.topology import node_jacobians
-from tests.meshes import volumes
+from tests.meshes import check_sound, volumes
 from tests.network_cases import shifted, springs
 from tests.refused import refused
 from tests.test_networks import counts, cut_at
@@ -23,13 +22,10 @@ POINTS = [(0.4, 0.3), (1.9, 0.4), (2.6, 1.2), (1.1, 1.4), (0.3, 1.6)]
 
 
 def check(joint: Joint, area: float) -> None:
-    """The mesh fills the area, no cell is folded, and its sides are the outer boundary."""
+    """The mesh fills the area, and its sides are the outer boundary of sound cells."""
     assert volumes(joint).sum() == pytest.approx(area)
-    jacobians = node_jacobians(joint.points, joint.cells, joint.cell_type)
-    assert (np.sign(jacobians) == np.sign(jacobians[:, :1])).all()
     assert set(joint.facets) == SIDES | set(joint.seams)
-    rows = np.sort(joint.table.index(np.concatenate([joint.facets[name] for name in SIDES])))
-    assert np.array_equal(rows, np.flatnonzero(joint.table.cells[:, 1] < 0))
+    check_sound(joint, SIDES)
 
 
 def ends_on_sides(joint: Joint) -> int:
@@ -225,8 +221,7 @@ def test_refused_grains(given, message):
 @pytest.mark.parametrize(("around", "cell"), [(1.0, "triangle"), (1.0, "quadrilateral"), ((2.0, 3.0), "triangle")])
 def test_fibre(around, cell, degree):
     joint = fibre(0.4, around, 0.1, cell=cell, degree=degree)
-    jacobians = node_jacobians(joint.points, joint.cells, joint.cell_type)
-    assert (jacobians * np.sign(jacobians[:, :1]) > 0).all()
+    check_sound(joint, joint.facets.keys() - {"S"})
     size, fit = volumes(joint), 1e-4 if degree == 2 else 0.02
     assert joint.regions == ("FIBRE", "MATRIX")
     assert size[joint.region == 0].sum() == pytest.approx(pi * 0.16, rel=fit)

@@ -14,23 +14,13 @@ from forms.ends.weights import Strips
 from geometry.ends import straight_ends
 from geometry.sheet import Sheet
 from studies.end_structures import BODY, edge, graded, grid
+from tests.meshes import part_of
 from thinlayer import ModelError, Structure, ThinLayer, compare, solve
 from thinlayer.discretisation.sides import FacetWeights
 
 pytestmark = pytest.mark.few(5)
 
 LAW = LinearElastic.shear(8.0, 0.3)
-
-
-def cut(joint, kept):
-    """A joint without some of its cells."""
-    used, cells = np.unique(joint.cells[kept], return_inverse=True)
-    new = np.full(len(joint.points), -1)
-    new[used] = np.arange(len(used))
-    own = {name: kept[joint.table.cells[joint.table.index(rows), 0]] for name, rows in joint.facets.items()}
-    facets = {name: new[rows[own[name]]] for name, rows in joint.facets.items()}
-    cells = cells.reshape(-1, joint.cells.shape[1])
-    return replace(joint, points=joint.points[used], cells=cells, region=joint.region[kept], facets=facets)
 
 
 def plate(shape, eps, cell="hexahedron"):
@@ -41,7 +31,7 @@ def plate(shape, eps, cell="hexahedron"):
     centre = joint.points[joint.corners].mean(axis=1)[:, [0, 2]]
     amid = abs(centre - 0.5) < 0.15
     out = {"L": centre > 0.5, "hole": amid, "notch": np.column_stack([centre[:, 0] > 0.65, amid[:, 1]])}[shape]
-    return cut(joint, ~out.all(axis=1))
+    return part_of(joint, ~out.all(axis=1))
 
 
 def weights(joint, eps):
@@ -107,7 +97,7 @@ def test_strips_that_lie_on_one_another_are_refused():
     x = np.concatenate([[0.0, 0.25], np.linspace(0.5, 0.52, 5), [0.56, 0.6], np.linspace(0.605, 0.61, 2)])
     tongue = grid(x, np.array([0.0, 0.1]), x, cell="hexahedron")
     centre = tongue.points[tongue.corners].mean(axis=1)[:, [0, 2]]
-    tongue = cut(tongue, (centre[:, 0] < 0.52) | (abs(centre[:, 1] - 0.51) < 0.01))
+    tongue = part_of(tongue, (centre[:, 0] < 0.52) | (abs(centre[:, 1] - 0.51) < 0.01))
     for joint, eps, nu, words in (
         (plate("hole", 0.1, "tetrahedron"), 0.1, 0.3, "S is short"),
         (tongue, 0.04, 0.05, "lie on one another"),

@@ -12,6 +12,7 @@ from forms import LinearElastic
 from geometry import GeometryError, Joint, disc, faults, inflate, ring, sandwich
 from geometry.seam import Seam
 from geometry.topology import lagrange
+from tests.refused import refused
 from thinlayer import Structure, ThinLayer
 from thinlayer.output.nodal_forces import nodal_forces
 
@@ -104,8 +105,7 @@ def test_a_corner_of_the_fixed_body_in_the_way():
         np.array(points, float), np.array(cells), "triangle", region, ("C",), {"S": np.array([[0, 1]])}, {"S": Seam()}
     )
     inflate(joint, 0.9)
-    with pytest.raises(GeometryError, match=r"no room for a layer of thickness 1\.2 at \(2\.1, -1\)"):
-        inflate(joint, 1.2)
+    refused(GeometryError, r"no room for a layer of thickness 1\.2 at \(2\.1, -1\)", lambda: inflate(joint, 1.2))
 
 
 def test_sides_of_the_layer():

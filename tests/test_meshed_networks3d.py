@@ -6,16 +6,15 @@ from functools import cache
 
 import numpy as np
 import pytest
-import ufl
 
 from forms import LinearElastic
 from geometry import GeometryError, Joint, Seam, inflate, wall
 from geometry.inflating import inflation
 from geometry.topology import FacetTable
 from tests.meshed_cases import star
-from tests.meshes import grid, renumbered, volumes
+from tests.meshes import grid, parted, renumbered, volumes
 from tests.test_meshed_networks import BRICK, RATIOS, WAYS, areas, check
-from thinlayer import Structure, Surface, ThinLayer, UflPart, solve
+from thinlayer import Structure, Surface, ThinLayer, solve
 
 pytestmark = pytest.mark.few(5)
 
@@ -49,16 +48,6 @@ def cube(kind: str, cell: str, m: int = 4) -> Joint:
         facets |= {name: table.vertices[flat[k] & (x[:, 0, k] == at)] for name, at in ((low, -1.0), (high, 1.0))}
     names = tuple(f"BLOCK {k + 1}" for k in range(region.max() + 1))
     return Joint(whole.points, whole.cells, cell, region, names, facets, seams)
-
-
-def parted(whole: Joint, region: np.ndarray) -> Joint:
-    """A mesh with S between all cells of different regions; the outer facets are OUT."""
-    table = whole.table
-    first, second = table.cells.T
-    cut = (second >= 0) & (region[first] != region[second])
-    facets = {"S": table.vertices[cut], "OUT": table.vertices[second < 0]}
-    names = tuple(f"B{k}" for k in range(region.max() + 1))
-    return Joint(whole.points, whole.cells, whole.cell_type, region, names, facets, {"S": Seam()})
 
 
 def half_star(cell: str, collar: bool) -> Joint:
@@ -104,29 +93,23 @@ def mortar(base: Joint, eps: float) -> dict[str, ThinLayer]:
     return {name: ThinLayer(LinearElastic(*LAW[name]), one, at=1.0) for name, one in thickness(base, eps).items()}
 
 
-@cache
-def sheared(element: str, m: int, kind: str = "T", parts: tuple[UflPart, ...] = ()) -> Structure:
-    """A cube whose top is shifted."""
-    return Structure(
-        cube(kind, "tetrahedron" if element[0] == "P" else "hexahedron", m),
+def jump_errors(element: str, sizes, m: int = 4, **choices) -> np.ndarray:
+    """(sizes,) errors of the jump of the interface model against meshed layers, .3 away from junctions and the outside.
+
+    The top of a cube is shifted.
+    """
+    structure = Structure(
+        cube("T", "tetrahedron" if element[0] == "P" else "hexahedron", m),
         body=LinearElastic.young(1.0, 0.2),
         supports={"BOTTOM": 0.0, "TOP": {"x": 0.01, "y": -0.02, "z": 0.005}},
         element=element,
-        parts=parts,
     )
-
-
-def jump_errors(element: str, sizes, m: int = 4, parts=(), **choices) -> np.ndarray:
-    """(sizes,) errors of the jump of the interface model against meshed layers, .3 away from junctions and the outside."""
-    structure = sheared(element, m)
     limit = structure.interface(mortar(structure.joint, 0.01))
     surface, errors = Surface(limit), []
     inner = (np.hypot(*surface.x[:2]) > 0.3) & (abs(surface.x) < 0.7).all(axis=0)
     w = surface.jump(solve(limit))
     for eps in sizes:
-        full = sheared(element, m, parts=parts).full(
-            mortar(structure.joint, eps), cells_through=2, **{"bodies": "extended"} | choices
-        )
+        full = structure.full(mortar(structure.joint, eps), cells_through=2, bodies="extended", **choices)
         errors.append(surface.norm(surface.jump(solve(full)) - w, inner) / surface.norm(w, inner))
     return np.array(errors)
 
@@ -293,17 +276,3 @@ def test_the_fill_makes_no_difference_if_it_scales_as_a_layer():
     first, other = jump_errors("P2", (0.02,)), jump_errors("P2", (0.02,), junctions="Y")
     assert first == pytest.approx(other, rel=0.05)
     assert first != pytest.approx(other, rel=1e-6)
-
-
-def test_a_stiff_fill_does_not_converge():
-    """A junction as stiff as the blocks ties them together along its line."""
-    block = LinearElastic.young(1.0, 0.2)
-
-    def stiff(u, model):
-        e = ufl.sym(ufl.grad(u))
-        density = block.lmbda / 2 * ufl.tr(e) ** 2 + block.mu * ufl.inner(e, e)
-        return density * model.dx(model.domain.cell_values("LAYER/JUNCTIONS"))
-
-    errors = jump_errors("P2", (0.01, 0.005), parts=(UflPart(energy=stiff),))
-    assert (errors > 0.02).all()
-    assert abs(np.log2(errors[0] / errors[1])) < 0.2

@@ -9,8 +9,7 @@ from dolfinx import fem
 
 from forms import Incompressible, IncrementalCoulomb, LinearElastic
 from geometry import GeometryError, Joint, Seam, sandwich, wall
-from geometry.splitting import Splitting
-from geometry.topology import FacetTable, facet_normals
+from geometry.topology import FacetTable, Splitting, facet_normals
 from tests.meshes import renumbered
 from tests.network_cases import (
     BED,
@@ -226,8 +225,6 @@ def test_refused_joints():
         replace(joint, facets=joint.facets | {"HEAD": joint.facets["BED"]})
     with pytest.raises(GeometryError, match=r"'HEAD' does not separate two bodies.*one region on both sides; give the"):
         replace(joint, seams={"BED": Seam(), "HEAD": Seam()})
-    with pytest.raises(GeometryError, match=r"direction \(1.0, 0.0\) does not tell the upper side of 'BED'"):
-        replace(joint, seams=joint.seams | {"BED": Seam(direction=(1.0, 0.0))})
     with pytest.raises(GeometryError, match="no facets named 'CRACK'"):
         replace(joint, seams=joint.seams | {"CRACK": Seam(direction=(1.0, 0.0))})
     with pytest.raises(GeometryError, match="'S' is all seams together"):
@@ -314,5 +311,4 @@ def test_a_base_without_a_layer_holds_nothing():
     bodies = Structure(stands, body=ROCK, supports={}, tractions={"TOP": (0.1, -0.2)})
     glue = springs(2.0, 1.0)
     assert solve(bodies.interface({"GLUE": glue, "BOTTOM": glue})).energies()["layer"] > 0
-    with pytest.raises(ModelError, match="no support against rigid motion"):
-        bodies.interface({"GLUE": glue, "BOTTOM": None})
+    refused(ModelError, "no support against rigid motion", lambda: bodies.interface({"GLUE": glue, "BOTTOM": None}))

@@ -32,7 +32,7 @@ from forms.kinematics import lift
 from forms.law import LawError
 from forms.work import body, energy, work
 from geometry import Joint
-from geometry.compat import cell_nodes
+from geometry.dolfinx_mesh import cell_nodes
 from geometry.seam import Seam
 from tests.documents import PAGES
 from tests.folders_run import raised

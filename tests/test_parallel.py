@@ -165,7 +165,7 @@ def network() -> dict[str, float]:
                 "HEAD": Seam(direction=(1.0, 0.0, 0.0)[: whole.dim]),
             },
         )
-        assert joint.branch is not None
+        assert joint.seams_meet
         load = (0.4, 1.0, 0.2)[: joint.dim]
         structure = Structure(joint, body=body, supports={"BOTTOM": 0.0}, tractions={"TOP": load, "RIGHT": load})
         state = solve(structure.interface(layers))

@@ -11,6 +11,7 @@ from forms import HolonomicCoulomb, LinearElastic
 from geometry import GeometryError, Joint, block, inflate, ring, sandwich
 from geometry.seam import Seam
 from tests.meshes import volumes
+from tests.refused import refused
 from thinlayer import Model, Structure, Surface, ThinLayer, solve
 
 BODY = LinearElastic.young(100.0, 0.3)
@@ -113,20 +114,11 @@ def test_cut_through_one_body_is_a_layer_like_any():
     assert (inflate(one, 0.1).points == inflate(whole, 0.1).points).all()
 
 
-def test_what_a_tip_refuses():
-    joint = partly(sandwich(2.0, 1.0, 1.0, 0.2), lambda x: x[:, 0] < 1.0)
-    with pytest.raises(GeometryError, match=r"S ends inside the bodies \(near \(1, 0\)\)"):
-        Structure(joint, body=BODY, supports={"BOTTOM": 0.0}).full(ThinLayer(SOFT, 1e-3, at=1.0))
-
-
 def test_directions_are_checked():
     whole = sandwich(1.0, 0.5, 0.5, 0.25)
-    with pytest.raises(
-        GeometryError, match=r"direction \(1.0, 0.0\) does not tell the upper side of 'S': it lies in the facet near"
-    ):
+    with pytest.raises(GeometryError, match=r"direction \(1.0, 0.0\) does not tell .* 'S': it lies in the facet near"):
         in_one_body(whole, (1.0, 0.0))
-    with pytest.raises(GeometryError, match="needs 2 components, not all zero"):
-        in_one_body(whole, (0.0, 0.0))
+    refused(GeometryError, "needs 2 components, not all zero", lambda: in_one_body(whole, (0.0, 0.0)))
     with pytest.raises(GeometryError, match="'S': a direction tells the upper side, or regions do; give one"):
         replace(whole, seams={"S": replace(whole.seams["S"], direction=(0.0, 1.0))})
     with pytest.raises(GeometryError, match="on both sides of 'S'; give the direction"):

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from functools import partial
 from numbers import Integral
-from typing import Any
+from typing import Any, NamedTuple, Unpack
 
 import dolfinx
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from geometry.compat import cell_nodes
+from geometry.dolfinx_mesh import cell_nodes, vertices_of_facets
 from geometry.errors import GeometryError
-from geometry.facets import vertices_of_facets
-from geometry.importing.cells import Cells
-from geometry.importing.naming import Groups, Named, SeamsOf, Sides
+from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
 from geometry.joint import Joint
 from geometry.parallel import on_root, world
 from geometry.topology import CELL_TYPES, FloatArray, IntArray, corner_count, geometry_degree
@@ -32,11 +29,8 @@ def from_dolfinx(
     *,
     regions: Mapping[int, str] | None = None,
     facets: Mapping[int, str] | None = None,
-    S: SeamsOf = "S",
-    upper: str | Sequence[str] | None = None,
-    lower: str | Sequence[str] | None = None,
-    direction: Sequence[float] | None = None,
     comm: MPI.Intracomm | None = None,
+    **sides: Unpack[SidesOf],
 ) -> Joint:
     """A joint from a mesh of DOLFINx, on any number of ranks, with or without ghosts. Collective.
 
@@ -65,11 +59,10 @@ def from_dolfinx(
     parts = comm.gather(mine) or []
     if cell_tags is None and regions is None:
         regions = {0: WHOLE}
-    return on_root(comm, partial(_joined, parts, regions, facets, (S, upper, lower, direction)))
+    return on_root(comm, partial(_joined, parts, regions, facets, sides))
 
 
-@dataclass(frozen=True)
-class _Part:
+class _Part(NamedTuple):
     """The part of a mesh on one rank. Nodes have the mesh's global numbers.
 
     Attributes:
@@ -105,10 +98,7 @@ class _Part:
         if len(kinds) > 1 or kinds[0] not in CELL_TYPES:
             raise GeometryError(f"cells are of type {', '.join(kinds)}; allowed: one of {', '.join(CELL_TYPES)}")
         kind, dim, cells = kinds[0], topology.dim, cell_nodes(mesh)
-        try:
-            geometry_degree(kind, cells.shape[1])
-        except ValueError as error:
-            raise GeometryError(f"{error} (degree 1 or 2)") from None
+        geometry_degree(kind, cells.shape[1])
         owned = topology.index_map(dim).size_local
         region, tagged = np.zeros(owned, np.int64), np.full(owned, cell_tags is None)
         numbers, values = _tags(mesh, cell_tags, dim, "cell_tags")
@@ -116,15 +106,9 @@ class _Part:
         region[numbers[own]], tagged[numbers[own]] = values[own], True
         facets, tags = _tags(mesh, facet_tags, dim - 1, "facet_tags")
         whole = np.reshape(geometry.index_map().local_to_global(cells.ravel()), cells.shape)
-        return cls(
-            kind,
-            np.asarray(geometry.x[: geometry.index_map().size_local, : geometry.dim], float),
-            whole[:owned],
-            region,
-            tagged,
-            vertices_of_facets(mesh, kind, facets, whole[:, : corner_count(kind)]),
-            tags,
-        )
+        points = np.asarray(geometry.x[: geometry.index_map().size_local, : geometry.dim], float)
+        vertices = vertices_of_facets(mesh, kind, facets, whole[:, : corner_count(kind)])
+        return cls(kind, points, whole[:owned], region, tagged, vertices, tags)
 
 
 def _tags(mesh: dolfinx.mesh.Mesh, tags: Any, dim: int, what: str) -> tuple[npt.NDArray[np.int32], IntArray]:
@@ -142,21 +126,17 @@ def _tags(mesh: dolfinx.mesh.Mesh, tags: Any, dim: int, what: str) -> tuple[npt.
     return np.asarray(tags.indices), np.asarray(tags.values, np.int64)
 
 
-def _joined(parts: list[Any], regions: Any, facets: Any, sides: tuple[Any, ...]) -> Joint:
+def _joined(parts: list[Any], regions: Any, facets: Any, sides: SidesOf) -> Joint:
     """The joint of all ranks' parts, in the order of places: of the nodes, and of the cells' nodes."""
     for part in parts:
         if isinstance(part, Exception):
             raise part
-    points, nodes, region, tagged, rows, tags = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("points", "nodes", "region", "tagged", "facets", "tags")
-    )
-    kind = parts[0].type
+    (kind, *_), *arrays = zip(*parts, strict=True)
+    points, nodes, region, tagged, rows, tags = map(np.concatenate, arrays)
     if not len(nodes):
         raise GeometryError("the mesh has no cells")
     order = np.lexsort(points.T[::-1])
-    number = np.empty(len(order), np.int64)
-    number[order] = np.arange(len(order))
+    number = np.argsort(order)
     points, nodes, rows = points[order], number[nodes], np.sort(number[rows], axis=1)
     order = np.lexsort(np.sort(nodes[:, : corner_count(kind)], axis=1).T[::-1])
     nodes, region, tagged = nodes[order], region[order], tagged[order]
@@ -166,8 +146,7 @@ def _joined(parts: list[Any], regions: Any, facets: Any, sides: tuple[Any, ...])
         raise GeometryError("no cell has a tag")
     sets = _groups(facets, tags, np.ones(len(tags), bool), "facet")
     named = {name: np.unique(np.searchsorted(cells.used, rows[member]), axis=0) for name, member in sets.items()}
-    chosen = Sides.of(*sides)
-    return Named.of(cells, groups, named, "tags", chosen).joint(chosen)
+    return Named(cells, groups, named, "tags", Sides.of(**sides)).joint()
 
 
 def _groups(names: Any, values: IntArray, tagged: npt.NDArray[np.bool_], what: str) -> Groups:

@@ -1,26 +1,128 @@
-"""Choice of a joint's regions, its seams and their sides among the named groups of a mesh."""
+"""Cells of a mesh from a file or from DOLFINx, and the choice of regions, seams and their sides among its named groups."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, TypedDict
 
 import numpy as np
-import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from forms.base import is_finite
-from geometry.errors import GeometryError, place, unknown
-from geometry.importing.cells import Cells
+from geometry.errors import GeometryError, place, refuse, unknown
 from geometry.joint import Joint
 from geometry.seam import S, Seam
-from geometry.topology import IntArray
+from geometry.topology import (
+    FACET_TYPES,
+    BoolArray,
+    FacetTable,
+    FloatArray,
+    IntArray,
+    corner_count,
+    lagrange,
+    node_jacobians,
+)
 
-Groups = dict[str, npt.NDArray[np.bool_]]  # name -> which cells are in the group
+CLOSE = 1e-9  # distance of nodes at the same place, at most, over the size of the mesh
+FLAT_CELL = 1e-12  # Jacobian of a cell without volume, at most, over size^d
+FOLDED = 1e-10  # ratio of the smallest to the largest Jacobian in a folded cell, at most
+
+Groups = dict[str, BoolArray]  # name -> which cells are in the group
 Names = tuple[str, ...]
 
 
-SeamsOf = str | Sequence[str] | Mapping[str, Any] | None  # what `read` takes as S
+class SidesOf(TypedDict, total=False):
+    """S and its sides, as `read` describes them."""
+
+    S: str | Sequence[str] | Mapping[str, Any] | None
+    upper: str | Sequence[str] | None
+    lower: str | Sequence[str] | None
+    direction: Sequence[float] | None
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Cells of one type.
+
+    Attributes:
+        points: (n_points, d) coordinates of their nodes.
+        nodes: (n_cells, k) in DOLFINx's order.
+        type: as in `Joint.cell_type`.
+        used: (n_points,) numbers of these points in the mesh they come from.
+    """
+
+    points: FloatArray
+    nodes: IntArray
+    type: str
+    used: IntArray
+
+    @classmethod
+    def of(cls, points: FloatArray, nodes: IntArray, cell_type: str, what: str) -> Cells:
+        """Take over cells and the points that they use.
+
+        Args:
+            points: (n, d or 3) coordinates.
+            nodes: (n_cells, k) in DOLFINx's order.
+            cell_type: as in `Joint.cell_type`.
+            what: text for the cells in messages.
+
+        Raises:
+            GeometryError: nodes without coordinates, or a surface in 3D.
+        """
+        used, numbers = np.unique(nodes, return_inverse=True)
+        if used[0] < 0 or used[-1] >= len(points) or not np.isfinite(points[used]).all():
+            raise GeometryError("the cells have nodes without coordinates")
+        dim = lagrange(cell_type, 1).points.shape[1]
+        own = points[used]
+        height = own[:, dim:]
+        if height.size and np.ptp(height) > CLOSE * np.ptp(own, axis=0).max():
+            raise GeometryError(
+                f"2D mesh in 3D: {what} at z = {height.min():g} to {height.max():g}, not in a plane z = const; "
+                "for a solid save the cells of the volume too (gmsh: name them with Physical Volume)"
+            )
+        return cls(own[:, :dim].copy(), numbers.reshape(nodes.shape), cell_type, used)
+
+    @property
+    def corners(self) -> IntArray:
+        """(n_cells, k) vertices of each cell."""
+        return self.nodes[:, : corner_count(self.type)]
+
+    def refuse(self, bad: BoolArray, what: str) -> None:
+        """Raise GeometryError if there are bad cells, with their number and the first one's place."""
+        if bad.any():  # the places of all nodes of cells are many
+            refuse(bad, self.points[self.nodes], f"{{bad}} of {{all}} cells {what}; the first is at {{at}}")
+
+    def require_sound(self) -> None:
+        """Raise GeometryError for cells without volume, folded or duplicate cells, and for nodes at the same place."""
+        size = np.ptp(self.points[self.nodes], axis=1).max(axis=1)
+        jacobian = node_jacobians(self.points, self.nodes, self.type)
+        largest = np.abs(jacobian).max(axis=1)
+        self.refuse(largest <= FLAT_CELL * size ** self.points.shape[1], "are degenerate (no volume)")
+        smallest = (jacobian * np.sign(jacobian.sum(axis=1))[:, None]).min(axis=1)
+        self.refuse(
+            smallest <= FOLDED * largest, "are folded (their Jacobian vanishes or changes sign within the cell)"
+        )
+        _, first = np.unique(np.sort(self.corners, axis=1), axis=0, return_index=True)
+        self.refuse(
+            ~np.isin(np.arange(len(self.nodes)), first),
+            "have the vertices of another cell; each needs to be there once, in one group",
+        )
+        pairs = cKDTree(self.points).query_pairs(CLOSE * np.ptp(self.points, axis=0).max(), output_type="ndarray")
+        if len(pairs):
+            x = self.points[pairs[pairs[:, 0].argmin(), 0]]
+            raise GeometryError(
+                f"{len(pairs)} pairs of nodes at the same place, the first at {place(x)}: the cells there are not "
+                "connected; let bodies share their nodes (gmsh: BooleanFragments or Coherence before meshing, "
+                f"removeDuplicateNodes after it), or, for a gap that is to stay unbonded, draw it wider than {CLOSE:g} of "
+                "the mesh's size"
+            )
+
+    def facets_among(self, vertices: IntArray) -> FacetTable:
+        """Facets of the cells that have a whole facet among the given vertices; cells numbered as in `nodes`."""
+        near = np.flatnonzero(np.isin(self.corners, vertices).sum(axis=1) >= corner_count(FACET_TYPES[self.type]))
+        table = FacetTable.of(self.corners[near], self.type)
+        return replace(table, cells=np.where(table.cells < 0, -1, near[table.cells]))
 
 
 @dataclass(frozen=True)
@@ -29,37 +131,30 @@ class Sides:
 
     Attributes:
         S: name of the set of facets of the only seam; None for all facets between the regions `lower` and `upper`.
-        upper: names of the regions above S; None if not given.
-        lower: names of the regions below S; None if not given.
+        upper, lower: names of the regions above and below S; () if not given.
         direction: (d,) vector to the upper side; None if not given.
         seams: instead of these, the seams with their names; {} if there is only one.
     """
 
     S: str | None
-    upper: Names | None = None
-    lower: Names | None = None
+    upper: Names = ()
+    lower: Names = ()
     direction: tuple[float, ...] | None = None
     seams: Mapping[str, Seam] = field(default_factory=dict)
 
     @classmethod
-    def of(
-        cls,
-        surface: SeamsOf,
-        upper: str | Sequence[str] | None,
-        lower: str | Sequence[str] | None,
-        direction: Sequence[float] | None,
-    ) -> Sides:
+    def of(cls, S: Any = S, upper: Any = None, lower: Any = None, direction: Any = None) -> Sides:
         """The choice from arguments as in `read`; raises GeometryError for wrong types."""
         above, below, way = _names_of(upper, "upper"), _names_of(lower, "lower"), _direction(direction)
-        if surface is None or isinstance(surface, str):
-            return cls(surface, above, below, way)
-        rules = dict(surface) if isinstance(surface, Mapping) else dict.fromkeys(surface)
+        if S is None or isinstance(S, str):
+            return cls(S, above, below, way)
+        rules = dict(S) if isinstance(S, Mapping) else dict.fromkeys(S)
         if not rules or not all(isinstance(name, str) for name in rules):
             raise GeometryError(
-                f"S is {surface!r}; give the name of one set of facets (a group can have several parts), the names of "
-                "several, {name: its upper side}, or None for all facets between the regions lower and upper"
+                f"S is {S!r}; give the name of one set of facets (a group can have several parts), the names of several, "
+                "{name: its upper side}, or None for all facets between the regions lower and upper"
             )
-        if (above, below, way) != (None, None, None):
+        if above or below or way:
             raise GeometryError("S names several seams: give the sides of each there, as {name: (lower, upper)}")
         return cls(None, seams={name: _seam(name, rule) for name, rule in rules.items()})
 
@@ -77,8 +172,8 @@ def _seam(name: str, rule: Any) -> Seam:
             f"S: the upper side of {name!r} is {rule!r}; give a vector, (lower, upper) with names of regions, or None for "
             "the order of the regions"
         )
-    below, above = (_names_of(side, f"side of {name!r}") or () for side in rule)
-    return Seam(below, above)
+    lower, upper = (_names_of(side, f"side of {name!r}") for side in rule)
+    return Seam(lower, upper)
 
 
 def _direction(given: Any) -> tuple[float, ...] | None:
@@ -87,12 +182,12 @@ def _direction(given: Any) -> tuple[float, ...] | None:
     return None if given is None else tuple(float(c) for c in given)
 
 
-def _names_of(regions: str | Sequence[str] | None, what: str) -> Names | None:
-    """The names of one side's regions."""
-    names = (regions,) if isinstance(regions, str) else regions
-    if names is not None and not (isinstance(names, Sequence) and all(isinstance(name, str) for name in names)):
+def _names_of(regions: Any, what: str) -> Names:
+    """The names of one side's regions; () if none are given."""
+    names = (regions,) if isinstance(regions, str) else () if regions is None else regions
+    if not (isinstance(names, Sequence) and all(isinstance(name, str) for name in names)):
         raise GeometryError(f"{what} is {regions!r}; give the name of a region, or several in a list")
-    return None if names is None else tuple(names)
+    return tuple(names)
 
 
 @dataclass(frozen=True)
@@ -104,61 +199,63 @@ class Named:
         regions: name -> which of these cells are in the region.
         facets: name -> (n, k) vertices of the facets.
         source: origin of the names, for messages.
+        sides: the caller's choice among them.
     """
 
     cells: Cells
     regions: Groups
     facets: dict[str, IntArray]
     source: str
+    sides: Sides
 
-    @classmethod
-    def of(cls, cells: Cells, regions: Groups, facets: dict[str, IntArray], source: str, sides: Sides) -> Named:
-        """The named groups of a mesh. Where groups of cells overlap, the groups named in `sides` are the regions."""
-        chosen = (sides.upper or ()) + (sides.lower or ())
-        chosen += tuple(name for seam in sides.seams.values() for name in seam.lower + seam.upper)
-        both = [name for name in regions if name in facets and not name.isdigit()]
+    def joint(self) -> Joint:
+        """The joint; where groups of cells overlap, those named in `sides` are the regions.
+
+        Raises:
+            GeometryError: unusable cells or names, or an S that does not fit them.
+        """
+        named = replace(self, regions=self._disjoint())
+        self.cells.require_sound()
+        for name in self.sides.seams:
+            self._require_facets(name)
+        seams, facets = dict(self.sides.seams), self.facets
+        if not seams:
+            surface, seams[S] = named._single()
+            facets = {S: surface, **{name: rows for name, rows in facets.items() if name != self.sides.S}}
+        cells, region = self.cells, np.stack(list(named.regions.values())).argmax(axis=0)
+        return Joint(cells.points, cells.nodes, cells.type, region, tuple(named.regions), facets, seams)
+
+    def _disjoint(self) -> Groups:
+        """The regions, each cell in one of them."""
+        regions, cells, sides = self.regions, self.cells, self.sides
+        chosen = sides.upper + sides.lower + tuple(n for seam in sides.seams.values() for n in seam.lower + seam.upper)
+        both = [name for name in regions if name in self.facets and not name.isdigit()]
         if both:
             raise GeometryError(f"{both[0]!r} names both cells and facets; each needs its own name")
         for name in chosen:
             if name not in regions:
-                raise GeometryError(f"{unknown('region', name, regions)} ({source})")
-        cells.refuse(~np.any(list(regions.values()), axis=0), f"are in no named group ({source}: {', '.join(regions)})")
-        if chosen and (np.sum(list(regions.values()), axis=0) > 1).any():
+                raise GeometryError(f"{unknown('region', name, regions)} ({self.source})")
+        count = np.sum(list(regions.values()), axis=0)
+        cells.refuse(count == 0, f"are in no named group ({self.source}: {', '.join(regions)})")
+        if chosen and (count > 1).any():
             regions = {name: regions[name] for name in dict.fromkeys(chosen)}
-            missed = ~np.any(list(regions.values()), axis=0)
-            cells.refuse(missed, f"are in none of {', '.join(regions)}; name every region in upper or lower")
-        several = np.sum(list(regions.values()), axis=0) > 1
-        cells.refuse(several, f"are in several of the groups {', '.join(regions)}; name the regions in upper and lower")
-        return cls(cells, regions, facets, source)
-
-    def joint(self, sides: Sides) -> Joint:
-        """The joint; raises GeometryError for unusable cells and for an S that does not fit them."""
-        self.cells.require_sound()
-        if sides.seams:
-            for name in sides.seams:
-                self._require_facets(name)
-            seams, facets = dict(sides.seams), dict(self.facets)
-        else:
-            surface, seam = self._interface(sides.S, sides.upper, sides.lower, sides.direction)
-            seams, facets = {S: seam}, {S: surface, **{k: rows for k, rows in self.facets.items() if k != sides.S}}
-        region = np.stack(list(self.regions.values())).argmax(axis=0)
-        cells, names = self.cells, tuple(self.regions)
-        return Joint(cells.points, cells.nodes, cells.type, region, names, facets, seams)
+            count = np.sum(list(regions.values()), axis=0)
+            cells.refuse(count == 0, f"are in none of {', '.join(regions)}; name every region in upper or lower")
+        several = f"are in several of the groups {', '.join(regions)}; name the regions in upper and lower"
+        cells.refuse(count > 1, several)
+        return regions
 
     def _require_facets(self, name: str) -> None:
         """Raise GeometryError unless a set of facets of the mesh has this name."""
+        if not self.facets:
+            raise GeometryError(f"no facets are named {name!r} or anything else; name some, or give S=None and sides")
         if name not in self.facets:
-            raise GeometryError(
-                f"{unknown('set of facets', name, self.facets)} ({self.source})"
-                if self.facets
-                else f"no facets are named {name!r} or anything else; name some, or give S=None with upper and lower"
-            )
+            raise GeometryError(f"{unknown('set of facets', name, self.facets)} ({self.source})")
 
-    def _interface(
-        self, name: str | None, upper: Names | None, lower: Names | None, way: tuple[float, ...] | None
-    ) -> tuple[IntArray, Seam]:
+    def _single(self) -> tuple[IntArray, Seam]:
         """Facets (n, k) of the only seam, and its sides."""
-        regions = f"regions: {', '.join(self.regions)}"
+        name, upper, lower, way = self.sides.S, self.sides.upper, self.sides.lower, self.sides.direction
+        regions, whole = f"regions: {', '.join(self.regions)}", tuple(self.regions)
         if name is not None:
             self._require_facets(name)
         if name != S and S in self.facets:
@@ -168,46 +265,36 @@ class Named:
                 raise GeometryError(f"S=None is all that is between two bodies; give upper and lower; {regions}")
             return self._boundary(upper, lower), Seam(lower, upper)
         facets = self.facets[name]
-        table = self.cells.facets_among(np.unique(facets))
-        rows = table.index(facets)
-        self._refuse(facets, rows < 0, f"named {name!r} are not facets of the mesh's cells")
+        table, x = self.cells.facets_among(np.unique(facets)), self.cells.points[facets]
+        rows, what = table.index(facets), f"{{bad}} of {{all}} facets named {name!r}"
+        refuse(rows < 0, x, f"{what} are not facets of the mesh's cells; the first is at {{at}}")
         outer = table.cells[rows, 1] < 0
+        around = table.cells[rows][table.cells[rows] >= 0]
+        touched = [region for region, member in self.regions.items() if member[around].any()]
         if not outer.all():
-            self._refuse(
-                facets, outer, f"named {name!r} lie on the outer boundary, the others inside: S is one or the other"
-            )
+            what += " lie on the outer boundary, the others inside: S is one or the other"
+            refuse(outer, x, f"{what}; the first is at {{at}}")
         elif not lower:
             if way is not None:
                 raise GeometryError(f"direction is for S inside one body; {name!r} lies on the outer boundary")
-            self._require_touched(name, upper or tuple(self.regions), table.cells[rows, 0])
-            return facets, Seam((), upper or tuple(self.regions))
+            other = [region for region in touched if region not in (upper or whole)]
+            if other:
+                raise GeometryError(
+                    f"{name!r} lies on the outer boundary of {' and '.join(other)}, and {'+'.join(upper)}, named in upper, "
+                    f"does not touch it there; have both bodies the same nodes on {name!r}?"
+                )
+            return facets, Seam((), upper or whole)
         if way is not None:
-            whole = tuple(self.regions)
             return facets, Seam(lower or upper or whole, upper or lower or whole, way)
         if not upper:
-            touched = [region for region, member in self.regions.items() if member[table.cells[rows]].any()]
             raise GeometryError(
                 f"{name!r} lies inside {' and '.join(touched)}; name the regions above it in upper, or give the "
                 f"direction of the upper side if the same body is on both; {regions}"
             )
-        lower = tuple(region for region in self.regions if region not in upper) if lower is None else lower
+        lower = lower or tuple(region for region in whole if region not in upper)
         if not lower:
             raise GeometryError(f"{name!r} lies inside {'+'.join(upper)}, nothing is left below it; give the direction")
         return facets, Seam(lower, upper)
-
-    def _require_touched(self, name: str, upper: Names, cells: IntArray) -> None:
-        """Raise GeometryError unless the cells at S, which lies on the outer boundary, belong to the upper body."""
-        other = [region for region in self.regions if region not in upper and self.regions[region][cells].any()]
-        if other:
-            raise GeometryError(
-                f"{name!r} lies on the outer boundary of {' and '.join(other)}, and {'+'.join(upper)}, named in upper, "
-                f"does not touch it there; have both bodies the same nodes on {name!r}?"
-            )
-
-    def _refuse(self, facets: IntArray, bad: npt.NDArray[np.bool_], what: str) -> None:
-        if bad.any():
-            x = self.cells.points[facets[bad.argmax()]].mean(axis=0)
-            raise GeometryError(f"{bad.sum()} of {len(bad)} facets {what}; the first is at {place(x)}")
 
     def _boundary(self, upper: Names, lower: Names) -> IntArray:
         """All facets between the bodies."""

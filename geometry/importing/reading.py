@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import io
+import re
+import warnings
+from collections import Counter
 from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from functools import partial
+from itertools import takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
+import dolfinx
 import numpy as np
 from mpi4py import MPI
 
 from forms.base import is_finite
-from geometry.errors import GeometryError, place
-from geometry.importing.cells import Cells
-from geometry.importing.meshfile import cells_of, load
-from geometry.importing.naming import Groups, Named, SeamsOf, Sides
+from geometry.errors import GeometryError, refuse, unknown
+from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
 from geometry.joint import Joint
 from geometry.parallel import on_root
 from geometry.topology import FACET_TYPES, IntArray, corner_count
@@ -24,18 +29,25 @@ if TYPE_CHECKING:
 
 FACETS = {"interval": "line", "triangle": "triangle", "quadrilateral": "quad"}  # start of meshio's names
 PHYSICAL = "gmsh:physical"
+CELLS = {
+    "triangle": "triangle",
+    "triangle6": "triangle",
+    "quad": "quadrilateral",
+    "quad9": "quadrilateral",
+    "tetra": "tetrahedron",
+    "tetra10": "tetrahedron",
+    "hexahedron": "hexahedron",
+    "hexahedron27": "hexahedron",
+}
+REMEDIES = {
+    "quad8|hexahedron20": "save complete cells (gmsh: Mesh.SecondOrderIncomplete = 0)",
+    "wedge|pyramid": "mesh with tetrahedra or with hexahedra alone",
+    "vertex|line": "save the bodies' cells too (gmsh: name them with Physical Surface or Physical Volume)",
+    "": "save cells of degree 1 or 2 (gmsh: Mesh.ElementOrder)",
+}
 
 
-def read(
-    path: str | Path,
-    *,
-    S: SeamsOf = "S",
-    upper: str | Sequence[str] | None = None,
-    lower: str | Sequence[str] | None = None,
-    direction: Sequence[float] | None = None,
-    scale: float = 1.0,
-    comm: MPI.Intracomm | None = None,
-) -> Joint:
+def read(path: str | Path, *, scale: float = 1.0, comm: MPI.Intracomm | None = None, **sides: Unpack[SidesOf]) -> Joint:
     """A joint from a mesh file. Collective.
 
     Names are gmsh's physical names, or the file's cell sets. Without these, names are the numbers, as text, in the cell
@@ -62,16 +74,16 @@ def read(
     """
     if not isinstance(path, (str, Path)):
         raise GeometryError(f"path is {path!r}; it must be the name of a file")
-    sides = Sides.of(S, upper, lower, direction)
+    chosen = Sides.of(**sides)
     if not is_finite(scale) or scale <= 0:
         raise GeometryError(f"scale is {scale!r}; it must be a number > 0")
-    return on_root(comm, partial(_read, Path(path), sides, scale))
+    return on_root(comm, partial(_read, Path(path), chosen, scale))
 
 
 def _read(path: Path, sides: Sides, scale: float) -> Joint:
     try:
-        mesh = load(path, scale)
-        cells = cells_of(mesh)
+        mesh = _load(path, scale)
+        cells = _cells_of(mesh)
         dim = cells.points.shape[1]
         source, array = _source(mesh)
         regions = _groups(mesh, dim, array)
@@ -79,9 +91,70 @@ def _read(path: Path, sides: Sides, scale: float) -> Joint:
             example = f'Physical {"Surface" if dim == 2 else "Volume"}("BODY") = {{...}}'
             raise GeometryError(f"no named groups of cells ({source}); in gmsh: {example}; saved with Mesh.SaveAll = 0")
         facets = _vertices(mesh, cells, _groups(mesh, dim - 1, array))
-        return Named.of(cells, regions, facets, source, sides).joint(sides)
+        return Named(cells, regions, facets, source, sides).joint()
     except GeometryError as error:
         raise GeometryError(f"{path}: {error}") from None
+
+
+def _load(path: Path, scale: float) -> meshio.Mesh:
+    """The file as meshio reads it, coordinates times a factor; messages that meshio prints are suppressed.
+
+    Raises:
+        GeometryError: no such file, not readable, or two groups with one physical name.
+    """
+    import meshio  # not needed by joints that are built
+
+    if not path.is_file():
+        raise GeometryError("this is a folder, not a file" if path.is_dir() else "there is no such file")
+    if not {path.suffix.lower(), "".join(path.suffixes[-2:]).lower()} & meshio.extension_to_filetypes.keys():
+        raise GeometryError(unknown("suffix", path.suffix, meshio.extension_to_filetypes))
+    if path.suffix.lower() == ".msh":
+        _require_single_names(path)
+    said = io.StringIO()
+    try:
+        with redirect_stdout(said), redirect_stderr(said), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            mesh = meshio.read(path)
+    except ImportError as error:
+        raise GeometryError(f"{path.suffix} files need the Python package {error.name}") from None
+    except (Exception, SystemExit) as error:  # meshio exits Python when no reader succeeds
+        why = " ".join(said.getvalue().split()) if isinstance(error, SystemExit) else f"{type(error).__name__}: {error}"
+        hint = "; in gmsh save with Mesh.SaveAll = 0, Mesh.SaveParametric = 0" if path.suffix.lower() == ".msh" else ""
+        raise GeometryError(f"meshio cannot read this {path.suffix} file ({why}){hint}") from None
+    mesh.points = np.asarray(mesh.points, float) * scale
+    return mesh
+
+
+def _require_single_names(path: Path) -> None:
+    """Raise GeometryError if two groups have the same physical name: meshio would drop one of them."""
+    end = ("$EndPhysicalNames", "$Nodes", "$Elements")
+    with path.open("rb") as file:
+        lines = (line.decode(errors="replace") for line in file)
+        head = "".join(takewhile(lambda line: not line.startswith(end), lines))
+    found = re.findall(r'^\s*(\d)\s+(\d+)\s+"(.*)"\s*$', head.partition("$PhysicalNames")[2], re.MULTILINE)
+    for name, count in Counter(name for *_, name in found).items():
+        if count > 1:
+            groups = " and ".join(f"{number} of dimension {dim}" for dim, number, other in found if other == name)
+            raise GeometryError(f"the physical name {name!r} stands for the groups {groups}; each needs its own name")
+
+
+def _cells_of(mesh: meshio.Mesh) -> Cells:
+    """The cells of highest dimension; raises GeometryError if they are not all of one known type, or a surface in space."""
+    dim = max((block.dim for block in mesh.cells if len(block)), default=0)
+    blocks = [block for block in mesh.cells if len(block) and block.dim == dim]
+    kinds = list(dict.fromkeys(block.type for block in blocks))
+    if not kinds:
+        raise GeometryError("the file has no cells")
+    types = ", ".join(f"{sum(len(block) for block in blocks if block.type == kind)} {kind}" for kind in kinds)
+    if len(kinds) > 1:
+        raise GeometryError(f"mixed cell types: {types}; a joint needs cells of one type")
+    kind = kinds[0]
+    if kind not in CELLS:
+        remedy = next(text for pattern, text in REMEDIES.items() if re.match(pattern, kind))
+        raise GeometryError(f"cells of a type that is not allowed: {types}; allowed: {', '.join(CELLS)}; {remedy}")
+    cells = np.concatenate([block.data for block in blocks]).astype(np.int64)
+    order = dolfinx.cpp.io.perm_vtk(dolfinx.mesh.to_type(CELLS[kind]), cells.shape[1])
+    return Cells.of(mesh.points, cells[:, order], CELLS[kind], types)
 
 
 def _source(mesh: meshio.Mesh) -> tuple[str, str | None]:
@@ -144,11 +217,7 @@ def _vertices(mesh: meshio.Mesh, cells: Cells, groups: Groups) -> dict[str, IntA
     number[cells.used] = np.arange(len(cells.used))
     rows = np.concatenate([block.data[:, : corner_count(kind)] for block in blocks]).astype(np.int64)
     for name, member in groups.items():
-        loose = member & (number[rows] < 0).any(axis=1)
-        if loose.any():
-            x = mesh.points[rows[loose.argmax()], : cells.points.shape[1]].mean(axis=0)
-            raise GeometryError(
-                f"{loose.sum()} of {member.sum()} facets named {name!r} are not part of the bodies' mesh, the first at "
-                f"{place(x)}; in gmsh fragment the bodies with it, or embed it"
-            )
+        loose, x = member & (number[rows] < 0).any(axis=1), mesh.points[rows, : cells.points.shape[1]]
+        what = f"{{bad}} of {member.sum()} facets named {name!r} are not part of the bodies' mesh, the first at {{at}}"
+        refuse(loose, x, f"{what}; in gmsh fragment the bodies with it, or embed it")
     return {name: np.unique(np.sort(number[rows[member]], axis=1), axis=0) for name, member in groups.items()}

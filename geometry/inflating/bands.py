@@ -9,7 +9,7 @@ from functools import cached_property
 import basix
 import numpy as np
 
-from geometry.errors import GeometryError, place
+from geometry.errors import GeometryError, place, refuse
 from geometry.joint import Joint
 from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, is_tensor, lagrange
 
@@ -120,25 +120,20 @@ class Posts:
 
     def between(self, values: FloatArray) -> tuple[IntArray, FloatArray, IntArray]:
         """Nodes between copies, values there, linear between those (n_nodes, d) at the copies, and their nodes of S."""
-        nodes, found, below = [], [], []
-        for kind, heights in enumerate(self.heights):
-            here = np.flatnonzero(self.kind == kind)
-            low, high = values[self.ends[here, 0]], values[self.ends[here, 1]]
-            for level, z in enumerate(heights[1:-1], 1):
-                nodes.append(self.number(here, level))
-                found.append((1 - z) * low + z * high)
-                below.append(self.nodes[here])
-        if not nodes:
-            return np.empty(0, np.int64), np.empty((0, values.shape[1])), np.empty(0, np.int64)
-        return np.concatenate(nodes), np.concatenate(found), np.concatenate(below)
+        posts = [np.flatnonzero(self.kind == kind) for kind in range(len(self.heights))]
+        every = [(p, level, z) for p, h in zip(posts, self.heights, strict=True) for level, z in enumerate(h[1:-1], 1)]
+        nodes = [self.number(some, level) for some, level, _ in every]
+        low, high = (values[self.ends[:, k]] for k in (0, 1))
+        at = [(1 - z) * low[some] + z * high[some] for some, _, z in every]
+        below = [self.nodes[some] for some, _, _ in every]
+        none = np.empty(0, np.int64)
+        return np.concatenate([none, *nodes]), np.concatenate([values[:0], *at]), np.concatenate([none, *below])
 
     def joined(self, ends: IntArray, nodes: IntArray, kind: int) -> Posts:
         """These posts and more of them."""
-        more = np.full(len(nodes), kind)
-        return Posts(
-            self.first_new, np.concatenate([self.ends, ends]), np.concatenate([self.nodes, nodes]),
-            np.concatenate([self.kind, more]), self.heights,
-        )  # fmt: skip
+        more = (self.ends, ends), (self.nodes, nodes), (self.kind, np.full(len(nodes), kind))
+        ends, nodes, kinds = map(np.concatenate, more)
+        return replace(self, ends=ends, nodes=nodes, kind=kinds)
 
 
 @dataclass(frozen=True)
@@ -173,35 +168,26 @@ def posts_of(joint: Joint, copies: Copies, heights: Sequence[FloatArray]) -> tup
     _, first, at = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     at = at.ravel()
     ends = np.column_stack([below, above])[first]
-    closed = first[ends[:, 0] == ends[:, 1]]
-    if len(closed):
-        x = joint.points[joint.surface.ravel()[closed[0]]]
-        raise GeometryError(
-            f"at {place(x)} one body lies on both sides of S: the layer has no room there and cannot be meshed; use the "
-            "interface model"
-        )
+    closed = (
+        "one body lies on both sides of S: the layer has no room there and cannot be meshed; use the interface model"
+    )
+    refuse(ends[:, 0] == ends[:, 1], joint.points[joint.surface.ravel()[first]], f"at {{at}} {closed}")
     turned = below != ends[at, 0]
     seam = np.repeat(joint.seam_numbers, joint.surface.shape[1])
     kinds: list[FloatArray] = []
     kind_of_seam = np.array([_kind(one, kinds) for one in heights])
     cases, example = np.unique(np.column_stack([seam[first][at], seam, turned]), axis=0, return_index=True)
-    for (one, other, way), where in zip(cases, example, strict=True):
-        wanted = 1 - heights[other][::-1] if way else heights[other]
-        if not _same(heights[one], wanted):
-            names = list(joint.seams)
-            what = (
-                f"{names[one]!r} and {names[other]!r} continue one another"
-                if one != other
-                else "the upper side changes"
-            )
+    names, places = list(joint.seams), joint.points[joint.surface.ravel()[example]]
+    for (one, other, way), x in zip(cases, places, strict=True):
+        if not _same(heights[one], 1 - heights[other][::-1] if way else heights[other]):
+            continues = f"{names[one]!r} and {names[other]!r} continue one another"
             raise GeometryError(
-                f"at {place(joint.points[joint.surface.ravel()[where]])} {what}, and their sublayers do not meet: give "
-                "them the same ones, and an upper side on the same body"
+                f"at {place(x)} {continues if one != other else 'the upper side changes'}, and their sublayers do not "
+                "meet: give them the same ones, and an upper side on the same body"
             )
         if way and joint.dim == 3:
             raise GeometryError(
-                f"the upper side of S changes at {place(joint.points[joint.surface.ravel()[where]])}: in 3D a layer needs "
-                "one upper side and one lower side there"
+                f"the upper side of S changes at {place(x)}: in 3D each layer needs one on one side there"
             )
     posts = Posts(
         len(joint.points) + len(copies.new), ends, joint.surface.ravel()[first], kind_of_seam[seam[first]], tuple(kinds)

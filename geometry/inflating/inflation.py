@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from geometry.errors import GeometryError, place
+from geometry.errors import GeometryError, refuse
 from geometry.inflating.bands import Copies, Footing, Posts, band_cells, posts_of
-from geometry.inflating.blocks import Filled, fill
-from geometry.inflating.faces import moved_facets
-from geometry.inflating.junctions import Corners, are_filled, common_normals, junction_posts, junctions_of, polyhedra_of
-from geometry.inflating.layering import Layering, check_junctions, check_layering, claims_of, facets_with_cells
-from geometry.inflating.motion import NOT_KEPT, UNIFORM, extended_motion, face_motion, kept_motion
-from geometry.inflating.room import is_swept, require_apart, require_room
+from geometry.inflating.corners import Corners, are_filled, common_normals, junction_posts, junctions_of, polyhedra_of
+from geometry.inflating.extended_bodies import extended_motion, face_motion
+from geometry.inflating.filling import Filled, fill
+from geometry.inflating.kept_bodies import NOT_KEPT, UNIFORM, is_swept, kept_motion, require_apart, require_room
+from geometry.inflating.layering import Layering, check_junctions, check_layering, moved_facets
 from geometry.joint import Band, Joint, Profile
 from geometry.periodic import repeated, require_inside
 from geometry.seam import JUNCTIONS, LAYER
@@ -84,9 +84,7 @@ def inflate(
     require_inside(joint)
     periods, joint = joint.periods, replace(joint, periods=None)
     fixed = np.unique(np.concatenate(periods.pairs)) if periods else np.empty(0, np.int64)
-    claims = claims_of(joint, junctions, gaps)
-    with_cells = facets_with_cells(joint, gaps, meshed)
-    layers = Layering.of(joint, eps, profile, cells_through, fractions)
+    layers = Layering.of(joint, eps, profile, cells_through, fractions, junctions, gaps, meshed)
     copies = Copies.of(joint)
     posts, footing = posts_of(joint, copies, layers.heights)
     meeting = junction_posts(posts)
@@ -101,27 +99,29 @@ def inflate(
     footprint = np.concatenate([np.arange(len(joint.points)), copies.new, np.empty(posts.size, np.int64)])
     motion[nodes], footprint[nodes] = moved, below
 
-    bands, names = _bands(joint, posts, footing, layers, claims, with_cells)
-    between = _Cells.empty(joint)
+    bands, names = _bands(joint, posts, footing, layers)
+    between = _Cells(joint.cells[:0], joint.region[:0], bands.director[:0])
     if len(meetings.of):
         filled = fill(joint, posts, meetings, around, copied, footprint[: len(copied)])
         motion, footprint = np.concatenate([motion, filled.values]), np.concatenate([footprint, filled.nodes])
-        between = _junctions(joint, posts, footing, (meetings, around), claims, filled)
+        between = _junctions(joint, posts, footing, (meetings, around), layers.claims, filled)
     owners = np.unique(between.region)
     seams, prefix = list(joint.seams), f"{LAYER}/{JUNCTIONS}"
     shared = {prefix if len(owners) == 1 else f"{prefix}/{seams[k]}": seams[k] for k in owners}
     askew = np.unique(between.region[(between.director == 0).all(axis=(1, 2))])
     first = len(joint.regions) + sum(map(len, names.values()))
 
-    number = _numbers(len(footprint), copies.cells, bands.cells, between.cells)
-    footprint, motion = footprint[number >= 0], motion[number >= 0]
+    used = np.zeros(len(footprint), bool)
+    for some in (copies.cells, bands.cells, between.cells):
+        used[some] = True
+    number = np.where(used, np.cumsum(used) - 1, -1)
+    footprint, motion = footprint[used], motion[used]
     points, copies = joint.points[footprint] + motion, copies.renumbered(number)
     in_layers = number[np.concatenate([bands.cells, between.cells])]
     cells = np.concatenate([copies.cells, in_layers])
     _check_cells(joint, points, cells, len(bands.cells))
-    facets, faces = moved_facets(
-        joint, copies, in_layers[:, : joint.corners.shape[1]], len(bands.cells), footprint, with_cells
-    )
+    corners = in_layers[:, : joint.corners.shape[1]]
+    facets, faces = moved_facets(joint, copies, layers, corners, len(bands.cells), footprint)
     regions = (*(name for of_seam in names.values() for name in of_seam), *shared)
     opened = Joint(
         points,
@@ -149,8 +149,7 @@ def inflate(
     return repeated(opened, periods) if periods else opened
 
 
-@dataclass(frozen=True)
-class _Cells:
+class _Cells(NamedTuple):
     """Cells of layers.
 
     Attributes:
@@ -162,16 +161,6 @@ class _Cells:
     cells: IntArray
     region: IntArray
     director: FloatArray
-
-    @classmethod
-    def empty(cls, joint: Joint) -> _Cells:
-        """No cells."""
-        return cls(joint.cells[:0], joint.region[:0], np.empty((0, joint.corners.shape[1], joint.dim)))
-
-    @classmethod
-    def joined(cls, several: Sequence[_Cells]) -> _Cells:
-        """All of several sets of cells."""
-        return cls(*(np.concatenate([getattr(one, of) for one in several]) for of in ("cells", "region", "director")))
 
 
 def _junctions(
@@ -215,30 +204,21 @@ def _unit(directors: FloatArray) -> FloatArray:
     return np.where((directors == 0).all(axis=-1, keepdims=True), fixed, directors)
 
 
-def _numbers(n: int, *cells: IntArray) -> IntArray:
-    """(n,) numbers of the nodes of cells in the same order without gaps; -1 for nodes that no cell has."""
-    used = np.zeros(n, bool)
-    for some in cells:
-        used[some] = True
-    return np.where(used, np.cumsum(used) - 1, -1)
-
-
-def _bands(
-    joint: Joint, posts: Posts, footing: Footing, layers: Layering, claims: Sequence[str], with_cells: BoolArray
-) -> tuple[_Cells, dict[str, tuple[str, ...]]]:
+def _bands(joint: Joint, posts: Posts, footing: Footing, layers: Layering) -> tuple[_Cells, dict[str, tuple[str, ...]]]:
     """Cells of the bands, and the names of their regions, by seam, from the lower to the upper face; not of gaps."""
     found: list[_Cells] = []
     names: dict[str, tuple[str, ...]] = {}
     first = len(joint.regions)
-    for seam in [name for name in joint.seams if name in claims]:
-        number = list(joint.seams).index(seam)
-        rows, fractions = np.flatnonzero((joint.seam_numbers == number) & with_cells), layers.fractions[seam]
+    for number, seam in enumerate(joint.seams):
+        if seam not in layers.claims:
+            continue
+        rows, fractions = np.flatnonzero((joint.seam_numbers == number) & layers.with_cells), layers.fractions[seam]
         cells, sublayer, director = band_cells(joint, posts, footing, rows, layers.heights[number], fractions)
         whole = LAYER if len(joint.seams) == 1 else f"{LAYER}/{seam}"
         names[seam] = tuple(f"{whole}/{k + 1}" for k in range(len(fractions))) if len(fractions) else (whole,)
         found.append(_Cells(cells, first + sublayer, director))
         first += len(names[seam])
-    return _Cells.joined(found), names
+    return _Cells(*map(np.concatenate, zip(*found, strict=True))), names
 
 
 def _motion(
@@ -273,17 +253,10 @@ def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int
     before = node_jacobians(joint.points, joint.cells, joint.cell_type)
     after = node_jacobians(points, cells, joint.cell_type)
     n = len(joint.cells)
-    bad = np.flatnonzero((before * after[:n] <= 0).any(axis=1))
-    if len(bad):
-        x = joint.points[joint.cells[bad[0]]].mean(axis=0)
-        raise GeometryError(
-            f"eps is too large for these bodies: {len(bad)} cells turn inside out, the first at {place(x)}; take a smaller "
-            "eps, larger cells there (at sharp ends several times eps), or on planar seams bodies='kept', which keeps cells"
-        )
-    bad = np.flatnonzero(~((after[n:] > 0).all(axis=1) | (after[n:] < 0).all(axis=1)))
-    if len(bad):
-        x = points[cells[n + bad[0]]].mean(axis=0)
-        where = "the layer" if bad[0] < n_bands else "a junction of layers"
-        raise GeometryError(
-            f"S turns too sharply for this eps: {len(bad)} cells of {where} are folded, the first at {place(x)}"
-        )
+    large = "eps is too large for these bodies: {bad} cells turn inside out, the first at {at}; take a smaller eps"
+    remedy = "larger cells there (at sharp ends several times eps), or on planar seams bodies='kept', which keeps cells"
+    refuse((before * after[:n] <= 0).any(axis=1), joint.points[joint.cells], f"{large}, {remedy}")
+    folded = np.abs(np.sign(after[n:]).sum(axis=1)) < after.shape[1]
+    where = "the layer" if folded[:n_bands].any() else "a junction of layers"
+    what = f"S turns too sharply for this eps: {{bad}} cells of {where} are folded, the first at {{at}}"
+    refuse(folded, points[cells[n:]], what)

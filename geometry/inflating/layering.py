@@ -1,68 +1,48 @@
-"""What is given of layers that are to be meshed, checked."""
+"""What is given of layers that are to be meshed, checked, and the facet sets of the joint that has them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from itertools import combinations
+from typing import Any, TypeVar
 
 import numpy as np
 
 from forms.base import is_finite
-from geometry.errors import GeometryError, place, unknown
-from geometry.inflating.bands import Posts, level_heights
+from geometry.errors import GeometryError, place, refuse, unknown
+from geometry.inflating.bands import Copies, Posts, level_heights
 from geometry.joint import Joint, Profile
-from geometry.topology import BoolArray, FloatArray, IntArray, ridges
+from geometry.seam import BASE, CUT, LAYER, LOWER_FACE, UPPER_FACE
+from geometry.sheet import continued
+from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, ridge_keys, ridges
 
 WAYS = ("kept", "extended")
 THINNEST = 1e-11  # thickness of a meshed layer over the size of its joint
 Given = TypeVar("Given")
 
 
-def claims_of(joint: Joint, junctions: Sequence[str], gaps: Sequence[str]) -> list[str]:
-    """Names of the seams with cells, in the order of their claims to those of junctions."""
-    for what, names in (("junctions", junctions), ("gaps", gaps)):
-        for name in names:
-            if name not in joint.seams:
-                raise GeometryError(f"{what}: {unknown('seam', name, joint.seams)}")
-    claims = [name for name in dict.fromkeys([*junctions, *joint.seams]) if name not in gaps]
-    if not claims:
-        raise GeometryError("all seams are gaps: there is no layer to mesh; use the interface model")
-    return claims
-
-
-def facets_with_cells(joint: Joint, gaps: Sequence[str], meshed: BoolArray | None) -> BoolArray:
+def _with_cells(joint: Joint, gaps: Sequence[str], meshed: BoolArray | None) -> BoolArray:
     """(n_S,) which facets of S get cells: those of `meshed`, None being all, that are in no gap.
 
     Raises:
         GeometryError: `meshed` is none of n_S truth values; no facet gets cells; S branches, or seams meet, at a facet
             that gets none.
     """
-    in_gaps = np.isin(joint.seam_numbers, [list(joint.seams).index(name) for name in gaps])
+    in_gaps = np.isin(np.array([*joint.seams])[joint.seam_numbers], list(gaps))
+    if in_gaps.all():
+        raise GeometryError("all seams are gaps: there is no layer to mesh; use the interface model")
     if meshed is None:
         return np.asarray(~in_gaps)
     chosen, n = np.asarray(meshed), len(joint.surface_rows)
     if chosen.dtype != bool or chosen.shape != (n,):
         raise GeometryError(f"meshed has shape {chosen.shape} and type {chosen.dtype}; it needs {n} truth values")
-    vertices = joint.table.vertices[joint.surface_rows]
-    without = vertices[~chosen & ~in_gaps]
-    lacking = np.intersect1d(without, _meetings(joint))
-    if len(lacking):
-        raise GeometryError(
-            f"S branches, or seams meet, at {place(joint.points[lacking[0]])}: the facets of S there need cells"
-        )
-    if not (found := chosen & ~in_gaps).any():
+    without = np.unique(joint.table.vertices[joint.surface_rows[~chosen & ~in_gaps]])
+    lacking = "S branches, or seams meet, at {at}: the facets of S there need cells"
+    refuse(np.isin(without, joint.meetings), joint.points[without], lacking)
+    if not (chosen & ~in_gaps).any():
         raise GeometryError("no facet of S gets cells: there is no layer to mesh; use the interface model")
-    return np.asarray(found)
-
-
-def _meetings(joint: Joint) -> IntArray:
-    """The vertices where S branches, or where seams meet."""
-    found, counts = ridges(joint.surface, joint.cell_type)
-    vertices = joint.table.vertices[joint.surface_rows]
-    pairs = np.unique(np.column_stack([vertices.ravel(), joint.seam_numbers.repeat(vertices.shape[1])]), axis=0)
-    several, times = np.unique(pairs[:, 0], return_counts=True)
-    return np.union1d(found[counts > 2].ravel(), several[times > 1])
+    return np.asarray(chosen & ~in_gaps)
 
 
 def by_seam(joint: Joint, given: Given | Mapping[str, Given], what: str, *default: Given) -> dict[str, Given]:
@@ -87,9 +67,7 @@ def check_layering(cells_through: int, bodies: str) -> None:
     if bodies not in WAYS:
         raise GeometryError(unknown("way to make room for the layer (bodies=...)", bodies, WAYS))
     if not is_finite(cells_through) or int(cells_through) != cells_through or cells_through < 1:
-        raise GeometryError(
-            f"cells_through is {cells_through!r}; the layer needs a whole number >= 1 of cells through its thickness"
-        )
+        raise GeometryError(f"cells_through is {cells_through!r}; the layer needs a whole number >= 1 of cells")
 
 
 @dataclass(frozen=True)
@@ -102,6 +80,8 @@ class Layering:
         heights: of the levels of nodes.
         thickness: (n_S, k) at the nodes of each facet of S.
         varying: names of the seams with a profile.
+        claims: names of the seams with cells, in the order of their claims to those of junctions.
+        with_cells: (n_S,) which facets of S get cells.
     """
 
     eps: dict[str, float]
@@ -109,52 +89,50 @@ class Layering:
     heights: list[FloatArray]
     thickness: FloatArray
     varying: tuple[str, ...]
+    claims: list[str]
+    with_cells: BoolArray
 
     @classmethod
     def of(
-        cls,
-        joint: Joint,
-        eps: float | Mapping[str, float],
-        profile: Profile | Mapping[str, Profile | None] | None,
-        cells_through: int,
-        fractions: Sequence[float] | Mapping[str, Sequence[float]],
+        cls, joint: Joint, eps: Any, profile: Any, through: int, fractions: Any, junctions: Any, gaps: Any, meshed: Any
     ) -> Layering:
-        """From the arguments of `inflate`.
-
-        Raises:
-            GeometryError: a size or fractions out of range; S reaches a periodic side; S ends inside the bodies.
-        """
-        sizes, shares = by_seam(joint, eps, "eps"), by_seam(joint, fractions, "fractions", ())
-        profiles = by_seam(joint, profile, "profile", None)
-        for name in joint.seams:
-            one, some = sizes[name], shares[name]
-            which = "" if len(joint.seams) == 1 else f" of {name!r}"
-            if not is_finite(one) or one <= 0:
-                raise GeometryError(f"the layer's thickness eps{which} is {one!r}; it must be > 0")
-            if one < THINNEST * (size := float(np.ptp(joint.points, axis=0).max())):
+        """From the arguments of `inflate`; raises GeometryError if they are out of range, or S ends inside the bodies."""
+        for what, names in (("junctions", junctions), ("gaps", gaps)):
+            for name in names:
+                if name not in joint.seams:
+                    raise GeometryError(f"{what}: {unknown('seam', name, joint.seams)}")
+        with_cells = _with_cells(joint, gaps, meshed)
+        sizes: dict[str, float] = by_seam(joint, eps, "eps")
+        shares: dict[str, Sequence[float]] = by_seam(joint, fractions, "fractions", ())
+        profiles: dict[str, Profile | None] = by_seam(joint, profile, "profile", None)
+        whole = float(np.ptp(joint.points, axis=0).max())
+        for name, size in sizes.items():
+            which, some = "" if len(joint.seams) == 1 else f" of {name!r}", shares[name]
+            if not is_finite(size) or size <= 0:
+                raise GeometryError(f"the layer's thickness eps{which} is {size!r}; it must be > 0")
+            if size < THINNEST * whole:
                 raise GeometryError(
-                    f"the layer's thickness eps{which} is {one:.3g}, which coordinates do not resolve beside bodies of "
-                    f"{size:.3g}; use the interface model"
+                    f"the layer's thickness eps{which} is {size:.3g}, which coordinates do not resolve beside bodies of "
+                    f"{whole:.3g}; use the interface model"
                 )
             if len(some) and not (all(map(is_finite, some)) and min(some) > 0 and abs(sum(some) - 1) <= 1e-12):
                 raise GeometryError(
-                    f"the sublayers' fractions {tuple(some)}{which} must be numbers > 0 and add up to 1"
+                    f"the fractions {tuple(some)}{which} of sublayers must be numbers > 0 and add up to 1"
                 )
         if joint.tip is not None:
             raise GeometryError(
                 f"S ends inside the bodies (near {place(joint.tip)}): the layer has no room at its tip and cannot be "
                 "meshed; use the interface model"
             )
-        thickness = np.empty(joint.surface.shape)
-        for number, name in enumerate(joint.seams):
-            here = joint.seam_numbers == number
-            thickness[here] = float(sizes[name]) * joint.relative_thickness(profiles[name], name)[joint.surface[here]]
+        relative = np.stack([size * joint.relative_thickness(profiles[name], name) for name, size in sizes.items()])
         return cls(
-            {name: float(one) for name, one in sizes.items()},
+            {name: float(size) for name, size in sizes.items()},
             shares,
-            [level_heights(joint.degree, cells_through, shares[name]) for name in joint.seams],
-            thickness,
+            [level_heights(joint.degree, through, some) for some in shares.values()],
+            relative[joint.seam_numbers[:, None], joint.surface],
             tuple(name for name in joint.seams if profiles[name] is not None),
+            [name for name in dict.fromkeys([*junctions, *joint.seams]) if name not in gaps],
+            with_cells,
         )
 
 
@@ -168,24 +146,87 @@ def check_junctions(joint: Joint, posts: Posts, seams: IntArray, meeting: IntArr
         meeting: these posts.
         layers: the layers.
     """
-    names = np.array(list(joint.seams))[seams]
-    reasons = {
-        "the sublayers of one layer have no place in the others": np.array(
-            [len(layers.fractions[n]) > 0 for n in names], bool
-        ),
-        "junctions are meshed between layers of uniform thickness only": np.isin(names, layers.varying),
-        "junctions are meshed between straight-sided cells only": np.full(len(meeting), joint.degree == 2),
-    }
-    for reason, holds in reasons.items():
-        if holds.any():
-            x = joint.points[posts.nodes[meeting[holds][0]]]
-            raise GeometryError(
-                f"S branches at {place(x)}, where three or more bodies meet: {reason}; use the interface model"
-            )
+    names, x = np.array([*joint.seams])[seams], joint.points[posts.nodes[meeting]]
+    layered = [name for name, some in layers.fractions.items() if len(some)]
+    for reason, of_seams in (
+        ("the sublayers of one layer have no place in the others", layered),
+        ("junctions are meshed between layers of uniform thickness only", list(layers.varying)),
+        ("junctions are meshed between straight-sided cells only", [*joint.seams] if joint.degree == 2 else []),
+    ):
+        where = "S branches at {at}, where three or more bodies meet"
+        refuse(np.isin(names, of_seams), x, f"{where}: {reason}; use the interface model")
     odd = posts.top[meeting] % 2 > 0
-    if odd.any():
-        first = meeting[odd][0]
-        x = joint.points[posts.nodes[first]]
-        raise GeometryError(
-            f"cells_through is {posts.top[first]}: layers meet at {place(x)} and need an even number of cells there"
+    through = f"cells_through is {posts.top[meeting][odd.argmax()]}" if odd.any() else ""
+    refuse(odd, x, f"{through}: layers meet at {{at}} and need an even number of cells there")
+
+
+def moved_facets(
+    joint: Joint, copies: Copies, layers: Layering, cells: IntArray, n_bands: int, footprint: IntArray
+) -> tuple[dict[str, IntArray], tuple[str, ...]]:
+    """Facet sets of the inflated joint, and the names of those between bodies and layers.
+
+    Args:
+        joint: the joint before inflating.
+        copies: of its nodes.
+        layers: what is given of the layers.
+        cells: vertices of the layers' cells, those of bands first.
+        n_bands: number of the latter.
+        footprint: node of S below or above each node.
+    """
+    filled, order = layers.with_cells, np.argsort(joint.surface[:, : joint.table.vertices.shape[1]], axis=1)
+    above, below = (np.take_along_axis(side, order, axis=1) for side in (copies.above, copies.below))
+    on_base = joint.surface_cells[:, 0] < 0
+    out: dict[str, IntArray] = {}
+    faces: list[str] = []
+    for number, seam in enumerate(joint.seams):
+        of_seam, prefix = joint.seam_numbers == number, "" if len(joint.seams) == 1 else f"{seam}/"
+        both = {UPPER_FACE: above} if on_base[of_seam].any() else {UPPER_FACE: above, LOWER_FACE: below}
+        named = {f"{prefix}{name}": side[of_seam] for name, side in both.items()}
+        out |= named
+        faces += named if filled[of_seam].any() else ()
+    if (on_base & filled).any():
+        out[BASE] = below[on_base & filled]
+    sides, of_band = _side_faces(cells, n_bands, joint.cell_type, np.concatenate([above[filled], below[filled]]))
+    stands = footprint[sides]
+    below_sides, upright = _ridges(stands, joint.dim), (stands == stands[:, :1]).all(axis=1)
+    at_cut = np.isin(below_sides, _cut(joint, filled)).any(axis=1)
+    if at_cut.any():
+        out[CUT] = sides[at_cut]
+    for name, facets in joint.facets.items():
+        if name in joint.seams:
+            continue
+        rows = joint.table.index(facets)
+        out[name] = joint.table.nodes(rows, copies.cells[:, : joint.corners.shape[1]], joint.cell_type)
+        outer = facets[joint.table.cells[rows, 1] < 0]
+        on = np.isin(below_sides, continued(joint, outer)).any(axis=1)
+        around = stands[on & of_band]  # the end of a junction in 3D continues what the layers around it do
+        on |= upright & np.isin(stands[:, 0], around)
+        if on.any():
+            out[f"{name}/{LAYER}"] = sides[on]
+    return out, tuple(faces)
+
+
+def _cut(joint: Joint, filled: BoolArray) -> IntArray:
+    """Keys of the ridges of S between facets with cells and facets of the same seam without."""
+    found = []
+    for number in range(len(joint.seams)):
+        of_seam = joint.seam_numbers == number
+        with_cells, without = (
+            ridge_keys(ridges(joint.surface[of_seam & some], joint.cell_type)[0]) for some in (filled, ~filled)
         )
+        found.append(np.intersect1d(with_cells, without))
+    return np.concatenate(found)
+
+
+def _side_faces(layers: IntArray, n_bands: int, cell_type: str, faces: IntArray) -> tuple[IntArray, BoolArray]:
+    """Outer facets of the layers other than their lower and upper faces, and whether they are those of bands."""
+    table = FacetTable.of(layers, cell_type)
+    outer = table.cells[:, 1] < 0
+    outer[table.index(faces)] = False
+    return table.vertices[outer], table.cells[outer, 0] < n_bands
+
+
+def _ridges(rows: IntArray, dim: int) -> IntArray:
+    """Keys of the ridges of facets given by vertices: vertices in 2D, edges (and a quadrilateral's diagonals) in 3D."""
+    pairs = combinations(range(rows.shape[1]), dim - 1)
+    return np.stack([ridge_keys(rows[:, list(pair)]) for pair in pairs], axis=1)

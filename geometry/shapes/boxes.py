@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Self
 
 from geometry.seam import S
-from geometry.shapes import gmsh
-from geometry.shapes.drawing import Drawing
-from geometry.shapes.prism import Prism
-from geometry.shapes.sizing import Grading, times
+from geometry.shapes.drawing import Drawing, Extent, Prism
+from geometry.shapes.sizing import Grading, gmsh
 
 
 @dataclass(frozen=True)
@@ -31,29 +28,9 @@ class Boxes(Prism):
         return {"width": self.width} | {f"height of {name}": height for name, height in self.bodies}
 
     @property
-    def thinnest(self) -> float:
-        """The smallest side."""
-        return min(self.lengths.values())
-
-    @property
-    def span(self) -> float:
-        """The longest side of S."""
-        return max(self.width, self.depth or 0.0)
-
-    @property
-    def distance(self) -> str:
-        """Distance from S."""
-        return "abs(y)"
-
-    def scaled(self, factor: float) -> Self:
-        """All lengths times a factor."""
-        return replace(
-            self,
-            cells=self.cells.scaled(factor),
-            depth=self.depth and times(self.depth, factor),
-            width=times(self.width, factor),
-            bodies=tuple((name, times(height, factor)) for name, height in self.bodies),
-        )
+    def extent(self) -> Extent:
+        """The smallest side, the longest one of S, and the height."""
+        return Extent(min(self.lengths.values()), max(self.width, self.depth or 0.0), "abs(y)")
 
     def draw_plane(self) -> Drawing:
         """Rectangles, the cells of their grid from h_S at S to h away from it, from h_ends at S's ends to h_S between."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import permutations, product
 from math import ceil
 
@@ -20,122 +19,94 @@ BED, HEAD = "BED", "HEAD"
 SIDES = (("LEFT", "RIGHT"), ("BOTTOM", "TOP"), ("BACK", "FRONT"))  # at the least and the largest place along each axis
 
 
-@dataclass(frozen=True)
-class Bricks:
-    """A wall of bricks; in every other course they are shifted by half a brick, and the ends are half bricks.
+def running_bond(cells: Cells, size: Sequence[float], bricks: int, courses: int) -> Joint:
+    """A wall whose bricks are shifted by half in every other course, with half bricks at the ends.
 
-    Attributes:
+    Args:
         cells: the requested cells.
         size: lengths of a brick along each axis, > 0.
         bricks, courses: number of bricks in a course, and of courses.
+
+    Raises:
+        GeometryError: sizes or numbers are out of range.
     """
-
-    cells: Cells
-    size: tuple[float, ...]
-    bricks: int
-    courses: int
-
-    def build(self) -> Joint:
-        """The joint; raises GeometryError for sizes and numbers that are out of range."""
-        self._check()
-        h, kind = self.cells.h or min(self.size) / 4, self._kind
-        half, *others = (max(1, ceil(round(length / h, DIGITS))) for length in (self.size[0] / 2, *self.size[1:]))
-        counts = [2 * half * self.bricks, others[0] * self.courses, *others[1:]]
-        lengths = [self.size[0] * self.bricks, self.size[1] * self.courses, *self.size[2:]]
-        points, cells, at = _grid(lengths, counts, kind)
-        course = at[:, 1] // others[0]
-        brick = (at[:, 0] + half * (course % 2)) // (2 * half)
-        return _joined(points, cells, kind, lengths, course, brick, course)
-
-    @property
-    def _kind(self) -> str:
-        return _kind(self.cells, self.size)
-
-    def _check(self) -> None:
-        _check_size(self.cells, self.size)
-        for what, number in (("bricks", self.bricks), ("courses", self.courses)):
-            if not is_finite(number) or number != int(number) or number < 1:
-                raise GeometryError(f"{what} is {number!r}; it must be a whole number >= 1")
-        if self.bricks * self.courses == 1:
-            raise GeometryError("one brick is no wall: there is no joint in it")
+    half, height, *others = _counts(cells, size, 1)
+    for what, number in (("bricks", bricks), ("courses", courses)):
+        if not is_finite(number) or number != int(number) or number < 1:
+            raise GeometryError(f"{what} is {number!r}; it must be a whole number >= 1")
+    if bricks * courses == 1:
+        raise GeometryError("one brick is no wall: there is no joint in it")
+    lengths = [size[0] * bricks, size[1] * courses, *size[2:]]
+    return _joint(cells, lengths, [2 * half * int(bricks), height * int(courses), *others], (half, height))
 
 
-@dataclass(frozen=True)
-class BondCell:
-    """The cell that repeats in a running bond: one brick wide and two courses high, cut through bricks.
+def repeated_bond(cells: Cells, size: Sequence[float], cut: tuple[float, float]) -> Joint:
+    """The cell that repeats in a running bond, not yet periodic: one brick wide and two courses high, cut through bricks.
 
-    Attributes:
+    Args:
         cells: the requested cells.
         size: lengths of a brick along each axis, > 0.
         cut: place of the cell's left lower corner in a brick, as shares of its width and height, between 0 and 1.
+
+    Raises:
+        GeometryError: sizes are out of range, or the cut is along a joint.
     """
-
-    cells: Cells
-    size: tuple[float, ...]
-    cut: tuple[float, float]
-
-    def build(self) -> Joint:
-        """The joint, not yet periodic; raises GeometryError for sizes that are out of range and cuts along joints."""
-        _check_size(self.cells, self.size)
-        h, kind = self.cells.h or min(self.size) / 4, _kind(self.cells, self.size)
-        half, height, *others = (ceil(round(length / h, DIGITS)) for length in (self.size[0] / 2, *self.size[1:]))
-        half, height, others = max(2, half), max(2, height), [max(1, n) for n in others]
-        across, up = self._cut(half, height)
-        counts, lengths = [2 * half, 2 * height, *others], [self.size[0], 2 * self.size[1], *self.size[2:]]
-        points, cells, at = _grid(lengths, counts, kind)
-        course = (at[:, 1] + up) // height
-        brick = (at[:, 0] + across + half * (course % 2)) // (2 * half)
-        return _joined(points, cells, kind, lengths, course, brick, course % 2)
-
-    def _cut(self, half: int, height: int) -> tuple[int, int]:
-        """The cut in cells, from the left lower corner of a brick."""
-        if np.shape(self.cut) != (2,) or not all(is_finite(c) and 0 < c < 1 for c in self.cut):
-            raise GeometryError(
-                f"cut is {self.cut!r}; it must be two shares of a brick's width and height, between 0 and 1"
-            )
-        across, up = round(2 * half * self.cut[0]), round(height * self.cut[1])
-        if across % half == 0 or up % height == 0:
-            raise GeometryError(
-                f"cut is {tuple(self.cut)}, which is along a joint of a grid with {2 * half} x {height} cells in a brick: "
-                "the cells on its two sides would be no neighbours in the mesh; cut through bricks"
-            )
-        return across, up
+    half, height, *others = _counts(cells, size, 2)
+    if np.shape(cut) != (2,) or not all(is_finite(c) and 0 < c < 1 for c in cut):
+        raise GeometryError(f"cut is {cut!r}; it must be two shares of a brick's width and height, between 0 and 1")
+    start = round(2 * half * cut[0]), round(height * cut[1])
+    if start[0] % half == 0 or start[1] % height == 0:
+        raise GeometryError(
+            f"cut is {tuple(cut)}, which is along a joint of a grid with {2 * half} x {height} cells in a brick: the cells "
+            "on its two sides would be no neighbours in the mesh; cut through bricks"
+        )
+    return _joint(cells, [size[0], 2 * size[1], *size[2:]], [2 * half, 2 * height, *others], (half, height), start)
 
 
-def _kind(cells: Cells, size: Sequence[float]) -> str:
-    return cells.kind or {2: "quadrilateral", 3: "hexahedron"}[len(size)]
-
-
-def _check_size(cells: Cells, size: Sequence[float]) -> None:
+def _counts(cells: Cells, size: Sequence[float], least: int) -> list[int]:
+    """Cells in half a brick along x, in its height, at least so many in each of the two, and in its depth."""
     names = ("width", "height", "depth")
     cells.check({f"{name} of a brick": a for name, a in zip(names, size, strict=False)}, len(size))
+    h = cells.h or min(size) / 4
+    half, height, *depth = (max(1, ceil(round(length / h, DIGITS))) for length in (size[0] / 2, *size[1:]))
+    return [max(least, half), max(least, height), *depth]
 
 
-def _joined(
-    points: FloatArray,
-    cells: IntArray,
-    kind: str,
+def _joint(
+    cells: Cells,
     lengths: Sequence[float],
-    course: IntArray,
-    brick: IntArray,
-    region: IntArray,
+    counts: Sequence[int],
+    brick: tuple[int, int],
+    start: tuple[int, int] = (0, 0),
 ) -> Joint:
-    """The joint of a grid, with beds between courses, heads between the bricks of a course, and its sides."""
-    d = len(lengths)
-    table = FacetTable.of(cells, kind)
+    """The joint of a grid, with beds between courses, heads between the bricks of a course, and its sides.
+
+    Args:
+        cells: the requested cells.
+        lengths, counts: size of the grid along each axis, and its numbers of cells.
+        brick: numbers of cells in half a brick along x, and in its height.
+        start: the place in a brick where the grid begins, in cells.
+    """
+    d, (half, height) = len(lengths), brick
+    kind = cells.cell or {2: "quadrilateral", 3: "hexahedron"}[d]
+    points, rows, at = _grid(lengths, counts, kind)
+    course = (at[:, 1] + start[1]) // height
+    number = (at[:, 0] + start[0] + half * (course % 2)) // (2 * half)
+    region = course % (counts[1] // height)
+    table = FacetTable.of(rows, kind)
     first, second = table.cells.T
-    cut = (second >= 0) & ((course[first] != course[second]) | (brick[first] != brick[second]))
-    beds = cut & (course[first] != course[second])
-    facets = {BED: table.vertices[beds], HEAD: table.vertices[cut & ~beds]}
+    beds = (second >= 0) & (course[first] != course[second])
+    heads = (second >= 0) & ~beds & (number[first] != number[second])
+    facets = {BED: table.vertices[beds], HEAD: table.vertices[heads]}
     x = points[table.vertices]
     for k, names in enumerate(SIDES[:d]):
         for name, end in zip(names, (0.0, lengths[k]), strict=True):
             facets[name] = table.vertices[(second < 0) & (x[..., k] == end).all(axis=1)]
-    up, along = (tuple(float(k == axis) for k in range(d)) for axis in (1, 0))
-    seams = {BED: Seam(direction=up), HEAD: Seam(direction=along)}
-    seams = {name: seam for name, seam in seams.items() if len(facets[name])}
+    facets = {name: of_name for name, of_name in facets.items() if len(of_name)}
+    ways = {BED: 1, HEAD: 0}
+    seams = {name: Seam(direction=tuple(map(float, np.eye(d)[k]))) for name, k in ways.items() if name in facets}
     regions = tuple(f"COURSE {k + 1}" for k in range(int(region.max()) + 1))
-    return Joint(points, cells, kind, region, regions, {k: v for k, v in facets.items() if len(v)}, seams)
+    return Joint(points, rows, kind, region, regions, facets, seams)
 
 
 def _grid(lengths: Sequence[float], counts: Sequence[int], kind: str) -> tuple[FloatArray, IntArray, IntArray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import degrees
 from typing import Any, Self
@@ -12,14 +12,12 @@ from scipy.spatial import Voronoi, cKDTree
 
 from forms.base import is_finite
 from forms.temperature import real
-from geometry.errors import GeometryError, place
+from geometry.errors import GeometryError, place, refuse
 from geometry.periods import SAME_PLACE
 from geometry.seam import LEAST_COSINE, Seam
-from geometry.shapes import gmsh
-from geometry.shapes.drawing import Drawing, Shape
-from geometry.shapes.lines import Lines
-from geometry.shapes.sizing import Cells, times
-from geometry.topology import FloatArray, IntArray
+from geometry.shapes.drawing import Drawing, Extent, Shape
+from geometry.shapes.sizing import Cells, gmsh
+from geometry.topology import BoolArray, FloatArray, IntArray, connected, sums
 
 SIDES = ("BOTTOM", "RIGHT", "TOP", "LEFT")
 NEAR = 0.5  # least distance between lines that do not meet, over the cell size there
@@ -54,36 +52,20 @@ class CutRectangle(Shape):
     centres: FloatArray | None = None
 
     @property
-    def dim(self) -> int:
-        """Space dimension."""
-        return 2
-
-    @property
     def lengths(self) -> dict[str, float]:
         """The sides."""
         return {"width": self.width, "height": self.height}
 
     @property
-    def thinnest(self) -> float:
-        """The size of grains, or the smaller side."""
-        return self.grain
-
-    @property
-    def span(self) -> float:
-        """The longer side."""
-        return max(self.width, self.height)
+    def extent(self) -> Extent:
+        """The size of grains, or the smaller side, and the longer side."""
+        return Extent(self.grain, max(self.width, self.height))
 
     def scaled(self, factor: float) -> Self:
         """All lengths times a factor; coordinates are rounded."""
-        return replace(
-            self,
-            cells=self.cells.scaled(factor),
-            width=times(self.width, factor),
-            height=times(self.height, factor),
-            grain=times(self.grain, factor),
-            lines=replace(self.lines, points=np.round(self.lines.points * factor, DECIMALS)),
-            centres=None if self.centres is None else self.centres * factor,
-        )
+        lines = replace(self.lines, points=np.round(self.lines.points * factor, DECIMALS))
+        centres = None if self.centres is None else self.centres * factor
+        return replace(super().scaled(factor), lines=lines, centres=centres)
 
     def draw(self) -> Drawing:
         """The rectangle in fragments, with the lines that end in one of them."""
@@ -104,25 +86,19 @@ class CutRectangle(Shape):
     def _order(self, middles: FloatArray) -> IntArray:
         """The order of the parts with these centres of mass."""
         if self.centres is None:
-            return np.lexsort(np.round(middles / self.span, DECIMALS).T[::-1])
+            return np.lexsort(np.round(middles / self.extent.span, DECIMALS).T[::-1])
         return np.argsort(cKDTree(self.centres).query(middles)[1])
-
-
-def require_sides(width: float, height: float, cells: Cells) -> None:
-    """Raise GeometryError for sides and cell sizes that are out of range."""
-    cells.check({"width": width, "height": height}, 2)
 
 
 def faulted(cells: Cells, width: float, height: float, faults: Mapping[str, Any]) -> CutRectangle:
     """A block with faults: name -> points, from one end to the other. Raises GeometryError, see `builders.faults`."""
-    require_sides(width, height, cells)
+    cells.check({"width": width, "height": height}, 2)
     if not isinstance(faults, Mapping) or not faults:
         raise GeometryError(f"faults is {faults!r}; it must be {{name: points of the fault}}, one or more")
-    for name in faults:
-        if name in SIDES or not isinstance(name, str):
-            raise GeometryError(f"{name!r} cannot be the name of a fault; not allowed: {', '.join(SIDES)}")
+    _check_names(faults, "fault")
     given = {name: _path(name, points) for name, points in faults.items()}
-    seams = {name: Seam(direction=_left(name, x)) for name, x in given.items()}
+    ways = {name: x[-1] - x[0] for name, x in given.items()}
+    seams = {name: Seam(direction=(-float(way[1]), float(way[0]))) for name, way in ways.items()}
     pieces = [np.stack([x[:-1], x[1:]], axis=1) for x in given.values()]
     of_piece = np.repeat(np.arange(len(given)), [len(piece) for piece in pieces])
     names = (*SIDES, *(list(given)[k] for k in of_piece))
@@ -131,8 +107,14 @@ def faulted(cells: Cells, width: float, height: float, faults: Mapping[str, Any]
         if not any(names[k] == name for k in lines.line):
             raise GeometryError(f"the fault {name!r} lies outside the block (0, {width:g}) x (0, {height:g})")
     shape = CutRectangle(cells, width, height, min(width, height), names, lines, seams, "BLOCK")
-    _require_apart(shape, "faults", "let them meet, draw them farther apart, or use smaller cells")
-    return shape
+    return _apart(shape, "faults", "let them meet, draw them farther apart, or use smaller cells")
+
+
+def _check_names(names: Iterable[Any], what: str) -> None:
+    """Raise GeometryError for names that lines inside cannot have."""
+    for name in names:
+        if name in SIDES or not isinstance(name, str):
+            raise GeometryError(f"{name!r} cannot be the name of a {what}; not allowed: {', '.join(SIDES)}")
 
 
 def _points(given: Any, what: str) -> FloatArray:
@@ -147,23 +129,15 @@ def _points(given: Any, what: str) -> FloatArray:
 
 
 def _path(name: str, points: Any) -> FloatArray:
-    """(n, 2) points of a fault; raises GeometryError."""
+    """(n, 2) points of a fault that does not turn back; raises GeometryError."""
     x = _points(points, f"the fault {name!r}")
-    if not np.diff(x, axis=0).any(axis=1).all():
-        raise GeometryError(f"two points of the fault {name!r} that follow each other are the same")
-    return x
-
-
-def _left(name: str, x: FloatArray) -> tuple[float, float]:
-    """The vector to the left of a fault, seen from its first to its last point; raises GeometryError if it turns back."""
     way, whole = np.diff(x, axis=0), x[-1] - x[0]
+    if not way.any(axis=1).all():
+        raise GeometryError(f"two points of the fault {name!r} that follow each other are the same")
     back = way @ whole <= LEAST_COSINE * np.linalg.norm(way, axis=1) * np.linalg.norm(whole)
-    if back.any():
-        raise GeometryError(
-            f"the fault {name!r} turns back at {place(x[back.argmax()])}, so that its left side cannot be told by one "
-            "vector; give its parts names of their own"
-        )
-    return (-float(whole[1]), float(whole[0]))
+    reason = "so that its left side cannot be told by one vector; give its parts names of their own"
+    refuse(back, x[:-1], f"the fault {name!r} turns back at {{at}}, {reason}")
+    return x
 
 
 def _inside(width: float, height: float, cuts: FloatArray, names: Sequence[str]) -> Lines:
@@ -182,33 +156,25 @@ def _inside(width: float, height: float, cuts: FloatArray, names: Sequence[str])
     return lines
 
 
-def _require_apart(shape: CutRectangle, what: str, remedy: str) -> None:
-    """Raise GeometryError for lines that nearly touch."""
+def _apart(shape: CutRectangle, what: str, remedy: str) -> CutRectangle:
+    """The shape; raises GeometryError for lines that nearly touch, or meet at a sharp angle."""
     size = shape.sizes[2]
     distance, at = shape.lines.nearest()
     if distance < NEAR * size:
-        raise GeometryError(
-            f"{what} nearly touch each other or a side, or are as short, at {place(at)}: {distance:.3g}, less than "
-            f"{NEAR:g} cells of size {size:g}; {remedy}"
-        )
+        touch = f"{what} nearly touch each other or a side, or are as short, at {place(at)}"
+        raise GeometryError(f"{touch}: {distance:.3g}, less than {NEAR:g} cells of size {size:g}; {remedy}")
     angle, at = shape.lines.sharpest()
     if angle < SHARP:
-        raise GeometryError(
-            f"{what} meet each other or a side at {degrees(angle):.3g} degrees at {place(at)}; allowed: at least "
-            f"{degrees(SHARP):.3g}"
-        )
+        meet = f"{what} meet each other or a side at {degrees(angle):.3g} degrees at {place(at)}"
+        raise GeometryError(f"{meet}; allowed: at least {degrees(SHARP):.3g}")
+    return shape
 
 
 def grained(
-    cells: Cells,
-    width: float,
-    height: float,
-    grains: int | Any,
-    seed: int,
-    seams: Callable[[int, int], str] | None,
+    cells: Cells, width: float, height: float, grains: Any, seed: int, seams: Callable[[int, int], str] | None
 ) -> CutRectangle:
     """Voronoi grains of given points, or of random ones. Raises GeometryError, see `builders.grains`."""
-    require_sides(width, height, cells)
+    cells.check({"width": width, "height": height}, 2)
     size = max(width, height)
     box = np.array([width, height]) / size
     if np.ndim(grains) == 0:
@@ -221,27 +187,20 @@ def grained(
         points = np.asarray(_seeds(grains, width, height) / size, float)
     ridges, pairs = _ridges(points, box)
     named = [seams(int(a), int(b)) for a, b in pairs + 1] if seams else ["S"] * len(pairs)
-    for name in dict.fromkeys(named):
-        if name in SIDES or not isinstance(name, str):
-            raise GeometryError(f"{name!r} cannot be the name of a seam; not allowed: {', '.join(SIDES)}")
+    _check_names(named, "seam")
     names = (*SIDES, *named)
     lines = _inside(width, height, ridges * size, names)
     grain = size * float(np.sqrt(box.prod() / len(points)))
-    shape = CutRectangle(
-        cells, width, height, grain, names, lines, {name: Seam() for name in sorted(set(named))}, "GRAIN", points * size
-    )
-    _require_apart(shape, "boundaries of grains", "use smaller cells, another seed or other points")
-    return shape
+    sides = {name: Seam() for name in sorted(set(named))}
+    shape = CutRectangle(cells, width, height, grain, names, lines, sides, "GRAIN", points * size)
+    return _apart(shape, "boundaries of grains", "use smaller cells, another seed or other points")
 
 
 def _seeds(given: Any, width: float, height: float) -> FloatArray:
     """(n, 2) points of grains; raises GeometryError."""
     x = _points(given, "grains")
-    outside = ~((x > 0) & (x < (width, height))).all(axis=1)
-    if outside.any():
-        raise GeometryError(
-            f"the point {place(x[outside][0])} of a grain is not inside the rectangle (0, {width:g}) x (0, {height:g})"
-        )
+    box = f"the rectangle (0, {width:g}) x (0, {height:g})"
+    refuse(~((x > 0) & (x < (width, height))).all(axis=1), x, f"the point {{at}} of a grain is not inside {box}")
     same = cKDTree(x).query_pairs(SAME_PLACE * max(width, height), output_type="ndarray")
     if len(same):
         raise GeometryError(f"two points of grains are the same, {place(x[same[0, 0]])}")
@@ -288,10 +247,8 @@ def _relaxed(points: FloatArray, box: FloatArray) -> FloatArray:
         one, other = pairs[short].T
         way = cells.points[other] - cells.points[one]
         way *= SHORT * size / 2 / np.linalg.norm(way, axis=1)[:, None]
-        moved = np.zeros_like(cells.points)
-        np.add.at(moved, one, way)
-        np.add.at(moved, other, -way)
-        points = points + moved[:n]
+        count = len(cells.points)
+        points = points + (sums(one, way, count) - sums(other, way, count))[:n]
     return points
 
 
@@ -306,5 +263,105 @@ def _centres(points: FloatArray, box: FloatArray) -> FloatArray:
     to = x - points[own][:, None]
     area = np.abs(to[:, 0, 0] * to[:, 1, 1] - to[:, 0, 1] * to[:, 1, 0])  # twice that of a triangle over the point
     moment = area[:, None] * to.sum(axis=1) / 3
-    total = np.bincount(own, area, n)
-    return np.asarray(points + np.stack([np.bincount(own, m, n) for m in moment.T], axis=1) / total[:, None])
+    return np.asarray(points + sums(own, moment, n) / np.bincount(own, area, n)[:, None])
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Segments that have only ends in common.
+
+    Attributes:
+        points: (n, 2) ends of segments, coordinates.
+        ends: (m, 2) the two points of each segment, in the direction of its line.
+        line: (m,) the line that each segment is a part of.
+    """
+
+    points: FloatArray
+    ends: IntArray
+    line: IntArray
+
+    @classmethod
+    def of(cls, lines: FloatArray, tolerance: float) -> Self:
+        """Lines (k, 2, 2), given by their ends, parted at all points where two of them meet.
+
+        Points as near to each other as the tolerance, a length, are one; so is a point and the place on a line beside it.
+        """
+        x = np.concatenate([lines.reshape(-1, 2), _crossings(lines)])
+        pairs = cKDTree(x).query_pairs(tolerance, output_type="ndarray").reshape(-1, 2)
+        _, first = np.unique(connected(pairs[:, 0], pairs[:, 1], len(x)), return_index=True)
+        points = x[np.sort(first)]
+        share, distance = _feet(points, lines)
+        near = distance <= 2 * tolerance
+        line, point = np.nonzero(near.T)
+        order = np.lexsort((share.T[line, point], line))
+        line, point = line[order], point[order]
+        same = line[1:] == line[:-1]
+        return cls(points, np.column_stack([point[:-1], point[1:]])[same], line[1:][same])
+
+    def where(self, kept: BoolArray) -> Self:
+        """A part of the segments, and their ends."""
+        used, ends = np.unique(self.ends[kept], return_inverse=True)
+        return type(self)(self.points[used], ends.reshape(-1, 2), self.line[kept])
+
+    @property
+    def middles(self) -> FloatArray:
+        """(m, 2) the middle of each segment."""
+        return self.points[self.ends].mean(axis=1)
+
+    def doubles(self) -> IntArray:
+        """(n, 2) pairs of segments with the same ends, on different lines that lie on each other."""
+        ends = np.sort(self.ends, axis=1)
+        order = np.lexsort(ends.T)
+        same = (np.diff(ends[order], axis=0) == 0).all(axis=1)
+        return np.column_stack([order[:-1], order[1:]])[same]
+
+    def nearest(self) -> tuple[float, FloatArray]:
+        """The least distance of a point from a segment that does not end there, or length of a segment; its place (2,)."""
+        a, b = self.points[self.ends].swapaxes(0, 1)
+        share, distance = _feet(self.points, np.stack([a, b], axis=1))
+        every = np.arange(len(a))
+        distance[self.ends.T, every] = np.inf
+        point, segment = np.unravel_index(distance.argmin(), distance.shape)
+        length = np.linalg.norm(b - a, axis=1)
+        if length.min() <= distance[point, segment]:
+            return float(length.min()), self.middles[length.argmin()]
+        foot = a[segment] + share[point, segment] * (b - a)[segment]
+        return float(distance[point, segment]), (foot + self.points[point]) / 2
+
+    def sharpest(self) -> tuple[float, FloatArray]:
+        """The least angle between two segments that meet, in radians, and where they do (2,)."""
+        start = np.concatenate([self.ends, self.ends[:, ::-1]])
+        way = self.points[start[:, 1]] - self.points[start[:, 0]]
+        angle = np.arctan2(way[:, 1], way[:, 0])
+        order = np.lexsort((angle, start[:, 0]))
+        at, angle = start[order, 0], angle[order]
+        first, last, every = np.searchsorted(at, at), np.searchsorted(at, at, "right") - 1, np.arange(len(at))
+        after = np.where(every == last, first, every + 1)
+        gap = np.where(first == last, 2 * np.pi, (angle[after] - angle) % (2 * np.pi))
+        k = gap.argmin()
+        return float(gap[k]), self.points[at[k]]
+
+
+def _crossings(lines: FloatArray) -> FloatArray:
+    """(n, 2) places inside two lines (k, 2, 2), where they cross."""
+    start, way = lines[:, 0], lines[:, 1] - lines[:, 0]
+    one, other = np.triu_indices(len(lines), 1)
+    apart = start[other] - start[one]
+    turn = _cross(way[one], way[other])
+    parallel = turn == 0
+    turn = np.where(parallel, 1.0, turn)
+    s, t = _cross(apart, way[other]) / turn, _cross(apart, way[one]) / turn
+    inside = ~parallel & (s > 0) & (s < 1) & (t > 0) & (t < 1)
+    return np.asarray(start[one[inside]] + s[inside, None] * way[one[inside]])
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+
+def _feet(points: FloatArray, lines: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n, k) where on each line the place next to each point is, as a share of its length, and how far the point is."""
+    start, way = lines[:, 0], lines[:, 1] - lines[:, 0]
+    to = points[:, None] - start
+    share = np.clip((to * way).sum(axis=2) / (way**2).sum(axis=1), 0.0, 1.0)
+    return share, np.linalg.norm(to - share[..., None] * way, axis=2)

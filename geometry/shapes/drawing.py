@@ -5,19 +5,19 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from math import floor, log10
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import dolfinx
 import numpy as np
 
+from forms.base import is_number
 from geometry.errors import GeometryError
 from geometry.joint import Joint
 from geometry.seam import S, Seam
-from geometry.shapes import gmsh
-from geometry.shapes.sizing import CELLS, RANGE, Cells, Grading, require_wide
+from geometry.shapes.sizing import CELLS, PARTS, RANGE, Cells, Grading, gmsh, require_wide, times
 from geometry.topology import FACET_TYPES, FloatArray, IntArray, corner_count, is_tensor
 
 FAMILIES = {"interval": "line", "quadrilateral": "quadrangle"}  # gmsh's names, where they differ from ours
@@ -49,9 +49,25 @@ class Drawing:
             object.__setattr__(self, "seams", {S: Seam(tuple(below), (above,))})
 
 
+class Extent(NamedTuple):
+    """What cell sizes of a shape follow from.
+
+    Attributes:
+        thinnest: the length that the default cell size divides.
+        span: length of S in 2D, of the longest curve around it in 3D.
+        distance: distance from S of a shape in 3D, a formula in x, y and z.
+        limit: a further bound of the cell size, a formula in x, y and z; "": none.
+    """
+
+    thinnest: float
+    span: float
+    distance: str = "0"
+    limit: str = ""
+
+
 @dataclass(frozen=True)
 class Shape(ABC):
-    """A joint that gmsh can draw and mesh."""
+    """A joint that gmsh can draw and mesh. All numbers among its fields are lengths."""
 
     cells: Cells
 
@@ -59,9 +75,9 @@ class Shape(ABC):
         self.cells.check(self.lengths, self.dim)
 
     @property
-    @abstractmethod
     def dim(self) -> int:
         """Space dimension."""
+        return 2
 
     @property
     @abstractmethod
@@ -70,40 +86,25 @@ class Shape(ABC):
 
     @property
     @abstractmethod
-    def thinnest(self) -> float:
-        """The length that the default cell size divides."""
+    def extent(self) -> Extent:
+        """Lengths that the sizes of cells depend on."""
 
-    @property
-    @abstractmethod
-    def span(self) -> float:
-        """Length of S in 2D, of the longest curve around it in 3D."""
-
-    @property
-    def distance(self) -> str:
-        """Distance from S of a shape in 3D, a formula in x, y and z."""
-        return "0"
-
-    @property
-    def limits(self) -> list[str]:
-        """Further bounds of the cell size, formulas in x, y and z."""
-        return []
-
-    @abstractmethod
     def scaled(self, factor: float) -> Self:
         """The shape, sizes of cells included, with all lengths times a factor."""
+        return replace(self, **{f.name: _scaled(getattr(self, f.name), factor) for f in fields(self)})
 
     @abstractmethod
     def draw(self) -> Drawing:
         """Draw with gmsh's built-in kernel."""
 
     def settle(self, points: FloatArray, cells: IntArray) -> FloatArray:
-        """The final places (n_points, d) of a mesh's points; vertices do not move."""
+        """The final places (n_points, d) of the points of a grid of degree 2; vertices do not move."""
         return points
 
     @property
     def kind(self) -> str:
         """Type of the cells."""
-        return self.cells.kind or CELLS[self.dim][0]
+        return self.cells.cell or CELLS[self.dim][0]
 
     @property
     def gridded(self) -> bool:
@@ -111,14 +112,11 @@ class Shape(ABC):
         return self.cells.structured or is_tensor(self.kind)
 
     @property
-    def curved_grid(self) -> bool:
-        """Whether the mesh is a grid of cells of degree 2."""
-        return is_tensor(self.kind) and self.cells.degree == 2
-
-    @property
     def sizes(self) -> tuple[float, float, float]:
         """(h, h_S, h_ends) with their defaults."""
-        return self.cells.sizes(self.thinnest, self.dim)
+        h = float(self.cells.h or self.extent.thinnest / PARTS[self.dim])
+        h_S = float(self.cells.h_S or h)
+        return h, h_S, float(self.cells.h_ends or h_S)
 
     def build(self) -> Joint:
         """Mesh with gmsh and take the arrays over.
@@ -127,7 +125,7 @@ class Shape(ABC):
         between 1 and 1000, and the mesh is the same in nm, mm, m and km.
         """
         largest = max(self.lengths.values())
-        require_wide("the thinnest part", self.thinnest, largest)
+        require_wide("the thinnest part", self.extent.thinnest, largest)
         if self.cells.h is None and self.sizes[0] < RANGE * largest:
             raise GeometryError(f"the default cell size h is {self.sizes[0]:g}; give h, from {RANGE * largest:g} on")
         digits = UNITS * floor(log10(largest) / UNITS)
@@ -178,16 +176,16 @@ class Shape(ABC):
         ends = [tag for (_, tag), count in Counter(boundary).items() if count != 2]
         formulas = []
         for dim, where, size in ((self.dim - 1, s, h_S), (self.dim - 2, ends, h_ends)):
-            distance = f"({self.distance})"
+            distance = f"({self.extent.distance})"
             if dim < 2:  # gmsh measures the distance from curves and points of its built-in kernel, not from surfaces
                 nearest = field.add("Distance")
                 field.setNumbers(nearest, ("PointsList", "CurvesList")[dim], where)
-                field.setNumber(nearest, "Sampling", min(20000, int(4 * self.span / size)))
+                field.setNumber(nearest, "Sampling", min(20000, int(4 * self.extent.span / size)))
                 distance = f"F{nearest}"
             if where:
                 formulas.append(f"{size!r} + {GROWTH!r} * {distance}")
         bounds = []
-        for formula in formulas + self.limits:
+        for formula in [*formulas, *filter(None, [self.extent.limit])]:
             bounds.append(field.add("MathEval"))
             field.setString(bounds[-1], "F", formula)
         smallest = field.add("Min")
@@ -209,22 +207,12 @@ class Shape(ABC):
             used[body] = True
         place, new = np.empty((len(used), self.dim)), np.cumsum(used) - 1
         place[nodes] = x.reshape(-1, 3)[:, : self.dim]
-
-        def number(rows: Any) -> IntArray:
-            return np.asarray(new[rows], np.int64)
-
-        names = tuple(drawing.bodies)
-        cells = number(np.concatenate(bodies)[:, order])
-        return partial(
-            Joint,
-            self.settle(place[used], cells) * unit,
-            cells,
-            self.kind,
-            np.repeat(np.arange(len(bodies)), [len(body) for body in bodies]),
-            names,
-            {name: number(rows[:, : corner_count(facet_type)]) for name, rows in facets.items()},
-            drawing.seams,
-        )
+        points, cells = place[used], new[np.concatenate(bodies)[:, order]]
+        if is_tensor(self.kind) and self.cells.degree == 2:
+            points = self.settle(points, cells)
+        region = np.repeat(np.arange(len(bodies)), [len(body) for body in bodies])
+        facets = {name: new[rows[:, : corner_count(facet_type)]] for name, rows in facets.items()}
+        return partial(Joint, points * unit, cells, self.kind, region, tuple(drawing.bodies), facets, drawing.seams)
 
     def _elements(self, kind: str, tags: Sequence[int]) -> IntArray:
         """Nodes (n, k) of the elements of one type on the entities with these tags, in gmsh's order."""
@@ -232,6 +220,57 @@ class Shape(ABC):
         number = mesh.getElementType(FAMILIES.get(kind, kind), self.cells.degree)
         rows = np.concatenate([mesh.getElementsByType(number, tag)[1] for tag in tags])
         return rows.reshape(-1, mesh.getElementProperties(number)[3])
+
+
+@dataclass(frozen=True)
+class Prism(Shape):
+    """A plane shape, in 3D swept from z = 0 ("BACK") to its depth ("FRONT").
+
+    Attributes:
+        depth: a length > 0; None in 2D.
+    """
+
+    depth: float | None
+
+    @property
+    def dim(self) -> int:
+        """Space dimension."""
+        return 2 if self.depth is None else 3
+
+    @property
+    @abstractmethod
+    def plane_lengths(self) -> dict[str, float]:
+        """Name in messages -> length in the plane; each must be > 0."""
+
+    @property
+    def lengths(self) -> dict[str, float]:
+        """The lengths in the plane and the depth."""
+        return self.plane_lengths | ({} if self.depth is None else {"depth": self.depth})
+
+    @abstractmethod
+    def draw_plane(self) -> Drawing:
+        """Draw at z = 0 with gmsh's built-in kernel."""
+
+    def draw(self) -> Drawing:
+        """The plane drawing, swept if there is a depth."""
+        plane = self.draw_plane()
+        if self.depth is None:
+            return plane
+        _, h_S, h_ends = self.sizes
+        swept = self.sweep(plane.floor, (0.0, 0.0, self.depth), Grading.of(self.depth, h_ends, h_S, symmetric=True))
+        facets = {name: walls(curves, plane.floor) for name, curves in plane.facets.items()}
+        bodies = {name: [swept[tag][0] for tag in tags] for name, tags in plane.bodies.items()}
+        ends = {"BACK": plane.floor, "FRONT": [front for _, front in swept.values()]}
+        return replace(plane, bodies=bodies, facets=facets | ends)
+
+
+def _scaled(value: Any, factor: float) -> Any:
+    """A number, or the numbers and cells in a tuple, times a factor; anything else as it is."""
+    if isinstance(value, tuple):
+        return tuple(_scaled(part, factor) for part in value)
+    if isinstance(value, Cells):
+        return value.scaled(factor)
+    return times(value, factor) if is_number(value) else value
 
 
 def walls(curves: Sequence[int], surfaces: Sequence[int]) -> list[int]:

@@ -1,23 +1,71 @@
-"""Round shapes: concentric rings and stacked discs."""
+"""Round shapes: concentric rings, stacked discs and a fibre in its matrix, drawn as arcs and spokes about an axis."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
-from math import pi, tau
+from itertools import chain, pairwise
+from math import cos, isclose, pi, sin, tau
 from typing import Self
+
+import numpy as np
 
 from geometry.errors import GeometryError
 from geometry.seam import S
-from geometry.shapes import gmsh
-from geometry.shapes.drawing import Drawing, Shape, walls
-from geometry.shapes.polar import Web, curve_grid, is_circle, surface
-from geometry.shapes.prism import Prism
-from geometry.shapes.sizing import Grading, require_wide, times
-from geometry.topology import FloatArray, IntArray
+from geometry.shapes.drawing import Drawing, Extent, Prism, Shape, walls
+from geometry.shapes.sizing import Grading, gmsh, require_wide
+from geometry.topology import FloatArray, IntArray, corner_count, weights_between
 
 TURN = 0.3  # largest angle of a cell about the axis, in radians
 CORE = 0.65  # half the diagonal of the square grid in the middle of a disc, over the radius
+
+
+@dataclass(frozen=True)
+class Web:
+    """Arcs about the origin and the spokes between them, from the innermost arc and the first spoke on.
+
+    Attributes:
+        arcs: for each radius the curves from one spoke to the next.
+        spokes: for each ring between two radii its straight lines.
+        patches: for each ring the surfaces between its spokes.
+    """
+
+    arcs: list[list[int]]
+    spokes: list[list[int]]
+    patches: list[list[int]]
+
+    @classmethod
+    def drawn(cls, radii: Sequence[float], angle: float, plane: str, *, chords: bool = False) -> Web:
+        """Draw a web with gmsh.
+
+        Args:
+            radii: radii of the arcs, growing lengths > 0.
+            angle: angle of the web from the x axis, in radians, > 0 and at most 2 pi.
+            plane: "xy" or "xz".
+            chords: whether the innermost arcs are straight lines instead.
+        """
+        kernel = gmsh.model.geo
+        n = 2 if angle <= pi else 4  # gmsh's arcs are shorter than half a circle
+
+        def place(radius: float, turn: float) -> int:
+            x, y = radius * cos(turn), radius * sin(turn)
+            return kernel.addPoint(*((x, y, 0.0) if plane == "xy" else (x, 0.0, y)))
+
+        def neighbours(row: Sequence[int]) -> list[tuple[int, int]]:
+            return list(pairwise([*row, row[0]][: n + 1]))
+
+        centre = place(0.0, 0.0)
+        turns = [angle * k / n for k in range(n if is_circle(angle) else n + 1)]
+        points = [[place(radius, turn) for turn in turns] for radius in radii]
+        arcs = [[kernel.addCircleArc(a, centre, b) for a, b in neighbours(row)] for row in points[chords:]]
+        if chords:
+            arcs.insert(0, [kernel.addLine(a, b) for a, b in neighbours(points[0])])
+        spokes = [[kernel.addLine(a, b) for a, b in zip(*rows, strict=True)] for rows in pairwise(points)]
+        patches = []
+        for ring, (low, high) in zip(spokes, pairwise(arcs), strict=True):
+            sides = zip(low, high, neighbours(ring), strict=True)
+            patches.append([surface([start, far, -end, -near]) for near, far, (start, end) in sides])
+        return cls(arcs, spokes, patches)
 
 
 @dataclass(frozen=True)
@@ -48,35 +96,16 @@ class Rings(Prism):
         return {"inner": self.inner, "interface": self.interface, "outer": self.outer}
 
     @property
-    def thinnest(self) -> float:
-        """The smallest of the rings' widths and their depth."""
-        return min(self.interface - self.inner, self.outer - self.interface, self.depth or self.outer)
-
-    @property
-    def span(self) -> float:
-        """Length of S in the plane, or the depth."""
-        return max(self.angle * self.interface, self.depth or 0.0)
-
-    @property
-    def distance(self) -> str:
-        """Distance from S."""
-        return f"abs(sqrt(x*x + y*y) - {float(self.interface)!r})"
-
-    @property
-    def limits(self) -> list[str]:
-        """Cells at every radius small enough to follow a circle."""
-        return [f"{TURN!r} * sqrt(x*x + y*y)"]
+    def extent(self) -> Extent:
+        """At any radius cells are small enough to follow a circle."""
+        thinnest = min(self.interface - self.inner, self.outer - self.interface, self.depth or self.outer)
+        radius = "sqrt(x*x + y*y)"
+        distance = f"abs({radius} - {float(self.interface)!r})"
+        return Extent(thinnest, max(self.angle * self.interface, self.depth or 0.0), distance, f"{TURN!r} * {radius}")
 
     def scaled(self, factor: float) -> Self:
-        """All lengths times a factor."""
-        return replace(
-            self,
-            cells=self.cells.scaled(factor),
-            depth=self.depth and times(self.depth, factor),
-            inner=times(self.inner, factor),
-            interface=times(self.interface, factor),
-            outer=times(self.outer, factor),
-        )
+        """All lengths times a factor; the angle stays."""
+        return replace(super().scaled(factor), angle=self.angle)
 
     def draw_plane(self) -> Drawing:
         """Rings between spokes; INNER's spokes end at S, where OUTER's begin."""
@@ -105,7 +134,7 @@ class Rings(Prism):
 
     def settle(self, points: FloatArray, cells: IntArray) -> FloatArray:
         """Nodes of a curved polar grid on circles."""
-        return curve_grid(points, cells, self.kind, [0, 1]) if self.curved_grid else points
+        return curve_grid(points, cells, self.kind, [0, 1])
 
 
 @dataclass(frozen=True)
@@ -141,35 +170,11 @@ class Discs(Shape):
         return {"radius": self.radius, "height of LOWER": self.lower, "height of UPPER": self.upper}
 
     @property
-    def thinnest(self) -> float:
-        """The smallest of the heights and the width."""
-        return min(self.radius - self.hole, self.lower, self.upper)
-
-    @property
-    def span(self) -> float:
-        """The circumference."""
-        return tau * self.radius
-
-    @property
-    def distance(self) -> str:
-        """Distance from S."""
-        return "abs(y)"
-
-    @property
-    def limits(self) -> list[str]:
-        """Cells small enough to follow a circle, at every radius if there is a hole."""
-        return [f"{TURN!r} * {'sqrt(x*x + z*z)' if self.hole else repr(float(self.radius))}"]
-
-    def scaled(self, factor: float) -> Self:
-        """All lengths times a factor."""
-        return replace(
-            self,
-            cells=self.cells.scaled(factor),
-            radius=times(self.radius, factor),
-            lower=times(self.lower, factor),
-            upper=times(self.upper, factor),
-            hole=times(self.hole, factor),
-        )
+    def extent(self) -> Extent:
+        """Cells are small enough to follow a circle, at every radius if there is a hole."""
+        radius = "sqrt(x*x + z*z)" if self.hole else repr(float(self.radius))
+        thinnest = min(self.radius - self.hole, self.lower, self.upper)
+        return Extent(thinnest, tau * self.radius, "abs(y)", f"{TURN!r} * {radius}")
 
     def draw(self) -> Drawing:
         """A disc in the plane of S, swept to both sides."""
@@ -203,4 +208,127 @@ class Discs(Shape):
     def settle(self, points: FloatArray, cells: IntArray) -> FloatArray:
         """Nodes of a curved polar grid on circles, those of the square grid on its straight lines."""
         core = 0.0 if self.hole else CORE * self.radius
-        return curve_grid(points, cells, self.kind, [0, 2], core) if self.curved_grid else points
+        return curve_grid(points, cells, self.kind, [0, 2], core)
+
+
+@dataclass(frozen=True)
+class Fibre(Shape):
+    """A disc about the origin in a larger disc or a rectangle, S the circle between.
+
+    Attributes:
+        radius: of the fibre, a length > 0.
+        around: radius of the matrix's outer circle, or width and height of its rectangle.
+    """
+
+    radius: float
+    around: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.around) not in (1, 2):
+            raise GeometryError(f"around is {self.around}; it must be a radius, or a width and a height")
+        super().__post_init__()
+        if self.gap <= 0:
+            what = "radius" if self.round else "smaller half side"
+            raise GeometryError(f"radius is {self.radius}; it must be less than the {what} of the matrix, {self.reach}")
+        if self.gridded and not self.round:
+            raise GeometryError(f"{self.kind!r} needs a matrix with an outer circle; in a rectangle use 'triangle'")
+
+    @property
+    def round(self) -> bool:
+        """Whether the matrix is a disc."""
+        return len(self.around) == 1
+
+    @property
+    def reach(self) -> float:
+        """Distance of the matrix's outer side from the origin."""
+        return self.around[0] if self.round else min(self.around) / 2
+
+    @property
+    def gap(self) -> float:
+        """The least width of the matrix."""
+        return self.reach - self.radius
+
+    @property
+    def lengths(self) -> dict[str, float]:
+        """Radius, and radius or sides of the matrix."""
+        names = ("radius of the matrix",) if self.round else ("width", "height")
+        return {"radius": self.radius} | dict(zip(names, self.around, strict=True))
+
+    @property
+    def extent(self) -> Extent:
+        """Cells are small enough to follow a circle at every radius from that of S on."""
+        radius = repr(float(self.radius))
+        limit = f"{TURN!r} * ({radius} + abs(sqrt(x*x + y*y) - {radius}))"
+        return Extent(min(self.radius, self.gap), tau * self.radius, limit=limit)
+
+    def draw(self) -> Drawing:
+        """A disc in a ring or in a rectangle with a hole; for a grid around a square one."""
+        core = [CORE * self.radius] if self.gridded else []
+        radii = (*core, self.radius, *(self.around if self.round else ()))
+        web = Web.drawn(radii, tau, "xy", chords=self.gridded)
+        fibre = [*(web.patches[0] if core else ()), surface(web.arcs[0])]
+        circle = web.arcs[len(core)]
+        if self.round:
+            sides, matrix = {"OUTSIDE": web.arcs[-1]}, web.patches[-1]
+        else:
+            sides, matrix = self._rectangle(circle)
+        gmsh.model.geo.synchronize()
+        gradings = self._gradings(web) if self.gridded else {}
+        return Drawing({"FIBRE": fibre, "MATRIX": matrix}, {S: circle} | sides, fibre + matrix, gradings)
+
+    def _rectangle(self, hole: Sequence[int]) -> tuple[dict[str, list[int]], list[int]]:
+        """The sides of the matrix, and its surface around a hole."""
+        kernel = gmsh.model.geo
+        x, y = (length / 2 for length in self.around)
+        corners = [kernel.addPoint(*at, 0.0) for at in ((-x, -y), (x, -y), (x, y), (-x, y))]
+        lines = [kernel.addLine(corners[k - 1], corners[k]) for k in range(4)]
+        loops = [kernel.addCurveLoop(lines), kernel.addCurveLoop(list(hole))]
+        sides = {name: [line] for name, line in zip(("LEFT", "BOTTOM", "RIGHT", "TOP"), lines, strict=True)}
+        return sides, [kernel.addPlaneSurface(loops)]
+
+    def _gradings(self, web: Web) -> dict[int, Grading]:
+        """A polar grid around a square one: cells from h_S at S to h away from it."""
+        h, h_S, _ = self.sizes
+        along = Grading.of(self.radius * pi / 2, min(h_S, TURN * self.radius), min(h_S, TURN * self.radius))
+        gradings = dict.fromkeys([arc for arcs in web.arcs for arc in arcs], along)
+        inner, outer = web.spokes
+        gradings |= dict.fromkeys(inner, Grading.of(self.radius * (1 - CORE), h_S, h_S))
+        return gradings | dict.fromkeys(outer, Grading.of(self.gap, h_S, h))
+
+    def settle(self, points: FloatArray, cells: IntArray) -> FloatArray:
+        """Nodes of a curved polar grid on circles, those of the square grid on its straight lines."""
+        return curve_grid(points, cells, self.kind, [0, 1], CORE * self.radius)
+
+
+def is_circle(angle: float) -> bool:
+    """Whether an angle, in radians, is the full circle."""
+    return isclose(angle, tau, rel_tol=1e-8)
+
+
+def surface(sides: Sequence[int]) -> int:
+    """A plane surface bounded by curves, negative where they run backwards, in gmsh's built-in kernel."""
+    kernel = gmsh.model.geo
+    return int(kernel.addPlaneSurface([kernel.addCurveLoop(sides)]))
+
+
+def curve_grid(points: FloatArray, cells: IntArray, kind: str, axes: list[int], core: float = 0.0) -> FloatArray:
+    """Points of a polar grid of degree 2 whose circles are all curved, less and less towards a straight core.
+
+    gmsh itself curves only cells that touch a circle of the drawing, and would fold thin ones.
+
+    Args:
+        points: (n_points, d) coordinates, lengths.
+        cells: (n_cells, n_nodes) nodes of degree 2, vertices first.
+        kind: "quadrilateral" or "hexahedron".
+        axes: the two coordinates in the circles' plane.
+        core: radius up to which nodes stay, a length; 0: all circles are curved in full.
+    """
+    corners = corner_count(kind)
+    radius = np.hypot(*points[:, axes].T)
+    goal = radius.copy()
+    goal[cells[:, corners:]] = radius[cells[:, :corners]] @ weights_between(kind).T
+    share = np.clip((radius - core) / (radius.max() - core), 0.0, 1.0) if core else 1.0
+    scale = 1 + share * (goal / np.where(radius > 0, radius, 1.0) - 1)
+    points = points.copy()
+    points[:, axes] *= scale[:, None]
+    return points

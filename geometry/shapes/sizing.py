@@ -1,15 +1,16 @@
-"""Requested cells of a shape, and the change of their sizes along a line."""
+"""Requested cells of a shape, and the change of their sizes along a line. And gmsh, which draws and meshes it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from importlib import import_module
+from typing import Any, Self, TypedDict, get_type_hints
 
 import numpy as np
 
 from forms.base import is_finite, is_number
 from geometry.errors import GeometryError, unknown
-from geometry.shapes import gmsh
 
 CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
 PARTS = {2: 10, 3: 5}  # default number of cells across the thinnest part, by dimension
@@ -17,6 +18,38 @@ ARRANGEMENTS = ("Left", "Right", "AlternateLeft", "AlternateRight")
 DIGITS = 9  # decimals to which numbers of cells are rounded, so that they do not depend on the unit of length
 THIN = 1e-6  # least length of a shape over its largest: gmsh merges points closer than 1e-8
 RANGE = 1e-5  # smallest cell size allowed, over the size of the shape
+
+
+class _Gmsh:
+    """The module gmsh, imported when it is first used: it takes a third of a second, and one rank needs it."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(import_module("gmsh"), name)
+
+
+gmsh = _Gmsh()
+
+
+class Sizes(TypedDict, total=False):
+    """Cell sizes at S and at the ends of S, lengths; None for the default."""
+
+    h_S: float | None
+    h_ends: float | None
+
+
+class Grid(Sizes, total=False):
+    """And the cells of boxes, see `block`."""
+
+    cell: str | None
+    structured: bool
+    arrangement: str
+
+
+class Curved(Sizes, total=False):
+    """And the cells of round shapes, see `disc`."""
+
+    cell: str | None
+    degree: int
 
 
 def times(length: float, factor: float) -> float:
@@ -37,19 +70,26 @@ class Cells:
 
     Attributes:
         h, h_S, h_ends: largest size, size at S and at the ends of S, lengths; None for the default.
-        kind: "triangle", "quadrilateral", "tetrahedron" or "hexahedron"; None for the dimension's simplex.
+        cell: "triangle", "quadrilateral", "tetrahedron" or "hexahedron"; None for the dimension's simplex.
         degree: degree of the cells' geometry, 1 (straight) or 2 (curved).
         structured: whether simplices split a grid.
         arrangement: which diagonals halve a grid's rectangles.
     """
 
     h: float | None
-    h_S: float | None
-    h_ends: float | None
-    kind: str | None = None
+    h_S: float | None = None
+    h_ends: float | None = None
+    cell: str | None = None
     degree: int = 1
     structured: bool = False
     arrangement: str = "Right"
+
+    @classmethod
+    def of(cls, h: float | None, given: Mapping[str, Any], allowed: type[Sizes]) -> Self:
+        """From what a builder is given; raises GeometryError for a keyword that is not one of those of `allowed`."""
+        for name in given.keys() - (known := get_type_hints(allowed)):
+            raise GeometryError(unknown("keyword", name, known))
+        return cls(h, **given)
 
     def check(self, lengths: Mapping[str, float], dim: int) -> None:
         """Raise GeometryError if a length of the shape is not > 0 or the cells do not suit its size or dimension."""
@@ -67,10 +107,10 @@ class Cells:
         for what, size in {"h": self.h, "h_S": self.h_S, "h_ends": self.h_ends}.items():
             if size is not None and not (np.isfinite(size) and smallest <= size <= largest):
                 raise GeometryError(f"cell size {what} is {size}; allowed: {smallest:g} to {largest:g}")
-        if self.kind in CELLS[5 - dim]:
-            raise GeometryError(f"cell {self.kind!r} does not exist in {dim}D; allowed: {', '.join(CELLS[dim])}")
-        if self.kind is not None and self.kind not in CELLS[dim]:
-            raise GeometryError(unknown("cell", self.kind, CELLS[dim]))
+        if self.cell in CELLS[5 - dim]:
+            raise GeometryError(f"cell {self.cell!r} does not exist in {dim}D; allowed: {', '.join(CELLS[dim])}")
+        if self.cell is not None and self.cell not in CELLS[dim]:
+            raise GeometryError(unknown("cell", self.cell, CELLS[dim]))
         if self.degree not in (1, 2) or not is_finite(self.degree):
             raise GeometryError(f"degree is {self.degree!r}; allowed: 1 (straight cells), 2 (curved cells)")
         if self.arrangement not in ARRANGEMENTS:
@@ -80,12 +120,6 @@ class Cells:
         """The cells with all sizes times a factor."""
         h, h_S, h_ends = (size and times(size, factor) for size in (self.h, self.h_S, self.h_ends))
         return replace(self, h=h, h_S=h_S, h_ends=h_ends)
-
-    def sizes(self, thinnest: float, dim: int) -> tuple[float, float, float]:
-        """(h, h_S, h_ends) with their defaults for a shape whose thinnest part has this length."""
-        h = float(self.h or thinnest / PARTS[dim])
-        h_S = float(self.h_S or h)
-        return h, h_S, float(self.h_ends or h_S)
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,10 @@
 """Functions that hide the differences between DOLFINx 0.9 and 0.11 in spaces and forms.
 
-They try the signatures of the releases in turn, and do not ask for the version.
+They try the signatures of the releases in turn, and do not ask for the version. Meshes: `geometry/dolfinx_mesh.py`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import dolfinx.mesh
@@ -13,25 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import cpp, fem
 from dolfinx.mesh import Mesh
-from mpi4py import MPI
 
 import thinlayer.compiling.compilation  # noqa: F401  # before any form is compiled
-
-
-def _first(*calls: Callable[[], Any]) -> Any:
-    """Result of the first call whose signature exists (a wrong signature raises TypeError before any work is done)."""
-    for call in calls[:-1]:
-        try:
-            return call()
-        except TypeError:
-            continue
-    return calls[-1]()
-
-
-def index_map(comm: MPI.Intracomm, n: int, ghosts: npt.NDArray[np.int64], owners: npt.NDArray[np.int32]) -> Any:
-    """Index map of n owned indices and ghosts given by global number and owner. Collective."""
-    arguments = (comm, n, np.asarray(ghosts, np.int64), np.asarray(owners, np.int32))
-    return _first(lambda: cpp.common.IndexMap(*arguments), lambda: cpp.common.IndexMap(*arguments, 1801))
+from geometry.dolfinx_mesh import first_that_fits
 
 
 def space_with_dofmap(V: fem.FunctionSpace, dofs: npt.NDArray[np.int32], imap: Any) -> fem.FunctionSpace:
@@ -41,28 +24,27 @@ def space_with_dofmap(V: fem.FunctionSpace, dofs: npt.NDArray[np.int32], imap: A
     rows = cpp.graph.AdjacencyList_int32(np.ascontiguousarray(dofs, np.int32))
     dofmap = cpp.fem.DofMap(layout, imap, base.index_map_bs, rows, base.bs)
     arguments = (old.mesh, old.element, dofmap)
-    space = _first(lambda: type(old)(*arguments), lambda: type(old)(*arguments, old.value_shape))
+    space = first_that_fits(lambda: type(old)(*arguments), lambda: type(old)(*arguments, old.value_shape))
     return fem.FunctionSpace(V.mesh, V.ufl_element(), space)
 
 
 def interior_facet_entities(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
     """(cell, local facet, cell, local facet) of interior facets, (n, 4); facets with one local cell are left out."""
-    kind, topology = fem.IntegralType.interior_facet, mesh.topology
-    entities = _first(
-        lambda: fem.compute_integration_domains(kind, topology, facets),
-        lambda: cpp.fem.compute_integration_domains(kind, topology._cpp_object, facets, topology.dim - 1),
-    )
-    return np.array(entities, dtype=np.int32).reshape(-1, 4)
+    return _facet_entities(fem.IntegralType.interior_facet, mesh, facets).reshape(-1, 4)
 
 
 def exterior_facet_entities(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
     """(cell, local facet) of exterior facets, (n, 2)."""
-    kind, topology = fem.IntegralType.exterior_facet, mesh.topology
-    entities = _first(
+    return _facet_entities(fem.IntegralType.exterior_facet, mesh, facets).reshape(-1, 2)
+
+
+def _facet_entities(kind: Any, mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    topology = mesh.topology
+    entities = first_that_fits(
         lambda: fem.compute_integration_domains(kind, topology, facets),
         lambda: cpp.fem.compute_integration_domains(kind, topology._cpp_object, facets, topology.dim - 1),
     )
-    return np.array(entities, dtype=np.int32).reshape(-1, 2)
+    return np.array(entities, dtype=np.int32)
 
 
 def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:

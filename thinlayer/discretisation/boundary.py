@@ -13,7 +13,7 @@ from geometry.domain import Domain
 from geometry.errors import place
 from geometry.joint import Joint
 from geometry.seam import LAYER, S
-from geometry.splitting import connected
+from geometry.topology import connected
 from thinlayer.compiling.compat import interpolation_points
 from thinlayer.errors import ModelError
 from thinlayer.parallel.exchange import send

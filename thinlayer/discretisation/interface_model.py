@@ -18,13 +18,12 @@ from forms.interface import Interface
 from forms.kinematics import Expr
 from forms.law import BulkLaw
 from geometry.errors import GeometryError, unknown
+from geometry.inflating.kept_bodies import kept_motion
 from geometry.inflating.layering import check_layering
-from geometry.inflating.motion import kept_motion
 from geometry.inflating.parting import parted
 from geometry.joint import Joint
 from geometry.seam import S
-from geometry.splitting import Splitting
-from geometry.topology import FloatArray
+from geometry.topology import FloatArray, Splitting
 from thinlayer.discretisation.boundary import require_revolution
 from thinlayer.discretisation.forces import Forces, Weighted
 from thinlayer.discretisation.given import Coordinates

@@ -20,8 +20,7 @@ from forms.kinematics import Expr
 from forms.law import BulkLaw
 from geometry.domain import Domain
 from geometry.joint import Joint
-from geometry.splitting import Splitting
-from geometry.topology import FloatArray, is_tensor
+from geometry.topology import FloatArray, Splitting, is_tensor
 from thinlayer.discretisation.addition import check_additions
 from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.constraints import Constraints, Followers

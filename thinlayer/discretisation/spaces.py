@@ -13,10 +13,11 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
+from geometry.dolfinx_mesh import index_map
 from geometry.domain import Domain
 from geometry.joint import Joint
-from geometry.splitting import Splitting
-from thinlayer.compiling.compat import index_map, space_with_dofmap
+from geometry.topology import Splitting
+from thinlayer.compiling.compat import space_with_dofmap
 from thinlayer.parallel.exchange import ask
 
 IntArray = npt.NDArray[np.int64]

@@ -14,7 +14,7 @@ import ufl
 from forms.contact import Status
 from geometry.joint import Joint
 from geometry.order import edges_of, order_on_s
-from geometry.splitting import connected
+from geometry.topology import connected
 from thinlayer.discretisation.contact_nodes import Array, ContactNodes, ContactSurface, pair_numbers, pairs_of
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError

@@ -18,7 +18,7 @@ from ufl.classes import Zero
 
 from forms.kinematics import MANDEL, ROOT2, Expr, from_mandel
 from forms.law import LawError
-from geometry.compat import cell_nodes
+from geometry.dolfinx_mesh import cell_nodes
 from geometry.seam import S
 from geometry.topology import IntArray, lagrange
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, component_at, pairs_of

@@ -16,7 +16,7 @@ from ufl.classes import Zero
 
 from forms.kinematics import Expr
 from forms.work import Term
-from geometry.compat import cell_nodes
+from geometry.dolfinx_mesh import cell_nodes
 from geometry.topology import IntArray
 from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.layer import LAYER, PRESSURE

@@ -85,7 +85,7 @@ def _is_network(model: Model) -> bool:
 
     The same holds for periodic joints, whose mean strain also is no load of these solvers.
     """
-    several = len(model.joint.seams) > 1 or model.joint.branch is not None
+    several = len(model.joint.seams) > 1 or model.joint.seams_meet
     return several or model.joint.periods is not None
 
 

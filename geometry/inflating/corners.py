@@ -9,19 +9,17 @@ boundary one more polygon closes it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 
-from geometry.errors import GeometryError, place
+from geometry.errors import refuse
 from geometry.inflating.bands import Footing, Posts
 from geometry.joint import FLAT, Joint
-from geometry.splitting import connected
-from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, lagrange
+from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, connected, lagrange, sums
 
 
-@dataclass(frozen=True)
-class Corners:
+class Corners(NamedTuple):
     """Corners of polygons; k of them, one at each vertex of a junction, belong together.
 
     Attributes:
@@ -40,15 +38,6 @@ class Corners:
     def none(cls, k: int) -> Corners:
         """No corners."""
         return cls(*(np.empty(shape, np.int64) for shape in ((0, k), (0, k, 2), (0, k), 0)))
-
-    def at(self, rows: IntArray) -> Corners:
-        """Some of them."""
-        return Corners(self.copies[rows], self.sides[rows], self.polygons[rows], self.of[rows])
-
-    @classmethod
-    def joined(cls, *several: Corners) -> Corners:
-        """All of several sets of corners."""
-        return cls(*(np.concatenate([getattr(one, f.name) for one in several]) for f in fields(cls)))
 
 
 def junction_posts(posts: Posts) -> IntArray:
@@ -83,11 +72,10 @@ def junctions_of(joint: Joint, posts: Posts, footing: Footing) -> tuple[Posts, C
     loose |= np.bincount(of_link, facets > 1) > 0  # two layers between the same bodies
     for column in copies.T:  # a body has one corner at each end
         loose |= np.bincount(_numbered(np.column_stack([of, column]))[0][:, 0]) < np.bincount(of)
-    if loose.any():
-        raise GeometryError(
-            f"at {place(joint.points[vertices[loose][0]].mean(axis=0))} bodies touch at a vertex or along an edge only, "
-            "between layers that meet there: the layers' ends enclose no polygon"
-        )
+    touching = (
+        "bodies touch at a vertex or along an edge only, between layers that meet there: the layers' ends enclose no"
+    )
+    refuse(loose, joint.points[vertices], f"at {{at}} {touching} polygon")
 
     alone = np.flatnonzero(degree == 1)
     alone = alone[np.argsort(of[alone], kind="stable")].reshape(-1, 2)
@@ -173,7 +161,8 @@ def polyhedra_of(joint: Joint, posts: Posts, corners: Corners) -> Corners:
     ends = np.bincount(corners.polygons[np.unique(corners.of, return_index=True)[1]].ravel())
     faces = _faces(corners, ends == 1, len(posts.nodes))
     uses = np.bincount(faces.sides.ravel(), minlength=len(posts.nodes))  # two for each polygon
-    around = Corners.joined(faces, _outer_polygons(faces, posts, np.flatnonzero(uses == 2), len(ends)))
+    outer = _outer_polygons(faces, posts, np.flatnonzero(uses == 2), len(ends))
+    around = Corners(*map(np.concatenate, zip(faces, outer, strict=True)))
 
     uses = np.bincount(around.sides.ravel(), minlength=len(posts.nodes))
     columns = (around.copies, around.sides[:, 0], around.polygons)
@@ -181,13 +170,11 @@ def polyhedra_of(joint: Joint, posts: Posts, corners: Corners) -> Corners:
     whole = (vertices - edges + polygons == 2)[around.of] & (uses[around.sides] == 4).all(
         axis=(1, 2)
     )  # Euler's formula
-    wrong = [around.sides[~whole, 0, 0], corners.sides[ends[corners.polygons] > 2][:, 0]]
-    if any(map(len, wrong)):
-        x = joint.points[posts.nodes[np.concatenate(wrong)[0]]]
-        raise GeometryError(
-            f"S branches at {place(x)}, where junctions meet in a way that is not meshed: the layers' ends enclose no "
-            "polyhedron; use the interface model"
-        )
+    wrong = np.concatenate([around.sides[~whole, 0, 0], corners.sides[ends[corners.polygons] > 2][:, 0]])
+    open_ends = (
+        "junctions meet in a way that is not meshed: the layers' ends enclose no polyhedron; use the interface model"
+    )
+    refuse(wrong >= 0, joint.points[posts.nodes[wrong]], f"S branches at {{at}}, where {open_ends}")
     return around
 
 
@@ -256,12 +243,10 @@ def common_normals(joint: Joint, footing: Footing, corners: Corners, gap: BoolAr
         corners: of junctions or of polyhedra.
         gap: (n_posts,) whether each post is that of a gap, or closes a polygon on the outer boundary.
     """
-    normals = np.zeros((len(gap), joint.dim))
-    np.add.at(normals, footing.posts, joint.node_normals)
+    normals = sums(footing.posts, joint.node_normals, len(gap))
     normals[gap] = 0.0
     normals[~gap] /= np.maximum(np.linalg.norm(normals[~gap], axis=1, keepdims=True), np.finfo(float).tiny)
-    total = np.zeros((int(corners.of.max(initial=-1)) + 1, joint.dim))
-    np.add.at(total, corners.of, normals[corners.sides].sum(axis=(1, 2)))
+    total = sums(corners.of, normals[corners.sides].sum(axis=(1, 2)), int(corners.of.max(initial=-1)) + 1)
     count = np.bincount(corners.of, (~gap[corners.sides]).sum(axis=(1, 2)))
     length = np.linalg.norm(total, axis=1)
     same = length >= (1 - FLAT**2) * np.maximum(count, 1)

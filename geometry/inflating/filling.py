@@ -9,20 +9,19 @@ node where they have the same weights on the same key points.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
-from geometry.errors import GeometryError, place
+from geometry.errors import refuse
 from geometry.inflating.bands import Posts
-from geometry.inflating.junctions import Corners
+from geometry.inflating.corners import Corners
 from geometry.joint import Joint
-from geometry.topology import BoolArray, FloatArray, IntArray, is_tensor
+from geometry.topology import BoolArray, FloatArray, IntArray, is_tensor, sums
 
 
-@dataclass(frozen=True)
-class Filled:
+class Filled(NamedTuple):
     """Cells in junctions and the nodes that they add.
 
     Attributes:
@@ -38,17 +37,18 @@ class Filled:
     nodes: IntArray
 
 
-@dataclass(frozen=True)
-class _Keys:
+class _Keys(NamedTuple):
     """The key points: copies of nodes of S, then middles of posts, centres of polygons, centres of polyhedra.
 
     Attributes:
-        start: number of the first key point of each kind.
+        middles, centres, insides: numbers of the first middle, of the first centre of a polygon, and of a polyhedron.
         values: (n, d) at the key points.
         nodes: (n,) the node of S below each.
     """
 
-    start: tuple[int, ...]
+    middles: int
+    centres: int
+    insides: int
     values: FloatArray
     nodes: IntArray
 
@@ -62,29 +62,17 @@ class _Keys:
             _means(polygons, values[copies], nodes[copies]),
             _means(around.of, values[around.copies[:, 0]], nodes[around.copies[:, 0]]),
         )
-        start = np.cumsum([0, *(len(of_kind) for _, of_kind in kinds)])
-        return cls(tuple(map(int, start)), *(np.concatenate([kind[k] for kind in kinds]) for k in range(2)))
-
-    def middles(self, posts: IntArray) -> IntArray:
-        """Of posts."""
-        return self.start[1] + posts
-
-    def centres(self, polygons: IntArray) -> IntArray:
-        """Of polygons."""
-        return self.start[2] + polygons
-
-    def insides(self, polyhedra: IntArray) -> IntArray:
-        """Centres of polyhedra."""
-        return self.start[3] + polyhedra
+        first = np.cumsum([len(of_kind) for _, of_kind in kinds[:-1]])
+        middles, centres, insides = map(int, first)
+        return cls(middles, centres, insides, *map(np.concatenate, zip(*kinds, strict=True)))
 
 
 def _means(number: IntArray, values: FloatArray, nodes: IntArray) -> tuple[FloatArray, IntArray]:
     """Means of values (n, d) with equal numbers (n,), and one of their nodes (n,)."""
     count = np.bincount(number)
-    out, of = np.zeros((len(count), values.shape[1])), np.zeros(len(count), np.int64)
-    np.add.at(out, number, values)
+    of = np.zeros(len(count), np.int64)
     of[number] = nodes
-    return out / np.maximum(count, 1)[:, None], of
+    return sums(number, values, len(count)) / np.maximum(count, 1)[:, None], of
 
 
 def fill(
@@ -111,7 +99,7 @@ def fill(
         cubes, corner = _cubes(joint, keys, around)
         blocks.append(cubes)
     elif len(around.of):
-        blocks += [keys.insides(around.of)[:, None], _squares(keys, around)]
+        blocks += [keys.insides + around.of[:, None], _squares(keys, around)]
     grids, added, below = _numbered(posts, junctions, keys, blocks, joint.dim, half)
     quads = _pieces(grids[0], 2).reshape(len(junctions.of), k, half * half, 4)
     if solid:
@@ -127,7 +115,7 @@ def fill(
 
 def _squares(keys: _Keys, corners: Corners) -> IntArray:
     """(n * k, 4) key points of the blocks at corners of polygons."""
-    middles, centres = keys.middles(corners.sides), keys.centres(corners.polygons)
+    middles, centres = keys.middles + corners.sides, keys.centres + corners.polygons
     return np.stack([corners.copies, middles[..., 0], middles[..., 1], centres], axis=-1).reshape(-1, 4)
 
 
@@ -135,22 +123,18 @@ def _cubes(joint: Joint, keys: _Keys, around: Corners) -> tuple[IntArray, IntArr
     """(n, 8) key points of the blocks at corners of polyhedra, where three posts and three polygons meet; one of these."""
     pairs, at = np.unique(np.column_stack([around.of, around.copies]), axis=0, return_inverse=True)
     count = np.bincount(at.ravel())
-    wrong = np.flatnonzero(count != 3)
-    if len(wrong):
-        x = joint.points[keys.nodes[pairs[wrong[0], 1]]]
-        raise GeometryError(
-            f"S branches at {place(x)}, where junctions meet: hexahedra need three "
-            f"layers around each corner of a body there, not {count[wrong[0]]}; use tetrahedra, or the interface model"
-        )
+    need = "where junctions meet: hexahedra need three layers around each corner of a body there"
+    remedy = f"not {count[(count != 3).argmax()]}; use tetrahedra, or the interface model"
+    refuse(count != 3, joint.points[keys.nodes[pairs[:, 1]]], f"S branches at {{at}}, {need}, {remedy}")
     rows = np.argsort(at.ravel(), kind="stable").reshape(-1, 3)
     sides, polygons = around.sides[rows, 0], around.polygons[rows, 0]
     one, other = sides[:, 0].T
     n = np.arange(len(rows))
     second = np.where((sides[:, 1] == one[:, None]).any(axis=1), 1, 2)  # the other polygon at the first post
     third = sides[n, second].sum(axis=1) - one
-    a, b, c = (keys.middles(post) for post in (one, other, third))
-    ab, ac, bc = (keys.centres(polygons[n, at]) for at in (0 * second, second, 3 - second))
-    return np.stack([pairs[:, 1], a, b, ab, c, ac, bc, keys.insides(around.of[rows[:, 0]])], axis=1), rows[:, 0]
+    a, b, c = (keys.middles + post for post in (one, other, third))
+    ab, ac, bc = (keys.centres + polygons[n, at] for at in (0 * second, second, 3 - second))
+    return np.stack([pairs[:, 1], a, b, ab, c, ac, bc, keys.insides + around.of[rows[:, 0]]], axis=1), rows[:, 0]
 
 
 def _numbered(
@@ -170,7 +154,7 @@ def _numbered(
 
     known = np.unique(junctions.sides)
     ends, level = posts.ends[known], np.arange(half + 1)
-    halves = [np.column_stack([end, keys.middles(known)]) for end in ends.T]
+    halves = [np.column_stack([end, keys.middles + known]) for end in ends.T]
     there = [posts.number(known[:, None], way).ravel() for way in (level, 2 * half - level)]
     rows = np.concatenate([codes(one) for one in (*halves, *blocks)])
     found, at = np.unique(rows, axis=0, return_inverse=True)

@@ -1,20 +1,116 @@
-"""Whether bodies that are kept have room to move apart."""
+"""Bodies that are kept: their pieces move apart when layers open, if they have room."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 import numpy as np
+import scipy.sparse
+import scipy.sparse.linalg
 from scipy.spatial import cKDTree
 
-from geometry.errors import GeometryError, place
-from geometry.inflating.motion import SAME_GAP
-from geometry.joint import Joint
-from geometry.topology import FloatArray, IntArray, is_tensor
+from geometry.errors import GeometryError, place, refuse
+from geometry.joint import FLAT, Joint
+from geometry.topology import FloatArray, IntArray, connected, is_tensor, sums
 
+UNIFORM = 1e-12  # relative difference of thicknesses that counts as none
+SAME_GAP = 1e-9  # relative error of the thickness between bodies that are kept
+STIFF = 1e3  # stiffness across the layers relative to that along them, in the least squares for kept bodies
+STEPS = 200  # of its multiplier, at most
+NOT_KEPT = "the bodies cannot be moved apart in one piece; use bodies='extended'"
 MANY = 3  # number of different motions of bodies in 2D up to which their ways are checked, pair by pair
 # weights of a facet's vertices: their mean lies above no edge of an aligned grid
 ASKEW = np.array([1.0, 1.3, 1.7, 2.3])
+
+
+def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
+    """Translations (n_pieces, d) of the bodies' pieces that open each facet of S by its thickness.
+
+    Of all such motions it is the one with the least jumps along S. The middle of S stays where it is, and so do bodies on
+    a rigid base. The base is the last piece, if there is one.
+
+    Args:
+        joint: the joint before inflating.
+        eps: (n_S,) thickness at each facet of S.
+
+    Raises:
+        GeometryError: there is no such motion.
+    """
+    pieces, cells, n, d = joint.splitting.pieces, joint.surface_cells, joint.interface_normals, joint.dim
+    count = int(pieces.max()) + 1
+    ends = np.where(cells >= 0, pieces[cells], count)
+    count += bool((cells < 0).any())
+    around = f"one body, as at {{at}}, lies below S and above it: {NOT_KEPT}"
+    refuse(ends[:, 0] == ends[:, 1], joint.points[joint.corners[cells[:, 1]]], around)
+    area = _areas(joint)
+    pairs, at = np.unique(ends, axis=0, return_inverse=True)
+    at = at.ravel()
+    weight: FloatArray = np.bincount(at, area).astype(float)
+    moment = sums(at, area[:, None, None] * n[:, :, None] * n[:, None, :], len(pairs))
+    opened = sums(at, (area * eps)[:, None] * n, len(pairs))
+    values, vectors = np.linalg.eigh(moment / weight[:, None, None])
+    across = values > 10 * FLAT**2
+    inverse = np.where(across, 1 / np.where(across, values, 1.0), 0.0)
+    wanted = np.einsum("pik,pk,pjk,pj->pi", vectors, inverse, vectors, opened / weight[:, None])
+    part = connected(pairs[:, 0], pairs[:, 1], count)
+    T = _translations(pairs, part, wanted, (vectors * across[:, None, :]) @ np.swapaxes(vectors, 1, 2), weight)
+
+    contradictory = "the layers around the bodies at {at} ask for motions that contradict one another"
+    for jump, reason in ((wanted[at], "S is not planar, as at {at}"), (T[ends[:, 1]] - T[ends[:, 0]], contradictory)):
+        gap = (jump * n).sum(axis=1)
+        lean = np.linalg.norm(jump - gap[:, None] * n, axis=1)
+        wrong = np.abs(gap - eps) > SAME_GAP * eps + FLAT * lean
+        refuse(wrong, joint.points[joint.surface], f"{reason}: {NOT_KEPT}")
+    based = np.zeros(part.max() + 1, bool)
+    based[part[ends[cells[:, 0] < 0, 1]]] = True
+    on_base, mine = cells[:, 0] < 0, part[ends[:, 1]]
+    middle = np.where(on_base[:, None], T[ends[:, 1]], (T[ends[:, 0]] + T[ends[:, 1]]) / 2)
+    share = np.where(based[mine] & ~on_base, 0.0, area)
+    total = np.maximum(np.bincount(mine, share, len(based)), np.finfo(float).tiny)
+    shift = np.stack([np.bincount(mine, share * middle[:, k], len(based)) / total for k in range(d)], axis=1)
+    return np.asarray(T - shift[part])
+
+
+def _translations(
+    pairs: IntArray, part: IntArray, wanted: FloatArray, across: FloatArray, weight: FloatArray
+) -> FloatArray:
+    """Least squares of the jumps along S, under the constraint of those across: (count, d), up to a common translation.
+
+    By an augmented Lagrangian, whose multiplier exists for redundant constraints, too.
+
+    Args:
+        pairs: (n, 2) pieces below and above.
+        part: (count,) label of the connected part of the joint that each piece is in.
+        wanted: (n, d) jump across the layers between two pieces.
+        across: (n, d, d) projector to the directions across these layers.
+        weight: (n,) area of S between them.
+    """
+    (n, d), count = wanted.shape, len(part)
+    low, up = (scipy.sparse.csr_matrix((np.ones(n), (np.arange(n), end)), shape=(n, count)) for end in pairs.T)
+    jump = scipy.sparse.kron(up - low, np.eye(d), format="csr")
+    stiffness = STIFF * across + (weight / weight.mean())[:, None, None] * (np.eye(d) - across)
+    blocks = scipy.sparse.bsr_matrix((stiffness, np.arange(n), np.arange(n + 1)), shape=(n * d, n * d))
+    ground = np.zeros(count)
+    ground[np.unique(part, return_index=True)[1]] = STIFF
+    matrix = jump.T @ blocks @ jump + scipy.sparse.kron(scipy.sparse.diags(ground), np.eye(d))
+    factors = scipy.sparse.linalg.splu(matrix.tocsc())
+    T, multiplier = np.zeros((count, d)), np.zeros((n, d))
+    for _ in range(STEPS):
+        missing = wanted - np.einsum("nij,nj->ni", across, T[pairs[:, 1]] - T[pairs[:, 0]])
+        if np.abs(missing).max() <= 10 * np.finfo(float).eps * np.abs(wanted).max():
+            break
+        multiplier += missing
+        T = factors.solve(jump.T @ (STIFF * multiplier).ravel()).reshape(count, d)
+    return T
+
+
+def _areas(joint: Joint) -> FloatArray:
+    """(n_S,) areas of the straight facets between the vertices of S, lengths in 2D."""
+    x = joint.points[joint.surface]
+    if joint.dim == 2:
+        return np.asarray(np.linalg.norm(x[:, 1] - x[:, 0], axis=1))
+    a, b, c, d = (0, 3, 1, 2) if is_tensor(joint.cell_type) else (0, 1, 0, 2)  # diagonals, or two sides
+    return np.asarray(np.linalg.norm(np.cross(x[:, b] - x[:, a], x[:, d] - x[:, c]), axis=1) / 2)
 
 
 def is_swept(joint: Joint, translation: FloatArray) -> bool:
@@ -114,7 +210,4 @@ def require_apart(opened: Joint) -> None:
     for of, points in ((a, b), (b, a)):
         left = beside(of, points) > -tolerance  # a vertex on the line counts as left: a chain is crossed there once
         crossed &= left[:, 0] != left[:, 1]
-    if crossed.any():
-        raise GeometryError(
-            f"no room for the layers at {place(a[crossed][0].mean(axis=0))}: moved apart, the bodies would overlap"
-        )
+    refuse(crossed, a, "no room for the layers at {at}: moved apart, the bodies would overlap")

@@ -1,0 +1,171 @@
+"""Bodies that are extended: they give way to layers where these open, and their nodes follow by a harmonic motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from geometry.errors import GeometryError, place, refuse
+from geometry.inflating.bands import Copies
+from geometry.inflating.kept_bodies import UNIFORM
+from geometry.joint import Joint
+from geometry.topology import FloatArray, IntArray, facet_normals, is_tensor, lagrange, sums, weights_between
+
+SMOOTH = 0.01  # squared sine below which outer faces around a vertex of S count as one smooth surface
+EXACT = 1e-10  # the same for the bodies' other vertices, which must stay on their outer faces
+LEAST_COSINE = 0.1  # smallest cosine of the angle between S's normal and the direction in which its vertices can move
+LEAST_ANGLE = 1e-3  # the same, in radians, between facets of S whose layers have different thicknesses
+NO_CORNER = 0.02  # error of a thickness, relative to it, from which on a body has no corner between two layers
+TOLERANCE = 1e-12  # relative residual of the linear solve for the harmonic motion
+
+
+def face_motion(joint: Joint, copies: Copies, given_up: tuple[FloatArray, FloatArray]) -> tuple[IntArray, FloatArray]:
+    """The copies of the nodes of S on bodies, and how each of them moves into its body, (n, d).
+
+    The motion d is the least one with n . d = g for each facet of S around the copy, where n points into the body (least
+    squares where there are many); at the end of S it is along the outer faces of the body.
+
+    Args:
+        joint: the joint before inflating.
+        copies: of its nodes.
+        given_up: g, (n_S, k) at the nodes of each facet: what the body below gives up, and the body above.
+
+    Raises:
+        GeometryError: S is folded; an outer face touches S nearly parallel to it; layers of different thickness meet nearly
+            in line.
+    """
+    upper, there = joint.node_normals, joint.surface_cells[:, 0] >= 0
+    at = np.concatenate([copies.above, copies.below[there]])
+    normals = np.concatenate([upper, -upper[there]])
+    g = np.concatenate([given_up[1], given_up[0][there]])
+    original = np.concatenate([joint.surface, joint.surface[there]])
+    known, first, index = np.unique(at, return_index=True, return_inverse=True)
+    index = index.reshape(at.shape)
+    x = joint.points[original.ravel()[first]]
+    n, count = len(known), np.bincount(index.ravel())
+    total, along_n = sums(index, g[..., None] * normals, n), sums(index, normals, n)
+    moment = sums(index, normals[..., :, None] * normals[..., None, :], n)
+    overlap = "S is folded at {at}: a layer there would overlap itself"
+    refuse(np.linalg.norm(along_n, axis=1) < LEAST_COSINE * count, x, overlap)
+
+    thick, thin = np.zeros(n), np.full(n, np.inf)
+    np.maximum.at(thick, index, g)
+    np.minimum.at(thin, index, g)
+    uniform = thick - thin <= UNIFORM * thick
+    least = np.where(uniform, LEAST_COSINE, LEAST_ANGLE)[:, None] ** 2
+    outer, faces = _outer_moments(joint, copies.cells)
+    values, vectors = np.linalg.eigh(outer[known] / np.maximum(faces[known], 1)[:, None, None])
+    slip = (vectors * (values < SMOOTH)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    values, vectors = np.linalg.eigh(slip @ moment @ slip / count[:, None, None])
+    inverse = np.where(values > least, 1 / np.maximum(values, least), 0.0)
+    motion = np.einsum("nik,nk,njk,nj->ni", vectors, inverse, vectors, np.einsum("nij,nj->ni", slip, total))
+    motion /= count[:, None]
+    gap = np.einsum("fkd,fkd->fk", motion[index], normals) / g
+    lowest = np.full(n, np.inf)
+    np.minimum.at(lowest, index, gap)
+    parallel = "an outer face touches S at {at} and is nearly parallel to it, so the body cannot give way there"
+    refuse((lowest < LEAST_COSINE) & uniform, x, f"bodies='extended': {parallel}; use bodies='kept' if S is planar")
+    error = np.where(uniform[index].all(axis=1, keepdims=True), 0.0, np.abs(gap - 1))
+    if error.max() > NO_CORNER:
+        at = index.flat[error.argmax()]
+        raise GeometryError(
+            f"layers of different thickness, {thin[at]:g} and {thick[at]:g} on one side, meet nearly in line at "
+            f"{place(x[at])}: the body between them has no corner there; give them one thickness"
+        )
+    return known, motion
+
+
+def _outer_moments(joint: Joint, cells: IntArray) -> tuple[FloatArray, IntArray]:
+    """For every node the sum of m m^T over the unit normals m of outer faces there, except S, and their number.
+
+    Args:
+        joint: the joint before inflating.
+        cells: (n_cells, k) nodes of its cells; where bodies have parted, each copy counts the faces of its own body.
+    """
+    table = joint.table
+    outer = np.setdiff1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
+    normals = facet_normals(joint.points, table.nodes(outer, joint.cells, joint.cell_type), joint.cell_type)
+    nodes, size = table.nodes(outer, cells, joint.cell_type), int(cells.max()) + 1
+    return sums(nodes, normals[..., :, None] * normals[..., None, :], size), np.bincount(nodes.ravel(), minlength=size)
+
+
+def extended_motion(
+    joint: Joint, body_cells: IntArray, n_nodes: int, known: IntArray, values: FloatArray, fixed: IntArray
+) -> FloatArray:
+    """Motion (n_nodes, d) of the bodies' nodes: given at the layer's faces, harmonic inside, sliding along outer faces.
+
+    Args:
+        joint: the joint before inflating.
+        body_cells: (n_cells, k) nodes of its cells, numbered as in the inflated joint.
+        n_nodes: number of nodes of the inflated joint.
+        known: nodes of the faces.
+        values: (n, d) their motion.
+        fixed: nodes of the joint that do not move, as those of periodic sides.
+    """
+    d, k = joint.dim, joint.corners.shape[1]
+    corners = body_cells[:, :k]
+    motion = np.zeros((n_nodes, d))
+    motion[known] = values
+    free = np.setdiff1d(np.unique(corners), np.concatenate([known, fixed]))
+
+    moments, count = _outer_moments(joint, body_cells)
+    eigenvalues, vectors = np.linalg.eigh(moments[free] / np.maximum(count[free], 1)[:, None, None])
+    node, way = np.nonzero(eigenvalues < EXACT)
+    unknown = np.arange(len(node))
+    directions = scipy.sparse.csr_matrix(
+        (
+            vectors[node, :, way].ravel(),
+            ((node[:, None] * d + np.arange(d)).ravel(), np.repeat(unknown, d)),
+        ),
+        shape=(len(free) * d, len(node)),
+    )
+    if len(node):
+        laplacian = _laplacian(joint.points[joint.corners], corners, joint.cell_type, n_nodes)
+        load = -(laplacian[free] @ motion).ravel()
+        matrix = directions.T @ scipy.sparse.kron(laplacian[free][:, free], np.eye(d), format="csr") @ directions
+        motion[free] = (directions @ _solve(matrix.tocsr(), directions.T @ load)).reshape(-1, d)
+    if body_cells.shape[1] > k:
+        motion[body_cells[:, k:]] = np.einsum("qn,cnd->cqd", weights_between(joint.cell_type), motion[corners])
+        motion[known] = values
+    return motion
+
+
+def _laplacian(x: FloatArray, corners: IntArray, cell_type: str, n: int) -> scipy.sparse.csr_matrix:
+    """Stiffness matrix of -div grad on straight-sided cells x (n_cells, k, d), with quadrature at their vertices."""
+    element = lagrange(cell_type, 1)
+    at = element.points if is_tensor(cell_type) else element.points[:1]
+    reference = element.tabulate(1, at)[1:, :, :, 0]
+    jacobian = np.einsum("tqn,cnd->cqtd", reference, x)
+    gradients = np.einsum("cqdt,tqn->cqnd", np.linalg.inv(jacobian), reference)
+    weight = np.abs(np.linalg.det(jacobian)) / len(at)
+    local = np.einsum("cqnd,cqmd,cq->cnm", gradients, gradients, weight)
+    k = corners.shape[1]
+    rows, columns = np.repeat(corners, k, axis=1).ravel(), np.tile(corners, (1, k)).ravel()
+    return scipy.sparse.coo_matrix((local.ravel(), (rows, columns)), shape=(n, n)).tocsr()
+
+
+def _solve(matrix: scipy.sparse.csr_matrix, b: FloatArray) -> FloatArray:
+    """Conjugate gradients; the same on every rank, each for itself."""
+    if not np.any(b):
+        return np.zeros_like(b)
+    A = PETSc.Mat().createAIJ(
+        matrix.shape,
+        csr=(matrix.indptr.astype(PETSc.IntType), matrix.indices.astype(PETSc.IntType), matrix.data),
+        comm=MPI.COMM_SELF,
+    )
+    ksp = PETSc.KSP().create(MPI.COMM_SELF)
+    ksp.setOperators(A)
+    ksp.setType("cg")
+    ksp.getPC().setType("icc")
+    ksp.setTolerances(rtol=TOLERANCE, atol=0.0, max_it=5000)
+    solution = np.zeros_like(b)
+    right, x = (PETSc.Vec().createWithArray(values, comm=MPI.COMM_SELF) for values in (b, solution))
+    ksp.solve(right, x)
+    reason = ksp.getConvergedReason()
+    for thing in (A, ksp, right, x):
+        thing.destroy()
+    if reason < 0:
+        raise GeometryError("the harmonic motion of the bodies' nodes was not found: the mesh has nearly flat cells")
+    return solution
