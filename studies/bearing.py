@@ -101,21 +101,15 @@ def _structure(shape: float, *, quick: bool) -> Structure:
 
 
 def _held(joint: Joint) -> Structure:
-    return Structure(
-        joint,
-        body=PLATES,
-        supports={"BOTTOM": {"x": 0.0, "y": 0.0}, "TOP": {"x": 0.0, "y": OPENING}},
-        plane="axisymmetric",
-    )
+    supports = {"BOTTOM": {"x": 0.0, "y": 0.0}, "TOP": {"x": 0.0, "y": OPENING}}
+    return Structure(joint, body=PLATES, supports=supports, plane="axisymmetric")
 
 
 def _model(structure: Structure, name: str, eps: float, nu: float) -> Model:
     if name == "order_0":
         return structure.interface(ThinLayer(LinearElastic(_modulus(nu), MU), eps))
     law = Incompressible(MU) if nu == 0.5 else Rubber(_modulus(nu), MU)
-    if (
-        name == "rubber"
-    ):  # closed forms are those of a pressure that knows nothing of its ends but that it is zero there
+    if name == "rubber":  # in closed forms a pressure knows nothing of its ends but that it is zero there
         return structure.interface(ThinLayer(law, eps, order=1, edges="plain"))
     return structure.full(ThinLayer(law, eps), cells_through=6)
 
@@ -142,28 +136,26 @@ def _tractions(record: Record, *, quick: bool) -> None:
 
 def draw(record: Record) -> None:
     """Draw stiffnesses over those in closed form against nu, and tractions along the radius, from the tables."""
-    table, parts = record.load("table.csv"), {}
-    for shape in np.unique(table["shape"]):
-        at = (table["shape"] == shape) & (table["nu"] < 0.5)
-        x = np.log10(2 * table["nu"][at] / (1 - 2 * table["nu"][at]))
-        lines = {label: (x, (table[name] / table["closed"])[at]) for name, label in MODELS.items()}
-        parts[f"radius {2 * shape:g} eps"] = lines
-    labels = list(MODELS.values())
+    parts = {}
+    for shape, part in record.load("table.csv").split("shape").items():
+        at = part["nu"] < 0.5
+        x = np.log10(2 * part["nu"][at] / (1 - 2 * part["nu"][at]))
+        stiffnesses = {label: (x, (part[name] / part["closed"])[at]) for name, label in MODELS.items()}
+        parts[f"radius {2 * shape:g} eps"] = stiffnesses
     plotting.panels(
         parts,
-        xlabel="log10(lmbda/mu); 3.7: nu = 0.4999",
-        ylabels=dict.fromkeys(parts, "stiffness over closed form"),
-        styles=dict(zip(labels, ("o", "-", "^-"), strict=True)),
-        colours=dict(zip(labels, ("black", "tab:blue", "tab:red"), strict=True)),
-        ylims=dict.fromkeys(parts, (0.95, 1.3)),
+        "log10(lmbda/mu); 3.7: nu = 0.4999",
+        "stiffness over closed form",
+        styles=dict(zip(MODELS.values(), ("o", "-", "^-"), strict=True)),
+        ylim=(0.95, 1.3),
         save=record.path("stiffness.png"),
     )
     along = record.load("tractions.csv")
     columns = {"closed": "closed form, rigid plates", **MODELS}
     plotting.curves(
         {label: (along["radius_mm"], along[name]) for name, label in columns.items()},
-        xlabel="radius (mm)",
-        ylabel="normal traction over the largest in closed form",
+        "radius (mm)",
+        "normal traction over the largest in closed form",
         title=f"rubber of nu = {DRAWN['nu']:g}, radius {2 * DRAWN['shape']:g} eps",
         styles=dict(zip(columns.values(), ("-", ".", "--", ":"), strict=True)),
         ylim=(0.0, 2.8),

@@ -208,19 +208,14 @@ def draw(record: Record) -> None:
     table, fine = record.load("table.csv"), np.append(np.linspace(0.0, END, 201), np.nan)
     parts: dict[str, dict[str, tuple[Array, Array]]] = {title: {} for title in CASES}
     styles, colours = {CLOSED: "--"}, {CLOSED: "black"}
-    for kind, style, shown in ((INTERFACE, "-", slice(None)), (FULL, "o", slice(1, None, 2))):
-        for pull, colour in zip(PULLS, plotting.COLOURS, strict=False):
-            label = f"{kind}, {pull.name}"
-            styles[label], colours[label] = style, colour
-            for title, part in parts.items():
-                part[label] = table["t"][shown], table[f"{title}: {label}"][shown]
-    for title, case in CASES.items():  # both in one line, with a gap
+    for title, case in CASES.items():
+        for kind, style, shown in ((INTERFACE, "-", slice(None)), (FULL, "o", slice(1, None, 2))):
+            for pull, colour in zip(PULLS, plotting.COLOURS, strict=False):
+                label = f"{kind}, {pull.name}"
+                styles[label], colours[label] = style, colour
+                parts[title][label] = table["t"][shown], table[f"{title}: {label}"][shown]
+        # both in one line, with a gap
         parts[title][CLOSED] = np.tile(fine, 2), np.concatenate([case.exact(pull, fine) for pull in PULLS])
-    plotting.panels(
-        parts,
-        xlabel="time",
-        ylabels={title: "traction on S" if case.relaxes else "jump across S" for title, case in CASES.items()},
-        styles=styles,
-        colours=colours,
-        save=record.path("creep_and_relaxation.png"),
-    )
+    ylabels = {title: "traction on S" if case.relaxes else "jump across S" for title, case in CASES.items()}
+    save = record.path("creep_and_relaxation.png")
+    plotting.panels(parts, "time", ylabels, styles=styles, colours=colours, save=save)

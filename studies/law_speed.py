@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-from matplotlib.figure import Figure
 from mpi4py import MPI
 
 from forms import BulkLaw, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack
 from forms.kinematics import MANDEL, ROOT2
+from studies.timing import timed
 from thinlayer import SolveError, Table, plotting
 from thinlayer.files.progress import track
-from thinlayer.output.plotting.picture import finish
+from thinlayer.output.plotting.picture import Picture, finish
 from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
 from thinlayer.running.record import Record
@@ -82,11 +82,8 @@ def measure(case: Case, points: int, repeats: int) -> tuple[float, dict[str, flo
     e = SIZE * random.normal(size=(points, m))
     n = np.tile([0.0, 1.0, 0.0], (points, 1))
     rest, q = np.zeros_like(e), np.zeros((points, material.memory))
-    times = []
-    for _ in range(repeats + 1):  # the first one warms up
-        begin = time.process_time()
-        _, _, _, energies, failed = material.update(case.slots, e, rest, q, n, 1.0, 1.0)
-        times.append(time.process_time() - begin)
+    runs = [timed(partial(material.update, case.slots, e, rest, q, n, 1.0, 1.0)) for _ in range(repeats + 1)]
+    _, _, _, energies, failed = runs[-1][1]
     if failed:
         raise SolveError(f"{case.law}: {failed} points failed")
     whole = np.zeros((points, 6))
@@ -95,7 +92,12 @@ def measure(case: Case, points: int, repeats: int) -> tuple[float, dict[str, flo
     yields = energies[:, 1] > 0
     equal = np.abs(np.diff(principal(mandel), axis=1)) < 1e-9 * np.abs(mandel).max()
     edge, apex = equal.sum(axis=1) == 1, equal.all(axis=1)
-    return min(times[1:]), {"yielding": yields.mean(), "edge": (yields & edge).mean(), "apex": (yields & apex).mean()}
+    seconds = min(one for one, _ in runs[1:])  # the first one warms up
+    return seconds, {
+        "yielding": yields.mean(),
+        "edge": (yields & edge).mean(),
+        "apex": (yields & apex).mean(),
+    }
 
 
 def principal(mandel: Array) -> Array:
@@ -109,7 +111,7 @@ def principal(mandel: Array) -> Array:
 def draw(record: Record) -> None:
     """Draw the speeds from table.csv."""
     table = record.load("table.csv")
-    figure = Figure(figsize=(7, 3.6), layout="constrained")
+    figure = Picture(figsize=(7, 3.6), layout="constrained")
     axes = figure.subplots()
     bars = axes.barh([str(row["law"]) for row in table.rows], table["points_per_second"], color=plotting.COLOURS[0])
     axes.bar_label(bars, fmt="%.2g", padding=3)

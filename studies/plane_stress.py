@@ -8,7 +8,6 @@ from forms import BulkLaw, LinearElastic, Maxwell
 from geometry import sandwich
 from thinlayer import Structure, ThinLayer, plotting, solve
 from thinlayer.files.progress import track
-from thinlayer.files.table import Table
 from thinlayer.running.record import Record
 
 DEPTHS = (8.0, 4.0, 2.0, 1.0, 0.5)  # mm, of the sheet
@@ -52,13 +51,11 @@ def run(record: Record, *, depths: Sequence[float] = DEPTHS, quick: bool = False
 def _compliance(record: Record, law: BulkLaw, h: float, *, plane: str = "strain", depth: float | None = None) -> float:
     """Work of the load over the depth of the sheet, its faces free; half of the sheet is meshed."""
     half = None if depth is None else depth / 2
-    joint = sandwich(
-        WIDTH, LOWER, UPPER, h, h_S=h / 2, depth=half, cell="quadrilateral" if half is None else "hexahedron"
-    )
-    pull = (-PULL, 0.0) if half is None else (-PULL, 0.0, 0.0)
+    cell = "quadrilateral" if half is None else "hexahedron"
+    joint = sandwich(WIDTH, LOWER, UPPER, h, h_S=h / 2, depth=half, cell=cell)
+    pull = (-PULL, 0.0, 0.0)[: joint.dim]
     supports: dict[str, dict[str, float]] = {"RIGHT/LOWER": {"x": 0.0, "y": 0.0}, "LEFT/UPPER": {"y": 0.0}}
-    if half is not None:
-        supports["BACK"] = {"z": 0.0}
+    supports |= {"BACK": {"z": 0.0}} if half else {}
     structure = Structure(joint, body=PLATES, supports=supports, tractions={"LEFT/UPPER": pull}, plane=plane)
     model = structure.full(ThinLayer(law, EPS), cells_through=6)
     if law.traits.remembers:
@@ -72,14 +69,12 @@ def draw(record: Record) -> None:
     """Draw the ratios against the depth."""
     lines = {}
     for name in LAWS:
-        table = Table.load(record.path(f"table_{name}.csv"))
+        table = record.load(f"table_{name}.csv")
         for plane in ("stress", "strain"):
             lines[f"{name}, over plane {plane}"] = (table["depth"], table[f"over_{plane}"])
-    plotting.curves(
-        lines,
-        xlabel="depth of the sheet (mm)",
-        ylabel="work of the load, over that in the plane",
-        save=record.path("depth.png"),
-        title="lap joint, layer of 2 mm",
-        ylim=(0.97, 1.13),
+    title, save, ylabel = (
+        "lap joint, layer of 2 mm",
+        record.path("depth.png"),
+        "work of the load, over that in the plane",
     )
+    plotting.curves(lines, "depth of the sheet (mm)", ylabel, save=save, title=title, ylim=(0.97, 1.13))

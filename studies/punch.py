@@ -16,7 +16,7 @@ from forms import LinearElastic, VonMises, limits
 from geometry import Joint, block, ring, sandwich
 from studies.problems import FOURIER_BODY, MORTAR, sheared
 from studies.sweeping import Solution, Sweep, draw_rates
-from thinlayer import History, State, Structure, Surface, Table, ThinLayer, march, plotting
+from thinlayer import History, State, Structure, Surface, ThinLayer, march, plotting
 from thinlayer.running.record import Record
 
 K = 1.0  # yield stress in shear; all stresses of the punch and the cylinder are relative to it
@@ -92,8 +92,8 @@ def punched(record: Record, cells: Sequence[int]) -> None:
         model = Structure(half_space(n), body=metal, supports=supports).bonded()
         history = march(model, SUNK, keep="last", observe={"pressure": pressure})
         record.solved(history.last)
-        for t, p in zip(history.t, history.table["pressure"], strict=True):
-            table.append({"n": n, "sunk": float(t), "pressure": float(p), "over": float(p) / limit})
+        pressures = zip(history.t, history.table["pressure"], strict=True)
+        table.extend({"n": n, "sunk": float(t), "pressure": float(p), "over": float(p) / limit} for t, p in pressures)
         errors.append(float(history.table["pressure"][-1]) / limit - 1)
     record.say(table)
     record.check("pressure under the punch on the finest mesh, over (2 + pi) k", 1 + errors[-1], low=0.99, high=1.01)
@@ -168,34 +168,25 @@ def dissipated(full: Solution, limit: Solution) -> dict[str, float]:
 
 def draw(record: Record) -> None:
     """Draw the pressure under the punch, the cylinder, and the rates."""
-    punch, limit = record.load("punch.csv"), limits.prandtl_pressure(K)
-    curves = {}
-    for n in np.unique(punch["n"]):
-        curves[f"{n:.0f} cells under the punch"] = tuple(punch[name][punch["n"] == n] for name in ("sunk", "over"))
-    sunk = np.array([0.0, max(SUNK)])
-    curves["(2 + pi) k"] = sunk, np.ones(2)
-    plotting.curves(
-        curves, xlabel="depth / half-width", ylabel=f"mean pressure / {limit:.3f} k", save=record.path("punch.png"),
-        title="rough punch on ideally plastic metal", styles={"(2 + pi) k": "--"},
-    )  # fmt: skip
-    _draw_cylinder(record, record.load("cylinder.csv"))
-    draw_rates(record, title="Mohr-Coulomb joint between bodies that yield")
-
-
-def _draw_cylinder(record: Record, table: Table) -> None:
-    p = np.linspace(0.0, PRESSURES[-1], 100)
-    exact = {
-        f"closed form, r = {r:g}": (np.array([float(CYLINDER.displacement(one, np.array(r))) for one in p]), p)
-        for r in (CYLINDER.a, CYLINDER.b)
+    limit, sunk = limits.prandtl_pressure(K), np.array([0.0, max(SUNK)])
+    curves: dict[str, tuple[Any, Any]] = {
+        f"{n:.0f} cells under the punch": (part["sunk"], part["over"])
+        for n, part in record.load("punch.csv").split("n").items()
     }
-    kinds = [str(row["model"]) for row in table.rows]
-    found = {
-        f"{kind}, r = {r:g}": tuple(table[one][[k == kind for k in kinds]] for one in (f"u_{name}", "pressure"))
-        for kind in dict.fromkeys(kinds)
-        for r, name in ((CYLINDER.a, "inside"), (CYLINDER.b, "outside"))
-    }
-    styles = {label: "o" if "strain" in label else "x" for label in found}
-    plotting.curves(
-        found | exact, xlabel="radial displacement", ylabel="pressure / k", save=record.path("cylinder.png"),
-        title="thick-walled cylinder, b = 2 a", styles=styles,
-    )  # fmt: skip
+    xlabel, ylabel, title = (
+        "depth / half-width",
+        f"mean pressure / {limit:.3f} k",
+        "rough punch on ideally plastic metal",
+    )
+    curves["(2 + pi) k"], styles = (sunk, np.ones(2)), {"(2 + pi) k": "--"}
+    plotting.curves(curves, xlabel, ylabel, save=record.path("punch.png"), title=title, styles=styles)
+    p, curves, styles = np.linspace(0.0, PRESSURES[-1], 100), {}, {}
+    for r, name in ((CYLINDER.a, "inside"), (CYLINDER.b, "outside")):
+        exact = [float(CYLINDER.displacement(float(at), np.array(r))) for at in p]
+        curves[f"closed form, r = {r:g}"] = np.array(exact), p
+        for kind, part in record.load("cylinder.csv").split("model").items():
+            curves[f"{kind}, r = {r:g}"] = part[f"u_{name}"], part["pressure"]
+            styles[f"{kind}, r = {r:g}"] = "o" if "strain" in kind else "x"
+    title, save = "thick-walled cylinder, b = 2 a", record.path("cylinder.png")
+    plotting.curves(curves, "radial displacement", "pressure / k", save=save, title=title, styles=styles)
+    draw_rates(record, "Mohr-Coulomb joint between bodies that yield")

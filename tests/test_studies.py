@@ -1,10 +1,13 @@
-"""The studies of contact: contracts of their tables, checks that hold and that can fail."""
+"""The studies' own means: contracts of their tables, checks that hold and that can fail, lines and polygons."""
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from studies import fig8_friction, performance, relaxation
+from studies.fig4_bar import meet, straight
+from studies.snap import distance
 from thinlayer.running.cli import main
 
 
@@ -28,3 +31,16 @@ def test_benchmark_runs(monkeypatch):
     assert [row["work"] for row in rows] == ["friction 3D", "friction 3D, status predicted"]
     assert rows[0]["dofs"] == 3 * 7**3
     bench.close()
+
+
+def test_distance_from_a_polygon():
+    """Over the size of each component: 4 and 2 here."""
+    polygon = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 2.0]])
+    points = np.array([[2.0, 0.0], [2.0, 0.5], [4.4, 1.0], [-0.4, 0.0], [4.0, 2.4]])
+    assert distance(points, polygon) == pytest.approx([0, 0.25, 0.1, 0.1, 0.2], abs=1e-14)
+
+
+def test_straight_lines_meet():
+    x = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
+    y = np.array([1.0, 3.0, 7.0, 6.0, 5.0])  # 1 + 2 x, then 9 - x
+    assert meet(straight(x, y, x < 2), straight(x, y, x > 1)) == pytest.approx(8 / 3, rel=1e-12)
