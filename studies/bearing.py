@@ -10,7 +10,7 @@ import numpy as np
 from forms import Incompressible, LinearElastic, Rubber, limits
 from geometry import faults, sandwich
 from geometry.joint import Joint
-from thinlayer import Model, PressureReport, Structure, Surface, ThinLayer, plotting, solve
+from thinlayer import Model, PressureReport, Structure, Surface, Table, ThinLayer, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
@@ -124,10 +124,10 @@ def _tractions(record: Record, *, quick: bool) -> None:
     found = {name: surface.profile(surface.traction(state)) for name, state in states.items()}
     r = found["rubber"][0][:, 0]
     closed = OPENING * (limits.rubber_disc_pressure(lmbda, MU, eps, RADIUS, r) + 2 * MU / eps)
-    table = record.table("tractions.csv")
-    for k in np.argsort(r):
-        tractions = {name: float(profile[k, 1] / closed.max()) for name, (_, profile) in found.items()}
-        table.append({"radius_mm": float(r[k]), "closed": float(closed[k] / closed.max()), **tractions})
+    order = np.argsort(r)
+    tractions = {name: profile[order, 1] / closed.max() for name, (_, profile) in found.items()}
+    table = Table.of({"radius_mm": r[order], "closed": closed[order] / closed.max(), **tractions})
+    record.write("tractions.csv", table)
     inside = table["radius_mm"] < RADIUS - eps
     for name, high in (("rubber", 0.005), ("meshed", 0.03)):
         error = float(np.abs(table[name] - table["closed"])[inside].max())
@@ -146,7 +146,7 @@ def draw(record: Record) -> None:
         parts,
         "log10(lmbda/mu); 3.7: nu = 0.4999",
         "stiffness over closed form",
-        styles=dict(zip(MODELS.values(), ("o", "-", "^-"), strict=True)),
+        styles=("o", "-", "^-"),
         ylim=(0.95, 1.3),
         save=record.path("stiffness.png"),
     )
@@ -157,7 +157,7 @@ def draw(record: Record) -> None:
         "radius (mm)",
         "normal traction over the largest in closed form",
         title=f"rubber of nu = {DRAWN['nu']:g}, radius {2 * DRAWN['shape']:g} eps",
-        styles=dict(zip(columns.values(), ("-", ".", "--", ":"), strict=True)),
+        styles=("-", ".", "--", ":"),
         ylim=(0.0, 2.8),
         save=record.path("tractions.png"),
     )

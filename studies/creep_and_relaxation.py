@@ -135,8 +135,7 @@ def run(record: Record, *, quick: bool = False) -> None:
         found[CLOSED] = column.case.exact(pull, curves["t"])
         curves |= {f"{title}: {kind}, {pull.name}": values for kind, values in found.items()}
         orders.append({"case": title, "load": pull.name} | column.errors(steps))
-    rows = zip(*curves.values(), strict=True)
-    record.write("table.csv", Table(dict(zip(curves, row, strict=True)) for row in rows))
+    record.write("table.csv", Table.of(curves))
     record.say(f"closed forms at t = {AT:g}, relative errors by length of the steps\n{orders}")
     record.check("largest relative difference of both models", difference, high=1e-8)
     for scheme, (_, order) in SCHEMES.items():

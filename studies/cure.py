@@ -17,7 +17,7 @@ from forms.elastic import lame
 from forms.kinematics import Expr
 from forms.law import Step
 from geometry import sandwich
-from thinlayer import State, Structure, Surface, ThermalExpansion, ThinLayer, plotting, solve
+from thinlayer import State, Structure, Surface, Table, ThermalExpansion, ThinLayer, plotting, solve
 from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
 
@@ -144,11 +144,8 @@ def shear_lag(record: Record, h: float) -> None:
         surface = Surface(models["interface law"])
         for name, model in models.items():
             x, t = surface.profile(surface.traction(record.solved(solve(model))))
-            rows = zip(x[:, 0], t[:, 0], lag(mu, x[:, 0]), strict=True)
-            table.extend(
-                {"model": name, "mu": mu, "x": float(at), "tau": float(tau), "closed_form": float(exact)}
-                for at, tau, exact in rows
-            )
+            exact = lag(mu, x[:, 0])
+            table.extend(Table.of({"model": name, "mu": mu, "x": x[:, 0], "tau": t[:, 0], "closed_form": exact}))
     for mu, of_mu in table.split("mu").items():
         for name, part in of_mu.split("model").items():
             inside = (part["x"] > 0.1 * LENGTH) & (part["x"] < NEAR_ENDS * LENGTH)
@@ -227,11 +224,7 @@ def curing(record: Record, steps: tuple[int, ...]) -> None:
             found = np.array([normal_traction(state, surface) for state in history])
             exact = cured(history.t)
             errors[name, n] = found[-1] / exact[-1] - 1
-            rows = zip(history.t, found, exact, strict=True)
-            table.extend(
-                {"model": name, "steps": n, "t": float(t), "t_N": float(t_N), "closed_form": float(closed)}
-                for t, t_N, closed in rows
-            )
+            table.extend(Table.of({"model": name, "steps": n, "t": history.t, "t_N": found, "closed_form": exact}))
     for name in models:
         first, last = errors[name, steps[-2]], errors[name, steps[-1]]
         record.check(f"stress of cure, {name}: observed order in time", np.log2(first / last), low=0.9, high=1.1)
@@ -265,7 +258,7 @@ def draw(record: Record) -> None:
         "x from the middle (mm)",
         "shear stress on S (MPa)",
         title="two strips of unequal expansion, cooled by 80 K, held flat",
-        styles=dict(zip(lines, 2 * ("s", ".", "-"), strict=True)),
+        styles=2 * ("s", ".", "-"),
         save=record.path("shear_lag.png"),
     )
     table, grid = record.load("bending.csv"), np.geomspace(min(STIFFENING), max(STIFFENING), 200)
@@ -277,7 +270,7 @@ def draw(record: Record) -> None:
         "shear modulus of the layer (MPa)",
         "curvature (1/m)",
         title="two strips of unequal expansion, cooled by 80 K, free to bend",
-        styles=dict(zip(lines, ("s", "o", "-", ":"), strict=True)),
+        styles=("s", "o", "-", ":"),
         xscale="log",
         save=record.path("bending.png"),
     )
@@ -290,6 +283,6 @@ def draw(record: Record) -> None:
         "hours",
         "normal traction on S (MPa)",
         title="a layer that shrinks by 1 % while it hardens between stiff plates",
-        styles=dict(zip(lines, ("s", ".", "-", "--"), strict=True)),
+        styles=("s", ".", "-", "--"),
         save=record.path("curing.png"),
     )

@@ -114,6 +114,6 @@ def draw(record: Record) -> None:
         "push over pressure",
         "Newton steps",
         title="a sudden push on a dry wall of 14 bricks",
-        styles=dict.fromkeys(lines, "o-"),
+        styles="o-",
         save=record.path("steps.png"),
     )

@@ -16,7 +16,7 @@ from forms import LinearElastic
 from geometry import fibre, periodic
 from geometry.parallel import on_root
 from studies.sweeping import Solution, Sweep, draw_rates, last, layer_of
-from thinlayer import State, Structure, ThinLayer, homogenised_stiffness, observed_orders, plotting, solve
+from thinlayer import State, Structure, Table, ThinLayer, homogenised_stiffness, observed_orders, plotting, solve
 from thinlayer.output.grid import gather
 from thinlayer.running.record import Record
 
@@ -148,18 +148,18 @@ def along_axis(record: Record, sweep: Sweep, eps: float) -> None:
     for (name, cylinders), state in zip(closed.items(), sweep.solved(eps), strict=True):
         grid = gather(last(state))
         nodes = on_root(None, partial(axis_of, grid.points, grid.u))
-        table.extend({"model": name, "x": x, "u_x": u, "kind": "nodes"} for x, u in nodes)
+        table.extend(Table.of({"model": name, "x": nodes[:, 0], "u_x": nodes[:, 1], "kind": "nodes"}))
         for k, (inner, outer) in enumerate(pairwise((1e-6, *cylinders.radii))):
-            for x in np.linspace(inner, outer, 20):
-                u = cylinders.displacement(k, x, 0.0)[0]
-                table.append({"model": name, "x": float(x), "u_x": float(u), "kind": "closed form"})
+            x = np.linspace(inner, outer, 20)
+            u = [cylinders.displacement(k, float(at), 0.0)[0] for at in x]
+            table.extend(Table.of({"model": name, "x": x, "u_x": u, "kind": "closed form"}))
 
 
-def axis_of(points: np.ndarray, u: np.ndarray) -> list[tuple[float, float]]:
+def axis_of(points: Array, u: Array) -> Array:
     """(x, u_x) of the nodes on the x axis, x > 0, in order."""
     on = (abs(points[:, 1]) < 1e-9) & (points[:, 0] > 1e-9)
     rows = np.column_stack([points[on, 0], u[on, 0]])
-    return [(float(x), float(v)) for x, v in rows[np.lexsort(rows.T[::-1])]]
+    return np.asarray(rows[np.lexsort(rows.T[::-1])])
 
 
 # ---------------------------------------------------------------- concentric cylinders in plane strain, in closed form
@@ -275,7 +275,7 @@ def draw(record: Record) -> None:
         "cell size h",
         "relative error of the energy",
         title="interface model of a coated fibre",
-        styles=dict(zip(lines, ("o-", ":", "s-", ":"), strict=True)),
+        styles=("o-", ":", "s-", ":"),
         logarithmic=True,
         save=record.path("refinement.png"),
     )

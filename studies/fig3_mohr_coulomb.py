@@ -90,7 +90,7 @@ def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: 
             f"meshed layer, h = {H:g}": bar.solved(Structure.full, H),
         }
         for label, state in shown.items():
-            table.extend({"loads": name, "model": label} | row for row in bar.profile(state).rows)
+            table.extend({"loads": name, "model": label} | row for row in bar.profile(state))
         bar.check(shown)
         ends = dict([*shown.items()][1:])
         title = f"left end of a Mohr-Coulomb layer, loads {name}"
@@ -141,14 +141,10 @@ class YieldingBar:
         (law,), surface = (layer.law for layer in state.model.layers.values()), self.surface
         x, u = surface.profile(surface.frame(surface.jump(state)))
         t = surface.profile(surface.frame(surface.traction(state)))[1]
-        columns = {"x_mm": x[:, 0], "u_T_mm": u[:, 0], "u_N_mm": u[:, 1], "t_T_MPa": t[:, 0], "t_N_MPa": t[:, 1]}
         moves = np.abs(u[:, 0]) > 0.1 * np.abs(u[:, 0]).max()
-        return Table(
-            {"h": law.parameters()["elastic_fraction"]}
-            | {name: float(values[k]) for name, values in columns.items()}
-            | {"ratio": float(t[k, 0] / u[k, 0]) if moves[k] else None}
-            for k in range(len(x))
-        )
+        ratio = [float(t[k, 0] / u[k, 0]) if moves[k] else None for k in range(len(x))]
+        columns = {"h": law.parameters()["elastic_fraction"], "x_mm": x[:, 0], "u_T_mm": u[:, 0], "u_N_mm": u[:, 1]}
+        return Table.of(columns | {"t_T_MPa": t[:, 0], "t_N_MPa": t[:, 1], "ratio": ratio})
 
     def shear_force(self, state: State) -> float:
         """Tangential force on S, N/mm."""
@@ -180,8 +176,7 @@ def refine(record: Record, bar: YieldingBar, counts: Sequence[int]) -> None:
     last = forces[counts[-1]]
     errors = [abs(forces[steps] - last) for steps in counts[:-1]]
     orders = [*observed_orders([1 / steps for steps in counts[:-1]], errors), None]
-    rows = zip(forces.items(), orders, strict=True)
-    table = Table({"steps": steps, "shear_force": force, "order": order} for (steps, force), order in rows)
+    table = Table.of({"steps": counts, "shear_force": [*forces.values()], "order": orders})
     record.write("steps.csv", table)
     record.say(f"R1, pressure first, then shear in steps:\n{table}")
     record.check("R1: shear force on S in many steps", last, low=R_X_REFINED - 1e-3, high=R_X_REFINED + 1e-3)
@@ -195,5 +190,5 @@ def draw(record: Record) -> None:
         lines = {model: (one["x_mm"], one["ratio"] / 1e3) for model, one in of_loads.split("model").items()}
         lines["elastic, mu"] = (np.array([0.0, SIDE]), np.full(2, GLUE.mu / EPS / 1e3))
         parts[title], ranges[title] = lines, READINGS[name].shown
-    styles, save = dict(zip(lines, ("-", "--", ":", "-."), strict=True)), record.path("ratio.png")
+    styles, save = ("-", "--", ":", "-."), record.path("ratio.png")
     plotting.panels(parts, "x (mm)", "t_T / u_T (10³ N/mm³)", styles=styles, save=save, ylim=ranges)

@@ -48,8 +48,8 @@ def run(record: Record, *, quick: bool = False) -> None:
     for eps in track(EPS, "fig4_bar", "eps = {:g}"):
         strip = Strip(record, eps, cells)
         relaxed, unrelaxed = strip.march(NonMonotone, steps), strip.march(NonMonotoneUnrelaxed, steps)
-        table.extend(strip.least(relaxed).rows)
-        loops.extend(strip.rows(unrelaxed).rows)
+        table.extend(strip.least(relaxed))
+        loops.extend(strip.rows(unrelaxed))
         limit.append(strip.thresholds(relaxed, unrelaxed))
         if eps in (BAR.eps, 0.0):
             strip.check_steps(unrelaxed)
@@ -94,12 +94,10 @@ class Strip:
     def rows(self, history: History) -> Table:
         """delta, U, sigma, energy, phase, and the energy lost in a snap that ends there, of all states."""
         lost = {snap.row: snap.lost for snap in history.snaps}
-        rows = Table()
-        for k, row in enumerate(history.table.rows):
-            delta = {"eps": self.bar.eps, "delta": float(moved(np.array(row["t"])))}
-            found = {name: row[name] for name in ("U", "sigma", "energy")}
-            rows.append(delta | found | {"phase": row["plus"], "lost": lost.get(k)})
-        return rows
+        states, delta = history.table, moved(history.t)
+        found = {name: states[name] for name in ("U", "sigma", "energy")} | {"phase": states["plus"]}
+        lost_at = [lost.get(k) for k in range(len(states))]
+        return Table.of({"eps": self.bar.eps, "delta": delta, **found, "lost": lost_at})
 
     def least(self, history: History) -> Table:
         """Rows of the relaxed law on the way up, with the phase boundary and the closed forms; checks both ways."""
@@ -111,12 +109,9 @@ class Strip:
             found["boundary"] = history.table["boundary"]
         errors = [np.abs(found[name] - values).max() / (values.max() or 1) for name, values in exact.items()]
         self.record.check(f"{self}: relative error of {', '.join(exact)}, relaxed law", max(errors), high=EXACT)
-        table = Table()
-        for k in range(len(rows) // 2 + 1):
-            pairs = {name: values[k] for name, values in found.items()}
-            pairs |= {f"{name}_exact": values[k] for name, values in exact.items()}
-            table.append({"eps": bar.eps, "delta": delta[k]} | pairs)
-        return table
+        columns = found | {f"{name}_exact": values for name, values in exact.items()}
+        up = slice(len(rows) // 2 + 1)
+        return Table.of({"eps": bar.eps, "delta": delta[up], **{name: one[up] for name, one in columns.items()}})
 
     def thresholds(self, relaxed: History, unrelaxed: History) -> dict[str, float]:
         """Values of delta where branches meet and where the layer snaps, and the energy lost in a cycle; checks them."""

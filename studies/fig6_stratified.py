@@ -16,8 +16,7 @@ from thinlayer.running.record import Record
 EPS = 0.1  # mm
 BAR = LinearElastic.young(E=130e3, nu=0.2)  # MPa
 GLUE = Stack(  # MPa; the lower half is softer
-    (0.5, LinearElastic.shear(mu=7.5e3, nu=0.3)),
-    (0.5, LinearElastic.shear(mu=10e3, nu=0.3)),
+    (0.5, LinearElastic.shear(mu=7.5e3, nu=0.3)), (0.5, LinearElastic.shear(mu=10e3, nu=0.3))
 )
 K_T = 1 / (0.5 * EPS / 7.5e3 + 0.5 * EPS / 10e3)  # N/mm^3: compliances add
 WIDTH = HEIGHT = 40.0  # mm
@@ -39,8 +38,7 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
     x, ratio_interface = bar.stiffness(bar.limit)
     full = bar.full(ThinLayer(GLUE, EPS))
     _, ratio_band = bar.stiffness(full)
-    rows = zip(x, ratio_band, ratio_interface, strict=True)
-    record.write("table.csv", Table({"x_mm": a, "ratio_band": b, "ratio_interface": c} for a, b, c in rows))
+    record.write("table.csv", Table.of({"x_mm": x, "ratio_band": ratio_band, "ratio_interface": ratio_interface}))
     states, title = {f"meshed layer, eps = {EPS:g} mm": full, "interface law": bar.limit}, "bar on a stratified layer"
     plotting.deformed(states, save=record.path("deformed.png"), unit="mm", title=title)
     end: dict[str, Any] = {"title": f"{title}: its free end", "scale": 100, "zoom": (-0.15, 0.65, -0.15, 0.45)}
@@ -95,7 +93,7 @@ def _deviation(record: Record, bar: StratifiedBar, eps: Sequence[float]) -> Tabl
         columns["deviation_moduli_held"].append(bar.deviation(ThinLayer(GLUE, e), K_T * EPS / e))
     for way in ("ratios_held", "moduli_held"):
         columns[f"order_{way}"] = observed_orders(eps, columns[f"deviation_{way}"])
-    table = Table(dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
+    table = Table.of(columns)
     record.write("deviation.csv", table)
     return table
 
@@ -115,7 +113,7 @@ def draw(record: Record) -> None:
         "x (mm)",
         "t_T / u_T (10^3 N/mm^3)",
         title="Figure 6: tangential stiffness along S",
-        styles=dict(zip(lines, ("-", "--", ":", ":"), strict=True)),
+        styles=("-", "--", ":", ":"),
         ylim=(82, 90),
         save=record.path("ratio.png"),
     )

@@ -254,8 +254,7 @@ def draw(record: Record) -> None:
     shown = {}
     for kind in (KNOWN, IGNORED):
         columns = {f"error_{what}": table[_column(what, kind)] for what in WHAT[:2]}
-        rows = zip(table["eps"], *columns.values(), strict=True)
-        shown[f"ends {kind}"] = Table(dict(zip(("eps", *columns), row, strict=True)) for row in rows)
+        shown[f"ends {kind}"] = Table.of({"eps": table["eps"], **columns})
     title = "order 1, inner half of S between blocks with free sides, nu = 0.3"
     plotting.rates(shown, reference=2.0, title=title, save=record.path("rates.png"))
     table, ratios = record.load("table.csv"), np.linspace(0.02, 0.4995, 200)

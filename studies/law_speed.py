@@ -93,11 +93,7 @@ def measure(case: Case, points: int, repeats: int) -> tuple[float, dict[str, flo
     equal = np.abs(np.diff(principal(mandel), axis=1)) < 1e-9 * np.abs(mandel).max()
     edge, apex = equal.sum(axis=1) == 1, equal.all(axis=1)
     seconds = min(one for one, _ in runs[1:])  # the first one warms up
-    return seconds, {
-        "yielding": yields.mean(),
-        "edge": (yields & edge).mean(),
-        "apex": (yields & apex).mean(),
-    }
+    return seconds, {"yielding": yields.mean(), "edge": (yields & edge).mean(), "apex": (yields & apex).mean()}
 
 
 def principal(mandel: Array) -> Array:

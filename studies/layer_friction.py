@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from forms import MohrCoulomb, MohrCoulombMonodirectional, limits
-from thinlayer import plotting
+from thinlayer import Table, plotting
 from thinlayer.pointwise.drive import PointHistory, drive
 from thinlayer.running.record import Record
 
@@ -63,8 +63,8 @@ def run(record: Record, *, quick: bool = False) -> None:
     table = record.table("table.csv")
     for name, history in curves.items():
         shear, friction = MU * history.jumps[:, 0] / PRESSURE, ratio(history)
-        rows = zip(history.table.rows, shear, friction, strict=True)
-        table.extend({"path": name, "shear": x, "friction": y} | row for row, x, y in rows)
+        columns = {name: history.table[name] for name in history.table.columns}
+        table.extend(Table.of({"path": name, "shear": shear, "friction": friction, **columns}))
 
     held = curves[HELD_JUMP]
     record.check_near("first yield after compression", first_yield(law), limits.first_yield_ratio(NU, OMEGA), 1e-8)

@@ -85,7 +85,7 @@ def draw(record: Record) -> None:
         "K_N = K_T = kappa",
         "L2 norm on S",
         title="a stiff interface law tends to bonded bodies",
-        styles=dict(zip(lines, ("o-", "s-", "--"), strict=True)),
+        styles=("o-", "s-", "--"),
         logarithmic=True,
         save=record.path("bonded.png"),
     )

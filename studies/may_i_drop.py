@@ -277,9 +277,8 @@ def along(one: Dropped) -> Table:
     _, on_s = surface.profile((surface.traction(found.state) * surface.jump(one.full)).sum(axis=0))
     columns["density"] = density.values[order]
     columns["true_density"] = on_s - _of_layer(one, x[:, 0]) / density.areas[order]
-    return Table(
-        {"x": float(x[k, 0]), **{name: float(c[k]) for name, c in columns.items()}} for k in np.argsort(x[:, 0])
-    )
+    in_order = np.argsort(x[:, 0])
+    return Table.of({"x": x[in_order, 0], **{name: column[in_order] for name, column in columns.items()}})
 
 
 def _of_layer(one: Dropped, at: Array) -> Array:

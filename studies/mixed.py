@@ -202,7 +202,7 @@ def draw(record: Record) -> None:
                 for what, of in MEASURED.items()
             },
             "log2 of the thickness over the width",
-            styles=dict.fromkeys(LAWS, "o-"),
+            styles="o-",
             columns=4,
             yscale="log",
             save=record.path(f"{name}.png"),
@@ -212,7 +212,7 @@ def draw(record: Record) -> None:
         {what: (table["distance"], table[f"error_{of}"]) for what, of in MEASURED.items()},
         "distance of the cut from the free ends / thickness",
         "relative error",
-        styles=dict.fromkeys(MEASURED, "o-"),
+        styles="o-",
         logarithmic=True,
         save=record.path("distances.png"),
     )

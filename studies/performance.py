@@ -75,7 +75,7 @@ def draw(record: Record) -> None:
         "unknowns",
         "time over that of one linear solve",
         title="contact with friction",
-        styles=dict.fromkeys(works, "o-"),
+        styles="o-",
         xscale="log",
         save=record.path("ratios.png"),
     )

@@ -17,10 +17,7 @@ PULL = 5.0  # MPa
 PLATES = LinearElastic.young(E=2e3, nu=0.35)  # MPa
 GLUE = LinearElastic.young(E=100.0, nu=0.45)  # MPa
 TIMES = (0.5, 1.0, 2.0)  # hours
-LAWS: dict[str, BulkLaw] = {
-    "elastic": GLUE,
-    "Maxwell": Maxwell(GLUE.lmbda, GLUE.mu, t1=1.5, t2=4.0),
-}
+LAWS: dict[str, BulkLaw] = {"elastic": GLUE, "Maxwell": Maxwell(GLUE.lmbda, GLUE.mu, t1=1.5, t2=4.0)}
 SAME = 0.01  # relative difference of the thinnest sheet from plane stress
 
 

@@ -16,7 +16,7 @@ from forms import LinearElastic, VonMises, limits
 from geometry import Joint, block, ring, sandwich
 from studies.problems import FOURIER_BODY, MORTAR, sheared
 from studies.sweeping import Solution, Sweep, draw_rates
-from thinlayer import History, State, Structure, Surface, ThinLayer, march, plotting
+from thinlayer import History, State, Structure, Surface, Table, ThinLayer, march, plotting
 from thinlayer.running.record import Record
 
 K = 1.0  # yield stress in shear; all stresses of the punch and the cylinder are relative to it
@@ -92,8 +92,8 @@ def punched(record: Record, cells: Sequence[int]) -> None:
         model = Structure(half_space(n), body=metal, supports=supports).bonded()
         history = march(model, SUNK, keep="last", observe={"pressure": pressure})
         record.solved(history.last)
-        pressures = zip(history.t, history.table["pressure"], strict=True)
-        table.extend({"n": n, "sunk": float(t), "pressure": float(p), "over": float(p) / limit} for t, p in pressures)
+        over = history.table["pressure"] / limit
+        table.extend(Table.of({"n": n, "sunk": history.t, "pressure": history.table["pressure"], "over": over}))
         errors.append(float(history.table["pressure"][-1]) / limit - 1)
     record.say(table)
     record.check("pressure under the punch on the finest mesh, over (2 + pi) k", 1 + errors[-1], low=0.99, high=1.01)

@@ -85,6 +85,5 @@ def draw(record: Record) -> None:
             f"{n:.0f} squares": (own["omega"], np.where(own["converged"] == 1, own["sweeps"], np.nan))
             for n, own in part.split("squares").items()
         }
-    styles = dict.fromkeys(next(iter(parts.values())), "o-")
     save = record.path("sweeps.png")
-    plotting.panels(parts, "omega (1 at the contact nodes)", "sweeps", styles=styles, yscale="log", save=save)
+    plotting.panels(parts, "omega (1 at the contact nodes)", "sweeps", styles="o-", yscale="log", save=save)

@@ -135,7 +135,7 @@ def draw(record: Record) -> None:
         panels,
         "log10(lmbda/mu); 3.7: nu = 0.4999",
         dict(zip(panels, ("number", "over that of an elastic layer"), strict=True)),
-        styles=dict.fromkeys(CASES, "o-"),
+        styles="o-",
         ylim={label: (0.0, 1.1 * max(y.max() for _, y in lines.values())) for label, lines in panels.items()},
         save=record.path("saddle_points.png"),
     )

@@ -57,8 +57,8 @@ def draw(record: Record) -> None:
     table = record.load("table.csv")
     lines = {f"{dim:g}D": (np.arange(len(part)), part["seconds"]) for dim, part in table.split("dim").items()}
     works = ", ".join(f"{k}: {work}" for k, work in enumerate(table.split("work")))
-    styles, save = dict.fromkeys(lines, "o"), record.path("seconds.png")
-    plotting.curves(lines, works, "seconds", title="before a solve", styles=styles, save=save)
+    save = record.path("seconds.png")
+    plotting.curves(lines, works, "seconds", title="before a solve", styles="o", save=save)
 
 
 def compare(name: str, n: int, repeats: int) -> list[Row]:

@@ -67,7 +67,7 @@ def _errors(reports: dict[float, ContactReport]) -> Table:
         columns[f"error_{name}"] = [norm(field - known) / norm(known) for field in found]
     compliances = [1 / K for K in STIFFNESS]
     columns |= {f"order_{name}": observed_orders(compliances, columns[f"error_{name}"]) for name in limit}
-    return Table(dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
+    return Table.of(columns)
 
 
 def fields(report: ContactReport) -> dict[str, np.ndarray]:

@@ -111,11 +111,9 @@ class Block:
 
     def rows(self, curve: str, history: History, delta: Array) -> Table:
         """Displacement, force, energy and share of phase 1 of all states of a march."""
-        return Table(
-            {"structure": self.name, "curve": curve, "delta": x, "force": row["force"], "energy": row["energy"]}
-            | {"phase": row["plus"]}
-            for x, row in zip(delta, history.table.rows, strict=True)
-        )
+        columns = {"force": "force", "energy": "energy", "phase": "plus"}
+        values = {name: history.table[column] for name, column in columns.items()}
+        return Table.of({"structure": self.name, "curve": curve, "delta": delta, **values})
 
 
 def strip() -> Block:
@@ -191,8 +189,7 @@ def run(record: Record, *, quick: bool = False) -> None:
         there, back = pure.at(delta), pure.at(2 * END - delta)
         for name, state in {f"{PURE}, up": there, f"{PURE}, down": back, RELAXED: relaxed.at(delta)}.items():
             x, phase = PhaseReport(state).profile()
-            places = zip(x[:, 0], phase, strict=True)
-            phases.extend({"delta": delta, "curve": name, "x": place, "phase": value} for place, value in places)
+            phases.extend(Table.of({"delta": delta, "curve": name, "x": x[:, 0], "phase": phase}))
     record.say(snaps)
     largest = max(pure.snaps, key=lambda snap: snap.lost)
     states = {"just before": pure.states[largest.row - 1], "just after": pure.states[largest.row]}

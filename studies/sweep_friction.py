@@ -198,7 +198,7 @@ def profile_of(band: State, contact: State, friction: float) -> Table:
         x, t = surface.profile(surface.frame(surface.traction(state)))
         columns |= {"x": x[:, 0], f"p_{name}": -t[:, 1], f"t_T_{name}": t[:, 0]}
         columns |= {f"status_{name}": statuses(t, friction)}
-    return Table({name: values[k] for name, values in columns.items()} for k in range(len(columns["x"])))
+    return Table.of(columns)
 
 
 def statuses(t: npt.NDArray[np.float64], friction: float) -> list[str]:

@@ -146,8 +146,7 @@ def phases(record: Record, case: str, pictured: float, full: Solution, limit: So
     state = last(limit)
     (x, on_s), (_, meshed) = (PhaseReport(last(one)).profile() for one in (limit, full))
     if layer_of(full).eps == pictured:
-        rows = zip(x[:, 0], meshed, on_s, strict=True)
-        record.write(f"phases_{case}.csv", Table(dict(zip(("x", MESHED, ON_S), row, strict=True)) for row in rows))
+        record.write(f"phases_{case}.csv", Table.of({"x": x[:, 0], MESHED: meshed, ON_S: on_s}))
     mixed = (abs(on_s) > CLOSE) & (abs(on_s) < 1 - CLOSE)
     report, differ = PhaseReport(state), abs(meshed - on_s) > 0.5
     return {"plus": report.plus, "minus": report.minus, "mixed": float(mixed.mean()), "differ": float(differ.sum())}

@@ -94,7 +94,7 @@ def draw(record: Record) -> None:
         "1/2 - nu",
         ylabel,
         title=f"interface laws of a rubbery layer, eps = 1/{round(1 / PICTURED)}",
-        styles=dict(zip(lines, ("o-", "^-", "s-"), strict=True)),
+        styles=("o-", "^-", "s-"),
         logarithmic=True,
         save=record.path("ratios.png"),
     )
@@ -106,7 +106,7 @@ def draw(record: Record) -> None:
         "layer thickness eps",
         ylabel,
         title="law with a pressure on S",
-        styles=dict(zip(lines, ("o-", "^-", "s-", "D-", "--"), strict=True)),
+        styles=("o-", "^-", "s-", "D-", "--"),
         logarithmic=True,
         save=record.path("rates.png"),
     )

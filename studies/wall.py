@@ -11,7 +11,7 @@ import numpy as np
 
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
 from geometry import wall
-from thinlayer import History, LayerReport, LimitLoad, State, Structure, Surface, ThinLayer, march, plotting
+from thinlayer import History, LayerReport, LimitLoad, State, Structure, Surface, Table, ThinLayer, march, plotting
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
@@ -84,7 +84,7 @@ def push_walls(record: Record, bricks: int, courses: int, cells: int, step: floa
         near[name] = max((state for state in history if state.t <= NEAR * STRENGTH), key=lambda state: state.t)
         last[name] = history.last
         for state in (near[name], last[name]):
-            joints.extend({"wall": name, "shear_MPa": state.t, **shares} for shares in LayerReport(state).table.rows)
+            joints.extend({"wall": name, "shear_MPa": state.t, **shares} for shares in LayerReport(state).table)
     record.check("shift at 0.9 of the limit, open heads over heads with mortar", shifts[1] / shifts[0], low=1.1)
     record.say(joints)
     shear = max(state.t for state in near.values())
@@ -117,8 +117,7 @@ def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
         history = march(model, list(SHIFTS))
         record.solved(history.last)
         forces[name] = [beds.integral(beds.reaction(state)[0]) / length for state in history]
-        pairs = zip(history.t, forces[name], strict=True)
-        table.extend({"model": name, "shift_mm": float(t), "shear_MPa": force} for t, force in pairs)
+        table.extend(Table.of({"model": name, "shift_mm": history.t, "shear_MPa": forces[name]}))
     by_law, *meshed = (np.array(one[1:]) for one in forces.values())
     errors = [float(np.abs(one - by_law).max() / by_law.max()) for one in meshed]
     for eps, error in zip(thicknesses, errors, strict=True):
@@ -190,6 +189,6 @@ def draw(record: Record) -> None:
             "shift of the top (mm)",
             "shear stress (MPa)",
             title=f"{title}, under a pressure of {PRESSURE:g} MPa",
-            styles=dict(zip(parts, ("o-", "s-", "^--", "v--", "d--"), strict=False)),
+            styles=("o-", "s-", "^--", "v--", "d--"),
             save=record.path(picture),
         )

@@ -180,8 +180,7 @@ def _worst(table: Table, law: str) -> Array:
 def _summary(table: Table) -> Table:
     columns = {name: table[name] for name in ("E/mu", "nu", "eps")} | {law: _worst(table, law) for law in LAWS}
     columns["too_stiff"] = table["too_stiff"]
-    rows = zip(*columns.values(), strict=True)
-    return Table({k: None if math.isnan(v) else float(v) for k, v in zip(columns, row, strict=True)} for row in rows)
+    return Table.of({name: [None if math.isnan(one) else one for one in column] for name, column in columns.items()})
 
 
 def _check(record: Record, name: str, table: Table) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +97,17 @@ class Table:
         return pandas.DataFrame(self.rows, columns=self.columns)
 
     @classmethod
+    def of(cls, columns: Mapping[str, Any]) -> Table:
+        """A table from its columns, with as many entries each or one for all rows; ModelError: other numbers."""
+        entries = [np.atleast_1d(np.asarray(column, object)) for column in columns.values()]
+        try:
+            rows = zip(*np.broadcast_arrays(*entries), strict=True)
+        except ValueError:
+            sizes = ", ".join(f"{name} {len(column)}" for name, column in zip(columns, entries, strict=True))
+            raise ModelError(f"columns of a table have as many entries each, or one; not {sizes}") from None
+        return cls(dict(zip(columns, row, strict=True)) for row in rows)
+
+    @classmethod
     def load(cls, path: str | Path, comm: MPI.Intracomm | None = None) -> Table:
         """Read a table back from its csv file. Collective.
 
@@ -133,10 +144,13 @@ class Table:
     def split(self, column: str) -> dict[Any, Table]:
         """Each value of a column -> the rows that have it, in their order; ColumnError: no such column."""
         values = dict.fromkeys(self._entries(column))
-        return {value: Table(row for row in self.rows if row[column] == value) for value in values}
+        return {value: Table(row for row in self if row[column] == value) for value in values}
 
     def __repr__(self) -> str:
         return f"Table({len(self)} rows of {', '.join(self.columns) or 'nothing'})"
+
+    def __iter__(self) -> Iterator[Row]:
+        return iter(self.rows)
 
     def __len__(self) -> int:
         return len(self.rows)

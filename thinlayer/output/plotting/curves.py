@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from thinlayer.files.table import Table
 from thinlayer.output.plotting.picture import Picture, finish
 
 Range = tuple[float, float] | None
+Chosen = str | Sequence[str] | Mapping[str, str] | None  # for all curves, in turn, or by label
 # Colours and markers of the curves of a picture, in turn.
 COLOURS = ("#1b6ca8", "#d1495b", "#2e933c", "#8f5ea2", "#c77d0a")
 MARKERS = ("o", "s", "^", "D", "v")
@@ -91,8 +92,8 @@ def curves(
     *,
     title: str = "",
     save: str | Path | None = None,
-    styles: Mapping[str, str] | None = None,
-    colours: Mapping[str, str] | None = None,
+    styles: Chosen = None,
+    colours: Chosen = None,
     logarithmic: bool = False,
     xscale: str = "linear",
     ylim: Range = None,
@@ -104,7 +105,7 @@ def curves(
         xlabel, ylabel: labels of the axes, units included.
         title: title of the picture.
         save: name of a file to save the picture to.
-        styles, colours: label -> line style (default "-"), colour.
+        styles, colours: line styles (default "-") and colours: one for all curves, some for these in turn, or label -> one.
         logarithmic: whether both axes are logarithmic.
         xscale: scale of the x axis, "linear" or "log"; has no effect with `logarithmic`.
         ylim: range of the y axis.
@@ -113,7 +114,7 @@ def curves(
         ModelError: x and y of a line are not as many numbers.
     """
     figure, axes = _figure(6.5, 4.5)
-    _plot(axes, lines, styles or {}, colours or {})
+    _plot(axes, lines, _by_label(lines, styles), _by_label(lines, colours))
     axes.set(xscale="log" if logarithmic else xscale, yscale="log" if logarithmic else "linear")
     axes.set(xlabel=xlabel, ylabel=ylabel, title=title)
     if ylim:
@@ -127,8 +128,8 @@ def panels(
     xlabel: str,
     ylabel: str | Mapping[str, str] = "",
     *,
-    styles: Mapping[str, str] | None = None,
-    colours: Mapping[str, str] | None = None,
+    styles: Chosen = None,
+    colours: Chosen = None,
     save: str | Path | None = None,
     columns: int = 3,
     yscale: str = "linear",
@@ -141,7 +142,7 @@ def panels(
         parts: title of a panel -> label of a curve -> (x, y).
         xlabel: label of the x axes, units included.
         ylabel: of the y axes, units included, or title -> label.
-        styles, colours: label -> line style (default "-"), colour.
+        styles, colours: as of `curves`.
         save: name of a file to save the picture to.
         columns: number of panels in a row.
         yscale: scale of the y axes, "linear" or "log".
@@ -151,12 +152,12 @@ def panels(
     rows = -(-len(parts) // columns)
     size = 1.0 if columns > 2 else 1.4
     figure = Picture(figsize=(3.1 * size * columns, 2.6 * size * rows + 0.6), layout="constrained")
-    labels = dict.fromkeys(label for lines in parts.values() for label in lines)
-    colours = dict(zip(labels, cycle(COLOURS), strict=False)) | dict(colours or {})
+    labels = list(dict.fromkeys(label for lines in parts.values() for label in lines))
+    styles, colours = _by_label(labels, styles), _by_label(labels, COLOURS) | _by_label(labels, colours)
     drawn: dict[str, Any] = {}
     for k, (title, lines) in enumerate(parts.items()):
         axes = figure.add_subplot(rows, columns, k + 1)
-        _plot(axes, lines, styles or {}, colours)
+        _plot(axes, lines, styles, colours)
         name = ylabel.get(title, "") if isinstance(ylabel, Mapping) else ylabel
         axes.set(xlabel=xlabel, ylabel=name, title=title, yscale=yscale)
         axes.set_xlim(xlim.get(title) if isinstance(xlim, Mapping) else xlim)
@@ -165,6 +166,12 @@ def panels(
         drawn |= dict(zip(names, handles, strict=True))
     figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=columns, frameon=False)
     return finish(figure, save)
+
+
+def _by_label(labels: Iterable[str], chosen: Chosen) -> dict[str, str]:
+    if isinstance(chosen, Mapping):
+        return dict(chosen)
+    return dict(zip(labels, cycle([chosen] if isinstance(chosen, str) else chosen or []), strict=False))
 
 
 def _plot(
