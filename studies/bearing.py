@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -11,7 +12,6 @@ from forms import Incompressible, LinearElastic, Rubber, limits
 from geometry import faults, sandwich
 from geometry.joint import Joint
 from thinlayer import Model, PressureReport, Structure, Surface, Table, ThinLayer, plotting, solve
-from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
 RADIUS, PLATE = 30.0, 10.0  # mm: of the disc; height of a plate
@@ -33,13 +33,9 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
         quick: every other ratio, fewer cells, and two shape factors.
     """
     shapes, ratios = (SHAPES[:2], sorted({*nu[::2], *nu[-2:]})) if quick else (SHAPES, nu)
-    record.parameters = {"radius_mm": RADIUS, "opening_mm": OPENING, "mu_MPa": MU, "plates": str(PLATES)}
-    table = record.table("table.csv")
-    for shape in shapes:
-        structure = _structure(shape, quick=quick)
-        for ratio in track(ratios, "bearing", f"shape factor {shape:g}, nu = {{:g}}"):
-            table.append(_row(record, structure, shape, ratio))
-    record.say(table)
+    structures = {shape: _structure(shape, quick=quick) for shape in shapes}
+    cases = [(structure, shape, ratio) for shape, structure in structures.items() for ratio in ratios]
+    table = record.rows("table.csv", cases, partial(_row, record), "shape factor {0[1]:g}, nu = {0[2]:g}")
     closed, wide = table["closed"], table["shape"] >= 5
     errors = {name: np.abs(table[name] / closed - 1) for name in ("meshed", "rubber")}
     record.check("largest error of the law with a pressure", errors["rubber"].max(), high=2e-3)
@@ -62,11 +58,8 @@ def _laminated(record: Record, *, quick: bool) -> None:
     cuts = {name: ((-1.0, PLATE * k), (RADIUS + 1.0, PLATE * k)) for k, name in enumerate(("LOW", "MIDDLE", "HIGH"), 1)}
     eps, fine = RADIUS / (2 * shape), 1 if quick else 2
     joint = faults(RADIUS, 4 * PLATE, cuts, RADIUS / 8, h_S=RADIUS / (20 * fine), h_ends=eps / (15 * fine))
-    structure = _held(joint)
-    table = record.table("laminated.csv")
-    for nu in track((0.499,) if quick else (0.49, 0.499, 0.4999, 0.5), "bearing", "three layers, nu = {:g}"):
-        table.append(_row(record, structure, shape, nu))
-    record.say(table)
+    row, ratios = partial(_row, record, _held(joint), shape), (0.499,) if quick else (0.49, 0.499, 0.4999, 0.5)
+    table = record.rows("laminated.csv", ratios, row, "three layers, nu = {:g}")
     for name, high in (("rubber", 2e-3), ("meshed", 0.015)):
         error = float(np.abs(table[name] / table["closed"] - 1).max())
         record.check(f"three layers: largest distance from springs in series, {MODELS[name]}", error, high=high)

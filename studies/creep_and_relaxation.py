@@ -124,7 +124,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: longer and fewer steps.
     """
     steps = STEPS[:2] if quick else STEPS
-    record.parameters = {"eps": EPS, "body": str(BODY), "layers": [str(case.law) for case in CASES.values()], "dt": DT}
     times = until(END, 2 * DT if quick else DT)
     curves, difference = {"t": np.array(times)}, 0.0
     orders = record.table("orders.csv")

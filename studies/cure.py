@@ -83,10 +83,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         record: where to write.
         quick: coarser meshes, fewer steps.
     """
-    record.parameters = {
-        "strips": {"LOWER": str(ALUMINIUM), "UPPER": str(STEEL)}, "heights": HEIGHTS, "half_length": LENGTH,
-        "alpha": ALPHA, "cooling": COOLING, "eps": EPS, "resin": str(RESIN),
-    }  # fmt: skip
     shear_lag(record, 5.0 if quick else 2.5)
     bending(record, 5.0 if quick else 2.5)
     curing(record, (10, 20) if quick else (20, 40, 80))

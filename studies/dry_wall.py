@@ -34,8 +34,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         record: where to write.
         quick: the small wall, with bricks as coarse.
     """
-    record.parameters = {"brick_mm": BRICK, "clay": str(CLAY), "friction": FRICTION, "pressure_MPa": PRESSURE}
-    record.parameters["weight_N_per_mm3"] = WEIGHT
     walls = dict([*WALLS.items()][:1]) if quick else WALLS
     cases = [(size, K, push) for size, pushes in walls.items() for K in STIFFNESS for push in pushes]
     table = record.table("table.csv")

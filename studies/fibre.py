@@ -45,9 +45,6 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         eps: thicknesses of the interphase; one half is taken from the fibre, one from the matrix.
         quick: coarser meshes.
     """
-    record.parameters = {
-        "radii": (RADIUS, RIM), "stretch": STRETCH, "fibre": str(GLASS), "matrix": str(RESIN), "coating": str(COATING)
-    }  # fmt: skip
     refine(record, SIZES[:2] if quick else SIZES)
     sweep = Sweep(
         record,

@@ -80,7 +80,6 @@ def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: 
     """
     fine, coarse, coarsest = (4.0, 2.0, 0.05), (6.0, 3.0, 0.1), (8.0, 4.0, 0.4)
     readings = READINGS if loads == "both" else {loads: READINGS[loads]}
-    record.parameters = {"eps_mm": EPS, "layer_per_mm": str(glue(0.0)), "h": H, "h_mm": coarse if quick else fine}
     table = record.table("table.csv")
     for name, reading in readings.items():
         bar = YieldingBar(record, name, reading, coarse if quick else fine)

@@ -43,7 +43,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: coarser mesh, longer steps.
     """
     cells, steps = (2, 10) if quick else (4, 20)
-    record.parameters = {"bar": str(BAR), "cells": cells, "steps": steps}
     table, loops, limit = (record.table(name) for name in ("table.csv", "table_loop.csv", "table_limit.csv"))
     for eps in track(EPS, "fig4_bar", "eps = {:g}"):
         strip = Strip(record, eps, cells)

@@ -34,7 +34,6 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
     """
     sizes = (4.0, 0.5, 0.1) if quick else (2.0, 0.2, 0.02)
     bar = StratifiedBar(record, *sizes)
-    record.parameters = {"eps_mm": EPS, "K_T": K_T, "h_mm": sizes, "bar": str(BAR), "layer": str(GLUE)}
     x, ratio_interface = bar.stiffness(bar.limit)
     full = bar.full(ThinLayer(GLUE, EPS))
     _, ratio_band = bar.stiffness(full)

@@ -23,7 +23,6 @@ def run(record: Record) -> None:
     Args:
         record: where to write.
     """
-    record.parameters = {"friction": FRICTION, "squares": N, "lmbda_mu_per_mm": STIFFNESS}
     reports, states, counts = {}, {}, {}
     for n in (N, N + 1):
         joint, setup = sliding_bar(n)

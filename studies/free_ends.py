@@ -16,7 +16,7 @@ import ufl
 from forms import LinearElastic
 from forms.ends import FreeEnd, free_end
 from forms.ends.constants import COLUMNS, nodes, shipped
-from forms.ends.half_strip import DEGREE, LEVELS, half_strip
+from forms.ends.half_strip import half_strip
 from forms.ends.weights import Strip, Strips
 from forms.kinematics import Expr
 from forms.law import choice
@@ -152,7 +152,6 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
         nu: Poisson's ratios of the layer, from 0 to 0.5.
         quick: every other ratio, without the rows of the package's table, one structure of two thicknesses.
     """
-    record.parameters = {"degree": DEGREE, "levels": LEVELS}
     table = record.table("table.csv")
     for ratio in track(nu[::2] if quick else nu, "free_ends", "nu = {:g}"):
         found, second = half_strip(float(ratio))

@@ -28,7 +28,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: coarser mesh, and fewer places of the cell in the wall.
     """
     h = HEIGHT / 4 if quick else HEIGHT / 16
-    record.parameters = {"h": h, "brick": (WIDTH, HEIGHT), "BED": BED, "HEAD": HEAD, "nu": NU}
     rigid = of_rigid_bricks()
     table = record.table("table.csv")
     for E in track(YOUNG, "homogenised_bond", "E = {:g}"):

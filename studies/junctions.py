@@ -129,7 +129,6 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         eps: thicknesses; the networks are 1 to 2 wide.
         quick: fewer networks.
     """
-    record.parameters = {"bodies": str(BODY), "bed": str(BED), "head": str(HEAD), "shift": SHIFT, "rays_deg": RAYS}
     table = record.table("table.csv")
     for name in track([name for name, case in CASES.items() if case.quick or not quick], "junctions", "{}"):
         sizes = [e for e in sorted(eps, reverse=True) if e <= CASES[name].coarsest]

@@ -11,8 +11,7 @@ from mpi4py import MPI
 from forms import BulkLaw, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack
 from forms.kinematics import MANDEL, ROOT2
 from studies.timing import timed
-from thinlayer import SolveError, Table, plotting
-from thinlayer.files.progress import track
+from thinlayer import SolveError, plotting
 from thinlayer.output.plotting.picture import Picture, finish
 from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
@@ -59,14 +58,7 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: fewer points and repeats.
     """
     points, repeats = (4_000, 2) if quick else (20_000, 7)
-    record.parameters = {"laws": [str(case.law) for case in CASES.values()], "repeats": repeats, "strains": SIZE}
-    table = Table()
-    for name, case in track(list(CASES.items()), "law_speed", "{0[0]}"):
-        seconds, shares = measure(case, points, repeats)
-        row = {"law": name, "points": points, "seconds": seconds, "points_per_second": points / seconds}
-        table.append(row | shares)
-    record.write("table.csv", table)
-    record.say(table)
+    table = record.rows("table.csv", CASES, lambda name: measure(name, points, repeats))
     for k, (name, case) in enumerate(CASES.items()):
         if case.floor:
             record.check(f"{name}: points per second", table["points_per_second"][k], low=case.floor)
@@ -75,8 +67,9 @@ def run(record: Record, *, quick: bool = False) -> None:
                 record.check(f"{name}: share of points at an {part}", table[part][k], low=0.01)
 
 
-def measure(case: Case, points: int, repeats: int) -> tuple[float, dict[str, float]]:
+def measure(name: str, points: int, repeats: int) -> dict[str, float | str]:
     """Least processor time of all points, in seconds, and the shares of points that yield, at edges and at the apex."""
+    case = CASES[name]
     random, m = np.random.default_rng(1), len(case.slots)
     material = Material(MPI.COMM_SELF, case.law)
     e = SIZE * random.normal(size=(points, m))
@@ -93,7 +86,14 @@ def measure(case: Case, points: int, repeats: int) -> tuple[float, dict[str, flo
     equal = np.abs(np.diff(principal(mandel), axis=1)) < 1e-9 * np.abs(mandel).max()
     edge, apex = equal.sum(axis=1) == 1, equal.all(axis=1)
     seconds = min(one for one, _ in runs[1:])  # the first one warms up
-    return seconds, {"yielding": yields.mean(), "edge": (yields & edge).mean(), "apex": (yields & apex).mean()}
+    speed: dict[str, float | str] = {
+        "law": name,
+        "points": points,
+        "seconds": seconds,
+        "points_per_second": points / seconds,
+    }
+    shares = {"yielding": yields, "edge": yields & edge, "apex": yields & apex}
+    return speed | {what: float(where.mean()) for what, where in shares.items()}
 
 
 def principal(mandel: Array) -> Array:

@@ -45,7 +45,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: longer steps.
     """
     steps = 100 if quick else 400
-    record.parameters = {"lmbda": LMBDA, "mu": MU, "Omega": OMEGA, "w_N": CLOSING, "pressure": PRESSURE, "steps": steps}
     law = MohrCoulomb(LMBDA, MU, 0.0, OMEGA)
     mono = MohrCoulombMonodirectional(LMBDA, MU, 0.0, OMEGA)
     curves: dict[str, PointHistory] = {

@@ -7,7 +7,6 @@ import numpy as np
 from forms import Anisotropic
 from studies.problems import fourier
 from thinlayer import State, Structure, Surface, ThinLayer, plotting, solve
-from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
 KAPPA = (1e4, 1e5, 1e6)
@@ -26,7 +25,6 @@ def run(record: Record, *, quick: bool = False) -> None:
     """
     h = 1 / 16 if quick else 1 / 48
     joint, setup = fourier(h, cell="quadrilateral")
-    record.parameters = {"h": h, "K_N": K_N}
 
     def interface(k_n: float, k_t: float) -> tuple[State, Surface]:
         law = Anisotropic.springs(K_N=k_n, K_T=k_t)
@@ -34,21 +32,19 @@ def run(record: Record, *, quick: bool = False) -> None:
         return state, Surface(state.model)
 
     bonded = record.solved(solve(Structure(joint, **setup).bonded()))
-    stiff = record.table("table.csv")
-    for kappa in track(KAPPA[:: 2 if quick else 1], "limits", "kappa = {:g}"):
+
+    def stiff(kappa: float) -> dict[str, float]:
         state, surface = interface(kappa, kappa)
         difference = surface.norm(surface.reaction(state) - surface.reaction(bonded))
         row = {"kappa": kappa, "jump_times_kappa": surface.norm(surface.jump(state)) * kappa}
-        stiff.append(row | {"traction_difference_times_kappa": difference * kappa})
+        return row | {"traction_difference_times_kappa": difference * kappa}
 
-    sliding = record.table("sliding.csv")
-    for k_t in track(SLIDING[:: 3 if quick else 1], "limits", "K_T = {:g}"):
+    def sliding(k_t: float) -> dict[str, float]:
         state, surface = interface(K_N, k_t)
-        sliding.append({"K_T": k_t, **_amplitudes(surface, state)})
-    record.say(stiff)
-    record.say(sliding)
+        return {"K_T": k_t, **_amplitudes(surface, state)}
 
-    last, slid = stiff.rows[-1], sliding.rows[-1]
+    last = record.rows("table.csv", KAPPA[:: 2 if quick else 1], stiff, "kappa = {:g}").rows[-1]
+    slid = record.rows("sliding.csv", SLIDING[:: 3 if quick else 1], sliding, "K_T = {:g}").rows[-1]
     tolerance = 1e-4 if quick else 1e-5
     for what, found, known, near in (
         ("|[u]| kappa at the largest kappa", last["jump_times_kappa"], BONDED_JUMP, 2e-4),

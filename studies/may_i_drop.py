@@ -129,21 +129,18 @@ def _refusals(record: Record) -> None:
 
 
 def _thin_enough(record: Record, *, quick: bool) -> None:
-    table = record.table("thin_enough.csv")
-    for question in track(questions()[: 1 if quick else None], "may_i_drop", "{0.name}"):
+    def row(question: Question) -> dict[str, float | str]:
         told = question.told()
         meshed = question.by_meshing(told, record)
-        table.append({"case": question.name, "tolerance": question.tolerance, "told": told, "meshed": meshed})
-    record.say(table)
+        return {"case": question.name, "tolerance": question.tolerance, "told": told, "meshed": meshed}
+
+    table = record.rows("thin_enough.csv", questions()[: 1 if quick else None], row, "{0.name}")
     apart = np.abs(table["told"] / table["meshed"] - 1).max()
     record.check("largest distance of thin_enough from meshing", apart, high=THIN)
 
 
 def _costs(record: Record, *, quick: bool) -> None:
-    table = record.table("costs.csv")
-    for name in track([*PLACES][: 1 if quick else None], "may_i_drop", "costs, {}"):
-        table.append(cost(name))
-    record.say(table)
+    table = record.rows("costs.csv", [*PLACES][: 1 if quick else None], cost, "costs, {}")
     if not quick:
         record.check("largest number of further solves", table["further_solves"].max(), high=SOLVES)
 

@@ -48,7 +48,6 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         quick: the two largest thicknesses, every other distance, and larger cells of the wall.
     """
     some = tuple(eps)[:2] if quick else tuple(eps)
-    record.parameters = {"cut": AWAY, "cells_through": CELLS_THROUGH}
     for name, law in {"elastic": ELASTIC, "yielding": YIELDING}.items():
         _thicknesses(record, name, law, some)
     _distances(record, some[-1], DISTANCES[1::2] if quick else DISTANCES)

@@ -33,7 +33,6 @@ def run(record: Record, *, depths: Sequence[float] = DEPTHS, quick: bool = False
     """
     h = 3.0 if quick else 1.5
     depths = (max(depths), min(depths)) if quick else tuple(depths)
-    record.parameters = {"eps_mm": EPS, "plates": str(PLATES), "glue": {name: str(law) for name, law in LAWS.items()}}
     for name, law in LAWS.items():
         planes = {plane: _compliance(record, law, h, plane=plane) for plane in ("stress", "strain")}
         table = record.table(f"table_{name}.csv")

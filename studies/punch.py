@@ -49,9 +49,6 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
         quick: coarser meshes.
     """
     cells, h = ((5, 10), 1 / 8) if quick else ((5, 10, 16), 1 / 16)
-    record.parameters = {
-        "grading": GRADING, "cells": cells, "cylinder": str(CYLINDER), "metal": str(METAL), "mortar": str(MORTAR), "h": h,
-    }  # fmt: skip
     punched(record, cells)
     inflated(record, 0.15 if quick else 0.08)
     joint, setup = sheared(h)

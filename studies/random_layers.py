@@ -5,11 +5,10 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from petsc4py import PETSc
 
 from forms import LinearElastic
 from geometry import sandwich
-from studies.timing import resident, seconds, timed
+from studies.timing import resident, seconds, solve_once, timed
 from thinlayer import State, Structure, Surface, ThinLayer, plotting, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.files.progress import track
@@ -17,7 +16,6 @@ from thinlayer.parts.part import Interval
 from thinlayer.running.record import Record
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import direct_solver, mark
-from thinlayer.solving.options import PREFIX, defaults
 
 STEEL = LinearElastic.young(E=210e3, nu=0.3)  # MPa
 RUNS, EARLY = 200, 20
@@ -50,7 +48,6 @@ def run(record: Record, *, quick: bool = False) -> None:
     cells, runs = (12, 2 * EARLY) if quick else (100, RUNS)
     first = glued(cells)
     surface, random = Surface(first), np.random.default_rng(7)
-    record.parameters = {"cells": cells, "runs": runs, "early": EARLY}
     table = record.table("table.csv")
     alone = [linear_solve(first) for _ in range(3)]
     for k in track(range(runs), "random_layers", "run {}"):
@@ -96,18 +93,9 @@ def linear_solve(model: InterfaceModel) -> float:
     A = equations.tangent()
     A.zeroRowsColumns(equations.held_rows, 1.0)
     mark(A, model, saddle=False)
-    ksp = PETSc.KSP().create(model.comm)
-
-    def work() -> None:
-        ksp.setOptionsPrefix(PREFIX)
-        ksp.setOperators(A)
-        ksp.setFromOptions()
-        ksp.solve(b, x)
-
-    with defaults(direct_solver(model)):
-        spent = seconds(work)
-    for thing in (ksp, x, b):
-        thing.destroy()
+    spent = solve_once(A, b, direct_solver(model))
+    x.destroy()
+    b.destroy()
     equations.destroy()
     return spent
 

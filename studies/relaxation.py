@@ -31,7 +31,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: two coarse meshes.
     """
     meshes = (8, 16) if quick else (8, 16, 32)
-    record.parameters = {"omegas": OMEGAS, "tolerance": TOLERANCE, "max_sweeps": MAX_SWEEPS, "friction": 1.0}
     cases = [(n, pair, omega, same) for same in (False, True) for n in meshes for pair in STIFFNESS for omega in OMEGAS]
     cases = [case for case in cases if not case[-1] or (case[0] == 16 and case[2] != 1.0)]
     table = record.table("table.csv")

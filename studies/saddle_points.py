@@ -73,7 +73,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: 9 cells along a side of S in place of 28, without the limit of time.
     """
     cells = QUICK_CELLS if quick else CELLS
-    record.parameters = {"side_mm": SIDE, "eps_mm": EPS, "mu_MPa": MU, "cells": cells}
     table, first = record.table("table.csv"), next(iter(CASES))  # factoring rubber takes minutes on the fine mesh
     for name in track([*CASES], "saddle_points", "{}"):
         for row in compared(name, CASES[name].model(cells), factored=quick or name == first):

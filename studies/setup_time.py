@@ -40,7 +40,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: small meshes.
     """
     repeats = 3
-    record.parameters = {"repeats": repeats, "eps": LAYER.eps}
     table = record.table("table.csv")
     for name, n in track(list((QUICK if quick else SIZES).items()), "setup_time", "{0[0]}"):
         for row in compare(name, n, repeats):

@@ -165,7 +165,6 @@ def run(record: Record, *, quick: bool = False) -> None:
     """
     cells, steps, r, step = (12, 12, 0.4, 0.06) if quick else (32, 48, 0.3, 0.02)
     bar, body = strip(), pulled_block(cells)
-    record.parameters = {"strip": str(LIMIT), "block": str(body.layer), "cells": cells, "steps": steps, "r": r}
     names = ("table.csv", "table_response.csv", "table_phases.csv")
     snaps, response, phases = (record.table(name) for name in names)
 

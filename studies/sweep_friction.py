@@ -92,7 +92,6 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
     """
     h, times = (1 / 64, TIMES[1::2]) if quick else (1 / 128, TIMES)
     cases = CASES | {"history": replace(CASES["history"], times=times)}
-    record.parameters = {"h": h, "times": times, "friction": FRICTION, "layer": str(BAND)}
     tables = {}
     for case, comparison in cases.items():
         sweep = comparison.sweep(record, h, case)

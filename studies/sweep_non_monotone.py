@@ -102,8 +102,6 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
         quick: coarser mesh, and fewer thicknesses with wrong laws.
     """
     h, thin = (1 / 8, sorted(eps)[:2]) if quick else (1 / 16, eps)
-    laws = {case: str(law) for case, (law, *_) in CASES.items()} | {"unrelaxed": str(PURE)}
-    record.parameters = {"h": h, "layers": laws, "on S": {name: str(law) for name, (_, law, _) in WRONG.items()}}
     sweeps = {
         case: Sweep(record, *blocks(h, shear, pull), partial(ThinLayer, law, at=1.0), cells_through=2)
         for case, (law, shear, pull) in CASES.items()

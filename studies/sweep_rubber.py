@@ -35,7 +35,6 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
     h = 1 / 16 if quick else 1 / 32
     joint, setup = fourier(h, cell="quadrilateral")
     structure = Structure(joint, **setup)
-    record.parameters = {"h": h, "mu over eps": MU}
 
     def errors_at(nu: float, e: float) -> dict[str, float | None]:
         full = record.solved(solve(structure.full(ThinLayer(_rubber(nu), e, at=1.0), cells_through=2)))

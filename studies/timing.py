@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import math
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TypeVar
+
+from petsc4py import PETSc
+
+from thinlayer.solving.options import PREFIX, OptionValue, defaults
 
 T = TypeVar("T")
 
@@ -50,3 +55,21 @@ def _status(name: str) -> float:
         if line.startswith(name):
             return int(line.split()[1]) / 1024
     return float("nan")
+
+
+def solve_once(A: PETSc.Mat, b: PETSc.Vec, options: Mapping[str, OptionValue]) -> float:
+    """Processor time of a linear solve, ordering or the set-up of a hierarchy included, s; infinite if it fails."""
+    x, ksp = b.duplicate(), PETSc.KSP().create(A.comm)
+
+    def work() -> None:
+        ksp.setOptionsPrefix(PREFIX)
+        ksp.setOperators(A)
+        ksp.setFromOptions()
+        ksp.solve(b, x)
+
+    with defaults(options):
+        spent = seconds(work)
+    failed = ksp.getConvergedReason() < 0
+    ksp.destroy()
+    x.destroy()
+    return math.inf if failed else spent

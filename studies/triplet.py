@@ -40,9 +40,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: coarser mesh, fewer pressures.
     """
     h, pressures = (30.0, PRESSURES[1::2]) if quick else (15.0, PRESSURES)
-    record.parameters = {
-        "brick_mm": (LENGTH, HEIGHT), "h_mm": h, "eps_mm": EPS, "cohesion_MPa": COHESION, "angle_deg": ANGLE,
-    }  # fmt: skip
     table = record.table("table.csv")
     for name, (cohesion, friction, _) in STRENGTHS.items():
         for p in pressures:

@@ -92,13 +92,6 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         quick: coarser mesh.
     """
     joint = walls(2.0 if quick else 1.0)
-    record.parameters = {
-        "radii_mm": RADII,
-        "height_mm": HEIGHT,
-        "shaft": str(SHAFT),
-        "hub": str(HUB),
-        "glue": str(GLUE),
-    }
     bodies = {"body": {"LOWER": SHAFT, "UPPER": HUB}, "plane": "axisymmetric"}
     sweep = Sweep(record, joint, {}, partial(ThinLayer, GLUE, at=GLUE_EPS), bodies="extended")
     pressed = {"supports": {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}, "tractions": {"BOTTOM": (PRESSURE, 0.0)}}

@@ -46,13 +46,6 @@ def run(record: Record, *, large: bool = False, quick: bool = False) -> None:
         large: 217 bricks and 1e5 unknowns in 20 steps instead, with its time and memory.
         quick: fewer bricks, longer steps, one thickness of the panel's joints.
     """
-    record.parameters = {
-        "brick_mm": BRICK,
-        "clay": str(CLAY),
-        "cohesion_MPa": COHESION,
-        "angle_deg": ANGLE,
-        "eps_mm": EPS,
-    }
     if large:
         push_large(record)
         return

@@ -53,7 +53,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         record: where to write.
         quick: three thicknesses and five ratios, a coarser mesh.
     """
-    record.parameters = {"E of the bodies": E_BODY, "E over mu": list(CONTRASTS), "laws": LAWS}
     table = record.table("table.csv")
     for name, set_up in (("rollers", Rollers(1 / 16 if quick else 1 / 32)), ("free", FreeEnds(quick))):
         cases = [(c, nu, e) for c in CONTRASTS for nu in (QUICK_NUS if quick else NUS) for e in EPS[:: 1 + quick]]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -17,6 +17,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import InputError, ModelError, SolveError
 from thinlayer.files.folder import hash_of, locked, moved_away, moved_back, replaced
+from thinlayer.files.progress import track
 from thinlayer.files.table import Table
 from thinlayer.files.words import reason, say
 from thinlayer.identity import differences, in_words
@@ -218,6 +219,21 @@ class Record:
     def table(self, name: str) -> Table:
         """A new table in the folder; every row is written to the disk as it is added. Collective."""
         return Table(path=self.path(name))
+
+    def rows(self, name: str, cases: Iterable[Any], row: Callable[..., Mapping[str, Any]], label: str = "{}") -> Table:
+        """A table with a row for each case, written as it is found, and printed. Collective.
+
+        Args:
+            name: of the file.
+            cases: one by one; a tuple has several arguments of `row`.
+            row: of a case.
+            label: format of a case in the line of progress.
+        """
+        table = self.table(name)
+        for case in track(list(cases), self.study, label):
+            table.append(row(*case) if isinstance(case, tuple) else row(case))
+        self.say(table)
+        return table
 
     def write(self, name: str, table: Table) -> None:
         """Write a table as csv. Collective."""
