@@ -218,30 +218,27 @@ def profile_name(case: str, eps: float) -> str:
 
 # ---------------------------------------------------------------- pictures
 STATUS = ("stick", "sliding", "separated")
-ALONG = {"p": "pressure", "t_T": "tangential traction", "less": "the same, band less contact"}
+ALONG = {"status": "status", "p": "pressure", "t_T": "shear traction", "less": "band less contact"}
 
 
 def draw(record: Record) -> None:
     """Draw the rates, and status, tractions, and how far apart they are, along S, from the tables."""
     draw_rates(record, "frictional layer", {t: c for c, t in TITLES.items() if record.has(table_of(c))}, apart=True)
     parts: dict[str, dict[str, tuple[Any, Any]]] = {}
-    for what in ("status", *ALONG.values()):
-        for case in CASES:
-            parts[f"{what}, {TITLES[case]}"] = {}
     for case in CASES:
-        title = TITLES[case]
+        shown = {what: parts.setdefault(f"{label}, {TITLES[case]}", {}) for what, label in ALONG.items()}
         for eps in record.load(table_of(case))["eps"]:
             table, name = record.load(profile_name(case, float(eps))), f"band, eps = {eps:.4g}"
-            columns = {"p": table["p_band"], "t_T": table["t_T_band"], "less": table["t_T_band"] - table["t_T_contact"]}
-            for column, what in ALONG.items():
-                parts[f"{what}, {title}"][name] = table["x"], columns[column]
-            parts[f"status, {title}"][name] = table["x"], _numbers(table, "band")
-        for column in ("p", "t_T"):
-            parts[f"{ALONG[column]}, {title}"][CONTACT] = table["x"], table[f"{column}_contact"]
-        parts[f"status, {title}"][CONTACT] = table["x"], _numbers(table, "contact")
-    legend = {f"status, {TITLES[case]}": "0 stick, 1 sliding, 2 separated" for case in CASES}
+            x, status, less = table["x"], _numbers(table, "band"), table["t_T_band"] - table["t_T_contact"]
+            lines = {"status": status, "p": table["p_band"], "t_T": table["t_T_band"], "less": less}
+            for what, line in lines.items():
+                shown[what][name] = x, line
+        for what, line in {"p": table["p_contact"], "t_T": table["t_T_contact"]}.items():
+            shown[what][CONTACT] = x, line
+        shown["status"][CONTACT] = x, _numbers(table, "contact")
+    legend = {title: "0 stick, 1 sliding, 2 separated" for title in parts if title.startswith("status")}
     styles, colours, save = {CONTACT: "--"}, {CONTACT: "black"}, record.path("along_S.png")
-    plotting.panels(parts, "x along S", legend, styles=styles, colours=colours, columns=len(CASES), save=save)
+    plotting.panels(parts, "x along S", legend, styles=styles, colours=colours, columns=len(ALONG), save=save)
 
 
 def _numbers(table: Table, model: str) -> list[int]:
