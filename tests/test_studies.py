@@ -11,6 +11,12 @@ from studies.snap import distance
 from thinlayer.running.cli import main
 
 
+@pytest.mark.parametrize("name", ["limits", "cure"])
+def test_short_studies_hold_what_they_promise(name, tmp_path):
+    """Stiff laws bond and those without tangential stiffness slide; strips that are cooled, and a layer that hardens."""
+    assert main(["run", name, "--quick", "--out", str(tmp_path)]) == 0
+
+
 @pytest.mark.long
 def test_figure_8_on_one_mesh_fails_its_checks_with_other_numbers(tmp_path, monkeypatch):
     monkeypatch.setattr(fig8_friction, "FRICTION", 0.95)
