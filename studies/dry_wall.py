@@ -56,7 +56,6 @@ def run(record: Record, *, quick: bool = False) -> None:
             row |= {"steps": state.report.iterations, "eased": state.report.eased, "seconds": seconds}
             row |= {"ratio": seconds / linear, "sliding": ContactReport(state, "BED").counts["sliding"]}
             table.append(row)
-            record.say(row)
         if len(states) == 2:
             apart = difference(*states.values())
             record.check(f"{size}, K_N {K:g}, push {push:g}: pressures differ by", apart, high=AGREE)

@@ -177,7 +177,6 @@ def refine(record: Record, bar: YieldingBar, counts: Sequence[int]) -> None:
     orders = [*observed_orders([1 / steps for steps in counts[:-1]], errors), None]
     table = Table.of({"steps": counts, "shear_force": [*forces.values()], "order": orders})
     record.write("steps.csv", table)
-    record.say(f"R1, pressure first, then shear in steps:\n{table}")
     record.check("R1: shear force on S in many steps", last, low=R_X_REFINED - 1e-3, high=R_X_REFINED + 1e-3)
 
 

@@ -53,7 +53,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         if eps in (BAR.eps, 0.0):
             strip.check_steps(unrelaxed)
             check_energies(record, strip, relaxed, unrelaxed)
-    record.say(limit)
     check_digits(record, table, limit)
 
 

@@ -45,8 +45,6 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
 
     deviation = _deviation(record, bar, sorted(eps, reverse=True))
     inner = (x >= INNER[0]) & (x <= INNER[1])
-    record.say(f"K_T = {K_T:.4f} N/mm^3 (harmonic mean); the arithmetic mean would be {(7.5e3 + 10e3) / 2 / EPS:.0f}")
-    record.say(f"deviation of t_T/u_T from K_T at x = {PLACE:g} mm:\n{deviation}")
     worst = np.abs(ratio_band[inner] / K_T - 1).max()
     record.check(f"largest |t_T/u_T / K_T - 1| of the meshed layer, x in {INNER} mm", worst, high=1e-3)
     worst = np.abs(ratio_interface[inner] / K_T - 1).max()

@@ -39,8 +39,6 @@ def run(record: Record) -> None:
     )
     record.write("table.csv", table)
     record.results["counts"] = [{"squares": n, "lmbda": lmbda, **found} for (n, lmbda), found in counts.items()]
-    for entry in record.results["counts"]:
-        record.say(entry)
     shown = {label(*pair): reports[N, pair] for pair in STIFFNESS}
     plotting.contact(shown, save=record.path("contact.png"), length="mm", stress="MPa", title="bar on a rigid base")
     pushed, title = (

@@ -156,7 +156,6 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
     for ratio in track(nu[::2] if quick else nu, "free_ends", "nu = {:g}"):
         found, second = half_strip(float(ratio))
         table.append(_row(found) | _differences(found, second))
-    record.say(Table({name: f"{value:.9g}" for name, value in row.items()} for row in table.rows))
     record.check("largest difference from the package's table", np.nanmax(table["from_table"]), high=1e-8)
     record.check("largest difference of c_T from tractions", table["c_T_from_middle"].max(), high=1e-5)
     well = (table["nu"] >= 0.1) & (table["nu"] < 0.5)  # below, c_N itself is lost in the traction

@@ -136,7 +136,6 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         table.extend(rows)
         if len(rows) > 1:
             check(record, name, rows)
-    record.say(table)
 
 
 def compared(record: Record, name: str, sizes: Sequence[float]) -> list[dict[str, Any]]:

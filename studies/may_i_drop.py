@@ -93,8 +93,6 @@ def _effectivities(record: Record, *, quick: bool) -> None:
         goals.extend(here | goal for goal in asked)
         if (case.name, eps) == (DRAWN, COARSE):
             record.write("along.csv", along(one))
-    record.say(table)
-    record.say(goals)
     own = {case.name for case in further}
     _check(record, table, goals, np.array([row["case"] in own for row in table.rows]))
 
@@ -124,7 +122,6 @@ def _refusals(record: Record) -> None:
         words, silent = case.told()
         missing += (case.says not in words) or (silent != case.silent)
         table.append({"case": case.name, "number": float(not silent), "says": words})
-        record.say(f"{case.name}: {words}")
     record.check("cases that do not say what they have to", missing, high=0)
 
 

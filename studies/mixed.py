@@ -102,9 +102,6 @@ def _thicknesses(record: Record, name: str, law: BulkLaw, thicknesses: Sequence[
         blocks = _Blocks(record, law, float(eps))
         for one, table in tables.items():
             table.append({"eps": float(eps)} | blocks.errors(_state(blocks, one)))
-    for one, table in tables.items():
-        record.say(f"{name}, {one}")
-        record.say(table)
     orders = {
         one: [last_order(table, f"error_{of}") for of in ("traction", "jump", "work")] for one, table in tables.items()
     }
@@ -131,12 +128,9 @@ def _state(blocks: _Blocks, name: str) -> State:
 
 
 def _distances(record: Record, eps: float, distances: Sequence[float]) -> None:
-    table = record.table("distances.csv")
     blocks = _Blocks(record, ELASTIC, eps)
-    for thicknesses in track(list(distances), "mixed", "cut {:g} eps from the ends"):
-        state = blocks.mixed(thicknesses)
-        table.append({"distance": thicknesses} | blocks.errors(state))
-    record.say(table)
+    row = lambda cut: {"distance": cut} | blocks.errors(blocks.mixed(cut))  # noqa: E731
+    table = record.rows("distances.csv", distances, row, "cut {:g} eps from the ends")
     near, far = (table["error_work"][k] for k in (0, -1))
     record.check("error of the work, cut far from the ends over cut near them", far / near, high=0.3)
 
@@ -160,9 +154,6 @@ def _wall(record: Record, h: float, thicknesses: Sequence[float]) -> None:
             row = {"eps": eps} | {name: errors[name] for name in ("error_traction", "error_jump")}
             row["error_work"] = abs(state.energies()["loads"] / full.energies()["loads"] - 1)
             table.append(row | {"unknowns": _unknowns(model) / _unknowns(full.model)})
-    for name, table in tables.items():
-        record.say(f"wall, {name}")
-        record.say(table)
     for of in ("traction", "jump"):
         ratio = tables["mixed, order 1"][f"error_{of}"][-1] / tables["order 0"][f"error_{of}"][-1]
         record.check(f"wall: error of the {of}, of the mixed model over the law's", ratio, high=0.1)

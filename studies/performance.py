@@ -49,15 +49,12 @@ def run(record: Record, *, quick: bool = False) -> None:
     table = record.table("table.csv")
     for name, n in track(cases, "performance", "{}"):
         bench = Bench(n, depth=name == "3D")
-        for row in bench.compare(name, repeats if n < 46 else 3):
-            table.append(row)
-            record.say(row)
+        table.extend(bench.compare(name, repeats if n < 46 else 3))
         bench.close()
         require_all_read("contact", ())
     for n in RELAXED[:1] if quick else RELAXED:
         bench = Bench(n, depth=False)
-        table.append(row := bench.relaxed())
-        record.say(row)
+        table.append(bench.relaxed())
         bench.close()
     for row in () if quick else table.rows:
         work, size = str(row["work"]), int(float(row["cells_along"] or 0))

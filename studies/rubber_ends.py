@@ -66,7 +66,6 @@ def _rates(record: Record, name: str, edges: str, thicknesses: Sequence[float]) 
         return _errors(record, LAYERS[name], eps, [NAMES[edges]])[0]
 
     table = record.sweep(run, thicknesses, f"errors_{name}_{edges}.csv")
-    record.say(f"{TITLES[name]}, ends {edges}\n{table}")
     # errors of a pressure that ignores its ends change their signs: their orders are those of jumps alone
     for quantity in QUANTITIES if edges == "known" else ("jump",):
         order = last_order(table, f"error_{quantity}")
@@ -90,7 +89,6 @@ def _contrasts(record: Record, ratios: Sequence[float], thicknesses: Sequence[fl
                 row[quantity] = known[f"error_{quantity}"]
                 row[f"{quantity}_factor"] = known[f"error_{quantity}"] / ignored[f"error_{quantity}"]
             table.append(row)
-    record.say(table)
     factors = np.max([table[f"{quantity}_factor"] for quantity in QUANTITIES], axis=0)
     allowed = table["E_over_mu"] >= LEAST_CONTRAST
     record.check("largest factor of an error by known ends, where allowed", factors[allowed].max(), high=1.0)

@@ -75,9 +75,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     cells = QUICK_CELLS if quick else CELLS
     table, first = record.table("table.csv"), next(iter(CASES))  # factoring rubber takes minutes on the fine mesh
     for name in track([*CASES], "saddle_points", "{}"):
-        for row in compared(name, CASES[name].model(cells), factored=quick or name == first):
-            table.append(row)
-            record.say(row)
+        table.extend(compared(name, CASES[name].model(cells), factored=quick or name == first))
     for name, part in table.split("case").items():
         iterative = part.split("solver")["fieldsplit"]
         iterations = iterative["iterations"]

@@ -42,9 +42,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     repeats = 3
     table = record.table("table.csv")
     for name, n in track(list((QUICK if quick else SIZES).items()), "setup_time", "{0[0]}"):
-        for row in compare(name, n, repeats):
-            table.append(row)
-            record.say(row)
+        table.extend(compare(name, n, repeats))
     for row in () if quick else table.rows:
         if row["work"] == "model":
             ratio = float(row["ratio"] or 0)

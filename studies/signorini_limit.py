@@ -31,7 +31,6 @@ def run(record: Record, *, quick: bool = False) -> None:
     reports = {K: solved(record, n, K, 1.0)[0] for K in (*STIFFNESS, LIMIT)}
     table = _errors(reports)
     record.write("table.csv", table)
-    record.say(table)
     steps = Table()
     cases = [(m, f, K) for m in meshes for f in FRICTION for K in STIFFNESS]
     for m, f, K in track(cases, "signorini_limit", "{}"):
@@ -79,7 +78,6 @@ def _check(record: Record, table: Table, steps: Table, meshes: Sequence[int]) ->
         record.check(f"last observed order in 1/K, {name}", table[f"order_{name}"][-1], low=0.9, high=1.1)
     most = {m: part["newton_steps"].max() for m, part in steps.split("squares").items()}
     record.results["most_newton_steps"] = {str(m): int(k) for m, k in most.items()}
-    record.say(f"most Newton steps by squares: {record.results['most_newton_steps']}")
     coarse, fine = most[meshes[0]], most[meshes[-1]]
     record.check(f"most Newton steps, {meshes[-1]} squares against {meshes[0]}: more by", fine - coarse, high=2)
     record.check("largest equilibrium error", float(steps["equilibrium"].max()), high=1e-9)

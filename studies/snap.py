@@ -189,7 +189,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         for name, state in {f"{PURE}, up": there, f"{PURE}, down": back, RELAXED: relaxed.at(delta)}.items():
             x, phase = PhaseReport(state).profile()
             phases.extend(Table.of({"delta": delta, "curve": name, "x": x[:, 0], "phase": phase}))
-    record.say(snaps)
     largest = max(pure.snaps, key=lambda snap: snap.lost)
     states = {"just before": pure.states[largest.row - 1], "just after": pure.states[largest.row]}
     title = f"largest snap, delta = {moved(largest.t):.4f}, energy lost: {largest.lost:.4f}"

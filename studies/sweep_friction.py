@@ -151,7 +151,6 @@ def _check_discretisation(record: Record, case: str, comparison: Comparison, h: 
         what = f"nodes against quadrature points, {name} over the last error{label}"
         record.check(what, lumping[name] / error, high=0.2)
         record.check(f"last error of the {name}{label}, change from cells twice as large", change, high=0.2)
-    record.say(noted)
     record.results.setdefault("discretisation", []).append(noted)
 
 
@@ -164,7 +163,6 @@ def _check_zones(record: Record, case: str, table: Table, h: float) -> None:
     label = f", {case}" if case else ""
     sizes = {name: table[f"{name}_contact"][-1] for name in ("separated", "sliding")}
     sizes["stick"] = 2.0 - sum(sizes.values())
-    record.say({name: float(size) for name, size in sizes.items()})
     for name, size in sizes.items():
         record.check(f"length of S: {name}{label}", size, low=0.2)
     for name in ("separated", "sliding"):

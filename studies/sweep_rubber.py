@@ -49,10 +49,8 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
                 row["too_stiff"] = found["too_stiff"]
         return row
 
-    over_nu = record.table("ratios.csv")
-    for nu in NUS[::2] + NUS[-1:] if quick else NUS:
-        over_nu.append({"nu": nu, **errors_at(nu, PICTURED)})
-    record.say(over_nu)
+    ratios = NUS[::2] + NUS[-1:] if quick else NUS
+    over_nu = record.rows("ratios.csv", ratios, lambda nu: {"nu": nu, **errors_at(nu, PICTURED)}, "nu = {:g}")
     nus = over_nu["nu"]
     for nu, told in zip(nus[nus < 0.5], over_nu["too_stiff"], strict=False):
         waves = (math.pi * PICTURED) ** 2 / 6 * nu / (1 - 2 * nu)  # (k delta)^2
@@ -60,11 +58,8 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
     largest = max(over_nu["jump_rubber"])
     record.check("largest error of the jump over eps^2, all ratios", largest / PICTURED**2, high=0.86)
 
-    over_eps = record.table("rates.csv")
-    for nu in RATES:
-        for e in eps:
-            over_eps.append({"nu": nu, "eps": e, **errors_at(nu, e)})
-    record.say(over_eps)
+    cases = [(nu, e) for nu in RATES for e in eps]
+    over_eps = record.rows("rates.csv", cases, lambda nu, e: {"nu": nu, "eps": e, **errors_at(nu, e)}, "nu, eps = {}")
     for nu, rows in over_eps.split("nu").items() if len(eps) > 1 else ():
         for quantity in NAMES:
             last = last_order(rows, f"{quantity}_rubber")

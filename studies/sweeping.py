@@ -130,7 +130,6 @@ class Sweep:
         law = self.layer(eps[0]).law
         self.record.say(f"meshed layer {law}, on S {self.instead}" if self.instead else law)
         table = self.record.sweep(compare_at, eps, self._named("table.csv"))
-        self.record.say(table)
         low, high = order or (None, None)
         for name in ("traction", "jump") if order and len(eps) > 1 else ():
             reaction = name == "traction" and "error_reaction" in table.columns

@@ -79,7 +79,6 @@ def push_walls(record: Record, bricks: int, courses: int, cells: int, step: floa
         for state in (near[name], last[name]):
             joints.extend({"wall": name, "shear_MPa": state.t, **shares} for shares in LayerReport(state).table)
     record.check("shift at 0.9 of the limit, open heads over heads with mortar", shifts[1] / shifts[0], low=1.1)
-    record.say(joints)
     shear = max(state.t for state in near.values())
     title = f"a wall under {PRESSURE:g} MPa, sheared by {shear:.3g} MPa"
     plotting.layers(near, save=record.path("joints.png"), title=title)
@@ -135,7 +134,6 @@ def push_large(record: Record) -> None:
         "shift_mm": shift(history.last),
     }
     record.table("large.csv").append(row)
-    record.say(row)
 
 
 def sheared(bricks: int, courses: int, h: float, *, heads: bool) -> InterfaceModel:

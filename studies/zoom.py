@@ -62,7 +62,6 @@ def _corners(record: Record, ratios: Sequence[float]) -> None:
         error = max(abs(fitted_N[0] / H_N - 1), abs(fitted_T[0] / H_T - 1))
         row = {"nu": nu, "exponent": corner.exponent, "H_N": H_N, "H_T": H_T, "shear": corner.shear}
         table.append(row | {"from_traction": error})
-    record.say(table)
     well = table["nu"] >= 0.15  # below, the exponents of the next fields are near that of the singular one
     record.check("largest difference of H from the traction on the face", table["from_traction"][well].max(), high=2e-3)
 
@@ -82,7 +81,6 @@ def _errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float
         if eps == thicknesses[-1] and (nu, ratio) == CASES[-1]:
             for component in ("N", "T"):
                 plotting.zoomed(zoom, full, end=1, component=component, save=record.path(f"end_{component}.png"))
-    record.say(table)
     for key, low in (("end", 1.0), ("inside", 1.2)):
         order = last_order(table, f"{key} order 1, free")
         record.check(f"order of the error, {key}, nu = {nu:g}, E/mu = {ratio:g}", order, low=low)

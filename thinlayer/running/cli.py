@@ -149,6 +149,7 @@ def _run(_: argparse.ArgumentParser, chosen: argparse.Namespace, petsc: Petsc) -
         module = importlib.import_module(f"studies.{study.name}")
         record.parameters = constants(module)
         module.run(record, **given)
+        record.say_tables()
         module.draw(record)
 
     out = chosen.out or Path("out", study.name)
