@@ -420,7 +420,7 @@ def draw(record: Record) -> None:
         {title: np.abs(values - 1)},
         x=[f"{name}, eps = 1/{round(1 / eps)}" for name in FIELDS for eps in THICKNESSES],
         y=[*cases][::-1],
-        texts={title: np.vectorize("{:.2f}".format)(values)},
+        texts={title: np.vectorize(lambda one: "-" if np.isnan(one) else f"{one:.2f}")(values)},
         levels=LEVELS,
         names=["within 1 %", "2 %", "5 %", "10 %", "further"],
         xlabel="",
