@@ -305,7 +305,9 @@ def draw(record: Record) -> None:
         strip[exact] = vertices[:, 0], vertices[:, 1]
         styles |= {curve: "o", curve + BACK: "x"}
         colours |= dict.fromkeys((curve, curve + BACK, exact), colour)
-    styles |= dict.fromkeys((curve for curve in parts[TITLES["block"]] if "meshed" in curve), ":")
+    others = [curve for curve in parts[TITLES["block"]] if curve not in (PURE, RELAXED)]
+    styles |= {curve: ":" for curve in others if "meshed" in curve}
+    colours |= dict.fromkeys(others, "black")
     plotting.panels(
         parts,
         "delta, displacement of the upper side",
