@@ -104,7 +104,7 @@ class Sweep:
         title: str = "",
         unit: str = "",
     ) -> Table:
-        """Sweep, print the laws and the table, draw one thickness, check the last observed orders.
+        """Sweep, print the laws, draw one thickness, check the last observed orders.
 
         Args:
             eps: thicknesses, lengths.
