@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from forms import Incompressible, LinearElastic, Rubber, limits
 from geometry import faults, sandwich
 from geometry.joint import Joint
-from thinlayer import Model, PressureReport, Structure, Surface, ThinLayer, plotting, solve
-from thinlayer.files.progress import track
+from thinlayer import Model, PressureReport, Structure, Surface, Table, ThinLayer, plotting, solve
 from thinlayer.running.record import Record
 
 RADIUS, PLATE = 30.0, 10.0  # mm: of the disc; height of a plate
@@ -33,13 +33,9 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
         quick: every other ratio, fewer cells, and two shape factors.
     """
     shapes, ratios = (SHAPES[:2], sorted({*nu[::2], *nu[-2:]})) if quick else (SHAPES, nu)
-    record.parameters = {"radius_mm": RADIUS, "opening_mm": OPENING, "mu_MPa": MU, "plates": str(PLATES)}
-    table = record.table("table.csv")
-    for shape in shapes:
-        structure = _structure(shape, quick=quick)
-        for ratio in track(ratios, "bearing", f"shape factor {shape:g}, nu = {{:g}}"):
-            table.append(_row(record, structure, shape, ratio))
-    record.say(table)
+    structures = {shape: _structure(shape, quick=quick) for shape in shapes}
+    cases = [(structure, shape, ratio) for shape, structure in structures.items() for ratio in ratios]
+    table = record.rows("table.csv", cases, partial(_row, record), "shape factor {0[1]:g}, nu = {0[2]:g}")
     closed, wide = table["closed"], table["shape"] >= 5
     errors = {name: np.abs(table[name] / closed - 1) for name in ("meshed", "rubber")}
     record.check("largest error of the law with a pressure", errors["rubber"].max(), high=2e-3)
@@ -62,11 +58,8 @@ def _laminated(record: Record, *, quick: bool) -> None:
     cuts = {name: ((-1.0, PLATE * k), (RADIUS + 1.0, PLATE * k)) for k, name in enumerate(("LOW", "MIDDLE", "HIGH"), 1)}
     eps, fine = RADIUS / (2 * shape), 1 if quick else 2
     joint = faults(RADIUS, 4 * PLATE, cuts, RADIUS / 8, h_S=RADIUS / (20 * fine), h_ends=eps / (15 * fine))
-    structure = _held(joint)
-    table = record.table("laminated.csv")
-    for nu in track((0.499,) if quick else (0.49, 0.499, 0.4999, 0.5), "bearing", "three layers, nu = {:g}"):
-        table.append(_row(record, structure, shape, nu))
-    record.say(table)
+    row, ratios = partial(_row, record, _held(joint), shape), (0.499,) if quick else (0.49, 0.499, 0.4999, 0.5)
+    table = record.rows("laminated.csv", ratios, row, "three layers, nu = {:g}")
     for name, high in (("rubber", 2e-3), ("meshed", 0.015)):
         error = float(np.abs(table[name] / table["closed"] - 1).max())
         record.check(f"three layers: largest distance from springs in series, {MODELS[name]}", error, high=high)
@@ -101,21 +94,15 @@ def _structure(shape: float, *, quick: bool) -> Structure:
 
 
 def _held(joint: Joint) -> Structure:
-    return Structure(
-        joint,
-        body=PLATES,
-        supports={"BOTTOM": {"x": 0.0, "y": 0.0}, "TOP": {"x": 0.0, "y": OPENING}},
-        plane="axisymmetric",
-    )
+    supports = {"BOTTOM": {"x": 0.0, "y": 0.0}, "TOP": {"x": 0.0, "y": OPENING}}
+    return Structure(joint, body=PLATES, supports=supports, plane="axisymmetric")
 
 
 def _model(structure: Structure, name: str, eps: float, nu: float) -> Model:
     if name == "order_0":
         return structure.interface(ThinLayer(LinearElastic(_modulus(nu), MU), eps))
     law = Incompressible(MU) if nu == 0.5 else Rubber(_modulus(nu), MU)
-    if (
-        name == "rubber"
-    ):  # closed forms are those of a pressure that knows nothing of its ends but that it is zero there
+    if name == "rubber":  # in closed forms a pressure knows nothing of its ends but that it is zero there
         return structure.interface(ThinLayer(law, eps, order=1, edges="plain"))
     return structure.full(ThinLayer(law, eps), cells_through=6)
 
@@ -130,10 +117,10 @@ def _tractions(record: Record, *, quick: bool) -> None:
     found = {name: surface.profile(surface.traction(state)) for name, state in states.items()}
     r = found["rubber"][0][:, 0]
     closed = OPENING * (limits.rubber_disc_pressure(lmbda, MU, eps, RADIUS, r) + 2 * MU / eps)
-    table = record.table("tractions.csv")
-    for k in np.argsort(r):
-        tractions = {name: float(profile[k, 1] / closed.max()) for name, (_, profile) in found.items()}
-        table.append({"radius_mm": float(r[k]), "closed": float(closed[k] / closed.max()), **tractions})
+    order = np.argsort(r)
+    tractions = {name: profile[order, 1] / closed.max() for name, (_, profile) in found.items()}
+    table = Table.of({"radius_mm": r[order], "closed": closed[order] / closed.max(), **tractions})
+    record.write("tractions.csv", table)
     inside = table["radius_mm"] < RADIUS - eps
     for name, high in (("rubber", 0.005), ("meshed", 0.03)):
         error = float(np.abs(table[name] - table["closed"])[inside].max())
@@ -142,30 +129,28 @@ def _tractions(record: Record, *, quick: bool) -> None:
 
 def draw(record: Record) -> None:
     """Draw stiffnesses over those in closed form against nu, and tractions along the radius, from the tables."""
-    table, parts = record.load("table.csv"), {}
-    for shape in np.unique(table["shape"]):
-        at = (table["shape"] == shape) & (table["nu"] < 0.5)
-        x = np.log10(2 * table["nu"][at] / (1 - 2 * table["nu"][at]))
-        lines = {label: (x, (table[name] / table["closed"])[at]) for name, label in MODELS.items()}
-        parts[f"radius {2 * shape:g} eps"] = lines
-    labels = list(MODELS.values())
+    parts = {}
+    for shape, part in record.load("table.csv").split("shape").items():
+        at = part["nu"] < 0.5
+        x = np.log10(2 * part["nu"][at] / (1 - 2 * part["nu"][at]))
+        stiffnesses = {label: (x, (part[name] / part["closed"])[at]) for name, label in MODELS.items()}
+        parts[f"radius {2 * shape:g} eps"] = stiffnesses
     plotting.panels(
         parts,
-        xlabel="log10(lmbda/mu); 3.7: nu = 0.4999",
-        ylabels=dict.fromkeys(parts, "stiffness over closed form"),
-        styles=dict(zip(labels, ("o", "-", "^-"), strict=True)),
-        colours=dict(zip(labels, ("black", "tab:blue", "tab:red"), strict=True)),
-        ylims=dict.fromkeys(parts, (0.95, 1.3)),
+        "log10(lmbda/mu); 3.7: nu = 0.4999",
+        "stiffness over closed form",
+        styles=("o", "-", "^-"),
+        ylim=(0.95, 1.3),
         save=record.path("stiffness.png"),
     )
     along = record.load("tractions.csv")
     columns = {"closed": "closed form, rigid plates", **MODELS}
     plotting.curves(
         {label: (along["radius_mm"], along[name]) for name, label in columns.items()},
-        xlabel="radius (mm)",
-        ylabel="normal traction over the largest in closed form",
+        "radius (mm)",
+        "normal traction over the largest in closed form",
         title=f"rubber of nu = {DRAWN['nu']:g}, radius {2 * DRAWN['shape']:g} eps",
-        styles=dict(zip(columns.values(), ("-", ".", "--", ":"), strict=True)),
+        styles=("-", ".", "--", ":"),
         ylim=(0.0, 2.8),
         save=record.path("tractions.png"),
     )

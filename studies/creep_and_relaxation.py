@@ -124,7 +124,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: longer and fewer steps.
     """
     steps = STEPS[:2] if quick else STEPS
-    record.parameters = {"eps": EPS, "body": str(BODY), "layers": [str(case.law) for case in CASES.values()], "dt": DT}
     times = until(END, 2 * DT if quick else DT)
     curves, difference = {"t": np.array(times)}, 0.0
     orders = record.table("orders.csv")
@@ -135,9 +134,7 @@ def run(record: Record, *, quick: bool = False) -> None:
         found[CLOSED] = column.case.exact(pull, curves["t"])
         curves |= {f"{title}: {kind}, {pull.name}": values for kind, values in found.items()}
         orders.append({"case": title, "load": pull.name} | column.errors(steps))
-    rows = zip(*curves.values(), strict=True)
-    record.write("table.csv", Table(dict(zip(curves, row, strict=True)) for row in rows))
-    record.say(f"closed forms at t = {AT:g}, relative errors by length of the steps\n{orders}")
+    record.write("table.csv", Table.of(curves))
     record.check("largest relative difference of both models", difference, high=1e-8)
     for scheme, (_, order) in SCHEMES.items():
         observed = orders[f"{scheme} order"]
@@ -208,19 +205,14 @@ def draw(record: Record) -> None:
     table, fine = record.load("table.csv"), np.append(np.linspace(0.0, END, 201), np.nan)
     parts: dict[str, dict[str, tuple[Array, Array]]] = {title: {} for title in CASES}
     styles, colours = {CLOSED: "--"}, {CLOSED: "black"}
-    for kind, style, shown in ((INTERFACE, "-", slice(None)), (FULL, "o", slice(1, None, 2))):
-        for pull, colour in zip(PULLS, plotting.COLOURS, strict=False):
-            label = f"{kind}, {pull.name}"
-            styles[label], colours[label] = style, colour
-            for title, part in parts.items():
-                part[label] = table["t"][shown], table[f"{title}: {label}"][shown]
-    for title, case in CASES.items():  # both in one line, with a gap
+    for title, case in CASES.items():
+        for kind, style, shown in ((INTERFACE, "-", slice(None)), (FULL, "o", slice(1, None, 2))):
+            for pull, colour in zip(PULLS, plotting.COLOURS, strict=False):
+                label = f"{kind}, {pull.name}"
+                styles[label], colours[label] = style, colour
+                parts[title][label] = table["t"][shown], table[f"{title}: {label}"][shown]
+        # both in one line, with a gap
         parts[title][CLOSED] = np.tile(fine, 2), np.concatenate([case.exact(pull, fine) for pull in PULLS])
-    plotting.panels(
-        parts,
-        xlabel="time",
-        ylabels={title: "traction on S" if case.relaxes else "jump across S" for title, case in CASES.items()},
-        styles=styles,
-        colours=colours,
-        save=record.path("creep_and_relaxation.png"),
-    )
+    ylabels = {title: "traction on S" if case.relaxes else "jump across S" for title, case in CASES.items()}
+    save = record.path("creep_and_relaxation.png")
+    plotting.panels(parts, "time", ylabels, styles=styles, colours=colours, save=save)

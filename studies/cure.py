@@ -83,10 +83,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         record: where to write.
         quick: coarser meshes, fewer steps.
     """
-    record.parameters = {
-        "strips": {"LOWER": str(ALUMINIUM), "UPPER": str(STEEL)}, "heights": HEIGHTS, "half_length": LENGTH,
-        "alpha": ALPHA, "cooling": COOLING, "eps": EPS, "resin": str(RESIN),
-    }  # fmt: skip
     shear_lag(record, 5.0 if quick else 2.5)
     bending(record, 5.0 if quick else 2.5)
     curing(record, (10, 20) if quick else (20, 40, 80))
@@ -100,7 +96,11 @@ def strips(h: float, mu: float, supports: dict[Any, Any]) -> dict[str, Model]:
     cooled = {name: ThermalExpansion(alpha, COOLING) for name, alpha in ALPHA.items()}
     bodies = {"LOWER": ALUMINIUM, "UPPER": STEEL}
     structure = Structure(joint, body=bodies, supports={"LEFT": {"x": 0.0}} | supports, eigenstrain=cooled)
-    layer = ThinLayer(LinearElastic.shear(mu, 0.4), EPS)
+    return both(structure, ThinLayer(LinearElastic.shear(mu, 0.4), EPS))
+
+
+def both(structure: Structure, layer: ThinLayer) -> dict[str, Model]:
+    """Both models of a structure, by name."""
     return {"meshed layer": structure.full(layer), "interface law": structure.interface(layer)}
 
 
@@ -134,21 +134,19 @@ def lag(mu: float, x: Numbers) -> Array:
 
 def shear_lag(record: Record, h: float) -> None:
     """Strips between smooth plates."""
-    table, worst = record.table("shear_lag.csv"), {}
+    table = record.table("shear_lag.csv")
     for mu in SHEAR:
         models = strips(h, mu, {"BOTTOM": {"y": 0.0}, "TOP": {"y": 0.0}})
         surface = Surface(models["interface law"])
         for name, model in models.items():
-            state = record.solved(solve(model))
-            x, t = surface.profile(surface.traction(state))
-            inside = (x[:, 0] > 0.1 * LENGTH) & (x[:, 0] < NEAR_ENDS * LENGTH)
+            x, t = surface.profile(surface.traction(record.solved(solve(model))))
             exact = lag(mu, x[:, 0])
-            worst[name, mu] = float(np.abs(t[inside, 0] / exact[inside] - 1).max())
-            for place, found, closed in zip(x[:, 0], t[:, 0], exact, strict=True):
-                row = {"model": name, "mu": mu, "x": float(place), "tau": float(found), "closed_form": float(closed)}
-                table.append(row)
-    for (name, mu), error in worst.items():
-        record.check(f"shear lag, mu = {mu:g} MPa, {name}: largest relative error inside", error, high=0.02)
+            table.extend(Table.of({"model": name, "mu": mu, "x": x[:, 0], "tau": t[:, 0], "closed_form": exact}))
+    for mu, of_mu in table.split("mu").items():
+        for name, part in of_mu.split("model").items():
+            inside = (part["x"] > 0.1 * LENGTH) & (part["x"] < NEAR_ENDS * LENGTH)
+            error = np.abs(part["tau"] / part["closed_form"] - 1)[inside].max()
+            record.check(f"shear lag, mu = {mu:g} MPa, {name}: largest relative error inside", error, high=0.02)
 
 
 def timoshenko(eps: float = 0.0) -> float:
@@ -180,7 +178,6 @@ def bending(record: Record, h: float) -> None:
         found = {name: curvature(surface, record.solved(solve(model))) for name, model in models.items()}
         closed = {f"{name}, closed form": bent(mu, eps) for name, eps in apart.items()}
         table.append({"mu": mu, **found, **closed})
-    record.say(table)
     for name in apart:
         ratio = table[name] / table[f"{name}, closed form"]
         record.check(f"curvature with a shear lag, {name}: largest relative error", abs(ratio - 1).max(), high=0.02)
@@ -194,8 +191,7 @@ def plates(eigenstrain: Any, law: BulkLaw, top: dict[Any, Any]) -> dict[str, Mod
     joint = sandwich(4.0, 2.0, 2.0, 1.0, cell="quadrilateral", structured=True)
     walls = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}} | top
     structure = Structure(joint, body=LinearElastic.young(E=1e9, nu=NU), supports=walls)
-    layer = ThinLayer(law, EPS, eigenstrain=eigenstrain)
-    return {"meshed layer": structure.full(layer), "interface law": structure.interface(layer)}
+    return both(structure, ThinLayer(law, EPS, eigenstrain=eigenstrain))
 
 
 def normal_traction(state: State, surface: Surface) -> float:
@@ -223,9 +219,7 @@ def curing(record: Record, steps: tuple[int, ...]) -> None:
             found = np.array([normal_traction(state, surface) for state in history])
             exact = cured(history.t)
             errors[name, n] = found[-1] / exact[-1] - 1
-            for t, t_N, closed in zip(history.t, found, exact, strict=True):
-                row = {"model": name, "steps": n, "t": float(t), "t_N": float(t_N), "closed_form": float(closed)}
-                table.append(row)
+            table.extend(Table.of({"model": name, "steps": n, "t": history.t, "t_N": found, "closed_form": exact}))
     for name in models:
         first, last = errors[name, steps[-2]], errors[name, steps[-1]]
         record.check(f"stress of cure, {name}: observed order in time", np.log2(first / last), low=0.9, high=1.1)
@@ -247,66 +241,43 @@ def shrinking_freely(record: Record) -> None:
 
 # ---------------------------------------------------------------- pictures
 def draw(record: Record) -> None:
-    """Draw shear lag, bending and cure from the tables."""
-    draw_lag(record.load("shear_lag.csv"), record)
-    table = record.load("bending.csv")
-    lines: dict[str, tuple[Any, Any]]
-    names = ("meshed layer", "interface law")
-    lines = {name: (table["mu"], 1e3 * table[name]) for name in names}
-    grid: Any = np.geomspace(min(STIFFENING), max(STIFFENING), 200)
-    lines["closed form"] = (grid, np.array([1e3 * bent(mu) for mu in grid]))
-    lines["Timoshenko"] = (grid, np.full(len(grid), 1e3 * timoshenko()))
-    styles = dict(zip(lines, ("s", "o", "-", ":"), strict=True))
+    """Draw shear lag and cure, at every few places and times, and bending, from the tables."""
+    lines: dict[str, tuple[Any, Any]] = {}
+    for mu, of_mu in record.load("shear_lag.csv").split("mu").items():
+        for name, part in of_mu.split("model").items():
+            lines[f"{name}, G = {mu:g} MPa"] = part["x"][::4], part["tau"][::4]
+        grid = np.linspace(0, LENGTH, 200)
+        lines[f"closed form, G = {mu:g} MPa"] = grid, lag(mu, grid)
     plotting.curves(
         lines,
-        xlabel="shear modulus of the layer (MPa)",
-        ylabel="curvature (1/m)",
+        "x from the middle (mm)",
+        "shear stress on S (MPa)",
+        title="two strips of unequal expansion, cooled by 80 K, held flat",
+        styles=2 * ("s", ".", "-"),
+        save=record.path("shear_lag.png"),
+    )
+    table, grid = record.load("bending.csv"), np.geomspace(min(STIFFENING), max(STIFFENING), 200)
+    lines = {name: (table["mu"], 1e3 * table[name]) for name in ("meshed layer", "interface law")}
+    lines["closed form"] = grid, np.array([1e3 * bent(float(mu)) for mu in grid])
+    lines["Timoshenko"] = grid, np.full(len(grid), 1e3 * timoshenko())
+    plotting.curves(
+        lines,
+        "shear modulus of the layer (MPa)",
+        "curvature (1/m)",
         title="two strips of unequal expansion, cooled by 80 K, free to bend",
-        styles=styles,
+        styles=("s", "o", "-", ":"),
         xscale="log",
         save=record.path("bending.png"),
     )
-    draw_cure(record.load("curing.csv"), record)
-
-
-def draw_lag(table: Table, record: Record) -> None:
-    """Shear stress along S of both models, at every few nodes, and the closed form."""
-    lines, styles = {}, {}
-    for mu in SHEAR:
-        for name, style in (("meshed layer", "s"), ("interface law", ".")):
-            chosen = [row for row in table.rows if row["model"] == name and row["mu"] == mu][::4]
-            label = f"{name}, G = {mu:g} MPa"
-            lines[label] = tuple(np.array([row[column] for row in chosen]) for column in ("x", "tau"))
-            styles[label] = style
-        grid = np.linspace(0, LENGTH, 200)
-        lines[f"closed form, G = {mu:g} MPa"] = (grid, lag(mu, grid))
-        styles[f"closed form, G = {mu:g} MPa"] = "-"
+    finest, grid = [*record.load("curing.csv").split("steps").values()][-1], np.linspace(0, 4 * TAU, 200)
+    lines = {name: (part["t"][::4], part["t_N"][::4]) for name, part in finest.split("model").items()}
+    lines["closed form"] = grid, cured(grid)
+    lines["a resin that is hard from the start"] = grid, 2 * cured(grid) / np.maximum(conversion(grid / TAU), 1e-9)
     plotting.curves(
         lines,
-        xlabel="x from the middle (mm)",
-        ylabel="shear stress on S (MPa)",
-        title="two strips of unequal expansion, cooled by 80 K, held flat",
-        styles=styles,
-        save=record.path("shear_lag.png"),
-    )
-
-
-def draw_cure(table: Table, record: Record) -> None:
-    """Stress over time of the held layer, with the closed form and with what a hard resin would have."""
-    steps = max(table["steps"])
-    lines = {}
-    for name in ("meshed layer", "interface law"):
-        chosen = [row for row in table.rows if row["model"] == name and row["steps"] == steps][::4]
-        lines[name] = tuple(np.array([row[column] for row in chosen]) for column in ("t", "t_N"))
-    grid = np.linspace(0, 4 * TAU, 200)
-    lines["closed form"] = (grid, cured(grid))
-    lines["a resin that is hard from the start"] = (grid, 2 * cured(grid) / np.maximum(conversion(grid / TAU), 1e-9))
-    styles = dict(zip(lines, ("s", ".", "-", "--"), strict=True))
-    plotting.curves(
-        lines,
-        xlabel="hours",
-        ylabel="normal traction on S (MPa)",
+        "hours",
+        "normal traction on S (MPa)",
         title="a layer that shrinks by 1 % while it hardens between stiff plates",
-        styles=styles,
+        styles=("s", ".", "-", "--"),
         save=record.path("curing.png"),
     )

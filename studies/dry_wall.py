@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import time
+from functools import partial
 
 import numpy as np
 
 from forms import HolonomicCoulomb, LinearElastic
 from geometry import wall
+from studies.timing import timed
 from thinlayer import ContactReport, SolveError, State, Structure, ThinLayer, plotting, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.files.progress import track
@@ -33,8 +34,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         record: where to write.
         quick: the small wall, with bricks as coarse.
     """
-    record.parameters = {"brick_mm": BRICK, "clay": str(CLAY), "friction": FRICTION, "pressure_MPa": PRESSURE}
-    record.parameters["weight_N_per_mm3"] = WEIGHT
     walls = dict([*WALLS.items()][:1]) if quick else WALLS
     cases = [(size, K, push) for size, pushes in walls.items() for K in STIFFNESS for push in pushes]
     table = record.table("table.csv")
@@ -45,32 +44,25 @@ def run(record: Record, *, quick: bool = False) -> None:
         for method in SOLVERS:
             model = dry(size, K, push)
             row = {"bricks": int(model.splitting.pieces.max()) + 1, "K_N": K, "push": push, "solver": method}
-            row["unknowns"] = model.V.dofmap.index_map.size_global * 2
+            row |= {"unknowns": model.unknowns, "steps": None, "eased": None, "seconds": None}
+            row |= {"ratio": None, "sliding": None}
             try:
                 state, seconds = solved(model, method)
             except SolveError as error:
-                table.append(
-                    row
-                    | {"steps": len(error.residuals), "eased": None, "seconds": None, "ratio": None, "sliding": None}
-                )
+                table.append(row | {"steps": len(error.residuals)})
                 record.say(f"{row}: {error}")
                 continue
             states[method] = state
-            report = state.report
-            row |= {"steps": report.iterations, "eased": report.eased, "seconds": seconds, "ratio": seconds / linear}
-            row |= {"sliding": ContactReport(state, "BED").counts["sliding"]}
+            row |= {"steps": state.report.iterations, "eased": state.report.eased, "seconds": seconds}
+            row |= {"ratio": seconds / linear, "sliding": ContactReport(state, "BED").counts["sliding"]}
             table.append(row)
-            record.say(row)
         if len(states) == 2:
-            record.check(
-                f"{size}, K_N {K:g}, push {push:g}: pressures differ by", difference(*states.values()), high=AGREE
-            )
+            apart = difference(*states.values())
+            record.check(f"{size}, K_N {K:g}, push {push:g}: pressures differ by", apart, high=AGREE)
         hardest = states.get("condensed", hardest) if size == (3, 4) else hardest
     if hardest:
-        record.solved(hardest)
-        plotting.deformed(
-            hardest, save=record.path("wall.png"), component="x", unit="mm", title="14 bricks, pushed to the right"
-        )
+        save, title = record.path("wall.png"), "14 bricks, pushed to the right"
+        plotting.deformed(record.solved(hardest), save=save, component="x", unit="mm", title=title)
 
 
 def dry(size: tuple[int, int], K_N: float, push: float) -> InterfaceModel:
@@ -97,12 +89,8 @@ def _structure(size: tuple[int, int], push: float) -> Structure:
 
 def solved(model: InterfaceModel, method: str | None = None) -> tuple[State, float]:
     """The state, and the least processor time of three solves: the first one compiles."""
-    times = []
-    for _ in range(3):
-        begin = time.process_time()
-        state = solve(model, method=method)
-        times.append(time.process_time() - begin)
-    return state, min(times)
+    works = [timed(partial(solve, model, method=method)) for _ in range(3)]
+    return works[-1][1], min(seconds for seconds, _ in works)
 
 
 def difference(one: State, other: State) -> float:
@@ -113,16 +101,16 @@ def difference(one: State, other: State) -> float:
 
 def draw(record: Record) -> None:
     """Draw Newton steps over the push from table.csv."""
-    lines: dict[str, list[tuple[float, float]]] = {}
-    for row in record.load("table.csv").rows:
-        if int(row["bricks"] or 0) == 14 and row["ratio"]:
-            name = f"{float(row['K_N'] or 0):g} MPa/mm, {row['solver']}"
-            lines.setdefault(name, []).append((float(row["push"] or 0), float(row["steps"] or 0)))
+    small, lines = record.load("table.csv").split("bricks")[14], {}
+    for K, part in small.split("K_N").items():
+        for name, own in part.split("solver").items():
+            at = own["ratio"] > 0
+            lines[f"{K:g} MPa/mm, {name}"] = own["push"][at], own["steps"][at]
     plotting.curves(
-        {name: tuple(np.array(points).T) for name, points in lines.items()},
-        xlabel="push over pressure",
-        ylabel="Newton steps",
+        lines,
+        "push over pressure",
+        "Newton steps",
         title="a sudden push on a dry wall of 14 bricks",
-        styles=dict.fromkeys(lines, "o-"),
+        styles="o-",
         save=record.path("steps.png"),
     )

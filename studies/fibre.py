@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from itertools import pairwise
+from math import pi
+from typing import Any, Self
 
 import numpy as np
+import numpy.typing as npt
 
 from forms import LinearElastic
 from geometry import fibre, periodic
 from geometry.parallel import on_root
-from studies.concentric import Cylinders
 from studies.sweeping import Solution, Sweep, draw_rates, last, layer_of
 from thinlayer import State, Structure, Table, ThinLayer, homogenised_stiffness, observed_orders, plotting, solve
 from thinlayer.output.grid import gather
 from thinlayer.running.record import Record
 
+Array = npt.NDArray[np.float64]
 EPS = (0.08, 0.04, 0.02, 0.01)  # over the radius of the matrix
 SIZES = (0.1, 0.05, 0.025)
 RADIUS, RIM = 0.4, 1.0
@@ -24,6 +28,7 @@ CELL = (1.2, 1.0)  # width and height of the periodic cell
 STRETCH = 0.1  # of the rim, along x
 GLASS, RESIN = LinearElastic.young(E=5.0, nu=0.3), LinearElastic.young(E=1.0, nu=0.2)
 COATING = LinearElastic(lmbda=0.6, mu=0.7)  # at the thickness 1
+MODES = (0, 2)  # fields are proportional to cos(mode theta), those along the circles to sin(mode theta)
 ORDERS = {1: (1.8, 2.2), 2: (3.3, 5.0)}  # degree of cells -> range of the observed order of the energy in h
 
 
@@ -40,9 +45,6 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         eps: thicknesses of the interphase; one half is taken from the fibre, one from the matrix.
         quick: coarser meshes.
     """
-    record.parameters = {
-        "radii": (RADIUS, RIM), "stretch": STRETCH, "fibre": str(GLASS), "matrix": str(RESIN), "coating": str(COATING)
-    }  # fmt: skip
     refine(record, SIZES[:2] if quick else SIZES)
     sweep = Sweep(
         record,
@@ -115,7 +117,6 @@ def refine(record: Record, sizes: Sequence[float]) -> None:
             row = {"degree": degree, "h": h, "cells": len(model.joint.cells), "error_energy": errors[-1]}
             table.append(row | {"order": order})
         record.check(f"observed order of the energy in h, cells of degree {degree}", order or 0.0, low=low, high=high)
-    record.say(table)
 
 
 def homogenise(record: Record, eps: Sequence[float], h: float) -> None:
@@ -132,65 +133,152 @@ def homogenise(record: Record, eps: Sequence[float], h: float) -> None:
         order = observed_orders(eps[: len(errors)], errors)[-1]
         row = {"eps": e, "C_11": full[0, 0], "C_22": full[1, 1], "C_12": full[0, 1], "C_66": full[2, 2]}
         table.append({name: float(value) for name, value in row.items()} | {"error": errors[-1], "order": order})
-    record.say(table)
     record.check("observed order of the homogenised stiffness in eps", order or 0.0, low=0.85, high=1.15)
 
 
 def along_axis(record: Record, sweep: Sweep, eps: float) -> None:
     """u_x along the x axis, of both models and of both closed forms."""
-    table = Table()
+    table = record.table("axis.csv")
     closed = {"meshed interphase": with_layer(eps), "interface law": with_springs()}
     for (name, cylinders), state in zip(closed.items(), sweep.solved(eps), strict=True):
         grid = gather(last(state))
-        for x, u in on_root(None, partial(axis_of, grid.points, grid.u)):
-            table.append({"model": name, "x": x, "u_x": u, "kind": "nodes"})
-        inner = 0.0
-        for k, outer in enumerate(cylinders.radii):
-            for x in np.linspace(max(inner, 1e-6), outer, 20):
-                u = cylinders.displacement(k, x, 0.0)[0]
-                table.append({"model": name, "x": float(x), "u_x": float(u), "kind": "closed form"})
-            inner = outer
-    record.write("axis.csv", table)
+        nodes = on_root(None, partial(axis_of, grid.points, grid.u))
+        table.extend(Table.of({"model": name, "x": nodes[:, 0], "u_x": nodes[:, 1], "kind": "nodes"}))
+        for k, (inner, outer) in enumerate(pairwise((1e-6, *cylinders.radii))):
+            x = np.linspace(inner, outer, 20)
+            u = [cylinders.displacement(k, float(at), 0.0)[0] for at in x]
+            table.extend(Table.of({"model": name, "x": x, "u_x": u, "kind": "closed form"}))
 
 
-def axis_of(points: np.ndarray, u: np.ndarray) -> list[tuple[float, float]]:
+def axis_of(points: Array, u: Array) -> Array:
     """(x, u_x) of the nodes on the x axis, x > 0, in order."""
     on = (abs(points[:, 1]) < 1e-9) & (points[:, 0] > 1e-9)
     rows = np.column_stack([points[on, 0], u[on, 0]])
-    return [(float(x), float(v)) for x, v in rows[np.lexsort(rows.T[::-1])]]
+    return np.asarray(rows[np.lexsort(rows.T[::-1])])
 
 
+# ---------------------------------------------------------------- concentric cylinders in plane strain, in closed form
+@dataclass(frozen=True)
+class Cylinders:
+    """Elastic cylinders in one another, the innermost one solid, with u = (a x, b y) on the outermost radius R.
+
+    u_r = u_0 + u_2 cos(2 theta), u_theta = v_2 sin(2 theta), and so are the stresses on circles. In each cylinder mode 0 is
+    u_0 = A r + B / r, and mode 2 follows from the complex potentials a z^3 + b / z and c z + d / z^3.
+
+    Attributes:
+        laws: from the innermost one.
+        radii: their outer radii, growing lengths.
+        coefficients: mode -> (cylinders, 2 or 4) of its solutions.
+    """
+
+    laws: tuple[LinearElastic, ...]
+    radii: tuple[float, ...]
+    coefficients: dict[int, Array]
+
+    @classmethod
+    def stretched(
+        cls,
+        laws: Sequence[LinearElastic],
+        radii: Sequence[float],
+        springs: Sequence[tuple[float, float] | None],
+        stretch: tuple[float, float],
+    ) -> Self:
+        """Solve.
+
+        Args:
+            laws, radii: see above.
+            springs: normal and tangential stiffness between neighbours, stress per length; None: bonded.
+            stretch: a and b.
+        """
+        a, b = stretch
+        rim = {0: ((a + b) / 2, 0.0), 2: ((a - b) / 2, (b - a) / 2)}
+        solved = {mode: _solved(mode, laws, radii, springs, radii[-1] * np.array(rim[mode])) for mode in MODES}
+        return cls(tuple(laws), tuple(radii), solved)
+
+    def fields(self, mode: int, k: int, r: float) -> Array:
+        """Amplitudes of u_r, u_theta, s_rr and s_rtheta of a mode in cylinder k, at a radius."""
+        return np.asarray(_solutions(mode, self.laws[k], r) @ self.coefficients[mode][k])
+
+    def displacement(self, k: int, r: float, theta: float) -> Array:
+        """u_r and u_theta in cylinder k."""
+        zero, two = (self.fields(mode, k, r)[:2] for mode in MODES)
+        return zero + two * [np.cos(2 * theta), np.sin(2 * theta)]
+
+    def jumps(self, k: int) -> Array:
+        """(2, 2) amplitudes of [u_r] and [u_theta] of both modes, from cylinder k to the next one."""
+        r = self.radii[k]
+        return np.array([(self.fields(mode, k + 1, r) - self.fields(mode, k, r))[:2] for mode in MODES])
+
+    @property
+    def energy(self) -> float:
+        """Half the work of the rim, per length of the cylinders."""
+        last, R = len(self.laws) - 1, self.radii[-1]
+        zero, two = (self.fields(mode, last, R) for mode in MODES)
+        return float(pi * R * zero[:2] @ zero[2:] + pi * R / 2 * two[:2] @ two[2:])
+
+
+def _solutions(mode: int, law: LinearElastic, r: float) -> Array:
+    """(4, n) amplitudes of u_r, u_theta, s_rr and s_rtheta of the solutions of a mode at a radius, regular ones first."""
+    mu, kappa = law.mu, (law.lmbda + 3 * law.mu) / (law.lmbda + law.mu)
+    if mode == 0:
+        return np.array([[r, 1 / r], [0.0, 0.0], [2 * (law.lmbda + mu), -2 * mu / r**2], [0.0, 0.0]])
+    u = [[(kappa - 3) * r**3, -r, (kappa + 1) / r, -(r**-3)], [(kappa + 3) * r**3, r, (1 - kappa) / r, -(r**-3)]]
+    s = [[0.0, -1.0, -4 / r**2, 3 / r**4], [6 * r**2, 1.0, -2 / r**2, 3 / r**4]]
+    return np.concatenate([np.array(u) / (2 * mu), s])
+
+
+def _solved(
+    mode: int,
+    laws: Sequence[LinearElastic],
+    radii: Sequence[float],
+    springs: Sequence[tuple[float, float] | None],
+    rim: Array,
+) -> Array:
+    """Coefficients of a mode: regular in the innermost cylinder, continuous stresses, jumps as of springs."""
+    n = _solutions(mode, laws[0], 1.0).shape[1]
+    rows, right = [], []
+    for k, (spring, r) in enumerate(zip(springs, radii[:-1], strict=True)):
+        inside, outside = (_solutions(mode, law, r) for law in laws[k : k + 2])
+        compliance = np.zeros(2) if spring is None else 1 / np.array(spring)
+        block = np.zeros((4, n * len(laws)))
+        block[:2, n * k : n * (k + 1)] = -inside[:2]
+        block[:2, n * (k + 1) : n * (k + 2)] = outside[:2] - compliance[:, None] * outside[2:]
+        block[2:, n * k : n * (k + 1)] = -inside[2:]
+        block[2:, n * (k + 1) : n * (k + 2)] = outside[2:]
+        rows.append(block)
+        right.append(np.zeros(4))
+    at_rim = np.zeros((2, n * len(laws)))
+    at_rim[:, -n:] = _solutions(mode, laws[-1], radii[-1])[:2]
+    matrix = np.concatenate([*rows, at_rim])
+    unknown = np.setdiff1d(np.arange(n * len(laws)), np.arange(n // 2, n))
+    found = np.zeros(n * len(laws))
+    found[unknown] = np.linalg.lstsq(matrix[:, unknown], np.concatenate([*right, rim]), rcond=None)[0]
+    return found.reshape(len(laws), n)
+
+
+# ---------------------------------------------------------------- pictures
 def draw(record: Record) -> None:
     """Draw the rates, the errors over meshes and the displacements along the axis from the tables."""
-    draw_rates(record, title="a coated fibre")
-    rows = record.load("refinement.csv").rows
+    draw_rates(record, "a coated fibre")
     lines: dict[str, Any] = {}
-    for degree, name in ((1, "straight cells"), (2, "curved cells")):
-        own = np.array(
-            [(float(row["h"] or 0), float(row["error_energy"] or 0)) for row in rows if row["degree"] == degree]
-        )
-        lines[name] = tuple(own.T)
-        lines[f"slope {2 * degree}"] = (own[:, 0], 0.6 * own[-1, 1] * (own[:, 0] / own[-1, 0]) ** (2 * degree))
+    for degree, part in record.load("refinement.csv").split("degree").items():
+        h, error = part["h"], part["error_energy"]
+        lines["straight cells" if degree == 1 else "curved cells"] = h, error
+        lines[f"slope {2 * degree:g}"] = h, 0.6 * error[-1] * (h / h[-1]) ** (2 * degree)
     plotting.curves(
-        lines, xlabel="cell size h", ylabel="relative error of the energy", title="interface model of a coated fibre",
-        styles=dict(zip(lines, ("o-", ":", "s-", ":"), strict=True)), logarithmic=True,
+        lines,
+        "cell size h",
+        "relative error of the energy",
+        title="interface model of a coated fibre",
+        styles=("o-", ":", "s-", ":"),
+        logarithmic=True,
         save=record.path("refinement.png"),
-    )  # fmt: skip
-    draw_axis(record)
-
-
-def draw_axis(record: Record) -> None:
-    """Draw u_x along the x axis from axis.csv, near S."""
-    lines: dict[str, Any] = {}
-    for name in ("meshed interphase", "interface law"):
-        for kind in ("closed form", "nodes"):
-            own = [
-                (float(row["x"] or 0), float(row["u_x"] or 0))
-                for row in record.load("axis.csv").rows
-                if row["model"] == name and row["kind"] == kind and abs(float(row["x"] or 0) - RADIUS) < RADIUS / 2
-            ]
-            lines[f"{name}, {kind}"] = tuple(np.array(own).T)
-    plotting.curves(
-        lines, xlabel="x", ylabel="$u_x$ on the x axis", title=f"across the interphase at r = {RADIUS:g}",
-        styles=dict(zip(lines, ("-", "o", "--", "s"), strict=True)), save=record.path("axis.png"),
-    )  # fmt: skip
+    )
+    along, lines, styles = record.load("axis.csv").split("model"), {}, {}
+    for name, style, marker in (("meshed interphase", "-", "o"), ("interface law", "--", "s")):
+        for kind, part in along[name].split("kind").items():
+            near = abs(part["x"] - RADIUS) < RADIUS / 2
+            lines[f"{name}, {kind}"] = part["x"][near], part["u_x"][near]
+            styles[f"{name}, {kind}"] = marker if kind == "nodes" else style
+    title, save = f"across the interphase at r = {RADIUS:g}", record.path("axis.png")
+    plotting.curves(lines, "x", "$u_x$ on the x axis", title=title, styles=styles, save=save)

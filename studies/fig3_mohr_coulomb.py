@@ -19,10 +19,8 @@ import numpy as np
 
 from forms import LinearElastic, MohrCoulomb
 from geometry import Joint, block
-from studies.measured import along_S
 from thinlayer import Model, State, Structure, Surface, Table, ThinLayer, march, observed_orders, plotting, solve
 from thinlayer.files.progress import track
-from thinlayer.files.table import Row
 from thinlayer.running.record import Record
 
 SIDE = 100.0  # mm
@@ -82,8 +80,7 @@ def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: 
     """
     fine, coarse, coarsest = (4.0, 2.0, 0.05), (6.0, 3.0, 0.1), (8.0, 4.0, 0.4)
     readings = READINGS if loads == "both" else {loads: READINGS[loads]}
-    record.parameters = {"eps_mm": EPS, "layer_per_mm": str(glue(0.0)), "h": H, "h_mm": coarse if quick else fine}
-    table = Table()
+    table = record.table("table.csv")
     for name, reading in readings.items():
         bar = YieldingBar(record, name, reading, coarse if quick else fine)
         shown = {
@@ -92,14 +89,12 @@ def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: 
             f"meshed layer, h = {H:g}": bar.solved(Structure.full, H),
         }
         for label, state in shown.items():
-            for row in bar.profile(state):
-                table.append({"loads": name, "model": label} | row)
+            table.extend({"loads": name, "model": label} | row for row in bar.profile(state))
         bar.check(shown)
-        ends = {label: state for label, state in shown.items() if state is not next(iter(shown.values()))}
+        ends = dict([*shown.items()][1:])
         title = f"left end of a Mohr-Coulomb layer, loads {name}"
         window, picture = (-2.0, 6.0, -1.6, 4.0), record.path(f"layer_end_{name}.png")
         plotting.deformed(ends, save=picture, scale=reading.scale, unit="mm", title=title, zoom=window)
-    record.write("table.csv", table)
     if "R1" in readings:
         bar = YieldingBar(record, "R1", READINGS["R1"], coarsest if quick else coarse)
         refine(record, bar, STEPS[: 3 if quick else None])
@@ -140,21 +135,15 @@ class YieldingBar:
         times = [float(t) for t in np.linspace(0, 1, steps + 1)[1:]]
         return march(self.model(Structure.interface, 0.0, tractions), times, keep="last").last
 
-    def profile(self, state: State) -> list[dict[str, float | None]]:
+    def profile(self, state: State) -> Table:
         """h, displacement, traction and their tangential ratio along S; the ratio is empty where it is nearly 0/0."""
-        (law,) = (layer.law for layer in state.model.layers.values())
-        x, u, t = along_S(self.surface, state)
-        columns = {"x_mm": x[:, 0], "u_T_mm": u[:, 0], "u_N_mm": u[:, 1], "t_T_MPa": t[:, 0], "t_N_MPa": t[:, 1]}
-        found = np.abs(u[:, 0]) > 0.1 * np.abs(u[:, 0]).max()
-        rows: list[dict[str, float | None]] = []
-        for k in range(len(x)):
-            ratio = float(t[k, 0] / u[k, 0]) if found[k] else None
-            rows.append(
-                {"h": law.parameters()["elastic_fraction"]}
-                | {n: float(c[k]) for n, c in columns.items()}
-                | {"ratio": ratio}
-            )
-        return rows
+        (law,), surface = (layer.law for layer in state.model.layers.values()), self.surface
+        x, u = surface.profile(surface.frame(surface.jump(state)))
+        t = surface.profile(surface.frame(surface.traction(state)))[1]
+        moves = np.abs(u[:, 0]) > 0.1 * np.abs(u[:, 0]).max()
+        ratio = [float(t[k, 0] / u[k, 0]) if moves[k] else None for k in range(len(x))]
+        columns = {"h": law.parameters()["elastic_fraction"], "x_mm": x[:, 0], "u_T_mm": u[:, 0], "u_N_mm": u[:, 1]}
+        return Table.of(columns | {"t_T_MPa": t[:, 0], "t_N_MPa": t[:, 1], "ratio": ratio})
 
     def shear_force(self, state: State) -> float:
         """Tangential force on S, N/mm."""
@@ -166,54 +155,38 @@ class YieldingBar:
         limit = next(iter(shown.values()))
         record.results[f"{self.name}: shear force on S, N/mm"] = {k: self.shear_force(s) for k, s in shown.items()}
         record.check(f"{self.name}: Newton steps of the interface law, one load step", limit.report.iterations, high=7)
-        rows = self.profile(limit)
+        profile = self.profile(limit)
+        x, u, ratio = (profile[name] for name in ("x_mm", "u_T_mm", "ratio"))
         if self.name == "R1":
-            x, u = (np.array([row[column] for row in rows], float) for column in ("x_mm", "u_T_mm"))
             error = self.shear_force(limit) / R_X - 1
             record.check("R1: relative error of the shear force on S, one load step", abs(error), high=2e-4)
             error = float(np.interp(SIDE / 2, x, u)) / U_T_50 - 1
             record.check("R1: relative error of u_T at 50 mm, one load step", abs(error), high=1e-4)
-            stiffest = max(row["ratio"] for row in rows if row["ratio"]) / mu
-            record.check("R1: largest t_T/u_T over mu", stiffest, high=0.5)
+            record.check("R1: largest t_T/u_T over mu", np.nanmax(ratio) / mu, high=0.5)
             return
-        elastic = [row["ratio"] / mu - 1 for row in rows if row["ratio"] and 20 < (row["x_mm"] or 0) < 90]
-        softest = min(row["ratio"] / mu for row in rows if row["ratio"])
-        record.check("R4m: |t_T/u_T / mu - 1| between 20 and 90 mm", max(map(abs, elastic)), high=1e-6)
-        record.check("R4m: smallest t_T/u_T over mu", softest, high=0.99)
+        elastic = np.nanmax(np.abs(ratio / mu - 1)[(x > 20) & (x < 90)])
+        record.check("R4m: |t_T/u_T / mu - 1| between 20 and 90 mm", elastic, high=1e-6)
+        record.check("R4m: smallest t_T/u_T over mu", np.nanmin(ratio) / mu, high=0.99)
 
 
 def refine(record: Record, bar: YieldingBar, counts: Sequence[int]) -> None:
     """Refine the steps of the shear, after the pressure: the shear force depends on the path of loads, not on the mesh."""
     forces = {steps: bar.shear_force(bar.sheared(steps)) for steps in track(counts, "fig3_mohr_coulomb", "{} steps")}
-    table = Table()
     last = forces[counts[-1]]
-    orders = observed_orders([1 / s for s in counts[:-1]], [abs(forces[s] - last) for s in counts[:-1]])
-    for k, (steps, force) in enumerate(forces.items()):
-        table.append({"steps": steps, "shear_force": force, "order": orders[k] if k < len(orders) else None})
+    errors = [abs(forces[steps] - last) for steps in counts[:-1]]
+    orders = [*observed_orders([1 / steps for steps in counts[:-1]], errors), None]
+    table = Table.of({"steps": counts, "shear_force": [*forces.values()], "order": orders})
     record.write("steps.csv", table)
-    record.say(f"R1, pressure first, then shear in steps:\n{table}")
     record.check("R1: shear force on S in many steps", last, low=R_X_REFINED - 1e-3, high=R_X_REFINED + 1e-3)
 
 
 def draw(record: Record) -> None:
     """Draw t_T/u_T along S from table.csv."""
-    table = record.load("table.csv")
-    parts, labels, shown = {}, {}, {}
-    for name in dict.fromkeys(str(row["loads"]) for row in table.rows):
+    parts, ranges = {}, {}
+    for name, of_loads in record.load("table.csv").split("loads").items():
         title = f"{name}: {READINGS[name].why}"
-        labels[title], shown[title] = "t_T / u_T (10³ N/mm³)", READINGS[name].shown
-        parts[title] = {
-            model: _ratio([row for row in table.rows if (row["loads"], row["model"]) == (name, model)])
-            for model in dict.fromkeys(str(row["model"]) for row in table.rows)
-        }
-        x = next(iter(parts[title].values()))[0]
-        parts[title]["elastic, mu"] = (x, np.full(len(x), GLUE.mu / EPS / 1e3))
-    styles = dict(zip(next(iter(parts.values())), ("-", "--", ":", "-."), strict=True))
-    colours = dict(zip(styles, plotting.COLOURS, strict=False))
-    save = record.path("ratio.png")
-    plotting.panels(parts, xlabel="x (mm)", ylabels=labels, styles=styles, colours=colours, save=save, ylims=shown)
-
-
-def _ratio(rows: list[Row]) -> tuple[np.ndarray, np.ndarray]:
-    x, ratio = (np.array([np.nan if row[c] is None else row[c] for row in rows], float) for c in ("x_mm", "ratio"))
-    return x, ratio / 1e3
+        lines = {model: (one["x_mm"], one["ratio"] / 1e3) for model, one in of_loads.split("model").items()}
+        lines["elastic, mu"] = (np.array([0.0, SIDE]), np.full(2, GLUE.mu / EPS / 1e3))
+        parts[title], ranges[title] = lines, READINGS[name].shown
+    styles, save = ("-", "--", ":", "-."), record.path("ratio.png")
+    plotting.panels(parts, "x (mm)", "t_T / u_T (10³ N/mm³)", styles=styles, save=save, ylim=ranges)

@@ -15,9 +15,7 @@ import numpy.typing as npt
 from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed, limits
 from forms.non_monotone import Phases
 from geometry import block
-from studies.fig4_drawing import draw_energies, draw_limit, draw_response
-from studies.measured import MeanJump, SupportForce
-from thinlayer import History, Model, Structure, Surface, Table, ThinLayer, march, piecewise
+from thinlayer import History, Model, Structure, Surface, Table, ThinLayer, march, piecewise, plotting
 from thinlayer.discretisation.supports import Support
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
@@ -45,23 +43,16 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: coarser mesh, longer steps.
     """
     cells, steps = (2, 10) if quick else (4, 20)
-    record.parameters = {"bar": str(BAR), "cells": cells, "steps": steps}
-    table, loops, limit = Table(), Table(), Table()
+    table, loops, limit = (record.table(name) for name in ("table.csv", "table_loop.csv", "table_limit.csv"))
     for eps in track(EPS, "fig4_bar", "eps = {:g}"):
         strip = Strip(record, eps, cells)
         relaxed, unrelaxed = strip.march(NonMonotone, steps), strip.march(NonMonotoneUnrelaxed, steps)
-        for row in strip.least(relaxed).rows:
-            table.append(row)
-        for row in strip.rows(unrelaxed).rows:
-            loops.append(row)
+        table.extend(strip.least(relaxed))
+        loops.extend(strip.rows(unrelaxed))
         limit.append(strip.thresholds(relaxed, unrelaxed))
         if eps in (BAR.eps, 0.0):
             strip.check_steps(unrelaxed)
             check_energies(record, strip, relaxed, unrelaxed)
-    record.write("table.csv", table)
-    record.write("table_loop.csv", loops)
-    record.write("table_limit.csv", limit)
-    record.say(limit)
     check_digits(record, table, limit)
 
 
@@ -77,7 +68,7 @@ class Strip:
     def __init__(self, record: Record, eps: float, cells: int) -> None:
         self.record, self.bar = record, replace(BAR, eps=eps)
         self.joint = block(1.0, BAR.l, BAR.l / cells, cell="quadrilateral", structured=True)
-        self._elongation = MeanJump(Surface(self._model(replace(BAR, eps=0.0), NonMonotone)))
+        self.surface = Surface(self._model(replace(BAR, eps=0.0), NonMonotone))
 
     def _model(self, bar: limits.Bar, law: type[Phases]) -> Model:
         material = law(0.0, bar.kbar / bar.l / 2, bar.alpha, bar.l * bar.cbar, np.diag([0.0, 1.0]))
@@ -90,7 +81,10 @@ class Strip:
     def march(self, law: type[Phases], steps: int) -> History:
         """Up to END in equal steps, and back; U is measured on S, sigma at the end that moves."""
         model, times = self._model(self.bar, law), [END * k / steps for k in range(1, 2 * steps + 1)]
-        measured: Observe = {"U": self._elongation, "sigma": SupportForce(model, "TOP", "y")}
+        measured: Observe = {
+            "U": lambda state: self.surface.integral(self.surface.jump(state)[1]),
+            "sigma": lambda state: state.reaction("TOP").force[1],
+        }
         history = march(model, times, observe=measured, keep="last")
         self.record.solved(history.last)
         return history
@@ -98,12 +92,10 @@ class Strip:
     def rows(self, history: History) -> Table:
         """delta, U, sigma, energy, phase, and the energy lost in a snap that ends there, of all states."""
         lost = {snap.row: snap.lost for snap in history.snaps}
-        rows = Table()
-        for k, row in enumerate(history.table.rows):
-            delta = {"eps": self.bar.eps, "delta": float(moved(np.array(row["t"])))}
-            found = {name: row[name] for name in ("U", "sigma", "energy")}
-            rows.append(delta | found | {"phase": row["plus"], "lost": lost.get(k)})
-        return rows
+        states, delta = history.table, moved(history.t)
+        found = {name: states[name] for name in ("U", "sigma", "energy")} | {"phase": states["plus"]}
+        lost_at = [lost.get(k) for k in range(len(states))]
+        return Table.of({"eps": self.bar.eps, "delta": delta, **found, "lost": lost_at})
 
     def least(self, history: History) -> Table:
         """Rows of the relaxed law on the way up, with the phase boundary and the closed forms; checks both ways."""
@@ -115,12 +107,9 @@ class Strip:
             found["boundary"] = history.table["boundary"]
         errors = [np.abs(found[name] - values).max() / (values.max() or 1) for name, values in exact.items()]
         self.record.check(f"{self}: relative error of {', '.join(exact)}, relaxed law", max(errors), high=EXACT)
-        table = Table()
-        for k in range(len(rows) // 2 + 1):
-            pairs = {name: values[k] for name, values in found.items()}
-            pairs |= {f"{name}_exact": values[k] for name, values in exact.items()}
-            table.append({"eps": bar.eps, "delta": delta[k]} | pairs)
-        return table
+        columns = found | {f"{name}_exact": values for name, values in exact.items()}
+        up = slice(len(rows) // 2 + 1)
+        return Table.of({"eps": bar.eps, "delta": delta[up], **{name: one[up] for name, one in columns.items()}})
 
     def thresholds(self, relaxed: History, unrelaxed: History) -> dict[str, float]:
         """Values of delta where branches meet and where the layer snaps, and the energy lost in a cycle; checks them."""
@@ -191,8 +180,84 @@ def meet(a: Array, b: Array) -> float:
     return float((b[1] - a[1]) / (a[0] - b[0]))
 
 
+# ---------------------------------------------------------------- pictures
+SHOWN = (0.1, 0.05, 0.0)  # thicknesses that are shown side by side
+CUTS = (1.0, 1.6, 2.0)  # delta of the three intersections
+ELEMENTS = 8
+FINE = np.linspace(0.0, END, 401, dtype=np.float64)
+
+
 def draw(record: Record) -> None:
-    """Draw the tables."""
-    draw_energies(record, BAR)
-    draw_response(record, BAR)
-    draw_limit(record, BAR)
+    """Draw energies and forces over the elongation, force over displacement, and elongation and boundary over it."""
+    by_eps = record.load("table.csv").split("eps")
+    draw_energies(record, by_eps[BAR.eps])
+    draw_response(record, by_eps[BAR.eps], record.load("table_loop.csv").split("eps")[BAR.eps])
+    elongation: dict[str, tuple[Array, Array]] = {}
+    boundary: dict[str, tuple[Array, Array]] = {}
+    styles = {}
+    for eps, marker in zip(SHOWN, "os^", strict=True):
+        bar, rows = replace(BAR, eps=eps), by_eps[eps]
+        name = f"eps = {eps:g}" if eps else "interface law"
+        elongation |= {f"{name}, closed form": (FINE, bar.U(FINE)), name: (rows["delta"], rows["U"])}
+        boundary |= {f"{name}, closed form": (FINE, 1 - bar.phase(FINE)), name: (rows["delta"], 1 - rows["phase"])}
+        styles[name] = marker
+    plotting.panels(
+        {"elongation of the layer": elongation, "phase boundary: height over the layer's thickness": boundary},
+        "delta, displacement of the end",
+        styles=styles,
+        save=record.path("elongation.png"),
+    )
+
+
+def draw_energies(record: Record, relaxed: Table) -> None:
+    """Energies of the layer over its elongation, as in Fig. 4; their slopes, which meet the body's force at three delta."""
+    U = np.linspace(0, 1.35, len(FINE), dtype=np.float64)
+    (_, pure, _), (force, envelope, _) = BAR.layer(U, 0), BAR.layer(U, 1)
+    first = BAR.kbar / BAR.l * U**2 / 2
+    second = first - BAR.alpha * U + BAR.l * BAR.cbar
+    slope = BAR.kbar / BAR.l * U - np.where(first < second, 0.0, BAR.alpha)
+    bodies = {f"W', delta = {delta:g}": (U, BAR.K / (BAR.l * (1 - BAR.eps)) * (delta - U)) for delta in CUTS}
+    at = np.isclose(relaxed["delta"][:, None], CUTS).any(axis=1)
+    computed = f"computed, eps = {BAR.eps:g}"
+    envelope_of, phases = "CW_min, convex envelope", ("W_1, phase 0", "W_2, phase 1")
+    energies = dict(
+        zip((*phases, "W_min", envelope_of), ((U, y) for y in (first, second, pure, envelope)), strict=True)
+    )
+    forces = {"W_min": (U, slope), envelope_of: (U, force), **bodies}
+    plotting.panels(
+        {"energy of the layer": energies, "force": forces | {computed: (relaxed["U"][at], relaxed["sigma"][at])}},
+        "U, elongation of the layer",
+        styles=dict.fromkeys(phases, "--") | dict.fromkeys(bodies, ":") | {computed: "o"},
+        colours={"W_min": "0.6", envelope_of: "black", computed: "black"},
+        ylim={"energy of the layer": (0.0, 2.2), "force": (0.0, 3.2)},
+        save=record.path("energies.png"),
+    )
+
+
+def draw_response(record: Record, relaxed: Table, loop: Table) -> None:
+    """Force over displacement: least energy, the loop of pure phases, and the equilibria of some elements."""
+    states = BAR.layouts(FINE, ELEMENTS)
+    equilibria = np.where(states.local, states.sigma, np.nan)
+    equilibria[-1] = np.nan  # a gap between the lines
+    delta = np.array([[0.0, BAR.up], [BAR.down, END]])
+    kept = np.array([BAR.branch(ends, phase).sigma for phase, ends in enumerate(delta)])
+    lost = ", ".join(f"{energy:.4f}" for energy in loop["lost"][~np.isnan(loop["lost"])])
+    everything, computed = (
+        f"pure phases in {ELEMENTS} elements, all equilibria",
+        f"computed; energies lost in snaps: {lost}",
+    )
+    plotting.curves(
+        {
+            everything: (np.tile(FINE, equilibria.shape[1]), equilibria.T.ravel()),
+            "least energy, closed form": (FINE, BAR.sigma(FINE)),
+            "relaxed law, computed": (relaxed["delta"], relaxed["sigma"]),
+            "one phase, kept while it holds, closed form": (np.insert(delta, 2, np.nan), np.insert(kept, 2, np.nan)),
+            computed: (loop["delta"], loop["sigma"]),
+        },
+        "delta, displacement of the end",
+        "sigma, force",
+        styles={"relaxed law, computed": "o", computed: "s--"},
+        colours={everything: "0.75", computed: plotting.COLOURS[3]},
+        ylim=(0.0, 2.7),
+        save=record.path("response.png"),
+    )

@@ -23,47 +23,45 @@ def run(record: Record) -> None:
     Args:
         record: where to write.
     """
-    record.parameters = {"friction": FRICTION, "squares": N, "lmbda_mu_per_mm": STIFFNESS}
-    table, reports, states, counts = Table(), {}, {}, {}
+    reports, states, counts = {}, {}, {}
     for n in (N, N + 1):
         joint, setup = sliding_bar(n)
-        for lmbda, mu in STIFFNESS:
-            law = HolonomicCoulomb.of_layer(lmbda, mu, friction=FRICTION)
-            state = record.solved(solve(Structure(joint, **setup).interface(law)))
-            report = ContactReport(state)
-            counts[n, lmbda] = report.counts
-            if n == N:
-                reports[label(lmbda, mu)], states[label(lmbda, mu)] = report, state
-                for row in report.table.rows:
-                    names = {"x_mm": "x", "u_T_mm": "u_T", "u_N_mm": "u_N", "p_MPa": "p", "t_MPa": "t_T"}
-                    values = {column: row[name] for column, name in names.items()}
-                    table.append({"lmbda": lmbda, "mu": mu} | values | {"status": row["status"]})
+        for pair in STIFFNESS:
+            law = HolonomicCoulomb.of_layer(*pair, friction=FRICTION)
+            states[n, pair] = record.solved(solve(Structure(joint, **setup).interface(law)))
+            reports[n, pair] = ContactReport(states[n, pair])
+            counts[n, pair[0]] = reports[n, pair].counts
+    names = {"x_mm": "x", "u_T_mm": "u_T", "u_N_mm": "u_N", "p_MPa": "p", "t_MPa": "t_T", "status": "status"}
+    table = Table(
+        {"lmbda": lmbda, "mu": mu} | {column: row[name] for column, name in names.items()}
+        for lmbda, mu in STIFFNESS
+        for row in reports[N, (lmbda, mu)].table.rows
+    )
     record.write("table.csv", table)
     record.results["counts"] = [{"squares": n, "lmbda": lmbda, **found} for (n, lmbda), found in counts.items()]
-    for entry in record.results["counts"]:
-        record.say(entry)
-    plotting.contact(reports, save=record.path("contact.png"), length="mm", stress="MPa", title="bar on a rigid base")
-    stiff, soft = states[label(*STIFFNESS[0])], states[label(*STIFFNESS[2])]
-    shown = {label(*STIFFNESS[0]): stiff, label(*STIFFNESS[2]): soft}
-    plotting.deformed(
-        shown, save=record.path("deformed.png"), unit="mm", title="bar pushed to the right and onto its base"
+    shown = {label(*pair): reports[N, pair] for pair in STIFFNESS}
+    plotting.contact(shown, save=record.path("contact.png"), length="mm", stress="MPa", title="bar on a rigid base")
+    pushed, title = (
+        {label(*pair): states[N, pair] for pair in STIFFNESS[::2]},
+        "bar pushed to the right and onto its base",
     )
-    plotting.deformed(
-        stiff, save=record.path("gap.png"), unit="mm", title="the separated end", scale=800, zoom=(9, 21, -0.8, 3)
-    )
+    plotting.deformed(pushed, save=record.path("deformed.png"), unit="mm", title=title)
+    save, window = record.path("gap.png"), (9, 21, -0.8, 3)
+    stiff = states[N, STIFFNESS[0]]
+    plotting.deformed(stiff, save=save, unit="mm", title="the separated end", scale=800, zoom=window)
     for (lmbda, mu), expected, u_a in zip(STIFFNESS, COUNTS, U_A, strict=True):
-        report = reports[label(lmbda, mu)]
+        report, stiffness = reports[N, (lmbda, mu)], label(lmbda, mu)
         for name, count in zip(("separated", "sliding", "stick"), expected, strict=True):
             found = report.counts[name]
-            record.check(f"{label(lmbda, mu)}: {name} nodes, {count} expected", found, low=count, high=count)
+            record.check(f"{stiffness}: {name} nodes, {count} expected", found, low=count, high=count)
         error = abs(float(report.u_T[0, 0]) / u_a - 1)
-        record.check(f"{label(lmbda, mu)}: relative error of u_T at A", error, high=1e-6)
+        record.check(f"{stiffness}: relative error of u_T at A", error, high=1e-6)
         beyond = (np.linalg.norm(report.t_T, axis=1) - FRICTION * report.p).max() / report.p.max()
-        record.check(f"{label(lmbda, mu)}: largest (|t_T| - f p) / p", beyond, high=1e-12)
-        record.check(f"{label(lmbda, mu)}: equilibrium", report.equilibrium, high=1e-9)
-        record.check(f"{label(lmbda, mu)}: Clapeyron", report.clapeyron, high=1e-9)
+        record.check(f"{stiffness}: largest (|t_T| - f p) / p", beyond, high=1e-12)
+        record.check(f"{stiffness}: equilibrium", report.equilibrium, high=1e-9)
+        record.check(f"{stiffness}: Clapeyron", report.clapeyron, high=1e-9)
         near = max(abs(counts[N + 1, lmbda][name] - report.counts[name]) for name in report.counts)
-        record.check(f"{label(lmbda, mu)}: counts on the next mesh move by", near, high=1)
+        record.check(f"{stiffness}: counts on the next mesh move by", near, high=1)
 
 
 def label(lmbda: float, mu: float) -> str:
@@ -73,15 +71,7 @@ def label(lmbda: float, mu: float) -> str:
 
 def draw(record: Record) -> None:
     """Draw figure 8 from table.csv."""
-    table = record.load("table.csv")
-    lines = {}
-    for lmbda, mu in STIFFNESS:
-        rows = table["lmbda"] == lmbda
-        lines[label(lmbda, mu)] = (table["x_mm"][rows], table["u_T_mm"][rows])
-    plotting.curves(
-        lines,
-        xlabel="x from A to B (mm)",
-        ylabel="u_T (mm)",
-        title="Figure 8: tangential displacement along AB",
-        save=record.path("fig8.png"),
-    )
+    parts = record.load("table.csv").split("lmbda").values()
+    lines = {label(*pair): (part["x_mm"], part["u_T_mm"]) for pair, part in zip(STIFFNESS, parts, strict=True)}
+    title, save = "Figure 8: tangential displacement along AB", record.path("fig8.png")
+    plotting.curves(lines, "x from A to B (mm)", "u_T (mm)", title=title, save=save)

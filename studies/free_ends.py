@@ -4,26 +4,37 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+import ufl
 
+from forms import LinearElastic
 from forms.ends import FreeEnd, free_end
 from forms.ends.constants import COLUMNS, nodes, shipped
-from forms.ends.half_strip import DEGREE, LEVELS, half_strip
-from studies.end_structures import CASES, EDGE, EndCase, OfLength
-from thinlayer import State, ThinLayer, compare, observed_orders, plotting, solve
+from forms.ends.half_strip import half_strip
+from forms.ends.weights import Strip, Strips
+from forms.kinematics import Expr
+from forms.law import choice
+from geometry import block
+from geometry.joint import Joint
+from studies.problems import FOURIER_BODY, free_blocks
+from studies.sweeping import last_order
+from thinlayer import State, Structure, ThinLayer, compare, plotting, solve
 from thinlayer.errors import RangeWarning
 from thinlayer.files.progress import track
 from thinlayer.files.table import Table
 from thinlayer.running.record import Record
 
+Array = npt.NDArray[np.float64]
 RATIOS = (0.0, 0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.475, 0.49, 0.499, 0.4999, 0.5)  # Poisson's
 ROWS = 17  # of the package's table
 EPS = (1 / 16, 1 / 32, 1 / 64, 1 / 128)
-CELLS = (
-    24  # across the thickness, and so near the ends: with 12 the mesh is an error of order 1.5 in the jump at nu = 0.45
-)
+CELLS = 24  # through the thickness, and so near the ends: with 12 the mesh's own error is of order 1.5 at nu = 0.45
 CELLS_3D = 8
 KNOWN, IGNORED = "known", "ignored"  # ends, by their first moments; laws that take the layer for an infinite one
 LENGTHS = ("1", "2")  # known ends with strips of these lengths over the thickness
@@ -31,8 +42,108 @@ LENGTHS = ("1", "2")  # known ends with strips of these lengths over the thickne
 LOWEST = {"1": 1.6}
 WHAT = ("traction", "jump", "work")
 DRAWN = ("c_N", "rho_N", "m_N/c_N", "c_T", "m_T/c_T", "kappa")
+H, H_S = 1 / 8, 1 / 32  # cell sizes
 
 
+# ---------------------------------------------------------------- structures
+@dataclass(frozen=True)
+class OfLength(LinearElastic):
+    """A law whose strips along free ends have one length, instead of the lengths of their first moments.
+
+    Attributes:
+        length: over the thickness.
+    """
+
+    length: float = choice(1.0)
+
+    def end_strips(self) -> Strips | None:
+        """As of `LinearElastic`, but for the lengths."""
+        strips = super().end_strips()
+        if strips is None:
+            return None
+        opening, shear = (Strip(strip.c, self.length) for strip in (strips.opening, strips.shear))
+        return replace(strips, opening=opening, shear=shear)
+
+
+@dataclass(frozen=True)
+class EndCase:
+    """A structure with free ends.
+
+    Attributes:
+        name: of it.
+        structure: of a thickness, and how many cells there are along it near the ends of S.
+        law: of the layer.
+        inner: whether a place lies far from the ends.
+        lowest: least last order that errors of a law that knows the ends must have.
+    """
+
+    name: str
+    structure: Callable[[float, float], Structure]
+    law: LinearElastic
+    inner: Callable[[Expr], Expr] = lambda x: abs(x[0] - 0.5) < 0.25
+    lowest: float = 1.9
+
+    @property
+    def file(self) -> str:
+        """Name of the table of its errors."""
+        return f"{self.name.replace(', ', '_').replace(' ', '_')}.csv"
+
+
+def _blocks(eps: float, cells: float, load: Any = (0.3, -1.0), **choices: Any) -> Structure:
+    return free_blocks(eps / cells, load, **choices)
+
+
+def _based(eps: float, cells: float) -> Structure:
+    joint = block(1.0, 0.5, h=H, h_S=H_S, h_ends=eps / cells, cell="quadrilateral")
+    return Structure(joint, body=FOURIER_BODY, supports={}, tractions={"TOP": (1.0, -0.2)})
+
+
+UNEQUAL = {"LOWER": LinearElastic.young(E=20.0, nu=0.2), "UPPER": FOURIER_BODY}
+_unequal = partial(_blocks, load=lambda x, t: (-0.6, 1 + x[0]), heights=(0.3, 0.6), body=UNEQUAL)
+_loaded = partial(_blocks, tractions={"TOP": (0.3, -1.0), "LEFT/LAYER": (0.7, -0.4)})
+CASES = (
+    EndCase("equal blocks", _blocks, LinearElastic.shear(40.0, 0.3)),
+    EndCase("equal blocks, nu = 0.45", _blocks, LinearElastic.shear(8.0, 0.45)),
+    EndCase("unequal blocks, nu = 0.45", _unequal, LinearElastic.shear(1.6, 0.45)),
+    EndCase("rigid base, sheared", _based, LinearElastic.shear(8.0, 0.3)),
+    EndCase("loaded side", _loaded, LinearElastic.shear(40.0, 0.3)),
+)
+
+
+def graded(length: float, first: float, last: float) -> Array:
+    """Places from 0 to a length, whose distances grow from the first to the last, about."""
+    count, sizes = 1, np.array([first])
+    while sizes.sum() < length:
+        count += 1
+        sizes = first * (last / first) ** (np.arange(count) / (count - 1))
+    return np.append(0.0, np.cumsum(sizes)) * length / sizes.sum()
+
+
+def grid(*places: Array, cell: str = "hexahedron") -> Joint:
+    """A block of hexahedra or tetrahedra on a rigid base, with vertices at the products of places along x, y and z."""
+    nx, ny, nz = (len(one) - 1 for one in places)
+    joint = block(nx, ny, 1.0, depth=nz, cell=cell, structured=True)
+    x = [np.interp(joint.points[:, k], np.arange(len(one)), one) for k, one in enumerate(places)]
+    return replace(joint, points=np.stack(x, axis=1))
+
+
+def edge(eps: float, cells: float, cell: str = "hexahedron") -> Structure:
+    """A free edge at x = 0, along which loads vary; the other sides are planes of symmetry."""
+    places = graded(1.0, eps / cells, H), graded(0.5, 2 * eps / cells, H), np.arange(4) / 3
+    joint, pi = grid(*places, cell=cell), ufl.pi
+
+    def load(x: Expr, t: Expr) -> list[Expr]:
+        wave = ufl.cos(pi * x[2])
+        return [0.3 * (1 - x[0]) + 0.2 * wave, -1 + 0.6 * x[0] * wave, 0.5 * ufl.sin(pi * x[2])]
+
+    held = {"RIGHT": {"x": 0}, "FRONT": {"z": 0}, "BACK": {"z": 0}}
+    return Structure(joint, body=FOURIER_BODY, supports=held, tractions={"TOP": load})
+
+
+EDGE = EndCase("edge in 3D", edge, LinearElastic.shear(8.0, 0.3), inner=lambda x: x[0] > 0.5, lowest=1.85)
+
+
+# ---------------------------------------------------------------- errors
 def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) -> None:
     """Solve the half strip for some Poisson's ratios, and for those of the package's table.
 
@@ -41,12 +152,10 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
         nu: Poisson's ratios of the layer, from 0 to 0.5.
         quick: every other ratio, without the rows of the package's table, one structure of two thicknesses.
     """
-    record.parameters = {"degree": DEGREE, "levels": LEVELS}
     table = record.table("table.csv")
     for ratio in track(nu[::2] if quick else nu, "free_ends", "nu = {:g}"):
         found = half_strip(float(ratio))
         table.append(_row(found) | {"from_table": _difference(found)})
-    record.say(Table({name: f"{value:.9g}" for name, value in row.items()} for row in table.rows))
     record.check("largest difference from the package's table", np.nanmax(table["from_table"]), high=1e-8)
     if not quick:
         _nodes(record)
@@ -59,8 +168,8 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
 def _row(end: FreeEnd) -> dict[str, float]:
     """Constants that are finite for every ratio; nan where there are none."""
     bounded = 0 < end.nu < 0.5
-    finite = {"c_N": end.c_N, "m_N/c_N": end.m_N / end.c_N if bounded else math.nan, "rho_N": end.rho_N}
-    finite = {name: value if math.isfinite(value) else math.nan for name, value in finite.items()}
+    normal = {"c_N": end.c_N, "m_N/c_N": end.m_N / end.c_N if bounded else math.nan, "rho_N": end.rho_N}
+    finite = {name: value if math.isfinite(value) else math.nan for name, value in normal.items()}
     return {"nu": end.nu, **finite, "c_T": end.c_T, "m_T/c_T": end.m_T / end.c_T, "kappa": end.kappa}
 
 
@@ -91,13 +200,12 @@ def _errors(record: Record, case: EndCase, kinds: Sequence[str], thicknesses: Se
         for kind in kinds:
             edges = "plain" if kind == IGNORED else "free"
             law = OfLength(case.law.lmbda, case.law.mu, float(kind)) if kind in LENGTHS else case.law
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", RangeWarning)  # that ends are ignored
+            with warnings.catch_warnings(action="ignore", category=RangeWarning):  # that ends are ignored
                 limit = record.solved(solve(structure.interface(ThinLayer(law, eps, order=1, edges=edges, at=1.0))))
             row = compare(full, limit, where=case.inner)
-            work = _work_on_top(limit) / _work_on_top(full)
-            errors = {"traction": row["error_traction"], "jump": row["error_jump"], "work": abs(work - 1)}
-            found |= {_column(what, kind): error for what, error in errors.items()}
+            work = abs(_work_on_top(limit) / _work_on_top(full) - 1)
+            errors = (row["error_traction"], row["error_jump"], work)
+            found |= {_column(what, kind): error for what, error in zip(WHAT, errors, strict=True)}
         return found
 
     return record.sweep(run, thicknesses, case.file)
@@ -126,8 +234,7 @@ def _rates(
             row: dict[str, float | str] = {"structure": case.name, "ends": kind, "eps": thicknesses[-1]}
             row |= {what: float(table[_column(what, kind)][-1]) for what in WHAT}
             for what in WHAT:
-                order = observed_orders(table["eps"], table[_column(what, kind)])[-1] or math.nan
-                row[f"order of {what}"] = order
+                row[f"order of {what}"] = order = last_order(table, _column(what, kind))
                 bounds = {"high": 1.3} if kind == IGNORED else {"low": LOWEST.get(kind, case.lowest)}
                 record.check(f"{case.name}, ends {kind}: last order of the {what}", order, **bounds)
             rows.append(row)
@@ -139,29 +246,18 @@ def draw(record: Record) -> None:
     table = record.load(CASES[0].file)
     shown = {}
     for kind in (KNOWN, IGNORED):
-        columns = zip(table["eps"], *(table[_column(what, kind)] for what in WHAT[:2]), strict=True)
-        shown[f"ends {kind}"] = Table(
-            {"eps": eps, "error_traction": traction, "error_jump": jump} for eps, traction, jump in columns
-        )
-    plotting.rates(
-        shown,
-        reference=2.0,
-        title="order 1, inner half of S between blocks with free sides, nu = 0.3",
-        save=record.path("rates.png"),
-    )
-    table = record.load("table.csv")
-    ratios = np.linspace(0.02, 0.4995, 200)
-    lines = [_row(free_end(float(ratio))) for ratio in ratios]
-    parts = {
-        name: {"half strip": (table["nu"], table[name]), "table": (ratios, np.array([row[name] for row in lines]))}
-        for name in DRAWN
-    }
+        columns = {f"error_{what}": table[_column(what, kind)] for what in WHAT[:2]}
+        shown[f"ends {kind}"] = Table.of({"eps": table["eps"], **columns})
+    title = "order 1, inner half of S between blocks with free sides, nu = 0.3"
+    plotting.rates(shown, reference=2.0, title=title, save=record.path("rates.png"))
+    table, ratios = record.load("table.csv"), np.linspace(0.02, 0.4995, 200)
+    lines = Table(_row(free_end(float(ratio))) for ratio in ratios)
     plotting.panels(
-        parts,
-        xlabel="Poisson's ratio",
-        ylabels={name: "" if name == "kappa" else "over the thickness" for name in DRAWN},
-        styles={"half strip": "o", "table": "-"},
-        colours={"half strip": "black", "table": "tab:blue"},
-        ylims={"c_N": (0.0, 3.0), "rho_N": (0.0, 3.0), "m_N/c_N": (0.0, 4.0)},
+        {name: {"half strip": (table["nu"], table[name]), "table": (ratios, lines[name])} for name in DRAWN},
+        "Poisson's ratio",
+        {name: "over the thickness" for name in DRAWN if name != "kappa"},
+        styles={"half strip": "o"},
+        colours={"half strip": "black"},
+        ylim={"c_N": (0.0, 3.0), "rho_N": (0.0, 3.0), "m_N/c_N": (0.0, 4.0)},
         save=record.path("constants.png"),
     )

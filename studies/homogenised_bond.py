@@ -28,16 +28,13 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: coarser mesh, and fewer places of the cell in the wall.
     """
     h = HEIGHT / 4 if quick else HEIGHT / 16
-    record.parameters = {"h": h, "brick": (WIDTH, HEIGHT), "BED": BED, "HEAD": HEAD, "nu": NU}
     rigid = of_rigid_bricks()
     table = record.table("table.csv")
     for E in track(YOUNG, "homogenised_bond", "E = {:g}"):
         A = stiffness(E, h)
         row = {"E": E, **{name: float(A[at]) for name, at in ENTRIES.items()}, "A_1122": float(A[0, 1])}
         table.append(row | {f"error_{name}": 1 - row[name] / rigid[name] for name in ENTRIES})
-        asymmetry = float(np.abs(A - A.T).max())
-        record.check(f"asymmetry at E = {E:g}, over E", asymmetry / E, high=1e-12)
-    record.say(table)
+        record.check(f"asymmetry at E = {E:g}, over E", np.abs(A - A.T).max() / E, high=1e-12)
     for name, constant in CONSTANTS.items():
         found = -table[f"error_{name}"][-1] * YOUNG[-1]
         record.check_near(f"({name}/rigid - 1) E at the largest E", found, constant, 2e-2 if name != "A_2222" else 1e-3)
@@ -73,8 +70,8 @@ def draw(record: Record) -> None:
     lines = {name: (table["E"], table[f"error_{name}"]) for name in ENTRIES}
     plotting.curves(
         lines | {"slope -1": (table["E"], 20 / table["E"])},
-        xlabel="Young's modulus of the bricks",
-        ylabel="1 - A/A of rigid bricks",
+        "Young's modulus of the bricks",
+        "1 - A/A of rigid bricks",
         title="a wall in running bond as a whole",
         styles=dict(zip(ENTRIES, ("o-", "s-", "^-"), strict=True)) | {"slope -1": "--"},
         logarithmic=True,

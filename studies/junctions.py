@@ -54,9 +54,7 @@ class Case:
     """
 
     joint: Callable[[float], Joint]
-    layers: Mapping[str, tuple[LinearElastic, float]] = field(
-        default_factory=lambda: {"BED": (BED, 1.0), "HEAD": (HEAD, 0.7)}
-    )
+    layers: Mapping[str, tuple[LinearElastic, float]] = field(default_factory=lambda: MORTAR)
     bodies: str = "kept"
     distance: float = 0.15
     stiff: bool = False
@@ -87,13 +85,8 @@ def bond_in_space(eps: float) -> Joint:
 
 def refined_bond(eps: float) -> Joint:
     """The same, with cells of 2 eps at junctions and free ends."""
-    lines = {
-        "BED": ((0.0, 0.5), (2.0, 0.5)),
-        "HEAD 1": ((1.0, 0.0), (1.0, 0.5)),
-        "HEAD 2": ((0.5, 0.5), (0.5, 1.0)),
-        "HEAD 3": ((1.5, 0.5), (1.5, 1.0)),
-    }
-    return faults(2.0, 1.0, lines, H, h_ends=min(2 * eps, H))
+    heads = {f"HEAD {k}": ((x, y), (x, y + 0.5)) for k, (x, y) in enumerate(((1.0, 0.0), (0.5, 0.5), (1.5, 0.5)), 1)}
+    return faults(2.0, 1.0, {"BED": ((0.0, 0.5), (2.0, 0.5)), **heads}, H, h_ends=min(2 * eps, H))
 
 
 def star(eps: float) -> Joint:
@@ -136,16 +129,13 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         eps: thicknesses; the networks are 1 to 2 wide.
         quick: fewer networks.
     """
-    record.parameters = {"bodies": str(BODY), "bed": str(BED), "head": str(HEAD), "shift": SHIFT, "rays_deg": RAYS}
     table = record.table("table.csv")
     for name in track([name for name, case in CASES.items() if case.quick or not quick], "junctions", "{}"):
         sizes = [e for e in sorted(eps, reverse=True) if e <= CASES[name].coarsest]
         rows = compared(record, name, sizes) if sizes else []
-        for row in rows:
-            table.append(row)
+        table.extend(rows)
         if len(rows) > 1:
             check(record, name, rows)
-    record.say(table)
 
 
 def compared(record: Record, name: str, sizes: Sequence[float]) -> list[dict[str, Any]]:
@@ -174,11 +164,15 @@ def differences(case: Case, full: State, by_law: State) -> dict[str, float]:
     ):  # fmt: skip
         wanted = field_of(by_law)
         found[name] = surface.norm(field_of(full) - wanted, part) / surface.norm(wanted, part)
-    whole, limit = (
-        sum(e for name, e in state.energies().items() if name != "loads" and not name.startswith(f"{LAYER.lower()} "))
-        for state in (full, by_law)
-    )  # "layer" has those of the seams
-    return found | {"energy": abs(whole / limit - 1), "in_junctions": in_junctions(case, full) / whole}
+    full_energy, limit_energy = (stored_in(state) for state in (full, by_law))
+    energies = {"energy": abs(full_energy / limit_energy - 1), "in_junctions": in_junctions(case, full) / full_energy}
+    return found | energies
+
+
+def stored_in(state: State) -> float:
+    """All stored energy; that of "layer" has those of the seams."""
+    energies = state.energies().items()
+    return sum(one for name, one in energies if name != "loads" and not name.startswith(f"{LAYER.lower()} "))
 
 
 def check(record: Record, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -239,16 +233,21 @@ def in_junctions(case: Case, state: State) -> float:
 
 def draw(record: Record) -> None:
     """Draw the errors from table.csv, but for quadrilaterals, whose errors are those of triangles."""
-    rows = [row for row in record.load("table.csv").rows if "quadrilaterals" not in str(row["case"])]
+    cases = {
+        name: rows for name, rows in record.load("table.csv").split("case").items() if "quadrilaterals" not in name
+    }
     for error, title in DRAWN.items():
-        lines: dict[str, Any] = {}
-        for name in dict.fromkeys(str(row["case"]) for row in rows):
-            lines[name] = tuple(np.array([(row["eps"], row[error]) for row in rows if row["case"] == name], float).T)
+        lines = {name: (rows["eps"], rows[error]) for name, rows in cases.items()}
         eps, least = min(lines.values(), key=lambda line: line[1][-1])
         most = max(line[1].max() for line in lines.values())
         lines["slope 1"] = (eps, 0.7 * least[-1] * eps / eps[-1])
         plotting.curves(
-            lines, xlabel="layer thickness eps", ylabel="relative difference, L2", title=title, logarithmic=True,
-            styles=dict(zip(lines, STYLES, strict=False)) | {"slope 1": ":"}, save=record.path(f"{error}.png"),
+            lines,
+            "layer thickness eps",
+            "relative difference, L2",
+            title=title,
+            logarithmic=True,
+            styles=dict(zip(lines, STYLES, strict=False)) | {"slope 1": ":"},
+            save=record.path(f"{error}.png"),
             ylim=(least[-1] / 2, 120 * most),
-        )  # fmt: skip
+        )

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-from matplotlib.figure import Figure
 from mpi4py import MPI
 
 from forms import BulkLaw, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack
 from forms.kinematics import MANDEL, ROOT2
-from thinlayer import SolveError, Table, plotting
-from thinlayer.files.progress import track
-from thinlayer.output.plotting.picture import finish
+from studies.timing import timed
+from thinlayer import SolveError, plotting
+from thinlayer.output.plotting.picture import Picture, finish
 from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
 from thinlayer.running.record import Record
@@ -59,14 +58,7 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: fewer points and repeats.
     """
     points, repeats = (4_000, 2) if quick else (20_000, 7)
-    record.parameters = {"laws": [str(case.law) for case in CASES.values()], "repeats": repeats, "strains": SIZE}
-    table = Table()
-    for name, case in track(list(CASES.items()), "law_speed", "{0[0]}"):
-        seconds, shares = measure(case, points, repeats)
-        row = {"law": name, "points": points, "seconds": seconds, "points_per_second": points / seconds}
-        table.append(row | shares)
-    record.write("table.csv", table)
-    record.say(table)
+    table = record.rows("table.csv", CASES, lambda name: measure(name, points, repeats))
     for k, (name, case) in enumerate(CASES.items()):
         if case.floor:
             record.check(f"{name}: points per second", table["points_per_second"][k], low=case.floor)
@@ -75,18 +67,16 @@ def run(record: Record, *, quick: bool = False) -> None:
                 record.check(f"{name}: share of points at an {part}", table[part][k], low=0.01)
 
 
-def measure(case: Case, points: int, repeats: int) -> tuple[float, dict[str, float]]:
+def measure(name: str, points: int, repeats: int) -> dict[str, float | str]:
     """Least processor time of all points, in seconds, and the shares of points that yield, at edges and at the apex."""
+    case = CASES[name]
     random, m = np.random.default_rng(1), len(case.slots)
     material = Material(MPI.COMM_SELF, case.law)
     e = SIZE * random.normal(size=(points, m))
     n = np.tile([0.0, 1.0, 0.0], (points, 1))
     rest, q = np.zeros_like(e), np.zeros((points, material.memory))
-    times = []
-    for _ in range(repeats + 1):  # the first one warms up
-        begin = time.process_time()
-        _, _, _, energies, failed = material.update(case.slots, e, rest, q, n, 1.0, 1.0)
-        times.append(time.process_time() - begin)
+    runs = [timed(partial(material.update, case.slots, e, rest, q, n, 1.0, 1.0)) for _ in range(repeats + 1)]
+    _, _, _, energies, failed = runs[-1][1]
     if failed:
         raise SolveError(f"{case.law}: {failed} points failed")
     whole = np.zeros((points, 6))
@@ -95,7 +85,15 @@ def measure(case: Case, points: int, repeats: int) -> tuple[float, dict[str, flo
     yields = energies[:, 1] > 0
     equal = np.abs(np.diff(principal(mandel), axis=1)) < 1e-9 * np.abs(mandel).max()
     edge, apex = equal.sum(axis=1) == 1, equal.all(axis=1)
-    return min(times[1:]), {"yielding": yields.mean(), "edge": (yields & edge).mean(), "apex": (yields & apex).mean()}
+    seconds = min(one for one, _ in runs[1:])  # the first one warms up
+    speed: dict[str, float | str] = {
+        "law": name,
+        "points": points,
+        "seconds": seconds,
+        "points_per_second": points / seconds,
+    }
+    shares = {"yielding": yields, "edge": yields & edge, "apex": yields & apex}
+    return speed | {what: float(where.mean()) for what, where in shares.items()}
 
 
 def principal(mandel: Array) -> Array:
@@ -109,7 +107,7 @@ def principal(mandel: Array) -> Array:
 def draw(record: Record) -> None:
     """Draw the speeds from table.csv."""
     table = record.load("table.csv")
-    figure = Figure(figsize=(7, 3.6), layout="constrained")
+    figure = Picture(figsize=(7, 3.6), layout="constrained")
     axes = figure.subplots()
     bars = axes.barh([str(row["law"]) for row in table.rows], table["points_per_second"], color=plotting.COLOURS[0])
     axes.bar_label(bars, fmt="%.2g", padding=3)

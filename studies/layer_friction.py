@@ -6,11 +6,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
 
 from forms import MohrCoulomb, MohrCoulombMonodirectional, limits
 from thinlayer import Table, plotting
-from thinlayer.output.plotting.picture import finish
 from thinlayer.pointwise.drive import PointHistory, drive
 from thinlayer.running.record import Record
 
@@ -34,9 +32,7 @@ PROPORTIONAL = f"w_T/|w_N| held, {DIRECTION:g}° off the normal"
 UNLOADED = "sheared, opened by a part, sheared"
 PLANES = "slips parallel to S alone"
 PATHS, FLOW = "paths, psi = 0", "laws, normal stress held"
-PANELS = {PATHS: (UNLOADED, HELD_STRESS, HELD_JUMP, PROPORTIONAL), FLOW: (HELD_STRESS, *DILATANT.values(), PLANES)}
-COLOURS = dict(zip((HELD_STRESS, HELD_JUMP, PROPORTIONAL, UNLOADED, PLANES), plotting.COLOURS, strict=True))
-COLOURS |= dict(zip(DILATANT.values(), ("#5bb0c7", "#6b8e23", "#4a4a4a"), strict=True))
+DAVIS = tuple(f"Davis, {DILATANT[psi]}" for psi in DILATANCIES if psi < OMEGA)
 
 
 def run(record: Record, *, quick: bool = False) -> None:
@@ -49,7 +45,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: longer steps.
     """
     steps = 100 if quick else 400
-    record.parameters = {"lmbda": LMBDA, "mu": MU, "Omega": OMEGA, "w_N": CLOSING, "pressure": PRESSURE, "steps": steps}
     law = MohrCoulomb(LMBDA, MU, 0.0, OMEGA)
     mono = MohrCoulombMonodirectional(LMBDA, MU, 0.0, OMEGA)
     curves: dict[str, PointHistory] = {
@@ -64,26 +59,22 @@ def run(record: Record, *, quick: bool = False) -> None:
         flowing = MohrCoulomb(LMBDA, MU, 0.0, OMEGA, dilatancy_angle=psi)
         curves[name] = drive(flowing, stress_held(steps))
         curves[f"{name}, {HELD_JUMP}"] = drive(flowing, opening_held(steps))
-    table = Table()
+    table = record.table("table.csv")
     for name, history in curves.items():
         shear, friction = MU * history.jumps[:, 0] / PRESSURE, ratio(history)
-        for row, x, y in zip(history.table.rows, shear, friction, strict=True):
-            table.append({"path": name, "shear": x, "friction": y} | row)
-    record.write("table.csv", table)
+        columns = {name: history.table[name] for name in history.table.columns}
+        table.extend(Table.of({"path": name, "shear": shear, "friction": friction, **columns}))
 
     held = curves[HELD_JUMP]
     record.check_near("first yield after compression", first_yield(law), limits.first_yield_ratio(NU, OMEGA), 1e-8)
     exact = limits.mohr_coulomb_fixed_opening(LMBDA, MU, 0.0, OMEGA, CLOSING, held.jumps[:, 0])
-    record.check(
-        "largest error against the closed form, opening held", np.abs(held.tractions - exact).max(), high=6 / steps
-    )
+    error = np.abs(held.tractions - exact).max()
+    record.check("largest error against the closed form, opening held", error, high=6 / steps)
     maximum = float(np.nanmax(ratio(curves[UNLOADED])))
     record.check_near("largest friction while the normal stress is taken away", maximum, tangent(), 1e-5)
-    for name, history in {
-        HELD_JUMP: drive(law, opening_held(60, LASTING)),
-        HELD_STRESS: drive(law, stress_held(60, LASTING)),
-    }.items():
-        record.check_near(f"lasting friction, {name}", ratio(history)[-1], np.sin(np.radians(OMEGA)), 1e-6)
+    for name, path in {HELD_JUMP: opening_held, HELD_STRESS: stress_held}.items():
+        friction = ratio(drive(law, path(60, LASTING)))[-1]
+        record.check_near(f"lasting friction, {name}", friction, np.sin(np.radians(OMEGA)), 1e-6)
     for psi in DILATANCIES[:2]:
         history = drive(MohrCoulomb(LMBDA, MU, 0.0, OMEGA, dilatancy_angle=psi), stress_held(60, LASTING))
         expected = limits.apparent_friction(OMEGA, psi)
@@ -162,32 +153,22 @@ def unloaded(steps: int) -> list[dict[str, float]]:
 
 def draw(record: Record) -> None:
     """Draw the curves from table.csv."""
-    table = record.load("table.csv")
-    names = np.array([row["path"] for row in table.rows])
-    friction = np.array([row["friction"] for row in table.rows], float)
-
-    def line(path: str) -> tuple[Array, Array]:
-        return table["shear"][names == path], friction[names == path]
-
-    figure, angles = Figure(figsize=(10, 4.2), layout="constrained"), DILATANT.values()
-    for k, (title, shown) in enumerate(PANELS.items()):
-        axes = figure.add_subplot(1, 2, k + 1)
-        for name in shown:
-            label = "psi = 0" if (title, name) == (FLOW, HELD_STRESS) else f"{name}°" if name in angles else name
-            axes.plot(*line(name), color=COLOURS[name], label=label)
-        for value, text in references(title).items():
-            label = "Davis' limits" if title == FLOW and value == tangent() else "_"  # with "_": not in the legend
-            axes.axhline(value, color="0.35", linestyle="--", linewidth=0.9, zorder=1, label=label)
-            axes.text(SHEAR - 0.05, value + 0.004, text, ha="right", va="bottom", color="0.25", fontsize="small")
-        axes.set(xlabel="shear  mu w_T / pressure at the start", ylabel="friction  t_T / |t_N|", title=title)
-        axes.set(xlim=(0, SHEAR), ylim=(0, 0.65))
-        axes.legend(frameon=False, loc="lower right", bbox_to_anchor=(1.0, 0.03))
-    finish(figure, record.path("friction.png"))
-
-
-def references(title: str) -> dict[float, str]:
-    """Friction of the straight lines of a panel, and their names."""
-    lines = {tangent(): "tan(Omega)", float(np.sin(np.radians(OMEGA))): "sin(Omega)"}
-    if title == FLOW:
-        return lines | {limits.apparent_friction(OMEGA, psi): "" for psi in DILATANCIES if psi < OMEGA}
-    return lines | {limits.first_yield_ratio(NU, OMEGA): "first yield"}
+    curves = record.load("table.csv").split("path")
+    tan, sin = tangent(), float(np.sin(np.radians(OMEGA)))
+    davis = [limits.apparent_friction(OMEGA, psi) for psi in DILATANCIES if psi < OMEGA]
+    shown = {PATHS: (UNLOADED, HELD_STRESS, HELD_JUMP, PROPORTIONAL), FLOW: (HELD_STRESS, *DILATANT.values(), PLANES)}
+    straight = {PATHS: {"tan(Omega)": tan, "sin(Omega)": sin, "first yield": limits.first_yield_ratio(NU, OMEGA)}}
+    straight[FLOW] = {"tan(Omega)": tan, "sin(Omega)": sin} | dict(zip(DAVIS, davis, strict=True))
+    plotting.panels(
+        {
+            title: {path: (curves[path]["shear"], curves[path]["friction"]) for path in paths}
+            | {name: ([0.0, SHEAR], [value, value]) for name, value in straight[title].items()}
+            for title, paths in shown.items()
+        },
+        "shear  mu w_T / pressure at the start",
+        "friction  t_T / |t_N|",
+        styles=dict.fromkeys((*straight[PATHS], *DAVIS), "--"),
+        colours={"tan(Omega)": "0.2", "sin(Omega)": "0.4", "first yield": "0.6", **dict.fromkeys(DAVIS, "0.8")},
+        ylim=(0.0, 0.65),
+        save=record.path("friction.png"),
+    )

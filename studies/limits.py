@@ -7,7 +7,6 @@ import numpy as np
 from forms import Anisotropic
 from studies.problems import fourier
 from thinlayer import State, Structure, Surface, ThinLayer, plotting, solve
-from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
 KAPPA = (1e4, 1e5, 1e6)
@@ -26,7 +25,6 @@ def run(record: Record, *, quick: bool = False) -> None:
     """
     h = 1 / 16 if quick else 1 / 48
     joint, setup = fourier(h, cell="quadrilateral")
-    record.parameters = {"h": h, "K_N": K_N}
 
     def interface(k_n: float, k_t: float) -> tuple[State, Surface]:
         law = Anisotropic.springs(K_N=k_n, K_T=k_t)
@@ -34,27 +32,27 @@ def run(record: Record, *, quick: bool = False) -> None:
         return state, Surface(state.model)
 
     bonded = record.solved(solve(Structure(joint, **setup).bonded()))
-    stiff = record.table("table.csv")
-    for kappa in track(KAPPA[:: 2 if quick else 1], "limits", "kappa = {:g}"):
+
+    def stiff(kappa: float) -> dict[str, float]:
         state, surface = interface(kappa, kappa)
         difference = surface.norm(surface.reaction(state) - surface.reaction(bonded))
         row = {"kappa": kappa, "jump_times_kappa": surface.norm(surface.jump(state)) * kappa}
-        stiff.append(row | {"traction_difference_times_kappa": difference * kappa})
+        return row | {"traction_difference_times_kappa": difference * kappa}
 
-    sliding = record.table("sliding.csv")
-    for k_t in track(SLIDING[:: 3 if quick else 1], "limits", "K_T = {:g}"):
+    def sliding(k_t: float) -> dict[str, float]:
         state, surface = interface(K_N, k_t)
-        sliding.append({"K_T": k_t, **_amplitudes(surface, state)})
-    record.say(stiff)
-    record.say(sliding)
+        return {"K_T": k_t, **_amplitudes(surface, state)}
 
-    record.check_near("|[u]| kappa at the largest kappa", stiff["jump_times_kappa"][-1], BONDED_JUMP, 2e-4)
-    last = stiff["traction_difference_times_kappa"][-1]
-    record.check_near("|t - t_bonded| kappa at the largest kappa", last, BONDED_TRACTION, 2e-4)
+    last = record.rows("table.csv", KAPPA[:: 2 if quick else 1], stiff, "kappa = {:g}").rows[-1]
+    slid = record.rows("sliding.csv", SLIDING[:: 3 if quick else 1], sliding, "K_T = {:g}").rows[-1]
     tolerance = 1e-4 if quick else 1e-5
-    record.check_near("amplitude of [u_T] at the smallest K_T", sliding["jump_T"][-1], SLIDING_JUMP, tolerance)
-    found = sliding["traction_N"][-1]
-    record.check_near("amplitude of t_N at the smallest K_T", found, SLIDING_TRACTION, tolerance)
+    for what, found, known, near in (
+        ("|[u]| kappa at the largest kappa", last["jump_times_kappa"], BONDED_JUMP, 2e-4),
+        ("|t - t_bonded| kappa at the largest kappa", last["traction_difference_times_kappa"], BONDED_TRACTION, 2e-4),
+        ("amplitude of [u_T] at the smallest K_T", slid["jump_T"], SLIDING_JUMP, tolerance),
+        ("amplitude of t_N at the smallest K_T", slid["traction_N"], SLIDING_TRACTION, tolerance),
+    ):
+        record.check_near(what, float(found or 0), known, near)
 
 
 def _amplitudes(surface: Surface, state: State) -> dict[str, float]:
@@ -80,10 +78,10 @@ def draw(record: Record) -> None:
     }
     plotting.curves(
         lines,
-        xlabel="K_N = K_T = kappa",
-        ylabel="L2 norm on S",
+        "K_N = K_T = kappa",
+        "L2 norm on S",
         title="a stiff interface law tends to bonded bodies",
-        styles={"|[u]|": "o-", "|t - t_bonded|": "s-", "slope -1": "--"},
+        styles=("o-", "s-", "--"),
         logarithmic=True,
         save=record.path("bonded.png"),
     )

@@ -2,29 +2,60 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem, la
+from scipy.optimize import brentq
 
-from studies.dropping.cases import COARSE, FINE, further_cases, known_cases, refused_cases
-from studies.dropping.measuring import (
-    FIELDS,
-    PLACES,
-    Dropped,
-    along,
-    cost,
-    effectivities,
-    from_known,
-    questions,
-    unknowns,
+from forms import LinearElastic, Rubber
+from studies.dropped import (
+    COARSE,
+    FINE,
+    Case,
+    corner,
+    displaced,
+    free,
+    further_cases,
+    known_cases,
+    refused_cases,
+    unwarned,
 )
+from studies.problems import free_blocks, of
+from studies.sweeping import last
+from studies.timing import timed
+from thinlayer import (
+    Estimate,
+    History,
+    Model,
+    Probe,
+    State,
+    Structure,
+    Surface,
+    ThinLayer,
+    estimate,
+    goals,
+    march,
+    plotting,
+    solve,
+    thin_enough,
+)
+from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.estimating.places import away_from_ends
 from thinlayer.files.progress import track
 from thinlayer.files.table import Table
-from thinlayer.output.plotting.curves import COLOURS
-from thinlayer.output.plotting.picture import Picture, finish
 from thinlayer.running.record import Record
 
+Array = npt.NDArray[np.float64]
 THICKNESSES = (COARSE, FINE)
+FIELDS = ("traction", "jump")
+INNER = 0.25  # from the middle of S, where another program measured
 BAND = 0.1  # of effectivities about 1
 SAME = 0.02  # of effectivities that another program found
 THIN = 0.05  # of the thickness from which on a layer may be dropped
@@ -57,17 +88,11 @@ def _effectivities(record: Record, *, quick: bool) -> None:
         one = Dropped.of(case, eps, record)
         row, asked = effectivities(one)
         here: dict[str, float | str] = {"case": case.name, "eps": eps}
-        size, complete = (
-            unknowns(one.found.better.model),
-            float(not any(a.law.lacks for a in one.found.layers.values())),
-        )
-        table.append({**here, "unknowns": size, **row, "complete": complete, "from_known": from_known(one)})
-        for goal in asked:
-            goals.append(here | goal)
+        size, lacks = one.found.better.model.unknowns, any(a.law.lacks for a in one.found.layers.values())
+        table.append({**here, "unknowns": size, **row, "complete": float(not lacks), "from_known": from_known(one)})
+        goals.extend(here | goal for goal in asked)
         if (case.name, eps) == (DRAWN, COARSE):
             record.write("along.csv", along(one))
-    record.say(table)
-    record.say(goals)
     own = {case.name for case in further}
     _check(record, table, goals, np.array([row["case"] in own for row in table.rows]))
 
@@ -78,9 +103,8 @@ def _check(record: Record, table: Table, goals: Table, own: np.ndarray) -> None:
     for name in FIELDS:
         distance = np.abs(table[name] - 1)
         for which, rows in {"further cases": own, "cases with all terms": complete}.items():
-            record.check(
-                f"largest distance of the {name}'s effectivity from 1, {which}", distance[rows].max(), high=BAND
-            )
+            what = f"largest distance of the {name}'s effectivity from 1, {which}"
+            record.check(what, distance[rows].max(), high=BAND)
         ratio = float(np.median(distance[own & fine]) / np.median(distance[own & ~fine]))
         record.check(f"its median at eps = 1/64 over that at 1/16, {name}", ratio, high=0.5)
     known = table["from_known"]
@@ -98,107 +122,323 @@ def _refusals(record: Record) -> None:
         words, silent = case.told()
         missing += (case.says not in words) or (silent != case.silent)
         table.append({"case": case.name, "number": float(not silent), "says": words})
-        record.say(f"{case.name}: {words}")
     record.check("cases that do not say what they have to", missing, high=0)
 
 
 def _thin_enough(record: Record, *, quick: bool) -> None:
-    table = record.table("thin_enough.csv")
-    for question in track(questions()[: 1 if quick else None], "may_i_drop", "{0.name}"):
+    def row(question: Question) -> dict[str, float | str]:
         told = question.told()
         meshed = question.by_meshing(told, record)
-        table.append({"case": question.name, "tolerance": question.tolerance, "told": told, "meshed": meshed})
-    record.say(table)
-    record.check(
-        "largest distance of thin_enough from meshing", np.abs(table["told"] / table["meshed"] - 1).max(), high=THIN
-    )
+        return {"case": question.name, "tolerance": question.tolerance, "told": told, "meshed": meshed}
+
+    table = record.rows("thin_enough.csv", questions()[: 1 if quick else None], row, "{0.name}")
+    apart = np.abs(table["told"] / table["meshed"] - 1).max()
+    record.check("largest distance of thin_enough from meshing", apart, high=THIN)
 
 
 def _costs(record: Record, *, quick: bool) -> None:
-    table = record.table("costs.csv")
-    for name in track([*PLACES][: 1 if quick else None], "may_i_drop", "costs, {}"):
-        table.append(cost(name))
-    record.say(table)
+    table = record.rows("costs.csv", [*PLACES][: 1 if quick else None], cost, "costs, {}")
     if not quick:
         record.check("largest number of further solves", table["further_solves"].max(), high=SOLVES)
 
 
-# ---------------------------------------------------------------- pictures
-LABELS = ("meshed layer", "estimate")
-ROW = 0.21  # inches
-RANGE = (0.8, 1.2)
+# ---------------------------------------------------------------- what is measured
+@dataclass(frozen=True)
+class Dropped:
+    """A case whose layers were dropped, and meshed.
+
+    Attributes:
+        case, eps: the case and its thickness.
+        found: the estimate.
+        full: state with meshed layers.
+    """
+
+    case: Case
+    eps: float
+    found: Estimate
+    full: State
+
+    @classmethod
+    def of(cls, case: Case, eps: float, record: Record | None = None) -> Dropped:
+        """Solve a case with the law of order 0, estimate what that changes, and solve it with meshed layers."""
+        structure = case.structure(eps)
+        zero = solved(case, structure.interface(case.layers(eps), bodies=case.bodies))
+        with unwarned():
+            found = estimate(zero, goals=case.asked)
+        # a nearly incompressible layer is meshed with a pressure, as its better law has one
+        layers = {name: replace(one.law.layer, order=0, edges=None) for name, one in found.layers.items()}
+        full = last(solved(case, structure.full(layers, bodies=case.bodies)))
+        if record:
+            for state in (found.state, found.better, full):
+                record.solved(state)
+        return cls(case, eps, found, full)
+
+    @property
+    def truth(self) -> dict[str, float]:
+        """Changes of traction and jump to meshed layers, relative, where the estimate tells them; of goals, absolute."""
+        model = self.found.better.model
+        assert isinstance(model, InterfaceModel)
+
+        def part(surface: Surface) -> Any:
+            one = self.found.layers[surface.seam]
+            return away_from_ends(surface, model.layers[surface.seam], one.near) if one.near else 1.0
+
+        before = self.found.goals
+        changes = {goal.name: goal.value(self.full, model) - before[goal.name].value for goal in self.case.asked}
+        return self._on_s(self.full, part) | changes
+
+    @property
+    def estimated(self) -> dict[str, float]:
+        """The same changes, estimated."""
+        on_s = {name: float(getattr(self.found, name)) for name in FIELDS}
+        return on_s | {name: goal.change for name, goal in self.found.goals.items()}
+
+    def inner(self, state: State) -> dict[str, float]:
+        """Relative changes of traction and jump to a state on the inner half of S, from x = 1/4 to 3/4."""
+
+        def part(on: Surface) -> Any:
+            return abs(on.x[0] - 0.5) < INNER if self.case.inner else 1.0
+
+        return self._on_s(state, part, Surface.reaction)  # as the other program has it
+
+    def _on_s(
+        self,
+        state: State,
+        part_of: Callable[[Surface], Any],
+        traction: Callable[[Surface, State], Array] = Surface.traction,
+    ) -> dict[str, float]:
+        squares = np.zeros((2, 2))
+        for name in self.found.layers:
+            surface = Surface(self.found.better.model, name)
+            part = part_of(surface)
+            for row, field in zip(squares, (traction, Surface.jump), strict=True):
+                before = field(surface, self.found.state)
+                row += surface.norm(field(surface, state) - before, part) ** 2, surface.norm(before, part) ** 2
+        return {name: math.sqrt(change / size) for name, (change, size) in zip(FIELDS, squares, strict=True)}
 
 
-def draw_effectivities(table: Table, save: Path) -> Picture:
-    """A row of dots for each case: estimated over true changes of traction and jump, for two thicknesses."""
-    cases = list(dict.fromkeys(str(row["case"]) for row in table.rows))
-    figure = Picture(figsize=(9.0, ROW * len(cases) + 1.2), layout="constrained")
-    panels = figure.subplots(1, 2, sharey=True)
-    marks = dict(zip(sorted(set(table["eps"]), reverse=True), (("o", "white"), ("o", None)), strict=False))
-    for axes, name, colour in zip(panels, FIELDS, COLOURS, strict=False):
-        axes.axvspan(0.9, 1.1, color="0.93", zorder=0)
-        axes.axvline(1.0, color="0.6", linewidth=0.8, zorder=1)
-        for eps, (marker, face) in marks.items():
-            rows = [row for row in table.rows if row["eps"] == eps]
-            y = [cases.index(str(row["case"])) for row in rows]
-            x = np.array([float(row[name]) for row in rows])  # type: ignore[arg-type]
-            shown = np.clip(x, *RANGE)
-            label = f"eps = 1/{round(1 / eps)}"
-            axes.plot(
-                shown, y, marker, color=colour, markerfacecolor=face or colour, markersize=5, label=label, zorder=3
-            )
-            for value, at in zip(x, y, strict=True):
-                if not RANGE[0] <= value <= RANGE[1]:
-                    side = "right" if value > 1 else "left"
-                    axes.annotate(
-                        f"{value:.2f}",
-                        (np.clip(value, *RANGE), at),
-                        (-6 if value > 1 else 6, -3),
-                        textcoords="offset points",
-                        ha=side,
-                        fontsize=7,
-                    )
-        axes.set_xlim(RANGE[0] - 0.01, RANGE[1] + 0.01)
-        axes.set_title(f"{name}: estimated over true change", fontsize=9)
-        axes.grid(axis="y", color="0.92")
-        axes.legend(fontsize=8, loc="lower right")
-    panels[0].set_yticks(range(len(cases)), cases, fontsize=8)
-    panels[0].invert_yaxis()
-    return finish(figure, save)
+def solved(case: Case, model: Model) -> State | History:
+    """The state of a model, or the history of the case's step."""
+    with unwarned():
+        return march(model, [case.step]) if case.step else solve(model)
 
 
-def draw_along(table: Table, title: str, near: float, save: Path) -> Picture:
-    """Changes of traction and jump along S, and where the change of the compliance comes from.
+def effectivities(one: Dropped) -> tuple[dict[str, float], list[dict[str, float | str]]]:
+    """True changes and estimated over true ones: of traction and jump, and a row for each goal."""
+    truth, estimated = one.truth, one.estimated
+    row = {f"true_{name}": truth[name] for name in FIELDS}
+    row |= {name: estimated[name] / truth[name] for name in FIELDS}
+    asked: list[dict[str, float | str]] = []
+    for name, goal in one.found.goals.items():
+        changes = {"true": truth[name] / goal.value, "effectivity": estimated[name] / truth[name]}
+        asked.append({"goal": name, **changes, "told": float(goal.told)})
+    return row, asked
+
+
+def from_known(one: Dropped) -> float | None:
+    """Largest distance of the effectivities from those that another program found; None: it has found none."""
+    if not (known := one.case.known.get(one.eps)):
+        return None
+    full, better = one.inner(one.full), one.inner(one.found.better)
+    first = one.case.asked[0].name
+    found = [*(better[name] / full[name] for name in FIELDS), one.estimated[first] / one.truth[first]]
+    return max(abs(a - b) for a, b in zip(found, known, strict=True) if b is not None)
+
+
+# ---------------------------------------------------------------- along S
+ROUND = 9  # digits of places
+
+
+def along(one: Dropped) -> Table:
+    """Changes of the normal components of t and [u] along S, and densities of the change of the compliance.
+
+    Bodies, loads and supports are linear and fixed. With L the loads, t_0, u_0 of the law of order 0 and u with meshed
+    layers, L(u) - L(u_0) = int_S t_0 . [u] - int_layer stress(u) : strain(v) for any v that is u_0 on the faces; v is
+    linear between them. Of the estimate the density is its own.
 
     Args:
-        table: of `mapping.along`.
-        title: of the picture.
-        near: distance from the ends of S, x = 0 and 1, within which the estimate says nothing.
-        save: file.
+        one: two bodies in 2D, S between them on y = 0, elastic laws without a pressure, loads alone.
     """
-    panels = {
-        "change of t . n": ("true_traction", "estimated_traction"),
-        "change of [u] . n": ("true_jump", "estimated_jump"),
-        "where the compliance changes": ("true_density", "density"),
-    }
-    figure = Picture(figsize=(9.0, 3.2), layout="constrained")
-    x = table["x"]
-    shown = (x > near / 8) & (x < 1 - near / 8)
-    for axes, (name, columns) in zip(figure.subplots(1, 3), panels.items(), strict=True):
-        for column, label, style, colour in zip(columns, LABELS, ("-", "--"), ("black", COLOURS[1]), strict=True):
-            axes.plot(x[shown], table[column][shown], style, color=colour, label=label)
-        for ends in ((0, near), (1 - near, 1)):
-            axes.axvspan(*ends, color="0.93", zorder=0)
-        axes.set_title(name, fontsize=9)
-        axes.set_xlabel("x along S; grey: not known")
-        axes.set_xlim(0, 1)
-        axes.grid(color="0.9")
-        axes.legend(fontsize=8)
-    figure.suptitle(title, fontsize=10)
-    return finish(figure, save)
+    found, surface = one.found, Surface(one.found.better.model)
+    columns = {}
+    for name, field in zip(FIELDS, (surface.traction, surface.jump), strict=True):
+        before = field(found.state)
+        for which, state in (("true", one.full), ("estimated", found.better)):
+            x, values = surface.profile(field(state) - before)
+            columns[f"{which}_{name}"] = values[:, 1]
+    density = found.density()
+    order = np.argsort(density.x[:, 0])
+    _, on_s = surface.profile((surface.traction(found.state) * surface.jump(one.full)).sum(axis=0))
+    columns["density"] = density.values[order]
+    columns["true_density"] = on_s - _of_layer(one, x[:, 0]) / density.areas[order]
+    in_order = np.argsort(x[:, 0])
+    return Table.of({"x": x[in_order, 0], **{name: column[in_order] for name, column in columns.items()}})
+
+
+def _of_layer(one: Dropped, at: Array) -> Array:
+    """Work of the meshed layer's stress in displacements u_0 of its faces, spread over the places x of columns."""
+    model, state = one.full.model, one.full
+    V, Q = model.V, fem.functionspace(model.domain.mesh, ("Lagrange", 1))
+    v, q = fem.Function(V), ufl.TestFunction(Q)
+    x = V.tabulate_dof_coordinates()[:, :2]
+    layer = np.flatnonzero(np.abs(x[:, 1]) <= one.eps / 2 * (1 + 1e-9))
+    v.x.array.reshape(-1, 2)[layer] = _between(one, x[layer])
+    (term,) = state.layers
+    work = ufl.inner(state.stress(term), term.strain(v)) * term.weight * q * term.measure
+    found = fem.assemble_vector(fem.form(work))
+    found.scatter_reverse(la.InsertMode.add)
+    mine = Q.dofmap.index_map.size_local
+    near = np.abs(Q.tabulate_dof_coordinates()[:mine, 0] - at[:, None]) < 10.0**-ROUND
+    return np.asarray(model.comm.allreduce(near @ found.array[:mine]))
+
+
+def _between(one: Dropped, x: Array) -> Array:
+    """Displacements u_0 (n, 2) at places (n, 2) of the meshed layer, linear from face to face. Collective."""
+    comm, count = one.full.model.comm, len(x)
+    everywhere = comm.allgather(x)  # a probe has the same places on all ranks
+    probe, places = Probe(one.found.state), np.concatenate(everywhere) * (1.0, 0.0)
+    begin = sum(len(there) for there in everywhere[: comm.rank])
+    upper, lower = (probe.displacement(places, side=side)[begin : begin + count] for side in ("upper", "lower"))
+    share = x[:, 1:] / one.eps + 0.5
+    return np.asarray(share * upper + (1 - share) * lower)
+
+
+# ---------------------------------------------------------------- how thin
+FINEST = 1 / 64  # for which the mesh is fine enough
+ACROSS = 2.0  # by which the thickness found by meshing may differ from what is told
+CLOSE = 2e-3  # of thicknesses found by meshing
+
+
+@dataclass(frozen=True)
+class Question:
+    """How thin must a layer be to be dropped?
+
+    Attributes:
+        name: of the question.
+        structure: makes the structure; its mesh does for all thicknesses.
+        law: with real moduli, which stay.
+        tolerance: of the relative change.
+        goal: "traction", "jump" or a goal.
+    """
+
+    name: str
+    structure: Callable[[], Structure]
+    law: LinearElastic | Rubber
+    tolerance: float
+    goal: Any
+
+    def told(self) -> float:
+        """The thickness without meshing the layer."""
+        with unwarned():
+            layer = ThinLayer(self.law, FINEST)
+            return float(thin_enough(self.structure(), layer, self.tolerance, goal=self.goal).eps)
+
+    def by_meshing(self, near: float, record: Record | None = None) -> float:
+        """The thickness at which the true change is the tolerance; `near` is close to it."""
+        asked = () if isinstance(self.goal, str) else (self.goal,)
+
+        def excess(log: float) -> float:
+            case = Case(self.name, lambda _: self.structure(), of(self.law, None), asked=asked)
+            one = Dropped.of(case, math.exp(log), record)
+            if isinstance(self.goal, str):
+                return math.log(one.truth[self.goal] / self.tolerance)
+            whole = self.goal.value(one.full, one.found.better.model)
+            return math.log(abs(one.truth[self.goal.name] / whole) / self.tolerance)
+
+        return math.exp(brentq(excess, math.log(near / ACROSS), math.log(near * ACROSS), xtol=CLOSE))
+
+
+def questions() -> list[Question]:
+    """The questions."""
+    polymer, compliance, pull = (
+        LinearElastic.young(E=3.0, nu=0.35),
+        goals.Compliance(),
+        goals.Reaction("TOP", (0.0, 1.0)),
+    )
+    blocks = partial(free, FINEST)
+    return [
+        Question("traction, free ends", blocks, polymer, 0.02, "traction"),
+        Question("jump, free ends", blocks, polymer, 0.08, "jump"),
+        Question("compliance, free ends", partial(free, FINEST, (1.0, 0.0)), polymer, 0.03, compliance),
+        Question("reaction, rubber bearing", partial(displaced, FINEST), Rubber.shear(1.0, 0.49), 0.1, pull),
+    ]
+
+
+# ---------------------------------------------------------------- costs
+EPS = 1 / 32
+REPEATS = 5
+ELASTIC = ThinLayer(LinearElastic.shear(30.0, 0.3), EPS, at=1.0)
+RUBBER = ThinLayer(Rubber.shear(30.0, 0.49), EPS, at=1.0)
+
+
+_fine = partial(free_blocks, EPS / 8, h=1 / 60, h_S=1 / 60)
+PLACES: dict[str, tuple[Callable[[], Structure], ThinLayer]] = {
+    "small": (partial(free, EPS), ELASTIC),
+    "fine": (_fine, ELASTIC),
+    "fine, rubber": (_fine, RUBBER),
+    "3D": (partial(corner, EPS), ELASTIC),
+}
+
+
+def cost(name: str) -> dict[str, float | str]:
+    """Times of one of `PLACES`: medians of several runs after a first one, processor time.
+
+    Returns:
+        seconds: of building the interface model and solving it.
+        further_solves: what the package says, solves alone.
+        over_solve: all of the estimate, over the solve of the interface model.
+        over_model: over building this model and solving it.
+        over_meshing: over meshing the layer, building that model and solving it.
+    """
+    make, layer = PLACES[name]
+    structure, rows = make(), []
+    for _ in range(REPEATS + 1):
+        with unwarned():
+            building, model = timed(partial(structure.interface, layer))
+            solving, state = timed(partial(solve, model))
+            telling, found = timed(partial(estimate, state))
+            meshing, _ = timed(lambda: solve(structure.full(layer)))
+        rows.append((building, solving, telling, meshing, found.cost))
+    building, solving, telling, meshing, further = np.median(rows[1:], axis=0)
+    row: dict[str, float | str] = {"case": name, "unknowns": model.unknowns, "seconds": building + solving}
+    row |= {"further_solves": further, "over_solve": telling / solving, "over_model": telling / (building + solving)}
+    return row | {"over_meshing": telling / meshing}
+
+
+# ---------------------------------------------------------------- pictures
+LEVELS = (0.01, 0.02, 0.05, 0.1)  # distances of effectivities from 1
+QUANTITIES = {"t . n": "traction", "[u] . n": "jump"}
+LABELS = {"true": "meshed layer", "estimated": "estimate"}
 
 
 def draw(record: Record) -> None:
     """Draw the effectivities of all cases, and changes along S of one of them, from the tables."""
-    draw_effectivities(record.load("effectivities.csv"), record.path("effectivities.png"))
-    draw_along(record.load("along.csv"), f"{DRAWN}, eps = 1/16", 3 * COARSE, record.path("along.png"))
+    cases = record.load("effectivities.csv").split("case")
+    values = np.array([np.concatenate([rows[name] for name in FIELDS]) for rows in cases.values()])[::-1]
+    title = "estimated over true changes"
+    plotting.maps(
+        {title: np.abs(values - 1)},
+        x=[f"{name}, eps = 1/{round(1 / eps)}" for name in FIELDS for eps in THICKNESSES],
+        y=[*cases][::-1],
+        texts={title: np.vectorize(lambda one: "-" if np.isnan(one) else f"{one:.2f}")(values)},
+        levels=LEVELS,
+        names=["within 1 %", "2 %", "5 %", "10 %", "further"],
+        xlabel="",
+        ylabel="",
+        save=record.path("effectivities.png"),
+    )
+    table, near = record.load("along.csv"), 3 * COARSE  # of an end, where the estimate says nothing
+    known = (table["x"] > near) & (table["x"] < 1 - near)
+    columns = {
+        f"change of {name}": {which: f"{which}_{field}" for which in LABELS} for name, field in QUANTITIES.items()
+    }
+    columns["where the compliance changes"] = {"true": "true_density", "estimated": "density"}
+    plotting.panels(
+        {
+            title: {LABELS[which]: (table["x"][known], table[column][known]) for which, column in pair.items()}
+            for title, pair in columns.items()
+        },
+        f"x along S; {DRAWN}, eps = 1/16",
+        styles={LABELS["estimated"]: "--"},
+        save=record.path("along.png"),
+    )

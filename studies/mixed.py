@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -11,23 +10,21 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from forms import BulkLaw, LinearElastic, VonMises
-from geometry import sandwich, wall
-from studies.sweeping import by_reaction
-from thinlayer import Model, State, Structure, ThinLayer, compare, march, observed_orders, plotting, solve
+from geometry import wall
+from studies.problems import FOURIER_BODY, free_blocks
+from studies.sweeping import by_reaction, errors_of_work, last_order
+from thinlayer import Model, State, Structure, ThinLayer, compare, march, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
 Array = npt.NDArray[np.float64]
-BODY, ELASTIC = LinearElastic.young(E=100.0, nu=0.3), LinearElastic.shear(40.0, 0.3)
+ELASTIC = LinearElastic.shear(40.0, 0.3)
 YIELDING = VonMises(60.0, 40.0, strength=1.2, hardening=4.0)  # at its free ends alone, which the law on S does not see
 TIMES = (0.5, 1.0)
 LOAD = (0.3, -1.0)
 EPS = (1 / 32, 1 / 64, 1 / 128)
 THICK = 1 / 12  # of the picture
-WALL_EPS, HEADS = (
-    (1 / 16, 1 / 32, 1 / 64),
-    0.7,
-)  # thickness of beds, over the length of bricks; of heads, over that of beds
+WALL_EPS, HEADS = (1 / 16, 1 / 32, 1 / 64), 0.7  # thickness of beds over the length of bricks; of heads over theirs
 AROUND = 2.5  # length over which layers are meshed around junctions, over the thickness of beds
 WALL_LAWS = ("order 0", "mixed, order 0", "mixed, order 1")
 AWAY = 4.0  # of the cut from the free ends, over the thickness
@@ -51,7 +48,6 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         quick: the two largest thicknesses, every other distance, and larger cells of the wall.
     """
     some = tuple(eps)[:2] if quick else tuple(eps)
-    record.parameters = {"cut": AWAY, "cells_through": CELLS_THROUGH}
     for name, law in {"elastic": ELASTIC, "yielding": YIELDING}.items():
         _thicknesses(record, name, law, some)
     _distances(record, some[-1], DISTANCES[1::2] if quick else DISTANCES)
@@ -64,9 +60,8 @@ class _Blocks:
 
     def __init__(self, record: Record, law: BulkLaw, eps: float) -> None:
         self.record, self.law, self.eps = record, law, eps
-        joint = sandwich(1.0, 0.5, 0.5, h=1 / 8, h_S=1 / 32, h_ends=eps / 8, cell="quadrilateral")
         load = LOAD if law.traits.linear else lambda x, t: (LOAD[0] * t, LOAD[1] * t)
-        self.structure = Structure(joint, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": load})
+        self.structure = free_blocks(eps / 8, load)
         self.full = self.state(self.structure.full(ThinLayer(law, eps, at=1.0), cells_through=CELLS_THROUGH))
 
     def state(self, model: Model) -> State:
@@ -89,14 +84,8 @@ class _Blocks:
     def errors(self, state: State) -> dict[str, float]:
         """Errors on the inner half of S, of the work of the loads, of tractions on all of S; share of the unknowns."""
 
-        def inside(x: Array) -> npt.NDArray[np.bool_]:
-            return np.asarray(abs(x[0] - 0.5) < 0.25)
-
-        works = [one.energies()["loads"] for one in (self.full, state)]
-        return {
-            "error_traction": by_reaction(self.full, state, inside)["error_reaction"],
-            "error_jump": compare(self.full, state, where=inside)["error_jump"],
-            "error_work": abs(works[1] / works[0] - 1),
+        found = errors_of_work(self.full, state, lambda x: abs(x[0] - 0.5) < 0.25)
+        return {name: found[name] for name in ("error_traction", "error_jump", "error_work")} | {
             "error_all": by_reaction(self.full, state)["error_reaction"],
             "unknowns": _unknowns(state.model) / _unknowns(self.full.model),
         }
@@ -104,7 +93,7 @@ class _Blocks:
 
 def _unknowns(model: Model) -> int:
     followers = model.comm.allreduce(0 if model.followers is None else len(model.followers.rows))
-    return int(model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs - followers)
+    return model.unknowns - int(followers)
 
 
 def _thicknesses(record: Record, name: str, law: BulkLaw, thicknesses: Sequence[float]) -> None:
@@ -113,23 +102,14 @@ def _thicknesses(record: Record, name: str, law: BulkLaw, thicknesses: Sequence[
         blocks = _Blocks(record, law, float(eps))
         for one, table in tables.items():
             table.append({"eps": float(eps)} | blocks.errors(_state(blocks, one)))
-    for one, table in tables.items():
-        record.say(f"{name}, {one}")
-        record.say(table)
     orders = {
-        one: [
-            observed_orders(table["eps"], table[f"error_{of}"])[-1] or math.nan for of in ("traction", "jump", "work")
-        ]
-        for one, table in tables.items()
+        one: [last_order(table, f"error_{of}") for of in ("traction", "jump", "work")] for one, table in tables.items()
     }
     record.check(f"{name}: least last order of the mixed model", min(orders["mixed"]), low=1.7)
     record.check(f"{name}: largest last order of the law of order 1", max(orders["order 1"]), high=1.2)
     last = {one: table["error_all"][-1] for one, table in tables.items()}
-    record.check(
-        f"{name}: error of tractions on all of S, of the mixed model over the law's",
-        last["mixed"] / last["order 1"],
-        high=0.1,
-    )
+    what = f"{name}: error of tractions on all of S, of the mixed model over the law's"
+    record.check(what, last["mixed"] / last["order 1"], high=0.1)
 
 
 def _file(name: str) -> str:
@@ -148,12 +128,9 @@ def _state(blocks: _Blocks, name: str) -> State:
 
 
 def _distances(record: Record, eps: float, distances: Sequence[float]) -> None:
-    table = record.table("distances.csv")
     blocks = _Blocks(record, ELASTIC, eps)
-    for thicknesses in track(list(distances), "mixed", "cut {:g} eps from the ends"):
-        state = blocks.mixed(thicknesses)
-        table.append({"distance": thicknesses} | blocks.errors(state))
-    record.say(table)
+    row = lambda cut: {"distance": cut} | blocks.errors(blocks.mixed(cut))  # noqa: E731
+    table = record.rows("distances.csv", distances, row, "cut {:g} eps from the ends")
     near, far = (table["error_work"][k] for k in (0, -1))
     record.check("error of the work, cut far from the ends over cut near them", far / near, high=0.3)
 
@@ -161,7 +138,7 @@ def _distances(record: Record, eps: float, distances: Sequence[float]) -> None:
 def _wall(record: Record, h: float, thicknesses: Sequence[float]) -> None:
     """Write errors on all of S of two courses of bricks: laws, and mixed models with laws of order 0 and 1."""
     joint = wall(2, 2, (1.0, 0.5), h=h)
-    structure = Structure(joint, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": LOAD})
+    structure = Structure(joint, body=FOURIER_BODY, supports={"BOTTOM": 0}, tractions={"TOP": LOAD})
     on_s, outer = np.unique(joint.surface), np.unique(joint.table.vertices[joint.table.cells[:, 1] < 0])
     special = joint.points[on_s[(joint.splitting.valence[on_s] > 2) | np.isin(on_s, outer)]]  # junctions, free ends
     tables = {name: record.table(f"wall_{_file(name)}.csv") for name in WALL_LAWS}
@@ -173,25 +150,18 @@ def _wall(record: Record, h: float, thicknesses: Sequence[float]) -> None:
             where = partial(_within, special, length)
             model = structure.mixed(layers, where=where) if "mixed" in name else structure.interface(layers)
             state = record.solved(solve(model))
-            found = compare(full, state)
-            errors = {f"error_{of}": found[f"error_{of}"] for of in ("traction", "jump")}
-            work = abs(state.energies()["loads"] / full.energies()["loads"] - 1)
-            table.append(
-                {"eps": eps} | errors | {"error_work": work, "unknowns": _unknowns(model) / _unknowns(full.model)}
-            )
-    for name, table in tables.items():
-        record.say(f"wall, {name}")
-        record.say(table)
+            errors = compare(full, state)
+            row = {"eps": eps} | {name: errors[name] for name in ("error_traction", "error_jump")}
+            row["error_work"] = abs(state.energies()["loads"] / full.energies()["loads"] - 1)
+            table.append(row | {"unknowns": _unknowns(model) / _unknowns(full.model)})
     for of in ("traction", "jump"):
         ratio = tables["mixed, order 1"][f"error_{of}"][-1] / tables["order 0"][f"error_{of}"][-1]
         record.check(f"wall: error of the {of}, of the mixed model over the law's", ratio, high=0.1)
 
 
 def _mortar(eps: float, order: int) -> dict[str, ThinLayer]:
-    return {
-        "BED": ThinLayer(ELASTIC, eps, order=order, at=1.0),
-        "HEAD": ThinLayer(ELASTIC, HEADS * eps, order=order, at=1.0),
-    }
+    thicknesses = {"BED": eps, "HEAD": HEADS * eps}
+    return {name: ThinLayer(ELASTIC, thickness, order=order, at=1.0) for name, thickness in thicknesses.items()}
 
 
 def _within(special: Array, length: float, x: Array) -> npt.NDArray[np.bool_]:
@@ -212,23 +182,17 @@ def _picture(record: Record) -> None:
 
 def draw(record: Record) -> None:
     """Draw errors against the thickness, and against the distance of the cut from the free ends."""
-    plotting.rates(
-        {name: record.load(f"wall_{_file(name)}.csv") for name in WALL_LAWS},
-        title="two courses of bricks, all of S",
-        save=record.path("wall.png"),
-    )
+    walls = {name: record.load(f"wall_{_file(name)}.csv") for name in WALL_LAWS}
+    plotting.rates(walls, title="two courses of bricks, all of S", save=record.path("wall.png"))
     for name, law in {"elastic": ELASTIC, "yielding": YIELDING}.items():
         tables = {one: record.load(f"{name}_{_file(one)}.csv") for one in _laws(law)}
-        parts: Mapping[str, Mapping[str, tuple[object, object]]] = {
-            what: {one: (np.log2(table["eps"]), table[f"error_{of}"]) for one, table in tables.items()}
-            for what, of in MEASURED.items()
-        }
         plotting.panels(
-            parts,
-            xlabel="log2 of the thickness over the width",
-            ylabels=dict.fromkeys(parts, ""),
-            styles=dict.fromkeys(LAWS, "o-"),
-            colours=dict(zip(LAWS, ("tab:blue", "tab:orange", "tab:green", "black"), strict=True)),
+            {
+                what: {one: (np.log2(table["eps"]), table[f"error_{of}"]) for one, table in tables.items()}
+                for what, of in MEASURED.items()
+            },
+            "log2 of the thickness over the width",
+            styles="o-",
             columns=4,
             yscale="log",
             save=record.path(f"{name}.png"),
@@ -236,9 +200,9 @@ def draw(record: Record) -> None:
     table = record.load("distances.csv")
     plotting.curves(
         {what: (table["distance"], table[f"error_{of}"]) for what, of in MEASURED.items()},
-        xlabel="distance of the cut from the free ends / thickness",
-        ylabel="relative error",
-        styles=dict.fromkeys(MEASURED, "o-"),
+        "distance of the cut from the free ends / thickness",
+        "relative error",
+        styles="o-",
         logarithmic=True,
         save=record.path("distances.png"),
     )

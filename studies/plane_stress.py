@@ -8,7 +8,6 @@ from forms import BulkLaw, LinearElastic, Maxwell
 from geometry import sandwich
 from thinlayer import Structure, ThinLayer, plotting, solve
 from thinlayer.files.progress import track
-from thinlayer.files.table import Table
 from thinlayer.running.record import Record
 
 DEPTHS = (8.0, 4.0, 2.0, 1.0, 0.5)  # mm, of the sheet
@@ -18,10 +17,7 @@ PULL = 5.0  # MPa
 PLATES = LinearElastic.young(E=2e3, nu=0.35)  # MPa
 GLUE = LinearElastic.young(E=100.0, nu=0.45)  # MPa
 TIMES = (0.5, 1.0, 2.0)  # hours
-LAWS: dict[str, BulkLaw] = {
-    "elastic": GLUE,
-    "Maxwell": Maxwell(GLUE.lmbda, GLUE.mu, t1=1.5, t2=4.0),
-}
+LAWS: dict[str, BulkLaw] = {"elastic": GLUE, "Maxwell": Maxwell(GLUE.lmbda, GLUE.mu, t1=1.5, t2=4.0)}
 SAME = 0.01  # relative difference of the thinnest sheet from plane stress
 
 
@@ -37,14 +33,12 @@ def run(record: Record, *, depths: Sequence[float] = DEPTHS, quick: bool = False
     """
     h = 3.0 if quick else 1.5
     depths = (max(depths), min(depths)) if quick else tuple(depths)
-    record.parameters = {"eps_mm": EPS, "plates": str(PLATES), "glue": {name: str(law) for name, law in LAWS.items()}}
     for name, law in LAWS.items():
         planes = {plane: _compliance(record, law, h, plane=plane) for plane in ("stress", "strain")}
         table = record.table(f"table_{name}.csv")
         for depth in track(depths, "plane_stress", name + ", depth = {:g} mm"):
             found = _compliance(record, law, h, depth=depth)
             table.append({"depth": depth, **{f"over_{plane}": found / value for plane, value in planes.items()}})
-        record.say(table)
         record.check_near(f"thinnest sheet over plane stress, {name}", table["over_stress"][-1], 1.0, SAME)
         record.check(f"thinnest sheet over plane strain, {name}", table["over_strain"][-1], low=1 + 3 * SAME)
 
@@ -52,13 +46,11 @@ def run(record: Record, *, depths: Sequence[float] = DEPTHS, quick: bool = False
 def _compliance(record: Record, law: BulkLaw, h: float, *, plane: str = "strain", depth: float | None = None) -> float:
     """Work of the load over the depth of the sheet, its faces free; half of the sheet is meshed."""
     half = None if depth is None else depth / 2
-    joint = sandwich(
-        WIDTH, LOWER, UPPER, h, h_S=h / 2, depth=half, cell="quadrilateral" if half is None else "hexahedron"
-    )
-    pull = (-PULL, 0.0) if half is None else (-PULL, 0.0, 0.0)
+    cell = "quadrilateral" if half is None else "hexahedron"
+    joint = sandwich(WIDTH, LOWER, UPPER, h, h_S=h / 2, depth=half, cell=cell)
+    pull = (-PULL, 0.0, 0.0)[: joint.dim]
     supports: dict[str, dict[str, float]] = {"RIGHT/LOWER": {"x": 0.0, "y": 0.0}, "LEFT/UPPER": {"y": 0.0}}
-    if half is not None:
-        supports["BACK"] = {"z": 0.0}
+    supports |= {"BACK": {"z": 0.0}} if half else {}
     structure = Structure(joint, body=PLATES, supports=supports, tractions={"LEFT/UPPER": pull}, plane=plane)
     model = structure.full(ThinLayer(law, EPS), cells_through=6)
     if law.traits.remembers:
@@ -72,14 +64,12 @@ def draw(record: Record) -> None:
     """Draw the ratios against the depth."""
     lines = {}
     for name in LAWS:
-        table = Table.load(record.path(f"table_{name}.csv"))
+        table = record.load(f"table_{name}.csv")
         for plane in ("stress", "strain"):
             lines[f"{name}, over plane {plane}"] = (table["depth"], table[f"over_{plane}"])
-    plotting.curves(
-        lines,
-        xlabel="depth of the sheet (mm)",
-        ylabel="work of the load, over that in the plane",
-        save=record.path("depth.png"),
-        title="lap joint, layer of 2 mm",
-        ylim=(0.97, 1.13),
+    title, save, ylabel = (
+        "lap joint, layer of 2 mm",
+        record.path("depth.png"),
+        "work of the load, over that in the plane",
     )
+    plotting.curves(lines, "depth of the sheet (mm)", ylabel, save=save, title=title, ylim=(0.97, 1.13))

@@ -49,9 +49,6 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
         quick: coarser meshes.
     """
     cells, h = ((5, 10), 1 / 8) if quick else ((5, 10, 16), 1 / 16)
-    record.parameters = {
-        "grading": GRADING, "cells": cells, "cylinder": str(CYLINDER), "metal": str(METAL), "mortar": str(MORTAR), "h": h,
-    }  # fmt: skip
     punched(record, cells)
     inflated(record, 0.15 if quick else 0.08)
     joint, setup = sheared(h)
@@ -92,10 +89,9 @@ def punched(record: Record, cells: Sequence[int]) -> None:
         model = Structure(half_space(n), body=metal, supports=supports).bonded()
         history = march(model, SUNK, keep="last", observe={"pressure": pressure})
         record.solved(history.last)
-        for t, p in zip(history.t, history.table["pressure"], strict=True):
-            table.append({"n": n, "sunk": float(t), "pressure": float(p), "over": float(p) / limit})
+        over = history.table["pressure"] / limit
+        table.extend(Table.of({"n": n, "sunk": history.t, "pressure": history.table["pressure"], "over": over}))
         errors.append(float(history.table["pressure"][-1]) / limit - 1)
-    record.say(table)
     record.check("pressure under the punch on the finest mesh, over (2 + pi) k", 1 + errors[-1], low=0.99, high=1.01)
     record.check("its error there over that on the coarsest mesh", errors[-1] / errors[0], low=0.0, high=0.4)
 
@@ -142,7 +138,6 @@ def inflated(record: Record, h: float) -> None:
                 row[f"u_{name}_exact"] = float(c.displacement(state.t, np.array(r)))
             table.append(row)
             record.solved(state)
-    record.say(table)
     for name in ("stress", "u_inside", "u_outside"):
         apart = float(np.abs(table[name] / table[f"{name}_exact"] - 1).max())
         record.check(f"cylinder: largest relative error of {name}", apart, high=0.01)
@@ -168,34 +163,25 @@ def dissipated(full: Solution, limit: Solution) -> dict[str, float]:
 
 def draw(record: Record) -> None:
     """Draw the pressure under the punch, the cylinder, and the rates."""
-    punch, limit = record.load("punch.csv"), limits.prandtl_pressure(K)
-    curves = {}
-    for n in np.unique(punch["n"]):
-        curves[f"{n:.0f} cells under the punch"] = tuple(punch[name][punch["n"] == n] for name in ("sunk", "over"))
-    sunk = np.array([0.0, max(SUNK)])
-    curves["(2 + pi) k"] = sunk, np.ones(2)
-    plotting.curves(
-        curves, xlabel="depth / half-width", ylabel=f"mean pressure / {limit:.3f} k", save=record.path("punch.png"),
-        title="rough punch on ideally plastic metal", styles={"(2 + pi) k": "--"},
-    )  # fmt: skip
-    _draw_cylinder(record, record.load("cylinder.csv"))
-    draw_rates(record, title="Mohr-Coulomb joint between bodies that yield")
-
-
-def _draw_cylinder(record: Record, table: Table) -> None:
-    p = np.linspace(0.0, PRESSURES[-1], 100)
-    exact = {
-        f"closed form, r = {r:g}": (np.array([float(CYLINDER.displacement(one, np.array(r))) for one in p]), p)
-        for r in (CYLINDER.a, CYLINDER.b)
+    limit, sunk = limits.prandtl_pressure(K), np.array([0.0, max(SUNK)])
+    curves: dict[str, tuple[Any, Any]] = {
+        f"{n:.0f} cells under the punch": (part["sunk"], part["over"])
+        for n, part in record.load("punch.csv").split("n").items()
     }
-    kinds = [str(row["model"]) for row in table.rows]
-    found = {
-        f"{kind}, r = {r:g}": tuple(table[one][[k == kind for k in kinds]] for one in (f"u_{name}", "pressure"))
-        for kind in dict.fromkeys(kinds)
-        for r, name in ((CYLINDER.a, "inside"), (CYLINDER.b, "outside"))
-    }
-    styles = {label: "o" if "strain" in label else "x" for label in found}
-    plotting.curves(
-        found | exact, xlabel="radial displacement", ylabel="pressure / k", save=record.path("cylinder.png"),
-        title="thick-walled cylinder, b = 2 a", styles=styles,
-    )  # fmt: skip
+    xlabel, ylabel, title = (
+        "depth / half-width",
+        f"mean pressure / {limit:.3f} k",
+        "rough punch on ideally plastic metal",
+    )
+    curves["(2 + pi) k"], styles = (sunk, np.ones(2)), {"(2 + pi) k": "--"}
+    plotting.curves(curves, xlabel, ylabel, save=record.path("punch.png"), title=title, styles=styles)
+    p, curves, styles = np.linspace(0.0, PRESSURES[-1], 100), {}, {}
+    for r, name in ((CYLINDER.a, "inside"), (CYLINDER.b, "outside")):
+        exact = [float(CYLINDER.displacement(float(at), np.array(r))) for at in p]
+        curves[f"closed form, r = {r:g}"] = np.array(exact), p
+        for kind, part in record.load("cylinder.csv").split("model").items():
+            curves[f"{kind}, r = {r:g}"] = part[f"u_{name}"], part["pressure"]
+            styles[f"{kind}, r = {r:g}"] = "o" if "strain" in kind else "x"
+    title, save = "thick-walled cylinder, b = 2 a", record.path("cylinder.png")
+    plotting.curves(curves, "radial displacement", "pressure / k", save=save, title=title, styles=styles)
+    draw_rates(record, "Mohr-Coulomb joint between bodies that yield")

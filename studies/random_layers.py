@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import time
+from functools import partial
 
 import numpy as np
-from petsc4py import PETSc
 
 from forms import LinearElastic
 from geometry import sandwich
-from studies.performance import resident
-from thinlayer import Structure, Surface, ThinLayer, plotting, solve
+from studies.timing import resident, seconds, solve_once, timed
+from thinlayer import State, Structure, Surface, ThinLayer, plotting, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.files.progress import track
 from thinlayer.parts.part import Interval
 from thinlayer.running.record import Record
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import direct_solver, mark
-from thinlayer.solving.petsc import PREFIX, defaults
 
 STEEL = LinearElastic.young(E=210e3, nu=0.3)  # MPa
 RUNS, EARLY = 200, 20
@@ -50,26 +48,20 @@ def run(record: Record, *, quick: bool = False) -> None:
     cells, runs = (12, 2 * EARLY) if quick else (100, RUNS)
     first = glued(cells)
     surface, random = Surface(first), np.random.default_rng(7)
-    record.parameters = {"cells": cells, "runs": runs, "early": EARLY}
     table = record.table("table.csv")
     alone = [linear_solve(first) for _ in range(3)]
     for k in track(range(runs), "random_layers", "run {}"):
         E, eps = float(random.lognormal(np.log(2e3), 0.3)), float(random.uniform(0.1, 0.3))
-        began = time.process_time()
-        state = solve(first.with_layer(layer(E, eps)))
-        seconds = time.process_time() - began
+        spent, state = timed(partial(_solved, first, layer(E, eps)))
         jump = surface.norm(surface.jump(state))
         if k % 20 == 10:
             alone.append(linear_solve(first))
-        table.append({"run": k, "E": E, "eps": eps, "jump": jump, "seconds": seconds, "memory": resident()})
+        table.append({"run": k, "E": E, "eps": eps, "jump": jump, "seconds": spent, "memory": resident()})
     usual = float(np.median(alone))
     ratio = float(np.median(table["seconds"][1:])) / usual
-    record.say({"unknowns": first.V.dofmap.index_map.size_global * 2, "linear solve": usual, "run over it": ratio})
-    loads = []
-    for k in range(EARLY):
-        began = time.process_time()
-        solve(first.with_loads(tractions={"TOP": (5.0 * np.cos(k), -3.0)}))
-        loads.append(time.process_time() - began)
+    record.say({"unknowns": first.unknowns, "linear solve": usual, "run over it": ratio})
+    turned = [{"TOP": (5.0 * np.cos(k), -3.0)} for k in range(EARLY)]
+    loads = [seconds(partial(_loaded, first, top)) for top in turned]
     record.say({"under other loads, over a linear solve": float(np.median(loads[1:])) / usual})
     memory = table["memory"]
     record.check(f"memory after {runs} runs over that after {EARLY}", memory[-1] / memory[EARLY - 1], high=GROWTH)
@@ -79,6 +71,14 @@ def run(record: Record, *, quick: bool = False) -> None:
     record.check_near("jump of the last layer in a model of its own", float(table["jump"][-1]), alone_jump, 1e-9)
     if not quick:
         record.check("time of a run over that of a linear solve", ratio, high=LIMIT)
+
+
+def _solved(model: InterfaceModel, drawn: ThinLayer) -> State:
+    return solve(model.with_layer(drawn))
+
+
+def _loaded(model: InterfaceModel, tractions: dict[str, tuple[float, float]]) -> State:
+    return solve(model.with_loads(tractions=tractions))
 
 
 def linear_solve(model: InterfaceModel) -> float:
@@ -93,18 +93,11 @@ def linear_solve(model: InterfaceModel) -> float:
     A = equations.tangent()
     A.zeroRowsColumns(equations.held_rows, 1.0)
     mark(A, model, saddle=False)
-    began = time.process_time()
-    with defaults(direct_solver(model)):
-        ksp = PETSc.KSP().create(model.comm)
-        ksp.setOptionsPrefix(PREFIX)
-        ksp.setOperators(A)
-        ksp.setFromOptions()
-        ksp.solve(b, x)
-    seconds = time.process_time() - began
-    for thing in (ksp, x, b):
-        thing.destroy()
+    spent = solve_once(A, b, direct_solver(model))
+    x.destroy()
+    b.destroy()
     equations.destroy()
-    return seconds
+    return spent
 
 
 def draw(record: Record) -> None:
@@ -113,8 +106,8 @@ def draw(record: Record) -> None:
     compliance = table["eps"] / table["E"]
     plotting.curves(
         {"one run": (compliance * 1e3, table["jump"] * 1e3)},
-        xlabel="thickness over Young's modulus, mm/GPa",
-        ylabel="L2 norm of the jump on S, 1e-3 mm^(3/2)",
+        "thickness over Young's modulus, mm/GPa",
+        "L2 norm of the jump on S, 1e-3 mm^(3/2)",
         title="random layers on one mesh",
         styles={"one run": "o"},
         save=record.path("jumps.png"),

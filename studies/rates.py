@@ -10,21 +10,24 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from forms import (
-    Incompressible,
-    KelvinVoigt,
-    LinearElastic,
-    Maxwell,
-    MohrCoulombMonodirectional,
-    Norton,
-    Stack,
-)
+from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulombMonodirectional, Norton, Stack
 from geometry import Joint
 from studies import fig3_mohr_coulomb as fig3
-from studies import joints
+from studies import problems
 from studies.problems import FOURIER_BODY, FOURIER_LAYER, MORTAR, fourier, of, pressed, sheared
-from studies.sweeping import Floors, Solution, Sweep, by_reaction, check_floors, draw_rates, last, middle
-from thinlayer import History, Surface, Table, ThinLayer, observed_orders, plotting
+from studies.sweeping import (
+    Floors,
+    Solution,
+    Sweep,
+    by_reaction,
+    check_floors,
+    draw_rates,
+    last,
+    last_order,
+    middle,
+    table_of,
+)
+from thinlayer import History, Surface, Table, ThinLayer, plotting
 from thinlayer.running.record import Record
 
 Tables = dict[str, Table]
@@ -90,12 +93,8 @@ def early(_: Solution, limit: Solution) -> dict[str, float]:
 def spectral(record: Record, tables: Tables) -> None:
     """Norms on S are those of a spectral solution."""
     for name, value in SPECTRAL.items():
-        error = abs(tables["norton"][f"early_{name}"][-1] / value - 1)
-        record.check(
-            f"{name} at t = {EARLY:g}, from a spectral solution",
-            error,
-            high=5e-4 if record.options.get("quick") else 1e-4,
-        )
+        found, tolerance = tables["norton"][f"early_{name}"][-1], 5e-4 if record.options.get("quick") else 1e-4
+        record.check(f"{name} at t = {EARLY:g}, from a spectral solution", abs(found / value - 1), high=tolerance)
 
 
 def normal_jumps(full: Solution, limit: Solution) -> dict[str, float]:
@@ -111,11 +110,11 @@ def normal_jumps(full: Solution, limit: Solution) -> dict[str, float]:
 
 def no_normal_jump(record: Record, tables: Tables) -> None:
     """[u_N] is zero on S, and O(eps) in the meshed layer."""
-    eps, full, limit = (tables["incompressible"][name] for name in ("eps", "normal_jump_full", "normal_jump_interface"))
-    record.check("largest [u_N]/[u] of the interface law, projected", limit.max(), high=1e-10)
-    if len(eps) > 1:
-        order = observed_orders(eps, full)[-1]
-        record.check("last observed order of the meshed layer's [u_N]", order or 0.0, low=0.93, high=1.07)
+    table = tables["incompressible"]
+    record.check("largest [u_N]/[u] of the interface law, projected", table["normal_jump_interface"].max(), high=1e-10)
+    if len(table) > 1:
+        order = last_order(table, "normal_jump_full")
+        record.check("last observed order of the meshed layer's [u_N]", order, low=0.93, high=1.07)
 
 
 def less_fraction(record: Record, tables: Tables) -> None:
@@ -134,12 +133,10 @@ def less_fraction(record: Record, tables: Tables) -> None:
 def third_order(record: Record, tables: Tables) -> None:
     """The traction's order comes to 3 from below, as eps E_layer/E_body becomes small beside the width of the blocks."""
     for name, law in HARD.items():
-        eps, errors = (tables[name][column] for column in ("eps", "error_reaction"))
-        if len(eps) > 1:
-            low = 2.5 if eps[-1] * law.mu / FOURIER_BODY.mu < 0.05 else 2.0
-            record.check(
-                f"last observed order of the traction, {name}", observed_orders(eps, errors)[-1] or 0.0, low=low
-            )
+        if len(table := tables[name]) > 1:
+            low = 2.5 if table["eps"][-1] * law.mu / FOURIER_BODY.mu < 0.05 else 2.0
+            order = last_order(table, "error_reaction")
+            record.check(f"last observed order of the traction, {name}", order, low=low)
 
 
 def in_section(record: Record, tables: Tables) -> None:
@@ -197,7 +194,7 @@ BESIDE = {"_order0": of(SUBLAYERS), "_mirrored": of(Stack(*SUBLAYERS.sublayers[:
 still = partial(Row, problem=fourier, orders=(0.95, 1.05), pictured=middle)
 order_1 = partial(Row, h=(1 / 32, 1 / 16), eps=halves(3, 5), orders=(1.9, 2.1), pictured=None)
 hard = partial(order_1, eps=halves(4, 5), orders=None, choices={"more": by_reaction})
-glued = partial(Row, problem=joints.glued_hub, h=(1.0, 2.0), eps=MM, choices=EXTENDED, unit="mm")
+glued = partial(Row, problem=problems.glued_hub, h=(1.0, 2.0), eps=MM, choices=EXTENDED, unit="mm")
 norton = partial(Row, h=(1 / 16, 1 / 8), times=(0.01, 0.02, 0.03, 0.04, *TWENTIETHS), choices={"more": early})
 fine = partial(Row, h=(1 / 16, 1 / 8), eps=halves(4), steps=slice(1, None, 2))
 slips = partial(fine, problem=pushed, orders=(0.9, 1.1), times=PATH, choices={"cells_through": 2})
@@ -215,15 +212,15 @@ ROWS: dict[str, Row] = {
     "order1_stack": order_1(of(SUBLAYERS, order=1), choices={"beside": BESIDE}),
     "hard_layer": hard(of(HARD["hard_layer"], None, order=1), "harder than the bodies"),
     "hard_layer softer": hard(of(HARD["hard_layer softer"], None, order=1), "softer than the bodies", check=third_order),
-    "ring": glued(of(joints.GLUE, joints.GLUE_EPS), "order 0", orders=(0.9, 1.1)),
-    "ring order1": glued(of(joints.GLUE, joints.GLUE_EPS, order=1), "order 1", orders=(1.8, 2.2), pictured=None),
+    "ring": glued(of(problems.GLUE, problems.GLUE_EPS), "order 0", orders=(0.9, 1.1)),
+    "ring order1": glued(of(problems.GLUE, problems.GLUE_EPS, order=1), "order 1", orders=(1.8, 2.2), pictured=None),
     "own_mesh": Row(
-        of(joints.MORTAR, joints.MORTAR_EPS), "", joints.arch, ("P2", "P1"), (0.04, 0.02, 0.01, 0.005), (0.9, 1.1),
-        choices=EXTENDED | {"where": joints.inside_joints}, pictured=middle, unit="m",
+        of(problems.JOINT, problems.JOINT_EPS), "", problems.arch, ("P2", "P1"), (0.04, 0.02, 0.01, 0.005), (0.9, 1.1),
+        choices=EXTENDED | {"where": problems.inside_joints}, pictured=middle, unit="m",
     ),
     "butt_joint": Row(
-        of(joints.GLUE, joints.GLUE_EPS), "", joints.rods, ((4.0, 2.5), (6.0, 4.0)), MM, (0.9, None), unit="mm",
-        choices={"where": joints.inside_rods, "more": joints.against_section}, check=in_section,
+        of(problems.GLUE, problems.GLUE_EPS), "", problems.rods, ((4.0, 2.5), (6.0, 4.0)), MM, (0.9, None), unit="mm",
+        choices={"where": problems.inside_rods, "more": problems.against_section}, check=in_section,
     ),
     "kelvin_voigt": Row(of(KELVIN_VOIGT), times=TENTHS),
     "maxwell": Row(of(MAXWELL), "t2 = 1.0", times=FIFTHS),
@@ -282,7 +279,7 @@ def run(
             continue
         times = row.times[row.steps] if row.times and quick else row.times
         joint, setup = row.problem(row.h[quick])
-        sweep = Sweep(record, joint, setup, row.layer, times=times, case=_file(name), **row.choices)
+        sweep = Sweep(record, joint, setup, row.layer, times=times, case=name.replace(" ", "_"), **row.choices)
         record.parameters[name] = {"layer": str(row.layer(1.0).law), "h": row.h[quick], "times": times}
         pictured = row.pictured if name == first or not quick else None
         title = " ".join(filter(None, (first, row.label)))
@@ -293,14 +290,10 @@ def run(
 # fmt: on
 
 
-def _file(name: str) -> str:
-    return name.replace(" ", "_")
-
-
 def draw(record: Record) -> None:
     """Draw the rates from the tables that are there."""
     for law in LAWS:
-        rows = {row.label: f"table_{_file(name)}.csv" for name, row in ROWS.items() if name.split()[0] == law}
+        rows = {row.label: name for name, row in ROWS.items() if name.split()[0] == law and record.has(table_of(name))}
         title = f"rates --law {law}" + (f", eps in {ROWS[law].unit}" if ROWS[law].unit else "")
-        if found := {label: name for label, name in rows.items() if record.has(name)}:
-            draw_rates(record, title=title, cases=found, name=f"rates_{law}", **DRAWN.get(law, {}))
+        if rows:
+            draw_rates(record, title, rows, name=f"rates_{law}", **DRAWN.get(law, {}))

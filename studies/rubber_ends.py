@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Sequence
 from unittest.mock import patch
@@ -10,17 +9,16 @@ from unittest.mock import patch
 import numpy as np
 
 from forms import BulkLaw, Incompressible, LinearElastic, Rubber
-from geometry import sandwich
-from studies.sweeping import by_reaction
-from thinlayer import Structure, ThinLayer, compare, observed_orders, plotting, solve
+from studies.problems import free_blocks
+from studies.sweeping import errors_of_work, last_order
+from thinlayer import ThinLayer, plotting, solve
 from thinlayer.discretisation import reduction
 from thinlayer.discretisation.reduction import LEAST_CONTRAST
 from thinlayer.errors import RangeWarning
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
-BODY_E = 100.0
-BODY = LinearElastic.young(BODY_E, nu=0.3)
+BODY_E = 100.0  # of `free_blocks`
 LAYERS = {"rubber": Rubber.shear(40.0, 0.45), "incompressible": Incompressible(40.0)}  # at the thickness 1
 EPS = (1 / 16, 1 / 32, 1 / 64, 1 / 128)
 TITLES = {"rubber": "rubber, nu = 0.45", "incompressible": "nu = 0.5"}
@@ -52,19 +50,12 @@ def _errors(record: Record, law: BulkLaw, eps: float, laws: Sequence[str]) -> li
         eps: the thickness.
         laws: what each knows of its ends, `ThinLayer.edges`.
     """
-    joint = sandwich(1.0, 0.5, 0.5, h=1 / 8, h_S=1 / 32, h_ends=eps / 12, cell="quadrilateral")
-    blocks = Structure(joint, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1.0)})
+    blocks, found = free_blocks(eps / 12), []
     full = record.solved(solve(blocks.full(ThinLayer(law, eps, at=1.0), cells_through=12)))
-    found = []
     for edges in laws:
-        with warnings.catch_warnings():  # of ends that a law does not know
-            warnings.simplefilter("ignore", RangeWarning)
+        with warnings.catch_warnings(action="ignore", category=RangeWarning):  # of ends that a law does not know
             limit = record.solved(solve(blocks.interface(ThinLayer(law, eps, order=1, edges=edges, at=1.0))))
-        work = limit.energies()["loads"] / full.energies()["loads"]
-        inner = lambda x: abs(x[0] - 0.5) < 0.25  # noqa: E731
-        row = dict(compare(full, limit, where=inner))
-        row["error_traction"] = by_reaction(full, limit, inner)["error_reaction"]
-        found.append(row | {"error_work": abs(work - 1)})
+        found.append(errors_of_work(full, limit, lambda x: abs(x[0] - 0.5) < 0.25))
     return found
 
 
@@ -75,10 +66,9 @@ def _rates(record: Record, name: str, edges: str, thicknesses: Sequence[float]) 
         return _errors(record, LAYERS[name], eps, [NAMES[edges]])[0]
 
     table = record.sweep(run, thicknesses, f"errors_{name}_{edges}.csv")
-    record.say(f"{TITLES[name]}, ends {edges}\n{table}")
     # errors of a pressure that ignores its ends change their signs: their orders are those of jumps alone
     for quantity in QUANTITIES if edges == "known" else ("jump",):
-        order = observed_orders(table["eps"], table[f"error_{quantity}"])[-1] or math.nan
+        order = last_order(table, f"error_{quantity}")
         bounds = {"low": 1.6} if edges == "known" else {"high": 1.1}
         record.check(f"{TITLES[name]}: last order of the {quantity}, ends {edges}", order, **bounds)
 
@@ -99,7 +89,6 @@ def _contrasts(record: Record, ratios: Sequence[float], thicknesses: Sequence[fl
                 row[quantity] = known[f"error_{quantity}"]
                 row[f"{quantity}_factor"] = known[f"error_{quantity}"] / ignored[f"error_{quantity}"]
             table.append(row)
-    record.say(table)
     factors = np.max([table[f"{quantity}_factor"] for quantity in QUANTITIES], axis=0)
     allowed = table["E_over_mu"] >= LEAST_CONTRAST
     record.check("largest factor of an error by known ends, where allowed", factors[allowed].max(), high=1.0)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ import ufl
 
 from forms import Incompressible, LinearElastic, Rubber
 from geometry import sandwich
+from studies.timing import timed
 from thinlayer import State, Structure, ThinLayer, plotting
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.files.progress import track
@@ -72,21 +73,17 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: 9 cells along a side of S in place of 28, without the limit of time.
     """
     cells = QUICK_CELLS if quick else CELLS
-    record.parameters = {"side_mm": SIDE, "eps_mm": EPS, "mu_MPa": MU, "cells": cells}
     table, first = record.table("table.csv"), next(iter(CASES))  # factoring rubber takes minutes on the fine mesh
     for name in track([*CASES], "saddle_points", "{}"):
-        for row in compared(name, CASES[name].model(cells), factored=quick or name == first):
-            table.append(row)
-            record.say(row)
-    for name in CASES:
-        rows = [row for row in table.rows if row["case"] == name and row["solver"] == "fieldsplit"]
-        iterations = [int(row["iterations"] or 0) for row in rows]
-        record.check(f"{name}: iterations, most over least", max(iterations) / min(iterations), high=UNEVEN)
+        table.extend(compared(name, CASES[name].model(cells), factored=quick or name == first))
+    for name, part in table.split("case").items():
+        iterative = part.split("solver")["fieldsplit"]
+        iterations = iterative["iterations"]
+        record.check(f"{name}: iterations, most over least", iterations.max() / iterations.min(), high=UNEVEN)
         if not quick:
-            record.check(f"{name}: largest ratio of time", max(float(row["ratio"] or 0) for row in rows), high=SLOWEST)
-        for row in rows:
-            if row["distance"] is not None:
-                record.check(f"{name}: distance from the factored solution", float(row["distance"]), high=DISTANCE)
+            record.check(f"{name}: largest ratio of time", iterative["ratio"].max(), high=SLOWEST)
+        for distance in iterative["distance"][np.isfinite(iterative["distance"])]:
+            record.check(f"{name}: distance from the factored solution", distance, high=DISTANCE)
 
 
 def compared(name: str, elastic: InterfaceModel, *, factored: bool) -> Iterator[Row]:
@@ -97,32 +94,24 @@ def compared(name: str, elastic: InterfaceModel, *, factored: bool) -> Iterator[
     usual, direct = math.nan, None
     for layer, nu, options in works:
         model = elastic if layer == "elastic" else elastic.with_layer(_rubber(nu))
-        seconds, state = timed(model, options)
+        with Solver(model, options=options) as solver:
+            solver.equations.factor.destroy()  # a new one, or a new hierarchy
+            seconds, state = timed(partial(_step, solver))
         usual = seconds if options is ELASTIC else usual
         if layer == "rubber" and options is FACTORS:
-            direct = state
-        compared_to = direct if options is BLOCKS and nu == FACTORED else None
+            direct = state.u.x.array
+        distance = None
+        if options is BLOCKS and nu == FACTORED and direct is not None:
+            distance = float(np.abs(state.u.x.array - direct).max() / np.abs(direct).max())
         yield {
-            "case": name, "layer": layer, "nu": nu, "solver": options["pc_type"],
-            "unknowns": model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs,
+            "case": name, "layer": layer, "nu": nu, "solver": options["pc_type"], "unknowns": model.unknowns,
             "iterations": state.report.iterations, "residual": state.report.residual, "seconds": seconds,
-            "ratio": seconds / usual, "distance": None if compared_to is None else _distance(state, compared_to),
+            "ratio": seconds / usual, "distance": distance,
         }  # fmt: skip
 
 
-def _distance(state: State, other: State) -> float:
-    """Largest difference of displacements, relative to the largest displacement."""
-    u, v = state.u.x.array, other.u.x.array
-    return float(np.abs(u - v).max() / np.abs(v).max())
-
-
-def timed(model: InterfaceModel, options: dict[str, OptionValue]) -> tuple[float, State]:
-    """Processor time of a solve with a new factor or hierarchy, and its state."""
-    with Solver(model, options=options) as solver:
-        solver.equations.factor.destroy()
-        begin = time.process_time()
-        state = solver.step(solver.rest(0.0), 0.0)
-        return time.process_time() - begin, state
+def _step(solver: Solver) -> State:
+    return solver.step(solver.rest(0.0), 0.0)
 
 
 def _rubber(nu: float) -> ThinLayer:
@@ -132,23 +121,18 @@ def _rubber(nu: float) -> ThinLayer:
 
 def draw(record: Record) -> None:
     """Draw iterations and times against the ratio of the moduli, from table.csv."""
-    rows = [
-        row for row in record.load("table.csv").rows if row["solver"] == "fieldsplit" and float(row["nu"] or 0) < 0.5
-    ]
-    panels: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
-    columns = {"iterations": "iterations", "ratio": "processor time"}
-    for column, label in columns.items():
-        panels[label] = {}
-        for name in CASES:
-            own = [row for row in rows if row["case"] == name]
-            nu = np.array([float(row["nu"] or 0) for row in own])
-            panels[label][name] = np.log10(2 * nu / (1 - 2 * nu)), np.array([float(row[column] or 0) for row in own])
+    cases = {name: part.split("solver")["fieldsplit"] for name, part in record.load("table.csv").split("case").items()}
+    panels: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {"iterations": {}, "processor time": {}}
+    for name, part in cases.items():
+        below = part["nu"] < 0.5
+        ratio = np.log10(2 * part["nu"][below] / (1 - 2 * part["nu"][below]))
+        for label, column in zip(panels, ("iterations", "ratio"), strict=True):
+            panels[label][name] = ratio, part[column][below]
     plotting.panels(
         panels,
-        xlabel="log10(lmbda/mu); 3.7: nu = 0.4999",
-        ylabels=dict(zip(panels, ("number", "over that of an elastic layer"), strict=True)),
-        styles=dict.fromkeys(CASES, "o-"),
-        colours=dict(zip(CASES, ("black", "tab:blue", "tab:red"), strict=True)),
-        ylims={label: (0.0, 1.1 * max(y.max() for _, y in lines.values())) for label, lines in panels.items()},
+        "log10(lmbda/mu); 3.7: nu = 0.4999",
+        dict(zip(panels, ("number", "over that of an elastic layer"), strict=True)),
+        styles="o-",
+        ylim={label: (0.0, 1.1 * max(y.max() for _, y in lines.values())) for label, lines in panels.items()},
         save=record.path("saddle_points.png"),
     )

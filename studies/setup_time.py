@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import gc
-import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import basix.ufl
@@ -17,7 +16,7 @@ from mpi4py import MPI
 from forms import LinearElastic
 from geometry import Joint, sandwich
 from geometry.dolfinx_mesh import create_mesh
-from studies.performance import peak
+from studies.timing import in_turn, peak, seconds
 from thinlayer import Structure, ThinLayer, plotting
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row
@@ -41,37 +40,22 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: small meshes.
     """
     repeats = 3
-    record.parameters = {"repeats": repeats, "eps": LAYER.eps}
     table = record.table("table.csv")
     for name, n in track(list((QUICK if quick else SIZES).items()), "setup_time", "{0[0]}"):
-        for row in compare(name, n, repeats):
-            table.append(row)
-            record.say(row)
-    if quick:
-        return
-    for row in table.rows:
+        table.extend(compare(name, n, repeats))
+    for row in () if quick else table.rows:
         if row["work"] == "model":
-            record.check(
-                f"{row['dim']}D: time of a model over the plain script's", float(row["ratio"] or 0), high=LIMIT
-            )
+            ratio = float(row["ratio"] or 0)
+            record.check(f"{row['dim']}D: time of a model over the plain script's", ratio, high=LIMIT)
 
 
 def draw(record: Record) -> None:
     """Draw the times from table.csv."""
-    rows = record.load("table.csv").rows
-    works = list(dict.fromkeys(str(row["work"]) for row in rows))
-    lines = {}
-    for dim in (2, 3):
-        own = {str(row["work"]): float(row["seconds"] or 0) for row in rows if int(float(row["dim"] or 0)) == dim}
-        lines[f"{dim}D"] = (np.arange(len(works)), np.array([own[work] for work in works]))
-    plotting.curves(
-        lines,
-        xlabel=", ".join(f"{k}: {work}" for k, work in enumerate(works)),
-        ylabel="seconds",
-        title="before a solve",
-        styles=dict.fromkeys(lines, "o"),
-        save=record.path("seconds.png"),
-    )
+    table = record.load("table.csv")
+    lines = {f"{dim:g}D": (np.arange(len(part)), part["seconds"]) for dim, part in table.split("dim").items()}
+    works = ", ".join(f"{k}: {work}" for k, work in enumerate(table.split("work")))
+    save = record.path("seconds.png")
+    plotting.curves(lines, works, "seconds", title="before a solve", styles="o", save=save)
 
 
 def compare(name: str, n: int, repeats: int) -> list[Row]:
@@ -97,19 +81,11 @@ def compare(name: str, n: int, repeats: int) -> list[Row]:
         "plain script": lambda: plain(joint, load["TOP"]),
     }
     peaks = {work: peak(stage) for work, stage in stages.items()}  # which also warms up
-    times: dict[str, list[float]] = {work: [] for work in stages}
-    for _ in range(repeats):
-        for work, stage in stages.items():
-            gc.collect()
-            begin = time.process_time()
-            stage()
-            times[work].append(time.process_time() - begin)
-    reference = min(times["plain script"])
-    dofs = model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs
-    row = {"dim": joint.dim, "dofs": dofs, "cells_along": n}
+    times = in_turn({work: partial(seconds, stage) for work, stage in stages.items()}, repeats)
+    row = {"dim": joint.dim, "dofs": model.unknowns, "cells_along": n}
     return [
         {"work": work} | row
-        | {"seconds": min(times[work]), "ratio": min(times[work]) / reference, "peak_mb": peaks[work]}
+        | {"seconds": times[work], "ratio": times[work] / times["plain script"], "peak_mb": peaks[work]}
         for work in stages
     ]  # fmt: skip
 

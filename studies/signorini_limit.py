@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -27,11 +28,9 @@ def run(record: Record, *, quick: bool = False) -> None:
     """
     n = 31 if quick else 63
     meshes = (32, 64) if quick else (32, 64, 128, 256, 512, 724)
-    record.parameters = {"squares": n, "K_T_per_mm": STIFFNESS, "friction": FRICTION, "meshes": meshes}
     reports = {K: solved(record, n, K, 1.0)[0] for K in (*STIFFNESS, LIMIT)}
     table = _errors(reports)
     record.write("table.csv", table)
-    record.say(table)
     steps = Table()
     cases = [(m, f, K) for m in meshes for f in FRICTION for K in STIFFNESS]
     for m, f, K in track(cases, "signorini_limit", "{}"):
@@ -40,9 +39,8 @@ def run(record: Record, *, quick: bool = False) -> None:
         steps.append(row | report.counts | {"equilibrium": report.equilibrium})
     record.write("newton_steps.csv", steps)
     shown = {f"K_T = {K:g} N/mm³": reports[K] for K in STIFFNESS[::2]}
-    plotting.contact(
-        shown, save=record.path("contact.png"), length="mm", stress="MPa", title="stiffer and stiffer contact"
-    )
+    save, title = record.path("contact.png"), "stiffer and stiffer contact"
+    plotting.contact(shown, save=save, length="mm", stress="MPa", title=title)
     _check(record, table, steps, meshes)
 
 
@@ -56,32 +54,30 @@ def solved(record: Record, n: int, K: float, friction: float) -> tuple[ContactRe
 
 def _errors(reports: dict[float, ContactReport]) -> Table:
     """Differences to the stiffest of all, L2 on S over its own norm."""
-    limit = reports[LIMIT]
-    table = Table()
-    values = []
-    for K in STIFFNESS:
-        report = reports[K]
-        weights = limit.weights
-        jump = np.hstack([report.u_T - limit.u_T, (report.u_N - limit.u_N)[:, None]])
-        size = np.sqrt(weights @ (np.hstack([limit.u_T, limit.u_N[:, None]]) ** 2).sum(axis=1))
-        traction = np.hstack([report.t_T - limit.t_T, (report.p - limit.p)[:, None]])
-        force = np.sqrt(weights @ (np.hstack([limit.t_T, limit.p[:, None]]) ** 2).sum(axis=1))
-        errors = [np.sqrt(weights @ (d**2).sum(axis=1)) / s for d, s in ((jump, size), (traction, force))]
-        values.append([K, *map(float, errors)])
-    columns = np.array(values).T
-    orders = [observed_orders(1 / columns[0], errors) for errors in columns[1:]]
-    for k, (K, jump_error, traction_error) in enumerate(values):
-        row = {"K_T": K, "error_jump": jump_error, "error_traction": traction_error}
-        table.append(row | {"order_jump": orders[0][k], "order_traction": orders[1][k]})
-    return table
+    limit = fields(reports[LIMIT])
+
+    def norm(field: np.ndarray) -> float:
+        return float(np.sqrt(reports[LIMIT].weights @ (field**2).sum(axis=1)))
+
+    columns: dict[str, list[Any]] = {"K_T": [*STIFFNESS]}
+    for name, known in limit.items():
+        found = [fields(reports[K])[name] for K in STIFFNESS]
+        columns[f"error_{name}"] = [norm(field - known) / norm(known) for field in found]
+    compliances = [1 / K for K in STIFFNESS]
+    columns |= {f"order_{name}": observed_orders(compliances, columns[f"error_{name}"]) for name in limit}
+    return Table.of(columns)
+
+
+def fields(report: ContactReport) -> dict[str, np.ndarray]:
+    """Jump and traction at the nodes, tangential parts first."""
+    return {"jump": np.column_stack([report.u_T, report.u_N]), "traction": np.column_stack([report.t_T, report.p])}
 
 
 def _check(record: Record, table: Table, steps: Table, meshes: Sequence[int]) -> None:
     for name in ("jump", "traction"):
         record.check(f"last observed order in 1/K, {name}", table[f"order_{name}"][-1], low=0.9, high=1.1)
-    most = {m: float(steps["newton_steps"][steps["squares"] == m].max()) for m in meshes}
+    most = {m: part["newton_steps"].max() for m, part in steps.split("squares").items()}
     record.results["most_newton_steps"] = {str(m): int(k) for m, k in most.items()}
-    record.say(f"most Newton steps by squares: {record.results['most_newton_steps']}")
     coarse, fine = most[meshes[0]], most[meshes[-1]]
     record.check(f"most Newton steps, {meshes[-1]} squares against {meshes[0]}: more by", fine - coarse, high=2)
     record.check("largest equilibrium error", float(steps["equilibrium"].max()), high=1e-9)
@@ -95,8 +91,8 @@ def draw(record: Record) -> None:
     lines["slope -1"] = (K[1:], 0.3 * table["error_jump"][-1] * K[-1] / K[1:])
     plotting.curves(
         lines,
-        xlabel="K_T (N/mm³), K_N = 5 K_T",
-        ylabel="relative difference to the limit, L2 on S",
+        "K_T (N/mm³), K_N = 5 K_T",
+        "relative difference to the limit, L2 on S",
         title="Signorini's and Coulomb's laws as K grows",
         styles={"slope -1": "--", "jump": "o-", "traction": "s-"},
         logarithmic=True,

@@ -8,20 +8,41 @@ its equilibria make one path, which turns back where the others snap.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from studies.fig4_bar import EXACT, meet, straight
-from studies.snap_drawing import PURE, RELAXED, draw_phases, draw_response
-from studies.snap_structures import END, LIMIT, Block, distance, moved, pulled_block, strip, switches
-from thinlayer import History, PhaseReport, Table, plotting
+from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed
+from forms.non_monotone import Phases
+from geometry import Joint, block
+from studies.fig4_bar import BAR, EXACT, meet, straight
+from thinlayer import (
+    ArcLength,
+    History,
+    Model,
+    PhaseReport,
+    State,
+    Structure,
+    Table,
+    ThinLayer,
+    march,
+    piecewise,
+    plotting,
+)
+from thinlayer.discretisation.supports import Support
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row
 from thinlayer.running.record import Record
 
 Array = npt.NDArray[np.float64]
+END = 2.4  # largest prescribed displacement
+LIMIT = replace(BAR, eps=0.0)  # the bar with its interface law
+THIN = 0.02  # thickness; the interface law does not depend on it
+PURE, RELAXED, BACK = "pure phases", "relaxed law", ", back"
 OTHER_STEPS = (7, 33)
 MIXINGS = (0.4, 0.2, 0.1)  # mixing r of the strip's paths; they tend to pure phases as r -> 0
 FIRST = (0.1, 0.037)  # first steps of these paths
@@ -30,8 +51,111 @@ SHOWN = (1.32, 1.45, 1.61)  # displacements at which phases are drawn
 SAME = 1e-8  # largest relative difference of snaps and turning points that should be the same
 ROUNDING = 1e-9  # largest relative difference of states that should be the same
 ALONG = 5e-3  # largest distance of two polygons along one path, relative to its size
+TITLES = {"strip": "uniform strip, with closed forms", "block": "block, pulled more at one end"}
 
 
+# ---------------------------------------------------------------- structures
+@dataclass(frozen=True)
+class Block:
+    """A block on a rigid base, on rollers on its left; its upper side is moved by delta (1 + tilt (x - middle)) across S.
+
+    Attributes:
+        name: for tables.
+        joint: the block and S.
+        body: its law.
+        layer: parameters of the layer's law, at the thickness 1.
+        middle: of the upper side.
+        tilt: 0: all of it is moved by the same.
+    """
+
+    name: str
+    joint: Joint
+    body: LinearElastic
+    layer: dict[str, Any]
+    middle: float = 0.0
+    tilt: float = 0.0
+
+    def march(
+        self, law: type[Phases], delta: Any, times: Any, eps: float | None = None, keep: str = "all", **choices: Any
+    ) -> History:
+        """March, with delta(x, t), on the interface law or a meshed layer that is eps thick; observes delta's force."""
+
+        def top(x: Any, t: Any) -> Any:
+            return delta(x, t) * (1 + self.tilt * (x[0] - self.middle))
+
+        def force(state: State) -> float:
+            given = state.reaction("TOP")
+            return float(given.force[1] + self.tilt * given.moment)
+
+        layer = ThinLayer(law(**self.layer, **choices), eps or THIN, at=1.0)
+        supports: dict[str, Support] = {"LEFT": {"x": 0}, "TOP": {"y": top}}
+        structure = Structure(self.joint, body=self.body, supports=supports)
+        model: Model = structure.full(layer, cells_through=1) if eps else structure.interface(layer)
+        return march(model, times, observe={"force": force}, keep=keep)
+
+    def cycle(self, steps: int, stops: Sequence[float] = (), eps: float | None = None) -> History:
+        """Pure phases, up to END in equal steps and back, with stops at some displacements."""
+        delta = piecewise({0: 0, END: END, 2 * END: 0})
+        up = sorted({*(END * k / steps for k in range(1, steps + 1)), *stops})
+        return self.march(NonMonotoneUnrelaxed, delta, [*up, *(2 * END - d for d in up[-2::-1]), 2 * END], eps)
+
+    def path(self, r: float, first: float, *, back: bool = False) -> Table:
+        """Equilibria from delta = 0 to END, or from END to 0, by arc length."""
+        arc = ArcLength(end=END, first=first)
+        history = self.march(NonMonotone, lambda x, t: END - t if back else t, arc, keep="last", mixing=r)
+        return self.rows(f"r = {r:g}" + BACK * back, history, END - history.t if back else history.t)
+
+    def least(self, delta: Iterable[float]) -> History:
+        """The relaxed law, at increasing displacements > 0."""
+        return self.march(NonMonotone, lambda x, t: t, sorted(delta))
+
+    def rows(self, curve: str, history: History, delta: Array) -> Table:
+        """Displacement, force, energy and share of phase 1 of all states of a march."""
+        columns = {"force": "force", "energy": "energy", "phase": "plus"}
+        values = {name: history.table[column] for name, column in columns.items()}
+        return Table.of({"structure": self.name, "curve": curve, "delta": delta, **values})
+
+
+def strip() -> Block:
+    """The bar of section 6.2 in its limit."""
+    joint = block(1.0, LIMIT.l, LIMIT.l, cell="quadrilateral", structured=True)
+    mu, C = LIMIT.kbar / LIMIT.l / 2, LIMIT.l * LIMIT.cbar
+    layer = {"lmbda": 0.0, "mu": mu, "alpha": LIMIT.alpha, "transformation_energy": C, "chi": np.diag([0.0, 1.0])}
+    return Block("strip", joint, LinearElastic(0.0, LIMIT.K / 2), layer)
+
+
+def pulled_block(cells: int) -> Block:
+    """A block, 2 x 1, on a layer that changes phase as it opens and is sheared; cells along S."""
+    joint = block(2.0, 1.0, 2.0 / cells, cell="quadrilateral", structured=True)
+    chi = np.array([[0.0, 0.3], [0.3, 1.0]])
+    layer = {"lmbda": 1.0, "mu": 1.0, "alpha": 1.2, "transformation_energy": 0.9, "chi": chi}
+    return Block("block", joint, LinearElastic.young(E=2.0, nu=0.3), layer, middle=1.0, tilt=0.15)
+
+
+def moved(t: npt.ArrayLike) -> Array:
+    """The prescribed displacement delta at times of a cycle."""
+    return np.asarray(END - np.abs(np.asarray(t, float) - END))
+
+
+def switches(history: History) -> Array:
+    """Displacements (columns, 2) at which each column of a cycle changes to phase 1, and back."""
+    phases = np.array([PhaseReport(state).profile()[1] for state in history]) > 0.5
+    first, last = phases.argmax(axis=0), len(phases) - phases[::-1].argmax(axis=0)
+    return np.column_stack([history.t[first], 2 * END - history.t[last]])
+
+
+def distance(points: Array, vertices: Array) -> Array:
+    """Distances (n,) of points (n, d) from a polygon (m, d), over the size of its components."""
+    size = np.ptp(vertices, axis=0)
+    points, vertices = points / size, vertices / size
+    starts, sides = vertices[:-1], np.diff(vertices, axis=0)
+    from_start = points[:, None] - starts
+    length2 = np.maximum(np.sum(sides**2, axis=1), np.finfo(float).tiny)
+    along = np.clip(np.sum(from_start * sides, axis=2) / length2, 0, 1)
+    return np.linalg.norm(from_start - along[:, :, None] * sides, axis=2).min(axis=1)
+
+
+# ---------------------------------------------------------------- the study
 def run(record: Record, *, quick: bool = False) -> None:
     """Move the upper side up and down, and follow paths from both ends.
 
@@ -41,41 +165,30 @@ def run(record: Record, *, quick: bool = False) -> None:
     """
     cells, steps, r, step = (12, 12, 0.4, 0.06) if quick else (32, 48, 0.3, 0.02)
     bar, body = strip(), pulled_block(cells)
-    record.parameters = {"strip": str(LIMIT), "block": str(body.layer), "cells": cells, "steps": steps, "r": r}
-    snaps, response, phases = Table(), Table(), Table()
+    names = ("table.csv", "table_response.csv", "table_phases.csv")
+    snaps, response, phases = (record.table(name) for name in names)
 
     pure = bar.cycle(steps)
     note(snaps, response, bar, PURE, pure)
-    for row in follow_strip(record, bar, pure, quick=quick):
-        response.append(row)
+    response.extend(follow_strip(record, bar, pure, quick=quick))
 
     pure = body.cycle(steps, SHOWN)
     note(snaps, response, body, PURE, pure)
     relaxed = body.least({*moved(pure.t).round(12)} - {0.0})
-    for row in (
-        *body.rows(RELAXED, relaxed, relaxed.t).rows,
-        *follow_block(record, body, relaxed, r, step, quick=quick),
-    ):
-        response.append(row)
+    response.extend(body.rows(RELAXED, relaxed, relaxed.t).rows)
+    response.extend(follow_block(record, body, relaxed, r, step, quick=quick))
     check_steps(record, body, pure)
     check_energies(record, pure, relaxed)
     for eps in EPS[: 1 if quick else None]:
         band = body.cycle(steps, eps=eps)
         note(snaps, response, body, f"{PURE}, layer meshed, eps = {eps:g}", band)
-        late = np.abs(switches(band) - switches(pure)).max()
-        record.check(
-            f"block, eps = {eps:g}: delta where a column switches, less that on S, over eps", late / eps, high=1.0
-        )
+        late = np.abs(switches(band) - switches(pure)).max() / eps
+        record.check(f"block, eps = {eps:g}: delta where a column switches, less that on S, over eps", late, high=1.0)
     for delta in SHOWN:
         there, back = pure.at(delta), pure.at(2 * END - delta)
         for name, state in {f"{PURE}, up": there, f"{PURE}, down": back, RELAXED: relaxed.at(delta)}.items():
             x, phase = PhaseReport(state).profile()
-            for place, value in zip(x[:, 0], phase, strict=True):
-                phases.append({"delta": delta, "curve": name, "x": place, "phase": value})
-    record.write("table.csv", snaps)
-    record.write("table_response.csv", response)
-    record.write("table_phases.csv", phases)
-    record.say(snaps)
+            phases.extend(Table.of({"delta": delta, "curve": name, "x": x[:, 0], "phase": phase}))
     largest = max(pure.snaps, key=lambda snap: snap.lost)
     states = {"just before": pure.states[largest.row - 1], "just after": pure.states[largest.row]}
     title = f"largest snap, delta = {moved(largest.t):.4f}, energy lost: {largest.lost:.4f}"
@@ -84,8 +197,7 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 def note(snaps: Table, response: Table, structure: Block, curve: str, history: History) -> None:
     """The snaps of a cycle, a row for each, and its response."""
-    for row in structure.rows(curve, history, moved(history.t)).rows:
-        response.append(row)
+    response.extend(structure.rows(curve, history, moved(history.t)).rows)
     for snap in history.snaps:
         before, after = (history.table.rows[k] for k in (snap.row - 1, snap.row))
         row = {"structure": structure.name, "curve": curve, "t": snap.t, "delta": float(moved(snap.t))}
@@ -175,7 +287,45 @@ def check_energies(record: Record, pure: History, relaxed: History) -> None:
         record.check(f"block, {way}: difference of both laws there", gap, high=ROUNDING)
 
 
+# ---------------------------------------------------------------- pictures
 def draw(record: Record) -> None:
-    """Draw the tables."""
-    draw_response(record, LIMIT)
-    draw_phases(record)
+    """Draw force over displacement with every equilibrium that was followed, and phases along S at some displacements."""
+    by_name = record.load("table_response.csv").split("structure")
+    parts: dict[str, dict[str, tuple[Any, Any]]] = {}
+    for name, title in TITLES.items():
+        curves = by_name[name].split("curve")
+        parts[title] = {curve: (rows["delta"], rows["force"]) for curve, rows in curves.items()}
+    strip, delta = parts[TITLES["strip"]], np.linspace(0, END, 201, dtype=np.float64)
+    strip[RELAXED] = delta, LIMIT.sigma(delta)
+    styles: dict[str, str] = {}
+    colours = {PURE: plotting.COLOURS[0], RELAXED: plotting.COLOURS[1]}
+    paths = [curve for curve in strip if curve.startswith("r = ") and BACK not in curve]
+    for curve, colour in zip(paths, plotting.COLOURS[2:], strict=False):
+        vertices, exact = LIMIT.path(float(curve.removeprefix("r = ")), END), f"{curve}, closed form"
+        strip[exact] = vertices[:, 0], vertices[:, 1]
+        styles |= {curve: "o", curve + BACK: "x"}
+        colours |= dict.fromkeys((curve, curve + BACK, exact), colour)
+    others = [curve for curve in parts[TITLES["block"]] if curve not in (PURE, RELAXED)]
+    styles |= {curve: ":" for curve in others if "meshed" in curve}
+    colours |= dict.fromkeys(others, "black")
+    plotting.panels(
+        parts,
+        "delta, displacement of the upper side",
+        "force",
+        styles=styles,
+        colours=colours,
+        xlim=(0.9, 2.2),
+        ylim={TITLES["strip"]: (0.9, 2.5), TITLES["block"]: (2.3, 4.7)},
+        save=record.path("response.png"),
+    )
+    plotting.panels(
+        {
+            f"delta = {delta:g}": {curve: (rows["x"], rows["phase"]) for curve, rows in part.split("curve").items()}
+            for delta, part in record.load("table_phases.csv").split("delta").items()
+        },
+        "x along S",
+        "share of phase 1",
+        styles={f"{PURE}, down": "--"},
+        ylim=(-0.08, 1.08),
+        save=record.path("phases.png"),
+    )

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
 from forms import HolonomicCoulomb, IncrementalCoulomb, MohrCoulombMonodirectional
 from studies.problems import pressed
-from studies.sweeping import Solution, Sweep, draw_rates, last, layer_of
+from studies.sweeping import Solution, Sweep, draw_rates, last, layer_of, table_of
 from thinlayer import History, Model, State, Structure, Surface, Table, ThinLayer, compare, march, plotting, solve
-from thinlayer.output.plotting.contacts import STATUS
-from thinlayer.output.plotting.picture import finish
 from thinlayer.running.record import Record
 
 MODULI = {"lmbda": 60.0, "mu": 40.0}
@@ -61,21 +56,14 @@ class Comparison:
     def sweep(self, record: Record, h: float, case: str) -> Sweep:
         """Its sweep on squares of size h."""
         joint, setup = pressed(h, self.path)
-        return Sweep(
-            record,
-            joint,
-            setup | {"element": "Q1"},
-            partial(ThinLayer, self.band, at=1.0),
-            cells_through=self.cells,
-            times=self.times,
-            more=partial(_noted, record, case),
-            case=case,
-            instead=self.contact,
-        )
+        layer, more = partial(ThinLayer, self.band, at=1.0), partial(_noted, record, case)
+        choices: dict[str, Any] = {"cells_through": self.cells, "times": self.times, "instead": self.contact}
+        return Sweep(record, joint, setup | {"element": "Q1"}, layer, more=more, case=case, **choices)
 
 
 AT_ONCE = Comparison(ONCE, None, HOLONOMIC)
 CASES = {"": AT_ONCE, "history": Comparison(TO_AND_FRO, TIMES, INCREMENTAL)}
+CONTACT = "contact on S"
 FINER = replace(AT_ONCE, band=replace(BAND, elastic_fraction=FRACTION), cells=CELLS)
 SINE = replace(AT_ONCE, contact=replace(HOLONOMIC, friction=math.sin(math.radians(OMEGA))))
 
@@ -104,7 +92,6 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
     """
     h, times = (1 / 64, TIMES[1::2]) if quick else (1 / 128, TIMES)
     cases = CASES | {"history": replace(CASES["history"], times=times)}
-    record.parameters = {"h": h, "times": times, "friction": FRICTION, "layer": str(BAND)}
     tables = {}
     for case, comparison in cases.items():
         sweep = comparison.sweep(record, h, case)
@@ -151,22 +138,19 @@ def _check_discretisation(record: Record, case: str, comparison: Comparison, h: 
         for layer in (comparison.contact, ThinLayer(comparison.band, eps, at=1.0))
     )
     surface = Surface(last(contact).model)
-    fields = {"traction": surface.traction, "jump": surface.jump}
-    lumping = {
-        name: surface.norm(field(last(points)) - field(last(contact))) / surface.norm(field(last(contact)))
-        for name, field in fields.items()
-    }
+    lumping = {}
+    for name, field in (("traction", surface.traction), ("jump", surface.jump)):
+        wanted = field(last(contact))
+        lumping[name] = surface.norm(field(last(points)) - wanted) / surface.norm(wanted)
     coarse = compare(*(_solved(model, comparison.times) for model in comparison.sweep(record, 2 * h, case).models(eps)))
     label = f", {case}" if case else ""
     noted: dict[str, Any] = {"case": case, "eps": eps, "h": h}
     for name, error in found.items():
         change = abs(error / coarse[f"error_{name}"] - 1)
         noted |= {f"nodes_{name}": lumping[name], f"coarse_{name}": coarse[f"error_{name}"]}
-        record.check(
-            f"nodes against quadrature points, {name} over the last error{label}", lumping[name] / error, high=0.2
-        )
+        what = f"nodes against quadrature points, {name} over the last error{label}"
+        record.check(what, lumping[name] / error, high=0.2)
         record.check(f"last error of the {name}{label}, change from cells twice as large", change, high=0.2)
-    record.say(noted)
     record.results.setdefault("discretisation", []).append(noted)
 
 
@@ -179,7 +163,6 @@ def _check_zones(record: Record, case: str, table: Table, h: float) -> None:
     label = f", {case}" if case else ""
     sizes = {name: table[f"{name}_contact"][-1] for name in ("separated", "sliding")}
     sizes["stick"] = 2.0 - sum(sizes.values())
-    record.say({name: float(size) for name, size in sizes.items()})
     for name, size in sizes.items():
         record.check(f"length of S: {name}{label}", size, low=0.2)
     for name in ("separated", "sliding"):
@@ -195,21 +178,13 @@ def _check_fraction(record: Record, h: float, eps: float) -> None:
         rows.append(compare(*map(solve, sweep.models(eps))))
     for name in ("traction", "jump"):
         one, half = (row[f"error_{name}"] for row in rows)
-        record.say(
-            f"{CELLS} cells, eps = {eps:g}: error of the {name} {one:.4g} with h = {FRACTION:g}, {half:.4g} with half"
-        )
-        record.check(
-            f"{CELLS} cells: half the elastic fraction changes the error of the {name} by",
-            half / one - 1,
-            low=-0.1,
-            high=0.1,
-        )
+        what = f"{CELLS} cells: half the elastic fraction changes the error of the {name} by"
+        record.check(what, half / one - 1, low=-0.1, high=0.1)
 
 
 # ---------------------------------------------------------------- along S
 NO_PRESSURE = 1e-3  # pressure, relative to the largest one, below which a node counts as separated
 AT_LIMIT = 1e-2  # relative distance from the threshold at which a node counts as sliding
-CONTACT: dict[str, Any] = {"color": "black", "linewidth": 1.8, "label": "contact on S"}
 
 
 def profile_of(band: State, contact: State, friction: float) -> Table:
@@ -220,7 +195,7 @@ def profile_of(band: State, contact: State, friction: float) -> Table:
         x, t = surface.profile(surface.frame(surface.traction(state)))
         columns |= {"x": x[:, 0], f"p_{name}": -t[:, 1], f"t_T_{name}": t[:, 0]}
         columns |= {f"status_{name}": statuses(t, friction)}
-    return Table({name: values[k] for name, values in columns.items()} for k in range(len(columns["x"])))
+    return Table.of(columns)
 
 
 def statuses(t: npt.NDArray[np.float64], friction: float) -> list[str]:
@@ -239,58 +214,30 @@ def profile_name(case: str, eps: float) -> str:
     return f"profile_{case}_{eps:g}.csv" if case else f"profile_{eps:g}.csv"
 
 
-def draw_profiles(record: Record, cases: Mapping[str, str]) -> None:
-    """Draw along_S.png: for each case (-> title) status, tractions, and how far apart they are, along S."""
-    figure = Figure(figsize=(10.5, 9.0), layout="constrained")
-    axes = figure.subplots(4, len(cases), sharex=True, squeeze=False, gridspec_kw={"height_ratios": [3, 5, 5, 4]})
-    for column, (case, title) in zip(axes.T, cases.items(), strict=True):
-        table = record.load(f"table_{case}.csv" if case else "table.csv")
-        profiles = {float(e): record.load(profile_name(case, float(e))) for e in table["eps"]}
-        _draw_column(column, profiles)
-        column[0].set_title(title)
-    patches: list[Any] = [Patch(color=STATUS[name], label=name) for name in ("stick", "sliding", "separated")]
-    lines = axes[1, 0].get_legend_handles_labels()[0]
-    figure.legend(handles=[*patches, *lines], loc="outside lower center", ncols=4, frameon=False)
-    axes[1, 0].set_ylabel("pressure")
-    axes[2, 0].set_ylabel("tangential traction")
-    axes[3, 0].set_ylabel("tangential traction,\nband less contact")
-    figure.align_ylabels(axes[:, 0])
-    finish(figure, record.path("along_S.png"))
-
-
-def _draw_column(axes: npt.NDArray[Any], profiles: Mapping[float, Table]) -> None:
-    strip, above, middle, below = axes
-    contact = next(iter(profiles.values()))
-    rows = {"contact": (contact, "contact")} | {f"eps = {e:.4g}": (table, "band") for e, table in profiles.items()}
-    for row, (table, model) in enumerate(rows.values()):
-        _draw_strip(strip, -row, table, model)
-    strip.set_yticks(-np.arange(len(rows)), list(rows))
-    strip.tick_params(left=False)
-    for side in ("top", "right", "left", "bottom"):
-        strip.spines[side].set_visible(False)
-    for part, name in ((above, "p"), (middle, "t_T")):
-        for (e, table), colour in zip(profiles.items(), plotting.COLOURS, strict=False):
-            part.plot(table["x"], table[f"{name}_band"], color=colour, linewidth=1.2, label=f"band, eps = {e:.4g}")
-        part.plot(contact["x"], contact[f"{name}_contact"], "--", **CONTACT)
-        part.grid(color="0.9")
-    for (_, table), colour in zip(profiles.items(), plotting.COLOURS, strict=False):
-        below.plot(table["x"], table["t_T_band"] - contact["t_T_contact"], color=colour, linewidth=1.2)
-    below.grid(color="0.9")
-    below.set(xlabel="x along S", xlim=(contact["x"][0], contact["x"][-1]))
-
-
-def _draw_strip(axes: Axes, row: int, table: Table, model: str) -> None:
-    """The status around each node, as a row of colours."""
-    x = table["x"]
-    edges = np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]])
-    colours = [STATUS[str(one[f"status_{model}"])] for one in table.rows]
-    axes.barh(np.full(len(x), row), np.diff(edges), left=edges[:-1], height=0.8, color=colours, linewidth=0)
-
-
 # ---------------------------------------------------------------- pictures
+STATUS = ("stick", "sliding", "separated")
+ALONG = {"status": "status", "p": "pressure", "t_T": "shear traction", "less": "band less contact"}
+
+
 def draw(record: Record) -> None:
-    """Draw the rates and the tractions along S from the tables."""
-    names = {TITLES[case]: f"table_{case}.csv" if case else "table.csv" for case in TITLES}
-    there = {title: name for title, name in names.items() if record.has(name)}
-    draw_rates(record, title="frictional layer", cases=there, apart=True)
-    draw_profiles(record, {case: TITLES[case] for case in CASES})
+    """Draw the rates, and status, tractions, and how far apart they are, along S, from the tables."""
+    draw_rates(record, "frictional layer", {t: c for c, t in TITLES.items() if record.has(table_of(c))}, apart=True)
+    parts: dict[str, dict[str, tuple[Any, Any]]] = {}
+    for case in CASES:
+        shown = {what: parts.setdefault(f"{label}, {TITLES[case]}", {}) for what, label in ALONG.items()}
+        for eps in record.load(table_of(case))["eps"]:
+            table, name = record.load(profile_name(case, float(eps))), f"band, eps = {eps:.4g}"
+            x, status, less = table["x"], _numbers(table, "band"), table["t_T_band"] - table["t_T_contact"]
+            lines = {"status": status, "p": table["p_band"], "t_T": table["t_T_band"], "less": less}
+            for what, line in lines.items():
+                shown[what][name] = x, line
+        for what, line in {"p": table["p_contact"], "t_T": table["t_T_contact"]}.items():
+            shown[what][CONTACT] = x, line
+        shown["status"][CONTACT] = x, _numbers(table, "contact")
+    legend = {title: "0 stick, 1 sliding, 2 separated" for title in parts if title.startswith("status")}
+    styles, colours, save = {CONTACT: "--"}, {CONTACT: "black"}, record.path("along_S.png")
+    plotting.panels(parts, "x along S", legend, styles=styles, colours=colours, columns=len(ALONG), save=save)
+
+
+def _numbers(table: Table, model: str) -> list[int]:
+    return [STATUS.index(str(row[f"status_{model}"])) for row in table.rows]

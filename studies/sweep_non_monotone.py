@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -16,8 +16,8 @@ from forms.kinematics import Expr
 from forms.traction import JumpStep
 from geometry import Joint, sandwich
 from studies.problems import FOURIER_BODY
-from studies.sweeping import Floors, Solution, Sweep, check_floors, draw_rates, last, layer_of
-from thinlayer import History, PhaseReport, RangeWarning, Table, ThinLayer, observed_orders, plotting
+from studies.sweeping import Floors, Solution, Sweep, check_floors, draw_rates, last, last_order, layer_of
+from thinlayer import History, PhaseReport, RangeWarning, Table, ThinLayer, plotting
 from thinlayer.running.record import Record
 
 OBLIQUE = np.array([[0.0, 0.3], [0.3, 0.5]])  # chi, in the axes t, n of S
@@ -63,13 +63,9 @@ class Formula(TractionLaw):
     @classmethod
     def of(cls, layer: NonMonotone, **changed: float) -> Formula:
         """The interface law of a layer, with some coefficients changed."""
-        same = {name: layer.parameters()[name] for name in ("mu", "alpha", "G")}
-        same |= {
-            "C": layer.parameters()["transformation_energy"],
-            "K_N": layer.lmbda + 2 * layer.mu,
-            "chi_12": layer.chi[0, 1],
-            "chi_22": layer.chi[1, 1],
-        }
+        given = layer.parameters()
+        same = {name: given[name] for name in ("mu", "alpha", "G")} | {"C": given["transformation_energy"]}
+        same |= {"K_N": layer.lmbda + 2 * layer.mu, "chi_12": layer.chi[0, 1], "chi_22": layer.chi[1, 1]}
         return cls(**same | changed)
 
     def traction(self, step: JumpStep) -> Expr:
@@ -106,24 +102,19 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
         quick: coarser mesh, and fewer thicknesses with wrong laws.
     """
     h, thin = (1 / 8, sorted(eps)[:2]) if quick else (1 / 16, eps)
-    laws = {case: str(law) for case, (law, *_) in CASES.items()} | {"unrelaxed": str(PURE)}
-    record.parameters = {"h": h, "layers": laws, "on S": {name: str(law) for name, (_, law, _) in WRONG.items()}}
+    sweeps = {
+        case: Sweep(record, *blocks(h, shear, pull), partial(ThinLayer, law, at=1.0), cells_through=2)
+        for case, (law, shear, pull) in CASES.items()
+    }
     tables = {}
-    for case, (law, shear, pull) in CASES.items():
-        more = partial(phases, record, case, max(eps))
-        layer = partial(ThinLayer, law, at=1.0)
-        sweep = Sweep(record, *blocks(h, shear, pull), layer, cells_through=2, case=case, more=more)
-        tables[case] = sweep.run(eps, (0.9, 1.1), pictured=None if case else max, title="non-monotone layer")
+    for case, sweep in sweeps.items():
+        right = replace(sweep, case=case, more=partial(phases, record, case, max(eps)))
+        tables[case] = right.run(eps, (0.9, 1.1), pictured=None if case else max, title="non-monotone layer")
         for share in ("plus", "minus", "mixed"):
             record.check(f"share of S, {share}, {TITLES[case]}", tables[case][share][-1], low=SHARE)
     for name, (case, wrong, floors) in WRONG.items():
-        law, shear, pull = CASES[case]
-        sweep = Sweep(
-            record, *blocks(h, shear, pull), partial(ThinLayer, law, at=1.0), cells_through=2, case=name, instead=wrong
-        )
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RangeWarning)  # with lmbda + mu the stress falls: one of its errors
-            found = sweep.run(thin, None, pictured=None)
+        with warnings.catch_warnings(action="ignore", category=RangeWarning):  # with lmbda + mu the stress falls
+            found = replace(sweeps[case], case=name, instead=wrong).run(thin, None, pictured=None)
         check_floors(record, name, found, tables[case], floors)
     unrelaxed(record, eps)
 
@@ -153,8 +144,7 @@ def phases(record: Record, case: str, pictured: float, full: Solution, limit: So
     state = last(limit)
     (x, on_s), (_, meshed) = (PhaseReport(last(one)).profile() for one in (limit, full))
     if layer_of(full).eps == pictured:
-        rows = zip(x[:, 0], meshed, on_s, strict=True)
-        record.write(f"phases_{case}.csv", Table(dict(zip(("x", MESHED, ON_S), row, strict=True)) for row in rows))
+        record.write(f"phases_{case}.csv", Table.of({"x": x[:, 0], MESHED: meshed, ON_S: on_s}))
     mixed = (abs(on_s) > CLOSE) & (abs(on_s) < 1 - CLOSE)
     report, differ = PhaseReport(state), abs(meshed - on_s) > 0.5
     return {"plus": report.plus, "minus": report.minus, "mixed": float(mixed.mean()), "differ": float(differ.sum())}
@@ -168,23 +158,13 @@ def unrelaxed(record: Record, eps: Sequence[float]) -> None:
         assert isinstance(limit, History)
         return phases(record, "unrelaxed", max(eps), full, limit) | snaps(full, limit)
 
-    joint, setup = blocks(2 / COLUMNS, *MOVED, moved=True)
-    sweep = Sweep(
-        record,
-        joint,
-        setup,
-        partial(ThinLayer, PURE, at=1.0),
-        cells_through=2,
-        times=TIMES,
-        case="unrelaxed",
-        more=more,
-    )
+    setup, layer = blocks(2 / COLUMNS, *MOVED, moved=True), partial(ThinLayer, PURE, at=1.0)
+    sweep = Sweep(record, *setup, layer, cells_through=2, times=TIMES, case="unrelaxed", more=more)
     table = sweep.run(eps, (0.9, 1.1), title="non-monotone layer, pure phases")
     record.check("columns in another phase than on S, unrelaxed, any eps", table["differ"].max(), high=0.0)
     record.check("snaps, unrelaxed", table["snaps"].min(), low=5.0)
     for what, high in {"times": 1.3, "lost": 1.6}.items() if len(eps) > 1 else ():
-        order = observed_orders(table["eps"], table[f"error_{what}"])[-1]
-        record.check(f"last observed order, {what}, of snaps", order or np.nan, low=0.85, high=high)
+        record.check(f"last observed order, {what}, of snaps", last_order(table, f"error_{what}"), low=0.85, high=high)
 
 
 def snaps(full: History, limit: History) -> dict[str, float]:
@@ -198,10 +178,8 @@ def snaps(full: History, limit: History) -> dict[str, float]:
 
 def draw(record: Record) -> None:
     """Draw the rates and the phases along S from the tables."""
-    cases = {title: f"table_{case}.csv" if case else "table.csv" for case, title in TITLES.items()}
-    draw_rates(record, title="non-monotone layer", cases=cases | {"lambda + mu on S": "table_printed.csv"}, apart=True)
-    tables = {title: record.load(f"phases_{case}.csv") for case, title in TITLES.items()}
+    cases = {title: case for case, title in TITLES.items()}
+    draw_rates(record, "non-monotone layer", cases | {"lambda + mu on S": "printed"}, apart=True)
+    tables = {title: record.load(f"phases_{case}.csv") for title, case in cases.items()}
     parts = {title: {name: (table["x"], table[name]) for name in (MESHED, ON_S)} for title, table in tables.items()}
-    labels, (blue, red, *_) = dict.fromkeys(parts, "phase"), plotting.COLOURS
-    styles, colours, save = {MESHED: "-", ON_S: "o"}, {MESHED: red, ON_S: blue}, record.path("phases.png")
-    plotting.panels(parts, xlabel="x", ylabels=labels, styles=styles, colours=colours, columns=2, save=save)
+    plotting.panels(parts, "x", "phase", styles={ON_S: "o"}, columns=2, save=record.path("phases.png"))

@@ -10,7 +10,7 @@ import numpy as np
 
 from forms import Incompressible, LinearElastic, Rubber
 from studies.problems import fourier
-from studies.sweeping import by_reaction
+from studies.sweeping import by_reaction, last_order
 from thinlayer import Structure, ThinLayer, compare, plotting, solve
 from thinlayer.errors import RangeWarning
 from thinlayer.running.record import Record
@@ -35,15 +35,13 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
     h = 1 / 16 if quick else 1 / 32
     joint, setup = fourier(h, cell="quadrilateral")
     structure = Structure(joint, **setup)
-    record.parameters = {"h": h, "mu over eps": MU}
 
     def errors_at(nu: float, e: float) -> dict[str, float | None]:
         full = record.solved(solve(structure.full(ThinLayer(_rubber(nu), e, at=1.0), cells_through=2)))
         row: dict[str, float | None] = {f"{one}_{name}": None for name in LAWS for one in NAMES}
         row["too_stiff"] = None  # order 0
         for name, layer in _layers(nu, e).items():
-            with warnings.catch_warnings():  # the elastic laws are out of their range, as the table shows
-                warnings.simplefilter("ignore", RangeWarning)
+            with warnings.catch_warnings(action="ignore", category=RangeWarning):  # out of range, as the table shows
                 limit = record.solved(solve(structure.interface(layer)))
                 found = compare(full, limit)
             row |= {f"traction_{name}": by_reaction(full, limit)["error_reaction"], f"jump_{name}": found["error_jump"]}
@@ -51,10 +49,8 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
                 row["too_stiff"] = found["too_stiff"]
         return row
 
-    over_nu = record.table("ratios.csv")
-    for nu in NUS[::2] + NUS[-1:] if quick else NUS:
-        over_nu.append({"nu": nu, **errors_at(nu, PICTURED)})
-    record.say(over_nu)
+    ratios = NUS[::2] + NUS[-1:] if quick else NUS
+    over_nu = record.rows("ratios.csv", ratios, lambda nu: {"nu": nu, **errors_at(nu, PICTURED)}, "nu = {:g}")
     nus = over_nu["nu"]
     for nu, told in zip(nus[nus < 0.5], over_nu["too_stiff"], strict=False):
         waves = (math.pi * PICTURED) ** 2 / 6 * nu / (1 - 2 * nu)  # (k delta)^2
@@ -62,16 +58,11 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
     largest = max(over_nu["jump_rubber"])
     record.check("largest error of the jump over eps^2, all ratios", largest / PICTURED**2, high=0.86)
 
-    over_eps = record.table("rates.csv")
-    for nu in RATES:
-        for e in eps:
-            over_eps.append({"nu": nu, "eps": e, **errors_at(nu, e)})
-    record.say(over_eps)
-    for nu in RATES if len(eps) > 1 else ():
-        rows = np.isclose(over_eps["nu"], nu)
+    cases = [(nu, e) for nu in RATES for e in eps]
+    over_eps = record.rows("rates.csv", cases, lambda nu, e: {"nu": nu, "eps": e, **errors_at(nu, e)}, "nu, eps = {}")
+    for nu, rows in over_eps.split("nu").items() if len(eps) > 1 else ():
         for quantity in NAMES:
-            errors = np.asarray(over_eps[f"{quantity}_rubber"], float)[rows]
-            last = math.log(errors[-2] / errors[-1]) / math.log(eps[-2] / eps[-1])
+            last = last_order(rows, f"{quantity}_rubber")
             record.check(f"last observed order of the {quantity}, nu = {nu:g}", last, low=1.9, high=2.3)
 
 
@@ -90,29 +81,26 @@ def _layers(nu: float, eps: float) -> dict[str, ThinLayer]:
 def draw(record: Record) -> None:
     """Draw the errors over Poisson's ratio and over the thickness from the tables."""
     ratios, rates = record.load("ratios.csv"), record.load("rates.csv")
-    nu = np.asarray(ratios["nu"])
-    lines = {LAWS[name]: (0.5 - nu[nu < 0.5], ratios[f"jump_{name}"][nu < 0.5]) for name in LAWS}
+    ylabel, below = "relative difference of the jump on S, L2", ratios["nu"] < 0.5
+    lines = {label: (0.5 - ratios["nu"][below], ratios[f"jump_{name}"][below]) for name, label in LAWS.items()}
     plotting.curves(
         lines,
-        xlabel="1/2 - nu",
-        ylabel="relative difference of the jump on S, L2",
+        "1/2 - nu",
+        ylabel,
         title=f"interface laws of a rubbery layer, eps = 1/{round(1 / PICTURED)}",
-        styles=dict(zip(lines, ("o-", "^-", "s-"), strict=True)),
+        styles=("o-", "^-", "s-"),
         logarithmic=True,
         save=record.path("ratios.png"),
     )
-    lines = {}
-    for one in RATES:
-        rows = np.isclose(rates["nu"], one)
-        lines[f"nu = {one:g}"] = (rates["eps"][rows], rates["jump_rubber"][rows])
-    eps = np.asarray(next(iter(lines.values()))[0])
+    lines = {f"nu = {nu:g}": (part["eps"], part["jump_rubber"]) for nu, part in rates.split("nu").items()}
+    eps = np.unique(rates["eps"])
     lines["slope 2"] = (eps, 0.3 * eps**2)
     plotting.curves(
         lines,
-        xlabel="layer thickness eps",
-        ylabel="relative difference of the jump on S, L2",
+        "layer thickness eps",
+        ylabel,
         title="law with a pressure on S",
-        styles=dict(zip(lines, ("o-", "^-", "s-", "D-", "--"), strict=True)),
+        styles=("o-", "^-", "s-", "D-", "--"),
         logarithmic=True,
         save=record.path("rates.png"),
     )

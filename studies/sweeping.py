@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -25,7 +26,7 @@ from thinlayer import (
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import LawOnS
-from thinlayer.output.surface_mesh import Where
+from thinlayer.output.comparison import Where
 from thinlayer.running.record import Record
 
 Solution = State | History
@@ -103,7 +104,7 @@ class Sweep:
         title: str = "",
         unit: str = "",
     ) -> Table:
-        """Sweep, print the laws and the table, draw one thickness, check the last observed orders.
+        """Sweep, print the laws, draw one thickness, check the last observed orders.
 
         Args:
             eps: thicknesses, lengths.
@@ -129,15 +130,12 @@ class Sweep:
         law = self.layer(eps[0]).law
         self.record.say(f"meshed layer {law}, on S {self.instead}" if self.instead else law)
         table = self.record.sweep(compare_at, eps, self._named("table.csv"))
-        self.record.say(table)
-        if order and len(eps) > 1:
-            for name in ("traction", "jump"):
-                column = (
-                    "error_reaction" if name == "traction" and "error_reaction" in table.columns else f"error_{name}"
-                )
-                value = observed_orders(table["eps"], table[column])[-1] or 0.0
-                what = f"last observed order of the {name}" + (f", {self.case}" if self.case else "")
-                self.record.check(what, value, low=order[0], high=order[1])
+        low, high = order or (None, None)
+        for name in ("traction", "jump") if order and len(eps) > 1 else ():
+            reaction = name == "traction" and "error_reaction" in table.columns
+            what = f"last observed order of the {name}" + (f", {self.case}" if self.case else "")
+            value = last_order(table, "error_reaction" if reaction else f"error_{name}")
+            self.record.check(what, value, low=low, high=high)
         return table
 
 
@@ -165,11 +163,23 @@ def layer_of(solution: Solution) -> ThinLayer:
     return layer.thin
 
 
-def by_reaction(full: Solution, limit: Solution, where: Where | float = 1.0) -> dict[str, float]:
+def last_order(table: Table, column: str, by: str = "eps") -> float:
+    """The last observed order of a column of errors; NaN where there is none."""
+    return observed_orders(table[by], table[column])[-1] or math.nan
+
+
+def by_reaction(full: Solution, limit: Solution, where: Where | None = None) -> dict[str, float]:
     """Error of the traction whose forces are the bodies' reactions; those of both laws' own nearly cancel the next term."""
-    surface = Surface(last(limit).model)
+    surface, part = Surface(last(limit).model), where or 1.0
     meshed, wanted = (surface.reaction(last(one)) for one in (full, limit))
-    return {"error_reaction": surface.norm(meshed - wanted, where) / surface.norm(wanted, where)}
+    return {"error_reaction": surface.norm(meshed - wanted, part) / surface.norm(wanted, part)}
+
+
+def errors_of_work(full: State, limit: State, where: Where | None = None) -> dict[str, float]:
+    """What `compare` tells, its error of the traction by reactions, and the relative error of the loads' work."""
+    work = limit.energies()["loads"] / full.energies()["loads"]
+    traction = {"error_traction": by_reaction(full, limit, where)["error_reaction"]}
+    return compare(full, limit, where=where) | traction | {"error_work": abs(work - 1)}
 
 
 def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: Floors) -> None:
@@ -182,29 +192,33 @@ def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: 
             record.check(f"last observed order of the {of}, {name}", wrong[f"order_{of}"][-1], low=-0.2, high=0.2)
 
 
+def table_of(case: str) -> str:
+    """Name of the table of a sweep."""
+    return f"table_{case.replace(' ', '_')}.csv" if case else "table.csv"
+
+
 def draw_rates(
     record: Record,
-    *,
     title: str,
-    cases: Mapping[str, str] | None = None,
+    cases: Mapping[str, str] = {"": ""},
+    *,
     apart: bool = False,
     name: str = "rates",
     **drawn: Any,
 ) -> None:
-    """Draw rates.png from the study's tables.
+    """Draw rates.png from the tables of the study's sweeps.
 
     Args:
         record: the run.
         title: of the picture.
-        cases: label -> name of a sweep's table; default table.csv alone.
+        cases: label -> case of a sweep.
         apart: whether the jump gets a picture of its own, rates_jump.png: for many cases.
         name: of the picture, without .png.
         drawn: of `plotting.rates`.
     """
-    tables = {label: record.path(file) for label, file in (cases or {"": "table.csv"}).items()}
+    tables = {label: record.path(table_of(case)) for label, case in cases.items()}
     if not apart:
         plotting.rates(tables, save=record.path(f"{name}.png"), title=title, **drawn)
-        return
-    for one, end in (("traction", ""), ("jump", "_jump")):
+    for one, end in (("traction", ""), ("jump", "_jump")) if apart else ():
         save, errors = record.path(f"{name}{end}.png"), {one: f"error_{one}"}
         plotting.rates(tables, save=save, title=f"{title}: {one}", errors=errors)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import cos, radians, sin, tan
 
 import numpy as np
@@ -20,9 +19,9 @@ MORTAR = LinearElastic.young(E=2e3, nu=0.2)
 COHESION, ANGLE = 0.2, 35.0  # MPa, degrees
 LAWS: dict[str, type[Plastic]] = {"MohrCoulomb": MohrCoulomb, "MohrCoulombMonodirectional": MohrCoulombMonodirectional}
 # |shear traction| = cohesion + friction * pressure, as these laws have it under lasting shear
-STRENGTHS: dict[str, Callable[[float], float]] = {
-    "MohrCoulomb": lambda p: COHESION * cos(radians(ANGLE)) + sin(radians(ANGLE)) * p,
-    "MohrCoulombMonodirectional": lambda p: COHESION + tan(radians(ANGLE)) * p,
+STRENGTHS = {
+    "MohrCoulomb": (COHESION * cos(radians(ANGLE)), sin(radians(ANGLE)), "C cos(Omega) + sin(Omega) p"),
+    "MohrCoulombMonodirectional": (COHESION, tan(radians(ANGLE)), "C + tan(Omega) p"),
 }
 LOADED = (0.5, 0.8, 0.95, 1.1)  # ends of steps, over the strength
 PRESSURES = (0.2, 0.4, 0.6, 0.8)  # MPa; below, the push bends the triplet, and ends of beds are pulled apart
@@ -41,21 +40,18 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: coarser mesh, fewer pressures.
     """
     h, pressures = (30.0, PRESSURES[1::2]) if quick else (15.0, PRESSURES)
-    record.parameters = {
-        "brick_mm": (LENGTH, HEIGHT), "h_mm": h, "eps_mm": EPS, "cohesion_MPa": COHESION, "angle_deg": ANGLE,
-    }  # fmt: skip
     table = record.table("table.csv")
-    for name, strength in STRENGTHS.items():
+    for name, (cohesion, friction, _) in STRENGTHS.items():
         for p in pressures:
-            row: dict[str, str | float] = {"law": name, "pressure_MPa": p, "formula_MPa": strength(p)}
+            strength = cohesion + friction * p
+            row: dict[str, str | float] = {"law": name, "pressure_MPa": p, "formula_MPa": strength}
             for kind in MODELS:
-                limit = pushed(sheared(LAWS[name], p, h, kind), strength(p))
+                limit = pushed(sheared(LAWS[name], p, h, kind), strength)
                 record.solved(limit.history.last)
                 row |= {f"{kind}_MPa": limit.t, f"{kind}_failed_MPa": limit.failed_at}
-                record.check(f"{name}, {kind}, {p:g} MPa: carried, over the formula", limit.t / strength(p), low=0.995)
-                record.check(f"{name}, {kind}, {p:g} MPa: not carried", limit.failed_at / strength(p), high=1.005)
+                record.check(f"{name}, {kind}, {p:g} MPa: carried, over the formula", limit.t / strength, low=0.995)
+                record.check(f"{name}, {kind}, {p:g} MPa: not carried", limit.failed_at / strength, high=1.005)
             table.append(row)
-    record.say(table)
 
 
 def stack(courses: int, h: float, length: float = LENGTH, height: float = HEIGHT) -> Joint:
@@ -97,23 +93,14 @@ def pushed(model: Model, strength: float) -> LimitLoad:
 
 def draw(record: Record) -> None:
     """Draw strengths against pressure from table.csv."""
-    rows = record.load("table.csv").rows
-    p = np.linspace(0.0, max(float(row["pressure_MPa"] or 0) for row in rows), 2)
     lines, styles = {}, {}
-    labels = {"MohrCoulomb": "C cos(Omega) + sin(Omega) p", "MohrCoulombMonodirectional": "C + tan(Omega) p"}
-    for name, strength in STRENGTHS.items():
-        lines[labels[name]] = (p, np.array([strength(one) for one in p]))
-        for (kind, model), marker in zip(MODELS.items(), ("s", "x"), strict=True):
-            own = [
-                (float(row["pressure_MPa"] or 0), float(row[f"{kind}_MPa"] or 0)) for row in rows if row["law"] == name
-            ]
-            lines[f"{name}, {model}"] = tuple(np.array(own).T)
+    for name, part in record.load("table.csv").split("law").items():
+        cohesion, friction, formula = STRENGTHS[name]
+        p = np.array([0.0, part["pressure_MPa"].max()])
+        lines[formula] = p, cohesion + friction * p
+        for (kind, model), marker in zip(MODELS.items(), "sx", strict=True):
+            lines[f"{name}, {model}"] = part["pressure_MPa"], part[f"{kind}_MPa"]
             styles[f"{name}, {model}"] = marker
-    plotting.curves(
-        lines,
-        xlabel="pressure on the beds (MPa)",
-        ylabel="mean shear traction at the limit (MPa)",
-        title="a triplet of bricks pushed to its limit",
-        styles=styles,
-        save=record.path("strength.png"),
-    )
+    xlabel, ylabel = "pressure on the beds (MPa)", "mean shear traction at the limit (MPa)"
+    title, save = "a triplet of bricks pushed to its limit", record.path("strength.png")
+    plotting.curves(lines, xlabel, ylabel, title=title, styles=styles, save=save)

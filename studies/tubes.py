@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -91,71 +92,41 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         quick: coarser mesh.
     """
     joint = walls(2.0 if quick else 1.0)
-    record.parameters = {
-        "radii_mm": RADII,
-        "height_mm": HEIGHT,
-        "shaft": str(SHAFT),
-        "hub": str(HUB),
-        "glue": str(GLUE),
-    }
-    bodies = {"LOWER": SHAFT, "UPPER": HUB}
-    plane_strain = {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
-    pressed = {
-        "body": bodies,
-        "supports": plane_strain,
-        "tractions": {"BOTTOM": (PRESSURE, 0.0)},
-        "plane": "axisymmetric",
-    }
-    table = _sweep(record, joint, pressed, "pressure", against_lame).run(
-        eps, (0.93, 1.1), unit="mm", title="inner pressure"
-    )
+    bodies = {"body": {"LOWER": SHAFT, "UPPER": HUB}, "plane": "axisymmetric"}
+    sweep = Sweep(record, joint, {}, partial(ThinLayer, GLUE, at=GLUE_EPS), bodies="extended")
+    pressed = {"supports": {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}, "tractions": {"BOTTOM": (PRESSURE, 0.0)}}
+    by_pressure = replace(sweep, setup=bodies | pressed, case="pressure", more=against_lame)
+    table = by_pressure.run(eps, (0.93, 1.1), unit="mm", title="inner pressure")
     for name in ("meshed", "law"):
         worst = max(max(table[f"{name}_bore"]), max(table[f"{name}_traction"]))
         record.check(f"relative difference from Lame, {name}", worst, high=16 * LAME if quick else LAME)
-    pushed = {
-        "body": bodies,
-        "supports": {"RIGHT/UPPER": 0.0},
-        "tractions": {"LEFT/LOWER": (0.0, -PUSH)},
-        "plane": "axisymmetric",
-    }
-    _sweep(record, joint, pushed, "push", None).run(eps, (0.9, 1.25), unit="mm", title="shaft pushed through its hub")
+    pushed = {"supports": {"RIGHT/UPPER": 0.0}, "tractions": {"LEFT/LOWER": (0.0, -PUSH)}}
+    by_push = replace(sweep, setup=bodies | pushed, case="push", where=lambda x: abs(x[1] + HEIGHT / 2) < 0.3 * HEIGHT)
+    by_push.run(eps, (0.9, 1.25), unit="mm", title="shaft pushed through its hub")
 
 
-def _sweep(
-    record: Record,
-    joint: Joint,
-    setup: dict[str, object],
-    case: str,
-    more: Callable[[Solution, Solution], dict[str, float]] | None,
-) -> Sweep:
-    def inside(x: npt.NDArray[np.float64]) -> object:
-        return abs(x[1] + HEIGHT / 2) < 0.3 * HEIGHT
+def with_springs() -> Lame:
+    """The closed form of the interface model."""
+    return lame(RADII, (SHAFT, HUB), ((GLUE.lmbda + 2 * GLUE.mu) / GLUE_EPS,), PRESSURE)
 
-    where = inside if case == "push" else None
-    layer = partial(ThinLayer, GLUE, at=GLUE_EPS)
-    return Sweep(record, joint, setup, layer, bodies="extended", where=where, more=more, case=case)
+
+def with_layer(eps: float) -> Lame:
+    """The closed form of the meshed model."""
+    bore, on_S, rim = RADII
+    laws = SHAFT, GLUE.scaled(eps / GLUE_EPS), HUB
+    return lame((bore, on_S - eps / 2, on_S + eps / 2, rim), laws, (None, None), PRESSURE)
 
 
 def against_lame(full: Solution, limit: Solution) -> dict[str, float]:
     """Relative differences from the closed form: of the bore's displacement, and of the mean traction on S."""
     meshed, by_law = last(full), last(limit)
     eps = float(layer_of(limit).eps)
-    bore, on_S, rim = RADII
-    stiffness = (GLUE.lmbda + 2 * GLUE.mu) / GLUE_EPS
-    closed = {
-        "law": lame(RADII, (SHAFT, HUB), (stiffness,), PRESSURE),
-        "meshed": lame(
-            (bore, on_S - eps / 2, on_S + eps / 2, rim),
-            (SHAFT, GLUE.scaled(eps / GLUE_EPS), HUB),
-            (None, None),
-            PRESSURE,
-        ),
-    }
+    closed = {"law": with_springs(), "meshed": with_layer(eps)}
     surface, found = Surface(by_law.model), {}
-    work = 2 * np.pi * bore * HEIGHT * PRESSURE
+    work = 2 * np.pi * RADII[0] * HEIGHT * PRESSURE
     for name, state in (("law", by_law), ("meshed", meshed)):
         exact = closed[name]
-        found[f"{name}_bore"] = abs(state.energies()["loads"] / (work * exact.displacement(0, bore)) - 1)
+        found[f"{name}_bore"] = abs(state.energies()["loads"] / (work * exact.displacement(0, RADII[0])) - 1)
         force = surface.integral(surface.frame(surface.traction(state))[1]) / (2 * np.pi * HEIGHT)
         sides = [exact.radii[1], exact.radii[-2]]  # forces on both faces of a meshed layer, over the area of S
         forces = [exact.stress(k, r) * r for k, r in zip((0, len(exact.laws) - 1), sides, strict=True)]
@@ -165,23 +136,11 @@ def against_lame(full: Solution, limit: Solution) -> dict[str, float]:
 
 def draw(record: Record) -> None:
     """Draw the rates of both cases, and the displacement along the radius, meshed and by the law, in closed form."""
-    draw_rates(record, title="bonded tubes", cases={"pressure": "table_pressure.csv", "push": "table_push.csv"})
-    eps, (bore, on_S, rim) = max(EPS), RADII
-    by_law = lame(RADII, (SHAFT, HUB), ((GLUE.lmbda + 2 * GLUE.mu) / GLUE_EPS,), PRESSURE)
-    laws = SHAFT, GLUE.scaled(eps / GLUE_EPS), HUB
-    meshed = lame((bore, on_S - eps / 2, on_S + eps / 2, rim), laws, (None, None), PRESSURE)
+    draw_rates(record, "bonded tubes", {"pressure": "pressure", "push": "push"})
     curves = {}
-    for name, exact in (("interface law", by_law), (f"layer of {eps:g} mm", meshed)):
-        r, u = [], []
-        for k in range(len(exact.laws)):
-            part = np.linspace(exact.radii[k], exact.radii[k + 1], 30)
-            r += [*part]
-            u += [1e3 * exact.displacement(k, one) for one in part]
-        curves[name] = (np.array(r), np.array(u))
-    plotting.curves(
-        curves,
-        xlabel="radius (mm)",
-        ylabel="displacement (micrometres)",
-        save=record.path("lame.png"),
-        title="inner pressure",
-    )
+    for name, exact in (("interface law", with_springs()), (f"layer of {max(EPS):g} mm", with_layer(max(EPS)))):
+        r = [np.linspace(a, b, 30) for a, b in pairwise(exact.radii)]
+        u = [1e3 * exact.displacement(k, at) for k, part in enumerate(r) for at in part]
+        curves[name] = (np.concatenate(r), np.array(u))
+    save = record.path("lame.png")
+    plotting.curves(curves, "radius (mm)", "displacement (micrometres)", save=save, title="inner pressure")

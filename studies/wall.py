@@ -11,7 +11,7 @@ import numpy as np
 
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
 from geometry import wall
-from thinlayer import History, LayerReport, LimitLoad, State, Structure, Surface, ThinLayer, march, plotting
+from thinlayer import History, LayerReport, LimitLoad, State, Structure, Surface, Table, ThinLayer, march, plotting
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
@@ -23,6 +23,7 @@ MORTAR = LinearElastic.young(E=2e3, nu=0.2)
 ANGLE = 30.0  # degrees
 COHESION = {"BED": 0.1, "HEAD": 0.03}  # MPa
 PRESSURE = 0.5  # MPa, on the top
+STRENGTH = COHESION["BED"] + tan(radians(ANGLE)) * PRESSURE  # of a bed along which all bricks above slide
 WALLS = ("heads with mortar", "open heads")
 LARGE = (14, 15)  # bricks and courses
 NEAR = 0.9  # of the strength of a bed, where walls are compared and drawn
@@ -45,13 +46,6 @@ def run(record: Record, *, large: bool = False, quick: bool = False) -> None:
         large: 217 bricks and 1e5 unknowns in 20 steps instead, with its time and memory.
         quick: fewer bricks, longer steps, one thickness of the panel's joints.
     """
-    record.parameters = {
-        "brick_mm": BRICK,
-        "clay": str(CLAY),
-        "cohesion_MPa": COHESION,
-        "angle_deg": ANGLE,
-        "eps_mm": EPS,
-    }
     if large:
         push_large(record)
         return
@@ -68,27 +62,23 @@ def push_walls(record: Record, bricks: int, courses: int, cells: int, step: floa
         cells: number of cells along the height of a brick.
         step: of the shear stress on the top, MPa.
     """
-    strength = COHESION["BED"] + tan(radians(ANGLE)) * PRESSURE
     table, joints = record.table("table.csv"), record.table("joints.csv")
-    near: dict[str, State] = {}
-    last: dict[str, State] = {}
-    shifts = []
+    near, last, shifts = dict[str, State](), dict[str, State](), []
     for name in WALLS:
         model = sheared(bricks, courses, BRICK[1] / cells, heads=name == WALLS[0])
-        history, limit = pushed(model, step, 1.5 * strength)
-        for state in history:
-            row = {"wall": name, "shear_MPa": state.t, "shift_mm": shift(state), "iterations": state.report.iterations}
-            table.append(row)
+        history, limit = pushed(model, step, 1.5 * STRENGTH)
+        table.extend(
+            {"wall": name, "shear_MPa": state.t, "shift_mm": shift(state), "iterations": state.report.iterations}
+            for state in history
+        )
         record.solved(history.last)
-        record.check(f"{name}: limit over that of a bed that slides", limit / strength, low=0.995, high=1.0)
-        shifts.append(np.interp(NEAR * strength, history.t, [shift(state) for state in history]))
-        near[name] = max((state for state in history if state.t <= NEAR * strength), key=lambda state: state.t)
+        record.check(f"{name}: limit over that of a bed that slides", limit / STRENGTH, low=0.995, high=1.0)
+        shifts.append(np.interp(NEAR * STRENGTH, history.t, [shift(state) for state in history]))
+        near[name] = max((state for state in history if state.t <= NEAR * STRENGTH), key=lambda state: state.t)
         last[name] = history.last
         for state in (near[name], last[name]):
-            for shares in LayerReport(state).table.rows:
-                joints.append({"wall": name, "shear_MPa": state.t, **shares})
+            joints.extend({"wall": name, "shear_MPa": state.t, **shares} for shares in LayerReport(state).table)
     record.check("shift at 0.9 of the limit, open heads over heads with mortar", shifts[1] / shifts[0], low=1.1)
-    record.say(joints)
     shear = max(state.t for state in near.values())
     title = f"a wall under {PRESSURE:g} MPa, sheared by {shear:.3g} MPa"
     plotting.layers(near, save=record.path("joints.png"), title=title)
@@ -98,13 +88,8 @@ def push_walls(record: Record, bricks: int, courses: int, cells: int, step: floa
 def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
     """Move the top of a panel whose mortar is that of `MohrCoulomb`: its force by the interface law, and meshed."""
     supports: dict[str, Any] = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: t}}
-    structure = Structure(
-        wall(*PANEL, BRICK, BRICK[1] / 6, cell="quadrilateral"),
-        body=CLAY,
-        supports=supports,
-        tractions={"TOP": (0.0, -PRESSURE)},
-        element="Q1",
-    )
+    panel, pressed = wall(*PANEL, BRICK, BRICK[1] / 6, cell="quadrilateral"), {"TOP": (0.0, -PRESSURE)}
+    structure = Structure(panel, body=CLAY, supports=supports, tractions=pressed, element="Q1")
 
     def mortar(eps: float) -> dict[str, ThinLayer]:
         given = {"friction_angle": ANGLE, "elastic_fraction": ELASTIC_FRACTION}
@@ -124,8 +109,7 @@ def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
         history = march(model, list(SHIFTS))
         record.solved(history.last)
         forces[name] = [beds.integral(beds.reaction(state)[0]) / length for state in history]
-        for t, force in zip(history.t, forces[name], strict=True):
-            table.append({"model": name, "shift_mm": float(t), "shear_MPa": force})
+        table.extend(Table.of({"model": name, "shift_mm": history.t, "shear_MPa": forces[name]}))
     by_law, *meshed = (np.array(one[1:]) for one in forces.values())
     errors = [float(np.abs(one - by_law).max() / by_law.max()) for one in meshed]
     for eps, error in zip(thicknesses, errors, strict=True):
@@ -139,11 +123,10 @@ def push_large(record: Record) -> None:
     begin = time.perf_counter()
     model = sheared(*LARGE, BRICK[1] / 4, heads=True)
     built = time.perf_counter() - begin
-    strength = COHESION["BED"] + tan(radians(ANGLE)) * PRESSURE
-    history = march(model, [0.8 * strength * k / 20 for k in range(1, 21)], keep="last")
+    history = march(model, [0.8 * STRENGTH * k / 20 for k in range(1, 21)], keep="last")
     row = {
         "bricks": int(model.splitting.pieces.max()) + 1,
-        "unknowns": model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs,
+        "unknowns": model.unknowns,
         "built_s": built,
         "marched_s": time.perf_counter() - begin - built,
         "iterations": sum(int(one["iterations"] or 0) for one in history.table.rows),
@@ -151,7 +134,6 @@ def push_large(record: Record) -> None:
         "shift_mm": shift(history.last),
     }
     record.table("large.csv").append(row)
-    record.say(row)
 
 
 def sheared(bricks: int, courses: int, h: float, *, heads: bool) -> InterfaceModel:
@@ -160,12 +142,8 @@ def sheared(bricks: int, courses: int, h: float, *, heads: bool) -> InterfaceMod
         name: ThinLayer(MohrCoulombMonodirectional(MORTAR.lmbda, MORTAR.mu, cohesion, ANGLE, unilateral=opens), EPS)
         for name, cohesion, opens in (("BED", COHESION["BED"], True), ("HEAD", COHESION["HEAD"], False))
     }
-    structure = Structure(
-        wall(bricks, courses, BRICK, h),
-        body=CLAY,
-        supports={"BOTTOM": 0.0},
-        tractions={"TOP": lambda x, t: (t, -PRESSURE)},
-    )
+    joint, loads = wall(bricks, courses, BRICK, h), {"TOP": lambda x, t: (t, -PRESSURE)}
+    structure = Structure(joint, body=CLAY, supports={"BOTTOM": 0.0}, tractions=loads)
     return structure.interface(layers if heads else layers | {"HEAD": None})
 
 
@@ -187,22 +165,21 @@ def shift(state: State) -> float:
 
 def draw(record: Record) -> None:
     """Draw load against displacement from table.csv and panel.csv, which a large wall has not."""
-    for file, name, picture, title in (
+    for file, column, picture, title in (
         ("table.csv", "wall", "shear.png", "a wall, pushed"),
         ("panel.csv", "model", "panel.png", "a panel, its top moved along"),
     ):
         if not record.has(file):
             continue
-        rows, lines = record.load(file).rows, {}
-        for label in dict.fromkeys(str(row[name]) for row in rows):
-            own = [(float(row["shift_mm"] or 0), float(row["shear_MPa"] or 0)) for row in rows if row[name] == label]
-            lines[label] = tuple(np.array([(0.0, 0.0), *own]).T)
-        first, *others = lines
+        parts = record.load(file).split(column)
         plotting.curves(
-            lines,
-            xlabel="shift of the top (mm)",
-            ylabel="shear stress (MPa)",
+            {
+                name: (np.insert(part["shift_mm"], 0, 0), np.insert(part["shear_MPa"], 0, 0))
+                for name, part in parts.items()
+            },
+            "shift of the top (mm)",
+            "shear stress (MPa)",
             title=f"{title}, under a pressure of {PRESSURE:g} MPa",
-            styles={first: "o-"} | dict(zip(others, ("s-", "^--", "v--", "d--"), strict=False)),
+            styles=("o-", "s-", "^--", "v--", "d--"),
             save=record.path(picture),
         )

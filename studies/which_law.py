@@ -6,6 +6,7 @@ import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,8 @@ import numpy.typing as npt
 import ufl
 
 from forms import Incompressible, LinearElastic, Rubber
-from geometry import sandwich
 from geometry.parallel import world
-from studies.problems import FOURIER_BODY, Wave, fourier
+from studies.problems import FOURIER_BODY, Wave, fourier, free_blocks
 from thinlayer import PressureReport, RangeWarning, State, Structure, Surface, Table, ThinLayer, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
@@ -53,18 +53,13 @@ def run(record: Record, *, quick: bool = False) -> None:
         record: where to write.
         quick: three thicknesses and five ratios, a coarser mesh.
     """
-    record.parameters = {"E of the bodies": E_BODY, "E over mu": list(CONTRASTS), "laws": LAWS}
     table = record.table("table.csv")
     for name, set_up in (("rollers", Rollers(1 / 16 if quick else 1 / 32)), ("free", FreeEnds(quick))):
         cases = [(c, nu, e) for c in CONTRASTS for nu in (QUICK_NUS if quick else NUS) for e in EPS[:: 1 + quick]]
         for contrast, nu, eps in track(cases, name, "E/mu, nu, eps = {}"):
-            table.append(
-                {"sides": name, "E/mu": contrast, "nu": nu, "eps": eps}
-                | _row(record, set_up, E_BODY / contrast, nu, eps)
-            )
-        part = _part(table, name)
-        record.say(f"{SET_UPS[name]}: the larger of the errors of traction and jump\n{_summary(part)}")
-        _check(record, name, part)
+            row = {"sides": name, "E/mu": contrast, "nu": nu, "eps": eps}
+            table.append(row | _row(record, set_up, E_BODY / contrast, nu, eps))
+        _check(record, name, table.split("sides")[name])
 
 
 def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: float) -> dict[str, float | None]:
@@ -87,15 +82,13 @@ def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: 
 
 def _layers(lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
     """The laws that take a material: no order 1 of `LinearElastic` at nu = 1/2, no `Rubber` at nu = 0."""
+    zero = partial(ThinLayer, eps=eps)
+    first = partial(ThinLayer, eps=eps, order=1, edges="plain")
     if math.isinf(lmbda):
-        law = Incompressible(mu)
-        return {"order_0": ThinLayer(law, eps), "rubber": ThinLayer(law, eps, order=1, edges="plain")}
+        return {"order_0": zero(Incompressible(mu)), "rubber": first(Incompressible(mu))}
     elastic = LinearElastic(lmbda, mu)
-    layers = {
-        "order_0": ThinLayer(elastic, eps),
-        "order_1": ThinLayer(elastic, eps, order=1, edges="plain"),
-    }
-    return layers | ({"rubber": ThinLayer(_rubber(lmbda, mu), eps, order=1, edges="plain")} if lmbda else {})
+    layers = {"order_0": zero(elastic), "order_1": first(elastic)}
+    return layers | ({"rubber": first(_rubber(lmbda, mu))} if lmbda else {})
 
 
 def _rubber(lmbda: float, mu: float) -> Rubber | Incompressible | LinearElastic:
@@ -148,10 +141,8 @@ class FreeEnds:
         """The blocks, with cells at the ends that are a part of the thickness."""
         along, ends, _ = self._cells
         if eps not in self._structures:
-            h_ends = min(eps, 1 / 8) / ends
-            joint = sandwich(1.0, 0.5, 0.5, 1 / 8, h_S=1 / along, h_ends=h_ends, cell="quadrilateral")
-            supports, tractions = {"BOTTOM": 0.0}, {"TOP": (0.3 * LOAD, -LOAD)}
-            self._structures[eps] = Structure(joint, body=FOURIER_BODY, supports=supports, tractions=tractions)
+            load = (0.3 * LOAD, -LOAD)
+            self._structures[eps] = free_blocks(min(eps, 1 / 8) / ends, load, h_S=1 / along)
         return self._structures[eps]
 
     def layers(self, lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
@@ -178,20 +169,9 @@ class FreeEnds:
         return errors
 
 
-def _part(table: Table, sides: str) -> Table:
-    return Table(row for row in table.rows if row["sides"] == sides)
-
-
 def _worst(table: Table, law: str) -> Array:
     """(rows,) larger of the errors of traction and jump."""
     return np.maximum(table[f"traction_{law}"], table[f"jump_{law}"])
-
-
-def _summary(table: Table) -> Table:
-    columns = {name: table[name] for name in ("E/mu", "nu", "eps")} | {law: _worst(table, law) for law in LAWS}
-    columns["too_stiff"] = table["too_stiff"]
-    rows = zip(*columns.values(), strict=True)
-    return Table({k: None if math.isnan(v) else float(v) for k, v in zip(columns, row, strict=True)} for row in rows)
 
 
 def _check(record: Record, name: str, table: Table) -> None:
@@ -207,36 +187,30 @@ def _check(record: Record, name: str, table: Table) -> None:
 
 def draw(record: Record) -> None:
     """Draw the errors of each law, and the cheapest law for 1 % and 5 %, over eps and nu, from the tables."""
+    tables = record.load("table.csv").split("sides")
     for name, what in SET_UPS.items():
-        table = _part(record.load("table.csv"), name)
+        table, drawn = tables[name], _drawn(tables[name])
         nus, eps = np.unique(table["nu"]), np.unique(table["eps"])
-        axes: dict[str, Any] = {
-            "x": [f"{nu:g}" for nu in nus],
-            "y": [f"1/{round(1 / e)}" for e in eps],
-            "xlabel": "Poisson's ratio nu",
-            "ylabel": "eps/l",
-        }
+        axes: dict[str, Any] = {"x": [f"{nu:g}" for nu in nus], "y": [f"1/{round(1 / e)}" for e in eps]}
+        axes |= {"xlabel": "Poisson's ratio nu", "ylabel": "eps/l"}
         errors: dict[str, Array] = {}
         texts: dict[str, Any] = {}
-        for contrast in CONTRASTS:
-            at = table["E/mu"] == contrast
-            for law in _drawn(table):
-                label = LAWS[law]
-                panel = f"{label}; E/mu = {contrast:,}"
-                errors[panel] = _grid(_worst(table, law)[at], nus)
-                warned = _grid(table[f"warned_{law}"][at], nus) > 0
-                texts[panel] = np.vectorize(_percent)(errors[panel], warned)
+        for contrast, part in table.split("E/mu").items():
+            for law in drawn:
+                panel = f"{LAWS[law]}; E/mu = {contrast:,.0f}"
+                errors[panel] = _grid(_worst(part, law), nus)
+                texts[panel] = np.vectorize(_percent)(errors[panel], _grid(part[f"warned_{law}"], nus) > 0)
         plotting.maps(
             errors,
             texts=texts,
             levels=LEVELS,
             names=["< 0.1 %", "0.1 to 1 %", "1 to 5 %", "5 to 20 %", "> 20 %"],
             title=f"errors in per cent, the larger of traction and jump (!: a RangeWarning); {what}",
-            columns=len(_drawn(table)),
+            columns=len(drawn),
             save=record.path(f"errors_{name}.png"),
             **axes,
         )
-        _cheapest(record, f"cheapest_{name}.png", what, _drawn(table), errors, axes)
+        _cheapest(record, f"cheapest_{name}.png", what, drawn, errors, axes)
 
 
 def _drawn(table: Table) -> list[str]:

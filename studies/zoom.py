@@ -10,15 +10,14 @@ import numpy.typing as npt
 
 from forms import LinearElastic
 from forms.ends.fields import Corner, EndFields
-from geometry import sandwich
-from thinlayer import Probe, State, Structure, ThinLayer, Zoom, observed_orders, plotting, solve
+from studies.problems import free_blocks
+from studies.sweeping import last_order
+from thinlayer import Probe, State, ThinLayer, Zoom, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.output.meshed_places import meshed_places
 from thinlayer.running.record import Record
 
 Array = npt.NDArray[np.float64]
-BODY = LinearElastic.young(E=100.0, nu=0.3)
-LOADS = (0.3, -1.0)
 CASES = (
     (0.3, 1000.0),
     (0.3, 100.0),
@@ -28,9 +27,7 @@ CASES = (
 EPS = (1 / 16, 1 / 32, 1 / 64)  # the moduli are those of the first one there, and proportional to eps
 LAWS: dict[str, dict[str, Any]] = {"order 0": {"order": 0}, "order 1, free": {"order": 1, "edges": "free"}}
 THROUGH = 32  # cells through the meshed layer
-DISTANCES = np.array(
-    [1 / 20, 1 / 10, 1 / 5, 1 / 2, 1, 1.5, 2, 3, 5, 10]
-)  # of the places compared from an end, over eps
+DISTANCES = np.array([0.05, 0.1, 0.2, 0.5, 1, 1.5, 2, 3, 5, 10])  # of the places compared from an end, over eps
 HEIGHTS = np.array([-0.3, -0.15, 0.0, 0.15, 0.3])  # not nearer to corners, where the mesh is too coarse
 AT_END = 3.0  # distance up to which places count as at the end
 RADIUS = 0.3  # over eps, of the arc around a corner of the meshed layer from which its strength is taken
@@ -64,7 +61,6 @@ def _corners(record: Record, ratios: Sequence[float]) -> None:
         error = max(abs(fitted_N[0] / H_N - 1), abs(fitted_T[0] / H_T - 1))
         row = {"nu": nu, "exponent": corner.exponent, "H_N": H_N, "H_T": H_T, "shear": corner.shear}
         table.append(row | {"from_traction": error})
-    record.say(table)
     well = table["nu"] >= 0.15  # below, the exponents of the next fields are near that of the singular one
     record.check("largest difference of H from the traction on the face", table["from_traction"][well].max(), high=2e-3)
 
@@ -74,8 +70,7 @@ def _errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float
     table = record.table(f"errors_{nu:g}_{ratio:g}.csv")
     law = LinearElastic.shear(100.0 / ratio, nu)
     for eps in track(list(thicknesses), "zoom", f"nu = {nu:g}, E/mu = {ratio:g}, eps = {{:g}}"):
-        joint = sandwich(1.0, 0.5, 0.5, h=1 / 8, h_S=1 / 32, h_ends=eps / THROUGH, cell="quadrilateral")
-        blocks = Structure(joint, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": LOADS})
+        blocks = free_blocks(eps / THROUGH)
         full = record.solved(solve(blocks.full(ThinLayer(law, eps, at=EPS[0]), cells_through=THROUGH)))
         row: dict[str, Any] = {"eps": eps, "M/E": (law.lmbda + 2 * law.mu) * eps / EPS[0] / 100.0}
         for name, chosen in LAWS.items():
@@ -85,10 +80,9 @@ def _errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float
         if eps == thicknesses[-1] and (nu, ratio) == CASES[-1]:
             for component in ("N", "T"):
                 plotting.zoomed(zoom, full, end=1, component=component, save=record.path(f"end_{component}.png"))
-    record.say(table)
     for key, low in (("end", 1.0), ("inside", 1.2)):
-        order = observed_orders(table["eps"], table[f"{key} order 1, free"])[-1]
-        record.check(f"order of the error, {key}, nu = {nu:g}, E/mu = {ratio:g}", order or np.nan, low=low)
+        order = last_order(table, f"{key} order 1, free")
+        record.check(f"order of the error, {key}, nu = {nu:g}, E/mu = {ratio:g}", order, low=low)
     for key, high in (("end", 0.05), ("H", 0.08)):
         error = table[f"{key} order 1, free"][-1]
         record.check(f"error, {key}, nu = {nu:g}, E/mu = {ratio:g}", error, high=high)
@@ -128,19 +122,17 @@ def _meshed(zoom: Zoom, probe: Probe, number: int, side: int) -> float:
 def draw(record: Record) -> None:
     """Draw errors against the thickness, and exponents and strengths of corners against nu."""
     parts = {}
+    names = [f"{key}{law}" for law in LAWS for key in ("end ", "inside ", "H ")]
     for nu, ratio in CASES:
-        if record.has(name := f"errors_{nu:g}_{ratio:g}.csv"):
-            table = record.load(name)
-            columns = {f"{key}, {law}": f"{key} {law}" for law in LAWS for key in ("end", "inside", "H")}
-            lines = {label: (table["eps"], table[column]) for label, column in columns.items()}
-            parts[f"nu = {nu:g}, E/mu = {ratio:g}"] = lines
-    names = list(next(iter(parts.values())))
+        if record.has(file := f"errors_{nu:g}_{ratio:g}.csv"):
+            table = record.load(file)
+            parts[f"nu = {nu:g}, E/mu = {ratio:g}"] = {name: (table["eps"], table[name]) for name in names}
     plotting.panels(
         parts,
-        xlabel="eps",
-        ylabels=dict.fromkeys(parts, "relative error"),
-        styles={name: ("o--" if "order 0" in name else "o-") for name in names},
-        colours={name: f"tab:{colour}" for name, colour in zip(names, 2 * ["blue", "orange", "green"], strict=True)},
+        "eps",
+        "relative error",
+        styles={name: "o--" if "order 0" in name else "o-" for name in names},
+        colours=dict(zip(names, 2 * plotting.COLOURS[:3], strict=True)),
         yscale="log",
         columns=2,
         save=record.path("errors.png"),
@@ -148,11 +140,9 @@ def draw(record: Record) -> None:
     table = record.load("corners.csv")
     plotting.panels(
         {name: {"half strip": (table["nu"], table[name])} for name in DRAWN},
-        xlabel="Poisson's ratio",
-        ylabels=dict.fromkeys(DRAWN, ""),
+        "Poisson's ratio",
         styles={"half strip": "o-"},
-        colours={"half strip": "tab:blue"},
-        ylims={"H_N": (0.0, 4.0), "H_T": (0.0, 2.5)},
+        ylim={"H_N": (0.0, 4.0), "H_T": (0.0, 2.5)},
         columns=2,
         save=record.path("corners.png"),
     )

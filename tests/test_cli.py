@@ -101,6 +101,7 @@ def test_sweep_with_options(tmp_path):
     run = json.loads((tmp_path / "run.json").read_text())
     assert min(solve["iterations"] for solve in run["solves"]) > 20
     assert run["parameters"]["extended"]["h"] == 1 / 8
+    assert run["parameters"]["FIFTHS"] == [0.2, 0.4, 0.6, 0.8, 1.0]  # a constant of the module
     assert_drawn(tmp_path / "rates_extended.png")
 
 

@@ -13,7 +13,8 @@ from forms.ends import free_end
 from forms.ends.weights import Strips
 from geometry.ends import straight_ends
 from geometry.sheet import Sheet
-from studies.end_structures import BODY, edge, graded, grid
+from studies.free_ends import edge, graded, grid
+from studies.problems import FOURIER_BODY as BODY
 from tests.meshes import part_of
 from thinlayer import ModelError, Structure, ThinLayer, compare, solve
 from thinlayer.discretisation.sides import FacetWeights

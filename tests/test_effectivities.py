@@ -13,8 +13,8 @@ from dolfinx import fem
 from dolfinx.fem.petsc import LinearProblem
 
 from forms import work as forms
-from studies.dropping.cases import further_cases, known_cases, refused_cases
-from studies.dropping.measuring import Dropped, along, effectivities, solved
+from studies.dropped import further_cases, known_cases, refused_cases
+from studies.may_i_drop import Dropped, along, effectivities, solved
 from tests.on_ranks import on_ranks
 from thinlayer import RangeWarning, goals
 

@@ -71,6 +71,23 @@ def test_table():
     refused(KeyError, "no column 'c'; columns: a, b", lambda: table["c"])
 
 
+def test_rows_of_a_table_by_the_values_of_a_column():
+    rows = [{"law": "soft", "eps": 0.2}, {"law": "hard", "eps": 0.2}, {"law": "soft", "eps": 0.1}]
+    parts = Table(rows).split("law")
+    assert [*parts] == ["soft", "hard"]
+    assert parts["soft"]["eps"] == pytest.approx([0.2, 0.1], rel=1e-15)
+    assert [len(part) for part in Table(rows).split("eps").values()] == [2, 1]
+    refused(KeyError, "no column 'x'; columns: law, eps", lambda: Table(rows).split("x"))
+
+
+def test_a_table_of_columns(tmp_path):
+    table = Table(path=tmp_path / "t.csv")
+    table.extend(Table.of({"law": "soft", "eps": np.array([0.2, 0.1]), "error": [0.03, None]}))
+    assert table.rows == Table.load(tmp_path / "t.csv").rows
+    assert table.rows[1] == {"law": "soft", "eps": 0.1, "error": None}
+    refused(ModelError, "not a 2, b 3", lambda: Table.of({"a": [1, 2], "b": [1, 2, 3]}))
+
+
 def test_tables_are_printed_as_they_are():
     table = Table([{"slip [mm]": 1.0, "[red]a": "[bold]x[/]"}, {"slip [mm]": 2.0, "[red]a": "y"}])
     assert str(table).splitlines()[0].split() == ["slip", "[mm]", "[red]a"]

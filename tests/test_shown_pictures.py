@@ -38,7 +38,7 @@ def pictures():
         "contact": plotting.contact(bar(8, coulomb("soft"))),
         "rates": plotting.rates(table),
         "curves": plotting.curves(line, xlabel="x", ylabel="y"),
-        "panels": plotting.panels({"t": line}, xlabel="x", ylabels={"t": "y"}, styles={}, colours={}),
+        "panels": plotting.panels({"t": line}, xlabel="x", ylabel="y"),
     }
 
 

@@ -530,6 +530,10 @@ class Model(ABC):
             **({"eigenstrains": described(self.structure.eigenstrains)} if self.structure.eigenstrains else {}),
         }
 
+    @property
+    def unknowns(self) -> int:
+        """The number of displacements, those at supports included."""
+        return int(self.V.dofmap.index_map.size_global * self.V.dofmap.index_map_bs)
+
     def __repr__(self) -> str:
-        dofs = self.V.dofmap.index_map.size_global * self.V.dofmap.index_map_bs
-        return f"{type(self).__name__}({self.element}, {dofs} unknowns)"
+        return f"{type(self).__name__}({self.element}, {self.unknowns} unknowns)"

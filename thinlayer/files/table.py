@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -40,8 +40,7 @@ class Table:
     def __init__(self, rows: Iterable[Mapping[str, Any]] = (), path: str | Path | None = None) -> None:
         self.rows: list[Row] = []
         self.path = Path(path) if path else None
-        for row in rows:
-            self.append(row)
+        self.extend(rows)
 
     def append(self, row: Mapping[str, Any]) -> None:
         """Add a row, and write the table to its file: on the disk before this returns. Collective, if there is a file.
@@ -50,12 +49,18 @@ class Table:
             ModelError: other columns than the first row's, or a name of a column that is no text.
             OSError: the file could not be written; on all ranks.
         """
-        if self.rows and list(row) != self.columns:
-            raise ModelError(f"a row with columns {list(row)} does not fit a table with columns {self.columns}")
-        if wrong := [name for name in row if not isinstance(name, str)]:
-            raise ModelError(f"a table's columns have texts for names, not {', '.join(map(repr, wrong))}")
-        self.rows.append(dict(row))
-        if self.path is not None:
+        self.extend([row])
+
+    def extend(self, rows: Iterable[Mapping[str, Any]]) -> None:
+        """Add rows, and write the table once; else as `append`."""
+        before = len(self.rows)
+        for row in rows:
+            if self.rows and list(row) != self.columns:
+                raise ModelError(f"a row with columns {list(row)} does not fit a table with columns {self.columns}")
+            if wrong := [name for name in row if not isinstance(name, str)]:
+                raise ModelError(f"a table's columns have texts for names, not {', '.join(map(repr, wrong))}")
+            self.rows.append(dict(row))
+        if self.path is not None and len(self.rows) > before:
             self.write(self.path)
 
     def write(self, path: str | Path, comm: MPI.Intracomm | None = None) -> None:
@@ -92,6 +97,17 @@ class Table:
         return pandas.DataFrame(self.rows, columns=self.columns)
 
     @classmethod
+    def of(cls, columns: Mapping[str, Any]) -> Table:
+        """A table from its columns, with as many entries each or one for all rows; ModelError: other numbers."""
+        entries = [np.atleast_1d(np.asarray(column, object)) for column in columns.values()]
+        try:
+            rows = zip(*np.broadcast_arrays(*entries), strict=True)
+        except ValueError:
+            sizes = ", ".join(f"{name} {len(column)}" for name, column in zip(columns, entries, strict=True))
+            raise ModelError(f"columns of a table have as many entries each, or one; not {sizes}") from None
+        return cls(dict(zip(columns, row, strict=True)) for row in rows)
+
+    @classmethod
     def load(cls, path: str | Path, comm: MPI.Intracomm | None = None) -> Table:
         """Read a table back from its csv file. Collective.
 
@@ -125,17 +141,28 @@ class Table:
         """Names of the columns."""
         return list(self.rows[0]) if self.rows else []
 
+    def split(self, column: str) -> dict[Any, Table]:
+        """Each value of a column -> the rows that have it, in their order; ColumnError: no such column."""
+        values = dict.fromkeys(self._entries(column))
+        return {value: Table(row for row in self if row[column] == value) for value in values}
+
     def __repr__(self) -> str:
         return f"Table({len(self)} rows of {', '.join(self.columns) or 'nothing'})"
+
+    def __iter__(self) -> Iterator[Row]:
+        return iter(self.rows)
 
     def __len__(self) -> int:
         return len(self.rows)
 
     def __getitem__(self, column: str) -> npt.NDArray[np.float64]:
         """A column as numbers, NaN where empty."""
+        return np.array([np.nan if value is None else value for value in self._entries(column)], float)
+
+    def _entries(self, column: str) -> list[float | str | None]:
         if column not in self.columns:
             raise ColumnError(f"no column {column!r}; columns: {', '.join(self.columns)}")
-        return np.array([np.nan if row[column] is None else row[column] for row in self.rows], float)
+        return [row[column] for row in self.rows]
 
     def __str__(self) -> str:
         shown = RichTable(box=None, header_style="bold")

@@ -144,8 +144,12 @@ def _run(_: argparse.ArgumentParser, chosen: argparse.Namespace, petsc: Petsc) -
     given = {name: getattr(chosen, name) for name in study.options if getattr(chosen, name) is not None}
 
     def work(record: Record) -> None:
+        from thinlayer.running.provenance import constants
+
         module = importlib.import_module(f"studies.{study.name}")
+        record.parameters = constants(module)
         module.run(record, **given)
+        record.say_tables()
         module.draw(record)
 
     out = chosen.out or Path("out", study.name)

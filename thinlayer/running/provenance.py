@@ -8,11 +8,13 @@ import os
 import platform
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from petsc4py import PETSc
 
 from forms.base import PACKAGES
+from forms.law import Law
 
 INSTALLED = (
     "fenics-dolfinx fenics-basix fenics-ufl fenics-ffcx petsc4py mpi4py numba gmsh meshio pyvista vtk numpy scipy "
@@ -50,3 +52,14 @@ def code() -> str:
             if path.suffix in (".py", ".c"):
                 content.update(f"{path.relative_to(folder)}".encode() + path.read_bytes())
     return content.hexdigest()[:12]
+
+
+def constants(module: ModuleType) -> dict[str, Any]:
+    """Constants of a module: numbers, texts, laws, and tuples and dicts of these; for run.json."""
+
+    def plain(value: Any) -> bool:
+        if isinstance(value, dict):
+            return all(isinstance(key, str) and plain(one) for key, one in value.items())
+        return all(map(plain, value)) if isinstance(value, tuple) else isinstance(value, (int, float, str, Law))
+
+    return {name: value for name, value in vars(module).items() if name.isupper() and plain(value)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -17,6 +17,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import InputError, ModelError, SolveError
 from thinlayer.files.folder import hash_of, locked, moved_away, moved_back, replaced
+from thinlayer.files.progress import track
 from thinlayer.files.table import Table
 from thinlayer.files.words import reason, say
 from thinlayer.identity import differences, in_words
@@ -30,6 +31,7 @@ from thinlayer.time.plan import Adaptive
 
 LOG = logger("study")
 RUN = "run.json"
+PRINTED = 40  # most rows of a table that is printed
 MARCHES = "unfinished"  # folder for the states of marches, needed to resume
 
 
@@ -85,6 +87,7 @@ class Record:
         self.results: dict[str, Any] = {}
         self.checks: list[Check] = []
         self.solves: list[dict[str, Any]] = []
+        self._tables: dict[str, Table] = {}
         self._files: set[str] = set()  # names of the run's files except run.json
         self._previous: Path | None = None  # where the files of an earlier run are now
         self._lock = ExitStack()
@@ -217,11 +220,27 @@ class Record:
 
     def table(self, name: str) -> Table:
         """A new table in the folder; every row is written to the disk as it is added. Collective."""
-        return Table(path=self.path(name))
+        self._tables[name] = Table(path=self.path(name))
+        return self._tables[name]
+
+    def rows(self, name: str, cases: Iterable[Any], row: Callable[..., Mapping[str, Any]], label: str = "{}") -> Table:
+        """A table with a row for each case, written as it is found. Collective.
+
+        Args:
+            name: of the file.
+            cases: one by one; a tuple has several arguments of `row`.
+            row: of a case.
+            label: format of a case in the line of progress.
+        """
+        table = self.table(name)
+        for case in track(list(cases), self.study, label):
+            table.append(row(*case) if isinstance(case, tuple) else row(case))
+        return table
 
     def write(self, name: str, table: Table) -> None:
         """Write a table as csv. Collective."""
         table.write(self.path(name))
+        self._tables[name] = table
 
     def has(self, name: str) -> bool:
         """Whether the folder has a file of this name. Collective."""
@@ -232,6 +251,12 @@ class Record:
         return Table.load(self.path(name))
 
     # ---------------------------------------------------------------- results
+    def say_tables(self) -> None:
+        """Print the tables that are not long."""
+        for name, table in self._tables.items():
+            if len(table) <= PRINTED:
+                self.say(f"{name}\n{table}")
+
     def say(self, text: object) -> None:
         """Print on rank 0."""
         if self.root:
@@ -240,7 +265,8 @@ class Record:
     def sweep(self, run: Callable[[float], Mapping[str, Any]], eps: Sequence[float], name: str = "table.csv") -> Table:
         """Run `thinlayer.sweep`, with its table in the folder; it is resumed if the run is. Collective."""
         self.path(f"{name}.json")
-        return sweep(run, eps, self.path(name), resume=self.resume)
+        self._tables[name] = sweep(run, eps, self.path(name), resume=self.resume)
+        return self._tables[name]
 
     def march(self, model: Model, times: Sequence[float] | Adaptive, name: str, **choices: Any) -> History:
         """Run `thinlayer.march`; files to resume it from are kept until the run is done. Collective."""

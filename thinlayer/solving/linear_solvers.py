@@ -85,8 +85,7 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
         OptionError: a type of preconditioner that does not suit the model.
     """
     direct = direct_solver(model)
-    unknowns = model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs
-    large = unknowns >= MULTIGRID_FROM[model.joint.dim]
+    large = model.unknowns >= MULTIGRID_FROM[model.joint.dim]
     if any(isinstance(part, PressurePart) for part in parts):
         if chosen in MULTIGRIDS:
             raise OptionError(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from thinlayer.errors import ModelError
 from thinlayer.files.table import Table
 from thinlayer.output.plotting.picture import Picture, finish
 
+Range = tuple[float, float] | None
+Chosen = str | Sequence[str] | Mapping[str, str] | None  # for all curves, in turn, or by label
 # Colours and markers of the curves of a picture, in turn.
 COLOURS = ("#1b6ca8", "#d1495b", "#2e933c", "#8f5ea2", "#c77d0a")
 MARKERS = ("o", "s", "^", "D", "v")
@@ -84,15 +87,16 @@ def rates(
 
 def curves(
     lines: Mapping[str, tuple[Any, Any]],
-    *,
     xlabel: str,
     ylabel: str,
+    *,
     title: str = "",
     save: str | Path | None = None,
-    styles: Mapping[str, str] | None = None,
+    styles: Chosen = None,
+    colours: Chosen = None,
     logarithmic: bool = False,
     xscale: str = "linear",
-    ylim: tuple[float, float] | None = None,
+    ylim: Range = None,
 ) -> Picture:
     """Draw curves in one picture.
 
@@ -101,7 +105,7 @@ def curves(
         xlabel, ylabel: labels of the axes, units included.
         title: title of the picture.
         save: name of a file to save the picture to.
-        styles: label -> line style (default "-").
+        styles, colours: line styles (default "-") and colours: one for all curves, some for these in turn, or label -> one.
         logarithmic: whether both axes are logarithmic.
         xscale: scale of the x axis, "linear" or "log"; has no effect with `logarithmic`.
         ylim: range of the y axis.
@@ -110,7 +114,7 @@ def curves(
         ModelError: x and y of a line are not as many numbers.
     """
     figure, axes = _figure(6.5, 4.5)
-    _plot(axes, lines, styles or {}, {})
+    _plot(axes, lines, _by_label(lines, styles), _by_label(lines, colours))
     axes.set(xscale="log" if logarithmic else xscale, yscale="log" if logarithmic else "linear")
     axes.set(xlabel=xlabel, ylabel=ylabel, title=title)
     if ylim:
@@ -121,38 +125,53 @@ def curves(
 
 def panels(
     parts: Mapping[str, Mapping[str, tuple[Any, Any]]],
-    *,
     xlabel: str,
-    ylabels: Mapping[str, str],
-    styles: Mapping[str, str],
-    colours: Mapping[str, str],
+    ylabel: str | Mapping[str, str] = "",
+    *,
+    styles: Chosen = None,
+    colours: Chosen = None,
     save: str | Path | None = None,
     columns: int = 3,
     yscale: str = "linear",
-    ylims: Mapping[str, tuple[float, float]] | None = None,
+    xlim: Range | Mapping[str, Range] = None,
+    ylim: Range | Mapping[str, Range] = None,
 ) -> Picture:
-    """Draw curves in several panels with one legend.
+    """Draw curves in several panels with one legend; curves of the same label are of one colour.
 
     Args:
-        parts: title of a panel -> label of a curve -> (x, y); all panels have the same labels.
+        parts: title of a panel -> label of a curve -> (x, y).
         xlabel: label of the x axes, units included.
-        ylabels: title -> label of the y axis, units included.
-        styles, colours: label -> line style, colour.
+        ylabel: of the y axes, units included, or title -> label.
+        styles, colours: as of `curves`.
         save: name of a file to save the picture to.
         columns: number of panels in a row.
         yscale: scale of the y axes, "linear" or "log".
-        ylims: title -> range of the y axis (default: the whole curves).
+        xlim, ylim: range of the axes, or title -> range (default: the whole curves).
     """
     columns = min(columns, len(parts))
     rows = -(-len(parts) // columns)
-    figure = Picture(figsize=(3.1 * columns, 2.6 * rows + 0.6), layout="constrained")
+    size = 1.0 if columns > 2 else 1.4
+    figure = Picture(figsize=(3.1 * size * columns, 2.6 * size * rows + 0.6), layout="constrained")
+    labels = list(dict.fromkeys(label for lines in parts.values() for label in lines))
+    styles, colours = _by_label(labels, styles), _by_label(labels, COLOURS) | _by_label(labels, colours)
+    drawn: dict[str, Any] = {}
     for k, (title, lines) in enumerate(parts.items()):
         axes = figure.add_subplot(rows, columns, k + 1)
         _plot(axes, lines, styles, colours)
-        axes.set(xlabel=xlabel, ylabel=ylabels[title], title=title, yscale=yscale)
-        axes.set_ylim((ylims or {}).get(title))
-    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=columns, frameon=False)
+        name = ylabel.get(title, "") if isinstance(ylabel, Mapping) else ylabel
+        axes.set(xlabel=xlabel, ylabel=name, title=title, yscale=yscale)
+        axes.set_xlim(xlim.get(title) if isinstance(xlim, Mapping) else xlim)
+        axes.set_ylim(ylim.get(title) if isinstance(ylim, Mapping) else ylim)
+        handles, names = axes.get_legend_handles_labels()
+        drawn |= dict(zip(names, handles, strict=True))
+    figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=columns, frameon=False)
     return finish(figure, save)
+
+
+def _by_label(labels: Iterable[str], chosen: Chosen) -> dict[str, str]:
+    if isinstance(chosen, Mapping):
+        return dict(chosen)
+    return dict(zip(labels, cycle([chosen] if isinstance(chosen, str) else chosen or []), strict=False))
 
 
 def _plot(

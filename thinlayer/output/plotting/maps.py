@@ -15,7 +15,8 @@ from thinlayer.errors import ModelError
 from thinlayer.output.plotting.picture import Picture, finish
 
 RANGES = ("#5e9bc8", "#b7dfc0", "#fff7b0", "#f8b26a", "#dd5a4d")  # colours of the ranges, from the lowest values
-CELL, MARGIN = (0.36, 0.3), (0.9, 0.8)  # inches: of a cell, and of a panel around its cells
+LETTER = 0.04  # inches, of the labels of rows
+CELL, MARGIN = (0.36, 0.3), (0.75, 0.8)  # inches: of a cell, and of a panel around its cells
 
 
 def maps(
@@ -59,6 +60,7 @@ def maps(
     columns = min(columns, len(parts))
     rows = -(-len(parts) // columns)
     width, height = ((n * cell + margin) for n, cell, margin in zip(shape[::-1], CELL, MARGIN, strict=True))
+    width += LETTER * max(map(len, y))
     figure = Picture(figsize=(width * columns, height * rows + 0.8), layout="constrained")
     colours = RANGES[: len(names)]
     norm = BoundaryNorm([-np.inf, *levels, np.inf], len(names))

@@ -10,7 +10,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
+from math import pi
 from typing import Any, ClassVar
 
 import numpy as np
@@ -36,31 +37,165 @@ from forms import (
 from forms.elastic import lame
 from forms.kinematics import Expr
 from forms.law import Step
-from geometry import block, faults
-from studies.dropping.structures import (
-    box,
-    channel,
-    corner,
-    disc,
-    displaced,
-    free,
-    freely,
-    heated,
-    loaded,
-    on_base,
-    plated,
-    rings,
-    rollers,
-    tilted,
-    tube,
-    two_seams,
+from geometry import block, faults, ring, sandwich
+from geometry.joint import Joint
+from studies.problems import FOURIER_BODY, fourier, free_blocks, of
+from thinlayer import (
+    RangeWarning,
+    RigidPlate,
+    Springs,
+    State,
+    Structure,
+    ThinLayer,
+    ThinlayerError,
+    estimate,
+    goals,
+    solve,
 )
-from studies.problems import FOURIER_BODY, of
-from thinlayer import RangeWarning, State, Structure, ThinLayer, ThinlayerError, estimate, goals, solve
 
+COARSE, FINE = 1 / 16, 1 / 64  # thicknesses
+ALONG, ENDS = 1 / 24, 8  # cell size on S; cells within a thickness at free ends
+TILT = 0.5  # rad
+WIDTH, DEPTH = 1.3, 0.8
+CLAMPED: dict[Any, Any] = {"BOTTOM": 0.0}
+WALLS: dict[Any, Any] = CLAMPED | {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+young, shear = LinearElastic.young, LinearElastic.shear
+STEEL, SOFT = young(E=1e4, nu=0.3), young(E=70.0, nu=0.3)
+Vector = tuple[float, ...]
 Layers = ThinLayer | dict[str, ThinLayer]
 
 
+# ---------------------------------------------------------------- structures, each with one mesh for a thickness
+# fmt: off
+def loaded(
+    joint: Joint, top: Any, *, body: Any = FOURIER_BODY, supports: Mapping[Any, Any] = CLAMPED, **more: Any
+) -> Structure:
+    """Bodies under a traction on top, clamped below."""
+    return Structure(joint, body=body, supports=supports, tractions={"TOP": top}, **more)
+
+
+def of_any_thickness(make: Callable[[], Structure]) -> Callable[[float], Structure]:
+    """A structure with one mesh for layers of any thickness."""
+    once = cache(make)
+    return lambda eps: once()
+
+
+@of_any_thickness
+def rollers() -> Structure:
+    """Two blocks between rollers under one half-wave, `studies.problems.fourier`."""
+    joint, setup = fourier(1 / 16, cell="quadrilateral")
+    return Structure(joint, **setup)
+
+
+@of_any_thickness
+def box() -> Structure:
+    """A box between rollers on all four sides, under half a wave along x and a whole one along z."""
+    joint = sandwich(1.0, 0.5, 0.5, 1 / 8, depth=0.5, cell="hexahedron", structured=True)
+    k1, k3 = pi, 2 * pi
+    k = (k1**2 + k3**2) ** 0.5
+
+    def top(x: Expr, t: Expr) -> tuple[Expr, ...]:
+        (s1, c1), (s3, c3) = ((ufl.sin(a * x[i]), ufl.cos(a * x[i])) for a, i in ((k1, 0), (k3, 2)))
+        return 0.5 * k1 / k * s1 * c3, c1 * c3, 0.5 * k3 / k * c1 * s3
+
+    return loaded(joint, top, supports=WALLS | {"BACK": {"z": 0.0}, "FRONT": {"z": 0.0}})
+
+
+def _ends(eps: float) -> float:
+    return min(eps / ENDS, ALONG)
+
+
+@cache
+def free(
+    eps: float, load: Vector = (0.3, -1.0), heights: tuple[float, float] = (0.5, 0.5), *,
+    lower: LinearElastic = FOURIER_BODY, upper: LinearElastic = FOURIER_BODY, **more: Any,
+) -> Structure:
+    """Two blocks, 1 wide, with free sides, clamped below, under a traction above."""
+    return free_blocks(_ends(eps), load, heights, h_S=ALONG, body={"LOWER": lower, "UPPER": upper}, **more)
+
+
+@cache
+def displaced(eps: float) -> Structure:
+    """Two stiff blocks with free sides, the upper one pressed down by 0.01."""
+    pressed = CLAMPED | {"TOP": {"x": 0.0, "y": -0.01}}
+    return free_blocks(_ends(eps), h_S=ALONG, body=STEEL, supports=pressed, tractions={})
+
+
+@cache
+def tilted(eps: float) -> Structure:
+    """Two blocks of unequal heights with free sides, turned by `TILT`, under a traction that is not."""
+    joint = sandwich(1.0, 0.4, 0.7, 1 / 8, h_S=ALONG, h_ends=_ends(eps), cell="quadrilateral")
+    return loaded(joint.rotated(TILT), (-0.7, 0.4), body=young(E=150.0, nu=0.2))
+
+
+@of_any_thickness
+def channel() -> Structure:
+    """Two unequal blocks between rollers, under a traction that is no wave."""
+    joint = sandwich(WIDTH, 0.4, 0.6, 1 / 16, cell="quadrilateral", structured=True)
+    body = {"LOWER": young(E=120.0, nu=0.25), "UPPER": young(E=80.0, nu=0.35)}
+    return loaded(joint, lambda x, t: (x[0] * (WIDTH - x[0]), x[0] ** 2 - 0.3), body=body, supports=WALLS)
+
+
+@of_any_thickness
+def rings() -> Structure:
+    """A ring around another one that is held inside, pushed down on its upper half."""
+    joint = ring(1.0, 1.5, 2.2, 1 / 6, h_S=1 / 12, cell="quadrilateral", degree=2)
+    body = {"INNER": young(E=200.0, nu=0.3), "OUTER": young(E=70.0, nu=0.33)}
+    loads = {"OUTSIDE": lambda x, t: (0.0, -ufl.conditional(x[1] > 0, x[1], 0.0))}
+    return Structure(joint, body=body, supports={"INSIDE": 0.0}, tractions=loads)
+
+
+@cache
+def on_base(eps: float) -> Structure:
+    """A block with free sides on a rigid base."""
+    joint = block(1.0, 0.6, 1 / 8, h_S=ALONG, h_ends=_ends(eps), cell="quadrilateral")
+    return loaded(joint, lambda x, t: (0.4, -0.5 - x[0]), body=young(E=90.0, nu=0.2), supports={})
+
+
+@of_any_thickness
+def tube() -> Structure:
+    """Two tubes, one on the other, between smooth walls: a section from r = 0.4 to 1.4."""
+    joint = sandwich(1.0, 0.5, 0.5, 1 / 12, cell="quadrilateral", structured=True).moved((0.4, 0.0))
+    body = young(E=100.0, nu=0.25)
+    return loaded(joint, lambda x, t: (0.0, 1 - x[0] ** 2), body=body, supports=WALLS, plane="axisymmetric")
+
+
+@cache
+def disc(eps: float) -> Structure:
+    """Two round blocks with a free side, a section from the axis to r = 1, pressed most at the axis."""
+    return free_blocks(_ends(eps), lambda x, t: (0.0, x[0] ** 2 - 1), h_S=ALONG, plane="axisymmetric")
+
+
+@cache
+def plated(eps: float) -> Structure:
+    """Two blocks with free sides on springs, under a rigid plate that may turn."""
+    parts = [Springs("BOTTOM", normal=300.0, tangential=200.0), RigidPlate("TOP", force=(0.3, -1.0), moment=0.1)]
+    return free_blocks(_ends(eps), h_S=ALONG, supports={}, tractions={}, parts=parts)
+
+
+@cache
+def two_seams(eps: float) -> Structure:
+    """Three blocks with free sides, one on the other."""
+    cuts = {"LOW": ((-0.1, 0.4), (1.1, 0.4)), "HIGH": ((-0.1, 0.8), (1.1, 0.8))}
+    return loaded(faults(1.0, 1.2, cuts, 1 / 8, h_S=ALONG, h_ends=_ends(eps)), (0.3, -1.0))
+
+
+@cache
+def heated(eps: float) -> Structure:
+    """Two blocks with free sides, of which the upper one expands by a hundredth."""
+    body = {"LOWER": FOURIER_BODY, "UPPER": young(E=80.0, nu=0.2)}
+    return free_blocks(_ends(eps), h_S=ALONG, body=body, tractions={}, eigenstrain={"UPPER": 0.01})
+
+
+@cache
+def corner(eps: float) -> Structure:
+    """A quarter of two plates, with two free sides that meet at a corner, pressed and sheared, in three dimensions."""
+    joint = sandwich(1.0, 0.5, 0.5, 1 / 4, depth=DEPTH, h_S=1 / 6, h_ends=eps / 3, cell="hexahedron")
+    supports = CLAMPED | {"LEFT": {"x": 0.0}, "BACK": {"z": 0.0}}
+    return loaded(joint, lambda x, t: (0.2 * x[0], -1.0 + 0.5 * x[2], 0.1), supports=supports)
+
+
+# ---------------------------------------------------------------- cases
 @dataclass(frozen=True)
 class Case:
     """A structure with thin layers.
@@ -95,9 +230,6 @@ def unwarned() -> warnings.catch_warnings[None]:
 
 
 # ---------------------------------------------------------------- with numbers of another program
-COARSE, FINE = 1 / 16, 1 / 64
-STEEL = LinearElastic.young(E=1e4, nu=0.3)
-SOFT = LinearElastic.young(E=70.0, nu=0.3)
 BEARING = Rubber.shear(0.01, 0.4999)  # moduli of a layer of any thickness
 VISCOUS = Norton(lmbda=60.0, mu=40.0, eta=5.0, p=1.5)
 STEP = 0.01
@@ -127,22 +259,21 @@ def soft(mu: float, nu: float) -> Callable[[float], ThinLayer]:
     return of(LinearElastic.shear(mu, nu))
 
 
-def _at(*known: tuple[float | None, ...]) -> dict[float, tuple[float | None, ...]]:
-    return dict(zip((COARSE, FINE), known, strict=True))
-
-
-# fmt: off
 def known_cases() -> list[Case]:
     """The cases; numbers as that program gave them, for the law that is the better one here."""
     work, R = goals.Compliance(), Rubber.shear
     rolled = partial(Case, structure=rollers, asked=(work, goals.Displacement((0.3, 0.4), (0.0, 1.0))))
-    ended = partial(Case, structure=freely(), asked=(work, goals.Displacement((0.3, 0.4), (0.6, 0.8))), inner=True)
-    unequal = partial(ended, structure=freely(load=(1.0, 0.0), lower=SOFT))
-    steel = partial(ended, structure=freely(load=(0.3, -1.0), lower=STEEL, upper=STEEL))
+    ended = partial(Case, structure=free, asked=(work, goals.Displacement((0.3, 0.4), (0.6, 0.8))), inner=True)
+    unequal = partial(ended, structure=partial(free, load=(1.0, 0.0), lower=SOFT))
+    steel = partial(ended, structure=partial(free, load=(0.3, -1.0), lower=STEEL, upper=STEEL))
     asked = (goals.Reaction("TOP", (0.0, 1.0)), goals.MeanTraction((0.0, 1.0)))
-    pressed = partial(ended, structure=partial(displaced, body=STEEL), asked=asked)
+    pressed = partial(ended, structure=displaced, asked=asked)
     hardening, plastic = of(Hardening(60.0, 40.0, 3e5)), of(VonMises(60.0, 40.0, 0.3, hardening=100.0))
-    at, bearing, viscous, in_box = _at, of(BEARING, None), of(VISCOUS), partial(Case, structure=box, solid=True)
+    bearing, viscous, in_box = of(BEARING, None), of(VISCOUS), partial(Case, structure=box, solid=True)
+
+    def at(*known: tuple[float | None, ...]) -> dict[float, tuple[float | None, ...]]:
+        return dict(zip((COARSE, FINE), known, strict=True))
+
     return [
         rolled("1 rollers, nu = .3", layers=soft(40.0, 0.3), known=at((0.996, 1.01, None), (0.999, 1.0, None))),
         rolled("3 rollers, nu = .45", layers=of(R(4.0, 0.45))),
@@ -161,11 +292,8 @@ def known_cases() -> list[Case]:
         in_box("18 box, nu = .35", layers=of(R(40.0, 0.35)), known=at((1.004, 1.015, None), (0.995, 0.998, None))),
         in_box("18 box, nu = .49", layers=soft(40.0, 0.49), known=at((1.01, 1.014, 0.997), (0.997, 1.001, 0.994))),
     ]
-# fmt: on
 
 
-# ---------------------------------------------------------------- of other kinds
-young = LinearElastic.young
 SUBLAYERS = Stack((0.3, LinearElastic(60.0, 40.0)), (0.7, LinearElastic(600.0, 20.0)))
 CREEPING = Norton(lmbda=50.0, mu=30.0, eta=1500.0, p=3.0)
 
@@ -179,9 +307,9 @@ def further_cases() -> list[Case]:
     """The cases."""
     work, moved = goals.Compliance(), goals.Displacement((0.3, 0.35), (0.6, 0.8))
     ends, middle = (work, moved), (work, moved, goals.MeanTraction((1.0, 0.0)))
-    unlike = freely(load=(-0.6, 0.4), heights=(0.4, 0.7), lower=young(50.0, 0.2), upper=young(200.0, 0.35))
-    sheet = freely(load=(0.5, -0.6), plane="stress")
-    bonded = freely(load=(0.3, -1.0))
+    unlike = partial(free, load=(-0.6, 0.4), heights=(0.4, 0.7), lower=young(50.0, 0.2), upper=young(200.0, 0.35))
+    sheet = partial(free, load=(0.5, -0.6), plane="stress")
+    bonded = partial(free, load=(0.3, -1.0))
     return [
         Case("two stiffnesses", unlike, soft(15.0, 0.35), asked=ends),
         Case("tilted S", tilted, soft(30.0, 0.25)),
@@ -204,9 +332,7 @@ def further_cases() -> list[Case]:
 
 
 # ---------------------------------------------------------------- no number
-EPS = 1 / 16
-ELASTIC = LinearElastic.shear(30.0, 0.3)
-SOFTER = LinearElastic.shear(20.0, 0.3)
+ELASTIC, SOFTER = shear(30.0, 0.3), shear(20.0, 0.3)
 OPENING = np.array([[0.0, 0.0], [0.0, 1.0]])
 
 
@@ -237,19 +363,15 @@ class Refused:
 
 
 def _solved(structure: Callable[[float], Structure], law: BulkLaw, **choices: Any) -> Callable[[], State]:
-    return lambda: solve(structure(EPS).interface(ThinLayer(law, EPS, at=1.0, **choices)))
+    return lambda: solve(structure(COARSE).interface(ThinLayer(law, COARSE, at=1.0, **choices)))
 
 
 def _contact(law: ContactLaw) -> Callable[[], State]:
     """A block pushed along a rigid base."""
-
-    def state() -> State:
-        joint = block(1.0, 1.0, 1 / 8, structured=True)
-        loads = {"TOP": (0.0, -1.0), "LEFT": (0.2, 0.0)}
-        pushed = Structure(joint, body=FOURIER_BODY, supports={"RIGHT": {"x": 0.0}}, tractions=loads, element="P1")
-        return solve(pushed.interface(law))
-
-    return state
+    joint = block(1.0, 1.0, 1 / 8, structured=True)
+    loads = {"TOP": (0.0, -1.0), "LEFT": (0.2, 0.0)}
+    pushed = Structure(joint, body=FOURIER_BODY, supports={"RIGHT": {"x": 0.0}}, tractions=loads, element="P1")
+    return lambda: solve(pushed.interface(law))
 
 
 def _tip() -> State:
@@ -258,13 +380,9 @@ def _tip() -> State:
     return _solved(lambda eps: loaded(joint, (0.3, -1.0)), ELASTIC)()
 
 
-def _varying(x: np.ndarray) -> np.ndarray:
-    """A thickness along S."""
-    return np.asarray(1 + 0.3 * x[0])
-
-
 def refused_cases() -> list[Refused]:
     """The cases."""
+    meshed = lambda: solve(rollers(COARSE).full(of(ELASTIC)(COARSE)))  # noqa: E731
     slipping = MohrCoulomb(60.0, 40.0, cohesion=0.1, friction_angle=30.0, elastic_fraction=0.1)
     switching: dict[str, Any] = {"lmbda": 60.0, "mu": 40.0, "alpha": 0.3, "transformation_energy": 1e-3, "chi": OPENING}
     return [
@@ -275,23 +393,13 @@ def refused_cases() -> list[Refused]:
         Refused("non-monotone, relaxed", _solved(rollers, NonMonotone(**switching)), "falls"),
         Refused("non-monotone, pure phases", _solved(rollers, NonMonotoneUnrelaxed(**switching)), "falls"),
         Refused("a tip inside a body", _tip, "tip"),
-        Refused("thickness that varies", _solved(free, ELASTIC, profile=_varying), "true places"),
+        Refused("thickness that varies", _solved(free, ELASTIC, profile=lambda x: 1 + 0.3 * x[0]), "true places"),
         Refused("creeps, nu = .48", _solved(rollers, Maxwell(960.0, 40.0, 0.7)), "lmbda/mu"),
         Refused("changes cancel", _solved(rollers, VonMises(60.0, 40.0, 0.3, hardening=100.0)), "below", silent=False),
-        Refused(
-            "free ends, as stiff as the bodies",
-            _solved(free, LinearElastic.shear(300.0, 0.3)),
-            "without edge",
-            silent=False,
-        ),
+        Refused("free ends, as stiff as the bodies", _solved(free, shear(300.0, 0.3)), "without edge", silent=False),
         Refused("free ends, anisotropic", _solved(free, Anisotropic.springs(140.0, 40.0)), "no estimate without edge"),
-        Refused(
-            "free ends, sublayers", _solved(free, Stack((0.3, ELASTIC), (0.7, SOFTER))), "no estimate without edge"
-        ),
+        Refused("free ends, sublayers", _solved(free, Stack((0.3, ELASTIC), (0.7, SOFTER))), "no estimate without edge"),
         Refused("order 1 is given", _solved(rollers, ELASTIC, order=1), "order=0"),
-        Refused(
-            "a meshed layer is given",
-            lambda: solve(rollers(EPS).full(ThinLayer(ELASTIC, EPS, at=1.0))),
-            "nothing dropped",
-        ),
+        Refused("a meshed layer is given", meshed, "nothing dropped"),
     ]
+# fmt: on

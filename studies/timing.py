@@ -1,0 +1,75 @@
+"""What benchmarks measure with: processor time of works in turn, and the memory that they take."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import math
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TypeVar
+
+from petsc4py import PETSc
+
+from thinlayer.solving.petsc import PREFIX, OptionValue, defaults
+
+T = TypeVar("T")
+
+
+def timed(work: Callable[[], T]) -> tuple[float, T]:
+    """Processor time of some work, s, and what it returns."""
+    gc.collect()
+    begin = time.process_time()
+    found = work()
+    return time.process_time() - begin, found
+
+
+def seconds(work: Callable[[], object]) -> float:
+    """Processor time of some work, s."""
+    return timed(work)[0]
+
+
+def in_turn(works: Mapping[str, Callable[[], float]], repeats: int) -> dict[str, float]:
+    """Least time of each work, which returns its own; done in turn, so that a busy machine slows all of them down."""
+    times = [[work() for work in works.values()] for _ in range(repeats)]
+    return dict(zip(works, map(min, zip(*times, strict=True)), strict=True))
+
+
+def peak(work: Callable[[], object]) -> float:
+    """Largest memory that this process takes during some work, on top of what it had, MB; Linux only."""
+    before = resident()
+    Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")  # forget the largest so far
+    work()
+    return max(_status("VmHWM") - before, 0.0)
+
+
+def resident() -> float:
+    """Memory that this process has, MB; Linux only."""
+    ctypes.CDLL(None).malloc_trim(0)  # what was freed goes back to the system
+    return _status("VmRSS")
+
+
+def _status(name: str) -> float:
+    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
+        if line.startswith(name):
+            return int(line.split()[1]) / 1024
+    return float("nan")
+
+
+def solve_once(A: PETSc.Mat, b: PETSc.Vec, options: Mapping[str, OptionValue]) -> float:
+    """Processor time of a linear solve, ordering or the set-up of a hierarchy included, s; infinite if it fails."""
+    x, ksp = b.duplicate(), PETSc.KSP().create(A.comm)
+
+    def work() -> None:
+        ksp.setOptionsPrefix(PREFIX)
+        ksp.setOperators(A)
+        ksp.setFromOptions()
+        ksp.solve(b, x)
+
+    with defaults(options):
+        spent = seconds(work)
+    failed = ksp.getConvergedReason() < 0
+    ksp.destroy()
+    x.destroy()
+    return math.inf if failed else spent

@@ -1,0 +1,52 @@
+"""The studies' own means: contracts of their tables, checks that hold and that can fail, lines and polygons."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from studies import fig8_friction, performance, relaxation
+from studies.fig4_bar import meet, straight
+from studies.snap import distance
+from thinlayer.running.cli import main
+
+
+@pytest.mark.parametrize("name", ["limits", "cure"])
+def test_short_studies_hold_what_they_promise(name, tmp_path):
+    """Stiff laws bond and those without tangential stiffness slide; strips that are cooled, and a layer that hardens."""
+    assert main(["run", name, "--quick", "--out", str(tmp_path)]) == 0
+
+
+@pytest.mark.long
+def test_figure_8_on_one_mesh_fails_its_checks_with_other_numbers(tmp_path, monkeypatch):
+    monkeypatch.setattr(fig8_friction, "FRICTION", 0.95)
+    assert main(["run", "fig8_friction", "--out", str(tmp_path)]) == 1
+
+
+def test_sweeps_and_failures():
+    assert relaxation.count(8, 15e4, 5e4, 1.8, 1.0) == (90, True)  # independent code: 90
+    sweeps, converged = relaxation.count(8, 15e8, 5e8, 1.95, 1.95)
+    assert not converged
+    assert sweeps < relaxation.MAX_SWEEPS
+
+
+def test_benchmark_runs(monkeypatch):
+    """Its rows, not its times."""
+    bench = performance.Bench(6, depth=True)
+    rows = bench.compare("3D", 1)
+    assert [row["work"] for row in rows] == ["friction 3D", "friction 3D, status predicted"]
+    assert rows[0]["dofs"] == 3 * 7**3
+    bench.close()
+
+
+def test_distance_from_a_polygon():
+    """Over the size of each component: 4 and 2 here."""
+    polygon = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 2.0]])
+    points = np.array([[2.0, 0.0], [2.0, 0.5], [4.4, 1.0], [-0.4, 0.0], [4.0, 2.4]])
+    assert distance(points, polygon) == pytest.approx([0, 0.25, 0.1, 0.1, 0.2], abs=1e-14)
+
+
+def test_straight_lines_meet():
+    x = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
+    y = np.array([1.0, 3.0, 7.0, 6.0, 5.0])  # 1 + 2 x, then 9 - x
+    assert meet(straight(x, y, x < 2), straight(x, y, x > 1)) == pytest.approx(8 / 3, rel=1e-12)
