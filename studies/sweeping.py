@@ -25,8 +25,8 @@ from thinlayer import (
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import LawOnS
-from thinlayer.output.surface_mesh import Where
 from thinlayer.running.record import Record
+from thinlayer.surface.surface_mesh import Where
 
 Solution = State | History
 Floors = Mapping[str, tuple[float, float]]  # traction or jump -> range of the relative error that a wrong law leaves

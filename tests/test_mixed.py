@@ -14,7 +14,7 @@ from geometry.inflating.inflation import inflate
 from tests.mixed_run import BODY, EPS, LAYER, near_ends, plane, space
 from tests.refused import refused
 from thinlayer import ModelError, RangeWarning, Structure, Surface, ThinLayer, compare, estimate, observed_orders, solve
-from thinlayer.output.surface_mesh import most_of
+from thinlayer.surface.surface_mesh import most_of
 
 SOFT = LinearElastic.shear(8.0, 0.3)  # free ends of which the law of order 1 knows
 M, MU = 140.0, 40.0  # of the layer, per thickness

@@ -26,11 +26,11 @@ from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 from thinlayer.estimating.goal import Goal, unit, written
 from thinlayer.estimating.places import nodes_of_sides
-from thinlayer.output.locating import Located
 from thinlayer.output.probe import Probe
 from thinlayer.output.surface import Surface
 from thinlayer.ranges.areas import Areas
 from thinlayer.solving.adjoint import Adjoint
+from thinlayer.surface.locating import Located
 
 Array = npt.NDArray[np.float64]
 

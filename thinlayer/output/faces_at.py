@@ -12,8 +12,8 @@ import numpy.typing as npt
 from geometry.seam import S
 from geometry.topology import lagrange
 from thinlayer.discretisation.state import State, cell_values
-from thinlayer.output.locating import SIDES, Located
 from thinlayer.parallel.agreement import on_all, require_same
+from thinlayer.surface.locating import SIDES, Located
 
 Array = npt.NDArray[np.float64]
 

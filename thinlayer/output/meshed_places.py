@@ -11,7 +11,7 @@ from geometry.topology import lagrange
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
-from thinlayer.output.locating import SIDES, Located
+from thinlayer.surface.locating import SIDES, Located
 
 Array = npt.NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from geometry.topology import lagrange
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.output.faces_at import mean_at, slopes
-from thinlayer.output.locating import Located
+from thinlayer.surface.locating import Located
 
 Array = npt.NDArray[np.float64]
 

@@ -19,8 +19,8 @@ from thinlayer.discretisation.layer import BODY, LAYER
 from thinlayer.discretisation.state import State, cell_values
 from thinlayer.errors import ModelError
 from thinlayer.output.law_points import LawPoints, law_points
-from thinlayer.output.locating import Located
 from thinlayer.parallel.agreement import on_all, require_same
+from thinlayer.surface.locating import Located
 
 Array = npt.NDArray[np.float64]
 SAME = 1e-9  # difference of displacements at one place, over the largest displacement, that counts as none

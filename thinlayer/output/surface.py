@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.output.surface_mesh import SurfaceMesh
 from thinlayer.output.tractions import by_reactions, of_layers
+from thinlayer.surface.surface_mesh import SurfaceMesh
 
 Array = npt.NDArray[np.float64]
 

@@ -29,8 +29,8 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.output.law_points import LawPoints, law_points, law_points_elsewhere
 from thinlayer.output.nodal_forces import reaction
-from thinlayer.output.surface_mesh import SurfaceMesh
 from thinlayer.pointwise.quadrature import Quadrature
+from thinlayer.surface.surface_mesh import SurfaceMesh
 
 Array = npt.NDArray[np.float64]
 LEAST_SQUARES_TOLERANCE = 1e-15  # relative tolerance for the tractions whose forces are the reactions

@@ -11,10 +11,10 @@ from matplotlib.lines import Line2D
 
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.output.lines import Line, Plane
 from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.output.plotting.picture import Picture, finish
 from thinlayer.output.surface import Surface
+from thinlayer.surface.lines import Line, Plane
 
 STYLES = ("-", "--", ":")  # of the normal component and of the tangential ones
 PANEL = (5.2, 2.5)  # width and height of a panel, inches; the first is shared by all seams

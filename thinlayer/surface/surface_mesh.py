@@ -27,8 +27,8 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.pairs import pair_numbers
 from thinlayer.discretisation.state import State, cell_values
 from thinlayer.errors import ModelError
-from thinlayer.output.lines import Line, Plane, lines_on
 from thinlayer.parallel.exchange import carry
+from thinlayer.surface.lines import Line, Plane, lines_on
 
 Array = npt.NDArray[np.float64]
 Where = Array | npt.NDArray[np.bool_] | Callable[[Array], Any]
