@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from functools import cache
 
-import numpy as np
-
 from forms import LinearElastic
 from geometry import block, sandwich
-from thinlayer import RigidPlate, Structure, ThinLayer, estimate, goals, solve
+from thinlayer import RigidPlate, Structure, Surface, ThinLayer, estimate, goals, solve
 
 LOWER, UPPER = LinearElastic.young(E=70.0, nu=0.2), LinearElastic.young(E=110.0, nu=0.31)
 GLUE, SOFT = LinearElastic.shear(3.0, 0.35), LinearElastic.shear(1.1, 0.485)
@@ -63,10 +61,10 @@ def estimated(kind: str, dim: int = 2):
 def numbers(kind: str, dim: int = 2) -> dict[str, float]:
     """Errors, changes of goals and the totals of their densities."""
     found = estimated(kind, dim)
-    out = {"traction": found.traction, "jump": found.jump}
+    out, surface = {"traction": found.traction, "jump": found.jump}, Surface(found.better.model)
     for name, goal in found.goals.items():
-        density = found.density(name)
-        out |= {name: goal.change, f"total {name}": density.total, f"square {name}": float(np.sum(density.values**2))}
+        density = found.map(name)
+        out |= {name: goal.change, f"total {name}": surface.integral(density), f"norm {name}": surface.norm(density)}
     return {f"{kind} {dim}D {name}": value for name, value in out.items()}
 
 

@@ -31,7 +31,7 @@ from thinlayer import (
     thin_enough,
 )
 from thinlayer.estimating import better, thickness
-from thinlayer.estimating.places import away_from_ends
+from thinlayer.estimating.on_surface import away_from_ends
 from thinlayer.estimating.result import GoalError, _said
 from thinlayer.estimating.thickness import _error, _search
 from thinlayer.output.layer_report import ELASTIC, LayerReport
@@ -39,16 +39,19 @@ from thinlayer.output.layer_report import ELASTIC, LayerReport
 pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
 
 
+def total(found, goal="compliance"):
+    """What the map of a goal adds up to."""
+    return Surface(found.better.model).integral(found.map(goal))
+
+
 # ---------------------------------------------------------------- the identity
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_densities_of_goals_add_up_to_their_changes(kind):
-    """Exact for linear laws, whatever the goal; the integral of the expression on S is the same sum."""
+    """Exact for linear laws, whatever the goal."""
     found = estimated(kind)
     for name, goal in found.goals.items():
-        density, size = found.density(name), max(abs(goal.value), abs(goal.better))
-        assert density.total == pytest.approx(goal.change, abs=1e-11 * size), name
-        integral = Surface(found.better.model).integral(found.map(name))
-        assert integral == pytest.approx(goal.change, abs=1e-11 * size), name
+        size = max(abs(goal.value), abs(goal.better))
+        assert total(found, name) == pytest.approx(goal.change, abs=1e-11 * size), name
 
 
 @pytest.mark.parametrize("dim", [2, 3], ids=["revolution", "tetrahedra"])
@@ -60,9 +63,7 @@ def test_in_three_dimensions_too(dim):
         made = Structure(tube, body=LOWER, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1.0)}, plane="axisymmetric")
         found = estimate(solve(made.interface(ThinLayer(GLUE, EPS, at=1.0))))
     for name, goal in found.goals.items():
-        assert found.density(name).total == pytest.approx(goal.change, abs=1e-11 * abs(goal.value)), name
-        integral = Surface(found.better.model).integral(found.map(name))
-        assert integral == pytest.approx(goal.change, abs=1e-11 * abs(goal.value)), name
+        assert total(found, name) == pytest.approx(goal.change, abs=1e-11 * abs(goal.value)), name
 
 
 @pytest.mark.parametrize("kind", ["between", "base"])
@@ -87,8 +88,8 @@ def test_a_goal_that_is_not_linear_has_a_density_to_first_order():
     square = goals.Functional("square", lambda u, model: ufl.inner(u, u) * model.dx)
     found = estimate(solve(structure("between").interface(ThinLayer(GLUE, EPS, at=1.0))), goals=[square])
     change, relative = found.goals["square"].change, found.goals["square"].relative
-    assert found.density("square").total == pytest.approx(change, rel=relative)
-    assert found.density("square").total != pytest.approx(change, rel=0.01 * relative)
+    assert total(found, "square") == pytest.approx(change, rel=relative)
+    assert total(found, "square") != pytest.approx(change, rel=0.01 * relative)
 
 
 def test_weights_of_the_law_of_order_0_are_not_exact():
@@ -146,7 +147,7 @@ def test_a_history_is_marched_again():
     assert found.better.t == 0.8
     true = full.last.energies()["loads"] - limit.last.energies()["loads"]
     assert found.goals["compliance"].change == pytest.approx(true, rel=0.04)  # of order 1: 0.06 at EPS
-    assert found.density().total == pytest.approx(found.goals["compliance"].change, rel=1e-3)  # not linear: first order
+    assert total(found) == pytest.approx(found.goals["compliance"].change, rel=1e-3)  # not linear: first order
     at_once = estimate(solve(made.interface(ThinLayer(LinearElastic(1.2, 2.0), EPS / 2, at=1.0)), 0.8))
     assert at_once.goals["compliance"].change / true < 0.6
     with pytest.raises(ModelError, match="marched with theta"):
@@ -385,7 +386,7 @@ def test_the_compliance_of_supports_that_move_knows_no_path():
     changes = []
     for given in (solve(model, 2.0), march(model, [1.0, 2.0])):
         found = estimate(given)
-        changes += [found.goals["compliance"].change, found.density().total]
+        changes += [found.goals["compliance"].change, total(found)]
     assert changes == pytest.approx(changes[:1] * 4, rel=1e-8)
 
 
@@ -474,7 +475,7 @@ def test_what_has_no_estimate():
         (lambda: estimate(limit, goals=[goals.Reaction("BOTTOM", (0, 0))]), "direction"),
         (lambda: estimate(limit, goals=[goals.Displacement((9.0, 0.0), (0, 1))]), "in no cell"),
         (lambda: estimate(limit, goals=[goals.MeanTraction((0, 1), seam="GLUE")]), "GLUE"),
-        (lambda: estimate(limit).density("traction"), "no goal"),
+        (lambda: estimate(limit).map("traction"), "no goal"),
         (lambda: estimate(limit, goals=[goals.Functional("mean", 3)]), "must be a function"),
         (lambda: estimate(limit, goals=[goals.Functional("mean", lambda u, model: u[5] * model.dx)]), "fails"),
         (lambda: estimate(limit, goals=[goals.Functional("m", lambda u, model: 1j * u[0] * model.dx)]), "not real"),
@@ -487,8 +488,9 @@ def test_what_has_no_estimate():
 
 # ---------------------------------------------------------------- pictures, units, ranks
 def test_the_picture_of_a_density(tmp_path):
-    plotting.density(estimated("between").density(), save=tmp_path / "a.png", title="compliance", length="mm")
-    plotting.density(estimated("base", 3).density(), save=tmp_path / "b.png")
+    for name, found in (("a.png", estimated("between")), ("b.png", estimated("base", 3))):
+        surface = Surface(found.better.model)
+        plotting.density(surface, found.map(), save=tmp_path / name, title="compliance", length="mm")
     assert_drawn(tmp_path / "a.png", tmp_path / "b.png")
 
 
@@ -542,4 +544,4 @@ def test_loads_that_one_of_both_laws_lacks():
     assert math.isnan(found.goals["compliance"].relative)
     for name in found.goals:
         with pytest.raises(ModelError, match="act in one of both models alone"):
-            found.density(name)
+            found.map(name)

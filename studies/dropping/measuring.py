@@ -38,7 +38,7 @@ from thinlayer import (
     thin_enough,
 )
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.estimating.places import away_from_ends
+from thinlayer.estimating.on_surface import away_from_ends
 from thinlayer.running.record import Record
 
 INNER = 0.25  # from the middle of S, where another program measured
@@ -177,11 +177,10 @@ def along(one: Dropped) -> Table:
         for which, state in (("true", one.full), ("estimated", found.better)):
             x, values = surface.profile(field(state) - before)
             columns[f"{which}_{name}"] = values[:, 1]
-    density = found.density()
-    order = np.argsort(density.x[:, 0])
+    _, areas = surface.profile(surface.at_points(surface.areas))
+    _, columns["density"] = surface.profile(found.map())
     _, on_s = surface.profile((surface.traction(found.state) * surface.jump(one.full)).sum(axis=0))
-    columns["density"] = density.values[order]
-    columns["true_density"] = on_s - _of_layer(one, x[:, 0]) / density.areas[order]
+    columns["true_density"] = on_s - _of_layer(one, x[:, 0]) / areas
     return Table(
         {"x": float(x[k, 0]), **{name: float(c[k]) for name, c in columns.items()}} for k in np.argsort(x[:, 0])
     )

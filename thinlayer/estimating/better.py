@@ -18,7 +18,7 @@ from thinlayer.discretisation.reduction import LEAST_CONTRAST, Reduction, softes
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, Refused
-from thinlayer.estimating.places import NEAR_ENDS
+from thinlayer.estimating.on_surface import NEAR_ENDS
 from thinlayer.output.layer_report import ELASTIC, LayerReport
 from thinlayer.parallel.agreement import on_all
 

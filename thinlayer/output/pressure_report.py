@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from geometry.errors import unknown
-from geometry.parallel import on_root
 from geometry.seam import S
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table
-from thinlayer.ranges.excess import pressure_excess, why_unknown
-from thinlayer.ranges.faces import Faces
+from thinlayer.ranges.excess import Faces, pressure_excess, why_unknown
 from thinlayer.ranges.sublayers import sublayers_of
 
 
@@ -95,12 +93,7 @@ class PressureReport:
         )
 
     def _excess(self, one: SeamLayer) -> float:
-        if one.flows:
-            return 0.0
-        faces = Faces.of(self.state, one)
-        return on_root(
-            self.state.model.comm, lambda: pressure_excess(faces, sublayers_of(one)[0]).opening if faces else 0.0
-        )
+        return 0.0 if one.flows else pressure_excess(Faces.of(self.state, one), sublayers_of(one)[0]).opening
 
 
 def columns_of_pressure(state: State, seam: str) -> dict[str, float]:

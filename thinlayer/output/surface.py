@@ -6,7 +6,6 @@ import numpy as np
 import numpy.typing as npt
 
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
 from thinlayer.output.tractions import by_reactions, of_layers
 from thinlayer.surface.surface_mesh import SurfaceMesh
 
@@ -19,20 +18,6 @@ class Surface(SurfaceMesh):
     The constructor and all methods that take a state are collective; the results are those of all S on every rank.
     Arguments, attributes and errors are those of `SurfaceMesh`.
     """
-
-    def displacements(self, state: State) -> Array:
-        """(2, d, n, q) displacements of the lower and of the upper side; zero of a rigid base.
-
-        Raises:
-            ModelError: no state, or one of another joint.
-        """
-        self._require_same_joint(state)
-        return self.sides(state.u, state.model, self.points)
-
-    def jump(self, state: State) -> Array:
-        """(d, n, q) [u] = u(upper) - u(lower)."""
-        lower, upper = self.displacements(state)
-        return np.asarray(upper - lower)
 
     def traction(self, state: State) -> Array:
         """(d, n, q) traction t = stress n on S, linear on each facet: an L2 projection.
@@ -65,9 +50,3 @@ class Surface(SurfaceMesh):
         whole = SurfaceMesh(self.model)  # forces at junctions are of all seams there
         nodal = by_reactions(whole, state)
         return self.at_points(nodal[np.searchsorted(whole.numbers, self.numbers)])
-
-    def _require_same_joint(self, state: State) -> None:
-        if not isinstance(state, State):
-            raise ModelError(f"Surface takes a state, as solve returns it or history.last is, not {state!r:.80}")
-        if state.model.joint is not self.model.joint:
-            raise ModelError("this state's model has another joint than the surface; build both from the same one")

@@ -66,7 +66,7 @@ def _add_of_law(moments: Array, surface: SurfaceMesh, rows: IntArray, points: La
     there, x = np.moveaxis(rule.x[:, rows], 0, -1), q.joint_x.T[cells]
     order = np.linalg.norm(there[:, :, None] - x[:, None], axis=3).argmin(axis=2)
     t = np.take_along_axis(_traction(points)[cells], order[..., None], axis=1)
-    np.add.at(moments, rows, np.einsum("fq,qa,fqd->fad", rule.weights[rows], rule.shapes, t))
+    np.add.at(moments, rows, np.einsum("fq,fqa,fqd->fad", rule.weights[rows], rule.shapes[rows], t))
 
 
 def _traction(points: LawPoints) -> Array:
@@ -123,9 +123,7 @@ def _add_of_cells(moments: Array, surface: SurfaceMesh, rows: IntArray, points: 
     corner = np.linalg.norm(reference[:, :, None] - on_s[:, None], axis=3).argmin(axis=2)
     to_facet = (corner[..., None] == np.arange(on_s.shape[1])).astype(float)
     N = np.einsum("qc,fca->fqa", shapes, to_facet)
-    assert layer.thin
-    relative = joint.relative_thickness(layer.thin.profile, layer.name)[surface.corners[rows]]
-    eps = float(layer.thin.eps) * np.einsum("fqa,fa->fq", N, relative)
+    eps = np.einsum("fqa,fa->fq", N, surface.thickness(layer, surface.corners[rows]))
     n = q.n[:, : joint.dim]
     t = np.einsum("pij,pj->pi", points.stress(), q.n)[:, : joint.dim]
     along, across = _weights(layer, points)
@@ -160,8 +158,7 @@ def by_reactions(surface: SurfaceMesh, state: State) -> Array:
     held = fem.Function(r.function_space)
     held.x.array[model.held_in(r.function_space)] = 1.0
     held.x.scatter_forward()
-    corners = np.asarray(basix.geometry(basix.CellType[surface.kind]))
-    forces, fixed = (np.moveaxis(surface.sides(f, model, corners), 1, -1) for f in (r, held))  # (2, n, k, d)
+    forces, fixed = (np.moveaxis(surface.sides(f, model, surface.at_corners), 1, -1) for f in (r, held))  # (2, n, k, d)
     sides, count = _side_nodes(surface)
     force, known = np.zeros((count, d)), np.zeros((count, d), bool)
     force[sides], known[sides] = forces, fixed < 0.5

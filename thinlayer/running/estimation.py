@@ -22,6 +22,7 @@ from thinlayer.estimating.thickness import thin_enough
 from thinlayer.files.folder import hash_of
 from thinlayer.files.table import Table
 from thinlayer.output import plotting
+from thinlayer.output.surface import Surface
 from thinlayer.parallel.agreement import on_all
 from thinlayer.running.record import Record
 from thinlayer.solving.solvers import solve
@@ -106,10 +107,11 @@ def _draw(record: Record, case: Case, name: str, found: Estimate) -> None:
     """A picture for each goal whose density on S is known."""
     for goal in found.goals if not found.unknown else ():
         try:
-            density = found.density(goal)
+            density = found.map(goal)
         except ModelError as error:
             record.say(f"no picture of {goal}: {error}")
             continue
         file = "_".join(["map", name, *re.findall(r"\w+", goal)]) + ".png"
         length = case.given.units[0] if case.given.units else ""
-        plotting.density(density, save=record.path(file), length=length, quantity=f"change of {goal}, per area of S")
+        quantity = f"change of {goal}, per area of S"
+        plotting.density(Surface(found.better.model), density, save=record.path(file), length=length, quantity=quantity)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import Any
 
@@ -15,49 +15,69 @@ from dolfinx import fem
 from scipy.spatial import cKDTree
 
 from forms.base import is_number
-from geometry.errors import unknown
-from geometry.inflating.parting import points_on_middle
+from geometry.errors import place, unknown
+from geometry.inflating.parting import faces, points_on_middle
 from geometry.joint import Joint
 from geometry.order import order_on_s
 from geometry.seam import S
+from geometry.sheet import Rim
 from geometry.topology import FACET_TYPES, IntArray, lagrange
 from thinlayer.discretisation.contact_nodes import frames_at
+from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.mixed import MixedModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.pairs import pair_numbers
+from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State, cell_values
 from thinlayer.errors import ModelError
-from thinlayer.parallel.exchange import carry
 from thinlayer.surface.lines import Line, Plane, lines_on
+from thinlayer.surface.locating import Located
 
 Array = npt.NDArray[np.float64]
 Where = Array | npt.NDArray[np.bool_] | Callable[[Array], Any]
+SIDES = ("lower", "upper")
 ROUNDING = 1e-12  # of sums, relative
 
 
-class Rule:
-    """Points on the n facets of a surface, q on each.
+class FacetPoints:
+    """Points on the facets of a surface, q on each of n.
 
     Attributes:
-        points: (q, d - 1) in the reference facet.
-        shapes: (q, k) values of the functions of degree 1 of the corners.
+        rows: (n,) positions of the facets on the surface.
+        points: (q, d - 1) or (n, q, d - 1) in the reference facet.
+        shapes: (n, q, k) values of the functions of degree 1 of the corners.
         x, n: (d, n, q) places, and unit normals from the lower to the upper side.
         weights: (n, q) of integrals over S, in axisymmetry over the whole revolution.
     """
 
-    def __init__(self, surface: SurfaceMesh, points: Array, weights: Array) -> None:
-        joint, nodes = surface.joint, surface.nodes_of_facets
-        places = points_on_middle(joint)[nodes]
-        self.points, self.shapes = points, lagrange(surface.kind, 1).tabulate(0, points)[0, :, :, 0]
-        table = lagrange(surface.kind, joint.degree).tabulate(1, points)[..., 0]
-        self.x = np.einsum("qa,fad->dfq", table[0], places)
-        along = np.einsum("jqa,fad->jfqd", table[1:], places)
+    def __init__(self, surface: SurfaceMesh, rows: IntArray, points: Array, weights: Array | float = 1.0) -> None:
+        joint, nodes = surface.joint, surface.faces.mean(axis=0)[rows]
+        count = len(rows)
+        linear = tabulated(lagrange(surface.kind, 1), points, count, 1)
+        table = tabulated(lagrange(surface.kind, joint.degree), points, count, 1)
+        self.rows, self.points, self.shapes, self._reference_slopes = rows, points, linear[0], linear[1:]
+        self.x = np.einsum("fqa,fad->dfq", table[0], nodes)
+        self._along = along = np.einsum("jfqa,fad->jfqd", table[1:], nodes)
         across = np.stack([along[0, ..., 1], -along[0, ..., 0]], -1) if joint.dim == 2 else np.cross(*along)
         size = np.linalg.norm(across, axis=-1)
-        up = joint.points[joint.corners[surface.cells[:, 1]]].mean(axis=1) - joint.points[surface.corners].mean(axis=1)
+        above = joint.points[joint.corners[surface.cells[rows, 1]]].mean(axis=1)
+        up = above - joint.points[surface.corners[rows]].mean(axis=1)
         sign = np.sign(np.einsum("fqd,fd->fq", across, up))
         self.n = np.moveaxis(across * (sign / size)[..., None], -1, 0)
         self.weights = weights * size * surface.model.kinematics.factor_at(np.moveaxis(self.x, 0, -1))
+
+    @cached_property
+    def slopes(self) -> Array:
+        """(n, q, k, d) gradients along S of the functions of degree 1 of the corners."""
+        to_x = np.linalg.pinv(np.moveaxis(self._along, 0, -1))
+        return np.asarray(np.einsum("jfqa,fqjd->fqad", self._reference_slopes, to_x))
+
+
+def tabulated(element: Any, points: Array, count: int, derivatives: int = 0) -> Array:
+    """(1 or 1 + t, n, q, a) values, and slopes, of an element's functions at points (q, t) or (n, q, t) of n entities."""
+    table = element.tabulate(derivatives, points.reshape(-1, points.shape[-1]))[..., 0]
+    table = table.reshape(len(table), *points.shape[:-1], -1)
+    return np.broadcast_to(table if points.ndim == 3 else table[:, None], (len(table), count, *table.shape[-2:]))
 
 
 class SurfaceMesh:
@@ -73,9 +93,11 @@ class SurfaceMesh:
     Attributes:
         x, n: (d, n, q) places and unit normals, from the lower to the upper side.
         weights: (n, q) of integrals: areas, in axisymmetry of the whole revolution.
+        quadrature: these points; `rule` has those of other degrees.
         rows: (n,) positions of the facets in `joint.surface_rows`.
         cells: (n, 2) numbers in the joint of the cells below (-1: a rigid base) and above.
         corners: (n, k) their vertices in the joint.
+        faces: (2, n, a, d) places of their nodes in the cells below and above.
         points: (q, d - 1) the points of quadrature in the reference facet.
         shapes: (q, k) values at the points of the functions of degree 1 of the corners.
 
@@ -94,46 +116,157 @@ class SurfaceMesh:
         joint = self.joint
         self.kind = FACET_TYPES[joint.cell_type]
         self.rows: IntArray = np.searchsorted(joint.surface_rows, joint.rows_of(seam))
-        self.cells, self.nodes_of_facets = joint.surface_cells[self.rows], joint.surface[self.rows]
-        self.corners = self.nodes_of_facets[:, : joint.table.vertices.shape[1]]
-        self._rules: dict[int, Rule] = {}
-        self._rule = self.rule(2 * model.structure.degree + 2 * (joint.degree - 1) + model.kinematics.degree)
-        self.x, self.n, self.weights = self._rule.x, self._rule.n, self._rule.weights
-        self.points, self.shapes = self._rule.points, self._rule.shapes
+        self.cells = joint.surface_cells[self.rows]
+        self.corners = joint.surface[self.rows, : joint.table.vertices.shape[1]]
+        self.faces = faces(joint)[:, self.rows]
+        self._rules: dict[int, FacetPoints] = {}
+        degree = 2 * model.structure.degree + 2 * (joint.degree - 1) + model.kinematics.degree
+        self.quadrature = self.rule(degree)
+        self.x, self.n, self.weights = self.quadrature.x, self.quadrature.n, self.quadrature.weights
+        self.points, self.shapes = self.quadrature.points, np.asarray(self.quadrature.shapes[0])
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.model!r}, {self.seam!r})"
 
-    def rule(self, degree: int) -> Rule:
-        """The points of a quadrature rule."""
+    def rule(self, degree: int) -> FacetPoints:
+        """The points of a quadrature rule on all facets."""
         if degree not in self._rules:
-            self._rules[degree] = Rule(self, *basix.make_quadrature(basix.CellType[self.kind], degree))
+            self._rules[degree] = self.on_facets(*basix.make_quadrature(basix.CellType[self.kind], degree))
         return self._rules[degree]
 
-    def sides(self, f: fem.Function, model: Model, points: Array) -> Array:
-        """(2, m, n, q) values of a function of a model, below and above, at points (q, d - 1) of each facet.
+    def on_facets(self, points: Array, weights: Array | float = 1.0) -> FacetPoints:
+        """The same points (q, d - 1) of the reference facet on all facets."""
+        return FacetPoints(self, np.arange(len(self.rows)), points, weights)
 
-        A body's cell has one number in the joint, and one order of its degrees of freedom, in all models.
+    @cached_property
+    def at_corners(self) -> FacetPoints:
+        """The corners of all facets."""
+        return self.on_facets(np.asarray(basix.geometry(basix.CellType[self.kind])))
+
+    # ---------------------------------------------------------------- places
+    def at(self, x: Any) -> tuple[Located, FacetPoints]:
+        """The facets that contain places (n, d), or one (d,): all of them, and a point on each.
+
+        Raises:
+            ModelError: no finite numbers of this shape; places that are not on the surface.
         """
-        domain, many = model.domain, len(self.joint.cells)
-        own = np.arange(domain.mesh.topology.index_map(self.joint.dim).size_local)
-        own = own[domain.original_cells[own] < many]
-        wanted, at = np.unique(self.cells, return_inverse=True)
-        at, m = at.reshape(self.cells.shape), f.function_space.dofmap.bs
-        there = carry(model.comm, domain.original_cells[own], cell_values(f, own), wanted[wanted >= 0])
-        values = np.vstack([np.zeros(((wanted < 0).sum(), there.shape[1])), there]).reshape(len(wanted), -1, m)
-        element = f.function_space.ufl_element().basix_element
-        geometry = np.asarray(basix.geometry(basix.CellType[self.joint.cell_type]))
-        shapes = lagrange(self.kind, 1).tabulate(0, points)[0, :, :, 0]
-        out = np.zeros((2, m, len(self.rows), len(points)))
-        for side, cells in enumerate(self.cells.T):
-            local = (self.joint.corners[cells][:, None] == self.corners[..., None]).argmax(axis=2)
-            kinds, kind = np.unique(local, axis=0, return_inverse=True)
-            for k, corners in enumerate(kinds):  # ways in which a facet lies in its cell
-                here = np.flatnonzero((kind.ravel() == k) & (cells >= 0))
-                table = element.tabulate(0, shapes @ geometry[corners])[0, :, :, 0]
-                out[side][:, here] = np.einsum("qa,fam->mfq", table, values[at[here, side]])
+        located = Located.of(self.kind, self.faces.mean(axis=0), x)
+        if len(off := located.missing):
+            raise ModelError(
+                f"{len(off)} of {len(located.x)} places are not on {self.seam}, the first at {place(located.x[off[0]])}"
+            )
+        return located, FacetPoints(self, located.entity, located.X[:, None])
+
+    def beside(self, located: Located, side: str) -> Located:
+        """Places in cells of the joint: those on the surface in the cells on one side alone, others in all of theirs.
+
+        Raises:
+            ModelError: no side; a rigid base, which has no cells below.
+        """
+        if side not in SIDES:
+            raise ModelError(f"side is {side!r}; allowed: lower, upper")
+        count, on_s, wanted = len(self.joint.cells) + 1, [], np.empty(0, np.int64)
+        for name, nodes, cells in zip(SIDES, self.faces, self.cells.T, strict=True):
+            at = Located.of(self.kind, nodes, located.x)
+            on_s.append(at.point)
+            if name == side:
+                wanted = (at.point * count + cells[at.entity])[cells[at.entity] >= 0]
+        without = np.setdiff1d(np.concatenate(on_s), wanted // count)
+        if len(without):
+            raise ModelError(
+                f"there is no body on the {side} side of S at {place(located.x[without[0]])}, but a rigid base"
+            )
+        of_side = np.isin(located.point * count + located.entity, wanted)
+        return located[of_side | ~np.isin(located.point, np.concatenate(on_s))]
+
+    def in_layer(self, x: Any, height: Any) -> Array:
+        """Places (n, d) in the mesh of a full model, at heights between the faces that places x of S have become.
+
+        Args:
+            x: places on S, (n, d).
+            height: from -1/2 at the lower to 1/2 at the upper face, one or (n,).
+
+        Raises:
+            ModelError: a surface of another model; a seam on a rigid base; places off S.
+        """
+        if not isinstance(self.model, FullModel):
+            raise ModelError(f"places in a meshed layer need a full model, not {self.model!r:.80}")
+        if (self.cells < 0).any():
+            raise ModelError(f"the seam {self.seam!r} stands on a rigid base: one of its faces is not in the mesh")
+        nodes = faces(self.joint, self.model.domain.joint.cell_points)[:, self.rows]
+        located, at = self.at(x)
+        shapes = tabulated(lagrange(self.kind, self.joint.degree), at.points, len(at.rows))[0]
+        both = np.einsum("fqa,sfad->sfd", shapes, nodes[:, at.rows])
+        lower, upper = (located.mean(one) for one in both)
+        return np.asarray(lower + (np.asarray(height, float)[..., None] + 0.5) * (upper - lower))
+
+    # ---------------------------------------------------------------- states, and functions of models
+    def displacements(self, state: State) -> Array:
+        """(2, d, n, q) displacements of the lower and of the upper side; zero of a rigid base. Collective.
+
+        Raises:
+            ModelError: no state, or one of another joint.
+        """
+        self._require_same_joint(state)
+        return self.sides(state.u, state.model, self.quadrature)
+
+    def jump(self, state: State) -> Array:
+        """(d, n, q) [u] = u(upper) - u(lower). Collective."""
+        lower, upper = self.displacements(state)
+        return np.asarray(upper - lower)
+
+    def _require_same_joint(self, state: State) -> None:
+        if not isinstance(state, State):
+            raise ModelError(f"Surface takes a state, as solve returns it or history.last is, not {state!r:.80}")
+        if state.model.joint is not self.model.joint:
+            raise ModelError("this state's model has another joint than the surface; build both from the same one")
+
+    def sides(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:
+        """(2, m, n, q) values of a function of a model, below and above; zero of a rigid base. Collective."""
+        element, values = f.function_space.ufl_element().basix_element, self._beside(f, model, at)
+        out = np.zeros((2, f.function_space.dofmap.bs, *at.weights.shape))
+        for side, here, _, X in self._in_cells(at):
+            out[side][:, here] = np.einsum("fqa,fam->mfq", tabulated(element, X, len(here))[0], values[here, side])
         return out
+
+    def gradients(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:
+        """(2, m, d, n, q) gradients of a function of a model, below and above, [:, :, j] along x_j. Collective."""
+        element, values = f.function_space.ufl_element().basix_element, self._beside(f, model, at)
+        joint = model.domain.joint
+        out = np.zeros((2, f.function_space.dofmap.bs, joint.dim, *at.weights.shape))
+        for side, here, cells, X in self._in_cells(at):
+            slopes = tabulated(lagrange(joint.cell_type, joint.degree), X, len(here), 1)[1:]
+            to_x = np.linalg.inv(np.einsum("kfqa,fai->fqik", slopes, joint.cell_points[cells]))
+            along = tabulated(element, X, len(here), 1)[1:]
+            out[side][:, :, here] = np.einsum("kfqa,fam,fqkj->mjfq", along, values[here, side], to_x)
+        return out
+
+    def corner_values(self, f: fem.Function, model: Model) -> Array:
+        """(n, k) values at the corners of a function of degree 1 on S, as a layer's pressure is. Collective."""
+        joint, mine = self.joint, f.function_space.dofmap.index_map.size_local
+        x = f.function_space.tabulate_dof_coordinates()[:mine, : joint.dim]
+        known = np.concatenate(model.comm.allgather(np.column_stack([x, f.x.array[:mine]])))
+        vertices = np.unique(self.corners)
+        _, nearest = cKDTree(points_on_middle(joint)[vertices]).query(known[:, :-1])
+        values = np.zeros(len(joint.points))
+        values[joint.masters[vertices[nearest]]] = known[:, -1]
+        return np.asarray(values[joint.masters[self.corners]])
+
+    def _beside(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:
+        """(n, 2, a, m) values at the nodes of the cells below, without meaning at a rigid base, and above. Collective."""
+        return cell_values(f, model, self.cells[at.rows].clip(0))
+
+    def _in_cells(self, at: FacetPoints) -> Iterator[tuple[int, IntArray, IntArray, Array]]:
+        """Sides, numbers of facets, cells, and points in the reference cell, for each way a facet lies in its cell."""
+        geometry = np.asarray(basix.geometry(basix.CellType[self.joint.cell_type]))
+        for side, cells in enumerate(self.cells[at.rows].T):
+            local = (self.joint.corners[cells][:, None] == self.corners[at.rows][..., None]).argmax(axis=2)
+            kinds, kind = np.unique(local, axis=0, return_inverse=True)
+            for k, corners in enumerate(kinds):
+                here = np.flatnonzero((kind.ravel() == k) & (cells >= 0))
+                shapes = at.shapes[0] if at.points.ndim == 2 else at.shapes[here]
+                if len(here):
+                    yield side, here, cells[here], shapes @ geometry[corners]
 
     # ---------------------------------------------------------------- integrals
     def _field(self, f: Any) -> Array:
@@ -212,18 +345,29 @@ class SurfaceMesh:
         x[self.nodes] = self.joint.points[self.joint.masters[self.corners]]
         return x
 
-    @cached_property
-    def mass(self) -> scipy.sparse.csc_matrix:
-        """(m, m) mass matrix of the functions of degree 1."""
-        M = np.einsum("fq,qa,qb->fab", self.weights, self.shapes, self.shapes)
+    def mass(self, f: Any = 1.0) -> scipy.sparse.csc_matrix:
+        """(m, m) mass matrix of the functions of degree 1, weighted with a field."""
+        return self._matrix(np.einsum("fq,qa,qb->fab", self._field(f) * self.weights, self.shapes, self.shapes))
+
+    def stiffness(self, f: Any = 1.0) -> scipy.sparse.csc_matrix:
+        """(m, m) products of the gradients along S of the functions of degree 1, weighted with a field."""
+        slopes = self.quadrature.slopes
+        return self._matrix(np.einsum("fq,fqad,fqbd->fab", self._field(f) * self.weights, slopes, slopes))
+
+    def _matrix(self, of_facets: Array) -> scipy.sparse.csc_matrix:
         rows, columns = np.broadcast_arrays(self.nodes[:, :, None], self.nodes[:, None])
-        return scipy.sparse.csc_matrix((M.ravel(), (rows.ravel(), columns.ravel())), shape=(len(self.numbers),) * 2)
+        shape = (len(self.numbers),) * 2
+        return scipy.sparse.csc_matrix((of_facets.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
 
     def sums(self, of_corners: Array) -> Array:
         """(m, ...) sums at the nodes of values (n, k, ...) at the corners of facets."""
         out = np.zeros((len(self.numbers), *of_corners.shape[2:]))
         np.add.at(out, self.nodes, of_corners)
         return out
+
+    def moments(self, f: Any) -> Array:
+        """(n, k) or (n, k, d) integrals of a field over each facet with the functions of degree 1 of its corners."""
+        return np.asarray(np.einsum("fq,qa,...fq->fa...", self.weights, self.shapes, self._field(f)))
 
     def projected(self, moments: Array) -> Array:
         """(m, ...) nodal values of moments (n, k, ...), integrals with the functions of degree 1."""
@@ -237,20 +381,24 @@ class SurfaceMesh:
     @cached_property
     def areas(self) -> Array:
         """(m,) areas of S around the nodes."""
-        return self.sums(np.einsum("fq,qa->fa", self.weights, self.shapes))
+        return self.sums(self.moments(1.0))
 
     @cached_property
     def _solver(self) -> Callable[[Array], Array]:
-        solve: Callable[[Array], Array] = scipy.sparse.linalg.splu(self.mass).solve
+        solve: Callable[[Array], Array] = scipy.sparse.linalg.splu(self.mass()).solve
         return solve
 
     def nodal(self, f: Any) -> Array:
         """(m,) or (m, d): the L2 projection of a field to degree 1, at the nodes (`numbers`, `places`)."""
-        return self.projected(np.einsum("fq,qa,...fq->fa...", self.weights, self.shapes, self._field(f)))
+        return self.projected(self.moments(f))
 
     def at_points(self, nodal: Array) -> Array:
         """(n, q) or (d, n, q) field of nodal values (m,) or (m, d)."""
         return np.asarray(np.einsum("qa,fa...->...fq", self.shapes, nodal[self.nodes]))
+
+    def between(self, of_corners: Array) -> Array:
+        """(..., n, q) field that is linear between values (..., n, k) at the corners of each facet."""
+        return np.asarray(of_corners @ self.shapes.T)
 
     def profile(self, f: Any) -> tuple[Array, Array]:
         """Places (m, d) and values (m,) or (m, d) of a field, projected to degree 1, at the vertices of S.
@@ -282,6 +430,16 @@ class SurfaceMesh:
         seams = joint.seam_numbers[self.rows]
         chosen = {name: nodes[seams == k] for k, name in enumerate(joint.seams) if self.seam in (S, name)}
         return lines_on(joint, chosen, np.arange(len(nodal)), nodal, plane)
+
+    # ---------------------------------------------------------------- layers
+    def thickness(self, one: SeamLayer, vertices: IntArray) -> Array:
+        """(...) thickness of a layer with a law of strains at vertices (...) of the joint."""
+        assert one.thin
+        return np.asarray(float(one.thin.eps) * self.joint.relative_thickness(one.thin.profile, one.name)[vertices])
+
+    def length(self, rim: Rim) -> float:
+        """Length of a part of the rim; in a plane the number of its points, in axisymmetry that of their circles."""
+        return float(rim.length @ self.model.kinematics.factor_at(self.joint.points[rim.vertices].mean(axis=1)))
 
     # ---------------------------------------------------------------- parts of S
     def most_of(self, f: Any, all_but: float, *, margin: float = 0.0) -> npt.NDArray[np.bool_]:

@@ -12,11 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import SymLogNorm
 
+from geometry.seam import S
 from thinlayer.errors import ModelError
 from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.output.plotting.picture import Picture, finish, require_name
 from thinlayer.output.surface import Surface
-from thinlayer.output.surface_density import SurfaceDensity
 
 Array = npt.NDArray[np.float64]
 PANEL = (5.6, 3.4)  # width and height of a panel, inches
@@ -25,52 +25,57 @@ COLOUR_MAP = "RdBu_r"
 
 
 def density(
-    given: SurfaceDensity,
+    surface: Surface,
+    f: Array,
     *,
     save: str | Path | None = None,
     title: str = "",
     length: str = "",
     quantity: str = "density",
 ) -> Picture:
-    """A density on S, a panel for each seam: by arc length in 2D, as colours in the plane of the seam in 3D. Collective.
+    """A density on S, a panel for each layer: by arc length in 2D, as colours in the plane of the seam in 3D.
 
     Args:
-        given: the density, as `Estimate.density` returns it.
+        surface: S, or one seam.
+        f: (n, q) field on it, as `Estimate.map` returns it for `Surface(estimate.better.model)`.
         save: PNG file; None: it is not saved.
         title: text over the picture.
         length: unit of length, for the labels.
         quantity: label of the values.
 
     Raises:
-        ModelError: no density; a seam in 3D that is not planar. OSError: the picture could not be written.
+        ModelError: no field; a seam in 3D that is not planar. OSError: the picture could not be written.
     """
-    if not isinstance(given, SurfaceDensity):
-        raise ModelError(f"density: {given!r:.80} is no density; give what Estimate.density returns")
+    if not isinstance(surface, Surface):
+        raise ModelError(
+            f"density: {surface!r:.80} is no Surface; give Surface(estimate.better.model), and a field on it"
+        )
     require_name(save)
-    model = given.model
-    seams, d = [*model.layers], model.joint.dim
+    model = surface.model
+    seams, d = [name for name in model.layers if surface.seam in (S, name)], model.joint.dim
     if bent := [name for name in seams if d == 3 and not model.layers[name].sheet.planar]:
         raise ModelError(f"pictures of densities in 3D are for planar seams, and {bent[0]!r} is curved")
     figure = Picture(figsize=(PANEL[0] * len(seams), PANEL[1]), layout="constrained")
     draw = _by_arc_length if d == 2 else _coloured
     for axes, name in zip(figure.subplots(1, len(seams), squeeze=False)[0], seams, strict=True):
-        draw(figure, axes, given, name, f" ({length})" if length else "", quantity)
+        draw(figure, axes, surface, f, name, f" ({length})" if length else "", quantity)
         axes.set_title(name if len(seams) > 1 else "", fontsize=11)
     if title:
         figure.suptitle(title, fontsize=11)
     return finish(figure, save)
 
 
-def _by_arc_length(figure: Picture, axes: Axes, given: SurfaceDensity, name: str, unit: str, quantity: str) -> None:
-    start, surface = 0.0, Surface(given.model, name)
-    for number, line in enumerate(surface.along(given.on(surface))):
+def _by_arc_length(
+    figure: Picture, axes: Axes, surface: Surface, f: Array, name: str, unit: str, quantity: str
+) -> None:
+    start, lines = 0.0, surface.along(f)
+    for number, line in enumerate(one for one in lines if one.seam == name):
         if number:
             axes.axvline(start, color="0.7", linewidth=0.8)
-        values = line.values.ravel()
-        axes.fill_between(start + line.s, values, color=COLOURS[0], alpha=0.25, linewidth=0)
-        axes.plot(start + line.s, values, ".-", color=COLOURS[0], markersize=3)
+        axes.fill_between(start + line.s, line.values, color=COLOURS[0], alpha=0.25, linewidth=0)
+        axes.plot(start + line.s, line.values, ".-", color=COLOURS[0], markersize=3)
         start += line.length
-    _scale(axes, float(np.abs(given.values).max()))
+    _scale(axes, max(float(np.abs(line.values).max()) for line in lines))
     axes.axhline(0.0, color="0.4", linewidth=0.8)
     axes.grid(color="0.9")
     axes.set_xlabel(f"arc length{unit}")
@@ -93,19 +98,17 @@ def _least(largest: float) -> float:
     return float(10.0 ** math.ceil(math.log10(SHOWN * largest))) if largest else 1.0
 
 
-def _coloured(figure: Picture, axes: Axes, given: SurfaceDensity, name: str, unit: str, quantity: str) -> None:
-    joint = given.model.joint
-    corners = joint.table.vertices[joint.rows_of(name)]
-    first, second = _axes_of(given.model.layers[name].sheet.mean_normal)
-    x = joint.points[corners] @ np.column_stack([first, second])
-    at = np.zeros(len(joint.points))
-    at[given.vertices] = given.values
-    largest = float(np.abs(given.values).max()) or 1.0
-    from_centre = x - x.mean(axis=1, keepdims=True)  # corners have the order of their numbers, not one around the facet
+def _coloured(figure: Picture, axes: Axes, surface: Surface, f: Array, name: str, unit: str, quantity: str) -> None:
+    joint, values = surface.joint, (f * surface.weights).sum(axis=1) / surface.weights.sum(axis=1)
+    first, second = _axes_of(surface.model.layers[name].sheet.mean_normal)
+    largest = float(np.abs(values).max()) or 1.0
+    here = joint.seam_numbers[surface.rows] == list(joint.seams).index(name)
+    x = joint.points[surface.corners[here]] @ np.column_stack([first, second])
+    from_centre = x - x.mean(axis=1, keepdims=True)
     ring = np.arctan2(from_centre[..., 1], from_centre[..., 0]).argsort(axis=1)
     facets: Any = PolyCollection(
         [*np.take_along_axis(x, ring[..., None], axis=1)],
-        array=at[corners].mean(axis=1),
+        array=values[here],
         cmap=COLOUR_MAP,
         edgecolor="face",
     )
