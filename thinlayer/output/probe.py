@@ -107,12 +107,10 @@ class Probe:
         return out if np.ndim(x) > 1 else out[0]
 
     def _located(self, x: Any, side: str | None, seam: str) -> Located:
-        self._require_same(x, side=side, seam=seam)
         with on_all(self._comm):
-            return cells_at(self.state.model, x, side, seam)
-
-    def _require_same(self, x: Any, **others: str | None) -> None:
-        require_same(self._comm, places=np.asarray(x, object) if _is_ragged(x) else np.asarray(x), **others)
+            located = cells_at(self.state.model, x, side, seam)
+        require_same(self._comm, places=located.x, side=side, seam=seam)
+        return located
 
     def _fitted(self, points: LawPoints, values: Array, located: Located) -> Array:
         """Values (m, k) at located places of the polynomials nearest to values (points, k) in their cells; else zero."""
@@ -192,10 +190,9 @@ class Probe:
             located = self._located(x, None, S)
             entity = located.entity
         else:
-            self._require_same(x)
-            surface = SurfaceMesh(self.state.model)
             with on_all(self._comm):
-                located, _ = surface.at(x)
+                located, _ = SurfaceMesh(self.state.model).at(x)
+            require_same(self._comm, places=located.x)
             entity = self._joint.surface_rows[located.entity]
         out = np.empty((len(located.x), *found.values.shape[1:]))
         for k, one in enumerate(located.x):
@@ -241,11 +238,3 @@ def _monomials(x: Array, degree: int) -> Array:
         last = [(column * x[:, k], k) for column, first in last for k in range(first, x.shape[1])]
         columns += [column for column, _ in last]
     return np.column_stack(columns)
-
-
-def _is_ragged(x: Any) -> bool:
-    try:
-        np.asarray(x, float)
-    except (TypeError, ValueError):
-        return True
-    return False

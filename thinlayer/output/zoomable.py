@@ -112,9 +112,9 @@ class Zoomable:
             ModelError: places that are not on the seam.
         """
         surface, u, comm = self.surface, self.state.u, self.model.comm
-        require_same(comm, places=np.asarray(x))
         with on_all(comm):
             located, at = surface.at(x)
+        require_same(comm, places=located.x)
 
         def means(both: Array) -> Array:
             return np.stack([located.mean(np.moveaxis(side[..., 0], -1, 0)) for side in both])
