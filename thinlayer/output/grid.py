@@ -69,7 +69,7 @@ def nodal_displacement(state: State) -> fem.Function:
     return u
 
 
-def at_corners(state: State) -> npt.NDArray[np.float64]:
+def corner_points(state: State) -> npt.NDArray[np.float64]:
     """Displacements (cells, corners, d) of the bodies' cells of the joint, on rank 0 (other ranks: none). Collective."""
     model, joint = state.model, state.model.joint
     u, n = nodal_displacement(state), len(joint.cells)

@@ -158,7 +158,9 @@ def by_reactions(surface: SurfaceMesh, state: State) -> Array:
     held = fem.Function(r.function_space)
     held.x.array[model.held_in(r.function_space)] = 1.0
     held.x.scatter_forward()
-    forces, fixed = (np.moveaxis(surface.sides(f, model, surface.at_corners), 1, -1) for f in (r, held))  # (2, n, k, d)
+    forces, fixed = (
+        np.moveaxis(surface.sides(f, model, surface.corner_points), 1, -1) for f in (r, held)
+    )  # (2, n, k, d)
     sides, count = _side_nodes(surface)
     force, known = np.zeros((count, d)), np.zeros((count, d), bool)
     force[sides], known[sides] = forces, fixed < 0.5

@@ -133,11 +133,11 @@ def _of_states(states: Sequence[State], one: SeamLayer, start: float | None) -> 
         closings = [Faces(surface, state, one).mean_closing for state in states]
         if max(closings) > LEAST_OVERLAP:
             faces = Faces(surface, states[int(np.argmax(closings))], one)
-            worst = np.unravel_index(faces.closing.argmax(), faces.closing.shape)
-            x = place(surface.at_corners.x[:, *worst])
+            facet, corner = np.unravel_index(faces.closing.argmax(), faces.closing.shape)
+            x = place(surface.corner_points.x[:, facet, corner])
             yield (
                 f"at t = {faces.state.t:.4g} {one} closes by {max(closings):.3g} times its thickness, on average over S "
-                f"(most near {x}, by {faces.closing[worst]:.3g} times): bodies overlap, and the law is for small strains; "
+                f"(most near {x}, by {faces.closing.max():.3g} times): bodies overlap, and the law is for small strains; "
                 "check loads, thickness and parameters"
             )
     if one.law.traits.linear and not one.flows:

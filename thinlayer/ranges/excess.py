@@ -62,7 +62,7 @@ class Faces:
     @cached_property
     def sides(self) -> FloatArray:
         """(2, d, n, k) displacements of the lower and of the upper face."""
-        return self.surface.sides(self.state.u, self.state.model, self.surface.at_corners)
+        return self.surface.sides(self.state.u, self.state.model, self.surface.corner_points)
 
     @property
     def rounding(self) -> float:
@@ -72,12 +72,12 @@ class Faces:
     @property
     def opening(self) -> FloatArray:
         """(n, k) [u_N]."""
-        return np.asarray(((self.sides[1] - self.sides[0]) * self.surface.at_corners.n).sum(axis=0))
+        return np.asarray(((self.sides[1] - self.sides[0]) * self.surface.corner_points.n).sum(axis=0))
 
     @property
     def slip_squared(self) -> FloatArray:
         """(n, k) |w_T|^2 plus the square of the rounding of displacements."""
-        slip = self.sides[1] - self.sides[0] - self.opening * self.surface.at_corners.n
+        slip = self.sides[1] - self.sides[0] - self.opening * self.surface.corner_points.n
         return np.asarray((slip**2).sum(axis=0) + self.rounding**2)
 
     @property

@@ -56,8 +56,8 @@ class FacetPoints:
         linear = tabulated(lagrange(surface.kind, 1), points, count, 1)
         table = tabulated(lagrange(surface.kind, joint.degree), points, count, 1)
         self.rows, self.points, self.shapes, self._reference_slopes = rows, points, linear[0], linear[1:]
-        self.x = np.einsum("fqa,fad->dfq", table[0], nodes)
-        self._along = along = np.einsum("jfqa,fad->jfqd", table[1:], nodes)
+        self.x = np.moveaxis(table[0] @ nodes, -1, 0)
+        self._along = along = table[1:] @ nodes
         across = np.stack([along[0, ..., 1], -along[0, ..., 0]], -1) if joint.dim == 2 else np.cross(*along)
         size = np.linalg.norm(across, axis=-1)
         above = joint.points[joint.corners[surface.cells[rows, 1]]].mean(axis=1)
@@ -139,7 +139,7 @@ class SurfaceMesh:
         return FacetPoints(self, np.arange(len(self.rows)), points, weights)
 
     @cached_property
-    def at_corners(self) -> FacetPoints:
+    def corner_points(self) -> FacetPoints:
         """The corners of all facets."""
         return self.on_facets(np.asarray(basix.geometry(basix.CellType[self.kind])))
 
@@ -226,7 +226,7 @@ class SurfaceMesh:
         element, values = f.function_space.ufl_element().basix_element, self._beside(f, model, at)
         out = np.zeros((2, f.function_space.dofmap.bs, *at.weights.shape))
         for side, here, _, X in self._in_cells(at):
-            out[side][:, here] = np.einsum("fqa,fam->mfq", tabulated(element, X, len(here))[0], values[here, side])
+            out[side][:, here] = np.moveaxis(tabulated(element, X, len(here))[0] @ values[here, side], -1, 0)
         return out
 
     def gradients(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:
