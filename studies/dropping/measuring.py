@@ -177,11 +177,9 @@ def along(one: Dropped) -> Table:
         for which, state in (("true", one.full), ("estimated", found.better)):
             x, values = surface.profile(field(state) - before)
             columns[f"{which}_{name}"] = values[:, 1]
-    density = found.density()
-    order = np.argsort(density.x[:, 0])
     _, on_s = surface.profile((surface.traction(found.state) * surface.jump(one.full)).sum(axis=0))
-    columns["density"] = density.values[order]
-    columns["true_density"] = on_s - _of_layer(one, x[:, 0]) / density.areas[order]
+    columns["density"] = found.density()
+    columns["true_density"] = on_s - _of_layer(one, x[:, 0]) / surface.areas
     return Table(
         {"x": float(x[k, 0]), **{name: float(c[k]) for name, c in columns.items()}} for k in np.argsort(x[:, 0])
     )

@@ -12,7 +12,6 @@ from thinlayer.compiling.compat import exterior_facet_entities, interpolation_po
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
 from thinlayer.output.surface import Surface
-from thinlayer.output.surface_density import SurfaceDensity
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart
 from thinlayer.solving.adjoint import Adjoint
 
@@ -31,20 +30,24 @@ def away_from_ends(surface: Surface, one: SeamLayer, length: float) -> FloatArra
     return np.asarray(beyond @ surface.shapes.T > 0, float)
 
 
-def density_of(adjoint: Adjoint, summands: dict[str, FloatArray]) -> SurfaceDensity:
-    """The density of summands at nodes (`Adjoint.summands`): each is shared by the vertices of its cell. Collective."""
+def density_of(adjoint: Adjoint, summands: dict[str, FloatArray]) -> FloatArray:
+    """(m,) density, at the nodes of S, of summands at nodes (`Adjoint.summands`). Collective.
+
+    A summand is shared by the vertices of its cell, and by the area around each vertex.
+    """
     model = adjoint.model
-    joint = model.joint
-    vertices = np.unique(np.concatenate([one.sheet.vertices.ravel() for one in model.layers.values()]))
-    sums = np.zeros(len(joint.points))
+    joint, surface = model.joint, Surface(model)
+    sums, areas = np.zeros((2, len(joint.points)))
     _add_nodal(sums, model, summands[DISPLACEMENTS])
     for part in adjoint.equations.layers:
         if isinstance(part, FieldPart) and part.key in summands:
             x = part.field.function_space.tabulate_dof_coordinates()[: part.own_size, : joint.dim]
-            near, number = cKDTree(points_on_middle(model.domain.joint)[vertices]).query(x)
+            near, number = cKDTree(points_on_middle(model.domain.joint)[surface.corners.ravel()]).query(x)
             assert (near <= SAME_PLACE * np.ptp(joint.points)).all()
-            np.add.at(sums, vertices[number], summands[part.key])
-    return SurfaceDensity(model, vertices, model.comm.allreduce(sums)[vertices])
+            np.add.at(sums, surface.corners.ravel()[number], summands[part.key])
+    np.add.at(areas, surface.vertices, surface.areas)
+    totals = np.bincount(joint.masters, model.comm.allreduce(sums), len(sums))
+    return np.asarray(totals[surface.vertices] / areas[surface.vertices])
 
 
 def _add_nodal(sums: FloatArray, model: InterfaceModel, values: FloatArray) -> None:

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
+from thinlayer.files.table import Table
+from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, at_contact, contact_on
+from thinlayer.output.on_facets import phase, status, statuses
 from thinlayer.output.surface_mesh import SurfaceMesh
 from thinlayer.output.tractions import by_reactions, of_layers
+from thinlayer.parts.phases import phase_shares, seams_with_phases
+from thinlayer.ranges.excess import times_too_stiff, why_unknown
+from thinlayer.ranges.sublayers import sublayers_of
 
 Array = npt.NDArray[np.float64]
 
@@ -57,7 +66,85 @@ class Surface(SurfaceMesh):
         self._require_same_joint(state)
         whole = SurfaceMesh(self.model)  # forces at junctions are of all seams there
         nodal = by_reactions(whole, state)
-        return self.at_points(nodal[np.searchsorted(whole.numbers, self.numbers)])
+        return self.at_points(nodal[whole.find(self.numbers)])
+
+    # ---------------------------------------------------------------- what S does
+    def status(self, state: State) -> npt.NDArray[np.str_]:
+        """(n, 1) what each facet does in a state of an interface model, in words.
+
+        - "elastic": nothing has yielded, or the law has no plastic strain;
+        - "sliding": the largest part of the plastic strain across S is a slip along it;
+        - "crushed", "torn": it is a closing, or an opening, along n;
+        - "open": the sides are apart, and no traction across S is left;
+        - "no layer": an open joint, on which no law acts;
+        - "separated", "sliding", "stick", "pinned" under contact laws, those of its nodes (`contact`).
+
+        A facet has the status of the largest part of it. Plastic strains are those since the beginning, not of one step.
+
+        Raises:
+            ModelError: a state of another kind of model.
+        """
+        self._require_same_joint(state)
+        return status(self, state)
+
+    def phase(self, state: State) -> Array:
+        """(n, 1) the mean phase of the layer of each facet, in a state of either model; nan where it has no phases.
+
+        The phase is a number in [-1, 1]. -1, 0 and 1 are pure phases; others are the share of phase 1 (or -1) beside 0.
+        """
+        self._require_same_joint(state)
+        return phase(self, state)
+
+    def contact(self, state: State) -> Contact:
+        """What contact laws do at the nodes.
+
+        Raises:
+            ModelError: the state's model has no contact law here.
+        """
+        self._require_same_joint(state)
+        return contact_on(self, state)
+
+    def table(self, state: State) -> Table:
+        """A row for each seam; of each law the columns that it has, None for other seams.
+
+        - "size": the area.
+        - "elastic", "sliding", ...: of interface models shares of the area with a status, under contact laws that of nodes.
+        - "normal_force": under contact laws the integral of the pressure.
+        - "plus", "minus": of layers with phases, in either model, the shares in phases 1 and -1; "boundary": the thickness
+          of phase 0, if the others lie above it.
+        - "too_stiff": how many times too stiff the laws of orders 0 and 1 of an isotropic elastic layer are against the
+          openings of the state, as they let no material flow along S (`ranges.excess`). The layer alone is so much too
+          stiff, whatever it is sheared; the structure is off by less where its bodies are soft. Beyond 1.1 use `Rubber`
+          with order=1, whose pressure flows, or mesh the layer.
+        - "delta": length over which the pressure of such a layer evens out, eps sqrt(lmbda/(12 mu)). For a Fourier mode of
+          wave number k too_stiff is 1 + (k delta)^2.
+        """
+        self._require_same_joint(state)
+        model, rows = state.model, []
+        found = status(self, state) if isinstance(model, InterfaceModel) else None
+        nodes = at_contact(self, state)
+        for seam in dict.fromkeys(self.seams.tolist()):
+            mine, layer = self.seams == seam, model.layers.get(seam)
+            size = float(self.weights[mine].sum())
+            row: dict[str, Any] = {"seam": seam, "size": size}
+            if seam in model.contacts:
+                here = np.isin(np.arange(len(self.numbers)), self.nodes[mine])
+                areas = nodes["areas"] * here
+                shares = {name: float(areas[nodes["status"] == name].sum() / areas.sum()) for name in CONTACT_STATUSES}
+                row |= shares | {"normal_force": float(areas @ nodes["p"])}
+            elif found is not None:
+                areas = self.weights.sum(axis=1) * mine / size
+                row |= {name: float(areas @ (found[:, 0] == name)) for name in statuses(model, seam)}
+            if layer and seam in seams_with_phases(model):
+                row |= phase_shares(state, seam)
+            if layer and found is not None and not why_unknown(layer):
+                assert layer.thin
+                (sublayer,) = sublayers_of(layer)
+                delta = float(layer.thin.eps) * sublayer.length
+                row |= {"delta": delta, "too_stiff": times_too_stiff(state, layer)}
+            rows.append(row)
+        columns = dict.fromkeys(name for row in rows for name in row)
+        return Table({name: row.get(name) for name in columns} for row in rows)
 
     def _require_same_joint(self, state: State) -> None:
         if not isinstance(state, State):

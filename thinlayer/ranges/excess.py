@@ -10,8 +10,10 @@ import scipy.sparse
 import scipy.sparse.linalg
 
 from forms.tangent import is_isotropic
+from geometry.parallel import on_root
 from geometry.topology import FloatArray, IntArray
 from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.discretisation.state import State
 from thinlayer.ranges.faces import Faces
 from thinlayer.ranges.sublayers import Sublayer, sublayers_of
 
@@ -55,6 +57,16 @@ class Excess:
     def hidden(self) -> bool:
         """Whether the traction is wrong, and shear hides it in the work."""
         return self.work <= LEAST_ERROR < self.traction
+
+
+def times_too_stiff(state: State, one: SeamLayer) -> float:
+    """1 + opening of `pressure_excess`, 1 of a law with a pressure that flows; nan where `why_unknown`. Collective."""
+    if why_unknown(one):
+        return math.nan
+    if one.flows:
+        return 1.0
+    faces = Faces.of(state, one)
+    return 1 + on_root(state.model.comm, lambda: pressure_excess(faces, sublayers_of(one)[0]).opening if faces else 0.0)
 
 
 def pressure_excess(faces: Faces, layer: Sublayer) -> Excess:

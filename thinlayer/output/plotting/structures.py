@@ -62,6 +62,7 @@ def deformed(
     def draw() -> Picture:
         scene = Scene.of(list(grids.values()), look)
         figure, places = scene.panels(len(grids))
+        scene.bar(figure, places)
         for axes, (label, grid) in zip(places, grids.items(), strict=True):
             axes.imshow(scene.image(grid), extent=scene.window)
             axes.set_title(label, fontsize=11)
