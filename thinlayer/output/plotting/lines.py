@@ -22,6 +22,7 @@ from thinlayer.output.surface import Surface
 
 STYLES = ("-", "--", ":")  # of the normal component and of the tangential ones
 PANEL = (5.2, 2.5)  # width and height of a panel, inches; the first is shared by all seams
+LOW = 1.7  # height of a panel where there are three or more, inches
 STRIP = 0.35  # height of a strip of names, inches
 
 
@@ -58,7 +59,8 @@ def along(
         raise ModelError(f"along: surface is {surface!r:.80}; give Surface(limit.model)")
     units = [f" ({unit})" if unit else "" for unit in (stress, length)]
     rows = [_Row(surface, label, cases, plane) for label, cases in _rows(surface, fields, *units).items()]
-    seams, heights = list(dict.fromkeys(surface.seams.tolist())), [row.height for row in rows]
+    seams, curve = list(dict.fromkeys(surface.seams.tolist())), PANEL[1] if len(rows) < 3 else LOW
+    heights = [STRIP * len(row.lines) if row.names else curve for row in rows]
     figure = Picture(figsize=(PANEL[0] + 2.2 * (len(seams) - 1), sum(heights) + 0.8), layout="constrained")
     panels = figure.subplots(
         len(rows), len(seams), sharex="col", sharey="row", squeeze=False, gridspec_kw={"height_ratios": heights}
@@ -110,10 +112,6 @@ class _Row:
         self.names, arrays = numbered({case: np.asarray(f) for case, f in cases.items()})
         self.lines = {case: surface.along(f, plane=plane) for case, f in arrays.items()}
         self.largest = max(float(np.nanmax(np.abs(line.values))) for lines in self.lines.values() for line in lines)
-
-    @property
-    def height(self) -> float:
-        return STRIP * len(self.lines) if self.names else PANEL[1]
 
     @property
     def components(self) -> int:
