@@ -18,8 +18,8 @@ from forms import HolonomicCoulomb, IncrementalCoulomb, MohrCoulombMonodirection
 from studies.problems import pressed
 from studies.sweeping import Solution, Sweep, draw_rates, last, layer_of
 from thinlayer import History, Model, State, Structure, Surface, Table, ThinLayer, compare, march, plotting, solve
-from thinlayer.output.plotting.on_surface import NAMED
 from thinlayer.output.plotting.picture import finish
+from thinlayer.output.plotting.structures import NAMED
 from thinlayer.running.record import Record
 
 MODULI = {"lmbda": 60.0, "mu": 40.0}

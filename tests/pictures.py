@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from thinlayer.output.plotting.on_surface import NAMED
+from thinlayer.output.plotting.structures import NAMED
 
 
 def assert_drawn(*paths: Path) -> None:

@@ -28,7 +28,7 @@ from thinlayer import (
 )
 from thinlayer.errors import LooseBody
 from thinlayer.output.homogenised import homogenised_stiffness
-from thinlayer.output.on_facets import YIELDS
+from thinlayer.output.surface import YIELDS
 
 BODY = LinearElastic(80.0, 50.0)
 GLUE = LinearElastic(3.0, 2.0)  # per thickness

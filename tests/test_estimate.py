@@ -34,7 +34,7 @@ from thinlayer.estimating import better, thickness
 from thinlayer.estimating.places import away_from_ends
 from thinlayer.estimating.result import GoalError, _said
 from thinlayer.estimating.thickness import _error, _search
-from thinlayer.output.on_facets import ELASTIC
+from thinlayer.output.surface import ELASTIC
 
 pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
 

@@ -8,7 +8,7 @@ from matplotlib.colors import to_hex
 
 from tests.contact_bars import bar, coulomb
 from thinlayer import Table, plotting
-from thinlayer.output.plotting.on_surface import NAMED
+from thinlayer.output.plotting.structures import NAMED
 
 
 def test_rates_have_the_slope_they_say():

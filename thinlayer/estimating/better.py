@@ -17,8 +17,7 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, Refused
 from thinlayer.estimating.places import NEAR_ENDS
-from thinlayer.output.on_facets import ELASTIC
-from thinlayer.output.surface import Surface
+from thinlayer.output.surface import ELASTIC, Surface
 from thinlayer.parallel.agreement import on_all
 
 OFF = 0.5  # of the true error: estimates without edge terms are less off between bodies of E/mu below LEAST_CONTRAST

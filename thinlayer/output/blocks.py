@@ -17,8 +17,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import CONTACT_STATUSES, NO_CONTACT, at_contact
 from thinlayer.output.grid import Grid, gather, vtk_order, vtk_type
 from thinlayer.output.law_points import LawPoints, law_points
-from thinlayer.output.on_facets import STATUSES
-from thinlayer.output.surface import Surface
+from thinlayer.output.surface import STATUSES, Surface
 
 Array = npt.NDArray[np.float64]
 BODIES, LAYER, ON_S = "bodies", "layer", "S"

@@ -185,9 +185,7 @@ class SurfaceMesh:
         f, n = self._field(f), self.n
         if f.shape != n.shape:
             raise ModelError(f"frame needs a vector field, of shape {n.shape}, not {f.shape}")
-        if self.joint.dim == 2:
-            return np.stack([n[1] * f[0] - n[0] * f[1], (n * f).sum(axis=0)])
-        axes = frames_at(np.moveaxis(n, 0, -1).reshape(-1, 3)).reshape(*self.weights.shape, 3, 3)
+        axes = frames_at(np.moveaxis(n, 0, -1).reshape(-1, len(n))).reshape(*self.weights.shape, len(n), len(n))
         return np.einsum("fqij,jfq->ifq", axes, f)
 
     # ---------------------------------------------------------------- nodes

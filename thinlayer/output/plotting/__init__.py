@@ -3,10 +3,9 @@
 from thinlayer.output.plotting.curves import COLOURS, ERRORS, curves, panels, rates
 from thinlayer.output.plotting.lines import along
 from thinlayer.output.plotting.movies import movie
-from thinlayer.output.plotting.on_surface import on_surface
 from thinlayer.output.plotting.picture import Picture
 from thinlayer.output.plotting.scene import VIEWS
-from thinlayer.output.plotting.structures import deformed
+from thinlayer.output.plotting.structures import deformed, on_surface
 from thinlayer.output.plotting.zoomed import zoomed
 
 __all__ = [

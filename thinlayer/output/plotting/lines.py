@@ -16,8 +16,8 @@ from thinlayer.errors import ModelError
 from thinlayer.output.contact_fields import PINNED, Contact
 from thinlayer.output.lines import Line, Plane
 from thinlayer.output.plotting.curves import COLOURS, logarithmic
-from thinlayer.output.plotting.on_surface import Values, colour_of, numbered
 from thinlayer.output.plotting.picture import Picture, finish
+from thinlayer.output.plotting.structures import Values, colour_of, numbered
 from thinlayer.output.surface import Surface
 
 STYLES = ("-", "--", ":")  # of the normal component and of the tangential ones
