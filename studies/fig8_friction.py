@@ -6,8 +6,7 @@ import numpy as np
 
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
-from thinlayer import Structure, Table, plotting, solve
-from thinlayer.output.contact_report import ContactReport
+from thinlayer import Structure, Surface, Table, plotting, solve
 from thinlayer.running.record import Record
 
 FRICTION = 1.0
@@ -30,7 +29,7 @@ def run(record: Record) -> None:
         for lmbda, mu in STIFFNESS:
             law = HolonomicCoulomb.of_layer(lmbda, mu, friction=FRICTION)
             state = record.solved(solve(Structure(joint, **setup).interface(law)))
-            report = ContactReport(state)
+            report = Surface(state.model).contact(state)
             counts[n, lmbda] = report.counts
             if n == N:
                 reports[label(lmbda, mu)], states[label(lmbda, mu)] = report, state
@@ -42,7 +41,8 @@ def run(record: Record) -> None:
     record.results["counts"] = [{"squares": n, "lmbda": lmbda, **found} for (n, lmbda), found in counts.items()]
     for entry in record.results["counts"]:
         record.say(entry)
-    plotting.contact(reports, save=record.path("contact.png"), length="mm", stress="MPa", title="bar on a rigid base")
+    surface, picture = next(iter(reports.values())).surface, record.path("contact.png")
+    plotting.along(surface, reports, save=picture, length="mm", stress="MPa", title="bar on a rigid base")
     stiff, soft = states[label(*STIFFNESS[0])], states[label(*STIFFNESS[2])]
     shown = {label(*STIFFNESS[0]): stiff, label(*STIFFNESS[2]): soft}
     plotting.deformed(

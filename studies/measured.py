@@ -67,3 +67,10 @@ class MeanJump:
         surface = self._surface
         jump = surface.frame(surface.jump(state))[self._component]
         return float(surface.integral(jump) / surface.integral(1.0))
+
+
+def phases_on_s(state: State) -> tuple[Array, Array]:
+    """First coordinates (n,) of the facets of S, and the phase of the layer there."""
+    surface = Surface(state.model)
+    x, phase = surface.x[0].mean(axis=1), surface.phase(state)[:, 0]
+    return np.sort(x), phase[np.argsort(x)]

@@ -8,9 +8,9 @@ import numpy as np
 
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
-from thinlayer import Structure, Table, observed_orders, plotting, solve
+from thinlayer import Structure, Surface, Table, observed_orders, plotting, solve
 from thinlayer.files.progress import track
-from thinlayer.output.contact_report import ContactReport
+from thinlayer.output.contact_fields import Contact
 from thinlayer.running.record import Record
 
 STIFFNESS = (5.0, 5e2, 5e4, 5e6, 5e8)  # K_T, N/mm^3; K_N is five times as much
@@ -40,28 +40,33 @@ def run(record: Record, *, quick: bool = False) -> None:
         steps.append(row | report.counts | {"equilibrium": report.equilibrium})
     record.write("newton_steps.csv", steps)
     shown = {f"K_T = {K:g} N/mm³": reports[K] for K in STIFFNESS[::2]}
-    plotting.contact(
-        shown, save=record.path("contact.png"), length="mm", stress="MPa", title="stiffer and stiffer contact"
+    plotting.along(
+        reports[LIMIT].surface,
+        shown,
+        save=record.path("contact.png"),
+        length="mm",
+        stress="MPa",
+        title="stiffer and stiffer contact",
     )
     _check(record, table, steps, meshes)
 
 
-def solved(record: Record, n: int, K: float, friction: float) -> tuple[ContactReport, int]:
-    """Report and Newton steps of the bar."""
+def solved(record: Record, n: int, K: float, friction: float) -> tuple[Contact, int]:
+    """Contact and Newton steps of the bar."""
     joint, setup = sliding_bar(n)
     model = Structure(joint, **setup).interface(HolonomicCoulomb(5 * K, K, friction))
     state = record.solved(solve(model))
-    return ContactReport(state), state.report.iterations
+    return Surface(state.model).contact(state), state.report.iterations
 
 
-def _errors(reports: dict[float, ContactReport]) -> Table:
+def _errors(reports: dict[float, Contact]) -> Table:
     """Differences to the stiffest of all, L2 on S over its own norm."""
     limit = reports[LIMIT]
     table = Table()
     values = []
     for K in STIFFNESS:
         report = reports[K]
-        weights = limit.weights
+        weights = limit.areas
         jump = np.hstack([report.u_T - limit.u_T, (report.u_N - limit.u_N)[:, None]])
         size = np.sqrt(weights @ (np.hstack([limit.u_T, limit.u_N[:, None]]) ** 2).sum(axis=1))
         traction = np.hstack([report.t_T - limit.t_T, (report.p - limit.p)[:, None]])

@@ -14,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from studies.fig4_bar import EXACT, meet, straight
+from studies.measured import phases_on_s
 from studies.snap_drawing import PURE, RELAXED, draw_phases, draw_response
 from studies.snap_structures import END, LIMIT, Block, distance, moved, pulled_block, strip, switches
-from thinlayer import History, PhaseReport, Table, plotting
+from thinlayer import History, Table, plotting
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row
 from thinlayer.running.record import Record
@@ -69,8 +70,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     for delta in SHOWN:
         there, back = pure.at(delta), pure.at(2 * END - delta)
         for name, state in {f"{PURE}, up": there, f"{PURE}, down": back, RELAXED: relaxed.at(delta)}.items():
-            x, phase = PhaseReport(state).profile()
-            for place, value in zip(x[:, 0], phase, strict=True):
+            for place, value in zip(*phases_on_s(state), strict=True):
                 phases.append({"delta": delta, "curve": name, "x": place, "phase": value})
     record.write("table.csv", snaps)
     record.write("table_response.csv", response)

@@ -13,9 +13,9 @@ from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed
 from forms.non_monotone import Phases
 from geometry import Joint, block
 from studies.fig4_bar import BAR
-from studies.measured import SupportForce
+from studies.measured import SupportForce, phases_on_s
 from studies.snap_drawing import BACK
-from thinlayer import ArcLength, History, Model, PhaseReport, Structure, Table, ThinLayer, march, piecewise
+from thinlayer import ArcLength, History, Model, Structure, Table, ThinLayer, march, piecewise
 from thinlayer.discretisation.supports import Support
 
 Array = npt.NDArray[np.float64]
@@ -108,7 +108,7 @@ def moved(t: npt.ArrayLike) -> Array:
 
 def switches(history: History) -> Array:
     """Displacements (columns, 2) at which each column of a cycle changes to phase 1, and back."""
-    phases = np.array([PhaseReport(state).profile()[1] for state in history]) > 0.5
+    phases = np.array([phases_on_s(state)[1] for state in history]) > 0.5
     first, last = phases.argmax(axis=0), len(phases) - phases[::-1].argmax(axis=0)
     return np.column_stack([history.t[first], 2 * END - history.t[last]])
 

@@ -18,8 +18,8 @@ from forms import HolonomicCoulomb, IncrementalCoulomb, MohrCoulombMonodirection
 from studies.problems import pressed
 from studies.sweeping import Solution, Sweep, draw_rates, last, layer_of
 from thinlayer import History, Model, State, Structure, Surface, Table, ThinLayer, compare, march, plotting, solve
-from thinlayer.output.plotting.contacts import STATUS
 from thinlayer.output.plotting.picture import finish
+from thinlayer.output.plotting.structures import NAMED
 from thinlayer.running.record import Record
 
 MODULI = {"lmbda": 60.0, "mu": 40.0}
@@ -248,7 +248,7 @@ def draw_profiles(record: Record, cases: Mapping[str, str]) -> None:
         profiles = {float(e): record.load(profile_name(case, float(e))) for e in table["eps"]}
         _draw_column(column, profiles)
         column[0].set_title(title)
-    patches: list[Any] = [Patch(color=STATUS[name], label=name) for name in ("stick", "sliding", "separated")]
+    patches: list[Any] = [Patch(color=NAMED[name], label=name) for name in ("stick", "sliding", "separated")]
     lines = axes[1, 0].get_legend_handles_labels()[0]
     figure.legend(handles=[*patches, *lines], loc="outside lower center", ncols=4, frameon=False)
     axes[1, 0].set_ylabel("pressure")
@@ -283,7 +283,7 @@ def _draw_strip(axes: Axes, row: int, table: Table, model: str) -> None:
     """The status around each node, as a row of colours."""
     x = table["x"]
     edges = np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]])
-    colours = [STATUS[str(one[f"status_{model}"])] for one in table.rows]
+    colours = [NAMED[str(one[f"status_{model}"])] for one in table.rows]
     axes.barh(np.full(len(x), row), np.diff(edges), left=edges[:-1], height=0.8, color=colours, linewidth=0)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
 from geometry import wall
-from thinlayer import History, LayerReport, LimitLoad, State, Structure, Surface, ThinLayer, march, plotting
+from thinlayer import History, LimitLoad, State, Structure, Surface, ThinLayer, march, plotting
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
@@ -26,6 +26,7 @@ PRESSURE = 0.5  # MPa, on the top
 WALLS = ("heads with mortar", "open heads")
 LARGE = (14, 15)  # bricks and courses
 NEAR = 0.9  # of the strength of a bed, where walls are compared and drawn
+SHARES = ("seam", "size", "elastic", "sliding", "open", "no layer")  # columns of joints.csv
 PANEL = (2, 3)  # bricks and courses of the panel that is meshed
 SHIFTS = (0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3)  # mm, of its top
 THICKNESSES = (10.0, 5.0, 2.5)  # mm, of its meshed joints
@@ -85,14 +86,15 @@ def push_walls(record: Record, bricks: int, courses: int, cells: int, step: floa
         near[name] = max((state for state in history if state.t <= NEAR * strength), key=lambda state: state.t)
         last[name] = history.last
         for state in (near[name], last[name]):
-            for shares in LayerReport(state).table.rows:
-                joints.append({"wall": name, "shear_MPa": state.t, **shares})
+            for shares in Surface(state.model).table(state).rows:
+                known = {key: shares.get(key) for key in SHARES}
+                joints.append({"wall": name, "shear_MPa": state.t, **known})
     record.check("shift at 0.9 of the limit, open heads over heads with mortar", shifts[1] / shifts[0], low=1.1)
     record.say(joints)
     shear = max(state.t for state in near.values())
     title = f"a wall under {PRESSURE:g} MPa, sheared by {shear:.3g} MPa"
-    plotting.layers(near, save=record.path("joints.png"), title=title)
-    plotting.layers(last, save=record.path("limit.png"), title="at the limit")
+    plotting.on_surface(near, Surface.status, save=record.path("joints.png"), title=title)
+    plotting.on_surface(last, Surface.status, save=record.path("limit.png"), title="at the limit")
 
 
 def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:

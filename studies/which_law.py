@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import ufl
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from forms import Incompressible, LinearElastic, Rubber
 from geometry import sandwich
 from geometry.parallel import world
 from studies.problems import FOURIER_BODY, Wave, fourier
-from thinlayer import PressureReport, RangeWarning, State, Structure, Surface, Table, ThinLayer, plotting, solve
+from thinlayer import RangeWarning, State, Structure, Surface, Table, ThinLayer, solve
 from thinlayer.files.progress import track
+from thinlayer.output.plotting.picture import finish
 from thinlayer.running.record import Record
 
 EPS = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4)  # over the half-wave of the load, or over the width of S; these are 1
@@ -35,6 +40,7 @@ LAWS = {
 LETTERS = {"order_0": "0", "order_1": "1", "rubber": "R"}
 CORRECTED = {"edges": "order_1", "rubber_edges": "rubber"}  # at free ends -> not corrected
 QUANTITIES = ("traction", "jump", "compliance")
+RANGES = ("#5e9bc8", "#b7dfc0", "#fff7b0", "#f8b26a", "#dd5a4d")  # colours of ranges, from the lowest values
 LEVELS = (0.001, 0.01, 0.05, 0.2)  # errors at which cells of the maps change their colour
 WANTED = (0.01, 0.05)  # errors for which the cheapest law is drawn
 TOLD = 0.1  # error of order 1 from which on there has to be a warning
@@ -81,7 +87,7 @@ def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: 
         told[f"warned_{law}"] = float(world().bcast(warned))  # rank 0 warns
         errors |= {f"{quantity}_{law}": error for quantity, error in zip(QUANTITIES, compared(state), strict=True)}
         if law == "order_0" and nu < 0.5:
-            told["too_stiff"] = PressureReport(state).too_stiff["S"]
+            told["too_stiff"] = Surface(state.model).table(state)["too_stiff"][0]
     return errors | told
 
 
@@ -226,7 +232,7 @@ def draw(record: Record) -> None:
                 errors[panel] = _grid(_worst(table, law)[at], nus)
                 warned = _grid(table[f"warned_{law}"][at], nus) > 0
                 texts[panel] = np.vectorize(_percent)(errors[panel], warned)
-        plotting.maps(
+        _maps(
             errors,
             texts=texts,
             levels=LEVELS,
@@ -263,7 +269,7 @@ def _cheapest(
             good = np.append(stack < wanted, np.ones((1, *stack.shape[1:]), bool), axis=0)
             parts[panel] = good.argmax(axis=0)
             texts[panel] = np.array(list(names))[parts[panel]]
-    plotting.maps(
+    _maps(
         parts,
         texts=texts,
         levels=np.arange(len(laws)) + 0.5,
@@ -273,6 +279,46 @@ def _cheapest(
         save=record.path(picture),
         **axes,
     )
+
+
+def _maps(
+    parts: Mapping[str, Any],
+    *,
+    x: Sequence[str],
+    y: Sequence[str],
+    texts: Mapping[str, Any],
+    levels: Any,
+    names: Sequence[str],
+    xlabel: str,
+    ylabel: str,
+    columns: int,
+    title: str,
+    save: Path,
+) -> None:
+    """Draw values (len(y), len(x)) as cells with texts, and colours for ranges between levels; a panel for each title."""
+    rows = -(-len(parts) // columns)
+    width, height = 0.36 * len(x) + 0.9, 0.3 * len(y) + 0.8
+    figure = Figure(figsize=(width * columns, height * rows + 0.8), layout="constrained")
+    colours = RANGES[: len(names)]
+    norm = BoundaryNorm([-np.inf, *levels, np.inf], len(names))
+    for k, (label, part) in enumerate(parts.items()):
+        axes = figure.add_subplot(rows, columns, k + 1)
+        values = np.ma.masked_invalid(np.asarray(part, float))
+        axes.pcolormesh(values, cmap=ListedColormap(colours), norm=norm, edgecolors="white")
+        for (i, j), text in np.ndenumerate(np.asarray(texts[label])):
+            axes.text(j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=6.5)
+        axes.set_xticks(np.arange(len(x)) + 0.5, x, rotation=60, fontsize=7)
+        axes.set_yticks(np.arange(len(y)) + 0.5, y, fontsize=7)
+        axes.tick_params(length=0)
+        axes.set_title(label, fontsize=9)
+        if k % columns == 0:
+            axes.set_ylabel(ylabel, fontsize=8)
+        if k >= len(parts) - columns:
+            axes.set_xlabel(xlabel, fontsize=8)
+    patches = [Patch(color=colour, label=name) for name, colour in zip(names, colours, strict=True)]
+    figure.legend(handles=patches, loc="outside lower center", ncols=len(names), frameon=False, fontsize=8)
+    figure.suptitle(title, fontsize=10)
+    finish(figure, save)
 
 
 def _grid(values: Array, nus: Array) -> Array:

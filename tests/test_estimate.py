@@ -13,7 +13,7 @@ import ufl
 from forms import Anisotropic, LinearElastic, Maxwell, MohrCoulomb, Norton, Stack, VonMises
 from geometry import sandwich
 from geometry.sheet import Rim
-from tests.estimate_run import EPS, GLUE, KINDS, LOWER, estimated, several, structure
+from tests.estimate_run import EPS, GLUE, KINDS, LOWER, estimated, several, structure, total
 from tests.on_ranks import on_ranks
 from tests.pictures import assert_drawn
 from thinlayer import (
@@ -34,14 +34,9 @@ from thinlayer.estimating import better, thickness
 from thinlayer.estimating.on_surface import away_from_ends
 from thinlayer.estimating.result import GoalError, _said
 from thinlayer.estimating.thickness import _error, _search
-from thinlayer.output.layer_report import ELASTIC, LayerReport
+from thinlayer.output.surface import ELASTIC
 
 pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
-
-
-def total(found, goal="compliance"):
-    """What the map of a goal adds up to."""
-    return Surface(found.better.model).integral(found.map(goal))
 
 
 # ---------------------------------------------------------------- the identity
@@ -147,7 +142,7 @@ def test_a_history_is_marched_again():
     assert found.better.t == 0.8
     true = full.last.energies()["loads"] - limit.last.energies()["loads"]
     assert found.goals["compliance"].change == pytest.approx(true, rel=0.04)  # of order 1: 0.06 at EPS
-    assert total(found) == pytest.approx(found.goals["compliance"].change, rel=1e-3)  # not linear: first order
+    assert total(found, "compliance") == pytest.approx(found.goals["compliance"].change, rel=1e-3)
     at_once = estimate(solve(made.interface(ThinLayer(LinearElastic(1.2, 2.0), EPS / 2, at=1.0)), 0.8))
     assert at_once.goals["compliance"].change / true < 0.6
     with pytest.raises(ModelError, match="marched with theta"):
@@ -366,13 +361,12 @@ def test_distances_from_edges_and_not_from_their_lines():
 def test_a_layer_that_yields_two_thicknesses_from_its_ends_has_no_estimate(monkeypatch):
     law = VonMises(4.0, 3.0, strength=0.9, hardening=2.0)
     state = solve(graded().interface(ThinLayer(law, EPS, at=1.0)), 0.01)
-    rows = LayerReport(state, "S").rows
-    at = state.model.joint.points[state.model.joint.table.vertices[rows]].mean(axis=1)[:, 0]
+    at = Surface(state.model).x[0].mean(axis=1)
 
     def why(near, far):
         status = np.where((at > near * EPS) & (at < far * EPS), "yields", ELASTIC)
         assert (status == "yields").any()
-        monkeypatch.setattr(better, "LayerReport", lambda *_: SimpleNamespace(status=status, rows=rows))
+        monkeypatch.setattr(Surface, "status", lambda *_: status[:, None])
         return better.why_unknown(state)
 
     assert "yields at its free ends" in why(1.0, 2.0)
@@ -386,7 +380,7 @@ def test_the_compliance_of_supports_that_move_knows_no_path():
     changes = []
     for given in (solve(model, 2.0), march(model, [1.0, 2.0])):
         found = estimate(given)
-        changes += [found.goals["compliance"].change, total(found)]
+        changes += [found.goals["compliance"].change, total(found, "compliance")]
     assert changes == pytest.approx(changes[:1] * 4, rel=1e-8)
 
 
@@ -475,7 +469,7 @@ def test_what_has_no_estimate():
         (lambda: estimate(limit, goals=[goals.Reaction("BOTTOM", (0, 0))]), "direction"),
         (lambda: estimate(limit, goals=[goals.Displacement((9.0, 0.0), (0, 1))]), "in no cell"),
         (lambda: estimate(limit, goals=[goals.MeanTraction((0, 1), seam="GLUE")]), "GLUE"),
-        (lambda: estimate(limit).map("traction"), "no goal"),
+        (lambda: estimate(limit).density("traction"), "no goal"),
         (lambda: estimate(limit, goals=[goals.Functional("mean", 3)]), "must be a function"),
         (lambda: estimate(limit, goals=[goals.Functional("mean", lambda u, model: u[5] * model.dx)]), "fails"),
         (lambda: estimate(limit, goals=[goals.Functional("m", lambda u, model: 1j * u[0] * model.dx)]), "not real"),
@@ -488,9 +482,10 @@ def test_what_has_no_estimate():
 
 # ---------------------------------------------------------------- pictures, units, ranks
 def test_the_picture_of_a_density(tmp_path):
-    for name, found in (("a.png", estimated("between")), ("b.png", estimated("base", 3))):
-        surface = Surface(found.better.model)
-        plotting.density(surface, found.map(), save=tmp_path / name, title="compliance", length="mm")
+    flat, solid = estimated("between"), estimated("base", 3)
+    surface, values = Surface(flat.better.model), flat.density()
+    plotting.along(surface, {"compliance": values}, save=tmp_path / "a.png", length="mm", log=True)
+    plotting.on_surface(solid.better, solid.density(), save=tmp_path / "b.png", quantity="compliance", log=True)
     assert_drawn(tmp_path / "a.png", tmp_path / "b.png")
 
 
@@ -544,4 +539,4 @@ def test_loads_that_one_of_both_laws_lacks():
     assert math.isnan(found.goals["compliance"].relative)
     for name in found.goals:
         with pytest.raises(ModelError, match="act in one of both models alone"):
-            found.map(name)
+            found.density(name)

@@ -158,7 +158,7 @@ def test_the_fewest_facets_hold_all_but_a_share():
 def test_the_map_of_an_estimate_tells_where_to_mesh():
     eps = 1 / 16
     found = estimate(solve(blocks(eps).interface(ThinLayer(LAYER, eps, at=1.0))))
-    where = Surface(found.better.model).most_of(found.map(), 0.1, margin=eps)
+    where = Surface(found.better.model).most_of(found.density(), 0.1, margin=eps)
     joint = blocks(eps).joint
     places = joint.points[joint.surface].mean(axis=1)[:, 0]
     assert where[places > 1 - eps].all()

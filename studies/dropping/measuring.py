@@ -177,10 +177,9 @@ def along(one: Dropped) -> Table:
         for which, state in (("true", one.full), ("estimated", found.better)):
             x, values = surface.profile(field(state) - before)
             columns[f"{which}_{name}"] = values[:, 1]
-    _, areas = surface.profile(surface.at_points(surface.areas))
-    _, columns["density"] = surface.profile(found.map())
     _, on_s = surface.profile((surface.traction(found.state) * surface.jump(one.full)).sum(axis=0))
-    columns["true_density"] = on_s - _of_layer(one, x[:, 0]) / areas
+    columns["density"] = found.density()
+    columns["true_density"] = on_s - _of_layer(one, x[:, 0]) / surface.areas
     return Table(
         {"x": float(x[k, 0]), **{name: float(c[k]) for name, c in columns.items()}} for k in np.argsort(x[:, 0])
     )

@@ -80,23 +80,23 @@ def field_of_ends(model: InterfaceModel, one: SeamLayer) -> float:
 
 
 def density_of(adjoint: Adjoint, summands: dict[str, Array]) -> Array:
-    """(n, q) field on S whose integral is the sum of summands at nodes (`Adjoint.summands`). Collective.
+    """(m,) density, at the nodes of S, of summands at nodes (`Adjoint.summands`). Collective.
 
-    Each of them is shared by the vertices of its cell; at a vertex of S their sum is divided by the area around.
+    A summand is shared by the vertices of its cell, and by the area around each vertex.
     """
     model = adjoint.model
     joint, surface = model.joint, SurfaceMesh(model)
-    vertices, sums = np.unique(surface.corners), np.zeros(len(joint.points))
+    sums, areas = np.zeros((2, len(joint.points)))
     _add_nodal(sums, model, summands[DISPLACEMENTS])
     for part in adjoint.equations.layers:
         if isinstance(part, FieldPart) and part.key in summands:
             x = part.field.function_space.tabulate_dof_coordinates()[: part.own_size, : joint.dim]
-            near, number = cKDTree(points_on_middle(surface.joint)[vertices]).query(x)
+            near, number = cKDTree(points_on_middle(surface.joint)[surface.corners.ravel()]).query(x)
             assert (near <= SAME_PLACE * np.ptp(joint.points)).all()
-            np.add.at(sums, vertices[number], summands[part.key])
-    areas = np.bincount(surface.corners.ravel(), surface.moments(1.0).ravel(), len(sums))
-    values = model.comm.allreduce(sums)[surface.corners] / areas[surface.corners]
-    return surface.between(values)
+            np.add.at(sums, surface.corners.ravel()[number], summands[part.key])
+    np.add.at(areas, surface.vertices, surface.areas)
+    totals = np.bincount(joint.masters, model.comm.allreduce(sums), len(sums))
+    return np.asarray(totals[surface.vertices] / areas[surface.vertices])
 
 
 def _add_nodal(sums: Array, model: InterfaceModel, values: Array) -> None:

@@ -160,11 +160,13 @@ class Estimate:
         return f"perfect bond{of}{', order 0' if layers else ''}" if bonds else "order 0"
 
     # ---------------------------------------------------------------- where
-    def map(self, goal: str = "compliance") -> npt.NDArray[np.float64]:
-        """(n, q) where on S the change of a goal comes from: a field for `Surface(estimate.better.model)`. Collective.
+    def density(self, goal: str = "compliance") -> npt.NDArray[np.float64]:
+        """Where on S the change of a goal comes from: a density whose integral is Q(u_1) - Q(u_0). Collective.
 
-        Its integral is Q(u_1) - Q(u_0), exact for linear models with symmetric laws and linear goals, otherwise to first
-        order in the change. It is large where a mesh of the layer is needed.
+        It is (m,) at the nodes of `Surface(estimate.better.model)`, a field for its `integral`, `along`, `most_of`.
+
+        For linear models with symmetric laws and linear goals the integral is exact, otherwise it is so to first order in
+        the change. It is large where a mesh of the layer is needed.
 
         Raises:
             ModelError: no such goal; one without a dual; loads that act in one of both models alone.
@@ -176,13 +178,13 @@ class Estimate:
         with Adjoint(self.better, before, self._options) as adjoint:
             z = adjoint.weights(*self._goals[goal].dual(adjoint))
             found = density_of(adjoint, adjoint.summands(z, self.state, theirs))
-            model = adjoint.model
-        if model.linear and model.symmetric and self._goals[goal].is_linear(model):
-            self._require_same_loads(Surface(model).integral(found), self.goals[goal])
+        if self.better.model.linear and self.better.model.symmetric and self._goals[goal].is_linear(adjoint.model):
+            self._require_same_loads(found, self.goals[goal])
         return found
 
-    def _require_same_loads(self, total: float, goal: GoalError) -> None:
+    def _require_same_loads(self, density: npt.NDArray[np.float64], goal: GoalError) -> None:
         """Raise ModelError if the identity does not hold, as loads act in one of both models alone."""
+        total = Surface(self.better.model).integral(density)
         size = max(abs(goal.value), abs(goal.better), goal.scale)
         if abs(total - goal.change) > SAME * size:
             raise ModelError(
@@ -191,10 +193,10 @@ class Estimate:
             )
 
     def by_seam(self, goal: str = "compliance") -> dict[str, float]:
-        """Name of a seam -> the part of the change of a goal that its layer causes; errors as of `map`. Collective."""
-        surface, seams = Surface(self.better.model), list(self.better.model.joint.seams)
-        changes, number = self.map(goal) * surface.weights, surface.joint.seam_numbers[surface.rows]
-        return {name: float(changes[number == seams.index(name)].sum()) for name in self.layers}
+        """Name of a seam -> the part of the change of a goal that its layer causes; errors as of `density`. Collective."""
+        surface = Surface(self.better.model)
+        changes = surface.at_points(self.density(goal)) * surface.weights
+        return {name: float(changes[surface.seams == name].sum()) for name in self.layers}
 
     # ---------------------------------------------------------------- words
     @property

@@ -120,6 +120,15 @@ class Excess:
         return self.work <= LEAST_ERROR < self.traction
 
 
+def times_too_stiff(state: State, one: SeamLayer) -> float:
+    """1 + opening of `pressure_excess`, 1 of a law with a pressure that flows; nan where `why_unknown`. Collective."""
+    if why_unknown(one):
+        return math.nan
+    if one.flows:
+        return 1.0
+    return 1 + pressure_excess(Faces.of(state, one), sublayers_of(one)[0]).opening
+
+
 def pressure_excess(faces: Faces, layer: Sublayer) -> Excess:
     """Compare the pressure of the law with that of the layer, for the displacements found. Collective.
 

@@ -107,11 +107,14 @@ def _draw(record: Record, case: Case, name: str, found: Estimate) -> None:
     """A picture for each goal whose density on S is known."""
     for goal in found.goals if not found.unknown else ():
         try:
-            density = found.map(goal)
+            density = found.density(goal)
         except ModelError as error:
             record.say(f"no picture of {goal}: {error}")
             continue
         file = "_".join(["map", name, *re.findall(r"\w+", goal)]) + ".png"
         length = case.given.units[0] if case.given.units else ""
-        quantity = f"change of {goal}, per area of S"
-        plotting.density(Surface(found.better.model), density, save=record.path(file), length=length, quantity=quantity)
+        quantity, path, surface = f"change of {goal}, per area of S", record.path(file), Surface(found.better.model)
+        if surface.joint.dim == 2:
+            plotting.along(surface, {quantity: density}, save=path, length=length, log=True)
+        else:
+            plotting.on_surface(found.better, density, save=path, quantity=quantity, scale=0.0, log=True)

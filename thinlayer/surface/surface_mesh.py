@@ -18,7 +18,7 @@ from forms.base import is_number
 from geometry.errors import place, unknown
 from geometry.inflating.parting import faces, points_on_middle
 from geometry.joint import Joint
-from geometry.order import order_on_s
+from geometry.order import along, by_place
 from geometry.seam import S
 from geometry.sheet import Rim
 from geometry.topology import FACET_TYPES, IntArray, lagrange
@@ -30,7 +30,7 @@ from thinlayer.discretisation.pairs import pair_numbers
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State, cell_values
 from thinlayer.errors import ModelError
-from thinlayer.surface.lines import Line, Plane, lines_on
+from thinlayer.surface.lines import Line, Plane, lines_on, require_plane
 from thinlayer.surface.locating import Located
 
 Array = npt.NDArray[np.float64]
@@ -84,6 +84,7 @@ class SurfaceMesh:
     """S of a joint, or one of its seams, as a mesh of its own, whole on every rank.
 
     A field is an array with a value at each of q points of quadrature of each of n facets: (n, q), of vectors (d, n, q).
+    One that is constant on facets is (n, 1), and (m,) values at the nodes stand for the field that is linear between them.
     A constant vector v is `np.reshape(v, (-1, 1, 1))` beside it: numpy would take a plain one along the points.
 
     Args:
@@ -98,6 +99,7 @@ class SurfaceMesh:
         cells: (n, 2) numbers in the joint of the cells below (-1: a rigid base) and above.
         corners: (n, k) their vertices in the joint.
         faces: (2, n, a, d) places of their nodes in the cells below and above.
+        seams: (n,) names of their seams.
         points: (q, d - 1) the points of quadrature in the reference facet.
         shapes: (q, k) values at the points of the functions of degree 1 of the corners.
 
@@ -118,6 +120,7 @@ class SurfaceMesh:
         self.rows: IntArray = np.searchsorted(joint.surface_rows, joint.rows_of(seam))
         self.cells = joint.surface_cells[self.rows]
         self.corners = joint.surface[self.rows, : joint.table.vertices.shape[1]]
+        self.seams = np.array(list(joint.seams))[joint.seam_numbers[self.rows]]
         self.faces = faces(joint)[:, self.rows]
         self._rules: dict[int, FacetPoints] = {}
         degree = 2 * model.structure.degree + 2 * (joint.degree - 1) + model.kinematics.degree
@@ -270,16 +273,18 @@ class SurfaceMesh:
 
     # ---------------------------------------------------------------- integrals
     def _field(self, f: Any) -> Array:
-        """A field, or a number everywhere; raises ModelError."""
+        """(..., n, q) a field; raises ModelError."""
         try:
-            values = np.asarray(f, float) if np.shape(f) else np.full(self.weights.shape, float(f))
-            if values.shape[-2:] != self.weights.shape:
+            values = np.asarray(f, float)
+            if values.shape == (len(self.numbers),):
+                values = self.at_points(values)
+            if values.ndim and values.shape[-2:] not in ((len(self.rows), 1), self.weights.shape):
                 raise ValueError
-            return values
+            return np.broadcast_to(values, (*values.shape[:-2], *self.weights.shape))
         except (TypeError, ValueError):
             raise ModelError(
                 f"{f!r:.80} is no field on S; give an array (..., n, q) = (..., {str(self.weights.shape)[1:]}, "
-                "as surface.jump(state) or surface.x[0] is"
+                "as surface.jump(state) or surface.x[0] is, (n, 1) of facets, or values at the nodes"
             ) from None
 
     def where(self, part: Where | float) -> Array:
@@ -313,37 +318,49 @@ class SurfaceMesh:
         f, n = self._field(f), self.n
         if f.shape != n.shape:
             raise ModelError(f"frame needs a vector field, of shape {n.shape}, not {f.shape}")
-        if self.joint.dim == 2:
-            return np.stack([n[1] * f[0] - n[0] * f[1], (n * f).sum(axis=0)])
-        axes = frames_at(np.moveaxis(n, 0, -1).reshape(-1, 3)).reshape(*self.weights.shape, 3, 3)
+        axes = frames_at(np.moveaxis(n, 0, -1).reshape(-1, len(n))).reshape(*self.weights.shape, len(n), len(n))
         return np.einsum("fqij,jfq->ifq", axes, f)
 
     # ---------------------------------------------------------------- nodes
     @cached_property
-    def _numbered(self) -> tuple[IntArray, IntArray]:
-        """Numbers of the nodes, one for each pair of bodies at a vertex, and the node at each corner (n, k)."""
-        vertices = self.joint.table.vertices[self.joint.surface_rows[self.rows]]
-        at = (vertices[:, None] == self.corners[..., None]).argmax(axis=2)
+    def _numbered(self) -> tuple[IntArray, IntArray, IntArray]:
+        """`numbers`, `vertices` and `nodes`."""
+        of_table = self.joint.table.vertices[self.joint.surface_rows[self.rows]]
+        at = (of_table[:, None] == self.corners[..., None]).argmax(axis=2)
         codes = np.take_along_axis(pair_numbers(self.joint)[self.rows], at, axis=1)
-        numbers, nodes = np.unique(codes, return_inverse=True)
-        return numbers, nodes.reshape(codes.shape)
+        numbers, first, nodes = np.unique(codes, return_index=True, return_inverse=True)
+        vertices, nodes = self.joint.masters[self.corners].ravel()[first], nodes.reshape(codes.shape)
+        x, size = self.joint.points[vertices], float(np.ptp(self.joint.points, axis=0).max())
+        order = along(x, nodes, size) if self.joint.dim == 2 else by_place(x, size)
+        return numbers[order], vertices[order], np.argsort(order)[nodes]
 
     @property
     def numbers(self) -> IntArray:
-        """(m,) numbers of the nodes (`pair_numbers`): where seams meet, one for each pair of bodies at a vertex."""
-        return self._numbered[0]
+        """(m,) numbers of the nodes (`pair_numbers`): where seams meet, one for each pair of bodies at a vertex.
 
-    @property
-    def nodes(self) -> IntArray:
-        """(n, k) position in `numbers` of the node at each corner."""
-        return self._numbered[1]
+        In order along S in 2D, piece after piece, else by the coordinates; each piece of S has one pair at each vertex.
+        """
+        return self._numbered[0]
 
     @property
     def places(self) -> Array:
         """(m, d) places of the nodes."""
-        x = np.zeros((len(self.numbers), self.joint.dim))
-        x[self.nodes] = self.joint.points[self.joint.masters[self.corners]]
-        return x
+        return self.joint.points[self.vertices]
+
+    @property
+    def vertices(self) -> IntArray:
+        """(m,) vertices of the joint at the nodes, of those that periodic sides identify the first one."""
+        return self._numbered[1]
+
+    @property
+    def nodes(self) -> IntArray:
+        """(n, k) position in `numbers` of the node at each corner."""
+        return self._numbered[2]
+
+    def find(self, numbers: IntArray) -> IntArray:
+        """Positions of nodes with these numbers."""
+        order = np.argsort(self.numbers)
+        return order[np.searchsorted(self.numbers[order], numbers)]
 
     def mass(self, f: Any = 1.0) -> scipy.sparse.csc_matrix:
         """(m, m) mass matrix of the functions of degree 1, weighted with a field."""
@@ -401,22 +418,16 @@ class SurfaceMesh:
         return np.asarray(of_corners @ self.shapes.T)
 
     def profile(self, f: Any) -> tuple[Array, Array]:
-        """Places (m, d) and values (m,) or (m, d) of a field, projected to degree 1, at the vertices of S.
-
-        In order along S in 2D, piece after piece, else by the coordinates. Where seams meet, there is a value for each pair
-        of bodies around a vertex, and each piece of S has one pair at each vertex.
-        """
-        values, x = self.nodal(f), self.places
-        order = order_on_s(self.joint, self.numbers, x, self.seam, self.numbers[self.nodes])
-        return x[order], values[order]
+        """Places (m, d) and values (m,) or (m, d) of a field, projected to degree 1, at the nodes (`numbers`)."""
+        return self.places, self.nodal(f)
 
     def along(self, f: Any, *, plane: Plane | None = None) -> list[Line]:
-        """Values of a field, projected to degree 1, along the lines of S, by arc length.
+        """Values of a field along the lines of S, by arc length: steps where it is constant on facets, else of degree 1.
 
         In 2D a line is a piece of a seam: it ends where the seam ends, branches or crosses itself. In 3D it is where a
         plane cuts a seam. Lines are ordered by seam, then by the place at which they start, the lower one of their ends by
         the first coordinate, then by the next ones; a closed line starts at its lowest place and goes towards the lower of
-        its neighbours. Where another seam meets a line and values jump, there are two rows of one s.
+        its neighbours. Where values jump, as where another seam meets a line, there are two rows of one s.
 
         Args:
             f: the field.
@@ -425,11 +436,26 @@ class SurfaceMesh:
         Raises:
             ModelError: no field; a plane in 2D, none in 3D, one that does not cut S.
         """
-        joint, nodal = self.joint, self.nodal(f)
-        nodes = np.searchsorted(self.numbers, pair_numbers(joint)[self.rows])  # in the order of the joint's facets
-        seams = joint.seam_numbers[self.rows]
-        chosen = {name: nodes[seams == k] for k, name in enumerate(joint.seams) if self.seam in (S, name)}
-        return lines_on(joint, chosen, np.arange(len(nodal)), nodal, plane)
+        joint, values, found = self.joint, self.at_corners(f), list[Line]()
+        require_plane(plane, joint.dim)
+        rows = joint.surface_rows[self.rows]
+        at = (self.corners[:, None] == joint.table.vertices[rows][..., None]).argmax(axis=2)
+        values = np.take_along_axis(values, at.reshape(*at.shape, *[1] * (values.ndim - 2)), axis=1)
+        for name in dict.fromkeys(self.seams.tolist()):
+            mine = self.seams == name
+            found += lines_on(joint, name, rows[mine], values[mine], plane)
+        if not found:
+            raise ModelError(f"the plane {plane!r} does not cut S")
+        return found
+
+    def at_corners(self, f: Any) -> Array:
+        """(n, k) or (n, k, d) values of a field at the corners of facets."""
+        values = self._field(f)
+        if np.shape(f) == (len(self.numbers),):
+            return np.asarray(f, float)[self.nodes]
+        if np.shape(f)[-2:] == (len(self.rows), 1):
+            return np.stack([np.moveaxis(values[..., 0], -1, 0)] * self.nodes.shape[1], axis=1)
+        return self.nodal(values)[self.nodes]
 
     # ---------------------------------------------------------------- layers
     def thickness(self, one: SeamLayer, vertices: IntArray) -> Array:
@@ -446,7 +472,7 @@ class SurfaceMesh:
         """(n_S,) the fewest facets of S that hold the integral of |f| but for a share, for `Structure.mixed`.
 
         Args:
-            f: scalar field, such as `Estimate.map` gives.
+            f: scalar field, such as `Estimate.density` gives.
             all_but: the share that the others may hold, from 0 to less than 1.
             margin: length by which the part of S that is chosen is made wider.
 
