@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from geometry.joint import Joint
-from geometry.seam import S
 from geometry.topology import FloatArray, IntArray
 
 CLOSE = 1e-9  # distance, over the size of the whole, below which two places are the same
@@ -42,40 +40,3 @@ def along(x: FloatArray, pairs: IntArray, size: float) -> IntArray:
             way.append(at)
             going = [k for k in neighbours[at] if k in left] or [k for k in ends.get(places[at], ()) if k in left]
     return np.array(way, np.int64)
-
-
-def edges_of_s(joint: Joint, numbers: IntArray, seam: str = S) -> tuple[IntArray, IntArray]:
-    """Pairs of positions in `numbers`, vertices of a joint, of those that share a facet of S, or of one seam."""
-    return edges_of(joint.table.vertices[joint.rows_of(seam)], numbers)
-
-
-def edges_of(facets: IntArray, numbers: IntArray) -> tuple[IntArray, IntArray]:
-    """Pairs of positions in `numbers` of those that share one of the facets (m, k), given by such numbers."""
-    k = facets.shape[1]
-    pairs = np.concatenate([facets[:, [i, j]] for i in range(k) for j in range(i + 1, k)])
-    order = np.argsort(numbers)
-    at = np.minimum(np.searchsorted(numbers[order], pairs), len(numbers) - 1)
-    there = (numbers[order][at] == pairs).all(axis=1)
-    return order[at[there, 0]], order[at[there, 1]]
-
-
-def order_on_s(
-    joint: Joint, numbers: IntArray, x: FloatArray, seam: str = S, facets: IntArray | None = None
-) -> IntArray:
-    """Order of vertices of a joint on S, or on a seam, at x (n, d), each once or more: along S in 2D, else by place.
-
-    Args:
-        joint: the joint.
-        numbers: (n,) numbers of the vertices.
-        x: (n, d) their places.
-        seam: name of the seam, or "S".
-        facets: (m, k) vertices of its facets, if they have other numbers than the joint's.
-    """
-    size = float(np.ptp(joint.points, axis=0).max())
-    vertices, first, number = np.unique(numbers, return_index=True, return_inverse=True)
-    if joint.dim == 2:
-        edges = edges_of_s(joint, vertices, seam) if facets is None else edges_of(facets, vertices)
-        order = along(x[first], np.column_stack(edges), size)
-    else:
-        order = by_place(x[first], size)
-    return np.argsort(np.argsort(order)[number], kind="stable")

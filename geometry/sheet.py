@@ -105,12 +105,6 @@ class Sheet:
         return np.asarray(self.joint.surface[facet[:, None], corner])
 
     @cached_property
-    def normals(self) -> FloatArray:
-        """(n, d, d) unit normals of S at the vertices."""
-        facet, corner = self.parts
-        return self.joint.node_normals[facet[:, None], corner]
-
-    @cached_property
     def mean_normal(self) -> FloatArray:
         """(d,) unit vector; if S is closed, the normal of its first facet."""
         normals = self.joint.interface_normals[self.facets]

@@ -9,9 +9,10 @@ import numpy as np
 from forms import HolonomicCoulomb, LinearElastic
 from geometry import wall
 from studies.timing import timed
-from thinlayer import ContactReport, SolveError, State, Structure, ThinLayer, plotting, solve
+from thinlayer import SolveError, State, Structure, Surface, ThinLayer, plotting, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.files.progress import track
+from thinlayer.output.contact_fields import Contact
 from thinlayer.running.record import Record
 
 BRICK = (250.0, 75.0)  # mm
@@ -54,7 +55,7 @@ def run(record: Record, *, quick: bool = False) -> None:
                 continue
             states[method] = state
             row |= {"steps": state.report.iterations, "eased": state.report.eased, "seconds": seconds}
-            row |= {"ratio": seconds / linear, "sliding": ContactReport(state, "BED").counts["sliding"]}
+            row |= {"ratio": seconds / linear, "sliding": _beds(state).counts["sliding"]}
             table.append(row)
         if len(states) == 2:
             apart = difference(*states.values())
@@ -95,8 +96,12 @@ def solved(model: InterfaceModel, method: str | None = None) -> tuple[State, flo
 
 def difference(one: State, other: State) -> float:
     """Largest difference of the pressures on the beds, over the largest pressure."""
-    first, second = (ContactReport(state, "BED").p for state in (one, other))
+    first, second = (_beds(state).p for state in (one, other))
     return float(np.abs(first - second).max() / first.max())
+
+
+def _beds(state: State) -> Contact:
+    return Surface(state.model, "BED").contact(state)
 
 
 def draw(record: Record) -> None:

@@ -6,8 +6,7 @@ import numpy as np
 
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
-from thinlayer import Structure, Table, plotting, solve
-from thinlayer.output.contact_report import ContactReport
+from thinlayer import Structure, Surface, Table, plotting, solve
 from thinlayer.running.record import Record
 
 FRICTION = 1.0
@@ -29,7 +28,7 @@ def run(record: Record) -> None:
         for pair in STIFFNESS:
             law = HolonomicCoulomb.of_layer(*pair, friction=FRICTION)
             states[n, pair] = record.solved(solve(Structure(joint, **setup).interface(law)))
-            reports[n, pair] = ContactReport(states[n, pair])
+            reports[n, pair] = Surface(states[n, pair].model).contact(states[n, pair])
             counts[n, pair[0]] = reports[n, pair].counts
     names = {"x_mm": "x", "u_T_mm": "u_T", "u_N_mm": "u_N", "p_MPa": "p", "t_MPa": "t_T", "status": "status"}
     table = Table(
@@ -40,7 +39,8 @@ def run(record: Record) -> None:
     record.write("table.csv", table)
     record.results["counts"] = [{"squares": n, "lmbda": lmbda, **found} for (n, lmbda), found in counts.items()]
     shown = {label(*pair): reports[N, pair] for pair in STIFFNESS}
-    plotting.contact(shown, save=record.path("contact.png"), length="mm", stress="MPa", title="bar on a rigid base")
+    surface, save, title = reports[N, STIFFNESS[0]].surface, record.path("contact.png"), "bar on a rigid base"
+    plotting.along(surface, shown, save=save, length="mm", stress="MPa", title=title)
     pushed, title = (
         {label(*pair): states[N, pair] for pair in STIFFNESS[::2]},
         "bar pushed to the right and onto its base",

@@ -47,7 +47,7 @@ from thinlayer import (
     thin_enough,
 )
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.estimating.places import away_from_ends
+from thinlayer.estimating.on_surface import away_from_ends
 from thinlayer.files.progress import track
 from thinlayer.files.table import Table
 from thinlayer.running.record import Record
@@ -266,11 +266,9 @@ def along(one: Dropped) -> Table:
         for which, state in (("true", one.full), ("estimated", found.better)):
             x, values = surface.profile(field(state) - before)
             columns[f"{which}_{name}"] = values[:, 1]
-    density = found.density()
-    order = np.argsort(density.x[:, 0])
     _, on_s = surface.profile((surface.traction(found.state) * surface.jump(one.full)).sum(axis=0))
-    columns["density"] = density.values[order]
-    columns["true_density"] = on_s - _of_layer(one, x[:, 0]) / density.areas[order]
+    columns["density"] = found.density()
+    columns["true_density"] = on_s - _of_layer(one, x[:, 0]) / surface.areas
     in_order = np.argsort(x[:, 0])
     return Table.of({"x": x[in_order, 0], **{name: column[in_order] for name, column in columns.items()}})
 

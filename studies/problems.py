@@ -247,3 +247,10 @@ def against_section(full: Solution, limit: Solution) -> dict[str, float]:
 def _rise(state: State) -> float:
     top = state.model.ds(state.model.domain.values("TOP"))
     return state.integral(state.u[1] * top) / (math.pi * ROD_RADIUS**2)
+
+
+def phases_on_s(state: State) -> tuple[Array, Array]:
+    """First coordinates (n,) of the facets of S, and the phase of the layer there."""
+    surface = Surface(state.model)
+    x, phase = surface.x[0].mean(axis=1), surface.phase(state)[:, 0]
+    return np.sort(x), phase[np.argsort(x)]

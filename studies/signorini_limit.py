@@ -9,9 +9,9 @@ import numpy as np
 
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
-from thinlayer import Structure, Table, observed_orders, plotting, solve
+from thinlayer import Structure, Surface, Table, observed_orders, plotting, solve
 from thinlayer.files.progress import track
-from thinlayer.output.contact_report import ContactReport
+from thinlayer.output.contact_fields import Contact
 from thinlayer.running.record import Record
 
 STIFFNESS = (5.0, 5e2, 5e4, 5e6, 5e8)  # K_T, N/mm^3; K_N is five times as much
@@ -40,24 +40,24 @@ def run(record: Record, *, quick: bool = False) -> None:
     record.write("newton_steps.csv", steps)
     shown = {f"K_T = {K:g} N/mm³": reports[K] for K in STIFFNESS[::2]}
     save, title = record.path("contact.png"), "stiffer and stiffer contact"
-    plotting.contact(shown, save=save, length="mm", stress="MPa", title=title)
+    plotting.along(reports[LIMIT].surface, shown, save=save, length="mm", stress="MPa", title=title)
     _check(record, table, steps, meshes)
 
 
-def solved(record: Record, n: int, K: float, friction: float) -> tuple[ContactReport, int]:
-    """Report and Newton steps of the bar."""
+def solved(record: Record, n: int, K: float, friction: float) -> tuple[Contact, int]:
+    """Contact and Newton steps of the bar."""
     joint, setup = sliding_bar(n)
     model = Structure(joint, **setup).interface(HolonomicCoulomb(5 * K, K, friction))
     state = record.solved(solve(model))
-    return ContactReport(state), state.report.iterations
+    return Surface(state.model).contact(state), state.report.iterations
 
 
-def _errors(reports: dict[float, ContactReport]) -> Table:
+def _errors(reports: dict[float, Contact]) -> Table:
     """Differences to the stiffest of all, L2 on S over its own norm."""
     limit = fields(reports[LIMIT])
 
     def norm(field: np.ndarray) -> float:
-        return float(np.sqrt(reports[LIMIT].weights @ (field**2).sum(axis=1)))
+        return float(np.sqrt(reports[LIMIT].areas @ (field**2).sum(axis=1)))
 
     columns: dict[str, list[Any]] = {"K_T": [*STIFFNESS]}
     for name, known in limit.items():
@@ -68,7 +68,7 @@ def _errors(reports: dict[float, ContactReport]) -> Table:
     return Table.of(columns)
 
 
-def fields(report: ContactReport) -> dict[str, np.ndarray]:
+def fields(report: Contact) -> dict[str, np.ndarray]:
     """Jump and traction at the nodes, tangential parts first."""
     return {"jump": np.column_stack([report.u_T, report.u_N]), "traction": np.column_stack([report.t_T, report.p])}
 

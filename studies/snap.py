@@ -20,11 +20,11 @@ from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed
 from forms.non_monotone import Phases
 from geometry import Joint, block
 from studies.fig4_bar import BAR, EXACT, meet, straight
+from studies.problems import phases_on_s
 from thinlayer import (
     ArcLength,
     History,
     Model,
-    PhaseReport,
     State,
     Structure,
     Table,
@@ -139,7 +139,7 @@ def moved(t: npt.ArrayLike) -> Array:
 
 def switches(history: History) -> Array:
     """Displacements (columns, 2) at which each column of a cycle changes to phase 1, and back."""
-    phases = np.array([PhaseReport(state).profile()[1] for state in history]) > 0.5
+    phases = np.array([phases_on_s(state)[1] for state in history]) > 0.5
     first, last = phases.argmax(axis=0), len(phases) - phases[::-1].argmax(axis=0)
     return np.column_stack([history.t[first], 2 * END - history.t[last]])
 
@@ -187,8 +187,8 @@ def run(record: Record, *, quick: bool = False) -> None:
     for delta in SHOWN:
         there, back = pure.at(delta), pure.at(2 * END - delta)
         for name, state in {f"{PURE}, up": there, f"{PURE}, down": back, RELAXED: relaxed.at(delta)}.items():
-            x, phase = PhaseReport(state).profile()
-            phases.extend(Table.of({"delta": delta, "curve": name, "x": x[:, 0], "phase": phase}))
+            x, phase = phases_on_s(state)
+            phases.extend(Table.of({"delta": delta, "curve": name, "x": x, "phase": phase}))
     largest = max(pure.snaps, key=lambda snap: snap.lost)
     states = {"just before": pure.states[largest.row - 1], "just after": pure.states[largest.row]}
     title = f"largest snap, delta = {moved(largest.t):.4f}, energy lost: {largest.lost:.4f}"

@@ -15,9 +15,9 @@ from forms import NonMonotone, NonMonotoneUnrelaxed, TractionLaw
 from forms.kinematics import Expr
 from forms.traction import JumpStep
 from geometry import Joint, sandwich
-from studies.problems import FOURIER_BODY
+from studies.problems import FOURIER_BODY, phases_on_s
 from studies.sweeping import Floors, Solution, Sweep, check_floors, draw_rates, last, last_order, layer_of
-from thinlayer import History, PhaseReport, RangeWarning, Table, ThinLayer, plotting
+from thinlayer import History, RangeWarning, Surface, Table, ThinLayer, plotting
 from thinlayer.running.record import Record
 
 OBLIQUE = np.array([[0.0, 0.3], [0.3, 0.5]])  # chi, in the axes t, n of S
@@ -142,12 +142,13 @@ def phases(record: Record, case: str, pictured: float, full: Solution, limit: So
     The phases along S are noted for one thickness.
     """
     state = last(limit)
-    (x, on_s), (_, meshed) = (PhaseReport(last(one)).profile() for one in (limit, full))
+    (x, on_s), (_, meshed) = (phases_on_s(last(one)) for one in (limit, full))
     if layer_of(full).eps == pictured:
-        record.write(f"phases_{case}.csv", Table.of({"x": x[:, 0], MESHED: meshed, ON_S: on_s}))
+        record.write(f"phases_{case}.csv", Table.of({"x": x, MESHED: meshed, ON_S: on_s}))
     mixed = (abs(on_s) > CLOSE) & (abs(on_s) < 1 - CLOSE)
-    report, differ = PhaseReport(state), abs(meshed - on_s) > 0.5
-    return {"plus": report.plus, "minus": report.minus, "mixed": float(mixed.mean()), "differ": float(differ.sum())}
+    (row,), differ = Surface(state.model).table(state).rows, abs(meshed - on_s) > 0.5
+    shares = {name: float(row[name] or 0.0) for name in ("plus", "minus")}
+    return shares | {"mixed": float(mixed.mean()), "differ": float(differ.sum())}
 
 
 def unrelaxed(record: Record, eps: Sequence[float]) -> None:

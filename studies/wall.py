@@ -11,7 +11,7 @@ import numpy as np
 
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
 from geometry import wall
-from thinlayer import History, LayerReport, LimitLoad, State, Structure, Surface, Table, ThinLayer, march, plotting
+from thinlayer import History, LimitLoad, State, Structure, Surface, Table, ThinLayer, march, plotting
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
@@ -31,6 +31,7 @@ PANEL = (2, 3)  # bricks and courses of the panel that is meshed
 SHIFTS = (0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3)  # mm, of its top
 THICKNESSES = (10.0, 5.0, 2.5)  # mm, of its meshed joints
 ELASTIC_FRACTION = 0.002  # of the mortar of the panel: ideal plasticity leaves nothing to hold its free ends
+SHARES = ("seam", "size", "elastic", "sliding", "open", "no layer")  # columns of joints.csv
 
 
 def run(record: Record, *, large: bool = False, quick: bool = False) -> None:
@@ -77,12 +78,15 @@ def push_walls(record: Record, bricks: int, courses: int, cells: int, step: floa
         near[name] = max((state for state in history if state.t <= NEAR * STRENGTH), key=lambda state: state.t)
         last[name] = history.last
         for state in (near[name], last[name]):
-            joints.extend({"wall": name, "shear_MPa": state.t, **shares} for shares in LayerReport(state).table)
+            shares = Surface(state.model).table(state)
+            joints.extend(
+                {"wall": name, "shear_MPa": state.t} | {key: row.get(key) for key in SHARES} for row in shares
+            )
     record.check("shift at 0.9 of the limit, open heads over heads with mortar", shifts[1] / shifts[0], low=1.1)
     shear = max(state.t for state in near.values())
     title = f"a wall under {PRESSURE:g} MPa, sheared by {shear:.3g} MPa"
-    plotting.layers(near, save=record.path("joints.png"), title=title)
-    plotting.layers(last, save=record.path("limit.png"), title="at the limit")
+    plotting.on_surface(near, Surface.status, save=record.path("joints.png"), title=title)
+    plotting.on_surface(last, Surface.status, save=record.path("limit.png"), title="at the limit")
 
 
 def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:

@@ -16,7 +16,7 @@ import ufl
 from forms import Incompressible, LinearElastic, Rubber
 from geometry.parallel import world
 from studies.problems import FOURIER_BODY, Wave, fourier, free_blocks
-from thinlayer import PressureReport, RangeWarning, State, Structure, Surface, Table, ThinLayer, plotting, solve
+from thinlayer import RangeWarning, State, Structure, Surface, Table, ThinLayer, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
@@ -76,7 +76,7 @@ def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: 
         told[f"warned_{law}"] = float(world().bcast(warned))  # rank 0 warns
         errors |= {f"{quantity}_{law}": error for quantity, error in zip(QUANTITIES, compared(state), strict=True)}
         if law == "order_0" and nu < 0.5:
-            told["too_stiff"] = PressureReport(state).too_stiff["S"]
+            told["too_stiff"] = Surface(state.model).table(state)["too_stiff"][0]
     return errors | told
 
 

@@ -12,9 +12,8 @@ from forms import LinearElastic
 from forms.ends.fields import Corner, EndFields
 from studies.problems import free_blocks
 from studies.sweeping import last_order
-from thinlayer import Probe, State, ThinLayer, Zoom, plotting, solve
+from thinlayer import Probe, State, Surface, ThinLayer, Zoom, plotting, solve
 from thinlayer.files.progress import track
-from thinlayer.output.meshed_places import meshed_places
 from thinlayer.running.record import Record
 
 Array = npt.NDArray[np.float64]
@@ -94,7 +93,7 @@ def _compared(zoom: Zoom, full: State) -> dict[str, float]:
     for number, end in enumerate(zoom.ends):
         d, y = (one.ravel() for one in np.meshgrid(DISTANCES[DISTANCES * eps <= 0.5], HEIGHTS))
         x = end.x - d[:, None] * eps * end.m
-        known = probe.stress(meshed_places(full.model, x, y, zoom.seam))
+        known = probe.stress(Surface(full.model, zoom.seam).in_layer(x, y))
         found.append((d, known, zoom.stress(x, y) - known))
         strengths += [(end.lower[0], _meshed(zoom, probe, number, -1)), (end.upper[0], _meshed(zoom, probe, number, 1))]
     distance, known, error = (np.concatenate(one) for one in zip(*found, strict=True))
@@ -111,7 +110,7 @@ def _meshed(zoom: Zoom, probe: Probe, number: int, side: int) -> float:
     corner, eps, r = Corner(lmbda / (lmbda + mu) / 2), zoom.eps, RADIUS * zoom.eps
     axes = axes * np.array([[1.0], [-side]])  # away from the end, and into the layer
     at = np.vstack([corner.arc(RADIUS), [[0.0, 0.0], [RADIUS, 0.0]]])
-    places = meshed_places(probe.state.model, end.x - at[:, :1] * eps * end.m, side * (0.5 - at[:, 1]), zoom.seam)
+    places = Surface(probe.state.model, zoom.seam).in_layer(end.x - at[:, :1] * eps * end.m, side * (0.5 - at[:, 1]))
     u, stress = probe.displacement(places) @ axes[:, :2].T, probe.stress(places[:-2])
     turn = (u[-1, 1] - u[-2, 1]) / r  # of the face, with its body
     u = u[:-2] - u[-2] - turn * eps * np.stack([-at[:-2, 1], at[:-2, 0]], axis=1)

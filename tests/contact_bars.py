@@ -5,15 +5,18 @@ from __future__ import annotations
 from forms import HolonomicCoulomb, LinearElastic
 from geometry import sandwich
 from studies.problems import sliding_bar
-from thinlayer import Structure, solve
-from thinlayer.output.contact_report import ContactReport
+from thinlayer import Structure, Surface, solve
 
 SOLVERS = ("condensed", "multigrid", "newton")
 STIFFNESS = {"stiff": (15e8, 5e8), "middle": (15e4, 5e4), "soft": (15.0, 5.0)}
 
 
+def contact(state, seam="S"):
+    return Surface(state.model, seam).contact(state)
+
+
 def solved(joint, law, setup, **choices):
-    return ContactReport(solve(Structure(joint, **setup).interface(law), **choices))
+    return contact(solve(Structure(joint, **setup).interface(law), **choices))
 
 
 def bar(n, law, **choices):

@@ -7,9 +7,9 @@ from pathlib import Path
 from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic
 from geometry import block, sandwich
 from studies.problems import sliding_bar
+from tests.contact_bars import contact
 from tests.on_ranks import alone
-from thinlayer import Structure, march, piecewise, solve
-from thinlayer.output.contact_report import ContactReport
+from thinlayer import Structure, Surface, march, piecewise, solve
 
 
 def to_and_fro(folder=None, last=4.0, method=None):
@@ -37,7 +37,7 @@ def reports():
     model = Structure(joint, **data).interface(HolonomicCoulomb(7e4, 2e4, 0.9, 1.0))
     found["two bodies"] = solve(model)
     found["to and fro"] = to_and_fro().last
-    return {name: ContactReport(state) for name, state in found.items()}
+    return {name: Surface(state.model).contact(state) for name, state in found.items()}
 
 
 def contents() -> dict[str, dict]:
@@ -47,7 +47,7 @@ def contents() -> dict[str, dict]:
 def resumed(folder: Path) -> dict[str, list]:
     """Of a march that one rank stops while its block slides forth, and two ranks end."""
     alone(lambda: to_and_fro(folder / "march", 2.5))
-    return content(ContactReport(to_and_fro(folder / "march").last))
+    return content(contact(to_and_fro(folder / "march").last))
 
 
 def content(report):

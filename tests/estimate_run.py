@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from functools import cache
 
-import numpy as np
-
 from forms import LinearElastic
 from geometry import block, sandwich
-from thinlayer import RigidPlate, Structure, ThinLayer, estimate, goals, solve
+from thinlayer import Estimate, RigidPlate, Structure, Surface, ThinLayer, estimate, goals, solve
 
 LOWER, UPPER = LinearElastic.young(E=70.0, nu=0.2), LinearElastic.young(E=110.0, nu=0.31)
 GLUE, SOFT = LinearElastic.shear(3.0, 0.35), LinearElastic.shear(1.1, 0.485)
@@ -60,13 +58,18 @@ def estimated(kind: str, dim: int = 2):
     return estimate(solve(made.interface(layer)), goals=chosen(kind, dim))
 
 
+def total(found: Estimate, goal: str) -> float:
+    """The integral of the density of a goal."""
+    return float(Surface(found.better.model).integral(found.density(goal)))
+
+
 def numbers(kind: str, dim: int = 2) -> dict[str, float]:
     """Errors, changes of goals and the totals of their densities."""
     found = estimated(kind, dim)
     out = {"traction": found.traction, "jump": found.jump}
     for name, goal in found.goals.items():
-        density = found.density(name)
-        out |= {name: goal.change, f"total {name}": density.total, f"square {name}": float(np.sum(density.values**2))}
+        square = Surface(found.better.model).norm(found.density(name))
+        out |= {name: goal.change, f"total {name}": total(found, name), f"square {name}": square}
     return {f"{kind} {dim}D {name}": value for name, value in out.items()}
 
 

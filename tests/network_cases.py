@@ -7,7 +7,7 @@ import numpy as np
 from forms import HolonomicCoulomb, LinearElastic, MohrCoulomb
 from geometry import Joint, Seam, faults, grains, wall
 from geometry.topology import FacetTable
-from thinlayer import ContactReport, LayerReport, Structure, Surface, ThinLayer, march, solve
+from thinlayer import Structure, Surface, ThinLayer, march, solve
 
 WALL = {"P1": 0.011796375720487, "P2": 0.011640644960255, "Q1": 0.011718794213387, "Q2": 0.011631044498488}
 PANEL = {"P2": 0.00029830576641769, "Q2": 0.00029827111412196}
@@ -116,9 +116,9 @@ def numbers() -> dict[str, float | list[float]]:
     found["yielded"] = yielded("P2")
     found |= {f"pushed {push}": square(pushed(three_bricks(8, "triangle"), push, BED)) for push in (0.6, -0.6)}
     state = pushed(three_bricks(4, "quadrilateral"), 0.6, {"BED": BED, "HEAD": HEAD})
-    found["head force"] = ContactReport(state, "HEAD").force.tolist()
+    found["head force"] = Surface(state.model, "HEAD").contact(state).force.tolist()
     mortar = MohrCoulomb(0.3, 0.45, cohesion=2e-4, friction_angle=30.0)
     last = march(panel("Q2", 0.25, HEAD=ThinLayer(mortar, 0.007, at=1.0)), [0.5, 1.0]).last
     found["by name"] = [last.energies()["layer BED"], last.dissipated["HEAD"]]
-    found["sliding heads"] = LayerReport(last, "HEAD").shares["sliding"]
+    found["sliding heads"] = Surface(last.model, "HEAD").table(last)["sliding"][0]
     return found

@@ -10,7 +10,8 @@ import numpy as np
 
 from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed, Tabulated
 from geometry import Joint, sandwich
-from thinlayer import Model, PhaseReport, Structure, Surface, ThinLayer, march
+from studies.problems import phases_on_s
+from thinlayer import Model, Structure, Surface, ThinLayer, march
 
 CHI = np.array([[-0.3, 0.5], [0.5, 0.9]])
 C = Tabulated([(20.0, 0.03), (50.0, 0.016), (100.0, 0.008)])
@@ -52,10 +53,10 @@ def numbers(out: Path, end: float, resume: bool = False) -> dict[str, float]:
                 found |= {f"{case} snap {k} t": snap.t, f"{case} snap {k} lost": snap.lost}
             for t in (t for t in (HALF, END) if t <= end):
                 state, at, row = history.at(t), f"{case} {t}", np.flatnonzero(history.t <= t)[-1]
-                x, phase = PhaseReport(state).profile()
+                x, phase = phases_on_s(state)
                 found |= {
                     f"{at} traction": surface.norm(surface.traction(state)),
-                    f"{at} phase": float(phase @ x[:, 0]),
+                    f"{at} phase": float(phase @ x),
                 }
                 found |= {f"{at} jump": surface.norm(surface.jump(state)), f"{at} energy": history.table["energy"][row]}
     return found

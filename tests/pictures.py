@@ -6,6 +6,10 @@ from pathlib import Path
 
 import matplotlib.image
 import numpy as np
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+
+from thinlayer.output.plotting.structures import NAMED
 
 
 def assert_drawn(*paths: Path) -> None:
@@ -15,3 +19,11 @@ def assert_drawn(*paths: Path) -> None:
         assert min(image.shape[:2]) > 200, path
         coloured = image[np.ptp(image, axis=2) > 10]
         assert len(np.unique(coloured @ [1, 256, 65536])) > 50, path
+
+
+def assert_coloured(picture: Figure | None, names: set[str]) -> None:
+    """A picture whose image has the colour of each name, and whose legend has the names."""
+    assert picture is not None
+    found = {tuple(colour) for image in picture.axes[0].images for colour in image.get_array()[..., :3].reshape(-1, 3)}
+    assert {tuple(round(255 * c) for c in to_rgb(NAMED[name])) for name in names} <= found
+    assert {text.get_text() for text in picture.legends[0].get_texts()} == names

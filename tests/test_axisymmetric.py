@@ -13,9 +13,8 @@ from dolfinx import fem
 from forms import Anisotropic, HolonomicCoulomb, Incompressible, LinearElastic, Maxwell, MohrCoulomb, Stack
 from geometry import block, periodic, sandwich
 from studies.tubes import lame
+from tests.contact_bars import contact
 from thinlayer import (
-    ContactReport,
-    LayerReport,
     ModelError,
     Springs,
     Structure,
@@ -29,6 +28,7 @@ from thinlayer import (
 )
 from thinlayer.errors import LooseBody
 from thinlayer.output.homogenised import homogenised_stiffness
+from thinlayer.output.surface import YIELDS
 
 BODY = LinearElastic(80.0, 50.0)
 GLUE = LinearElastic(3.0, 2.0)  # per thickness
@@ -203,11 +203,10 @@ def test_the_layer_between_tubes_tends_to_its_law_at_rate_1(law):
 
 def test_shares_of_s_are_those_of_areas():
     """Rods pressed in the middle: what slides or yields there counts with 2 pi r."""
-    report = LayerReport(
-        march(_rods(tractions={"TOP": (0.0, -0.1 * P)}).interface(ThinLayer(YIELDING, EPS, at=1.0)), [1.0]).last
-    )
-    assert report.sizes.sum() == pytest.approx(np.pi * R**2, rel=EXACT)
-    assert sum(report.shares.values()) == pytest.approx(1.0)
+    pressed = _rods(tractions={"TOP": (0.0, -0.1 * P)}).interface(ThinLayer(YIELDING, EPS, at=1.0))
+    (row,) = Surface(pressed).table(march(pressed, [1.0]).last).rows
+    assert row["size"] == pytest.approx(np.pi * R**2, rel=EXACT)
+    assert sum(row[name] for name in YIELDS) == pytest.approx(1.0)
 
 
 # ---------------------------------------------------------------- contact
@@ -216,7 +215,7 @@ def test_contact_of_rods_is_exact_under_uniform_pressure():
     law = HolonomicCoulomb(K_N=9.0, K_T=3.0, friction=0.4)
     model = structure(rods(), {"BOTTOM": {"y": 0.0}}, tractions={"TOP": (0.0, -P)}, element="P1").interface(law)
     state = solve(model)
-    report = ContactReport(state)
+    report = Surface(state.model).contact(state)
     assert report.normal_force == pytest.approx(P * np.pi * R**2, rel=1e-8)
     surface = Surface(model)
     assert surface.profile(surface.traction(state))[1][:, 1] == pytest.approx(-P, rel=1e-8)
@@ -228,7 +227,7 @@ def test_contact_of_tubes_under_pressure():
         tubes(cell="quadrilateral", structured=True), HELD, tractions={"BOTTOM": (P, 0.0)}, element="Q1"
     ).interface(HolonomicCoulomb(K_N=9.0, K_T=3.0, friction=0.4))
     by_law = lame((1.5, 3.0, 4.0), (BODY, BODY), (9.0,), P)
-    report = ContactReport(solve(model))
+    report = contact(solve(model))
     assert report.normal_force == pytest.approx(-by_law.stress(0, 3.0) * 2 * np.pi * 3.0 * 0.4, rel=5e-3)
 
 

@@ -28,7 +28,6 @@ from tests.refused import refused
 from tests.taylor import observed_orders
 from thinlayer import (
     Adaptive,
-    ContactReport,
     LimitLoad,
     ModelError,
     Springs,
@@ -170,7 +169,7 @@ def test_contact_with_a_body_that_yields():
     soft = replace(METAL, strength=0.5)
     structure = Structure(square, body=soft, supports={"RIGHT": {"x": 0.0}}, tractions=loads, element="P1")
     history = march(structure.interface(IncrementalCoulomb(400.0, 200.0, friction=0.2)), [0.5, 1.0])
-    report = ContactReport(history.last)
+    report = Surface(history.last.model).contact(history.last)
     assert report.normal_force == pytest.approx(1.2, rel=1e-8)
     assert report.equilibrium < 1e-9
     assert report.clapeyron < 1e-8

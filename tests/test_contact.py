@@ -116,6 +116,6 @@ def test_ring_pressed_onto_its_core():
     setup["tractions"] = {"OUTSIDE": lambda x, t: (-4 * x[0] / 20, -4 * x[1] / 20)}
     report = solved(joint, HolonomicCoulomb(1e5, 1e5, 0.3), setup)
     assert set(report.status) == {"stick"}
-    assert report.weights.sum() == pytest.approx(2 * np.pi * 15, rel=2e-3)
+    assert report.areas.sum() == pytest.approx(2 * np.pi * 15, rel=2e-3)
     assert np.ptp(report.p) < 0.1 * report.p.mean()
     assert np.abs(report.t_T).max() < 0.05 * report.p.mean()

@@ -15,8 +15,7 @@ from geometry import block, sandwich
 from studies.problems import sliding_bar
 from tests.contact_bars import SOLVERS, bar, coulomb, lift, solved, stacked
 from tests.contact_run import to_and_fro
-from thinlayer import LimitLoad, SolveError, Structure, ThinLayer, compare, march, piecewise, solve
-from thinlayer.output.contact_report import ContactReport
+from thinlayer import LimitLoad, SolveError, Structure, Surface, ThinLayer, compare, march, piecewise, solve
 
 pytestmark = pytest.mark.few(5)
 
@@ -37,7 +36,7 @@ def test_friction_cycle_of_a_rigid_block():
     supports = {"TOP": {"x": piecewise(path), "y": -d}}
     model = rigid_block(law, supports, {})
     times = [0.25 * k for k in range(1, 21)]
-    history = march(model, times, observe={"t_T": lambda s: ContactReport(s).friction_force[0] / 3.0})
+    history = march(model, times, observe={"t_T": lambda s: Surface(s.model).contact(s).friction_force[0] / 3.0})
     p, bound = K_N * d, f * K_N * d
     slip, expected, dissipated = 0.0, [], []
     for t in [0.0, *times]:
@@ -50,10 +49,10 @@ def test_friction_cycle_of_a_rigid_block():
     assert history.table["t_T"] == pytest.approx(np.array(expected), abs=1e-5)
     assert history.table["dissipated"] == pytest.approx(np.array(dissipated), abs=1e-5)
     assert max(dissipated) > 0.05
-    assert ContactReport(history.last).p == pytest.approx(p, rel=1e-5)
+    assert Surface(history.last.model).contact(history.last).p == pytest.approx(p, rel=1e-5)
     holonomic = march(rigid_block(HolonomicCoulomb(K_N, K_T, f), supports, {}), times)
     unloading = history.at(1.5), holonomic.at(1.5)
-    reports = [ContactReport(s).friction_force[0] / 3.0 for s in unloading]
+    reports = [Surface(s.model).contact(s).friction_force[0] / 3.0 for s in unloading]
     assert abs(reports[0] - reports[1]) > 0.5 * bound  # the laws differ where slip turns
 
 
@@ -134,7 +133,7 @@ def test_a_march_ends_at_the_limit_of_contact(method, load, limit):
     assert found.failed_at - found.t < (0.02 if few else 1.01 / 1024) * longest
     assert found.growth > 1e3
     assert not re.search("smaller|supported", str(found))  # what a solver that fails advises
-    report = ContactReport(found.history.last)
+    report = Surface(found.history.last.model).contact(found.history.last)
     assert abs(report.friction_force[0]) == pytest.approx(load(0, found.t)[0], rel=1e-6)
 
 
@@ -213,7 +212,7 @@ def test_bodies_that_are_not_linear():
     joint, setup = sliding_bar(8)
     state = solve(Structure(joint, **setup | {"body": Stiffening(1e4)}).interface(coulomb("middle")))
     assert state.report.method == "newton"
-    assert ContactReport(state).equilibrium < 1e-9
+    assert Surface(state.model).contact(state).equilibrium < 1e-9
 
 
 # ------------------------------------------------------------------------ against the meshed layer

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.contact_bars import contact
 from tests.contact_run import content, contents, resumed, to_and_fro
 from tests.on_ranks import on_ranks
-from thinlayer.output.contact_report import ContactReport
 
 
 @pytest.fixture(scope="module")
@@ -39,5 +39,5 @@ def test_same_contact(serial, there):
 def test_a_march_goes_on_with_its_slip(serial, there):
     """Stopped on one rank while it slides forth, resumed on two: the slip at the nodes has been kept."""
     require_same(serial["to and fro"], there)
-    stopped = content(ContactReport(to_and_fro(last=2.5).last))
+    stopped = content(contact(to_and_fro(last=2.5).last))
     assert np.abs(np.subtract(stopped["u_T"], there["u_T"])).max() > 1e-3

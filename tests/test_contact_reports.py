@@ -9,12 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from forms import LawError, LinearElastic
 from studies.problems import sliding_bar
-from tests.contact_bars import bar, coulomb, solved, stacked
-from tests.pictures import assert_drawn
+from tests.contact_bars import bar, contact, coulomb, stacked
+from tests.pictures import assert_coloured, assert_drawn
 from tests.refused import refused
 from thinlayer import ModelError, OptionError, Structure, Surface, ThinLayer, march, plotting, solve
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, frames_at
-from thinlayer.output.contact_report import ContactReport
 from thinlayer.solving.contact import dense
 
 
@@ -29,14 +28,13 @@ def test_report():
     assert report.force == pytest.approx([-1080.22163, 1954.37527], rel=1e-7)
     assert report.table.columns == ["x", "y", "u_T", "u_N", "p", "t_T", "status"]
     assert "3 separated, 15 sliding, 13 stick, 1 pinned" in str(report)
-    assert report.along[-1] == pytest.approx(40.0)
 
 
 @pytest.mark.parametrize("make", [lambda: sliding_bar(12), stacked], ids=["base", "bodies"])
 def test_traction_of_the_surface_is_that_of_the_nodes(make):
     joint, setup = make()
     state = solve(Structure(joint, **setup).interface(coulomb("middle")))
-    surface, report = Surface(state.model), ContactReport(state)
+    surface, report = Surface(state.model), Surface(state.model).contact(state)
     x, t = surface.profile(surface.frame(surface.traction(state)))
     assert x == pytest.approx(report.x, abs=1e-9)
     assert -t[:, 1] == pytest.approx(report.p, rel=1e-7, abs=1e-7)
@@ -69,13 +67,24 @@ def test_nodes_of_two_bodies_see_the_jump():
 
 def test_pictures(tmp_path):
     one, two = bar(12, coulomb("middle")), bar(12, coulomb("soft"))
-    plotting.contact({"a": one, "b": two}, save=tmp_path / "two.png", length="mm", stress="MPa", title="contact")
+    plotting.along(
+        one.surface, {"a": one, "b": two}, save=tmp_path / "two.png", length="mm", stress="MPa", title="contact"
+    )
     joint, setup = sliding_bar(4, depth=True)
-    solid = solved(joint, coulomb("middle"), setup)
-    plotting.contact(solid, save=tmp_path / "solid.png", length="mm", stress="MPa")
-    assert_drawn(tmp_path / "two.png", tmp_path / "solid.png")
-    refused(ValueError, "one dimension", lambda: plotting.contact({"a": one, "b": solid}))
-    refused(ValueError, "one report", lambda: plotting.contact({}))
+    solid = solve(Structure(joint, **setup).interface(coulomb("middle")))
+    names = {*contact(solid).status.tolist()}
+    picture = plotting.on_surface(
+        solid, lambda surface, state: surface.contact(state).status, save=tmp_path / "solid.png"
+    )
+    assert_coloured(picture, names)
+    pressed = {"p": lambda surface, state: surface.contact(state).p, "u_N": contact(solid).u_N}
+    for name, field in pressed.items():
+        plotting.on_surface({name: solid}, field, save=tmp_path / f"{name}.png", quantity=name)
+    assert_drawn(tmp_path / "two.png", tmp_path / "solid.png", tmp_path / "p.png", tmp_path / "u_N.png")
+    refused(ModelError, "nothing to draw", lambda: plotting.along(one.surface, {}))
+    refused(ModelError, "3 components", lambda: plotting.on_surface(solid, Surface.jump))
+    refused(ModelError, "is no field on S", lambda: plotting.on_surface(solid, np.array(["a"])))
+    refused(ModelError, "give a state", lambda: plotting.on_surface({}, Surface.status))
 
 
 # ------------------------------------------------------------------------ status known before
@@ -109,7 +118,7 @@ def test_refused_models():
     )
     refused(ModelError, "without a thickness", lambda: Structure(joint, **setup).full(law))
     refused(ModelError, "is for layers", lambda: Structure(joint, **setup | {"body": law}).interface(law))
-    refused(ModelError, "contact law", lambda: ContactReport(solve(Structure(joint, **setup).bonded())))
+    refused(ModelError, "contact law", lambda: contact(solve(Structure(joint, **setup).bonded())))
     two, data = stacked()
     refused(ModelError, "rigid motion", lambda: Structure(two, **data | {"supports": {}}).interface(law))
 
@@ -134,7 +143,7 @@ def test_refused_solves():
     refused(ModelError, "for another one", lambda: solve(elastic.structure.bonded(), like=solve(elastic)))
     squared = Structure(joint, **setup | {"element": "P2"}).interface(elastic.on_seams)
     refused(ModelError, "for another one, with the same element", lambda: solve(elastic, like=solve(squared)))
-    refused(ModelError, "seam is 'BED'; name one with a contact law: S", lambda: ContactReport(solve(model), "BED"))
+    refused(ModelError, "unknown seam 'BED'", lambda: contact(solve(model), "BED"))
     other, data = sliding_bar(5)
     with pytest.raises(ModelError, match="same joint"):
         solve(model, like=solve(Structure(other, **data).interface(coulomb("middle"))))

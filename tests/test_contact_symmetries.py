@@ -9,8 +9,7 @@ from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic
 from geometry import block, ring, sandwich
 from studies.problems import sliding_bar
 from tests.contact_bars import SOLVERS, bar, coulomb, lift, solved, stacked
-from thinlayer import Structure, march
-from thinlayer.output.contact_report import ContactReport
+from thinlayer import Structure, Surface, march
 
 
 @pytest.mark.parametrize("kind", [HolonomicCoulomb, IncrementalCoulomb])
@@ -21,7 +20,7 @@ def test_one_step_is_ten_proportional_steps(kind):
     growing = {"LEFT": lambda x, t: (100 * t, 0), "TOP": lambda x, t: (0, -50 * t)}
     model = Structure(joint, **setup | {"tractions": growing}).interface(law)
     history = march(model, [0.1 * k for k in range(1, 11)])
-    last = ContactReport(history.last)
+    last = Surface(history.last.model).contact(history.last)
     assert last.u_T == pytest.approx(once.u_T, rel=1e-7, abs=1e-11)
     assert (last.status == once.status).all()
     if kind is IncrementalCoulomb:

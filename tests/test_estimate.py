@@ -13,7 +13,7 @@ import ufl
 from forms import Anisotropic, LinearElastic, Maxwell, MohrCoulomb, Norton, Stack, VonMises
 from geometry import sandwich
 from geometry.sheet import Rim
-from tests.estimate_run import EPS, GLUE, KINDS, LOWER, estimated, several, structure
+from tests.estimate_run import EPS, GLUE, KINDS, LOWER, estimated, several, structure, total
 from tests.on_ranks import on_ranks
 from tests.pictures import assert_drawn
 from thinlayer import (
@@ -31,10 +31,10 @@ from thinlayer import (
     thin_enough,
 )
 from thinlayer.estimating import better, thickness
-from thinlayer.estimating.places import away_from_ends
+from thinlayer.estimating.on_surface import away_from_ends
 from thinlayer.estimating.result import GoalError, _said
 from thinlayer.estimating.thickness import _error, _search
-from thinlayer.output.layer_report import ELASTIC, LayerReport
+from thinlayer.output.surface import ELASTIC
 
 pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
 
@@ -42,13 +42,11 @@ pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"
 # ---------------------------------------------------------------- the identity
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_densities_of_goals_add_up_to_their_changes(kind):
-    """Exact for linear laws, whatever the goal; the integral of the expression on S is the same sum."""
+    """Exact for linear laws, whatever the goal."""
     found = estimated(kind)
     for name, goal in found.goals.items():
-        density, size = found.density(name), max(abs(goal.value), abs(goal.better))
-        assert density.total == pytest.approx(goal.change, abs=1e-11 * size), name
-        integral = Surface(found.better.model).integral(found.map(name))
-        assert integral == pytest.approx(goal.change, abs=1e-11 * size), name
+        size = max(abs(goal.value), abs(goal.better))
+        assert total(found, name) == pytest.approx(goal.change, abs=1e-11 * size), name
 
 
 @pytest.mark.parametrize("dim", [2, 3], ids=["revolution", "tetrahedra"])
@@ -60,9 +58,7 @@ def test_in_three_dimensions_too(dim):
         made = Structure(tube, body=LOWER, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1.0)}, plane="axisymmetric")
         found = estimate(solve(made.interface(ThinLayer(GLUE, EPS, at=1.0))))
     for name, goal in found.goals.items():
-        assert found.density(name).total == pytest.approx(goal.change, abs=1e-11 * abs(goal.value)), name
-        integral = Surface(found.better.model).integral(found.map(name))
-        assert integral == pytest.approx(goal.change, abs=1e-11 * abs(goal.value)), name
+        assert total(found, name) == pytest.approx(goal.change, abs=1e-11 * abs(goal.value)), name
 
 
 @pytest.mark.parametrize("kind", ["between", "base"])
@@ -87,8 +83,8 @@ def test_a_goal_that_is_not_linear_has_a_density_to_first_order():
     square = goals.Functional("square", lambda u, model: ufl.inner(u, u) * model.dx)
     found = estimate(solve(structure("between").interface(ThinLayer(GLUE, EPS, at=1.0))), goals=[square])
     change, relative = found.goals["square"].change, found.goals["square"].relative
-    assert found.density("square").total == pytest.approx(change, rel=relative)
-    assert found.density("square").total != pytest.approx(change, rel=0.01 * relative)
+    assert total(found, "square") == pytest.approx(change, rel=relative)
+    assert total(found, "square") != pytest.approx(change, rel=0.01 * relative)
 
 
 def test_weights_of_the_law_of_order_0_are_not_exact():
@@ -146,7 +142,7 @@ def test_a_history_is_marched_again():
     assert found.better.t == 0.8
     true = full.last.energies()["loads"] - limit.last.energies()["loads"]
     assert found.goals["compliance"].change == pytest.approx(true, rel=0.04)  # of order 1: 0.06 at EPS
-    assert found.density().total == pytest.approx(found.goals["compliance"].change, rel=1e-3)  # not linear: first order
+    assert total(found, "compliance") == pytest.approx(found.goals["compliance"].change, rel=1e-3)
     at_once = estimate(solve(made.interface(ThinLayer(LinearElastic(1.2, 2.0), EPS / 2, at=1.0)), 0.8))
     assert at_once.goals["compliance"].change / true < 0.6
     with pytest.raises(ModelError, match="marched with theta"):
@@ -365,13 +361,12 @@ def test_distances_from_edges_and_not_from_their_lines():
 def test_a_layer_that_yields_two_thicknesses_from_its_ends_has_no_estimate(monkeypatch):
     law = VonMises(4.0, 3.0, strength=0.9, hardening=2.0)
     state = solve(graded().interface(ThinLayer(law, EPS, at=1.0)), 0.01)
-    rows = LayerReport(state, "S").rows
-    at = state.model.joint.points[state.model.joint.table.vertices[rows]].mean(axis=1)[:, 0]
+    at = Surface(state.model).x[0].mean(axis=1)
 
     def why(near, far):
         status = np.where((at > near * EPS) & (at < far * EPS), "yields", ELASTIC)
         assert (status == "yields").any()
-        monkeypatch.setattr(better, "LayerReport", lambda *_: SimpleNamespace(status=status, rows=rows))
+        monkeypatch.setattr(Surface, "status", lambda *_: status[:, None])
         return better.why_unknown(state)
 
     assert "yields at its free ends" in why(1.0, 2.0)
@@ -385,7 +380,7 @@ def test_the_compliance_of_supports_that_move_knows_no_path():
     changes = []
     for given in (solve(model, 2.0), march(model, [1.0, 2.0])):
         found = estimate(given)
-        changes += [found.goals["compliance"].change, found.density().total]
+        changes += [found.goals["compliance"].change, total(found, "compliance")]
     assert changes == pytest.approx(changes[:1] * 4, rel=1e-8)
 
 
@@ -487,8 +482,10 @@ def test_what_has_no_estimate():
 
 # ---------------------------------------------------------------- pictures, units, ranks
 def test_the_picture_of_a_density(tmp_path):
-    plotting.density(estimated("between").density(), save=tmp_path / "a.png", title="compliance", length="mm")
-    plotting.density(estimated("base", 3).density(), save=tmp_path / "b.png")
+    flat, solid = estimated("between"), estimated("base", 3)
+    surface, values = Surface(flat.better.model), flat.density()
+    plotting.along(surface, {"compliance": values}, save=tmp_path / "a.png", length="mm", log=True)
+    plotting.on_surface(solid.better, solid.density(), save=tmp_path / "b.png", quantity="compliance", log=True)
     assert_drawn(tmp_path / "a.png", tmp_path / "b.png")
 
 

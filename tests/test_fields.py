@@ -10,6 +10,7 @@ import pyvista
 
 from forms import LinearElastic, Maxwell, MohrCoulombMonodirectional, NonMonotoneUnrelaxed, Stack
 from geometry import sandwich
+from studies.problems import phases_on_s
 from tests.fields_run import (
     BODY,
     CASES,
@@ -26,7 +27,7 @@ from tests.fields_run import (
     write_all,
 )  # fmt: skip
 from tests.on_ranks import on_ranks
-from thinlayer import ContactReport, ModelError, PhaseReport, Structure, Surface, ThinLayer, fields, march, solve
+from thinlayer import ModelError, Structure, Surface, ThinLayer, fields, march, solve
 
 pytestmark = pytest.mark.few(5)
 
@@ -209,11 +210,11 @@ def test_phases_are_on_facets(written):
         ThinLayer(law, EPS, at=1.0)
     )
     history = march(model, [0.5, 1.0, 1.5])
-    x, phase = PhaseReport(history.last).profile()
+    x, phase = phases_on_s(history.last)
     on_s = written(history)["S"]
     centres = centres_of(on_s)
     order = np.argsort(centres)
-    assert centres[order] == pytest.approx(x[:, 0])
+    assert centres[order] == pytest.approx(x)
     assert on_s["phase"][order] == pytest.approx(phase, abs=1e-12)
     assert phase.max() == 1.0
 
@@ -221,7 +222,7 @@ def test_phases_are_on_facets(written):
 def test_contact(written):
     """Status, slip and pressure at nodes, as the report has them; the base does not move."""
     history = on_a_base()
-    on_s, report = written(history)["S"], ContactReport(history.last)
+    on_s, report = written(history)["S"], Surface(history.last.model).contact(history.last)
     codes = {code.split()[1]: int(code.split()[0]) for code in on_s.field_data["contact codes"]}
     place = [np.linalg.norm(report.x - x, axis=1).argmin() for x in on_s.points]
     assert [codes[str(one)] for one in report.status[place]] == list(on_s["contact"])

@@ -10,7 +10,7 @@ from geometry import sandwich
 from tests.dry_walls import dry_wall
 from tests.fields_run import BODY, EPS, K
 from tests.test_fields import last
-from thinlayer import ContactReport, ModelError, Structure, Surface, ThermalExpansion, ThinLayer, fields, march, solve
+from thinlayer import ModelError, Structure, Surface, ThermalExpansion, ThinLayer, fields, march, solve
 
 L, M, NU = BODY.lmbda, BODY.mu, BODY.lmbda / (2 * (BODY.lmbda + BODY.mu))
 ROLLERS = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
@@ -108,10 +108,10 @@ def test_contact_on_several_seams(written):
     on_s = written(history)["S"]
     codes = {code.split(maxsplit=1)[1]: int(code.split()[0]) for code in on_s.field_data["contact codes"]}
     for number, name in enumerate(on_s.field_data["seams"]):
-        report = ContactReport(history.last, str(name))
+        report = Surface(history.last.model, str(name)).contact(history.last)
         part = on_s.extract_cells(on_s["seam"] == number)
         found = {name: int((part["contact"] == code).sum()) for name, code in codes.items()}
-        corners = np.bincount(report.facets.ravel(), minlength=len(report.x))
+        corners = np.bincount(report.surface.nodes.ravel(), minlength=len(report.x))
         wanted = {status: int(corners[report.status == status].sum()) for status in codes}
         assert found == wanted
     assert (on_s["contact"] >= 0).all()

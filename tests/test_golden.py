@@ -48,7 +48,6 @@ from thinlayer import (
     LimitLoad,
     PointLoad,
     Pressure,
-    PressureReport,
     Prestress,
     Probe,
     RigidPlate,
@@ -69,7 +68,6 @@ from thinlayer import (
     solve,
     thin_enough,
 )
-from thinlayer.output.contact_report import ContactReport
 
 NUMBERS = Path(__file__).parent / "golden.json"
 CLOSE, ITERATED = 1e-7, 1e-5
@@ -312,7 +310,7 @@ def contact() -> list[float]:
 
 
 def amounts(state: State) -> list[float]:
-    report = ContactReport(state)
+    report = Surface(state.model).contact(state)
     counts = [float(number) for _, number in sorted(report.counts.items())]
     return [report.normal_force, *np.ravel(report.friction_force), *counts]
 
@@ -374,7 +372,7 @@ def estimates() -> list[float]:
     rollers = {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
     held = pushed(supports=rollers, tractions={"TOP": lambda x, t: (0.3 * x[0], -1 + x[0])})
     found.append(thin_enough(held, layer(GLUE), tolerance=0.02, goal="traction").eps)
-    found += PressureReport(states[1]).too_stiff.values()
+    found += Surface(states[1].model).table(states[1])["too_stiff"].tolist()
     return [math.nan if value is None else float(value) for value in found]
 
 

@@ -8,7 +8,8 @@ import ufl
 
 from forms import HolonomicCoulomb, IncrementalCoulomb, LawError, LinearElastic, Tresca
 from geometry import block, ring, sandwich, wall
-from thinlayer import ContactReport, ModelError, SolveError, Structure, Surface, march, solve
+from tests.contact_bars import contact
+from thinlayer import ModelError, SolveError, Structure, Surface, march, solve
 
 pytestmark = pytest.mark.few(5)
 
@@ -68,7 +69,7 @@ def test_a_gap_that_does_not_close_carries_nothing():
     law = HolonomicCoulomb(K_N=K, K_T=150.0, friction=0.3, gap=0.06)
     state = solve(column(law, shift=-0.05))
     assert across(state) == pytest.approx((-0.05, 0.0), rel=1e-9, abs=1e-12)
-    report = ContactReport(state)
+    report = Surface(state.model).contact(state)
     assert report.counts["separated"] + report.counts["pinned"] == len(report.p)
     assert report.u_N == pytest.approx(-0.01, rel=1e-9)
     for method in METHODS[:3]:
@@ -90,7 +91,7 @@ def test_a_ring_shrunk_on_a_hollow_shaft(method):
         at = {(inner, 0.0): {"y": 0.0}, (-inner, 0.0): {"y": 0.0}, (0.0, inner): {"x": 0.0}}
         data = {"body": {"INNER": shaft, "OUTER": hub}, "supports": at, "plane": "stress", "element": "P1"}
         law = HolonomicCoulomb(K_N=stiffness, K_T=1e4, friction=0.1, gap=-interference)
-        report = ContactReport(solve(Structure(joint, **data).interface(law), method=method))
+        report = contact(solve(Structure(joint, **data).interface(law), method=method))
         errors.append(report.normal_force / (2 * np.pi * middle) / (interference / compliance) - 1)
     assert abs(errors[1]) < 0.02
     assert abs(errors[1]) < 0.4 * abs(errors[0])
@@ -104,10 +105,10 @@ def test_solvers_agree_on_a_crowned_block(kind):
     for state in found[1:]:
         apart = np.abs(state.u.x.array - found[0].u.x.array).max()
         assert apart < 1e-7 * np.abs(found[0].u.x.array).max()
-    counts = ContactReport(found[0]).counts
+    counts = Surface(found[0].model).contact(found[0]).counts
     assert min(counts["separated"], counts["sliding"]) > 2
     flat = solve(curved(kind, gap=0.0), 1.0)
-    assert ContactReport(flat).counts["separated"] < counts["separated"]
+    assert Surface(flat.model).contact(flat).counts["separated"] < counts["separated"]
 
 
 def test_a_law_of_ones_own_and_tresca_have_gaps_too():
@@ -128,7 +129,7 @@ def test_networks_have_a_gap_for_each_seam():
         }
         one, other = (solve(structure.interface(laws), method=method) for method in ("condensed", "newton"))
         assert np.abs(one.u.x.array - other.u.x.array).max() < 1e-7 * np.abs(one.u.x.array).max()
-        found.append(ContactReport(one, "HEAD").normal_force)
+        found.append(Surface(one.model, "HEAD").contact(one).normal_force)
     assert 0 < found[1] < 0.8 * found[0]
 
 

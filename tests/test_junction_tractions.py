@@ -12,7 +12,7 @@ from geometry import Joint, Seam, sandwich, wall
 from tests.meshes import renumbered
 from tests.network_cases import BED, HEAD, panel, pushed, springs, three_bricks
 from tests.test_networks import cut_at, on
-from thinlayer import ContactReport, State, Structure, Surface, ThinLayer, solve
+from thinlayer import State, Structure, Surface, ThinLayer, solve
 
 pytestmark = pytest.mark.few(5)
 
@@ -190,7 +190,7 @@ def test_contact(cross):
     """Each pair's traction is the law's."""
     state = pushed(three_bricks(4, "quadrilateral", cross), 0.6, {"BED": BED, "HEAD": HEAD})
     for name, law in (("BED", BED), ("HEAD", HEAD)):
-        surface, report = Surface(state.model, name), ContactReport(state, name)
+        surface, report = Surface(state.model, name), Surface(state.model, name).contact(state)
         t = surface.traction(state)
         assert -surface.integral(t) == pytest.approx(report.force, rel=EXACT)
         _, values = surface.profile(surface.frame(t))

@@ -18,10 +18,8 @@ from tests.network_cases import springs, three_bricks
 from tests.refused import refused
 from tests.test_networks import cut_at, on
 from thinlayer import (
-    ContactReport,
     LimitLoad,
     ModelError,
-    PhaseReport,
     Structure,
     Surface,
     ThinLayer,
@@ -114,8 +112,8 @@ def test_contact_on_one_of_two_seams():
     assert min(found["layer BED"], found["layer HEAD"]) > 0
     assert history.table["dissipated BED"] == pytest.approx(history.table["dissipated"], rel=1e-12)
     assert history.last.dissipated["BED"] > 0
-    report = ContactReport(history.last)
-    assert report.seam == "BED"
+    report = Surface(history.last.model).contact(history.last)
+    assert report.surface.seam == "BED"
     assert str(report).startswith("BED: ")
 
 
@@ -186,14 +184,12 @@ def test_snaps_of_each_layer():
     first, last = history.snaps[0], history.snaps[-1]
     assert (first.seams, last.seams) == (("HIGH",), ("LOW",))
     for seam in ("LOW", "HIGH"):
-        report = PhaseReport(history.last, seam)
-        assert report.plus == history.table[f"plus {seam}"][-1] == pytest.approx(1.0)
-        assert report.profile()[0][:, 1] == pytest.approx({"LOW": -1.0, "HIGH": 2.0}[seam])
-    half = PhaseReport(history.states[first.row], "HIGH"), PhaseReport(history.states[first.row], "LOW")
-    assert half[0].plus > half[1].plus == 0.0
-    refused(ModelError, "give seam=, one of LOW, HIGH", lambda: PhaseReport(history.last))
-    with pytest.raises(ModelError, match="seam is 'LO'; name one whose layer has phases: LOW, HIGH"):
-        PhaseReport(history.last, "LO")
+        surface = Surface(history.model, seam)
+        (row,) = surface.table(history.last).rows
+        assert row["plus"] == history.table[f"plus {seam}"][-1] == pytest.approx(1.0)
+        assert surface.phase(history.last) == pytest.approx(1.0)
+    half = {row["seam"]: row["plus"] for row in Surface(history.model).table(history.states[first.row]).rows}
+    assert half["HIGH"] > half["LOW"] == 0.0
     with pytest.raises(ModelError, match="column 'minus LOW' is there already"):
         march(structure.interface(layers), [0.5], observe={"minus LOW": lambda state: 0.0})
 

@@ -14,10 +14,10 @@ from geometry import sandwich
 from studies import triplet
 from tests.meshed_cases import SHARES, bricks, inner, mortar, panel
 from tests.network_cases import BED, springs, three_bricks
-from tests.pictures import assert_drawn
+from tests.pictures import assert_coloured, assert_drawn
 from tests.refused import refused
 from tests.test_networks import cut_at, on
-from thinlayer import LayerReport, LimitLoad, ModelError, Structure, Surface, ThinLayer, march, plotting, solve
+from thinlayer import LimitLoad, ModelError, Structure, Surface, ThinLayer, march, plotting, solve
 
 pytestmark = pytest.mark.few(5)
 
@@ -177,11 +177,12 @@ def test_status(law, move, status):
     structure = Structure(joint, body=LinearElastic(0.0, 1e5), supports=supports, element="Q1")
     given = {"LOW": springs(3e4, 1e4), "HIGH": None if law is None else ThinLayer(law, 0.1, at=1.0)}
     last = march(structure.interface(given), [0.5, 1.0]).last
-    report = LayerReport(last)
-    assert set(report.status[report.seams == "HIGH"]) == {status}
-    assert set(report.status[report.seams == "LOW"]) == {"elastic"}
-    assert LayerReport(last, "HIGH").shares == {status: pytest.approx(1.0)}
-    assert report.sizes == pytest.approx(1.0)
+    surface = Surface(last.model)
+    found = surface.status(last)[:, 0]
+    assert set(found[surface.seams == "HIGH"]) == {status}
+    assert set(found[surface.seams == "LOW"]) == {"elastic"}
+    assert Surface(last.model, "HIGH").table(last)[status] == pytest.approx(1.0)
+    assert surface.table(last)["size"] == pytest.approx(2.0)
 
 
 def test_status_along_a_seam(tmp_path):
@@ -192,17 +193,18 @@ def test_status_along_a_seam(tmp_path):
     state = march(
         structure.interface(ThinLayer(replace(SLIPS, cohesion=0.6), 0.1, at=1.0)), [1.0]
     ).last  # it does not slip
-    report = LayerReport(state)
-    x = joint.points[joint.table.vertices[report.rows]].mean(axis=1)[:, 0]
-    assert np.array_equal(report.status == "open", x < 1.0)
-    assert report.table.rows == [{"seam": "S", "size": pytest.approx(4.0), "elastic": pytest.approx(0.75), "sliding": 0.0,
-                                  "crushed": 0.0, "torn": 0.0, "open": pytest.approx(0.25), "no layer": 0.0}]  # fmt: skip
-    plotting.layers({"tilted": state, "again": state}, save=tmp_path / "layers.png", scale=1.0)
-    assert_drawn(tmp_path / "layers.png")
-    refused(ModelError, "scale is 'x'", lambda: plotting.layers(state, save=tmp_path / "layers.png", scale="x"))
-    refused(ModelError, "unknown seam 'BED'", lambda: LayerReport(state, "BED"))
-    with pytest.raises(ModelError, match="needs a state of an interface model, "):
-        LayerReport(solve(structure.bonded(), 1.0))
+    surface = Surface(state.model)
+    open_ = surface.status(state) == "open"
+    assert np.array_equal(open_[:, 0], surface.x[0].mean(axis=1) < 1.0)
+    assert surface.integral(open_) == pytest.approx(1.0)
+    assert surface.table(state).rows == [{"seam": "S", "size": pytest.approx(4.0), "elastic": pytest.approx(0.75),
+                                          "open": pytest.approx(0.25), "sliding": 0, "crushed": 0, "torn": 0}]  # fmt: skip
+    picture = plotting.on_surface({"tilted": state, "again": state}, Surface.status, save=tmp_path / "a.png", scale=1.0)
+    assert_coloured(picture, {"elastic", "open"})
+    assert_drawn(tmp_path / "a.png")
+    refused(ModelError, "scale is 'x'", lambda: plotting.on_surface(state, Surface.status, scale="x"))
+    with pytest.raises(ModelError, match="known of states of interface models, not of BondedModel"):
+        surface.status(solve(structure.bonded(), 1.0))
 
 
 def test_status_in_space():
@@ -212,17 +214,18 @@ def test_status_in_space():
         "TOP": {"x": lambda x, t: 0.3 * t, "y": lambda x, t: -0.1 * t, "z": lambda x, t: 0.3 * t},
     }
     structure = Structure(joint, body=LinearElastic(0.0, 1e5), supports=supports, element="Q1")
-    report = LayerReport(march(structure.interface(ThinLayer(SLIPS, 0.1, at=1.0)), [1.0]).last)
-    assert report.shares == {"sliding": pytest.approx(1.0)}
-    assert report.sizes.sum() == pytest.approx(3.0)
+    state = march(structure.interface(ThinLayer(SLIPS, 0.1, at=1.0)), [1.0]).last
+    (row,) = Surface(state.model).table(state).rows
+    assert (row["sliding"], row["size"]) == pytest.approx((1.0, 3.0))
 
 
-def test_no_status_of_contact():
+def test_status_beside_contact():
     structure = Structure(
         three_bricks(2, "quadrilateral"), body=LinearElastic.young(50.0, 0.2), supports={"BOTTOM": 0.0}, element="Q1",
         tractions={"TOP": (0.0, -1.0)},
     )  # fmt: skip
     state = solve(structure.interface({"BED": BED, "HEAD": springs(10.0, 4.0)}))
-    assert set(LayerReport(state, "HEAD").status) == {"elastic"}
-    with pytest.raises(ModelError, match="the seam 'BED' has a contact law"):
-        LayerReport(state)
+    surface = Surface(state.model)
+    found = surface.status(state)[:, 0]
+    assert set(found[surface.seams == "HEAD"]) == {"elastic"}
+    assert set(found[surface.seams == "BED"]) <= {"stick", "sliding", "separated"}

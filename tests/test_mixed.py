@@ -14,7 +14,7 @@ from geometry.inflating.inflation import inflate
 from tests.mixed_run import BODY, EPS, LAYER, near_ends, plane, space
 from tests.refused import refused
 from thinlayer import ModelError, RangeWarning, Structure, Surface, ThinLayer, compare, estimate, observed_orders, solve
-from thinlayer.output.surface_mesh import most_of
+from thinlayer.surface.surface_mesh import most_of
 
 SOFT = LinearElastic.shear(8.0, 0.3)  # free ends of which the law of order 1 knows
 M, MU = 140.0, 40.0  # of the layer, per thickness
@@ -158,7 +158,7 @@ def test_the_fewest_facets_hold_all_but_a_share():
 def test_the_map_of_an_estimate_tells_where_to_mesh():
     eps = 1 / 16
     found = estimate(solve(blocks(eps).interface(ThinLayer(LAYER, eps, at=1.0))))
-    where = Surface(found.better.model).most_of(found.map(), 0.1, margin=eps)
+    where = Surface(found.better.model).most_of(found.density(), 0.1, margin=eps)
     joint = blocks(eps).joint
     places = joint.points[joint.surface].mean(axis=1)[:, 0]
     assert where[places > 1 - eps].all()

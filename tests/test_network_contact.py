@@ -12,7 +12,7 @@ from geometry import Seam, bond_cell
 from studies import dry_wall as dry_wall_study
 from tests.dry_walls import PUSHES, dry_wall, forth_and_back, imbalance, pair_values
 from tests.network_cases import BED, HEAD, springs, three_bricks
-from thinlayer import ContactReport, ModelError, Structure, ThinLayer, march, solve
+from thinlayer import ModelError, Structure, Surface, ThinLayer, march, solve
 from thinlayer.errors import LimitLoad, LooseBody
 from thinlayer.parts.part import Interval
 from thinlayer.solving.contact.pieces import Condensation
@@ -38,7 +38,7 @@ def test_solvers_agree_on_a_wall(push, stiffer):
     one, other = (solve(model, push, method=method) for method in ("condensed", "newton"))
     require_equal(one, other)
     assert max(imbalance(one), imbalance(other)) < 1e-12
-    sliding = ContactReport(one, "BED").counts["sliding"]
+    sliding = Surface(one.model, "BED").contact(one).counts["sliding"]
     assert sliding > 15 if push else sliding == 0
     assert solve(model, push).report.method == "condensed"  # the default
     assert one.report.iterations <= 9
@@ -60,7 +60,7 @@ def test_a_wall_in_space(cell):
     require_equal(one, other)
     assert imbalance(one) < 1e-11  # where Newton's method may stop
     assert imbalance(other) < 1e-10
-    assert {"sliding", "separated"} <= {name for name, n in ContactReport(one, "HEAD").counts.items() if n}
+    assert {"sliding", "separated"} <= {name for name, n in Surface(one.model, "HEAD").contact(one).counts.items() if n}
 
 
 def test_a_similar_state_to_start_from():
@@ -134,7 +134,7 @@ def test_a_wall_that_stands_on_a_rigid_floor():
     one, other = (solve(model, method=method) for method in ("condensed", "newton"))
     require_equal(one, other)
     assert imbalance(one) < 1e-12
-    assert ContactReport(one, "FLOOR").force == pytest.approx([-0.6, 3.0], rel=1e-12)
+    assert Surface(one.model, "FLOOR").contact(one).force == pytest.approx([-0.6, 3.0], rel=1e-12)
 
 
 # ---------------------------------------------------------------- pieces of the solver
@@ -255,7 +255,7 @@ def test_a_wall_ends_at_its_limit_and_names_the_seams_that_slide(method):
         march(dry_wall(h=0.25, weight=0.07, kind=IncrementalCoulomb), [0.3, 0.6], method=method)
     found = error.value
     assert found.t < 0.5 * 1.035 < found.failed_at == pytest.approx(found.t + 0.3 / 1024)
-    beds = ContactReport(found.history.last, "BED")
+    beds = Surface(found.history.last.model, "BED").contact(found.history.last)
     assert found.history.last.t == found.t
     assert beds.friction_force == pytest.approx(3 * 3.0 * found.t, rel=1e-9)
 
@@ -288,7 +288,7 @@ def test_up_to_sliding_beds():
         assert max(imbalance(state), imbalance(again)) < 1e-12
         assert state.report.iterations <= 10
     assert len(one) == 5  # no step was shortened
-    assert ContactReport(one[-1], "BED").counts["sliding"] > 40
+    assert Surface(one[-1].model, "BED").contact(one[-1]).counts["sliding"] > 40
 
 
 # ---------------------------------------------------------------- what is refused

@@ -6,21 +6,20 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import ufl
-from matplotlib.collections import LineCollection
-from matplotlib.colors import to_hex
 
 from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, TractionLaw
 from geometry import Seam, bond_cell, periodic, sandwich, wall
+from tests.contact_bars import contact
 from tests.dry_walls import dry_wall
 from tests.meshes import renumbered
 from tests.network_cases import BED, HEAD, pushed, springs, three_bricks
-from tests.refused import refused
+from tests.pictures import assert_coloured
 from thinlayer import (
-    ContactReport,
     Gap,
     ModelError,
     Springs,
     Structure,
+    Surface,
     ThinLayer,
     UflPart,
     homogenised_stiffness,
@@ -28,7 +27,6 @@ from thinlayer import (
     plotting,
     solve,
 )
-from thinlayer.output.plotting.layers import STATES, WIDTH
 
 ROCK = LinearElastic.young(20.0, 0.2)
 
@@ -45,22 +43,22 @@ def on_a_base():
 def test_zones_of_contact_go_on_where_bodies_branch(cell):
     """A bed that sticks everywhere is one zone, also under the head that ends on it, and its two pieces are curves."""
     state = pushed(three_bricks(4, cell), 0.6, {"BED": BED, "HEAD": HEAD})
-    bed = ContactReport(state, "BED")
+    bed = Surface(state.model, "BED").contact(state)
     assert bed.counts["stick"] == 18
     assert [(zone.status, zone.nodes) for zone in bed.zones] == [("stick", 18)]
     assert bed.zones[0].size == pytest.approx(2.0, rel=1e-12)
-    assert [len(piece) for piece in bed.pieces] == [9, 9]
-    assert bed.along[-1] == pytest.approx(2.0, rel=1e-12)
+    lines = bed.surface.along(bed.p)
+    assert [len(line.s) for line in lines] == [18]  # where the head ends there are two
+    assert sum(line.length for line in lines) == pytest.approx(2.0, rel=1e-12)
     assert np.diff(bed.x[:, 0]).min() > -1e-12
-    assert len(bed.facets) == 16
-    other = ContactReport(pushed(renumbered(three_bricks(4, cell)), 0.6, {"BED": BED, "HEAD": HEAD}), "BED")
+    other = contact(pushed(renumbered(three_bricks(4, cell)), 0.6, {"BED": BED, "HEAD": HEAD}), "BED")
     assert [zone.nodes for zone in other.zones] == [18]
     assert other.p == pytest.approx(bed.p, rel=1e-9)
 
 
 def test_zones_of_contact_part_at_a_junction_where_the_status_differs():
     state = pushed(three_bricks(4, "quadrilateral", cross=True), 0.6, {"BED": BED, "HEAD": HEAD})
-    head = ContactReport(state, "HEAD")
+    head = Surface(state.model, "HEAD").contact(state)
     assert {zone.status: zone.nodes for zone in head.zones} == {"pinned": 1, "sliding": 9}
     assert len(head.zones) == 2
 
@@ -72,55 +70,39 @@ def pushed_wall():
 
 
 def test_a_bed_of_several_bricks_is_one_way(pushed_wall):
-    bed = ContactReport(pushed_wall, "BED")
-    assert [len(piece) for piece in bed.pieces] == [3] * 8
+    bed = Surface(pushed_wall.model, "BED").contact(pushed_wall)
+    assert [len(line.s) for line in bed.surface.along(bed.p)] == [12, 12]
     assert bed.x[:, 1].tolist() == [0.5] * 12 + [1.0] * 12  # one bed after the other
     assert np.diff(bed.x[:12, 0]).min() == np.diff(bed.x[12:, 0]).min() == 0.0
-    strip, tractions, *_ = plotting.contact(bed).axes
-    assert [text.get_text().strip() for text in strip.texts] == ["from (0, 0.5)", "from (0, 1)"]
-    starts = [line.get_xdata()[0] for line in tractions.lines[::2]]
-    assert starts == pytest.approx([0.5 * k + 0.16 * (k > 3) for k in range(8)])  # a short gap parts the beds
-    assert sum(patch.get_width() for patch in strip.patches) == pytest.approx(bed.weights.sum())
+    strip, tractions, *_ = plotting.along(bed.surface, bed).axes
+    starts = [line.get_xdata()[0] for line in tractions.lines if len(line.get_xdata()) == 12]
+    assert starts == pytest.approx([0.0, 2.0])  # one bed after the other
+    assert sum(patch.get_width() for patch in strip.patches) == pytest.approx(bed.areas.sum())
 
 
 @pytest.mark.parametrize("head", ["contact", "layer"])
-def test_the_picture_of_a_dry_wall_has_the_status_of_each_joint(pushed_wall, head):
-    """Lengths of the lines of a colour are those of the nodes of a status; other seams may have layers."""
+def test_a_dry_wall_has_the_status_of_each_joint(pushed_wall, head):
+    """Of nodes, and of the facets around them; other seams may have layers."""
     state = pushed_wall
     if head == "layer":
-        joint, bed = pushed_wall.model.joint, pushed_wall.model.contacts["BED"]
+        joint, law = pushed_wall.model.joint, pushed_wall.model.contacts["BED"]
         bricks = Structure(joint, body=ROCK, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.4, -1.0)}, element="Q1")
-        state = solve(bricks.interface({"BED": bed, "HEAD": springs(100.0, 40.0)}))
-    (axes,) = plotting.layers(state, scale=0.0).axes
-    drawn = {}
-    for lines in axes.collections:
-        if isinstance(lines, LineCollection) and lines.get_linewidth()[0] == WIDTH:
-            lengths = np.linalg.norm(np.diff(lines.get_segments(), axis=1), axis=2)
-            drawn[to_hex(lines.get_color()[0])] = lengths.sum()
-    wanted = {}
-    for name in state.model.contacts:
-        report = ContactReport(state, name)
-        for status in {*report.status.tolist()}:
-            wanted[STATES[status]] = wanted.get(STATES[status], 0.0) + report.weights[report.status == status].sum()
-    if head == "layer":
-        wanted[STATES["elastic"]] = 4 * 0.5
-    assert drawn == {colour: pytest.approx(length) for colour, length in wanted.items()}
-    assert len(drawn) > 1
-
-
-def test_maps_of_contact_are_of_one_plane():
-    """A plan of two beds one above the other would show the upper one only."""
-    laws = {"BED": BED, "HEAD": HEAD}
-
-    def report(courses):
-        joint = wall(1, courses, (2.0, 1.0), 1.0, depth=2.0, cell="hexahedron")
-        structure = Structure(
-            joint, body=ROCK, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.0, -1.0, 0.02)}, element="Q1"
-        )
-        return ContactReport(solve(structure.interface(laws)), "BED")
-
-    plotting.contact(report(2))
-    refused(ModelError, "are for one plane, and 'BED' lies in several", lambda: plotting.contact(report(3)))
+        state = solve(bricks.interface({"BED": law, "HEAD": springs(100.0, 40.0)}))
+    surface = Surface(state.model)
+    found, nodes = surface.status(state)[:, 0], surface.contact(state).status
+    assert set(found[surface.seams == "HEAD"]) <= (
+        {"elastic"} if head == "layer" else {"stick", "sliding", "separated"}
+    )
+    assert len(set(found)) > 1
+    for status, corners in zip(found, nodes[surface.nodes], strict=True):
+        assert status in corners or set(corners) == {"no contact law"}
+    rows = {row["seam"]: row for row in surface.table(state).rows}
+    bed = contact(state, "BED")
+    for status in ("stick", "sliding", "separated"):
+        assert rows["BED"][status] == pytest.approx(bed.areas[bed.status == status].sum() / bed.areas.sum())
+    assert rows["BED"]["normal_force"] == pytest.approx(bed.normal_force)
+    assert (rows["HEAD"]["normal_force"] is None) == (head == "layer")
+    assert_coloured(plotting.on_surface(state, Surface.status), {*found.tolist()})
 
 
 # ---------------------------------------------------------------- laws
@@ -250,7 +232,8 @@ def test_places_of_contact_in_a_cell():
     """Of the places that periodic sides identify with each other a report names the first, whatever rank has its node."""
     joint = bond_cell((2.0, 1.0), h=0.25)
     cell = Structure(joint, body=ROCK, supports={}, strain=((-1e-3, 2e-4), (2e-4, -3e-3)), element="Q1")
-    report = ContactReport(solve(cell.interface({"BED": BED, "HEAD": springs(3.0, 1.3)})))
-    assert (joint.masters[report.numbers] == report.numbers).all()
-    assert report.x == pytest.approx(joint.points[report.numbers], abs=1e-12)
-    assert report.weights.sum() == pytest.approx(4.0, rel=1e-12)  # two beds of one brick each
+    report = contact(solve(cell.interface({"BED": BED, "HEAD": springs(3.0, 1.3)})), "BED")
+    vertices = report.surface.vertices
+    assert (joint.masters[vertices] == vertices).all()
+    assert report.x == pytest.approx(joint.points[vertices], abs=1e-12)
+    assert report.areas.sum() == pytest.approx(4.0, rel=1e-12)  # two beds of one brick each

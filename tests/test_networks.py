@@ -28,7 +28,7 @@ from tests.network_cases import (
     yielded,
 )
 from tests.refused import refused
-from thinlayer import ContactReport, ModelError, Structure, Surface, ThinLayer, march, solve
+from thinlayer import ModelError, Structure, Surface, ThinLayer, march, solve
 
 pytestmark = pytest.mark.few(5)
 
@@ -168,20 +168,20 @@ def test_a_contact_law_for_each_seam(m, force):
     """The push goes through the head and the left part of the bed; all pressure through the bed."""
     joint = three_bricks(m, "quadrilateral")
     state = pushed(joint, 0.6, {"BED": BED, "HEAD": HEAD})
-    bed, head = ContactReport(state, "BED"), ContactReport(state, "HEAD")
+    bed, head = Surface(state.model, "BED").contact(state), Surface(state.model, "HEAD").contact(state)
     assert bed.force == pytest.approx([-0.3, 2.0], rel=1e-12)
     assert head.force[0] == pytest.approx(force, abs=5e-6)
     assert max(bed.equilibrium, bed.clapeyron) < 1e-12
     away = pushed(joint, -0.6, {"BED": BED, "HEAD": HEAD})
-    assert ContactReport(away, "HEAD").counts["separated"] == m + 1
-    assert not ContactReport(away, "HEAD").force.any()
+    assert Surface(away.model, "HEAD").contact(away).counts["separated"] == m + 1
+    assert not Surface(away.model, "HEAD").contact(away).force.any()
 
 
 def test_bricks_that_cross():
     """Four bricks meet: the bed and the head each part in two at the junction."""
     joint = three_bricks(4, "quadrilateral", cross=True)
     state = pushed(joint, 0.6, {"BED": BED, "HEAD": HEAD})
-    assert ContactReport(state, "BED").force == pytest.approx([-0.3, 2.0], rel=1e-12)
+    assert Surface(state.model, "BED").contact(state).force == pytest.approx([-0.3, 2.0], rel=1e-12)
 
 
 def test_slip_of_rigid_bricks_on_two_seams():
@@ -210,7 +210,7 @@ def test_slip_of_rigid_bricks_on_two_seams():
         for pair, (w_T, u_N, seam) in jumps.items():
             bound = laws[seam].friction * laws[seam].K_N * u_N / laws[seam].K_T  # largest elastic part of the jump
             slip[pair] = w_T - np.clip(w_T - slip[pair], -bound, bound)
-        bed, head = (ContactReport(state, seam) for seam in laws)
+        bed, head = (Surface(state.model, seam).contact(state) for seam in laws)
         found = bed.slip[bed.x[:, 0] < 1], bed.slip[bed.x[:, 0] > 1], head.slip
         for values, wanted in zip(found, slip.values(), strict=True):
             assert values == pytest.approx(wanted, abs=1e-6)  # bricks are 1e6 times stiffer than seams

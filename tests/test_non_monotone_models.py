@@ -12,6 +12,7 @@ from scipy.optimize import brentq
 
 from forms import LawError, LinearElastic, NonMonotone, NonMonotoneUnrelaxed, Stack, Tabulated
 from geometry import block, sandwich
+from studies.problems import phases_on_s
 from studies.sweep_non_monotone import CASES, Formula, blocks
 from tests.closed_forms import NonMonotoneLimit
 from tests.columns_in_time import BODY, both, check_balance, check_same, joint, jump_of
@@ -23,8 +24,9 @@ from tests.non_monotone_run import C as OF_T
 from tests.on_ranks import on_ranks
 from tests.phases_of_bars import BAR
 from tests.test_mohr_coulomb_models import PATH, PATH_3D, check_path, column
-from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, march, piecewise, solve
+from thinlayer import ModelError, Structure, Surface, ThinLayer, march, piecewise, solve
 from thinlayer.discretisation.state import displacements_of
+from thinlayer.parts.phases import phase_shares
 
 # layers whose thickness tends to zero under the same load, and columns of any height
 pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
@@ -59,8 +61,8 @@ def test_relaxed_law_in_columns(eps, angle):
     t, phases = limit_law.relaxed(point.jumps)
     assert point.tractions == pytest.approx(t, abs=1e-9 * np.abs(t).max())
     for k, phase in enumerate(phases):
-        assert PhaseReport(limit.at(k + 1.0)).plus == pytest.approx(max(phase, 0), abs=1e-9)
-        assert PhaseReport(full.at(k + 1.0)).minus == pytest.approx(max(-phase, 0), abs=1e-9)
+        assert phase_shares(limit.at(k + 1.0), "S")["plus"] == pytest.approx(max(phase, 0), abs=1e-9)
+        assert phase_shares(full.at(k + 1.0), "S")["minus"] == pytest.approx(max(-phase, 0), abs=1e-9)
     assert {-1, 1} <= {int(np.sign(phase)) for phase in phases if 0 < abs(phase) < 1}
     wrong, _ = replace(limit_law, chi=mirrored).relaxed(point.jumps)
     assert np.abs(wrong - t).max() > 0.2 * np.abs(t).max()  # the tangent is (n_2, -n_1), not its opposite
@@ -79,7 +81,7 @@ def test_pure_phases_in_columns(eps):
         assert point.tractions[k] == pytest.approx(t, abs=1e-9)
         one, other = limit.at(k + 1.0), full.at(k + 1.0)
         for state in (one, other):
-            assert PhaseReport(state).profile()[1] == pytest.approx(phase, abs=1e-14)
+            assert phases_on_s(state)[1] == pytest.approx(phase, abs=1e-14)
         difference = displacements_of(other, limit.model).x.array - one.u.x.array
         assert np.abs(difference).max() < 1e-9 * np.abs(point.jumps).max()
         jump = surface.frame(surface.jump(one)) - np.reshape(point.jumps[k], (-1, 1, 1))
@@ -101,7 +103,7 @@ def test_three_dimensions(kind):
         check_balance(full)
         return
     for k, phase in enumerate([1, 0, -1]):
-        assert PhaseReport(full.at(k + 1.0)).profile()[1] == pytest.approx(phase, abs=1e-14)
+        assert phases_on_s(full.at(k + 1.0))[1] == pytest.approx(phase, abs=1e-14)
         difference = displacements_of(full.at(k + 1.0), limit.model).x.array - limit.at(k + 1.0).u.x.array
         assert np.abs(difference).max() < 1e-9 * np.abs(point.jumps).max()
 
@@ -205,8 +207,8 @@ def test_snap_by_heating():
     for history in (limit, full):
         (snap,) = history.snaps
         assert 20 + 75 * snap.t == pytest.approx(hot, rel=1e-9)
-        assert PhaseReport(history.at(0.1)).plus == 0
-        assert PhaseReport(history.last).plus == pytest.approx(1)
+        assert phase_shares(history.at(0.1), "S")["plus"] == 0
+        assert phase_shares(history.last, "S")["plus"] == pytest.approx(1)
         check_balance(history)
     cold = both(joint(), ThinLayer(heated(hot - 1), 0.02, at=1.0), setup, [0.1, 1.0])
     assert not any(history.snaps for history in cold)
@@ -222,7 +224,7 @@ def test_work_of_a_change_of_temperature():
     a = 0.7 * alpha(np.array(history.t))
     w = (load + a) / K
     stored = K * w**2 / 2 - a * w + 0.3 + 0.05 * np.array(history.t)
-    assert PhaseReport(history.last).plus == pytest.approx(1)
+    assert phase_shares(history.last, "S")["plus"] == pytest.approx(1)
     assert history.table["remainder"][1:] == pytest.approx(load * np.diff(w) - np.diff(stored), rel=1e-8)
     assert history.table["stored"][1:] == pytest.approx(np.diff(stored), rel=1e-8)
     check_balance(history)
@@ -238,9 +240,9 @@ def test_temperature_along_s():
     switched = OF_T(25 + 60 * middle) < drive
     assert 2 < switched.sum() < 6
     for make in (Structure.interface, Structure.full):
-        pure = PhaseReport(solve(make(Structure(where, **setup), ThinLayer(heated(T), 0.02, at=1.0))))
-        assert pure.profile()[0][:, 0] == pytest.approx(middle)
-        assert pure.profile()[1] == pytest.approx(switched.astype(float))
+        x, pure = phases_on_s(solve(make(Structure(where, **setup), ThinLayer(heated(T), 0.02, at=1.0))))
+        assert x == pytest.approx(middle)
+        assert pure == pytest.approx(switched.astype(float))
     alpha = Tabulated([(20.0, 0.9), (100.0, 1.1)])
     law = heated(T, kind=NonMonotone, alpha=alpha)
     state = solve(Structure(where, **setup).interface(ThinLayer(law, 0.02, at=1.0)))
@@ -270,23 +272,23 @@ def test_phases_by_hand():
     for model in models(HEATED):
         history = march(model, [0.6, 1.0])
         for state in history:
-            x, report = model.quadratures["layer"].joint_x[0], PhaseReport(state)
-            places, phases = report.profile()
+            x, (row,) = model.quadratures["layer"].joint_x[0], Surface(model).table(state).rows
+            places, phases = phases_on_s(state)
             by_hand = [state.memory["layer"][np.floor(8 * x).astype(int) == k, 0].mean() for k in range(8)]
-            assert places[:, 0] == pytest.approx(np.arange(8) / 8 + 1 / 16)
+            assert places == pytest.approx(np.arange(8) / 8 + 1 / 16)
             assert phases == pytest.approx(by_hand, abs=1e-12)
             assert set(np.round(by_hand, 12)) <= {-1, 0, 1}
             plus, minus = np.sum(phases > 0.5) / 8, np.sum(phases < -0.5) / 8
-            assert (report.plus, report.minus) == pytest.approx((plus, minus), abs=1e-9)
-            assert report.boundary == pytest.approx(0.05 * (1 - plus - minus), abs=1e-9)
+            assert (row["plus"], row["minus"]) == pytest.approx((plus, minus), abs=1e-9)
+            assert row["boundary"] == pytest.approx(0.05 * (1 - plus - minus), abs=1e-9)
             ends = np.flatnonzero(np.diff(np.abs(by_hand) > 0.5)) + 1
-            assert report.fronts[:, 0] == pytest.approx(ends / 8)
-            assert f"phase 1: {report.plus:.4g}" in str(report)
+            (line,) = Surface(model).along(np.abs(Surface(model).phase(state)))
+            assert line.crossings(0.5)[:, 0] == pytest.approx(ends / 8)
         for snap in history.snaps:
             assert (snap.t, snap.lost) == (history.table["t"][snap.row], history.table["dissipated"][snap.row])
             assert history.table["t"][snap.row - 1] == snap.t
             assert history.table["energy"][snap.row] < history.table["energy"][snap.row - 1]
-        assert history.table["plus"][-1] == report.plus
+        assert history.table["plus"][-1] == row["plus"]
         assert 0 < history.table["boundary"][-1] < 0.05
 
 
@@ -309,11 +311,11 @@ def test_sublayer(eps):
     assert 0 < opened < closed < 1
     for history in (limit, full):
         check_balance(history)
-        first, second = (PhaseReport(history.at(t)) for t in (1.0, 2.0))
-        assert (first.plus, second.plus) == pytest.approx((opened, 0), abs=1e-9)
-        assert (first.minus, second.minus) == pytest.approx((0, closed), abs=1e-9)
-        assert second.boundary == pytest.approx(0.7 * eps * (1 - closed), rel=1e-8)
-        assert second.profile()[1] == pytest.approx(-closed, rel=1e-8)
+        first, second = (phase_shares(history.at(t), "S") for t in (1.0, 2.0))
+        assert (first["plus"], second["plus"]) == pytest.approx((opened, 0), abs=1e-9)
+        assert (first["minus"], second["minus"]) == pytest.approx((0, closed), abs=1e-9)
+        assert second["boundary"] == pytest.approx(0.7 * eps * (1 - closed), rel=1e-8)
+        assert phases_on_s(history.at(2.0))[1] == pytest.approx(-closed, rel=1e-8)
 
 
 # ---------------------------------------------------------------- ranks, resumed marches
@@ -351,10 +353,8 @@ def test_refused(kind):
     bonded = solve(Structure(joint(), **setup).bonded())
     elastic = solve(Structure(joint(), **setup).interface(ThinLayer(BODY, 0.1, at=1.0)))
     for state in (bonded, elastic):
-        with pytest.raises(ModelError, match="PhaseReport needs a layer whose law has phases"):
-            PhaseReport(state)
-    with pytest.raises(ModelError, match="PhaseReport takes what solve or march returns"):
-        PhaseReport(law)
+        assert np.isnan(Surface(state.model).phase(state)).all()
+        assert "plus" not in Surface(state.model).table(state).columns
 
 
 def test_refused_pure_phases():
@@ -362,9 +362,3 @@ def test_refused_pure_phases():
         ThinLayer(PURE, 0.1, order=1, at=1.0)
     with pytest.raises(LawError, match="Stack: a sublayer is NonMonotoneUnrelaxed"):
         Stack((0.5, PURE), (0.5, BODY))
-    deep = NonMonotoneUnrelaxed(LMBDA, MU, ALPHA, 0.02, CHI3)
-    state = solve(
-        Structure(solid(), body=BODY, supports={"BOTTOM": 0.0, "TOP": 0.0}).interface(ThinLayer(deep, 0.1, at=1.0))
-    )
-    with pytest.raises(ModelError, match=r"in 3D look at profile\(\)"):
-        assert PhaseReport(state).fronts

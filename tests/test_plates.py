@@ -14,13 +14,13 @@ from tests.taylor import observed_orders
 from tests.test_order1 import apart
 from thinlayer import (
     ArcLength,
-    ContactReport,
     LimitLoad,
     LooseBody,
     ModelError,
     RigidPlate,
     Springs,
     Structure,
+    Surface,
     ThinLayer,
     compare,
     estimate,
@@ -184,7 +184,7 @@ def test_contact_under_a_plate():
     assert state.report.method == "newton"
     assert out_of_balance(state) < 1e-10
     assert state.reaction("S", about=(2.0, 2.0)).moment == pytest.approx(-0.5, rel=1e-9)
-    report = ContactReport(state)
+    report = Surface(state.model).contact(state)
     assert report.equilibrium < 1e-10
     assert report.clapeyron < 1e-9
     assert report.normal_force == pytest.approx(3.0, rel=1e-9)

@@ -94,7 +94,8 @@ def test_internal_variables_are_those_of_the_memory(kind):
     places = found.x[[3, 10]] if kind == "full" else np.column_stack([found.x[[3, 10], 0], [0.0, 0.0]])
     assert probe.internal("plastic", places, key) == pytest.approx(found.values[[3, 10]])
     refused(ModelError, "there is no internal variable 'flow'; known: layer", lambda: probe.points("flow"))
-    refused(ModelError, "does not act at", lambda: probe.internal("plastic", [1.0, -0.31]))
+    where = "does not act at" if kind == "full" else "are not on S"
+    refused(ModelError, where, lambda: probe.internal("plastic", [1.0, -0.31]))
 
 
 def creeping():

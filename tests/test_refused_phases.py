@@ -20,13 +20,13 @@ from thinlayer import (
     History,
     Model,
     ModelError,
-    PhaseReport,
     Structure,
     ThinLayer,
     drive,
     march,
     solve,
 )
+from thinlayer.parts.phases import phase_shares
 
 JOINT = sandwich(2.0, 1.0, 1.0, 1.0)
 SETUP = {"body": LinearElastic.young(1e4, 0.3), "supports": {"BOTTOM": 0.0, "TOP": {"x": 0.0}}}
@@ -129,7 +129,7 @@ def test_phases_of_a_law_of_ones_own():
     history = march(model(Switch(5.0)), [0.5])
     assert history.table["plus"].tolist() == [0.0, 1.0]
     assert np.isnan(history.table["energy"]).all()  # it declares none
-    assert PhaseReport(history.last).plus == 1.0
+    assert phase_shares(history.last, "S")["plus"] == 1.0
 
 
 SCALARS = {"phase": (), "drive": (), "bound": ()}
@@ -203,7 +203,7 @@ def test_parameters_of_a_law_without_memory_vary():
         ([1.0], {"start": 1j}, "start is 1j; it must be a number"),
         (Adaptive(1.0, 0.1), {}, "steps of NonMonotoneUnrelaxed have no error: give the times to stop at"),
         ([1.0], {"observe": {"a": lambda state: 1 / 0}}, r"observe\['a'\] at t = 0: ZeroDivisionError: division"),
-        ([1.0], {"observe": {"a": lambda s: PhaseReport(s).shares}}, r"observe\['a'\] at t = 0: AttributeError:"),
+        ([1.0], {"observe": {"a": lambda s: s.shares}}, r"observe\['a'\] at t = 0: AttributeError:"),
         (ArcLength(1.0, 0.1, steps=np.int64(5)), {}, "NonMonotoneUnrelaxed has pure phases"),
     ],
 )

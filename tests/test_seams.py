@@ -11,7 +11,7 @@ from forms import LinearElastic, Maxwell, NonMonotone, Stack
 from geometry import GeometryError, read
 from tests.meshes import boxes, drawing, save, sides
 from tests.refused import refused
-from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, fields, march, solve
+from thinlayer import ModelError, Structure, Surface, ThinLayer, fields, march, solve
 from thinlayer.output.grid import gather
 
 BODY = LinearElastic(30.0, 20.0)
@@ -97,12 +97,13 @@ def test_phases_of_one_layer_of_two(path):
     history = march(
         structure.interface({"ONE": ThinLayer(STIFF, 0.02, at=1.0), "TWO": ThinLayer(phases, 0.01, at=1.0)}), [1.0]
     )
-    x, phase = PhaseReport(history.last).profile()
-    assert x[:, 1] == pytest.approx(2.0)
-    assert phase == pytest.approx(PhaseReport(history.last).plus, rel=1e-6)
-    assert 0 < phase[0] <= 1
-    both = structure.interface(ThinLayer(phases, 0.01, at=1.0))
-    refused(ModelError, "several layers have phases; a report is of one", lambda: PhaseReport(march(both, [1.0]).last))
+    surface = Surface(history.model)
+    phase, has = surface.phase(history.last)[:, 0], surface.seams == "TWO"
+    assert surface.x[1].mean(axis=1)[has] == pytest.approx(2.0)
+    assert phase[has] == pytest.approx(history.table["plus"][-1], rel=1e-6)
+    assert 0 < phase[has][0] <= 1
+    assert np.isnan(phase[~has]).all()
+    assert [row["plus"] for row in surface.table(history.last).rows] == [None, history.table["plus"][-1]]
 
 
 def test_what_is_refused(path):

@@ -17,7 +17,7 @@ from forms import LinearElastic
 from geometry import sandwich
 from tests.contact_bars import bar, coulomb
 from tests.on_ranks import on_ranks
-from thinlayer import ModelError, Structure, Table, ThinLayer, plotting, solve
+from thinlayer import ModelError, Structure, Surface, Table, ThinLayer, plotting, solve
 
 
 def strip():
@@ -29,13 +29,13 @@ def strip():
 @pytest.fixture(scope="module")
 def pictures():
     """One of each function."""
-    state = strip()
+    state, pressed = strip(), bar(8, coulomb("soft"))
     table = Table({"eps": e, "error_traction": 3 * e, "error_jump": 2 * e} for e in (0.4, 0.2, 0.1))
     line = {"a": ([0, 1], [0, 1])}
     return {
         "deformed": plotting.deformed(state),
-        "layers": plotting.layers(state),
-        "contact": plotting.contact(bar(8, coulomb("soft"))),
+        "on_surface": plotting.on_surface(state, Surface.status),
+        "along": plotting.along(pressed.surface, pressed),
         "rates": plotting.rates(table),
         "curves": plotting.curves(line, xlabel="x", ylabel="y"),
         "panels": plotting.panels({"t": line}, xlabel="x", ylabel="y"),

@@ -19,11 +19,11 @@ from tests.taylor import observed_orders
 from thinlayer import (
     Adaptive,
     ArcLength,
-    ContactReport,
     ModelError,
     PointLoad,
     SolveError,
     Structure,
+    Surface,
     ThinLayer,
     UflPart,
     march,
@@ -158,7 +158,7 @@ def test_contact_above_springs(method):
     setup = {"body": BODY, "supports": rollers, "tractions": {"TOP": (0.0, -P)}, "element": "P1", "parts": [BED]}
     law = HolonomicCoulomb(50.0, 20.0, 0.3)
     state = solve(Structure(joint, **setup).interface(law), method=method)
-    report = ContactReport(state)
+    report = Surface(state.model).contact(state)
     assert report.p == pytest.approx(np.full(len(report.p), P), rel=1e-7)
     assert report.equilibrium < 1e-7
     assert state.energies()["springs BOTTOM"] == pytest.approx(P**2 / BED.normal / 2, rel=1e-7)

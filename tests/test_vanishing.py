@@ -17,7 +17,7 @@ from forms import (
 )
 from geometry import periodic, sandwich
 from tests.periodic_cases import laminate
-from thinlayer import Adaptive, ContactReport, Structure, march, solve
+from thinlayer import Adaptive, Structure, Surface, march, solve
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.pointwise.material import Material
 from thinlayer.solving.equilibrium import Equilibrium
@@ -86,7 +86,7 @@ def test_bodies_that_shrink_away_from_each_other(kind, method, unit, initial):
     state = solve(structure.interface(law), method=method)
     largest = np.abs(state.u.x.array.reshape(-1, 2)[:, 1]).max()
     assert largest == pytest.approx((1 + NU) * 1e-3 * 6.0, rel=1e-8)  # of the upper side of S, from TOP
-    assert np.abs(ContactReport(state).normal_force) < 1e-9 * 1e4 * unit * 1e-3 * 10.0
+    assert np.abs(Surface(state.model).contact(state).normal_force) < 1e-9 * 1e4 * unit * 1e-3 * 10.0
 
 
 @pytest.mark.parametrize("method", ["condensed", "multigrid", "newton"])

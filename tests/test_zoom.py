@@ -16,7 +16,6 @@ from tests.ranges_told import opened
 from tests.refused import refused
 from tests.zoom_run import BODY, EPS, FREE, GLUE, HEIGHTS, PLACES, joint, state
 from thinlayer import ModelError, Probe, Structure, Surface, ThinLayer, Zoom, observed_orders, plotting, solve
-from thinlayer.output.meshed_places import meshed_places
 
 pytestmark = pytest.mark.few(5)
 
@@ -66,7 +65,7 @@ def errors(law, heights, order, components=1.0):
         zoom = Zoom(solve(blocks.interface(ThinLayer(law, eps, order=order, at=1.0))))
         x, y = (one.ravel() for one in np.meshgrid(np.linspace(0.15, 0.85, 9) + 0.003, heights))
         x = np.stack([x, 0 * x], axis=1)
-        known = Probe(full).stress(meshed_places(full.model, x, y, "S"))
+        known = Probe(full).stress(Surface(full.model).in_layer(x, y))
         found.append(np.abs((zoom.stress(x, y) - known) * components).max() / np.abs(known).max())
     return found
 
@@ -142,8 +141,8 @@ def test_stresses_at_free_ends_are_those_of_a_meshed_layer():
         zoom = Zoom(solve(blocks.interface(ThinLayer(law, eps, order=1, edges="free", at=1.0))))
         d, y = (one.ravel() for one in np.meshgrid([0.1, 0.3, 0.6, 1.0, 1.7, 3.0], [-0.3, 0.0, 0.3]))
         x = np.stack([1 - d * eps, 0 * d], axis=1)
-        known = Probe(full).stress(meshed_places(full.model, x, y, "S"))
-        plain = zoom._inside(*_faces(zoom, x), y)
+        known = Probe(full).stress(Surface(full.model).in_layer(x, y))
+        plain = zoom._inside(zoom._known.faces(x), y)
         for name, one in (("law", zoom.stress(x, y)), ("none", plain)):
             found[name].append(np.sqrt(np.mean((one - known) ** 2) / np.mean(known**2)))
     assert found["law"][-1] < 0.02
@@ -161,7 +160,7 @@ def test_stresses_at_free_ends_of_rubber_are_those_of_a_meshed_layer():
     zoom = Zoom(solve(blocks.interface(ThinLayer(law, eps, order=1, at=1.0))))
     d, y = (one.ravel() for one in np.meshgrid([0.1, 0.3, 0.6, 1.0, 1.7, 2.9, 3.1, 4.0], [-0.3, 0.0, 0.3]))
     x = np.stack([1 - d * eps, 0 * d], axis=1)
-    known = Probe(full).stress(meshed_places(full.model, x, y, "S"))
+    known = Probe(full).stress(Surface(full.model).in_layer(x, y))
     error = np.sqrt(np.mean((zoom.stress(x, y) - known) ** 2) / np.mean(known**2))
     assert error < 0.03
     before, after = zoom.stress([[1 - 2.999 * eps, 0.0], [1 - 3.001 * eps, 0.0]])
@@ -171,18 +170,12 @@ def test_stresses_at_free_ends_of_rubber_are_those_of_a_meshed_layer():
     assert zoom.ends[0].exponent == pytest.approx(0.5952, abs=1e-3)
 
 
-def _faces(zoom, x):
-    from thinlayer.output.faces_at import FacesAt
-
-    return (FacesAt.of(zoom.state, x, zoom.seam),)
-
-
 def test_the_end_is_free_and_far_from_it_nothing_is_added():
     zoom = Zoom(state())
     end = zoom.stress(PLACES[:1].repeat(3, axis=0), [-0.3, 0.0, 0.3])
     far = zoom.stress([[0.65, 0.0]])
     np.testing.assert_allclose(end[:, 0, :2], 0, atol=1e-4 * np.abs(far).max())
-    plain = zoom._inside(*_faces(zoom, [[0.65, 0.0]]), np.zeros(1))
+    plain = zoom._inside(zoom._known.faces([[0.65, 0.0]]), np.zeros(1))
     np.testing.assert_allclose(far, plain, atol=1e-6 * np.abs(far).max())
 
 

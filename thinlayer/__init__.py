@@ -36,17 +36,13 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.estimating.thickness import ThinEnough, thin_enough
     from thinlayer.files.table import Table
     from thinlayer.output.comparison import compare
-    from thinlayer.output.contact_report import ContactReport
     from thinlayer.output.ensemble import ensemble
     from thinlayer.output.homogenised import homogenised_stiffness
-    from thinlayer.output.layer_report import LayerReport
-    from thinlayer.output.pressure_report import PressureReport
     from thinlayer.output.probe import Probe
     from thinlayer.output.surface import Surface
     from thinlayer.output.sweep import observed_orders, sweep
     from thinlayer.output.zoom import Zoom
     from thinlayer.parts.contact import ContactPart
-    from thinlayer.parts.phases import PhaseReport
     from thinlayer.parts.plates import RigidPlate
     from thinlayer.parts.springs import Springs
     from thinlayer.parts.ufl_part import UflPart
@@ -76,10 +72,7 @@ _NAMES = {
     "estimating.thickness": ["ThinEnough", "thin_enough"],
     "files.table": ["Table"],
     "output.comparison": ["compare"],
-    "output.contact_report": ["ContactReport"],
     "output.homogenised": ["homogenised_stiffness"],
-    "output.layer_report": ["LayerReport"],
-    "output.pressure_report": ["PressureReport"],
     "output.probe": ["Probe"],
     "output.surface": ["Surface"],
     "output.zoom": ["Zoom"],
@@ -87,7 +80,6 @@ _NAMES = {
     "output.sweep": ["observed_orders", "sweep"],
     "pointwise.drive": ["PointHistory", "drive"],
     "parts.contact": ["ContactPart"],
-    "parts.phases": ["PhaseReport"],
     "parts.plates": ["RigidPlate"],
     "parts.springs": ["Springs"],
     "parts.ufl_part": ["UflPart"],

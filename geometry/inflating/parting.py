@@ -9,7 +9,7 @@ import numpy as np
 
 from geometry.inflating.inflation import inflate
 from geometry.joint import Joint, Profile
-from geometry.topology import FloatArray
+from geometry.topology import FloatArray, IntArray
 
 
 def parted(
@@ -30,13 +30,17 @@ def parted(
     return replace(joint, parted=inflated.points[inflated.cells[: len(joint.cells)]])
 
 
-def middle(joint: Joint) -> FloatArray:
-    """(n_S, k, d) places of the nodes of the facets of S midway between the bodies, or a body and its rigid base."""
+def faces(joint: Joint, cell_points: FloatArray | None = None) -> FloatArray:
+    """(2, n_S, k, d) places of the nodes of the facets of S in the cells below and above; of a rigid base those of S.
+
+    Args:
+        joint: the joint.
+        cell_points: (n_cells, k, d) or more: places of the nodes of its cells, if others than its own.
+    """
+    places = joint.cell_points if cell_points is None else cell_points
     below, above = joint.surface_cells.T
-    upper = _on_side(joint, above)
-    there = (below >= 0)[:, None, None]
-    lower = np.where(there, _on_side(joint, np.maximum(below, 0)), joint.points[joint.surface])
-    return np.asarray((upper + lower) / 2)
+    lower, upper = (places[cells[:, None], _positions(joint, cells)] for cells in (np.maximum(below, 0), above))
+    return np.stack([np.where((below >= 0)[:, None, None], lower, joint.points[joint.surface]), upper])
 
 
 def points_on_middle(joint: Joint) -> FloatArray:
@@ -44,25 +48,19 @@ def points_on_middle(joint: Joint) -> FloatArray:
     if joint.parted is None:
         return joint.points
     x = joint.points.copy()
-    x[joint.surface] = middle(joint)
+    x[joint.surface] = faces(joint).mean(axis=0)
     return x
 
 
 def to_middle(joint: Joint) -> FloatArray:
-    """(n_cells, k, d) how far the nodes of each cell on its facets of S are from `middle`; zero at other nodes."""
-    out, x = np.zeros_like(joint.cell_points), middle(joint)
-    for cells in joint.surface_cells.T:
+    """(n_cells, k, d) how far the nodes of each cell on its facets of S are from the middle; zero at other nodes."""
+    out, both = np.zeros_like(joint.cell_points), faces(joint)
+    for cells, own in zip(joint.surface_cells.T, both, strict=True):
         at = np.flatnonzero(cells >= 0)
-        out[cells[at, None], _places(joint, at, cells[at])] = x[at] - _on_side(joint, cells)[at]
+        out[cells[at, None], _positions(joint, cells)[at]] = (both.mean(axis=0) - own)[at]
     return out
 
 
-def _on_side(joint: Joint, cells: np.ndarray) -> FloatArray:
-    """(n_S, k, d) places of the nodes of the facets of S in the cells (n_S,) on one side."""
-    at = np.arange(len(cells))
-    return np.asarray(joint.cell_points[cells[:, None], _places(joint, at, cells)])
-
-
-def _places(joint: Joint, at: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """(n, k) positions of the nodes of facets of S, given by their numbers, among those of cells (n,)."""
-    return np.asarray((joint.cells[cells][:, None, :] == joint.surface[at][:, :, None]).argmax(axis=2))
+def _positions(joint: Joint, cells: IntArray) -> IntArray:
+    """(n_S, k) positions of the nodes of the facets of S among those of cells (n_S,)."""
+    return np.asarray((joint.cells[cells][:, None, :] == joint.surface[:, :, None]).argmax(axis=2))

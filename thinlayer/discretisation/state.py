@@ -295,30 +295,25 @@ class State(Configuration):
         return self._sum(energy(points, self.u)) if points else 0.0
 
 
-def cell_values(f: fem.Function, cells: np.ndarray) -> np.ndarray:
-    """Degrees of freedom of local cells, (n, dofs per cell)."""
-    dofmap = f.function_space.dofmap
-    blocks = dofmap.list[cells]
-    return f.x.array.reshape(-1, dofmap.bs)[blocks].reshape(len(cells), blocks.shape[1] * dofmap.bs)
+def cell_values(f: fem.Function, model: Model, cells: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+    """(..., a, m) values at the nodes of cells (...), by their numbers in a model's joint, of any rank. Collective.
+
+    A body's cell has one number in the joint, and one order of its degrees of freedom, in all models.
+    """
+    dofmap, own = f.function_space.dofmap, model.domain.mesh.topology.index_map(model.joint.dim).size_local
+    nodes = dofmap.list[:own]
+    known = f.x.array.reshape(-1, dofmap.bs)[nodes].reshape(own, nodes.shape[1] * dofmap.bs)
+    wanted, at = np.unique(cells, return_inverse=True)
+    found = carry(model.comm, model.domain.original_cells[:own], known, wanted)
+    return np.asarray(found.reshape(-1, nodes.shape[1], dofmap.bs)[at.reshape(cells.shape)])
 
 
 def transfer(f: fem.Function, source: Model, V: fem.FunctionSpace, target: Model) -> fem.Function:
-    """A function of one model's bodies on the same cells of another model's mesh, value by value.
-
-    Both models come from the same joint: body cells have the same original numbers and the same local order of their
-    degrees of freedom, wherever they are and whichever rank has them. Collective.
-    """
-    n_body = len(source.joint.cells)
-    mesh = source.domain.mesh
-    owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local)
-    original = source.domain.original_cells[owned]
-    sent = owned[original < n_body]
+    """A function of one model's bodies on the same cells of another model's mesh of the same joint. Collective."""
     there = target.domain.original_cells
-    wanted = np.flatnonzero(there < n_body)
-    values = carry(source.comm, source.domain.original_cells[sent], cell_values(f, sent), there[wanted])
+    wanted = np.flatnonzero(there < len(source.joint.cells))
     out = fem.Function(V)
-    bs = V.dofmap.bs
-    out.x.array.reshape(-1, bs)[V.dofmap.list[wanted].ravel()] = values.reshape(-1, bs)
+    out.x.array.reshape(-1, V.dofmap.bs)[V.dofmap.list[wanted]] = cell_values(f, source, there[wanted])
     out.x.scatter_forward()
     return out
 

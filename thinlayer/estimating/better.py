@@ -18,8 +18,8 @@ from thinlayer.discretisation.reduction import LEAST_CONTRAST, Reduction, softes
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, Refused
-from thinlayer.estimating.places import NEAR_ENDS
-from thinlayer.output.layer_report import ELASTIC, LayerReport
+from thinlayer.estimating.on_surface import NEAR_ENDS
+from thinlayer.output.surface import ELASTIC, Surface
 from thinlayer.parallel.agreement import on_all
 
 OFF = 0.5  # of the true error: estimates without edge terms are less off between bodies of E/mu below LEAST_CONTRAST
@@ -123,14 +123,14 @@ def why_unknown(state: State) -> str:
         if not one.law.traits.bounded:
             continue
         assert one.thin
-        report = LayerReport(state, name)
-        yields = report.status != ELASTIC
+        surface = Surface(state.model, name)
+        yields = surface.status(state)[:, 0] != ELASTIC
         if not yields.any():
             continue
         if not one.law.traits.symmetric:
             return f"{one} slides or yields with a dilatancy unlike its friction: no estimate is known"
-        joint, ends = state.model.joint, state.model.reductions[name].free
-        centres = joint.points[joint.table.vertices[report.rows[yields]]].mean(axis=1)
-        if np.any(ends.distance(joint.points, centres) < NEAR_ENDS * one.thin.eps):
+        points, ends = state.model.joint.points, state.model.reductions[name].free
+        centres = points[surface.corners[yields]].mean(axis=1)
+        if np.any(ends.distance(points, centres) < NEAR_ENDS * one.thin.eps):
             return f"{one} yields at its free ends: no estimate (found up to 4 times too low)"
     return ""

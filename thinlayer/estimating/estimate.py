@@ -17,8 +17,7 @@ from thinlayer.errors import ModelError
 from thinlayer.estimating.better import BetterLaw, better_model, why_unknown
 from thinlayer.estimating.goal import Goal
 from thinlayer.estimating.goals import Compliance, Reaction
-from thinlayer.estimating.norms import Norms, field_of_ends
-from thinlayer.estimating.places import NEAR_ENDS
+from thinlayer.estimating.on_surface import NEAR_ENDS, errors_of, field_of_ends, squares_of
 from thinlayer.estimating.result import Estimate, GoalError, LayerError
 from thinlayer.files.progress import telling
 from thinlayer.parallel.agreement import on_all
@@ -76,15 +75,13 @@ def estimate(
         like = given if not (given.model.bonds or model.linear) else None
         better, before = solve(model, given.t, options=options, like=like), (None, None)
     unknown = why_unknown(better) or next((law.lacks for law in laws.values() if math.isnan(law.off)), "")
-    total, layers = Norms(np.zeros(4)), {}
+    total, layers = np.zeros(4), {}
     for name, law in laws.items():
-        norms = Norms(np.zeros(4)) if unknown else Norms.on(given, better, model.layers[name])
+        squares = np.zeros(4) if unknown else squares_of(given, better, model.layers[name])
         near = NEAR_ENDS * float(law.layer.eps) if law.ends else 0.0
-        total, layers[name] = (
-            total + norms,
-            LayerError(law, near, *norms.errors, field_of_ends(model, model.layers[name])),
-        )
-    traction, jump = total.errors
+        layers[name] = LayerError(law, near, *errors_of(squares), field_of_ends(model, model.layers[name]))
+        total += squares
+    traction, jump = errors_of(total)
     largest = max([traction, *(one.ends for one in layers.values())])
     found = {}
     for name, goal in checked.items():

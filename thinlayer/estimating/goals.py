@@ -19,18 +19,18 @@ from forms import work as forms
 from forms.kinematics import Expr
 from geometry.errors import unknown
 from geometry.seam import S
+from thinlayer.compiling.compat import exterior_facet_entities
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.measures import compiled, whole
+from thinlayer.discretisation.seams import seam_entities
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 from thinlayer.estimating.goal import Goal, unit, written
-from thinlayer.estimating.places import nodes_of_sides
-from thinlayer.output.locating import Located
-from thinlayer.output.probe import Probe
+from thinlayer.output.probe import Probe, cells_at
 from thinlayer.output.surface import Surface
-from thinlayer.ranges.areas import Areas
 from thinlayer.solving.adjoint import Adjoint
+from thinlayer.surface.surface_mesh import SurfaceMesh
 
 Array = npt.NDArray[np.float64]
 
@@ -164,12 +164,12 @@ class MeanTraction(Goal):
         """
         e, d = unit(self.direction, model.joint.dim, self.name), model.joint.dim
         names = [self.seam] if self.seam in model.layers else [*model.layers]
-        area = sum(Areas(model.layers[name].sheet, model.kinematics).total for name in names)
+        area = sum(SurfaceMesh(model, name).integral(1.0) for name in names)
         v, count = fem.Function(model.V), fem.Function(model.V)
         held = np.isin(np.arange(len(v.x.array)), model.held_in(model.V))
         free, x = 1.0 - held.reshape(-1, d), model.V.tabulate_dof_coordinates()
         for name in names:
-            upper, lower = nodes_of_sides(model, name)
+            upper, lower = _nodes_of_sides(model, name)
             for sign, nodes, others in ((-1.0, upper, lower), (1.0, lower, upper)):
                 own = free[nodes]
                 beside = free[others[cKDTree(x[others]).query(x[nodes])[1]]] if len(others) else 0.0 * own
@@ -206,11 +206,7 @@ class Displacement(Goal):
 
     def check(self, model: InterfaceModel) -> None:
         unit(self.direction, model.joint.dim, self.name)
-        self._located(model)
-
-    def _located(self, model: InterfaceModel) -> Located:
-        found = Located.of(model.domain.joint, [self.x])
-        return found if self.side is None else found.on_side(self.side, self.seam)
+        cells_at(model, [self.x], self.side, self.seam)
 
     def value(self, state: State, model: InterfaceModel) -> float:
         shown = replace(state, model=model, u=displacements_of(state, model))  # full models have their bodies elsewhere
@@ -221,10 +217,11 @@ class Displacement(Goal):
         return float(state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
-        model, located, d = adjoint.model, self._located(adjoint.model), adjoint.model.joint.dim
+        model, d = adjoint.model, adjoint.model.joint.dim
+        located = cells_at(model, [self.x], self.side, self.seam)
         e, V = unit(self.direction, d, self.name), model.V
         original = model.domain.original_cells[: model.domain.mesh.topology.index_map(d).size_local]
-        mine = np.flatnonzero(original == located.cell[0])
+        mine = np.flatnonzero(original == located.entity[0])
         dofs, values = np.empty(0, np.int64), np.empty(0)
         if len(mine):
             basis = V.ufl_element().basix_element.tabulate(0, located.X[:1])[0, 0, :, 0]
@@ -285,3 +282,21 @@ class Functional(Goal):
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         return adjoint.of_form(self._derivative(adjoint.state.u, adjoint.model)), adjoint.nothing()
+
+
+def _nodes_of_sides(model: InterfaceModel, name: str) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Local nodes of the displacements on the upper and on the lower side of a seam (on a rigid base: none). Collective.
+
+    They are those that this rank's facets have, ghosts included.
+    """
+    domain, d, dofmap = model.domain, model.joint.dim, model.V.dofmap
+    if name in model.joint.base_seams:
+        entities = exterior_facet_entities(domain.mesh, np.sort(domain.facets(name))).astype(np.int64)
+    else:
+        entities = seam_entities(domain, name).astype(np.int64)
+    sides = np.split(entities, entities.shape[1] // 2, axis=1)
+    found = [
+        np.unique([dofmap.cell_dofs(cell)[dofmap.dof_layout.entity_closure_dofs(d - 1, facet)] for cell, facet in side])
+        for side in sides
+    ]
+    return found[0].astype(np.int64), (found[1] if len(found) > 1 else np.empty(0)).astype(np.int64)

@@ -14,10 +14,9 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.estimating.better import BetterLaw, creeps
 from thinlayer.estimating.goals import Goal
-from thinlayer.estimating.places import density_of
+from thinlayer.estimating.on_surface import density_of
 from thinlayer.files.table import Table
 from thinlayer.output.surface import Surface
-from thinlayer.output.surface_density import SurfaceDensity
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.petsc import OptionValue
 
@@ -161,8 +160,10 @@ class Estimate:
         return f"perfect bond{of}{', order 0' if layers else ''}" if bonds else "order 0"
 
     # ---------------------------------------------------------------- where
-    def density(self, goal: str = "compliance") -> SurfaceDensity:
+    def density(self, goal: str = "compliance") -> npt.NDArray[np.float64]:
         """Where on S the change of a goal comes from: a density whose integral is Q(u_1) - Q(u_0). Collective.
+
+        It is (m,) at the nodes of `Surface(estimate.better.model)`, a field for its `integral`, `along`, `most_of`.
 
         For linear models with symmetric laws and linear goals the integral is exact, otherwise it is so to first order in
         the change. It is large where a mesh of the layer is needed.
@@ -177,28 +178,25 @@ class Estimate:
         with Adjoint(self.better, before, self._options) as adjoint:
             z = adjoint.weights(*self._goals[goal].dual(adjoint))
             found = density_of(adjoint, adjoint.summands(z, self.state, theirs))
-        if self.better.model.linear and self.better.model.symmetric and self._goals[goal].is_linear(found.model):
+        if self.better.model.linear and self.better.model.symmetric and self._goals[goal].is_linear(adjoint.model):
             self._require_same_loads(found, self.goals[goal])
         return found
 
-    def _require_same_loads(self, density: SurfaceDensity, goal: GoalError) -> None:
+    def _require_same_loads(self, density: npt.NDArray[np.float64], goal: GoalError) -> None:
         """Raise ModelError if the identity does not hold, as loads act in one of both models alone."""
+        total = Surface(self.better.model).integral(density)
         size = max(abs(goal.value), abs(goal.better), goal.scale)
-        if abs(density.total - goal.change) > SAME * size:
+        if abs(total - goal.change) > SAME * size:
             raise ModelError(
                 "estimate: loads act in one of both models alone, such as tractions on the layer's side or its weight, so "
-                f"that the change {goal.change:.4g} has no density on S (it would add up to {density.total:.4g})"
+                f"that the change {goal.change:.4g} has no density on S (it would add up to {total:.4g})"
             )
-
-    def map(self, goal: str = "compliance") -> npt.NDArray[np.float64]:
-        """(n, q) `density` as a field on S, for `Surface(estimate.better.model)`. Collective."""
-        return self.density(goal).on(Surface(self.better.model))
 
     def by_seam(self, goal: str = "compliance") -> dict[str, float]:
         """Name of a seam -> the part of the change of a goal that its layer causes; errors as of `density`. Collective."""
-        surface, seams = Surface(self.better.model), list(self.better.model.joint.seams)
-        changes, number = self.density(goal).on(surface) * surface.weights, surface.joint.seam_numbers[surface.rows]
-        return {name: float(changes[number == seams.index(name)].sum()) for name in self.layers}
+        surface = Surface(self.better.model)
+        changes = surface.at_points(self.density(goal)) * surface.weights
+        return {name: float(changes[surface.seams == name].sum()) for name in self.layers}
 
     # ---------------------------------------------------------------- words
     @property

@@ -20,14 +20,14 @@ from thinlayer.estimating.better import LEAST_HEIGHT
 from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.goal import Goal
 from thinlayer.estimating.goals import Compliance
-from thinlayer.estimating.places import NEAR_ENDS
+from thinlayer.estimating.on_surface import NEAR_ENDS
 from thinlayer.estimating.result import Estimate, at_most
 from thinlayer.files.progress import telling
 from thinlayer.files.table import Table
 from thinlayer.parallel.agreement import on_all
-from thinlayer.ranges.areas import Areas
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import solve
+from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.time.history import History
 from thinlayer.time.marching import march
 
@@ -180,9 +180,9 @@ def _thickest(model: InterfaceModel, chosen: Sequence[str], quantity: str) -> fl
     layers = [model.layers[name] for name in chosen]
     found = [min(one.sheet.heights) / LEAST_HEIGHT for one in layers]
     for one in layers if quantity in FIELDS else ():
-        areas = Areas(one.sheet, model.kinematics)
-        length = areas.length(model.reductions[one.name].free)
-        found += [(1 - INSIDE) * areas.total / length / NEAR_ENDS] if length else []
+        surface = SurfaceMesh(model, one.name)
+        length = surface.length(model.reductions[one.name].free)
+        found += [(1 - INSIDE) * surface.integral(1.0) / length / NEAR_ENDS] if length else []
     return min(found)
 
 

@@ -11,11 +11,13 @@ import pyvista
 from mpi4py import MPI
 
 from geometry.joint import Joint
+from geometry.topology import lagrange
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
-from thinlayer.output.grid import Grid, gather
+from thinlayer.output.contact_fields import CONTACT_STATUSES, NO_CONTACT, at_contact
+from thinlayer.output.grid import Grid, gather, vtk_order, vtk_type
 from thinlayer.output.law_points import LawPoints, law_points
-from thinlayer.output.surface_block import surface_block
+from thinlayer.output.surface import STATUSES, Surface
 
 Array = npt.NDArray[np.float64]
 BODIES, LAYER, ON_S = "bodies", "layer", "S"
@@ -28,6 +30,9 @@ VTK_TENSOR = (
     (0, 2),
 )  # XX, YY, ZZ, XY, YZ, XZ: the order in which VTK names six
 STRESS, VON_MISES = "stress", "von Mises"
+POLY_LINE = 4  # of VTK: straight between its nodes; ParaView does not integrate over curved lines
+CONTACT_CODES = {NO_CONTACT: -1} | {name: code for code, name in enumerate(CONTACT_STATUSES)}
+STATUS_CODES = {name: code for code, name in enumerate(STATUSES)}
 TAKEN = ("u", STRESS, VON_MISES, "region", "seam", "status", "traction", "jump")  # no names of internal variables
 
 
@@ -40,7 +45,7 @@ def blocks(state: State, model: InterfaceModel | None) -> pyvista.MultiBlock | N
     """
     of_cells, of_facets = _cell_data(state)
     grid = gather(state)
-    on_s = None if model is None else surface_block(state, model, of_facets)
+    on_s = None if model is None else _on_s(state, model, of_facets)
     if state.model.comm.rank:
         return None
     whole = _volume(state.model.domain.joint, grid, of_cells)
@@ -150,3 +155,76 @@ def _part(mesh: pyvista.UnstructuredGrid, chosen: npt.NDArray[np.bool_]) -> pyvi
         if np.issubdtype(values.dtype, np.floating) and np.isnan(values).all():
             part.cell_data.pop(name)
     return part
+
+
+# ---------------------------------------------------------------- S
+def _on_s(state: State, model: InterfaceModel, of_facets: Mapping[str, Array]) -> pyvista.UnstructuredGrid | None:
+    """The facets of S, in the joint's order; None on other ranks. Collective.
+
+    Each facet has nodes of its own. Point data are "traction", "jump", "normal", "u_upper", "u_lower", their mean "u" (to
+    warp S by), "t_N", "w_N", and "t_T", "w_T": in 2D the component along (n_2, -n_1), in 3D the vector in S; with contact
+    laws "contact" (`CONTACT_CODES`, -1 where there is none) and the vector "slip". Facet data are "seam" (its
+    position in the field "seams"), "status" (`STATUS_CODES`), and means of internal variables.
+
+    Args:
+        state: a state of the model, or of another one of the same joint, of whose laws nothing is told.
+        model: an interface model.
+        of_facets: name -> means (n_S, components), on rank 0.
+    """
+    joint, d, surface, own = model.joint, model.joint.dim, Surface(model), state.model is model
+    lower, upper = surface.displacements(state)
+    fields = {"x": surface.x, "n": surface.n, "traction": surface.traction(state), "upper": upper, "lower": lower}
+    status = surface.status(state)[:, 0] if own else None
+    contact = at_contact(surface, state) if own else {}
+    if model.comm.rank:
+        return None
+    degree = max(joint.degree, model.structure.degree)
+    # from values at the points of quadrature to those at the nodes: exact for polynomials of this degree
+    to_nodes = np.linalg.pinv(lagrange(surface.kind, degree).tabulate(0, surface.points)[0, :, :, 0])
+    at = {name: np.einsum("nq,dfq->fnd", to_nodes, f) for name, f in fields.items()}
+    n, k = at["x"].shape[:2]
+    kind, in_vtk = (
+        (POLY_LINE, [0, *range(2, k), 1]) if d == 2 else (vtk_type(surface.kind, k), vtk_order(surface.kind, k))
+    )
+    cells = np.column_stack([np.full(n, k), np.arange(n * k).reshape(n, k)[:, in_vtk]]).ravel()
+    block = pyvista.UnstructuredGrid(cells, np.full(n, kind), _in_space(at.pop("x")))
+    block.point_data.update(_of_nodes(at, d))
+    block.cell_data["seam"] = joint.seam_numbers
+    block.field_data["seams"] = list(joint.seams)
+    if status is not None:
+        block.cell_data["status"] = [STATUS_CODES[one] for one in status]
+        block.field_data["status codes"] = _legend(STATUS_CODES)
+    if contact:
+        slip = np.einsum("mk,mkj->mj", contact["slip"], contact["frames"][:, :-1])
+        codes = np.array([CONTACT_CODES[one] for one in contact["status"]])
+        slip[codes < 0] = np.nan
+        block.point_data.update({"contact": codes[surface.nodes].ravel(), "slip": _in_space(slip[surface.nodes])})
+        block.field_data["contact codes"] = _legend(CONTACT_CODES)
+    block.cell_data.update(of_facets)
+    return block
+
+
+def _legend(codes: Mapping[str, int]) -> list[str]:
+    return [f"{code} {name}" for name, code in sorted(codes.items(), key=lambda one: one[1])]
+
+
+def _in_space(values: Array) -> Array:
+    """Vectors (n, k, d) as (n k, 3)."""
+    flat = values.reshape(-1, values.shape[-1])
+    return np.pad(flat, ((0, 0), (0, 3 - flat.shape[1])))
+
+
+def _of_nodes(at: Mapping[str, Array], d: int) -> dict[str, Array]:
+    """Point data from values (facets, nodes, d)."""
+    t, upper, lower = at["traction"], at["upper"], at["lower"]
+    n = at["n"] / np.linalg.norm(at["n"], axis=2, keepdims=True)
+    jump = upper - lower
+    data = {"traction": t, "jump": jump, "normal": n, "u": (upper + lower) / 2, "u_upper": upper, "u_lower": lower}
+    found = {name: _in_space(values) for name, values in data.items()}
+    for name, vector in (("t", t), ("w", jump)):
+        along_n = np.einsum("fki,fki->fk", vector, n)
+        tangential = vector - along_n[..., None] * n
+        found[f"{name}_N"] = along_n.ravel()
+        signed = n[..., 1] * vector[..., 0] - n[..., 0] * vector[..., 1]
+        found[f"{name}_T"] = signed.ravel() if d == 2 else _in_space(tangential)
+    return found

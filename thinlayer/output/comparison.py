@@ -19,9 +19,9 @@ from thinlayer.discretisation.mixed import MixedModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.identity import differences, in_words
-from thinlayer.output.pressure_report import columns_of_pressure
 from thinlayer.output.surface import Surface
 from thinlayer.parallel.agreement import on_all, require_same
+from thinlayer.ranges.excess import times_too_stiff, why_unknown
 from thinlayer.time.history import SAME_TIME, History
 
 Where = Callable[[npt.NDArray[np.float64]], Any]
@@ -55,7 +55,7 @@ def compare(
         those of the interface model's fields, nan where these are zero to rounding;
         traction and jump: these norms (stress and length, times length^(1/2) in 2D);
         too_stiff ("too_stiff NAME" for each of several seams), for isotropic elastic layers whose law has no pressure on S:
-        the layer's law alone is that many times too stiff against the openings found (`PressureReport`).
+        the layer's law alone is that many times too stiff against the openings found (`Surface.table`).
 
     Raises:
         ModelError: the states are not a full and an interface model of the same structure (joint, bodies, supports, loads,
@@ -100,7 +100,15 @@ def compare(
         sizes[name] = surface.norm(by_law, part)
         known = sizes[name] > (ROUNDING * moved if name == "jump" else 0.0)
         row[f"error_{name}"] = surface.norm(field(full) - by_law, part) / sizes[name] if known else math.nan
-    return row | sizes | (columns_of_pressure(interface, seam) if interface.model is limit else {})
+    return row | sizes | (_too_stiff(interface, seam) if interface.model is limit else {})
+
+
+def _too_stiff(state: State, seam: str) -> dict[str, float]:
+    """Column "too_stiff" of each layer that has one, "too_stiff NAME" if the joint has several seams. Collective."""
+    several = len(state.model.joint.seams) > 1
+    layers = {name: one for name, one in state.model.layers.items() if seam in (S, name) and not one.flows}
+    found = {name: times_too_stiff(state, one) for name, one in layers.items() if not why_unknown(one)}
+    return {f"too_stiff {name}" if several else "too_stiff": factor for name, factor in found.items()}
 
 
 def _state(one: State | History, at: float | None) -> State:

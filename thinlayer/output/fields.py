@@ -39,8 +39,8 @@ def write(solution: State | History, path: str | Path, *, surface: Surface | Non
     - "S", of an interface model, or if a surface is given, facets whose nodes are their own. At the nodes: "traction",
       "jump", "normal", "u_upper", "u_lower", "u" (their mean, to warp S by), "t_N", "w_N", "t_T", "w_T" (in 2D the
       component along (n_2, -n_1), in 3D the vector in S); under contact laws "contact" (the field "contact codes" says
-      what is what) and "slip". On facets: "seam", "status" (see `LayerReport` and the field "status codes"), means of the
-      layer's internal variables, such as "phase".
+      what is what) and "slip". On facets: "seam", "status" (see `Surface.status` and the field "status codes"), means of
+      the layer's internal variables, such as "phase".
 
     Vectors have three components, stresses and other tensors six: XX, YY, ZZ, XY, YZ, XZ. "von Mises" is that of the mean
     stress of a cell. Internal variables that a cell's law does not have are NaN there; where there are several points

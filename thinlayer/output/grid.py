@@ -1,22 +1,35 @@
-"""Displacements on VTK cells, gathered on rank 0, in an order that does not depend on the ranks."""
+"""VTK's cells, and displacements on them, gathered on rank 0, in an order that does not depend on the ranks."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import dolfinx
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
 from geometry.joint import Joint
 from geometry.seam import BASE
-from geometry.topology import FACET_TYPES
+from geometry.topology import FACET_TYPES, geometry_degree
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.output.vtk_cells import STRAIGHT, vtk_order, vtk_type
-from thinlayer.parallel.exchange import carry
 
 MIRRORED = (1, 0, 2, 3, 4, 6, 5, 8, 7, 9)  # nodes of a tetrahedron of degree 2 in VTK's order; the first four: degree 1
+
+STRAIGHT = {"interval": 3, "triangle": 5, "quadrilateral": 9, "tetrahedron": 10, "hexahedron": 12}
+LAGRANGE = {"interval": 68, "triangle": 69, "quadrilateral": 70, "tetrahedron": 71, "hexahedron": 72}  # of any degree
+
+
+def vtk_type(cell_type: str, n_nodes: int) -> int:
+    """VTK's number of a type of cells with that many nodes."""
+    return (STRAIGHT if geometry_degree(cell_type, n_nodes) == 1 else LAGRANGE)[cell_type]
+
+
+def vtk_order(cell_type: str, n_nodes: int) -> npt.NDArray[np.int64]:
+    """(n_nodes,) the nodes of a cell, numbered as DOLFINx does, in the order that VTK wants."""
+    order = dolfinx.cpp.io.perm_vtk(dolfinx.mesh.to_type(cell_type), n_nodes)
+    return np.argsort(np.asarray(order, np.int64))
 
 
 @dataclass(frozen=True)
@@ -67,18 +80,6 @@ def nodal_displacement(state: State) -> fem.Function:
     u.interpolate(state.u)
     u.x.scatter_forward()
     return u
-
-
-def at_corners(state: State) -> npt.NDArray[np.float64]:
-    """Displacements (cells, corners, d) of the bodies' cells of the joint, on rank 0 (other ranks: none). Collective."""
-    model, joint = state.model, state.model.joint
-    u, n = nodal_displacement(state), len(joint.cells)
-    original = model.domain.original_cells[: model.domain.mesh.topology.index_map(joint.dim).size_local]
-    own = np.flatnonzero(original < n)
-    nodes = np.asarray(u.function_space.dofmap.list)[own][:, : joint.corners.shape[1]]
-    values = u.x.array.reshape(-1, joint.dim)[nodes].reshape(len(own), nodes.shape[1] * joint.dim)
-    wanted = np.arange(n if model.comm.rank == 0 else 0)
-    return carry(model.comm, original[own], values, wanted).reshape(len(wanted), nodes.shape[1], joint.dim)
 
 
 def gather(state: State) -> Grid:

@@ -16,11 +16,13 @@ from geometry.seam import S
 from geometry.topology import IntArray, is_tensor
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import BODY, LAYER
+from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, cell_values
 from thinlayer.errors import ModelError
 from thinlayer.output.law_points import LawPoints, law_points
-from thinlayer.output.locating import Located
 from thinlayer.parallel.agreement import on_all, require_same
+from thinlayer.surface.locating import Located
+from thinlayer.surface.surface_mesh import SurfaceMesh
 
 Array = npt.NDArray[np.float64]
 SAME = 1e-9  # difference of displacements at one place, over the largest displacement, that counts as none
@@ -75,12 +77,9 @@ class Probe:
             ModelError: places outside the bodies and meshed layers; a place where displacements jump, without a side.
         """
         located = self._located(x, side, seam)
-        V = self.state.u.function_space
-        d = self._joint.dim
-        mine, local = self._local(located.cell)
-        basis = V.ufl_element().basix_element.tabulate(0, located.X)[0, mine, :, 0]  # not of no places
-        nodal = cell_values(self.state.u, local).reshape(len(local), basis.shape[1], d)
-        u = self._summed(np.einsum("kn,knd->kd", basis, nodal), mine, len(located.cell))
+        element = self.state.u.function_space.ufl_element().basix_element
+        basis = element.tabulate(0, located.X)[0, :, :, 0]
+        u = np.einsum("kn,knd->kd", basis, cell_values(self.state.u, self.state.model, located.entity))
         largest = self._comm.allreduce(float(np.abs(self.state.u.x.array).max(initial=0.0)), max)
         first = np.searchsorted(located.point, np.arange(len(located.x)))
         apart = np.abs(u - u[first[located.point]]).max(axis=1) > SAME * largest
@@ -98,48 +97,33 @@ class Probe:
         are the mean of the stresses there.
         """
         located = self._located(x, side, seam)
-        total = np.zeros((len(located.cell), 9))
+        total = np.zeros((len(located.entity), 9))
         for points in law_points(self.state):
             if points.quadrature.region.dim == self._joint.dim:
                 values = points.stress()
                 total += self._fitted(points, values.reshape(-1, 9), located)
         total = self._comm.allreduce(total)
-        counts = np.bincount(located.point, minlength=len(located.x))
-        sums = np.zeros((len(located.x), 9))
-        np.add.at(sums, located.point, total)
-        out = (sums / counts[:, None]).reshape(-1, 3, 3)
+        out = located.mean(total).reshape(-1, 3, 3)
         return out if np.ndim(x) > 1 else out[0]
 
     def _located(self, x: Any, side: str | None, seam: str) -> Located:
-        require_same(self._comm, places=np.asarray(x, object) if _is_ragged(x) else np.asarray(x), side=side, seam=seam)
         with on_all(self._comm):
-            located = Located.of(self._joint, x)
-            if side is None:
-                return located
-            if not isinstance(self.state.model, InterfaceModel):
-                raise ModelError("a side is for places on S of an interface model")
-            return located.on_side(side, seam)
-
-    def _local(self, cells: IntArray) -> tuple[IntArray, IntArray]:
-        """Positions among cells of the joint of those that this rank owns, and their local numbers."""
-        domain = self.state.model.domain
-        original = domain.original_cells[: domain.mesh.topology.index_map(self._joint.dim).size_local]
-        return _found(cells, original)
-
-    def _summed(self, values: Array, mine: IntArray, count: int) -> Array:
-        out = np.zeros((count, *values.shape[1:]))
-        out[mine] = values
-        return np.asarray(self._comm.allreduce(out))
+            located = cells_at(self.state.model, x, side, seam)
+        require_same(self._comm, places=located.x, side=side, seam=seam)
+        return located
 
     def _fitted(self, points: LawPoints, values: Array, located: Located) -> Array:
         """Values (m, k) at located places of the polynomials nearest to values (points, k) in their cells; else zero."""
-        out = np.zeros((len(located.cell), values.shape[1]))
-        mine, row = _found(located.cell, points.entities)
+        out = np.zeros((len(located.entity), values.shape[1]))
+        own = {int(entity): row for row, entity in enumerate(points.entities)}
         degree = self.state.model.structure.degree - (not is_tensor(self._joint.cell_type))
-        for at, cell in zip(mine, row, strict=True):
-            here = points.quadrature.cells[cell]
+        for at, cell in enumerate(map(int, located.entity)):
+            if cell not in own:
+                continue
+            here = points.quadrature.cells[own[cell]]
             x = points.quadrature.x[here]
-            centre, size = x.mean(axis=0), np.ptp(self._joint.points[self._joint.cells[located.cell[at]]], axis=0).max()
+            centre = x.mean(axis=0)
+            size = np.ptp(self._joint.points[self._joint.cells[cell]], axis=0).max()
             terms = _monomials((x - centre) / size, degree)
             there = _monomials((located.x[located.point[at]] - centre)[None] / size, degree)
             out[at] = there @ np.linalg.lstsq(terms, values[here], rcond=None)[0]
@@ -202,15 +186,17 @@ class Probe:
             ModelError: as in `points`; places where this law does not act.
         """
         found = self.points(name, key)
-        located = self._located(x, None, S)
         if self._variables[found.key][name][0].quadrature.region.dim == self._joint.dim:
-            at, entity = located.point, located.cell
+            located = self._located(x, None, S)
+            entity = located.entity
         else:
-            on, entity, _ = located.facets()
-            at = located.point[on]
+            with on_all(self._comm):
+                located, _ = SurfaceMesh(self.state.model).at(x)
+            require_same(self._comm, places=located.x)
+            entity = self._joint.surface_rows[located.entity]
         out = np.empty((len(located.x), *found.values.shape[1:]))
         for k, one in enumerate(located.x):
-            here = np.flatnonzero(np.isin(found.entity, entity[at == k]))
+            here = np.flatnonzero(np.isin(found.entity, entity[located.point == k]))
             if not len(here):
                 raise ModelError(f"the law {found.key!r} does not act at {place(one)}")
             out[k] = found.values[here[cKDTree(found.x[here]).query(one)[1]]]
@@ -230,12 +216,18 @@ class Probe:
         return key or having[0]
 
 
-def _found(numbers: IntArray, known: IntArray) -> tuple[IntArray, IntArray]:
-    """Positions of numbers that are known, and the positions of these among the known ones."""
-    order = np.argsort(known)
-    at = np.minimum(np.searchsorted(known[order], numbers), max(len(known) - 1, 0))
-    there = known[order][at] == numbers if len(known) else np.zeros(len(numbers), bool)
-    return np.flatnonzero(there), order[at[there]] if len(known) else np.empty(0, np.int64)
+def cells_at(model: Model, x: Any, side: str | None = None, seam: str = S) -> Located:
+    """The cells of a model that contain places (n, d), or one (d,); with a side of S those on it alone.
+
+    Raises:
+        ModelError: no places, or outside the cells; no side, or one that is only a rigid base; an unknown seam.
+    """
+    located = Located.in_cells(model.domain.joint, x)
+    if side is None:
+        return located
+    if not isinstance(model, InterfaceModel):
+        raise ModelError("a side is for places on S of an interface model")
+    return SurfaceMesh(model, seam).beside(located, side)
 
 
 def _monomials(x: Array, degree: int) -> Array:
@@ -246,11 +238,3 @@ def _monomials(x: Array, degree: int) -> Array:
         last = [(column * x[:, k], k) for column, first in last for k in range(first, x.shape[1])]
         columns += [column for column, _ in last]
     return np.column_stack(columns)
-
-
-def _is_ragged(x: Any) -> bool:
-    try:
-        np.asarray(x, float)
-    except (TypeError, ValueError):
-        return True
-    return False

@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
+from forms.law import Law
+from geometry.topology import IntArray
+from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.output.surface_mesh import SurfaceMesh
-from thinlayer.output.tractions import by_reactions, of_layers
+from thinlayer.files.table import Table
+from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, at_contact, contact_on
+from thinlayer.output.law_points import LawPoints
+from thinlayer.output.tractions import by_reactions, in_rule, of_layers, points_on
+from thinlayer.parts.phases import phase_shares, phase_slots, seams_with_phases
+from thinlayer.ranges.excess import times_too_stiff, why_unknown
+from thinlayer.ranges.sublayers import sublayers_of
+from thinlayer.surface.surface_mesh import SurfaceMesh
 
 Array = npt.NDArray[np.float64]
+NO_LAYER, ELASTIC, OPEN, SLIDING, CRUSHED, TORN = "no layer", "elastic", "open", "sliding", "crushed", "torn"
+YIELDS = (ELASTIC, SLIDING, CRUSHED, TORN, OPEN)
+STATUSES = tuple(dict.fromkeys((*YIELDS, NO_LAYER, *CONTACT_STATUSES)))
+ROUNDING = 1e-6  # traction or plastic strain, over the largest traction or strain of a layer, that counts as none
 
 
 class Surface(SurfaceMesh):
@@ -19,20 +35,6 @@ class Surface(SurfaceMesh):
     The constructor and all methods that take a state are collective; the results are those of all S on every rank.
     Arguments, attributes and errors are those of `SurfaceMesh`.
     """
-
-    def displacements(self, state: State) -> Array:
-        """(2, d, n, q) displacements of the lower and of the upper side; zero of a rigid base.
-
-        Raises:
-            ModelError: no state, or one of another joint.
-        """
-        self._require_same_joint(state)
-        return self.sides(state.u, state.model, self.points)
-
-    def jump(self, state: State) -> Array:
-        """(d, n, q) [u] = u(upper) - u(lower)."""
-        lower, upper = self.displacements(state)
-        return np.asarray(upper - lower)
 
     def traction(self, state: State) -> Array:
         """(d, n, q) traction t = stress n on S, linear on each facet: an L2 projection.
@@ -64,10 +66,147 @@ class Surface(SurfaceMesh):
         self._require_same_joint(state)
         whole = SurfaceMesh(self.model)  # forces at junctions are of all seams there
         nodal = by_reactions(whole, state)
-        return self.at_points(nodal[np.searchsorted(whole.numbers, self.numbers)])
+        return self.at_points(nodal[whole.find(self.numbers)])
 
-    def _require_same_joint(self, state: State) -> None:
-        if not isinstance(state, State):
-            raise ModelError(f"Surface takes a state, as solve returns it or history.last is, not {state!r:.80}")
-        if state.model.joint is not self.model.joint:
-            raise ModelError("this state's model has another joint than the surface; build both from the same one")
+    # ---------------------------------------------------------------- what S does
+    def status(self, state: State) -> npt.NDArray[np.str_]:
+        """(n, 1) what each facet does in a state of an interface model, in words.
+
+        - "elastic": nothing has yielded, or the law has no plastic strain;
+        - "sliding": the largest part of the plastic strain across S is a slip along it;
+        - "crushed", "torn": it is a closing, or an opening, along n;
+        - "open": the sides are apart, and no traction across S is left;
+        - "no layer": an open joint, on which no law acts;
+        - "separated", "sliding", "stick", "pinned" under contact laws, those of its nodes (`contact`).
+
+        A facet has the status of the largest part of it. Plastic strains are those since the beginning, not of one step.
+
+        Raises:
+            ModelError: a state of another kind of model.
+        """
+        self._require_same_joint(state)
+        model = state.model
+        if not isinstance(model, InterfaceModel):
+            raise ModelError(f"a status is known of states of interface models, not of {model!r}")
+        areas = {name: np.zeros(len(self.rows)) for name in STATUSES}
+        for name in model.joint.seams:
+            if len(possible := statuses(model, name)) == 1:
+                areas[possible[0]][self.seams == name] = 1.0
+        for points, rows in points_on(self, state):
+            if _has_plastic_strain(points.term.law):
+                found, weights = _at_points(self, points, rows), self.rule(points.quadrature.degree).weights
+                for name in YIELDS:
+                    np.add.at(areas[name], rows[rows >= 0], (weights[rows[rows >= 0]] * (found == name)).sum(axis=1))
+        if of_contact := at_contact(self, state):
+            at_corners = of_contact["status"][self.nodes]
+            for name in CONTACT_STATUSES:
+                areas[name] += ((self.weights @ self.shapes) * (at_corners == name)).sum(axis=1)
+        total = model.comm.allreduce(np.array([*areas.values()]))
+        return np.array(STATUSES)[total.argmax(axis=0)][:, None]
+
+    def phase(self, state: State) -> Array:
+        """(n, 1) the mean phase of the layer of each facet, in a state of either model; nan where it has no phases.
+
+        The phase is a number in [-1, 1]. -1, 0 and 1 are pure phases; others are the share of phase 1 (or -1) beside 0.
+        """
+        self._require_same_joint(state)
+        sums = np.zeros((2, len(self.rows)))
+        for points, rows in points_on(self, state):
+            slots = phase_slots(points.term.law)
+            memory = points.state.memory[points.key] if slots else np.empty(0)
+            cells = points.quadrature.cells[rows >= 0]
+            for fraction, k in slots:
+                weights = fraction * points.quadrature.weights[cells]
+                for total, values in zip(sums, (weights * memory[:, k][cells], weights), strict=True):
+                    np.add.at(total, rows[rows >= 0], values.sum(axis=1))
+        part, whole = state.model.comm.allreduce(sums)
+        return np.where(whole > 0, part / np.where(whole > 0, whole, 1.0), np.nan)[:, None]
+
+    def contact(self, state: State) -> Contact:
+        """What contact laws do at the nodes.
+
+        Raises:
+            ModelError: the state's model has no contact law here.
+        """
+        self._require_same_joint(state)
+        return contact_on(self, state)
+
+    def table(self, state: State) -> Table:
+        """A row for each seam; of each law the columns that it has, None for other seams.
+
+        - "size": the area.
+        - "elastic", "sliding", ...: of interface models shares of the area with a status, under contact laws that of nodes.
+        - "normal_force": under contact laws the integral of the pressure.
+        - "plus", "minus": of layers with phases, in either model, the shares in phases 1 and -1; "boundary": the thickness
+          of phase 0, if the others lie above it.
+        - "too_stiff": how many times too stiff the laws of orders 0 and 1 of an isotropic elastic layer are against the
+          openings of the state, as they let no material flow along S (`ranges.excess`). The layer alone is so much too
+          stiff, whatever it is sheared; the structure is off by less where its bodies are soft. Beyond 1.1 use `Rubber`
+          with order=1, whose pressure flows, or mesh the layer.
+        - "delta": length over which the pressure of such a layer evens out, eps sqrt(lmbda/(12 mu)). For a Fourier mode of
+          wave number k too_stiff is 1 + (k delta)^2.
+        """
+        self._require_same_joint(state)
+        model, rows = state.model, []
+        found = self.status(state) if isinstance(model, InterfaceModel) else None
+        nodes = at_contact(self, state)
+        for seam in dict.fromkeys(self.seams.tolist()):
+            mine, layer = self.seams == seam, model.layers.get(seam)
+            size = float(self.weights[mine].sum())
+            row: dict[str, Any] = {"seam": seam, "size": size}
+            if seam in model.contacts:
+                here = np.isin(np.arange(len(self.numbers)), self.nodes[mine])
+                areas = nodes["areas"] * here
+                shares = {name: float(areas[nodes["status"] == name].sum() / areas.sum()) for name in CONTACT_STATUSES}
+                row |= shares | {"normal_force": float(areas @ nodes["p"])}
+            elif found is not None:
+                areas = self.weights.sum(axis=1) * mine / size
+                row |= {name: float(areas @ (found[:, 0] == name)) for name in statuses(model, seam)}
+            if layer and seam in seams_with_phases(model):
+                row |= phase_shares(state, seam)
+            if layer and found is not None and not why_unknown(layer):
+                assert layer.thin
+                (sublayer,) = sublayers_of(layer)
+                delta = float(layer.thin.eps) * sublayer.length
+                row |= {"delta": delta, "too_stiff": times_too_stiff(state, layer)}
+            rows.append(row)
+        columns = dict.fromkeys(name for row in rows for name in row)
+        return Table({name: row.get(name) for name in columns} for row in rows)
+
+
+def statuses(model: Model, seam: str) -> tuple[str, ...]:
+    """The statuses that facets of a seam may have."""
+    if seam in model.contacts:
+        return CONTACT_STATUSES
+    if seam not in model.layers:
+        return (NO_LAYER,)
+    return YIELDS if _has_plastic_strain(model.layers[seam].law) else (ELASTIC,)
+
+
+def _has_plastic_strain(law: Law) -> bool:
+    return any(one.internal.get("plastic") == (3, 3) for _, one in law.sublayers)
+
+
+def _at_points(surface: SurfaceMesh, points: LawPoints, rows: IntArray) -> npt.NDArray[np.str_]:
+    """(facets, q) statuses at the points of a layer's law, on the facets `rows` that are not -1. Collective."""
+    model, q, sublayers = points.state.model, points.quadrature, points.term.law.sublayers
+    (layer,) = (one for one in model.layers.values() if one.key == points.term.key)
+    assert layer.thin
+    rule = surface.rule(q.degree)
+    lower, upper = surface.sides(points.state.u, model, rule)[:, :, surface.seams == layer.name]
+    opening = np.zeros(rule.weights.shape)
+    opening[surface.seams == layer.name] = ((upper - lower) * rule.n[:, surface.seams == layer.name]).sum(axis=0)
+    strain = float(np.abs(upper - lower).max(initial=0.0)) / float(layer.thin.eps)
+    plastic = np.zeros((q.count, 3, 3))
+    for (fraction, _), values in zip(sublayers, points.internal(), strict=True):
+        plastic += fraction * values.get("plastic", 0.0)
+    t, flow = (np.einsum("pij,pj->pi", tensor, q.n) for tensor in (points.stress(), plastic))
+    t_N, closed = ((vector * q.n).sum(axis=1) for vector in (t, -flow))
+    slip = 2 * np.linalg.norm(flow + closed[:, None] * q.n, axis=1)
+    largest = model.comm.allreduce(float(np.abs(t).max(initial=0.0)), max)
+    order = in_rule(rule, rows, points)
+    slip, closed, t_N = slip[order], closed[order], t_N[order]
+    free = (opening[rows[rows >= 0]] > 0) & (np.abs(t_N) <= ROUNDING * largest)
+    still = np.maximum(slip, np.abs(closed)) <= ROUNDING * strain
+    kinds = {OPEN: free, ELASTIC: still, SLIDING: slip >= np.abs(closed), CRUSHED: closed > 0}
+    return np.select([*kinds.values()], [*kinds], TORN)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import chain
 from weakref import WeakKeyDictionary
 
@@ -19,17 +19,17 @@ from ufl.classes import Zero
 from forms.kinematics import MANDEL, ROOT2, Expr, from_mandel
 from forms.law import LawError
 from geometry.dolfinx_mesh import cell_nodes
-from geometry.seam import S
 from geometry.topology import IntArray, lagrange
-from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, component_at, pairs_of
+from thinlayer.discretisation.contact_nodes import component_at
 from thinlayer.discretisation.layer import real_law
 from thinlayer.discretisation.quadratures import column_numbers
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
+from thinlayer.output.contact_fields import at_contact
 from thinlayer.output.law_points import LawPoints, law_points, law_points_elsewhere
 from thinlayer.output.nodal_forces import reaction
-from thinlayer.output.surface_mesh import SurfaceMesh
 from thinlayer.pointwise.quadrature import Quadrature
+from thinlayer.surface.surface_mesh import FacetPoints, SurfaceMesh
 
 Array = npt.NDArray[np.float64]
 LEAST_SQUARES_TOLERANCE = 1e-15  # relative tolerance for the tractions whose forces are the reactions
@@ -41,31 +41,45 @@ MOST_ITERATIONS = 2000  # of this solver; it needs 29 to 45 on uniform meshes
 # ---------------------------------------------------------------- of layers
 def of_layers(surface: SurfaceMesh, state: State) -> Array:
     """(m, d) tractions of a state with layers, see `Surface.traction`: the projection to degree 1. Collective."""
-    joint, moments = surface.joint, np.zeros((*surface.corners.shape, surface.joint.dim))
+    moments = np.zeros((*surface.corners.shape, surface.joint.dim))
+    for points, rows in points_on(surface, state):
+        (_add_of_law if points.quadrature.region.dim < surface.joint.dim else _add_of_cells)(
+            moments, surface, rows, points
+        )
+    moments = state.model.comm.allreduce(moments)
+    nodal = surface.lumped(moments) if surface.model.contact else surface.projected(moments)
+    if of_contact := at_contact(surface, state):
+        t = np.column_stack([of_contact["t_T"], -of_contact["p"]])
+        nodal += np.einsum("nij,ni->nj", of_contact["frames"], t)
+    return nodal
+
+
+def points_on(surface: SurfaceMesh, state: State) -> Iterator[tuple[LawPoints, IntArray]]:
+    """The points of the layers' laws, and the facet of the surface of each of their entities; -1: none. Collective."""
+    joint = surface.joint
     place = np.full(len(joint.table.vertices), -1)
     place[joint.surface_rows[surface.rows]] = np.arange(len(surface.rows))
     columns = _columns(surface, state) if not state.model.broken else None
     for points in chain(law_points(state), law_points_elsewhere(state)):
         if points.quadrature.region.dim < joint.dim:
-            _add_of_law(moments, surface, place[points.entities], points)
+            yield points, place[points.entities]
         elif points.term.n is not None and columns is not None:
-            _add_of_cells(moments, surface, columns[points.entities], points)
-    moments = state.model.comm.allreduce(moments)
-    nodal = surface.lumped(moments) if surface.model.contact else surface.projected(moments)
-    for name in state.model.contacts:
-        if surface.seam in (name, S):
-            nodal += _of_contact(surface, state, name)
-    return nodal
+            yield points, columns[points.entities]
 
 
 def _add_of_law(moments: Array, surface: SurfaceMesh, rows: IntArray, points: LawPoints) -> None:
     """Add the moments of an interface law's traction, with the functions of degree 1; `rows`: facets, or -1."""
-    q, mine = points.quadrature, np.flatnonzero(rows >= 0)
-    cells, rows, rule = q.cells[mine], rows[mine], surface.rule(q.degree)
-    there, x = np.moveaxis(rule.x[:, rows], 0, -1), q.joint_x.T[cells]
-    order = np.linalg.norm(there[:, :, None] - x[:, None], axis=3).argmin(axis=2)
-    t = np.take_along_axis(_traction(points)[cells], order[..., None], axis=1)
-    np.add.at(moments, rows, np.einsum("fq,qa,fqd->fad", rule.weights[rows], rule.shapes, t))
+    rule, mine = surface.rule(points.quadrature.degree), rows[rows >= 0]
+    t = _traction(points)[in_rule(rule, rows, points)]
+    np.add.at(moments, mine, np.einsum("fq,fqa,fqd->fad", rule.weights[mine], rule.shapes[mine], t))
+
+
+def in_rule(rule: FacetPoints, rows: IntArray, points: LawPoints) -> IntArray:
+    """(facets, q) the law's points at those of a rule of the same degree, on the facets `rows` that are not -1."""
+    q = points.quadrature
+    cells, there = q.cells[rows >= 0], np.moveaxis(rule.x[:, rows[rows >= 0]], 0, -1)
+    order = np.linalg.norm(there[:, :, None] - q.joint_x.T[cells][:, None], axis=3).argmin(axis=2)
+    return np.take_along_axis(cells, order, axis=1)
 
 
 def _traction(points: LawPoints) -> Array:
@@ -86,19 +100,6 @@ def _of_each_stress(traction: Callable[[Expr], Expr], q: Quadrature) -> Array:
     if all(isinstance(t, Zero) for t in components):  # a station that bears the difference of the faces alone
         return np.zeros((q.count, 6, q.dim))
     return q.values(ufl.as_vector(components)).reshape(q.count, 6, q.dim)
-
-
-def _of_contact(surface: SurfaceMesh, state: State, name: str) -> Array:
-    """(m, d) tractions of a contact law at its nodes; zero elsewhere."""
-    model, law = state.model, state.model.contacts[name]
-    nodes = ContactNodes(ContactSurface.of(model, name), gap=law.gaps)
-    t = law.traction(nodes.apart(state.u.x.petsc_vec), state.memory[model.layers[name].key])
-    numbers = pairs_of(model.joint, name, nodes.file_numbers)
-    rows = np.concatenate(model.comm.allgather(np.column_stack([numbers, np.einsum("nij,ni->nj", nodes.frames, t)])))
-    nodes.destroy()
-    out = np.zeros((len(surface.numbers), model.joint.dim))
-    out[np.searchsorted(surface.numbers, rows[:, 0].astype(np.int64))] = rows[:, 1:]
-    return out
 
 
 def _columns(surface: SurfaceMesh, state: State) -> IntArray:
@@ -122,9 +123,7 @@ def _add_of_cells(moments: Array, surface: SurfaceMesh, rows: IntArray, points: 
     corner = np.linalg.norm(reference[:, :, None] - on_s[:, None], axis=3).argmin(axis=2)
     to_facet = (corner[..., None] == np.arange(on_s.shape[1])).astype(float)
     N = np.einsum("qc,fca->fqa", shapes, to_facet)
-    assert layer.thin
-    relative = joint.relative_thickness(layer.thin.profile, layer.name)[surface.corners[rows]]
-    eps = float(layer.thin.eps) * np.einsum("fqa,fa->fq", N, relative)
+    eps = np.einsum("fqa,fa->fq", N, surface.thickness(layer, surface.corners[rows]))
     n = q.n[:, : joint.dim]
     t = np.einsum("pij,pj->pi", points.stress(), q.n)[:, : joint.dim]
     along, across = _weights(layer, points)
@@ -159,8 +158,9 @@ def by_reactions(surface: SurfaceMesh, state: State) -> Array:
     held = fem.Function(r.function_space)
     held.x.array[model.held_in(r.function_space)] = 1.0
     held.x.scatter_forward()
-    corners = np.asarray(basix.geometry(basix.CellType[surface.kind]))
-    forces, fixed = (np.moveaxis(surface.sides(f, model, corners), 1, -1) for f in (r, held))  # (2, n, k, d)
+    forces, fixed = (
+        np.moveaxis(surface.sides(f, model, surface.corner_points), 1, -1) for f in (r, held)
+    )  # (2, n, k, d)
     sides, count = _side_nodes(surface)
     force, known = np.zeros((count, d)), np.zeros((count, d), bool)
     force[sides], known[sides] = forces, fixed < 0.5

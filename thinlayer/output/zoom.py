@@ -17,8 +17,7 @@ from geometry.ends import StraightEnd
 from geometry.errors import place
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.output.faces_at import FacesAt
-from thinlayer.output.zoomable import Zoomable
+from thinlayer.output.zoomable import Faces, Zoomable
 
 Array = npt.NDArray[np.float64]
 AT_CORNER = 1e-6  # distance from a corner, over the thickness, where stresses count as infinite
@@ -92,14 +91,14 @@ class Zoom:
             ModelError: places off the seam; heights out of range; corners of free ends; places within 3 thicknesses of a
                 free end whose fields are not known, with the reason, or of two ends that meet.
         """
-        faces = FacesAt.of(self.state, x, self.seam)
+        faces = self._known.faces(x)
         y = self._heights(height, len(faces.x))
         found = self._inside(faces, y)
         near = self._known.near(faces.x)
         for end, distance in near:
             at = np.flatnonzero(np.isfinite(distance))
             self._require_no_corner(faces.x[at], distance[at], y[at])
-            foot = FacesAt.of(self.state, faces.x[at] + distance[at, None] * end.m, self.seam)
+            foot = self._known.faces(faces.x[at] + distance[at, None] * end.m)
             fields = self._fields.stresses(np.asarray(distance[at] / self.eps), y[at])
             found[at] += self._turned(end, np.einsum("kn,knc->nc", self._amplitudes(end, foot), fields))
         return found if np.ndim(x) > 1 else found[0]
@@ -129,7 +128,7 @@ class Zoom:
             )
         return np.broadcast_to(y, (n,))
 
-    def _inside(self, faces: FacesAt, y: Array) -> Array:
+    def _inside(self, faces: Faces, y: Array) -> Array:
         """Stresses (n, 3, 3) as if the layer had no end."""
         known = self._known
         values = known.face_values(faces)
@@ -162,7 +161,7 @@ class Zoom:
     def _fields(self) -> EndFields:
         return self._known.fields
 
-    def _amplitudes(self, end: StraightEnd, feet: FacesAt) -> Array:
+    def _amplitudes(self, end: StraightEnd, feet: Faces) -> Array:
         """(4, n) stresses 11 and 12 that an end without its fields would have, and their growth with the height."""
         upper, lower = (self._in_end(end, self._inside(feet, np.full(len(feet.x), y))) for y in (0.5, -0.5))
         mean, growth = (upper + lower) / 2, upper - lower
@@ -199,7 +198,7 @@ class Zoom:
         for end, x in self._known.places_of_ends:
             if not len(x):
                 continue
-            amplitudes = self._amplitudes(end, FacesAt.of(self.state, x, self.seam))
+            amplitudes = self._amplitudes(end, self._known.faces(x))
             size = self.eps ** (1 - corner.exponent)
             lower, upper = (size * (self._fields.strengths * sign) @ amplitudes for sign in (1.0, EVEN))
             found.append(CornerStrengths(x, end.m, corner.exponent, corner.shear, lower, upper))

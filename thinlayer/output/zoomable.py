@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,14 +23,30 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.side_loads import SideLoad
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, Refused
-from thinlayer.output.faces_at import FacesAt
-from thinlayer.output.pressure_at import pressure_at
+from thinlayer.parallel.agreement import on_all, require_same
+from thinlayer.surface.surface_mesh import SurfaceMesh
 
 Array = npt.NDArray[np.float64]
 NEAR = 3.0  # distance from a free end, over the thickness, within which stresses are not those of a layer without end
 TAKEN = np.array([2.0, 4.0])  # distances, over the thickness, at which pressures are taken for free ends
 NEARLY = 0.4999  # Poisson's ratio that stands for larger ones: its fields within NEAR differ by less than 1e-3
 DIGITS = 12  # of Poisson's ratio
+
+
+@dataclass(frozen=True)
+class Faces:
+    """How both sides of S are displaced at n places of it, the same on all ranks; between facets, means of theirs.
+
+    Attributes:
+        x, n: (n, d) the places, and unit normals of S.
+        u: (2, n, d) displacements of the lower and the upper side; zero of a rigid base.
+        gradient: (2, n, d, d) their gradients, [..., j] along x_j.
+    """
+
+    x: Array
+    n: Array
+    u: Array
+    gradient: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +100,37 @@ class Zoomable:
         relative = np.ones(len(x)) if profile is None else np.asarray(profile(x.T), float)
         return np.asarray(self.eps * np.broadcast_to(relative, (len(x),)))
 
-    def face_values(self, faces: FacesAt) -> FaceValues:
+    @cached_property
+    def surface(self) -> SurfaceMesh:
+        """The layer's seam."""
+        return SurfaceMesh(self.model, self.one.name)
+
+    def faces(self, x: Any) -> Faces:
+        """The faces at places. Collective.
+
+        Raises:
+            ModelError: places that are not on the seam.
+        """
+        surface, u, comm = self.surface, self.state.u, self.model.comm
+        with on_all(comm):
+            located, at = surface.at(x)
+        require_same(comm, places=located.x)
+
+        def means(both: Array) -> Array:
+            return np.stack([located.mean(np.moveaxis(side[..., 0], -1, 0)) for side in both])
+
+        n = located.mean(at.n[..., 0].T)
+        n /= np.linalg.norm(n, axis=1, keepdims=True)
+        u, gradient = (means(of(u, self.model, at)) for of in (surface.sides, surface.gradients))
+        return Faces(located.x, n, u, gradient)
+
+    def pressure(self, x: Array) -> tuple[Array, Array]:
+        """Pressures (n,) of the layer and their slopes (n, d) along S, at places (n, d). Collective."""
+        located, at = self.surface.at(x)
+        p = self.surface.corner_values(self.state.fields[self.one.pressure_key], self.model)[at.rows]
+        return located.mean(np.einsum("fa,fqa->f", p, at.shapes)), located.mean(np.einsum("fa,fqad->fd", p, at.slopes))
+
+    def face_values(self, faces: Faces) -> FaceValues:
         """What the interface law knows of the faces: at order 0 the jump alone."""
         assert self.one.thin
         n, d = faces.x.shape
@@ -92,7 +139,7 @@ class Zoomable:
         pressure: Array = np.zeros(n)
         slope: Array = np.zeros((n, d))
         if self.one.law.traits.constrained:
-            pressure, gradient = pressure_at(self.state, self.one, faces.x)
+            pressure, gradient = self.pressure(faces.x)
             slope = np.asarray(np.einsum("nij,nj->ni", along_s, gradient))
             self._take_ends(faces.x, pressure, slope)
         if self.one.thin.order == 0:
@@ -116,10 +163,7 @@ class Zoomable:
         for end, distance in self.near(x):
             at = np.flatnonzero(np.isfinite(distance))
             fields = self.fields.stresses(TAKEN, 0 * TAKEN)
-            known = [
-                pressure_at(self.state, self.one, x[at] + (distance[at] - one * self.eps)[:, None] * end.m)[0]
-                for one in TAKEN
-            ]
+            known = [self.pressure(x[at] + (distance[at] - one * self.eps)[:, None] * end.m)[0] for one in TAKEN]
             responses = np.stack([1 + fields[0, :, 1], TAKEN - fields[3, :, 1]], axis=1)
             start, growth = np.linalg.solve(responses, np.array(known))
             pressure[at] = start + growth * distance[at] / self.eps

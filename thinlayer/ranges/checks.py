@@ -11,6 +11,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from forms.tangent import in_plane_modulus
+from geometry.errors import place
 from thinlayer.discretisation.layer import BODY
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
@@ -18,11 +19,10 @@ from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
-from thinlayer.ranges.areas import Areas
-from thinlayer.ranges.excess import LEAST_ERROR
-from thinlayer.ranges.faces import Faces
+from thinlayer.ranges.excess import LEAST_ERROR, Faces
 from thinlayer.ranges.pressure import beyond_free_ends, too_stiff
 from thinlayer.ranges.sublayers import Sublayer, acts_on_jumps, stiffness_of_jumps, sublayers_of
+from thinlayer.surface.surface_mesh import SurfaceMesh
 
 LEAST_OVERLAP = 2.0  # least closing, relative to the thickness, that leads to a warning; the bodies overlap from 1 on
 CORNER_ANGLE = 0.25  # largest angle, in rad, between a facet and the mean of its neighbours that is not a corner of S
@@ -83,7 +83,7 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
                 model.comm,
             )
     for one in _thin(model):
-        for remark in _of_states([faces for faces in (Faces.of(state, one) for state in states) if faces], one, start):
+        for remark in _of_states(states, one, start):
             warn(remark, model.comm)
 
 
@@ -124,24 +124,24 @@ def warn_of_strains(states: Sequence[State]) -> None:
         )
 
 
-def _of_states(found: Sequence[Faces], one: SeamLayer, start: float | None) -> Iterator[str]:
-    """What states tell on rank 0, which has the faces of S."""
-    if not found:
-        return
-    model, sublayers = found[0].state.model, sublayers_of(one)
-    faces = max(found, key=lambda faces: faces.mean_closing)
-    if not (model.linear or acts_on_jumps(sublayers)) and faces.mean_closing > LEAST_OVERLAP:
-        # of the mean over S, as jumps are large at single places in any case; not from 1 on, because under one load jumps
+def _of_states(states: Sequence[State], one: SeamLayer, start: float | None) -> Iterator[str]:
+    """What states tell of a layer."""
+    model, sublayers, surface = states[0].model, sublayers_of(one), SurfaceMesh(states[0].model, one.name)
+    if not (model.linear or acts_on_jumps(sublayers)):
+        # the mean over S, as jumps are large at single places in any case; not from 1 on, because under one load jumps
         # stay as the thickness tends to zero; not of linear models, whose results are proportional to loads of any size
-        worst = np.unravel_index(faces.closing.argmax(), faces.closing.shape)
-        x = ", ".join(f"{c:.4g}" for c in model.joint.points[faces.sheet.vertices[worst]])
-        yield (
-            f"at t = {faces.state.t:.4g} {one} closes by {faces.mean_closing:.3g} times its thickness, on average over S "
-            f"(most near ({x}), by {faces.closing[worst]:.3g} times): bodies overlap, and the law is for small strains; "
-            "check loads, thickness and parameters"
-        )
+        closings = [Faces(surface, state, one).mean_closing for state in states]
+        if max(closings) > LEAST_OVERLAP:
+            faces = Faces(surface, states[int(np.argmax(closings))], one)
+            facet, corner = np.unravel_index(faces.closing.argmax(), faces.closing.shape)
+            x = place(surface.corner_points.x[:, facet, corner])
+            yield (
+                f"at t = {faces.state.t:.4g} {one} closes by {max(closings):.3g} times its thickness, on average over S "
+                f"(most near {x}, by {faces.closing.max():.3g} times): bodies overlap, and the law is for small strains; "
+                "check loads, thickness and parameters"
+            )
     if one.law.traits.linear and not one.flows:
-        told = [*too_stiff(one, found, start)]
+        told = [*too_stiff(one, surface, states, start)]
         yield from told or (beyond_free_ends(model, one, [sublayers]) if _told_by_states(one, sublayers) else ())
 
 
@@ -163,17 +163,14 @@ def _of_facets(model: Model, one: SeamLayer) -> Iterator[str]:
     vertex. This adds the normal stiffness times the mean of |N - n|^2 to the tangential one. Angles above CORNER_ANGLE
     are corners of S.
     """
-    sheet, joint = one.sheet, model.joint
-    if joint.degree > 1 or joint.planar:
+    if model.joint.degree > 1 or model.joint.planar:
         return
-    used, number = np.unique(sheet.vertices, return_inverse=True)
-    number = number.reshape(sheet.vertices.shape)
-    sums = np.zeros((len(used), joint.dim))
-    np.add.at(sums, number, sheet.normals * sheet.areas[:, None, None])
-    tilt = sums[number] / np.linalg.norm(sums[number], axis=2, keepdims=True) - sheet.normals
+    surface = SurfaceMesh(model, one.name)
+    sums = surface.sums(surface.moments(surface.n))
+    mean = sums / np.linalg.norm(sums, axis=1, keepdims=True)
+    tilt = mean[surface.nodes] - surface.n[:, :, 0].T[:, None]
     tilt[np.linalg.norm(tilt, axis=2) > CORNER_ANGLE] = 0.0
-    areas = Areas(sheet, model.kinematics)
-    angle = math.sqrt(float(np.einsum("nij,nik,njk->", areas.mass, tilt, tilt)) / areas.total)
+    angle = surface.norm(surface.between(np.moveaxis(tilt, -1, 0))) / math.sqrt(surface.integral(1.0))
     normal, tangential = stiffness_of_jumps(one)
     if normal * angle**2 > LEAST_ERROR * tangential:
         share = normal * angle**2 / tangential if tangential else math.inf

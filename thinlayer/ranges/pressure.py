@@ -9,10 +9,10 @@ import numpy as np
 
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
-from thinlayer.ranges.areas import Areas
-from thinlayer.ranges.excess import LEAST_ERROR, pressure_excess
-from thinlayer.ranges.faces import Faces
+from thinlayer.discretisation.state import State
+from thinlayer.ranges.excess import LEAST_ERROR, Faces, pressure_excess
 from thinlayer.ranges.sublayers import Sublayer, sublayers_of
+from thinlayer.surface.surface_mesh import SurfaceMesh
 
 SHEAR_MATRIX = np.array([[7.0, -8.0, 1.0], [-8.0, 16.0, -8.0], [1.0, -8.0, 7.0]])  # int u' v' times 3 h, degree 2
 STRETCH_MATRIX = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]])  # int u v times 30/h, degree 2
@@ -42,8 +42,8 @@ def beyond_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublaye
         )
         return
     assert one.thin
-    areas, eps = Areas(one.sheet, model.kinematics), one.thin.eps
-    width = areas.total / areas.length(rim)
+    surface, eps = SurfaceMesh(model, one.name), one.thin.eps
+    width = surface.integral(1.0) / surface.length(rim)
     lengths = [pressure_length(sublayers, width / eps) for sublayers in layers]
     worst = max(layers[lengths.index(max(lengths))], key=lambda k: k.length)
     delta = eps * max(lengths)
@@ -85,19 +85,19 @@ def pressure_length(sublayers: list[Sublayer], width: float) -> float:
     return math.sqrt(flow / sum(one.compliance for one in sublayers))
 
 
-def too_stiff(one: SeamLayer, found: Sequence[Faces], start: float | None) -> Iterator[str]:
+def too_stiff(one: SeamLayer, surface: SurfaceMesh, states: Sequence[State], start: float | None) -> Iterator[str]:
     """How many times a law is too stiff for the openings found, against a layer whose pressure evens out along S, in words.
 
     Two states are tested: the one with the largest opening and the last one with at least half of it, as laws that creep
     or relax become nearly incompressible with time.
     """
-    openings = [float(np.abs(faces.opening).max()) for faces in found]
+    openings = [float(np.abs(Faces(surface, state, one).opening).max()) for state in states]
     last = max(k for k, opening in enumerate(openings) if opening >= LATE_OPENING * max(openings))
     told = []
-    for faces in (found[k] for k in sorted({openings.index(max(openings)), last})):
-        sublayers = sublayers_of(one, 0.0 if start is None else faces.state.t - start)
+    for state in (states[k] for k in sorted({openings.index(max(openings)), last})):
+        sublayers = sublayers_of(one, 0.0 if start is None else state.t - start)
         if len(sublayers) == 1 and sublayers[0].nearly and sublayers[0].length < math.inf:
-            excess = pressure_excess(faces, sublayers[0])
+            excess = pressure_excess(Faces(surface, state, one), sublayers[0])
             hidden = excess.hidden and sublayers[0].length > LONG_PRESSURE
             told.append((excess.opening if hidden else excess.work, sublayers[0]))
     worst, layer = max(told, key=lambda pair: pair[0], default=(0.0, None))

@@ -22,6 +22,7 @@ from thinlayer.estimating.thickness import thin_enough
 from thinlayer.files.folder import hash_of
 from thinlayer.files.table import Table
 from thinlayer.output import plotting
+from thinlayer.output.surface import Surface
 from thinlayer.parallel.agreement import on_all
 from thinlayer.running.record import Record
 from thinlayer.solving.solvers import solve
@@ -112,4 +113,8 @@ def _draw(record: Record, case: Case, name: str, found: Estimate) -> None:
             continue
         file = "_".join(["map", name, *re.findall(r"\w+", goal)]) + ".png"
         length = case.given.units[0] if case.given.units else ""
-        plotting.density(density, save=record.path(file), length=length, quantity=f"change of {goal}, per area of S")
+        quantity, path, surface = f"change of {goal}, per area of S", record.path(file), Surface(found.better.model)
+        if surface.joint.dim == 2:
+            plotting.along(surface, {quantity: density}, save=path, length=length, log=True)
+        else:
+            plotting.on_surface(found.better, density, save=path, quantity=quantity, scale=0.0, log=True)

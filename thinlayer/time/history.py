@@ -49,7 +49,7 @@ def dissipated_columns(model: Model) -> dict[str, str]:
 
 
 def phase_columns(model: Model, seam: str) -> dict[str, str]:
-    """Attribute of the `PhaseReport` of a seam -> its column, which has the seam's name if several have phases."""
+    """Name of a share of `phase_shares` of a seam -> its column, which has the seam's name if several have phases."""
     of_seam = f" {seam}" if len(seams_with_phases(model)) > 1 else ""
     return {name: name + of_seam for name in ("plus", "minus", "boundary")}
 

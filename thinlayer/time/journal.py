@@ -19,7 +19,7 @@ from thinlayer.identity import Resume, code_of, described
 from thinlayer.parallel.agreement import on_all
 from thinlayer.parallel.exchange import collect
 from thinlayer.parallel.log import logger
-from thinlayer.parts.phases import PhaseReport, seams_with_phases
+from thinlayer.parts.phases import phase_shares, seams_with_phases
 from thinlayer.solving.equations import Equations
 from thinlayer.time.checkpoint import Checkpoint, Pace
 from thinlayer.time.history import History, dissipated_columns, phase_columns
@@ -131,8 +131,8 @@ class Journal:
         if seams := seams_with_phases(self.model):
             values["energy"] = state.audit.total
         for seam in seams:
-            report = PhaseReport(state, seam)
-            values |= {column: getattr(report, name) for name, column in phase_columns(self.model, seam).items()}
+            shares = phase_shares(state, seam)
+            values |= {column: shares[name] for name, column in phase_columns(self.model, seam).items()}
         known = {name: None if math.isnan(value) else value for name, value in values.items()}
         return known | {name: self._observed(name, state) for name in self._observe}
 

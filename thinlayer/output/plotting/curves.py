@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
@@ -21,6 +22,7 @@ Range = tuple[float, float] | None
 Chosen = str | Sequence[str] | Mapping[str, str] | None  # for all curves, in turn, or by label
 # Colours and markers of the curves of a picture, in turn.
 COLOURS = ("#1b6ca8", "#d1495b", "#2e933c", "#8f5ea2", "#c77d0a")
+SHOWN = 1e-3  # values over the largest that are seen on a logarithmic axis of both signs
 MARKERS = ("o", "s", "^", "D", "v")
 ERRORS = {"traction": "error_traction", "jump": "error_jump"}  # label -> column of a sweep's table
 
@@ -200,3 +202,14 @@ def _figure(width: float, height: float) -> tuple[Picture, Axes]:
     """A picture with one set of axes."""
     figure = Picture(figsize=(width, height), layout="constrained")
     return figure, figure.subplots()
+
+
+def logarithmic(axes: Axes, largest: float) -> None:
+    """A logarithmic axis on both sides of zero, with ticks at powers of ten that do not lie on one another."""
+    if not largest:
+        return
+    top = math.floor(math.log10(largest))
+    powers = [10.0**k for k in range(top + int(math.log10(SHOWN)) + 1, top + 1)]
+    axes.set_yscale("symlog", linthresh=powers[0], linscale=0.5)
+    axes.set_yticks([*(-one for one in reversed(powers)), 0.0, *powers])
+    axes.minorticks_off()

@@ -1,90 +1,162 @@
-"""Pictures of tractions and jumps along S, by arc length."""
+"""Pictures of fields along S, by arc length: curves of numbers, strips of names."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.output.lines import Line, Plane
-from thinlayer.output.plotting.curves import COLOURS
+from thinlayer.output.contact_fields import PINNED, Contact
+from thinlayer.output.plotting.curves import COLOURS, logarithmic
 from thinlayer.output.plotting.picture import Picture, finish
+from thinlayer.output.plotting.structures import Values, colour_of, numbered
 from thinlayer.output.surface import Surface
+from thinlayer.surface.lines import Line, Plane
 
 STYLES = ("-", "--", ":")  # of the normal component and of the tangential ones
 PANEL = (5.2, 2.5)  # width and height of a panel, inches; the first is shared by all seams
+LOW = 1.7  # height of a panel where there are three or more, inches
+STRIP = 0.35  # height of a strip of names, inches
 
 
 def along(
     surface: Surface,
-    states: Mapping[str, State] | State,
+    fields: Mapping[str, Any] | State | Contact,
     *,
     plane: Plane | None = None,
     save: str | Path | None = None,
     title: str = "",
     length: str = "",
     stress: str = "",
+    log: bool = False,
 ) -> Picture:
-    """Traction and jump in the frame of S against arc length: a column for each seam, its lines one after the other.
+    """Fields on S against arc length: a row for each, a column for each seam, its lines one after the other.
 
     Collective; all ranks have the picture.
 
     Args:
         surface: S, or a seam.
-        states: label -> state of either model of the surface's joint, or one state.
+        fields: label of a row -> field, or -> {label of a case: field}: numbers, vectors in the frame of S, or names of
+            facets or nodes. Or states, label -> state, or one state: their traction and jump. Or contact, as
+            `Surface.contact` returns it, one or several in the same way: status, p, t_T, u_T and opening.
         plane: in 3D a point and the normal of the plane that cuts S (`Surface.along`).
-        save: PNG file; None: it is not saved.
+        save: PNG file.
         title: text over the picture.
         length, stress: units, for the labels.
+        log: whether scales of numbers are logarithmic, on both sides of zero.
 
     Raises:
-        ModelError: no surface, no state; errors of `Surface.along`. OSError: the picture could not be written.
+        ModelError: no surface, no state or field; errors of `Surface.along`. OSError: the picture could not be written.
     """
     if not isinstance(surface, Surface):
         raise ModelError(f"along: surface is {surface!r:.80}; give Surface(limit.model)")
-    cases = dict(states) if isinstance(states, Mapping) else {"": states}
-    if not cases:
-        raise ModelError("along: there is no state to draw")
-    in_frame = {
-        label: [surface.along(surface.frame(f), plane=plane) for f in (surface.traction(state), surface.jump(state))]
-        for label, state in cases.items()
-    }
-    first = next(iter(in_frame.values()))[0]
-    seams = list(dict.fromkeys(line.seam for line in first))
-    d = first[0].x.shape[1]
-    figure = Picture(figsize=(PANEL[0] + 2.2 * (len(seams) - 1), 2 * PANEL[1] + 0.8), layout="constrained")
-    rows = figure.subplots(2, len(seams), sharex="col", sharey="row", squeeze=False)
-    for row, (letter, unit) in enumerate((("t", stress), ("w", length))):
-        for axes, seam in zip(rows[row], seams, strict=True):
-            for number, of_case in enumerate(in_frame.values()):
-                _draw(axes, [line for line in of_case[row] if line.seam == seam], COLOURS[number % len(COLOURS)])
-            axes.grid(color="0.9")
-        rows[row, 0].set_ylabel(f"{letter}_N, {letter}_T{f' ({unit})' if unit else ''}")
-    for axes, seam in zip(rows[0], seams, strict=True):
+    units = [f" ({unit})" if unit else "" for unit in (stress, length)]
+    rows = [_Row(surface, label, cases, plane) for label, cases in _rows(surface, fields, *units).items()]
+    seams, curve = list(dict.fromkeys(surface.seams.tolist())), PANEL[1] if len(rows) < 3 else LOW
+    heights = [STRIP * len(row.lines) if row.names else curve for row in rows]
+    figure = Picture(figsize=(PANEL[0] + 2.2 * (len(seams) - 1), sum(heights) + 0.8), layout="constrained")
+    panels = figure.subplots(
+        len(rows), len(seams), sharex="col", sharey="row", squeeze=False, gridspec_kw={"height_ratios": heights}
+    )
+    for row, places in zip(rows, panels, strict=True):
+        for axes, seam in zip(places, seams, strict=True):
+            row.draw(axes, seam)
+            if log and not row.names:
+                logarithmic(axes, row.largest)
+        places[0].set_ylabel(row.label)
+    for axes, seam in zip(panels[0], seams, strict=True):
         axes.set_title(seam if len(seams) > 1 else "", fontsize=11)
-    for axes in rows[1]:
+    for axes in panels[-1]:
         axes.set_xlabel(f"arc length{f' ({length})' if length else ''}")
-    names = ["normal", "tangential"] if d == 2 else ["normal", "tangential 1", "tangential 2"]
-    handles = [Line2D([], [], color="0.3", linestyle=STYLES[k], label=name) for k, name in enumerate(names)]
-    if len(cases) > 1:
-        handles += [Line2D([], [], color=COLOURS[k % len(COLOURS)], label=label) for k, label in enumerate(cases)]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
+    _legend(figure, rows, surface.joint.dim)
+    figure.align_ylabels()
     if title:
         figure.suptitle(title)
     return finish(figure, save)
 
 
-def _draw(axes: Axes, lines: list[Line], colour: str) -> None:
-    """Components of lines, one line after the other."""
-    start = 0.0
-    for number, line in enumerate(lines):
-        if number:
-            axes.axvline(start, color="0.7", linewidth=0.8)
-        for k, component in enumerate(np.roll(line.values.T, 1, axis=0)):  # the normal one is the last
-            axes.plot(start + line.s, component, STYLES[k], color=colour)
-        start += line.length
+def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, Mapping[str, Values]]:
+    """Label of a row -> label of a case -> field; of pinned nodes the force is the support's, and left out."""
+    cases = dict(fields) if isinstance(fields, Mapping) else {"": fields}
+    if not cases:
+        raise ModelError("along: there is nothing to draw")
+    if not all(isinstance(one, (State, Contact)) for one in cases.values()):
+        return {label: one if isinstance(one, Mapping) else {"": one} for label, one in cases.items()}
+    rows: dict[str, dict[str, Values]] = {}
+    for label, one in cases.items():
+        if isinstance(one, State):
+            t, w = (surface.frame(f(one)) for f in (surface.traction, surface.jump))
+            of_case: dict[str, Values] = {f"t_N, t_T{stress}": t, f"w_N, w_T{length}": w}
+        else:
+            pinned = np.where(one.status == PINNED, np.nan, 1.0)
+            t_T, u_T = (v[:, 0] if v.shape[1] == 1 else np.linalg.norm(v, axis=1) for v in (one.t_T, one.u_T))
+            of_case = {"": one.status, f"p{stress}": pinned * one.p, f"t_T{stress}": pinned * t_T}
+            of_case |= {f"u_T{length}": u_T, f"opening{length}": -one.u_N}
+        for name, f in of_case.items():
+            rows.setdefault(name, {})[label] = f
+    return {**rows}
+
+
+class _Row:
+    """One row of the picture: the lines of each case, and the names that their values number, if they are names."""
+
+    def __init__(self, surface: Surface, label: str, cases: Mapping[str, Values], plane: Plane | None) -> None:
+        self.label = label
+        self.names, arrays = numbered({case: np.asarray(f) for case, f in cases.items()})
+        self.lines = {case: surface.along(f, plane=plane) for case, f in arrays.items()}
+        self.largest = max(float(np.nanmax(np.abs(line.values))) for lines in self.lines.values() for line in lines)
+
+    @property
+    def components(self) -> int:
+        return max(line.values.shape[1] if line.values.ndim > 1 else 1 for (line, *_) in self.lines.values())
+
+    def draw(self, axes: Axes, seam: str) -> None:
+        """Lines of a seam, one line after the other."""
+        for number, lines in enumerate(self.lines.values()):
+            start = 0.0
+            for line in lines:
+                if line.seam == seam:
+                    if start and not number:
+                        axes.axvline(start, color="0.7", linewidth=0.8)
+                    (self._strip if self.names else self._curve)(axes, number, start, line)
+                    start += line.length
+        if not self.names:
+            axes.grid(color="0.9")
+            return
+        axes.set_yticks(-np.arange(len(self.lines)), [*self.lines])
+        axes.tick_params(left=False)
+        for spine in axes.spines.values():
+            spine.set_visible(False)
+
+    def _curve(self, axes: Axes, number: int, start: float, line: Line) -> None:
+        for k, component in enumerate(np.roll(np.atleast_2d(line.values.T), 1, axis=0)):  # the normal one is the last
+            axes.plot(start + line.s, component, STYLES[k], color=COLOURS[number % len(COLOURS)])
+
+    def _strip(self, axes: Axes, number: int, start: float, line: Line) -> None:
+        """Each value reaches to half-way to the next one."""
+        s, middle = line.s, (line.s[1:] + line.s[:-1]) / 2
+        for left, right, code in zip([s[0], *middle], [*middle, s[-1]], line.values.astype(int), strict=True):
+            colour = colour_of(self.names[code], self.names)
+            axes.barh(-number, right - left, left=start + left, height=0.8, color=colour, linewidth=0)
+
+
+def _legend(figure: Picture, rows: list[_Row], dim: int) -> None:
+    """Names of strips, components of vectors, and cases of curves."""
+    patches = {name: Patch(color=colour_of(name, row.names), label=name) for row in rows for name in row.names}
+    handles: list[Any] = [*patches.values()]
+    curves = [row for row in rows if not row.names]
+    if any(row.components > 1 for row in curves):
+        names = ["normal", "tangential"] if dim == 2 else ["normal", "tangential 1", "tangential 2"]
+        handles += [Line2D([], [], color="0.3", linestyle=STYLES[k], label=name) for k, name in enumerate(names)]
+    cases = list(dict.fromkeys(case for row in curves for case in row.lines))
+    if len(cases) > 1:
+        handles += [Line2D([], [], color=COLOURS[k % len(COLOURS)], label=case) for k, case in enumerate(cases)]
+    if handles:
+        figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 5), frameon=False)

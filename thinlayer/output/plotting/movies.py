@@ -71,6 +71,7 @@ def movie(
     def draw() -> None:
         scene = Scene.of(grids, look)
         figure, (axes,) = scene.panels(1)
+        scene.bar(figure, [axes])
         shown = axes.imshow(scene.image(grids[0]), extent=scene.window)
         clock = axes.set_title(" ", fontsize=11)
         if title:

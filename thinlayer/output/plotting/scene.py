@@ -32,6 +32,10 @@ RED: dict[str, Any] = {"color": "crimson", "line_width": 4, "lighting": False}
 BLACK: dict[str, Any] = {"color": "black", "line_width": 3, "lighting": False}
 GREY: dict[str, Any] = {"color": "dimgrey", "line_width": 8, "lighting": False}
 BODY: dict[str, Any] = {"scalars": "u", "cmap": "viridis", "show_scalar_bar": False, "ambient": 0.7, "diffuse": 0.3}
+PLAIN: dict[str, Any] = {"color": "#ece5da", "lighting": False}
+OUTLINE: dict[str, Any] = {"color": "#6b6256", "line_width": 2, "lighting": False}
+ON_S: dict[str, Any] = {"scalars": "rgb", "rgb": True, "line_width": 12, "lighting": False}
+BAR: dict[str, Any] = {"orientation": "horizontal", "aspect": 40, "pad": 0.02}
 
 Window = tuple[float, float, float, float]
 PANEL = 4.6  # width of a structure in a picture, inches
@@ -130,36 +134,51 @@ class Scene:
         return Shape.of(grid, self.look.component, self.factor, front)
 
     def panels(self, count: int) -> tuple[Picture, list[Axes]]:
-        """A picture with places for so many structures, and the colour bar of all."""
+        """A picture with places for so many structures side by side."""
         x0, x1, y0, y1 = self.window
         figure = Picture(figsize=(PANEL * count, PANEL * (y1 - y0) / (x1 - x0) + 1.3), layout="constrained")
         axes = list(figure.subplots(1, count, squeeze=False)[0])
         for one in axes:
             one.set_axis_off()
-        look = self.look
-        name = ("|u|" if look.component == "size" else f"u_{look.component}") + (f" ({look.unit})" if look.unit else "")
-        label = f"{name}; drawn displacements x {self.factor:.3g}"
-        colours = ScalarMappable(Normalize(*self.limits), "viridis")
-        bar = figure.colorbar(colours, ax=axes, orientation="horizontal", aspect=40, pad=0.02, label=label)
-        bar.ax.ticklabel_format(axis="x", style="sci", scilimits=(-3, 4))
         return figure, axes
 
-    def image(self, grid: Grid) -> npt.NDArray[np.uint8]:
-        """Image of a structure; edges and outlines of bodies black, of the layer's parts red, the base grey."""
+    def bar(self, figure: Picture, axes: list[Axes]) -> None:
+        """Draw the colour bar of all displacements."""
+        look = self.look
+        name = ("|u|" if look.component == "size" else f"u_{look.component}") + (f" ({look.unit})" if look.unit else "")
+        colours = ScalarMappable(Normalize(*self.limits), "viridis")
+        bar = figure.colorbar(colours, ax=axes, **BAR, label=f"{name}; {self.scaled}")
+        bar.ax.ticklabel_format(axis="x", style="sci", scilimits=(-3, 4))
+
+    @property
+    def scaled(self) -> str:
+        """The factor of the displacements, in words."""
+        return f"drawn displacements x {self.factor:.3g}"
+
+    def image(self, grid: Grid, on_s: Sequence[pyvista.PolyData] | None = None) -> npt.NDArray[np.uint8]:
+        """Image of a structure; edges and outlines of bodies black, of the layer's parts red, the base grey.
+
+        With meshes on S, with point data "rgb", bodies have no colours, and in 3D outlines alone.
+        """
         shape, view = self.shape(grid), self.view
         x0, x1, y0, y1 = self.window
         size = [round(PIXELS * side / max(x1 - x0, y1 - y0)) for side in (x1 - x0, y1 - y0)]
         plotter = pyvista.Plotter(off_screen=True, window_size=size, lighting="none")
         plotter.add_light(pyvista.Light(light_type="headlight"))
-        body = BODY | {"clim": self.limits}
-        parts = [(region, body, *((RED, 2) if number < 0 else (BLACK, 1))) for number, region in shape.regions.items()]
-        for mesh, look, pen, lift in parts + ([] if shape.base is None else [(shape.base, GREY, GREY, 0)]):
+        body, outlines = BODY | {"clim": self.limits} if on_s is None else PLAIN, on_s is not None and grid.dim == 3
+        black = BLACK if on_s is None else OUTLINE
+        parts = [(region, body, *((RED, 2) if number < 0 else (black, 1))) for number, region in shape.regions.items()]
+        for mesh, look, pen, lift in parts + ([] if shape.base is None or outlines else [(shape.base, GREY, GREY, 0)]):
             outside = surface(mesh)
-            plotter.add_mesh(outside, **look)
+            if not outlines:
+                plotter.add_mesh(outside, **look)
             lines = edges(outside)
             lines.points += lift * LIFT * (x1 - x0) * view.towards
             if lines.n_cells:
                 plotter.add_mesh(lines, **pen)
+        for mesh in on_s or ():
+            mesh.points += (3 if grid.dim == 2 else 0) * LIFT * (x1 - x0) * view.towards
+            plotter.add_mesh(mesh, **ON_S)
         depth = view.on_screen(shape.points)[:, 2]
         near, far = depth.max() + (x1 - x0), depth.min() - (x1 - x0)
         centre = (x0 + x1) / 2 * view.right + (y0 + y1) / 2 * view.up

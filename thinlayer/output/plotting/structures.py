@@ -1,15 +1,35 @@
-"""Deformed structures, drawn by pyvista off screen."""
+"""Structures, drawn by pyvista off screen: coloured by displacement, or by a field on S."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyvista
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize, SymLogNorm, to_rgb
+from matplotlib.patches import Patch
 
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.output.grid import gather
+from thinlayer.output.grid import Grid, gather
+from thinlayer.output.plotting.curves import COLOURS, SHOWN
 from thinlayer.output.plotting.picture import Picture, drawn_on_root, require_name
-from thinlayer.output.plotting.scene import Look, Scene
+from thinlayer.output.plotting.scene import BAR, Look, Scene
+from thinlayer.output.surface import Surface
+
+Array = npt.NDArray[np.float64]
+Values = npt.NDArray[Any]
+Field = Values | Callable[[Surface, State], Values]
+NAMED = {
+    "elastic": "#9aa5b1", "stick": "#1b6ca8", "sliding": "#f0a202", "crushed": "#c1121f", "torn": "#8f5ea2",
+    "open": "#2ec4ff", "separated": "#2ec4ff", "pinned": "#6a994e", "no layer": "#111111", "no contact law": "#c9c9c9",
+}  # fmt: skip
+UNKNOWN = "#c9c9c9"  # colour of what is no number
 
 
 def deformed(
@@ -48,25 +68,188 @@ def deformed(
         OSError: the picture could not be written; on all ranks.
         ModelError: unknown component, no direction, view or cut in 2D, nothing in the window.
     """
+    look = Look(component, scale, unit, zoom, view, cut)
+    panels = _panels(states, "deformed", save)
+    return _side_by_side(panels, look, lambda scene, _, grid: scene.image(grid), Scene.bar, title, save)
+
+
+def on_surface(
+    states: Mapping[str, State] | State,
+    field: Field,
+    *,
+    seam: str = "S",
+    save: str | Path | None = None,
+    title: str = "",
+    quantity: str = "",
+    scale: float | None = None,
+    log: bool = False,
+    zoom: Sequence[float] | None = None,
+    view: Sequence[float] | None = None,
+    cut: bool = False,
+) -> Picture | None:
+    """Deformed structures side by side, with the colours of a field on S. Collective.
+
+    Args:
+        states: label -> state, or one state.
+        field: numbers or names, at points (n, q), facets (n, 1) or nodes (m,) of `Surface(state.model, seam)`; or a
+            function that returns them, such as `Surface.status` or `lambda surface, state: surface.contact(state).p`.
+        seam: name of a seam; "S": all of them.
+        save: PNG file; None: it is not saved.
+        title: text over the picture.
+        quantity: name of the field, for the legend.
+        scale: factor of the displacements (default: the largest is a twentieth of the structure).
+        log: whether colours of numbers are logarithmic, on both sides of zero.
+        zoom, view, cut: as of `deformed`.
+
+    Returns:
+        The picture on rank 0, None on other ranks.
+
+    Raises:
+        ModelError: no state, no scalar field on S; what `deformed` refuses. OSError: the picture could not be written.
+    """
+    look, panels = Look("size", scale, "", zoom, view, cut), _panels(states, "on_surface", save)
+    surfaces, fields, sides = dict[str, Surface](), dict[str, Values](), dict[str, tuple[Array, Array]]()
+    for label, state in panels.items():
+        surface = Surface(state.model, seam)
+        fields[label] = np.asarray(field(surface, state) if callable(field) else field)
+        moved = surface.sides(state.u, state.model, surface.corner_points)
+        sides[label] = surface.joint.points[surface.corners], moved
+        surfaces[label] = surface
+    names, fields = numbered(fields)
+    shown = {label: surfaces[label].at_corners(f) for label, f in fields.items()}
+    if wrong := [f.shape[2] for f in shown.values() if f.ndim > 2]:
+        raise ModelError(f"on_surface: the field has {wrong[0]} components; give one of them")
+    colours = _Colours(names, np.concatenate([f.ravel() for f in shown.values()]), log=log)
+
+    def image(scene: Scene, label: str, grid: Grid) -> npt.NDArray[np.uint8]:
+        x, u = sides[label]
+        lower, upper = x + scene.factor * np.moveaxis(u, 1, -1)
+        return scene.image(grid, _meshes(colours, shown[label], lower, upper))
+
+    def legend(scene: Scene, figure: Picture, places: list[Axes]) -> None:
+        text = "; ".join(filter(None, [quantity, scene.scaled]))
+        if colours.of_numbers:
+            figure.colorbar(colours.of_numbers, ax=places, **BAR, label=text)
+            return
+        patches = [Patch(color=colour_of(name, names), label=name) for name in names]
+        columns = min(len(patches), 4 * len(panels))
+        figure.legend(handles=patches, loc="outside lower center", ncols=columns, frameon=False, title=text)
+
+    return _side_by_side(panels, look, image, legend, title, save)
+
+
+def _panels(states: Mapping[str, State] | State, what: str, save: str | Path | None) -> dict[str, State]:
+    """Label -> state; raises ModelError."""
     panels = dict(states) if isinstance(states, Mapping) else {"": states}
     if not panels:
-        raise ModelError("deformed: there is no state to draw")
+        raise ModelError(f"{what}: there is no state to draw")
     for label, one in panels.items():
         if not isinstance(one, State):
-            what = f"{label!r} is {one!r}" if label else f"states is {one!r}"
-            raise ModelError(f"deformed: {what}; give states, of a history its last one or history.at(t)")
-    look = Look(component, scale, unit, zoom, view, cut)
+            given = f"{label!r} is {one!r}" if label else f"states is {one!r}"
+            raise ModelError(f"{what}: {given}; give states, of a history its last one or history.at(t)")
     require_name(save)
+    return panels
+
+
+def _side_by_side(
+    panels: Mapping[str, State],
+    look: Look,
+    image: Callable[[Scene, str, Grid], npt.NDArray[np.uint8]],
+    legend: Callable[[Scene, Picture, list[Axes]], None],
+    title: str,
+    save: str | Path | None,
+) -> Picture | None:
+    """The images of states, with one legend, on rank 0. Collective."""
     grids = {label: gather(state) for label, state in panels.items()}
 
     def draw() -> Picture:
         scene = Scene.of(list(grids.values()), look)
         figure, places = scene.panels(len(grids))
+        legend(scene, figure, places)
         for axes, (label, grid) in zip(places, grids.items(), strict=True):
-            axes.imshow(scene.image(grid), extent=scene.window)
+            axes.imshow(image(scene, label, grid), extent=scene.window)
             axes.set_title(label, fontsize=11)
         if title:
             figure.suptitle(title)
         return figure
 
     return drawn_on_root(next(iter(panels.values())).model.comm, draw, save)
+
+
+def numbered(fields: Mapping[str, Values]) -> tuple[list[str], dict[str, Values]]:
+    """For fields of names those that occur, and their positions in this list; for numbers [], and the fields."""
+    if not any(f.dtype.kind == "U" for f in fields.values()):
+        return [], dict(fields)
+    if wrong := [f.shape for f in fields.values() if f.ndim > 1 and f.shape[-1] != 1]:
+        raise ModelError(f"names on S are those of facets, (n, 1), or nodes, (m,), not {wrong[0]}")
+    found = {*np.concatenate([f.ravel() for f in fields.values()]).tolist()}
+    names = [*(name for name in NAMED if name in found), *sorted(found - {*NAMED})]
+    return names, {label: np.vectorize(names.index, otypes=[int])(f) for label, f in fields.items()}
+
+
+def colour_of(name: str, names: list[str]) -> str:
+    """Colour of one of the names that occur."""
+    return NAMED.get(name) or COLOURS[names.index(name) % len(COLOURS)]
+
+
+class _Colours:
+    """Colours of numbers, or of positions in a list of names.
+
+    Attributes:
+        of_numbers: the map of numbers; None for names.
+    """
+
+    def __init__(self, names: list[str], values: Array, *, log: bool) -> None:
+        self.of_numbers: ScalarMappable | None = None
+        self._of_names = np.array([to_rgb(colour_of(name, names)) for name in names])
+        if names:
+            return
+        known = values[np.isfinite(values)]
+        low, high = float(known.min(initial=0.0)), float(known.max(initial=0.0))
+        largest = max(-low, high) or 1.0
+        both = low < 0 < high
+        least, low, high = 10.0 ** np.ceil(np.log10(SHOWN * largest)), *((-largest, largest) if both else (low, high))
+        norm = SymLogNorm(least, vmin=low, vmax=high) if log else Normalize(low, high)
+        self.of_numbers = ScalarMappable(norm, "RdBu_r" if both else "viridis")
+        self.of_numbers.get_cmap().set_bad(UNKNOWN)
+
+    def __call__(self, values: Array) -> npt.NDArray[np.uint8]:
+        """(..., 3) colours of values."""
+        if self.of_numbers:
+            flat = self.of_numbers.to_rgba(np.ma.masked_invalid(values.ravel()))  # it takes (n, k, 4) for an image
+            rgb = flat[:, :3].reshape(*values.shape, 3)
+        else:
+            rgb = self._of_names[values.astype(int)]
+        return np.asarray(np.rint(255 * rgb), np.uint8)
+
+
+def _meshes(colours: _Colours, values: Array, lower: Array, upper: Array) -> list[pyvista.PolyData]:
+    """S between its sides (n, k, d), with "rgb" of values (n, k) at the corners: in 2D lines, and what opens."""
+    k, d = lower.shape[1:]
+    ring = [0, 1, 3, 2] if k == 4 else [*range(k)]
+    middle, values = ((lower + upper) / 2)[:, ring], values[:, ring]
+    points = 2 if k == 2 else 4
+    rgb = colours(_around(values) if colours.of_numbers else np.repeat(values[:, :, None], points, axis=2))
+    if d == 3:
+        return [_mesh(_around(middle), rgb, "faces")]
+    low, high = _around(lower), _around(upper)
+    gaps = np.concatenate([low, high[:, :, ::-1]], axis=2)
+    return [_mesh(gaps, np.concatenate([rgb, rgb[:, :, ::-1]], axis=2), "faces"), _mesh(_around(middle), rgb, "lines")]
+
+
+def _around(values: Array) -> Array:
+    """(n, k, p, ...) at the p points of the part of a facet around each corner, from values (n, k, ...) at the corners."""
+    centre = np.broadcast_to(values.mean(axis=1, keepdims=True), values.shape)
+    after = (values + np.roll(values, -1, axis=1)) / 2
+    parts = [values, centre] if values.shape[1] == 2 else [values, after, centre, np.roll(after, 1, axis=1)]
+    return np.stack(parts, axis=2)
+
+
+def _mesh(x: Array, rgb: npt.NDArray[np.uint8], kind: str) -> pyvista.PolyData:
+    """Cells with these corners (n, k, p, d), each with its own points."""
+    p, d = x.shape[2:]
+    points = np.pad(x.reshape(-1, d), ((0, 0), (0, 3 - d)))
+    cells = np.insert(np.arange(len(points)).reshape(-1, p), 0, p, axis=1)
+    mesh = pyvista.PolyData(points, **{kind: cells.ravel()})
+    mesh.point_data["rgb"] = rgb.reshape(-1, 3)
+    return mesh

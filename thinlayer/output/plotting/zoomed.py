@@ -11,10 +11,10 @@ from forms.base import is_number
 from geometry.errors import unknown
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.output.meshed_places import meshed_places
 from thinlayer.output.plotting.picture import Picture, drawn_on_root, require_name
 from thinlayer.output.probe import Probe
 from thinlayer.output.zoom import Zoom
+from thinlayer.surface.surface_mesh import SurfaceMesh
 
 Array = npt.NDArray[np.float64]
 COMPONENTS = {"N": (1, 1), "T": (0, 1), "S": (0, 0)}  # of stresses in the axes of an end: inward, n
@@ -72,7 +72,7 @@ def zoomed(
     i, j = COMPONENTS[component]
     found = {"interface law, zoomed": zoom.stress(x, height)}
     if full is not None:
-        found = {"meshed layer": Probe(full).stress(meshed_places(full.model, x, height, zoom.seam))} | found
+        found = {"meshed layer": Probe(full).stress(SurfaceMesh(full.model, zoom.seam).in_layer(x, height))} | found
     values = {name: np.einsum("i,nij,j->n", axes[i], one, axes[j]).reshape(D.shape) for name, one in found.items()}
     return drawn_on_root(zoom.state.model.comm, lambda: _drawn(values, D, Y, component, title, stress), save)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import basix
@@ -26,8 +26,8 @@ ARC_DEGREE = 8  # of the quadrature for the length of a curved facet
 class Line:
     """Values along a line on S, the same on all ranks.
 
-    It has no branches and does not go beyond a tip, an end or a junction of its own seam. Where another seam meets its own
-    and the values jump, there are two rows with the same s.
+    It has no branches and does not go beyond a tip, an end or a junction of its own seam. Where values jump, there are two
+    rows with the same s.
 
     Attributes:
         seam: name of the seam.
@@ -47,6 +47,13 @@ class Line:
     def length(self) -> float:
         """Length of the line."""
         return float(self.s[-1])
+
+    def crossings(self, level: float) -> Array:
+        """(k, d) places where values (n,) cross a level: the front of a phase, the end of a zone."""
+        above = self.values - level
+        k = np.flatnonzero(above[:-1] * above[1:] < 0)
+        share = (above[k] / (above[k] - above[k + 1]))[:, None]
+        return np.asarray(self.x[k] + share * (self.x[k + 1] - self.x[k]))
 
     def table(self, name: str = "value") -> Table:
         """Columns s, x, y (z) and `name`, or "name x", "name y", ... of a vector; `write` makes a csv file of it."""
@@ -133,36 +140,27 @@ class Segments:
         return Line(seam, along[kept], x[kept], values[kept], here == start and len(at[start]) == 2)
 
 
-def lines_on(
-    joint: Joint, of_facets: Mapping[str, IntArray], numbers: IntArray, values: Array, plane: Plane | None
-) -> list[Line]:
-    """The lines of seams, one seam after the other.
+def lines_on(joint: Joint, seam: str, rows: IntArray, values: Array, plane: Plane | None) -> list[Line]:
+    """The lines of a seam.
 
     Args:
         joint: the joint.
-        of_facets: name of a seam -> (m, k) numbers of the nodes at the vertices of its facets, of the table's rows.
-        numbers: (n,) numbers of the nodes.
-        values: (n,) or (n, components) there.
+        seam: name of the seam.
+        rows: (n,) rows of its facets in the joint's table.
+        values: (n, k) or (n, k, components) at the vertices of the table's rows.
         plane: in 3D the plane that cuts S.
-
-    Raises:
-        ModelError: a plane in 2D, none in 3D, one that does not cut S.
     """
-    if (plane is None) != (joint.dim == 2):
-        hint = "in 2D S is a line" if joint.dim == 2 else "in 3D lines on S are cuts by a plane: plane=(point, normal)"
+    of_corners = values.reshape(*values.shape[:2], -1)
+    cut = seam_segments(joint, rows, of_corners) if plane is None else cut_segments(joint, rows, of_corners, plane)
+    lines = cut.lines(seam, float(np.ptp(joint.points, axis=0).max()))
+    return lines if values.ndim == 3 else [replace(one, values=one.values[:, 0]) for one in lines]
+
+
+def require_plane(plane: Plane | None, dim: int) -> None:
+    """Raise ModelError for a plane in 2D, or none in 3D."""
+    if (plane is None) != (dim == 2):
+        hint = "in 2D S is a line" if dim == 2 else "in 3D lines on S are cuts by a plane: plane=(point, normal)"
         raise ModelError(f"plane is {plane!r}; {hint}")
-    order = np.argsort(numbers)
-    found: list[Line] = []
-    for name, here in of_facets.items():
-        at = order[np.minimum(np.searchsorted(numbers[order], here), len(order) - 1)]
-        assert (numbers[at] == here).all(), "all vertices of S are nodes"
-        rows, nodal = joint.rows_of(name), values[at].reshape(*here.shape, -1)
-        cut = seam_segments(joint, rows, nodal) if plane is None else cut_segments(joint, rows, nodal, plane)
-        lines = cut.lines(name, float(np.ptp(joint.points, axis=0).max()))
-        found += [replace(one, values=one.values if values.ndim == 2 else one.values[:, 0]) for one in lines]
-    if not found:
-        raise ModelError(f"the plane {plane!r} does not cut S")
-    return found
 
 
 def seam_segments(joint: Joint, rows: IntArray, values: Array) -> Segments:

@@ -1,0 +1,230 @@
+"""Contact on S in a state, at the nodes of a surface: status, zones, tractions, resultants and checks of the balance."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+
+from forms.contact import Status
+from geometry.seam import S
+from geometry.topology import IntArray, connected
+from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, pairs_of
+from thinlayer.discretisation.state import State
+from thinlayer.errors import ModelError
+from thinlayer.files.table import Table
+from thinlayer.output.nodal_forces import contact_forces, nodal_forces
+from thinlayer.surface.surface_mesh import SurfaceMesh
+
+Array = npt.NDArray[np.float64]
+PINNED, NO_CONTACT = "pinned", "no contact law"
+NAMES = {Status.SEPARATED: "separated", Status.SLIDING: "sliding", Status.STICK: "stick"}
+CONTACT_STATUSES = (*NAMES.values(), PINNED)
+ROUNDING = 1e-10  # pressure, over the largest one, that counts as zero
+AT_LIMIT = 1e-9  # relative distance from the threshold at which a node of a law with memory counts as sliding
+
+
+@dataclass(frozen=True)
+class Zone:
+    """Neighbouring nodes of S with one status.
+
+    Attributes:
+        status: "separated", "sliding", "stick" or "pinned".
+        size: area of S around them (2D: length).
+        start, end: lowest and highest coordinates of the nodes.
+        nodes: their number.
+    """
+
+    status: str
+    size: float
+    start: tuple[float, ...]
+    end: tuple[float, ...]
+    nodes: int
+
+
+@dataclass(frozen=True, repr=False)
+class Contact:
+    """Contact in a state, at the m nodes of a surface, in their order: along S in 2D. The same on all ranks.
+
+    What is (m,) is a field for `Surface.integral`, `along` and pictures. Nodes without a law, as at tips and on seams with
+    layers, have zeros.
+
+    Attributes:
+        surface: the surface; its `numbers`, `places` and `nodes` are those of the fields.
+        status: (m,) "separated", "sliding", "stick"; "pinned" where supports prescribe the whole jump; "no contact law".
+        u_T: (m, d - 1) tangential jump in the frame of S (`Surface.frame`).
+        u_N: (m,) penetration, the upper side into the lower one, less the initial gap; negative where S is open.
+        p: (m,) pressure >= 0 of the law; without meaning at pinned nodes, where the support exerts the force.
+        t_T: (m, d - 1) tangential traction on the lower side; that on the upper side is opposite.
+        threshold: (m,) largest |t_T| at this pressure.
+        slip: (m, d - 1) slip that the law remembers; zero for laws without memory.
+        areas: (m,) area of S around each node, as the law has it.
+        frames: (m, d, d), rows are the tangential axes and the normal of S.
+        equilibrium: sum of the forces on the free nodes, over the sum of the absolute values of all nodal forces.
+        clapeyron: work of the loads and supports in the displacements less that of the stresses and of the tractions on S,
+            over the largest of the four: zero in equilibrium.
+    """
+
+    surface: SurfaceMesh
+    status: npt.NDArray[np.str_]
+    u_T: Array
+    u_N: Array
+    p: Array
+    t_T: Array
+    threshold: Array
+    slip: Array
+    areas: Array
+    frames: Array
+    equilibrium: float
+    clapeyron: float
+
+    @property
+    def x(self) -> Array:
+        """(m, d) places of the nodes."""
+        return self.surface.places
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of separated, sliding, sticking and pinned nodes."""
+        return {name: int((self.status == name).sum()) for name in CONTACT_STATUSES}
+
+    @property
+    def normal_force(self) -> float:
+        """Integral of the pressure over S."""
+        return float(self.areas @ self.p)
+
+    @property
+    def friction_force(self) -> Array:
+        """Integral of the tangential traction on the lower side, (d - 1,): a force where S is planar."""
+        return np.asarray(self.areas @ self.t_T)
+
+    @property
+    def force(self) -> Array:
+        """(d,) resultant of S on the upper body, without the forces of supports at pinned nodes."""
+        t = np.column_stack([self.t_T, -self.p])
+        return -np.einsum("n,nki,nk->i", self.areas, self.frames, t)
+
+    @cached_property
+    def zones(self) -> list[Zone]:
+        """Connected parts of S with one status, in the order of their first nodes; nodes at one place are connected."""
+        nodes, m = self.surface.nodes, len(self.status)
+        a, b = nodes[:, np.triu_indices(nodes.shape[1], 1)].swapaxes(0, 1).reshape(2, -1)
+        _, kind = np.unique(self.status, return_inverse=True)
+        _, shared = np.unique(np.stack([self.surface.vertices, kind.ravel()]), axis=1, return_inverse=True)
+        same = self.status[a] == self.status[b]
+        first, second = np.append(a[same], np.arange(m)), np.append(b[same], m + shared.ravel())
+        zone = connected(first, second, 2 * m)[:m]
+        zones = [np.flatnonzero(zone == label) for label in dict.fromkeys(map(int, zone))]
+        return [self._zone(at) for at in zones if self.status[at[0]] != NO_CONTACT]
+
+    def _zone(self, at: IntArray) -> Zone:
+        start, end = self.x[at].min(axis=0), self.x[at].max(axis=0)
+        size = float(self.areas[at].sum())
+        return Zone(str(self.status[at[0]]), size, tuple(start.tolist()), tuple(end.tolist()), len(at))
+
+    @property
+    def table(self) -> Table:
+        """A row for each node: place, u_T, u_N, p, t_T and status."""
+        d = self.x.shape[1]
+        suffixes = [""] if d == 2 else ["_1", "_2"]
+        columns = dict(zip("xyz"[:d], self.x.T, strict=True))
+        columns |= {f"u_T{s}": self.u_T[:, k] for k, s in enumerate(suffixes)} | {"u_N": self.u_N, "p": self.p}
+        columns |= {f"t_T{s}": self.t_T[:, k] for k, s in enumerate(suffixes)}
+        return Table(
+            {name: float(values[k]) for name, values in columns.items()} | {"status": str(status)}
+            for k, status in enumerate(self.status)
+        )
+
+    @property
+    def _counted(self) -> str:
+        return ", ".join(f"{count} {name}" for name, count in self.counts.items() if count)
+
+    def __repr__(self) -> str:
+        return f"Contact({self.surface!r}: {self._counted})"
+
+    def __str__(self) -> str:
+        lines = [f"  {z.status:<10}{z.size:.6g} ({z.nodes} node{'s' * (z.nodes > 1)})" for z in self.zones]
+        forces = f"normal force {self.normal_force:.6g}, equilibrium {self.equilibrium:.1e}"
+        return "\n".join([self._counted, *lines, forces])
+
+
+def contact_on(surface: SurfaceMesh, state: State) -> Contact:
+    """Contact of a state on a surface. Collective; raises ModelError."""
+    values = at_contact(surface, state)
+    if not values:
+        known = ", ".join(state.model.contacts)
+        hint = f"; seams with one: {known}" if known else ""
+        raise ModelError(f"no contact law is on {surface.seam!r} in this state's model, {state.model!r}{hint}")
+    equilibrium, clapeyron = _balance(state)
+    return Contact(surface=surface, **values, equilibrium=equilibrium, clapeyron=clapeyron)
+
+
+def at_contact(surface: SurfaceMesh, state: State) -> dict[str, Any]:
+    """Values at the nodes of a surface, by the names of `Contact`; {} without contact laws. Collective."""
+    seams = [name for name in state.model.contacts if surface.seam in (S, name)]
+    parts = [part for name in seams for part in state.model.comm.allgather(_of_rank(state, name))]
+    if not parts:
+        return {}
+    found = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    at, m, values = surface.find(found.pop("number")), len(surface.numbers), {}
+    for name, array in found.items():
+        values[name] = np.zeros((m, *array.shape[1:])) if name != "status" else np.full(m, NO_CONTACT)
+        values[name][at] = array
+    return values
+
+
+def _of_rank(state: State, seam: str) -> dict[str, npt.NDArray[Any]]:
+    """What a contact law finds at its nodes of this rank, and the nodes' numbers."""
+    model, law = state.model, state.model.contacts[seam]
+    nodes = ContactNodes(ContactSurface.of(model, seam), model.constraints.held, gap=law.gaps)
+    w, slip = nodes.apart(state.u.x.petsc_vec), state.memory[model.layers[seam].key]
+    t, p, kind = law.traction(w, slip), law.pressure(w), law.status(w, slip)
+    threshold = law.threshold(p)
+    if law.memory:
+        at_limit = np.linalg.norm(t[:, :-1], axis=1) >= (1 - AT_LIMIT) * threshold
+        kind = np.where((kind == Status.STICK) & at_limit, Status.SLIDING, kind)
+    largest = model.comm.allreduce(float(p.max(initial=0.0)), max)
+    kind = np.where(p <= ROUNDING * largest, Status.SEPARATED, kind)
+    status = np.array([NAMES[Status(int(one))] for one in kind], dtype="<U9")
+    status[nodes.held.all(axis=1)] = PINNED
+    found: dict[str, npt.NDArray[Any]] = {
+        "number": pairs_of(model.joint, seam, nodes.file_numbers), "status": status, "u_T": w[:, :-1], "u_N": -w[:, -1],
+        "p": p, "t_T": t[:, :-1], "threshold": threshold, "slip": slip, "areas": nodes.weights, "frames": nodes.frames,
+    }  # fmt: skip
+    nodes.destroy()
+    return found
+
+
+def _balance(state: State) -> tuple[float, float]:
+    """Sum of the forces on free nodes and the work balance, relative; NaN beside compiled laws on S. Collective."""
+    model, comm, d = state.model, state.model.comm, state.model.joint.dim
+    if any(p.law.traits.compiled for p in model.layer_terms):
+        return math.nan, math.nan
+    held = np.union1d(model.supports.held(model.V), model.held_in(model.V))
+    held = held[held < model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs]
+    v = ufl.TestFunction(model.V)
+    stresses, loads = (
+        nodal_forces(model.V, state.work(state.bodies + state.layers, v) + model.added_work_in(state, v)),
+        nodal_forces(model.V, model.external_work(v, state.t)),
+    )
+    inner, outer = stresses.x.petsc_vec, loads.x.petsc_vec
+    of_contact = contact_forces(state)  # owns the vector
+    on_s = of_contact.x.petsc_vec
+    on_s.scale(-1.0)
+    u = state.u.x.petsc_vec
+    spent, tractions, supplied = float(u.dot(inner)), float(u.dot(on_s)), float(u.dot(outer))
+    total = inner.array_r + on_s.array_r - outer.array_r
+    at_supports = comm.allreduce(float(total[held] @ u.array_r[held]))
+    total[held] = 0.0
+    sums = comm.allreduce(total.reshape(-1, d).sum(axis=0))
+    sizes = comm.allreduce(sum(float(np.abs(f.array_r).sum()) for f in (inner, outer, on_s)))
+    largest = max(map(abs, (spent, tractions, supplied, at_supports)))
+    return (
+        float(np.abs(sums).max() / sizes) if sizes else 0.0,
+        abs(spent + tractions - supplied - at_supports) / largest if largest else 0.0,
+    )

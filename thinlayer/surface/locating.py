@@ -1,0 +1,121 @@
+"""Which cells of a joint, or facets of S, contain given places."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import basix
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from forms.temperature import real
+from geometry.errors import place
+from geometry.joint import Joint
+from geometry.topology import IntArray, geometry_degree, is_tensor, lagrange
+from thinlayer.errors import ModelError
+
+Array = npt.NDArray[np.float64]
+INSIDE = 1e-9  # how far outside the reference entity a place may be that counts as in it
+BULGE = 0.5  # by how much of its size a curved entity may exceed the box around its nodes, at most
+STEPS = 30  # of Newton's method for places in entities that are not affine
+
+
+@dataclass(frozen=True)
+class Located:
+    """The cells, or facets, that contain places: all of them, for a place on their boundary lies in several.
+
+    Attributes:
+        x: (n, d) the places.
+        point: (m,) number of the place, ascending.
+        entity: (m,) number of a cell or facet that contains it.
+        X: (m, k) its coordinates in the reference entity.
+    """
+
+    x: Array
+    point: IntArray
+    entity: IntArray
+    X: Array
+
+    @classmethod
+    def of(cls, kind: str, nodes: Array, x: Any) -> Located:
+        """Those that contain places (n, d), or one place (d,), if any do.
+
+        Args:
+            kind: type of the entities.
+            nodes: (m, a, d) places of their nodes.
+            x: the places.
+
+        Raises:
+            ModelError: no finite numbers of this shape.
+        """
+        d, degree = nodes.shape[2], geometry_degree(kind, nodes.shape[1])
+        try:
+            given = np.atleast_2d(real(x))
+        except (TypeError, ValueError):
+            given = np.empty((0, 0))
+        if given.ndim != 2 or not given.size or given.shape[1] != d or not np.isfinite(given).all():
+            raise ModelError(f"places are {x!r:.80}; they need {d} finite coordinates each, (n, {d})")
+        low, high = nodes.min(axis=1), nodes.max(axis=1)
+        margin = (high - low).max(axis=1, keepdims=True) * (BULGE if degree > 1 else INSIDE)
+        low, high = low - margin, high + margin
+        radius = float(np.linalg.norm(high - low, axis=1).max()) / 2
+        near = cKDTree((low + high) / 2).query_ball_point(given, radius * (1 + INSIDE))
+        point = np.repeat(np.arange(len(given)), [len(one) for one in near])
+        entity = np.array([k for one in near for k in sorted(one)], np.int64)
+        boxed = ((given[point] >= low[entity]) & (given[point] <= high[entity])).all(axis=1)
+        point, entity = point[boxed], entity[boxed]
+        X = _pulled_back(kind, degree, nodes[entity], given[point])
+        return cls(given, point, entity, X)[_is_inside(X, is_tensor(kind))]
+
+    @classmethod
+    def in_cells(cls, joint: Joint, x: Any) -> Located:
+        """The cells of a joint, inflated or not, that contain places; raises ModelError as `of`, or if some are in none."""
+        located = cls.of(joint.cell_type, joint.cell_points, x)
+        if len(missing := located.missing):
+            first = place(located.x[missing[0]])
+            raise ModelError(
+                f"{len(missing)} of {len(located.x)} places are in no cell of the mesh, the first at {first}"
+            )
+        return located
+
+    def __getitem__(self, rows: IntArray | npt.NDArray[np.bool_]) -> Located:
+        return Located(self.x, self.point[rows], self.entity[rows], self.X[rows])
+
+    @property
+    def missing(self) -> IntArray:
+        """Numbers of the places that none contains."""
+        return np.setdiff1d(np.arange(len(self.x)), self.point)
+
+    def mean(self, values: Array) -> Array:
+        """(n, ...) means of values (m, ...) over the entities at each place."""
+        out = np.zeros((len(self.x), *values.shape[1:]))
+        np.add.at(out, self.point, values)
+        counts = np.bincount(self.point, minlength=len(self.x))
+        return np.asarray(out / counts.reshape(-1, *[1] * (values.ndim - 1)))
+
+
+def _pulled_back(kind: str, degree: int, nodes: Array, x: Array) -> Array:
+    """Places x (n, d) in the reference entities of those with nodes (n, a, d); outside them for places elsewhere."""
+    element = lagrange(kind, degree)
+    X = np.tile(basix.geometry(basix.CellType[kind]).mean(axis=0), (len(x), 1))
+    if not len(x):  # basix takes no empty arrays
+        return X
+    for _ in range(STEPS):
+        table = element.tabulate(1, X)[..., 0]
+        there = np.einsum("pn,pnd->pd", table[0], nodes)
+        slopes = np.einsum("tpn,pnd->pdt", table[1:], nodes)
+        step = np.einsum("pij,pj->pi", np.linalg.pinv(slopes), x - there)
+        X = np.clip(X + step, -1.0, 2.0)
+        if np.abs(step).max(initial=0.0) < INSIDE**2:
+            break
+    there = np.einsum("pn,pnd->pd", element.tabulate(0, X)[0, :, :, 0], nodes)
+    sizes = np.ptp(nodes, axis=1).max(axis=1)
+    X[np.linalg.norm(x - there, axis=1) > INSIDE * sizes] = 2.0
+    return X
+
+
+def _is_inside(X: Array, tensor: bool) -> npt.NDArray[np.bool_]:
+    last = X.max(axis=1, initial=-np.inf) if tensor else X.sum(axis=1)
+    return np.asarray((X >= -INSIDE).all(axis=1) & (last <= 1 + INSIDE))

@@ -1,0 +1,508 @@
+"""S as a mesh of its own: places, integrals, projections, lines, and values of functions on both sides, as numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from typing import Any
+
+import basix
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+import scipy.sparse.linalg
+from dolfinx import fem
+from scipy.spatial import cKDTree
+
+from forms.base import is_number
+from geometry.errors import place, unknown
+from geometry.inflating.parting import faces, points_on_middle
+from geometry.joint import Joint
+from geometry.order import along, by_place
+from geometry.seam import S
+from geometry.sheet import Rim
+from geometry.topology import FACET_TYPES, IntArray, lagrange
+from thinlayer.discretisation.contact_nodes import frames_at, pair_numbers
+from thinlayer.discretisation.full_model import FullModel
+from thinlayer.discretisation.mixed import MixedModel
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.discretisation.state import State, cell_values
+from thinlayer.errors import ModelError
+from thinlayer.surface.lines import Line, Plane, lines_on, require_plane
+from thinlayer.surface.locating import Located
+
+Array = npt.NDArray[np.float64]
+Where = Array | npt.NDArray[np.bool_] | Callable[[Array], Any]
+SIDES = ("lower", "upper")
+ROUNDING = 1e-12  # of sums, relative
+
+
+class FacetPoints:
+    """Points on the facets of a surface, q on each of n.
+
+    Attributes:
+        rows: (n,) positions of the facets on the surface.
+        points: (q, d - 1) or (n, q, d - 1) in the reference facet.
+        shapes: (n, q, k) values of the functions of degree 1 of the corners.
+        x, n: (d, n, q) places, and unit normals from the lower to the upper side.
+        weights: (n, q) of integrals over S, in axisymmetry over the whole revolution.
+    """
+
+    def __init__(self, surface: SurfaceMesh, rows: IntArray, points: Array, weights: Array | float = 1.0) -> None:
+        joint, nodes = surface.joint, surface.faces.mean(axis=0)[rows]
+        count = len(rows)
+        linear = tabulated(lagrange(surface.kind, 1), points, count, 1)
+        table = tabulated(lagrange(surface.kind, joint.degree), points, count, 1)
+        self.rows, self.points, self.shapes, self._reference_slopes = rows, points, linear[0], linear[1:]
+        self.x = np.moveaxis(table[0] @ nodes, -1, 0)
+        self._along = along = table[1:] @ nodes
+        across = np.stack([along[0, ..., 1], -along[0, ..., 0]], -1) if joint.dim == 2 else np.cross(*along)
+        size = np.linalg.norm(across, axis=-1)
+        above = joint.points[joint.corners[surface.cells[rows, 1]]].mean(axis=1)
+        up = above - joint.points[surface.corners[rows]].mean(axis=1)
+        sign = np.sign(np.einsum("fqd,fd->fq", across, up))
+        self.n = np.moveaxis(across * (sign / size)[..., None], -1, 0)
+        self.weights = weights * size * surface.model.kinematics.factor_at(np.moveaxis(self.x, 0, -1))
+
+    @cached_property
+    def slopes(self) -> Array:
+        """(n, q, k, d) gradients along S of the functions of degree 1 of the corners."""
+        to_x = np.linalg.pinv(np.moveaxis(self._along, 0, -1))
+        return np.asarray(np.einsum("jfqa,fqjd->fqad", self._reference_slopes, to_x))
+
+
+def tabulated(element: Any, points: Array, count: int, derivatives: int = 0) -> Array:
+    """(1 or 1 + t, n, q, a) values, and slopes, of an element's functions at points (q, t) or (n, q, t) of n entities."""
+    table = element.tabulate(derivatives, points.reshape(-1, points.shape[-1]))[..., 0]
+    table = table.reshape(len(table), *points.shape[:-1], -1)
+    return np.broadcast_to(table if points.ndim == 3 else table[:, None], (len(table), count, *table.shape[-2:]))
+
+
+class SurfaceMesh:
+    """S of a joint, or one of its seams, as a mesh of its own, whole on every rank.
+
+    A field is an array with a value at each of q points of quadrature of each of n facets: (n, q), of vectors (d, n, q).
+    One that is constant on facets is (n, 1), and (m,) values at the nodes stand for the field that is linear between them.
+    A constant vector v is `np.reshape(v, (-1, 1, 1))` beside it: numpy would take a plain one along the points.
+
+    Args:
+        model: a model of the joint.
+        seam: name of a seam; "S": all of them.
+
+    Attributes:
+        x, n: (d, n, q) places and unit normals, from the lower to the upper side.
+        weights: (n, q) of integrals: areas, in axisymmetry of the whole revolution.
+        quadrature: these points; `rule` has those of other degrees.
+        rows: (n,) positions of the facets in `joint.surface_rows`.
+        cells: (n, 2) numbers in the joint of the cells below (-1: a rigid base) and above.
+        corners: (n, k) their vertices in the joint.
+        faces: (2, n, a, d) places of their nodes in the cells below and above.
+        seams: (n,) names of their seams.
+        points: (q, d - 1) the points of quadrature in the reference facet.
+        shapes: (q, k) values at the points of the functions of degree 1 of the corners.
+
+    Raises:
+        ModelError: no model, or an unknown seam.
+    """
+
+    def __init__(self, model: Model, seam: str = S) -> None:
+        if not isinstance(model, Model):
+            hint = ": give the state's model" if isinstance(model, State) else ""
+            raise ModelError(f"Surface needs a model, not {model!r:.80}{hint}")
+        if seam not in (S, *model.joint.seams):
+            raise ModelError(unknown("seam", seam, model.joint.seams))
+        self.model, self.seam = model.by_law if isinstance(model, MixedModel) else model, seam
+        self.joint: Joint = self.model.domain.joint if self.model.broken else model.joint
+        joint = self.joint
+        self.kind = FACET_TYPES[joint.cell_type]
+        self.rows: IntArray = np.searchsorted(joint.surface_rows, joint.rows_of(seam))
+        self.cells = joint.surface_cells[self.rows]
+        self.corners = joint.surface[self.rows, : joint.table.vertices.shape[1]]
+        self.seams = np.array(list(joint.seams))[joint.seam_numbers[self.rows]]
+        self.faces = faces(joint)[:, self.rows]
+        self._rules: dict[int, FacetPoints] = {}
+        degree = 2 * model.structure.degree + 2 * (joint.degree - 1) + model.kinematics.degree
+        self.quadrature = self.rule(degree)
+        self.x, self.n, self.weights = self.quadrature.x, self.quadrature.n, self.quadrature.weights
+        self.points, self.shapes = self.quadrature.points, np.asarray(self.quadrature.shapes[0])
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.model!r}, {self.seam!r})"
+
+    def rule(self, degree: int) -> FacetPoints:
+        """The points of a quadrature rule on all facets."""
+        if degree not in self._rules:
+            self._rules[degree] = self.on_facets(*basix.make_quadrature(basix.CellType[self.kind], degree))
+        return self._rules[degree]
+
+    def on_facets(self, points: Array, weights: Array | float = 1.0) -> FacetPoints:
+        """The same points (q, d - 1) of the reference facet on all facets."""
+        return FacetPoints(self, np.arange(len(self.rows)), points, weights)
+
+    @cached_property
+    def corner_points(self) -> FacetPoints:
+        """The corners of all facets."""
+        return self.on_facets(np.asarray(basix.geometry(basix.CellType[self.kind])))
+
+    # ---------------------------------------------------------------- places
+    def at(self, x: Any) -> tuple[Located, FacetPoints]:
+        """The facets that contain places (n, d), or one (d,): all of them, and a point on each.
+
+        Raises:
+            ModelError: no finite numbers of this shape; places that are not on the surface.
+        """
+        located = Located.of(self.kind, self.faces.mean(axis=0), x)
+        if len(off := located.missing):
+            raise ModelError(
+                f"{len(off)} of {len(located.x)} places are not on {self.seam}, the first at {place(located.x[off[0]])}"
+            )
+        return located, FacetPoints(self, located.entity, located.X[:, None])
+
+    def beside(self, located: Located, side: str) -> Located:
+        """Places in cells of the joint: those on the surface in the cells on one side alone, others in all of theirs.
+
+        Raises:
+            ModelError: no side; a rigid base, which has no cells below.
+        """
+        if side not in SIDES:
+            raise ModelError(f"side is {side!r}; allowed: lower, upper")
+        count, on_s, wanted = len(self.joint.cells) + 1, [], np.empty(0, np.int64)
+        for name, nodes, cells in zip(SIDES, self.faces, self.cells.T, strict=True):
+            at = Located.of(self.kind, nodes, located.x)
+            on_s.append(at.point)
+            if name == side:
+                wanted = (at.point * count + cells[at.entity])[cells[at.entity] >= 0]
+        without = np.setdiff1d(np.concatenate(on_s), wanted // count)
+        if len(without):
+            raise ModelError(
+                f"there is no body on the {side} side of S at {place(located.x[without[0]])}, but a rigid base"
+            )
+        of_side = np.isin(located.point * count + located.entity, wanted)
+        return located[of_side | ~np.isin(located.point, np.concatenate(on_s))]
+
+    def in_layer(self, x: Any, height: Any) -> Array:
+        """Places (n, d) in the mesh of a full model, at heights between the faces that places x of S have become.
+
+        Args:
+            x: places on S, (n, d).
+            height: from -1/2 at the lower to 1/2 at the upper face, one or (n,).
+
+        Raises:
+            ModelError: a surface of another model; a seam on a rigid base; places off S.
+        """
+        if not isinstance(self.model, FullModel):
+            raise ModelError(f"places in a meshed layer need a full model, not {self.model!r:.80}")
+        if (self.cells < 0).any():
+            raise ModelError(f"the seam {self.seam!r} stands on a rigid base: one of its faces is not in the mesh")
+        nodes = faces(self.joint, self.model.domain.joint.cell_points)[:, self.rows]
+        located, at = self.at(x)
+        shapes = tabulated(lagrange(self.kind, self.joint.degree), at.points, len(at.rows))[0]
+        both = np.einsum("fqa,sfad->sfd", shapes, nodes[:, at.rows])
+        lower, upper = (located.mean(one) for one in both)
+        return np.asarray(lower + (np.asarray(height, float)[..., None] + 0.5) * (upper - lower))
+
+    # ---------------------------------------------------------------- states, and functions of models
+    def displacements(self, state: State) -> Array:
+        """(2, d, n, q) displacements of the lower and of the upper side; zero of a rigid base. Collective.
+
+        Raises:
+            ModelError: no state, or one of another joint.
+        """
+        self._require_same_joint(state)
+        return self.sides(state.u, state.model, self.quadrature)
+
+    def jump(self, state: State) -> Array:
+        """(d, n, q) [u] = u(upper) - u(lower). Collective."""
+        lower, upper = self.displacements(state)
+        return np.asarray(upper - lower)
+
+    def _require_same_joint(self, state: State) -> None:
+        if not isinstance(state, State):
+            raise ModelError(f"Surface takes a state, as solve returns it or history.last is, not {state!r:.80}")
+        if state.model.joint is not self.model.joint:
+            raise ModelError("this state's model has another joint than the surface; build both from the same one")
+
+    def sides(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:
+        """(2, m, n, q) values of a function of a model, below and above; zero of a rigid base. Collective."""
+        element, values = f.function_space.ufl_element().basix_element, self._beside(f, model, at)
+        out = np.zeros((2, f.function_space.dofmap.bs, *at.weights.shape))
+        for side, here, _, X in self._in_cells(at):
+            out[side][:, here] = np.moveaxis(tabulated(element, X, len(here))[0] @ values[here, side], -1, 0)
+        return out
+
+    def gradients(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:
+        """(2, m, d, n, q) gradients of a function of a model, below and above, [:, :, j] along x_j. Collective."""
+        element, values = f.function_space.ufl_element().basix_element, self._beside(f, model, at)
+        joint = model.domain.joint
+        out = np.zeros((2, f.function_space.dofmap.bs, joint.dim, *at.weights.shape))
+        for side, here, cells, X in self._in_cells(at):
+            slopes = tabulated(lagrange(joint.cell_type, joint.degree), X, len(here), 1)[1:]
+            to_x = np.linalg.inv(np.einsum("kfqa,fai->fqik", slopes, joint.cell_points[cells]))
+            along = tabulated(element, X, len(here), 1)[1:]
+            out[side][:, :, here] = np.einsum("kfqa,fam,fqkj->mjfq", along, values[here, side], to_x)
+        return out
+
+    def corner_values(self, f: fem.Function, model: Model) -> Array:
+        """(n, k) values at the corners of a function of degree 1 on S, as a layer's pressure is. Collective."""
+        joint, mine = self.joint, f.function_space.dofmap.index_map.size_local
+        x = f.function_space.tabulate_dof_coordinates()[:mine, : joint.dim]
+        known = np.concatenate(model.comm.allgather(np.column_stack([x, f.x.array[:mine]])))
+        vertices = np.unique(self.corners)
+        _, nearest = cKDTree(points_on_middle(joint)[vertices]).query(known[:, :-1])
+        values = np.zeros(len(joint.points))
+        values[joint.masters[vertices[nearest]]] = known[:, -1]
+        return np.asarray(values[joint.masters[self.corners]])
+
+    def _beside(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:
+        """(n, 2, a, m) values at the nodes of the cells below, without meaning at a rigid base, and above. Collective."""
+        return cell_values(f, model, self.cells[at.rows].clip(0))
+
+    def _in_cells(self, at: FacetPoints) -> Iterator[tuple[int, IntArray, IntArray, Array]]:
+        """Sides, numbers of facets, cells, and points in the reference cell, for each way a facet lies in its cell."""
+        geometry = np.asarray(basix.geometry(basix.CellType[self.joint.cell_type]))
+        for side, cells in enumerate(self.cells[at.rows].T):
+            local = (self.joint.corners[cells][:, None] == self.corners[at.rows][..., None]).argmax(axis=2)
+            kinds, kind = np.unique(local, axis=0, return_inverse=True)
+            for k, corners in enumerate(kinds):
+                here = np.flatnonzero((kind.ravel() == k) & (cells >= 0))
+                shapes = at.shapes[0] if at.points.ndim == 2 else at.shapes[here]
+                if len(here):
+                    yield side, here, cells[here], shapes @ geometry[corners]
+
+    # ---------------------------------------------------------------- integrals
+    def _field(self, f: Any) -> Array:
+        """(..., n, q) a field; raises ModelError."""
+        try:
+            values = np.asarray(f, float)
+            if values.shape == (len(self.numbers),):
+                values = self.at_points(values)
+            if values.ndim and values.shape[-2:] not in ((len(self.rows), 1), self.weights.shape):
+                raise ValueError
+            return np.broadcast_to(values, (*values.shape[:-2], *self.weights.shape))
+        except (TypeError, ValueError):
+            raise ModelError(
+                f"{f!r:.80} is no field on S; give an array (..., n, q) = (..., {str(self.weights.shape)[1:]}, "
+                "as surface.jump(state) or surface.x[0] is, (n, 1) of facets, or values at the nodes"
+            ) from None
+
+    def where(self, part: Where | float) -> Array:
+        """(n, q) weights of a part of S: of a field, or a numpy function of places x (d, n, q).
+
+        Raises:
+            ModelError: neither.
+        """
+        try:
+            return self._field(part(self.x) if callable(part) else part)
+        except Exception as error:
+            raise ModelError(
+                f"where is no numpy function of coordinates, as lambda x: x[0] > 1 or lambda x: (x[0] > 1) & (x[0] < 9): "
+                f"{error}"
+            ) from error
+
+    def integral(self, f: Any) -> Any:
+        """Integral over S of a field: a float, of vectors an array (d,)."""
+        total = (self._field(f) * self.weights).sum(axis=(-2, -1))
+        return total if total.ndim else float(total)
+
+    def norm(self, f: Any, where: Where | float = 1.0) -> float:
+        """L2 norm over S of a field, weighted with `where`."""
+        return float(np.sqrt((self._field(f) ** 2 * self.where(where) * self.weights).sum()))
+
+    def frame(self, f: Any) -> Array:
+        """(d, n, q) a vector field in the frame of S: tangential components, then the normal one.
+
+        The tangents are those of `forms.kinematics.layer_frame`: (n_2, -n_1) in 2D, its first and third axis in 3D.
+        """
+        f, n = self._field(f), self.n
+        if f.shape != n.shape:
+            raise ModelError(f"frame needs a vector field, of shape {n.shape}, not {f.shape}")
+        axes = frames_at(np.moveaxis(n, 0, -1).reshape(-1, len(n))).reshape(*self.weights.shape, len(n), len(n))
+        return np.einsum("fqij,jfq->ifq", axes, f)
+
+    # ---------------------------------------------------------------- nodes
+    @cached_property
+    def _numbered(self) -> tuple[IntArray, IntArray, IntArray]:
+        """`numbers`, `vertices` and `nodes`."""
+        of_table = self.joint.table.vertices[self.joint.surface_rows[self.rows]]
+        at = (of_table[:, None] == self.corners[..., None]).argmax(axis=2)
+        codes = np.take_along_axis(pair_numbers(self.joint)[self.rows], at, axis=1)
+        numbers, first, nodes = np.unique(codes, return_index=True, return_inverse=True)
+        vertices, nodes = self.joint.masters[self.corners].ravel()[first], nodes.reshape(codes.shape)
+        x, size = self.joint.points[vertices], float(np.ptp(self.joint.points, axis=0).max())
+        order = along(x, nodes, size) if self.joint.dim == 2 else by_place(x, size)
+        return numbers[order], vertices[order], np.argsort(order)[nodes]
+
+    @property
+    def numbers(self) -> IntArray:
+        """(m,) numbers of the nodes (`pair_numbers`): where seams meet, one for each pair of bodies at a vertex.
+
+        In order along S in 2D, piece after piece, else by the coordinates; each piece of S has one pair at each vertex.
+        """
+        return self._numbered[0]
+
+    @property
+    def places(self) -> Array:
+        """(m, d) places of the nodes."""
+        return self.joint.points[self.vertices]
+
+    @property
+    def vertices(self) -> IntArray:
+        """(m,) vertices of the joint at the nodes, of those that periodic sides identify the first one."""
+        return self._numbered[1]
+
+    @property
+    def nodes(self) -> IntArray:
+        """(n, k) position in `numbers` of the node at each corner."""
+        return self._numbered[2]
+
+    def find(self, numbers: IntArray) -> IntArray:
+        """Positions of nodes with these numbers."""
+        order = np.argsort(self.numbers)
+        return order[np.searchsorted(self.numbers[order], numbers)]
+
+    def mass(self, f: Any = 1.0) -> scipy.sparse.csc_matrix:
+        """(m, m) mass matrix of the functions of degree 1, weighted with a field."""
+        return self._matrix(np.einsum("fq,qa,qb->fab", self._field(f) * self.weights, self.shapes, self.shapes))
+
+    def stiffness(self, f: Any = 1.0) -> scipy.sparse.csc_matrix:
+        """(m, m) products of the gradients along S of the functions of degree 1, weighted with a field."""
+        slopes = self.quadrature.slopes
+        return self._matrix(np.einsum("fq,fqad,fqbd->fab", self._field(f) * self.weights, slopes, slopes))
+
+    def _matrix(self, of_facets: Array) -> scipy.sparse.csc_matrix:
+        rows, columns = np.broadcast_arrays(self.nodes[:, :, None], self.nodes[:, None])
+        shape = (len(self.numbers),) * 2
+        return scipy.sparse.csc_matrix((of_facets.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
+
+    def sums(self, of_corners: Array) -> Array:
+        """(m, ...) sums at the nodes of values (n, k, ...) at the corners of facets."""
+        out = np.zeros((len(self.numbers), *of_corners.shape[2:]))
+        np.add.at(out, self.nodes, of_corners)
+        return out
+
+    def moments(self, f: Any) -> Array:
+        """(n, k) or (n, k, d) integrals of a field over each facet with the functions of degree 1 of its corners."""
+        return np.asarray(np.einsum("fq,qa,...fq->fa...", self.weights, self.shapes, self._field(f)))
+
+    def projected(self, moments: Array) -> Array:
+        """(m, ...) nodal values of moments (n, k, ...), integrals with the functions of degree 1."""
+        sums = self.sums(moments)
+        return np.asarray(self._solver(sums.reshape(len(sums), -1))).reshape(sums.shape)
+
+    def lumped(self, moments: Array) -> Array:
+        """(m, ...) the same over the areas around nodes, as contact laws define tractions."""
+        return np.asarray((self.sums(moments).T / self.areas).T)
+
+    @cached_property
+    def areas(self) -> Array:
+        """(m,) areas of S around the nodes."""
+        return self.sums(self.moments(1.0))
+
+    @cached_property
+    def _solver(self) -> Callable[[Array], Array]:
+        solve: Callable[[Array], Array] = scipy.sparse.linalg.splu(self.mass()).solve
+        return solve
+
+    def nodal(self, f: Any) -> Array:
+        """(m,) or (m, d): the L2 projection of a field to degree 1, at the nodes (`numbers`, `places`)."""
+        return self.projected(self.moments(f))
+
+    def at_points(self, nodal: Array) -> Array:
+        """(n, q) or (d, n, q) field of nodal values (m,) or (m, d)."""
+        return np.asarray(np.einsum("qa,fa...->...fq", self.shapes, nodal[self.nodes]))
+
+    def between(self, of_corners: Array) -> Array:
+        """(..., n, q) field that is linear between values (..., n, k) at the corners of each facet."""
+        return np.asarray(of_corners @ self.shapes.T)
+
+    def profile(self, f: Any) -> tuple[Array, Array]:
+        """Places (m, d) and values (m,) or (m, d) of a field, projected to degree 1, at the nodes (`numbers`)."""
+        return self.places, self.nodal(f)
+
+    def along(self, f: Any, *, plane: Plane | None = None) -> list[Line]:
+        """Values of a field along the lines of S, by arc length: steps where it is constant on facets, else of degree 1.
+
+        In 2D a line is a piece of a seam: it ends where the seam ends, branches or crosses itself. In 3D it is where a
+        plane cuts a seam. Lines are ordered by seam, then by the place at which they start, the lower one of their ends by
+        the first coordinate, then by the next ones; a closed line starts at its lowest place and goes towards the lower of
+        its neighbours. Where values jump, as where another seam meets a line, there are two rows of one s.
+
+        Args:
+            f: the field.
+            plane: in 3D a point of the plane and its normal, ((x, y, z), (n_x, n_y, n_z)).
+
+        Raises:
+            ModelError: no field; a plane in 2D, none in 3D, one that does not cut S.
+        """
+        joint, values, found = self.joint, self.at_corners(f), list[Line]()
+        require_plane(plane, joint.dim)
+        rows = joint.surface_rows[self.rows]
+        at = (self.corners[:, None] == joint.table.vertices[rows][..., None]).argmax(axis=2)
+        values = np.take_along_axis(values, at.reshape(*at.shape, *[1] * (values.ndim - 2)), axis=1)
+        for name in dict.fromkeys(self.seams.tolist()):
+            mine = self.seams == name
+            found += lines_on(joint, name, rows[mine], values[mine], plane)
+        if not found:
+            raise ModelError(f"the plane {plane!r} does not cut S")
+        return found
+
+    def at_corners(self, f: Any) -> Array:
+        """(n, k) or (n, k, d) values of a field at the corners of facets."""
+        values = self._field(f)
+        if np.shape(f) == (len(self.numbers),):
+            return np.asarray(f, float)[self.nodes]
+        if np.shape(f)[-2:] == (len(self.rows), 1):
+            return np.stack([np.moveaxis(values[..., 0], -1, 0)] * self.nodes.shape[1], axis=1)
+        return self.nodal(values)[self.nodes]
+
+    # ---------------------------------------------------------------- layers
+    def thickness(self, one: SeamLayer, vertices: IntArray) -> Array:
+        """(...) thickness of a layer with a law of strains at vertices (...) of the joint."""
+        assert one.thin
+        return np.asarray(float(one.thin.eps) * self.joint.relative_thickness(one.thin.profile, one.name)[vertices])
+
+    def length(self, rim: Rim) -> float:
+        """Length of a part of the rim; in a plane the number of its points, in axisymmetry that of their circles."""
+        return float(rim.length @ self.model.kinematics.factor_at(self.joint.points[rim.vertices].mean(axis=1)))
+
+    # ---------------------------------------------------------------- parts of S
+    def most_of(self, f: Any, all_but: float, *, margin: float = 0.0) -> npt.NDArray[np.bool_]:
+        """(n_S,) the fewest facets of S that hold the integral of |f| but for a share, for `Structure.mixed`.
+
+        Args:
+            f: scalar field, such as `Estimate.density` gives.
+            all_but: the share that the others may hold, from 0 to less than 1.
+            margin: length by which the part of S that is chosen is made wider.
+
+        Raises:
+            ModelError: a number out of range; an integral that is zero, or not finite; where seams meet.
+        """
+        if not is_number(margin) or not 0 <= margin < np.inf:
+            raise ModelError(f"margin is {margin!r}; it must be a length >= 0")
+        if self.joint.seams_meet:
+            raise ModelError("most_of needs seams that do not meet, as mixed models do")
+        joint, sums = self.joint, np.zeros(len(self.joint.surface_rows))
+        sums[self.rows] = (np.abs(self._field(f)) * self.weights).sum(axis=1)
+        chosen = most_of(sums, all_but)
+        vertices = joint.table.vertices[joint.surface_rows]
+        near, _ = cKDTree(joint.points[np.unique(vertices[chosen])]).query(joint.points[vertices].mean(axis=1))
+        return np.asarray(chosen | (near < margin))
+
+
+def most_of(sums: Array, all_but: float) -> npt.NDArray[np.bool_]:
+    """The fewest values >= 0 whose sum is that of all but for a share.
+
+    Raises:
+        ModelError: a share out of range; values that are not finite, or all zero.
+    """
+    if not is_number(all_but) or not 0 <= all_but < 1:
+        raise ModelError(f"all_but is {all_but!r}, a share of an integral; allowed: from 0 to less than 1")
+    total = float(sums.sum())
+    if not (np.isfinite(total) and total > 0):
+        raise ModelError(f"the integral over S is {total:g}; nothing tells one part of S from another")
+    order = np.argsort(-sums, kind="stable")
+    left = total - np.cumsum(sums[order])
+    chosen = np.zeros(len(sums), bool)
+    chosen[order[: int(np.argmax(left <= (all_but + ROUNDING) * total)) + 1]] = True
+    return chosen
