@@ -138,7 +138,7 @@ def test_angles_that_look_like_radians(law):
 # ---------------------------------------------------------------- columns
 def test_means_of_columns_are_weighted():
     of, weights = np.array([1, 0, 1, 0, 1]), np.array([1.0, 3.0, 2.0, 1.0, 5.0])
-    columns = Columns(MPI.COMM_SELF, of, np.zeros((2, 2)), weights)
+    columns = Columns(MPI.COMM_SELF, of, 2, weights)
     assert columns.mean(np.array([1.0, 2.0, 3.0, 4.0, 5.0])) == pytest.approx([10 / 4, 32 / 8], rel=1e-15)
 
 

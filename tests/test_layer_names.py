@@ -112,9 +112,10 @@ def test_contact_on_one_of_two_seams():
     assert min(found["layer BED"], found["layer HEAD"]) > 0
     assert history.table["dissipated BED"] == pytest.approx(history.table["dissipated"], rel=1e-12)
     assert history.last.dissipated["BED"] > 0
-    report = Surface(history.last.model).contact(history.last)
-    assert report.surface.seam == "BED"
-    assert str(report).startswith("BED: ")
+    beds, whole = (Surface(history.model, seam).contact(history.last) for seam in ("BED", "S"))
+    assert str(beds).startswith("BED: ")
+    assert beds.counts == whole.counts
+    assert set(whole.status) - set(beds.status) == {"no contact law"}
 
 
 def test_a_part_cannot_have_the_name_of_a_layer():

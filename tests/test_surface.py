@@ -68,8 +68,7 @@ def test_fronts_around_a_circle():
     model = on(ring(0.8, RADIUS, 2.0, 0.3), PURE)
     ((key, quadrature),) = model.quadratures.items()
     memory = np.zeros((quadrature.count, sum(int(np.prod(s)) for s in PURE.internal.values())))
-    x = quadrature.columns.centres[quadrature.columns.of]
-    memory[:, list(PURE.internal).index("phase")] = 0.5 + (x[:, 1] - 0.3) / 1.6
+    memory[:, list(PURE.internal).index("phase")] = 0.5 + (quadrature.joint_x[1] - 0.3) / 1.6
     state = State(None, 0.0, {key: memory}, model=model, report=Report("newton", 0, 0.0, 0.0))
     surface = Surface(model)
     phase = surface.phase(state)

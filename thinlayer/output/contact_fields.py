@@ -142,10 +142,11 @@ class Contact:
 
     @property
     def _counted(self) -> str:
-        return ", ".join(f"{count} {name}" for name, count in self.counts.items() if count)
+        seam = "" if self.surface.seam == S else f"{self.surface.seam}: "
+        return seam + ", ".join(f"{count} {name}" for name, count in self.counts.items() if count)
 
     def __repr__(self) -> str:
-        return f"Contact({self.surface!r}: {self._counted})"
+        return f"Contact({self._counted})"
 
     def __str__(self) -> str:
         lines = [f"  {z.status:<10}{z.size:.6g} ({z.nodes} node{'s' * (z.nodes > 1)})" for z in self.zones]

@@ -16,18 +16,18 @@ class Columns:
     """Means over columns. Collective, as all methods are.
 
     Attributes:
-        centres: (columns, d) centres of the facets of S, of all ranks, in the joint before inflating.
+        count: number of columns, of all ranks.
         of: (points,) column of each point of this rank.
     """
 
-    def __init__(self, comm: MPI.Intracomm, of: npt.NDArray[np.int64], centres: Array, weights: Array) -> None:
-        self.comm, self.of, self.centres, self._weights = comm, of, centres, weights
+    def __init__(self, comm: MPI.Intracomm, of: npt.NDArray[np.int64], count: int, weights: Array) -> None:
+        self.comm, self.of, self.count, self._weights = comm, of, count, weights
         self._total = self.sum_of(weights)
 
     def sum_of(self, values: Array) -> Array:
         """Sums (columns,) of values at the points, the same on all ranks."""
         # np.bincount gives integers if there are no points
-        sums: Array = np.bincount(self.of, values, len(self.centres)).astype(float)
+        sums: Array = np.bincount(self.of, values, self.count).astype(float)
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         return sums
 

@@ -273,21 +273,19 @@ class Quadrature:
             used = np.zeros(len(centres), np.int8)
             used[of_cells] = 1
             self.comm.Allreduce(MPI.IN_PLACE, used, MPI.MAX)  # other seams' columns have no points of this law
-            of_cells, centres = (np.cumsum(used, dtype=np.int64) - 1)[of_cells], centres[used > 0]
+            of_cells, count = (np.cumsum(used, dtype=np.int64) - 1)[of_cells], int(used.sum())
         else:
-            of_cells, centres = self._facets()
+            of_cells, count = self._facets()
         of = np.empty(self.count, np.int64)
         of[self.cells] = of_cells[: len(self.cells), None]
-        return Columns(self.comm, of, centres, self.weights)
+        return Columns(self.comm, of, count, self.weights)
 
-    def _facets(self) -> tuple[IntArray, Array]:
-        """Number of each facet of the region that this rank owns, and the centres of those of all ranks."""
+    def _facets(self) -> tuple[IntArray, int]:
+        """Number of each facet of the region that this rank owns, and the number of those of all ranks."""
         mesh, dim = self.region.mesh, self.region.dim
         if dim == self.region.parent_mesh.topology.dim:
             raise ModelError(
                 f"{type(self.term.law).__name__} has phases in columns, which a layer meshed elsewhere has not"
             )
         imap = mesh.topology.index_map(dim)
-        own = np.arange(imap.size_local, dtype=np.int32)
-        centres = dolfinx.mesh.compute_midpoints(mesh, dim, own)[:, : self.dim]
-        return own.astype(np.int64) + imap.local_range[0], np.concatenate(self.comm.allgather(centres))
+        return np.arange(imap.size_local, dtype=np.int64) + imap.local_range[0], int(imap.size_global)
