@@ -23,9 +23,10 @@ from thinlayer.ranges.sublayers import sublayers_of
 from thinlayer.surface.surface_mesh import SurfaceMesh
 
 Array = npt.NDArray[np.float64]
-NO_LAYER, ELASTIC, OPEN, SLIDING, CRUSHED, TORN = "no layer", "elastic", "open", "sliding", "crushed", "torn"
+NO_LAYER, BONDED, ELASTIC, OPEN = "no layer", "bonded", "elastic", "open"
+SLIDING, CRUSHED, TORN = "sliding", "crushed", "torn"
 YIELDS = (ELASTIC, SLIDING, CRUSHED, TORN, OPEN)
-STATUSES = tuple(dict.fromkeys((*YIELDS, NO_LAYER, *CONTACT_STATUSES)))
+STATUSES = tuple(dict.fromkeys((*YIELDS, NO_LAYER, BONDED, *CONTACT_STATUSES)))
 ROUNDING = 1e-6  # traction or plastic strain, over the largest traction or strain of a layer, that counts as none
 
 
@@ -50,9 +51,7 @@ class Surface(SurfaceMesh):
         model = state.model
         if not model.bonds:
             return self.at_points(of_layers(self, state))
-        bonded = np.isin(
-            self.joint.seam_numbers[self.rows], [list(self.joint.seams).index(name) for name in model.bonds]
-        )
+        bonded = np.isin(self.seams, model.bonds)
         reaction = self.reaction(state)
         return reaction if bonded.all() else np.where(bonded[:, None], reaction, self.at_points(of_layers(self, state)))
 
@@ -76,7 +75,7 @@ class Surface(SurfaceMesh):
         - "sliding": the largest part of the plastic strain across S is a slip along it;
         - "crushed", "torn": it is a closing, or an opening, along n;
         - "open": the sides are apart, and no traction across S is left;
-        - "no layer": an open joint, on which no law acts;
+        - "no layer": an open joint, on which no law acts; "bonded": a `Bond`;
         - "separated", "sliding", "stick", "pinned" under contact laws, those of its nodes (`contact`).
 
         A facet has the status of the largest part of it. Plastic strains are those since the beginning, not of one step.
@@ -179,7 +178,7 @@ def statuses(model: Model, seam: str) -> tuple[str, ...]:
     if seam in model.contacts:
         return CONTACT_STATUSES
     if seam not in model.layers:
-        return (NO_LAYER,)
+        return (BONDED if seam in model.bonds else NO_LAYER,)
     return YIELDS if _has_plastic_strain(model.layers[seam].law) else (ELASTIC,)
 
 

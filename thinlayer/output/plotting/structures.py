@@ -27,7 +27,8 @@ Values = npt.NDArray[Any]
 Field = Values | Callable[[Surface, State], Values]
 NAMED = {
     "elastic": "#9aa5b1", "stick": "#1b6ca8", "sliding": "#f0a202", "crushed": "#c1121f", "torn": "#8f5ea2",
-    "open": "#2ec4ff", "separated": "#2ec4ff", "pinned": "#6a994e", "no layer": "#111111", "no contact law": "#c9c9c9",
+    "open": "#2ec4ff", "separated": "#2ec4ff", "pinned": "#6a994e", "bonded": "#7f5539",
+    "no layer": "#111111", "no contact law": "#c9c9c9",
 }  # fmt: skip
 UNKNOWN = "#c9c9c9"  # colour of what is no number
 
