@@ -84,7 +84,7 @@ def test_pictures(tmp_path):
     refused(ModelError, "nothing to draw", lambda: plotting.along(one.surface, {}))
     refused(ModelError, "3 components", lambda: plotting.on_surface(solid, Surface.jump))
     refused(ModelError, "is no field on S", lambda: plotting.on_surface(solid, np.array(["a"])))
-    refused(ModelError, "give a state", lambda: plotting.on_surface({}, Surface.status))
+    refused(ModelError, "no state to draw", lambda: plotting.on_surface({}, Surface.status))
 
 
 # ------------------------------------------------------------------------ status known before
