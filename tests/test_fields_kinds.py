@@ -117,9 +117,11 @@ def test_contact_on_several_seams(written):
     assert (on_s["contact"] >= 0).all()
 
 
-def test_bonded_bodies_have_no_s(written):
+def test_bonded_bodies_have_an_s(written):
     structure = Structure(strips(), body=BODY, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.1, -0.3)})
-    assert written(solve(structure.bonded())).keys() == ["bodies"]
+    on_s = written(solve(structure.bonded()))["S"]
+    codes = {code.split(maxsplit=1)[1]: int(code.split()[0]) for code in on_s.field_data["status codes"]}
+    assert set(on_s["status"]) == {codes["bonded"]}
 
 
 def test_s_of_a_meshed_layer(tmp_path):
