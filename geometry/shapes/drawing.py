@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from math import floor, log10
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import dolfinx
 import numpy as np
@@ -67,9 +67,10 @@ class Extent(NamedTuple):
 
 @dataclass(frozen=True)
 class Shape(ABC):
-    """A joint that gmsh can draw and mesh. All numbers among its fields are lengths."""
+    """A joint that gmsh can draw and mesh. All numbers among its fields are lengths, but `angles`."""
 
     cells: Cells
+    angles: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         self.cells.check(self.lengths, self.dim)
@@ -91,7 +92,8 @@ class Shape(ABC):
 
     def scaled(self, factor: float) -> Self:
         """The shape, sizes of cells included, with all lengths times a factor."""
-        return replace(self, **{f.name: _scaled(getattr(self, f.name), factor) for f in fields(self)})
+        lengths = [f.name for f in fields(self) if f.name not in self.angles]
+        return replace(self, **{name: _scaled(getattr(self, name), factor) for name in lengths})
 
     @abstractmethod
     def draw(self) -> Drawing:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain, pairwise
 from math import cos, isclose, pi, sin, tau
-from typing import Self
+from typing import ClassVar
 
 import numpy as np
 
@@ -81,6 +81,7 @@ class Rings(Prism):
     interface: float
     outer: float
     angle: float
+    angles: ClassVar[tuple[str, ...]] = ("angle",)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -102,10 +103,6 @@ class Rings(Prism):
         radius = "sqrt(x*x + y*y)"
         distance = f"abs({radius} - {float(self.interface)!r})"
         return Extent(thinnest, max(self.angle * self.interface, self.depth or 0.0), distance, f"{TURN!r} * {radius}")
-
-    def scaled(self, factor: float) -> Self:
-        """All lengths times a factor; the angle stays."""
-        return replace(super().scaled(factor), angle=self.angle)
 
     def draw_plane(self) -> Drawing:
         """Rings between spokes; INNER's spokes end at S, where OUTER's begin."""

@@ -289,7 +289,7 @@ class Prescribed:
         column = (self.blocks[:, None] * d + np.arange(d)).ravel()
         begins = np.arange(0, len(column) + 1, d)
         self.conditions = scipy.sparse.csr_matrix(
-            (self.directions.ravel(), column, begins), (len(self.entry), self.size)
+            (self.directions.flatten(), column, begins), (len(self.entry), self.size)
         )
         self.conditions.eliminate_zeros()
 
