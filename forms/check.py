@@ -13,10 +13,10 @@ from ufl.algorithms import expand_derivatives
 from ufl.classes import Zero
 from ufl.indexed import Indexed
 
-from forms.fields import is_field
 from forms.kernel import KernelLaw
 from forms.kinematics import Expr, mandel
 from forms.law import BulkLaw, Law, LawError, Step, explained, shaped
+from forms.parameter_fields import is_field
 from forms.trace import named, numbers, symbolic
 
 Array = npt.NDArray[np.float64]

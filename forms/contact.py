@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.elastic import LinearElastic
-from forms.fields import place_of
 from forms.law import Law, LawError, positive
+from forms.parameter_fields import place_of
 from forms.temperature import values_of
 
 Array = npt.NDArray[np.float64]

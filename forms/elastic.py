@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 from forms.base import is_number
 from forms.ends.constants import free_end
 from forms.ends.weights import EndWeights, Strips
-from forms.fields import Field, OutOfRange, Parameter, field_of
 from forms.inside import Inside, Sublayers
 from forms.kinematics import MANDEL, ROOT2, Expr, layer_frame
 from forms.law import BulkLaw, LawError, Step, choice
+from forms.parameter_fields import Field, OutOfRange, Parameter, field_of
 from forms.stations import Faces, Station, at_gauss_points
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))

@@ -20,9 +20,9 @@ import ufl
 
 from forms.declarations import SIZES, Traits, require_dataclass, require_declarations, reset_inherited
 from forms.declarations import LawError as LawError
-from forms.fields import Array, Field, OfPlaces, field_of, is_field, number_of
 from forms.inside import Inside
 from forms.kinematics import Expr
+from forms.parameter_fields import Array, Field, OfPlaces, field_of, is_field, number_of
 from forms.stations import Station, at_gauss_points
 
 if TYPE_CHECKING:

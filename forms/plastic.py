@@ -12,10 +12,10 @@ import ufl
 from forms.base import is_number
 from forms.declarations import warn_of_range
 from forms.elastic import LinearElastic, isotropic_stiffness, lame, require_moduli
-from forms.fields import Parameter, is_field
 from forms.kernel import KernelLaw
 from forms.kinematics import Expr, lift
 from forms.law import BulkLaw, LawError, Step, choice, positive
+from forms.parameter_fields import Parameter, is_field
 from forms.viscous import isotropic_energy
 
 LIKELY_RADIANS = 1.6  # degrees; smaller friction angles were probably meant in radians (pi/2 = 1.57)

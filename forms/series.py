@@ -14,10 +14,10 @@ import ufl
 from forms.base import is_number
 from forms.declarations import Traits, require_declarations
 from forms.elastic import LinearElastic
-from forms.fields import Array, Field
 from forms.inside import Inside, Sublayers
 from forms.kinematics import Expr, jump_strain, lift
 from forms.law import BulkLaw, LawError
+from forms.parameter_fields import Array, Field
 from forms.stations import Faces, Station
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from forms.fields import place_of
 from forms.law import LawError
+from forms.parameter_fields import place_of
 
 OfTemperature = Callable[[Any], Any]  # (n,) temperatures -> (n,) values, numpy
 Field = Callable[[Any, float], Any]  # places (d, n), time -> (n,) temperatures, numpy

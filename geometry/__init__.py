@@ -2,13 +2,13 @@
 
 from geometry.builders import block, bond_cell, disc, faults, fibre, grains, ring, sandwich, wall
 from geometry.domain import Domain
-from geometry.errors import GeometryError
 from geometry.importing.gathering import from_dolfinx
 from geometry.importing.reading import read
 from geometry.inflating.inflation import inflate
 from geometry.joint import Joint
 from geometry.periodic import periodic
 from geometry.periods import Periods
+from geometry.refusals import GeometryError
 from geometry.seam import Seam
 
 __all__ = [

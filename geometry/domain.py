@@ -17,9 +17,9 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from geometry.dolfinx_mesh import create_mesh, facets_of_cells, vertices_of_facets, with_cell_points
-from geometry.errors import GeometryError, unknown
 from geometry.joint import Joint
 from geometry.parallel import world
+from geometry.refusals import GeometryError, unknown
 from geometry.seam import BASE, LAYER, S
 from geometry.sheet import continued
 from geometry.topology import IntArray

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geometry.errors import refuse
 from geometry.joint import FLAT
+from geometry.refusals import refuse
 from geometry.sheet import Rim, Sheet
 from geometry.topology import BoolArray, FloatArray, IntArray, connected
 

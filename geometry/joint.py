@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forms.base import is_finite
-from geometry.errors import GeometryError, place, refuse, unknown
 from geometry.periods import Periods
+from geometry.refusals import GeometryError, place, refuse, unknown
 from geometry.seam import JUNCTIONS, RESERVED, S, Seam
 from geometry.topology import (
     CELL_TYPES,

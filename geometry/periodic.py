@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import scipy.spatial
 
-from geometry.errors import GeometryError, place, refuse, unknown
 from geometry.joint import Joint
 from geometry.periods import CUT, SAME_PLACE, Periods
+from geometry.refusals import GeometryError, place, refuse, unknown
 from geometry.topology import IntArray
 
 

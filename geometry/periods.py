@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import basix
 import numpy as np
 
-from geometry.errors import refuse
+from geometry.refusals import refuse
 from geometry.topology import BoolArray, FloatArray, IntArray, connected, ridge_keys
 
 SAME_PLACE = 1e-6  # distance of two places that are the same, at most, over the size of the joint

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forms.base import is_finite
-from geometry.errors import GeometryError, refuse, unknown
+from geometry.refusals import GeometryError, refuse, unknown
 from geometry.topology import FloatArray, IntArray
 
 S = "S"

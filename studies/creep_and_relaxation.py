@@ -13,8 +13,8 @@ import numpy.typing as npt
 from forms import BulkLaw, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from geometry import sandwich
 from thinlayer import Adaptive, Model, State, Structure, Surface, Table, ThinLayer, march, observed_orders, plotting
-from thinlayer.files.progress import track
 from thinlayer.running.record import Record
+from thinlayer.system.progress import track
 
 Array = npt.NDArray[np.floating[Any]]
 BODY = LinearElastic.young(E=100.0, nu=0.3)

@@ -11,9 +11,9 @@ from geometry import wall
 from studies.timing import timed
 from thinlayer import SolveError, State, Structure, Surface, ThinLayer, plotting, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.files.progress import track
 from thinlayer.output.contact_fields import Contact
 from thinlayer.running.record import Record
+from thinlayer.system.progress import track
 
 BRICK = (250.0, 75.0)  # mm
 CLAY = LinearElastic.young(E=12e3, nu=0.2)  # MPa

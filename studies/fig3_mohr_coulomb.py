@@ -20,8 +20,8 @@ import numpy as np
 from forms import LinearElastic, MohrCoulomb
 from geometry import Joint, block
 from thinlayer import Model, State, Structure, Surface, Table, ThinLayer, march, observed_orders, plotting, solve
-from thinlayer.files.progress import track
 from thinlayer.running.record import Record
+from thinlayer.system.progress import track
 
 SIDE = 100.0  # mm
 EPS = 1.0  # mm

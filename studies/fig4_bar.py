@@ -17,8 +17,8 @@ from forms.non_monotone import Phases
 from geometry import block
 from thinlayer import History, Model, Structure, Surface, Table, ThinLayer, march, piecewise, plotting
 from thinlayer.discretisation.supports import Support
-from thinlayer.files.progress import track
 from thinlayer.running.record import Record
+from thinlayer.system.progress import track
 from thinlayer.time.journal import Observe
 
 Array = npt.NDArray[np.float64]

@@ -10,8 +10,8 @@ import numpy as np
 from forms import LinearElastic, Stack
 from geometry import block
 from thinlayer import State, Structure, Surface, Table, ThinLayer, observed_orders, plotting, solve
-from thinlayer.files.progress import track
 from thinlayer.running.record import Record
+from thinlayer.system.progress import track
 
 EPS = 0.1  # mm
 BAR = LinearElastic.young(E=130e3, nu=0.2)  # MPa

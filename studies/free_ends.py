@@ -26,9 +26,9 @@ from studies.problems import FOURIER_BODY, free_blocks
 from studies.sweeping import last_order
 from thinlayer import State, Structure, ThinLayer, compare, plotting, solve
 from thinlayer.errors import RangeWarning
-from thinlayer.files.progress import track
-from thinlayer.files.table import Table
 from thinlayer.running.record import Record
+from thinlayer.system.progress import track
+from thinlayer.system.table import Table
 
 Array = npt.NDArray[np.float64]
 RATIOS = (0.0, 0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.475, 0.49, 0.499, 0.4999, 0.5)  # Poisson's

@@ -7,8 +7,8 @@ import numpy as np
 from forms import LinearElastic
 from geometry import bond_cell
 from thinlayer import Structure, ThinLayer, homogenised_stiffness, plotting
-from thinlayer.files.progress import track
 from thinlayer.running.record import Record
+from thinlayer.system.progress import track
 
 WIDTH, HEIGHT = 2.0, 1.0  # of a brick
 BED, HEAD = (5.0, 2.1), (3.0, 1.3)  # normal and tangential stiffness of the mortar, stress per length

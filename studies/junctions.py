@@ -17,8 +17,8 @@ from forms.kinematics import Expr
 from geometry import Joint, faults, grains, wall
 from geometry.seam import JUNCTIONS, LAYER
 from thinlayer import Model, State, Structure, Surface, ThinLayer, UflPart, observed_orders, plotting, solve
-from thinlayer.files.progress import track
 from thinlayer.running.record import Record
+from thinlayer.system.progress import track
 
 EPS = (0.04, 0.02, 0.01, 0.005, 0.0025)
 BODY = LinearElastic.young(E=1.0, nu=0.2)

@@ -48,9 +48,9 @@ from thinlayer import (
 )
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.estimating.on_surface import away_from_ends
-from thinlayer.files.progress import track
-from thinlayer.files.table import Table
 from thinlayer.running.record import Record
+from thinlayer.system.progress import track
+from thinlayer.system.table import Table
 
 Array = npt.NDArray[np.float64]
 THICKNESSES = (COARSE, FINE)

@@ -14,8 +14,8 @@ from geometry import wall
 from studies.problems import FOURIER_BODY, free_blocks
 from studies.sweeping import by_reaction, errors_of_work, last_order
 from thinlayer import Model, State, Structure, ThinLayer, compare, march, plotting, solve
-from thinlayer.files.progress import track
 from thinlayer.running.record import Record
+from thinlayer.system.progress import track
 
 Array = npt.NDArray[np.float64]
 ELASTIC = LinearElastic.shear(40.0, 0.3)

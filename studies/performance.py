@@ -13,17 +13,17 @@ from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
 from studies.timing import in_turn, peak, solve_once, timed
 from thinlayer import SolveError, Structure, plotting
-from thinlayer.files.progress import track
-from thinlayer.files.table import Row
 from thinlayer.parts.part import Interval
 from thinlayer.running.record import Record
-from thinlayer.solving.contact.blocks import faster_products
+from thinlayer.solving.contact.node_blocks import faster_products
 from thinlayer.solving.contact.problem import ContactProblem
 from thinlayer.solving.contact.solver import SCHEMES
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
 from thinlayer.solving.petsc import defaults, require_all_read
 from thinlayer.solving.solvers import Solver
+from thinlayer.system.progress import track
+from thinlayer.system.table import Row
 
 STIFFNESS = (15e8, 5e8)  # lmbda, mu per thickness, N/mm^3
 FRICTION = 1.0

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from forms import BulkLaw, LinearElastic, Maxwell
 from geometry import sandwich
 from thinlayer import Structure, ThinLayer, plotting, solve
-from thinlayer.files.progress import track
 from thinlayer.running.record import Record
+from thinlayer.system.progress import track
 
 DEPTHS = (8.0, 4.0, 2.0, 1.0, 0.5)  # mm, of the sheet
 EPS = 2.0  # mm, of the layer

@@ -11,11 +11,11 @@ from geometry import sandwich
 from studies.timing import resident, seconds, solve_once, timed
 from thinlayer import State, Structure, Surface, ThinLayer, plotting, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.files.progress import track
 from thinlayer.parts.part import Interval
 from thinlayer.running.record import Record
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import direct_solver, mark
+from thinlayer.system.progress import track
 
 STEEL = LinearElastic.young(E=210e3, nu=0.3)  # MPa
 RUNS, EARLY = 200, 20

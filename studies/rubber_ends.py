@@ -15,8 +15,8 @@ from thinlayer import ThinLayer, plotting, solve
 from thinlayer.discretisation import reduction
 from thinlayer.discretisation.reduction import LEAST_CONTRAST
 from thinlayer.errors import RangeWarning
-from thinlayer.files.progress import track
 from thinlayer.running.record import Record
+from thinlayer.system.progress import track
 
 BODY_E = 100.0  # of `free_blocks`
 LAYERS = {"rubber": Rubber.shear(40.0, 0.45), "incompressible": Incompressible(40.0)}  # at the thickness 1

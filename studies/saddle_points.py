@@ -16,11 +16,11 @@ from geometry import sandwich
 from studies.timing import timed
 from thinlayer import State, Structure, ThinLayer, plotting
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.files.progress import track
-from thinlayer.files.table import Row
 from thinlayer.running.record import Record
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import Solver
+from thinlayer.system.progress import track
+from thinlayer.system.table import Row
 
 RATIOS = (0.3, 0.45, 0.49, 0.499, 0.4999, 0.5)  # Poisson's
 SIDE, PLATE, EPS = 100.0, 7.0, 12.0  # mm: a quarter of a bearing; height of a plate; thickness of the rubber

@@ -18,10 +18,10 @@ from geometry import Joint, sandwich
 from geometry.dolfinx_mesh import create_mesh
 from studies.timing import in_turn, peak, seconds
 from thinlayer import Structure, ThinLayer, plotting
-from thinlayer.files.progress import track
-from thinlayer.files.table import Row
 from thinlayer.running.record import Record
 from thinlayer.solving.solvers import Solver
+from thinlayer.system.progress import track
+from thinlayer.system.table import Row
 
 BODY, LAYER = LinearElastic.young(E=100.0, nu=0.3), ThinLayer(LinearElastic(lmbda=60.0, mu=40.0), 0.01, at=1.0)
 SIZES = {"2D": 700, "3D": 40}  # cells along each side, for 984,204 and 211,806 unknowns

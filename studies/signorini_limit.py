@@ -10,9 +10,9 @@ import numpy as np
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
 from thinlayer import Structure, Surface, Table, observed_orders, plotting, solve
-from thinlayer.files.progress import track
 from thinlayer.output.contact_fields import Contact
 from thinlayer.running.record import Record
+from thinlayer.system.progress import track
 
 STIFFNESS = (5.0, 5e2, 5e4, 5e6, 5e8)  # K_T, N/mm^3; K_N is five times as much
 LIMIT = 5e12

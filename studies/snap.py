@@ -34,9 +34,9 @@ from thinlayer import (
     plotting,
 )
 from thinlayer.discretisation.supports import Support
-from thinlayer.files.progress import track
-from thinlayer.files.table import Row
 from thinlayer.running.record import Record
+from thinlayer.system.progress import track
+from thinlayer.system.table import Row
 
 Array = npt.NDArray[np.float64]
 END = 2.4  # largest prescribed displacement

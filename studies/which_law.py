@@ -17,8 +17,8 @@ from forms import Incompressible, LinearElastic, Rubber
 from geometry.parallel import world
 from studies.problems import FOURIER_BODY, Wave, fourier, free_blocks
 from thinlayer import RangeWarning, State, Structure, Surface, Table, ThinLayer, plotting, solve
-from thinlayer.files.progress import track
 from thinlayer.running.record import Record
+from thinlayer.system.progress import track
 
 EPS = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4)  # over the half-wave of the load, or over the width of S; these are 1
 NUS = (0.0, 0.2, 0.3, 0.4, 0.45, 0.48, 0.49, 0.499, 0.4999, 0.5)

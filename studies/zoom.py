@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from forms import LinearElastic
-from forms.ends.fields import Corner, EndFields
+from forms.ends.end_fields import Corner, EndFields
 from studies.problems import free_blocks
 from studies.sweeping import last_order
 from thinlayer import Probe, State, Surface, ThinLayer, Zoom, plotting, solve
-from thinlayer.files.progress import track
 from thinlayer.running.record import Record
+from thinlayer.system.progress import track
 
 Array = npt.NDArray[np.float64]
 CASES = (

@@ -136,7 +136,7 @@ from pathlib import Path
 import cffi, ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-import thinlayer.compiling.compilation
+import thinlayer.system.compilation
 
 def compiled(folder):
     domain = mesh.create_unit_interval(MPI.COMM_SELF, 2)

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 from forms.declarations import LawError
 from forms.ends import free_end
-from forms.ends.fields import EVEN, Corner, EndFields, end_fields
+from forms.ends.end_fields import EVEN, Corner, EndFields, end_fields
 
 RATIOS = (0.1, 0.3, 0.45, 0.5)
 FIELDS = {nu: EndFields(nu, degree=8, levels=8) for nu in (0.2, 0.45)}  # to seven digits

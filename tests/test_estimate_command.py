@@ -17,7 +17,7 @@ from thinlayer import estimate, solve
 from thinlayer.describing.case import Case
 from thinlayer.describing.description import Description
 from thinlayer.estimating import goals
-from thinlayer.files.folder import hash_of
+from thinlayer.system.folder import hash_of
 
 COMM = MPI.COMM_WORLD
 PULL = "reaction LEFT along (0, 1)"

@@ -22,9 +22,9 @@ from tests.ranks import CLONE
 from tests.refused import refused
 from tests.viscous_joints import SUDDEN, interface
 from thinlayer import ModelError, Table, march, plotting, sweep
-from thinlayer.files.folder import owned
 from thinlayer.running import cli
 from thinlayer.running.record import Record
+from thinlayer.system.folder import owned
 
 FACTOR = 2.0
 

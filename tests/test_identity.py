@@ -24,7 +24,7 @@ import ufl
 from forms import LinearElastic
 from tests.viscous_joints import JOINT, SETUP, SLOW
 from thinlayer import ModelError, Structure, ThinLayer, compare, identity, march, piecewise, solve, sweep
-from thinlayer.identity import code_of, described, differences, in_words, random_states
+from thinlayer.system.identity import code_of, described, differences, in_words, random_states
 
 LAYER = ThinLayer(SLOW, 0.1, at=1.0)
 FACTOR = 2.0

@@ -34,7 +34,7 @@ from thinlayer import (
     observed_orders,
     solve,
 )
-from thinlayer.parts.pressure import PressurePart
+from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.solvers import Solver
 
 pytestmark = pytest.mark.few(5)

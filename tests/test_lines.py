@@ -14,8 +14,8 @@ from geometry import faults, grains, ring, sandwich, wall
 from tests.fields_run import BODY, EPS, K, axes, uniform
 from tests.refused import refused
 from thinlayer import ModelError, Structure, Surface, ThinLayer, plotting, solve
-from thinlayer.files.table import Table
 from thinlayer.surface.lines import Line
+from thinlayer.system.table import Table
 
 LAYER = ThinLayer(K, EPS, at=1.0)
 PULLED = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.05, -0.1)}}

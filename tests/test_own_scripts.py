@@ -42,7 +42,7 @@ from tests.refused import refused
 from thinlayer import BrokenMesh, ContactPart, ModelError, SolveError, Springs, StepProblem, Structure, ThinLayer, march
 from thinlayer.parts.forms import FormPart, matrix
 from thinlayer.parts.part import Block, Outcome, Part
-from thinlayer.parts.pressure import PressurePart
+from thinlayer.parts.pressure_part import PressurePart
 
 SCRIPTS = re.findall(r"```python\n(.*?)```", PAGES["thinlayer/guide/scripts.md"], re.DOTALL)
 STONE = LinearElastic.young(E=100.0, nu=0.3)

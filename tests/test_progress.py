@@ -11,8 +11,8 @@ import pytest
 from forms import LinearElastic
 from tests.viscous_joints import JOINT, SETUP
 from thinlayer import ArcLength, Structure, ThinLayer, ensemble, march, plotting, sweep, thin_enough
-from thinlayer.files import progress
-from thinlayer.files.progress import Teller
+from thinlayer.system import progress
+from thinlayer.system.progress import Teller
 
 
 class Pipe(io.StringIO):

@@ -13,8 +13,8 @@ from geometry import sandwich
 from tests.on_ranks import on_ranks
 from tests.refused import refused
 from thinlayer import Structure, ThinLayer, drive, march
-from thinlayer.compiling.compiled import _FILES, _LOADED
-from thinlayer.identity import described, digest
+from thinlayer.system.identity import described, digest
+from thinlayer.system.shared_library import _FILES, _LOADED
 
 STEP = [{"w_T": 0.01, "w_N": -0.02}]
 SPRING = """int kernel(double *out, const void *unused, const double *in)

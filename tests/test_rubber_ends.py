@@ -13,7 +13,7 @@ from studies.problems import FOURIER_BODY
 from tests.test_order1 import apart
 from tests.test_rubber import NUS, K, found, law_of, of, of_law
 from thinlayer import Structure, ThinLayer, march, observed_orders, solve
-from thinlayer.parts import pressure
+from thinlayer.parts import pressure_part as pressure
 
 pytestmark = pytest.mark.few(5)
 

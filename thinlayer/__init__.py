@@ -34,15 +34,14 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.estimating.estimate import estimate
     from thinlayer.estimating.result import Estimate
     from thinlayer.estimating.thickness import ThinEnough, thin_enough
-    from thinlayer.files.table import Table
     from thinlayer.output.comparison import compare
     from thinlayer.output.ensemble import ensemble
     from thinlayer.output.homogenised import homogenised_stiffness
     from thinlayer.output.probe import Probe
     from thinlayer.output.surface import Surface
     from thinlayer.output.sweep import observed_orders, sweep
-    from thinlayer.output.zoom import Zoom
-    from thinlayer.parts.contact import ContactPart
+    from thinlayer.output.zooming import Zoom
+    from thinlayer.parts.contact_part import ContactPart
     from thinlayer.parts.plates import RigidPlate
     from thinlayer.parts.springs import Springs
     from thinlayer.parts.ufl_part import UflPart
@@ -50,6 +49,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.solving.petsc import OptionError
     from thinlayer.solving.solvers import solve
     from thinlayer.solving.step_problem import StepProblem
+    from thinlayer.system.table import Table
     from thinlayer.time.history import History
     from thinlayer.time.marching import follow, march
     from thinlayer.time.plan import Adaptive, ArcLength
@@ -70,16 +70,16 @@ _NAMES = {
     "estimating.estimate": ["estimate"],
     "estimating.result": ["Estimate"],
     "estimating.thickness": ["ThinEnough", "thin_enough"],
-    "files.table": ["Table"],
+    "system.table": ["Table"],
     "output.comparison": ["compare"],
     "output.homogenised": ["homogenised_stiffness"],
     "output.probe": ["Probe"],
     "output.surface": ["Surface"],
-    "output.zoom": ["Zoom"],
+    "output.zooming": ["Zoom"],
     "output.ensemble": ["ensemble"],
     "output.sweep": ["observed_orders", "sweep"],
     "pointwise.drive": ["PointHistory", "drive"],
-    "parts.contact": ["ContactPart"],
+    "parts.contact_part": ["ContactPart"],
     "parts.plates": ["RigidPlate"],
     "parts.springs": ["Springs"],
     "parts.ufl_part": ["UflPart"],

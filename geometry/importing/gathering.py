@@ -13,10 +13,10 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from geometry.dolfinx_mesh import cell_nodes, vertices_of_facets
-from geometry.errors import GeometryError
 from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
 from geometry.joint import Joint
 from geometry.parallel import on_root, world
+from geometry.refusals import GeometryError
 from geometry.topology import CELL_TYPES, FloatArray, IntArray, corner_count, geometry_degree
 
 WHOLE = "BODY"  # region of all cells if there are no cell tags

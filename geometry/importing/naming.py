@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from forms.base import is_finite
-from geometry.errors import GeometryError, place, refuse, unknown
 from geometry.joint import Joint
+from geometry.refusals import GeometryError, place, refuse, unknown
 from geometry.seam import S, Seam
 from geometry.topology import (
     FACET_TYPES,

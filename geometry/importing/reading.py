@@ -18,10 +18,10 @@ import numpy as np
 from mpi4py import MPI
 
 from forms.base import is_finite
-from geometry.errors import GeometryError, refuse, unknown
 from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
 from geometry.joint import Joint
 from geometry.parallel import on_root
+from geometry.refusals import GeometryError, refuse, unknown
 from geometry.topology import FACET_TYPES, IntArray, corner_count
 
 if TYPE_CHECKING:

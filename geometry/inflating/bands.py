@@ -9,8 +9,8 @@ from functools import cached_property
 import basix
 import numpy as np
 
-from geometry.errors import GeometryError, place, refuse
 from geometry.joint import Joint
+from geometry.refusals import GeometryError, place, refuse
 from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, is_tensor, lagrange
 
 SAME_HEIGHT = 1e-12  # difference of heights, relative to the thickness, that counts as none

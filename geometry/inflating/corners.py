@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geometry.errors import refuse
 from geometry.inflating.bands import Footing, Posts
 from geometry.joint import FLAT, Joint
+from geometry.refusals import refuse
 from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, connected, lagrange, sums
 
 

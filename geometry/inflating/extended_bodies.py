@@ -7,10 +7,10 @@ import scipy.sparse
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from geometry.errors import GeometryError, place, refuse
 from geometry.inflating.bands import Copies
 from geometry.inflating.kept_bodies import UNIFORM
 from geometry.joint import Joint
+from geometry.refusals import GeometryError, place, refuse
 from geometry.topology import FloatArray, IntArray, facet_normals, is_tensor, lagrange, sums, weights_between
 
 SMOOTH = 0.01  # squared sine below which outer faces around a vertex of S count as one smooth surface

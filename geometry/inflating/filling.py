@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geometry.errors import refuse
 from geometry.inflating.bands import Posts
 from geometry.inflating.corners import Corners
 from geometry.joint import Joint
+from geometry.refusals import refuse
 from geometry.topology import BoolArray, FloatArray, IntArray, is_tensor, sums
 
 

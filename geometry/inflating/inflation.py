@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geometry.errors import GeometryError, refuse
 from geometry.inflating.bands import Copies, Footing, Posts, band_cells, posts_of
 from geometry.inflating.corners import Corners, are_filled, common_normals, junction_posts, junctions_of, polyhedra_of
 from geometry.inflating.extended_bodies import extended_motion, face_motion
@@ -17,6 +16,7 @@ from geometry.inflating.kept_bodies import NOT_KEPT, UNIFORM, is_swept, kept_mot
 from geometry.inflating.layering import Layering, check_junctions, check_layering, moved_facets
 from geometry.joint import Band, Joint, Profile
 from geometry.periodic import repeated, require_inside
+from geometry.refusals import GeometryError, refuse
 from geometry.seam import JUNCTIONS, LAYER
 from geometry.topology import BoolArray, FloatArray, IntArray, node_jacobians
 

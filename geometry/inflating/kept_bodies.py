@@ -9,8 +9,8 @@ import scipy.sparse
 import scipy.sparse.linalg
 from scipy.spatial import cKDTree
 
-from geometry.errors import GeometryError, place, refuse
 from geometry.joint import FLAT, Joint
+from geometry.refusals import GeometryError, place, refuse
 from geometry.topology import FloatArray, IntArray, connected, is_tensor, sums
 
 UNIFORM = 1e-12  # relative difference of thicknesses that counts as none

@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from forms.base import is_finite
-from geometry.errors import GeometryError, place, refuse, unknown
 from geometry.inflating.bands import Copies, Posts, level_heights
 from geometry.joint import Joint, Profile
+from geometry.refusals import GeometryError, place, refuse, unknown
 from geometry.seam import BASE, CUT, LAYER, LOWER_FACE, UPPER_FACE
 from geometry.sheet import continued
 from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, ridge_keys, ridges

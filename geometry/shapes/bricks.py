@@ -9,8 +9,8 @@ from math import ceil
 import numpy as np
 
 from forms.base import is_finite
-from geometry.errors import GeometryError
 from geometry.joint import Joint
+from geometry.refusals import GeometryError
 from geometry.seam import Seam
 from geometry.shapes.sizing import DIGITS, Cells
 from geometry.topology import FacetTable, FloatArray, IntArray, is_tensor

@@ -12,8 +12,8 @@ from scipy.spatial import Voronoi, cKDTree
 
 from forms.base import is_finite
 from forms.temperature import real
-from geometry.errors import GeometryError, place, refuse
 from geometry.periods import SAME_PLACE
+from geometry.refusals import GeometryError, place, refuse
 from geometry.seam import LEAST_COSINE, Seam
 from geometry.shapes.drawing import Drawing, Extent, Shape
 from geometry.shapes.sizing import Cells, gmsh

@@ -14,8 +14,8 @@ import dolfinx
 import numpy as np
 
 from forms.base import is_number
-from geometry.errors import GeometryError
 from geometry.joint import Joint
+from geometry.refusals import GeometryError
 from geometry.seam import S, Seam
 from geometry.shapes.sizing import CELLS, PARTS, RANGE, Cells, Grading, gmsh, require_wide, times
 from geometry.topology import FACET_TYPES, FloatArray, IntArray, corner_count, is_tensor

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from geometry.errors import GeometryError
+from geometry.refusals import GeometryError
 from geometry.seam import S
 from geometry.shapes.drawing import Drawing, Extent, Prism, Shape, walls
 from geometry.shapes.sizing import Grading, gmsh, require_wide

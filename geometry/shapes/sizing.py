@@ -10,7 +10,7 @@ from typing import Any, Self, TypedDict, get_type_hints
 import numpy as np
 
 from forms.base import is_finite, is_number
-from geometry.errors import GeometryError, unknown
+from geometry.refusals import GeometryError, unknown
 
 CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
 PARTS = {2: 10, 3: 5}  # default number of cells across the thinnest part, by dimension

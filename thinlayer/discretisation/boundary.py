@@ -10,13 +10,13 @@ from dolfinx import fem
 
 from forms.planes import Kinematics
 from geometry.domain import Domain
-from geometry.errors import place
 from geometry.joint import Joint
+from geometry.refusals import place
 from geometry.seam import LAYER, S
 from geometry.topology import connected
-from thinlayer.compiling.compat import interpolation_points
 from thinlayer.errors import ModelError
-from thinlayer.parallel.exchange import send
+from thinlayer.system.compat import interpolation_points
+from thinlayer.system.exchange import send
 
 AXES = "xyz"  # names of components and of motions
 ON_AXIS = 1e-10  # distance from the axis, over the size of the joint, that is rounding

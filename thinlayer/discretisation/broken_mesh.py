@@ -21,17 +21,17 @@ from forms.law import BulkLaw, LawError
 from forms.planes import PLANES, Kinematics
 from forms.traction import TractionLaw
 from forms.work import Term, surface
-from geometry.errors import unknown
 from geometry.joint import Profile
-from thinlayer.compiling.compat import interior_facet_entities
+from geometry.refusals import unknown
 from thinlayer.discretisation.boundary import ON_AXIS
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.layer import AtRest, ThinLayer, for_terms, real_law
 from thinlayer.discretisation.quadratures import known_at
 from thinlayer.discretisation.spaces import Keys, broken_space
 from thinlayer.errors import ModelError
-from thinlayer.parallel.agreement import on_all
-from thinlayer.parallel.exchange import communicator
+from thinlayer.system.agreement import on_all
+from thinlayer.system.compat import interior_facet_entities
+from thinlayer.system.exchange import communicator
 
 Array = npt.NDArray[np.float64]
 Facets = npt.NDArray[np.int32]

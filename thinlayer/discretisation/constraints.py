@@ -14,7 +14,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.sparse.csgraph import connected_components
 
-from geometry.errors import place as at_place
+from geometry.refusals import place as at_place
 from thinlayer.discretisation.supports import ROUNDING, Prescribed
 from thinlayer.errors import ModelError
 

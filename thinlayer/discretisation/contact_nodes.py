@@ -19,8 +19,8 @@ from geometry.joint import Joint
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import seam_entities
 from thinlayer.errors import ModelError
-from thinlayer.parallel.agreement import on_all
-from thinlayer.parallel.exchange import send
+from thinlayer.system.agreement import on_all
+from thinlayer.system.exchange import send
 
 IntArray = npt.NDArray[np.int64]
 Array = npt.NDArray[np.float64]

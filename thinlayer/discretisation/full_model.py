@@ -7,10 +7,10 @@ from typing import Self
 
 from forms import work as forms
 from forms.tangent import needs_director
-from geometry.errors import unknown
 from geometry.inflating.inflation import inflate
 from geometry.inflating.layering import check_layering
 from geometry.joint import Joint
+from geometry.refusals import unknown
 from geometry.seam import BASE
 from thinlayer.discretisation.boundary import require_revolution, require_shifts
 from thinlayer.discretisation.forces import Weighted

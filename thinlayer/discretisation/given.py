@@ -23,13 +23,13 @@ from ufl.geometry import GeometricQuantity
 from forms.base import is_number
 from forms.kinematics import Expr
 from geometry.domain import Domain
-from geometry.errors import place as at_place
-from geometry.errors import unknown
 from geometry.joint import Joint
-from thinlayer.compiling.compat import interpolation_points
+from geometry.refusals import place as at_place
+from geometry.refusals import unknown
 from thinlayer.discretisation.clock import Clock, Reading, readings
 from thinlayer.discretisation.mesh_functions import places_in_cells, sampled, shift
 from thinlayer.errors import ModelError
+from thinlayer.system.compat import interpolation_points
 
 Array = npt.NDArray[np.float64]
 Value = float | Callable[[Expr, Expr], Expr]

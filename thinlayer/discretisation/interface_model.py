@@ -17,11 +17,11 @@ from forms import work as forms
 from forms.interface import Interface
 from forms.kinematics import Expr
 from forms.law import BulkLaw
-from geometry.errors import GeometryError, unknown
 from geometry.inflating.kept_bodies import kept_motion
 from geometry.inflating.layering import check_layering
 from geometry.inflating.parting import parted
 from geometry.joint import Joint
+from geometry.refusals import GeometryError, unknown
 from geometry.seam import S
 from geometry.topology import FloatArray, Splitting
 from thinlayer.discretisation.boundary import require_revolution
@@ -35,8 +35,8 @@ from thinlayer.discretisation.seams import SeamLayer, seam_entities
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.side_loads import add_side_loads
 from thinlayer.errors import ModelError, Refused
-from thinlayer.parallel.agreement import on_all
 from thinlayer.pointwise.quadrature import quadrature_degree
+from thinlayer.system.agreement import on_all
 
 AT_ENDS = 2  # how much higher the degree of quadrature is where weights of free ends are linear along S
 

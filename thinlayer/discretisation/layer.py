@@ -27,8 +27,8 @@ from forms.tangent import (
     tangent_over,
 )
 from forms.traction import TractionLaw
-from geometry.errors import unknown
 from geometry.joint import Joint, Profile
+from geometry.refusals import unknown
 from thinlayer.discretisation.given_strains import StrainGiven
 from thinlayer.errors import ModelError, Refused
 

@@ -13,13 +13,13 @@ from dolfinx.mesh import Mesh
 from forms.interface import Interface
 from forms.kinematics import Expr
 from geometry.domain import Domain
-from geometry.errors import place
 from geometry.inflating.parting import to_middle
 from geometry.joint import Profile
+from geometry.refusals import place
 from geometry.seam import S
-from thinlayer.compiling.compat import interpolation_points
 from thinlayer.errors import ModelError
-from thinlayer.parallel.exchange import communicator
+from thinlayer.system.compat import interpolation_points
+from thinlayer.system.exchange import communicator
 
 Array = npt.NDArray[np.float64]
 INWARDS = 1e-6  # way of a place towards the middle of its cell, so that it is on one side of S, over the distance

@@ -14,9 +14,9 @@ import ufl
 
 from forms.kinematics import Expr
 from geometry.domain import Domain
-from geometry.errors import place as at_place
-from geometry.errors import unknown
 from geometry.joint import Joint
+from geometry.refusals import place as at_place
+from geometry.refusals import unknown
 from thinlayer.discretisation.boundary import refuse_periodic
 from thinlayer.discretisation.given import Coordinates, Load
 from thinlayer.discretisation.mesh_functions import cellwise

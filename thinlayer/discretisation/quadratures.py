@@ -20,8 +20,8 @@ from geometry.joint import Joint
 from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.layer import BODY, LAYER, constants
 from thinlayer.discretisation.mesh_functions import cellwise
-from thinlayer.parallel.agreement import on_all
 from thinlayer.pointwise.quadrature import Origin, Quadrature
+from thinlayer.system.agreement import on_all
 
 Array = npt.NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from dolfinx import fem
 
 from forms.temperature import real
 from geometry.domain import Domain
-from geometry.errors import place as at_place
+from geometry.refusals import place as at_place
 from geometry.seam import BASE, S
 from thinlayer.discretisation.measures import per_unit
 from thinlayer.discretisation.rigid import balanced_motions, on_centre, rigid_expression

@@ -15,7 +15,7 @@ from forms.law import BulkLaw, LawError
 from forms.rubber import for_next_order
 from forms.tangent import average_lame, known_at_rest
 from geometry.ends import straight_ends
-from geometry.errors import GeometryError, place
+from geometry.refusals import GeometryError, place
 from geometry.sheet import Rim
 from geometry.topology import FloatArray, is_tensor
 from thinlayer.discretisation.boundary import is_across

@@ -17,13 +17,13 @@ from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.seam import S
 from geometry.sheet import Sheet
-from thinlayer.compiling.compat import interior_facet_entities
 from thinlayer.discretisation.given import Coordinates, Load
 from thinlayer.discretisation.given_strains import Matter, given_strain
 from thinlayer.discretisation.layer import CONTACT, LAYER, PRESSURE, AtRest, LawOnS, Layer, ThinLayer, real_law
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
-from thinlayer.identity import described
+from thinlayer.system.compat import interior_facet_entities
+from thinlayer.system.identity import described
 
 
 class SeamLayer:

@@ -14,8 +14,8 @@ from forms.kernel import KernelLaw
 from forms.law import BulkLaw, Law, explained
 from forms.planes import PLANES, Kinematics
 from forms.tangent import Array, known_at_rest, needs_director, require_stable
-from geometry.errors import unknown
 from geometry.joint import Joint
+from geometry.refusals import unknown
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import Addition
@@ -27,8 +27,8 @@ from thinlayer.discretisation.given_strains import StrainGiven as Eigenstrain
 from thinlayer.discretisation.point_loads import Concentrated, check_loads
 from thinlayer.discretisation.supports import ByPlace
 from thinlayer.errors import ModelError
-from thinlayer.identity import digest
-from thinlayer.parallel.agreement import on_all, require_same
+from thinlayer.system.agreement import on_all, require_same
+from thinlayer.system.identity import digest
 
 ELEMENTS = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}
 Eigenstrains = Eigenstrain | Mapping[str, Eigenstrain | None]

@@ -17,8 +17,8 @@ from geometry.dolfinx_mesh import index_map
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.topology import Splitting
-from thinlayer.compiling.compat import space_with_dofmap
-from thinlayer.parallel.exchange import ask
+from thinlayer.system.compat import space_with_dofmap
+from thinlayer.system.exchange import ask
 
 IntArray = npt.NDArray[np.int64]
 OfEntities = Sequence[IntArray]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Bond, Layers
-from thinlayer.discretisation.mixed import MixedModel, Where
+from thinlayer.discretisation.mixed_model import MixedModel, Where
 from thinlayer.discretisation.setup import Setup
 
 

@@ -17,11 +17,11 @@ from petsc4py import PETSc
 from forms.base import is_number
 from forms.planes import LIFTED, Kinematics
 from geometry.domain import Domain
-from geometry.errors import unknown
-from thinlayer.compiling.compat import interpolation_points
+from geometry.refusals import unknown
 from thinlayer.discretisation.boundary import AXES, node_normals, on_axis, on_boundary, smooth
 from thinlayer.discretisation.given import Coordinates, Value
 from thinlayer.errors import ModelError
+from thinlayer.system.compat import interpolation_points
 
 BALANCE = 1e-10  # sum of the loads along an axis, over the sum of their sizes, that still counts as rounding
 Array = npt.NDArray[np.float64]

@@ -10,7 +10,7 @@ import numpy as np
 from forms.base import InputError
 from forms.law import BulkLaw
 from forms.tangent import average_lame, is_isotropic
-from geometry.errors import unknown
+from geometry.refusals import unknown
 from geometry.seam import S
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
@@ -20,7 +20,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, Refused
 from thinlayer.estimating.on_surface import NEAR_ENDS
 from thinlayer.output.surface import ELASTIC, Surface
-from thinlayer.parallel.agreement import on_all
+from thinlayer.system.agreement import on_all
 
 OFF = 0.5  # of the true error: estimates without edge terms are less off between bodies of E/mu below LEAST_CONTRAST
 LEAST_HEIGHT = 4.0  # of a body, over the thickness, from which on estimates were found to be within 25 % of true errors

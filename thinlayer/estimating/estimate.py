@@ -19,10 +19,10 @@ from thinlayer.estimating.goal import Goal
 from thinlayer.estimating.goals import Compliance, Reaction
 from thinlayer.estimating.on_surface import NEAR_ENDS, errors_of, field_of_ends, squares_of
 from thinlayer.estimating.result import Estimate, GoalError, LayerError
-from thinlayer.files.progress import telling
-from thinlayer.parallel.agreement import on_all
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import solve
+from thinlayer.system.agreement import on_all
+from thinlayer.system.progress import telling
 from thinlayer.time.history import History
 from thinlayer.time.marching import march
 

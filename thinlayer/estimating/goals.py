@@ -17,9 +17,8 @@ from ufl.algorithms import expand_derivatives
 
 from forms import work as forms
 from forms.kinematics import Expr
-from geometry.errors import unknown
+from geometry.refusals import unknown
 from geometry.seam import S
-from thinlayer.compiling.compat import exterior_facet_entities
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.measures import compiled, whole
 from thinlayer.discretisation.seams import seam_entities
@@ -31,6 +30,7 @@ from thinlayer.output.probe import Probe, cells_at
 from thinlayer.output.surface import Surface
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.surface.surface_mesh import SurfaceMesh
+from thinlayer.system.compat import exterior_facet_entities
 
 Array = npt.NDArray[np.float64]
 

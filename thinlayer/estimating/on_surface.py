@@ -11,7 +11,6 @@ from petsc4py import PETSc
 from scipy.spatial import cKDTree
 
 from geometry.inflating.parting import points_on_middle
-from thinlayer.compiling.compat import interpolation_points
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
@@ -20,6 +19,7 @@ from thinlayer.parts.part import DISPLACEMENTS, FieldPart
 from thinlayer.ranges.sublayers import stiffness_of_jumps, sublayers_of
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.surface.surface_mesh import SurfaceMesh
+from thinlayer.system.compat import interpolation_points
 
 Array = npt.NDArray[np.float64]
 NEAR_ENDS = 3.0  # distance from free ends, over the thickness, within which tractions and jumps are not estimated

@@ -15,10 +15,10 @@ from thinlayer.errors import ModelError
 from thinlayer.estimating.better import BetterLaw, creeps
 from thinlayer.estimating.goals import Goal
 from thinlayer.estimating.on_surface import density_of
-from thinlayer.files.table import Table
 from thinlayer.output.surface import Surface
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.petsc import OptionValue
+from thinlayer.system.table import Table
 
 SAME = 1e-7  # difference of a change from the integral of its density, over the goal, that counts as none
 ROUNDING = 1e-6  # of a goal that is zero but for rounding, over its scale

@@ -22,12 +22,12 @@ from thinlayer.estimating.goal import Goal
 from thinlayer.estimating.goals import Compliance
 from thinlayer.estimating.on_surface import NEAR_ENDS
 from thinlayer.estimating.result import Estimate, at_most
-from thinlayer.files.progress import telling
-from thinlayer.files.table import Table
-from thinlayer.parallel.agreement import on_all
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import solve
 from thinlayer.surface.surface_mesh import SurfaceMesh
+from thinlayer.system.agreement import on_all
+from thinlayer.system.progress import telling
+from thinlayer.system.table import Table
 from thinlayer.time.history import History
 from thinlayer.time.marching import march
 

@@ -15,13 +15,13 @@ from geometry.parallel import on_root
 from geometry.seam import S
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.mixed import MixedModel
+from thinlayer.discretisation.mixed_model import MixedModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.identity import differences, in_words
 from thinlayer.output.surface import Surface
-from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.ranges.excess import times_too_stiff, why_unknown
+from thinlayer.system.agreement import on_all, require_same
+from thinlayer.system.identity import differences, in_words
 from thinlayer.time.history import SAME_TIME, History
 
 Where = Callable[[npt.NDArray[np.float64]], Any]

@@ -17,9 +17,9 @@ from geometry.topology import IntArray, connected
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, pairs_of
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.files.table import Table
 from thinlayer.output.nodal_forces import contact_forces, nodal_forces
 from thinlayer.surface.surface_mesh import SurfaceMesh
+from thinlayer.system.table import Table
 
 Array = npt.NDArray[np.float64]
 PINNED, NO_CONTACT = "pinned", "no contact law"

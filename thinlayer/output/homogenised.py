@@ -15,8 +15,8 @@ from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.given_strains import PAIRS, MeanStrain, Strain
 from thinlayer.discretisation.model import Family, Model
 from thinlayer.errors import ModelError, SolveError
-from thinlayer.parallel.agreement import on_all
 from thinlayer.solving.solvers import Solver
+from thinlayer.system.agreement import on_all
 
 Array = npt.NDArray[np.float64]
 ASYMMETRY = 1e-8  # difference of the stiffness from its transpose, over its size, that shows a wrong law or solve

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from geometry.errors import place
 from geometry.order import by_place
+from geometry.refusals import place
 from geometry.seam import S
 from geometry.topology import IntArray, is_tensor
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -20,9 +20,9 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, cell_values
 from thinlayer.errors import ModelError
 from thinlayer.output.law_points import LawPoints, law_points
-from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.surface.locating import Located
 from thinlayer.surface.surface_mesh import SurfaceMesh
+from thinlayer.system.agreement import on_all, require_same
 
 Array = npt.NDArray[np.float64]
 SAME = 1e-9  # difference of displacements at one place, over the largest displacement, that counts as none

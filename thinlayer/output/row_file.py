@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from thinlayer.errors import ModelError
-from thinlayer.files.folder import moved_away, read_sealed, write_sealed
-from thinlayer.files.table import Row
-from thinlayer.identity import (
+from thinlayer.system.folder import moved_away, read_sealed, write_sealed
+from thinlayer.system.identity import (
     CODE,
     FILE,
     MISSING,
@@ -22,6 +21,7 @@ from thinlayer.identity import (
     random_states,
     require_resume,
 )
+from thinlayer.system.table import Row
 
 GENERATOR = (
     "an iterator or generator of random numbers that goes on from row to row; make one in each run, from a number of the "

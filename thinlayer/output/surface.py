@@ -13,7 +13,6 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.files.table import Table
 from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, at_contact, contact_on
 from thinlayer.output.law_points import LawPoints
 from thinlayer.output.tractions import by_reactions, in_rule, of_layers, points_on
@@ -21,6 +20,7 @@ from thinlayer.parts.phases import phase_shares, phase_slots, seams_with_phases
 from thinlayer.ranges.excess import times_too_stiff, why_unknown
 from thinlayer.ranges.sublayers import sublayers_of
 from thinlayer.surface.surface_mesh import SurfaceMesh
+from thinlayer.system.table import Table
 
 Array = npt.NDArray[np.float64]
 NO_LAYER, BONDED, ELASTIC, OPEN = "no layer", "bonded", "elastic", "open"

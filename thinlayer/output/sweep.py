@@ -15,12 +15,12 @@ from forms.base import is_number
 from forms.law import LawError
 from geometry.parallel import on_root, world
 from thinlayer.errors import ModelError
-from thinlayer.files.folder import LOCK, owned
-from thinlayer.files.progress import track
-from thinlayer.files.table import Row, Table
-from thinlayer.identity import Resume
 from thinlayer.output.row_file import RowFile, checked, make_room, require_csv
-from thinlayer.parallel.agreement import on_all, require_same
+from thinlayer.system.agreement import on_all, require_same
+from thinlayer.system.folder import LOCK, owned
+from thinlayer.system.identity import Resume
+from thinlayer.system.progress import track
+from thinlayer.system.table import Row, Table
 
 ERRORS = ("eps", "error_traction", "error_jump")
 ORDERS = ("order_traction", "order_jump")  # columns that a sweep adds

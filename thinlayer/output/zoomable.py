@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from forms.ends.fields import EndFields, end_fields
+from forms.ends.end_fields import EndFields, end_fields
 from forms.inside import FaceValues, Inside
 from geometry.ends import StraightEnd, straight_ends
-from geometry.errors import place, unknown
+from geometry.refusals import place, unknown
 from geometry.seam import S
 from geometry.sheet import Rim
 from geometry.topology import IntArray
@@ -23,8 +23,8 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.side_loads import SideLoad
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, Refused
-from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.surface.surface_mesh import SurfaceMesh
+from thinlayer.system.agreement import on_all, require_same
 
 Array = npt.NDArray[np.float64]
 NEAR = 3.0  # distance from a free end, over the thickness, within which stresses are not those of a layer without end

@@ -12,9 +12,9 @@ from petsc4py import PETSc
 from forms.kinematics import Expr
 from thinlayer.discretisation.measures import compiled, compiled_summands
 from thinlayer.discretisation.state import Configuration
-from thinlayer.parallel.exchange import communicator
 from thinlayer.parts.part import Array, Block, Interval, Outcome, Part
 from thinlayer.pointwise.assembling import add_forces_of, forces_of, matrix_of
+from thinlayer.system.exchange import communicator
 
 
 class FormPart(Part):

@@ -20,12 +20,12 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.quadratures import compiled_terms
 from thinlayer.discretisation.state import Configuration, transfer
 from thinlayer.parts.compiled import CompiledPart
-from thinlayer.parts.contact import ContactPart
+from thinlayer.parts.contact_part import ContactPart
 from thinlayer.parts.forms import FormPart
 from thinlayer.parts.law_forms import LawForms
 from thinlayer.parts.mean_stress import MeanStressPart
 from thinlayer.parts.part import Array, Block, FileOrder, Interval, Memory, Outcome, Part, PartTraits
-from thinlayer.parts.pressure import PressurePart, has_flow
+from thinlayer.parts.pressure_part import PressurePart, has_flow
 
 
 def body_parts(model: Model) -> list[Part]:

@@ -12,7 +12,7 @@ import scipy.sparse
 from dolfinx import fem
 
 from forms.kinematics import Expr
-from geometry.errors import unknown
+from geometry.refusals import unknown
 from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.boundary import AXES, on_boundary
 from thinlayer.discretisation.constraints import Tied

@@ -12,7 +12,7 @@ from dolfinx import fem
 
 from forms.base import is_finite
 from forms.kinematics import Expr
-from geometry.errors import place as at_place
+from geometry.refusals import place as at_place
 from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.boundary import on_boundary
 from thinlayer.discretisation.given import DEGREE, Given

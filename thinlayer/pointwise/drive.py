@@ -17,9 +17,9 @@ from forms.tangent import takes_time
 from forms.temperature import real
 from forms.trace import numbers
 from thinlayer.errors import ModelError, SolveError
-from thinlayer.files.table import Table
 from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material_point import COMPONENTS, MaterialPoint, MaterialPointState
+from thinlayer.system.table import Table
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -19,10 +19,10 @@ from ufl.classes import Zero
 from forms.kinematics import MANDEL, Expr, lift
 from forms.work import Term
 from geometry.topology import IntArray
-from thinlayer.compiling.compat import create_submesh
 from thinlayer.errors import ModelError
-from thinlayer.parallel.exchange import communicator
 from thinlayer.pointwise.columns import Columns
+from thinlayer.system.compat import create_submesh
+from thinlayer.system.exchange import communicator
 
 Array = npt.NDArray[np.float64]
 DIAGONAL = (0, 1, 2)  # Mandel components whose sum is the trace

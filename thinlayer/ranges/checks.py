@@ -11,7 +11,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from forms.tangent import in_plane_modulus
-from geometry.errors import place
+from geometry.refusals import place
 from thinlayer.discretisation.layer import BODY
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
@@ -20,7 +20,7 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
 from thinlayer.ranges.excess import LEAST_ERROR, Faces
-from thinlayer.ranges.pressure import beyond_free_ends, too_stiff
+from thinlayer.ranges.pressure_range import beyond_free_ends, too_stiff
 from thinlayer.ranges.sublayers import Sublayer, acts_on_jumps, stiffness_of_jumps, sublayers_of
 from thinlayer.surface.surface_mesh import SurfaceMesh
 

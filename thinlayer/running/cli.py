@@ -11,9 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from thinlayer.files.words import reason, say
 from thinlayer.running.catalogue import studies
 from thinlayer.running.process import BAD_INPUT, OK, UNFINISHED, is_first, recorded, set_signals, stop
+from thinlayer.system.words import reason, say
 
 if TYPE_CHECKING:
     from thinlayer.running.record import Record

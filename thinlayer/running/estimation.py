@@ -19,13 +19,13 @@ from thinlayer.errors import ModelError
 from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.result import Estimate
 from thinlayer.estimating.thickness import thin_enough
-from thinlayer.files.folder import hash_of
-from thinlayer.files.table import Table
 from thinlayer.output import plotting
 from thinlayer.output.surface import Surface
-from thinlayer.parallel.agreement import on_all
 from thinlayer.running.record import Record
 from thinlayer.solving.solvers import solve
+from thinlayer.system.agreement import on_all
+from thinlayer.system.folder import hash_of
+from thinlayer.system.table import Table
 from thinlayer.time.history import History
 from thinlayer.time.marching import march
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from thinlayer.files.words import reason, say
+from thinlayer.system.words import reason, say
 
 if TYPE_CHECKING:
     from thinlayer.running.record import Record
@@ -43,7 +43,7 @@ def ignore_working_folder() -> None:
     import petsc4py
 
     petsc4py.init(["thinlayer", "-skip_petscrc"])
-    from thinlayer.compiling.compilation import load_options
+    from thinlayer.system.compilation import load_options
 
     load_options()
 
@@ -74,7 +74,7 @@ def recorded(
     from petsc4py import PETSc
 
     from thinlayer.errors import InputError, SolveError
-    from thinlayer.parallel import abort, log
+    from thinlayer.system import abort, log
     from thinlayer.running.record import Record
     from thinlayer.solving.petsc import given_elsewhere
 

@@ -16,15 +16,15 @@ from geometry.parallel import on_root, world
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import InputError, ModelError, SolveError
-from thinlayer.files.folder import hash_of, locked, moved_away, moved_back, replaced
-from thinlayer.files.progress import track
-from thinlayer.files.table import Table
-from thinlayer.files.words import reason, say
-from thinlayer.identity import differences, in_words
 from thinlayer.output.sweep import sweep
-from thinlayer.parallel.log import logger
 from thinlayer.running.provenance import code, petsc_options, versions
 from thinlayer.solving.petsc import PREFIX
+from thinlayer.system.folder import hash_of, locked, moved_away, moved_back, replaced
+from thinlayer.system.identity import differences, in_words
+from thinlayer.system.log import logger
+from thinlayer.system.progress import track
+from thinlayer.system.table import Table
+from thinlayer.system.words import reason, say
 from thinlayer.time.history import History
 from thinlayer.time.marching import march
 from thinlayer.time.plan import Adaptive
@@ -179,7 +179,7 @@ class Record:
         return run
 
     def identity(self) -> list[Any]:
-        """Identity of the run for what is resumed within it (`thinlayer.identity`), independent of its folder."""
+        """Identity of the run for what is resumed within it (`thinlayer.system.identity`), independent of its folder."""
         return [self.study, json.loads(json.dumps(self.options, default=str))]
 
     def check_drawn(self) -> None:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import scipy.sparse
 from petsc4py import PETSc
 
-from geometry.errors import place
+from geometry.refusals import place
 from geometry.seam import BASE
 from thinlayer.discretisation.boundary import AXES
 from thinlayer.discretisation.layer import BY_LAW, LAYER, PRESSURE

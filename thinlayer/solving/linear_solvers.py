@@ -19,7 +19,7 @@ from petsc4py import PETSc
 
 from thinlayer.discretisation.model import Model
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Part
-from thinlayer.parts.pressure import PressurePart
+from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.petsc import OptionError, OptionValue
 from thinlayer.solving.tangent_matrix import Layout
 

@@ -16,8 +16,6 @@ from geometry.parallel import world
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State, displacements_of
 from thinlayer.errors import LooseBody, ModelError, SolveError, warn
-from thinlayer.parallel.agreement import on_all, require_same
-from thinlayer.parallel.log import logger
 from thinlayer.parts.part import Interval
 from thinlayer.ranges.checks import warn_of_model, warn_of_states
 from thinlayer.ranges.times import warn_of_no_time
@@ -38,6 +36,8 @@ from thinlayer.solving.petsc import (
     require_known_values,
     value_of,
 )
+from thinlayer.system.agreement import on_all, require_same
+from thinlayer.system.log import logger
 
 SOFTENS = (
     "the stress of {} falls as jumps grow, and an equilibrium may be one of several; follow them from rest with "

@@ -14,12 +14,9 @@ from petsc4py import PETSc
 from forms.kinematics import Expr
 from forms.law import LawError
 from forms.work import Term, work
-from thinlayer.compiling.compat import belongs_to
 from thinlayer.discretisation.quadratures import compiled_terms
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import ModelError, SolveError
-from thinlayer.parallel.agreement import on_all
-from thinlayer.parallel.exchange import communicator
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.forms import FormPart
 from thinlayer.parts.part import DISPLACEMENTS, Array, FieldPart, Interval, Part
@@ -28,6 +25,9 @@ from thinlayer.pointwise.columns import TIE
 from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.solving.balance import ForceScale, PartSum
 from thinlayer.solving.tangent_matrix import TangentMatrix
+from thinlayer.system.agreement import on_all
+from thinlayer.system.compat import belongs_to
+from thinlayer.system.exchange import communicator
 
 
 class StepProblem(PartSum):

@@ -14,7 +14,7 @@ from geometry.joint import Joint
 from geometry.order import by_place
 from geometry.topology import IntArray, is_tensor, lagrange
 from thinlayer.errors import ModelError
-from thinlayer.files.table import Table
+from thinlayer.system.table import Table
 
 Array = npt.NDArray[np.float64]
 Plane = tuple[Sequence[float], Sequence[float]]

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from forms.temperature import real
-from geometry.errors import place
 from geometry.joint import Joint
+from geometry.refusals import place
 from geometry.topology import IntArray, geometry_degree, is_tensor, lagrange
 from thinlayer.errors import ModelError
 

@@ -15,16 +15,16 @@ from dolfinx import fem
 from scipy.spatial import cKDTree
 
 from forms.base import is_number
-from geometry.errors import place, unknown
 from geometry.inflating.parting import faces, points_on_middle
 from geometry.joint import Joint
 from geometry.order import along, by_place
+from geometry.refusals import place, unknown
 from geometry.seam import S
 from geometry.sheet import Rim
 from geometry.topology import FACET_TYPES, IntArray, lagrange
 from thinlayer.discretisation.contact_nodes import frames_at, pair_numbers
 from thinlayer.discretisation.full_model import FullModel
-from thinlayer.discretisation.mixed import MixedModel
+from thinlayer.discretisation.mixed_model import MixedModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State, cell_values

@@ -14,12 +14,12 @@ from dolfinx import fem
 from geometry.parallel import on_root
 from thinlayer.discretisation.state import Audit, Report, State
 from thinlayer.errors import ModelError
-from thinlayer.files.folder import hash_of, read_sealed, replaced, write_sealed
-from thinlayer.files.table import Table
-from thinlayer.identity import Resume, differences, in_words
-from thinlayer.parallel.exchange import carry
 from thinlayer.parts.part import FileOrder
 from thinlayer.solving.equations import Equations
+from thinlayer.system.exchange import carry
+from thinlayer.system.folder import hash_of, read_sealed, replaced, write_sealed
+from thinlayer.system.identity import Resume, differences, in_words
+from thinlayer.system.table import Table
 from thinlayer.time.history import History, dissipated_columns
 
 Array = npt.NDArray[Any]

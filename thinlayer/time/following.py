@@ -10,11 +10,11 @@ import numpy as np
 
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, SolveError, TurningPoint
-from thinlayer.files.progress import telling
-from thinlayer.identity import Resume
-from thinlayer.parallel.log import logger
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import Solver
+from thinlayer.system.identity import Resume
+from thinlayer.system.log import logger
+from thinlayer.system.progress import telling
 from thinlayer.time.history import SAME_TIME, History
 from thinlayer.time.journal import Journal
 from thinlayer.time.path import EquilibriumPath

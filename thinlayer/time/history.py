@@ -15,8 +15,8 @@ from thinlayer.discretisation.layer import BODIES
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.files.table import Table
 from thinlayer.parts.phases import seams_with_phases
+from thinlayer.system.table import Table
 
 SAME_TIME = 1e-9  # largest difference of times that count as equal, relative to the span of a march
 

@@ -14,13 +14,13 @@ from forms.base import ThinlayerError
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.files.table import Row
-from thinlayer.identity import Resume, code_of, described
-from thinlayer.parallel.agreement import on_all
-from thinlayer.parallel.exchange import collect
-from thinlayer.parallel.log import logger
 from thinlayer.parts.phases import phase_shares, seams_with_phases
 from thinlayer.solving.equations import Equations
+from thinlayer.system.agreement import on_all
+from thinlayer.system.exchange import collect
+from thinlayer.system.identity import Resume, code_of, described
+from thinlayer.system.log import logger
+from thinlayer.system.table import Row
 from thinlayer.time.checkpoint import Checkpoint, Pace
 from thinlayer.time.history import History, dissipated_columns, phase_columns
 

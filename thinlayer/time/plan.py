@@ -13,7 +13,7 @@ import numpy.typing as npt
 from forms.base import is_number
 from forms.temperature import real
 from thinlayer.errors import ModelError
-from thinlayer.parts.pressure import PressurePart
+from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.equations import Equations
 from thinlayer.time.history import SAME_TIME
 

@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 
 from thinlayer.errors import SolveError, warn
-from thinlayer.files.progress import telling
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.solvers import Solver
+from thinlayer.system.progress import telling
 from thinlayer.time.checkpoint import Pace
 from thinlayer.time.error import QUANTITIES, ErrorEstimate
 from thinlayer.time.history import History

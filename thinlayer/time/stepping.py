@@ -10,10 +10,10 @@ import numpy as np
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import State
 from thinlayer.errors import LimitLoad, ModelError, NoEquilibrium, SolveError, warn
-from thinlayer.files.progress import telling
-from thinlayer.identity import Resume
-from thinlayer.parallel.log import logger
 from thinlayer.solving.solvers import Solver
+from thinlayer.system.identity import Resume
+from thinlayer.system.log import logger
+from thinlayer.system.progress import telling
 from thinlayer.time.error import ErrorEstimate
 from thinlayer.time.history import SAME_TIME, History
 from thinlayer.time.journal import Journal

@@ -1,7 +1,7 @@
 """Pictures: rates and curves from tables, deformed structures, fields on S of a structure and along it."""
 
+from thinlayer.output.plotting.along import along
 from thinlayer.output.plotting.curves import COLOURS, ERRORS, curves, panels, rates
-from thinlayer.output.plotting.lines import along
 from thinlayer.output.plotting.maps import maps
 from thinlayer.output.plotting.movies import movie
 from thinlayer.output.plotting.picture import Picture

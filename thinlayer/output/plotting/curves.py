@@ -15,8 +15,8 @@ from matplotlib.ticker import LogLocator
 
 from forms.temperature import real
 from thinlayer.errors import ModelError
-from thinlayer.files.table import Table
 from thinlayer.output.plotting.picture import Picture, finish
+from thinlayer.system.table import Table
 
 Range = tuple[float, float] | None
 Chosen = str | Sequence[str] | Mapping[str, str] | None  # for all curves, in turn, or by label

@@ -15,9 +15,9 @@ from forms.base import is_number
 from geometry.parallel import on_root
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.files.progress import track
 from thinlayer.output.grid import gather
 from thinlayer.output.plotting.scene import Look, Scene
+from thinlayer.system.progress import track
 from thinlayer.time.history import History
 
 GIF, MP4 = ".gif", ".mp4"

@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from geometry.parallel import on_root
 from thinlayer.errors import ModelError
-from thinlayer.files.folder import replaced
+from thinlayer.system.folder import replaced
 
 SAVED: dict[str, Any] = {"dpi": 150, "bbox_inches": "tight"}  # options of all pictures that are saved
 IN_NOTEBOOK: dict[str, Any] = {"dpi": 100, "bbox_inches": "tight"}

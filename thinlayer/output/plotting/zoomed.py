@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.base import is_number
-from geometry.errors import unknown
+from geometry.refusals import unknown
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.output.plotting.picture import Picture, drawn_on_root, require_name
 from thinlayer.output.probe import Probe
-from thinlayer.output.zoom import Zoom
+from thinlayer.output.zooming import Zoom
 from thinlayer.surface.surface_mesh import SurfaceMesh
 
 Array = npt.NDArray[np.float64]

@@ -15,8 +15,8 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from forms.contact import ContactLaw
-from thinlayer.compiling.compiled import library
 from thinlayer.errors import ModelError
+from thinlayer.system.shared_library import library
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]

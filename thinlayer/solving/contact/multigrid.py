@@ -12,14 +12,14 @@ from petsc4py import PETSc
 from forms.law import LawError
 from thinlayer.discretisation.contact_nodes import Array, ContactNodes
 from thinlayer.errors import SolveError
-from thinlayer.parallel.exchange import carry
+from thinlayer.solving.contact.contact_tangent import Tangent
 from thinlayer.solving.contact.gauss_seidel import load
 from thinlayer.solving.contact.problem import ContactProblem
 from thinlayer.solving.contact.surface_stiffness import SurfaceStiffness
-from thinlayer.solving.contact.tangent import Tangent
 from thinlayer.solving.contact.turning import Sliding, sliding, turned
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
 from thinlayer.solving.petsc import PREFIX, OptionError, OptionValue, defaults, is_set, solve_nonlinear
+from thinlayer.system.exchange import carry
 
 Reductions = tuple[float, float]  # factors by which the first and the later linear solves reduce the residual
 

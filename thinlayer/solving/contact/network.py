@@ -16,7 +16,7 @@ from petsc4py import PETSc
 from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.errors import SolveError
-from thinlayer.parts.contact import ContactPart
+from thinlayer.parts.contact_part import ContactPart
 from thinlayer.solving.balance import ALLOWED, TINY, ForceScale
 from thinlayer.solving.contact.gauss_seidel import BlockRows
 from thinlayer.solving.contact.pair_nodes import PairNodes

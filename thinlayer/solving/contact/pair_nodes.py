@@ -11,10 +11,10 @@ import scipy.sparse
 from mpi4py import MPI
 
 from forms.contact import ContactLaw, EasedContact
-from thinlayer.compiling.compiled import library
 from thinlayer.discretisation.contact_nodes import Array
-from thinlayer.parts.contact import ContactPart
+from thinlayer.parts.contact_part import ContactPart
 from thinlayer.solving.contact.gauss_seidel import BlockRows
+from thinlayer.system.shared_library import library
 
 SOURCE = Path(__file__).with_name("sweep_pairs.c")
 Law = ContactLaw | EasedContact

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from thinlayer.discretisation.contact_nodes import Array
-from thinlayer.parts.contact import ContactPart
+from thinlayer.parts.contact_part import ContactPart
 from thinlayer.solving.balance import AIM, TINY
 from thinlayer.solving.equations import Equations
 

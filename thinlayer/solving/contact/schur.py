@@ -16,9 +16,9 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from forms.base import ThinlayerError
-from thinlayer.compiling.compiled import library
 from thinlayer.solving.contact.problem import Rows
 from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, keep_unknowns, schur_of
+from thinlayer.system.shared_library import library
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]

@@ -16,7 +16,7 @@ from thinlayer.solving.contact.condensed import Condensed
 from thinlayer.solving.contact.multigrid import MultigridContact
 from thinlayer.solving.contact.network import NetworkFinder
 from thinlayer.solving.contact.problem import ContactProblem
-from thinlayer.solving.contact.relaxation import ContactRelaxation
+from thinlayer.solving.contact.relaxation_scheme import ContactRelaxation
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Finder, Found
 

@@ -16,10 +16,9 @@ from scipy.spatial import cKDTree
 from forms import work as forms
 from forms.interface import Interface
 from geometry.domain import Domain
-from geometry.errors import place
 from geometry.parallel import world
+from geometry.refusals import place
 from geometry.seam import BASE, CUT, LAYER, LOWER_FACE, UPPER_FACE, S
-from thinlayer.compiling.compat import exterior_facet_entities
 from thinlayer.discretisation.constraints import Followers
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -30,8 +29,9 @@ from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError, warn
-from thinlayer.identity import described
-from thinlayer.parallel.agreement import on_all
+from thinlayer.system.agreement import on_all
+from thinlayer.system.compat import exterior_facet_entities
+from thinlayer.system.identity import described
 
 Array = npt.NDArray[np.float64]
 SAME_PLACE = 1e-9  # distance before inflating, relative to the size of the joint, of nodes above one another

@@ -33,14 +33,14 @@ from ufl.domain import extract_domains
 
 from forms.base import PACKAGES
 from thinlayer.errors import ModelError
-from thinlayer.files.sources import content
+from thinlayer.system.sources import content
 
 Resume = bool | Literal["anyway"]
 CODE, FILE, CLASS, SAME = "(code)", "(file)", "(class)", "(same as)"
 MISSING = object()  # in place of what only one of two descriptions has
 FEW, MANY = 24, 1000  # longest array that is shown, largest container; longer ones are hashed
 SHOWN = 4  # number of differences that a message names
-LIBRARIES = [Path(sysconfig.get_path("stdlib")), *(Path(__file__).parents[1] / name for name in PACKAGES)]
+LIBRARIES = [Path(sysconfig.get_path("stdlib")), *(Path(__file__).parents[2] / name for name in PACKAGES)]
 OPAQUE = ("basix", "dolfinx", "petsc4py", "ufl")  # packages whose objects differ from one process to the next
 _COUNT = itertools.count(1)
 ALONE = f", known to process {uuid.uuid4().hex[:8]} alone"

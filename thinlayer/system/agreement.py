@@ -14,8 +14,8 @@ from mpi4py import MPI
 
 from geometry.parallel import world
 from thinlayer.errors import ModelError
-from thinlayer.identity import ALONE, MISSING, described, differences, digest
-from thinlayer.parallel.abort import abort, is_done
+from thinlayer.system.abort import abort, is_done
+from thinlayer.system.identity import ALONE, MISSING, described, differences, digest
 
 SHOWN = 200  # number of characters shown where data differ
 PATIENCE = 60.0  # s that a rank with an error waits for the others at least
@@ -79,7 +79,7 @@ def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
 
     Args:
         comm: communicator (default: the world).
-        given: name -> value, see `thinlayer.identity.described`; the same names on all ranks.
+        given: name -> value, see `thinlayer.system.identity.described`; the same names on all ranks.
             What only one process knows, such as a function on a mesh, counts by its class.
     """
     comm = comm or world()

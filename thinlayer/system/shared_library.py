@@ -13,8 +13,8 @@ from dolfinx import jit
 from mpi4py import MPI
 
 from forms.base import ThinlayerError
-from thinlayer.compiling.compilation import acquire, keep, load, release, workshop
-from thinlayer.files.sources import content, contents
+from thinlayer.system.compilation import acquire, keep, load, release, workshop
+from thinlayer.system.sources import content, contents
 
 _LOADED: dict[Any, Any] = {}  # (source, state of the files that it includes) -> module
 _FILES: dict[Path, tuple[Path, ...]] = {}  # source -> the files that it included when it was last loaded

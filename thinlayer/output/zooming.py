@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from forms.ends.fields import EVEN, EndFields
+from forms.ends.end_fields import EVEN, EndFields
 from forms.kinematics import MANDEL
 from forms.law import BulkLaw
 from forms.temperature import real
 from geometry.ends import StraightEnd
-from geometry.errors import place
+from geometry.refusals import place
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.output.zoomable import Faces, Zoomable
@@ -54,7 +54,7 @@ class Zoom:
     For isotropic linear elastic layers, a `Stack` of them, `Rubber` and `Incompressible`. Away from free ends the error of
     the stresses is that of the state: O(eps) for a layer of order 0, O(eps^2) of order 1 (`forms.inside`). At straight free
     ends of a layer of one law fields are added that take the stresses off the end, those between rigid faces
-    (`forms.ends.fields`); the error there is O(eps), the layer's stiffness over the bodies'.
+    (`forms.ends.end_fields`); the error there is O(eps), the layer's stiffness over the bodies'.
 
     Args:
         state: of an interface model, as `solve` returns it, or `history.at(t)`.

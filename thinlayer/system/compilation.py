@@ -27,7 +27,7 @@ import dolfinx.jit
 import ffcx
 from ffcx.codegeneration import jit as ffcx_jit
 
-import thinlayer.parallel.abort  # noqa: F401  # before DOLFINx, which starts PETSc
+import thinlayer.system.abort  # noqa: F401  # before DOLFINx, which starts PETSc
 from forms.base import ThinlayerError
 
 # Folder -> descriptor of its lock file. They are never closed, as that would free all locks of the process on the file.

@@ -6,7 +6,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from thinlayer.discretisation.contact_nodes import Array
-from thinlayer.solving.contact.blocks import faster_products, in_blocks, smooth_in_blocks
+from thinlayer.solving.contact.node_blocks import faster_products, in_blocks, smooth_in_blocks
 from thinlayer.solving.contact.surface_stiffness import SurfaceStiffness
 from thinlayer.solving.petsc import PREFIX
 

@@ -18,7 +18,7 @@ from rich.text import Text
 from forms.base import InputError
 from geometry.parallel import on_root
 from thinlayer.errors import ModelError
-from thinlayer.files.folder import replaced
+from thinlayer.system.folder import replaced
 
 Row = dict[str, float | str | None]
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from dolfinx import cpp, fem
 from dolfinx.mesh import Mesh
 
-import thinlayer.compiling.compilation  # noqa: F401  # before any form is compiled
+import thinlayer.system.compilation  # noqa: F401  # before any form is compiled
 from geometry.dolfinx_mesh import first_that_fits
 
 

@@ -1,1 +1,0 @@
-"""Files that runs write: tables, folders, progress; C sources with what they include."""

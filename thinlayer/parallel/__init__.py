@@ -1,1 +1,0 @@
-"""Agreement of the ranks, and data that travels between them."""
