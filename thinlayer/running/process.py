@@ -74,9 +74,9 @@ def recorded(
     from petsc4py import PETSc
 
     from thinlayer.errors import InputError, SolveError
-    from thinlayer.system import abort, log
     from thinlayer.running.record import Record
     from thinlayer.solving.petsc import given_elsewhere
+    from thinlayer.system import abort, log
 
     set_signals()
     abort.STATUS = UNFINISHED
