@@ -45,6 +45,8 @@ def check(law: Law, d: int | None = 3) -> None:
         law: the law.
         d: number of components of the director where the stress is a part of a form; None in a body.
     """
+    if isinstance(law, type):
+        raise LawError(f"{law.__name__} is a class; give a law, with its numbers")
     if law.traits.nodal:
         return
     for _, sublayer in law.of_strains().sublayers:

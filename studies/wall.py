@@ -31,7 +31,7 @@ PANEL = (2, 3)  # bricks and courses of the panel that is meshed
 SHIFTS = (0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3)  # mm, of its top
 THICKNESSES = (10.0, 5.0, 2.5)  # mm, of its meshed joints
 ELASTIC_FRACTION = 0.002  # of the mortar of the panel: ideal plasticity leaves nothing to hold its free ends
-SHARES = ("seam", "size", "elastic", "sliding", "open", "no layer")  # columns of joints.csv
+SHARES = ("seam", "size", "elastic", "sliding", "crushed", "torn", "open")  # columns of joints.csv
 
 
 def run(record: Record, *, large: bool = False, quick: bool = False) -> None:
@@ -80,7 +80,7 @@ def push_walls(record: Record, bricks: int, courses: int, cells: int, step: floa
         for state in (near[name], last[name]):
             shares = Surface(state.model).table(state)
             joints.extend(
-                {"wall": name, "shear_MPa": state.t} | {key: row.get(key) for key in SHARES} for row in shares
+                {"wall": name, "shear_MPa": state.t} | {key: row.get(key, 0.0) for key in SHARES} for row in shares
             )
     record.check("shift at 0.9 of the limit, open heads over heads with mortar", shifts[1] / shifts[0], low=1.1)
     shear = max(state.t for state in near.values())

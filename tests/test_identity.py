@@ -23,7 +23,8 @@ import ufl
 
 from forms import LinearElastic
 from tests.viscous_joints import JOINT, SETUP, SLOW
-from thinlayer import ModelError, Structure, ThinLayer, compare, identity, march, piecewise, solve, sweep
+from thinlayer import ModelError, Structure, ThinLayer, compare, march, piecewise, solve, sweep
+from thinlayer.system import identity
 from thinlayer.system.identity import code_of, described, differences, in_words, random_states
 
 LAYER = ThinLayer(SLOW, 0.1, at=1.0)

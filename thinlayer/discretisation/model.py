@@ -353,7 +353,7 @@ class Model(ABC):
     def _derived(self) -> Self:
         """A copy that shares all that this model has."""
         new = copy.copy(self)
-        for name in ("linear", "symmetric", "quadratures"):
+        for name in ("linear", "symmetric", "quadratures", "surfaces"):
             vars(new).pop(name, None)
         self.family.several = True
         return new

@@ -73,8 +73,8 @@ def better_model(model: InterfaceModel, seam: str) -> tuple[InterfaceModel, dict
         chosen = {name: reduction for name, reduction in model.reductions.items() if seam in (S, name)}
         for reduction in chosen.values():
             reduction.require("estimate", "estimate: ")
-        layers = {name: reduction.better() for name, reduction in chosen.items()}
     try:
+        layers = {name: reduction.better() for name, reduction in chosen.items()}
         better = model.with_layer(model.on_seams | layers)
     except InputError as error:
         raise ModelError(f"estimate: the better law, of order 1, is not known here: {error}") from error

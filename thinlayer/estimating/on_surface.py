@@ -18,7 +18,7 @@ from thinlayer.output.surface import Surface
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart
 from thinlayer.ranges.sublayers import stiffness_of_jumps, sublayers_of
 from thinlayer.solving.adjoint import Adjoint
-from thinlayer.surface.surface_mesh import SurfaceMesh
+from thinlayer.surface.surface_mesh import SurfaceMesh, surface_of
 from thinlayer.system.compat import interpolation_points
 
 Array = npt.NDArray[np.float64]
@@ -74,7 +74,7 @@ def field_of_ends(model: InterfaceModel, one: SeamLayer) -> float:
     if one.flows or not len(rim.vertices) or not sublayers:
         return 0.0
     assert one.thin
-    surface, length = SurfaceMesh(model, one.name), max(a.length for a in sublayers)
+    surface, length = surface_of(model, one.name), max(a.length for a in sublayers)
     at = 0.8 * length * math.exp(-NEAR_ENDS / math.sqrt(0.2 + length**2))
     return at * math.sqrt(float(one.thin.eps) * surface.length(rim) / surface.integral(1.0))
 

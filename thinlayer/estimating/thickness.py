@@ -24,7 +24,7 @@ from thinlayer.estimating.on_surface import NEAR_ENDS
 from thinlayer.estimating.result import Estimate, at_most
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import solve
-from thinlayer.surface.surface_mesh import SurfaceMesh
+from thinlayer.surface.surface_mesh import surface_of
 from thinlayer.system.agreement import on_all
 from thinlayer.system.progress import telling
 from thinlayer.system.table import Table
@@ -180,7 +180,7 @@ def _thickest(model: InterfaceModel, chosen: Sequence[str], quantity: str) -> fl
     layers = [model.layers[name] for name in chosen]
     found = [min(one.sheet.heights) / LEAST_HEIGHT for one in layers]
     for one in layers if quantity in FIELDS else ():
-        surface = SurfaceMesh(model, one.name)
+        surface = surface_of(model, one.name)
         length = surface.length(model.reductions[one.name].free)
         found += [(1 - INSIDE) * surface.integral(1.0) / length / NEAR_ENDS] if length else []
     return min(found)

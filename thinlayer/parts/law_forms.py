@@ -135,8 +135,8 @@ class LawForms(FormPart):
 
     @cached_property
     def _softening(self) -> list[tuple[CompiledTerm, GivenAtPoints]]:
-        """The layers' laws that may soften, at points."""
-        terms = [p for p in self._terms if p.n is not None and may_soften(p.law)]
+        """The layers' laws that may soften, at points, but those of a meshed layer with parameters that are functions."""
+        terms = [p for p in self._terms if p.n is not None and may_soften(p.law) and _is_uniform(p.law)]
         points = [CompiledTerm(self._u.function_space, replace(p, law=_at_points(p.law))) for p in terms]
         return [(one, GivenAtPoints(one)) for one in points]
 
@@ -154,6 +154,12 @@ class LawForms(FormPart):
         super().destroy()
         for points, _ in self.__dict__.get("_softening", ()):
             points.destroy()
+
+
+def _is_uniform(law: BulkLaw) -> bool:
+    """Whether all parameters are numbers or Constants."""
+    parameters = [value for _, sublayer in law.sublayers for value in sublayer.parameters().values()]
+    return all(isinstance(value, fem.Constant) or not isinstance(value, ufl.core.expr.Expr) for value in parameters)
 
 
 def _at_points(law: BulkLaw) -> BulkLaw:

@@ -22,7 +22,7 @@ from thinlayer.errors import warn
 from thinlayer.ranges.excess import LEAST_ERROR, Faces
 from thinlayer.ranges.pressure_range import beyond_free_ends, too_stiff
 from thinlayer.ranges.sublayers import Sublayer, acts_on_jumps, stiffness_of_jumps, sublayers_of
-from thinlayer.surface.surface_mesh import SurfaceMesh
+from thinlayer.surface.surface_mesh import surface_of
 
 LEAST_OVERLAP = 2.0  # least closing, relative to the thickness, that leads to a warning; the bodies overlap from 1 on
 CORNER_ANGLE = 0.25  # largest angle, in rad, between a facet and the mean of its neighbours that is not a corner of S
@@ -126,7 +126,7 @@ def warn_of_strains(states: Sequence[State]) -> None:
 
 def _of_states(states: Sequence[State], one: SeamLayer, start: float | None) -> Iterator[str]:
     """What states tell of a layer."""
-    model, sublayers, surface = states[0].model, sublayers_of(one), SurfaceMesh(states[0].model, one.name)
+    model, sublayers, surface = states[0].model, sublayers_of(one), surface_of(states[0].model, one.name)
     if not (model.linear or acts_on_jumps(sublayers)):
         # the mean over S, as jumps are large at single places in any case; not from 1 on, because under one load jumps
         # stay as the thickness tends to zero; not of linear models, whose results are proportional to loads of any size
@@ -165,7 +165,7 @@ def _of_facets(model: Model, one: SeamLayer) -> Iterator[str]:
     """
     if model.joint.degree > 1 or model.joint.planar:
         return
-    surface = SurfaceMesh(model, one.name)
+    surface = surface_of(model, one.name)
     sums = surface.sums(surface.moments(surface.n))
     mean = sums / np.linalg.norm(sums, axis=1, keepdims=True)
     tilt = mean[surface.nodes] - surface.n[:, :, 0].T[:, None]

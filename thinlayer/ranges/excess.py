@@ -15,7 +15,7 @@ from geometry.topology import FloatArray
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.ranges.sublayers import Sublayer, sublayers_of
-from thinlayer.surface.surface_mesh import SurfaceMesh
+from thinlayer.surface.surface_mesh import SurfaceMesh, surface_of
 
 JUMP_ROUNDING = 1e-9  # rounding of jumps, relative to the displacements
 LEAST_ERROR = 0.1  # relative error of a layer's stiffness from which on there is a warning
@@ -57,7 +57,7 @@ class Faces:
     @classmethod
     def of(cls, state: State, one: SeamLayer) -> Faces:
         """Those of a layer by itself."""
-        return cls(SurfaceMesh(state.model, one.name), state, one)
+        return cls(surface_of(state.model, one.name), state, one)
 
     @cached_property
     def sides(self) -> FloatArray:

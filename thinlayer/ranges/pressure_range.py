@@ -12,7 +12,7 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.ranges.excess import LEAST_ERROR, Faces, pressure_excess
 from thinlayer.ranges.sublayers import Sublayer, sublayers_of
-from thinlayer.surface.surface_mesh import SurfaceMesh
+from thinlayer.surface.surface_mesh import SurfaceMesh, surface_of
 
 SHEAR_MATRIX = np.array([[7.0, -8.0, 1.0], [-8.0, 16.0, -8.0], [1.0, -8.0, 7.0]])  # int u' v' times 3 h, degree 2
 STRETCH_MATRIX = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]])  # int u v times 30/h, degree 2
@@ -42,7 +42,7 @@ def beyond_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublaye
         )
         return
     assert one.thin
-    surface, eps = SurfaceMesh(model, one.name), one.thin.eps
+    surface, eps = surface_of(model, one.name), one.thin.eps
     width = surface.integral(1.0) / surface.length(rim)
     lengths = [pressure_length(sublayers, width / eps) for sublayers in layers]
     worst = max(layers[lengths.index(max(lengths))], key=lambda k: k.length)

@@ -274,6 +274,8 @@ class SurfaceMesh:
     def _field(self, f: Any) -> Array:
         """(..., n, q) a field; raises ModelError."""
         try:
+            if f is None:
+                raise TypeError
             values = np.asarray(f, float)
             if values.shape == (len(self.numbers),):
                 values = self.at_points(values)
@@ -282,7 +284,7 @@ class SurfaceMesh:
             return np.broadcast_to(values, (*values.shape[:-2], *self.weights.shape))
         except (TypeError, ValueError):
             raise ModelError(
-                f"{f!r:.80} is no field on S; give an array (..., n, q) = (..., {str(self.weights.shape)[1:]}, "
+                f"{_named(f)} is no field on S; give an array (..., n, q) = (..., {str(self.weights.shape)[1:]}, "
                 "as surface.jump(state) or surface.x[0] is, (n, 1) of facets, or values at the nodes"
             ) from None
 
@@ -506,3 +508,16 @@ def most_of(sums: Array, all_but: float) -> npt.NDArray[np.bool_]:
     chosen = np.zeros(len(sums), bool)
     chosen[order[: int(np.argmax(left <= (all_but + ROUNDING) * total)) + 1]] = True
     return chosen
+
+
+def _named(f: Any) -> str:
+    """What was given for a field, in a few words."""
+    return f"an array {f.shape}" if isinstance(f, np.ndarray) and f.ndim else f"{f!r:.80}"
+
+
+def surface_of(model: Model, seam: str) -> SurfaceMesh:
+    """A seam as a mesh, made once for a model."""
+    kept: dict[str, SurfaceMesh] = vars(model).setdefault("surfaces", {})
+    if seam not in kept:
+        kept[seam] = SurfaceMesh(model, seam)
+    return kept[seam]

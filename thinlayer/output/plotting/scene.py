@@ -177,6 +177,8 @@ class Scene:
             if lines.n_cells:
                 plotter.add_mesh(lines, **pen)
         for mesh in on_s or ():
+            if shape.plane is not None:
+                mesh = mesh.clip(**shape.plane)
             mesh.points += (3 if grid.dim == 2 else 0) * LIFT * (x1 - x0) * view.towards
             plotter.add_mesh(mesh, **ON_S)
         depth = view.on_screen(shape.points)[:, 2]

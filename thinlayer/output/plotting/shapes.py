@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,10 +26,12 @@ class Shape:
         regions: region number -> its cells, the layer's last, with point data "u", a component of the displacement, and
             "moved", (n, 3) how far the deformed points are from the undeformed ones.
         base: facets of the rigid base; None between two bodies.
+        plane: of the cut, as `clip` takes it; None: all of the structure is there.
     """
 
     regions: dict[int, pyvista.UnstructuredGrid]
     base: pyvista.UnstructuredGrid | None
+    plane: dict[str, Any] | None = None
 
     @classmethod
     def of(cls, grid: Grid, component: str, scale: float, cut: Sequence[float] | None = None) -> Shape:
@@ -47,7 +50,7 @@ class Shape:
         plane = {"normal": cut, "origin": (low + high) / 2 + OFF_MIDDLE * (high - low).max() * np.asarray(cut)}
         behind = {number: part.clip(**plane) for number, part in parts.items()}
         regions = {number: part for number, part in behind.items() if part.n_cells}
-        return cls(regions, base.clip(**plane) if base is not None else None)
+        return cls(regions, base.clip(**plane) if base is not None else None, plane)
 
     @property
     def points(self) -> npt.NDArray[np.float64]:
