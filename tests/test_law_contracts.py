@@ -224,6 +224,7 @@ def test_what_a_law_is_not(name):
     law = own(BulkLaw if name in WRONG else TractionLaw, **names)
     for _ in range(2):  # what has failed is not known as right
         refused(LawError, message, lambda: forms.check(law))
+    refused(LawError, "is a class; give a law, with its numbers", lambda: forms.check(type(law)))
 
 
 def test_what_a_law_is():

@@ -234,3 +234,13 @@ def test_a_script_of_ones_own():
     assert energies[0] == pytest.approx(energies[1], rel=1e-12)
     wrong = work.body(LinearElastic.young(lambda x: 100 - 200 * x[0], 0.3), ufl.dx(domain=mesh))
     refused(LawError, r"E is .* at x", lambda: StepProblem(nothing, u, terms=[wrong]))
+
+
+def test_a_meshed_law_of_ones_own_with_a_function_that_is_constant():
+    """It is that of the number."""
+    structure = Structure(JOINT, body=BODY, supports=SUPPORTS, tractions={"TOP": (0.3, -1.0)})
+    found = [
+        solve(structure.full(ThinLayer(Cubic(20.0, c), 0.05))).energies()["loads"]
+        for c in (700.0, lambda x: 700.0 + 0 * x[0])
+    ]
+    assert found[1] == pytest.approx(found[0], rel=1e-9)

@@ -130,7 +130,8 @@ def test_all_models_of_a_joint_have_one_surface():
         (lambda s: state(), "State.* is no field on S; give an array"),
         (lambda s: state().u, "is no field on S"),
         (lambda s: s.nodal(s.jump(state())), r"is no field on S.* \(\.\.\., 8, 3\)"),
-        (lambda s: np.arange(3.0), "is no field on S"),
+        (lambda s: np.arange(3.0), r"an array \(3,\) is no field on S"),
+        (lambda s: None, "None is no field on S"),
         (lambda s: Surface(on(block(1, 1, 1.0))).n, "is no field on S"),
     ],
 )
