@@ -7,7 +7,6 @@ from geometry.importing.reading import read
 from geometry.inflating.inflation import inflate
 from geometry.joint import Joint
 from geometry.periodic import periodic
-from geometry.periods import Periods
 from geometry.refusals import GeometryError
 from geometry.seam import Seam
 
@@ -15,7 +14,6 @@ __all__ = [
     "Domain",
     "GeometryError",
     "Joint",
-    "Periods",
     "Seam",
     "block",
     "bond_cell",

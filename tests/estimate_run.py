@@ -6,7 +6,8 @@ from functools import cache
 
 from forms import LinearElastic
 from geometry import block, sandwich
-from thinlayer import Estimate, RigidPlate, Structure, Surface, ThinLayer, estimate, goals, solve
+from thinlayer import RigidPlate, Structure, Surface, ThinLayer, estimate, goals, solve
+from thinlayer.estimating.result import Estimate
 
 LOWER, UPPER = LinearElastic.young(E=70.0, nu=0.2), LinearElastic.young(E=110.0, nu=0.31)
 GLUE, SOFT = LinearElastic.shear(3.0, 0.35), LinearElastic.shear(1.1, 0.485)

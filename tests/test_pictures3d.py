@@ -10,6 +10,7 @@ from forms import LinearElastic
 from geometry import block, sandwich
 from thinlayer import Structure, ThinLayer, plotting, solve
 from thinlayer.output.grid import gather
+from thinlayer.output.plotting.scene import VIEWS
 from thinlayer.output.plotting.shapes import Shape, edges, surface
 
 BODY = LinearElastic.young(E=100.0, nu=0.3)
@@ -85,7 +86,7 @@ def test_rigid_base_is_grey_and_stays(pushed, tmp_path):
 def test_view_zoom_and_cut(pulled, tmp_path):
     law = pulled["law"]
     default = picture(tmp_path / "a.png", law)
-    same = picture(tmp_path / "b.png", law, view=2 * np.array(plotting.VIEWS[3]))
+    same = picture(tmp_path / "b.png", law, view=2 * np.array(VIEWS[3]))
     np.testing.assert_array_equal(default, same)
     options = [{"view": (-1, 0.5, 1)}, {"view": (0, 1, 0)}, {"zoom": (0.2, 0.9, -0.4, 0.4)}, {"cut": True}]
     for k, option in enumerate(options):

@@ -15,11 +15,10 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.discretisation.broken_mesh import BrokenMesh
     from thinlayer.discretisation.clock import piecewise
     from thinlayer.discretisation.given import Pressure
-    from thinlayer.discretisation.given_strains import Eigenstrain, Prestress, ThermalExpansion
+    from thinlayer.discretisation.given_strains import Prestress, ThermalExpansion
     from thinlayer.discretisation.layer import Bond, Gap, ThinLayer
     from thinlayer.discretisation.model import Model
     from thinlayer.discretisation.point_loads import LineLoad, PointLoad
-    from thinlayer.discretisation.reactions import Resultant
     from thinlayer.discretisation.state import State
     from thinlayer.discretisation.structure import Structure
     from thinlayer.errors import (
@@ -32,8 +31,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
         TurningPoint,
     )
     from thinlayer.estimating.estimate import estimate
-    from thinlayer.estimating.result import Estimate
-    from thinlayer.estimating.thickness import ThinEnough, thin_enough
+    from thinlayer.estimating.thickness import thin_enough
     from thinlayer.output.comparison import compare
     from thinlayer.output.ensemble import ensemble
     from thinlayer.output.homogenised import homogenised_stiffness
@@ -45,7 +43,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.parts.plates import RigidPlate
     from thinlayer.parts.springs import Springs
     from thinlayer.parts.ufl_part import UflPart
-    from thinlayer.pointwise.drive import PointHistory, drive
+    from thinlayer.pointwise.drive import drive
     from thinlayer.solving.petsc import OptionError
     from thinlayer.solving.solvers import solve
     from thinlayer.solving.step_problem import StepProblem
@@ -57,19 +55,17 @@ if TYPE_CHECKING:  # for editors and mypy alone
 __version__ = "0.1.0"
 _NAMES = {
     "discretisation.broken_mesh": ["BrokenMesh"],
-    "discretisation.given_strains": ["Eigenstrain", "Prestress", "ThermalExpansion"],
+    "discretisation.given_strains": ["Prestress", "ThermalExpansion"],
     "discretisation.layer": ["Bond", "Gap", "ThinLayer"],
     "discretisation.clock": ["piecewise"],
     "discretisation.given": ["Pressure"],
     "discretisation.model": ["Model"],
     "discretisation.point_loads": ["LineLoad", "PointLoad"],
-    "discretisation.reactions": ["Resultant"],
     "discretisation.state": ["State"],
     "discretisation.structure": ["Structure"],
     "errors": ["LimitLoad", "LooseBody", "ModelError", "RangeWarning", "SolveError", "ThinlayerError", "TurningPoint"],
     "estimating.estimate": ["estimate"],
-    "estimating.result": ["Estimate"],
-    "estimating.thickness": ["ThinEnough", "thin_enough"],
+    "estimating.thickness": ["thin_enough"],
     "system.table": ["Table"],
     "output.comparison": ["compare"],
     "output.homogenised": ["homogenised_stiffness"],
@@ -78,7 +74,7 @@ _NAMES = {
     "output.zooming": ["Zoom"],
     "output.ensemble": ["ensemble"],
     "output.sweep": ["observed_orders", "sweep"],
-    "pointwise.drive": ["PointHistory", "drive"],
+    "pointwise.drive": ["drive"],
     "parts.contact_part": ["ContactPart"],
     "parts.plates": ["RigidPlate"],
     "parts.springs": ["Springs"],

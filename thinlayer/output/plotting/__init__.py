@@ -5,14 +5,12 @@ from thinlayer.output.plotting.curves import COLOURS, ERRORS, curves, panels, ra
 from thinlayer.output.plotting.maps import maps
 from thinlayer.output.plotting.movies import movie
 from thinlayer.output.plotting.picture import Picture
-from thinlayer.output.plotting.scene import VIEWS
 from thinlayer.output.plotting.structures import deformed, on_surface
 from thinlayer.output.plotting.zoomed import zoomed
 
 __all__ = [
     "COLOURS",
     "ERRORS",
-    "VIEWS",
     "Picture",
     "along",
     "curves",
