@@ -31,7 +31,6 @@ from studies.problems import free_blocks, of
 from studies.sweeping import last
 from studies.timing import timed
 from thinlayer import (
-    Estimate,
     History,
     Model,
     Probe,
@@ -48,6 +47,7 @@ from thinlayer import (
 )
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.estimating.on_surface import away_from_ends
+from thinlayer.estimating.result import Estimate
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 from thinlayer.system.table import Table
