@@ -31,6 +31,7 @@ HELD_STRESS, HELD_JUMP = "normal stress held", "normal jump held"
 PROPORTIONAL = f"w_T/|w_N| held, {DIRECTION:g}° off the normal"
 UNLOADED = "sheared, opened by a part, sheared"
 PLANES = "slips parallel to S alone"
+FLOW_COLOURS = ("#c77d0a", "#56b4c9", "#6b8e23", "black")  # of dilatancies, and of slips parallel to S
 PATHS, FLOW = "paths, psi = 0", "laws, normal stress held"
 DAVIS = tuple(f"Davis, {DILATANT[psi]}" for psi in DILATANCIES if psi < OMEGA)
 
@@ -168,7 +169,8 @@ def draw(record: Record) -> None:
         "shear  mu w_T / pressure at the start",
         "friction  t_T / |t_N|",
         styles=dict.fromkeys((*straight[PATHS], *DAVIS), "--"),
-        colours={"tan(Omega)": "0.2", "sin(Omega)": "0.4", "first yield": "0.6", **dict.fromkeys(DAVIS, "0.8")},
+        colours=dict(zip((*DILATANT.values(), PLANES), FLOW_COLOURS, strict=True))
+        | {"tan(Omega)": "0.2", "sin(Omega)": "0.4", "first yield": "0.6", **dict.fromkeys(DAVIS, "0.8")},
         ylim=(0.0, 0.65),
         save=record.path("friction.png"),
     )

@@ -306,8 +306,11 @@ def draw(record: Record) -> None:
         styles |= {curve: "o", curve + BACK: "x"}
         colours |= dict.fromkeys((curve, curve + BACK, exact), colour)
     others = [curve for curve in parts[TITLES["block"]] if curve not in (PURE, RELAXED)]
-    styles |= {curve: ":" for curve in others if "meshed" in curve}
-    colours |= dict.fromkeys(others, "black")
+    meshed, *finer = [curve for curve in others if "meshed" in curve]
+    for curve in finer:  # they hide one another
+        del parts[TITLES["block"]][curve]
+    styles[meshed] = ":"
+    colours |= dict.fromkeys(others, plotting.COLOURS[2]) | {meshed: "black"}
     plotting.panels(
         parts,
         "delta, displacement of the upper side",

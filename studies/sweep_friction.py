@@ -234,9 +234,9 @@ def draw(record: Record) -> None:
         for what, line in {"p": table["p_contact"], "t_T": table["t_T_contact"]}.items():
             shown[what][CONTACT] = x, line
         shown["status"][CONTACT] = x, _numbers(table, "contact")
-    legend = {title: "0 stick, 1 sliding, 2 separated" for title in parts if title.startswith("status")}
+    levels = {title: STATUS for title in parts if title.startswith("status")}
     styles, colours, save = {CONTACT: "--"}, {CONTACT: "black"}, record.path("along_S.png")
-    plotting.panels(parts, "x along S", legend, styles=styles, colours=colours, columns=len(ALONG), save=save)
+    plotting.panels(parts, "x along S", levels=levels, styles=styles, colours=colours, columns=len(ALONG), save=save)
 
 
 def _numbers(table: Table, model: str) -> list[int]:

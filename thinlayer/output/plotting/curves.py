@@ -137,6 +137,7 @@ def panels(
     yscale: str = "linear",
     xlim: Range | Mapping[str, Range] = None,
     ylim: Range | Mapping[str, Range] = None,
+    levels: Mapping[str, Sequence[str]] | None = None,
 ) -> Picture:
     """Draw curves in several panels with one legend; curves of the same label are of one colour.
 
@@ -149,6 +150,7 @@ def panels(
         columns: number of panels in a row.
         yscale: scale of the y axes, "linear" or "log".
         xlim, ylim: range of the axes, or title -> range (default: the whole curves).
+        levels: title -> names of the values 0, 1, ... of y, in place of numbers.
     """
     columns = min(columns, len(parts))
     rows = -(-len(parts) // columns)
@@ -164,6 +166,8 @@ def panels(
         axes.set(xlabel=xlabel, ylabel=name, title=title, yscale=yscale)
         axes.set_xlim(xlim.get(title) if isinstance(xlim, Mapping) else xlim)
         axes.set_ylim(ylim.get(title) if isinstance(ylim, Mapping) else ylim)
+        if levels and title in levels:
+            axes.set_yticks(range(len(levels[title])), levels[title], rotation=90, va="center")
         handles, names = axes.get_legend_handles_labels()
         drawn |= dict(zip(names, handles, strict=True))
     figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=columns, frameon=False)
@@ -183,7 +187,7 @@ def _plot(
         raise ModelError(f"curves are {{label: (x, y)}}, not {lines!r}")
     for k, (label, line) in enumerate(lines.items()):
         x, y = _numbers(label, line)
-        axes.plot(x, y, styles.get(label, "-"), color=colours.get(label, COLOURS[k % len(COLOURS)]), label=label)
+        axes.plot(x, y, styles.get(label, "-"), color=colours.get(label, COLOURS[k % len(COLOURS)]), label=label, ms=4)
     axes.grid(color="0.9")
 
 
