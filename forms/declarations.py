@@ -40,16 +40,24 @@ class LawError(InputError):
 
 
 class RangeWarning(UserWarning):
-    """A law, a model or a result outside the range in which it is accurate: the message has the number and the remedy."""
+    """A law, a model or a result outside the range in which it is accurate: the message has the number and the remedy.
+
+    Attributes:
+        key: of the condition that does not hold.
+    """
+
+    def __init__(self, message: str, key: str = "") -> None:
+        super().__init__(message)
+        self.key = key
 
 
-def warn_of_range(message: str) -> None:
+def warn_of_range(key: str, message: str) -> None:
     """Issue a RangeWarning that points to the line outside these packages that called them."""
     show_warnings()
     level, frame = 1, sys._getframe()
     while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in PACKAGES:
         level, frame = level + 1, frame.f_back
-    warnings.warn(message, RangeWarning, stacklevel=level)
+    warnings.warn(RangeWarning(message, key), stacklevel=level)
 
 
 def show_warnings() -> None:

@@ -79,8 +79,9 @@ class Plastic(BulkLaw):
         if 0 < self.friction_angle < LIKELY_RADIANS:
             angle = self.friction_angle
             warn_of_range(
+                "friction angle",
                 f"{type(self).__name__}: friction_angle is {angle:g} degrees, almost no friction; angles are in degrees: "
-                f"{angle:g} radians would be friction_angle = {math.degrees(angle):.4g}"
+                f"{angle:g} radians would be friction_angle = {math.degrees(angle):.4g}",
             )
         allowed = "> 0 where friction_angle = 0: nothing would resist shear"
         self.require(self.cohesion > 0 or self.friction_angle > 0, "cohesion", allowed)

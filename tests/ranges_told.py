@@ -19,11 +19,11 @@ STIFF = LinearElastic.young(1e5, 0.3)
 
 
 def told(action):
-    """What it returns, and the messages of its RangeWarnings."""
+    """What it returns, and its RangeWarnings, each as "key: message"."""
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
         result = action()
-    return result, [str(w.message) for w in found if issubclass(w.category, RangeWarning)]
+    return result, [f"{w.message.key}: {w.message}" for w in found if issubclass(w.category, RangeWarning)]
 
 
 def opened(model, upper):

@@ -101,7 +101,7 @@ def test_thicker_than_a_body(rigid):
         model = Structure(joint, body=STIFF, supports={"TOP": 0.0}).interface(ThinLayer(FOURIER_LAYER, eps, at=1.0))
         _, found = told(lambda model=model: solve(model))
         assert len(found) == messages
-    assert "the layer is 0.41 thick, the thinner body 0.4 " in found[0]
+    assert "thick: the layer is 0.41 thick, the thinner body 0.4 " in found[0]
     springs = ThinLayer(Anisotropic.springs(60.0, 40.0), 1.0)  # of jumps: there is no thickness in them
     assert told(lambda: solve(Structure(joint, body=STIFF, supports={"TOP": 0.0}).interface(springs)))[1] == []
 
@@ -113,7 +113,7 @@ def test_harder_than_a_body():
         layer = ThinLayer(LinearElastic.young(70.0 * factor, 0.3), 0.01, order=order)
         _, found = told(lambda layer=layer: solve(Structure(joint, **setup | {"body": bodies}).interface(layer)))
         assert len(found) == messages
-        assert not found or "the layer is 1.01 times as hard as the softer body" in found[0]
+        assert not found or "hard: the layer is 1.01 times as hard as the softer body" in found[0]
         assert not found or "order=1" in found[0]
 
 
@@ -134,7 +134,7 @@ def test_bodies_that_overlap():
     model = Structure(joint, **setup | {"supports": there_and_back}).interface(ThinLayer(law, 0.1, at=1.0))
     _, found = told(lambda: march(model, [0.5, 1.0, 2.0]))
     assert len(found) == 1
-    assert "at t = 1 the layer closes by 4 times" in found[0]
+    assert "overlap: at t = 1 the layer closes by 4 times" in found[0]
     linear = Structure(joint, **setup).interface(ThinLayer(LinearElastic(1.0, 1.0), 0.1, at=1.0))
     assert told(lambda: solve(linear, t=1.0))[1] == []  # as good as a smaller one
 

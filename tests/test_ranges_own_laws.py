@@ -169,7 +169,7 @@ def test_incompressible_with_free_ends():
             lambda data=data: solve(Structure(joint, **data).interface(ThinLayer(Incompressible(40.0), 0.1, at=1.0)))
         )
         assert len(found) == messages
-        assert not found or "the layer is incompressible and S has free ends" in found[0]
+        assert not found or "incompressible: the layer is incompressible and S has free ends" in found[0]
     base = block(1.0, 0.5, 0.25, structured=True)
     data = dict(body=STIFF, supports={"TOP": {"x": 0.0}})
     assert told(lambda: solve(Structure(base, **data).interface(ThinLayer(Incompressible(40.0), 0.1, at=1.0))))

@@ -75,6 +75,6 @@ def test_bodies_do_not_soften():
 
 def test_warnings_are_seen():
     """On standard error, though FFCx sends warnings to a log that has no handler."""
-    script = "import ffcx, mpi4py.MPI as M, thinlayer.errors as f; f.warn('jumps exceed eps', M.COMM_WORLD)"
+    script = "import ffcx, mpi4py.MPI as M, thinlayer.errors as f; f.warn('jumps', 'jumps exceed eps', M.COMM_WORLD)"
     done = subprocess.run([sys.executable, "-c", script], cwd=CLONE, capture_output=True, text=True, timeout=240)
     assert "RangeWarning: jumps exceed eps" in done.stderr

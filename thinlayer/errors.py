@@ -17,14 +17,14 @@ from forms.declarations import show_warnings, warn_of_range
 LEAST_SHARE = 0.005  # of a seam's squares of jumps, to be named in a message
 
 
-def warn(message: str, comm: MPI.Intracomm) -> None:
+def warn(key: str, message: str, comm: MPI.Intracomm) -> None:
     """Issue a RangeWarning. Call on all ranks: rank 0 shows it; if a filter makes it an error, all ranks raise it."""
     show_warnings()  # before the filters are read
     shown = warnings.showwarning
     try:
         if comm.rank:
             warnings.showwarning = lambda *_, **__: None
-        warn_of_range(message)
+        warn_of_range(key, message)
     finally:
         warnings.showwarning = shown
 

@@ -149,6 +149,7 @@ class Forces:
         for seam in band.eps.keys() - band.of_seam.keys():
             if Sheet(band.base, seam).rim.on(band.base.facets[whole]).any():
                 warn(
+                    "end of a gap",
                     f"traction on {name!r}: the gap {seam!r} ends there, and bodies gave up a part of their faces to it; "
                     "the load is smaller than the interface model's. Use bodies='kept'",
                     self.domain.comm,
@@ -193,6 +194,7 @@ class Forces:
         covered = [ends.on(facets[loaded & side]) for side in sides]
         if any(some.any() and not some.all() for some in covered):
             warn(
+                "other bodies",
                 f"traction on {name!r}: other bodies than {region!r} end at the layer's side too, which carries no part of "
                 f"it; the load is smaller than the interface model's. Load {whole!r}, or {whole + '/' + LAYER!r} as well",
                 self.domain.comm,

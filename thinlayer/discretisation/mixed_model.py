@@ -264,6 +264,7 @@ def _warn_of_reach(known: Reduction, meshed: BoolArray, comm: MPI.Intracomm) -> 
         near = ends.distance(x, x[by_law])
         if (width := near.min() / one.thin.eps) < REACH:
             warn(
+                "meshed end",
                 f"{one} is meshed over {width:.2g} thicknesses at its free end, up to {place(x[by_law[near.argmin()]])}: "
                 f"the end's stresses reach the law beyond; mesh {REACH:g} or more",
                 comm,

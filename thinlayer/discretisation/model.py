@@ -138,7 +138,11 @@ class Model(ABC):
         self.constraints = self._constrained()
         for name in self.forces.loaded:
             if self.supports.clamps(self.V, name):
-                warn(f"traction on {name!r}: supports hold all of it, so the load changes reactions alone", self.comm)
+                warn(
+                    "held load",
+                    f"traction on {name!r}: supports hold all of it: the load changes reactions alone",
+                    self.comm,
+                )
         if not (self.broken and any(name in self.layers for name in self.joint.base_seams)):
             resistances = [partial(part.resistance, self) for part in self.parts if not part.ties_nodes]
             motions = rigid_motions(self.V, self.joint, self.kinematics)

@@ -13,7 +13,7 @@ from forms.elastic import LARGEST_NU, ROUNDING
 from forms.ends.weights import Strips
 from forms.law import BulkLaw, LawError
 from forms.rubber import for_next_order
-from forms.tangent import average_lame, known_at_rest
+from forms.tangent import average_lame, is_isotropic, known_at_rest
 from geometry.ends import straight_ends
 from geometry.refusals import GeometryError, place
 from geometry.sheet import Rim
@@ -332,6 +332,27 @@ def _estimated(r: Reduction) -> Iterator[Refused]:
         yield Refused("phases", f"{type(r.one.law).__name__} has phases, or a stress that falls as strains grow")
 
 
+def _evens_out(r: Reduction) -> Iterator[Refused]:
+    """Of a pressure whose excess is known (`ranges.excess`)."""
+    one = r.one
+    if one.thin and one.thin.eigenstrain is not None:
+        yield Refused("eigenstrain", "the layer has an eigenstrain")
+    if one.law.fields:
+        yield Refused("functions", "the layer's parameters are functions")
+    if one.flows:
+        return
+    tangents = [C for _, _, C in one.at_rest.sublayers]
+    if not one.law.traits.linear or one.remembers or len(tangents) != 1 or tangents[0] is None:
+        yield Refused("not elastic", "the layer is not one linear elastic material")
+        return
+    if not is_isotropic(tangents[0]):
+        yield Refused("anisotropic", "the layer is not isotropic")
+    if r.law.traits.constrained and not r.law.volume_compliance:
+        yield Refused("incompressible", "the pressure of the interface law has no bound")
+    if (lmbda := average_lame(tangents[0])[0]) < 0:
+        yield Refused("no excess", f"lmbda of the layer is {lmbda:.4g}")
+
+
 def _inside(r: Reduction) -> Iterator[Refused]:
     """Of stresses inside the layer."""
     if r.one.thin and r.one.thin.eigenstrain is not None:
@@ -367,6 +388,7 @@ QUESTIONS: dict[str, tuple[Ask, ...]] = {
     "interface law": (_law, _next_term, _on_all_of_s),
     "ends": (_thickness, _corrected),
     "estimate": (_thickness, _held_alone, _estimated),
+    "excess of pressure": (_thickness, _evens_out),
     "inside": (_thickness, _inside),
     "ends inside": (_thickness, _inside, _ends_inside),
 }

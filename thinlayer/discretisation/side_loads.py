@@ -122,6 +122,7 @@ def add_side_loads(
             refused = reduction.why_not("ends")
             why = f", as {refused.reason}" if refused else " where a support holds the side"
             warn(
+                "halves",
                 f"{load.what}: each face of {one} gets half of the force, and how it reaches the faces makes a difference "
                 f"as large as the force, which is not known{why}; mesh the layer (structure.full) if that matters",
                 model.comm,

@@ -19,7 +19,7 @@ from thinlayer.discretisation.mixed_model import MixedModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.output.surface import Surface
-from thinlayer.ranges.excess import times_too_stiff, why_unknown
+from thinlayer.ranges.excess import times_too_stiff
 from thinlayer.system.agreement import on_all, require_same
 from thinlayer.system.identity import differences, in_words
 from thinlayer.time.history import SAME_TIME, History
@@ -107,8 +107,8 @@ def _too_stiff(state: State, seam: str) -> dict[str, float]:
     """Column "too_stiff" of each layer that has one, "too_stiff NAME" if the joint has several seams. Collective."""
     several = len(state.model.joint.seams) > 1
     layers = {name: one for name, one in state.model.layers.items() if seam in (S, name) and not one.flows}
-    found = {name: times_too_stiff(state, one) for name, one in layers.items() if not why_unknown(one)}
-    return {f"too_stiff {name}" if several else "too_stiff": factor for name, factor in found.items()}
+    factors = {name: times_too_stiff(state, one) for name, one in layers.items()}
+    return {f"too_stiff {name}" if several else "too_stiff": one for name, one in factors.items() if one is not None}
 
 
 def _state(one: State | History, at: float | None) -> State:

@@ -17,7 +17,7 @@ from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, at_contac
 from thinlayer.output.law_points import LawPoints
 from thinlayer.output.tractions import by_reactions, in_rule, of_layers, points_on
 from thinlayer.parts.phases import phase_shares, phase_slots, seams_with_phases
-from thinlayer.ranges.excess import times_too_stiff, why_unknown
+from thinlayer.ranges.excess import times_too_stiff
 from thinlayer.ranges.sublayers import sublayers_of
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.table import Table
@@ -163,11 +163,8 @@ class Surface(SurfaceMesh):
                 row |= {name: float(areas @ (found[:, 0] == name)) for name in statuses(model, seam)}
             if layer and seam in seams_with_phases(model):
                 row |= phase_shares(state, seam)
-            if layer and found is not None and not why_unknown(layer):
-                assert layer.thin
-                (sublayer,) = sublayers_of(layer)
-                delta = float(layer.thin.eps) * sublayer.length
-                row |= {"delta": delta, "too_stiff": times_too_stiff(state, layer)}
+            if layer and layer.thin and found is not None and (factor := times_too_stiff(state, layer)) is not None:
+                row |= {"delta": float(layer.thin.eps) * sublayers_of(layer)[0].length, "too_stiff": factor}
             rows.append(row)
         columns = dict.fromkeys(name for row in rows for name in row)
         return Table({name: row.get(name) for name in columns} for row in rows)

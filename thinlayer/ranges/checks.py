@@ -20,7 +20,7 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
 from thinlayer.ranges.excess import LEAST_ERROR, Faces
-from thinlayer.ranges.pressure_range import beyond_free_ends, too_stiff
+from thinlayer.ranges.pressure_range import Remark, beyond_free_ends, too_stiff
 from thinlayer.ranges.sublayers import Sublayer, acts_on_jumps, stiffness_of_jumps, sublayers_of
 from thinlayer.surface.surface_mesh import surface_of
 
@@ -37,11 +37,11 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
         model: the model.
         lasting: durations > 0 of the loads at the times of interest; () for sudden loads.
     """
-    for remark in _of_model(model, lasting) if model.broken else ():
-        warn(remark, model.comm)
+    for key, remark in _of_model(model, lasting) if model.broken else ():
+        warn(key, remark, model.comm)
 
 
-def _of_model(model: Model, lasting: Sequence[float]) -> Iterator[str]:
+def _of_model(model: Model, lasting: Sequence[float]) -> Iterator[Remark]:
     for one in _thin(model):
         sublayers = sublayers_of(one)
         yield from _of_facets(model, one)
@@ -55,11 +55,12 @@ def _of_model(model: Model, lasting: Sequence[float]) -> Iterator[str]:
         if known.one.flows and known.coarse.any():
             delta, largest = known.falls[known.coarse].min(), known.loose[known.coarse].depth.max()
             yield (
+                "coarse ends",
                 f"the pressure of {known.one} falls to zero at free ends over delta = {delta:.3g}, and cells there are up "
-                f"to {largest:.3g} long: it is not set to zero there, as if they were held; make cells there shorter"
+                f"to {largest:.3g} long: it is not set to zero there, as if they were held; make cells there shorter",
             )
         if refused := known.why_not("sides"):
-            yield f"{refused.reason}: what it bears is left out; {refused.remedy}"
+            yield refused.key, f"{refused.reason}: what it bears is left out; {refused.remedy}"
 
 
 def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
@@ -77,14 +78,15 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
         pulls = [_tension(known, state) for state in states]
         if max(pulls) > CAVITATION:
             warn(
+                "cavitation",
                 f"at t = {states[int(np.argmax(pulls))].t:.4g} the pressure of {known.one} is a tension, {max(pulls):.3g} "
                 f"times its shear modulus: from about {CAVITATION:g} times on small holes in rubber grow and tear it "
                 "(cavitation), which its law does not contain; do not use results under such loads",
                 model.comm,
             )
     for one in _thin(model):
-        for remark in _of_states(states, one, start):
-            warn(remark, model.comm)
+        for key, remark in _of_states(states, one, start):
+            warn(key, remark, model.comm)
 
 
 def warn_of_strains(states: Sequence[State]) -> None:
@@ -115,6 +117,7 @@ def warn_of_strains(states: Sequence[State]) -> None:
         worst = max(beyond, key=found.__getitem__)
         name = term.key.removeprefix(f"{BODY} ")
         warn(
+            "strains",
             f"at t = {states[worst].t:.4g} strains of {f'the body {name!r}' if name else 'the bodies'} are "
             f"{found[worst]:.3g} (root mean square over its volume), beyond {LARGEST_STRAIN:g} from "
             f"t = {states[beyond[0]].t:.4g} on: the theory is for small strains; what yields there flows at loads that it "
@@ -124,7 +127,7 @@ def warn_of_strains(states: Sequence[State]) -> None:
         )
 
 
-def _of_states(states: Sequence[State], one: SeamLayer, start: float | None) -> Iterator[str]:
+def _of_states(states: Sequence[State], one: SeamLayer, start: float | None) -> Iterator[Remark]:
     """What states tell of a layer."""
     model, sublayers, surface = states[0].model, sublayers_of(one), surface_of(states[0].model, one.name)
     if not (model.linear or acts_on_jumps(sublayers)):
@@ -136,9 +139,10 @@ def _of_states(states: Sequence[State], one: SeamLayer, start: float | None) -> 
             facet, corner = np.unravel_index(faces.closing.argmax(), faces.closing.shape)
             x = place(surface.corner_points.x[:, facet, corner])
             yield (
+                "overlap",
                 f"at t = {faces.state.t:.4g} {one} closes by {max(closings):.3g} times its thickness, on average over S "
                 f"(most near {x}, by {faces.closing.max():.3g} times): bodies overlap, and the law is for small strains; "
-                "check loads, thickness and parameters"
+                "check loads, thickness and parameters",
             )
     if one.law.traits.linear and not one.flows:
         told = [*too_stiff(one, surface, states, start)]
@@ -156,7 +160,7 @@ def _thin(model: Model) -> list[SeamLayer]:
     return [sample for one in model.layers.values() if one.thin for sample in one.samples] if model.broken else []
 
 
-def _of_facets(model: Model, one: SeamLayer) -> Iterator[str]:
+def _of_facets(model: Model, one: SeamLayer) -> Iterator[Remark]:
     """Slip along straight facets of a curved S that is resisted by the angles between the facets.
 
     A slip w opens the layer by w . (N - n), with the facet's normal n and the mean normal N of its neighbours at each
@@ -176,12 +180,13 @@ def _of_facets(model: Model, one: SeamLayer) -> Iterator[str]:
         share = normal * angle**2 / tangential if tangential else math.inf
         effect = f"is about {1 + share:.3g} times too stiff against it," if tangential else "resists"
         yield (
+            "facets",
             f"S is curved and its facets are straight, {math.degrees(angle):.2g} degrees off its normal on average: a slip "
-            f"along S opens the layer there, which {effect} by the mesh alone; use curved cells (degree 2), or a finer mesh"
+            f"along S opens the layer there, which {effect} by the mesh alone; use curved cells (degree 2) or a finer mesh",
         )
 
 
-def _of_thickness(model: Model, one: SeamLayer, sublayers: list[Sublayer]) -> Iterator[str]:
+def _of_thickness(model: Model, one: SeamLayer, sublayers: list[Sublayer]) -> Iterator[Remark]:
     """A layer thicker than a body, whose law is the start of a series in eps over its stresses' length; or a harder one.
 
     Order 0 leaves eps grad_S <u>, about eps t/E_body, out of a jump of about eps t/E_layer.
@@ -190,8 +195,9 @@ def _of_thickness(model: Model, one: SeamLayer, sublayers: list[Sublayer]) -> It
     assert layer
     if layer.eps > height:
         yield (
+            "thick",
             f"{one} is {layer.eps:.4g} thick, the thinner body {height:.4g} high: the interface law is for thicknesses "
-            "well below that of the bodies; mesh the layer (structure.full), or check eps"
+            "well below that of the bodies; mesh the layer (structure.full), or check eps",
         )
     if layer.order == 1 or not sublayers or any(C is None for C in model.structure.bodies_at_rest):
         return
@@ -199,8 +205,9 @@ def _of_thickness(model: Model, one: SeamLayer, sublayers: list[Sublayer]) -> It
     hardest = max(one.along for one in sublayers)
     if hardest > softest > 0:
         yield (
+            "hard",
             f"{one} is {hardest / softest:.3g} times as hard as the softer body (moduli in the plane of S): its jump is "
-            "less than what order 0 leaves out; use order=1, mesh the layer (structure.full), or check its parameters"
+            "less than what order 0 leaves out; use order=1, mesh the layer (structure.full), or check its parameters",
         )
 
 

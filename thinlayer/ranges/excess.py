@@ -10,7 +10,6 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 
-from forms.tangent import is_isotropic
 from geometry.topology import FloatArray
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
@@ -19,25 +18,6 @@ from thinlayer.surface.surface_mesh import SurfaceMesh, surface_of
 
 JUMP_ROUNDING = 1e-9  # rounding of jumps, relative to the displacements
 LEAST_ERROR = 0.1  # relative error of a layer's stiffness from which on there is a warning
-
-
-def why_unknown(one: SeamLayer) -> str | None:
-    """Why `pressure_excess` does not say how much too stiff the law of a layer is; None if it does."""
-    if one.thin is None:
-        return "it is a law on S, without a thickness"
-    if one.thin.eigenstrain is not None:
-        return "it has an eigenstrain"
-    if one.law.fields:
-        return "its parameters are functions"
-    if one.flows:
-        return None
-    tangents = [C for _, _, C in one.at_rest.sublayers]
-    if not one.law.traits.linear or one.remembers or len(tangents) != 1 or tangents[0] is None:
-        return "it is not one linear elastic material"
-    if not is_isotropic(tangents[0]):
-        return "it is not isotropic"
-    lmbda = sublayers_of(one)[0].lmbda
-    return None if 0 <= lmbda < math.inf else f"its lmbda is {lmbda:.4g}, allowed: 0 <= lmbda < infinity"
 
 
 @dataclass(frozen=True)
@@ -120,10 +100,10 @@ class Excess:
         return self.work <= LEAST_ERROR < self.traction
 
 
-def times_too_stiff(state: State, one: SeamLayer) -> float:
-    """1 + opening of `pressure_excess`, 1 of a law with a pressure that flows; nan where `why_unknown`. Collective."""
-    if why_unknown(one):
-        return math.nan
+def times_too_stiff(state: State, one: SeamLayer) -> float | None:
+    """1 + opening of `pressure_excess`, 1 of a law with a pressure that flows; None of laws without it. Collective."""
+    if state.model.reductions[one.name].why_not("excess of pressure"):
+        return None
     if one.flows:
         return 1.0
     return 1 + pressure_excess(Faces.of(state, one), sublayers_of(one)[0]).opening

@@ -14,13 +14,14 @@ from thinlayer.ranges.excess import LEAST_ERROR, Faces, pressure_excess
 from thinlayer.ranges.sublayers import Sublayer, sublayers_of
 from thinlayer.surface.surface_mesh import SurfaceMesh, surface_of
 
+Remark = tuple[str, str]  # key of a RangeWarning, and its message
 SHEAR_MATRIX = np.array([[7.0, -8.0, 1.0], [-8.0, 16.0, -8.0], [1.0, -8.0, 7.0]])  # int u' v' times 3 h, degree 2
 STRETCH_MATRIX = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]])  # int u v times 30/h, degree 2
 LONG_PRESSURE = 1.0  # (nu = 6/13) of a shorter length, relative to eps, sheared layers feel no more than near peaks
 LATE_OPENING = 0.5  # least opening of the last state that is tested, relative to the largest one
 
 
-def beyond_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublayer]]) -> Iterator[str]:
+def beyond_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublayer]]) -> Iterator[Remark]:
     """Where the pressure of a nearly incompressible layer falls to zero at free ends over a long length delta, in words.
 
     Interface laws do not contain this effect. Between rigid faces a strip of half-width l carries only the share
@@ -36,9 +37,10 @@ def beyond_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublaye
         return
     if any(k.length == math.inf for sublayers in layers for k in sublayers):
         yield (
+            "incompressible",
             f"{one} is incompressible and S has free ends: its law holds the normal jump [u_N] at zero, as if these ends "
             "were held; a layer with free ends is squeezed out; use order=1, mesh the layer (structure.full), or support "
-            "its sides if they are held"
+            "its sides if they are held",
         )
         return
     assert one.thin
@@ -51,10 +53,11 @@ def beyond_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublaye
     lost = 1 / (1 - math.tanh(1 / y) * y) - 1
     if lost > 1 / (1 - LEAST_ERROR) - 1:
         yield (
+            "free ends",
             f"{one} is nearly incompressible{worst.when}: its pressure falls to zero at the free ends of S over delta "
             f"= {delta:.3g}, {y:.2g} of the area of S over the length of its free ends ({width:.3g}); between rigid bodies "
             f"its law would be about {1 + lost:.3g} times too stiff against normal jumps; {_remedy(one)}, or support its "
-            "sides if they are held"
+            "sides if they are held",
         )
 
 
@@ -85,7 +88,7 @@ def pressure_length(sublayers: list[Sublayer], width: float) -> float:
     return math.sqrt(flow / sum(one.compliance for one in sublayers))
 
 
-def too_stiff(one: SeamLayer, surface: SurfaceMesh, states: Sequence[State], start: float | None) -> Iterator[str]:
+def too_stiff(one: SeamLayer, surface: SurfaceMesh, states: Sequence[State], start: float | None) -> Iterator[Remark]:
     """How many times a law is too stiff for the openings found, against a layer whose pressure evens out along S, in words.
 
     Two states are tested: the one with the largest opening and the last one with at least half of it, as laws that creep
@@ -103,9 +106,10 @@ def too_stiff(one: SeamLayer, surface: SurfaceMesh, states: Sequence[State], sta
     worst, layer = max(told, key=lambda pair: pair[0], default=(0.0, None))
     if layer and worst > LEAST_ERROR:
         yield (
+            "too stiff",
             f"{one} is nearly incompressible{layer.when} (lmbda/mu = {layer.lmbda / layer.mu:.4g}): with the jumps found, "
             f"the layer alone is {1 + worst:.3g} times too stiff, as its interface law lets no material flow along S; the "
-            f"structure is off by less where the bodies are soft; {_remedy(one)}"
+            f"structure is off by less where the bodies are soft; {_remedy(one)}",
         )
 
 

@@ -30,6 +30,7 @@ def warn_of_steps(model: Model, start: float, times: Sequence[float], theta: flo
     if worst and worst[0] > ALLOWED:
         error, step, t, own, name = worst
         warn(
+            "time step",
             f"the step of {step:.3g} at t = {t:.3g} is not well below a time of {name}, {own:.3g}: such steps leave an "
             f"error of about {error:.0%} of what creeps or relaxes; take steps below {own / 4:.2g} while this lasts, or "
             "times=Adaptive(end=..., first=..., tolerance=...)",
@@ -41,6 +42,7 @@ def warn_of_no_time(model: Model) -> None:
     """Warn that a solve gives what a law that relaxes answers at once. Collective."""
     for name, own in _own_times(model)[:1]:
         warn(
+            "no time",
             f"{name} relaxes with the time {own:.3g}, and a solve knows no time: this is the answer to sudden loads "
             "just after they have come; for a later one march(model, times), or give times",
             model.comm,

@@ -292,6 +292,7 @@ class Solver:
             name, where = found
             self._warned = True
             warn(
+                "softens",
                 f"at t = {t:g} the stress of {name} falls {where} as jumps or strains grow: this equilibrium "
                 "may be one of several, and steps may pass over others; write softens = True in the class and follow "
                 "them on S with march(model, ArcLength(...))",

@@ -47,6 +47,7 @@ def tell_steps(solver: Solver, history: History, plan: Plan, start: float, theta
     except SolveError as error:
         history.step_errors = dict.fromkeys(QUANTITIES, np.nan)
         warn(
+            "no step error",
             f"the error of the march's steps is not known: with {len(again)} steps {error.reason}; {remedy}",
             history.model.comm,
         )
@@ -58,6 +59,7 @@ def tell_steps(solver: Solver, history: History, plan: Plan, start: float, theta
     if shares.max() > TOLD:
         told = ", ".join(f"{share:.2g} in {name}" for name, share in history.step_errors.items())
         warn(
+            "step error",
             f"the {len(plan.targets)} steps of this march leave estimated relative errors of {told} at its end (march with "
             f"{len(again)} steps): the law depends on its history; {remedy}",
             history.model.comm,

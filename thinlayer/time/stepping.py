@@ -64,6 +64,7 @@ class TimeStepping:
                     raise ModelError(f"the march in {self._journal.out} is at t = {last:g}; times end before")
                 if passed := self._passed():
                     warn(
+                        "passed time",
                         f"the march in {self._journal.out} is at t = {last:g} and has no step that ended at t = "
                         f"{', '.join(f'{t:g}' for t in passed)}, which times ask for: there is no row for it",
                         self.solver.model.comm,
