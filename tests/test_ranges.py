@@ -14,8 +14,8 @@ from studies.problems import FOURIER_LAYER, fourier
 from tests.on_ranks import on_ranks
 from tests.ranges_told import STIFF, excess, strip_excess, times_too_stiff, told
 from thinlayer import SolveError, Structure, ThinLayer, march, solve
-from thinlayer.ranges.checks import warn_of_model
-from thinlayer.ranges.sublayers import stiffness_of_jumps
+from thinlayer.solving.ranges import warn_of_model
+from thinlayer.surface.sublayers import stiffness_of_jumps
 
 
 # ---------------------------------------------------------------- jumps that are no openings

@@ -11,9 +11,9 @@ from geometry import block, disc, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests.ranges_told import STIFF, excess, opened, strip_excess, times_too_stiff, told
 from thinlayer import Structure, Surface, ThinLayer, march, piecewise, solve
-from thinlayer.ranges.checks import warn_of_model
-from thinlayer.ranges.pressure_range import pressure_length
-from thinlayer.ranges.sublayers import Sublayer
+from thinlayer.solving.ranges import warn_of_model
+from thinlayer.surface.excess import pressure_length
+from thinlayer.surface.sublayers import Sublayer
 
 pytestmark = pytest.mark.few(5)
 

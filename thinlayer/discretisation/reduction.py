@@ -333,7 +333,7 @@ def _estimated(r: Reduction) -> Iterator[Refused]:
 
 
 def _evens_out(r: Reduction) -> Iterator[Refused]:
-    """Of a pressure whose excess is known (`ranges.excess`)."""
+    """Of a pressure whose excess is known (`thinlayer.surface.excess`)."""
     one = r.one
     if one.thin and one.thin.eigenstrain is not None:
         yield Refused("eigenstrain", "the layer has an eigenstrain")

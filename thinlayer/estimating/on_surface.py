@@ -16,8 +16,8 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.output.surface import Surface
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart
-from thinlayer.ranges.sublayers import stiffness_of_jumps, sublayers_of
 from thinlayer.solving.adjoint import Adjoint
+from thinlayer.surface.sublayers import stiffness_of_jumps, sublayers_of
 from thinlayer.surface.surface_mesh import SurfaceMesh, surface_of
 from thinlayer.system.compat import interpolation_points
 

@@ -19,7 +19,7 @@ from thinlayer.discretisation.mixed_model import MixedModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.output.surface import Surface
-from thinlayer.ranges.excess import times_too_stiff
+from thinlayer.surface.excess import times_too_stiff
 from thinlayer.system.agreement import on_all, require_same
 from thinlayer.system.identity import differences, in_words
 from thinlayer.time.history import SAME_TIME, History

@@ -17,8 +17,8 @@ from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, at_contac
 from thinlayer.output.law_points import LawPoints
 from thinlayer.output.tractions import by_reactions, in_rule, of_layers, points_on
 from thinlayer.parts.phases import phase_shares, phase_slots, seams_with_phases
-from thinlayer.ranges.excess import times_too_stiff
-from thinlayer.ranges.sublayers import sublayers_of
+from thinlayer.surface.excess import times_too_stiff
+from thinlayer.surface.sublayers import sublayers_of
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.table import Table
 
@@ -139,7 +139,7 @@ class Surface(SurfaceMesh):
         - "plus", "minus": of layers with phases, in either model, the shares in phases 1 and -1; "boundary": the thickness
           of phase 0, if the others lie above it.
         - "too_stiff": how many times too stiff the laws of orders 0 and 1 of an isotropic elastic layer are against the
-          openings of the state, as they let no material flow along S (`ranges.excess`). The layer alone is so much too
+          openings of the state, as they let no material flow along S (`surface/excess.py`). The layer alone is so much too
           stiff, whatever it is sheared; the structure is off by less where its bodies are soft. Beyond 1.1 use `Rubber`
           with order=1, whose pressure flows, or mesh the layer.
         - "delta": length over which the pressure of such a layer evens out, eps sqrt(lmbda/(12 mu)). For a Fourier mode of

@@ -17,8 +17,6 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State, displacements_of
 from thinlayer.errors import LooseBody, ModelError, SolveError, warn
 from thinlayer.parts.part import Interval
-from thinlayer.ranges.checks import warn_of_model, warn_of_states
-from thinlayer.ranges.times import warn_of_no_time
 from thinlayer.solving.contact.solver import METHODS, check_method, contact_finder, default_method
 from thinlayer.solving.continuation import Restraint, through_eased_laws
 from thinlayer.solving.equations import Equations
@@ -36,6 +34,7 @@ from thinlayer.solving.petsc import (
     require_known_values,
     value_of,
 )
+from thinlayer.solving.ranges import warn_of_model, warn_of_no_time, warn_of_states
 from thinlayer.system.agreement import on_all, require_same
 from thinlayer.system.log import logger
 

@@ -12,10 +12,9 @@ import numpy as np
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, SolveError
-from thinlayer.ranges.checks import warn_of_model, warn_of_states, warn_of_strains
-from thinlayer.ranges.times import warn_of_steps
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.petsc import OptionValue
+from thinlayer.solving.ranges import warn_of_model, warn_of_states, warn_of_steps, warn_of_strains
 from thinlayer.solving.solvers import SOFTENS, Solver, comm_of
 from thinlayer.system.agreement import on_all, require_same
 from thinlayer.system.folder import owned

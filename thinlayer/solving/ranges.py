@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 import ufl
@@ -19,14 +20,14 @@ from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
-from thinlayer.ranges.excess import LEAST_ERROR, Faces
-from thinlayer.ranges.pressure_range import Remark, beyond_free_ends, too_stiff
-from thinlayer.ranges.sublayers import Sublayer, acts_on_jumps, stiffness_of_jumps, sublayers_of
+from thinlayer.surface.excess import LEAST_ERROR, Faces, Remark, beyond_free_ends, too_stiff
+from thinlayer.surface.sublayers import Sublayer, acts_on_jumps, stiffness_of_jumps, sublayers_of
 from thinlayer.surface.surface_mesh import surface_of
 
 LEAST_OVERLAP = 2.0  # least closing, relative to the thickness, that leads to a warning; the bodies overlap from 1 on
 CORNER_ANGLE = 0.25  # largest angle, in rad, between a facet and the mean of its neighbours that is not a corner of S
 LARGEST_STRAIN = 0.1  # root mean square over a body, beyond which changes of shape are no longer small
+ALLOWED_STEP_ERROR = 0.05  # of steps over one own time of a law, in shares of what creeps or relaxes
 CAVITATION = 2.5  # mean stress over the shear modulus at which small holes in rubber grow (Gent and Lindley 1959)
 
 
@@ -223,3 +224,53 @@ def _tension(known: Reduction, state: State) -> float:
     x = p.function_space.tabulate_dof_coordinates()[:own, : known.one.structure.joint.dim]
     mu = known.law.fields_at(x.T).get("mu", known.law.parameters()["mu"])
     return float(state.model.comm.allreduce((p.x.array[:own] / mu).max(initial=0.0), MPI.MAX))
+
+
+# ---------------------------------------------------------------- times of laws
+def warn_of_steps(model: Model, start: float, times: Sequence[float], theta: float) -> None:
+    """Warn if planned steps are not well below the times of a law, before they are made. Collective.
+
+    Steps count that begin within this time of the start or of a break of the data: later ones follow what is slow.
+    """
+    begun = [start, *(t for t in model.break_times if t > start)]
+    worst = max(
+        (
+            (_step_error((b - a) / own, theta), b - a, a, own, name)
+            for name, own in _own_times(model)
+            for a, b in pairwise([start, *times])
+            if any(0 <= a - t < own for t in begun)
+        ),
+        default=None,
+    )
+    if worst and worst[0] > ALLOWED_STEP_ERROR:
+        error, step, t, own, name = worst
+        warn(
+            "time step",
+            f"the step of {step:.3g} at t = {t:.3g} is not well below a time of {name}, {own:.3g}: such steps leave an "
+            f"error of about {error:.0%} of what creeps or relaxes; take steps below {own / 4:.2g} while this lasts, or "
+            "times=Adaptive(end=..., first=..., tolerance=...)",
+            model.comm,
+        )
+
+
+def warn_of_no_time(model: Model) -> None:
+    """Warn that a solve gives what a law that relaxes answers at once. Collective."""
+    for name, own in _own_times(model)[:1]:
+        warn(
+            "no time",
+            f"{name} relaxes with the time {own:.3g}, and a solve knows no time: this is the answer to sudden loads "
+            "just after they have come; for a later one march(model, times), or give times",
+            model.comm,
+        )
+
+
+def _own_times(model: Model) -> list[tuple[str, float]]:
+    """Names of laws with a time each, where parameters are numbers."""
+    laws = [*model.body_laws.values(), *(law for one in model.layers.values() for _, law in one.law.sublayers)]
+    return [(type(law).__name__, float(own)) for law in laws if not law.fields for own in law.own_times]
+
+
+def _step_error(x: float, theta: float) -> float:
+    """Error of exp(-t/tau) after about tau in steps x tau of the scheme."""
+    n = max(1, round(1 / x))
+    return abs(((1 - (1 - theta) * x) / (1 + theta * x)) ** n - math.exp(-n * x))

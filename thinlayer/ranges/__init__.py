@@ -1,1 +1,0 @@
-"""Whether a model and its results lie in the range of its interface laws."""
