@@ -9,6 +9,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
+from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ OF_ONE_STRESS = (
 )  # attributes valid for one stress only
 ENERGIES = ("energy", "dissipation", "dissipated")
 SIZES = {(): 1, (3,): 3, (3, 3): 6}  # shape of an internal variable -> its number of components
+LIKENESS = 0.8  # of two names, 1 if they are the same, from which on one may be the other misspelt
 SWITCHED = ("phase", "drive", "bound")  # internal variables of a law whose phases switch
 
 
@@ -165,6 +167,10 @@ def _require_used(law: Any) -> None:
         raise LawError(
             f"{name} has a method {advancing[0]} but no internal variables; write internal = {{name: shape}}"
         )
+    known = [f.name for f in fields(Traits)]
+    for attribute in (one for one in dir(kind) if _own(kind, one) and isinstance(getattr(kind, one), bool)):
+        if attribute not in known and (meant := get_close_matches(attribute, known, 1, LIKENESS)):
+            raise LawError(f"{name} has {attribute} = {getattr(kind, attribute)}, which is no trait; is {meant[0]} meant?")
     if (_own(kind, "dissipation") or _own(kind, "dissipated")) and not law.traits.has_energy:
         raise LawError(f"{name} declares a dissipation but no energy; write a method energy(step) too")
     if _own(kind, "at") and (not _own(kind, "varies") or inspect.getattr_static(kind, "varies") is False):

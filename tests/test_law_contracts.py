@@ -521,6 +521,7 @@ def test_methods_that_a_compiled_law_and_a_stack_never_ask(method):
         (BulkLaw, {"at": lambda law, x, t: {"l": x[0]}}, "a method at, but no parameters vary"),
         (BulkLaw, {"at": lambda law, x, t: {"l": x[0]}, "varies": False}, "a method at, but no parameters vary"),
         (BulkLaw, {"dissipation": lambda law, step: 1.0}, "a dissipation but no energy"),
+        (BulkLaw, {"symetric": False}, "symetric = False, which is no trait; is symmetric meant"),
         (
             BulkLaw,
             {"internal": {"q": (2, 2)}},
