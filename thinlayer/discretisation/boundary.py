@@ -9,6 +9,7 @@ import ufl
 from dolfinx import fem
 
 from forms.planes import Kinematics
+from geometry.dolfinx_mesh import cell_nodes
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place
@@ -146,7 +147,7 @@ def node_normals(
         inverse = np.linalg.inv(J[here][:, nodes])
         n = np.einsum("cnji,j->cni", inverse, outward[number])  # the normal is along J^-T of the reference's
         n /= np.linalg.norm(n, axis=2)[..., None]
-        x = mesh.geometry.x[mesh.geometry.dofmap[cells[here]][:, corners[number]]]
+        x = mesh.geometry.x[cell_nodes(mesh)[cells[here]][:, corners[number]]]
         for k, corner in enumerate(corners[number]):
             n[:, nodes == layout.entity_dofs(0, corner)[0]] *= _weights(x, k)[:, None, None]
         blocks.append(np.asarray(V.dofmap.list)[cells[here]][:, nodes].ravel().astype(np.int64))
