@@ -13,6 +13,7 @@ from dolfinx import fem
 from dolfinx.fem.petsc import LinearProblem
 
 from forms import work as forms
+from geometry.dolfinx_mesh import first_that_fits
 from studies.dropped import further_cases, known_cases, refused_cases
 from studies.may_i_drop import Dropped, along, effectivities, solved
 from tests.on_ranks import on_ranks
@@ -123,8 +124,11 @@ def _substituted(one: Dropped):
     matrix = forms.work([*before.bodies, *before.layers], du, v)
     held = fem.locate_dofs_geometrical(model.V, lambda x: np.isclose(x[1], -0.5))
     supports = [fem.dirichletbc(np.zeros(2), held, model.V)]
-    direct = {"ksp_type": "preonly", "pc_type": "lu"}
-    change = LinearProblem(matrix, lacks, bcs=supports, petsc_options=direct).solve()
+    given = {"bcs": supports, "petsc_options": {"ksp_type": "preonly", "pc_type": "lu"}}
+    change = first_that_fits(  # of DOLFINx 0.9, and later
+        lambda: LinearProblem(matrix, lacks, **given),
+        lambda: LinearProblem(matrix, lacks, **given, petsc_options_prefix="substituted_"),
+    ).solve()
     u = fem.Function(model.V)
     u.x.array[:] = before.u.x.array + change.x.array
     return replace(before, u=u)
