@@ -10,7 +10,16 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulombMonodirectional, Norton, Stack
+from forms import (
+    Incompressible,
+    KelvinVoigt,
+    LinearElastic,
+    Maxwell,
+    MohrCoulombMonodirectional,
+    Norton,
+    Rubber,
+    Stack,
+)
 from geometry import Joint
 from studies import fig3_mohr_coulomb as fig3
 from studies import problems
@@ -194,6 +203,7 @@ BESIDE = {"_order0": of(SUBLAYERS), "_mirrored": of(Stack(*SUBLAYERS.sublayers[:
 still = partial(Row, problem=fourier, orders=(0.95, 1.05), pictured=middle)
 order_1 = partial(Row, h=(1 / 32, 1 / 16), eps=halves(3, 5), orders=(1.9, 2.1), pictured=None)
 hard = partial(order_1, eps=halves(4, 5), orders=None, choices={"more": by_reaction})
+rubber = partial(order_1, eps=halves(3), orders=(1.9, 2.3), choices={"cells_through": 2, "more": by_reaction})
 glued = partial(Row, problem=problems.glued_hub, h=(1.0, 2.0), eps=MM, choices=EXTENDED, unit="mm")
 norton = partial(Row, h=(1 / 16, 1 / 8), times=(0.01, 0.02, 0.03, 0.04, *TWENTIETHS), choices={"more": early})
 fine = partial(Row, h=(1 / 16, 1 / 8), eps=halves(4), steps=slice(1, None, 2))
@@ -212,6 +222,10 @@ ROWS: dict[str, Row] = {
     "order1_stack": order_1(of(SUBLAYERS, order=1), choices={"beside": BESIDE}),
     "hard_layer": hard(of(HARD["hard_layer"], None, order=1), "harder than the bodies"),
     "hard_layer softer": hard(of(HARD["hard_layer softer"], None, order=1), "softer than the bodies", check=third_order),
+    "rubber": rubber(of(Rubber.shear(40.0, 0.3), order=1), "nu = 0.3"),
+    "rubber harder": rubber(of(Rubber.shear(40.0, 0.45), order=1), "nu = 0.45"),
+    "rubber almost": rubber(of(Rubber.shear(40.0, 0.499), order=1), "nu = 0.499"),
+    "rubber incompressible": rubber(of(Incompressible(40.0), order=1), "nu = 0.5"),
     "ring": glued(of(problems.GLUE, problems.GLUE_EPS), "order 0", orders=(0.9, 1.1)),
     "ring order1": glued(of(problems.GLUE, problems.GLUE_EPS, order=1), "order 1", orders=(1.8, 2.2), pictured=None),
     "own_mesh": Row(
@@ -253,6 +267,7 @@ DRAWN: dict[str, dict[str, Any]] = {
     "order1": {"errors": ORDERS, "reference": 2.0},
     "order1_stack": {"errors": ORDERS | {"jump, mirrored": "error_jump_mirrored"}, "reference": 2.0},
     "hard_layer": {"errors": {"traction": "error_reaction"}, "reference": 3.0},
+    "rubber": {"errors": {"jump": "error_jump"}, "reference": 2.0},
     "incompressible": {"errors": plotting.ERRORS | {"[u_N]/[u] of the meshed layer": "normal_jump_full"}},
     "monodirectional": {"apart": True},
 }
@@ -260,8 +275,9 @@ DRAWN: dict[str, dict[str, Any]] = {
 
 def run(
     record: Record, *, law: Literal[
-        "all", "elastic", "extended", "tapered", "order1", "order1_stack", "hard_layer", "ring", "own_mesh", "butt_joint",
-        "kelvin_voigt", "maxwell", "norton", "stack", "incompressible", "monodirectional", "mohr_coulomb", "bar",
+        "all", "elastic", "extended", "tapered", "order1", "order1_stack", "hard_layer", "rubber", "ring", "own_mesh",
+        "butt_joint", "kelvin_voigt", "maxwell", "norton", "stack", "incompressible", "monodirectional", "mohr_coulomb",
+        "bar",
     ] = "all", eps: Sequence[float] = (), quick: bool = False,
 ) -> None:
     """Sweep the thickness of layers, meshed and as interface laws; parameters of their families are held.
