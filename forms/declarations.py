@@ -263,6 +263,11 @@ class Traits:
     nodal: bool = trait(any)
     compiled: bool = trait(always)
 
+    @property
+    def may_soften(self) -> bool:
+        """Whether a layer's stress may fall as jumps grow, though the law does not say so, and for no other reason."""
+        return self.symmetric and not (self.softens or self.linear or self.rate or self.bounded or self.switches)
+
     @classmethod
     def of(cls, law: object, **of_methods: bool) -> Traits:
         """The traits that a law declares, and those that follow from its methods (`of_methods`).

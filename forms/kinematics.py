@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import ufl
 
+Array = npt.NDArray[np.float64]
 Expr = Any  # a UFL expression; ufl's own types are not annotated
 
 
@@ -30,11 +34,23 @@ def jump_strain(w: Expr, n: Expr) -> Expr:
 
 MANDEL = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 ROOT2 = 2.0**0.5
+UNITS = np.array([np.outer(np.eye(3)[i], np.eye(3)[j]) for i, j in MANDEL])  # (6, 3, 3) symmetric tensors of norm 1
+UNITS = (UNITS + UNITS.swapaxes(1, 2)) / np.linalg.norm(UNITS + UNITS.swapaxes(1, 2), axis=(1, 2), keepdims=True)
 
 
-def mandel(a: Expr) -> Expr:
-    """A symmetric (3, 3) tensor as a vector (6,) in Mandel's order 11, 22, 33, 12, 13, 23, with a.b = A:B."""
-    return ufl.as_vector([a[i, j] if i == j else ROOT2 * a[i, j] for i, j in MANDEL])
+def vectors(tensors: Array) -> Array:
+    """Mandel vectors (..., 6) of the symmetric parts of tensors of numbers (..., 3, 3)."""
+    return np.asarray(np.einsum("...ij,kij->...k", tensors, UNITS))
+
+
+def tensors(vectors: Array) -> Array:
+    """Symmetric tensors (..., 3, 3) of Mandel vectors of numbers (..., 6)."""
+    return np.asarray(np.einsum("...k,kij->...ij", vectors, UNITS))
+
+
+def mandel(a: Expr, slots: Sequence[int] = range(6)) -> Expr:
+    """A symmetric (3, 3) tensor as a vector (6,) in Mandel's order 11, 22, 33, 12, 13, 23, with a.b = A:B; or slots."""
+    return ufl.as_vector([a[i, j] if i == j else ROOT2 * a[i, j] for i, j in (MANDEL[k] for k in slots)])
 
 
 def from_mandel(a: Expr) -> Expr:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from weakref import WeakKeyDictionary
@@ -13,7 +13,7 @@ import ufl
 from dolfinx import fem
 
 from forms.declarations import SIZES
-from forms.kinematics import MANDEL, ROOT2, mandel
+from forms.kinematics import MANDEL, mandel, tensors
 from forms.law import BulkLaw
 from forms.work import Term, stress
 from geometry.topology import IntArray
@@ -123,12 +123,3 @@ def unpacked(law: BulkLaw, memory: Array) -> dict[str, Array]:
         found[name] = tensors(part) if shape == (3, 3) else part if shape else part[:, 0]
         start += SIZES[shape]
     return found
-
-
-def tensors(values: Array, slots: Sequence[int] = range(6)) -> Array:
-    """Symmetric tensors (n, 3, 3) from Mandel's components (n, m) in these slots; the others are zero."""
-    out = np.zeros((len(values), 3, 3))
-    for column, slot in enumerate(slots):
-        i, j = MANDEL[slot]
-        out[:, i, j] = out[:, j, i] = values[:, column] / (1.0 if i == j else ROOT2)
-    return out

@@ -16,7 +16,7 @@ from dolfinx import fem
 from scipy.spatial import cKDTree
 from ufl.classes import Zero
 
-from forms.kinematics import MANDEL, ROOT2, Expr, from_mandel
+from forms.kinematics import Expr, from_mandel, vectors
 from forms.law import LawError
 from geometry.dolfinx_mesh import cell_nodes
 from geometry.topology import IntArray, lagrange
@@ -89,8 +89,7 @@ def _traction(points: LawPoints) -> Array:
         return np.asarray(np.einsum("pij,pj->pi", stress, q.n)[:, : q.dim])
     if q not in _OF_EACH:
         _OF_EACH[q] = _of_each_stress(points.term.traction, q)
-    in_mandel = np.stack([stress[:, i, j] * (1.0 if i == j else ROOT2) for i, j in MANDEL], axis=1)
-    return np.asarray(np.einsum("pkd,pk->pd", _OF_EACH[q], in_mandel))
+    return np.asarray(np.einsum("pkd,pk->pd", _OF_EACH[q], vectors(stress)))
 
 
 def _of_each_stress(traction: Callable[[Expr], Expr], q: Quadrature) -> Array:

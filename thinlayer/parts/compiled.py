@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 from forms.check import NOT_SYMMETRIC
 from forms.kinematics import MANDEL
-from forms.law import BulkLaw, LawError
+from forms.law import LawError
 from forms.tangent import takes_time
 from forms.work import Term
 from thinlayer.discretisation.clock import Hand
@@ -26,16 +26,6 @@ from thinlayer.pointwise.quadrature import Origin
 ASYMMETRY = 1e-8  # skew part of a tangent, relative to its size, that still counts as rounding
 SAME = 1e-12  # relative difference of parameters at several times that counts as rounding
 SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # of a step, at which parameters are looked at
-
-
-def may_soften(law: BulkLaw) -> bool:
-    """Whether the stress of a layer's law is looked at as jumps grow.
-
-    It is not if the law says `softens`, is linear or not symmetric, has a rate, bounds stresses or switches phases: its
-    stress falls for other reasons, or never.
-    """
-    has = law.traits
-    return has.symmetric and not (has.softens or has.linear or has.rate or has.bounded or has.switches)
 
 
 def falls(
@@ -219,7 +209,7 @@ class CompiledPart(Part):
         return diagonal
 
     def undeclared_softening(self) -> tuple[str, str] | None:
-        if self._in_body or not may_soften(self.law):
+        if self._in_body or not self.law.traits.may_soften:
             return None
         return falls(self.points, self._e, self._e_old, self._memory, self._response)
 

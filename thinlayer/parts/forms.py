@@ -12,7 +12,7 @@ from petsc4py import PETSc
 from forms.kinematics import Expr
 from thinlayer.discretisation.measures import compiled, compiled_summands
 from thinlayer.discretisation.state import Configuration
-from thinlayer.parts.part import Array, Block, Interval, Outcome, Part
+from thinlayer.parts.part import Block, Interval, Outcome, Part
 from thinlayer.pointwise.assembling import add_forces_of, forces_of, matrix_of
 from thinlayer.system.exchange import communicator
 
@@ -44,18 +44,11 @@ class FormPart(Part):
         self.key, self.K, self._energy, self._kept = key, K, energy, kept
         V, self._u = u.function_space, u
         self.comm = communicator(V.mesh)
-        self._product, self._change = (PETSc.Vec().createWithArray(self._owned(), comm=V.mesh.comm) for _ in range(2))
-        self._F: list[fem.Form] = []
-        self._J: list[fem.Form] = []
+        self._product, self._change = (u.x.petsc_vec.duplicate() for _ in range(2))
+        self._F = [] if F is None else compiled_summands(F)
+        self._J = [] if F is None else compiled_summands(ufl.derivative(F, u, ufl.TrialFunction(V)))
         self._tangents: list[PETSc.Mat] = []  # of the forms in _J
-        if F is not None:
-            self._F = compiled_summands(F)
-            self._J = compiled_summands(ufl.derivative(F, u, ufl.TrialFunction(V)))
         self._g = [] if g is None else compiled_summands(g)
-
-    def _owned(self) -> Array:
-        dofmap = self._u.function_space.dofmap
-        return self._u.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs].copy()
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         self._end, self._mid = u, mid

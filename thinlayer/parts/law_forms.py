@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, reduce
 from operator import or_
 
 import numpy as np
 import ufl
 from dolfinx import fem
-from mpi4py import MPI
 from petsc4py import PETSc
 from ufl.algorithms.check_arities import ArityMismatch
 
@@ -22,7 +21,7 @@ from forms.trace import named
 from forms.work import Term, energy, stress, work
 from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.measures import compiled
-from thinlayer.parts.compiled import GivenAtPoints, falls, may_soften
+from thinlayer.parts.compiled import GivenAtPoints, falls
 from thinlayer.parts.forms import FormPart, matrix
 from thinlayer.parts.part import Interval, PartTraits
 from thinlayer.pointwise.assembling import add_forces_of, add_spread, matrix_of
@@ -65,7 +64,7 @@ class LawForms(FormPart):
             stored,
             g=sum(_of_given(p, v) for p in _given(strained, over.balanced)) if strained else None,
         )
-        self._opposing = _Opposing.of([p for p in _given(others, over.balanced) if p.n is None], u)
+        self._opposing = _opposing([p for p in _given(others, over.balanced) if p.n is None and p.given is not None], u)
         self._layer_forms: dict[tuple[str, ...], fem.Form | None] = {}
         self.traits = replace(reduce(or_, map(_traits, terms), PartTraits()), inner=len(bodies) == len(terms))
 
@@ -95,8 +94,18 @@ class LawForms(FormPart):
         return float(self.comm.allreduce(fem.assemble_scalar(self._power))) if grows else 0.0
 
     def add_forces(self, out: PETSc.Vec) -> float:
-        size = super().add_forces(out)
-        return size if self._opposing is None else max(size, self._opposing.force(self.comm))
+        return max(super().add_forces(out), self._opposing_force())
+
+    def _opposing_force(self) -> float:
+        """A mean stress against given strains times the area of a side of the bodies; 0 for given strains of 0.
+
+        Nodal forces of equal stresses cancel, and bodies that are not linear have no stiffness in K to judge them by.
+        """
+        if not self._opposing:
+            return 0.0
+        work, square, volume = self.comm.allreduce(np.array([fem.assemble_scalar(form) for form in self._opposing]))
+        size = np.sqrt(square * volume) * volume ** (1 / self._u.function_space.mesh.geometry.dim) / volume
+        return float(abs(work) / size) if size > 0 and np.isfinite(work) else 0.0
 
     def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
         for p in _given(self._terms, self._over.balanced):
@@ -136,7 +145,7 @@ class LawForms(FormPart):
     @cached_property
     def _softening(self) -> list[tuple[CompiledTerm, GivenAtPoints]]:
         """The layers' laws that may soften, at points, but those of a meshed layer with parameters that are functions."""
-        terms = [p for p in self._terms if p.n is not None and may_soften(p.law) and _is_uniform(p.law)]
+        terms = [p for p in self._terms if p.n is not None and p.law.traits.may_soften and _is_uniform(p.law)]
         points = [CompiledTerm(self._u.function_space, replace(p, law=_at_points(p.law))) for p in terms]
         return [(one, GivenAtPoints(one)) for one in points]
 
@@ -189,41 +198,12 @@ def _beyond(p: Term, u: Expr) -> Expr:
     return _of_given(p, u) + p.law.energy(Step(p.given, p.n)) * p.weight * p.measure
 
 
-@dataclass(frozen=True)
-class _Opposing:
-    """Stresses of bodies that are not linear against given strains.
-
-    Nodal forces of equal stresses cancel, and bodies that are not linear have no stiffness in K to judge them by.
-
-    Attributes:
-        work: of the stresses in the given strains.
-        square: integral of the squares of the given strains.
-        volume: of the bodies.
-        dim: of the mesh.
-    """
-
-    work: fem.Form
-    square: fem.Form
-    volume: fem.Form
-    dim: int
-
-    @classmethod
-    def of(cls, terms: Iterable[Term], u: fem.Function) -> _Opposing | None:
-        """Of the terms that have given strains; None: none has."""
-        strained, mesh = [p for p in terms if p.given is not None], u.function_space.mesh
-        if not strained:
-            return None
-        work = sum(ufl.inner(stress(p, u), p.given) * p.weight * p.measure for p in strained)
-        square = sum(ufl.inner(p.given, p.given) * p.weight * p.measure for p in strained)
-        volume = sum(fem.Constant(mesh, 1.0) * p.weight * p.measure for p in strained)
-        return cls(compiled(work), compiled(square), compiled(volume), mesh.geometry.dim)
-
-    def force(self, comm: MPI.Intracomm) -> float:
-        """A mean stress times the area of a side of the bodies, at the last displacements; 0 for given strains of 0."""
-        values = [fem.assemble_scalar(form) for form in (self.work, self.square, self.volume)]
-        work, square, volume = comm.allreduce(np.array(values))
-        size = np.sqrt(square * volume) * volume ** (1 / self.dim) / volume
-        return float(abs(work) / size) if size > 0 and np.isfinite(work) else 0.0
+def _opposing(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:
+    """Work of stresses in their given strains, integral of the squares of these, and volume of the bodies."""
+    one = fem.Constant(u.function_space.mesh, 1.0)
+    densities = [(ufl.inner(stress(p, u), p.given), ufl.inner(p.given, p.given), one) for p in strained]
+    rows = [[f * p.weight * p.measure for f in row] for p, row in zip(strained, densities, strict=True)]
+    return [compiled(sum(column)) for column in zip(*rows, strict=True)]
 
 
 def _stiffness(V: fem.FunctionSpace, linear: Sequence[Term], bodies: Sequence[Term]) -> PETSc.Mat:

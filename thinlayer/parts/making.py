@@ -72,12 +72,12 @@ def _elsewhere(model: Model) -> list[Part]:
     if found is None:
         return []
     other, terms = found
-    carrier, in_forms = Carrier(model, other), [p for p in terms if not p.law.traits.compiled]
+    carrier, in_forms = _carrier(model, other), [p for p in terms if not p.law.traits.compiled]
     keys = list(dict.fromkeys(p.key for p in in_forms))
     parts: list[FormPart | CompiledPart] = [
         LawForms(key, other.V, [p for p in in_forms if p.key == key]) for key in keys
     ]
-    return [Carried(part, carrier, f"{part.key}/{BY_LAW}") for part in [*parts, *_compiled(other, terms)]]
+    return [Carried(part, other.V, carrier, f"{part.key}/{BY_LAW}") for part in [*parts, *_compiled(other, terms)]]
 
 
 def _compiled(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:
@@ -115,44 +115,19 @@ SAME = {
 }
 
 
-class Carrier:
-    """Displacements and nodal forces of one model as those of another model of the same joint. Collective.
+def _carrier(model: Model, other: Model) -> PETSc.Mat:
+    """Displacements of another model of the same joint by those of a model. Collective.
 
     Body cells of both models have the same degrees of freedom, so that this is a change of numbers.
-
-    Args:
-        model: the model that solvers see.
-        other: the one whose parts act.
-
-    Attributes:
-        V: space of the other model.
-        matrix: displacements of the other model by those of the first one.
     """
-
-    def __init__(self, model: Model, other: Model) -> None:
-        self.V = other.V
-        (n, first), (rows, _) = (_range(one.V) for one in (model, other))
-        numbers = fem.Function(model.V)
-        numbers.x.array[:n] = first + np.arange(n)
-        numbers.x.scatter_forward()
-        columns = np.rint(transfer(numbers, model, other.V, other).x.array[:rows]).astype(PETSc.IntType)
-        starts = np.arange(rows + 1, dtype=PETSc.IntType)
-        csr = (starts, columns, np.ones(rows))
-        self.matrix = PETSc.Mat().createAIJ(((rows, None), (n, None)), csr=csr, comm=model.comm)
-
-    def displacements(self, u: fem.Function) -> fem.Function:
-        """Displacements in the other model."""
-        out = fem.Function(self.V)
-        self.matrix.mult(u.x.petsc_vec, out.x.petsc_vec)
-        out.x.scatter_forward()
-        return out
-
-
-def _range(V: fem.FunctionSpace) -> tuple[int, int]:
-    """Number of this rank's degrees of freedom, and the first of them."""
-    dofmap = V.dofmap
-    first, last = dofmap.index_map.local_range
-    return (last - first) * dofmap.index_map_bs, first * dofmap.index_map_bs
+    numbers, V = fem.Function(model.V), other.V
+    x, n = numbers.x.petsc_vec, numbers.x.petsc_vec.getLocalSize()
+    numbers.x.array[:n] = np.arange(*x.getOwnershipRange())
+    numbers.x.scatter_forward()
+    rows = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
+    columns = np.rint(transfer(numbers, model, V, other).x.array[:rows]).astype(PETSc.IntType)
+    csr = (np.arange(rows + 1, dtype=PETSc.IntType), columns, np.ones(rows))
+    return PETSc.Mat().createAIJ(((rows, None), (n, None)), csr=csr, comm=model.comm)
 
 
 class Carried(Part):
@@ -160,21 +135,29 @@ class Carried(Part):
 
     Args:
         part: the part.
-        carrier: between both models.
+        V: space of the other model's displacements.
+        carrier: these by those of this model.
         key: key of the part here.
     """
 
-    def __init__(self, part: FormPart | CompiledPart, carrier: Carrier, key: str) -> None:
-        self.key, self._part, self._carrier = key, part, carrier
+    def __init__(self, part: FormPart | CompiledPart, V: fem.FunctionSpace, carrier: PETSc.Mat, key: str) -> None:
+        self.key, self._part, self._V, self._carrier = key, part, V, carrier
         self.traits = part.traits
-        self.K = None if part.K is None else part.K.ptap(carrier.matrix)
-        self._values = fem.Function(carrier.V)  # whose memory the vector has
+        self.K = None if part.K is None else part.K.ptap(carrier)
+        self._values = fem.Function(V)  # whose memory the vector has
         self._forces = self._values.x.petsc_vec
+
+    def _there(self, u: fem.Function) -> fem.Function:
+        """Displacements in the other model."""
+        out = fem.Function(self._V)
+        self._carrier.mult(u.x.petsc_vec, out.x.petsc_vec)
+        out.x.scatter_forward()
+        return out
 
     # ---------------------------------------------------------------- a step
     def _old(self, old: Configuration) -> Configuration:
         """A configuration of this model as one of the other, of this part alone."""
-        u, kept = self._carrier.displacements(old.u), (old.memory, old.stored, old.stresses)
+        u, kept = self._there(old.u), (old.memory, old.stored, old.stresses)
         own: list[Any] = [{self._part.key: values[self.key]} if self.key in values else {} for values in kept]
         return Configuration(u, old.t, own[0], {}, own[1], old.at_rest, stresses=own[2])
 
@@ -183,14 +166,14 @@ class Carried(Part):
         self._part.begin(replace(interval, old=self._old(interval.old)))
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
-        self._part.evaluate(self._carrier.displacements(u), self._carrier.displacements(mid))
+        self._part.evaluate(self._there(u), self._there(mid))
         self.failed = self._part.failed
 
     def _carried(self, add: Callable[[PETSc.Vec], Any], out: PETSc.Vec) -> Any:
         """Add nodal forces that are added to a vector of the other model; returns what this returns."""
         self._forces.set(0.0)
         size = add(self._forces)
-        self._carrier.matrix.multTransposeAdd(self._forces, out, out)
+        self._carrier.multTransposeAdd(self._forces, out, out)
         return size
 
     def add_forces(self, out: PETSc.Vec) -> float:
@@ -209,7 +192,7 @@ class Carried(Part):
             if self.K is not None and block.matrix == self._part.K:
                 found.append(replace(block, matrix=self.K))
                 continue
-            found.append(replace(block, matrix=block.matrix.ptap(self._carrier.matrix), kept=False))
+            found.append(replace(block, matrix=block.matrix.ptap(self._carrier), kept=False))
             if not block.kept:
                 block.matrix.destroy()
         return found
@@ -236,7 +219,7 @@ class Carried(Part):
     def error_measure(self, u: fem.Function) -> Array:
         """As in `Part`; empty if the part measures nothing."""
         measure = getattr(self._part, "error_measure", None)
-        return measure(self._carrier.displacements(u)) if measure else np.empty(0)
+        return measure(self._there(u)) if measure else np.empty(0)
 
     def destroy(self) -> None:
         if self.K is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
-from forms.kinematics import MANDEL, ROOT2, Expr
+from forms.kinematics import MANDEL, UNITS, Expr, mandel
 from forms.law import LawError
 from forms.tangent import LONG
 from forms.work import Term
@@ -84,8 +83,7 @@ class CompiledTerm(Quadrature):
     def form_of(self, strain: Expr) -> fem.Form:
         """A form from which `values_of` computes the values of a strain (3, 3) at the points."""
         q = self.region.side(ufl.TestFunction(self._space((len(self.slots),))))
-        rows = _components(strain, self.slots)
-        return self.region.compiled(ufl.inner(rows, q) * self.measure)
+        return self.region.compiled(ufl.inner(mandel(strain, self.slots), q) * self.measure)
 
     def values_of(self, form: fem.Form) -> Array:
         """Strains (points, m) of a form, with the present values of its constants, as the law gets them."""
@@ -139,12 +137,8 @@ class CompiledTerm(Quadrature):
         Stresses fall where the tangent is negative for a strain sym(v (x) n) of some jump v, or, for a law without memory,
         where the change of stress does negative work on the change of strain.
         """
-        law, m = self.term.law, len(self.slots)
-        v = np.eye(3)[: self.dim]
-        jumps = v[None, :, :, None] * self.n[:, None, None, :]
-        jumps = (jumps + jumps.swapaxes(2, 3)) / 2
-        rows = [jumps[..., i, j] * (1.0 if i == j else ROOT2) for i, j in (MANDEL[k] for k in self.slots)]
-        N = np.stack(rows, axis=-1).reshape(self.count, len(v), m)
+        law = self.term.law
+        N = np.einsum("kij,pj->pik", UNITS[self.slots], self.n)[:, : self.dim]  # strains of unit jumps
         A = N @ response.tangent @ N.swapaxes(1, 2)
         size = np.abs(A).max(axis=(1, 2), initial=0.0)
         known = np.isfinite(size) & (size > UNDERFLOW)
@@ -237,12 +231,6 @@ class CompiledTerm(Quadrature):
         """Free the matrices."""
         for thing in (self.B, self._strain, self._forces):
             thing.destroy()
-
-
-def _components(strain: Expr, slots: Sequence[int]) -> Expr:
-    """Mandel components of a strain (3, 3) in these slots, a UFL vector."""
-    pairs = [MANDEL[k] for k in slots]
-    return ufl.as_vector([strain[i, j] * (1.0 if i == j else ROOT2) for i, j in pairs])
 
 
 class MeanVolume:

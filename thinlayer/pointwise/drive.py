@@ -11,7 +11,7 @@ import numpy as np
 import ufl
 
 from forms.base import is_number
-from forms.kinematics import MANDEL, ROOT2, layer_frame
+from forms.kinematics import layer_frame, tensors
 from forms.law import Law
 from forms.tangent import takes_time
 from forms.temperature import real
@@ -197,11 +197,8 @@ def _history(
     def column(name: str, *shape: int) -> Array:
         return np.array([getattr(row, name) for row in rows], float).reshape(len(rows), *shape)
 
-    mandel, stress = column("stress", 6), np.empty((len(rows), 3, 3))
-    for k, (i, j) in enumerate(MANDEL):
-        stress[:, i, j] = stress[:, j, i] = mandel[:, k] / (1.0 if i == j else ROOT2)
     energies = column("energies", 3) if law.traits.has_energy else np.full((len(rows), 3), np.nan)
     return PointHistory(
-        n, column("t"), column("w", d), column("traction", d), stress,
+        n, column("t"), column("w", d), column("traction", d), tensors(column("stress", 6)),
         column("memory", memory), energies, np.array(parts, int),
     )  # fmt: skip

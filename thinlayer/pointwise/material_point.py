@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from mpi4py import MPI
 
-from forms.kinematics import MANDEL, ROOT2
+from forms.kinematics import UNITS
 from forms.law import BulkLaw
 from thinlayer.errors import SolveError
 from thinlayer.pointwise.columns import Switching
@@ -44,9 +44,7 @@ class MaterialPoint:
         self.switching = Switching(law) if law.traits.switches else None
         self.n3 = np.append(n, np.zeros(3 - len(n)))
         # (6, d), strain of a unit jump in each component: e = E w, t = E^T stress
-        outer = np.einsum("ia,j->aij", axes, self.n3)
-        pairs = (outer + np.swapaxes(outer, 1, 2)) / 2
-        self.E = np.stack([pairs[:, i, j] * (1.0 if i == j else ROOT2) for i, j in MANDEL])
+        self.E = np.einsum("kij,ia,j->ka", UNITS, axes, self.n3)
         self.stiffness = 0.0  # largest entry of a tangent so far
 
     def rest(self) -> MaterialPointState:

@@ -230,8 +230,7 @@ class Quadrature:
             x = self.origin.x_on_s
         if x is None or isinstance(x, ufl.SpatialCoordinate):
             return np.ascontiguousarray(self.x.T)
-        q = self.region.side(ufl.TestFunction(self._space((self.dim,))))
-        return np.ascontiguousarray((self._integrated(self.region.side(x), q) / self._integrals[:, None]).T)
+        return np.ascontiguousarray(self.values(self.region.side(x)).T)
 
     def function(self, values: Array) -> fem.Function:
         """Values (points, m) at points in cells as a function (m,) on the whole mesh, zero elsewhere, for `measure`."""
