@@ -102,20 +102,3 @@ def difference(one: State, other: State) -> float:
 
 def _beds(state: State) -> Contact:
     return Surface(state.model, "BED").contact(state)
-
-
-def draw(record: Record) -> None:
-    """Draw Newton steps over the push from table.csv."""
-    small, lines = record.load("table.csv").split("bricks")[14], {}
-    for K, part in small.split("K_N").items():
-        for name, own in part.split("solver").items():
-            at = own["ratio"] > 0
-            lines[f"{K:g} MPa/mm, {name}"] = own["push"][at], own["steps"][at]
-    plotting.curves(
-        lines,
-        "push over pressure",
-        "Newton steps",
-        title="a sudden push on a dry wall of 14 bricks",
-        styles="o-",
-        save=record.path("steps.png"),
-    )

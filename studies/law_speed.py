@@ -9,11 +9,9 @@ import numpy as np
 from mpi4py import MPI
 
 from forms import BulkLaw, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack
-from forms.kinematics import MANDEL, ROOT2
+from forms.kinematics import tensors
 from studies.timing import seconds
-from thinlayer import SolveError, plotting
-from thinlayer.output.plotting.picture import Picture, finish
-from thinlayer.pointwise.kernels import Array
+from thinlayer import SolveError
 from thinlayer.pointwise.material import Material
 from thinlayer.running.record import Record
 
@@ -82,9 +80,9 @@ def measure(name: str, points: int, repeats: int) -> dict[str, float | str]:
         raise SolveError(f"{case.law}: {failed} points failed")
     whole = np.zeros((points, 6))
     whole[:, case.slots] = e
-    mandel = material.update(SPACE, whole, 0 * whole, q, n, 1.0, 1.0)[0]
+    stress = material.update(SPACE, whole, 0 * whole, q, n, 1.0, 1.0)[0]
     yields = energies[:, 1] > 0
-    equal = np.abs(np.diff(principal(mandel), axis=1)) < 1e-9 * np.abs(mandel).max()
+    equal = np.abs(np.diff(np.linalg.eigvalsh(tensors(stress)), axis=1)) < 1e-9 * np.abs(stress).max()
     edge, apex = equal.sum(axis=1) == 1, equal.all(axis=1)
     speed: dict[str, float | str] = {
         "law": name,
@@ -94,23 +92,3 @@ def measure(name: str, points: int, repeats: int) -> dict[str, float | str]:
     }
     shares = {"yielding": yields, "edge": yields & edge, "apex": yields & apex}
     return speed | {what: float(where.mean()) for what, where in shares.items()}
-
-
-def principal(mandel: Array) -> Array:
-    """Principal stresses (points, 3) of Mandel vectors (points, 6)."""
-    tensors = np.empty((len(mandel), 3, 3))
-    for k, (i, j) in enumerate(MANDEL):
-        tensors[:, i, j] = tensors[:, j, i] = mandel[:, k] / (1.0 if i == j else ROOT2)
-    return np.asarray(np.linalg.eigvalsh(tensors), float)
-
-
-def draw(record: Record) -> None:
-    """Draw the speeds from table.csv."""
-    table = record.load("table.csv")
-    figure = Picture(figsize=(7, 3.6), layout="constrained")
-    axes = figure.subplots()
-    bars = axes.barh([str(row["law"]) for row in table.rows], table["points_per_second"], color=plotting.COLOURS[0])
-    axes.bar_label(bars, fmt="%.2g", padding=3)
-    axes.invert_yaxis()
-    axes.set(xscale="log", xlabel="points per second, one core", xlim=(1e5, 4 * table["points_per_second"].max()))
-    finish(figure, record.path("speed.png"))

@@ -12,7 +12,7 @@ from petsc4py import PETSc
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
 from studies.timing import in_turn, peak, solve_once, timed
-from thinlayer import SolveError, Structure, plotting
+from thinlayer import SolveError, Structure
 from thinlayer.parts.part import Interval
 from thinlayer.running.record import Record
 from thinlayer.solving.contact.node_blocks import faster_products
@@ -61,20 +61,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         if work.startswith("friction"):
             high = PREDICTED_LIMIT if "predicted" in work else LIMITS[f"{row['dim']}D"][size]
             record.check(f"{work}, {size} cells along: ratio", float(row["ratio"] or math.nan), high=high)
-
-
-def draw(record: Record) -> None:
-    """Draw the ratios from table.csv."""
-    works = {work: part for work, part in record.load("table.csv").split("work").items() if work.startswith("friction")}
-    plotting.curves(
-        {work: (part["dofs"], part["ratio"]) for work, part in works.items()},
-        "unknowns",
-        "time over that of one linear solve",
-        title="contact with friction",
-        styles="o-",
-        xscale="log",
-        save=record.path("ratios.png"),
-    )
 
 
 class Bench:

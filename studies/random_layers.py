@@ -1,4 +1,4 @@
-"""Many runs on one mesh: two hundred random layers, time of a run over that of a linear solve, and memory: a benchmark."""
+"""Benchmark: two hundred random layers on one mesh, time of a run over that of a linear solve, and memory."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from forms import LinearElastic
 from geometry import sandwich
 from studies.timing import resident, seconds, solve_once, timed
-from thinlayer import State, Structure, Surface, ThinLayer, plotting, solve
+from thinlayer import State, Structure, Surface, ThinLayer, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.parts.part import Interval
 from thinlayer.running.record import Record
@@ -98,17 +98,3 @@ def linear_solve(model: InterfaceModel) -> float:
     b.destroy()
     equations.destroy()
     return spent
-
-
-def draw(record: Record) -> None:
-    """Draw the jumps of the layers from table.csv."""
-    table = record.load("table.csv")
-    compliance = table["eps"] / table["E"]
-    plotting.curves(
-        {"one run": (compliance * 1e3, table["jump"] * 1e3)},
-        "thickness over Young's modulus, mm/GPa",
-        "L2 norm of the jump on S, 1e-3 mm^(3/2)",
-        title="random layers on one mesh",
-        styles={"one run": "o"},
-        save=record.path("jumps.png"),
-    )

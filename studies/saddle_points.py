@@ -14,7 +14,7 @@ import ufl
 from forms import Incompressible, LinearElastic, Rubber
 from geometry import sandwich
 from studies.timing import timed
-from thinlayer import State, Structure, ThinLayer, plotting
+from thinlayer import State, Structure, ThinLayer
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.running.record import Record
 from thinlayer.solving.petsc import OptionValue
@@ -117,22 +117,3 @@ def _step(solver: Solver) -> State:
 def _rubber(nu: float) -> ThinLayer:
     law = Incompressible(MU) if nu == 0.5 else Rubber.shear(MU, nu)
     return ThinLayer(law, EPS, order=1)
-
-
-def draw(record: Record) -> None:
-    """Draw iterations and times against the ratio of the moduli, from table.csv."""
-    cases = {name: part.split("solver")["fieldsplit"] for name, part in record.load("table.csv").split("case").items()}
-    panels: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {"iterations": {}, "processor time": {}}
-    for name, part in cases.items():
-        below = part["nu"] < 0.5
-        ratio = np.log10(2 * part["nu"][below] / (1 - 2 * part["nu"][below]))
-        for label, column in zip(panels, ("iterations", "ratio"), strict=True):
-            panels[label][name] = ratio, part[column][below]
-    plotting.panels(
-        panels,
-        "log10(lmbda/mu); 3.7: nu = 0.4999",
-        dict(zip(panels, ("number", "over that of an elastic layer"), strict=True)),
-        styles="o-",
-        ylim={label: (0.0, 1.1 * max(y.max() for _, y in lines.values())) for label, lines in panels.items()},
-        save=record.path("saddle_points.png"),
-    )

@@ -17,7 +17,7 @@ from forms import LinearElastic
 from geometry import Joint, sandwich
 from geometry.dolfinx_mesh import create_mesh
 from studies.timing import in_turn, peak, seconds
-from thinlayer import Structure, ThinLayer, plotting
+from thinlayer import Structure, ThinLayer
 from thinlayer.running.record import Record
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.progress import track
@@ -47,15 +47,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         if row["work"] == "model":
             ratio = float(row["ratio"] or 0)
             record.check(f"{row['dim']}D: time of a model over the plain script's", ratio, high=LIMIT)
-
-
-def draw(record: Record) -> None:
-    """Draw the times from table.csv."""
-    table = record.load("table.csv")
-    lines = {f"{dim:g}D": (np.arange(len(part)), part["seconds"]) for dim, part in table.split("dim").items()}
-    works = ", ".join(f"{k}: {work}" for k, work in enumerate(table.split("work")))
-    save = record.path("seconds.png")
-    plotting.curves(lines, works, "seconds", title="before a solve", styles="o", save=save)
 
 
 def compare(name: str, n: int, repeats: int) -> list[Row]:

@@ -18,11 +18,13 @@ class Study:
         name: module name in `studies`.
         summary: first line of its docstring.
         options: name of a keyword argument of its `run` -> arguments of `ArgumentParser.add_argument` for it.
+        drawn: whether it has pictures, which its `draw` makes of its tables; benchmarks have tables alone.
     """
 
     name: str
     summary: str
     options: dict[str, dict[str, Any]]
+    drawn: bool
 
 
 @cache
@@ -31,11 +33,11 @@ def studies() -> dict[str, Study]:
     found = {}
     for path in sorted((Path(__file__).parents[2] / "studies").glob("*.py")):
         tree = ast.parse(path.read_text(encoding="utf-8"))
-        for node in tree.body:
-            if isinstance(node, ast.FunctionDef) and node.name == "run":
-                text = ast.get_docstring(node) or ""
-                options = {one.arg: _option(one, text) for one in node.args.kwonlyargs}
-                found[path.stem] = Study(path.stem, (ast.get_docstring(tree) or "").partition("\n")[0], options)
+        functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
+        if run := functions.get("run"):
+            text, summary = ast.get_docstring(run) or "", (ast.get_docstring(tree) or "").partition("\n")[0]
+            options = {one.arg: _option(one, text) for one in run.args.kwonlyargs}
+            found[path.stem] = Study(path.stem, summary, options, "draw" in functions)
     return found
 
 

@@ -58,7 +58,8 @@ def command_line() -> argparse.ArgumentParser:
     info.set_defaults(work=_info)
     what = "draw the pictures of a study again, from the tables of an earlier run"
     draw = _add(commands, "draw", _draw, what, help=what)
-    draw.add_argument("study", metavar="STUDY", choices=studies(), help="name of a study; the command list prints all")
+    drawn = [study.name for study in studies().values() if study.drawn]
+    draw.add_argument("study", metavar="STUDY", choices=drawn, help="name of a study; the command list prints all")
     run = commands.add_parser("run", help="run a study", description="Run a study; STUDY --help shows its options.")
     names = run.add_subparsers(dest="study", required=True, metavar="STUDY")
     for study in studies().values():
@@ -150,7 +151,8 @@ def _run(_: argparse.ArgumentParser, chosen: argparse.Namespace, petsc: Petsc) -
         record.parameters = constants(module)
         module.run(record, **given)
         record.say_tables()
-        module.draw(record)
+        if study.drawn:
+            module.draw(record)
 
     out = chosen.out or Path("out", study.name)
     return recorded(study.name, out, work, options=given, petsc=petsc, resume=chosen.resume, verbose=chosen.verbose)
