@@ -10,8 +10,7 @@ from forms import LinearElastic
 from geometry import block, sandwich
 from thinlayer import Structure, ThinLayer, plotting, solve
 from thinlayer.output.grid import gather
-from thinlayer.output.plotting.scene import VIEWS
-from thinlayer.output.plotting.shapes import Shape, edges, surface
+from thinlayer.output.plotting.scene import VIEWS, Shape, edges, surface
 
 BODY = LinearElastic.young(E=100.0, nu=0.3)
 EPS = 0.015

@@ -1,11 +1,11 @@
-"""Scenes: where the viewer stands, the window, the factor of displacements and the range of colours of pictures."""
+"""Scenes: deformed structures, where their viewer stands, the window, the factor of displacements, the range of colours."""
 
 from __future__ import annotations
 
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 if not os.environ.get("DISPLAY"):  # without an X server VTK otherwise tries one first, and warns
@@ -22,7 +22,6 @@ from forms.base import is_number
 from thinlayer.errors import ModelError
 from thinlayer.output.grid import Grid
 from thinlayer.output.plotting.picture import Picture
-from thinlayer.output.plotting.shapes import Shape, edges, surface
 
 LARGEST = 0.05  # largest drawn displacement, over the size of the structure
 VIEWS = {2: (0.0, 0.0, 1.0), 3: (0.55, 0.45, 1.0)}  # dimension -> direction to the viewer
@@ -37,6 +36,12 @@ OUTLINE: dict[str, Any] = {"color": "#6b6256", "line_width": 2, "lighting": Fals
 ON_S: dict[str, Any] = {"scalars": "rgb", "rgb": True, "line_width": 12, "lighting": False}
 BAR: dict[str, Any] = {"orientation": "horizontal", "aspect": 40, "pad": 0.02}
 
+SUBDIVISION = 3  # subdivision level of curved cells
+SHARP = 30.0  # angle (degree) between faces whose common edge is drawn
+ALMOST = 0.999  # factor of displacements that keeps the two sides of S apart, so that VTK does not merge them
+OFF_MIDDLE = 1e-3  # distance of a cut from the middle, over the structure's size: not along the faces of a grid
+
+Array = npt.NDArray[np.float64]
 Window = tuple[float, float, float, float]
 PANEL = 4.6  # width of a structure in a picture, inches
 
@@ -64,29 +69,80 @@ class Look:
 
 
 @dataclass(frozen=True)
-class View:
-    """Parallel projection: orthonormal directions on the screen, to the right, upwards and towards the viewer."""
+class Shape:
+    """A deformed structure to draw.
 
-    right: npt.NDArray[np.float64]
-    up: npt.NDArray[np.float64]
-    towards: npt.NDArray[np.float64]
+    Attributes:
+        regions: region number -> its cells, the layer's last, with point data "u", a component of the displacement, and
+            "moved", (n, 3) how far the deformed points are from the undeformed ones.
+        base: facets of the rigid base; None between two bodies.
+        plane: of the cut, as `clip` takes it; None: all of the structure is there.
+    """
+
+    regions: dict[int, pyvista.UnstructuredGrid]
+    base: pyvista.UnstructuredGrid | None
+    plane: dict[str, Any] | None = None
 
     @classmethod
-    def of(cls, dim: int, view: Sequence[float] | None, cut: bool) -> View:
-        """The projection for a direction; raises ModelError for one in 2D, or for a zero direction."""
-        if dim == 2 and (view is not None or cut):
-            raise ModelError("view and cut are for three-dimensional structures")
-        towards = np.array(VIEWS[dim] if view is None else view, float)
-        if towards.shape != (3,) or not np.isfinite(towards).all() or not towards.any():
-            raise ModelError(f"view is {view}; it needs three components, not all zero")
-        towards /= np.linalg.norm(towards)
-        right = np.cross((0.0, 1.0, 0.0) if np.hypot(*towards[::2]) > 1e-6 else (0.0, 0.0, -towards[1]), towards)
-        right /= np.linalg.norm(right)
-        return cls(right, np.cross(towards, right), towards)
+    def of(cls, grid: Grid, component: str, scale: float, cut: Sequence[float] | None = None) -> Shape:
+        """The structure with displacements times a scale; cut: without the half to which this unit vector points."""
+        mesh = pyvista.UnstructuredGrid(grid.cells, grid.types, grid.points + scale * grid.u)
+        mesh.point_data.update({"u": grid.component(component), "moved": scale * grid.u})
+        parts = {int(number): mesh.extract_cells(grid.region == number) for number in np.unique(grid.region)[::-1]}
+        n, k = grid.base.shape[:2]
+        facets = np.insert(np.arange(n * k).reshape(n, k), 0, k, axis=1)
+        base = pyvista.UnstructuredGrid(facets, np.full(n, grid.base_type), grid.base.reshape(-1, 3)) if n else None
+        if base is not None:
+            base.point_data["moved"] = np.zeros(base.points.shape)
+        if cut is None:
+            return cls(parts, base)
+        low, high = grid.points.min(axis=0), grid.points.max(axis=0)
+        plane = {"normal": cut, "origin": (low + high) / 2 + OFF_MIDDLE * (high - low).max() * np.asarray(cut)}
+        behind = {number: part.clip(**plane) for number, part in parts.items()}
+        regions = {number: part for number, part in behind.items() if part.n_cells}
+        return cls(regions, base.clip(**plane) if base is not None else None, plane)
 
-    def on_screen(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """(n, 3) coordinates of points along the three directions."""
-        return points @ np.array([self.right, self.up, self.towards]).T
+    @property
+    def points(self) -> Array:
+        """(n, 3) nodes of the regions and then of the base."""
+        meshes = [*self.regions.values(), *([] if self.base is None else [self.base])]
+        return np.concatenate([mesh.points for mesh in meshes])
+
+    @property
+    def values(self) -> Array:
+        """(n,) "u" at `points`; not a number on the base."""
+        values = np.concatenate([part["u"] for part in self.regions.values()])
+        return np.pad(values, (0, 0 if self.base is None else self.base.n_points), constant_values=np.nan)
+
+
+def surface(mesh: pyvista.UnstructuredGrid) -> pyvista.PolyData:
+    """Outer surface of a mesh (in 2D the mesh itself), curved cells subdivided."""
+    return mesh.extract_surface(algorithm=None, nonlinear_subdivision=SUBDIVISION)
+
+
+def edges(surface: pyvista.PolyData) -> pyvista.PolyData:
+    """Outlines of a surface, and where it has sharp edges before it deforms, at their deformed places."""
+    still = surface.copy()
+    still.points -= ALMOST * surface["moved"]
+    if not surface.n_lines:
+        still = still.compute_normals(point_normals=False)  # turns faces alike, for their angles
+    lines = still.extract_feature_edges(SHARP, manifold_edges=False, non_manifold_edges=False)
+    if lines.n_cells:
+        lines.points += ALMOST * lines["moved"]
+    return lines
+
+
+def _axes(dim: int, view: Sequence[float] | None, cut: bool) -> Array:
+    """(3, 3) unit vectors to the right, upwards and towards the viewer; raises ModelError for a view in 2D, or none."""
+    if dim == 2 and (view is not None or cut):
+        raise ModelError("view and cut are for three-dimensional structures")
+    towards = np.array(VIEWS[dim] if view is None else view, float)
+    if towards.shape != (3,) or not np.isfinite(towards).all() or not towards.any():
+        raise ModelError(f"view is {view}; it needs three components, not all zero")
+    towards /= np.linalg.norm(towards)
+    right = np.cross((0.0, 1.0, 0.0) if np.hypot(*towards[::2]) > 1e-6 else (0.0, 0.0, -towards[1]), towards)
+    right /= np.linalg.norm(right)
+    return np.array([right, np.cross(towards, right), towards])
 
 
 @dataclass(frozen=True)
@@ -95,17 +151,17 @@ class Scene:
 
     Attributes:
         look: what was asked for.
-        view: where the viewer stands.
+        axes: (3, 3) unit vectors to the right, upwards and towards the viewer.
         factor: of the displacements.
         window: left, right, bottom, top on the screen.
         limits: of the colours.
     """
 
     look: Look
-    view: View
+    axes: Array
     factor: float
-    window: Window
-    limits: tuple[float, float]
+    window: Window = (0.0, 0.0, 0.0, 0.0)
+    limits: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def of(cls, grids: Sequence[Grid], look: Look) -> Scene:
@@ -114,23 +170,23 @@ class Scene:
         Raises:
             ModelError: unknown component, no direction, view or cut in 2D, nothing in the window.
         """
-        view = View.of(grids[0].dim, look.view, look.cut)
+        axes = _axes(grids[0].dim, look.view, look.cut)
         largest = max(np.linalg.norm(grid.u, axis=1).max() for grid in grids)
         fitting = LARGEST * np.ptp(grids[0].points, axis=0).max() / largest if largest > 0 else 1.0
-        whole = cls(look, view, float(fitting if look.scale is None else look.scale), (0.0, 0.0, 0.0, 0.0), (0.0, 0.0))
-        shapes = [whole.shape(grid) for grid in grids]
-        x, y, _ = view.on_screen(np.concatenate([shape.points for shape in shapes])).T
+        scene = cls(look, axes, float(fitting if look.scale is None else look.scale))
+        shapes = [scene.shape(grid) for grid in grids]
+        x, y, _ = axes @ np.concatenate([shape.points for shape in shapes]).T
         x0, x1, y0, y1 = window = (*_range(x), *_range(y)) if look.zoom is None else _window(look.zoom)
         inside = (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
         values = np.concatenate([shape.values for shape in shapes])
         if x.max() < x0 or x.min() > x1 or y.max() < y0 or y.min() > y1:
             raise ModelError(f"nothing to draw in the window {(x0, x1, y0, y1)}")
         seen = values if np.isnan(values[inside]).all() else values[inside]  # a window may lie inside one cell
-        return cls(look, view, whole.factor, window, (float(np.nanmin(seen)), float(np.nanmax(seen))))
+        return replace(scene, window=window, limits=(float(np.nanmin(seen)), float(np.nanmax(seen))))
 
     def shape(self, grid: Grid) -> Shape:
         """The deformed structure of a grid."""
-        front = (0.0, 0.0, float(np.copysign(1.0, self.view.towards[2]))) if self.look.cut else None
+        front = (0.0, 0.0, float(np.copysign(1.0, self.axes[2, 2]))) if self.look.cut else None
         return Shape.of(grid, self.look.component, self.factor, front)
 
     def panels(self, count: int) -> tuple[Picture, list[Axes]]:
@@ -160,7 +216,7 @@ class Scene:
 
         With meshes on S, with point data "rgb", bodies have no colours, and in 3D outlines alone.
         """
-        shape, view = self.shape(grid), self.view
+        shape, (right, up, towards) = self.shape(grid), self.axes
         x0, x1, y0, y1 = self.window
         size = [round(PIXELS * side / max(x1 - x0, y1 - y0)) for side in (x1 - x0, y1 - y0)]
         plotter = pyvista.Plotter(off_screen=True, window_size=size, lighting="none")
@@ -173,19 +229,19 @@ class Scene:
             if not outlines:
                 plotter.add_mesh(outside, **look)
             lines = edges(outside)
-            lines.points += lift * LIFT * (x1 - x0) * view.towards
+            lines.points += lift * LIFT * (x1 - x0) * towards
             if lines.n_cells:
                 plotter.add_mesh(lines, **pen)
         for mesh in on_s or ():
             if shape.plane is not None:
                 mesh = mesh.clip(**shape.plane)
-            mesh.points += (3 if grid.dim == 2 else 0) * LIFT * (x1 - x0) * view.towards
+            mesh.points += (3 if grid.dim == 2 else 0) * LIFT * (x1 - x0) * towards
             plotter.add_mesh(mesh, **ON_S)
-        depth = view.on_screen(shape.points)[:, 2]
+        depth = shape.points @ towards
         near, far = depth.max() + (x1 - x0), depth.min() - (x1 - x0)
-        centre = (x0 + x1) / 2 * view.right + (y0 + y1) / 2 * view.up
+        centre = (x0 + x1) / 2 * right + (y0 + y1) / 2 * up
         plotter.enable_parallel_projection()
-        plotter.camera_position = [centre + near * view.towards, centre + far * view.towards, view.up]
+        plotter.camera_position = [centre + near * towards, centre + far * towards, up]
         plotter.camera.parallel_scale = (y1 - y0) / 2
         plotter.camera.clipping_range = (0.0, near - far)
         image = plotter.screenshot(return_img=True)
@@ -193,7 +249,7 @@ class Scene:
         return image
 
 
-def _range(x: npt.NDArray[np.float64]) -> tuple[float, float]:
+def _range(x: Array) -> tuple[float, float]:
     """Smallest and largest value, with a margin."""
     margin = 0.04 * np.ptp(x)
     return float(x.min() - margin), float(x.max() + margin)
