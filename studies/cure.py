@@ -252,13 +252,9 @@ def draw(record: Record) -> None:
             lines[f"{name}, G = {mu:g} MPa"] = part["x"][::4], part["tau"][::4]
         grid = np.linspace(0, LENGTH, 200)
         lines[f"closed form, G = {mu:g} MPa"] = grid, lag(mu, grid)
+    title, save = "two strips of unequal expansion, cooled by 80 K, held flat", record.path("shear_lag.png")
     plotting.curves(
-        lines,
-        "x from the middle (mm)",
-        "shear stress on S (MPa)",
-        title="two strips of unequal expansion, cooled by 80 K, held flat",
-        styles=2 * ("s", ".", "-"),
-        save=record.path("shear_lag.png"),
+        lines, "x from the middle (mm)", "shear stress on S (MPa)", title=title, styles=2 * ("s", ".", "-"), save=save
     )
     table, grid = record.load("bending.csv"), np.geomspace(min(STIFFENING), max(STIFFENING), 200)
     lines = {name: (table["mu"], 1e3 * table[name]) for name in ("meshed layer", "interface law")}
@@ -277,11 +273,5 @@ def draw(record: Record) -> None:
     lines = {name: (part["t"][::4], part["t_N"][::4]) for name, part in finest.split("model").items()}
     lines["closed form"] = grid, cured(grid)
     lines["a resin that is hard from the start"] = grid, 2 * cured(grid) / np.maximum(conversion(grid / TAU), 1e-9)
-    plotting.curves(
-        lines,
-        "hours",
-        "normal traction on S (MPa)",
-        title="a layer that shrinks by 1 % while it hardens between stiff plates",
-        styles=("s", ".", "-", "--"),
-        save=record.path("curing.png"),
-    )
+    title, save = "a layer that shrinks by 1 % while it hardens between stiff plates", record.path("curing.png")
+    plotting.curves(lines, "hours", "normal traction on S (MPa)", title=title, styles=("s", ".", "-", "--"), save=save)

@@ -105,12 +105,7 @@ def draw(record: Record) -> None:
         "K_T, harmonic mean": (x, 0 * x + K_T / 1e3),
         "arithmetic mean": (x, 0 * x + (7.5 + 10) / 2 / EPS),
     }
+    title, save = "Figure 6: tangential stiffness along S", record.path("ratio.png")
     plotting.curves(
-        lines,
-        "x (mm)",
-        "t_T / u_T (10^3 N/mm^3)",
-        title="Figure 6: tangential stiffness along S",
-        styles=("-", "--", ":", ":"),
-        ylim=(82, 90),
-        save=record.path("ratio.png"),
+        lines, "x (mm)", "t_T / u_T (10^3 N/mm^3)", title=title, styles=("-", "--", ":", ":"), ylim=(82, 90), save=save
     )

@@ -76,12 +76,7 @@ def draw(record: Record) -> None:
         "|t - t_bonded|": (kappa, table["traction_difference_times_kappa"] / kappa),
         "slope -1": (kappa, 5 / kappa),
     }
+    title, save = "a stiff interface law tends to bonded bodies", record.path("bonded.png")
     plotting.curves(
-        lines,
-        "K_N = K_T = kappa",
-        "L2 norm on S",
-        title="a stiff interface law tends to bonded bodies",
-        styles=("o-", "s-", "--"),
-        logarithmic=True,
-        save=record.path("bonded.png"),
+        lines, "K_N = K_T = kappa", "L2 norm on S", title=title, styles=("o-", "s-", "--"), logarithmic=True, save=save
     )
