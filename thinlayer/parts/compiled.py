@@ -68,6 +68,7 @@ class CompiledPart(Part):
         term: the term of the law.
         origin: relation of the mesh to its joint, if there is one; files need it.
         symmetric: whether solvers take the tangent for symmetric; it is then tested.
+        carrier: displacements in V by those that solvers find, as of `CompiledTerm`.
 
     Attributes:
         points: the compiled term, with the quadrature points.
@@ -75,10 +76,11 @@ class CompiledPart(Part):
     """
 
     def __init__(
-        self, key: str, V: fem.FunctionSpace, term: Term, origin: Origin | None = None, *, symmetric: bool = False
-    ) -> None:
+        self, key: str, V: fem.FunctionSpace, term: Term, origin: Origin | None = None, *,
+        symmetric: bool = False, carrier: PETSc.Mat | None = None,
+    ) -> None:  # fmt: skip
         self.key, self._symmetric = key, symmetric
-        self.points = CompiledTerm(V, term, origin)
+        self.points = CompiledTerm(V, term, origin, carrier)
         self._given_at = GivenAtPoints(self.points)
         self.comm = self.points.comm
         self.law = law = term.law
@@ -143,7 +145,7 @@ class CompiledPart(Part):
 
     def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
         strain = self.points.strain(z.x.petsc_vec)
-        self.points.spread(np.einsum("pm,pm->p", self._response.stress, strain), z.function_space, out)
+        self.points.spread(np.einsum("pm,pm->p", self._response.stress, strain), out)
 
     def tangents(self, relative_residual: float) -> list[Block]:
         """As in `Part`. LawError: a law declares a symmetric tangent and has another; half of it would be lost."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
 
 import dolfinx.fem.petsc
 import ufl
@@ -13,7 +13,7 @@ from forms.kinematics import Expr
 from thinlayer.discretisation.measures import compiled, compiled_summands
 from thinlayer.discretisation.state import Configuration
 from thinlayer.parts.part import Block, Interval, Outcome, Part
-from thinlayer.pointwise.assembling import add_forces_of, forces_of, matrix_of
+from thinlayer.pointwise.assembling import add_forces_of, matrix_of
 from thinlayer.system.exchange import communicator
 
 
@@ -28,6 +28,7 @@ class FormPart(Part):
         energy: the stored energy of F and g, a UFL form of u; None: they have no energy.
         kept: whether states keep the energy, under the key.
         g: virtual work of the constant forces, a UFL form that is linear in a test function; None: there are none.
+        carrier: displacements u by those that solvers find, of another mesh of the same joint; None: they are the same.
     """
 
     def __init__(
@@ -40,11 +41,16 @@ class FormPart(Part):
         *,
         kept: bool = False,
         g: Expr | None = None,
+        carrier: PETSc.Mat | None = None,
     ) -> None:
-        self.key, self.K, self._energy, self._kept = key, K, energy, kept
+        self.key, self.K, self._energy, self._kept, self._carrier = key, K, energy, kept, carrier
+        if K is not None and carrier is not None:
+            self.K = K.ptap(carrier)
+            K.destroy()
         V, self._u = u.function_space, u
         self.comm = communicator(V.mesh)
-        self._product, self._change = (u.x.petsc_vec.duplicate() for _ in range(2))
+        like = u.x.petsc_vec if carrier is None else carrier.createVecRight()
+        self._product, self._change = (like.duplicate() for _ in range(2))
         self._F = [] if F is None else compiled_summands(F)
         self._J = [] if F is None else compiled_summands(ufl.derivative(F, u, ufl.TrialFunction(V)))
         self._tangents: list[PETSc.Mat] = []  # of the forms in _J
@@ -55,14 +61,15 @@ class FormPart(Part):
         if self._F or self._g:
             self._take(mid.x.petsc_vec)
 
-    def _take(self, u: PETSc.Vec) -> None:
-        """From now on compute F and its energy at displacements u."""
-        u.copy(self._u.x.petsc_vec)
-        self._u.x.scatter_forward()
+    def _take(self, u: PETSc.Vec, into: fem.Function | None = None) -> None:
+        """From now on compute F and its energy at displacements u; or put what they are here into another function."""
+        own = into or self._u
+        (u.copy if self._carrier is None else partial(self._carrier.mult, u))(own.x.petsc_vec)
+        own.x.scatter_forward()
 
     def add_fixed(self, out: PETSc.Vec) -> None:
         if self._g:
-            add_forces_of(out, *self._g)
+            add_forces_of(out, *self._g, carrier=self._carrier)
 
     def add_forces(self, out: PETSc.Vec) -> float:
         return self._add(self._mid.x.petsc_vec, out)
@@ -75,7 +82,7 @@ class FormPart(Part):
             size = float(self._product.norm())
             out.axpy(1.0, self._product)
         if self._F or self._g:
-            size = max(size, add_forces_of(out, *self._F, *self._g))
+            size = max(size, add_forces_of(out, *self._F, *self._g, carrier=self._carrier))
         return size
 
     def tangents(self, relative_residual: float) -> list[Block]:
@@ -87,7 +94,8 @@ class FormPart(Part):
             J.zeroEntries()
             dolfinx.fem.petsc.assemble_matrix(J, form)
             J.assemble()
-            found.append(Block(J, theta, kept=True))
+            carried = J if self._carrier is None else J.ptap(self._carrier)
+            found.append(Block(carried, theta, kept=carried is J))
         return found
 
     def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
@@ -106,10 +114,10 @@ class FormPart(Part):
         supplied = 0.0
         remainder = (2 * theta - 1) * of_change
         if self._F or self._g:
-            b = forces_of(*self._F, *self._g)
+            self._product.set(0.0)
+            add_forces_of(self._product, *self._F, *self._g, carrier=self._carrier)
             supplied = self._supplied()
-            worked = float(b.dot(change)) + supplied
-            b.destroy()
+            worked = float(self._product.dot(change)) + supplied
             taken = self._u.x.array.copy()  # `now` may be the vector of these values
             last, first = self._stored(now, self.interval), self._stored(old, self.interval, before=True)
             self._u.x.array[:] = taken

@@ -38,9 +38,10 @@ class LawForms(FormPart):
         key: key of the part.
         V: space of the displacements.
         terms: the terms; those whose laws are compiled are left out.
+        carrier: displacements in V by those that solvers find, as of `FormPart`; states then keep the energy by the key.
     """
 
-    def __init__(self, key: str, V: fem.FunctionSpace, terms: Iterable[Term]) -> None:
+    def __init__(self, key: str, V: fem.FunctionSpace, terms: Iterable[Term], carrier: PETSc.Mat | None = None) -> None:
         terms = list(terms)
         everywhere = [p for p in terms if p.n is None]
         self._terms = terms = [p for p in terms if not p.law.traits.compiled]
@@ -62,7 +63,9 @@ class LawForms(FormPart):
             _stiffness(V, linear, everywhere) if linear or everywhere else None,
             work(_given(others, over.balanced), u, v) if others else None,
             stored,
+            kept=carrier is not None,
             g=sum(_of_given(p, v) for p in _given(strained, over.balanced)) if strained else None,
+            carrier=carrier,
         )
         self._opposing = _opposing([p for p in _given(others, over.balanced) if p.n is None and p.given is not None], u)
         self._layer_forms: dict[tuple[str, ...], fem.Form | None] = {}
@@ -108,14 +111,19 @@ class LawForms(FormPart):
         return float(abs(work) / size) if size > 0 and np.isfinite(work) else 0.0
 
     def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
+        there = fem.Function(self._u.function_space)
+        for u, own in ((z, there), (self._mid, self._u)):
+            self._take(u.x.petsc_vec, own)
         for p in _given(self._terms, self._over.balanced):
-            density = ufl.inner(stress(p, self._mid), p.strain(z)) * p.weight
-            add_spread(density, self._u.function_space, p.measure, out)
+            density = ufl.inner(stress(p, self._u), p.strain(there)) * p.weight
+            add_spread(density, there.function_space, p.measure, out, carrier=self._carrier)
 
     def add_layer_forces(self, keys: Collection[str], out: PETSc.Vec) -> None:
-        if (form := self._of_layer(tuple(sorted(keys)))) is not None:
+        if self.key in keys:
+            self.add_forces(out)
+        elif (form := self._of_layer(tuple(sorted(keys)))) is not None:
             self._take(self._mid.x.petsc_vec)
-            add_forces_of(out, form)
+            add_forces_of(out, form, carrier=self._carrier)
 
     def _of_layer(self, keys: tuple[str, ...]) -> fem.Form | None:
         """Virtual work of the layers' terms with these keys; None: there are none."""
@@ -146,7 +154,8 @@ class LawForms(FormPart):
     def _softening(self) -> list[tuple[CompiledTerm, GivenAtPoints]]:
         """The layers' laws that may soften, at points, but those of a meshed layer with parameters that are functions."""
         terms = [p for p in self._terms if p.n is not None and p.law.traits.may_soften and _is_uniform(p.law)]
-        points = [CompiledTerm(self._u.function_space, replace(p, law=_at_points(p.law))) for p in terms]
+        V, carrier = self._u.function_space, self._carrier
+        points = [CompiledTerm(V, replace(p, law=_at_points(p.law)), carrier=carrier) for p in terms]
         return [(one, GivenAtPoints(one)) for one in points]
 
     def undeclared_softening(self) -> tuple[str, str] | None:

@@ -1,11 +1,8 @@
-"""The parts of a model's balance of forces, those that another model of the same joint makes among them."""
+"""The parts of a model's balance of forces, those on the mesh of another model of the same joint among them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
-from functools import partial
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -18,13 +15,12 @@ from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.layer import BY_LAW
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.quadratures import compiled_terms
-from thinlayer.discretisation.state import Configuration, transfer
+from thinlayer.discretisation.state import transfer
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact_part import ContactPart
-from thinlayer.parts.forms import FormPart
 from thinlayer.parts.law_forms import LawForms
 from thinlayer.parts.mean_stress import MeanStressPart
-from thinlayer.parts.part import Array, Block, FileOrder, Interval, Memory, Outcome, Part, PartTraits
+from thinlayer.parts.part import Part
 from thinlayer.parts.pressure_part import PressurePart, has_flow
 
 
@@ -67,22 +63,21 @@ def layer_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part
 
 
 def _elsewhere(model: Model) -> list[Part]:
-    """The parts of interface laws where a layer is not meshed, made by the interface model and carried to the model."""
+    """The parts of interface laws where a layer is not meshed, on the mesh of the interface model. Collective."""
     found = model.law_elsewhere()
     if found is None:
         return []
     other, terms = found
     carrier, in_forms = _carrier(model, other), [p for p in terms if not p.law.traits.compiled]
-    keys = list(dict.fromkeys(p.key for p in in_forms))
-    parts: list[FormPart | CompiledPart] = [
-        LawForms(key, other.V, [p for p in in_forms if p.key == key]) for key in keys
-    ]
-    return [Carried(part, other.V, carrier, f"{part.key}/{BY_LAW}") for part in [*parts, *_compiled(other, terms)]]
+    of_key = {key: [p for p in in_forms if p.key == key] for key in dict.fromkeys(p.key for p in in_forms)}
+    forms = [LawForms(f"{key}/{BY_LAW}", other.V, own, carrier) for key, own in of_key.items()]
+    return [*forms, *_compiled(other, terms, carrier)]
 
 
-def _compiled(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:
+def _compiled(model: Model, terms: Iterable[Term], carrier: PETSc.Mat | None = None) -> list[CompiledPart]:
+    end, origin = "" if carrier is None else f"/{BY_LAW}", model.origin
     return [
-        CompiledPart(key, model.V, term, model.origin, symmetric=model.symmetric)
+        CompiledPart(f"{key}{end}", model.V, term, origin, symmetric=model.symmetric, carrier=carrier)
         for key, term in compiled_terms(terms).items()
     ]
 
@@ -107,14 +102,6 @@ def _free(model: Model, term: Term) -> npt.NDArray[np.float64] | None:
     return points_on_middle(model.domain.joint)[np.unique(known.loose[~known.coarse].vertices)]
 
 
-# ---------------------------------------------------------------- parts of another model
-# Optional methods and attributes of parts that have no displacements, see `Part`.
-SAME = {
-    *("stress_width", "failure", "at_time", "parameters", "ease", "excess", "switch", "undeclared_softening"),
-    *("takes_time", "answers_at_once", "unit_jump_measure", "comms"),
-}
-
-
 def _carrier(model: Model, other: Model) -> PETSc.Mat:
     """Displacements of another model of the same joint by those of a model. Collective.
 
@@ -128,100 +115,3 @@ def _carrier(model: Model, other: Model) -> PETSc.Mat:
     columns = np.rint(transfer(numbers, model, V, other).x.array[:rows]).astype(PETSc.IntType)
     csr = (np.arange(rows + 1, dtype=PETSc.IntType), columns, np.ones(rows))
     return PETSc.Mat().createAIJ(((rows, None), (n, None)), csr=csr, comm=model.comm)
-
-
-class Carried(Part):
-    """A part without own unknowns of another model, on the displacements of this one.
-
-    Args:
-        part: the part.
-        V: space of the other model's displacements.
-        carrier: these by those of this model.
-        key: key of the part here.
-    """
-
-    def __init__(self, part: FormPart | CompiledPart, V: fem.FunctionSpace, carrier: PETSc.Mat, key: str) -> None:
-        self.key, self._part, self._V, self._carrier = key, part, V, carrier
-        self.traits = part.traits
-        self.K = None if part.K is None else part.K.ptap(carrier)
-        self._values = fem.Function(V)  # whose memory the vector has
-        self._forces = self._values.x.petsc_vec
-
-    def _there(self, u: fem.Function) -> fem.Function:
-        """Displacements in the other model."""
-        out = fem.Function(self._V)
-        self._carrier.mult(u.x.petsc_vec, out.x.petsc_vec)
-        out.x.scatter_forward()
-        return out
-
-    # ---------------------------------------------------------------- a step
-    def _old(self, old: Configuration) -> Configuration:
-        """A configuration of this model as one of the other, of this part alone."""
-        u, kept = self._there(old.u), (old.memory, old.stored, old.stresses)
-        own: list[Any] = [{self._part.key: values[self.key]} if self.key in values else {} for values in kept]
-        return Configuration(u, old.t, own[0], {}, own[1], old.at_rest, stresses=own[2])
-
-    def begin(self, interval: Interval) -> None:
-        super().begin(interval)
-        self._part.begin(replace(interval, old=self._old(interval.old)))
-
-    def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
-        self._part.evaluate(self._there(u), self._there(mid))
-        self.failed = self._part.failed
-
-    def _carried(self, add: Callable[[PETSc.Vec], Any], out: PETSc.Vec) -> Any:
-        """Add nodal forces that are added to a vector of the other model; returns what this returns."""
-        self._forces.set(0.0)
-        size = add(self._forces)
-        self._carrier.multTransposeAdd(self._forces, out, out)
-        return size
-
-    def add_forces(self, out: PETSc.Vec) -> float:
-        return float(self._carried(self._part.add_forces, out))
-
-    def add_fixed(self, out: PETSc.Vec) -> None:
-        if isinstance(self._part, FormPart):
-            self._carried(self._part.add_fixed, out)
-
-    def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
-        self._carried(partial(self._part.add_forces_in, self._old(state)), out)
-
-    def tangents(self, relative_residual: float) -> list[Block]:
-        found = []
-        for block in self._part.tangents(relative_residual):
-            if self.K is not None and block.matrix == self._part.K:
-                found.append(replace(block, matrix=self.K))
-                continue
-            found.append(replace(block, matrix=block.matrix.ptap(self._carrier), kept=False))
-            if not block.kept:
-                block.matrix.destroy()
-        return found
-
-    def commit(self) -> Outcome:
-        return replace(self._part.commit(), kept=True)
-
-    # ---------------------------------------------------------------- what does not depend on displacements
-    def __getattr__(self, name: str) -> Any:
-        if name in SAME:
-            return getattr(self._part, name)
-        raise AttributeError(name)
-
-    def rest(self) -> Memory | None:
-        return self._part.rest()
-
-    def named(self) -> dict[str, PartTraits]:
-        return self._part.named()
-
-    @property
-    def file_order(self) -> FileOrder | None:
-        return self._part.file_order
-
-    def error_measure(self, u: fem.Function) -> Array:
-        """As in `Part`; empty if the part measures nothing."""
-        measure = getattr(self._part, "error_measure", None)
-        return measure(self._there(u)) if measure else np.empty(0)
-
-    def destroy(self) -> None:
-        if self.K is not None:
-            self.K.destroy()
-        self._part.destroy()
