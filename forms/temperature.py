@@ -62,6 +62,15 @@ def real(values: Any) -> npt.NDArray[np.float64]:
     return array.astype(float)
 
 
+def finite(values: Any, *shapes: tuple[int, ...]) -> npt.NDArray[np.float64] | None:
+    """Finite real numbers of one of these shapes, without shapes of any, as float64; None: they are something else."""
+    try:
+        array = real(values)
+    except (TypeError, ValueError):
+        return None
+    return array if np.isfinite(array).all() and (not shapes or array.shape in shapes) else None
+
+
 def place(x: npt.NDArray[np.float64], t: float, k: int) -> str:
     """Text of the k-th of the places x (d, n) and of the time t, for messages."""
     return f" at {place_of(x, k)}, t = {t:g}"

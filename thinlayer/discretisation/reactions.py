@@ -11,7 +11,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from forms.temperature import real
+from forms.temperature import finite
 from geometry.domain import Domain
 from geometry.refusals import place as at_place
 from geometry.seam import BASE, S
@@ -66,11 +66,8 @@ class Resultant:
 
 def require_point(about: Sequence[float] | Array, dim: int) -> Array:
     """A point (d,) as an array; raises ModelError if it is none."""
-    try:
-        point = real(about)
-    except (TypeError, ValueError):
-        point = np.empty(0)
-    if point.shape != (dim,) or not np.isfinite(point).all():
+    point = finite(about, (dim,))
+    if point is None:
         raise ModelError(f"about is {about!r}; it must be a point of {dim} finite coordinates")
     return point
 

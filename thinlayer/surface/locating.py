@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from forms.temperature import real
+from forms.temperature import finite
 from geometry.joint import Joint
 from geometry.refusals import place
 from geometry.topology import IntArray, geometry_degree, is_tensor, lagrange
@@ -51,11 +51,9 @@ class Located:
             ModelError: no finite numbers of this shape.
         """
         d, degree = nodes.shape[2], geometry_degree(kind, nodes.shape[1])
-        try:
-            given = np.atleast_2d(real(x))
-        except (TypeError, ValueError):
-            given = np.empty((0, 0))
-        if given.ndim != 2 or not given.size or given.shape[1] != d or not np.isfinite(given).all():
+        known = finite(x)
+        given = np.empty((0, 0)) if known is None else np.atleast_2d(known)
+        if given.ndim != 2 or not given.size or given.shape[1] != d:
             raise ModelError(f"places are {x!r:.80}; they need {d} finite coordinates each, (n, {d})")
         low, high = nodes.min(axis=1), nodes.max(axis=1)
         margin = (high - low).max(axis=1, keepdims=True) * (BULGE if degree > 1 else INSIDE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +17,8 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
-from forms.base import is_number
+from forms.base import is_finite
+from forms.temperature import finite
 from thinlayer.errors import ModelError
 from thinlayer.output.grid import Grid
 from thinlayer.output.plotting.picture import Picture
@@ -62,7 +62,7 @@ class Look:
     cut: bool = False
 
     def __post_init__(self) -> None:
-        if self.scale is not None and not (is_number(self.scale) and math.isfinite(self.scale)):
+        if self.scale is not None and not is_finite(self.scale):
             raise ModelError(f"scale is {self.scale!r}; it must be a finite number, the factor of the displacements")
         if self.zoom is not None:
             _window(self.zoom)
@@ -136,8 +136,8 @@ def _axes(dim: int, view: Sequence[float] | None, cut: bool) -> Array:
     """(3, 3) unit vectors to the right, upwards and towards the viewer; raises ModelError for a view in 2D, or none."""
     if dim == 2 and (view is not None or cut):
         raise ModelError("view and cut are for three-dimensional structures")
-    towards = np.array(VIEWS[dim] if view is None else view, float)
-    if towards.shape != (3,) or not np.isfinite(towards).all() or not towards.any():
+    towards = finite(VIEWS[dim] if view is None else view, (3,))
+    if towards is None or not towards.any():
         raise ModelError(f"view is {view}; it needs three components, not all zero")
     towards /= np.linalg.norm(towards)
     right = np.cross((0.0, 1.0, 0.0) if np.hypot(*towards[::2]) > 1e-6 else (0.0, 0.0, -towards[1]), towards)
@@ -257,10 +257,10 @@ def _range(x: Array) -> tuple[float, float]:
 
 def _window(zoom: Any) -> Window:
     """The four numbers of a window; raises ModelError."""
-    try:
-        left, right, bottom, top = (float(one) if is_number(one) else math.nan for one in zoom)
-        if np.isfinite([left, right, bottom, top]).all() and left < right and bottom < top:
-            return left, right, bottom, top
-    except (TypeError, ValueError):
-        pass
-    raise ModelError(f"zoom is {zoom!r}; it needs (left, right, bottom, top), numbers, left < right and bottom < top")
+    sides = finite(zoom, (4,))
+    if sides is None or not (sides[0] < sides[1] and sides[2] < sides[3]):
+        raise ModelError(
+            f"zoom is {zoom!r}; it needs (left, right, bottom, top), numbers, left < right and bottom < top"
+        )
+    left, right, bottom, top = map(float, sides)
+    return left, right, bottom, top
