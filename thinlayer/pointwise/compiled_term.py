@@ -11,7 +11,6 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.kinematics import MANDEL, UNITS, Expr, mandel
-from forms.law import LawError
 from forms.tangent import LONG
 from forms.work import Term
 from thinlayer.errors import ModelError
@@ -20,6 +19,7 @@ from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
 from thinlayer.pointwise.quadrature import DIAGONAL, Origin, Quadrature
+from thinlayer.system.agreement import on_all
 
 # Size of a tangent below which underflow may have cost digits.
 UNDERFLOW = np.finfo(float).tiny / np.finfo(float).eps ** 2
@@ -171,17 +171,12 @@ class CompiledTerm(Quadrature):
         """Use the law's parameters at this time from now on. Collective.
 
         Raises:
-            LawError: parameters out of range, on all ranks.
+            LawError: parameters out of range; on ranks without them ModelError.
         """
-        if not self.material.varies:
-            return
-        places, problem = self.joint_x, None
-        try:
-            self.material.take_at(places, t)
-        except LawError as error:
-            problem = str(error)
-        if problem := next(filter(None, self.comm.allgather(problem)), None):
-            raise LawError(problem)
+        if self.material.varies:
+            places = self.joint_x
+            with on_all(self.comm):
+                self.material.take_at(places, t)
 
     def tangent_at_rest(self) -> Array:
         """Tangents (points, m, m) at rest, where rates are zero; collective where parameters vary."""
