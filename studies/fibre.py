@@ -141,8 +141,7 @@ def along_axis(record: Record, sweep: Sweep, eps: float) -> None:
     table = record.table("axis.csv")
     closed = {"meshed interphase": with_layer(eps), "interface law": with_springs()}
     for (name, cylinders), state in zip(closed.items(), sweep.solved(eps), strict=True):
-        grid = gather(last(state))
-        nodes = on_root(None, partial(axis_of, grid.points, grid.u))
+        nodes = on_root(None, partial(axis_of, gather(last(state))))
         table.extend(Table.of({"model": name, "x": nodes[:, 0], "u_x": nodes[:, 1], "kind": "nodes"}))
         for k, (inner, outer) in enumerate(pairwise((1e-6, *cylinders.radii))):
             x = np.linspace(inner, outer, 20)
@@ -150,10 +149,10 @@ def along_axis(record: Record, sweep: Sweep, eps: float) -> None:
             table.extend(Table.of({"model": name, "x": x, "u_x": u, "kind": "closed form"}))
 
 
-def axis_of(points: Array, u: Array) -> Array:
+def axis_of(grid: Any) -> Array:
     """(x, u_x) of the nodes on the x axis, x > 0, in order."""
-    on = (abs(points[:, 1]) < 1e-9) & (points[:, 0] > 1e-9)
-    rows = np.column_stack([points[on, 0], u[on, 0]])
+    x, y, _ = grid.points.T
+    rows = np.column_stack([x, grid.u[:, 0]])[(abs(y) < 1e-9) & (x > 1e-9)]
     return np.asarray(rows[np.lexsort(rows.T[::-1])])
 
 

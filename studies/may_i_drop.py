@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 from scipy.optimize import brentq
 
 from forms import LinearElastic, Rubber
@@ -48,6 +48,7 @@ from thinlayer import (
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.estimating.on_surface import away_from_ends
 from thinlayer.estimating.result import Estimate
+from thinlayer.pointwise.assembling import values_of
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 from thinlayer.system.table import Table
@@ -283,11 +284,9 @@ def _of_layer(one: Dropped, at: Array) -> Array:
     v.x.array.reshape(-1, 2)[layer] = _between(one, x[layer])
     (term,) = state.layers
     work = ufl.inner(state.stress(term), term.strain(v)) * term.weight * q * term.measure
-    found = fem.assemble_vector(fem.form(work))
-    found.scatter_reverse(la.InsertMode.add)
     mine = Q.dofmap.index_map.size_local
     near = np.abs(Q.tabulate_dof_coordinates()[:mine, 0] - at[:, None]) < 10.0**-ROUND
-    return np.asarray(model.comm.allreduce(near @ found.array[:mine]))
+    return np.asarray(model.comm.allreduce(near @ values_of(fem.form(work), mine)))
 
 
 def _between(one: Dropped, x: Array) -> Array:

@@ -21,14 +21,7 @@ from thinlayer.output.surface import STATUSES, Surface
 
 Array = npt.NDArray[np.float64]
 BODIES, LAYER, ON_S = "bodies", "layer", "S"
-VTK_TENSOR = (
-    (0, 0),
-    (1, 1),
-    (2, 2),
-    (0, 1),
-    (1, 2),
-    (0, 2),
-)  # XX, YY, ZZ, XY, YZ, XZ: the order in which VTK names six
+VTK_TENSOR = ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])  # XX, YY, ZZ, XY, YZ, XZ: the order in which VTK names six
 STRESS, VON_MISES = "stress", "von Mises"
 POLY_LINE = 4  # of VTK: straight between its nodes; ParaView does not integrate over curved lines
 CONTACT_CODES = {NO_CONTACT: -1} | {name: code for code, name in enumerate(CONTACT_STATUSES)}
@@ -46,7 +39,7 @@ def blocks(state: State, model: InterfaceModel | None) -> pyvista.MultiBlock | N
     of_cells, of_facets = _cell_data(state)
     grid = gather(state)
     on_s = None if model is None else _on_s(state, model, of_facets)
-    if state.model.comm.rank:
+    if grid is None:
         return None
     whole = _volume(state.model.domain.joint, grid, of_cells)
     out = pyvista.MultiBlock()
@@ -117,7 +110,7 @@ class _Means:
 
 def six(tensors: Array) -> Array:
     """Symmetric tensors (n, 3, 3) as (n, 6): XX, YY, ZZ, XY, YZ, XZ."""
-    return np.stack([tensors[:, i, j] for i, j in VTK_TENSOR], axis=1)
+    return tensors[:, *VTK_TENSOR]
 
 
 def von_mises(stress: Array) -> Array:
@@ -183,9 +176,9 @@ def _on_s(state: State, model: InterfaceModel, of_facets: Mapping[str, Array]) -
     to_nodes = np.linalg.pinv(lagrange(surface.kind, degree).tabulate(0, surface.points)[0, :, :, 0])
     at = {name: np.einsum("nq,dfq->fnd", to_nodes, f) for name, f in fields.items()}
     n, k = at["x"].shape[:2]
-    kind, in_vtk = (
-        (POLY_LINE, [0, *range(2, k), 1]) if d == 2 else (vtk_type(surface.kind, k), vtk_order(surface.kind, k))
-    )
+    kind, in_vtk = POLY_LINE, np.r_[0, 2:k, 1]
+    if d == 3:
+        kind, in_vtk = vtk_type(surface.kind, k), vtk_order(surface.kind, k)
     cells = np.column_stack([np.full(n, k), np.arange(n * k).reshape(n, k)[:, in_vtk]]).ravel()
     block = pyvista.UnstructuredGrid(cells, np.full(n, kind), _in_space(at.pop("x")))
     block.point_data.update(_of_nodes(at, d))

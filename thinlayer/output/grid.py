@@ -55,12 +55,6 @@ class Grid:
     base: npt.NDArray[np.float64]
     base_type: int
 
-    @classmethod
-    def empty(cls, dim: int, kind: int, base: npt.NDArray[np.float64], base_type: int) -> Grid:
-        """A grid without cells, of other ranks than the first."""
-        none, numbers = np.empty((0, 3)), np.empty(0, np.int64)
-        return cls(dim, none, none, numbers, np.full(0, kind, np.uint8), numbers, base, base_type)
-
     def component(self, name: str) -> npt.NDArray[np.float64]:
         """(n,) component of the displacement, "x", "y" or "z", or its "size"; raises ModelError for another name."""
         if name == "size":
@@ -82,8 +76,8 @@ def nodal_displacement(state: State) -> fem.Function:
     return u
 
 
-def gather(state: State) -> Grid:
-    """The field of a state, on rank 0 (other ranks: no cells). Collective.
+def gather(state: State) -> Grid | None:
+    """The field of a state, on rank 0; None on other ranks. Collective.
 
     Cells are in the order of the joint that the mesh was made from, nodes in the order in which cells come to them: any
     number of ranks gives the same. The two nodes at one place of S are two, and so are those of periodic sides.
@@ -98,9 +92,8 @@ def gather(state: State) -> Grid:
     numbers = [_numbers(space, nodes) for space, nodes in ((V, here), (W, there))]
     x, values = _places(V, joint.periods is not None, n)[:, order], u.x.array.reshape(-1, d)[here]
     pieces = model.comm.gather((model.domain.original_cells[:n], *numbers, x, values), root=0)
-    kind = vtk_type(joint.cell_type, here.shape[1])
     if pieces is None:
-        return Grid.empty(d, kind, *_base(joint))
+        return None
     original, *numbers, x, values = (np.concatenate(arrays) for arrays in zip(*pieces, strict=True))
     *numbers, x, values = (array[np.argsort(original)] for array in (*numbers, x, values))
     _, first, node = np.unique(
@@ -116,7 +109,8 @@ def gather(state: State) -> Grid:
     cells = np.column_stack([np.full(len(rows), rows.shape[1]), rows]).ravel()
     first_layer = len(joint.regions) - len(model.domain.layer_regions)
     region = np.where(joint.region >= first_layer, first_layer - joint.region - 1, joint.region)
-    return Grid(d, points, moved, cells, np.full(len(rows), kind, np.uint8), region, *_base(joint))
+    types = np.full(len(rows), vtk_type(joint.cell_type, rows.shape[1]), np.uint8)
+    return Grid(d, points, moved, cells, types, region, *_base(joint))
 
 
 def _places(V: fem.FunctionSpace, periodic: bool, n: int) -> npt.NDArray[np.float64]:

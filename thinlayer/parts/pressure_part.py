@@ -9,7 +9,7 @@ import basix.ufl
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 from petsc4py import PETSc
 from scipy.spatial import cKDTree
 from ufl.classes import Zero
@@ -116,15 +116,16 @@ class PressurePart(FieldPart):
 
     def _means(self, f: Expr) -> fem.Function:
         """The mean of an expression on each facet or cell of the region, as which it may jump. Collective."""
-        found = fem.Function(fem.functionspace(self.region.mesh, ("DG", 0)))
-        measure, q = self.region.measure, self.region.side(ufl.TestFunction(found.function_space))
-        sums = []
-        for one in (f, fem.Constant(self.region.parent_mesh, 1.0)):
-            vector = fem.assemble_vector(self.region.compiled(one * q * measure))
-            vector.scatter_reverse(la.InsertMode.add)
-            vector.scatter_forward()
-            sums.append(vector.array)
-        found.x.array[:] = sums[0] / sums[1]
+        space = fem.functionspace(self.region.mesh, ("DG", 0))
+        found, q, own = (
+            fem.Function(space),
+            self.region.side(ufl.TestFunction(space)),
+            space.dofmap.index_map.size_local,
+        )
+        forms = [one * q * self.region.measure for one in (f, fem.Constant(self.region.parent_mesh, 1.0))]
+        of_f, sizes = (values_of(self.region.compiled(form), own) for form in forms)
+        found.x.array[:own] = of_f / sizes
+        found.x.scatter_forward()
         return found
 
     @cached_property

@@ -66,7 +66,7 @@ def movie(
         raise ModelError(f"per_second is {per_second!r}; allowed: whole numbers from 1 to {FASTEST}")
     path, comm = Path(save), states[0].model.comm
     ffmpeg = on_root(comm, _ffmpeg) if path.suffix == MP4 else ""
-    grids = [gather(state) for state in track(states, "movie", "{0.t:.4g}")]
+    grids = [grid for state in track(states, "movie", "{0.t:.4g}") if (grid := gather(state))]
 
     def draw() -> None:
         scene = Scene.of(grids, look)

@@ -161,7 +161,7 @@ def _side_by_side(
     save: str | Path | None,
 ) -> Picture | None:
     """The images of states, with one legend, on rank 0. Collective."""
-    grids = {label: gather(state) for label, state in panels.items()}
+    grids = {label: grid for label, state in panels.items() if (grid := gather(state))}
 
     def draw() -> Picture:
         scene = Scene.of(list(grids.values()), look)
