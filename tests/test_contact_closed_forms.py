@@ -15,6 +15,7 @@ from geometry import block, sandwich
 from studies.problems import sliding_bar
 from tests.contact_bars import SOLVERS, bar, coulomb, lift, solved, stacked
 from tests.contact_run import to_and_fro
+from tests.refused import refused
 from thinlayer import LimitLoad, SolveError, Structure, Surface, ThinLayer, compare, march, piecewise, solve
 
 pytestmark = pytest.mark.few(5)
@@ -204,8 +205,7 @@ def test_a_law_of_ones_own():
     report = bar(12, Saturating(4e5, 6e4, 1.0, 25.0))
     assert np.abs(report.t_T).max() == pytest.approx(25.0 * np.tanh(report.p / 25.0)[report.status == "sliding"].max())
     assert report.clapeyron < 1e-9
-    with pytest.raises(ValueError, match="method='newton'"):
-        bar(12, Saturating(4e5, 6e4, 1.0, 25.0), method="condensed")
+    refused(ValueError, "method='newton'", lambda: bar(12, Saturating(4e5, 6e4, 1.0, 25.0), method="condensed"))
 
 
 def test_bodies_that_are_not_linear():

@@ -11,6 +11,7 @@ from forms.declarations import LawError
 from forms.ends import free_end
 from forms.ends.constants import COLUMNS, flow_factor, nodes, shipped
 from forms.ends.half_strip import half_strip
+from tests.refused import refused
 
 DEGREE, LEVELS = 8, 8  # errors below 1e-8: the corner's energy is r^1.4 to r^1.2, r = 0.5 * 0.2^8
 ROUGH = 1e-7
@@ -100,5 +101,4 @@ def test_the_factor_of_the_flow():
 @pytest.mark.parametrize("nu", [-0.1, 0.51, math.nan])
 def test_other_ratios_are_refused(nu):
     for solve in (free_end, half_strip):
-        with pytest.raises(LawError, match=r"from 0 to 0\.5"):
-            solve(nu)
+        refused(LawError, r"from 0 to 0\.5", solve, nu)

@@ -95,8 +95,7 @@ def test_what_is_no_movie(history, tmp_path):
     with pytest.raises(ModelError, match="of several models"):
         plotting.movie([history.last, pulled([1.0]).last], save=tmp_path / "a.gif")
     for name in ("a.avi", None, 3):
-        with pytest.raises(ModelError, match=r"ends in \.gif or \.mp4"):
-            plotting.movie(history, save=name)
+        refused(ModelError, r"ends in \.gif or \.mp4", plotting.movie, history, save=name)
     for pace in (0, 2.5, "x", 1000):
         with pytest.raises(ModelError, match="whole numbers from 1 to 50"):
             plotting.movie(history, save=tmp_path / "a.gif", per_second=pace)

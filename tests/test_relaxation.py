@@ -9,6 +9,7 @@ from scipy.sparse.linalg import spsolve
 
 from forms.contact import HolonomicCoulomb, Status
 from tests.contact_laws import EXACT, LAWS
+from tests.refused import refused
 from thinlayer.solving.contact.gauss_seidel import Relaxation, relax
 
 
@@ -249,5 +250,4 @@ def test_relaxation_refuses(change, message):
     good = {"indptr": np.arange(5), "indices": np.arange(4), "data": np.ones(4), "b": np.ones(4)}
     good |= {"contact": np.array([[0, 1]]), "weights": np.ones(1), "law": LAWS["Coulomb"]}
     assert relax(**good).converged
-    with pytest.raises(ValueError, match=message):
-        relax(**(good | change))
+    refused(ValueError, message, lambda: relax(**(good | change)))

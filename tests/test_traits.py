@@ -13,6 +13,7 @@ import forms.series
 from forms import BulkLaw, KelvinVoigt, LawError, LinearElastic, MohrCoulomb, NonMonotone, NonMonotoneUnrelaxed, Stack
 from forms.declarations import Traits, trait
 from tests.own_laws import AgeingSpring
+from tests.refused import refused
 
 STIFF = LinearElastic(30.0, 20.0)
 ACROSS = np.array([[0.0, 0.0], [0.0, 1.0]])
@@ -87,8 +88,7 @@ def test_a_trait_is_true_or_false(value):
         mu: float
         linear: ClassVar = value
 
-    with pytest.raises(LawError, match=r"Vague: linear is .*; a trait is True or False"):
-        Vague(1.0)
+    refused(LawError, r"Vague: linear is .*; a trait is True or False", Vague, 1.0)
 
 
 def test_every_trait_says_how_sublayers_fold():

@@ -284,8 +284,7 @@ def test_places_and_heights_out_of_range_are_refused():
         (np.empty((0, 2)), 0.0, "finite coordinates"),
         ([[1.3, 0.0]], -0.5, r"at the corner at \(1.3, 0\), height -0.5, are infinite"),
     ):
-        with pytest.raises(ModelError, match=words):
-            zoom.stress(x, y)
+        refused(ModelError, words, zoom.stress, x, y)
     for end in (-1, 2):
         refused(ModelError, f"end {end}: there are 2, numbered from 0", lambda end=end: zoom.axes_of_end(end))
     refused(ModelError, "seam", lambda: Zoom(state(), "BED"))
@@ -340,5 +339,4 @@ def test_the_picture_of_an_end(tmp_path):
     assert_drawn(tmp_path / "end.png")
     assert [axes.get_title() for axes in picture.axes[:2]] == ["meshed layer", "interface law, zoomed"]
     for given, words in (({"end": 2}, "2 free ends"), ({"component": "X"}, "component"), ({"width": -1}, "width")):
-        with pytest.raises(ModelError, match=words):
-            plotting.zoomed(zoom, **given)
+        refused(ModelError, words, plotting.zoomed, zoom, **given)
