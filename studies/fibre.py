@@ -15,6 +15,7 @@ import numpy.typing as npt
 from forms import LinearElastic
 from geometry import fibre, periodic
 from geometry.parallel import on_root
+from studies.problems import of
 from studies.sweeping import Solution, Sweep, draw_rates, last, layer_of
 from thinlayer import State, Structure, Table, ThinLayer, homogenised_stiffness, observed_orders, plotting, solve
 from thinlayer.output.grid import gather
@@ -46,14 +47,8 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         quick: coarser meshes.
     """
     refine(record, SIZES[:2] if quick else SIZES)
-    sweep = Sweep(
-        record,
-        fibre(RADIUS, RIM, 0.1 if quick else 0.05, cell="quadrilateral", degree=2),
-        setup(),
-        lambda e: ThinLayer(COATING, e, at=1.0),
-        bodies="extended",
-        more=against_closed_forms,
-    )
+    joint = fibre(RADIUS, RIM, 0.1 if quick else 0.05, cell="quadrilateral", degree=2)
+    sweep = Sweep(record, joint, setup(), of(COATING), bodies="extended", more=against_closed_forms)
     table = sweep.run(eps, (0.9, 1.1), title="a coated fibre, stretched along x")
     ratio = np.array(table["error_jump"]) / np.array(table["closed_form"])
     record.check("error of the jump over that of the closed forms, less 1", abs(ratio - 1).max(), high=2e-3)
@@ -109,9 +104,8 @@ def refine(record: Record, sizes: Sequence[float]) -> None:
     for degree, (low, high) in ORDERS.items():
         errors = []
         for h in sizes:
-            model = Structure(fibre(RADIUS, RIM, h, degree=degree), **setup()).interface(
-                ThinLayer(COATING, 0.01, at=1.0)
-            )
+            structure = Structure(fibre(RADIUS, RIM, h, degree=degree), **setup())
+            model = structure.interface(ThinLayer(COATING, 0.01, at=1.0))
             errors.append(abs(energy(record.solved(solve(model))) / exact - 1))
             order = observed_orders(sizes[: len(errors)], errors)[-1]
             row = {"degree": degree, "h": h, "cells": len(model.joint.cells), "error_energy": errors[-1]}
@@ -126,9 +120,8 @@ def homogenise(record: Record, eps: Sequence[float], h: float) -> None:
     errors: list[float] = []
     for e in eps:
         layer = ThinLayer(COATING, e, at=1.0)
-        full, limit = (
-            homogenised_stiffness(m) for m in (structure.full(layer, bodies="extended"), structure.interface(layer))
-        )
+        models = structure.full(layer, bodies="extended"), structure.interface(layer)
+        full, limit = map(homogenised_stiffness, models)
         errors.append(float(np.abs(full - limit).max() / np.abs(limit).max()))
         order = observed_orders(eps[: len(errors)], errors)[-1]
         row = {"eps": e, "C_11": full[0, 0], "C_22": full[1, 1], "C_12": full[0, 1], "C_66": full[2, 2]}

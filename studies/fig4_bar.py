@@ -220,9 +220,8 @@ def draw_energies(record: Record, relaxed: Table) -> None:
     at = np.isclose(relaxed["delta"][:, None], CUTS).any(axis=1)
     computed = f"computed, eps = {BAR.eps:g}"
     envelope_of, phases = "CW_min, convex envelope", ("W_1, phase 0", "W_2, phase 1")
-    energies = dict(
-        zip((*phases, "W_min", envelope_of), ((U, y) for y in (first, second, pure, envelope)), strict=True)
-    )
+    of_layer = zip((*phases, "W_min", envelope_of), (first, second, pure, envelope), strict=True)
+    energies = {name: (U, y) for name, y in of_layer}
     forces = {"W_min": (U, slope), envelope_of: (U, force), **bodies}
     plotting.panels(
         {"energy of the layer": energies, "force": forces | {computed: (relaxed["U"][at], relaxed["sigma"][at])}},
@@ -242,10 +241,8 @@ def draw_response(record: Record, relaxed: Table, loop: Table) -> None:
     delta = np.array([[0.0, BAR.up], [BAR.down, END]])
     kept = np.array([BAR.branch(ends, phase).sigma for phase, ends in enumerate(delta)])
     lost = ", ".join(f"{energy:.4f}" for energy in loop["lost"][~np.isnan(loop["lost"])])
-    everything, computed = (
-        f"pure phases in {ELEMENTS} elements, all equilibria",
-        f"computed; energies lost in snaps: {lost}",
-    )
+    everything = f"pure phases in {ELEMENTS} elements, all equilibria"
+    computed = f"computed; energies lost in snaps: {lost}"
     plotting.curves(
         {
             everything: (np.tile(FINE, equilibria.shape[1]), equilibria.T.ravel()),

@@ -15,9 +15,8 @@ from thinlayer.system.progress import track
 
 EPS = 0.1  # mm
 BAR = LinearElastic.young(E=130e3, nu=0.2)  # MPa
-GLUE = Stack(  # MPa; the lower half is softer
-    (0.5, LinearElastic.shear(mu=7.5e3, nu=0.3)), (0.5, LinearElastic.shear(mu=10e3, nu=0.3))
-)
+SOFTER, HARDER = (LinearElastic.shear(mu=mu, nu=0.3) for mu in (7.5e3, 10e3))  # MPa
+GLUE = Stack((0.5, SOFTER), (0.5, HARDER))
 K_T = 1 / (0.5 * EPS / 7.5e3 + 0.5 * EPS / 10e3)  # N/mm^3: compliances add
 WIDTH = HEIGHT = 40.0  # mm
 INNER = (6.0, 30.0)  # mm: away from the ends of the layer, whose influence decays over a few mm
@@ -99,12 +98,8 @@ def draw(record: Record) -> None:
     """Draw figure 6 from table.csv."""
     table = record.load("table.csv")
     x = table["x_mm"]
-    lines = {
-        "meshed layer": (x, table["ratio_band"] / 1e3),
-        "interface law": (x, table["ratio_interface"] / 1e3),
-        "K_T, harmonic mean": (x, 0 * x + K_T / 1e3),
-        "arithmetic mean": (x, 0 * x + (7.5 + 10) / 2 / EPS),
-    }
+    lines = {"meshed layer": (x, table["ratio_band"] / 1e3), "interface law": (x, table["ratio_interface"] / 1e3)}
+    lines |= {"K_T, harmonic mean": (x, 0 * x + K_T / 1e3), "arithmetic mean": (x, 0 * x + (7.5 + 10) / 2 / EPS)}
     title, save = "Figure 6: tangential stiffness along S", record.path("ratio.png")
     plotting.curves(
         lines, "x (mm)", "t_T / u_T (10^3 N/mm^3)", title=title, styles=("-", "--", ":", ":"), ylim=(82, 90), save=save

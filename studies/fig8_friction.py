@@ -41,10 +41,8 @@ def run(record: Record) -> None:
     shown = {label(*pair): reports[N, pair] for pair in STIFFNESS}
     surface, save, title = reports[N, STIFFNESS[0]].surface, record.path("contact.png"), "bar on a rigid base"
     plotting.along(surface, shown, save=save, length="mm", stress="MPa", title=title)
-    pushed, title = (
-        {label(*pair): states[N, pair] for pair in STIFFNESS[::2]},
-        "bar pushed to the right and onto its base",
-    )
+    pushed = {label(*pair): states[N, pair] for pair in STIFFNESS[::2]}
+    title = "bar pushed to the right and onto its base"
     plotting.deformed(pushed, save=record.path("deformed.png"), unit="mm", title=title)
     save, window = record.path("gap.png"), (9, 21, -0.8, 3)
     stiff = states[N, STIFFNESS[0]]

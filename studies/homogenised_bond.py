@@ -49,10 +49,8 @@ def run(record: Record, *, quick: bool = False) -> None:
 def stiffness(E: float, h: float, cut: tuple[float, float] = (0.25, 0.5)) -> np.ndarray:
     """Stiffness (3, 3) of the wall for a Young's modulus of the bricks, by a periodic cell cut at a place in a brick."""
     joint = bond_cell((WIDTH, HEIGHT), h, cut=cut)
-    mortar = {
-        name: ThinLayer(LinearElastic(K_N - 2 * K_T, K_T), 0.01, at=1.0)
-        for name, (K_N, K_T) in {"BED": BED, "HEAD": HEAD}.items()
-    }
+    laws = {name: LinearElastic(K_N - 2 * K_T, K_T) for name, (K_N, K_T) in (("BED", BED), ("HEAD", HEAD))}
+    mortar = {name: ThinLayer(law, 0.01, at=1.0) for name, law in laws.items()}
     structure = Structure(joint, body=LinearElastic.young(E, NU), supports={})
     return homogenised_stiffness(structure.interface(mortar))
 

@@ -233,9 +233,8 @@ def in_junctions(case: Case, state: State) -> float:
 
 def draw(record: Record) -> None:
     """Draw the errors from table.csv, but for quadrilaterals, whose errors are those of triangles."""
-    cases = {
-        name: rows for name, rows in record.load("table.csv").split("case").items() if "quadrilaterals" not in name
-    }
+    split = record.load("table.csv").split("case").items()
+    cases = {name: rows for name, rows in split if "quadrilaterals" not in name}
     for error, title in DRAWN.items():
         lines = {name: (rows["eps"], rows[error]) for name, rows in cases.items()}
         eps, least = min(lines.values(), key=lambda line: line[1][-1])

@@ -84,11 +84,7 @@ def measure(name: str, points: int, repeats: int) -> dict[str, float | str]:
     yields = energies[:, 1] > 0
     equal = np.abs(np.diff(np.linalg.eigvalsh(tensors(stress)), axis=1)) < 1e-9 * np.abs(stress).max()
     edge, apex = equal.sum(axis=1) == 1, equal.all(axis=1)
-    speed: dict[str, float | str] = {
-        "law": name,
-        "points": points,
-        "seconds": spent,
-        "points_per_second": points / spent,
-    }
+    speed: dict[str, float | str] = {"law": name, "points": points, "seconds": spent}
+    speed["points_per_second"] = points / spent
     shares = {"yielding": yields, "edge": yields & edge, "apex": yields & apex}
     return speed | {what: float(where.mean()) for what, where in shares.items()}

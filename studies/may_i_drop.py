@@ -26,6 +26,7 @@ from studies.dropped import (
     known_cases,
     refused_cases,
     unwarned,
+    young,
 )
 from studies.problems import free_blocks, of
 from studies.sweeping import last
@@ -347,11 +348,7 @@ class Question:
 
 def questions() -> list[Question]:
     """The questions."""
-    polymer, compliance, pull = (
-        LinearElastic.young(E=3.0, nu=0.35),
-        goals.Compliance(),
-        goals.Reaction("TOP", (0.0, 1.0)),
-    )
+    polymer, compliance, pull = young(E=3.0, nu=0.35), goals.Compliance(), goals.Reaction("TOP", (0.0, 1.0))
     blocks = partial(free, FINEST)
     return [
         Question("traction, free ends", blocks, polymer, 0.02, "traction"),
@@ -426,9 +423,7 @@ def draw(record: Record) -> None:
     )
     table, near = record.load("along.csv"), 3 * COARSE  # of an end, where the estimate says nothing
     known = (table["x"] > near) & (table["x"] < 1 - near)
-    columns = {
-        f"change of {name}": {which: f"{which}_{field}" for which in LABELS} for name, field in QUANTITIES.items()
-    }
+    columns = {f"change of {name}": {which: f"{which}_{on}" for which in LABELS} for name, on in QUANTITIES.items()}
     columns["where the compliance changes"] = {"true": "true_density", "estimated": "density"}
     plotting.panels(
         {

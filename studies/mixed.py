@@ -102,9 +102,8 @@ def _thicknesses(record: Record, name: str, law: BulkLaw, thicknesses: Sequence[
         blocks = _Blocks(record, law, float(eps))
         for one, table in tables.items():
             table.append({"eps": float(eps)} | blocks.errors(_state(blocks, one)))
-    orders = {
-        one: [last_order(table, f"error_{of}") for of in ("traction", "jump", "work")] for one, table in tables.items()
-    }
+    errors = [f"error_{of}" for of in ("traction", "jump", "work")]
+    orders = {one: [last_order(table, error) for error in errors] for one, table in tables.items()}
     record.check(f"{name}: least last order of the mixed model", min(orders["mixed"]), low=1.7)
     record.check(f"{name}: largest last order of the law of order 1", max(orders["order 1"]), high=1.2)
     last = {one: table["error_all"][-1] for one, table in tables.items()}

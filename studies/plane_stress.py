@@ -67,9 +67,6 @@ def draw(record: Record) -> None:
         table = record.load(f"table_{name}.csv")
         for plane in ("stress", "strain"):
             lines[f"{name}, over plane {plane}"] = (table["depth"], table[f"over_{plane}"])
-    title, save, ylabel = (
-        "lap joint, layer of 2 mm",
-        record.path("depth.png"),
-        "work of the load, over that in the plane",
-    )
+    title, save = "lap joint, layer of 2 mm", record.path("depth.png")
+    ylabel = "work of the load, over that in the plane"
     plotting.curves(lines, "depth of the sheet (mm)", ylabel, save=save, title=title, ylim=(0.97, 1.13))

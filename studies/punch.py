@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from dolfinx import fem
 
 from forms import LinearElastic, VonMises, limits
 from geometry import Joint, block, ring, sandwich
-from studies.problems import FOURIER_BODY, MORTAR, sheared
+from studies.problems import FOURIER_BODY, MORTAR, of, sheared
 from studies.sweeping import Solution, Sweep, draw_rates
 from thinlayer import History, State, Structure, Surface, Table, ThinLayer, march, plotting
 from thinlayer.running.record import Record
@@ -53,9 +52,7 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
     inflated(record, 0.15 if quick else 0.08)
     joint, setup = sheared(h)
     setup |= {"body": METAL}
-    sweep = Sweep(
-        record, joint, setup, partial(ThinLayer, MORTAR, at=1.0), times=(0.25, 0.5, 0.75, 1.0), more=dissipated
-    )
+    sweep = Sweep(record, joint, setup, of(MORTAR), times=(0.25, 0.5, 0.75, 1.0), more=dissipated)
     found = sweep.run(eps, (0.9, 1.3), title="Mohr-Coulomb joint between bodies that yield")
     for name in ("bodies", "joint"):
         record.check(f"energy dissipated in the {name}, over the stored energy", found[name][-1], low=0.01)
@@ -168,13 +165,11 @@ def draw(record: Record) -> None:
         f"{n:.0f} cells under the punch": (part["sunk"], part["over"])
         for n, part in record.load("punch.csv").split("n").items()
     }
-    xlabel, ylabel, title = (
-        "depth / half-width",
-        f"mean pressure / {limit:.3f} k",
-        "rough punch on ideally plastic metal",
-    )
     curves["(2 + pi) k"], styles = (sunk, np.ones(2)), {"(2 + pi) k": "--"}
-    plotting.curves(curves, xlabel, ylabel, save=record.path("punch.png"), title=title, styles=styles)
+    title, save = "rough punch on ideally plastic metal", record.path("punch.png")
+    plotting.curves(
+        curves, "depth / half-width", f"mean pressure / {limit:.3f} k", save=save, title=title, styles=styles
+    )
     p, curves, styles = np.linspace(0.0, PRESSURES[-1], 100), {}, {}
     for r, name in ((CYLINDER.a, "inside"), (CYLINDER.b, "outside")):
         exact = [float(CYLINDER.displacement(float(at), np.array(r))) for at in p]

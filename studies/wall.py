@@ -68,20 +68,17 @@ def push_walls(record: Record, bricks: int, courses: int, cells: int, step: floa
     for name in WALLS:
         model = sheared(bricks, courses, BRICK[1] / cells, heads=name == WALLS[0])
         history, limit = pushed(model, step, 1.5 * STRENGTH)
-        table.extend(
-            {"wall": name, "shear_MPa": state.t, "shift_mm": shift(state), "iterations": state.report.iterations}
-            for state in history
-        )
+        moved, steps = [shift(state) for state in history], [state.report.iterations for state in history]
+        table.extend(Table.of({"wall": name, "shear_MPa": history.t, "shift_mm": moved, "iterations": steps}))
         record.solved(history.last)
         record.check(f"{name}: limit over that of a bed that slides", limit / STRENGTH, low=0.995, high=1.0)
-        shifts.append(np.interp(NEAR * STRENGTH, history.t, [shift(state) for state in history]))
+        shifts.append(np.interp(NEAR * STRENGTH, history.t, moved))
         near[name] = max((state for state in history if state.t <= NEAR * STRENGTH), key=lambda state: state.t)
         last[name] = history.last
         for state in (near[name], last[name]):
-            shares = Surface(state.model).table(state)
-            joints.extend(
-                {"wall": name, "shear_MPa": state.t} | {key: row.get(key, 0.0) for key in SHARES} for row in shares
-            )
+            for row in Surface(state.model).table(state):
+                shares = {key: row.get(key, 0.0) for key in SHARES}
+                joints.append({"wall": name, "shear_MPa": state.t} | shares)
     record.check("shift at 0.9 of the limit, open heads over heads with mortar", shifts[1] / shifts[0], low=1.1)
     shear = max(state.t for state in near.values())
     title = f"a wall under {PRESSURE:g} MPa, sheared by {shear:.3g} MPa"
@@ -106,9 +103,8 @@ def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
     beds, table, forces = Surface(limit, "BED"), record.table("panel.csv"), {}
     length = beds.integral(1.0)
     models: dict[str, Model] = {"interface law": limit}
-    models |= {
-        f"meshed, {eps:g} mm": structure.full(mortar(eps), cells_through=2, bodies="extended") for eps in thicknesses
-    }
+    for eps in thicknesses:
+        models[f"meshed, {eps:g} mm"] = structure.full(mortar(eps), cells_through=2, bodies="extended")
     for name, model in models.items():
         history = march(model, list(SHIFTS))
         record.solved(history.last)

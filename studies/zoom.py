@@ -17,12 +17,8 @@ from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 
 Array = npt.NDArray[np.float64]
-CASES = (
-    (0.3, 1000.0),
-    (0.3, 100.0),
-    (0.45, 1000.0),
-    (0.45, 100.0),
-)  # Poisson's ratio; E of the bodies over mu, see EPS
+# Poisson's ratio; E of the bodies over mu, see EPS
+CASES = ((0.3, 1000.0), (0.3, 100.0), (0.45, 1000.0), (0.45, 100.0))
 EPS = (1 / 16, 1 / 32, 1 / 64)  # the moduli are those of the first one there, and proportional to eps
 LAWS: dict[str, dict[str, Any]] = {"order 0": {"order": 0}, "order 1, free": {"order": 1, "edges": "free"}}
 THROUGH = 32  # cells through the meshed layer

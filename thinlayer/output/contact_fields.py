@@ -130,15 +130,11 @@ class Contact:
     @property
     def table(self) -> Table:
         """A row for each node: place, u_T, u_N, p, t_T and status."""
-        d = self.x.shape[1]
-        suffixes = [""] if d == 2 else ["_1", "_2"]
-        columns = dict(zip("xyz"[:d], self.x.T, strict=True))
+        suffixes = [""] if self.x.shape[1] == 2 else ["_1", "_2"]
+        columns: dict[str, Any] = dict(zip("xyz", self.x.T, strict=False))
         columns |= {f"u_T{s}": self.u_T[:, k] for k, s in enumerate(suffixes)} | {"u_N": self.u_N, "p": self.p}
         columns |= {f"t_T{s}": self.t_T[:, k] for k, s in enumerate(suffixes)}
-        return Table(
-            {name: float(values[k]) for name, values in columns.items()} | {"status": str(status)}
-            for k, status in enumerate(self.status)
-        )
+        return Table.of(columns | {"status": self.status.tolist()})
 
     @property
     def _counted(self) -> str:
@@ -209,15 +205,10 @@ def _balance(state: State) -> tuple[float, float]:
     held = np.union1d(model.supports.held(model.V), model.held_in(model.V))
     held = held[held < model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs]
     v = ufl.TestFunction(model.V)
-    stresses, loads = (
-        nodal_forces(model.V, state.work(state.bodies + state.layers, v) + model.added_work_in(state, v)),
-        nodal_forces(model.V, model.external_work(v, state.t)),
-    )
-    inner, outer = stresses.x.petsc_vec, loads.x.petsc_vec
-    of_contact = contact_forces(state)  # owns the vector
-    on_s = of_contact.x.petsc_vec
+    stresses = nodal_forces(model.V, state.work(state.bodies + state.layers, v) + model.added_work_in(state, v))
+    loads, of_contact = nodal_forces(model.V, model.external_work(v, state.t)), contact_forces(state)
+    u, inner, outer, on_s = (f.x.petsc_vec for f in (state.u, stresses, loads, of_contact))
     on_s.scale(-1.0)
-    u = state.u.x.petsc_vec
     spent, tractions, supplied = float(u.dot(inner)), float(u.dot(on_s)), float(u.dot(outer))
     total = inner.array_r + on_s.array_r - outer.array_r
     at_supports = comm.allreduce(float(total[held] @ u.array_r[held]))
@@ -225,7 +216,5 @@ def _balance(state: State) -> tuple[float, float]:
     sums = comm.allreduce(total.reshape(-1, d).sum(axis=0))
     sizes = comm.allreduce(sum(float(np.abs(f.array_r).sum()) for f in (inner, outer, on_s)))
     largest = max(map(abs, (spent, tractions, supplied, at_supports)))
-    return (
-        float(np.abs(sums).max() / sizes) if sizes else 0.0,
-        abs(spent + tractions - supplied - at_supports) / largest if largest else 0.0,
-    )
+    unbalanced, missing = float(np.abs(sums).max()), abs(spent + tractions - supplied - at_supports)
+    return unbalanced / sizes if sizes else 0.0, missing / largest if largest else 0.0

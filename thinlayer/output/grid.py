@@ -96,9 +96,8 @@ def gather(state: State) -> Grid | None:
         return None
     original, *numbers, x, values = (np.concatenate(arrays) for arrays in zip(*pieces, strict=True))
     *numbers, x, values = (array[np.argsort(original)] for array in (*numbers, x, values))
-    _, first, node = np.unique(
-        np.stack(numbers, axis=-1).reshape(-1, 2), axis=0, return_index=True, return_inverse=True
-    )
+    pairs = np.stack(numbers, axis=-1).reshape(-1, 2)
+    _, first, node = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
     by_cells = np.argsort(first)
     rows = np.argsort(by_cells)[node.ravel()].reshape(numbers[0].shape)
     at = first[by_cells]

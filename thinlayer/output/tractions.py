@@ -43,9 +43,8 @@ def of_layers(surface: SurfaceMesh, state: State) -> Array:
     """(m, d) tractions of a state with layers, see `Surface.traction`: the projection to degree 1. Collective."""
     moments = np.zeros((*surface.corners.shape, surface.joint.dim))
     for points, rows in points_on(surface, state):
-        (_add_of_law if points.quadrature.region.dim < surface.joint.dim else _add_of_cells)(
-            moments, surface, rows, points
-        )
+        add = _add_of_law if points.quadrature.region.dim < surface.joint.dim else _add_of_cells
+        add(moments, surface, rows, points)
     moments = state.model.comm.allreduce(moments)
     nodal = surface.lumped(moments) if surface.model.contact else surface.projected(moments)
     if of_contact := at_contact(surface, state):
@@ -157,9 +156,8 @@ def by_reactions(surface: SurfaceMesh, state: State) -> Array:
     held = fem.Function(r.function_space)
     held.x.array[model.held_in(r.function_space)] = 1.0
     held.x.scatter_forward()
-    forces, fixed = (
-        np.moveaxis(surface.sides(f, model, surface.corner_points), 1, -1) for f in (r, held)
-    )  # (2, n, k, d)
+    by_sides = [surface.sides(f, model, surface.corner_points) for f in (r, held)]
+    forces, fixed = (np.moveaxis(f, 1, -1) for f in by_sides)  # (2, n, k, d)
     sides, count = _side_nodes(surface)
     force, known = np.zeros((count, d)), np.zeros((count, d), bool)
     force[sides], known[sides] = forces, fixed < 0.5

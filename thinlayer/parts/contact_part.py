@@ -38,10 +38,8 @@ class ContactPart(Part):
         if not isinstance(law, ContactLaw):
             raise LawError(f"{law!r} is no contact law")
         law.check_threshold()
-        has = law.traits
-        self.traits = PartTraits(
-            nonlinear=True, releases=True, eases=True, remembers=has.remembers, softens=has.softens
-        )
+        of_law = {name: getattr(law.traits, name) for name in ("remembers", "softens")}
+        self.traits = PartTraits(nonlinear=True, releases=True, eases=True, **of_law)
         self.key, self.law, self.nodes, self.cancelling = key, law, ContactNodes(surface, held, gap=law.gaps), 0.0
         self.now: ContactLaw | EasedContact = law
         self.slip = self.rest()

@@ -105,9 +105,8 @@ class FormPart(Part):
 
     # ---------------------------------------------------------------- an accepted step
     def commit(self) -> Outcome:
-        now, old, change, theta = (
-            self._end.x.petsc_vec, self.interval.old.u.x.petsc_vec, self._change, self.interval.theta
-        )  # fmt: skip
+        now, old = self._end.x.petsc_vec, self.interval.old.u.x.petsc_vec
+        change, theta = self._change, self.interval.theta
         now.copy(change)
         change.axpy(-1.0, old)
         before, after, of_change = (self._quadratic(v) for v in (old, now, change))

@@ -153,12 +153,9 @@ class RigidPlate(Addition):
 
     def _resultants(self, model: Host) -> dict[str, Given]:
         """The force and the moment, those that are given."""
-        shapes: dict[str, tuple[int, ...]] = {
-            "force": (model.joint.dim,),
-            "moment": () if model.joint.dim == 2 else (3,),
-        }
-        given = {name: getattr(self, name) for name in shapes}
-        return {k: self._value(model, k, value, shapes[k]) for k, value in given.items() if value is not None}
+        d, given = model.joint.dim, (("force", self.force), ("moment", self.moment))
+        shapes: dict[str, tuple[int, ...]] = {"force": (d,), "moment": () if d == 2 else (3,)}
+        return {name: self._value(model, name, value, shapes[name]) for name, value in given if value is not None}
 
     def _motions(self, model: Host) -> dict[int, Given]:
         """Number of a motion that is given -> its value."""

@@ -265,9 +265,8 @@ class MeanVolume:
         basis = np.ones((*root.shape, 1))
         if degree:
             centred = x - x.mean(axis=1, keepdims=True)
-            basis = np.concatenate(
-                [basis, centred / np.abs(centred).max(axis=(1, 2), keepdims=True, initial=0)], axis=2
-            )
+            size = np.abs(centred).max(axis=(1, 2), keepdims=True, initial=0)
+            basis = np.concatenate([basis, centred / size], axis=2)
         U = np.linalg.svd(basis * root[..., None], full_matrices=False)[0]
         self._change = (U @ U.swapaxes(1, 2)) * root[:, None, :] / root[:, :, None] - np.eye(root.shape[1])
 

@@ -50,10 +50,7 @@ class MaterialPoint:
     def rest(self) -> MaterialPointState:
         """The law at rest."""
         d = len(self.n)
-        none = np.zeros(d)
-        return MaterialPointState(
-            0.0, none, none, np.zeros((d, d)), np.zeros(6), np.zeros(self.material.memory), np.zeros(3)
-        )
+        return MaterialPointState(0.0, *(np.zeros(shape) for shape in (d, d, (d, d), 6, self.material.memory, 3)))
 
     def _respond(self, old: MaterialPointState, w: Array, dt: float) -> MaterialPointState | None:
         """The state after a step to the jump w; None where the law fails."""
@@ -107,17 +104,14 @@ class MaterialPoint:
             old = old._replace(memory=memory[0])
 
     def _stuck(self, state: MaterialPointState, jumps_given: Array, done: float) -> str:
-        reached = ", ".join(
-            f"{kind}_{c} = {value:.6g}"
-            for kind, values in (("w", state.w), ("t", state.traction))
-            for c, value in zip(COMPONENTS[len(self.n)], values, strict=True)
-        )
+        names = [f"{kind}_{c}" for kind in "wt" for c in COMPONENTS[len(self.n)]]
+        values = zip(names, (*state.w, *state.traction), strict=True)
+        reached = ", ".join(f"{name} = {value:.6g}" for name, value in values)
         where = f"it stopped after {done:.4g} of the step, at {reached}"
         if jumps_given.all():
             return f"the law failed; {where}"
-        return (
-            f"no jump was found for the prescribed traction; {where}. Beyond the law's limit? Prescribe the jump there"
-        )
+        hint = "Beyond the law's limit? Prescribe the jump there"
+        return f"no jump was found for the prescribed traction; {where}. {hint}"
 
     def _solve(self, old: MaterialPointState, jumps_given: Array, goal: Array, dt: float) -> MaterialPointState | None:
         """Newton's method for the components whose traction is prescribed; None if it does not converge.

@@ -178,17 +178,13 @@ class Quadrature:
         given, of_strains = self.term.given, self.term.kinematics.slots(self.dim)
         if self.term.volume is not None:
             of_strains = (*of_strains, *DIAGONAL)
-        return [
-            k
-            for k, pair in enumerate(MANDEL)
-            if k in of_strains or (given is not None and not isinstance(given[pair], Zero))
-        ]
+        of_given = [k for k, pair in enumerate(MANDEL) if given is not None and not isinstance(given[pair], Zero)]
+        return sorted({*of_strains, *of_given})
 
     def _space(self, shape: tuple[int, ...]) -> fem.FunctionSpace:
-        cell = self.region.mesh.basix_cell()
-        return fem.functionspace(
-            self.region.mesh, basix.ufl.quadrature_element(cell, value_shape=shape, degree=self.degree)
-        )
+        mesh = self.region.mesh
+        element = basix.ufl.quadrature_element(mesh.basix_cell(), value_shape=shape, degree=self.degree)
+        return fem.functionspace(mesh, element)
 
     def _geometry(self) -> None:
         """Places, director and weights of the points."""
