@@ -20,7 +20,7 @@ from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 
-TAKEN = ("forms", "forms of layers", LAYER, "pressure", CONTACT, BODIES, "loads")  # keys that every model may have
+TAKEN = ("forms", LAYER, "pressure", CONTACT, BODIES, "loads")  # keys that every model may have
 
 
 Host = Any  # a `Model`, which imports this module
@@ -151,7 +151,7 @@ def check_additions(parts: Sequence[Any], model: Host) -> None:
             raise ModelError(f"one of parts is {part!r}; allowed: Springs, UflPart, or a dataclass that is an Addition")
         if not part.ties_nodes and type(part).part is Addition.part:
             raise ModelError(f"the addition {part.key!r} does nothing: it has neither part(model) nor tied(model)")
-        if part.key in keys or part.key.split("/")[0] in of_seams or sublayer.fullmatch(part.key):
+        if part.key in keys or part.key.split("/")[0] in {LAYER, *of_seams} or sublayer.fullmatch(part.key):
             raise ModelError(f"two parts are called {part.key!r}; give one of them another name")
         keys.add(part.key)
         part.check(model)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property, reduce
 from operator import or_
@@ -24,7 +24,7 @@ from thinlayer.discretisation.measures import compiled
 from thinlayer.parts.compiled import GivenAtPoints, falls
 from thinlayer.parts.forms import FormPart, matrix
 from thinlayer.parts.part import Interval, PartTraits
-from thinlayer.pointwise.assembling import add_forces_of, add_spread, matrix_of
+from thinlayer.pointwise.assembling import add_spread, matrix_of
 from thinlayer.pointwise.compiled_term import CompiledTerm
 
 
@@ -68,7 +68,6 @@ class LawForms(FormPart):
             carrier=carrier,
         )
         self._opposing = _opposing([p for p in _given(others, over.balanced) if p.n is None and p.given is not None], u)
-        self._layer_forms: dict[tuple[str, ...], fem.Form | None] = {}
         self.traits = replace(reduce(or_, map(_traits, terms), PartTraits()), inner=len(bodies) == len(terms))
 
     def named(self) -> dict[str, PartTraits]:
@@ -117,21 +116,6 @@ class LawForms(FormPart):
         for p in _given(self._terms, self._over.balanced):
             density = ufl.inner(stress(p, self._u), p.strain(there)) * p.weight
             add_spread(density, there.function_space, p.measure, out, carrier=self._carrier)
-
-    def add_layer_forces(self, keys: Collection[str], out: PETSc.Vec) -> None:
-        if self.key in keys:
-            self.add_forces(out)
-        elif (form := self._of_layer(tuple(sorted(keys)))) is not None:
-            self._take(self._mid.x.petsc_vec)
-            add_forces_of(out, form, carrier=self._carrier)
-
-    def _of_layer(self, keys: tuple[str, ...]) -> fem.Form | None:
-        """Virtual work of the layers' terms with these keys; None: there are none."""
-        if keys not in self._layer_forms:
-            terms = _given([p for p in self._terms if p.n is not None and p.key in keys], self._over.balanced)
-            v = ufl.TestFunction(self._u.function_space)
-            self._layer_forms[keys] = compiled(work(terms, self._u, v)) if terms else None
-        return self._layer_forms[keys]
 
     def _stored(self, u: PETSc.Vec, interval: Interval, *, before: bool = False) -> float:
         old = interval.old

@@ -43,9 +43,7 @@ def layer_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part
         held: displacements of this rank that supports prescribe (local, unrolled).
         bodies: those of `body_parts`.
     """
-    in_forms = [p for p in model.layer_terms if not p.law.traits.compiled]
-    parts: list[Part] = [LawForms("forms of layers", model.V, in_forms)] if in_forms else []
-    parts += _compiled(model, model.layer_terms)
+    parts: list[Part] = [*_in_forms(model, model.layer_terms, "forms"), *_compiled(model, model.layer_terms)]
     if constrained := [p for p in model.layer_terms if p.law.traits.constrained]:
         diagonal = diagonal_at_rest(bodies)
         largest = float(diagonal.max()[1])
@@ -68,10 +66,17 @@ def _elsewhere(model: Model) -> list[Part]:
     if found is None:
         return []
     other, terms = found
-    carrier, in_forms = _carrier(model, other), [p for p in terms if not p.law.traits.compiled]
-    of_key = {key: [p for p in in_forms if p.key == key] for key in dict.fromkeys(p.key for p in in_forms)}
-    forms = [LawForms(f"{key}/{BY_LAW}", other.V, own, carrier) for key, own in of_key.items()]
-    return [*forms, *_compiled(other, terms, carrier)]
+    carrier = _carrier(model, other)
+    return [*_in_forms(other, terms, BY_LAW, carrier), *_compiled(other, terms, carrier)]
+
+
+def _in_forms(model: Model, terms: Iterable[Term], end: str, carrier: PETSc.Mat | None = None) -> list[LawForms]:
+    """A part for the laws in forms of each layer."""
+    of_layers: dict[str, list[Term]] = {}
+    for p in terms:
+        if not p.law.traits.compiled:
+            of_layers.setdefault(p.key, []).append(p)
+    return [LawForms(f"{key}/{end}", model.V, own, carrier) for key, own in of_layers.items()]
 
 
 def _compiled(model: Model, terms: Iterable[Term], carrier: PETSc.Mat | None = None) -> list[CompiledPart]:

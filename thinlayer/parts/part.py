@@ -184,9 +184,8 @@ class Part(ABC):
     - `diagonal_at_rest()`: diagonal of the tangent at rest of bodies that are not in K, a scale of forces, or None; the
       caller destroys it. `distance`: largest given distance of bodies, such as an initial gap, whose rounding displacements
       have. `cancelling`: norm of the diagonal of a stiffness that is not in K and acts on differences of displacements.
-    - `add_layer_forces(keys, out)`: adds the nodal forces of those of its layers that have one of these keys.
-      `add_work_in(z, out)`: adds the work of the last stresses in displacements z, spread over the nodes where it is done.
-      Without them the forces of the part are one whole, and act at nodes.
+    - `add_work_in(z, out)`: adds the work of the last stresses in displacements z, spread over the nodes where it is done.
+      Without it the forces of the part act at nodes.
     - `stress_width`: number of stress components that states keep at each point of the memory.
     - `comms`: communicators of PETSc objects that belong to the part.
 

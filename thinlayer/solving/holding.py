@@ -99,9 +99,7 @@ class ReactionSums:
         forces = like.duplicate()
         forces.set(0.0)
         for part in self.parts:
-            if hasattr(part, "add_layer_forces"):
-                part.add_layer_forces(keys, forces)
-            elif part.key in keys:
+            if part.key in keys:
                 part.add_forces(forces)
         found = forces.array_r @ self._motions
         forces.destroy()
