@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property, partial
+from functools import cached_property
 
 import dolfinx.fem.petsc
 import ufl
@@ -64,7 +64,10 @@ class FormPart(Part):
     def _take(self, u: PETSc.Vec, into: fem.Function | None = None) -> None:
         """From now on compute F and its energy at displacements u; or put what they are here into another function."""
         own = into or self._u
-        (u.copy if self._carrier is None else partial(self._carrier.mult, u))(own.x.petsc_vec)
+        if self._carrier is None:
+            u.copy(own.x.petsc_vec)
+        else:
+            self._carrier.mult(u, own.x.petsc_vec)
         own.x.scatter_forward()
 
     def add_fixed(self, out: PETSc.Vec) -> None:

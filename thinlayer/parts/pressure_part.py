@@ -117,11 +117,8 @@ class PressurePart(FieldPart):
     def _means(self, f: Expr) -> fem.Function:
         """The mean of an expression on each facet or cell of the region, as which it may jump. Collective."""
         space = fem.functionspace(self.region.mesh, ("DG", 0))
-        found, q, own = (
-            fem.Function(space),
-            self.region.side(ufl.TestFunction(space)),
-            space.dofmap.index_map.size_local,
-        )
+        found, q = fem.Function(space), self.region.side(ufl.TestFunction(space))
+        own = space.dofmap.index_map.size_local
         forms = [one * q * self.region.measure for one in (f, fem.Constant(self.region.parent_mesh, 1.0))]
         of_f, sizes = (values_of(self.region.compiled(form), own) for form in forms)
         found.x.array[:own] = of_f / sizes
