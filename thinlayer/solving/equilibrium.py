@@ -12,8 +12,8 @@ from thinlayer.errors import SolveError
 from thinlayer.solving.balance import ALLOWED
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import mark
-from thinlayer.solving.newton import newton, reason_name
-from thinlayer.solving.petsc import PREFIX, solve_linear
+from thinlayer.solving.newton import newton
+from thinlayer.solving.petsc import PREFIX, reason_name, solve_linear
 
 # Relative residuals; keys: True for direct solvers, False for Krylov methods.
 REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # refinement ends at this residual
@@ -199,10 +199,8 @@ class Equilibrium(Finder):
             )
 
     def _solve_linear(self, b: PETSc.Vec, x: PETSc.Vec) -> int:
-        ksp = self._factor.ksp
-        assert ksp is not None
-        solve_linear(ksp, b, x)
-        return int(ksp.getIterationNumber())
+        solve_linear(self._factor.ksp, b, x)
+        return int(self._factor.ksp.getIterationNumber())
 
     def _refine(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> tuple[float, int]:
         """Refine the linear solution x iteratively; returns its relative residual, and the iterations of a Krylov method.
@@ -211,7 +209,6 @@ class Equilibrium(Finder):
             SolveError: the solution is not unique, or its residual is too large.
         """
         equations, ksp = self.equations, self._factor.ksp
-        assert ksp is not None
         reason = ksp.getConvergedReason()
         direct = ksp.getType() == "preonly"
         residual, first, iterations, rtol = self._relative(r), True, 0, ksp.getTolerances()[0]

@@ -10,7 +10,7 @@ from petsc4py import PETSc
 from thinlayer.errors import SolveError
 from thinlayer.solving.balance import ALLOWED
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.petsc import PREFIX, OptionError, OptionValue, solve_nonlinear
+from thinlayer.solving.petsc import PREFIX, OptionError, OptionValue, reason_name, solve_nonlinear
 
 NEWTON: dict[str, OptionValue] = {
     "snes_type": "newtonls",
@@ -125,9 +125,3 @@ def _stagnates(residuals: list[float]) -> bool:
     """Whether the last steps have not reduced the residual."""
     before, last = residuals[:-STAGNATION_STEPS], residuals[-STAGNATION_STEPS:]
     return bool(before) and min(last) > 0.9 * min(before)
-
-
-def reason_name(kind: Any, value: int) -> str:
-    """PETSc's name of the reason why a solver stopped."""
-    names = {v: k for k, v in vars(kind).items() if isinstance(v, int) and not k.startswith("_")}
-    return names.get(value, str(value))

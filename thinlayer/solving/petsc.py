@@ -209,3 +209,9 @@ def failed_in_petsc(error: PETSc.Error) -> SolveError:
     """A SolveError for an error of PETSc, so that a march can try a shorter step."""
     said = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines()]
     return SolveError(f"PETSc: {said[-1] if said else ''} (error {error.ierr})")
+
+
+def reason_name(kind: Any, value: int) -> str:
+    """PETSc's name of the reason why a solver stopped."""
+    names = {v: k for k, v in vars(kind).items() if isinstance(v, int) and not k.startswith("_")}
+    return names.get(value, str(value))

@@ -165,7 +165,7 @@ class Factor:
     """
 
     def __init__(self) -> None:
-        self.ksp: PETSc.KSP | None = None
+        self.ksp: Any = None
         self.of: Hashable = None
         self._options: dict[str, Any] = {}
 
@@ -186,7 +186,6 @@ class Factor:
             self.destroy()
             self.ksp = PETSc.KSP().create(A.comm)
             self.ksp.setOptionsPrefix(PREFIX)
-        assert self.ksp is not None
         self.ksp.setOperators(A)
         if not stays:
             self.ksp.setFromOptions()

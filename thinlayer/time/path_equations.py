@@ -12,8 +12,15 @@ from thinlayer.errors import ModelError, SolveError
 from thinlayer.parts.part import Interval
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import direct_solver, mark
-from thinlayer.solving.newton import reason_name
-from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, require_all_read, require_known_values, solve_linear
+from thinlayer.solving.petsc import (
+    PREFIX,
+    OptionValue,
+    defaults,
+    reason_name,
+    require_all_read,
+    require_known_values,
+    solve_linear,
+)
 
 QUOTIENT_STEP = 1e-3  # step of difference quotients in t, relative to the unit of t
 

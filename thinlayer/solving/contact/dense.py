@@ -15,8 +15,7 @@ from scipy import sparse
 from forms.contact import ContactLaw
 from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.solving.balance import ALLOWED, ForceScale
-from thinlayer.solving.contact.gauss_seidel import sweep_nodes
-from thinlayer.solving.contact.turning import Sliding, sliding, turned
+from thinlayer.solving.contact.gauss_seidel import Sliding, sliding, sweep_nodes, turned
 from thinlayer.solving.petsc import PREFIX, OptionValue, defaults
 
 Indices = npt.NDArray[Any]

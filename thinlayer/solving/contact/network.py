@@ -17,14 +17,17 @@ from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.errors import SolveError
 from thinlayer.parts.contact_part import ContactPart
+from thinlayer.parts.part import DISPLACEMENTS, Block
 from thinlayer.solving.balance import ALLOWED, TINY, ForceScale
-from thinlayer.solving.contact.gauss_seidel import BlockRows
+from thinlayer.solving.contact.gauss_seidel import sorted_blocks
 from thinlayer.solving.contact.pair_nodes import PairNodes
-from thinlayer.solving.contact.pieces import Condensation
+from thinlayer.solving.contact.pieces import Condensation, in_petsc
 from thinlayer.solving.contact.schur import FactorError
-from thinlayer.solving.contact.sparse_solver import SparseSolver
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Finder, Found
+from thinlayer.solving.linear_solvers import DIRECT
+from thinlayer.solving.petsc import defaults, solve_linear
+from thinlayer.solving.tangent_matrix import Factor, TangentMatrix
 
 TOLERANCE = 1e-11  # residual at which Newton's method stops, relative to the forces
 STALLED = 1e-9  # residual, relative to the forces, that is accepted if Newton steps do not reduce it
@@ -140,14 +143,19 @@ class _System:
     stiffness: scipy.sparse.csr_matrix
 
     @cached_property
-    def _blocks(self) -> BlockRows:
-        blocks = self.stiffness.tobsr((self.pairs.d,) * 2)
-        blocks.sort_indices()
-        return BlockRows(blocks.indptr.astype(np.int32), blocks.indices.astype(np.int32), blocks.data)
+    def _blocks(self) -> scipy.sparse.bsr_matrix:
+        return sorted_blocks(self.stiffness, self.pairs.d)
 
     @cached_property
-    def _linear(self) -> SparseSolver:
-        return SparseSolver(self.stiffness, self.pairs.pattern)
+    def _matrix(self) -> TangentMatrix:
+        """The stiffness and all entries that pairs may add, so that MUMPS orders the unknowns once."""
+        matrix = TangentMatrix(PETSc.COMM_SELF, {DISPLACEMENTS: self.stiffness.shape[0]})
+        matrix.fill([Block(in_petsc(one)) for one in (self.stiffness, self.pairs.pattern)])
+        return matrix
+
+    @cached_property
+    def _factor(self) -> Factor:
+        return Factor()
 
     @cached_property
     def _scale(self) -> ForceScale:
@@ -162,7 +170,20 @@ class _System:
     def bonded(self, g: Array) -> Array:
         """Displacements with bonded springs, which neither open nor slide."""
         springs, forces = self.pairs.bonded()
-        return self._linear.solve(springs, g - forces)
+        return self._linear_solve(springs, g - forces)
+
+    def _linear_solve(self, more: scipy.sparse.csr_matrix, b: Array) -> Array:
+        """x with (stiffness + more) x = b; not finite if the matrix is singular."""
+        A = self._matrix.fill([Block(in_petsc(one)) for one in (self.stiffness, more)])
+        x, right = A.createVecs()
+        right.array[:] = b
+        with defaults({**DIRECT, "pc_type": "lu"}):
+            self._factor.renew(A, None, lambda *_: None)
+            solve_linear(self._factor.ksp, right, x)
+        found = x.array_r.copy() if self._factor.ksp.getConvergedReason() > 0 else np.full(len(b), np.nan)
+        x.destroy()
+        right.destroy()
+        return found
 
     def solve(self, u: Array, g: Array, size: float) -> tuple[Array, tuple[float, ...]]:
         """Displacements, from u, and the residuals before each Newton step and after the last, relative to the forces.
@@ -185,7 +206,7 @@ class _System:
             u = u.copy()
             sweeps = min(SWEEPS * 2 ** max(len(residuals) - PATIENCE, 0), MOST_SWEEPS)
             self.pairs.sweep(self._blocks, g, u, sweeps)
-            step = self._linear.solve(self.pairs.tangent(u), -self.residual(u, g))
+            step = self._linear_solve(self.pairs.tangent(u), -self.residual(u, g))
             u = u + self._length(u, step, g) * step
 
     def _ends(self, residuals: list[float], u: Array, size: float) -> bool:
@@ -220,5 +241,6 @@ class _System:
         return a
 
     def close(self) -> None:
-        """Free the factor."""
-        self._linear.close()
+        """Free matrix and factor."""
+        self._matrix.destroy()
+        self._factor.destroy()

@@ -19,6 +19,12 @@ Indices = npt.NDArray[Any]
 AT_ONCE = 64  # number of right-hand sides that are solved together
 
 
+def in_petsc(A: scipy.sparse.csr_matrix) -> PETSc.Mat:
+    """A copy of a matrix on this process."""
+    csr = A.indptr.astype(PETSc.IntType), A.indices.astype(PETSc.IntType), A.data
+    return PETSc.Mat().createAIJ(A.shape, csr=csr, comm=PETSc.COMM_SELF)
+
+
 class Condensation:
     """K_cc - K_ci K_ii^-1 K_ic for the kept unknowns c and the inner ones i; the others are held.
 
@@ -64,8 +70,7 @@ class Condensation:
 
     def _factorise(self, A: scipy.sparse.csr_matrix) -> None:
         A.sort_indices()
-        csr = A.indptr.astype(PETSc.IntType), A.indices.astype(PETSc.IntType), A.data
-        self._matrix = PETSc.Mat().createAIJ(A.shape, csr=csr, comm=PETSc.COMM_SELF)
+        self._matrix = in_petsc(A)
         for option in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.SPD):
             self._matrix.setOption(option, True)
         self._pc = PETSc.PC().create(PETSc.COMM_SELF)
