@@ -76,12 +76,12 @@ def recorded(
     from thinlayer.errors import InputError, SolveError
     from thinlayer.running.record import Record
     from thinlayer.solving.petsc import given_elsewhere
-    from thinlayer.system import abort, log
+    from thinlayer.system import abort, progress
 
     set_signals()
     abort.STATUS = UNFINISHED
     if verbose:
-        log.show(logging.INFO if verbose == 1 else logging.DEBUG)
+        progress.show(logging.INFO if verbose == 1 else logging.DEBUG)
     comm = MPI.COMM_WORLD
     root = comm.rank == 0
     if root and (elsewhere := given_elsewhere()):

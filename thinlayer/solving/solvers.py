@@ -36,7 +36,7 @@ from thinlayer.solving.petsc import (
 )
 from thinlayer.solving.ranges import warn_of_model, warn_of_no_time, warn_of_states
 from thinlayer.system.agreement import on_all, require_same
-from thinlayer.system.log import logger
+from thinlayer.system.progress import logger
 
 SOFTENS = (
     "the stress of {} falls as jumps grow, and an equilibrium may be one of several; follow them from rest with "

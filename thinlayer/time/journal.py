@@ -19,7 +19,7 @@ from thinlayer.solving.equations import Equations
 from thinlayer.system.agreement import on_all
 from thinlayer.system.exchange import collect
 from thinlayer.system.identity import Resume, code_of, described
-from thinlayer.system.log import logger
+from thinlayer.system.progress import logger
 from thinlayer.system.table import Row
 from thinlayer.time.checkpoint import Checkpoint, Pace
 from thinlayer.time.history import History, dissipated_columns, phase_columns

@@ -12,8 +12,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import LimitLoad, ModelError, NoEquilibrium, SolveError, warn
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.identity import Resume
-from thinlayer.system.log import logger
-from thinlayer.system.progress import telling
+from thinlayer.system.progress import logger, telling
 from thinlayer.time.error import ErrorEstimate
 from thinlayer.time.history import SAME_TIME, History
 from thinlayer.time.journal import Journal

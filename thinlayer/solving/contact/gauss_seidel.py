@@ -16,7 +16,7 @@ import scipy.sparse
 from mpi4py import MPI
 
 from forms.contact import ContactLaw, Status
-from thinlayer.system.shared_library import library
+from thinlayer.system.compilation import library, own_library
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -86,7 +86,7 @@ def sweep_nodes(
     n, d = u.shape
     rows = (matrix, None, None) if isinstance(matrix, np.ndarray) else (matrix.data, matrix.indptr, matrix.indices)
     moves = np.ones(n, bool) if moves is None else moves
-    c = library(SOURCE)
+    c = own_library(SOURCE)
     arrays = (*rows, g, u, base, frames, weights, np.array(numbers), slip, None, moves)
     return float(c.lib.sweep_nodes(n, d, *pointers(c, *arrays), sweeps))
 
@@ -171,7 +171,7 @@ def relax(
     Returns:
         The last iterate, also without convergence: if increments are not finite, grow or stagnate, or at `max_sweeps`.
     """
-    c, count, d = library(SOURCE), len(b), contact.shape[1]
+    c, count, d = own_library(SOURCE), len(b), contact.shape[1]
     now, dofs = np.zeros(count) if u is None else u.copy(), np.ascontiguousarray(contact, np.int32)
     steps = _steps(dofs, order, count)
     begins, columns = (np.asarray(a, np.int32) for a in (A.indptr, A.indices))

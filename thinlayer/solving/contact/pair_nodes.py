@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
-from mpi4py import MPI
 
 from forms.contact import ContactLaw, EasedContact
 from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.solving.contact.gauss_seidel import pointers
-from thinlayer.system.shared_library import library
+from thinlayer.system.compilation import own_library
 
 SOURCE = Path(__file__).with_name("sweep_pairs.c")
 Law = ContactLaw | EasedContact
@@ -46,7 +45,7 @@ class PairNodes:
         self.free = ~held.reshape(-1, self.d)[self.nodes]
         self._jumps = self._jump_matrix()
         self._sorted_by_node()
-        library(SOURCE, MPI.COMM_SELF)
+        own_library(SOURCE)
 
     def _jump_matrix(self) -> scipy.sparse.csr_matrix:
         """(pairs d, n d) from displacements to jumps in the pairs' frames."""
@@ -137,7 +136,7 @@ class PairNodes:
             stiffness.indptr, stiffness.indices, stiffness.data, g, u, self._begins, self._pair, self._other, self._sign,
             self._frames, self._weights, numbers, slip, moves,
         )  # fmt: skip
-        c, contiguous = library(SOURCE), map(np.ascontiguousarray, arrays)
+        c, contiguous = own_library(SOURCE), map(np.ascontiguousarray, arrays)
         c.lib.sweep_pairs(len(self.nodes), self.d, *pointers(c, *contiguous), sweeps)
 
 

@@ -18,7 +18,7 @@ from petsc4py import PETSc
 from forms.base import ThinlayerError
 from thinlayer.solving.contact.problem import Rows
 from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, keep_unknowns, schur_of
-from thinlayer.system.shared_library import library
+from thinlayer.system.compilation import library
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
