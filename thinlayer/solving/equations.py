@@ -21,10 +21,9 @@ from thinlayer.discretisation.state import Audit, Configuration, Report, State
 from thinlayer.errors import LooseBody
 from thinlayer.parts.making import body_parts, diagonal_at_rest, layer_parts
 from thinlayer.parts.part import DISPLACEMENTS, Interval
-from thinlayer.solving.balance import ForceScale, PartSum
+from thinlayer.solving.balance import DIFFERENT, ForceScale, Layout, PartSum, TangentMatrix
 from thinlayer.solving.holding import ReactionSums, RigidMotions
-from thinlayer.solving.linear_solvers import MULTIGRIDS, orthonormal, split
-from thinlayer.solving.tangent_matrix import DIFFERENT, Kept, Layout, TangentMatrix
+from thinlayer.solving.linear_solvers import MULTIGRIDS, Kept, orthonormal, split
 
 LINEARITY = 1e-9  # relative deviation from a straight line in time that still counts as rounding
 SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # fractions of a time interval at which linearity is tested

@@ -20,20 +20,18 @@ from thinlayer.parts.part import Interval
 from thinlayer.solving.contact.solver import METHODS, check_method, contact_finder, default_method
 from thinlayer.solving.continuation import Restraint, through_eased_laws
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.equilibrium import Equilibrium, Finder, Found
-from thinlayer.solving.linear_solvers import linear_solvers
-from thinlayer.solving.newton import CONTACT, EASED_CONTACT, NEWTON, SINGULAR, YIELDING
-from thinlayer.solving.petsc import (
-    PREFIX,
-    OptionError,
-    OptionValue,
-    defaults,
-    failed_in_petsc,
-    is_set,
-    require_all_read,
-    require_known_values,
-    value_of,
+from thinlayer.solving.equilibrium import (
+    CONTACT,
+    EASED_CONTACT,
+    NEWTON,
+    SINGULAR,
+    YIELDING,
+    Equilibrium,
+    Finder,
+    Found,
 )
+from thinlayer.solving.linear_solvers import linear_solvers
+from thinlayer.solving.petsc import PREFIX, OptionError, OptionValue, chosen, is_set, require_all_read, value_of
 from thinlayer.solving.ranges import warn_of_model, warn_of_no_time, warn_of_states
 from thinlayer.system.agreement import on_all, require_same
 from thinlayer.system.progress import logger
@@ -405,12 +403,8 @@ class Solver:
     def _with_options(self, attempt: Attempt, start: PETSc.Vec | None) -> Found:
         """Result of the finder with our PETSc options and the user's. All options of the user must be read."""
         ours = {**attempt.linear, **attempt.options}
-        with defaults({**ours, **self._given}):
-            try:
-                found = self._finder.find(start)
-            except PETSc.Error as error:
-                require_known_values(error, ours.keys() - self._given.keys())
-                raise failed_in_petsc(error) from error
+        with chosen(ours, self._given):
+            found = self._finder.find(start)
             if not self._finder.reused:
                 require_all_read(self.method, ours.keys() - self._given.keys())
             return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 
 from petsc4py import PETSc
 
@@ -11,16 +11,8 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.parts.part import Interval
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import direct_solver, mark
-from thinlayer.solving.petsc import (
-    PREFIX,
-    OptionValue,
-    defaults,
-    reason_name,
-    require_all_read,
-    require_known_values,
-    solve_linear,
-)
+from thinlayer.solving.linear_solvers import Factor, direct_solver, mark
+from thinlayer.solving.petsc import PREFIX, OptionValue, chosen, reason_name, require_all_read, solve_linear
 
 QUOTIENT_STEP = 1e-3  # step of difference quotients in t, relative to the unit of t
 
@@ -50,15 +42,14 @@ class PathEquations:
         self.equations, self.middle, self._short = equations, middle, QUOTIENT_STEP * unit
         self._ours = direct_solver(equations.model)
         self._given = {name: value for name, value in (options or {}).items() if not name.startswith("snes_")}
-        self._ksp: PETSc.KSP | None = None
+        self._factor = Factor()
         self._vectors = [equations.vector() for _ in range(5)]
         self.x, self.r, self.step, self.change, self._dR = self._vectors
 
     def close(self) -> None:
         """Free vectors and factor."""
-        for thing in (self._ksp, *self._vectors):
-            if thing is not None:
-                thing.destroy()
+        for thing in (self._factor, *self._vectors):
+            thing.destroy()
 
     def put(self, state: State, x: PETSc.Vec) -> None:
         """Write the unknowns of a state into x."""
@@ -120,30 +111,16 @@ class PathEquations:
         self._matrix.mult(self._dR, out)
 
     def _solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        ours = self._ours.keys() - self._given.keys()
-        with defaults({**self._ours, **self._given}):
-            ksp = self._ksp or self._solver(ours)
-            ksp.setOperators(self._matrix)
+        with chosen(self._ours, self._given):
             try:
-                solve_linear(ksp, b, x, ours)
-            except Exception:
-                ksp.destroy()
-                self._ksp = None
+                kept = self._factor.renew(self._matrix, None, self.equations.tell)
+                solve_linear(self._factor.ksp, b, x)
+            except PETSc.Error:
+                self._factor.destroy()
                 raise
-            if self._ksp is None:
-                self._ksp = ksp
+            if not kept:
                 newton = {name.removeprefix(PREFIX) for name in PETSc.Options().getAll() if "snes_" in name}
-                require_all_read("arc-length", {*ours, *newton})
-        reason = ksp.getConvergedReason()
+                require_all_read("arc-length", (self._ours.keys() - self._given.keys()) | newton)
+        reason = self._factor.ksp.getConvergedReason()
         if reason < 0 or not math.isfinite(x.norm()):
             raise SolveError(f"linear solver: {reason_name(PETSc.KSP.ConvergedReason, reason)}")
-
-    def _solver(self, ours: Collection[str]) -> PETSc.KSP:
-        ksp = PETSc.KSP().create(self.equations.comm)
-        ksp.setOptionsPrefix(PREFIX)
-        try:
-            ksp.setFromOptions()
-        except PETSc.Error as error:
-            require_known_values(error, ours)
-            raise
-        return ksp

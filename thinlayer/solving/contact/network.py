@@ -18,16 +18,15 @@ from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.errors import SolveError
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.parts.part import DISPLACEMENTS, Block
-from thinlayer.solving.balance import ALLOWED, TINY, ForceScale
+from thinlayer.solving.balance import ALLOWED, TINY, ForceScale, TangentMatrix
 from thinlayer.solving.contact.gauss_seidel import sorted_blocks
 from thinlayer.solving.contact.pair_nodes import PairNodes
 from thinlayer.solving.contact.pieces import Condensation, in_petsc
 from thinlayer.solving.contact.schur import FactorError
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Finder, Found
-from thinlayer.solving.linear_solvers import DIRECT
-from thinlayer.solving.petsc import defaults, solve_linear
-from thinlayer.solving.tangent_matrix import Factor, TangentMatrix
+from thinlayer.solving.linear_solvers import DIRECT, Factor
+from thinlayer.solving.petsc import chosen, solve_linear
 
 TOLERANCE = 1e-11  # residual at which Newton's method stops, relative to the forces
 STALLED = 1e-9  # residual, relative to the forces, that is accepted if Newton steps do not reduce it
@@ -177,7 +176,7 @@ class _System:
         A = self._matrix.fill([Block(in_petsc(one)) for one in (self.stiffness, more)])
         x, right = A.createVecs()
         right.array[:] = b
-        with defaults({**DIRECT, "pc_type": "lu"}):
+        with chosen({**DIRECT, "pc_type": "lu"}):
             self._factor.renew(A, None, lambda *_: None)
             solve_linear(self._factor.ksp, right, x)
         found = x.array_r.copy() if self._factor.ksp.getConvergedReason() > 0 else np.full(len(b), np.nan)
