@@ -75,6 +75,7 @@ class Equations(PartSum):
         self.scale = ForceScale(float(diagonal.norm()), max([0.0, *self.ask("cancelling")]))
         self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
         diagonal.destroy()
+        self._reactions, self._rigid = ReactionSums(model, self.parts), RigidMotions(model, self.scale.stiffness)
         self._tangent: PETSc.Mat | None = None
         self._forces, self.loads, self.external = (self.u.x.petsc_vec.duplicate() for _ in range(3))
         self.eased, self._relative_residual = 0.0, 0.0
@@ -153,15 +154,7 @@ class Equations(PartSum):
             masses = {part.key: part.own_mass for part in self.with_own}
             split(ksp.getPC(), A, self._layout, self.held, masses, self.near_null())
 
-    @cached_property
-    def _reactions(self) -> ReactionSums:
-        return ReactionSums(self.model, self.parts)
-
     # ---------------------------------------------------------------- uniqueness
-    @cached_property
-    def _rigid(self) -> RigidMotions:
-        return RigidMotions(self.model, self.scale.stiffness)
-
     def require_unique(self, unbalanced: PETSc.Vec | None = None) -> None:
         """Raise LooseBody if a connected piece of the bodies can move freely.
 

@@ -36,10 +36,10 @@ class Journal:
 
     Args:
         equations: the equations of the model.
-        pace: pace of the first step.
         observe: name of a column -> function of a state.
         keep: "all": keep all states; "last": keep only the last one.
         out: folder for the table and the files from which to resume; None: no files.
+        pace: pace of the first step.
         choices: further arguments of the march that must be the same to resume it.
         directed: True: the next step depends on the direction of the last one, so that two states are kept.
 
@@ -52,10 +52,10 @@ class Journal:
     def __init__(
         self,
         equations: Equations,
-        pace: Pace,
         observe: Observe,
         keep: str,
         out: Path | None,
+        pace: Pace,
         choices: Mapping[str, Any],
         *,
         directed: bool = False,
