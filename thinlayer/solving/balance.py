@@ -286,17 +286,12 @@ class Layout:
 
     def widened(self, T: PETSc.Mat | None) -> PETSc.Mat | None:
         """A matrix of displacements on all unknowns, the others as they are; None of None. The caller destroys it."""
-        if T is None:
-            return None
-        size, n = int(self._ends[-1]), self.sizes[DISPLACEMENTS]
-        counts = np.array(self.comm.allgather((n, size)))
-        first_u, first = (np.cumsum(column) - column for column in counts.T)
-        begins, columns, values = T.getValuesCSR()
-        rank = np.searchsorted(first_u, columns, side="right") - 1
-        columns = np.append(columns - first_u[rank] + first[rank], first[self.comm.rank] + np.arange(n, size))
-        begins = np.append(begins, begins[-1] + 1 + np.arange(size - n))
-        csr = begins.astype(PETSc.IntType), columns.astype(PETSc.IntType), np.append(values, np.ones(size - n))
-        return PETSc.Mat().createAIJ(((size, None), (size, None)), csr=csr, comm=self.comm)
+        if T is None or len(self.sizes) == 1:
+            return T and T.copy()
+        others = _diagonal(self.comm, int(self._ends[-1]) - self.sizes[DISPLACEMENTS], 1.0)
+        whole = side_by_side([[T, None], [None, others]], self.comm)
+        others.destroy()
+        return whole
 
     def rows(self, local: npt.NDArray[np.int32]) -> npt.NDArray[PETSc.IntType]:
         """Global numbers of unknowns of this rank."""
@@ -354,15 +349,12 @@ class TangentMatrix:
 
     def _side_by_side(self) -> PETSc.Mat:
         rows = [[self._sums.get((row, column)) for column in self.sizes] for row in self.sizes]
-        empty = []
-        for k, n in enumerate(self.sizes.values()):
-            if rows[k][k] is None:
-                rows[k][k] = _zero_diagonal(self.comm, n)
-                empty.append(rows[k][k])
-        nest = PETSc.Mat().createNest(rows, comm=self.comm)
-        whole = nest.convert("aij", PETSc.Mat())
-        for thing in (nest, *empty):
-            thing.destroy()
+        empty = {k: _diagonal(self.comm, n, 0.0) for k, n in enumerate(self.sizes.values()) if rows[k][k] is None}
+        for k, zero in empty.items():
+            rows[k][k] = zero
+        whole = side_by_side(rows, self.comm)
+        for zero in empty.values():
+            zero.destroy()
         if self._whole is None:
             whole.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
             self._whole = whole
@@ -378,9 +370,16 @@ class TangentMatrix:
                 matrix.destroy()
 
 
-def _zero_diagonal(comm: MPI.Intracomm, n: int) -> PETSc.Mat:
-    """A matrix with n rows on this rank that stores zeros on its diagonal: `zeroRowsColumns` needs stored entries."""
+def side_by_side(blocks: Sequence[Sequence[PETSc.Mat | None]], comm: MPI.Intracomm) -> PETSc.Mat:
+    """One matrix of blocks; on each rank rows and columns of the first block come first, then those of the next."""
+    nest = PETSc.Mat().createNest(blocks, comm=comm)
+    whole = nest.convert("aij", PETSc.Mat())
+    nest.destroy()
+    return whole
+
+
+def _diagonal(comm: MPI.Intracomm, n: int, value: float) -> PETSc.Mat:
+    """A diagonal matrix with n rows on this rank, which stores zeros too: `zeroRowsColumns` needs stored entries."""
     places = np.arange(n + 1, dtype=PETSc.IntType)
-    first = comm.scan(n) - n
-    csr = (places, (first + places[:-1]).astype(PETSc.IntType), np.zeros(n))
+    csr = places, (comm.scan(n) - n + places[:-1]).astype(PETSc.IntType), np.full(n, value)
     return PETSc.Mat().createAIJ(((n, None), (n, None)), csr=csr, comm=comm)

@@ -138,45 +138,49 @@ class Equilibrium(Finder):
             start.copy(x)
             equations.residual(x, r)
             return self._newton(x)
-        held = equations.held
         for vector in self._vectors:
             vector.set(0.0)
         equations.put_state(equations.interval.old, x)
-        move.array[held] = equations.prescribed - x.array_r[held]
-        if not self.nonlinear:
+        move.array[equations.held] = equations.prescribed - x.array_r[equations.held]
+        if self.nonlinear:
+            equations.start(x, r)
+        else:
             x.axpy(1.0, move)
             equations.residual(x, r)
-        else:
-            equations.start(x, r)
         if equations.failed:
             raise SolveError(f"at the start of the step {equations.failure()}")
-        forces = equations.scale.forces
-        if self.nonlinear:
-            self._require_finite("stress", self._free_norm(r))
+        return self._from_linear_step(x, r, d, move) if self.nonlinear else self._linear(x, r, d)
+
+    def _linear(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> Found:
         r.scale(-1.0)
-        if not self.nonlinear:
-            r.array[held] = 0.0
-            self._prepare()
-        else:
-            self._prepare(move, r)
+        r.array[self.equations.held] = 0.0
+        self._prepare()
         iterations = self._solve_linear(r, d)
+        x.axpy(1.0, d)
+        self.equations.residual(x, r)
+        residual, refining = self._refine(x, r, d)
+        return Found(x, iterations + refining, residual)
+
+    def _from_linear_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> Found:
+        """Newton's method from where a linear step leads, in which supports move."""
+        equations, forces = self.equations, self.equations.scale.forces
+        self._require_finite("stress", self._free_norm(r))
+        r.scale(-1.0)
+        self._prepare(move, r)
+        self._solve_linear(r, d)
         if self._yields and x.norm() > 0 and not d.norm() <= UNRESISTED * x.norm():
             self._elastic_step(x, r, d, move)
-        if self.nonlinear and not math.isfinite(d.norm()):
+        if not math.isfinite(d.norm()):
             raise SolveError(
                 "the tangent at the start of the step is singular",
                 advice="does something resist every motion of the bodies, and every strain at rest? "
                 "A stress without a linear part, as e^3, needs a small one",
             )
-        if self.nonlinear:
-            d.array[held] = move.array_r[held]
+        d.array[equations.held] = move.array_r[equations.held]
         x.axpy(1.0, d)
         equations.residual(x, r)
-        if self.nonlinear:
-            self._retreat(x, r, d, move, forces)
-            return self._newton(x)
-        residual, refining = self._refine(x, r, d)
-        return Found(x, iterations + refining, residual)
+        self._retreat(x, r, d, move, forces)
+        return self._newton(x)
 
     def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> None:
         """The first step with the stiffness of an elastic layer."""

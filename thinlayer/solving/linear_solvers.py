@@ -22,7 +22,7 @@ from forms.work import Term
 from thinlayer.discretisation.model import Model
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Part
 from thinlayer.parts.pressure_part import PressurePart
-from thinlayer.solving.balance import DIFFERENT, Layout, TangentMatrix
+from thinlayer.solving.balance import DIFFERENT, Layout, TangentMatrix, side_by_side
 from thinlayer.solving.petsc import PREFIX, OptionError, OptionValue
 
 DIRECT: dict[str, OptionValue] = {
@@ -291,8 +291,7 @@ def _compliance(
         mask.destroy()
         image.destroy()
     rows = [[one if k == i else None for k, one in enumerate(scaled)] for i in range(len(scaled))]
-    nest = PETSc.Mat().createNest(rows, comm=A.comm)
-    whole = nest.convert("aij", PETSc.Mat())
-    for thing in (nest, *scaled, diagonal, ones, forces, free):
+    whole = side_by_side(rows, A.comm)
+    for thing in (*scaled, diagonal, ones, forces, free):
         thing.destroy()
     return whole

@@ -58,7 +58,7 @@ class Condensed:
         diagonal = problem.A.getDiagonal()
         springs = diagonal.array_r[dofs] / len(problem.nodes.upper)
         diagonal.destroy()
-        return SchurFactor(problem.rows, problem.nodes.dim, dofs, springs, oblique_order(problem))
+        return SchurFactor(problem.A.getValuesCSR(), problem.nodes.dim, dofs, springs, oblique_order(problem))
 
     @cached_property
     def _system(self) -> DenseSystem:

@@ -142,7 +142,7 @@ class Tangent:
         M.axpy(1.0, added, pattern.SUBSET_NONZERO_PATTERN if nodes.lower is None else pattern.DIFFERENT_NONZERO_PATTERN)
         added.destroy()
         M.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        M.zeroRowsColumns((M.getOwnershipRange()[0] + problem.held).astype(PETSc.IntType), problem.diagonal)
+        M.zeroRowsColumns(problem.equations.held_rows, problem.diagonal)
         M.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         M.setOption(PETSc.Mat.Option.SPD, True)
         M.setBlockSize(nodes.dim)

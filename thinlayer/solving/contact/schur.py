@@ -16,13 +16,14 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from forms.base import ThinlayerError
-from thinlayer.solving.contact.problem import Rows
+from thinlayer.solving.contact.gauss_seidel import pointers
 from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, keep_unknowns, schur_of
-from thinlayer.system.compilation import library
+from thinlayer.system.compilation import own_library
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
+Rows = tuple[npt.NDArray[Any], npt.NDArray[Any], Array]
 SOURCE = Path(__file__).with_name("schur.c")
 SPARSE = 0.05  # largest share of non-zeros of a right-hand side that is treated as sparse
 OPTIONS: dict[str, OptionValue] = {
@@ -57,12 +58,7 @@ class SchurFactor:
         self._place[self._order] = np.arange(len(self._order), dtype=np.int32)
         self._kept, self._springs = self._place[kept], springs
         upper = _upper_triangle(A, d, order, self._kept, springs)
-        self._pc = PETSc.PC().create(PETSc.COMM_SELF)
-        self._factorise(upper)
-        upper.destroy()
-
-    def _factorise(self, upper: PETSc.Mat) -> None:
-        pc = self._pc
+        self._pc = pc = PETSc.PC().create(PETSc.COMM_SELF)
         pc.setOptionsPrefix(PREFIX)
         pc.setOperators(upper)
         pc.setType("cholesky")
@@ -73,8 +69,9 @@ class SchurFactor:
             self._factor.setOptionsPrefix(PREFIX)
             keep_unknowns(self._factor, self._kept)
             pc.setUp()
-        if self._factor.getMumpsInfog(1) < 0 or pc.getFailedReason():
-            code = self._factor.getMumpsInfog(1)
+        upper.destroy()
+        code = self._factor.getMumpsInfog(1)
+        if code < 0 or pc.getFailedReason():
             self.close()
             raise FactorError(f"MUMPS could not factorise the stiffness matrix: INFOG(1) = {code}")
 
@@ -94,10 +91,9 @@ class SchurFactor:
     def condense(self, b: Array) -> Array:
         """Right-hand side (c,) of the condensed system for a right-hand side of A."""
         self._factor.setMumpsIcntl(26, 1)  # solve for the kept unknowns only
-        try:
-            return self._forces(self._solve(b[self._order])[self._kept])
-        finally:
-            self._factor.setMumpsIcntl(26, -1)
+        found = self._forces(self._solve(b[self._order])[self._kept])
+        self._factor.setMumpsIcntl(26, -1)
+        return found
 
     def expand(self, b: Array, condensed: Array, kept: Array) -> Array:
         """All unknowns, from the right-hand side b, the result of `condense` for b, and the kept unknowns (c,)."""
@@ -147,11 +143,9 @@ def _upper_triangle(A: Rows, d: int, order: npt.NDArray[Any], kept: Indices, spr
     begins, indices, data = A
     size = (len(indices) + n * d) // 2
     rows, columns, entries = np.empty(n * d + 1, np.int32), np.empty(size, np.int32), np.empty(size)
-    c = library(SOURCE)
-    kinds = {"int32": "int32_t[]", "float64": "double[]"}
+    c = own_library(SOURCE)
     given = (begins.astype(np.int32, copy=False), indices.astype(np.int32, copy=False), data, place, order)
-    pointers = (c.ffi.from_buffer(kinds[a.dtype.name], a) for a in (*given, rows, columns, entries))
-    filled = c.lib.upper_triangle(n, d, size, *pointers)
+    filled = c.lib.upper_triangle(n, d, size, *pointers(c, *given, rows, columns, entries))
     if filled != size:
         raise FactorError(
             "the nonzero pattern of the stiffness matrix is not symmetric, or not made of blocks of nodes"
