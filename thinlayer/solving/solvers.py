@@ -305,7 +305,11 @@ class Solver:
         attempts = []
         several = self.yields and not is_set("snes_linesearch_type", self._given)
         for search in SEARCHES if several else (None,):
-            options = self._newton_options(search)
+            options: dict[str, OptionValue] = {}
+            if self.method == "newton":
+                singular = SINGULAR if self.equations.traits.singular else {}
+                named: dict[str, OptionValue] = {"snes_linesearch_type": search} if search else {}
+                options = NEWTON | (YIELDING if self.yields else singular) | (CONTACT if self.model.contact else named)
             for linear in self._linear:
                 words = [self.method, f"line search {search}" if search else "", str(linear.get("pc_type", ""))]
                 attempts.append(Attempt(", ".join(filter(None, words)), linear, options))
@@ -408,11 +412,3 @@ class Solver:
             if not self._finder.reused:
                 require_all_read(self.method, ours.keys() - self._given.keys())
             return found
-
-    def _newton_options(self, search: str | None) -> dict[str, OptionValue]:
-        if self.method != "newton":
-            return {}
-        options = NEWTON | YIELDING if self.yields else NEWTON | SINGULAR if self.equations.traits.singular else NEWTON
-        if self.model.contact:
-            return options | CONTACT
-        return options | ({"snes_linesearch_type": search} if search else {})

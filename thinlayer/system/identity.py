@@ -220,7 +220,8 @@ class _Describer:
         found = {CLASS: kind} | ({} if plain else {"(made of)": [make, *given]}) | ({"(items)": lists} if lists else {})
         for one in state if isinstance(state, tuple) else (state,):  # attributes, and those in slots
             found |= one if isinstance(one, dict) else {} if one is None else {f"(state {len(found)})": one}
-        return self._named({name: one for name, one in found.items() if not _is_derived(kind, name)}, at)
+        derived = {name for name in found if isinstance(getattr(kind, str(name), None), functools.cached_property)}
+        return self._named({name: found[name] for name in found.keys() - derived - {"__doc__", "_ufunc"}}, at)
 
     def _function(self, function: types.FunctionType, at: str) -> Any:
         code, cells = function.__code__, zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
@@ -315,10 +316,6 @@ def _is_own_file(file: str) -> bool:
     path = Path(file)
     installed = file.startswith("<frozen") or {"site-packages", "dist-packages"} & {*path.parts}
     return not (installed or any(path.is_relative_to(one) for one in LIBRARIES))
-
-
-def _is_derived(kind: type, name: Any) -> bool:
-    return name in ("__doc__", "_ufunc") or isinstance(getattr(kind, str(name), None), functools.cached_property)
 
 
 def _plain(value: Any) -> Any:

@@ -66,15 +66,12 @@ class Journal:
         self._directed = directed
         self._log = logger("march", self.model.comm)
         self.before: State | None = None
-        self._checkpoint = Checkpoint(out, equations, self._mark(choices), 2 if directed else 1) if out else None
+        # of observing functions it is known by what stays as they collect values
+        observed = {name: code_of(described(function)) for name, function in self._observe.items()}
+        mark = json.loads(json.dumps({**self.model.identity(), "observe": observed, **choices}))
+        self._checkpoint = Checkpoint(out, equations, mark, 2 if directed else 1) if out else None
         self._written = 0
         self.history, self.pace = History(self.model, theta=float(choices["theta"])), pace
-
-    def _mark(self, choices: Mapping[str, Any]) -> dict[str, Any]:
-        """What the march is known by. Of observing functions it has what stays as they collect values."""
-        observed = {name: code_of(described(function)) for name, function in self._observe.items()}
-        mark: dict[str, Any] = json.loads(json.dumps({**self.model.identity(), "observe": observed, **choices}))
-        return mark
 
     def read(self, resume: Resume) -> bool:
         """Take over the march in the folder. False: there is no march, or `resume` is False.
@@ -82,11 +79,10 @@ class Journal:
         Raises:
             ModelError: the folder has another march, or files that are damaged and to be resumed.
         """
-        found = self._checkpoint.read(self._keep, resume) if self._checkpoint else None
-        if not found:
+        pace = self._checkpoint.read(self.history, self._keep, resume) if self._checkpoint else None
+        if pace is None:
             return False
-        theta, (self.history, self.pace) = self.history.theta, found
-        self.history.theta = theta
+        self.pace = pace
         self._written = len(self.history)
         states, last = self.history.states, len(self.history) - 1
         if self._directed:

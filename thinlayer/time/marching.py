@@ -262,7 +262,8 @@ def tell_steps(solver: Solver, history: History, plan: Plan, start: float, theta
     """
     if plan.adaptive or not depends_on_steps(solver.equations):
         return
-    if _idle(history):
+    dissipated, supplied = (np.array(history.table[name], float) for name in ("dissipated", "supplied"))
+    if np.abs(dissipated).sum() <= IDLE * np.abs(supplied).sum():  # not if a law does not declare its energy
         history.step_errors = dict.fromkeys(QUANTITIES, 0.0)
         return
     again = _other(plan.targets, start, solver.model.break_times)
@@ -298,12 +299,6 @@ def depends_on_steps(equations: Equations) -> bool:
     """Whether a part is not linear and has a history; phases that switch have steps of their own."""
     each = [part.traits for part in equations.parts]
     return any((has.remembers or has.rate) and has.nonlinear and not has.switches for has in each)
-
-
-def _idle(history: History) -> bool:
-    """Whether the march has dissipated nothing; False if a law does not declare its energy."""
-    dissipated, supplied = (np.array(history.table[name], float) for name in ("dissipated", "supplied"))
-    return bool(np.abs(dissipated).sum() <= IDLE * np.abs(supplied).sum())
 
 
 def _other(targets: Sequence[float], start: float, breaks: set[float]) -> list[float]:

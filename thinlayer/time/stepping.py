@@ -286,7 +286,7 @@ class ErrorEstimate:
 
     def __init__(self, equations: Equations) -> None:
         self._equations, self.comm = equations, equations.comm
-        self._unit = self._of_unit_displacements()
+        self._unit = float(np.sqrt(sum(equations.ask("unit_jump_measure"))))  # norm of strains for a unit jump, about
 
     def error(self, whole: State, halves: State, order: int, largest: list[float]) -> float:
         """Estimated error at the end of the two halves: the largest of the three quantities' relative errors.
@@ -326,7 +326,3 @@ class ErrorEstimate:
 
     def _norms(self, parts: list[Array]) -> Array:
         return np.sqrt(self.comm.allreduce(np.array([part @ part for part in parts])))
-
-    def _of_unit_displacements(self) -> float:
-        """Estimated norm of strains or jumps for a unit jump across the layer."""
-        return float(np.sqrt(sum(self._equations.ask("unit_jump_measure"))))

@@ -6,7 +6,6 @@ Jumps are no unknowns here: around a junction they depend on each other, and so 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -134,33 +133,16 @@ class NetworkFinder(Finder):
                 getattr(self, name).close()
 
 
-@dataclass(frozen=True, eq=False)
 class _System:
     """stiffness u + forces of the pairs = g, for displacements u (n d,) of the nodes in contact."""
 
-    pairs: PairNodes
-    stiffness: scipy.sparse.csr_matrix
-
-    @cached_property
-    def _blocks(self) -> scipy.sparse.bsr_matrix:
-        return sorted_blocks(self.stiffness, self.pairs.d)
-
-    @cached_property
-    def _matrix(self) -> TangentMatrix:
-        """The stiffness and all entries that pairs may add, so that MUMPS orders the unknowns once."""
-        matrix = TangentMatrix(PETSc.COMM_SELF, {DISPLACEMENTS: self.stiffness.shape[0]})
-        matrix.fill([Block(in_petsc(one)) for one in (self.stiffness, self.pairs.pattern)])
-        return matrix
-
-    @cached_property
-    def _factor(self) -> Factor:
-        return Factor()
-
-    @cached_property
-    def _scale(self) -> ForceScale:
-        of_both = (self.stiffness, self.pairs.bonded()[0])
-        largest = max(float(matrix.diagonal().max(initial=0.0)) for matrix in of_both)
-        return ForceScale(SUMMATION * math.sqrt(len(self.pairs.nodes)) * largest)
+    def __init__(self, pairs: PairNodes, stiffness: scipy.sparse.csr_matrix) -> None:
+        self.pairs, self.stiffness, self._blocks = pairs, stiffness, sorted_blocks(stiffness, pairs.d)
+        self._factor, self._matrix = Factor(), TangentMatrix(PETSc.COMM_SELF, {DISPLACEMENTS: stiffness.shape[0]})
+        # with all entries that pairs may add, so that MUMPS orders the unknowns once
+        self._matrix.fill([Block(in_petsc(one)) for one in (stiffness, pairs.pattern)])
+        largest = max(float(one.diagonal().max(initial=0.0)) for one in (stiffness, pairs.bonded()[0]))
+        self._scale = ForceScale(SUMMATION * math.sqrt(len(pairs.nodes)) * largest)
 
     def residual(self, u: Array, g: Array) -> Array:
         """Forces of bodies and pairs, less g; zero at held displacements."""

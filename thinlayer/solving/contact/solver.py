@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.errors import ModelError
@@ -85,12 +84,11 @@ class ContactFinder(Finder):
     def __init__(self, equations: Equations, method: str, like: State | None) -> None:
         self.problem = ContactProblem(equations)
         self._scheme = SCHEMES[method](self.problem)
-        self._like = self._jumps(like) if like else None
+        self._like = None
+        if like:
+            u = displacements_of(like, equations.model)  # owns the vector
+            self._like = self.problem.nodes.jump(u.x.petsc_vec)
         self._has_solved = False
-
-    def _jumps(self, state: State) -> Array:
-        u = displacements_of(state, self.problem.equations.model)  # owns the vector
-        return self.problem.nodes.jump(u.x.petsc_vec)
 
     def find(self, start: PETSc.Vec | None = None) -> Found:
         """Displacements at the end of the step; only the jumps of `start` are used."""
