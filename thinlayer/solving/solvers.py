@@ -33,8 +33,8 @@ from thinlayer.solving.equilibrium import (
 from thinlayer.solving.linear_solvers import linear_solvers
 from thinlayer.solving.petsc import PREFIX, OptionError, OptionValue, chosen, is_set, require_all_read, value_of
 from thinlayer.solving.ranges import warn_of_model, warn_of_no_time, warn_of_states
-from thinlayer.system.agreement import on_all, require_same
 from thinlayer.system.progress import logger
+from thinlayer.system.ranks import on_all, require_same
 
 SOFTENS = (
     "the stress of {} falls as jumps grow, and an equilibrium may be one of several; follow them from rest with "

@@ -31,7 +31,7 @@ import ffcx
 from ffcx.codegeneration import jit as ffcx_jit
 from mpi4py import MPI
 
-import thinlayer.system.abort  # noqa: F401  # before DOLFINx, which starts PETSc
+import thinlayer.system.ranks  # noqa: F401  # before DOLFINx, which starts PETSc
 from forms.base import ThinlayerError
 from thinlayer.system.identity import content
 

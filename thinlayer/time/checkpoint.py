@@ -16,9 +16,9 @@ from thinlayer.discretisation.state import Audit, Report, State
 from thinlayer.errors import ModelError
 from thinlayer.parts.part import FileOrder
 from thinlayer.solving.equations import Equations
-from thinlayer.system.exchange import carry
 from thinlayer.system.folder import hash_of, read_sealed, replaced, write_sealed
 from thinlayer.system.identity import Resume, differences, in_words
+from thinlayer.system.ranks import carry
 from thinlayer.system.table import Table
 from thinlayer.time.history import History, dissipated_columns
 

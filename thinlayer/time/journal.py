@@ -16,10 +16,9 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.parts.phases import phase_shares, seams_with_phases
 from thinlayer.solving.equations import Equations
-from thinlayer.system.agreement import on_all
-from thinlayer.system.exchange import collect
 from thinlayer.system.identity import Resume, code_of, described
 from thinlayer.system.progress import logger
+from thinlayer.system.ranks import collect, on_all
 from thinlayer.system.table import Row
 from thinlayer.time.checkpoint import Checkpoint, Pace
 from thinlayer.time.history import History, dissipated_columns, phase_columns

@@ -18,10 +18,10 @@ from thinlayer.solving.equations import Equations
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.ranges import warn_of_model, warn_of_states, warn_of_steps, warn_of_strains
 from thinlayer.solving.solvers import SOFTENS, Solver, comm_of
-from thinlayer.system.agreement import on_all, require_same
 from thinlayer.system.folder import owned
 from thinlayer.system.identity import Resume, require_resume
 from thinlayer.system.progress import telling
+from thinlayer.system.ranks import on_all, require_same
 from thinlayer.time.checkpoint import Pace
 from thinlayer.time.following import PathFollowing, PathInTime
 from thinlayer.time.history import History

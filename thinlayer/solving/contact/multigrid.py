@@ -16,7 +16,7 @@ from thinlayer.solving.contact.gauss_seidel import Sliding, load, sliding, turne
 from thinlayer.solving.contact.problem import ContactProblem
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
 from thinlayer.solving.petsc import PREFIX, OptionError, OptionValue, defaults, is_set, reason_name, solve_nonlinear
-from thinlayer.system.exchange import carry
+from thinlayer.system.ranks import carry
 
 Reductions = tuple[float, float]  # factors by which the first and the later linear solves reduce the residual
 
