@@ -170,7 +170,9 @@ def _require_used(law: Any) -> None:
     known = [f.name for f in fields(Traits)]
     for attribute in (one for one in dir(kind) if _own(kind, one) and isinstance(getattr(kind, one), bool)):
         if attribute not in known and (meant := get_close_matches(attribute, known, 1, LIKENESS)):
-            raise LawError(f"{name} has {attribute} = {getattr(kind, attribute)}, which is no trait; is {meant[0]} meant?")
+            raise LawError(
+                f"{name} has {attribute} = {getattr(kind, attribute)}, which is no trait; is {meant[0]} meant?"
+            )
     if (_own(kind, "dissipation") or _own(kind, "dissipated")) and not law.traits.has_energy:
         raise LawError(f"{name} declares a dissipation but no energy; write a method energy(step) too")
     if _own(kind, "at") and (not _own(kind, "varies") or inspect.getattr_static(kind, "varies") is False):
