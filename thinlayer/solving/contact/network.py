@@ -20,8 +20,7 @@ from thinlayer.parts.part import DISPLACEMENTS, Block
 from thinlayer.solving.balance import ALLOWED, TINY, ForceScale, TangentMatrix
 from thinlayer.solving.contact.gauss_seidel import sorted_blocks
 from thinlayer.solving.contact.pair_nodes import PairNodes
-from thinlayer.solving.contact.pieces import Condensation, in_petsc
-from thinlayer.solving.contact.schur import FactorError
+from thinlayer.solving.contact.schur import Condensation, FactorError, in_petsc
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Finder, Found
 from thinlayer.solving.linear_solvers import DIRECT, Factor
