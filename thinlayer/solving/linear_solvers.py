@@ -23,7 +23,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Part
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.balance import DIFFERENT, Layout, TangentMatrix, side_by_side
-from thinlayer.solving.petsc import PREFIX, OptionError, OptionValue
+from thinlayer.solving.petsc import PREFIX, OptionError, OptionValue, options_set
 
 DIRECT: dict[str, OptionValue] = {
     "ksp_type": "preonly",
@@ -144,7 +144,7 @@ class Factor:
         Returns:
             Whether the solver stays: it then orders the unknowns anew only if A has another nonzero pattern.
         """
-        options = {name: value for name, value in PETSc.Options().getAll().items() if name.startswith(PREFIX)}
+        options = options_set()
         stays = self.ksp is not None and options == self._options and self.ksp.getPC().getType() != "fieldsplit"
         if not stays:
             self.destroy()

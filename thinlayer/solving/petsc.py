@@ -56,29 +56,33 @@ def defaults(options: Mapping[str, OptionValue]) -> Iterator[None]:
             _PLACED.discard(name.removeprefix(PREFIX))
 
 
+def options_set() -> dict[str, str]:
+    """The options under our prefix in PETSc's database, by their names without it."""
+    found = PETSc.Options().getAll().items()
+    return {name.removeprefix(PREFIX): value for name, value in found if name.startswith(PREFIX)}
+
+
 def is_set(name: str, given: Mapping[str, OptionValue]) -> bool:
     """Whether the user has set an option, in a script or in PETSc's database."""
-    return name in given or PREFIX + name in PETSc.Options().getAll()
+    return name in given or name in options_set()
 
 
 def value_of(name: str, given: Mapping[str, OptionValue]) -> str | None:
     """The user's value of an option, in PETSc's database or in a script; None: not set."""
-    found = PETSc.Options().getAll().get(PREFIX + name, given.get(name))
+    found = options_set().get(name, given.get(name))
     return None if found is None else str(found)
 
 
 def given_elsewhere() -> str:
     """The options under our prefix in PETSc's database, written as on a command line."""
-    found = sorted(PETSc.Options().getAll().items())
-    return " ".join(f"-{name} {value}".rstrip() for name, value in found if name.startswith(PREFIX))
+    return " ".join(f"-{PREFIX}{name} {value}".rstrip() for name, value in sorted(options_set().items()))
 
 
 def require_all_read(solver: str, ours: Collection[str]) -> None:
     """Raise OptionError if the last solve has not read all options that the user has set; ours may stay unread."""
-    except_for = {PREFIX + name for name in _PLACED.intersection(ours)}
-    names = [name for name in PETSc.Options().getAll() if name.startswith(PREFIX) and name not in except_for]
-    if names := [name for name in names if not was_read(name)]:
-        listed = ", ".join(f"-{name}" for name in names)
+    theirs = options_set().keys() - _PLACED.intersection(ours)
+    if names := sorted(name for name in theirs if not was_read(PREFIX + name)):
+        listed = ", ".join(f"-{PREFIX}{name}" for name in names)
         raise OptionError(
             f"PETSc options not read by the {solver} solver: {listed}; a direct solver has no tolerances, "
             f"-{PREFIX}ksp_view and -{PREFIX}snes_view show what is at work"
@@ -98,8 +102,8 @@ def chosen(ours: Mapping[str, OptionValue], given: Mapping[str, OptionValue] | N
         try:
             yield
         except PETSc.Error as error:
-            found = {k.removeprefix(PREFIX): v for k, v in PETSc.Options().getAll().items() if k.startswith(PREFIX)}
-            theirs = [name for name in found if name not in _PLACED.intersection(ours.keys() - given.keys())]
+            found = options_set()
+            theirs = sorted(found.keys() - _PLACED.intersection(ours.keys() - given.keys()))
             if error.ierr in OPTION_ERRORS and theirs:
                 listed = ", ".join(f"-{PREFIX}{name} {found[name]}" for name in theirs)
                 raise OptionError(f"PETSc does not take the value of one of these options: {listed}") from error

@@ -24,7 +24,7 @@ from thinlayer.errors import ModelError, SolveError
 from thinlayer.parts.part import Interval
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import Factor, direct_solver, mark
-from thinlayer.solving.petsc import PREFIX, OptionValue, chosen, reason_name, require_all_read, solve_linear
+from thinlayer.solving.petsc import OptionValue, chosen, options_set, reason_name, require_all_read, solve_linear
 
 ITERATIONS = 12  # largest number of Newton steps
 TURN_ITERATIONS = 2  # the same for a step that turns: the branch beyond a corner is nearly straight
@@ -138,7 +138,7 @@ class PathEquations:
                 self._factor.destroy()
                 raise
             if not kept:
-                newton = {name.removeprefix(PREFIX) for name in PETSc.Options().getAll() if "snes_" in name}
+                newton = {name for name in options_set() if "snes_" in name}
                 require_all_read("arc-length", (self._ours.keys() - self._given.keys()) | newton)
         reason = self._factor.ksp.getConvergedReason()
         if reason < 0 or not math.isfinite(x.norm()):

@@ -15,7 +15,16 @@ from thinlayer.solving.contact.contact_tangent import SurfaceStiffness, Tangent
 from thinlayer.solving.contact.gauss_seidel import Sliding, load, sliding, turned
 from thinlayer.solving.contact.problem import ContactProblem
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
-from thinlayer.solving.petsc import PREFIX, OptionError, OptionValue, defaults, is_set, reason_name, solve_nonlinear
+from thinlayer.solving.petsc import (
+    PREFIX,
+    OptionError,
+    OptionValue,
+    defaults,
+    is_set,
+    options_set,
+    reason_name,
+    solve_nonlinear,
+)
 from thinlayer.system.ranks import carry
 
 Reductions = tuple[float, float]  # factors by which the first and the later linear solves reduce the residual
@@ -268,7 +277,6 @@ class _Newton:
 
 def _count_as_read(beginnings: tuple[str, ...]) -> None:
     """Mark options as read that only the first solve reads, so that later solves do not refuse them."""
-    database = PETSc.Options()
-    for name in database.getAll():
-        if name.startswith(tuple(PREFIX + beginning for beginning in beginnings)):
-            database.hasName(name)
+    for name in options_set():
+        if name.startswith(beginnings):
+            PETSc.Options().hasName(PREFIX + name)
