@@ -15,7 +15,7 @@ from studies.timing import in_turn, peak, solve_once, timed
 from thinlayer import SolveError, Structure
 from thinlayer.parts.part import Interval
 from thinlayer.running.record import Record
-from thinlayer.solving.contact.node_blocks import faster_products
+from thinlayer.solving.contact.contact_tangent import faster_products
 from thinlayer.solving.contact.problem import ContactProblem
 from thinlayer.solving.contact.solver import SCHEMES
 from thinlayer.solving.equations import Equations

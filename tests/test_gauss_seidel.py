@@ -15,8 +15,7 @@ from scipy.optimize import minimize
 
 from forms.contact import HolonomicCoulomb, Status, Tresca
 from tests.contact_laws import EXACT, LAWS
-from tests.refused import refused
-from thinlayer.solving.contact.gauss_seidel import BlockRows, sweep_nodes
+from thinlayer.solving.contact.gauss_seidel import sweep_nodes
 
 pytestmark = pytest.mark.few(5)
 
@@ -35,24 +34,19 @@ def problem(rng, n, d):
     return {"matrix": A, "g": g, "base": base, "frames": frames, "weights": 10 ** rng.uniform(-1, 1, n)}
 
 
-def blocks_of(A, d):
-    rows = sp.bsr_matrix(A, blocksize=(d, d))
-    return BlockRows(rows.indptr, rows.indices, rows.data)
-
-
 def jumps(case, u):
     return np.einsum("nij,nj->ni", case["frames"], u - case["base"])
 
 
-def forces(case, law, u, slip=None, threshold=None):
+def forces(case, law, u, slip=None):
     """Of S on the nodes, in global axes, with the other sign."""
-    t = law.traction(jumps(case, u), slip, threshold)
+    t = law.traction(jumps(case, u), slip)
     return np.einsum("nji,nj->ni", case["frames"], t) * case["weights"][:, None]
 
 
-def residual(case, law, u, slip=None, threshold=None):
+def residual(case, law, u, slip=None):
     """Of the equations of all nodes, relative to the largest of their terms."""
-    A, held = case["matrix"], forces(case, law, u, slip, threshold)
+    A, held = case["matrix"], forces(case, law, u, slip)
     terms = np.abs(A) @ np.abs(u.ravel()) + np.abs(held).ravel() + np.abs(case["g"]).ravel()
     return np.abs(A @ u.ravel() + (held - case["g"]).ravel()).max() / terms.max()
 
@@ -78,13 +72,12 @@ def test_a_node_is_solved(name, stiff, d):
     for trial in range(500):
         case = problem(rng, 1, d)
         slip = rng.normal(size=(1, d - 1)) if trial % 2 else None
-        threshold = rng.uniform(0, 3, 1) if trial % 3 == 0 else None
-        u = solved(case, law, slip=slip, threshold=threshold)
+        u = solved(case, law, slip=slip)
         # of the nodes that touch, the displacement has the rounding of the base's, which stiff springs multiply
         noise = 1e-16 * stiff * 30
-        assert residual(case, law, u, slip, threshold) < EXACT + noise, trial
-        found.add(law.status(jumps(case, u), slip, threshold)[0])
-    assert found == set(Status)
+        assert residual(case, law, u, slip) < EXACT + noise, trial
+        found.add(law.status(jumps(case, u), slip)[0])
+    assert found == set(Status) - ({Status.STICK} if name == "no friction" else set())
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -132,7 +125,7 @@ def test_many_nodes(name, d):
     slip = rng.normal(size=(n, d - 1))
     u = solved(case, law, sweeps=400, slip=slip)
     assert residual(case, law, u, slip) < EXACT
-    in_blocks = case | {"matrix": blocks_of(case["matrix"], d)}
+    in_blocks = case | {"matrix": sp.bsr_matrix(case["matrix"], blocksize=(d, d))}
     np.testing.assert_allclose(solved(in_blocks, law, slip=slip), solved(case, law, slip=slip), rtol=1e-11, atol=1e-11)
     moves = rng.uniform(size=n) < 0.5
     once = solved(case, law, moves=moves)
@@ -146,11 +139,11 @@ def test_sparse_blocks():
     n, d = 30, 3
     A = sp.random(n * d, n * d, 0.02, random_state=1)
     A = (A + A.T + sp.diags(np.full(n * d, 8.0))).toarray()
-    rows = blocks_of(A, d)
+    rows = sp.bsr_matrix(A, blocksize=(d, d))
     assert len(rows.indices) < n * n / 2
     back = np.concatenate([np.arange(a, b)[::-1] for a, b in zip(rows.indptr[:-1], rows.indptr[1:], strict=True)])
     case = problem(rng, n, d) | {"matrix": A}
-    shuffled = BlockRows(rows.indptr, rows.indices[back], rows.blocks[back])
+    shuffled = sp.bsr_matrix((rows.data[back], rows.indices[back], rows.indptr), shape=A.shape)
     law = LAWS["Coulomb"]
     u = solved(case | {"matrix": shuffled}, law, sweeps=50)
     np.testing.assert_allclose(u, solved(case, law, sweeps=50), rtol=1e-11, atol=1e-11)
@@ -159,12 +152,12 @@ def test_sparse_blocks():
 
 @pytest.mark.parametrize("d", [2, 3])
 def test_least_energy(d):
-    """The problem with given thresholds is the minimum of a convex energy."""
+    """The problem with a threshold that does not depend on the pressure is the minimum of a convex energy."""
     rng = np.random.default_rng(2)
-    n, law = 6, Tresca(3.0, 1.0, 2.0)
+    n, law = 6, Tresca(3.0, 1.0, 0.8)
     case = problem(rng, n, d) | {"matrix": stiffness(rng, n * d, 20.0)}
     case["g"] = 3 * rng.normal(size=(n, d)) + (case["matrix"] @ case["base"].ravel()).reshape(n, d)
-    slip, bound = rng.normal(size=(n, d - 1)), rng.uniform(0, 3, n)
+    slip, bound = rng.normal(size=(n, d - 1)), law.bound
 
     def energy(x):
         u = x.reshape(n, d)
@@ -174,11 +167,11 @@ def test_least_energy(d):
         springs = law.K_N * np.maximum(-w[:, -1], 0) ** 2 / 2 + huber
         return x @ case["matrix"] @ x / 2 - x @ case["g"].ravel() + case["weights"] @ springs
 
-    u = solved(case, law, sweeps=400, slip=slip, threshold=bound)
+    u = solved(case, law, sweeps=400, slip=slip)
     least = minimize(energy, np.zeros(n * d), method="BFGS", options={"gtol": 1e-6})
     np.testing.assert_allclose(u.ravel(), least.x, atol=1e-5 * np.abs(u).max())
     assert energy(u.ravel()) <= least.fun + 1e-9 * abs(least.fun)
-    assert len(set(law.status(jumps(case, u), slip, bound))) == 3
+    assert len(set(law.status(jumps(case, u), slip))) == 3
 
 
 def test_numbers_that_are_not_finite():
@@ -197,38 +190,6 @@ def test_numbers_that_are_not_finite():
             assert np.isnan(sweep_nodes(u=u, numbers=law.numbers, **case))
             assert (u[0] == 0.5).all()
             assert (u[1] != 0.5).all()
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"g": np.zeros((3, 2))}, "g has the shape"),
-        ({"g": np.zeros((2, 3))}, "g has the shape"),
-        ({"u": np.zeros((2, 4))}, "u has the shape"),
-        ({"u": np.zeros(4)}, "u has the shape"),
-        ({"u": np.zeros((2, 2), np.float32)}, "in place"),
-        ({"u": np.zeros((2, 2), order="F")}, "in place"),
-        ({"matrix": np.eye(5)}, "matrix has the shape"),
-        ({"base": np.zeros(2)}, "base has the shape"),
-        ({"frames": np.zeros((2, 2))}, "frames has the shape"),
-        ({"weights": np.ones((2, 1))}, "weights has the shape"),
-        ({"numbers": (1.0, 2.0)}, "numbers has the shape"),
-        ({"slip": np.zeros((2, 2))}, "slip has the shape"),
-        ({"threshold": np.zeros((2, 1))}, "threshold has the shape"),
-        ({"moves": np.ones(3, bool)}, "moves has the shape"),
-        ({"matrix": BlockRows(np.array([0, 1]), np.array([0]), np.zeros((1, 2, 2)))}, "indptr has the shape"),
-        ({"matrix": BlockRows(np.array([0, 1, 3]), np.array([0, 1]), np.zeros((2, 2, 2)))}, "indptr must grow"),
-        (
-            {"matrix": BlockRows(np.array([0, 1, 2]), np.array([0, 2]), np.zeros((2, 2, 2)))},
-            "indices must be from 0 to 1",
-        ),
-        ({"matrix": BlockRows(np.array([0, 1, 2]), np.array([0, 1]), np.zeros((2, 3, 3)))}, "blocks has the shape"),
-    ],
-)
-def test_sweeps_refuse(change, message):
-    good = problem(np.random.default_rng(0), 2, 2) | {"u": np.zeros((2, 2)), "numbers": LAWS["Coulomb"].numbers}
-    refused(ValueError, message, lambda: sweep_nodes(**(good | change)))
 
 
 # ------------------------------------------------------------------ a finite element problem written in UFL

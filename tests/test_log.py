@@ -10,7 +10,7 @@ from types import SimpleNamespace
 from forms import LinearElastic, Maxwell
 from geometry import sandwich
 from thinlayer import Structure, ThinLayer, march
-from thinlayer.system.log import logger
+from thinlayer.system.progress import logger
 
 
 def test_steps_of_a_march(caplog):
@@ -33,7 +33,7 @@ def test_one_rank_speaks(caplog):
 
 def test_quiet_unless_asked():
     """Python itself shows warnings and errors where nobody listens."""
-    script = "import thinlayer\nfrom thinlayer.system.log import logger\nlogger('solve').error('told')"
+    script = "import thinlayer\nfrom thinlayer.system.progress import logger\nlogger('solve').error('told')"
     shown = f"import logging\nlogging.basicConfig(format='%(message)s')\n{script}"
     for words, expected in ((script, ""), (shown, "told\n")):
         done = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, timeout=240)

@@ -15,7 +15,7 @@ from tests.network_cases import BED, HEAD, springs, three_bricks
 from thinlayer import ModelError, Structure, Surface, ThinLayer, march, solve
 from thinlayer.errors import LimitLoad, LooseBody
 from thinlayer.parts.part import Interval
-from thinlayer.solving.contact.pieces import Condensation
+from thinlayer.solving.contact.schur import Condensation
 from thinlayer.solving.solvers import Solver
 
 pytestmark = pytest.mark.few(5)

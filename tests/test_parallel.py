@@ -262,7 +262,7 @@ def test_ranks_that_are_told_different_things(there):
 
 # ---------------------------------------------------------------- programs that end
 MARCH = """
-import sys, time, thinlayer.system.agreement
+import sys, time, thinlayer.system.ranks
 from tests.viscous_joints import interface
 from thinlayer import march, sweep
 from mpi4py import MPI
@@ -306,7 +306,7 @@ def test_an_error_of_one_rank_where_others_wait_for_it():
     done = mpirun(
         2,
         "-c",
-        f"{MARCH}thinlayer.system.agreement.PATIENCE = 0.3\n"
+        f"{MARCH}thinlayer.system.ranks.PATIENCE = 0.3\n"
         "def observed(state):\n"
         "    if COMM.rank == 1: raise ValueError('one alone')\n"
         "    return COMM.allreduce(1.0)\n"

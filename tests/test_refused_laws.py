@@ -13,8 +13,8 @@ from geometry import sandwich
 from tests.on_ranks import on_ranks
 from tests.refused import refused
 from thinlayer import Structure, ThinLayer, drive, march
+from thinlayer.system.compilation import _loaded
 from thinlayer.system.identity import described, digest
-from thinlayer.system.shared_library import _FILES, _LOADED
 
 STEP = [{"w_T": 0.01, "w_N": -0.02}]
 SPRING = """int kernel(double *out, const void *unused, const double *in)
@@ -51,7 +51,7 @@ def test_a_law_in_c_with_headers(tmp_path):
         law = from_c(5.0, source=source)
         expected = [0.025 * factor, -0.1 * factor]
         assert drive(law, STEP).tractions[0] == pytest.approx(expected, rel=1e-14)
-        _FILES.clear(), _LOADED.clear()  # as in another process
+        _loaded.cache_clear()  # as in another process
         assert drive(law, STEP).tractions[0] == pytest.approx(expected, rel=1e-14)
         known.add(digest(described(law)))
     assert len(known) == 2

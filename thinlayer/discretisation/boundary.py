@@ -17,7 +17,7 @@ from geometry.seam import LAYER, S
 from geometry.topology import connected
 from thinlayer.errors import ModelError
 from thinlayer.system.compat import interpolation_points
-from thinlayer.system.exchange import send
+from thinlayer.system.ranks import send
 
 AXES = "xyz"  # names of components and of motions
 ON_AXIS = 1e-10  # distance from the axis, over the size of the joint, that is rounding

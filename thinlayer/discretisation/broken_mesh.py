@@ -29,9 +29,8 @@ from thinlayer.discretisation.layer import AtRest, ThinLayer, for_terms, real_la
 from thinlayer.discretisation.quadratures import known_at
 from thinlayer.discretisation.spaces import Keys, broken_space
 from thinlayer.errors import ModelError
-from thinlayer.system.agreement import on_all
 from thinlayer.system.compat import interior_facet_entities
-from thinlayer.system.exchange import communicator
+from thinlayer.system.ranks import communicator, on_all
 
 Array = npt.NDArray[np.float64]
 Facets = npt.NDArray[np.int32]

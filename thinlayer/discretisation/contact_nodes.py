@@ -19,8 +19,7 @@ from geometry.joint import Joint
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import seam_entities
 from thinlayer.errors import ModelError
-from thinlayer.system.agreement import on_all
-from thinlayer.system.exchange import send
+from thinlayer.system.ranks import on_all, send
 
 IntArray = npt.NDArray[np.int64]
 Array = npt.NDArray[np.float64]

@@ -36,7 +36,7 @@ from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.side_loads import add_side_loads
 from thinlayer.errors import ModelError, Refused
 from thinlayer.pointwise.quadrature import quadrature_degree
-from thinlayer.system.agreement import on_all
+from thinlayer.system.ranks import on_all
 
 AT_ENDS = 2  # how much higher the degree of quadrature is where weights of free ends are linear along S
 

@@ -19,7 +19,7 @@ from geometry.refusals import place
 from geometry.seam import S
 from thinlayer.errors import ModelError
 from thinlayer.system.compat import interpolation_points
-from thinlayer.system.exchange import communicator
+from thinlayer.system.ranks import communicator
 
 Array = npt.NDArray[np.float64]
 INWARDS = 1e-6  # way of a place towards the middle of its cell, so that it is on one side of S, over the distance

@@ -29,9 +29,9 @@ from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError, warn
-from thinlayer.system.agreement import on_all
 from thinlayer.system.compat import exterior_facet_entities
 from thinlayer.system.identity import described
+from thinlayer.system.ranks import on_all
 
 Array = npt.NDArray[np.float64]
 SAME_PLACE = 1e-9  # distance before inflating, relative to the size of the joint, of nodes above one another

@@ -39,8 +39,8 @@ from thinlayer.discretisation.spaces import cut_at_faces, vector_space
 from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Supports
 from thinlayer.errors import ModelError, warn
 from thinlayer.pointwise.quadrature import Quadrature, quadrature_degree
-from thinlayer.system.agreement import on_all, require_same
 from thinlayer.system.identity import described, digest
+from thinlayer.system.ranks import on_all, require_same
 
 Result = TypeVar("Result")
 

@@ -21,7 +21,7 @@ from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.layer import BODY, LAYER, constants
 from thinlayer.discretisation.mesh_functions import cellwise
 from thinlayer.pointwise.quadrature import Origin, Quadrature
-from thinlayer.system.agreement import on_all
+from thinlayer.system.ranks import on_all
 
 Array = npt.NDArray[np.float64]
 

@@ -27,8 +27,8 @@ from thinlayer.discretisation.given_strains import StrainGiven as Eigenstrain
 from thinlayer.discretisation.point_loads import Concentrated, check_loads
 from thinlayer.discretisation.supports import ByPlace
 from thinlayer.errors import ModelError
-from thinlayer.system.agreement import on_all, require_same
 from thinlayer.system.identity import digest
+from thinlayer.system.ranks import on_all, require_same
 
 ELEMENTS = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}
 Eigenstrains = Eigenstrain | Mapping[str, Eigenstrain | None]

@@ -18,7 +18,7 @@ from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.topology import Splitting
 from thinlayer.system.compat import space_with_dofmap
-from thinlayer.system.exchange import ask
+from thinlayer.system.ranks import ask
 
 IntArray = npt.NDArray[np.int64]
 OfEntities = Sequence[IntArray]

@@ -22,7 +22,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reactions import Resultant, all_reactions, applied_to, reaction_of
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
-from thinlayer.system.exchange import carry
+from thinlayer.system.ranks import carry
 
 
 @dataclass(frozen=True)

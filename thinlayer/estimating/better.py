@@ -20,7 +20,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, Refused
 from thinlayer.estimating.on_surface import NEAR_ENDS
 from thinlayer.output.surface import ELASTIC, Surface
-from thinlayer.system.agreement import on_all
+from thinlayer.system.ranks import on_all
 
 OFF = 0.5  # of the true error: estimates without edge terms are less off between bodies of E/mu below LEAST_CONTRAST
 LEAST_HEIGHT = 4.0  # of a body, over the thickness, from which on estimates were found to be within 25 % of true errors

@@ -21,8 +21,8 @@ from thinlayer.estimating.on_surface import NEAR_ENDS, errors_of, field_of_ends,
 from thinlayer.estimating.result import Estimate, GoalError, LayerError
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import solve
-from thinlayer.system.agreement import on_all
 from thinlayer.system.progress import telling
+from thinlayer.system.ranks import on_all
 from thinlayer.time.history import History
 from thinlayer.time.marching import march
 

@@ -25,8 +25,8 @@ from thinlayer.estimating.result import Estimate, at_most
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import solve
 from thinlayer.surface.surface_mesh import surface_of
-from thinlayer.system.agreement import on_all
 from thinlayer.system.progress import telling
+from thinlayer.system.ranks import on_all
 from thinlayer.system.table import Table
 from thinlayer.time.history import History
 from thinlayer.time.marching import march

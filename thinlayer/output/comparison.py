@@ -20,8 +20,8 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.output.surface import Surface
 from thinlayer.surface.excess import times_too_stiff
-from thinlayer.system.agreement import on_all, require_same
 from thinlayer.system.identity import differences, in_words
+from thinlayer.system.ranks import on_all, require_same
 from thinlayer.time.history import SAME_TIME, History
 
 Where = Callable[[npt.NDArray[np.float64]], Any]

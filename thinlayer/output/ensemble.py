@@ -12,10 +12,10 @@ from mpi4py import MPI
 from geometry.parallel import on_root, within, world
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.output.row_file import GENERATOR, RowFile, checked, make_room, require_csv
-from thinlayer.system.agreement import on_all, require_same
 from thinlayer.system.folder import LOCK, locked, owned, read_sealed
 from thinlayer.system.identity import Resume, random_states
 from thinlayer.system.progress import track
+from thinlayer.system.ranks import on_all, require_same
 from thinlayer.system.table import Row, Table
 
 RUN, FAILURE = "run", "failure"  # columns that an ensemble adds

@@ -20,7 +20,7 @@ from thinlayer.errors import ModelError
 from thinlayer.output.blocks import blocks
 from thinlayer.output.grid import nodal_displacement
 from thinlayer.output.surface import Surface
-from thinlayer.system.agreement import on_all, require_same
+from thinlayer.system.ranks import on_all, require_same
 from thinlayer.time.history import History
 
 # approximate size of a node in a file: its mesh, once; its values, each time

@@ -16,7 +16,7 @@ from thinlayer.discretisation.given_strains import PAIRS, MeanStrain, Strain
 from thinlayer.discretisation.model import Family, Model
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.solving.solvers import Solver
-from thinlayer.system.agreement import on_all
+from thinlayer.system.ranks import on_all
 
 Array = npt.NDArray[np.float64]
 ASYMMETRY = 1e-8  # difference of the stiffness from its transpose, over its size, that shows a wrong law or solve

@@ -22,7 +22,7 @@ from thinlayer.errors import ModelError
 from thinlayer.output.law_points import LawPoints, law_points
 from thinlayer.surface.locating import Located
 from thinlayer.surface.surface_mesh import SurfaceMesh
-from thinlayer.system.agreement import on_all, require_same
+from thinlayer.system.ranks import on_all, require_same
 
 Array = npt.NDArray[np.float64]
 SAME = 1e-9  # difference of displacements at one place, over the largest displacement, that counts as none

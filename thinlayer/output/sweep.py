@@ -16,10 +16,10 @@ from forms.law import LawError
 from geometry.parallel import on_root, world
 from thinlayer.errors import ModelError
 from thinlayer.output.row_file import RowFile, checked, make_room, require_csv
-from thinlayer.system.agreement import on_all, require_same
 from thinlayer.system.folder import LOCK, owned
 from thinlayer.system.identity import Resume
 from thinlayer.system.progress import track
+from thinlayer.system.ranks import on_all, require_same
 from thinlayer.system.table import Row, Table
 
 ERRORS = ("eps", "error_traction", "error_jump")

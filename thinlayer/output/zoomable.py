@@ -24,7 +24,7 @@ from thinlayer.discretisation.side_loads import SideLoad
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, Refused
 from thinlayer.surface.surface_mesh import SurfaceMesh
-from thinlayer.system.agreement import on_all, require_same
+from thinlayer.system.ranks import on_all, require_same
 
 Array = npt.NDArray[np.float64]
 NEAR = 3.0  # distance from a free end, over the thickness, within which stresses are not those of a layer without end

@@ -14,7 +14,7 @@ from thinlayer.discretisation.measures import compiled, compiled_summands
 from thinlayer.discretisation.state import Configuration
 from thinlayer.parts.part import Block, Interval, Outcome, Part
 from thinlayer.pointwise.assembling import add_forces_of, matrix_of
-from thinlayer.system.exchange import communicator
+from thinlayer.system.ranks import communicator
 
 
 class FormPart(Part):

@@ -24,7 +24,7 @@ from thinlayer.discretisation.spaces import Keys, broken_space
 from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
 from thinlayer.pointwise.assembling import add_spread, matrix_of, values_of
 from thinlayer.pointwise.quadrature import Origin, Quadrature, Region
-from thinlayer.system.exchange import communicator
+from thinlayer.system.ranks import communicator
 
 SAME_PLACE = 1e-9  # distance, relative to the size of S, at which two vertices are one
 

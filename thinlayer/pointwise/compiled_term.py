@@ -19,7 +19,7 @@ from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
 from thinlayer.pointwise.quadrature import DIAGONAL, Origin, Quadrature
-from thinlayer.system.agreement import on_all
+from thinlayer.system.ranks import on_all
 
 # Size of a tangent below which underflow may have cost digits.
 UNDERFLOW = np.finfo(float).tiny / np.finfo(float).eps ** 2

@@ -28,8 +28,8 @@ from forms.kernel import KernelLaw
 from forms.kinematics import Expr, mandel
 from forms.law import BulkLaw, LawError, Step
 from forms.trace import Symbolic, key, named, require_numbers_alone, symbolic
+from thinlayer.system.compilation import SourceError, library
 from thinlayer.system.identity import described, digest
-from thinlayer.system.shared_library import SourceError, library
 
 Array = npt.NDArray[np.float64]
 ARGUMENTS = 7  # number of arguments of FFCx's C functions; older releases have fewer, and ignore the rest

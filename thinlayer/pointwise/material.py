@@ -16,7 +16,7 @@ from forms.parameter_fields import number_of
 from forms.trace import named
 from thinlayer.errors import ModelError
 from thinlayer.pointwise.kernels import Array, kernels
-from thinlayer.system.shared_library import library
+from thinlayer.system.compilation import library
 
 TRIAL_SIZES = tuple(10.0**k for k in range(-15, 7))  # of strains, or jumps in any unit
 TRIAL_STEPS = (1.0, 0.0, 1e12, 1e30)  # lengths of steps in any unit of time

@@ -22,7 +22,7 @@ from geometry.topology import IntArray
 from thinlayer.errors import ModelError
 from thinlayer.pointwise.columns import Columns
 from thinlayer.system.compat import create_submesh
-from thinlayer.system.exchange import communicator
+from thinlayer.system.ranks import communicator
 
 Array = npt.NDArray[np.float64]
 DIAGONAL = (0, 1, 2)  # Mandel components whose sum is the trace

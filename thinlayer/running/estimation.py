@@ -23,8 +23,8 @@ from thinlayer.output import plotting
 from thinlayer.output.surface import Surface
 from thinlayer.running.record import Record
 from thinlayer.solving.solvers import solve
-from thinlayer.system.agreement import on_all
 from thinlayer.system.folder import hash_of
+from thinlayer.system.ranks import on_all
 from thinlayer.system.table import Table
 from thinlayer.time.history import History
 from thinlayer.time.marching import march

@@ -76,12 +76,12 @@ def recorded(
     from thinlayer.errors import InputError, SolveError
     from thinlayer.running.record import Record
     from thinlayer.solving.petsc import given_elsewhere
-    from thinlayer.system import abort, log
+    from thinlayer.system import progress, ranks
 
     set_signals()
-    abort.STATUS = UNFINISHED
+    ranks.STATUS = UNFINISHED
     if verbose:
-        log.show(logging.INFO if verbose == 1 else logging.DEBUG)
+        progress.show(logging.INFO if verbose == 1 else logging.DEBUG)
     comm = MPI.COMM_WORLD
     root = comm.rank == 0
     if root and (elsewhere := given_elsewhere()):
@@ -106,7 +106,7 @@ def recorded(
         return stop(root, UNFINISHED, message)
     except BaseException as error:
         if comm.size > 1:  # the error may be on one rank only, for which the others would wait for ever
-            abort.abort(error)
+            ranks.abort(error)
         raise
     if root:
         for check in record.checks:

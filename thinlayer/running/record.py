@@ -21,8 +21,7 @@ from thinlayer.running.provenance import code, petsc_options, versions
 from thinlayer.solving.petsc import PREFIX
 from thinlayer.system.folder import hash_of, locked, moved_away, moved_back, replaced
 from thinlayer.system.identity import differences, in_words
-from thinlayer.system.log import logger
-from thinlayer.system.progress import track
+from thinlayer.system.progress import logger, track
 from thinlayer.system.table import Table
 from thinlayer.system.words import reason, say
 from thinlayer.time.history import History

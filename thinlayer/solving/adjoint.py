@@ -128,7 +128,6 @@ class Adjoint:
             q.axpy(-1.0, out)
         q.array[held] = 0.0
         ksp = equations.factor.ksp
-        assert ksp is not None
         with defaults(self._options):
             if self.model.symmetric:
                 solve_linear(ksp, q, z)

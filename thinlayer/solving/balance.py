@@ -1,9 +1,9 @@
-"""The balance of forces of a step: the sum of its parts, the forces that residuals are compared with, tests of balance."""
+"""The balance of forces of a step: the sum of its parts, the order of its unknowns, its tangent, its scale of forces."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import reduce
 from operator import or_
 from typing import Any, TypeVar
@@ -16,7 +16,7 @@ from petsc4py import PETSc
 
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import ModelError, SolveError
-from thinlayer.parts.part import Array, Block, FieldPart, Interval, Memory, Outcome, Part, PartTraits
+from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FieldPart, Interval, Memory, Outcome, Part, PartTraits
 
 AIM = 1e-10  # residual at which solvers stop, relative to the forces
 ALLOWED = 1e-6  # largest residual of an accepted state, relative to the forces
@@ -24,6 +24,11 @@ EPSILON = float(np.finfo(float).eps)
 ROUNDING_SHARE = 1e-14  # rounding of summed forces, relative to stiffness times displacement
 TINY = 1e-300  # divisor instead of zero if there are no forces
 Kind = TypeVar("Kind", bound=Part)
+SAME, SUBSET, DIFFERENT = (
+    PETSc.Mat.Structure.SAME_NONZERO_PATTERN,
+    PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN,
+    PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN,
+)
 
 
 class ForceScale:
@@ -245,3 +250,136 @@ class PartSum:
             advice="do PETSc options (in the script, on the command line, in PETSC_OPTIONS or a file petscrc) end the "
             "solve early?",
         )
+
+
+# ---------------------------------------------------------------- unknowns and tangent
+class Layout:
+    """The unknowns of this rank, field after field. Collective.
+
+    Args:
+        comm: communicator.
+        fields: key -> the function whose values are unknowns, in the order of the unknowns.
+    """
+
+    def __init__(self, comm: MPI.Intracomm, fields: Mapping[str, fem.Function]) -> None:
+        self.comm, self.fields = comm, fields
+        maps = {
+            key: (f.function_space.dofmap.index_map, f.function_space.dofmap.index_map_bs) for key, f in fields.items()
+        }
+        self.sizes = {key: int(imap.size_local * bs) for key, (imap, bs) in maps.items()}
+        self._ends = np.cumsum([*self.sizes.values()])
+
+    def vector(self) -> PETSc.Vec:
+        """A vector of unknowns, zero."""
+        return PETSc.Vec().createMPI((int(self._ends[-1]), None), comm=self.comm)
+
+    def split(self, values: npt.NDArray[np.float64]) -> dict[str, npt.NDArray[np.float64]]:
+        """The unknowns of this rank, split by key; the arrays are views."""
+        return dict(zip(self.sizes, np.split(values, self._ends[:-1]), strict=True))
+
+    def put(self, x: PETSc.Vec) -> None:
+        """Write unknowns into their functions, ghosts included."""
+        for key, values in self.split(x.array_r).items():
+            f = self.fields[key]
+            f.x.array[: len(values)] = values
+            f.x.scatter_forward()
+
+    def widened(self, T: PETSc.Mat | None) -> PETSc.Mat | None:
+        """A matrix of displacements on all unknowns, the others as they are; None of None. The caller destroys it."""
+        if T is None or len(self.sizes) == 1:
+            return T and T.copy()
+        others = _diagonal(self.comm, int(self._ends[-1]) - self.sizes[DISPLACEMENTS], 1.0)
+        whole = side_by_side([[T, None], [None, others]], self.comm)
+        others.destroy()
+        return whole
+
+    def rows(self, local: npt.NDArray[np.int32]) -> npt.NDArray[PETSc.IntType]:
+        """Global numbers of unknowns of this rank."""
+        n = int(self._ends[-1])
+        return (self.comm.scan(n) - n + local).astype(PETSc.IntType)
+
+
+class TangentMatrix:
+    """A matrix of sums of blocks; every `fill` writes into the same matrix. Collective.
+
+    Args:
+        comm: communicator.
+        sizes: key of a block -> its number of unknowns on this rank, in the order of the unknowns.
+
+    Attributes:
+        comm, sizes: the arguments.
+    """
+
+    def __init__(self, comm: MPI.Intracomm, sizes: Mapping[str, int]) -> None:
+        self.comm, self.sizes = comm, sizes
+        self._sums: dict[tuple[str, str], PETSc.Mat] = {}
+        self._whole: PETSc.Mat | None = None
+
+    def fill(self, blocks: Sequence[Block]) -> PETSc.Mat:
+        """The matrix of these blocks; no entries may lie outside those of the first call. Destroys blocks not kept."""
+        places: dict[tuple[str, str], list[Block]] = {}
+        for block in blocks:
+            places.setdefault((block.row, block.column), []).append(block)
+        for place, here in places.items():
+            self._add(place, here)
+        for block in blocks:
+            if not block.kept:
+                block.matrix.destroy()
+        if len(self.sizes) == 1:
+            (A,) = self._sums.values()
+            return A
+        return self._side_by_side()
+
+    def _add(self, place: tuple[str, str], blocks: Sequence[Block]) -> None:
+        if place in self._sums:
+            A = self._sums[place]
+            A.zeroEntries()
+            for block in blocks:
+                A.axpy(block.factor, block.matrix, SUBSET)
+            return
+        A = blocks[0].matrix.copy()
+        A.scale(blocks[0].factor)
+        for block in blocks[1:]:
+            A.axpy(block.factor, block.matrix, DIFFERENT)
+        if len(blocks) > 1:  # PETSc's own LU finds zero pivots in what axpy has merged, none in a copy
+            merged, A = A, A.copy()
+            merged.destroy()
+        A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        self._sums[place] = A
+
+    def _side_by_side(self) -> PETSc.Mat:
+        rows = [[self._sums.get((row, column)) for column in self.sizes] for row in self.sizes]
+        empty = {k: _diagonal(self.comm, n, 0.0) for k, n in enumerate(self.sizes.values()) if rows[k][k] is None}
+        for k, zero in empty.items():
+            rows[k][k] = zero
+        whole = side_by_side(rows, self.comm)
+        for zero in empty.values():
+            zero.destroy()
+        if self._whole is None:
+            whole.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+            self._whole = whole
+        else:
+            whole.copy(self._whole, SAME)
+            whole.destroy()
+        return self._whole
+
+    def destroy(self) -> None:
+        """Free the matrices."""
+        for matrix in (*self._sums.values(), self._whole):
+            if matrix is not None:
+                matrix.destroy()
+
+
+def side_by_side(blocks: Sequence[Sequence[PETSc.Mat | None]], comm: MPI.Intracomm) -> PETSc.Mat:
+    """One matrix of blocks; on each rank rows and columns of the first block come first, then those of the next."""
+    nest = PETSc.Mat().createNest(blocks, comm=comm)
+    whole = nest.convert("aij", PETSc.Mat())
+    nest.destroy()
+    return whole
+
+
+def _diagonal(comm: MPI.Intracomm, n: int, value: float) -> PETSc.Mat:
+    """A diagonal matrix with n rows on this rank, which stores zeros too: `zeroRowsColumns` needs stored entries."""
+    places = np.arange(n + 1, dtype=PETSc.IntType)
+    csr = places, (comm.scan(n) - n + places[:-1]).astype(PETSc.IntType), np.full(n, value)
+    return PETSc.Mat().createAIJ(((n, None), (n, None)), csr=csr, comm=comm)

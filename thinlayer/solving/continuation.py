@@ -18,8 +18,8 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import NoEquilibrium, SolveError
 from thinlayer.parts.part import Interval
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import mark
-from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, solve_linear
+from thinlayer.solving.linear_solvers import Factor, mark
+from thinlayer.solving.petsc import OptionValue, chosen, solve_linear
 
 FIRST_DECREMENT, LEAST_DECREMENT = 0.5, 1 / 64  # decrements of the ease from one law to the next
 MOST_SOLVES = 30  # number of solves after which continuation gives up
@@ -85,7 +85,7 @@ class Restraint:
     def __init__(self, equations: Equations, options: Mapping[str, OptionValue]) -> None:
         self.equations = equations
         self._options = {name: value for name, value in options.items() if not name.startswith("snes_")}
-        self._ksp: PETSc.KSP | None = None
+        self._factor = Factor()
         self._vectors = [equations.vector() for _ in range(6)]
         self.x, self._begin, self._r, self._d, self._trial, self._kept = self._vectors
         self._unit = equations.mean_stiffness
@@ -93,9 +93,8 @@ class Restraint:
 
     def close(self) -> None:
         """Free vectors and factor."""
-        for thing in (self._ksp, *self._vectors):
-            if thing is not None:
-                thing.destroy()
+        for thing in (self._factor, *self._vectors):
+            thing.destroy()
 
     def follow(self, rest: State, step: Interval, find: Callable[[PETSc.Vec], Result]) -> Result:
         """Soften the springs until `find` succeeds without them; returns its result.
@@ -250,12 +249,6 @@ class Restraint:
 
     def _solve_linear(self, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> None:
         mark(A, self.equations.model, saddle=True)
-        with defaults(self._options):
-            if self._ksp is None:
-                self._ksp = PETSc.KSP().create(self.equations.comm)
-                self._ksp.setOptionsPrefix(PREFIX)
-                self._ksp.setOperators(A)
-                self._ksp.setFromOptions()
-                self.equations.tell(self._ksp, A)
-            self._ksp.setOperators(A)
-            solve_linear(self._ksp, b, x, self._options.keys())
+        with chosen(self._options):
+            self._factor.renew(A, None, self.equations.tell)
+            solve_linear(self._factor.ksp, b, x)

@@ -21,10 +21,9 @@ from thinlayer.discretisation.state import Audit, Configuration, Report, State
 from thinlayer.errors import LooseBody
 from thinlayer.parts.making import body_parts, diagonal_at_rest, layer_parts
 from thinlayer.parts.part import DISPLACEMENTS, Interval
-from thinlayer.solving.balance import ForceScale, PartSum
+from thinlayer.solving.balance import DIFFERENT, ForceScale, Layout, PartSum, TangentMatrix
 from thinlayer.solving.holding import ReactionSums, RigidMotions
-from thinlayer.solving.linear_solvers import MULTIGRIDS, orthonormal, split
-from thinlayer.solving.tangent_matrix import DIFFERENT, Kept, Layout, TangentMatrix
+from thinlayer.solving.linear_solvers import MULTIGRIDS, Kept, orthonormal, split
 
 LINEARITY = 1e-9  # relative deviation from a straight line in time that still counts as rounding
 SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # fractions of a time interval at which linearity is tested
@@ -76,6 +75,7 @@ class Equations(PartSum):
         self.scale = ForceScale(float(diagonal.norm()), max([0.0, *self.ask("cancelling")]))
         self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
         diagonal.destroy()
+        self._reactions, self._rigid = ReactionSums(model, self.parts), RigidMotions(model, self.scale.stiffness)
         self._tangent: PETSc.Mat | None = None
         self._forces, self.loads, self.external = (self.u.x.petsc_vec.duplicate() for _ in range(3))
         self.eased, self._relative_residual = 0.0, 0.0
@@ -154,15 +154,7 @@ class Equations(PartSum):
             masses = {part.key: part.own_mass for part in self.with_own}
             split(ksp.getPC(), A, self._layout, self.held, masses, self.near_null())
 
-    @cached_property
-    def _reactions(self) -> ReactionSums:
-        return ReactionSums(self.model, self.parts)
-
     # ---------------------------------------------------------------- uniqueness
-    @cached_property
-    def _rigid(self) -> RigidMotions:
-        return RigidMotions(self.model, self.scale.stiffness)
-
     def require_unique(self, unbalanced: PETSc.Vec | None = None) -> None:
         """Raise LooseBody if a connected piece of the bodies can move freely.
 

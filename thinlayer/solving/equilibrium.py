@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 from petsc4py import PETSc
 
@@ -12,8 +13,7 @@ from thinlayer.errors import SolveError
 from thinlayer.solving.balance import ALLOWED
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import mark
-from thinlayer.solving.newton import newton, reason_name
-from thinlayer.solving.petsc import PREFIX, solve_linear
+from thinlayer.solving.petsc import PREFIX, OptionError, OptionValue, reason_name, solve_linear, solve_nonlinear
 
 # Relative residuals; keys: True for direct solvers, False for Krylov methods.
 REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # refinement ends at this residual
@@ -23,6 +23,36 @@ UNDETERMINED = 1e-3  # first refinement, relative to the displacements at play, 
 ROUNDED = 100.0  # residual over the rounding of stiffness times displacement, at most, that is taken for rounding
 LESS_STIFF = 10.0  # by how much residuals of rounding should fall below the allowed one
 OVERSHOOT = 10.0  # residual after the linear step, relative to the forces, at which the step is shortened
+NEWTON: dict[str, OptionValue] = {
+    "snes_type": "newtonls",
+    "snes_linesearch_type": "bt",
+    "snes_rtol": 0,  # the first residual is no scale: it may be arbitrarily large where a dashpot was at rest
+    "snes_stol": 0,
+    "snes_max_it": 100,
+}
+YIELDING: dict[str, OptionValue] = {"snes_max_it": 50}
+SINGULAR: dict[str, OptionValue] = {  # for singular tangents: the search is for the least energy, residuals may grow
+    "snes_linesearch_type": "cp",
+    "snes_linesearch_max_it": 40,
+    "snes_linesearch_atol": 0,  # a work along the step: an absolute tolerance would depend on the units
+    "snes_max_it": 300,
+}
+CONTACT: dict[str, OptionValue] = {  # residuals grow on good steps, as springs of S are stiff
+    "snes_linesearch_type": "basic",
+    "snes_max_it": 40,
+}
+LONGEST = "snes_linesearch_maxlambda" if PETSc.Sys.getVersion() >= (3, 24) else "snes_linesearch_maxstep"  # one option
+EASED_CONTACT: dict[str, OptionValue] = {  # full steps at most, shortened where the forces do no work along them
+    **CONTACT,
+    "snes_linesearch_type": "cp",
+    "snes_linesearch_max_it": 20,
+    "snes_linesearch_rtol": 0.01,
+    "snes_linesearch_atol": 0,  # a work along the step: an absolute tolerance would depend on the units
+    LONGEST: 1,
+}
+STAGNATION_STEPS = 16  # number of steps in which the residual must fall by a tenth, for laws that yield
+RUN_AWAY = 1e6  # largest displacements, relative to those of the first step, for laws that yield
+Reason = PETSc.SNES.ConvergedReason
 UNRESISTED = 1e4  # linear step, relative to the old displacements, that shows a layer that yields everywhere
 
 
@@ -107,46 +137,50 @@ class Equilibrium(Finder):
         if start is not None:
             start.copy(x)
             equations.residual(x, r)
-            return self._newton(x, r)
-        held = equations.held
+            return self._newton(x)
         for vector in self._vectors:
             vector.set(0.0)
         equations.put_state(equations.interval.old, x)
-        move.array[held] = equations.prescribed - x.array_r[held]
-        if not self.nonlinear:
+        move.array[equations.held] = equations.prescribed - x.array_r[equations.held]
+        if self.nonlinear:
+            equations.start(x, r)
+        else:
             x.axpy(1.0, move)
             equations.residual(x, r)
-        else:
-            equations.start(x, r)
         if equations.failed:
             raise SolveError(f"at the start of the step {equations.failure()}")
-        forces = equations.scale.forces
-        if self.nonlinear:
-            self._require_finite("stress", self._free_norm(r))
+        return self._from_linear_step(x, r, d, move) if self.nonlinear else self._linear(x, r, d)
+
+    def _linear(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> Found:
         r.scale(-1.0)
-        if not self.nonlinear:
-            r.array[held] = 0.0
-            self._prepare()
-        else:
-            self._prepare(move, r)
+        r.array[self.equations.held] = 0.0
+        self._prepare()
         iterations = self._solve_linear(r, d)
+        x.axpy(1.0, d)
+        self.equations.residual(x, r)
+        residual, refining = self._refine(x, r, d)
+        return Found(x, iterations + refining, residual)
+
+    def _from_linear_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> Found:
+        """Newton's method from where a linear step leads, in which supports move."""
+        equations, forces = self.equations, self.equations.scale.forces
+        self._require_finite("stress", self._free_norm(r))
+        r.scale(-1.0)
+        self._prepare(move, r)
+        self._solve_linear(r, d)
         if self._yields and x.norm() > 0 and not d.norm() <= UNRESISTED * x.norm():
             self._elastic_step(x, r, d, move)
-        if self.nonlinear and not math.isfinite(d.norm()):
+        if not math.isfinite(d.norm()):
             raise SolveError(
                 "the tangent at the start of the step is singular",
                 advice="does something resist every motion of the bodies, and every strain at rest? "
                 "A stress without a linear part, as e^3, needs a small one",
             )
-        if self.nonlinear:
-            d.array[held] = move.array_r[held]
+        d.array[equations.held] = move.array_r[equations.held]
         x.axpy(1.0, d)
         equations.residual(x, r)
-        if self.nonlinear:
-            self._retreat(x, r, d, move, forces)
-            return self._newton(x, r)
-        residual, refining = self._refine(x, r, d)
-        return Found(x, iterations + refining, residual)
+        self._retreat(x, r, d, move, forces)
+        return self._newton(x)
 
     def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> None:
         """The first step with the stiffness of an elastic layer."""
@@ -199,10 +233,8 @@ class Equilibrium(Finder):
             )
 
     def _solve_linear(self, b: PETSc.Vec, x: PETSc.Vec) -> int:
-        ksp = self._factor.ksp
-        assert ksp is not None
-        solve_linear(ksp, b, x)
-        return int(ksp.getIterationNumber())
+        solve_linear(self._factor.ksp, b, x)
+        return int(self._factor.ksp.getIterationNumber())
 
     def _refine(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> tuple[float, int]:
         """Refine the linear solution x iteratively; returns its relative residual, and the iterations of a Krylov method.
@@ -211,7 +243,6 @@ class Equilibrium(Finder):
             SolveError: the solution is not unique, or its residual is too large.
         """
         equations, ksp = self.equations, self._factor.ksp
-        assert ksp is not None
         reason = ksp.getConvergedReason()
         direct = ksp.getType() == "preonly"
         residual, first, iterations, rtol = self._relative(r), True, 0, ksp.getTolerances()[0]
@@ -284,14 +315,83 @@ class Equilibrium(Finder):
         r.array[self.equations.held] = 0.0
         return float(r.norm())
 
-    def _newton(self, x: PETSc.Vec, r: PETSc.Vec) -> Found:
-        steps, residual = newton(
-            self.equations, x, own_test=self._own_test, stop_early=self._yields, advice=self._advice
-        )
-        if not self.equations.traits.releases:
-            self.equations.require_unique()
-        return Found(x, steps + 1, residual)
+    # ---------------------------------------------------------------- Newton's method
+    def _newton(self, x: PETSc.Vec) -> Found:
+        """Newton's method, by PETSc's SNES, from unknowns x at which the last residual was computed; they are overwritten.
+
+        The force scale says when to stop, unless the user's options do. If a law yields, the method stops early where the
+        residual stagnates or displacements run away, as for loads beyond the limit load.
+
+        Raises:
+            SolveError: no convergence. OptionError: a method of PETSc's that does not use our convergence test.
+            PETSc.Error: PETSc itself has failed. Errors of the equations, such as a LawError, as they were raised.
+        """
+        equations, largest = self.equations, RUN_AWAY * _largest(x)
+        residuals: list[float] = []
+        given_up = ""
+
+        def function(_: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
+            equations.residual(x, b)
+            b.array[equations.held] = 0.0
+
+        def jacobian(_: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
+            equations.tangent()
+            equations.hold(P)
+
+        def converged(_: PETSc.SNES, steps: int, norms: tuple[float, float, float]) -> Any:
+            nonlocal given_up
+            residuals.append(equations.scale.relative(norms[2]))
+            if math.isnan(norms[2]):
+                return Reason.DIVERGED_FNORM_NAN
+            x = snes.getSolution()
+            if self._yields and _stagnates(residuals):
+                given_up = f"the residual has not fallen for {STAGNATION_STEPS} steps"
+            elif self._yields and not _largest(x) <= largest:
+                given_up = "displacements grow without bound"
+            if given_up:
+                return Reason.DIVERGED_DTOL
+            return Reason.CONVERGED_FNORM_ABS if norms[2] <= equations.aim(x) else False
+
+        A = equations.tangent()
+        equations.hold(A)
+        snes = PETSc.SNES().create(equations.comm)
+        snes.setOptionsPrefix(PREFIX)
+        r = x.duplicate()
+        snes.setFunction(function, r)
+        snes.setJacobian(jacobian, A)
+        if self._own_test:
+            snes.setConvergenceTest(converged)
+        snes.setFromOptions()
+        equations.tell(snes.getKSP(), A)
+        solve_nonlinear(snes, x, r)
+        reason, steps = snes.getConvergedReason(), snes.getIterationNumber()
+        if self._own_test and not residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN
+            raise OptionError(f"-{PREFIX}snes_type {snes.getType()} does not look at the residual; use another one")
+        last = equations.scale.relative(float(snes.getFunctionNorm()))
+        ksp_reason = snes.getKSP().getConvergedReason()
+        snes.destroy()
+        r.destroy()
+        stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < ALLOWED  # rounding stops the line search
+        stopped = self._own_test and reason >= 0 and not last < ALLOWED  # another test than ours ended the solve
+        if stopped or (reason < 0 and not stalled):
+            failed = f"; {equations.failure()}" if equations.failed else ""
+            raise SolveError(
+                f"Newton's method failed after {steps} steps: {given_up or reason_name(Reason, reason)}"
+                + (f" (linear solver: {reason_name(PETSc.KSP.ConvergedReason, ksp_reason)})" if ksp_reason < 0 else "")
+                + f", residual {last:.1e} of the forces{failed}",
+                residuals=tuple(residuals),
+                advice=f"try {self._advice}, or -{PREFIX}snes_monitor to watch it",
+            )
+        if not equations.traits.releases:
+            equations.require_unique()
+        return Found(x, steps + 1, last)
 
 
 def _largest(x: PETSc.Vec) -> float:
     return float(x.norm(PETSc.NormType.INFINITY))
+
+
+def _stagnates(residuals: list[float]) -> bool:
+    """Whether the last steps have not reduced the residual."""
+    before, last = residuals[:-STAGNATION_STEPS], residuals[-STAGNATION_STEPS:]
+    return bool(before) and min(last) > 0.9 * min(before)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +27,6 @@ ALLOWED_MOTION = 1e-10
 # this ratio, relative to the displacements: here by a thousandth.
 RESISTED_MOTION = 1e3 * np.finfo(float).eps
 SEVERAL = 1e-6  # least singular value of motions of a piece that are independent of each other
-Sparse = Any  # scipy.sparse.csr_matrix, which has no types
 
 
 class ReactionSums:
@@ -112,13 +110,6 @@ class ReactionSums:
         return {key, PRESSURE + key.removeprefix(LAYER), *(one for one in keys if one.startswith(starts))}
 
 
-def _of_pieces(motions: Array, piece: npt.NDArray[np.int32], pieces: int) -> Sparse:
-    """Motions (n, per) of the pieces that displacements belong to as columns, one for each motion of each piece."""
-    n, per = motions.shape
-    columns = (piece[:, None] * per + np.arange(per)).ravel()
-    return scipy.sparse.csr_matrix((motions.ravel(), columns, np.arange(n + 1) * per), (n, pieces * per))
-
-
 class RigidMotions:
     """The rigid motions of a model's connected pieces that its supports allow. All methods are collective.
 
@@ -131,13 +122,16 @@ class RigidMotions:
         self.model, self._stiffness = model, stiffness
 
     @cached_property
-    def _free(self) -> tuple[Sparse, Array]:
+    def _free(self) -> tuple[scipy.sparse.csr_matrix, Array]:
         """Motions (n, c), sparse: those of pieces in turn, then of plates, with those parts that supports prevent left out.
 
         The second value, (c, k), has the motions that supports allow, as sums of these.
         """
         motions, piece = self._motions()
-        shown, gram = self.model.constraints.shown(_of_pieces(motions, piece, len(self._names)))
+        n, per = motions.shape
+        columns = (piece[:, None] * per + np.arange(per)).ravel()
+        csr = motions.ravel(), columns, np.arange(n + 1) * per
+        shown, gram = self.model.constraints.shown(scipy.sparse.csr_matrix(csr, (n, len(self._names) * per)))
         values, vectors = np.linalg.eigh(gram)
         return shown, vectors[:, values <= ALLOWED_MOTION * max(values.max(), 1.0)]
 

@@ -1,4 +1,4 @@
-"""Linear solvers for a model: their PETSc options, what PETSc is told of the matrix, and its blocks with pressures.
+"""Linear solvers for a model: their PETSc options, factors, what families keep of them, and blocks with pressures.
 
 With pressures on S the tangent is [A B'; B -C], and PETSc's PCFIELDSPLIT takes it block by block.
 The Schur complement of the pressures is -(C + B A^-1 B'). C has the compliance and the flow of the layer, and is assembled.
@@ -11,17 +11,19 @@ compliances from the shortest waves to the longest. Where bodies are stiff, or w
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
+from forms.work import Term
 from thinlayer.discretisation.model import Model
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Part
 from thinlayer.parts.pressure_part import PressurePart
-from thinlayer.solving.petsc import OptionError, OptionValue
-from thinlayer.solving.tangent_matrix import Layout
+from thinlayer.solving.balance import DIFFERENT, Layout, TangentMatrix, side_by_side
+from thinlayer.solving.petsc import PREFIX, OptionError, OptionValue, options_set
 
 DIRECT: dict[str, OptionValue] = {
     "ksp_type": "preonly",
@@ -118,6 +120,106 @@ def mark(A: PETSc.Mat, model: Model, *, saddle: bool) -> None:
     A.setOption(PETSc.Mat.Option.SPD, model.symmetric and model.linear and not saddle)
 
 
+class Factor:
+    """A KSP and the matrix that it has factored. Collective.
+
+    Attributes:
+        ksp: the solver; None: there is none.
+        of: what the factored matrix depends on; None: not known.
+    """
+
+    def __init__(self) -> None:
+        self.ksp: Any = None
+        self.of: Hashable = None
+        self._options: dict[str, Any] = {}
+
+    def renew(self, A: PETSc.Mat, of: Hashable, tell: Callable[[PETSc.KSP, PETSc.Mat], None]) -> bool:
+        """Take another matrix, which is factored by the next solve.
+
+        Args:
+            A: the matrix.
+            of: what it depends on.
+            tell: function that tells a solver what is known of the matrix, see `Equations.tell`.
+
+        Returns:
+            Whether the solver stays: it then orders the unknowns anew only if A has another nonzero pattern.
+        """
+        options = options_set()
+        stays = self.ksp is not None and options == self._options and self.ksp.getPC().getType() != "fieldsplit"
+        if not stays:
+            self.destroy()
+            self.ksp = PETSc.KSP().create(A.comm)
+            self.ksp.setOptionsPrefix(PREFIX)
+        self.ksp.setOperators(A)
+        if not stays:
+            self.ksp.setFromOptions()
+        tell(self.ksp, A)
+        self._options, self.of = options, of
+        return stays
+
+    def destroy(self) -> None:
+        """Free the solver and its factor."""
+        if self.ksp is not None:
+            self.ksp.destroy()
+        self.ksp = self.of = None
+
+
+class Kept:
+    """Matrices of the equations of a model, which may serve other models of its family.
+
+    Attributes:
+        bodies: parts that depend on mesh and bodies alone; empty: they are yet to be made.
+        matrix: the tangent; None: it is yet to be made.
+        factor: of the tangent.
+    """
+
+    def __init__(self) -> None:
+        self.bodies: Sequence[Part] = ()
+        self.matrix: TangentMatrix | None = None
+        self.factor = Factor()
+        self._terms: Sequence[Term] = ()
+        self._pattern: Any = None
+
+    @classmethod
+    def of(cls, model: Model) -> Kept:
+        """What the model's family has, made fit for this model; new if it has nothing."""
+        kept = model.family.kept or cls()
+        model.family.kept = None
+        pattern = (
+            [(p.key, type(p.law), p.law.traits, len(p.law.sublayers)) for p in model.layer_terms],
+            [(name, type(one.law), one.thin and one.thin.order) for name, one in model.layers.items()],
+        )
+        if pattern != kept._pattern:
+            kept._free_matrix()
+        if model.layer_terms is not kept._terms:
+            kept.factor.of = None
+        kept._terms, kept._pattern = model.layer_terms, pattern
+        return kept
+
+    def give_back(self, model: Model) -> None:
+        """Leave all to the family if it has other models, else free it."""
+        if model.family.several:
+            if model.family.kept is not None:  # by another solver at the same time
+                model.family.kept.destroy()
+            model.family.kept = self
+        else:
+            self.destroy()
+
+    def _free_matrix(self) -> None:
+        self.factor.destroy()
+        if self.matrix is not None:
+            self.matrix.destroy()
+        self.matrix = None
+
+    def destroy(self) -> None:
+        """Free all matrices."""
+        self._free_matrix()
+        for part in self.bodies:
+            part.destroy()
+        self.bodies = ()
+
+
+# ---------------------------------------------------------------- blocks with pressures
 def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
     """Make vectors, which are overwritten, orthonormal; they are independent."""
     for k, v in enumerate(vectors):
@@ -155,7 +257,7 @@ def split(
     pc.setFieldSplitIS(("u", of_u), ("p", of_p))
     schur = A.createSubMatrix(of_p, of_p)
     added = _compliance(A, layout, held, masses)
-    schur.axpy(-1.0, added, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    schur.axpy(-1.0, added, DIFFERENT)
     pc.setFieldSplitSchurPreType(PETSc.PC.FieldSplitSchurPreType.USER, schur)
     for thing in (added, schur, of_u, of_p):
         thing.destroy()
@@ -189,8 +291,7 @@ def _compliance(
         mask.destroy()
         image.destroy()
     rows = [[one if k == i else None for k, one in enumerate(scaled)] for i in range(len(scaled))]
-    nest = PETSc.Mat().createNest(rows, comm=A.comm)
-    whole = nest.convert("aij", PETSc.Mat())
-    for thing in (nest, *scaled, diagonal, ones, forces, free):
+    whole = side_by_side(rows, A.comm)
+    for thing in (*scaled, diagonal, ones, forces, free):
         thing.destroy()
     return whole

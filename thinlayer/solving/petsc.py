@@ -56,33 +56,32 @@ def defaults(options: Mapping[str, OptionValue]) -> Iterator[None]:
             _PLACED.discard(name.removeprefix(PREFIX))
 
 
+def options_set() -> dict[str, str]:
+    """The options under our prefix in PETSc's database, by their names without it."""
+    found = PETSc.Options().getAll().items()
+    return {name.removeprefix(PREFIX): value for name, value in found if name.startswith(PREFIX)}
+
+
 def is_set(name: str, given: Mapping[str, OptionValue]) -> bool:
     """Whether the user has set an option, in a script or in PETSc's database."""
-    return name in given or PREFIX + name in PETSc.Options().getAll()
+    return name in given or name in options_set()
 
 
 def value_of(name: str, given: Mapping[str, OptionValue]) -> str | None:
     """The user's value of an option, in PETSc's database or in a script; None: not set."""
-    found = PETSc.Options().getAll().get(PREFIX + name, given.get(name))
+    found = options_set().get(name, given.get(name))
     return None if found is None else str(found)
 
 
 def given_elsewhere() -> str:
     """The options under our prefix in PETSc's database, written as on a command line."""
-    found = sorted(PETSc.Options().getAll().items())
-    return " ".join(f"-{name} {value}".rstrip() for name, value in found if name.startswith(PREFIX))
-
-
-def unread() -> list[str]:
-    """Names, without the prefix, of options under our prefix that are set and that no solver has read."""
-    ours = [name for name in PETSc.Options().getAll() if name.startswith(PREFIX)]
-    return [name.removeprefix(PREFIX) for name in ours if not was_read(name)]
+    return " ".join(f"-{PREFIX}{name} {value}".rstrip() for name, value in sorted(options_set().items()))
 
 
 def require_all_read(solver: str, ours: Collection[str]) -> None:
     """Raise OptionError if the last solve has not read all options that the user has set; ours may stay unread."""
-    names = [name for name in unread() if name not in _PLACED.intersection(ours)]
-    if names:
+    theirs = options_set().keys() - _PLACED.intersection(ours)
+    if names := sorted(name for name in theirs if not was_read(PREFIX + name)):
         listed = ", ".join(f"-{PREFIX}{name}" for name in names)
         raise OptionError(
             f"PETSc options not read by the {solver} solver: {listed}; a direct solver has no tolerances, "
@@ -90,14 +89,26 @@ def require_all_read(solver: str, ours: Collection[str]) -> None:
         )
 
 
-def require_known_values(error: PETSc.Error, ours: Collection[str]) -> None:
-    """Raise OptionError if a wrong value of one of the user's options may have caused a PETSc error."""
-    if error.ierr in OPTION_ERRORS:
-        found = {k.removeprefix(PREFIX): v for k, v in PETSc.Options().getAll().items() if k.startswith(PREFIX)}
-        theirs = [name for name in found if name not in _PLACED.intersection(ours)]
-        given = ", ".join(f"-{PREFIX}{name} {found[name]}" for name in theirs)
-        if theirs:
-            raise OptionError(f"PETSc does not take the value of one of these options: {given}") from error
+@contextmanager
+def chosen(ours: Mapping[str, OptionValue], given: Mapping[str, OptionValue] | None = None) -> Iterator[None]:
+    """Within a `with` block, PETSc's database has our options, and those of a script, which override them.
+
+    Raises:
+        OptionError: PETSc does not take the value of one of the user's options.
+        SolveError: PETSc, or a library that it calls, has failed, so that a march can try a shorter step.
+    """
+    given = given or {}
+    with defaults({**ours, **given}):
+        try:
+            yield
+        except PETSc.Error as error:
+            found = options_set()
+            theirs = sorted(found.keys() - _PLACED.intersection(ours.keys() - given.keys()))
+            if error.ierr in OPTION_ERRORS and theirs:
+                listed = ", ".join(f"-{PREFIX}{name} {found[name]}" for name in theirs)
+                raise OptionError(f"PETSc does not take the value of one of these options: {listed}") from error
+            said = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines()]
+            raise SolveError(f"PETSc: {said[-1] if said else ''} (error {error.ierr})") from error
 
 
 @cache
@@ -150,28 +161,16 @@ def schur_of(factor: PETSc.Mat, c: int) -> npt.NDArray[np.float64]:
     return out
 
 
-def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, ours: Collection[str] | None = None) -> None:
+def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
     """Solve A x = b. Collective.
 
-    Args:
-        ksp: the solver.
-        b: right-hand side.
-        x: solution.
-        ours: names of the options that are our defaults; None: the caller looks at PETSc's errors.
-
     Raises:
-        OptionError: PETSc does not accept the value of an option. PETSc.Error instead of both if `ours` is None.
-        SolveError: PETSc, or a library that it calls, has failed. Do not use the solver again: its vectors stay locked. b
+        PETSc.Error: PETSc, or a library that it calls, has failed. Do not use the solver again: its vectors stay locked. b
             is unchanged.
     """
     right = b.copy()  # PETSc leaves the right-hand side locked after an error
     try:
         ksp.solve(right, x)
-    except PETSc.Error as error:
-        if ours is None:
-            raise
-        require_known_values(error, ours)
-        raise failed_in_petsc(error) from error
     finally:
         right.destroy()
 
@@ -205,7 +204,7 @@ def solve_nonlinear(snes: PETSc.SNES, x: PETSc.Vec, *own: PETSc.Vec) -> None:
         inside.destroy()
 
 
-def failed_in_petsc(error: PETSc.Error) -> SolveError:
-    """A SolveError for an error of PETSc, so that a march can try a shorter step."""
-    said = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines()]
-    return SolveError(f"PETSc: {said[-1] if said else ''} (error {error.ierr})")
+def reason_name(kind: Any, value: int) -> str:
+    """PETSc's name of the reason why a solver stopped."""
+    names = {v: k for k, v in vars(kind).items() if isinstance(v, int) and not k.startswith("_")}
+    return names.get(value, str(value))

@@ -20,23 +20,21 @@ from thinlayer.parts.part import Interval
 from thinlayer.solving.contact.solver import METHODS, check_method, contact_finder, default_method
 from thinlayer.solving.continuation import Restraint, through_eased_laws
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.equilibrium import Equilibrium, Finder, Found
-from thinlayer.solving.linear_solvers import linear_solvers
-from thinlayer.solving.newton import CONTACT, EASED_CONTACT, NEWTON, SINGULAR, YIELDING
-from thinlayer.solving.petsc import (
-    PREFIX,
-    OptionError,
-    OptionValue,
-    defaults,
-    failed_in_petsc,
-    is_set,
-    require_all_read,
-    require_known_values,
-    value_of,
+from thinlayer.solving.equilibrium import (
+    CONTACT,
+    EASED_CONTACT,
+    NEWTON,
+    SINGULAR,
+    YIELDING,
+    Equilibrium,
+    Finder,
+    Found,
 )
+from thinlayer.solving.linear_solvers import linear_solvers
+from thinlayer.solving.petsc import PREFIX, OptionError, OptionValue, chosen, is_set, require_all_read, value_of
 from thinlayer.solving.ranges import warn_of_model, warn_of_no_time, warn_of_states
-from thinlayer.system.agreement import on_all, require_same
-from thinlayer.system.log import logger
+from thinlayer.system.progress import logger
+from thinlayer.system.ranks import on_all, require_same
 
 SOFTENS = (
     "the stress of {} falls as jumps grow, and an equilibrium may be one of several; follow them from rest with "
@@ -134,6 +132,10 @@ class Solver:
     """Solves a model step after step; keeps matrices, and their factors as long as they stay the same.
 
     Arguments and errors as in `solve`. Use it in a `with` statement, or call `close`.
+
+    Attributes:
+        yields: whether a law bounds stresses, so that loads may have a limit.
+        bounded: whether loads may have a limit: a law yields, or seams in contact slide or open.
     """
 
     def __init__(
@@ -162,14 +164,17 @@ class Solver:
         for line in model.remarks:
             self._log.info(line)
         self.equations = Equations(model)
+        traits = self.equations.traits
+        self.yields, self.bounded = traits.bounded, traits.bounded or traits.releases
         self._linear: list[dict[str, OptionValue]] = [{}]  # without those that have failed
-        if self.method not in METHODS:
+        self._finder: Finder
+        if self.method in METHODS:
+            self._finder = contact_finder(self.equations, self.method, like)
+        else:
             self._linear = linear_solvers(model, self.equations.parts, value_of("pc_type", self._given))
-        if len(self._linear) > 1 and (is_set("ksp_type", self._given) or is_set("pc_type", self._given)):
-            self._linear = self._linear[:1]
-        self._finder: Finder = (
-            contact_finder(self.equations, self.method, like) if self.method in METHODS else self._equilibrium()
-        )
+            if is_set("ksp_type", self._given) or is_set("pc_type", self._given):
+                self._linear = self._linear[:1]
+            self._finder = self._equilibrium()
         self._warned = False  # whether the user was warned of a law that softens
 
     def _check(self) -> None:
@@ -190,8 +195,10 @@ class Solver:
 
     def _equilibrium(self) -> Equilibrium:
         own_test = not (is_set("snes_atol", self._given) or is_set("snes_rtol", self._given))
-        advice = f"a smaller step or load, {self._advice}"
-        nonlinear = self.method == "newton"
+        advice = "a larger elastic fraction" if self.yields else f"-{PREFIX}snes_linesearch_type basic"
+        if self.model.contact:
+            advice = "another method, supports (is a body pulled off, or pushed harder than friction holds?)"
+        nonlinear, advice = self.method == "newton", f"a smaller step or load, {advice}"
         return Equilibrium(self.equations, nonlinear=nonlinear, own_test=own_test, yields=self.yields, advice=advice)
 
     def close(self) -> None:
@@ -278,32 +285,31 @@ class Solver:
             start.destroy()
 
     def _accept(self, x: PETSc.Vec, report: Report) -> State:
+        """The state; warns, once, if the stress of a law falls that does not declare `softens`."""
         state = self.equations.accept(x, report)
-        self._warn_of_softening(state.t)
-        return state
-
-    def _warn_of_softening(self, t: float) -> None:
-        """Warn, once, if the stress of a law falls that does not declare `softens`: there may be other equilibria."""
-        if self._warned:
-            return
-        found = next(filter(None, self.equations.ask("undeclared_softening")), None)
-        if found:
-            name, where = found
+        falling = [] if self._warned else [*filter(None, self.equations.ask("undeclared_softening"))]
+        for name, where in falling[:1]:
             self._warned = True
             warn(
                 "softens",
-                f"at t = {t:g} the stress of {name} falls {where} as jumps or strains grow: this equilibrium "
+                f"at t = {state.t:g} the stress of {name} falls {where} as jumps or strains grow: this equilibrium "
                 "may be one of several, and steps may pass over others; write softens = True in the class and follow "
                 "them on S with march(model, ArcLength(...))",
                 self.model.comm,
             )
+        return state
 
     # ---------------------------------------------------------------- attempts
     def _attempts(self) -> list[Attempt]:
         """The attempts in turn: every line search with every linear solver, then eased laws."""
         attempts = []
-        for search in self._searches:
-            options = self._newton_options(search)
+        several = self.yields and not is_set("snes_linesearch_type", self._given)
+        for search in SEARCHES if several else (None,):
+            options: dict[str, OptionValue] = {}
+            if self.method == "newton":
+                singular = SINGULAR if self.equations.traits.singular else {}
+                named: dict[str, OptionValue] = {"snes_linesearch_type": search} if search else {}
+                options = NEWTON | (YIELDING if self.yields else singular) | (CONTACT if self.model.contact else named)
             for linear in self._linear:
                 words = [self.method, f"line search {search}" if search else "", str(linear.get("pc_type", ""))]
                 attempts.append(Attempt(", ".join(filter(None, words)), linear, options))
@@ -321,30 +327,26 @@ class Solver:
             SolveError: all attempts failed; the error of the first attempt with the last linear solver, or of eased laws if
                 it names a body that nothing holds.
         """
-        spent, failed = 0, ""
-        first: SolveError | None = None
-        last: SolveError | None = None
+        why, errors = "", list[SolveError]()
         for attempt in attempts:
             if attempt.linear not in self._linear:
                 continue
-            if failed:
-                self._log.info("t = %g: %s is tried, as %s", self.equations.interval.t, attempt.name, failed)
+            if why:
+                self._log.info("t = %g: %s is tried, as %s", self.equations.interval.t, attempt.name, why)
             try:
                 found, solves = self._through_eased_laws(attempt) if attempt.eased else (self._try(attempt, start), 0)
             except SolveError as error:
-                failed = f"{attempt.name} failed: {error.reason}"
+                why = f"{attempt.name} failed: {error.reason}"
                 if len(self._linear) > 1:
                     self._linear = [one for one in self._linear if one != attempt.linear]
                 else:
-                    spent += len(error.residuals)
-                    if first and isinstance(error, LooseBody):
-                        error.residuals = (*first.residuals, *error.residuals)
-                        first = error
-                    first = first or error
-                    last = error
+                    errors.append(error)
             else:
-                return replace(found, iterations=found.iterations + spent), solves
-        assert first is not None
+                return replace(found, iterations=found.iterations + sum(len(e.residuals) for e in errors)), solves
+        first, last = errors[0], errors[-1]
+        if isinstance(last, LooseBody) and last is not first:
+            last.residuals = (*first.residuals, *last.residuals)
+            raise last
         raise first from (None if last is first else last)
 
     def _try(self, attempt: Attempt, start: PETSc.Vec | None = None) -> Found:
@@ -405,43 +407,8 @@ class Solver:
     def _with_options(self, attempt: Attempt, start: PETSc.Vec | None) -> Found:
         """Result of the finder with our PETSc options and the user's. All options of the user must be read."""
         ours = {**attempt.linear, **attempt.options}
-        with defaults({**ours, **self._given}):
-            try:
-                found = self._finder.find(start)
-            except PETSc.Error as error:
-                require_known_values(error, ours.keys() - self._given.keys())
-                raise failed_in_petsc(error) from error
+        with chosen(ours, self._given):
+            found = self._finder.find(start)
             if not self._finder.reused:
                 require_all_read(self.method, ours.keys() - self._given.keys())
             return found
-
-    @property
-    def yields(self) -> bool:
-        """Whether a law bounds stresses, so that loads may have a limit."""
-        return self.equations.traits.bounded
-
-    @property
-    def bounded(self) -> bool:
-        """Whether loads may have a limit: a law yields, or seams in contact slide or open."""
-        return self.yields or self.equations.traits.releases
-
-    @property
-    def _searches(self) -> tuple[str | None, ...]:
-        """Line searches to try in turn; None: the line search of the options."""
-        if self.yields and not is_set("snes_linesearch_type", self._given):
-            return SEARCHES
-        return (None,)
-
-    def _newton_options(self, search: str | None) -> dict[str, OptionValue]:
-        if self.method != "newton":
-            return {}
-        options = NEWTON | YIELDING if self.yields else NEWTON | SINGULAR if self.equations.traits.singular else NEWTON
-        if self.model.contact:
-            return options | CONTACT
-        return options | ({"snes_linesearch_type": search} if search else {})
-
-    @property
-    def _advice(self) -> str:
-        if self.model.contact:
-            return "another method, supports (is a body pulled off, or pushed harder than friction holds?)"
-        return "a larger elastic fraction" if self.yields else f"-{PREFIX}snes_linesearch_type basic"

@@ -23,11 +23,9 @@ from thinlayer.parts.part import DISPLACEMENTS, Array, FieldPart, Interval, Part
 from thinlayer.parts.ufl_part import has_arity
 from thinlayer.pointwise.columns import TIE
 from thinlayer.pointwise.compiled_term import CompiledTerm
-from thinlayer.solving.balance import ForceScale, PartSum
-from thinlayer.solving.tangent_matrix import TangentMatrix
-from thinlayer.system.agreement import on_all
+from thinlayer.solving.balance import ForceScale, PartSum, TangentMatrix
 from thinlayer.system.compat import belongs_to
-from thinlayer.system.exchange import communicator
+from thinlayer.system.ranks import communicator, on_all
 
 
 class StepProblem(PartSum):

@@ -1,4 +1,4 @@
-"""The folder of compiled forms and C sources. It stays intact if compilations are killed or run at the same time.
+"""Compiled forms and C sources, and their folder. It stays intact if compilations are killed or run at the same time.
 
 FFCx compiles in this folder and uses a form's C file as a lock. If the process is killed, the lock stays, and every
 process that needs the form waits in vain. Here each compilation has a folder of its own, and its files are moved to the
@@ -15,7 +15,9 @@ import hashlib
 import importlib.util
 import inspect
 import os
+import re
 import shutil
+import sysconfig
 import tempfile
 from collections.abc import Iterator
 from contextlib import chdir, contextmanager
@@ -23,19 +25,28 @@ from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Any
 
+import cffi
 import dolfinx.jit
 import ffcx
 from ffcx.codegeneration import jit as ffcx_jit
+from mpi4py import MPI
 
-import thinlayer.system.abort  # noqa: F401  # before DOLFINx, which starts PETSc
+import thinlayer.system.ranks  # noqa: F401  # before DOLFINx, which starts PETSc
 from forms.base import ThinlayerError
+from thinlayer.system.identity import content
 
 # Folder -> descriptor of its lock file. They are never closed, as that would free all locks of the process on the file.
 _LOCKS: dict[Path, int] = {}
+# The head of a function of a C source that is not static and returns int or double.
+EXPORTED = re.compile(r"^(?:int|double) \w+\([^{;]*\)(?=\s*\{)", re.MULTILINE)
 
 
 class CacheError(ThinlayerError, OSError):
     """A folder of compiled forms that cannot be written."""
+
+
+class SourceError(ThinlayerError, RuntimeError):
+    """A C source cannot be read or compiled; the compiler prints its messages to standard error."""
 
 
 def acquire(folder: Path, name: str) -> None:
@@ -167,3 +178,54 @@ def load_options() -> None:
     with tempfile.TemporaryDirectory() as empty, chdir(empty):
         ffcx.get_options()
         dolfinx.jit.get_options()
+
+
+# ---------------------------------------------------------------- C sources
+def library(source: Path, comm: MPI.Intracomm = MPI.COMM_SELF) -> Any:
+    """The module compiled from a C source. Its `lib` has all functions that return int or double and are not static.
+
+    Collective over `comm`: rank 0 compiles. With the default communicator each process compiles the module if it is not
+    there.
+
+    Raises:
+        SourceError: the source cannot be read or compiled; on all ranks.
+    """
+    problem = None
+    if comm.rank == 0:
+        try:
+            _build(source, _file_of(source))
+        except Exception as error:
+            problem = f"{type(error).__name__}: {error}"
+    if problem := comm.bcast(problem):
+        raise SourceError(f"the C source {str(source)!r} cannot be compiled: {problem}")
+    return _loaded(_file_of(source))
+
+
+own_library = functools.cache(library)  # of sources of the package, which do not change while it runs
+_loaded = functools.cache(load)
+
+
+def _file_of(source: Path) -> Path:
+    """The file of a compiled source, in FFCx's folder; its name has a hash of the source and the files it includes."""
+    folder = Path(dolfinx.jit.get_options()["cache_dir"]).expanduser()
+    name = hashlib.sha256(content(source) + cffi.__version__.encode()).hexdigest()[:16]
+    return folder / f"thinlayer_{source.stem}_{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
+
+
+def _build(source: Path, file: Path) -> None:
+    """Compile a source, unless its library is there."""
+    if file.exists():
+        return
+    name = file.name.split(".")[0]
+    acquire(file.parent, name)
+    try:
+        if file.exists():  # another process has compiled it
+            return
+        text = source.read_text(encoding="utf-8")
+        builder = cffi.FFI()
+        builder.cdef("\n".join(head + ";" for head in EXPORTED.findall(text)))
+        builder.set_source(name, text, extra_compile_args=["-O2"], include_dirs=[str(source.parent.resolve())])
+        with workshop(file.parent, name) as work:
+            keep(Path(builder.compile(tmpdir=work)), file)
+    finally:
+        release(file.parent, name)

@@ -82,14 +82,14 @@ def _seal(content: Mapping[str, Any]) -> str:
 
 # ---------------------------------------------------------------- locks
 @contextmanager
-def owned(folder: Path, comm: MPI.Intracomm | None = None, name: str = LOCK) -> Iterator[None]:
+def owned(folder: Path | None, comm: MPI.Intracomm | None = None, name: str = LOCK) -> Iterator[None]:
     """Own a folder in a block: no other run may write into it. Collective.
 
     The folder is made if necessary, and removed again if it is empty at the end. The lock is the operating system's:
     it ends with the process that holds it, however that ends.
 
     Args:
-        folder: the folder.
+        folder: the folder; None: there is none.
         comm: communicator whose rank 0 writes (default: the world).
         name: name of the lock file; runs that write different files of the folder use different names.
 
@@ -97,7 +97,8 @@ def owned(folder: Path, comm: MPI.Intracomm | None = None, name: str = LOCK) -> 
         ModelError: another run is at work there, or no files can be written.
     """
     with ExitStack() as stack:
-        on_root(comm, lambda: stack.enter_context(locked(folder, name)))
+        if folder is not None:
+            on_root(comm, lambda: stack.enter_context(locked(folder, name)))
         yield
 
 

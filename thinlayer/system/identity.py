@@ -14,7 +14,9 @@ import importlib.util
 import itertools
 import json
 import math
+import os
 import random
+import re
 import sys
 import sysconfig
 import types
@@ -33,7 +35,6 @@ from ufl.domain import extract_domains
 
 from forms.base import PACKAGES
 from thinlayer.errors import ModelError
-from thinlayer.system.sources import content
 
 Resume = bool | Literal["anyway"]
 CODE, FILE, CLASS, SAME = "(code)", "(file)", "(class)", "(same as)"
@@ -49,6 +50,8 @@ GENERATED = {*vars(dataclasses.make_dataclass("C", ["x"], order=True, frozen=Tru
 GOES_ON = (  # what gives other numbers each time
     np.random.Generator, np.random.BitGenerator, np.random.RandomState, np.random.SeedSequence, random.Random, Iterator,
 )  # fmt: skip
+NAMED = re.compile(rb'^[ \t]*#[^"<\n]*["<]([^">\n]+)[">]', re.MULTILINE)  # a file in a preprocessor line
+SEARCHED = ("CPATH", "C_INCLUDE_PATH")  # folders in which compilers look for files, besides the system's
 _NUMBERS: dict[int, tuple[Any, int]] = {}  # id -> reference to an object that only this process knows, and its number
 
 
@@ -217,7 +220,8 @@ class _Describer:
         found = {CLASS: kind} | ({} if plain else {"(made of)": [make, *given]}) | ({"(items)": lists} if lists else {})
         for one in state if isinstance(state, tuple) else (state,):  # attributes, and those in slots
             found |= one if isinstance(one, dict) else {} if one is None else {f"(state {len(found)})": one}
-        return self._named({name: one for name, one in found.items() if not _is_derived(kind, name)}, at)
+        derived = {name for name in found if isinstance(getattr(kind, str(name), None), functools.cached_property)}
+        return self._named({name: found[name] for name in found.keys() - derived - {"__doc__", "_ufunc"}}, at)
 
     def _function(self, function: types.FunctionType, at: str) -> Any:
         code, cells = function.__code__, zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
@@ -314,10 +318,6 @@ def _is_own_file(file: str) -> bool:
     return not (installed or any(path.is_relative_to(one) for one in LIBRARIES))
 
 
-def _is_derived(kind: type, name: Any) -> bool:
-    return name in ("__doc__", "_ufunc") or isinstance(getattr(kind, str(name), None), functools.cached_property)
-
-
 def _plain(value: Any) -> Any:
     """A number or text as JSON; None for anything else."""
     if isinstance(value, str):
@@ -336,3 +336,26 @@ def _name(kind: Any) -> str:
 def _short(value: Any) -> str:
     text = "nothing" if value is MISSING else value if isinstance(value, str) else json.dumps(value)
     return text if len(text) <= 200 else f"{text[:200]} ..."
+
+
+# ---------------------------------------------------------------- C sources
+def content(source: Path) -> bytes:
+    """Content of a C source, and recursively of the files that its preprocessor lines name, without system headers.
+
+    Nothing is preprocessed: a file counts even where a condition leaves it out.
+
+    Raises:
+        OSError: the source cannot be read. The compiler reports included files that cannot be read.
+    """
+    searched = [Path(folder) for name in SEARCHED for folder in os.environ.get(name, "").split(os.pathsep) if folder]
+    found, todo = {source: source.read_bytes()}, [source]
+    while todo:
+        file = todo.pop()
+        for name in NAMED.findall(found[file]):
+            for folder in (file.parent, *searched):
+                with suppress(OSError, ValueError):
+                    included = (folder / os.fsdecode(name)).resolve()
+                    if included not in found:
+                        found[included] = included.read_bytes()
+                        todo.append(included)
+    return b"\0".join(found.values())

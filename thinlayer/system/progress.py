@@ -1,7 +1,9 @@
-"""Progress of long work on standard error: what is done, what is left, and the time it takes. One rank tells for all.
+"""What long work says, one rank for all: progress on standard error, and messages through Python's `logging`.
 
-On a terminal one line that changes, from 5 s on, gone when the work is done; elsewhere a line a minute. Work within work
-is told in one line. `logging.getLogger("thinlayer").setLevel("ERROR")` silences it.
+Progress is what is done, what is left, and the time it takes. On a terminal one line that changes, from 5 s on, gone when
+the work is done; elsewhere a line a minute. Work within work is told in one line.
+`logging.getLogger("thinlayer").setLevel("ERROR")` silences it. Messages are shown if the user asks for them:
+`logging.basicConfig(level="INFO")`, or `--verbose` on the command line.
 """
 
 from __future__ import annotations
@@ -17,10 +19,34 @@ from typing import TextIO, TypeVar
 
 from mpi4py import MPI
 
+from geometry.parallel import world
+
 T = TypeVar("T")
 LEAST = 1e-3  # share from which on the time left is told
 # s before the first line and the next: on a terminal, else
 AFTER, AGAIN = {True: 5.0, False: 60.0}, {True: 0.2, False: 60.0}
+
+_SILENT = logging.Logger("thinlayer on other ranks", logging.CRITICAL + 1)
+
+
+def logger(part: str, comm: MPI.Intracomm | None = None) -> logging.Logger:
+    """The logger "thinlayer.PART" on rank 0 of a communicator (default: the world); on others one that says nothing.
+
+    Args:
+        part: "solve" (what a solve tries), "march" (steps in time), "study" (what a study has done).
+        comm: communicator of the model.
+    """
+    return _SILENT if (comm or world()).rank else logging.getLogger(f"thinlayer.{part}")
+
+
+def show(level: int) -> None:
+    """Show what is logged from this level on, on standard error."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("%(name)s: %(message)s"))
+    ours = logging.getLogger("thinlayer")
+    ours.addHandler(handler)
+    ours.setLevel(level)
+    ours.propagate = False
 
 
 @dataclass(eq=False)

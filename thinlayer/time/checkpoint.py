@@ -16,9 +16,9 @@ from thinlayer.discretisation.state import Audit, Report, State
 from thinlayer.errors import ModelError
 from thinlayer.parts.part import FileOrder
 from thinlayer.solving.equations import Equations
-from thinlayer.system.exchange import carry
 from thinlayer.system.folder import hash_of, read_sealed, replaced, write_sealed
 from thinlayer.system.identity import Resume, differences, in_words
+from thinlayer.system.ranks import carry
 from thinlayer.system.table import Table
 from thinlayer.time.history import History, dissipated_columns
 
@@ -139,8 +139,8 @@ class Checkpoint:
         on_root(self.comm, write)
 
     # ---------------------------------------------------------------- reading
-    def read(self, keep: str, resume: Resume) -> tuple[History, Pace] | None:
-        """History and pace of the march in the folder; None: there is no march, or `resume` is False.
+    def read(self, history: History, keep: str, resume: Resume) -> Pace | None:
+        """Read the march in the folder into a history; returns its pace, None if there is none or `resume` is False.
 
         With "anyway" it may be another march, and stays the one that it was begun as.
 
@@ -154,7 +154,8 @@ class Checkpoint:
         table = Table(dict(zip(found["columns"], row, strict=True)) for row in found["rows"])
         on_root(self.comm, lambda: table.put(self.folder / TABLE))
         rows = [row for row in sorted(map(int, self._states)) if keep == "all" or row >= len(table) - self.needed]
-        return History(self.model, table, {row: self._read_state(row, table) for row in rows}), Pace(**found["pace"])
+        history.table, history.states = table, {row: self._read_state(row, table) for row in rows}
+        return Pace(**found["pace"])
 
     def _content(self, resume: Resume) -> dict[str, Any] | None:
         """The content of march.json; on rank 0."""

@@ -13,12 +13,10 @@ from thinlayer.errors import ModelError, SolveError, TurningPoint
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.identity import Resume
-from thinlayer.system.log import logger
-from thinlayer.system.progress import telling
+from thinlayer.system.progress import logger, telling
 from thinlayer.time.history import SAME_TIME, History
 from thinlayer.time.journal import Journal
-from thinlayer.time.path import EquilibriumPath
-from thinlayer.time.path_equations import PathEquations
+from thinlayer.time.path import EquilibriumPath, PathEquations
 from thinlayer.time.plan import ArcLength
 
 WANTED_ITERATIONS = 4  # number of Newton steps at which the length of the next step stays the same

@@ -16,10 +16,9 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.parts.phases import phase_shares, seams_with_phases
 from thinlayer.solving.equations import Equations
-from thinlayer.system.agreement import on_all
-from thinlayer.system.exchange import collect
 from thinlayer.system.identity import Resume, code_of, described
-from thinlayer.system.log import logger
+from thinlayer.system.progress import logger
+from thinlayer.system.ranks import collect, on_all
 from thinlayer.system.table import Row
 from thinlayer.time.checkpoint import Checkpoint, Pace
 from thinlayer.time.history import History, dissipated_columns, phase_columns
@@ -36,10 +35,10 @@ class Journal:
 
     Args:
         equations: the equations of the model.
-        pace: pace of the first step.
         observe: name of a column -> function of a state.
         keep: "all": keep all states; "last": keep only the last one.
         out: folder for the table and the files from which to resume; None: no files.
+        pace: pace of the first step.
         choices: further arguments of the march that must be the same to resume it.
         directed: True: the next step depends on the direction of the last one, so that two states are kept.
 
@@ -52,10 +51,10 @@ class Journal:
     def __init__(
         self,
         equations: Equations,
-        pace: Pace,
         observe: Observe,
         keep: str,
         out: Path | None,
+        pace: Pace,
         choices: Mapping[str, Any],
         *,
         directed: bool = False,
@@ -66,15 +65,12 @@ class Journal:
         self._directed = directed
         self._log = logger("march", self.model.comm)
         self.before: State | None = None
-        self._checkpoint = Checkpoint(out, equations, self._mark(choices), 2 if directed else 1) if out else None
+        # of observing functions it is known by what stays as they collect values
+        observed = {name: code_of(described(function)) for name, function in self._observe.items()}
+        mark = json.loads(json.dumps({**self.model.identity(), "observe": observed, **choices}))
+        self._checkpoint = Checkpoint(out, equations, mark, 2 if directed else 1) if out else None
         self._written = 0
         self.history, self.pace = History(self.model, theta=float(choices["theta"])), pace
-
-    def _mark(self, choices: Mapping[str, Any]) -> dict[str, Any]:
-        """What the march is known by. Of observing functions it has what stays as they collect values."""
-        observed = {name: code_of(described(function)) for name, function in self._observe.items()}
-        mark: dict[str, Any] = json.loads(json.dumps({**self.model.identity(), "observe": observed, **choices}))
-        return mark
 
     def read(self, resume: Resume) -> bool:
         """Take over the march in the folder. False: there is no march, or `resume` is False.
@@ -82,11 +78,10 @@ class Journal:
         Raises:
             ModelError: the folder has another march, or files that are damaged and to be resumed.
         """
-        found = self._checkpoint.read(self._keep, resume) if self._checkpoint else None
-        if not found:
+        pace = self._checkpoint.read(self.history, self._keep, resume) if self._checkpoint else None
+        if pace is None:
             return False
-        theta, (self.history, self.pace) = self.history.theta, found
-        self.history.theta = theta
+        self.pace = pace
         self._written = len(self.history)
         states, last = self.history.states, len(self.history) - 1
         if self._directed:

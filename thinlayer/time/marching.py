@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, nullcontext
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,22 +13,25 @@ import numpy as np
 
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError, SolveError
+from thinlayer.errors import ModelError, SolveError, warn
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.ranges import warn_of_model, warn_of_states, warn_of_steps, warn_of_strains
 from thinlayer.solving.solvers import SOFTENS, Solver, comm_of
-from thinlayer.system.agreement import on_all, require_same
 from thinlayer.system.folder import owned
 from thinlayer.system.identity import Resume, require_resume
+from thinlayer.system.progress import telling
+from thinlayer.system.ranks import on_all, require_same
 from thinlayer.time.checkpoint import Pace
 from thinlayer.time.following import PathFollowing, PathInTime
 from thinlayer.time.history import History
 from thinlayer.time.journal import Journal, Observe, columns
-from thinlayer.time.plan import Adaptive, ArcLength, Plan, require_choices, require_ends, require_path
-from thinlayer.time.step_error import tell_steps
-from thinlayer.time.stepping import TimeStepping
+from thinlayer.time.plan import HALVINGS, Adaptive, ArcLength, Plan, require_choices, require_ends, require_path
+from thinlayer.time.stepping import QUANTITIES, ErrorEstimate, TimeStepping
 
+TOLD = 0.02  # least error of the steps that leads to a warning
+FEWEST = 8  # planned steps whose number can be halved; fewer are made again as this many or more
+IDLE = 1e-12  # dissipation over the work of the loads, that is none
 NO_ERROR = "Adaptive is for laws that depend on time; steps of {} have no error: give the times to stop at"
 
 
@@ -107,25 +112,25 @@ def march(
             times = Plan.of(times, start, set()).targets
     choices = {"start": start, "theta": theta, "keep": keep, "out": out and str(out), "resume": resume}
     require_same(model.comm, times=times, **choices, observe={*(observe or {})})
-    with Solver(model, options=options, method=method) as solver, ExitStack() as stack:
-        traits = solver.equations.traits
+    folder = Path(out) if out else None
+    with Solver(model, options=options, method=method) as solver, owned(folder, model.comm):
+        equations, traits = solver.equations, solver.equations.traits
+        keeping = partial(Journal, equations, dict(observe or {}), keep, folder)
         if isinstance(times, ArcLength):
-            require_path(solver.equations)
-            return _on_path(solver, times, start, theta, observe, keep, out, resume, options)
+            require_path(equations)
+            return _on_path(solver, times, start, keeping, options, resume)
         ends_at_breaks = traits.remembers or traits.rate or traits.softens or isinstance(times, Adaptive)
         plan = Plan.of(times, start, model.break_times if ends_at_breaks else set())
+        adaptive = plan.adaptive
         if traits.softens:
-            _require_path(solver.equations, plan, theta, method)
-            return _on_path(solver, plan, start, theta, observe, keep, out, resume, options)
-        adaptive, folder = plan.adaptive, Path(out) if out else None
+            _require_path(equations, plan, theta, method)
+            return _on_path(solver, plan, start, keeping, options, resume)
         if adaptive:
-            solver.equations.refuse({"switches": NO_ERROR})
-        pace = Pace(adaptive.first if adaptive else None)
+            equations.refuse({"switches": NO_ERROR})
         choices = {"start": start, "theta": theta, "tolerance": adaptive and adaptive.tolerance}
-        solver.equations.check_times([start, *plan.targets])
-        require_ends(solver.equations, theta, [start, *plan.targets])
-        stack.enter_context(_folder(folder, model))
-        journal = Journal(solver.equations, pace, dict(observe or {}), keep, folder, choices)
+        equations.check_times([start, *plan.targets])
+        require_ends(equations, theta, [start, *plan.targets])
+        journal = keeping(Pace(adaptive.first if adaptive else None), choices)
         warn_of_model(model, plan.lasting(start))
         if not adaptive:
             warn_of_steps(model, start, plan.targets, theta)
@@ -176,31 +181,32 @@ def follow(
     require_same(model.comm, times=path, start=last.t, keep=keep, observe={*(observe or {})})
     with Solver(model, options=options) as solver:
         require_path(solver.equations)
-        return _on_path(solver, path, last.t, 1.0, observe, keep, None, False, options, begun=(before, last))
+        keeping = partial(Journal, solver.equations, dict(observe or {}), keep, None)
+        return _on_path(solver, path, last.t, keeping, options, begun=(before, last))
 
 
 def _on_path(
-    solver: Solver, path: ArcLength | Plan, start: float, theta: float, observe: Observe | None, keep: str,
-    out: str | Path | None, resume: Resume, options: Mapping[str, OptionValue] | None,
+    solver: Solver,
+    path: ArcLength | Plan,
+    start: float,
+    keeping: Callable[..., Journal],
+    options: Mapping[str, OptionValue] | None,
+    resume: Resume = False,
     begun: tuple[State | None, State] | None = None,
-) -> History:  # fmt: skip
+) -> History:
     """Run a march along a path, to its end, or to given times."""
     ends = [path.end] if isinstance(path, ArcLength) else path.targets
     first = path.first if isinstance(path, ArcLength) else ends[0] - start
-    choices = {"start": start, "theta": theta, "tolerance": None, "first": first}
-    folder, model = Path(out) if out else None, solver.model
     solver.equations.check_times([start, *ends])
-    with _folder(folder, model):
-        journal = Journal(solver.equations, Pace(None), dict(observe or {}), keep, folder, choices, directed=True)
-        warn_of_model(model)
-        if begun:
-            journal.start(*begun)
-        following = (
-            PathFollowing(solver, journal, path, start, options)
-            if isinstance(path, ArcLength)
-            else PathInTime(solver, journal, path.targets, start, options)
-        )
-        history = following.run(resume)
+    choices = {"start": start, "theta": 1.0, "tolerance": None, "first": first}
+    journal = keeping(Pace(None), choices, directed=True)
+    warn_of_model(solver.model)
+    if begun:
+        journal.start(*begun)
+    if isinstance(path, ArcLength):
+        history = PathFollowing(solver, journal, path, start, options).run(resume)
+    else:
+        history = PathInTime(solver, journal, path.targets, start, options).run(resume)
     warn_of_states(list(history))
     return history
 
@@ -245,6 +251,61 @@ def _check(model: Any, theta: float, keep: str, out: Any, resume: Resume, observ
         raise ModelError(f"out is {out!r}; it must be the name of a folder")
 
 
-def _folder(out: Path | None, model: Model) -> AbstractContextManager[None]:
-    """A context in which no other march can use the folder, if there is one."""
-    return nullcontext() if out is None else owned(out, model.comm)
+# ---------------------------------------------------------------- what planned steps leave undetermined
+def tell_steps(solver: Solver, history: History, plan: Plan, start: float, theta: float) -> None:
+    """Estimate the errors of planned steps at the end of a march, and warn of large ones. Collective.
+
+    Laws that are not linear and have a history, as of yield, friction or damage, are marched again with half as many steps:
+    half as many solves again. Less than eight steps are made again as 8 to 14. Breaks of the data remain ends of steps. The
+    difference gives the error of the whole march to leading order; one halved step would tell what it adds alone. A march
+    that has dissipated nothing is not made again.
+    """
+    if plan.adaptive or not depends_on_steps(solver.equations):
+        return
+    dissipated, supplied = (np.array(history.table[name], float) for name in ("dissipated", "supplied"))
+    if np.abs(dissipated).sum() <= IDLE * np.abs(supplied).sum():  # not if a law does not declare its energy
+        history.step_errors = dict.fromkeys(QUANTITIES, 0.0)
+        return
+    again = _other(plan.targets, start, solver.model.break_times)
+    length = float(np.diff([start, *again]).min()) / 2**HALVINGS
+    journal = Journal(solver.equations, {}, "last", None, Pace(None), {"theta": theta})
+    remedy = "take more steps, or times=Adaptive(end=..., first=..., tolerance=...)"
+    try:
+        with telling("error of the steps"):
+            other = TimeStepping(solver, journal, Plan(again, None, length), start, theta).run(False).last
+    except SolveError as error:
+        history.step_errors = dict.fromkeys(QUANTITIES, np.nan)
+        warn(
+            "no step error",
+            f"the error of the march's steps is not known: with {len(again)} steps {error.reason}; {remedy}",
+            history.model.comm,
+        )
+        return
+    order = 2 if theta == 0.5 else 1
+    gain = abs((len(plan.targets) / len(again)) ** order - 1)
+    shares = ErrorEstimate(solver.equations).shares(other, history.last) / gain
+    history.step_errors = dict(zip(QUANTITIES, map(float, shares), strict=True))
+    if shares.max() > TOLD:
+        told = ", ".join(f"{share:.2g} in {name}" for name, share in history.step_errors.items())
+        warn(
+            "step error",
+            f"the {len(plan.targets)} steps of this march leave estimated relative errors of {told} at its end (march with "
+            f"{len(again)} steps): the law depends on its history; {remedy}",
+            history.model.comm,
+        )
+
+
+def depends_on_steps(equations: Equations) -> bool:
+    """Whether a part is not linear and has a history; phases that switch have steps of their own."""
+    each = [part.traits for part in equations.parts]
+    return any((has.remembers or has.rate) and has.nonlinear and not has.switches for has in each)
+
+
+def _other(targets: Sequence[float], start: float, breaks: set[float]) -> list[float]:
+    """Every second target, counted from the end, and breaks; where few would be left, all steps in parts."""
+    last = len(targets) - 1
+    coarse = [t for k, t in enumerate(targets) if (last - k) % 2 == 0 or t in breaks]
+    if len(targets) >= FEWEST and 4 * len(coarse) <= 3 * len(targets):
+        return coarse
+    parts = max(2, math.ceil(FEWEST / len(targets)))
+    return [b - (b - a) * k / parts for a, b in pairwise([start, *targets]) for k in reversed(range(parts))]

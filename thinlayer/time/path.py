@@ -15,12 +15,16 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping
 
 from petsc4py import PETSc
 
 from thinlayer.discretisation.state import Report, State
-from thinlayer.errors import SolveError
-from thinlayer.time.path_equations import PathEquations
+from thinlayer.errors import ModelError, SolveError
+from thinlayer.parts.part import Interval
+from thinlayer.solving.equations import Equations
+from thinlayer.solving.linear_solvers import Factor, direct_solver, mark
+from thinlayer.solving.petsc import OptionValue, chosen, options_set, reason_name, require_all_read, solve_linear
 
 ITERATIONS = 12  # largest number of Newton steps
 TURN_ITERATIONS = 2  # the same for a step that turns: the branch beyond a corner is nearly straight
@@ -31,8 +35,114 @@ RUN_AWAY = 9.0  # largest distance of Newton's iterates from the predictor, rela
 BEYOND_CORNER = 0.5  # distance beyond a corner at which a step that turns ends, relative to the step
 # Bound of the distance from the predictor, relative to the step: factor * (change of direction) + offset.
 BEND_FACTOR, BEND_OFFSET = 2.0, 0.01
-QUOTIENT_STEP = 1e-6  # step of difference quotients along the path, relative to the step
+SHORT_STEP = 1e-6  # step of difference quotients along the path, relative to the step
+QUOTIENT_STEP = 1e-3  # step of difference quotients in t, relative to the unit of t
 SMALL = 1e-7  # change of forces in a step, relative to the forces, that counts as zero
+
+
+class PathEquations:
+    """R(u, t), with loads, supports and laws at t, and linear solves with its derivatives. All methods are collective.
+
+    Laws with memory start from a state `last`, whether t increases or decreases.
+
+    Args:
+        equations: the equations of the model.
+        unit: unit of t, > 0.
+        middle: middle of the times at which loads and supports are known; difference quotients step towards it.
+        options: PETSc options of the linear solver, which override our defaults; options of SNES are ignored.
+
+    Attributes:
+        middle: the argument; it may be changed.
+        x: unknowns; set them before `residual`, which sets the held ones.
+        r: residual R, zero at held displacements.
+        step: after `linearise` the Newton step at fixed t, -K^-1 R.
+        change: after `linearise` the derivative of the unknowns by t in equilibrium, -K^-1 dR/dt, supports included.
+    """
+
+    def __init__(
+        self, equations: Equations, unit: float, middle: float, options: Mapping[str, OptionValue] | None
+    ) -> None:
+        self.equations, self.middle, self._short = equations, middle, QUOTIENT_STEP * unit
+        self._ours = direct_solver(equations.model)
+        self._given = {name: value for name, value in (options or {}).items() if not name.startswith("snes_")}
+        self._factor = Factor()
+        self._vectors = [equations.vector() for _ in range(5)]
+        self.x, self.r, self.step, self.change, self._dR = self._vectors
+
+    def close(self) -> None:
+        """Free vectors and factor."""
+        for thing in (self._factor, *self._vectors):
+            thing.destroy()
+
+    def residual(self, last: State, t: float) -> float | None:
+        """Compute the residual at time t; returns its size relative to the forces if x is an equilibrium, else None.
+
+        Raises:
+            SolveError: a law fails, or loads or supports are not finite at t.
+        """
+        self._begin(last, t)
+        equations, held = self.equations, self.equations.held
+        self.x.array[held] = equations.prescribed
+        equations.residual(self.x, self.r)
+        self._require_law()
+        self.r.array[held] = 0.0
+        size = float(self.r.norm())
+        return equations.scale.relative(size) if size <= equations.aim(self.x) else None
+
+    def _begin(self, last: State, t: float) -> None:
+        try:
+            self.equations.begin(Interval(last, t, t - last.t, 1.0))
+        except ModelError as error:
+            raise SolveError(str(error)) from error
+
+    def _require_law(self) -> None:
+        if self.equations.failed:
+            raise SolveError(self.equations.failure())
+
+    def linearise(self, last: State, t: float) -> None:
+        """Compute `step` and `change` at the unknowns of the last residual. Derivatives by t are difference quotients.
+
+        Raises:
+            SolveError: as in `residual`; or the matrix cannot be factorised.
+        """
+        equations, held = self.equations, self.equations.held
+        prescribed, short = equations.prescribed, math.copysign(self._short, self.middle - t)
+        self._begin(last, t + short)
+        equations.residual(self.x, self._dR)
+        self._require_law()
+        self._dR.axpy(-1.0, self.r)
+        self._dR.scale(-1 / short)
+        self.change.set(0.0)
+        self.change.array[held] = (equations.prescribed - prescribed) / short
+        self._matrix = equations.tangent()
+        self._matrix.zeroRowsColumns(equations.held_rows, 1.0, self.change, self._dR)
+        mark(self._matrix, equations.model, saddle=True)
+        self._solve(self._dR, self.change)
+        self.r.scale(-1.0)
+        self._solve(self.r, self.step)
+        self.r.scale(-1.0)
+
+    def derivative(self, x: PETSc.Vec, slope: float, out: PETSc.Vec) -> None:
+        """Derivative of R along (x, slope) at the last linearisation; supports move with t."""
+        x.copy(self._dR)
+        self._dR.axpy(-slope, self.change)  # K change + dR/dt = 0
+        self._dR.array[self.equations.held] = 0.0
+        self._matrix.mult(self._dR, out)
+
+    def _solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        with chosen(self._ours, self._given):
+            try:
+                kept = self._factor.renew(self._matrix, None, self.equations.tell)
+                solve_linear(self._factor.ksp, b, x)
+            except PETSc.Error:
+                self._factor.destroy()
+                raise
+            if not kept:
+                newton = {name for name in options_set() if "snes_" in name}
+                require_all_read("arc-length", (self._ours.keys() - self._given.keys()) | newton)
+        reason = self._factor.ksp.getConvergedReason()
+        if reason < 0 or not math.isfinite(x.norm()):
+            raise SolveError(f"linear solver: {reason_name(PETSc.KSP.ConvergedReason, reason)}")
 
 
 class EquilibriumPath:
@@ -50,6 +160,7 @@ class EquilibriumPath:
         self.balance, self.unit, self.weight = balance, unit, 0.0
         self._vectors = [balance.equations.vector() for _ in range(5)]
         self._direction, self._target, self._row, self._work, self._more = self._vectors
+        self._put = balance.equations.put_state
         self._slope = 0.0  # component of the direction in t: (direction, slope) has the length 1
         self._missed = 0.0  # distance of the last equilibrium from its predictor, relative to the step
 
@@ -90,9 +201,9 @@ class EquilibriumPath:
             SolveError: the path turns between the states, or `last` is on another path; the old direction stays.
         """
         balance, increment, dt = self.balance, self._target, 0.0
-        balance.put(last, balance.x)
+        self._put(last, balance.x)
         if before is not None:
-            balance.put(before, increment)
+            self._put(before, increment)
             increment.aypx(-1.0, balance.x)
             dt = last.t - before.t
         direction, slope = self._row, 1.0
@@ -144,10 +255,10 @@ class EquilibriumPath:
         """
         balance, beyond, across = self.balance, self._work, self._more
         balance.derivative(self._direction, self._slope, beyond)  # (A_2 - A_1) d_1 = A_2 d_1, as A_1 d_1 = 0
-        balance.put(last, balance.x)
+        self._put(last, balance.x)
         balance.residual(last, last.t)
         balance.r.copy(across)
-        short = QUOTIENT_STEP * length
+        short = SHORT_STEP * length
         balance.x.axpy(short, direction)
         balance.residual(last, last.t + short * slope)
         across.axpy(-1.0, balance.r)
@@ -179,8 +290,8 @@ class EquilibriumPath:
             self._predict(last, length)
         else:
             share, increment = (t - last.t) / (beyond.t - last.t), self._work
-            self.balance.put(last, self._target)
-            self.balance.put(beyond, increment)
+            self._put(last, self._target)
+            self._put(beyond, increment)
             increment.axpy(-1.0, self._target)
             increment.scale(share)
             self._target.axpy(1.0, increment)
@@ -189,7 +300,7 @@ class EquilibriumPath:
         return self._solve(last, t, 1.0, length, False)
 
     def _predict(self, last: State, length: float) -> None:
-        self.balance.put(last, self._target)
+        self._put(last, self._target)
         self._target.axpy(length, self._direction)
 
     def _solve(self, last: State, target: float, slope: float, length: float, turn: bool) -> State:

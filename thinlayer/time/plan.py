@@ -10,7 +10,7 @@ from numbers import Integral
 import numpy as np
 import numpy.typing as npt
 
-from forms.base import is_number
+from forms.base import is_finite, is_number
 from forms.temperature import real
 from thinlayer.errors import ModelError
 from thinlayer.parts.pressure_part import PressurePart
@@ -53,13 +53,7 @@ class Adaptive:
     largest: float = math.inf
 
     def __post_init__(self) -> None:
-        for name in ("end", "first", "tolerance", "smallest", "largest"):
-            value = getattr(self, name)
-            if value is None and name == "smallest":
-                continue
-            good = is_number(value) and (float(value) > 0 or (name == "end" and math.isfinite(float(value))))
-            if not good:
-                raise ModelError(f"Adaptive: {name} is {value!r}; allowed: a number" + " > 0" * (name != "end"))
+        _require_numbers(self, "first", "tolerance", "smallest", "largest", signed=("end",))
         if isinstance(self.at, str) or not isinstance(self.at, Iterable) or not all(is_number(t) for t in self.at):
             raise ModelError(f"Adaptive: at is {self.at!r}; allowed: a sequence of times")
         object.__setattr__(self, "at", tuple(map(float, self.at)))
@@ -70,6 +64,16 @@ class Adaptive:
     def targets(self) -> list[float]:
         """Times at which a step must end."""
         return sorted({*map(float, self.at), float(self.end)})
+
+
+def _require_numbers(given: Adaptive | ArcLength, *positive: str, signed: tuple[str, ...]) -> None:
+    """Raise ModelError unless attributes are numbers > 0, or finite ones of either sign, or None by default."""
+    for name in (*signed, *positive):
+        value = getattr(given, name)
+        good = is_finite(value) if name in signed else is_number(value) and value > 0
+        if not good and not (value is None and getattr(type(given), name, 0) is None):
+            above = "" if name in signed else " > 0"
+            raise ModelError(f"{type(given).__name__}: {name} is {value!r}; allowed: a number{above}")
 
 
 @dataclass(frozen=True)
@@ -222,14 +226,7 @@ class ArcLength:
     back: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("end", "first", "smallest", "largest", "back"):
-            value = getattr(self, name)
-            if value is None and name == "back":
-                continue
-            signed = name in ("end", "back")
-            number = float(value) if is_number(value) else math.nan
-            if not (math.isfinite(number) or (name == "largest" and number > 0)) or not (signed or number > 0):
-                raise ModelError(f"ArcLength: {name} is {value!r}; allowed: a number" + " > 0" * (not signed))
+        _require_numbers(self, "first", "smallest", "largest", signed=("end", "back"))
         if not isinstance(self.steps, Integral) or isinstance(self.steps, bool) or self.steps < 1:
             raise ModelError(f"ArcLength: steps is {self.steps!r}; allowed: a whole number > 0")
         if self.largest < self.smallest:

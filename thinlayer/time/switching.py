@@ -31,9 +31,12 @@ def steps(solver: Solver, old: State, end: float) -> Iterator[State]:
         return solver.equations.excess - 2 * TIE
 
     while True:
-        bound = (
-            end if _bends_up(solver, old.t, end) else next(filter(lambda t: excess(t) > 0, _probes(old.t, end)), end)
-        )
+        span = end - old.t
+        # With fixed phases driving forces are linear in time if loads, supports and parameters are (bodies are taken to be
+        # linear). The excess is the largest of their sizes, so it is convex: if positive within the step, also at its end.
+        convex = not span or solver.equations.linear_in_time(old.t, end)
+        probes = () if convex else (old.t + span * k / PROBES for k in range(1, PROBES))
+        bound = next((t for t in probes if excess(t) > 0), end)
         kept = solver.step(old, bound, keep_phases=True)
         if solver.equations.excess <= 2 * TIE:
             if old.t < end:
@@ -53,19 +56,6 @@ def steps(solver: Solver, old: State, end: float) -> Iterator[State]:
         yield old
         if t == end:
             return
-
-
-def _bends_up(solver: Solver, start: float, end: float) -> bool:
-    """Whether the excess, for fixed phases, is a convex function of time. Collective.
-
-    If it is convex and positive within the step, it is positive at the end. If loads, supports and parameters are linear in
-    time, driving forces are, too, and the excess is the largest of their sizes. Bodies that are not linear are neglected.
-    """
-    return start == end or solver.equations.linear_in_time(start, end)
-
-
-def _probes(start: float, end: float) -> Iterator[float]:
-    return (start + (end - start) * k / PROBES for k in range(1, PROBES))
 
 
 def _first(excess: Callable[[float], float], start: float, end: float) -> float:

@@ -15,8 +15,7 @@ from scipy import sparse
 from forms.contact import ContactLaw
 from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.solving.balance import ALLOWED, ForceScale
-from thinlayer.solving.contact.gauss_seidel import sweep_nodes
-from thinlayer.solving.contact.turning import Sliding, sliding, turned
+from thinlayer.solving.contact.gauss_seidel import Sliding, sliding, sweep_nodes, turned
 from thinlayer.solving.petsc import PREFIX, OptionValue, defaults
 
 Indices = npt.NDArray[Any]
@@ -199,11 +198,6 @@ class DenseSystem:
             self.H, load.g, w, self._base, self.frames, self.weights, numbers, slip=load.slip, moves=self._swept
         )
 
-    def _rounding(self, x: PETSc.Vec) -> float:
-        """Rounding of the residual at jumps x, relative to the forces; it is large for soft or very stiff springs."""
-        share = self._scale.rounding(float(np.abs(x.array_r).max(initial=0.0))) / max(self._load.size, self._size)
-        return max(STALLED, min(share, ALLOWED))
-
     @cached_property
     def _scale(self) -> ForceScale:
         return ForceScale(SUMMATION * math.sqrt(self.n) * float(self.H.diagonal().max()))
@@ -215,8 +209,13 @@ class DenseSystem:
             return PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
         if history[-1] <= self._tolerance:
             return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
-        if step > 1 and history[-1] > history[-2] / 2 and history[-1] <= self._rounding(snes.getSolution()):
-            return PETSc.SNES.ConvergedReason.CONVERGED_SNORM_RELATIVE  # rounding
+        if step > 1 and history[-1] > history[-2] / 2:
+            largest = float(snes.getSolution().norm(PETSc.NormType.INFINITY))
+            rounding = self._scale.rounding(largest) / max(
+                self._load.size, self._size
+            )  # large for soft or stiff springs
+            if history[-1] <= max(STALLED, min(rounding, ALLOWED)):
+                return PETSc.SNES.ConvergedReason.CONVERGED_SNORM_RELATIVE
         return False
 
     # ---------------------------------------------------------------- coarser chains

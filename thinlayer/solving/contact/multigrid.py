@@ -9,17 +9,23 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from forms.law import LawError
 from thinlayer.discretisation.contact_nodes import Array, ContactNodes
 from thinlayer.errors import SolveError
-from thinlayer.solving.contact.contact_tangent import Tangent
-from thinlayer.solving.contact.gauss_seidel import load
+from thinlayer.solving.contact.contact_tangent import SurfaceStiffness, Tangent
+from thinlayer.solving.contact.gauss_seidel import Sliding, load, sliding, turned
 from thinlayer.solving.contact.problem import ContactProblem
-from thinlayer.solving.contact.surface_stiffness import SurfaceStiffness
-from thinlayer.solving.contact.turning import Sliding, sliding, turned
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
-from thinlayer.solving.petsc import PREFIX, OptionError, OptionValue, defaults, is_set, solve_nonlinear
-from thinlayer.system.exchange import carry
+from thinlayer.solving.petsc import (
+    PREFIX,
+    OptionError,
+    OptionValue,
+    defaults,
+    is_set,
+    options_set,
+    reason_name,
+    solve_nonlinear,
+)
+from thinlayer.system.ranks import carry
 
 Reductions = tuple[float, float]  # factors by which the first and the later linear solves reduce the residual
 
@@ -55,17 +61,11 @@ class MultigridContact:
 
     Args:
         problem: the contact problem; its matrix is read here, its loads and slip at every `solve`.
-        tolerance: residual of the law at which Newton's method stops, relative to the forces.
-
-    Raises:
-        LawError: a law that the sweeps cannot evaluate.
     """
 
-    def __init__(self, problem: ContactProblem, tolerance: float = TOLERANCE) -> None:
-        if problem.law.numbers is None:
-            raise LawError(f"{type(problem.law).__name__} is not one of the laws that Gauss-Seidel sweeps can evaluate")
+    def __init__(self, problem: ContactProblem) -> None:
         load(problem.comm)
-        self.given, self.tolerance = problem, tolerance
+        self.given = problem
         self.problem = _from_softer_side(problem)
         self._surface = SurfaceStiffness(self.problem)
         self._tangent: Tangent | None = None
@@ -95,7 +95,7 @@ class MultigridContact:
                 _count_as_read(("pc_", "mg_"))
             attempts = [(None, LOOSE), (None, STRICT)] if start is None else [(start, STRICT), (None, LOOSE)]
             for guess, reductions in attempts:
-                newton = _Newton(self._tangent, self.tolerance, reductions)
+                newton = _Newton(self._tangent, reductions)
                 if guess is None or not self._solved:
                     self._u.set(0.0)
                 reason = newton.run(self._u, guess)
@@ -108,10 +108,9 @@ class MultigridContact:
                 if self._solved:
                     return self._u, len(newton.residuals) - 1, history
         last = history[-1] if history else math.nan
-        names = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
         raise SolveError(
-            f"Newton's method for contact failed after {max(len(history) - 2, 0)} steps: {names.get(reason, reason)}, "
-            f"residual {last:.1e} of the forces",
+            f"Newton's method for contact failed after {max(len(history) - 2, 0)} steps: "
+            f"{reason_name(PETSc.SNES.ConvergedReason, reason)}, residual {last:.1e} of the forces",
             residuals=tuple(history),
             advice="a body that is pulled off S, or pushed harder than friction holds, needs supports; else try smaller "
             f"steps of the load, or -{PREFIX}snes_monitor to watch it",
@@ -160,14 +159,12 @@ class _Newton:
 
     Attributes:
         residuals: relative to the forces, before the first and after each step.
-        iterations: number of FGMRES iterations in each step.
     """
 
-    def __init__(self, tangent: Tangent, tolerance: float, reductions: Reductions) -> None:
+    def __init__(self, tangent: Tangent, reductions: Reductions) -> None:
         self.tangent, self.surface, self.problem = tangent, tangent.surface, tangent.problem
-        self.nodes, self.tolerance, self.reductions = self.problem.nodes, tolerance, reductions
+        self.nodes, self.reductions = self.problem.nodes, reductions
         self.residuals: list[float] = []
-        self.iterations: list[int] = []
         self._target = reductions[0]
         self._known = False  # whether the next call of `_residual` repeats the last one
         self._at: Sliding | None = None  # sliding state at the last tangents
@@ -214,11 +211,9 @@ class _Newton:
     def _test(self, snes: PETSc.SNES, step: int, norms: tuple[float, float, float]) -> Any:
         reason = PETSc.SNES.ConvergedReason
         self.residuals.append(self._h)
-        if step:
-            self.iterations.append(snes.getKSP().getIterationNumber())
         if not math.isfinite(norms[2]):
             return reason.DIVERGED_FNORM_NAN
-        return reason.CONVERGED_FNORM_ABS if self._h <= self.tolerance else False
+        return reason.CONVERGED_FNORM_ABS if self._h <= TOLERANCE else False
 
     def _choose_sweeps(self, snes: PETSc.SNES, step: int) -> None:
         """Before a Newton step: sweep if the last step has changed the status or not reduced the residual as expected."""
@@ -255,7 +250,7 @@ class _Newton:
         else:
             tangents = law.tangent(s, slip)
             t = law.traction(s, slip) + np.einsum("nij,nj->ni", tangents, w - s)
-            self._remember(s)
+            self._at = sliding(law, s, slip)
         self.nodes.add_forces(t - law.traction(w, slip), f)
         f.array[self.problem.held] = 0.0
         return tangents
@@ -268,15 +263,11 @@ class _Newton:
             # the residual that the law's non-linearity leaves is quadratic in the size of the step
             nonlinear = self._h * math.sqrt(abs(1 - self._left**2)) * (self._h / self._before) ** 2
             self._target = min(self.reductions[1] * self._h, nonlinear)
-        self._target = max(self._target, FINISH * self.tolerance)
+        self._target = max(self._target, FINISH * TOLERANCE)
         w = self.nodes.jump(u)
-        self._remember(w)
-        return self.problem.law.tangent(w, self.problem.slip)
-
-    # ---------------------------------------------------------------- status
-    def _remember(self, w: Array) -> None:
-        """Remember the sliding state at the jumps of the tangents."""
-        self._at = sliding(self.problem.law, w, self.problem.slip)
+        law, slip = self.problem.law, self.problem.slip
+        self._at = sliding(law, w, slip)
+        return law.tangent(w, slip)
 
     def _is_new(self, w: Array, turn: Array) -> bool:
         """Whether the status of a node on any rank has changed since the last tangents."""
@@ -286,7 +277,6 @@ class _Newton:
 
 def _count_as_read(beginnings: tuple[str, ...]) -> None:
     """Mark options as read that only the first solve reads, so that later solves do not refuse them."""
-    database = PETSc.Options()
-    for name in database.getAll():
-        if name.startswith(tuple(PREFIX + beginning for beginning in beginnings)):
-            database.hasName(name)
+    for name in options_set():
+        if name.startswith(beginnings):
+            PETSc.Options().hasName(PREFIX + name)

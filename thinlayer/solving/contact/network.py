@@ -6,7 +6,6 @@ Jumps are no unknowns here: around a junction they depend on each other, and so 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -17,14 +16,15 @@ from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.errors import SolveError
 from thinlayer.parts.contact_part import ContactPart
-from thinlayer.solving.balance import ALLOWED, TINY, ForceScale
-from thinlayer.solving.contact.gauss_seidel import BlockRows
+from thinlayer.parts.part import DISPLACEMENTS, Block
+from thinlayer.solving.balance import ALLOWED, TINY, ForceScale, TangentMatrix
+from thinlayer.solving.contact.gauss_seidel import sorted_blocks
 from thinlayer.solving.contact.pair_nodes import PairNodes
-from thinlayer.solving.contact.pieces import Condensation
-from thinlayer.solving.contact.schur import FactorError
-from thinlayer.solving.contact.sparse_solver import SparseSolver
+from thinlayer.solving.contact.schur import Condensation, FactorError, in_petsc
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Finder, Found
+from thinlayer.solving.linear_solvers import DIRECT, Factor
+from thinlayer.solving.petsc import chosen, solve_linear
 
 TOLERANCE = 1e-11  # residual at which Newton's method stops, relative to the forces
 STALLED = 1e-9  # residual, relative to the forces, that is accepted if Newton steps do not reduce it
@@ -132,28 +132,16 @@ class NetworkFinder(Finder):
                 getattr(self, name).close()
 
 
-@dataclass(frozen=True, eq=False)
 class _System:
     """stiffness u + forces of the pairs = g, for displacements u (n d,) of the nodes in contact."""
 
-    pairs: PairNodes
-    stiffness: scipy.sparse.csr_matrix
-
-    @cached_property
-    def _blocks(self) -> BlockRows:
-        blocks = self.stiffness.tobsr((self.pairs.d,) * 2)
-        blocks.sort_indices()
-        return BlockRows(blocks.indptr.astype(np.int32), blocks.indices.astype(np.int32), blocks.data)
-
-    @cached_property
-    def _linear(self) -> SparseSolver:
-        return SparseSolver(self.stiffness, self.pairs.pattern)
-
-    @cached_property
-    def _scale(self) -> ForceScale:
-        of_both = (self.stiffness, self.pairs.bonded()[0])
-        largest = max(float(matrix.diagonal().max(initial=0.0)) for matrix in of_both)
-        return ForceScale(SUMMATION * math.sqrt(len(self.pairs.nodes)) * largest)
+    def __init__(self, pairs: PairNodes, stiffness: scipy.sparse.csr_matrix) -> None:
+        self.pairs, self.stiffness, self._blocks = pairs, stiffness, sorted_blocks(stiffness, pairs.d)
+        self._factor, self._matrix = Factor(), TangentMatrix(PETSc.COMM_SELF, {DISPLACEMENTS: stiffness.shape[0]})
+        # with all entries that pairs may add, so that MUMPS orders the unknowns once
+        self._matrix.fill([Block(in_petsc(one)) for one in (stiffness, pairs.pattern)])
+        largest = max(float(one.diagonal().max(initial=0.0)) for one in (stiffness, pairs.bonded()[0]))
+        self._scale = ForceScale(SUMMATION * math.sqrt(len(pairs.nodes)) * largest)
 
     def residual(self, u: Array, g: Array) -> Array:
         """Forces of bodies and pairs, less g; zero at held displacements."""
@@ -162,7 +150,20 @@ class _System:
     def bonded(self, g: Array) -> Array:
         """Displacements with bonded springs, which neither open nor slide."""
         springs, forces = self.pairs.bonded()
-        return self._linear.solve(springs, g - forces)
+        return self._linear_solve(springs, g - forces)
+
+    def _linear_solve(self, more: scipy.sparse.csr_matrix, b: Array) -> Array:
+        """x with (stiffness + more) x = b; not finite if the matrix is singular."""
+        A = self._matrix.fill([Block(in_petsc(one)) for one in (self.stiffness, more)])
+        x, right = A.createVecs()
+        right.array[:] = b
+        with chosen({**DIRECT, "pc_type": "lu"}):
+            self._factor.renew(A, None, lambda *_: None)
+            solve_linear(self._factor.ksp, right, x)
+        found = x.array_r.copy() if self._factor.ksp.getConvergedReason() > 0 else np.full(len(b), np.nan)
+        x.destroy()
+        right.destroy()
+        return found
 
     def solve(self, u: Array, g: Array, size: float) -> tuple[Array, tuple[float, ...]]:
         """Displacements, from u, and the residuals before each Newton step and after the last, relative to the forces.
@@ -185,7 +186,7 @@ class _System:
             u = u.copy()
             sweeps = min(SWEEPS * 2 ** max(len(residuals) - PATIENCE, 0), MOST_SWEEPS)
             self.pairs.sweep(self._blocks, g, u, sweeps)
-            step = self._linear.solve(self.pairs.tangent(u), -self.residual(u, g))
+            step = self._linear_solve(self.pairs.tangent(u), -self.residual(u, g))
             u = u + self._length(u, step, g) * step
 
     def _ends(self, residuals: list[float], u: Array, size: float) -> bool:
@@ -220,5 +221,6 @@ class _System:
         return a
 
     def close(self) -> None:
-        """Free the factor."""
-        self._linear.close()
+        """Free matrix and factor."""
+        self._matrix.destroy()
+        self._factor.destroy()

@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
-from mpi4py import MPI
 
 from forms.contact import ContactLaw, EasedContact
 from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.parts.contact_part import ContactPart
-from thinlayer.solving.contact.gauss_seidel import BlockRows
-from thinlayer.system.shared_library import library
+from thinlayer.solving.contact.gauss_seidel import pointers
+from thinlayer.system.compilation import own_library
 
 SOURCE = Path(__file__).with_name("sweep_pairs.c")
 Law = ContactLaw | EasedContact
@@ -46,7 +45,7 @@ class PairNodes:
         self.free = ~held.reshape(-1, self.d)[self.nodes]
         self._jumps = self._jump_matrix()
         self._sorted_by_node()
-        library(SOURCE, MPI.COMM_SELF)
+        own_library(SOURCE)
 
     def _jump_matrix(self) -> scipy.sparse.csr_matrix:
         """(pairs d, n d) from displacements to jumps in the pairs' frames."""
@@ -118,7 +117,7 @@ class PairNodes:
         jumps = self._jumps @ free
         return (jumps.T @ (blocks @ jumps)).tocsr()
 
-    def sweep(self, stiffness: BlockRows, g: Array, u: Array, sweeps: int) -> None:
+    def sweep(self, stiffness: scipy.sparse.bsr_matrix, g: Array, u: Array, sweeps: int) -> None:
         """Gauss-Seidel sweeps, in place: each node finds the balance of its forces while all others rest.
 
         Nodes with a held component rest too.
@@ -132,15 +131,13 @@ class PairNodes:
         numbers = self._gathered(lambda law, w, _: np.tile(_numbers(law), (len(w), 1)), self.apart(u))
         numbers = np.column_stack([numbers, self._gaps])
         slip = np.concatenate([part.slip for part in self._parts])
-        moves = np.asarray(self.free.all(axis=1), np.uint8)
+        moves = self.free.all(axis=1)
         arrays = (
-            stiffness.indptr, stiffness.indices, stiffness.blocks, g, u, self._begins, self._pair, self._other, self._sign,
+            stiffness.indptr, stiffness.indices, stiffness.data, g, u, self._begins, self._pair, self._other, self._sign,
             self._frames, self._weights, numbers, slip, moves,
         )  # fmt: skip
-        c = library(SOURCE)
-        kinds = {"int32": "int32_t[]", "uint8": "uint8_t[]", "float64": "double[]"}
-        pointers = [c.ffi.from_buffer(kinds[a.dtype.name], np.ascontiguousarray(a)) for a in arrays]
-        c.lib.sweep_pairs(len(moves), self.d, *pointers, sweeps)
+        c, contiguous = own_library(SOURCE), map(np.ascontiguousarray, arrays)
+        c.lib.sweep_pairs(len(self.nodes), self.d, *pointers(c, *contiguous), sweeps)
 
 
 def _numbers(law: Law) -> tuple[float, ...]:

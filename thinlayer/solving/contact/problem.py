@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
 
-import numpy.typing as npt
 from petsc4py import PETSc
 
-from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.solving.balance import AIM, TINY
 from thinlayer.solving.equations import Equations
-
-Rows = tuple[npt.NDArray[Any], npt.NDArray[Any], Array]
 
 LARGE = 3e-5  # residual, relative to `largest`, above which the rounding of a body far away is no force
 
@@ -63,26 +58,13 @@ class ContactProblem:
     @cached_property
     def A(self) -> PETSc.Mat:
         """The stiffness with supports."""
-        alone = self.comm.size == 1
-        A = PETSc.Mat().createAIJWithArrays(self.K.getSizes(), self._arrays, comm=self.comm) if alone else self.K.copy()
-        first = A.getOwnershipRange()[0]
+        A = self.K.copy()
         A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        A.zeroRowsColumns((first + self.held).astype(PETSc.IntType), self.diagonal)
+        A.zeroRowsColumns(self.equations.held_rows, self.diagonal)
         A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         A.setBlockSize(self.nodes.dim)
         A.setNearNullSpace(self.near)
         return A
-
-    @cached_property
-    def _arrays(self) -> Rows:
-        """On one rank, the arrays in which A lies; before A is made, those of a stiffness without supports."""
-        return self.K.getValuesCSR()
-
-    @property
-    def rows(self) -> Rows:
-        """Row starts, columns and entries of A on one rank, without a copy."""
-        assert self.A  # its supports are set in these arrays
-        return self._arrays
 
     def begin(self) -> None:
         """Take over the step that the equations have begun."""

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from petsc4py import PETSc
 
-from geometry.joint import Joint
-from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.errors import ModelError
@@ -20,35 +18,9 @@ from thinlayer.solving.contact.relaxation_scheme import ContactRelaxation
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Finder, Found
 
-SCHEMES: dict[str, type[Scheme]] = {
-    "condensed": Condensed,
-    "multigrid": MultigridContact,
-    "relaxation": ContactRelaxation,
-}
+SCHEMES: dict[str, Any] = {"condensed": Condensed, "multigrid": MultigridContact, "relaxation": ContactRelaxation}
 METHODS = tuple(SCHEMES)
-CONDENSED_UP_TO = {
-    2: 4000,
-    3: 1200,
-}  # dimension -> largest number of displacements at S for which "condensed" is chosen
-
-
-class Scheme(Protocol):
-    """A solver of contact problems, one load after the other."""
-
-    def __init__(self, problem: ContactProblem) -> None: ...
-
-    def solve(self, start: Array | None) -> tuple[PETSc.Vec, int, list[float]]:
-        """Displacements, number of steps, residuals relative to the forces.
-
-        Args:
-            start: (n, d) expected jumps in the nodes' frames; None: no prediction.
-
-        Returns:
-            The displacements belong to the scheme and are valid until the next `solve` or `close`.
-        """
-
-    def close(self) -> None:
-        """Free matrices and factors."""
+CONDENSED_UP_TO = {2: 4000, 3: 1200}  # dimension -> largest number of displacements at S for which it is the default
 
 
 def default_method(model: Model) -> str:
@@ -57,19 +29,13 @@ def default_method(model: Model) -> str:
     "newton" for bodies that are not linear, laws without sweeps, and seams without contact between others; "condensed" on
     one rank if S has few displacements, in networks at each body; else "multigrid", in networks "newton".
     """
-    own = any(law.numbers is None for law in model.contacts.values())
-    if own or not _is_linear(model) or model.joint.periods or model.layer_terms:
-        return "newton"
-    network = _is_network(model)
-    narrow = (_most_vertices(model) if network else _vertices(model.joint)) * model.joint.dim <= CONDENSED_UP_TO[
-        model.joint.dim
-    ]
-    return "condensed" if narrow and model.comm.size == 1 else "newton" if network else "multigrid"
-
-
-def _vertices(joint: Joint) -> int:
-    """Number of displaced vertices on S."""
-    return len(np.unique(joint.surface)) * (1 if joint.rigid_base else 2)
+    joint = model.joint
+    both = len(np.unique(joint.surface)) * (1 if joint.rigid_base else 2)
+    vertices = _most_vertices(model) if _is_network(model) else both
+    narrow = vertices * joint.dim <= CONDENSED_UP_TO[joint.dim]
+    suited = (method for method in ("condensed", "multigrid") if not _unsuited(model, method))
+    chosen = (method for method in suited if not model.layer_terms and (narrow or method != "condensed"))
+    return next(chosen, "newton")
 
 
 def _most_vertices(model: Model) -> int:
@@ -104,6 +70,9 @@ def _is_linear(model: Model) -> bool:
 class ContactFinder(Finder):
     """Steps of a contact model with linear bodies: a `Finder`. Collective.
 
+    A scheme is made for a `ContactProblem`. `solve(start)` takes the expected jumps (n, d) in the nodes' frames, or None,
+    and returns displacements, valid until the next call, the number of steps, and residuals. `close` frees it.
+
     Args:
         equations: the equations of the model.
         method: one of METHODS.
@@ -114,13 +83,12 @@ class ContactFinder(Finder):
 
     def __init__(self, equations: Equations, method: str, like: State | None) -> None:
         self.problem = ContactProblem(equations)
-        self._scheme: Scheme = SCHEMES[method](self.problem)
-        self._like = self._jumps(like) if like else None
+        self._scheme = SCHEMES[method](self.problem)
+        self._like = None
+        if like:
+            u = displacements_of(like, equations.model)  # owns the vector
+            self._like = self.problem.nodes.jump(u.x.petsc_vec)
         self._has_solved = False
-
-    def _jumps(self, state: State) -> Array:
-        u = displacements_of(state, self.problem.equations.model)  # owns the vector
-        return self.problem.nodes.jump(u.x.petsc_vec)
 
     def find(self, start: PETSc.Vec | None = None) -> Found:
         """Displacements at the end of the step; only the jumps of `start` are used."""
@@ -150,23 +118,28 @@ def contact_finder(equations: Equations, method: str, like: State | None) -> Fin
     return NetworkFinder(equations, like) if _is_network(equations.model) else ContactFinder(equations, method, like)
 
 
-def check_method(model: Model, method: Any) -> None:
+def check_method(model: Model, method: str) -> None:
     """Raise ModelError unless one of METHODS suits the model."""
+    if reason := _unsuited(model, method):
+        raise ModelError(f"method={method!r} {reason}")
+
+
+def _unsuited(model: Model, method: str) -> str:
+    """Why one of METHODS does not suit the model; "" if it does."""
+    own = [type(law).__name__ for law in model.contacts.values() if law.numbers is None]
     if model.contact is None:
-        raise ModelError(f"method={method!r} is for contact laws; the model has none")
-    if method in ("condensed", "relaxation") and model.comm.size > 1:
-        raise ModelError(f"method={method!r} is for one rank, not {model.comm.size}; use method='multigrid'")
+        return "is for contact laws; the model has none"
+    if method != "multigrid" and model.comm.size > 1:
+        return f"is for one rank, not {model.comm.size}; use method='multigrid'"
     if _is_network(model) and (method != "condensed" or model.joint.periods):
-        raise ModelError(
-            f"method={method!r} is for one seam without branches, not periodic, whose jumps are independent of each other; "
-            "use method='newton'" + (" or, on one rank, 'condensed'" if not model.joint.periods else "")
+        also = "" if model.joint.periods else " or, on one rank, 'condensed'"
+        return (
+            "is for one seam without branches, not periodic, whose jumps are independent of each other; use "
+            f"method='newton'{also}"
         )
     if not _is_linear(model):
-        raise ModelError(
-            f"method={method!r} needs linear bodies without stresses at rest, linear, symmetric parts and layers, and no "
-            "inclined supports or rigid plates; "
-            "use method='newton'"
+        return (
+            "needs linear bodies without stresses at rest, linear, symmetric parts and layers, and no inclined supports or "
+            "rigid plates; use method='newton'"
         )
-    own = [type(law).__name__ for law in model.contacts.values() if law.numbers is None]
-    if own:
-        raise ModelError(f"method={method!r} needs one of the laws of forms.contact, not {own[0]}; use method='newton'")
+    return f"needs one of the laws of forms.contact, not {own[0]}; use method='newton'" if own else ""

@@ -1,0 +1,261 @@
+"""The ranks: their agreement on data and errors, messages between them, and the end of all if one alone has an error.
+
+DOLFINx and PETSc are not imported here: this comes first, so that ranks end whatever happens while those start.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from geometry.parallel import world
+from thinlayer.errors import ModelError
+from thinlayer.system.identity import ALONE, MISSING, described, differences, digest
+
+if TYPE_CHECKING:
+    from dolfinx.mesh import Mesh
+
+Array = npt.NDArray[Any]
+SAME = (MPI.IDENT, MPI.CONGRUENT)
+_COPIES: WeakKeyDictionary[Mesh, MPI.Intracomm] = WeakKeyDictionary()
+GRACE = 5.0  # s for all ranks with an error to finish printing it, before they are ended
+STATUS = 1  # exit status if one rank alone has an error, as for any Python script; the command line has its own
+POLL = 1e-3  # s between two tests of a request
+SHOWN = 200  # number of characters shown where data differ
+PATIENCE = 60.0  # s that a rank with an error waits for the others at least
+_DEPTH: Counter[int] = Counter()  # communicator -> number of nested blocks that this rank is in
+
+
+# ---------------------------------------------------------------- agreement
+@contextmanager
+def on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
+    """Context for code that each rank runs by itself, also users' code: an error on one rank is raised on all. Collective.
+
+    The code may make collective calls. If an error keeps a rank from a call that the others wait in, they never reach the
+    end of the block: the rank waits for PATIENCE, or for the time it has been in the block if that is longer, and then ends
+    all ranks.
+
+    Raises:
+        ModelError: on some ranks an error occurred; it names the first of them. If all have one, each raises its own.
+    """
+    comm = comm or world()
+    key, began = comm.py2f(), time.monotonic()
+    problem: Exception | None = None
+    _DEPTH[key] += 1
+    try:
+        try:
+            yield
+        except Exception as error:
+            problem = error
+        if comm.size > 1:
+            texts = _texts(comm, _DEPTH[key], problem, max(PATIENCE, time.monotonic() - began))
+            wrong = [rank for rank, text in enumerate(texts) if text is not None]
+            if wrong and len(wrong) < comm.size:
+                raise _for_all(ModelError(f"rank {wrong[0]}: {texts[wrong[0]]}")) from problem
+        if problem is not None:
+            raise _for_all(problem)
+    finally:
+        _DEPTH[key] -= 1
+
+
+def _texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, patience: float) -> list[str | None]:
+    """Every rank's error, once all ranks have reached the end of the same block.
+
+    Ranks in an inner block receive the errors there, and reach this block with errors of their own.
+    """
+    text = None if problem is None else _text(problem)
+    while True:
+        here = comm.Ibarrier()
+        if problem is None:
+            here.Wait()
+        elif not is_done(here, patience):
+            problem.add_note(
+                f"Rank {comm.rank} has had this error for {patience:.0f} s. The others have not come to where they would "
+                "learn of it: they may wait for this rank in a collective call. All ranks are ended."
+            )
+            abort(problem)
+        found = comm.allgather((depth, text))
+        if max(theirs for theirs, _ in found) == depth:
+            return [theirs for _, theirs in found]
+
+
+def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
+    """Hash of data that all ranks were given; raises ModelError, on all ranks, if they differ. Collective.
+
+    Args:
+        comm: communicator (default: the world).
+        given: name -> value, see `thinlayer.system.identity.described`; the same names on all ranks.
+            What only one process knows, such as a function on a mesh, counts by its class.
+    """
+    comm = comm or world()
+    if comm.size == 1:
+        return ""
+    with on_all(comm):
+        texts = {name: _known_by_all(value) for name, value in given.items()}
+    found = comm.allgather({name: digest(text) for name, text in texts.items()})
+    for name, first in found[0].items():
+        for rank, theirs in enumerate(found):
+            if theirs[name] != first:
+                full = [json.loads(text) for text in comm.allgather(texts[name])]
+                path, *both = next(
+                    differences(full[0], full[rank]), ((), full[0], full[rank])
+                )  # True and 1.0 are equal
+                here, there = ("nothing" if one is MISSING else json.dumps(one)[:SHOWN] for one in both)
+                at = f"{'.'.join(path)} is " if path else ""
+                what = f"the ranks were given different {name}: {at}{here} on rank 0, {there} on rank {rank}"
+                raise _for_all(ModelError(f"{what}; give all ranks the same"))
+    return digest(found[0])
+
+
+def _known_by_all(value: Any) -> str:
+    return re.sub(rf"{ALONE} \(\d+\)", "", json.dumps(described(value), sort_keys=True))
+
+
+def _text(error: Exception) -> str:
+    return str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
+
+
+def _for_all(error: Exception) -> Exception:
+    """The error, marked as raised on all ranks."""
+    error.on_all_ranks = True  # type: ignore[attr-defined]
+    return error
+
+
+# ---------------------------------------------------------------- messages
+def communicator(mesh: Mesh) -> MPI.Intracomm:
+    """A communicator of the ranks of a mesh, which outlives it: this rank's, the world, else a copy. Collective.
+
+    The mesh's own communicator cannot be used: if it ever served a pickled collective, mpi4py 4.0 waits for itself when
+    Python's garbage collector frees the mesh amid another one.
+    """
+    for comm in (MPI.COMM_SELF, MPI.COMM_WORLD):
+        if MPI.Comm.Compare(mesh.comm, comm) in SAME:
+            return comm
+    if mesh not in _COPIES:
+        _COPIES[mesh] = mesh.comm.Dup()
+    return _COPIES[mesh]
+
+
+def collect(comms: Iterable[MPI.Intracomm]) -> None:
+    """Free PETSc objects that Python has dropped: objects of several ranks need a collective call."""
+    from petsc4py import PETSc
+
+    for comm in comms:
+        if comm.size > 1:
+            PETSc.garbage_cleanup(comm)
+
+
+def send(comm: MPI.Intracomm, rank: Array, rows: Array) -> Array:
+    """Send row k to rank[k]; returns the rows received, by the rank they came from. Collective."""
+    return np.concatenate(comm.alltoall([rows[rank == r] for r in range(comm.size)]))
+
+
+def ask(comm: MPI.Intracomm, rank: Array, questions: Array, answer: Callable[[Array, Array], Array]) -> Array:
+    """Send question k to rank[k] and return the answers in the same order. Collective.
+
+    Args:
+        comm: communicator.
+        rank: (n,) rank that knows the answer.
+        questions: (n, ...) rows to send.
+        answer: called once on each rank with all rows received and the rank each came from; one answer per row.
+    """
+    order = [np.flatnonzero(rank == r) for r in range(comm.size)]
+    received = comm.alltoall([questions[rows] for rows in order])
+    source = np.repeat(np.arange(comm.size), [len(rows) for rows in received])
+    answers = answer(np.concatenate(received), source)
+    edges = np.cumsum([len(rows) for rows in received])[:-1]
+    returned = comm.alltoall(np.split(answers, edges))
+    back = np.concatenate(returned)
+    out = np.empty_like(back)
+    out[np.concatenate(order)] = back
+    return out
+
+
+def carry(comm: MPI.Intracomm, cells: Array, values: Array, wanted: Array) -> Array:
+    """Send values of cells, known by their original numbers, to the ranks that want them. Collective.
+
+    Args:
+        comm: communicator.
+        cells: (n,) original numbers of the cells whose values this rank holds.
+        values: (n, k) their values.
+        wanted: (m,) original numbers of the cells whose values this rank wants.
+
+    Returns:
+        (m, k) values; NaN for cells that no rank holds.
+    """
+    highest = comm.allreduce(int(max(cells.max(initial=-1), wanted.max(initial=-1))), MPI.MAX) + 1
+
+    def meeting_rank(c: Array) -> Array:
+        return c * comm.size // max(highest, 1)
+
+    rows = send(comm, meeting_rank(cells), np.column_stack([cells.astype(float), values]))
+    rows = rows[np.argsort(rows[:, 0])]
+    known = rows[:, 0].astype(np.int64)
+
+    def tell(asked: Array, _: Array) -> Array:
+        out = np.full((len(asked), rows.shape[1] - 1), np.nan)
+        if len(known):
+            at = np.minimum(np.searchsorted(known, asked), len(known) - 1)
+            out[known[at] == asked] = rows[at[known[at] == asked], 1:]
+        return out
+
+    return ask(comm, meeting_rank(wanted), wanted, tell)
+
+
+# ---------------------------------------------------------------- the end
+def abort(error: BaseException) -> None:
+    """Print an error and end all ranks."""
+    traceback.print_exception(error)
+    _end(STATUS)
+
+
+def is_done(request: MPI.Request, within: float) -> bool:
+    """Whether a request completes within this number of seconds."""
+    end = time.monotonic() + within
+    while not request.Test():
+        if time.monotonic() > end:
+            return False
+        time.sleep(POLL)
+    return True
+
+
+def _end(status: int) -> None:
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    MPI.COMM_WORLD.Abort(status)
+
+
+def _end_before_petsc() -> None:
+    """Let `python3 -m mpi4py` end all ranks before PETSc ends on the rank that has an error.
+
+    mpi4py stores the status and aborts last of all. Before this, Python frees the script's PETSc objects and PETSc ends;
+    both are collective, so this rank would wait for the others.
+    """
+    note = MPI._set_abort_status
+
+    def note_and_end(status: int) -> None:
+        note(status)
+        if status and not is_done(MPI.COMM_WORLD.Ibarrier(), GRACE):
+            error = sys.exception()
+            if not isinstance(error, SystemExit):
+                traceback.print_exception(error)
+            _end(status)
+
+    MPI._set_abort_status = note_and_end
+
+
+if MPI.COMM_WORLD.size > 1:
+    _end_before_petsc()
