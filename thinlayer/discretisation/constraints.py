@@ -233,25 +233,22 @@ class Constraints:
     def _resolve(self) -> None:
         """Part the conditions into groups that share no unknowns, and find what each holds.
 
-        A condition on one unknown that no other kind of condition has is none of a group. Groups are known on all ranks.
+        A condition on one unknown that no other condition has is none of a group. Groups are known on all ranks.
         """
         A, lo, hi = self._rows, self.first, self.first + self.n
         counts = np.diff(A.indptr)
         foreign = (A.indices < lo) | (A.indices >= hi)
-        shared = A.indices[foreign | (counts > 1).repeat(counts)]
+        columns, uses = np.unique(A.indices, return_counts=True)
+        shared = np.concatenate([A.indices[foreign | (counts > 1).repeat(counts)], columns[uses > 1]])
         everywhere = self.comm.allgather(np.unique(np.concatenate([shared, *self.slots.values()])))
         single = counts == 1
         single[single] = ~np.isin(A.indices[A.indptr[:-1][single]], np.concatenate(everywhere))
         self._single, self._grouped = np.flatnonzero(single), np.flatnonzero(~single & (counts > 0))
         at = A.indptr[self._single]
-        self._columns, self._first_of, self._inverse, self._repeated = np.unique(
-            A.indices[at], return_index=True, return_inverse=True, return_counts=True
-        )
-        self._coefficient = A.data[at]
+        self._columns, self._coefficient = A.indices[at] - lo, A.data[at]
         self._groups = _groups(scipy.sparse.vstack(self.comm.allgather(A[self._grouped]), format="csr"))
-        held = [self._columns, *(one.columns[: one.rank] for one in self._groups)]
-        mine = np.unique(np.concatenate(held)).astype(np.int64)
-        mine = mine[(mine >= lo) & (mine < hi)] - lo
+        held = np.concatenate([self._columns, *(one.columns[: one.rank] - lo for one in self._groups)])
+        mine = held[(held >= 0) & (held < self.n)]
         slots = np.concatenate([*self.slots.values(), np.empty(0, np.int64)]) - lo
         self.held = np.union1d(mine, np.setdiff1d(self.tied, slots)).astype(np.int32)
 
@@ -286,7 +283,7 @@ class Constraints:
             raise ModelError(f"a prescribed displacement is not finite at t = {t:g}")
         self._require_agreement(c, when=f" at t = {t:g}")
         y, lo = np.zeros(self.n), self.first
-        y[self._columns - lo] = (c[self._single] / self._coefficient)[self._first_of]
+        y[self._columns] = c[self._single] / self._coefficient
         for one, values in self._with_values(c):
             columns = one.columns[: one.rank]
             own = (columns >= lo) & (columns < lo + self.n)
@@ -310,8 +307,6 @@ class Constraints:
     def _require_agreement(self, c: Array, when: str = "") -> None:
         """Raise ModelError if values (r,) of conditions contradict each other."""
         apart = self._by_rows([one.apart(values) for one, values in self._with_values(c)])
-        value = (c[self._single] / self._coefficient)[self._first_of]
-        apart[self._single] = np.abs(c[self._single] - self._coefficient * value[self._inverse])
         largest = self.comm.allreduce(float(np.abs(c).max(initial=0.0)), max)
         limit, message = max(AGREE * largest, ROUNDING * self.prescribed.extent), ""
         if apart.max(initial=0.0) > limit:
@@ -400,7 +395,7 @@ class Constraints:
         parts[own] = f[columns[own]]
         parts = self.comm.allreduce(parts)
         out = self._by_rows([one.shares @ parts[a:b] for one, a, b in zip(self._groups, ends, ends[1:], strict=False)])
-        out[self._single] = (f[self._columns - self.first] / self._repeated)[self._inverse] / self._coefficient
+        out[self._single] = f[self._columns] / self._coefficient
         return out[: len(self.prescribed.entry)]
 
     def dual_to_resultant(self, entries: Sequence[int], direction: Array) -> Array:
@@ -409,11 +404,7 @@ class Constraints:
         along = np.isin(prescribed.entry, entries) * (prescribed.directions @ direction)
         along = np.append(along, np.zeros(len(self._motions)))
         g, lo = np.zeros(self.n), self.first
-        np.add.at(
-            g,
-            self._columns[self._inverse] - lo,
-            along[self._single] / self._coefficient / self._repeated[self._inverse],
-        )
+        g[self._columns] = along[self._single] / self._coefficient
         for one, values in self._with_values(along):
             own = (one.columns >= lo) & (one.columns < lo + self.n)
             np.add.at(g, one.columns[own] - lo, (one.shares.T @ values)[own])
