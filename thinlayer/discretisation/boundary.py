@@ -126,17 +126,14 @@ def node_normals(
         (n,) local numbers of blocks of this rank, one for each of the facets around a node, and (n, d) normals.
     """
     mesh, d = domain.mesh, domain.joint.dim
-    kind = basix.CellType[mesh.basix_cell().name] if hasattr(mesh.basix_cell(), "name") else mesh.basix_cell()
-    points, layout = interpolation_points(V), V.dofmap.dof_layout
+    kind, points, layout = basix.CellType[domain.joint.cell_type], interpolation_points(V), V.dofmap.dof_layout
     mesh.topology.create_connectivity(d - 1, d)
     mesh.topology.create_connectivity(d, d - 1)
     to_cells, to_facets = mesh.topology.connectivity(d - 1, d), mesh.topology.connectivity(d, d - 1)
     owned = mesh.topology.index_map(d).size_local
-    cells = np.array([to_cells.links(facet)[0] for facet in facets], np.int32)
+    cells = to_cells.array[to_cells.offsets[facets]]
     facets, cells = facets[cells < owned], cells[cells < owned]
-    local = np.array(
-        [np.flatnonzero(to_facets.links(cell) == facet)[0] for cell, facet in zip(cells, facets, strict=True)], int
-    )
+    local = (to_facets.array.reshape(to_facets.num_nodes, -1)[cells] == facets[:, None]).argmax(axis=1)
     jacobian = fem.Expression(ufl.Jacobian(mesh), points)
     J = jacobian.eval(mesh, cells).reshape(len(cells), len(points), d, d) if len(cells) else np.empty((0, 1, d, d))
     outward, corners = basix.cell.facet_outward_normals(kind), basix.topology(kind)[d - 1]

@@ -91,7 +91,7 @@ class ContactSurface:
         topology = V.mesh.topology
         topology.create_connectivity(topology.dim - 1, topology.dim)
         to_cells = topology.connectivity(topology.dim - 1, topology.dim)
-        return cls(V, comm, facets, np.array([to_cells.links(f)[0] for f in facets], np.int32), None)
+        return cls(V, comm, facets, to_cells.array[to_cells.offsets[facets]], None)
 
 
 class ContactNodes:
@@ -183,9 +183,8 @@ class ContactNodes:
         mesh, topology = V.mesh, V.mesh.topology
         for a, b in ((d, 0), (d - 1, 0), (0, d)):
             topology.create_connectivity(a, b)
-        vertices = np.array([topology.connectivity(d - 1, 0).links(f) for f in facets], np.int32)
-        kind = cpp.mesh.cell_entity_type(topology.cell_type, d - 1, 0)
-        vertices = vertices.reshape(len(facets), cpp.mesh.cell_num_vertices(kind))
+        to_vertices = topology.connectivity(d - 1, 0)
+        vertices = to_vertices.array.reshape(to_vertices.num_nodes, -1)[facets]
         places = vertices  # DOLFINx does not accept an empty list
         if vertices.size:
             places = np.asarray(entities_to_geometry(mesh, 0, vertices.ravel())).reshape(vertices.shape)
