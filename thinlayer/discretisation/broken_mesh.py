@@ -26,7 +26,7 @@ from geometry.refusals import unknown
 from thinlayer.discretisation.boundary import ON_AXIS
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.layer import AtRest, ThinLayer, for_terms, real_law
-from thinlayer.discretisation.quadratures import known_at
+from thinlayer.discretisation.measures import known_at
 from thinlayer.discretisation.spaces import Keys, broken_space
 from thinlayer.errors import ModelError
 from thinlayer.system.agreement import on_all

@@ -28,9 +28,8 @@ from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
 from thinlayer.discretisation.given import Coordinates, Load, Pressure
 from thinlayer.discretisation.given_strains import Matter, MeanStrain, MeanStress, given_strain
 from thinlayer.discretisation.layer import BODIES, BODY, Bond, Gap, Layers, OnSeam, constants, layers_of, on_seams
-from thinlayer.discretisation.measures import compiled
+from thinlayer.discretisation.measures import compiled, compiled_terms, origin_of, placed
 from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms, check_loads
-from thinlayer.discretisation.quadratures import compiled_terms, origin_of, placed
 from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.rigid import free_translations, on_centre, require_support, resisted, rigid_motions
 from thinlayer.discretisation.seams import SeamLayer, loads_of_layers
@@ -492,10 +491,6 @@ class Model(ABC):
     def external_work(self, v: Expr, t: float) -> Expr:
         """Virtual work of the loads at a fixed time, a UFL form linear in v."""
         return Hand(t).of(self.forces.work(v))
-
-    def work_on_bases(self, v: Expr, t: float) -> dict[str, Expr]:
-        """Likewise of the loads that go to rigid bases by themselves, for motions v of these bases, by seam."""
-        return {name: Hand(t).of(work) for name, work in self.forces.work_on_bases(v).items()}
 
     @staticmethod
     def form(form: Expr) -> fem.Form:

@@ -19,7 +19,7 @@ from thinlayer.discretisation.given_strains import MEAN_STRAIN, PAIRS, of_compon
 from thinlayer.discretisation.layer import BODIES, LAYER, PRESSURE
 from thinlayer.discretisation.measures import compiled_scalars, per_unit, whole
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.reactions import Resultant, all_reactions, applied_to, reaction_of
+from thinlayer.discretisation.rigid import Resultant, all_reactions, applied_to, reaction_of
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 from thinlayer.system.exchange import carry

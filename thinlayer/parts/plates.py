@@ -17,8 +17,7 @@ from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.boundary import AXES, on_boundary
 from thinlayer.discretisation.constraints import Tied
 from thinlayer.discretisation.given import Given
-from thinlayer.discretisation.reactions import Array, centroid, require_point
-from thinlayer.discretisation.rigid import balanced_motions, count, on_centre, rigid
+from thinlayer.discretisation.rigid import Array, balanced_motions, centroid, count, on_centre, require_point, rigid
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 
