@@ -24,7 +24,7 @@ from geometry.sheet import Sheet
 from tests.edges_run import structure
 from tests.meshes import grid
 from thinlayer import ModelError, RigidPlate, Springs, Structure, ThinLayer, compare, estimate, observed_orders, solve
-from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.sides import FacetWeights, side_kinds
 from thinlayer.errors import RangeWarning
 

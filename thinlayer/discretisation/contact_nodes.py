@@ -16,8 +16,8 @@ from petsc4py import PETSc
 
 from forms.planes import LIFTED, Kinematics
 from geometry.joint import Joint
+from thinlayer.discretisation.layer import seam_entities
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.seams import seam_entities
 from thinlayer.errors import ModelError
 from thinlayer.system.agreement import on_all
 from thinlayer.system.exchange import send

@@ -14,10 +14,9 @@ from geometry.refusals import unknown
 from geometry.seam import BASE
 from thinlayer.discretisation.boundary import require_revolution, require_shifts
 from thinlayer.discretisation.forces import Weighted
-from thinlayer.discretisation.layer import Layers, constants, real_law
+from thinlayer.discretisation.layer import Layers, SeamLayer, constants, real_law
 from thinlayer.discretisation.mesh_functions import director
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
 

@@ -27,11 +27,10 @@ from geometry.topology import FloatArray, Splitting
 from thinlayer.discretisation.boundary import require_revolution
 from thinlayer.discretisation.forces import Forces, Weighted
 from thinlayer.discretisation.given import Coordinates
-from thinlayer.discretisation.layer import Layers, ThinLayer, for_terms, real_law
+from thinlayer.discretisation.layer import Layers, SeamLayer, ThinLayer, for_terms, real_law, seam_entities
 from thinlayer.discretisation.measures import known_at
 from thinlayer.discretisation.mesh_functions import Middle, cellwise, relative_thickness
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.seams import SeamLayer, seam_entities
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.side_loads import add_side_loads
 from thinlayer.errors import ModelError, Refused

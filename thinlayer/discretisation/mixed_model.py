@@ -22,11 +22,10 @@ from geometry.seam import BASE, CUT, LAYER, LOWER_FACE, UPPER_FACE, S
 from thinlayer.discretisation.constraints import Followers
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.layer import Layers, layers_of, on_seams
+from thinlayer.discretisation.layer import Layers, SeamLayer, layers_of, on_seams, seam_entities
 from thinlayer.discretisation.mesh_functions import cellwise, shift
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reduction import Reduction
-from thinlayer.discretisation.seams import SeamLayer, seam_entities
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError, warn
 from thinlayer.system.agreement import on_all

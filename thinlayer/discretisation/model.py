@@ -27,12 +27,23 @@ from thinlayer.discretisation.constraints import Constraints, Followers
 from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
 from thinlayer.discretisation.given import Coordinates, Load, Pressure
 from thinlayer.discretisation.given_strains import Matter, MeanStrain, MeanStress, given_strain
-from thinlayer.discretisation.layer import BODIES, BODY, Bond, Gap, Layers, OnSeam, constants, layers_of, on_seams
+from thinlayer.discretisation.layer import (
+    BODIES,
+    BODY,
+    Bond,
+    Gap,
+    Layers,
+    OnSeam,
+    SeamLayer,
+    constants,
+    layers_of,
+    loads_of_layers,
+    on_seams,
+)
 from thinlayer.discretisation.measures import compiled, compiled_terms, origin_of, placed
 from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms, check_loads
 from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.rigid import free_translations, on_centre, require_support, resisted, rigid_motions
-from thinlayer.discretisation.seams import SeamLayer, loads_of_layers
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.spaces import cut_at_faces, vector_space
 from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Supports

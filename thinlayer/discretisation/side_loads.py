@@ -36,11 +36,10 @@ from geometry.sheet import Rim, Sheet
 from geometry.topology import FloatArray, IntArray, ridge_keys
 from thinlayer.discretisation.forces import Forces, Weighted
 from thinlayer.discretisation.given import Coordinates, Load, Pressure, vanishes
-from thinlayer.discretisation.layer import real_law
+from thinlayer.discretisation.layer import SeamLayer, real_law
 from thinlayer.discretisation.mesh_functions import cellwise
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.point_loads import ConcentratedForms, Nodes, along_edges
-from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import Refused, warn
 
 ANTIPLANE = (

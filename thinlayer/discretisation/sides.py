@@ -20,8 +20,8 @@ from geometry.sheet import Rim, Sheet, continued
 from geometry.topology import FloatArray, ridge_keys
 from thinlayer.discretisation.addition import Addition
 from thinlayer.discretisation.boundary import AXES, on_axis
+from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.mesh_functions import cellwise
-from thinlayer.discretisation.seams import SeamLayer
 
 ROUNDING = 1e-6  # of squares of cosines between directions
 SLIGHT = 1e-3  # share of a direction, cos^2, that counts as none: 2 degrees

@@ -6,14 +6,66 @@ DOLFINx and PETSc are imported only when something is computed, as that takes se
 from __future__ import annotations
 
 import argparse
+import ast
 import importlib
+import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from thinlayer.running.catalogue import studies
 from thinlayer.running.process import BAD_INPUT, OK, UNFINISHED, is_first, recorded, set_signals, stop
 from thinlayer.system.words import reason, say
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study script.
+
+    Attributes:
+        name: module name in `studies`.
+        summary: first line of its docstring.
+        options: name of a keyword argument of its `run` -> arguments of `ArgumentParser.add_argument` for it.
+    """
+
+    name: str
+    summary: str
+    options: dict[str, dict[str, Any]]
+
+
+@cache
+def studies() -> dict[str, Study]:
+    """All studies by name."""
+    found = {}
+    for path in sorted((Path(__file__).parents[2] / "studies").glob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for node in tree.body:
+            if isinstance(node, ast.FunctionDef) and node.name == "run":
+                text = ast.get_docstring(node) or ""
+                options = {one.arg: _option(one, text) for one in node.args.kwonlyargs}
+                found[path.stem] = Study(path.stem, (ast.get_docstring(tree) or "").partition("\n")[0], options)
+    return found
+
+
+def _option(argument: ast.arg, text: str) -> dict[str, Any]:
+    """Arguments of `add_argument` for a keyword argument of `run`.
+
+    Args:
+        argument: the keyword argument; its annotation is `bool`, `Sequence[float]` (thicknesses) or `Literal[...]`.
+        text: docstring of `run`, in which its description becomes the help of the option.
+    """
+    line = re.search(rf"^\s+{argument.arg}: (.*)$", text, re.MULTILINE)
+    found: dict[str, Any] = {"help": line[1].replace("%", "%%") if line else None}
+    match ast.unparse(argument.annotation) if argument.annotation else "":
+        case "bool":
+            return found | {"action": "store_true"}
+        case "Sequence[float]":
+            return found | {"nargs": "+", "type": float, "metavar": "E"}
+        case kind:
+            allowed = tuple(ast.literal_eval(kind.removeprefix("Literal")))
+            return found | {"choices": allowed, "type": type(allowed[0])}
+
 
 if TYPE_CHECKING:
     from thinlayer.running.record import Record

@@ -24,9 +24,9 @@ from geometry.sheet import Rim
 from geometry.topology import FACET_TYPES, IntArray, lagrange
 from thinlayer.discretisation.contact_nodes import frames_at, pair_numbers
 from thinlayer.discretisation.full_model import FullModel
+from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.mixed_model import MixedModel
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State, cell_values
 from thinlayer.errors import ModelError
 from thinlayer.surface.lines import Line, Plane, lines_on, require_plane
