@@ -289,24 +289,17 @@ class ContactNodes:
     def stiffness(self, tangent: Array) -> PETSc.Mat:
         """Stiffness matrix over all displacements for tangents (n, d, d) of the law."""
         d, size = self.dim, self._size * self.dim
-        blocks = self.blocks(tangent)
-        sides = [(self._first + self.upper, 1.0)]
-        if self.lower is not None:
-            sides.append((self._lower, -1.0))
-        axes = np.arange(d)
+        sides = self.pairs[:, :1] if self.lower is None else self.pairs
+        dofs = (sides[:, :, None] * d + np.arange(d)).reshape(len(sides), -1).astype(PETSc.IntType)
+        signs = np.array([1.0, -1.0])[: sides.shape[1]].repeat(d)
+        values = np.tile(self.blocks(tangent), (1, sides.shape[1], sides.shape[1])) * np.outer(signs, signs)
+        begins = np.arange(0, values.size + 1, dofs.shape[1], dtype=PETSc.IntType)
+        columns = dofs.repeat(dofs.shape[1], axis=0).ravel()
         out = PETSc.Mat().create(self.comm)
         out.setSizes(((size, None), (size, None)))
         out.setType("aij")
         out.setUp()
-        columns = np.concatenate([(column[:, None] * d + axes) for column, _ in sides], axis=1)[:, None, :].repeat(
-            d, axis=1
-        )
-        starts = np.arange(0, columns.size + 1, columns.shape[2])
-        for row, sign in sides:
-            values = np.concatenate([sign * other * blocks for _, other in sides], axis=2)
-            there = (row[:, None] * d + axes).ravel()
-            indices = (a.ravel().astype(PETSc.IntType) for a in (starts, columns))
-            out.setValuesIJV(*indices, values.ravel(), addv=PETSc.InsertMode.ADD, rowmap=there.astype(PETSc.IntType))
+        out.setValuesIJV(begins, columns, values.ravel(), addv=PETSc.InsertMode.ADD, rowmap=dofs.ravel())
         out.assemble()
         return out
 
