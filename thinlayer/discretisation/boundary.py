@@ -14,7 +14,7 @@ from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place
 from geometry.seam import LAYER, S
-from geometry.topology import connected
+from geometry.topology import connected, sums
 from thinlayer.errors import ModelError
 from thinlayer.system.compat import interpolation_points
 from thinlayer.system.exchange import send
@@ -182,8 +182,7 @@ def smooth(normals: Array) -> tuple[npt.NDArray[np.int64], Array]:
     unit = normals / np.linalg.norm(normals, axis=1)[:, None]
     one, other = np.nonzero(unit @ unit.T > np.cos(np.deg2rad(CORNER)))
     _, surface = np.unique(connected(one, other, len(unit)), return_inverse=True)
-    sums = np.zeros((surface.max() + 1, normals.shape[1]))
-    np.add.at(sums, surface, normals)
-    sums /= np.linalg.norm(sums, axis=1)[:, None]
-    sums[np.abs(sums) < ALONG_AXES] = 0.0
-    return surface.ravel().astype(np.int64), sums / np.linalg.norm(sums, axis=1)[:, None]
+    mean = sums(surface.ravel(), normals, surface.max() + 1)
+    mean /= np.linalg.norm(mean, axis=1)[:, None]
+    mean[np.abs(mean) < ALONG_AXES] = 0.0
+    return surface.ravel().astype(np.int64), mean / np.linalg.norm(mean, axis=1)[:, None]

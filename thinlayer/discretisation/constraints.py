@@ -15,6 +15,7 @@ from petsc4py import PETSc
 from scipy.sparse.csgraph import connected_components
 
 from geometry.refusals import place as at_place
+from geometry.topology import sums
 from thinlayer.discretisation.supports import ROUNDING, Prescribed
 from thinlayer.errors import ModelError
 
@@ -221,9 +222,8 @@ class Constraints:
 
     def of_supports(self, forces: Array, motions: Array) -> Array:
         """Work (entries, k) in motions (n, k) of the supports' forces, by the number of the support."""
-        out = np.zeros((len(self.prescribed.supports.entries) + 1, motions.shape[1]))
-        np.add.at(out, self.prescribed.entry, forces[:, None] * (self.prescribed.conditions @ motions))
-        return out[:-1]
+        works = forces[:, None] * (self.prescribed.conditions @ motions)
+        return sums(self.prescribed.entry, works, len(self.prescribed.supports.entries) + 1)[:-1]
 
     def _values_of_rows(self, t: float) -> Array:
         """(r,) values of the conditions of this rank at a time."""
@@ -407,7 +407,7 @@ class Constraints:
         g[self._columns] = along[self._single] / self._coefficient
         for one, values in self._with_values(along):
             own = (one.columns >= lo) & (one.columns < lo + self.n)
-            np.add.at(g, one.columns[own] - lo, (one.shares.T @ values)[own])
+            g[one.columns[own] - lo] = (one.shares.T @ values)[own]
         return self._times(self.Q, g, transposed=True)
 
     # ---------------------------------------------------------------- motions

@@ -16,6 +16,7 @@ from petsc4py import PETSc
 
 from forms.planes import LIFTED, Kinematics
 from geometry.joint import Joint
+from geometry.topology import sums
 from thinlayer.discretisation.layer import seam_entities
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
@@ -135,18 +136,13 @@ class ContactNodes:
         imap = V.dofmap.index_map
         self._first, self._size = imap.local_range[0], imap.size_local
         rows = self._corners()
-        owners = np.full(imap.size_local + imap.num_ghosts, self.comm.rank)
-        owners[imap.size_local :] = imap.owners
+        owners = np.concatenate([np.full(imap.size_local, self.comm.rank), imap.owners])
         sent = np.column_stack([self._global(rows[:, 0]), rows[:, 1:]])
         corners = send(self.comm, owners[rows[:, 0].astype(int)], sent)
-        pairs, at = np.unique(corners[:, :2], axis=0, return_inverse=True)
+        pairs, first, at = np.unique(corners[:, :2], axis=0, return_index=True, return_inverse=True)
         upper, at = pairs[:, 0], at.ravel()
-        vectors = np.zeros((len(upper), d))
-        self.weights = np.asarray(np.bincount(at, corners[:, 2], len(upper)), float)
-        for k in range(d):
-            vectors[:, k] = np.bincount(at, corners[:, 3 + k], len(upper))
-        first = np.zeros(len(upper), int)
-        first[at] = np.arange(len(at))
+        total = sums(at, corners[:, 2 : 3 + d], len(upper))
+        self.weights, vectors = total[:, 0], total[:, 1:]
         self.upper = (upper - self._first).astype(np.int32)
         self._lower = pairs[:, 1].astype(np.int64)  # global
         self.numbers = corners[first, 3 + d].astype(np.int64)

@@ -17,6 +17,7 @@ from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place as at_place
 from geometry.refusals import unknown
+from geometry.topology import sums
 from thinlayer.discretisation.boundary import refuse_periodic
 from thinlayer.discretisation.given import Coordinates, Load
 from thinlayer.discretisation.mesh_functions import cellwise
@@ -260,11 +261,9 @@ class ConcentratedForms:
 
     def _densities(self, nodes: Nodes, weights: Array) -> Array:
         """(n_cells, m, ...) degrees of freedom of g times weights (n, k, ...), summed over the nodes of each cell."""
-        out = np.zeros((len(self.domain.joint.cells), len(self._inverse), *weights.shape[2:]))
         phi = self._element.tabulate(0, nodes.points.reshape(-1, self.joint.dim))[0, :, :, 0]
         g = (phi @ self._inverse.T).reshape(*nodes.points.shape[:2], -1)
-        np.add.at(out, nodes.cells, np.einsum("nk...,nkm->nm...", weights, g))
-        return out
+        return sums(nodes.cells, np.einsum("nk...,nkm->nm...", weights, g), len(self.domain.joint.cells))
 
 
 def _rounds(cells: npt.NDArray[np.int64]) -> Iterable[npt.NDArray[np.int64]]:

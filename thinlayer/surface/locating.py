@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from forms.temperature import real
 from geometry.joint import Joint
 from geometry.refusals import place
-from geometry.topology import IntArray, geometry_degree, is_tensor, lagrange
+from geometry.topology import IntArray, geometry_degree, is_tensor, lagrange, sums
 from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
@@ -90,10 +90,8 @@ class Located:
 
     def mean(self, values: Array) -> Array:
         """(n, ...) means of values (m, ...) over the entities at each place."""
-        out = np.zeros((len(self.x), *values.shape[1:]))
-        np.add.at(out, self.point, values)
         counts = np.bincount(self.point, minlength=len(self.x))
-        return np.asarray(out / counts.reshape(-1, *[1] * (values.ndim - 1)))
+        return np.asarray(sums(self.point, values, len(self.x)) / counts.reshape(-1, *[1] * (values.ndim - 1)))
 
 
 def _pulled_back(kind: str, degree: int, nodes: Array, x: Array) -> Array:

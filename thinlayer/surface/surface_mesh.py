@@ -21,7 +21,7 @@ from geometry.order import along, by_place
 from geometry.refusals import place, unknown
 from geometry.seam import S
 from geometry.sheet import Rim
-from geometry.topology import FACET_TYPES, IntArray, lagrange
+from geometry.topology import FACET_TYPES, IntArray, lagrange, sums
 from thinlayer.discretisation.contact_nodes import frames_at, pair_numbers
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.layer import SeamLayer
@@ -379,9 +379,7 @@ class SurfaceMesh:
 
     def sums(self, of_corners: Array) -> Array:
         """(m, ...) sums at the nodes of values (n, k, ...) at the corners of facets."""
-        out = np.zeros((len(self.numbers), *of_corners.shape[2:]))
-        np.add.at(out, self.nodes, of_corners)
-        return out
+        return sums(self.nodes, of_corners, len(self.numbers))
 
     def moments(self, f: Any) -> Array:
         """(n, k) or (n, k, d) integrals of a field over each facet with the functions of degree 1 of its corners."""
@@ -389,8 +387,8 @@ class SurfaceMesh:
 
     def projected(self, moments: Array) -> Array:
         """(m, ...) nodal values of moments (n, k, ...), integrals with the functions of degree 1."""
-        sums = self.sums(moments)
-        return np.asarray(self._solver(sums.reshape(len(sums), -1))).reshape(sums.shape)
+        total = self.sums(moments)
+        return np.asarray(self._solver(total.reshape(len(total), -1))).reshape(total.shape)
 
     def lumped(self, moments: Array) -> Array:
         """(m, ...) the same over the areas around nodes, as contact laws define tractions."""
