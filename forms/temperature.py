@@ -62,6 +62,16 @@ def real(values: Any) -> npt.NDArray[np.float64]:
     return array.astype(float)
 
 
+def finite(values: Any, *shapes: tuple[int, ...]) -> npt.NDArray[np.float64] | None:
+    """Finite real numbers of one of some shapes, where a first -1 is any length, as float64; None: they are none."""
+    try:
+        array = real(values)
+    except (TypeError, ValueError):
+        return None
+    fits = array.shape in shapes or (-1, *array.shape[1:]) in shapes
+    return array if fits and np.isfinite(array).all() else None
+
+
 def place(x: npt.NDArray[np.float64], t: float, k: int) -> str:
     """Text of the k-th of the places x (d, n) and of the time t, for messages."""
     return f" at {place_of(x, k)}, t = {t:g}"

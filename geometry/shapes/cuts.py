@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import Voronoi, cKDTree
 
 from forms.base import is_finite
-from forms.temperature import real
+from forms.temperature import finite
 from geometry.periods import SAME_PLACE
 from geometry.refusals import GeometryError, place, refuse
 from geometry.seam import LEAST_COSINE, Seam
@@ -119,11 +119,7 @@ def _check_names(names: Iterable[Any], what: str) -> None:
 
 def _points(given: Any, what: str) -> FloatArray:
     """(n, 2) points; raises GeometryError."""
-    try:
-        x = real(given)
-    except (TypeError, ValueError):
-        x = np.empty(0)
-    if x.ndim != 2 or x.shape[1] != 2 or len(x) < 2 or not np.isfinite(x).all():
+    if (x := finite(given, (-1, 2))) is None or len(x) < 2:
         raise GeometryError(f"{what} is {given!r}; it must be two points (x, y) or more")
     return x
 

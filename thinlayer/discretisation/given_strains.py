@@ -17,7 +17,7 @@ from forms.kinematics import MANDEL, ROOT2, Expr, lift
 from forms.law import BulkLaw
 from forms.planes import Kinematics
 from forms.tangent import tangent_at_rest
-from forms.temperature import real
+from forms.temperature import finite
 from forms.work import Term, summed
 from geometry.joint import Joint
 from thinlayer.discretisation.clock import readings
@@ -206,11 +206,7 @@ class ThermalExpansion(Eigenstrain):
     factor: float | Callable[[Expr, Any], Any] = 1.0
 
     def __post_init__(self) -> None:
-        try:
-            alpha = real(self.alpha)
-        except (TypeError, ValueError):
-            alpha = np.full(0, np.nan)
-        if alpha.shape not in ((), (3,), (3, 3)) or not np.isfinite(alpha).all():
+        if (alpha := finite(self.alpha, (), (3,), (3, 3))) is None:
             raise ModelError(f"alpha is {self.alpha!r}; allowed: a finite number, three, or a symmetric (3, 3)")
         if alpha.ndim == 2:
             require_symmetric([[*map(float, row)] for row in alpha], "alpha")

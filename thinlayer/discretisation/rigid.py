@@ -16,7 +16,7 @@ from dolfinx.mesh import Mesh
 
 from forms.kinematics import Expr
 from forms.planes import LIFTED, Kinematics
-from forms.temperature import real
+from forms.temperature import finite
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place as at_place
@@ -186,11 +186,7 @@ class Resultant:
 
 def require_point(about: Sequence[float] | Array, dim: int) -> Array:
     """A point (d,) as an array; raises ModelError if it is none."""
-    try:
-        point = real(about)
-    except (TypeError, ValueError):
-        point = np.empty(0)
-    if point.shape != (dim,) or not np.isfinite(point).all():
+    if (point := finite(about, (dim,))) is None:
         raise ModelError(f"about is {about!r}; it must be a point of {dim} finite coordinates")
     return point
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from forms.temperature import real
+from forms.temperature import finite
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
@@ -58,11 +58,7 @@ def unit(direction: Sequence[float], dim: int, goal: str) -> Array:
     Raises:
         ModelError: it is none.
     """
-    try:
-        found = real(direction)
-    except (TypeError, ValueError):
-        found = np.empty(0)
-    if found.shape != (dim,) or not np.isfinite(found).all() or not found.any():
+    if (found := finite(direction, (dim,))) is None or not found.any():
         raise ModelError(f"{goal}: the direction is {direction!r}; give {dim} numbers, not all zero")
     return np.asarray(found / np.linalg.norm(found))
 

@@ -14,7 +14,7 @@ from forms.base import is_number
 from forms.kinematics import MANDEL, ROOT2, layer_frame
 from forms.law import Law
 from forms.tangent import takes_time
-from forms.temperature import real
+from forms.temperature import finite
 from forms.trace import numbers
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.pointwise.kernels import Array
@@ -143,11 +143,7 @@ def drive(
 
 def _frame(n: Sequence[float]) -> tuple[Array, Array]:
     """Unit normal (d,) and axes (3, d) of S, as `forms.kinematics.layer_frame`."""
-    try:
-        normal = real(n)
-    except (TypeError, ValueError):
-        normal = np.empty(0)
-    if normal.shape not in ((2,), (3,)) or not np.isfinite(normal).all() or not normal.any():
+    if (normal := finite(n, (2,), (3,))) is None or not normal.any():
         raise ModelError(f"the normal n is {n!r}; allowed: 2 or 3 numbers, not all zero")
     normal = normal / np.linalg.norm(normal)
     frame = numbers(layer_frame(ufl.as_vector(normal.tolist())))
@@ -178,11 +174,7 @@ def _read(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]:
 
 
 def _lengths(dt: float | Sequence[float], count: int) -> Array:
-    try:
-        lengths = real(dt)
-    except (TypeError, ValueError):
-        lengths = np.array(np.nan)
-    if lengths.shape not in ((), (count,)) or not np.isfinite(lengths).all() or (lengths < 0).any():
+    if (lengths := finite(dt, (), (count,))) is None or (lengths < 0).any():
         raise ModelError(f"dt is {dt!r}; allowed: a number >= 0, or one for each of the {count} steps")
     return np.broadcast_to(lengths, count)
 

@@ -9,7 +9,7 @@ import basix
 import numpy as np
 import numpy.typing as npt
 
-from forms.temperature import real
+from forms.temperature import finite
 from geometry.joint import Joint
 from geometry.order import along, by_place
 from geometry.topology import IntArray, connected, is_tensor, lagrange
@@ -192,12 +192,8 @@ def _crossed(ring: IntArray, x: Array, values: Array, height: Array, above: npt.
 
 def _plane(plane: object) -> tuple[Array, Array]:
     """Point and unit normal of a plane; raises ModelError."""
-    try:
-        point, normal = map(real, plane)  # type: ignore[call-overload]
-        if point.shape == normal.shape == (3,) and np.isfinite([point, normal]).all() and normal.any():
-            return point, normal / np.linalg.norm(normal)
-    except (TypeError, ValueError):
-        pass
-    raise ModelError(
-        f"plane is {plane!r}; it needs (point, normal), three finite numbers each, and a normal that is not zero"
-    )
+    if (both := finite(plane, (2, 3))) is None or not both[1].any():
+        raise ModelError(
+            f"plane is {plane!r}; it needs (point, normal), three finite numbers each, the normal not zero"
+        )
+    return both[0], both[1] / np.linalg.norm(both[1])

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from forms.temperature import real
+from forms.temperature import finite
 from geometry.joint import Joint
 from geometry.refusals import place
 from geometry.topology import IntArray, geometry_degree, is_tensor, lagrange, sums
@@ -51,12 +51,9 @@ class Located:
             ModelError: no finite numbers of this shape.
         """
         d, degree = nodes.shape[2], geometry_degree(kind, nodes.shape[1])
-        try:
-            given = np.atleast_2d(real(x))
-        except (TypeError, ValueError):
-            given = np.empty((0, 0))
-        if given.ndim != 2 or not given.size or given.shape[1] != d or not np.isfinite(given).all():
+        if (given := finite(x, (d,), (-1, d))) is None or not given.size:
             raise ModelError(f"places are {x!r:.80}; they need {d} finite coordinates each, (n, {d})")
+        given = np.atleast_2d(given)
         low, high = nodes.min(axis=1), nodes.max(axis=1)
         margin = (high - low).max(axis=1, keepdims=True) * (BULGE if degree > 1 else INSIDE)
         low, high = low - margin, high + margin
