@@ -13,7 +13,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.kinematics import Expr
-from forms.planes import LIFTED, Kinematics
+from forms.planes import Kinematics
 from geometry.domain import Domain
 from geometry.seam import LAYER, S
 from geometry.sheet import Sheet
@@ -52,15 +52,15 @@ class Forces:
 
     Args:
         domain: the domain.
+        kinematics: of the mesh; all measures have their factor.
+        points: makes forms of loads at points and along lines.
         tractions: facet name -> traction on the outer boundary.
         body_force: force per volume in the bodies, or region name -> force.
-        at: coordinates for loads that are functions.
         loads: loads at points and along lines.
-        points: makes forms of these.
-        kinematics: of the mesh; all measures have their factor.
 
     Attributes:
-        at, points: the arguments.
+        points: the argument.
+        at: coordinates for loads that are functions.
         given: description of kind and place -> the load as given.
         loaded: names of the facet sets with tractions.
 
@@ -71,14 +71,13 @@ class Forces:
     def __init__(
         self,
         domain: Domain,
-        tractions: Mapping[str, Load | Pressure] | None,
-        body_force: BodyForce | None,
-        at: Coordinates,
+        kinematics: Kinematics,
+        points: ConcentratedForms,
+        tractions: Mapping[str, Load | Pressure] | None = None,
+        body_force: BodyForce | None = None,
         loads: Sequence[Concentrated] = (),
-        points: ConcentratedForms | None = None,
-        kinematics: Kinematics = LIFTED,
     ) -> None:
-        self.domain, self.at, self.points, self._kinematics = domain, at, points, kinematics
+        self.domain, self.at, self.points, self._kinematics = domain, points.at, points, kinematics
         self.given: dict[str, Any] = {}
         self.loaded: list[str] = []
         self._loads: list[tuple[str, Expr, Weighted, str]] = []  # words, force, its place, the seam if it is a layer's
@@ -105,7 +104,6 @@ class Forces:
             self._add(f"body force in {name!r}", load, dx(domain.cell_values(name)))
         for one in loads:
             self.given[f"{one.what}, {len(self.given)}"] = one
-            assert points is not None
             for density, measure in points.terms(one):  # whole forces: their measures have no factor
                 self.add_weighted("", one.what, density, Weighted(measure, 1))
         self._everywhere = dx

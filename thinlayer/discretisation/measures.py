@@ -32,6 +32,11 @@ from thinlayer.pointwise.quadrature import Origin, Quadrature
 from thinlayer.system.agreement import on_all
 
 Array = npt.NDArray[np.float64]
+TAGS = {
+    "dx": "model.domain.cell_values(name)",
+    "ds": "model.domain.values(name)",
+    "dS": "dS(k + 1) is the k-th of joint.seams",
+}
 SHORT = {"cell": "dx", "exterior_facet": "ds", "interior_facet": "dS"}
 
 
@@ -76,10 +81,9 @@ def whole(form: Any, model: Any, what: str = "a form") -> ufl.Form:
         )
         missing = [str(tag) for tag in asked if tag not in set[Any]().union(*present)]
         if missing:
-            names = "dS(k + 1) is the k-th of joint.seams" if kind == "interior_facet" else "model.domain.values(name)"
-            names = "model.domain.cell_values(name)" if kind == "cell" else names
+            where = f"{name}({', '.join(missing)})"
             raise ModelError(
-                f"{what} integrates over {name}({', '.join(missing)}), which is nothing here; tags: {names}"
+                f"{what} integrates over {where}, which is nothing here; tags: {TAGS.get(name, TAGS['ds'])}"
             )
     factor = model.kinematics.factor
     return ufl.Form([part.reconstruct(integrand=factor * part.integrand()) for part in form.integrals()])

@@ -60,11 +60,9 @@ def at_cuts(domain: Domain, V: fem.FunctionSpace, layers: Mapping[str, SeamLayer
     moved.interpolate(shift(domain))
     before = x - moved.x.array.reshape(x.shape)
     at_cut = _owned(domain, V, CUT)
+    known = domain.joint.facets
     faces = [
-        [
-            _owned(domain, V, next(n for n in (f"{name}/{face}", face, BASE) if n in domain.joint.facets))
-            for name in layers
-        ]
+        [_owned(domain, V, next(n for n in (f"{name}/{face}", face, BASE) if n in known)) for name in layers]
         for face in (LOWER_FACE, UPPER_FACE)
     ]
     rows = np.setdiff1d(at_cut, np.concatenate([nodes for face in faces for nodes in face]))
@@ -95,10 +93,9 @@ def at_cuts(domain: Domain, V: fem.FunctionSpace, layers: Mapping[str, SeamLayer
     return Followers((rows[:, None] * d + every).ravel(), of, shares)
 
 
-def _owned(domain: Domain, V: fem.FunctionSpace, *names: str) -> npt.NDArray[np.int64]:
-    """Nodes of this rank on the facets of some names, by their local numbers. Collective."""
-    facets = np.unique(np.concatenate([domain.facets(name) for name in names]))
-    found = fem.locate_dofs_topological(V, V.mesh.topology.dim - 1, facets)
+def _owned(domain: Domain, V: fem.FunctionSpace, name: str) -> npt.NDArray[np.int64]:
+    """Nodes of this rank on the facets of a name, by their local numbers. Collective."""
+    found = fem.locate_dofs_topological(V, V.mesh.topology.dim - 1, domain.facets(name))
     return np.unique(found[found < V.dofmap.index_map.size_local]).astype(np.int64)
 
 
@@ -114,6 +111,7 @@ class MixedModel(FullModel):
     """
 
     name = "mixed"
+    meshed: BoolArray
 
     def __init__(self, structure: Setup, layer: Layers, where: Where, *, bodies: str, cells_through: int) -> None:
         with on_all(structure.comm):
@@ -130,7 +128,6 @@ class MixedModel(FullModel):
 
     def with_layer(self, layer: Layers) -> Self:
         """As in other models. Collective."""
-        assert self.meshed is not None
         with on_all(self.comm):
             _require(self.structure, layer, self.meshed, self._bodies)
         new = super().with_layer(layer)
@@ -146,7 +143,6 @@ class MixedModel(FullModel):
     def law_elsewhere(self) -> tuple[Model, list[forms.Term]] | None:
         """The terms of the interface laws on the facets without cells, and the interface model. Collective."""
         model = self.by_law
-        assert self.meshed is not None
         if self.meshed.all():
             return None
         terms = []
@@ -181,7 +177,6 @@ class MixedModel(FullModel):
     def _without_cells(self, name: str) -> ufl.Measure:
         """The measure of the interface model over the facets of a seam without cells; its part 1. Collective."""
         domain, joint = self.by_law.domain, self.joint
-        assert self.meshed is not None
         mesh, below = domain.mesh, joint.surface_cells[:, 0]
         count = len(joint.cells)
         pairs = joint.surface_cells[~self.meshed] @ [1, count]

@@ -215,8 +215,8 @@ class Model(ABC):
     def _forces(self, structure: Setup) -> Forces:
         at = self.coordinates.apart
         points = ConcentratedForms(self.domain, self.joint, structure.degree, at)
-        given = structure.tractions, structure.body_force, at, structure.loads
-        forces = Forces(self.domain, *given, points, self.kinematics)
+        given = structure.tractions, structure.body_force, structure.loads
+        forces = Forces(self.domain, self.kinematics, points, *given)
         for name, load in loads_of_layers(structure.body_force, self.joint, self.layers, self.bonds).items():
             forces.add_layer(name, load, self._places_of(self.layers[name]), self._coordinates_on(at))
         return forces
@@ -450,11 +450,10 @@ class Model(ABC):
     def by_seam(self, values: Mapping[str, float]) -> dict[str, float]:
         """Sums of values of layers, given by key (`SeamLayer.key`), for each seam; empty if there is one seam only."""
         several = self.layers if len(self.joint.seams) > 1 else {}
-        found = {}
-        for name, one in several.items():
-            keys = {one.key, one.pressure_key}
-            found[name] = sum(value for key, value in values.items() if key.split("/")[0] in keys)
-        return found
+        return {
+            name: sum(value for key, value in values.items() if key.split("/")[0] in (one.key, one.pressure_key))
+            for name, one in several.items()
+        }
 
     def held_in(self, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
         """Degrees of freedom of a space (local, unrolled, ghosts included) on which supports and plates act. Collective.

@@ -117,39 +117,25 @@ class LineLoad:
             refuse_periodic(joint, name, f"line load on {name!r}")
         if len(np.intersect1d(joint.table.index(names[self.first]), joint.table.index(names[self.second]))):
             raise ModelError(f"{self.what}: both have the same facets; a line lies between two sides")
-        kind = basix.CellType[joint.cell_type]
-        edges = np.array(basix.topology(kind)[1])
-        on_both = np.isin(joint.corners, names[self.first]) & np.isin(joint.corners, names[self.second])
-        near = np.flatnonzero(on_both.sum(axis=1) >= 2)
-        numbers = _edge_numbers(joint, near, edges)
-        shared = np.intersect1d(_edges_of(joint, self.first), _edges_of(joint, self.second))
+        kind, numbers = basix.CellType[joint.cell_type], joint.splitting.entities(1)
+        _, edges, facets, _ = basix.topology(kind)
+        inside = np.array([[k for k, edge in enumerate(edges) if {*edge} <= {*facet}] for facet in facets])
+        of_names = []
+        for name in (self.first, self.second):
+            rows = joint.table.index(names[name])
+            cells, local = joint.table.cells[rows, :1], joint.table.local[rows, 0]
+            of_names.append(numbers[cells, inside[local]])
+        shared = np.intersect1d(*of_names)
         if not len(shared):
             raise ModelError(f"{self.what}: they have no edge in common")
         components, chosen = joint.splitting.components(1), []
+        every, columns = np.nonzero(np.isin(numbers, shared))
         for number in shared:
-            rows, columns = np.nonzero(numbers == number)
-            k = _in_one_body(joint, near[rows], components[near[rows], columns], self.body, self.what)
-            chosen.append((near[rows[k]], columns[k]))
+            here = np.flatnonzero(numbers[every, columns] == number)
+            k = here[_in_one_body(joint, every[here], components[every[here], columns[here]], self.body, self.what)]
+            chosen.append((every[k], columns[k]))
         cells, columns = np.array(chosen).T
-        return along_edges(kind, cells, edges[columns])
-
-
-def _edge_numbers(joint: Joint, cells: IntArray, edges: IntArray) -> IntArray:
-    """(n, k) numbers of edges of cells (n,), given by corners (k, 2): the same for the same two vertices."""
-    ends = np.sort(joint.corners[cells][:, edges], axis=2)
-    return np.asarray(ends @ [len(joint.points), 1])
-
-
-def _edges_of(joint: Joint, name: str) -> IntArray:
-    """Numbers of the edges of the facets of a name."""
-    rows = joint.table.index(joint.facets[name])
-    cells, local = joint.table.cells[rows, 0], joint.table.local[rows, 0]
-    topology = basix.topology(basix.CellType[joint.cell_type])
-    found = []
-    for number, corners in enumerate(topology[2]):
-        inside = np.array([edge for edge in topology[1] if set(edge) <= set(corners)])
-        found.append(_edge_numbers(joint, cells[local == number], inside).ravel())
-    return np.concatenate(found)
+        return along_edges(kind, cells, np.array(edges)[columns])
 
 
 def along_edges(

@@ -42,9 +42,8 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.point_loads import ConcentratedForms, Nodes, along_edges
 from thinlayer.errors import Refused, warn
 
-ANTIPLANE = (
-    0.2713773  # 7 zeta(3)/pi^3: mean distance over the thickness of the tractions that balance a load along the end
-)
+# 7 zeta(3)/pi^3: mean distance over the thickness of the tractions that balance a load along the end
+ANTIPLANE = 0.2713773
 
 
 @dataclass(frozen=True)
@@ -93,13 +92,7 @@ class SideLoad:
         return at.given(self.load, self.what, (at.mesh.geometry.dim,)).expression, lambda v: g[0] * v
 
 
-def add_side_loads(
-    forces: Forces,
-    model: Model,
-    one: SeamLayer,
-    sides: Interface,
-    to_base: Expr | None,
-) -> None:
+def add_side_loads(forces: Forces, model: Model, one: SeamLayer, sides: Interface, to_base: Expr | None) -> None:
     """Add the tractions on the side of a layer of order 1 to the forces of an interface model.
 
     Args:
@@ -197,11 +190,10 @@ def _handed(shares: Expr, m: Expr, sides: Interface, based: bool) -> Weighted:
 
 # ---------------------------------------------------------------- other ends
 def _halves(
-    load: SideLoad, model: Model, one: SeamLayer, points: ConcentratedForms | None, to_base: Expr | None
+    load: SideLoad, model: Model, one: SeamLayer, points: ConcentratedForms, to_base: Expr | None
 ) -> Iterator[tuple[Expr, Weighted]]:
     """The load as forces on the rims of both faces, half of it on each; a rigid base takes its half by itself."""
     assert one.thin
-    assert points is not None
     joint, based = model.domain.joint, one.name in model.joint.base_seams
     below, above = joint.surface_cells[one.sheet.parts[0][load.rim.simplex]].T
     faces = [_ridges(joint, cells, load.rim.vertices) for cells in (above, above if based else below)]
@@ -223,10 +215,8 @@ def _halves(
 
 def _ridges(joint: Joint, cells: IntArray, vertices: IntArray) -> Nodes:
     """Ridges of S, given by vertices (n, d - 1), in cells (n,): the vertices in 2D, edges in 3D with two Gauss points."""
-    kind, corner = (
-        basix.CellType[joint.cell_type],
-        (joint.corners[cells][:, None] == vertices[..., None]).argmax(axis=2),
-    )
+    kind = basix.CellType[joint.cell_type]
+    corner = (joint.corners[cells][:, None] == vertices[..., None]).argmax(axis=2)
     if joint.dim == 3:
         return along_edges(kind, cells, corner, 2)
     return Nodes(cells, np.asarray(basix.geometry(kind))[corner])
