@@ -278,5 +278,5 @@ def test_places_are_names_or_points():
         model(tractions={(1.0, 0.5): (1.0, 0.0)})
     refused(ModelError, r"tractions is .*must be \{facet name: traction\}", lambda: model(tractions=[(1.0, 0.0)]))
     for place in (5, None, (1.0,), (1.0, "a"), (True, 0.0)):
-        with pytest.raises(ModelError, match="a place is the name of a facet set, or the 2 coordinates of a vertex"):
+        with pytest.raises(ModelError, match="a place is the name of a facet set, or 2 coordinates of a vertex"):
             model(supports=SIDES | {place: 0.0})

@@ -14,7 +14,7 @@ from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place
 from geometry.seam import LAYER, S
-from geometry.topology import connected, sums
+from geometry.topology import IntArray, connected, sums
 from thinlayer.errors import ModelError
 from thinlayer.system.compat import interpolation_points
 from thinlayer.system.exchange import send
@@ -109,9 +109,7 @@ def refuse_periodic(joint: Joint, name: str, what: str) -> None:
         )
 
 
-def node_normals(
-    domain: Domain, V: fem.FunctionSpace, facets: npt.NDArray[np.int32]
-) -> tuple[npt.NDArray[np.int64], Array]:
+def node_normals(domain: Domain, V: fem.FunctionSpace, facets: npt.NDArray[np.int32]) -> tuple[IntArray, Array]:
     """Outer normals of facets at their nodes, with weights whose sum at a vertex on a circle or sphere is along its normal.
 
     The weight is sin(angle)/(product of lengths) of the facet's edges at a vertex (Max 1999, Weights for computing vertex
@@ -163,9 +161,7 @@ def _weights(x: Array, k: int) -> Array:
     return np.asarray(area / squares.prod(axis=1))
 
 
-def _at_owners(
-    domain: Domain, V: fem.FunctionSpace, blocks: npt.NDArray[np.int64], rows: Array
-) -> tuple[npt.NDArray[np.int64], Array]:
+def _at_owners(domain: Domain, V: fem.FunctionSpace, blocks: IntArray, rows: Array) -> tuple[IntArray, Array]:
     """Rows of local blocks on the ranks that own the blocks. Collective."""
     imap = V.dofmap.index_map
     owners = np.concatenate([np.full(imap.size_local, domain.comm.rank), imap.owners])[blocks]
@@ -174,7 +170,7 @@ def _at_owners(
     return received[:, 0].astype(np.int64) - imap.local_range[0], received[:, 1:]
 
 
-def smooth(normals: Array) -> tuple[npt.NDArray[np.int64], Array]:
+def smooth(normals: Array) -> tuple[IntArray, Array]:
     """Which facet normals (n, d) at a node belong to one smooth surface, and the unit normals (k, d) of these surfaces.
 
     Facets whose normals differ by less than CORNER are one surface with their mean normal; others meet in a corner.

@@ -96,7 +96,7 @@ class BrokenMesh:
                 raise ModelError(f"S: no facet has the tag {tag}; there are {self._known()}")
             if outer not in (0, total):
                 raise ModelError(
-                    f"S: {outer} of the {total} facets with tag {tag} lie on the boundary; allowed: all or none"
+                    f"S: {outer} of the {total} facets with tag {tag} lie on the boundary; all or none may"
                 )
             if outer:
                 self._bases.add(tag)
@@ -155,9 +155,7 @@ class BrokenMesh:
             ModelError: order 1 of a law that would lock.
         """
         if not isinstance(layer, ThinLayer | TractionLaw):
-            raise LawError(
-                f"the layer is {layer!r}; allowed: a ThinLayer or TractionLaw; a ContactLaw is for ContactPart"
-            )
+            raise LawError(f"the layer is {layer!r}; allowed: ThinLayer, TractionLaw; a ContactLaw is for ContactPart")
         law, thin = real_law(layer, self.kinematics), layer if isinstance(layer, ThinLayer) else None
         if law.traits.constrained:
             raise LawError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")
@@ -280,9 +278,7 @@ class BrokenMesh:
         number = to_facets.array[to_facets.offsets[pairs[:, 0]] + pairs[:, 1]]
         apart = self._body[pairs[:, 0]] != self._body[pairs[:, 2]]
         cut = np.isin(number, cuts)
-        self._refuse(
-            number[apart & ~cut], "where two bodies meet are not in S: tag them, or give both bodies one value"
-        )
+        self._refuse(number[apart & ~cut], "where two bodies meet are not in S: tag them, or give both one value")
         self._refuse(number[cut & ~apart], "of S lie inside a body: give the bodies on its two sides different values")
 
     def _refuse(self, facets: Facets, what: str) -> None:

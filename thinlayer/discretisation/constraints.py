@@ -150,7 +150,7 @@ class Constraints:
         names = [key for key, rows in of.items() if (rows & both).any()]
         if several := [one for one in self.comm.allgather(names) if one]:
             raise ModelError(
-                f"{' and '.join(several[0])} have a node in common: their motions would depend on each other"
+                f"{' and '.join(several[0])} have a node in common: their motions would not be independent"
             )
 
     def _slots_of(self, tie: Tied) -> Numbers:
@@ -212,9 +212,8 @@ class Constraints:
             on_y.destroy()
         self._motions = [(one, k, value) for one in self.ties for k, value in one.motion.items() if self.comm.rank == 0]
         columns = [self.slots[one.key][k] for one, k, _ in self._motions]
-        more = scipy.sparse.csr_matrix(
-            (np.ones(len(columns)), (np.arange(len(columns)), columns)), (len(columns), found.shape[1])
-        )
+        k = len(columns)
+        more = scipy.sparse.csr_matrix((np.ones(k), (np.arange(k), columns)), (k, total))
         found = scipy.sparse.vstack([found, more], format="csr")
         found.data[np.abs(found.data) < ZERO] = 0.0
         found.eliminate_zeros()
@@ -317,9 +316,8 @@ class Constraints:
     def _contradiction(self, row: int, c: Array) -> str:
         """Words for a condition that does not agree with those that share its unknowns."""
         columns = self._rows.indices[self._rows.indptr[row] : self._rows.indptr[row + 1]]
-        touched = np.unique(
-            np.repeat(np.arange(len(c)), np.diff(self._rows.indptr))[np.isin(self._rows.indices, columns)]
-        )
+        of_entries = np.arange(len(c)).repeat(np.diff(self._rows.indptr))
+        touched = np.unique(of_entries[np.isin(self._rows.indices, columns)])
         of_supports = touched[touched < len(self.prescribed.entry)]
         where = self.prescribed.place_of(int(of_supports[0])) if len(of_supports) else None
         place = f" at {at_place(where)}" if where is not None else ""

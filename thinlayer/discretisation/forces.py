@@ -169,12 +169,9 @@ class Forces:
         """
         band = self.domain.joint.band
         whole, _, region = name.partition("/")
-        if (
-            band is None
-            or band.bodies == "kept"
-            or region == LAYER
-            or f"{whole}/{LAYER}" not in self.domain.facet_values
-        ):
+        if band is None or band.bodies == "kept" or region == LAYER:
+            return 0.0
+        if f"{whole}/{LAYER}" not in self.domain.facet_values:
             return 0.0
         joint = band.base
         facets = joint.facets[whole]

@@ -29,7 +29,7 @@ class FullModel(Model):
     name = "full"
 
     def __init__(
-        self, structure: Setup, layer: Layers, *, bodies: str, cells_through: int, junctions: str | None = None
+        self, structure: Setup, layer: Layers, *, bodies: str, cells_through: int, junctions: str | None
     ) -> None:
         self._bodies, self._cells_through, self._junctions = bodies, cells_through, junctions
         chosen = {} if junctions is None else {"junctions": junctions}

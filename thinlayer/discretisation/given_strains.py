@@ -87,9 +87,7 @@ class MeanStress(MeanStrain):
         d = joint.dim
         assert joint.periods is not None
         if np.linalg.matrix_rank(joint.periods.vectors(joint.points)) < d:
-            raise ModelError(
-                f"a mean stress needs a joint that is periodic in {d} directions; load free sides by tractions"
-            )
+            raise ModelError(f"a mean stress needs a joint periodic in {d} directions; load free sides by tractions")
         for p in bodies:
             if not p.proportional:
                 raise ModelError(
@@ -160,9 +158,7 @@ def require_symmetric(rows: Rows, what: str) -> None:
             both = isinstance(a, float) and isinstance(b, float)
             same = abs(a - b) <= SYMMETRY * max(numbers) if both else ufl.as_ufl(a) == ufl.as_ufl(b)
             if not same:
-                raise ModelError(
-                    f"{what} is not symmetric: its components {i + 1}{j + 1} and {j + 1}{i + 1} are {a}, {b}"
-                )
+                raise ModelError(f"{what} is not symmetric: components {i + 1}{j + 1} and {j + 1}{i + 1} are {a}, {b}")
 
 
 class Eigenstrain(ABC):

@@ -252,7 +252,7 @@ def apart(joint: Joint, layers: Mapping[str, SeamLayer]) -> Joint:
     """
     if joint.seams_meet:
         raise ModelError(
-            "bodies='extended' of an interface model needs seams that do not meet or branch: S has no middle there"
+            "bodies='extended' of an interface model: seams meet or branch, where S has no middle; use bodies='kept'"
         )
     thin = {name: one.thin for name, one in layers.items() if one.thin}
     for name in joint.seams:

@@ -82,7 +82,7 @@ class ThinLayer:
     def __post_init__(self) -> None:
         if isinstance(self.law, LawOnS):
             raise LawError(
-                f"{type(self.law).__name__} is a law on S and has no thickness: give it alone, structure.interface(law)"
+                f"{type(self.law).__name__} is a law on S without a thickness: give it alone, structure.interface(law)"
             )
         if not isinstance(self.law, BulkLaw):
             raise LawError(f"the layer's law is {self.law!r}; it must be a law of strains, such as forms.LinearElastic")
@@ -205,20 +205,15 @@ class AtRest:
     """
 
     def __init__(self, law: BulkLaw, n: Array) -> None:
-        self.law, self.n = law, n
+        self.law, self.n, self._over = law, n, dict[float, list[Array | None]]()
         self.sublayers = [(share, one, known_at_rest(one, n)) for share, one in law.sublayers]
 
     def over(self, dt: float) -> list[Array | None]:
         """Tangents of the sublayers under loads that have lasted dt > 0; None: it is not known, or that at rest."""
         if dt not in self._over:
-            self._over[dt] = [
-                tangent_over(law, self.n, dt) if law.traits.compiled else None for _, law, _ in self.sublayers
-            ]
+            laws = [law for _, law, _ in self.sublayers]
+            self._over[dt] = [tangent_over(law, self.n, dt) if law.traits.compiled else None for law in laws]
         return self._over[dt]
-
-    @cached_property
-    def _over(self) -> dict[float, list[Array | None]]:
-        return {}
 
     def through(self, y: Array) -> tuple[Array, Array]:
         """Phi_N and Phi_T at heights -1/2 <= y <= 1/2: displacements <u> + Phi [u] of sublayers in series.
@@ -249,9 +244,8 @@ class AtRest:
             lmbda, mu = (0.0, 1.0) if C is None else average_lame(C)
             if lmbda > largest * mu:
                 ratios = [f"{x:.4g} (nu = {x / (x + 1) / 2:.4f})" for x in (lmbda / mu, largest)]
-                reason = (
-                    f"order=1 of {type(law).__name__} with lmbda/mu = {ratios[0]} at rest locks; allowed: {ratios[1]}"
-                )
+                kind = type(law).__name__
+                reason = f"order=1 of {kind} with lmbda/mu = {ratios[0]} at rest locks; allowed: {ratios[1]}"
                 elastic = not (law.traits.remembers or law.traits.rate)
                 rubber = ", or Rubber or LinearElastic if it is isotropic" if elastic else ""
                 return Refused("locks", reason, f"use order=0, or mesh the layer (structure.full){rubber}")
@@ -378,7 +372,7 @@ def loads_of_layers(given: Any, joint: Joint, layers: Mapping[str, SeamLayer], b
             layer = layers.get(seam)
             if layer is None or not layer.thin:
                 raise ModelError(
-                    f"body force in the layer {seam!r}: it is no layer with a thickness; its weight is not known"
+                    f"body force in the layer {seam!r}: it has no layer with a thickness: its weight is not known"
                 )
             found[seam] = load
     return found

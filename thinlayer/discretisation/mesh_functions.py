@@ -95,7 +95,7 @@ def sampled(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Function:
     missing = communicator(mesh).allgather(places[np.isnan(values).any(axis=1)][:1])
     if any(map(len, missing)):
         raise ModelError(
-            f"{what}: a function is not known at {place(np.concatenate(missing)[0])}; its mesh must cover all"
+            f"{what}: a function is unknown at {place(np.concatenate(missing)[0])}; its mesh must cover all"
         )
     own.x.array.reshape(values.shape)[np.asarray(own.function_space.dofmap.list).ravel()] = values
     return own

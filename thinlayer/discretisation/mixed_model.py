@@ -75,9 +75,7 @@ def at_cuts(domain: Domain, V: fem.FunctionSpace, layers: Mapping[str, SeamLayer
         distance, at = cKDTree(everywhere[:, :d]).query(before[rows])
         with on_all(domain.comm):
             if (distance > SAME_PLACE * size).any():
-                raise ModelError(
-                    f"a node at a cut has none of a face above or below it, {place(x[rows][distance.argmax()])}"
-                )
+                raise ModelError(f"a node at a cut has no face above or below it, {place(x[rows][distance.argmax()])}")
         ends.append(everywhere[at, d:])
     apart, nodes = ends[1][:, :d] - ends[0][:, :d], [end[:, d].astype(np.int64) for end in ends]
     across = np.linalg.norm(apart, axis=1)
@@ -158,9 +156,7 @@ class MixedModel(FullModel):
         """
         model, joint = self.by_law, self.joint
         sides = model.sides_of(one.name)
-        if (
-            model.domain.joint.parted is not None or one.name in joint.base_seams
-        ):  # sides that know their fibres; upright
+        if model.domain.joint.parted is not None or one.name in joint.base_seams:  # these know their fibres; upright
             return sides
         inflated, count = self.domain.joint, len(joint.cells)
         moved = (inflated.points - inflated.reference)[inflated.cells[:count]].mean(axis=1)
@@ -184,9 +180,8 @@ class MixedModel(FullModel):
             facets = np.sort(domain.facets(name))
             facets = facets[facets < mesh.topology.index_map(joint.dim - 1).size_local]
             found = exterior_facet_entities(mesh, facets)
-            chosen = found[
-                np.isin(domain.original_cells[found[:, 0]], joint.surface_cells[~self.meshed & (below < 0), 1])
-            ]
+            based = joint.surface_cells[~self.meshed & (below < 0), 1]
+            chosen = found[np.isin(domain.original_cells[found[:, 0]], based)]
             return ufl.Measure("ds", domain=mesh, subdomain_data=[(1, np.ascontiguousarray(chosen).ravel())])
         found = seam_entities(domain, name)
         chosen = found[np.isin(domain.original_cells[found[:, [2, 0]]] @ [1, count], pairs)]

@@ -200,10 +200,8 @@ class Model(ABC):
             some = {f"{BODY} {name}": (name,) for name in names}
         cells = {key: self.dx(self.domain.cell_values(*here), **self._rule(self.dx)) for key, here in some.items()}
         volume = self._volume(law)
-        each = [
-            replace(forms.body(law, one, self.kinematics, volume), key=key, given=given) for key, one in cells.items()
-        ]
-        return [placed(term, self.V, self.origin) for term in each]
+        each = {key: forms.body(law, one, self.kinematics, volume) for key, one in cells.items()}
+        return [placed(replace(term, key=key, given=given), self.V, self.origin) for key, term in each.items()]
 
     def _terms_of_layers(self) -> list[forms.Term]:
         return [placed(term, self.V, self.origin) for term in self._layer_terms()]
@@ -294,7 +292,7 @@ class Model(ABC):
                 new.require("mean strain")
             if new.stress and not new.broken:
                 raise ModelError(
-                    "with_layer: under a mean stress a meshed layer is a part of the cell; build the model anew"
+                    "with_layer: under a mean stress a meshed layer is a part of the cell; build a new model"
                 )
         if new.constraints.ties:  # the thickness is an arm of plates
             new.constraints = new._constrained()
@@ -347,13 +345,10 @@ class Model(ABC):
             if supports is not None:
                 new.supports = self._supports(supports)
                 new.supports.anchored = self.supports.anchored
-                places = [
-                    [(place, sorted(given)) for place, given in one.entries] for one in (self.supports, new.supports)
-                ]
-                if places[0] != places[1]:
-                    raise ModelError(
-                        f"supports hold {places[1]}, those of the model {places[0]}; build another structure"
-                    )
+                both = self.supports, new.supports
+                own, other = ([(place, sorted(given)) for place, given in one.entries] for one in both)
+                if own != other:
+                    raise ModelError(f"supports hold {other}, those of the model {own}; build another structure")
             new.forces = new._forces(structure)
         if supports is not None:
             new.constraints = new._constrained()

@@ -138,9 +138,7 @@ class LineLoad:
         return along_edges(kind, cells, np.array(edges)[columns])
 
 
-def along_edges(
-    kind: basix.CellType, cells: npt.NDArray[np.int64], ends: npt.NDArray[np.int64], count: int = EDGE_POINTS
-) -> Nodes:
+def along_edges(kind: basix.CellType, cells: IntArray, ends: IntArray, count: int = EDGE_POINTS) -> Nodes:
     """Gauss points on edges of cells (n,) between these corners (n, 2)."""
     s, w = basix.make_quadrature(basix.CellType.interval, 2 * count - 1)
     X = np.asarray(basix.geometry(kind))[ends]  # (n, 2, d)
@@ -148,9 +146,7 @@ def along_edges(
     return Nodes(cells, points, w[None, :, None] * (X[:, None, 1] - X[:, None, 0]))
 
 
-def _in_one_body(
-    joint: Joint, cells: npt.NDArray[np.int64], components: npt.NDArray[np.int64], body: str | None, what: str
-) -> int:
+def _in_one_body(joint: Joint, cells: IntArray, components: IntArray, body: str | None, what: str) -> int:
     """The first of the cells around a place that are of one body; raises ModelError if the place has several nodes."""
     regions = joint.region[cells]
     if body is not None:
@@ -211,10 +207,10 @@ class ConcentratedForms:
     def terms(self, load: Concentrated) -> list[tuple[Expr, ufl.Measure]]:
         """Pairs of a load per volume (d,) and a measure. Collective."""
         nodes, d = load.nodes(self.joint), self.joint.dim
-        along = nodes.in_space(self.joint, self.domain.joint.cell_points)[1]
-        lengths = (
-            np.ones((*along.shape[:2], 1)) if nodes.along is None else np.linalg.norm(along, axis=2, keepdims=True)
-        )
+        lengths = np.ones((*nodes.points.shape[:2], 1))
+        if nodes.along is not None:
+            along = nodes.in_space(self.joint, self.domain.joint.cell_points)[1]
+            lengths = np.linalg.norm(along, axis=2, keepdims=True)
         given = self.at.given(load.force, load.what, (d,))
         return [
             (at.given(load.force, load.what, (d,)).expression * g[0], measure)

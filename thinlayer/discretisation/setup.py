@@ -147,9 +147,8 @@ class Setup:
                 f"plane={self.plane!r}: a mean strain or stress is for periodic cells in plane strain, plane stress or 3D"
             )
         if self.element not in elements:
-            raise ModelError(
-                f"element {self.element!r} does not exist on {joint.cell_type} cells; allowed: {', '.join(elements)}"
-            )
+            cells = f"{joint.cell_type} cells; allowed: {', '.join(elements)}"
+            raise ModelError(f"element {self.element!r} does not exist on {cells}")
 
     def _laws_of(self, body: BulkLaw | Mapping[str, BulkLaw]) -> dict[str, BulkLaw]:
         """The law of each body, in the same order on all ranks."""

@@ -100,13 +100,13 @@ class Supports:
         d = len(self.axes)
         if not isinstance(place, tuple) or len(place) != d or not all(is_number(c) for c in place):
             raise ModelError(
-                f"support on {place!r}; a place is the name of a facet set, or the {d} coordinates of a vertex"
+                f"support on {place!r}; a place is the name of a facet set, or {d} coordinates of a vertex"
             )
 
     def _components(self, place: Place, support: Support) -> Components:
         if callable(support) or support is None:
             raise ModelError(
-                f"support on {place!r} is {support!r}; allowed: a number, or {{component: number or function}}"
+                f"support on {place!r} is {support!r}; allowed: a number, {{component: number or function}}"
             )
         given = support if isinstance(support, Mapping) else dict.fromkeys(self.axes, support)
         components: Components = dict(given)
@@ -277,15 +277,12 @@ class Prescribed:
         fast = np.zeros(self.size, bool)
         fast[dof[clamped]] = True
         kept = clamped | ~((np.abs(directions) > 0) & fast.reshape(-1, d)[dof // d]).any(axis=1)
-        self.entry, self._source_of, self._dof, self.directions = (
-            array[kept] for array in (entry, source, dof, directions)
-        )
+        self.entry, self._source_of = entry[kept], source[kept]
+        self._dof, self.directions = dof[kept], directions[kept]
         self.blocks = self._dof // d
         column = (self.blocks[:, None] * d + np.arange(d)).ravel()
-        begins = np.arange(0, len(column) + 1, d)
-        self.conditions = scipy.sparse.csr_matrix(
-            (self.directions.flatten(), column, begins), (len(self.entry), self.size)
-        )
+        rows = self.directions.flatten(), column, np.arange(0, len(column) + 1, d)
+        self.conditions = scipy.sparse.csr_matrix(rows, (len(self.entry), self.size))
         self.conditions.eliminate_zeros()
 
     def _normal_conditions(self) -> tuple[Numbers, Numbers, Array]:

@@ -120,9 +120,8 @@ def command_line() -> argparse.ArgumentParser:
         one.add_argument("--resume", action="store_true", help="continue a run that was killed, with the same options")
     what = "tell by how much the answer changes if the mesh of a layer is dropped"
     estimate = _add(commands, "estimate", _estimate, f"{what}; thinlayer/guide/estimate.md has the keys", help=what)
-    estimate.add_argument(
-        "description", type=Path, metavar="DESCRIPTION", help="a file in TOML, which names a mesh file"
-    )
+    file = "a file in TOML, which names a mesh file"
+    estimate.add_argument("description", type=Path, metavar="DESCRIPTION", help=file)
     keys = "a key of the description anew, as layer.E=2e3 or 'tractions.RIGHT=[60, 0]'; may be repeated"
     estimate.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=keys)
     return parser
@@ -130,10 +129,8 @@ def command_line() -> argparse.ArgumentParser:
 
 def _add(commands: Any, name: str, work: Callable[..., int], what: str, **more: str) -> argparse.ArgumentParser:
     """The parser of a command that has a folder; --h does not print its help."""
-    about = f"{what} PETSc options start with {PETSC_PREFIX}, as {PETSC_PREFIX}ksp_type cg."
-    one: argparse.ArgumentParser = commands.add_parser(
-        name, allow_abbrev=False, description=about, epilog=STATUSES, **more
-    )
+    more["description"] = f"{what} PETSc options start with {PETSC_PREFIX}, as {PETSC_PREFIX}ksp_type cg."
+    one: argparse.ArgumentParser = commands.add_parser(name, allow_abbrev=False, epilog=STATUSES, **more)
     verbose = "show the attempts of solves; twice: their steps as well"
     one.add_argument("-v", "--verbose", action="count", default=0, help=verbose)
     where = "folder of tables and pictures (default: out/STUDY, out/estimate/NAME)"

@@ -118,7 +118,7 @@ class Record:
                 self._previous = moved_away(self.out, self._earlier())
         elif tables := sorted(path.name for path in self.out.glob("*.csv")):
             raise ModelError(
-                f"{self.out} has tables ({', '.join(tables)}) and no run.json; give another --out, or remove them"
+                f"{self.out} has tables ({', '.join(tables)}) and no run.json; give another --out, or remove these"
             )
 
     def __exit__(self, _: type[BaseException] | None, error: BaseException | None, __: TracebackType | None) -> None:

@@ -108,9 +108,8 @@ class Segments:
         s = np.cumsum([0.0, *self.lengths[segments]])
         s = np.stack([s[:-1], s[1:]], axis=1).ravel()
         sides = np.stack([turned, ~turned], axis=1).astype(int)[..., None]
-        x, values = (
-            np.take_along_axis(one[segments], sides, axis=1).reshape(len(s), -1) for one in (self.x, self.values)
-        )
+        both = self.x[segments], self.values[segments]
+        x, values = (np.take_along_axis(one, sides, axis=1).reshape(len(s), -1) for one in both)
         largest = np.abs(self.values).max(initial=0.0)
         jumps = np.abs(np.diff(values, axis=0, prepend=np.nan)).max(axis=1) > SAME * largest
         kept = jumps | (np.diff(s, prepend=-np.inf) > SAME * size)
@@ -193,7 +192,5 @@ def _crossed(ring: IntArray, x: Array, values: Array, height: Array, above: npt.
 def _plane(plane: object) -> tuple[Array, Array]:
     """Point and unit normal of a plane; raises ModelError."""
     if (both := finite(plane, (2, 3))) is None or not both[1].any():
-        raise ModelError(
-            f"plane is {plane!r}; it needs (point, normal), three finite numbers each, the normal not zero"
-        )
+        raise ModelError(f"plane is {plane!r}; it needs (point, normal), three finite numbers each, not all zero")
     return both[0], both[1] / np.linalg.norm(both[1])

@@ -71,10 +71,8 @@ class Located:
         """The cells of a joint, inflated or not, that contain places; raises ModelError as `of`, or if some are in none."""
         located = cls.of(joint.cell_type, joint.cell_points, x)
         if len(missing := located.missing):
-            first = place(located.x[missing[0]])
-            raise ModelError(
-                f"{len(missing)} of {len(located.x)} places are in no cell of the mesh, the first at {first}"
-            )
+            some = f"{len(missing)} of {len(located.x)} places"
+            raise ModelError(f"{some} are in no cell of the mesh, the first at {place(located.x[missing[0]])}")
         return located
 
     def __getitem__(self, rows: IntArray | npt.NDArray[np.bool_]) -> Located:

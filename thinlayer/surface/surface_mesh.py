@@ -175,9 +175,8 @@ class SurfaceMesh:
                 wanted = (at.point * count + cells[at.entity])[cells[at.entity] >= 0]
         without = np.setdiff1d(np.concatenate(on_s), wanted // count)
         if len(without):
-            raise ModelError(
-                f"there is no body on the {side} side of S at {place(located.x[without[0]])}, but a rigid base"
-            )
+            at_place = place(located.x[without[0]])
+            raise ModelError(f"there is no body on the {side} side of S at {at_place}, but a rigid base")
         of_side = np.isin(located.point * count + located.entity, wanted)
         return located[of_side | ~np.isin(located.point, np.concatenate(on_s))]
 
