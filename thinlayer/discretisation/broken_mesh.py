@@ -27,7 +27,7 @@ from thinlayer.discretisation.boundary import ON_AXIS
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.layer import AtRest, ThinLayer, for_terms, real_law
 from thinlayer.discretisation.measures import known_at
-from thinlayer.discretisation.spaces import Keys, broken_space
+from thinlayer.discretisation.mesh_functions import Keys, broken_space
 from thinlayer.errors import ModelError
 from thinlayer.system.agreement import on_all
 from thinlayer.system.compat import interior_facet_entities
@@ -160,21 +160,22 @@ class BrokenMesh:
         if law.traits.constrained:
             raise LawError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")
         law.check_dimension(self._dim)
+        eps, profile, order = (thin.eps, thin.profile, thin.order) if thin else (1.0, None, 0)
         if thin and (thin.edges == "free" or thin.eigenstrain is not None):
             given = "edges='free'" if thin.edges == "free" else "eigenstrain=..."
             raise LawError(f"{given} of a layer on a mesh of one's own is not known here; use it in a Model")
-        if thin and thin.order:
+        if order:
             self._require_no_locking(tag, law)
-        if thin and thin.order and thin.profile is not None:
+        if order and profile is not None:
             raise LawError(
                 "order=1 of a thickness that varies needs bodies at their true places, and those of this mesh meet on S; "
                 "use order=0, or Structure.interface(layer, bodies='extended')"
             )
-        sides, eps = self.interface(tag), fem.Constant(self.mesh, float(thin.eps) if thin else 1.0)
-        if thin and thin.profile is not None:
-            eps = eps * sides.upper(self._relative_thickness(thin.profile))
-        sides = replace(sides, known=partial(self._law_on, tag))
-        terms = surface(law, sides, eps, thin.order if thin else 0)
+        sides = replace(self.interface(tag), known=partial(self._law_on, tag))
+        thickness = fem.Constant(self.mesh, float(eps))
+        if profile is not None:
+            thickness = thickness * sides.upper(self._relative_thickness(profile))
+        terms = surface(law, sides, thickness, order)
         return [replace(term, law=for_terms(term.law, self.mesh)) for term in terms]
 
     def contact_surface(self, tag: int, V: fem.FunctionSpace) -> ContactSurface:
@@ -252,11 +253,9 @@ class BrokenMesh:
     def _bodies(self) -> npt.NDArray[np.int32]:
         """Body of each local cell, ghosts included."""
         imap = self.mesh.topology.index_map(self._dim)
-        tagged, body = la.vector(imap, dtype=np.int32), la.vector(imap, dtype=np.int32)
-        own = self.bodies.indices < imap.size_local
-        tagged.array[self.bodies.indices[own]] = 1
+        body, own = la.vector(imap, dtype=np.int32), self.bodies.indices < imap.size_local
         body.array[self.bodies.indices[own]] = self.bodies.values[own]
-        (lost,) = self._sum(imap.size_local - np.count_nonzero(tagged.array[: imap.size_local]))
+        (lost,) = self._sum(imap.size_local - len(np.unique(self.bodies.indices[own])))
         if lost:
             raise ModelError(f"bodies: {lost} cells have no tag; each cell belongs to a body")
         body.scatter_forward()

@@ -181,12 +181,8 @@ class Forces:
         ends = rim[rim.on(facets)]
         splitting = joint.splitting
         around = splitting.copies[1][cells]
-        sides = [
-            np.isin(around, splitting.copies[1][beside]).any(axis=1)
-            for beside in joint.surface_cells.T
-            if (beside >= 0).all()
-        ]
-        covered = [ends.on(facets[loaded & side]) for side in sides]
+        beside = [splitting.copies[1][side] for side in joint.surface_cells.T if (side >= 0).all()]
+        covered = [ends.on(facets[loaded & np.isin(around, nodes).any(axis=1)]) for nodes in beside]
         if any(some.any() and not some.all() for some in covered):
             warn(
                 "other bodies",
@@ -194,7 +190,7 @@ class Forces:
                 f"it; the load is smaller than the interface model's. Load {whole!r}, or {whole + '/' + LAYER!r} as well",
                 self.domain.comm,
             )
-        return sum(bool(some.all()) for some in covered) / len(sides)
+        return sum(bool(some.all()) for some in covered) / len(covered)
 
     def work(self, v: Expr) -> Expr:
         """Virtual work of the loads, a UFL form linear in v that reads the clock."""

@@ -362,20 +362,14 @@ def loads_of_layers(given: Any, joint: Joint, layers: Mapping[str, SeamLayer], b
     Raises:
         ModelError: a load of a seam without a layer that has a thickness.
     """
-    found: dict[str, Load] = {}
-    for name, load in given.items() if isinstance(given, Mapping) else ():
-        if name not in (S, *joint.seams):
-            continue
-        for seam in joint.seams if name == S else (name,):
-            if seam in bonds:
-                continue
-            layer = layers.get(seam)
-            if layer is None or not layer.thin:
-                raise ModelError(
-                    f"body force in the layer {seam!r}: it has no layer with a thickness: its weight is not known"
-                )
-            found[seam] = load
-    return found
+    named = given if isinstance(given, Mapping) else {}
+    loads = [(seam, named[name]) for name in named for seam in joint.seams if name in (S, seam) and seam not in bonds]
+    for seam, _ in loads:
+        if seam not in layers or not layers[seam].thin:
+            raise ModelError(
+                f"body force in the layer {seam!r}: it has no layer with a thickness: its weight is not known"
+            )
+    return dict(loads)
 
 
 def seam_entities(domain: Domain, name: str) -> npt.NDArray[np.int32]:

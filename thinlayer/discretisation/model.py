@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -41,18 +41,16 @@ from thinlayer.discretisation.layer import (
     on_seams,
 )
 from thinlayer.discretisation.measures import compiled, compiled_terms, origin_of, placed
+from thinlayer.discretisation.mesh_functions import cut_at_faces, vector_space
 from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms, check_loads
 from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.rigid import free_translations, on_centre, require_support, resisted, rigid_motions
 from thinlayer.discretisation.setup import Setup
-from thinlayer.discretisation.spaces import cut_at_faces, vector_space
 from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Supports
 from thinlayer.errors import ModelError, warn
 from thinlayer.pointwise.quadrature import Quadrature, quadrature_degree
 from thinlayer.system.agreement import on_all, require_same
 from thinlayer.system.identity import described, digest
-
-Result = TypeVar("Result")
 
 
 @dataclass
@@ -162,7 +160,7 @@ class Model(ABC):
             require_support(motions, resisted(motions, self.constraints, resistances))
         self.made_from = self._data()
 
-    def _lay(self, layer: Layers, check: Callable[[], Result]) -> Result:
+    def _lay(self, layer: Layers, check: Callable[[], Any]) -> Any:
         """Take the layers of the seams and return the result of a check of them. Collective."""
         structure = self.structure
         with on_all(structure.comm):

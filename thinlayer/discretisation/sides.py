@@ -17,7 +17,7 @@ from geometry.ends import StraightEnd, share_within
 from geometry.joint import Joint
 from geometry.seam import LAYER, S
 from geometry.sheet import Rim, Sheet, continued
-from geometry.topology import FloatArray, ridge_keys
+from geometry.topology import FloatArray, facet_normals, ridge_keys
 from thinlayer.discretisation.addition import Addition
 from thinlayer.discretisation.boundary import AXES, on_axis
 from thinlayer.discretisation.layer import SeamLayer
@@ -70,9 +70,8 @@ def held_directions(one: SeamLayer, of_layer: bool = True) -> FloatArray:
 def _normals(joint: Joint, rim: Rim, name: str) -> FloatArray:
     """(n, d) mean unit normal of the facets of a name at each ridge: that of a layer's side if S ends at right angles."""
     rows, out = joint.facets[name], rim.outward.copy()
-    edges = np.diff(joint.points[rows[:, : joint.dim]], axis=1)
-    normals = edges[:, 0, ::-1] * [1.0, -1.0] if joint.dim == 2 else np.cross(edges[:, 0], edges[:, 1])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    flat = "triangle" if joint.dim == 2 else "tetrahedron"
+    normals = facet_normals(joint.points, rows[:, : joint.dim], flat)[:, 0]
     for k, ridge in enumerate(rim.vertices):
         at = normals[np.isin(rows, ridge).sum(axis=1) == joint.dim - 1]
         mean = (at * np.sign(at @ rim.outward[k])[:, None]).sum(axis=0)
