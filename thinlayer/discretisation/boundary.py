@@ -29,7 +29,7 @@ ALONG_AXES = 1e-12  # a component of a unit normal that counts as rounding
 
 def on_axis(kinematics: Kinematics, joint: Joint) -> npt.NDArray[np.bool_]:
     """(n,) which points of a joint lie on the axis."""
-    return np.asarray(np.abs(kinematics.radius(joint.points)) <= ON_AXIS * np.ptp(joint.points, axis=0).max())
+    return np.asarray(np.abs(kinematics.radius(joint.points)) <= ON_AXIS * joint.size)
 
 
 def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
@@ -47,7 +47,7 @@ def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
             raise ModelError(f"plane={kinematics.name!r}: the seam {name!r} lies on the axis, where it has no area")
     if joint.periods:
         held = np.delete(joint.periods.vectors(joint.points), kinematics.translations(joint.dim), axis=1)
-        if np.abs(held).max(initial=0.0) > ON_AXIS * np.ptp(joint.points, axis=0).max():
+        if np.abs(held).max(initial=0.0) > ON_AXIS * joint.size:
             raise ModelError(f"plane={kinematics.name!r}: a structure repeats along the axis (y) alone")
 
 

@@ -52,9 +52,9 @@ class FullModel(Model):
         first = () if self._junctions is None else (self._junctions,)
         thin = {name: one.thin for name, one in self.layers.items() if one.thin}
         eps = {name: layer.eps for given in (thin, gaps) for name, layer in given.items()}
-        if (thickest := max(eps.values(), default=0.0)) > LARGEST_EPS * self.structure.size:
+        if (thickest := max(eps.values(), default=0.0)) > LARGEST_EPS * self.joint.size:
             raise ModelError(
-                f"the layer's thickness eps is {thickest:g}, the bodies measure {self.structure.size:g}: next to such a "
+                f"the layer's thickness eps is {thickest:g}, the bodies measure {self.joint.size:g}: next to such a "
                 "layer their shape is lost in rounding; is eps in the unit of the mesh?"
             )
         inflated = inflate(

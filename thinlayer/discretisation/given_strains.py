@@ -56,7 +56,7 @@ class MeanStrain:
             raise ModelError(f"{self.what} is for a periodic cell, and this joint is none; see geometry.periodic")
         self._dim, d = joint.dim, joint.dim
         self._given = at.given(given, self.what, (d, d)).once("the whole cell")
-        self.size = float(np.ptp(joint.points, axis=0).max())
+        self.size = joint.size
         if not self._given.varies:
             self.at(0.0)
 

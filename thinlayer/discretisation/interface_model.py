@@ -63,11 +63,14 @@ class InterfaceModel(Model):
 
     def _forces(self, structure: Setup) -> Forces:
         forces = super()._forces(structure)  # raises errors of bad data
-        to_base = 2 * self._middle.to_s if self._middle else None
         for one in self.layers.values():
             if one.thin and one.thin.order == 1:
-                add_side_loads(forces, self, one, self.sides_of(one.name), to_base)
+                add_side_loads(forces, self, one, self.sides_of(one.name), self._at_base)
         return forces
+
+    def _at_base(self, v: Expr) -> Expr:
+        """Motions of a rigid base, from those at the facets of the body above it."""
+        return v + ufl.dot(ufl.grad(v), 2 * self._middle.to_s) if self._middle else v
 
     @property
     def _clamped(self) -> tuple[str, ...]:
@@ -217,10 +220,9 @@ class InterfaceModel(Model):
         sides = self.sides_of(one.name)
         assert one.thin is not None
         eps = self._thickness(one.name, one.thin, sides)
-        to_base = 2 * self._middle.to_s if self._middle else None  # from the facets of the body
 
         def on_base(v: Expr) -> Expr:
-            return sides.upper(v if to_base is None else v + ufl.dot(ufl.grad(v), to_base)) / 2
+            return sides.upper(self._at_base(v)) / 2
 
         def on_either(v: Expr) -> Expr:
             return (sides.upper(v) + sides.lower(v)) / 2

@@ -66,7 +66,7 @@ def at_cuts(domain: Domain, V: fem.FunctionSpace, layers: Mapping[str, SeamLayer
         for face in (LOWER_FACE, UPPER_FACE)
     ]
     rows = np.setdiff1d(at_cut, np.concatenate([nodes for face in faces for nodes in face]))
-    ends, size = [], float(np.ptp(domain.joint.points, axis=0).max())
+    ends, size = [], domain.joint.size
     for face in faces:
         each = [np.intersect1d(at_cut, nodes) for nodes in face]
         own, seam = np.concatenate(each), np.arange(len(each)).repeat([*map(len, each)])

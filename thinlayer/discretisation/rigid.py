@@ -97,7 +97,7 @@ def rigid_motions(V: fem.FunctionSpace, joint: Joint, kinematics: Kinematics = L
 
     In periodic joints a rotation is one only if it does not move one side against the other: about the one period in 3D.
     """
-    d, size, one = joint.dim, np.ptp(joint.points, axis=0).max(), np.eye(count(joint.dim))
+    d, size, one = joint.dim, joint.size, np.eye(count(joint.dim))
     shares = {f"translation {AXES[i]}": one[i] for i in kinematics.translations(d)}
     if joint.periods:
         vectors = joint.periods.vectors(joint.points)
@@ -203,7 +203,7 @@ def centroid(domain: Domain, name: str) -> Array:
     chosen = fem.Constant(mesh, np.zeros(domain.joint.dim + 1))
     sums = per_unit(domain.comm, ufl.dot(chosen, ufl.as_vector([*ufl.SpatialCoordinate(mesh), 1.0])) * ds, chosen)
     found = sums[:-1] / sums[-1]
-    return np.asarray(np.where(np.abs(found) > ROUNDING * np.ptp(domain.joint.points), found, 0.0))
+    return np.asarray(np.where(np.abs(found) > ROUNDING * domain.joint.size, found, 0.0))
 
 
 def applied_to(state: Any, about: Sequence[float] | None) -> Resultant:

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, Self
 
-import numpy as np
 from mpi4py import MPI
 
 from forms.kernel import KernelLaw
@@ -129,11 +128,6 @@ class Setup:
             cells = joint.corners[joint.region == joint.regions.index(name)] if law.fields else joint.corners[:1]
             found += law.samples(joint.points[cells].mean(axis=1).T)
         return found
-
-    @property
-    def size(self) -> float:
-        """Largest extent of the bodies along an axis."""
-        return float(np.ptp(self.joint.points, axis=0).max())
 
     def _check_choices(self) -> None:
         joint, elements = self.joint, ELEMENTS[is_tensor(self.joint.cell_type)]

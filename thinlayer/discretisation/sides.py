@@ -107,7 +107,7 @@ class FacetWeights:
         joint, x = sheet.joint, sheet.joint.points[sheet.vertices]
         facet = np.searchsorted(sheet.facets, sheet.parts[0])
         count, d = len(sheet.facets), joint.dim
-        size, area = float(np.ptp(joint.points, axis=0).max()), np.bincount(facet, sheet.areas, count)
+        size, area = joint.size, np.bincount(facet, sheet.areas, count)
         weights = np.zeros((3, count))
         nearest, m, offset = np.full(count, np.inf), np.zeros((count, d)), np.full(count, FAR * size)
         centre = np.stack([np.bincount(facet, sheet.areas * c, count) / area for c in x.mean(axis=1).T], axis=1)

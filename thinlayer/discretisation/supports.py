@@ -240,7 +240,7 @@ class Prescribed:
         self.supports, self.V, self.comm = supports, V, supports.domain.comm
         self.d = V.dofmap.bs
         self.size = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
-        self.extent = float(np.ptp(supports.domain.joint.points, axis=0).max())
+        self.extent = supports.domain.joint.size
         self._sources = [
             self._source(number, place, axis)
             for number, (place, components) in enumerate(supports.entries)

@@ -106,7 +106,7 @@ def _columns(surface: SurfaceMesh, state: State) -> IntArray:
     joint = surface.joint
     numbers, centres = column_numbers(state.model.domain.joint)
     apart, row = cKDTree(joint.points[surface.corners].mean(axis=1)).query(centres)
-    row = np.where(apart <= NEAR * np.ptp(joint.points, axis=0).max(), row, -1)
+    row = np.where(apart <= NEAR * joint.size, row, -1)
     return np.where(numbers >= 0, row[numbers], -1)
 
 

@@ -128,7 +128,7 @@ def lines_on(joint: Joint, seam: str, rows: IntArray, values: Array, plane: Plan
     """
     of_corners = values.reshape(*values.shape[:2], -1)
     cut = seam_segments(joint, rows, of_corners) if plane is None else cut_segments(joint, rows, of_corners, plane)
-    lines = cut.lines(seam, float(np.ptp(joint.points, axis=0).max()))
+    lines = cut.lines(seam, joint.size)
     return lines if values.ndim == 3 else [replace(one, values=one.values[:, 0]) for one in lines]
 
 
@@ -165,7 +165,7 @@ def cut_segments(joint: Joint, rows: IntArray, values: Array, plane: Plane) -> S
     values = np.take_along_axis(values, column[..., None], axis=1)
     x = joint.points[ring]
     height = (x - point) @ normal
-    height[np.abs(height) <= SAME * np.ptp(joint.points, axis=0).max()] = 0.0
+    height[np.abs(height) <= SAME * joint.size] = 0.0
     for above in (height >= 0, height > 0):  # a plane along facets: those on one side of it are cut, at their edges
         found = _crossed(ring, x, values, height, above)
         if len(found.keys):

@@ -330,7 +330,7 @@ class SurfaceMesh:
         codes = np.take_along_axis(pair_numbers(self.joint)[self.rows], at, axis=1)
         numbers, first, nodes = np.unique(codes, return_index=True, return_inverse=True)
         vertices, nodes = self.joint.masters[self.corners].ravel()[first], nodes.reshape(codes.shape)
-        x, size = self.joint.points[vertices], float(np.ptp(self.joint.points, axis=0).max())
+        x, size = self.joint.points[vertices], self.joint.size
         order = along(x, nodes, size) if self.joint.dim == 2 else by_place(x, size)
         return numbers[order], vertices[order], np.argsort(order)[nodes]
 
