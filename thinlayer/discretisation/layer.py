@@ -258,7 +258,7 @@ class SeamLayer:
     Attributes:
         name: of the seam.
         layer: as given.
-        structure: the data of the bodies, a `Setup`, which imports this module.
+        structure: the data of the bodies, a `Structure`, which imports this module.
     """
 
     def __init__(self, name: str, layer: Layer, structure: Any) -> None:
