@@ -12,6 +12,7 @@ import pytest
 from forms import LinearElastic
 from geometry import sandwich
 from tests.on_ranks import on_ranks
+from tests.refused import refused
 from thinlayer import ModelError, SolveError, Structure, Surface, Table, ThinLayer, ensemble, solve
 
 RUNS = [{"mu": 40.0 + 7 * k, "where": "left" if k % 2 else "right"} for k in range(5)]
@@ -114,8 +115,7 @@ def test_a_run_that_fails_keeps_the_rows_before_it_and_is_repeated(tmp_path):
 
         return run
 
-    with pytest.raises(SolveError, match="no equilibrium"):
-        ensemble(make, CASES, out)
+    refused(SolveError, "no equilibrium", ensemble, make, CASES, out)
     assert Table.load(out)["run"].tolist() == [0, 1]
     kept = ensemble(make, CASES, out, keep_failures=True)
     assert [row["failure"] for row in kept.rows] == [None, None, "no equilibrium", None, None]
@@ -133,8 +133,7 @@ def test_only_the_same_ensemble_is_resumed(tmp_path, monkeypatch):
     with pytest.raises(ModelError, match=r"is the table of other cases \(run 1: E = 2\.5 there"):
         ensemble(scaled, [case | {"E": case["E"] ** 2 / 1.5} for case in CASES], out, resume=True)
     assert ensemble(scaled, CASES, out, resume=True)["scaled"][0] == 4.5
-    with pytest.raises(ModelError, match=r"another ensemble .* or resume='anyway'"):
-        ensemble(doubled, CASES, out, resume=True)
+    refused(ModelError, r"another ensemble .* or resume='anyway'", ensemble, doubled, CASES, out, resume=True)
     assert ensemble(doubled, CASES, out, resume="anyway")["scaled"][0] == 4.5  # no row is left to compute
     assert ensemble(doubled, CASES[:2], out)["double"].tolist() == [3.0, 5.0]  # another one moves it away
     assert (tmp_path / "previous-1" / "t.csv").exists()
@@ -229,5 +228,4 @@ def test_rows_drawn_from_seeds_of_their_cases_are_resumed(tmp_path, generator):
     ],
 )
 def test_bad_input_is_told(change, what):
-    with pytest.raises(ModelError, match=what):
-        ensemble(**{"make": doubled, "cases": CASES} | change)
+    refused(ModelError, what, lambda: ensemble(**{"make": doubled, "cases": CASES} | change))

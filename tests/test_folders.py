@@ -336,8 +336,7 @@ def test_texts_are_read_whatever_the_locale():
 # ---------------------------------------------------------------- damage
 def test_names_of_files_that_cannot_be():
     for run in (lambda out: march(interface(SUDDEN), [0.1], out=out), lambda out: sweep(row, [0.4], out)):
-        with pytest.raises(ModelError, match=r"no files can be written .*null"):
-            run("a\0b")
+        refused(ModelError, r"no files can be written .*null", run, "a\0b")
 
 
 def test_damaged_marches(tmp_path):

@@ -157,8 +157,7 @@ def test_what_is_no_line():
     solid = Surface(uniform(3)[0].interface(LAYER))
     refused(ModelError, "cuts by a plane", lambda: solid.along(solid.x))
     for wrong in ((0, 0, 1), ((0, 0), (1, 0)), ((0, 0, 0), (0, 0, 0)), "z"):
-        with pytest.raises(ModelError, match=r"it needs \(point, normal\)"):
-            solid.along(solid.x, plane=wrong)
+        refused(ModelError, r"it needs \(point, normal\)", solid.along, solid.x, plane=wrong)
     refused(ModelError, "does not cut S", lambda: solid.along(solid.x, plane=((0, 0, 5), (0, 0, 1))))
 
 

@@ -178,8 +178,7 @@ def test_facets_without_cells_leave_the_thickness_empty():
     assert len(opened.facets["LAYER/CUT"]) == 4
     assert "RIGHT/LAYER" not in opened.facets
     for wrong, what in ((np.ones(3, bool), "needs 16 truth values"), (np.zeros(16, bool), "no facet of S gets cells")):
-        with pytest.raises(GeometryError, match=what):
-            inflate(joint, EPS, meshed=wrong)
+        refused(GeometryError, what, inflate, joint, EPS, meshed=wrong)
 
 
 @pytest.mark.parametrize(
@@ -191,5 +190,4 @@ def test_facets_without_cells_leave_the_thickness_empty():
     ],
 )
 def test_what_cannot_be_mixed_is_refused(layer, where, message):
-    with pytest.raises(ModelError, match=message):
-        plane("triangle").mixed(layer, where=where)
+    refused(ModelError, message, lambda: plane("triangle").mixed(layer, where=where))

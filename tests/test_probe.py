@@ -31,8 +31,7 @@ def test_displacements_and_stresses_of_a_linear_field(d, cell, element):
     assert probe.stress(x[0])[0, 1] == pytest.approx(stress[0, 1], rel=1e-8)
     assert probe.displacement(corners, side="lower") == pytest.approx(corners @ strain, rel=1e-8, abs=1e-11)
     assert probe.displacement(corners, side="upper") == pytest.approx(corners @ strain + jump, rel=1e-8, abs=1e-11)
-    with pytest.raises(ModelError, match=r"displacements jump at .*: give side="):
-        probe.displacement(corners)
+    refused(ModelError, r"displacements jump at .*: give side=", probe.displacement, corners)
     if d == 2:
         nu = BODY.lmbda / (2 * (BODY.lmbda + BODY.mu))
         assert probe.stress(x)[:, 2, 2] == pytest.approx(nu * np.trace(stress), rel=1e-9)
@@ -168,8 +167,7 @@ def test_places_that_are_none():
     with pytest.raises(ModelError, match="1 of 1 places are in no cell"):
         probe.displacement([9.0, 9.0])  # near no cell at all
     for wrong in ([1.0, 2.0, 3.0], "x", [[1.0], [2.0]], [np.nan, 1.0], [[1.0, 2.0], [3.0]]):
-        with pytest.raises(ModelError, match="2 finite coordinates each"):
-            probe.displacement(wrong)
+        refused(ModelError, "2 finite coordinates each", probe.displacement, wrong)
     refused(ModelError, "allowed: lower, upper", lambda: probe.displacement([0.3, 0.2], side="top"))
     with pytest.raises(ModelError, match="a side is for places on S of an interface model"):
         Probe(solve(structure.full(ThinLayer(K, EPS, at=1.0)))).displacement([0.3, 0.2], side="upper")

@@ -113,8 +113,7 @@ def test_what_is_refused(path):
         ({"ONE": ("A", "C"), "TWO": None}, "'ONE' does not separate two bodies"),
         ({"ONE": ("A", "D")}, "unknown region 'D'"),
     ):
-        with pytest.raises(GeometryError, match=message):
-            read(path, S=seams)
+        refused(GeometryError, message, read, path, S=seams)
     structure = Structure(read(path, S=STACK), body=BODY, supports={"BOTTOM": 0.0})
     layer = ThinLayer(SOFT, 0.01, at=1.0)
     refused(ModelError, "the seam 'TWO' has no layer", lambda: structure.interface({"ONE": layer}))

@@ -245,8 +245,7 @@ def test_stiffnesses_that_are_refused():
         (lambda x: True, "it needs a finite number"),
     ):
         structure = Structure(joint, body=BODY, supports={}, parts=[Springs("BOTTOM", normal=given, tangential=1.0)])
-        with pytest.raises(ModelError, match=message):
-            structure.bonded()
+        refused(ModelError, message, structure.bonded)
 
 
 # ---------------------------------------------------------------- marches

@@ -100,8 +100,7 @@ def test_what_is_no_surface():
         (None, "Surface needs a model, not None"),
         (state(), "Surface needs a model, not State.*: give the state's model"),
     ):
-        with pytest.raises(ModelError, match=message):
-            Surface(thing)
+        refused(ModelError, message, Surface, thing)
     surface = Surface(model)
     for thing, message in (
         (march(model, [1.0]), r"takes a state, as solve returns it or history\.last is, not History"),
@@ -109,8 +108,7 @@ def test_what_is_no_surface():
         (replace(state(), model=other), "another joint than the surface"),
     ):
         for field in (surface.jump, surface.traction, surface.displacements):
-            with pytest.raises(ModelError, match=message):
-                field(thing)
+            refused(ModelError, message, field, thing)
 
 
 def test_all_models_of_a_joint_have_one_surface():
