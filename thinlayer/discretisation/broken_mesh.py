@@ -24,7 +24,7 @@ from forms.work import Term, surface
 from geometry.joint import Profile
 from geometry.refusals import unknown
 from thinlayer.discretisation.boundary import ON_AXIS
-from thinlayer.discretisation.contact_nodes import ContactSurface
+from thinlayer.discretisation.contact_nodes import ContactSurface, first_cells
 from thinlayer.discretisation.layer import AtRest, ThinLayer, for_terms, real_law
 from thinlayer.discretisation.measures import known_at
 from thinlayer.discretisation.mesh_functions import Keys, broken_space
@@ -195,9 +195,8 @@ class BrokenMesh:
                 f"contact laws act at vertices: V must be space(('Lagrange', 1, ({self._dim},))) of this mesh, not {V}"
             )
         facets = self._owned(tag)
-        if tag in self._bases:
-            return replace(ContactSurface.on_rigid_base(V, self.comm, facets), kinematics=self.kinematics)
-        upper, lower = self._sides[tag][:, 0], self._sides[tag][:, 2]
+        based = tag in self._bases
+        upper, lower = (first_cells(self.mesh, facets), None) if based else self._sides[tag][:, [0, 2]].T
         return ContactSurface(V, self.comm, facets, upper, lower, kinematics=self.kinematics)
 
     def _require(self, tag: int) -> None:

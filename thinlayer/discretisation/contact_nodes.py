@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from dolfinx import cpp, fem
-from dolfinx.mesh import entities_to_geometry
+from dolfinx.mesh import Mesh, entities_to_geometry
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -81,18 +81,17 @@ class ContactSurface:
         facets = domain.facets(name)
         facets = np.sort(facets[facets < topology.index_map(topology.dim - 1).size_local])
         rows = domain.numbers(topology.dim - 1, facets)
-        if name in model.joint.base_seams:
-            return replace(cls.on_rigid_base(model.V, model.comm, facets), rows=rows, kinematics=model.kinematics)
-        entities = seam_entities(domain, name)
-        return cls(model.V, model.comm, facets, entities[:, 0], entities[:, 2], rows, model.kinematics)
+        based = name in model.joint.base_seams
+        upper, lower = (first_cells(domain.mesh, facets), None) if based else seam_entities(domain, name)[:, [0, 2]].T
+        return cls(model.V, model.comm, facets, upper, lower, rows, model.kinematics)
 
-    @classmethod
-    def on_rigid_base(cls, V: fem.FunctionSpace, comm: MPI.Intracomm, facets: npt.NDArray[np.int32]) -> ContactSurface:
-        """Facets of the outer boundary, under which the base does not move."""
-        topology = V.mesh.topology
-        topology.create_connectivity(topology.dim - 1, topology.dim)
-        to_cells = topology.connectivity(topology.dim - 1, topology.dim)
-        return cls(V, comm, facets, to_cells.array[to_cells.offsets[facets]], None)
+
+def first_cells(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """The local cells of facets of the outer boundary; of others one of theirs."""
+    topology = mesh.topology
+    topology.create_connectivity(topology.dim - 1, topology.dim)
+    to_cells = topology.connectivity(topology.dim - 1, topology.dim)
+    return np.asarray(to_cells.array[to_cells.offsets[facets]])
 
 
 class ContactNodes:
@@ -323,11 +322,9 @@ def frames_at(n: Array) -> Array:
     """Axes of S at normals (n, d), tangents first, equal to those of `forms.kinematics.layer_frame`."""
     if n.shape[1] == 2:
         return np.stack([np.column_stack([n[:, 1], -n[:, 0]]), n], axis=1)
-    out = np.zeros((len(n), 3, 3))
-    out[:, 2] = n
+    e = np.eye(3)
     down = n[:, 1] < -1 + 1e-12
-    s = 1 / np.where(down, 1.0, 1 + n[:, 1])
-    out[:, 0] = np.column_stack([1 - s * n[:, 0] ** 2, -n[:, 0], -s * n[:, 0] * n[:, 2]])
-    out[:, 1] = np.column_stack([-s * n[:, 0] * n[:, 2], -n[:, 2], 1 - s * n[:, 2] ** 2])
-    out[down, 0], out[down, 1] = (-1, 0, 0), (0, 0, 1)
-    return out
+    shares = n[:, [0, 2]] / np.where(down, 1.0, 1 + n[:, 1])[:, None]
+    tangents = e[[0, 2]] - shares[:, :, None] * (n + e[1])[:, None]
+    tangents[down] = -e[0], e[2]
+    return np.concatenate([tangents, n[:, None]], axis=1)

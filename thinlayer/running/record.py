@@ -192,9 +192,9 @@ class Record:
 
         on_root(world(), check)
 
-    def close(self, error: str | None = None) -> None:
+    def close(self) -> None:
         """Write run.json. Collective; raises OSError on all ranks."""
-        on_root(world(), lambda: self._write(error))
+        on_root(world(), lambda: self._write(None))
 
     def _write(self, error: str | None) -> None:
         tables = sorted(name for name in self._files if error is None and name.endswith(".csv"))
