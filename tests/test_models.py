@@ -230,7 +230,7 @@ def test_failed_solves_say_why():
         (dict(supports={"BOTTOM": {"y": 0.0}}), ModelError, "rigid motion of the structure .translation x"),
         (dict(supports={(0.0, -0.5): 0.0}), ModelError, "rigid motion of the structure .rotation"),
         (dict(supports={(0.1, -0.5): 0.0}), GeometryError, "the nearest is"),
-        (dict(supports={(0.0, -0.5, 0.0): 0.0}), ModelError, "the 2 coordinates of a vertex"),
+        (dict(supports={(0.0, -0.5, 0.0): 0.0}), ModelError, "2 coordinates of a vertex"),
         (dict(supports={"S": 0.0}), ModelError, "below a layer"),
         (dict(supports={"BOTTOM/UPPER": 0.0}), ModelError, "empty"),
         (dict(tractions={"TOP": (1.0, 2.0, 3.0)}), ModelError, "needs 2 finite components"),
