@@ -63,12 +63,13 @@ def real(values: Any) -> npt.NDArray[np.float64]:
 
 
 def finite(values: Any, *shapes: tuple[int, ...]) -> npt.NDArray[np.float64] | None:
-    """Finite real numbers of one of these shapes, without shapes of any, as float64; None: they are something else."""
+    """Finite real numbers of one of some shapes (none: of any), where a first -1 is any length; None: they are none."""
     try:
         array = real(values)
     except (TypeError, ValueError):
         return None
-    return array if np.isfinite(array).all() and (not shapes or array.shape in shapes) else None
+    fits = not shapes or array.shape in shapes or (-1, *array.shape[1:]) in shapes
+    return array if fits and np.isfinite(array).all() else None
 
 
 def place(x: npt.NDArray[np.float64], t: float, k: int) -> str:

@@ -65,7 +65,7 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
     Raises:
         GeometryError: they are curved.
     """
-    joint, n, size = sheet.joint, sheet.mean_normal, float(np.ptp(sheet.joint.points, axis=0).max())
+    joint, n, size = sheet.joint, sheet.mean_normal, sheet.joint.size
     x = joint.points[rim.vertices]  # (n, d - 1, d)
     left, ends = np.arange(len(x)), []
     offsets = np.einsum("nd,nd->n", x[:, 0], rim.outward)

@@ -174,6 +174,11 @@ class Joint:
         """Space dimension, 2 or 3."""
         return self.points.shape[1]
 
+    @cached_property
+    def size(self) -> float:
+        """Largest extent along an axis."""
+        return float(np.ptp(self.points, axis=0).max())
+
     @property
     def degree(self) -> int:
         """Degree of the cells' geometry: 1 straight, 2 curved."""

@@ -62,7 +62,7 @@ def _matched(joint: Joint, first: str, second: str) -> IntArray:
     rows = [_outer_rows(joint, name) for name in (first, second)]
     nodes = [np.unique(joint.table.nodes(row, joint.cells, joint.cell_type)) for row in rows]
     x = [joint.points[node] for node in nodes]
-    vector, size = x[1].min(axis=0) - x[0].min(axis=0), np.ptp(joint.points, axis=0).max()
+    vector, size = x[1].min(axis=0) - x[0].min(axis=0), joint.size
     unlike, remedy = f"the sides {first!r} and {second!r} do not match", "mesh both alike"
     ways = [(x[0], x[1], vector, first, second), (x[1], x[0], -vector, second, first)]
     partners = []

@@ -8,8 +8,8 @@ import pytest
 
 
 def refused(
-    error: type[Exception], words: str, call: Callable[..., object], /, *given: object, **choices: object
+    error: type[Exception], words: str, call: Callable[..., object], /, *given: object, **named: object
 ) -> None:
-    """The call, with what is given, raises this error, and its message has these words (a regular expression)."""
+    """The call raises this error, and its message has these words (a regular expression)."""
     with pytest.raises(error, match=words):
-        call(*given, **choices)
+        call(*given, **named)

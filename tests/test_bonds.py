@@ -9,6 +9,7 @@ from forms import HolonomicCoulomb, LinearElastic
 from geometry import Joint, Seam, sandwich
 from geometry.topology import FacetTable
 from tests.on_ranks import on_ranks
+from tests.refused import refused
 from thinlayer import Bond, ModelError, Structure, Surface, ThinLayer, estimate, goals, solve, thin_enough
 
 WIDTH, LEVELS = 2.0, (0.5, 1.25)  # of the seams above the lower side; the height is 2
@@ -66,14 +67,11 @@ def test_meshed_models_and_other_bonds_are_refused():
     with pytest.raises(ModelError, match="'HIGH' has a Bond, which interface models alone take"):
         structure.full(LAYERS | {"HIGH": Bond()})
     model = structure.interface(LAYERS | {"HIGH": Bond()})
-    with pytest.raises(ModelError, match=r"bonds on the seams \['HIGH'\], not \[\]"):
-        model.with_layer(LAYERS)
-    with pytest.raises(ModelError, match="same element and bonds"):
-        solve(structure.interface(LAYERS), like=solve(model))
+    refused(ModelError, r"bonds on the seams \['HIGH'\], not \[\]", model.with_layer, LAYERS)
+    refused(ModelError, "same element and bonds", lambda: solve(structure.interface(LAYERS), like=solve(model)))
     with pytest.raises(ModelError, match="layer= has the seams LOW; bonded are HIGH"):
         estimate(solve(model), {"LOW": LAYERS["LOW"]})
-    with pytest.raises(ModelError, match="LOW, HIGH"):
-        thin_enough(structure, LAYERS, 0.01)
+    refused(ModelError, "LOW, HIGH", thin_enough, structure, LAYERS, 0.01)
 
 
 def closing(layer: ThinLayer) -> float:

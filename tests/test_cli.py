@@ -15,7 +15,7 @@ from petsc4py import PETSc
 
 from tests.pictures import assert_drawn
 from thinlayer.running import cli
-from thinlayer.running.catalogue import studies
+from thinlayer.running.cli import studies
 
 CLONE = Path(__file__).parent.parent
 ELASTIC = ("run", "rates", "--law", "elastic")

@@ -113,9 +113,7 @@ def test_a_similar_state_saves_steps(method):
 def test_refused_models():
     joint, setup = sliding_bar(4)
     law = coulomb("middle")
-    refused(
-        LawError, "has no thickness: give it alone", lambda: ThinLayer(law, 0.1, profile=lambda x: 1 + x[0], at=1.0)
-    )
+    refused(LawError, "give it alone", lambda: ThinLayer(law, 0.1, profile=lambda x: 1 + x[0], at=1.0))
     refused(ModelError, "without a thickness", lambda: Structure(joint, **setup).full(law))
     refused(ModelError, "is for layers", lambda: Structure(joint, **setup | {"body": law}).interface(law))
     refused(ModelError, "contact law", lambda: contact(solve(Structure(joint, **setup).bonded())))

@@ -23,8 +23,9 @@ from geometry.ends import share_within, straight_ends
 from geometry.sheet import Sheet
 from tests.edges_run import structure
 from tests.meshes import grid
+from tests.refused import refused
 from thinlayer import ModelError, RigidPlate, Springs, Structure, ThinLayer, compare, estimate, observed_orders, solve
-from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.sides import FacetWeights, side_kinds
 from thinlayer.errors import RangeWarning
 
@@ -304,8 +305,7 @@ def test_ends_are_corrected_where_they_may_be(caplog):
     works = [plates.interface(replace(warm, edges=edges)).identity() for edges in (None, "plain")]
     assert works[0] == works[1]  # unknown, and so plain
     assert models[None].with_layer(replace(layer, edges="plain")).free_ends("S").key == "plain"
-    with pytest.raises(ModelError, match="unknown layer 'T'"):
-        models[None].free_ends("T")
+    refused(ModelError, "unknown layer 'T'", lambda: models[None].free_ends("T"))
 
 
 # ---------------------------------------------------------------- what holds the side of a layer

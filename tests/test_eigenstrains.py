@@ -358,7 +358,7 @@ def test_a_layer_between_bodies_of_two_temperatures_has_their_mean():
 
 def test_temperatures_that_do_not_cover_the_bodies_or_are_no_scalars_are_refused():
     for T, message in (
-        (computed(lambda x: x[0], width=1.5), r"a function is not known at \(1\.\d+, "),
+        (computed(lambda x: x[0], width=1.5), r"a function is unknown at \(1\.\d+, "),
         (computed(lambda x: x[:2], ("Lagrange", 1, (2,))), "it needs a finite number"),
     ):
         hot = Structure(FLAT, body=LAW, supports={"BOTTOM": 0.0}, eigenstrain=ThermalExpansion(1e-3, T))
@@ -375,7 +375,7 @@ def test_temperatures_that_do_not_cover_the_bodies_or_are_no_scalars_are_refused
         ([1.0, 2.0], "a list of these that add up"),
         ([], "a list of these that add up"),
         (np.eye(4), "2 x 2 finite components or 3 x 3"),
-        (((1.0, 2.0), (3.0, 1.0)), "is not symmetric: its components 21 and 12"),
+        (((1.0, 2.0), (3.0, 1.0)), "is not symmetric: components 21 and 12"),
         (lambda x, t: ((x[0], x[1]), (x[0], x[1])), "is not symmetric"),
         (lambda x, t: (x[0], x[1]), "needs a finite number or 2 x 2"),
         (lambda x, t: np.inf, "gives inf; .*of finite real numbers"),

@@ -7,6 +7,7 @@ import pytest
 
 from forms import HolonomicCoulomb, Incompressible, KelvinVoigt, LinearElastic, MohrCoulomb, Norton
 from geometry import sandwich
+from tests.refused import refused
 from thinlayer import ModelError, RigidPlate, Springs, Structure, ThinLayer, march, piecewise, solve
 from thinlayer.solving.solvers import Solver
 
@@ -119,8 +120,7 @@ def test_supports_keep_their_places():
     first = joined().interface(GLUE)
     with pytest.raises(ModelError, match=r"supports hold .*those of the model .*build another structure"):
         first.with_loads(supports={"BOTTOM": 0, "TOP": {"y": 0.003}})
-    with pytest.raises(ModelError, match="traction on 'TOP' is"):
-        first.with_loads(tractions={"TOP": (1.0,)})
+    refused(ModelError, "traction on 'TOP' is", lambda: first.with_loads(tractions={"TOP": (1.0,)}))
 
 
 def test_break_times_are_those_of_ones_own_loads():
@@ -138,8 +138,7 @@ def test_supports_of_a_derived_model_that_contradict_a_plate():
     first = joined(supports=supports[0], **data).interface(GLUE)
     solve(first.with_loads(body_force=(0.0, -0.1)))
     for model in (first.with_loads(supports=supports[1]), joined(supports=supports[1], **data).interface(GLUE)):
-        with pytest.raises(ModelError, match=r"'LEFT/UPPER' prescribes x = 0\.002 and the plate TOP"):
-            solve(model)
+        refused(ModelError, r"'LEFT/UPPER' prescribes x = 0\.002 and the plate TOP", solve, model)
 
 
 def test_other_motions_of_supports_beside_a_plate():

@@ -326,7 +326,7 @@ def test_an_interrupt_before_anything_has_begun():
 
 def test_texts_are_read_whatever_the_locale():
     environment = os.environ | {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-    program = "from thinlayer.running.catalogue import studies; print(len(studies()))"
+    program = "from thinlayer.running.cli import studies; print(len(studies()))"
     words = [sys.executable, "-c", program]
     done = subprocess.run(words, cwd=CLONE, env=environment, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
@@ -336,8 +336,7 @@ def test_texts_are_read_whatever_the_locale():
 # ---------------------------------------------------------------- damage
 def test_names_of_files_that_cannot_be():
     for run in (lambda out: march(interface(SUDDEN), [0.1], out=out), lambda out: sweep(row, [0.4], out)):
-        with pytest.raises(ModelError, match=r"no files can be written .*null"):
-            run("a\0b")
+        refused(ModelError, r"no files can be written .*null", run, "a\0b")
 
 
 def test_damaged_marches(tmp_path):

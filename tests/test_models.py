@@ -183,8 +183,7 @@ def test_petsc_options():
     assert np.abs(direct.u.x.array - iterative.u.x.array).max() < 1e-8 * np.abs(direct.u.x.array).max()
     refused(OptionError, "-thinlayer_ksp_rtoll", lambda: solve(model, options={"ksp_rtoll": 1e-3}))
     for options in ({"pc_factor_mat_solver_type": "nosuch"}, {"pc_type": "ilu"}, {"pc_type": "shell"}, {3: 1}):
-        with pytest.raises(OptionError, match=r"does not take|it must be"):
-            solve(model, options=options)
+        refused(OptionError, r"does not take|it must be", solve, model, options=options)
     PETSc.Options().setValue("thinlayer_snes_max_it", 7)
     try:
         refused(OptionError, "linear solver: -thinlayer_snes_max_it", lambda: solve(model))
@@ -231,7 +230,7 @@ def test_failed_solves_say_why():
         (dict(supports={"BOTTOM": {"y": 0.0}}), ModelError, "rigid motion of the structure .translation x"),
         (dict(supports={(0.0, -0.5): 0.0}), ModelError, "rigid motion of the structure .rotation"),
         (dict(supports={(0.1, -0.5): 0.0}), GeometryError, "the nearest is"),
-        (dict(supports={(0.0, -0.5, 0.0): 0.0}), ModelError, "the 2 coordinates of a vertex"),
+        (dict(supports={(0.0, -0.5, 0.0): 0.0}), ModelError, "2 coordinates of a vertex"),
         (dict(supports={"S": 0.0}), ModelError, "below a layer"),
         (dict(supports={"BOTTOM/UPPER": 0.0}), ModelError, "empty"),
         (dict(tractions={"TOP": (1.0, 2.0, 3.0)}), ModelError, "needs 2 finite components"),

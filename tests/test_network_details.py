@@ -14,6 +14,7 @@ from tests.dry_walls import dry_wall
 from tests.meshes import renumbered
 from tests.network_cases import BED, HEAD, pushed, springs, three_bricks
 from tests.pictures import assert_coloured
+from tests.refused import refused
 from thinlayer import (
     Gap,
     ModelError,
@@ -149,8 +150,7 @@ def test_parts_do_not_take_the_names_of_layers():
         return structure.interface(springs(3.0, 1.3))
 
     for key in ("layer BED", "layer BED/1", "pressure HEAD", "contact BED", "layer 1"):
-        with pytest.raises(ModelError, match=f"two parts are called '{key}'"):
-            made(key)
+        refused(ModelError, f"two parts are called '{key}'", made, key)
     assert made("layer of paint").parts[0].key == "layer of paint"
 
 

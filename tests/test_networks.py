@@ -230,8 +230,7 @@ def test_refused_joints():
     with pytest.raises(GeometryError, match="'S' is all seams together"):
         replace(joint, facets=joint.facets | {"S": joint.facets["TOP"]}, seams=joint.seams | {"S": Seam()})
     for bad in (dict(bricks=1, courses=1), dict(bricks=1.5, courses=2), dict(bricks=2, courses=0)):
-        with pytest.raises(GeometryError, match=r"brick is no wall|whole number"):
-            wall(**bad, brick=(1.0, 0.5))
+        refused(GeometryError, r"brick is no wall|whole number", wall, **bad, brick=(1.0, 0.5))
 
 
 def test_refused_layers():

@@ -18,8 +18,7 @@ from tests.documents import CLONE, GUIDES, PAGES, anchors, sections
 from thinlayer import RangeWarning, compare, solve
 from thinlayer.describing.case import Case
 from thinlayer.describing.description import READERS, Description
-from thinlayer.running.catalogue import studies
-from thinlayer.running.cli import main
+from thinlayer.running.cli import main, studies
 
 SECTIONS = sections()
 LONG = {

@@ -11,6 +11,7 @@ import ufl
 from forms import LinearElastic
 from forms.contact import HolonomicCoulomb
 from geometry import GeometryError, block, ring, sandwich
+from tests.refused import refused
 from tests.supports_run import BODY, CREEP, EPS, GLUE, KINDS, model, out_of_balance
 from thinlayer import (
     Gap,
@@ -252,8 +253,7 @@ def test_layers_without_a_weight():
     given = {"body": BODY, "supports": {"BOTTOM": 0.0}, "body_force": {"S": (0.0, -3.0)}, "element": "P1"}
     structure = Structure(sandwich(2.0, 0.5, 0.6, 0.5), **given)
     for layer in (HolonomicCoulomb(5.0, 2.0, 0.3), {"S": Gap(0.1)}):
-        with pytest.raises(ModelError, match="body force in the layer 'S': it is no layer with a thickness"):
-            structure.interface(layer)
+        refused(ModelError, "body force in the layer 'S': it has no layer with a thickness", structure.interface, layer)
     with pytest.raises(ModelError, match="did you mean 'UPPER'"):
         Structure(sandwich(2.0, 0.5, 0.6, 0.5), **given | {"body_force": {"UPER": (0.0, 0.0)}}).bonded()
 

@@ -20,8 +20,8 @@ from forms import (
 from geometry import disc, ring, sandwich, wall
 from tests.test_tips import partly
 from thinlayer import ModelError, Structure, ThinLayer
+from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.reduction import Reduction
-from thinlayer.discretisation.seams import SeamLayer
 
 BODY, GLUE = LinearElastic.young(E=100.0, nu=0.3), LinearElastic.shear(1.0, 0.3)
 CONTACT = HolonomicCoulomb(50.0, 20.0, 0.5)

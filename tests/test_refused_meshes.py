@@ -92,8 +92,7 @@ def test_arguments(tmp_path):
         (dict(upper="UP", lower="TOP"), "unknown region 'TOP'"),
         (dict(upper=["LOW", "UP"], direction=(0, 0, 1)), "it needs 2 components"),
     ]:
-        with pytest.raises(GeometryError, match=message):
-            read(path, **arguments)
+        refused(GeometryError, message, read, path, **arguments)
 
 
 def test_files_that_cannot_be_read(tmp_path, capfd):

@@ -297,7 +297,7 @@ def test_jump_laws_in_plane_stress():
 
 
 def test_a_profile_of_a_law_of_jumps():
-    with pytest.raises(LawError, match="Slipping is a law on S and has no thickness: give it alone"):
+    with pytest.raises(LawError, match="Slipping is a law on S without a thickness: give it alone"):
         ThinLayer(Slipping(70.0, 30.0, 12.0, 90.0), 0.1, profile=lambda x: 1 + x[0], at=1.0)
 
 

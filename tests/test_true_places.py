@@ -346,7 +346,7 @@ def test_refused():
             HolonomicCoulomb(1.0, 1.0, 0.3), bodies="extended"
         )
     bricks = Structure(bond_cell((1.0, 0.5), 0.25), body=BODY, supports={})
-    with pytest.raises(ModelError, match="needs seams that do not meet or branch"):
+    with pytest.raises(ModelError, match="seams meet or branch, where S has no middle"):
         bricks.interface(replace(layer, order=0), bodies="extended")
     one = flat("both")
     loaded = Structure(whole.joint, body=BODY, supports={"INSIDE": 0.0}, tractions={"START": Pressure(1.0)})

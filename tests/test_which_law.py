@@ -12,7 +12,7 @@ from studies.problems import Wave
 from studies.rates import LAWS
 from tests import reference
 from tests.documents import PAGES
-from thinlayer.running.catalogue import studies
+from thinlayer.running.cli import studies
 from thinlayer.running.record import Record
 
 MU = 40.0  # of the layer over its thickness; bodies have E = 100, nu = 0.3

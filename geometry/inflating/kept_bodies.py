@@ -171,7 +171,7 @@ def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, way: FloatArray, eps
     if is_tensor(joint.cell_type) and joint.dim == 3:
         nodes = np.concatenate([nodes[:, [0, 1, 2]], nodes[:, [3, 1, 2]]])
     facets = joint.points[nodes]
-    tolerance = 1e-9 * float(np.ptp(joint.points, axis=0).max())
+    tolerance = 1e-9 * joint.size
     start, heights = x @ way, facets @ way
     near = (heights.max(axis=1) > start.min(initial=np.inf) + tolerance) & (
         heights.min(axis=1) < start.max(initial=-np.inf) + eps

@@ -105,7 +105,7 @@ class Layering:
         sizes: dict[str, float] = by_seam(joint, eps, "eps")
         shares: dict[str, Sequence[float]] = by_seam(joint, fractions, "fractions", ())
         profiles: dict[str, Profile | None] = by_seam(joint, profile, "profile", None)
-        whole = float(np.ptp(joint.points, axis=0).max())
+        whole = joint.size
         for name, size in sizes.items():
             which, some = "" if len(joint.seams) == 1 else f" of {name!r}", shares[name]
             if not is_finite(size) or size <= 0:

@@ -119,8 +119,7 @@ def _check_names(names: Iterable[Any], what: str) -> None:
 
 def _points(given: Any, what: str) -> FloatArray:
     """(n, 2) points; raises GeometryError."""
-    x = finite(given)
-    if x is None or x.ndim != 2 or x.shape[1] != 2 or len(x) < 2:
+    if (x := finite(given, (-1, 2))) is None or len(x) < 2:
         raise GeometryError(f"{what} is {given!r}; it must be two points (x, y) or more")
     return x
 

@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from forms.base import unknown
 from geometry.importing.reading import read
 from geometry.joint import Joint
@@ -51,7 +49,7 @@ class Case:
             GeometryError, ModelError, LawError: as `read`, `Structure` and `ThinLayer` raise them.
         """
         joint = read(**given.mesh)
-        size = float(np.ptp(joint.points, axis=0).max())
+        size = joint.size
         for name, one in given.layer.items():
             if not LEAST_EPS * size <= one.eps <= size:
                 what = f"{one.eps:g}; allowed beside bodies of {size:.4g}: {LEAST_EPS * size:.2g} to {size:.4g}"

@@ -145,10 +145,7 @@ def _units(section: Section, key: str) -> tuple[str, str]:
 
 
 def _bonded(section: Section, key: str) -> bool:
-    value = section.values[key]
-    if not isinstance(value, bool):
-        section.refuse(f"{value!r} is neither true nor false", key)
-    return value
+    return bool(section.checked(key, lambda one: isinstance(one, bool), "is neither true nor false"))
 
 
 def _supports(section: Section, key: str) -> dict[Place, Any]:
@@ -157,10 +154,8 @@ def _supports(section: Section, key: str) -> dict[Place, Any]:
     for name, value in places.values.items():
         place = _place(name, places)
         if isinstance(value, Mapping):
-            axes = ["x", "y", "z", *(["n"] if isinstance(place, str) else [])]
-            found[place] = places.table(name, "components").entries(
-                dict.fromkeys(axes, history(Section.number)), kind="component"
-            )
+            readers = dict.fromkeys("xyzn" if isinstance(place, str) else "xyz", history(Section.number))
+            found[place] = places.table(name, "components").entries(readers, kind="component")
             if not value:
                 places.refuse("no component is given, such as {x = 0}", name)
         else:
@@ -218,10 +213,8 @@ def _loads(section: Section, key: str) -> tuple[dict[str, Any], ...]:
 
 
 def _times(section: Section, key: str) -> tuple[float, ...]:
-    times = section.values[key]
-    if not is_growing(times) or (times and times[0] <= 0):
-        section.refuse(f"{times!r} are no times; give numbers > 0 that grow, such as [0.5, 1]", key)
-    return tuple(float(t) for t in times)
+    wrong = "are no times; give numbers > 0 that grow, such as [0.5, 1]"
+    return tuple(map(float, section.checked(key, lambda one: is_growing(one) and all(t > 0 for t in one), wrong)))
 
 
 def _goals(section: Section, key: str) -> dict[str, dict[str, Any]]:
@@ -245,10 +238,7 @@ def _tolerance(section: Section, key: str) -> dict[str, float]:
     one = section.inner(value if isinstance(value, Mapping) else {"traction": value}, what, key)
     goals = section.values.get("goals") or {"compliance": True}
     found = one.entries(dict.fromkeys([*ALWAYS, *goals], positive(what)), kind="quantity")
-    for name, number in found.items():
-        if number >= 1:
-            one.refuse(f"{number:g} is not < 1; it is {what}", name)
-    return found
+    return {name: one.checked(name, lambda number: number < 1, f"is not < 1; it is {what}") for name in found}
 
 
 MESH = 'the name of a mesh file, mesh = "joint.msh"'

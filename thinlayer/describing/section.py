@@ -130,18 +130,20 @@ class Section:
                 self.refuse(f"{key} is missing: {what}")
         return {key: read(self, key) for key, read in readers.items() if key in self.values}
 
+    def checked(self, key: str, good: Callable[[Any], bool], wrong: str) -> Any:
+        """The value of a key; raises DescriptionError unless it is good, with what is wrong."""
+        if not good(value := self.values[key]):
+            self.refuse(f"{_shown(value)} {wrong}", key)
+        return value
+
     def number(self, key: str) -> float:
         """A finite number."""
-        if not is_finite(self.values[key]):
-            self.refuse(f"{_shown(self.values[key])} is no finite number", key)
-        return float(self.values[key])
+        return float(self.checked(key, is_finite, "is no finite number"))
 
     def vector(self, key: str) -> tuple[float, ...]:
         """Components of a vector, 2 or 3 finite numbers."""
-        value = self.values[key]
-        if not (isinstance(value, list) and len(value) in (2, 3) and all(map(is_finite, value))):
-            self.refuse(f"{_shown(value)} is no vector; give 2 components, in 3D 3, such as [0, -50]", key)
-        return tuple(float(one) for one in value)
+        wrong = "is no vector; give 2 components, in 3D 3, such as [0, -50]"
+        return tuple(map(float, self.checked(key, lambda one: _are_finite(one) and len(one) in (2, 3), wrong)))
 
     def text(self, key: str, allowed: Collection[str] = (), kind: str = "choice") -> str:
         """A text, one of those that are allowed if there are any."""
@@ -170,10 +172,8 @@ class Section:
 
     def tables(self, key: str, what: str) -> list[Section]:
         """The tables in a list."""
-        value = self.values.get(key, [])
-        if not isinstance(value, list):
-            self.refuse(f"{_shown(value)} is no list of tables; each has {what}", key)
-        return [self.inner(one, what, key, str(number)) for number, one in enumerate(value, 1)]
+        given = self.checked(key, lambda one: isinstance(one, list), f"is no list of tables; each has {what}")
+        return [self.inner(one, what, key, str(number)) for number, one in enumerate(given, 1)]
 
 
 Reader = Callable[[Section, str], Any]
@@ -188,9 +188,8 @@ def positive(what: str) -> Reader:
     """Reader of a number > 0, with words for what it is."""
 
     def read(section: Section, key: str) -> float:
-        if (number := section.number(key)) <= 0:
-            section.refuse(f"{section.values[key]!r} is not > 0; it is {what}", key)
-        return number
+        section.number(key)
+        return float(section.checked(key, lambda number: number > 0, f"is not > 0; it is {what}"))
 
     return read
 
@@ -199,10 +198,7 @@ def history(read: Reader) -> Reader:
     """Reader of what `read` reads, or of a `History` of such values, {times = ..., values = ...}."""
 
     def read_each(section: Section, key: str) -> Any:
-        given, what = (
-            section.values[key],
-            "a history is {times = [0, 1], values = [0, 5]}: two or more, times that grow",
-        )
+        given, what = section.values[key], "a history is {times = [0, 1], values = [0, 5]}: two or more times that grow"
         if not isinstance(given, Mapping) or not {"times", "values"} & given.keys():
             return read(section, key)
         parts = dict.fromkeys(("times", "values"), lambda one, name: one.values[name])
@@ -219,8 +215,11 @@ def history(read: Reader) -> Reader:
 
 def is_growing(times: Any) -> bool:
     """Whether something is a list of finite numbers, each larger than the one before."""
-    good = isinstance(times, list) and all(map(is_finite, times))
-    return good and all(a < b for a, b in itertools.pairwise(times))
+    return _are_finite(times) and all(a < b for a, b in itertools.pairwise(times))
+
+
+def _are_finite(value: Any) -> bool:
+    return isinstance(value, list) and all(map(is_finite, value))
 
 
 def _shown(value: Any) -> str:

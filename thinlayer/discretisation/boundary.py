@@ -14,7 +14,7 @@ from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place
 from geometry.seam import LAYER, S
-from geometry.topology import connected
+from geometry.topology import IntArray, connected, sums
 from thinlayer.errors import ModelError
 from thinlayer.system.compat import interpolation_points
 from thinlayer.system.ranks import send
@@ -29,7 +29,7 @@ ALONG_AXES = 1e-12  # a component of a unit normal that counts as rounding
 
 def on_axis(kinematics: Kinematics, joint: Joint) -> npt.NDArray[np.bool_]:
     """(n,) which points of a joint lie on the axis."""
-    return np.asarray(np.abs(kinematics.radius(joint.points)) <= ON_AXIS * np.ptp(joint.points, axis=0).max())
+    return np.asarray(np.abs(kinematics.radius(joint.points)) <= ON_AXIS * joint.size)
 
 
 def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
@@ -47,7 +47,7 @@ def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
             raise ModelError(f"plane={kinematics.name!r}: the seam {name!r} lies on the axis, where it has no area")
     if joint.periods:
         held = np.delete(joint.periods.vectors(joint.points), kinematics.translations(joint.dim), axis=1)
-        if np.abs(held).max(initial=0.0) > ON_AXIS * np.ptp(joint.points, axis=0).max():
+        if np.abs(held).max(initial=0.0) > ON_AXIS * joint.size:
             raise ModelError(f"plane={kinematics.name!r}: a structure repeats along the axis (y) alone")
 
 
@@ -109,9 +109,7 @@ def refuse_periodic(joint: Joint, name: str, what: str) -> None:
         )
 
 
-def node_normals(
-    domain: Domain, V: fem.FunctionSpace, facets: npt.NDArray[np.int32]
-) -> tuple[npt.NDArray[np.int64], Array]:
+def node_normals(domain: Domain, V: fem.FunctionSpace, facets: npt.NDArray[np.int32]) -> tuple[IntArray, Array]:
     """Outer normals of facets at their nodes, with weights whose sum at a vertex on a circle or sphere is along its normal.
 
     The weight is sin(angle)/(product of lengths) of the facet's edges at a vertex (Max 1999, Weights for computing vertex
@@ -126,17 +124,14 @@ def node_normals(
         (n,) local numbers of blocks of this rank, one for each of the facets around a node, and (n, d) normals.
     """
     mesh, d = domain.mesh, domain.joint.dim
-    kind = basix.CellType[mesh.basix_cell().name] if hasattr(mesh.basix_cell(), "name") else mesh.basix_cell()
-    points, layout = interpolation_points(V), V.dofmap.dof_layout
+    kind, points, layout = basix.CellType[domain.joint.cell_type], interpolation_points(V), V.dofmap.dof_layout
     mesh.topology.create_connectivity(d - 1, d)
     mesh.topology.create_connectivity(d, d - 1)
     to_cells, to_facets = mesh.topology.connectivity(d - 1, d), mesh.topology.connectivity(d, d - 1)
     owned = mesh.topology.index_map(d).size_local
-    cells = np.array([to_cells.links(facet)[0] for facet in facets], np.int32)
+    cells = to_cells.array[to_cells.offsets[facets]]
     facets, cells = facets[cells < owned], cells[cells < owned]
-    local = np.array(
-        [np.flatnonzero(to_facets.links(cell) == facet)[0] for cell, facet in zip(cells, facets, strict=True)], int
-    )
+    local = (to_facets.array.reshape(to_facets.num_nodes, -1)[cells] == facets[:, None]).argmax(axis=1)
     jacobian = fem.Expression(ufl.Jacobian(mesh), points)
     J = jacobian.eval(mesh, cells).reshape(len(cells), len(points), d, d) if len(cells) else np.empty((0, 1, d, d))
     outward, corners = basix.cell.facet_outward_normals(kind), basix.topology(kind)[d - 1]
@@ -166,9 +161,7 @@ def _weights(x: Array, k: int) -> Array:
     return np.asarray(area / squares.prod(axis=1))
 
 
-def _at_owners(
-    domain: Domain, V: fem.FunctionSpace, blocks: npt.NDArray[np.int64], rows: Array
-) -> tuple[npt.NDArray[np.int64], Array]:
+def _at_owners(domain: Domain, V: fem.FunctionSpace, blocks: IntArray, rows: Array) -> tuple[IntArray, Array]:
     """Rows of local blocks on the ranks that own the blocks. Collective."""
     imap = V.dofmap.index_map
     owners = np.concatenate([np.full(imap.size_local, domain.comm.rank), imap.owners])[blocks]
@@ -177,7 +170,7 @@ def _at_owners(
     return received[:, 0].astype(np.int64) - imap.local_range[0], received[:, 1:]
 
 
-def smooth(normals: Array) -> tuple[npt.NDArray[np.int64], Array]:
+def smooth(normals: Array) -> tuple[IntArray, Array]:
     """Which facet normals (n, d) at a node belong to one smooth surface, and the unit normals (k, d) of these surfaces.
 
     Facets whose normals differ by less than CORNER are one surface with their mean normal; others meet in a corner.
@@ -185,8 +178,7 @@ def smooth(normals: Array) -> tuple[npt.NDArray[np.int64], Array]:
     unit = normals / np.linalg.norm(normals, axis=1)[:, None]
     one, other = np.nonzero(unit @ unit.T > np.cos(np.deg2rad(CORNER)))
     _, surface = np.unique(connected(one, other, len(unit)), return_inverse=True)
-    sums = np.zeros((surface.max() + 1, normals.shape[1]))
-    np.add.at(sums, surface, normals)
-    sums /= np.linalg.norm(sums, axis=1)[:, None]
-    sums[np.abs(sums) < ALONG_AXES] = 0.0
-    return surface.ravel().astype(np.int64), sums / np.linalg.norm(sums, axis=1)[:, None]
+    mean = sums(surface.ravel(), normals, surface.max() + 1)
+    mean /= np.linalg.norm(mean, axis=1)[:, None]
+    mean[np.abs(mean) < ALONG_AXES] = 0.0
+    return surface.ravel().astype(np.int64), mean / np.linalg.norm(mean, axis=1)[:, None]

@@ -24,10 +24,10 @@ from forms.work import Term, surface
 from geometry.joint import Profile
 from geometry.refusals import unknown
 from thinlayer.discretisation.boundary import ON_AXIS
-from thinlayer.discretisation.contact_nodes import ContactSurface
+from thinlayer.discretisation.contact_nodes import ContactSurface, first_cells
 from thinlayer.discretisation.layer import AtRest, ThinLayer, for_terms, real_law
-from thinlayer.discretisation.quadratures import known_at
-from thinlayer.discretisation.spaces import Keys, broken_space
+from thinlayer.discretisation.measures import known_at
+from thinlayer.discretisation.mesh_functions import Keys, broken_space
 from thinlayer.errors import ModelError
 from thinlayer.system.compat import interior_facet_entities
 from thinlayer.system.ranks import communicator, on_all
@@ -95,7 +95,7 @@ class BrokenMesh:
                 raise ModelError(f"S: no facet has the tag {tag}; there are {self._known()}")
             if outer not in (0, total):
                 raise ModelError(
-                    f"S: {outer} of the {total} facets with tag {tag} lie on the boundary; allowed: all or none"
+                    f"S: {outer} of the {total} facets with tag {tag} lie on the boundary; all or none may"
                 )
             if outer:
                 self._bases.add(tag)
@@ -154,28 +154,27 @@ class BrokenMesh:
             ModelError: order 1 of a law that would lock.
         """
         if not isinstance(layer, ThinLayer | TractionLaw):
-            raise LawError(
-                f"the layer is {layer!r}; allowed: a ThinLayer or TractionLaw; a ContactLaw is for ContactPart"
-            )
+            raise LawError(f"the layer is {layer!r}; allowed: ThinLayer, TractionLaw; a ContactLaw is for ContactPart")
         law, thin = real_law(layer, self.kinematics), layer if isinstance(layer, ThinLayer) else None
         if law.traits.constrained:
             raise LawError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")
         law.check_dimension(self._dim)
+        eps, profile, order = (thin.eps, thin.profile, thin.order) if thin else (1.0, None, 0)
         if thin and (thin.edges == "free" or thin.eigenstrain is not None):
             given = "edges='free'" if thin.edges == "free" else "eigenstrain=..."
             raise LawError(f"{given} of a layer on a mesh of one's own is not known here; use it in a Model")
-        if thin and thin.order:
+        if order:
             self._require_no_locking(tag, law)
-        if thin and thin.order and thin.profile is not None:
+        if order and profile is not None:
             raise LawError(
                 "order=1 of a thickness that varies needs bodies at their true places, and those of this mesh meet on S; "
                 "use order=0, or Structure.interface(layer, bodies='extended')"
             )
-        sides, eps = self.interface(tag), fem.Constant(self.mesh, float(thin.eps) if thin else 1.0)
-        if thin and thin.profile is not None:
-            eps = eps * sides.upper(self._relative_thickness(thin.profile))
-        sides = replace(sides, known=partial(self._law_on, tag))
-        terms = surface(law, sides, eps, thin.order if thin else 0)
+        sides = replace(self.interface(tag), known=partial(self._law_on, tag))
+        thickness = fem.Constant(self.mesh, float(eps))
+        if profile is not None:
+            thickness = thickness * sides.upper(self._relative_thickness(profile))
+        terms = surface(law, sides, thickness, order)
         return [replace(term, law=for_terms(term.law, self.mesh)) for term in terms]
 
     def contact_surface(self, tag: int, V: fem.FunctionSpace) -> ContactSurface:
@@ -195,9 +194,8 @@ class BrokenMesh:
                 f"contact laws act at vertices: V must be space(('Lagrange', 1, ({self._dim},))) of this mesh, not {V}"
             )
         facets = self._owned(tag)
-        if tag in self._bases:
-            return replace(ContactSurface.on_rigid_base(V, self.comm, facets), kinematics=self.kinematics)
-        upper, lower = self._sides[tag][:, 0], self._sides[tag][:, 2]
+        based = tag in self._bases
+        upper, lower = (first_cells(self.mesh, facets), None) if based else self._sides[tag][:, [0, 2]].T
         return ContactSurface(V, self.comm, facets, upper, lower, kinematics=self.kinematics)
 
     def _require(self, tag: int) -> None:
@@ -253,11 +251,9 @@ class BrokenMesh:
     def _bodies(self) -> npt.NDArray[np.int32]:
         """Body of each local cell, ghosts included."""
         imap = self.mesh.topology.index_map(self._dim)
-        tagged, body = la.vector(imap, dtype=np.int32), la.vector(imap, dtype=np.int32)
-        own = self.bodies.indices < imap.size_local
-        tagged.array[self.bodies.indices[own]] = 1
+        body, own = la.vector(imap, dtype=np.int32), self.bodies.indices < imap.size_local
         body.array[self.bodies.indices[own]] = self.bodies.values[own]
-        (lost,) = self._sum(imap.size_local - np.count_nonzero(tagged.array[: imap.size_local]))
+        (lost,) = self._sum(imap.size_local - len(np.unique(self.bodies.indices[own])))
         if lost:
             raise ModelError(f"bodies: {lost} cells have no tag; each cell belongs to a body")
         body.scatter_forward()
@@ -279,9 +275,7 @@ class BrokenMesh:
         number = to_facets.array[to_facets.offsets[pairs[:, 0]] + pairs[:, 1]]
         apart = self._body[pairs[:, 0]] != self._body[pairs[:, 2]]
         cut = np.isin(number, cuts)
-        self._refuse(
-            number[apart & ~cut], "where two bodies meet are not in S: tag them, or give both bodies one value"
-        )
+        self._refuse(number[apart & ~cut], "where two bodies meet are not in S: tag them, or give both one value")
         self._refuse(number[cut & ~apart], "of S lie inside a body: give the bodies on its two sides different values")
 
     def _refuse(self, facets: Facets, what: str) -> None:

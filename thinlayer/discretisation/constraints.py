@@ -15,6 +15,7 @@ from petsc4py import PETSc
 from scipy.sparse.csgraph import connected_components
 
 from geometry.refusals import place as at_place
+from geometry.topology import sums
 from thinlayer.discretisation.supports import ROUNDING, Prescribed
 from thinlayer.errors import ModelError
 
@@ -149,7 +150,7 @@ class Constraints:
         names = [key for key, rows in of.items() if (rows & both).any()]
         if several := [one for one in self.comm.allgather(names) if one]:
             raise ModelError(
-                f"{' and '.join(several[0])} have a node in common: their motions would depend on each other"
+                f"{' and '.join(several[0])} have a node in common: their motions would not be independent"
             )
 
     def _slots_of(self, tie: Tied) -> Numbers:
@@ -211,9 +212,8 @@ class Constraints:
             on_y.destroy()
         self._motions = [(one, k, value) for one in self.ties for k, value in one.motion.items() if self.comm.rank == 0]
         columns = [self.slots[one.key][k] for one, k, _ in self._motions]
-        more = scipy.sparse.csr_matrix(
-            (np.ones(len(columns)), (np.arange(len(columns)), columns)), (len(columns), found.shape[1])
-        )
+        k = len(columns)
+        more = scipy.sparse.csr_matrix((np.ones(k), (np.arange(k), columns)), (k, total))
         found = scipy.sparse.vstack([found, more], format="csr")
         found.data[np.abs(found.data) < ZERO] = 0.0
         found.eliminate_zeros()
@@ -221,9 +221,8 @@ class Constraints:
 
     def of_supports(self, forces: Array, motions: Array) -> Array:
         """Work (entries, k) in motions (n, k) of the supports' forces, by the number of the support."""
-        out = np.zeros((len(self.prescribed.supports.entries) + 1, motions.shape[1]))
-        np.add.at(out, self.prescribed.entry, forces[:, None] * (self.prescribed.conditions @ motions))
-        return out[:-1]
+        works = forces[:, None] * (self.prescribed.conditions @ motions)
+        return sums(self.prescribed.entry, works, len(self.prescribed.supports.entries) + 1)[:-1]
 
     def _values_of_rows(self, t: float) -> Array:
         """(r,) values of the conditions of this rank at a time."""
@@ -233,25 +232,22 @@ class Constraints:
     def _resolve(self) -> None:
         """Part the conditions into groups that share no unknowns, and find what each holds.
 
-        A condition on one unknown that no other kind of condition has is none of a group. Groups are known on all ranks.
+        A condition on one unknown that no other condition has is none of a group. Groups are known on all ranks.
         """
         A, lo, hi = self._rows, self.first, self.first + self.n
         counts = np.diff(A.indptr)
         foreign = (A.indices < lo) | (A.indices >= hi)
-        shared = A.indices[foreign | (counts > 1).repeat(counts)]
+        columns, uses = np.unique(A.indices, return_counts=True)
+        shared = np.concatenate([A.indices[foreign | (counts > 1).repeat(counts)], columns[uses > 1]])
         everywhere = self.comm.allgather(np.unique(np.concatenate([shared, *self.slots.values()])))
         single = counts == 1
         single[single] = ~np.isin(A.indices[A.indptr[:-1][single]], np.concatenate(everywhere))
         self._single, self._grouped = np.flatnonzero(single), np.flatnonzero(~single & (counts > 0))
         at = A.indptr[self._single]
-        self._columns, self._first_of, self._inverse, self._repeated = np.unique(
-            A.indices[at], return_index=True, return_inverse=True, return_counts=True
-        )
-        self._coefficient = A.data[at]
+        self._columns, self._coefficient = A.indices[at] - lo, A.data[at]
         self._groups = _groups(scipy.sparse.vstack(self.comm.allgather(A[self._grouped]), format="csr"))
-        held = [self._columns, *(one.columns[: one.rank] for one in self._groups)]
-        mine = np.unique(np.concatenate(held)).astype(np.int64)
-        mine = mine[(mine >= lo) & (mine < hi)] - lo
+        held = np.concatenate([self._columns, *(one.columns[: one.rank] - lo for one in self._groups)])
+        mine = held[(held >= 0) & (held < self.n)]
         slots = np.concatenate([*self.slots.values(), np.empty(0, np.int64)]) - lo
         self.held = np.union1d(mine, np.setdiff1d(self.tied, slots)).astype(np.int32)
 
@@ -286,7 +282,7 @@ class Constraints:
             raise ModelError(f"a prescribed displacement is not finite at t = {t:g}")
         self._require_agreement(c, when=f" at t = {t:g}")
         y, lo = np.zeros(self.n), self.first
-        y[self._columns - lo] = (c[self._single] / self._coefficient)[self._first_of]
+        y[self._columns] = c[self._single] / self._coefficient
         for one, values in self._with_values(c):
             columns = one.columns[: one.rank]
             own = (columns >= lo) & (columns < lo + self.n)
@@ -310,8 +306,6 @@ class Constraints:
     def _require_agreement(self, c: Array, when: str = "") -> None:
         """Raise ModelError if values (r,) of conditions contradict each other."""
         apart = self._by_rows([one.apart(values) for one, values in self._with_values(c)])
-        value = (c[self._single] / self._coefficient)[self._first_of]
-        apart[self._single] = np.abs(c[self._single] - self._coefficient * value[self._inverse])
         largest = self.comm.allreduce(float(np.abs(c).max(initial=0.0)), max)
         limit, message = max(AGREE * largest, ROUNDING * self.prescribed.extent), ""
         if apart.max(initial=0.0) > limit:
@@ -322,9 +316,8 @@ class Constraints:
     def _contradiction(self, row: int, c: Array) -> str:
         """Words for a condition that does not agree with those that share its unknowns."""
         columns = self._rows.indices[self._rows.indptr[row] : self._rows.indptr[row + 1]]
-        touched = np.unique(
-            np.repeat(np.arange(len(c)), np.diff(self._rows.indptr))[np.isin(self._rows.indices, columns)]
-        )
+        of_entries = np.arange(len(c)).repeat(np.diff(self._rows.indptr))
+        touched = np.unique(of_entries[np.isin(self._rows.indices, columns)])
         of_supports = touched[touched < len(self.prescribed.entry)]
         where = self.prescribed.place_of(int(of_supports[0])) if len(of_supports) else None
         place = f" at {at_place(where)}" if where is not None else ""
@@ -400,7 +393,7 @@ class Constraints:
         parts[own] = f[columns[own]]
         parts = self.comm.allreduce(parts)
         out = self._by_rows([one.shares @ parts[a:b] for one, a, b in zip(self._groups, ends, ends[1:], strict=False)])
-        out[self._single] = (f[self._columns - self.first] / self._repeated)[self._inverse] / self._coefficient
+        out[self._single] = f[self._columns] / self._coefficient
         return out[: len(self.prescribed.entry)]
 
     def dual_to_resultant(self, entries: Sequence[int], direction: Array) -> Array:
@@ -409,14 +402,10 @@ class Constraints:
         along = np.isin(prescribed.entry, entries) * (prescribed.directions @ direction)
         along = np.append(along, np.zeros(len(self._motions)))
         g, lo = np.zeros(self.n), self.first
-        np.add.at(
-            g,
-            self._columns[self._inverse] - lo,
-            along[self._single] / self._coefficient / self._repeated[self._inverse],
-        )
+        g[self._columns] = along[self._single] / self._coefficient
         for one, values in self._with_values(along):
             own = (one.columns >= lo) & (one.columns < lo + self.n)
-            np.add.at(g, one.columns[own] - lo, (one.shares.T @ values)[own])
+            g[one.columns[own] - lo] = (one.shares.T @ values)[own]
         return self._times(self.Q, g, transposed=True)
 
     # ---------------------------------------------------------------- motions

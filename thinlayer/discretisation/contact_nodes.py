@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from dolfinx import cpp, fem
-from dolfinx.mesh import entities_to_geometry
+from dolfinx.mesh import Mesh, entities_to_geometry
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.planes import LIFTED, Kinematics
 from geometry.joint import Joint
+from geometry.topology import sums
+from thinlayer.discretisation.layer import seam_entities
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.seams import seam_entities
 from thinlayer.errors import ModelError
 from thinlayer.system.ranks import on_all, send
 
@@ -79,18 +80,17 @@ class ContactSurface:
         facets = domain.facets(name)
         facets = np.sort(facets[facets < topology.index_map(topology.dim - 1).size_local])
         rows = domain.numbers(topology.dim - 1, facets)
-        if name in model.joint.base_seams:
-            return replace(cls.on_rigid_base(model.V, model.comm, facets), rows=rows, kinematics=model.kinematics)
-        entities = seam_entities(domain, name)
-        return cls(model.V, model.comm, facets, entities[:, 0], entities[:, 2], rows, model.kinematics)
+        based = name in model.joint.base_seams
+        upper, lower = (first_cells(domain.mesh, facets), None) if based else seam_entities(domain, name)[:, [0, 2]].T
+        return cls(model.V, model.comm, facets, upper, lower, rows, model.kinematics)
 
-    @classmethod
-    def on_rigid_base(cls, V: fem.FunctionSpace, comm: MPI.Intracomm, facets: npt.NDArray[np.int32]) -> ContactSurface:
-        """Facets of the outer boundary, under which the base does not move."""
-        topology = V.mesh.topology
-        topology.create_connectivity(topology.dim - 1, topology.dim)
-        to_cells = topology.connectivity(topology.dim - 1, topology.dim)
-        return cls(V, comm, facets, np.array([to_cells.links(f)[0] for f in facets], np.int32), None)
+
+def first_cells(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """The local cells of facets of the outer boundary; of others one of theirs."""
+    topology = mesh.topology
+    topology.create_connectivity(topology.dim - 1, topology.dim)
+    to_cells = topology.connectivity(topology.dim - 1, topology.dim)
+    return np.asarray(to_cells.array[to_cells.offsets[facets]])
 
 
 class ContactNodes:
@@ -134,18 +134,13 @@ class ContactNodes:
         imap = V.dofmap.index_map
         self._first, self._size = imap.local_range[0], imap.size_local
         rows = self._corners()
-        owners = np.full(imap.size_local + imap.num_ghosts, self.comm.rank)
-        owners[imap.size_local :] = imap.owners
+        owners = np.concatenate([np.full(imap.size_local, self.comm.rank), imap.owners])
         sent = np.column_stack([self._global(rows[:, 0]), rows[:, 1:]])
         corners = send(self.comm, owners[rows[:, 0].astype(int)], sent)
-        pairs, at = np.unique(corners[:, :2], axis=0, return_inverse=True)
+        pairs, first, at = np.unique(corners[:, :2], axis=0, return_index=True, return_inverse=True)
         upper, at = pairs[:, 0], at.ravel()
-        vectors = np.zeros((len(upper), d))
-        self.weights = np.asarray(np.bincount(at, corners[:, 2], len(upper)), float)
-        for k in range(d):
-            vectors[:, k] = np.bincount(at, corners[:, 3 + k], len(upper))
-        first = np.zeros(len(upper), int)
-        first[at] = np.arange(len(at))
+        total = sums(at, corners[:, 2 : 3 + d], len(upper))
+        self.weights, vectors = total[:, 0], total[:, 1:]
         self.upper = (upper - self._first).astype(np.int32)
         self._lower = pairs[:, 1].astype(np.int64)  # global
         self.numbers = corners[first, 3 + d].astype(np.int64)
@@ -182,9 +177,8 @@ class ContactNodes:
         mesh, topology = V.mesh, V.mesh.topology
         for a, b in ((d, 0), (d - 1, 0), (0, d)):
             topology.create_connectivity(a, b)
-        vertices = np.array([topology.connectivity(d - 1, 0).links(f) for f in facets], np.int32)
-        kind = cpp.mesh.cell_entity_type(topology.cell_type, d - 1, 0)
-        vertices = vertices.reshape(len(facets), cpp.mesh.cell_num_vertices(kind))
+        to_vertices = topology.connectivity(d - 1, 0)
+        vertices = to_vertices.array.reshape(to_vertices.num_nodes, -1)[facets]
         places = vertices  # DOLFINx does not accept an empty list
         if vertices.size:
             places = np.asarray(entities_to_geometry(mesh, 0, vertices.ravel())).reshape(vertices.shape)
@@ -289,24 +283,17 @@ class ContactNodes:
     def stiffness(self, tangent: Array) -> PETSc.Mat:
         """Stiffness matrix over all displacements for tangents (n, d, d) of the law."""
         d, size = self.dim, self._size * self.dim
-        blocks = self.blocks(tangent)
-        sides = [(self._first + self.upper, 1.0)]
-        if self.lower is not None:
-            sides.append((self._lower, -1.0))
-        axes = np.arange(d)
+        sides = self.pairs[:, :1] if self.lower is None else self.pairs
+        dofs = (sides[:, :, None] * d + np.arange(d)).reshape(len(sides), -1).astype(PETSc.IntType)
+        signs = np.array([1.0, -1.0])[: sides.shape[1]].repeat(d)
+        values = np.tile(self.blocks(tangent), (1, sides.shape[1], sides.shape[1])) * np.outer(signs, signs)
+        begins = np.arange(0, values.size + 1, dofs.shape[1], dtype=PETSc.IntType)
+        columns = dofs.repeat(dofs.shape[1], axis=0).ravel()
         out = PETSc.Mat().create(self.comm)
         out.setSizes(((size, None), (size, None)))
         out.setType("aij")
         out.setUp()
-        columns = np.concatenate([(column[:, None] * d + axes) for column, _ in sides], axis=1)[:, None, :].repeat(
-            d, axis=1
-        )
-        starts = np.arange(0, columns.size + 1, columns.shape[2])
-        for row, sign in sides:
-            values = np.concatenate([sign * other * blocks for _, other in sides], axis=2)
-            there = (row[:, None] * d + axes).ravel()
-            indices = (a.ravel().astype(PETSc.IntType) for a in (starts, columns))
-            out.setValuesIJV(*indices, values.ravel(), addv=PETSc.InsertMode.ADD, rowmap=there.astype(PETSc.IntType))
+        out.setValuesIJV(begins, columns, values.ravel(), addv=PETSc.InsertMode.ADD, rowmap=dofs.ravel())
         out.assemble()
         return out
 
@@ -334,11 +321,9 @@ def frames_at(n: Array) -> Array:
     """Axes of S at normals (n, d), tangents first, equal to those of `forms.kinematics.layer_frame`."""
     if n.shape[1] == 2:
         return np.stack([np.column_stack([n[:, 1], -n[:, 0]]), n], axis=1)
-    out = np.zeros((len(n), 3, 3))
-    out[:, 2] = n
+    e = np.eye(3)
     down = n[:, 1] < -1 + 1e-12
-    s = 1 / np.where(down, 1.0, 1 + n[:, 1])
-    out[:, 0] = np.column_stack([1 - s * n[:, 0] ** 2, -n[:, 0], -s * n[:, 0] * n[:, 2]])
-    out[:, 1] = np.column_stack([-s * n[:, 0] * n[:, 2], -n[:, 2], 1 - s * n[:, 2] ** 2])
-    out[down, 0], out[down, 1] = (-1, 0, 0), (0, 0, 1)
-    return out
+    shares = n[:, [0, 2]] / np.where(down, 1.0, 1 + n[:, 1])[:, None]
+    tangents = e[[0, 2]] - shares[:, :, None] * (n + e[1])[:, None]
+    tangents[down] = -e[0], e[2]
+    return np.concatenate([tangents, n[:, None]], axis=1)

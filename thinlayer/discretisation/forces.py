@@ -13,7 +13,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.kinematics import Expr
-from forms.planes import LIFTED, Kinematics
+from forms.planes import Kinematics
 from geometry.domain import Domain
 from geometry.seam import LAYER, S
 from geometry.sheet import Sheet
@@ -52,15 +52,15 @@ class Forces:
 
     Args:
         domain: the domain.
+        kinematics: of the mesh; all measures have their factor.
+        points: makes forms of loads at points and along lines.
         tractions: facet name -> traction on the outer boundary.
         body_force: force per volume in the bodies, or region name -> force.
-        at: coordinates for loads that are functions.
         loads: loads at points and along lines.
-        points: makes forms of these.
-        kinematics: of the mesh; all measures have their factor.
 
     Attributes:
-        at, points: the arguments.
+        points: the argument.
+        at: coordinates for loads that are functions.
         given: description of kind and place -> the load as given.
         loaded: names of the facet sets with tractions.
 
@@ -71,14 +71,13 @@ class Forces:
     def __init__(
         self,
         domain: Domain,
-        tractions: Mapping[str, Load | Pressure] | None,
-        body_force: BodyForce | None,
-        at: Coordinates,
+        kinematics: Kinematics,
+        points: ConcentratedForms,
+        tractions: Mapping[str, Load | Pressure] | None = None,
+        body_force: BodyForce | None = None,
         loads: Sequence[Concentrated] = (),
-        points: ConcentratedForms | None = None,
-        kinematics: Kinematics = LIFTED,
     ) -> None:
-        self.domain, self.at, self.points, self._kinematics = domain, at, points, kinematics
+        self.domain, self.at, self.points, self._kinematics = domain, points.at, points, kinematics
         self.given: dict[str, Any] = {}
         self.loaded: list[str] = []
         self._loads: list[tuple[str, Expr, Weighted, str]] = []  # words, force, its place, the seam if it is a layer's
@@ -105,7 +104,6 @@ class Forces:
             self._add(f"body force in {name!r}", load, dx(domain.cell_values(name)))
         for one in loads:
             self.given[f"{one.what}, {len(self.given)}"] = one
-            assert points is not None
             for density, measure in points.terms(one):  # whole forces: their measures have no factor
                 self.add_weighted("", one.what, density, Weighted(measure, 1))
         self._everywhere = dx
@@ -171,12 +169,9 @@ class Forces:
         """
         band = self.domain.joint.band
         whole, _, region = name.partition("/")
-        if (
-            band is None
-            or band.bodies == "kept"
-            or region == LAYER
-            or f"{whole}/{LAYER}" not in self.domain.facet_values
-        ):
+        if band is None or band.bodies == "kept" or region == LAYER:
+            return 0.0
+        if f"{whole}/{LAYER}" not in self.domain.facet_values:
             return 0.0
         joint = band.base
         facets = joint.facets[whole]
@@ -186,12 +181,8 @@ class Forces:
         ends = rim[rim.on(facets)]
         splitting = joint.splitting
         around = splitting.copies[1][cells]
-        sides = [
-            np.isin(around, splitting.copies[1][beside]).any(axis=1)
-            for beside in joint.surface_cells.T
-            if (beside >= 0).all()
-        ]
-        covered = [ends.on(facets[loaded & side]) for side in sides]
+        beside = [splitting.copies[1][side] for side in joint.surface_cells.T if (side >= 0).all()]
+        covered = [ends.on(facets[loaded & np.isin(around, nodes).any(axis=1)]) for nodes in beside]
         if any(some.any() and not some.all() for some in covered):
             warn(
                 "other bodies",
@@ -199,7 +190,7 @@ class Forces:
                 f"it; the load is smaller than the interface model's. Load {whole!r}, or {whole + '/' + LAYER!r} as well",
                 self.domain.comm,
             )
-        return sum(bool(some.all()) for some in covered) / len(sides)
+        return sum(bool(some.all()) for some in covered) / len(covered)
 
     def work(self, v: Expr) -> Expr:
         """Virtual work of the loads, a UFL form linear in v that reads the clock."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from forms import work as forms
 from forms.tangent import needs_director
@@ -14,12 +14,13 @@ from geometry.refusals import unknown
 from geometry.seam import BASE
 from thinlayer.discretisation.boundary import require_revolution, require_shifts
 from thinlayer.discretisation.forces import Weighted
-from thinlayer.discretisation.layer import Layers, constants, real_law
+from thinlayer.discretisation.layer import Layers, SeamLayer, constants, real_law
 from thinlayer.discretisation.mesh_functions import director
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.seams import SeamLayer
-from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
+
+if TYPE_CHECKING:
+    from thinlayer.discretisation.structure import Structure
 
 LARGEST_EPS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
 
@@ -30,7 +31,7 @@ class FullModel(Model):
     name = "full"
 
     def __init__(
-        self, structure: Setup, layer: Layers, *, bodies: str, cells_through: int, junctions: str | None = None
+        self, structure: Structure, layer: Layers, *, bodies: str, cells_through: int, junctions: str | None
     ) -> None:
         self._bodies, self._cells_through, self._junctions = bodies, cells_through, junctions
         chosen = {} if junctions is None else {"junctions": junctions}
@@ -53,9 +54,9 @@ class FullModel(Model):
         first = () if self._junctions is None else (self._junctions,)
         thin = {name: one.thin for name, one in self.layers.items() if one.thin}
         eps = {name: layer.eps for given in (thin, gaps) for name, layer in given.items()}
-        if (thickest := max(eps.values(), default=0.0)) > LARGEST_EPS * self.structure.size:
+        if (thickest := max(eps.values(), default=0.0)) > LARGEST_EPS * self.joint.size:
             raise ModelError(
-                f"the layer's thickness eps is {thickest:g}, the bodies measure {self.structure.size:g}: next to such a "
+                f"the layer's thickness eps is {thickest:g}, the bodies measure {self.joint.size:g}: next to such a "
                 "layer their shape is lost in rounding; is eps in the unit of the mesh?"
             )
         inflated = inflate(

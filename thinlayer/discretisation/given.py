@@ -138,9 +138,7 @@ class Given:
         ModelError: another shape, what is no finite real number, a function that fails for symbols or that compares them.
     """
 
-    def __init__(
-        self, value: Any, what: str, shapes: Sequence[Shape], at: Coordinates, *, of_place: bool = False
-    ) -> None:
+    def __init__(self, value: Any, what: str, shapes: Sequence[Shape], at: Coordinates, *, of_place: bool) -> None:
         self.value, self.what, self.at, self._shapes, self._of_place = value, what, at, shapes, of_place
         is_function = callable(value) and not isinstance(value, ufl.core.expr.Expr)
         self.components = self._on_mesh(self._of_function() if is_function else self._read(value))

@@ -56,7 +56,7 @@ class MeanStrain:
             raise ModelError(f"{self.what} is for a periodic cell, and this joint is none; see geometry.periodic")
         self._dim, d = joint.dim, joint.dim
         self._given = at.given(given, self.what, (d, d)).once("the whole cell")
-        self.size = float(np.ptp(joint.points, axis=0).max())
+        self.size = joint.size
         if not self._given.varies:
             self.at(0.0)
 
@@ -87,9 +87,7 @@ class MeanStress(MeanStrain):
         d = joint.dim
         assert joint.periods is not None
         if np.linalg.matrix_rank(joint.periods.vectors(joint.points)) < d:
-            raise ModelError(
-                f"a mean stress needs a joint that is periodic in {d} directions; load free sides by tractions"
-            )
+            raise ModelError(f"a mean stress needs a joint periodic in {d} directions; load free sides by tractions")
         for p in bodies:
             if not p.proportional:
                 raise ModelError(
@@ -160,9 +158,7 @@ def require_symmetric(rows: Rows, what: str) -> None:
             both = isinstance(a, float) and isinstance(b, float)
             same = abs(a - b) <= SYMMETRY * max(numbers) if both else ufl.as_ufl(a) == ufl.as_ufl(b)
             if not same:
-                raise ModelError(
-                    f"{what} is not symmetric: its components {i + 1}{j + 1} and {j + 1}{i + 1} are {a}, {b}"
-                )
+                raise ModelError(f"{what} is not symmetric: components {i + 1}{j + 1} and {j + 1}{i + 1} are {a}, {b}")
 
 
 class Eigenstrain(ABC):
@@ -206,8 +202,7 @@ class ThermalExpansion(Eigenstrain):
     factor: float | Callable[[Expr, Any], Any] = 1.0
 
     def __post_init__(self) -> None:
-        alpha = finite(self.alpha, (), (3,), (3, 3))
-        if alpha is None:
+        if (alpha := finite(self.alpha, (), (3,), (3, 3))) is None:
             raise ModelError(f"alpha is {self.alpha!r}; allowed: a finite number, three, or a symmetric (3, 3)")
         if alpha.ndim == 2:
             require_symmetric([[*map(float, row)] for row in alpha], "alpha")
@@ -252,43 +247,37 @@ class Prestress(Eigenstrain):
             sigma = [row[:2] for row in sigma[:2]]
         if len(sigma) == 2 and 2 in matter.kinematics.slots(2):
             raise ModelError(f"the prestress of {matter.name} lacks that of hoops, sigma_33; give (3, 3)")
-        k = len(sigma)
-        slots = [slot for slot, (_, j) in enumerate(MANDEL) if j < k]
-        inverse = self._compliance(matter, slots)
-        stress = [sigma[i][j] for i, j in (MANDEL[slot] for slot in slots)]
+        slots = [slot for slot, (_, j) in enumerate(MANDEL) if j < len(sigma)]
+        pairs = [(*MANDEL[slot], 1.0 if slot < 3 else ROOT2) for slot in slots]
         found: Rows = [[0.0] * 3 for _ in range(3)]
-        scales = [1.0 if i == j else ROOT2 for i, j in (MANDEL[slot] for slot in slots)]
-        for row, scale, (i, j) in zip(inverse, scales, (MANDEL[slot] for slot in slots), strict=True):
-            summands = [-float(c) * s / scale * one for c, s, one in zip(row, scales, stress, strict=True) if c]
+        for row, (i, j, scale) in zip(self._compliance(matter, slots), pairs, strict=True):
+            summands = [-float(c) * s / scale * sigma[k][m] for c, (k, m, s) in zip(row, pairs, strict=True) if c]
             found[i][j] = found[j][i] = sum(summands, 0.0)
         return found
 
     def _compliance(self, matter: Matter, slots: Sequence[int]) -> Array:
         """Strains per stress in some Mandel components, the others of the strain being zero."""
-        hint = "; give its eigenstrain instead"
-        if len(matter.law.sublayers) > 1:
-            raise ModelError(f"the prestress of {matter.name}: its sublayers have stiffnesses of their own{hint}")
+        law = matter.law
+
+        def refused(why: str) -> ModelError:
+            return ModelError(f"the prestress of {matter.name}: {why}; give its eigenstrain instead")
+
+        if len(law.sublayers) > 1:
+            raise refused("its sublayers have stiffnesses of their own")
         try:
-            C = tangent_at_rest(matter.law, matter.n)
+            C = tangent_at_rest(law, matter.n)
         except TypeError as error:
-            if not matter.law.fields:
+            if not law.fields:
                 raise
-            varying = ", ".join(matter.law.fields)
-            raise ModelError(
-                f"the prestress of {matter.name}: its stiffness varies from place to place ({varying}){hint}"
-            ) from error
+            raise refused(f"its stiffness varies from place to place ({', '.join(law.fields)})") from error
         if C is None or not np.isfinite(C).all():
-            raise ModelError(
-                f"the prestress of {matter.name}: the stiffness of {type(matter.law).__name__} is not known at rest{hint}"
-            )
+            raise refused(f"the stiffness of {type(law).__name__} is not known at rest")
         C = C[np.ix_(slots, slots)]
         sizes = np.linalg.svd(C, compute_uv=False)
         if sizes[-1] <= SINGULAR * sizes[0]:
-            raise ModelError(
-                f"the prestress of {matter.name}: no strain of {type(matter.law).__name__} causes some stresses{hint}"
-            )
+            raise refused(f"no strain of {type(law).__name__} causes some stresses")
         found = np.asarray(np.linalg.inv(C))
-        if matter.law.traits.constrained and not matter.law.volume_compliance:
+        if law.traits.constrained and not law.volume_compliance:
             volume = np.array(slots) < 3  # the pressure bears what would change it
             shear = np.eye(len(slots)) - np.outer(volume, volume) / volume.sum()
             found = shear @ found @ shear

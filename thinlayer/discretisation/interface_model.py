@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -27,16 +27,17 @@ from geometry.topology import FloatArray, Splitting
 from thinlayer.discretisation.boundary import require_revolution
 from thinlayer.discretisation.forces import Forces, Weighted
 from thinlayer.discretisation.given import Coordinates
-from thinlayer.discretisation.layer import Layers, ThinLayer, for_terms, real_law
+from thinlayer.discretisation.layer import Layers, SeamLayer, ThinLayer, for_terms, real_law, seam_entities
+from thinlayer.discretisation.measures import known_at
 from thinlayer.discretisation.mesh_functions import Middle, cellwise, relative_thickness
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.quadratures import known_at
-from thinlayer.discretisation.seams import SeamLayer, seam_entities
-from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.side_loads import add_side_loads
 from thinlayer.errors import ModelError, Refused
 from thinlayer.pointwise.quadrature import quadrature_degree
 from thinlayer.system.ranks import on_all
+
+if TYPE_CHECKING:
+    from thinlayer.discretisation.structure import Structure
 
 AT_ENDS = 2  # how much higher the degree of quadrature is where weights of free ends are linear along S
 
@@ -48,7 +49,7 @@ class InterfaceModel(Model):
     broken = True
 
     def __init__(
-        self, structure: Setup, layer: Layers, *, bodies: str = "kept", meshed: npt.NDArray[np.bool_] | None = None
+        self, structure: Structure, layer: Layers, *, bodies: str = "kept", meshed: npt.NDArray[np.bool_] | None = None
     ) -> None:
         self._bodies, self.meshed = bodies, meshed
         super().__init__(structure, layer, **({} if bodies == "kept" else {"bodies": bodies}))
@@ -62,13 +63,16 @@ class InterfaceModel(Model):
         require_revolution(self.structure.kinematics, joint)
         return joint
 
-    def _forces(self, structure: Setup) -> Forces:
+    def _forces(self, structure: Structure) -> Forces:
         forces = super()._forces(structure)  # raises errors of bad data
-        to_base = 2 * self._middle.to_s if self._middle else None
         for one in self.layers.values():
             if one.thin and one.thin.order == 1:
-                add_side_loads(forces, self, one, self.sides_of(one.name), to_base)
+                add_side_loads(forces, self, one, self.sides_of(one.name), self._at_base)
         return forces
+
+    def _at_base(self, v: Expr) -> Expr:
+        """Motions of a rigid base, from those at the facets of the body above it."""
+        return v + ufl.dot(ufl.grad(v), 2 * self._middle.to_s) if self._middle else v
 
     @property
     def _clamped(self) -> tuple[str, ...]:
@@ -218,10 +222,9 @@ class InterfaceModel(Model):
         sides = self.sides_of(one.name)
         assert one.thin is not None
         eps = self._thickness(one.name, one.thin, sides)
-        to_base = 2 * self._middle.to_s if self._middle else None  # from the facets of the body
 
         def on_base(v: Expr) -> Expr:
-            return sides.upper(v if to_base is None else v + ufl.dot(ufl.grad(v), to_base)) / 2
+            return sides.upper(self._at_base(v)) / 2
 
         def on_either(v: Expr) -> Expr:
             return (sides.upper(v) + sides.lower(v)) / 2
@@ -253,7 +256,7 @@ def apart(joint: Joint, layers: Mapping[str, SeamLayer]) -> Joint:
     """
     if joint.seams_meet:
         raise ModelError(
-            "bodies='extended' of an interface model needs seams that do not meet or branch: S has no middle there"
+            "bodies='extended' of an interface model: seams meet or branch, where S has no middle; use bodies='kept'"
         )
     thin = {name: one.thin for name, one in layers.items() if one.thin}
     for name in joint.seams:

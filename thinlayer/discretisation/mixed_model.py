@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -22,16 +22,17 @@ from geometry.seam import BASE, CUT, LAYER, LOWER_FACE, UPPER_FACE, S
 from thinlayer.discretisation.constraints import Followers
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.layer import Layers, layers_of, on_seams
+from thinlayer.discretisation.layer import Layers, SeamLayer, layers_of, on_seams, seam_entities
 from thinlayer.discretisation.mesh_functions import cellwise, shift
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reduction import Reduction
-from thinlayer.discretisation.seams import SeamLayer, seam_entities
-from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError, warn
 from thinlayer.system.compat import exterior_facet_entities
 from thinlayer.system.identity import described
 from thinlayer.system.ranks import on_all
+
+if TYPE_CHECKING:
+    from thinlayer.discretisation.structure import Structure
 
 Array = npt.NDArray[np.float64]
 SAME_PLACE = 1e-9  # distance before inflating, relative to the size of the joint, of nodes above one another
@@ -61,15 +62,13 @@ def at_cuts(domain: Domain, V: fem.FunctionSpace, layers: Mapping[str, SeamLayer
     moved.interpolate(shift(domain))
     before = x - moved.x.array.reshape(x.shape)
     at_cut = _owned(domain, V, CUT)
+    known = domain.joint.facets
     faces = [
-        [
-            _owned(domain, V, next(n for n in (f"{name}/{face}", face, BASE) if n in domain.joint.facets))
-            for name in layers
-        ]
+        [_owned(domain, V, next(n for n in (f"{name}/{face}", face, BASE) if n in known)) for name in layers]
         for face in (LOWER_FACE, UPPER_FACE)
     ]
     rows = np.setdiff1d(at_cut, np.concatenate([nodes for face in faces for nodes in face]))
-    ends, size = [], float(np.ptp(domain.joint.points, axis=0).max())
+    ends, size = [], domain.joint.size
     for face in faces:
         each = [np.intersect1d(at_cut, nodes) for nodes in face]
         own, seam = np.concatenate(each), np.arange(len(each)).repeat([*map(len, each)])
@@ -78,9 +77,7 @@ def at_cuts(domain: Domain, V: fem.FunctionSpace, layers: Mapping[str, SeamLayer
         distance, at = cKDTree(everywhere[:, :d]).query(before[rows])
         with on_all(domain.comm):
             if (distance > SAME_PLACE * size).any():
-                raise ModelError(
-                    f"a node at a cut has none of a face above or below it, {place(x[rows][distance.argmax()])}"
-                )
+                raise ModelError(f"a node at a cut has no face above or below it, {place(x[rows][distance.argmax()])}")
         ends.append(everywhere[at, d:])
     apart, nodes = ends[1][:, :d] - ends[0][:, :d], [end[:, d].astype(np.int64) for end in ends]
     across = np.linalg.norm(apart, axis=1)
@@ -96,10 +93,9 @@ def at_cuts(domain: Domain, V: fem.FunctionSpace, layers: Mapping[str, SeamLayer
     return Followers((rows[:, None] * d + every).ravel(), of, shares)
 
 
-def _owned(domain: Domain, V: fem.FunctionSpace, *names: str) -> npt.NDArray[np.int64]:
-    """Nodes of this rank on the facets of some names, by their local numbers. Collective."""
-    facets = np.unique(np.concatenate([domain.facets(name) for name in names]))
-    found = fem.locate_dofs_topological(V, V.mesh.topology.dim - 1, facets)
+def _owned(domain: Domain, V: fem.FunctionSpace, name: str) -> npt.NDArray[np.int64]:
+    """Nodes of this rank on the facets of a name, by their local numbers. Collective."""
+    found = fem.locate_dofs_topological(V, V.mesh.topology.dim - 1, domain.facets(name))
     return np.unique(found[found < V.dofmap.index_map.size_local]).astype(np.int64)
 
 
@@ -115,8 +111,9 @@ class MixedModel(FullModel):
     """
 
     name = "mixed"
+    meshed: BoolArray
 
-    def __init__(self, structure: Setup, layer: Layers, where: Where, *, bodies: str, cells_through: int) -> None:
+    def __init__(self, structure: Structure, layer: Layers, where: Where, *, bodies: str, cells_through: int) -> None:
         with on_all(structure.comm):
             self.meshed = _facets(structure, where)
             _require(structure, layer, self.meshed, bodies)
@@ -131,7 +128,6 @@ class MixedModel(FullModel):
 
     def with_layer(self, layer: Layers) -> Self:
         """As in other models. Collective."""
-        assert self.meshed is not None
         with on_all(self.comm):
             _require(self.structure, layer, self.meshed, self._bodies)
         new = super().with_layer(layer)
@@ -147,7 +143,6 @@ class MixedModel(FullModel):
     def law_elsewhere(self) -> tuple[Model, list[forms.Term]] | None:
         """The terms of the interface laws on the facets without cells, and the interface model. Collective."""
         model = self.by_law
-        assert self.meshed is not None
         if self.meshed.all():
             return None
         terms = []
@@ -163,9 +158,7 @@ class MixedModel(FullModel):
         """
         model, joint = self.by_law, self.joint
         sides = model.sides_of(one.name)
-        if (
-            model.domain.joint.parted is not None or one.name in joint.base_seams
-        ):  # sides that know their fibres; upright
+        if model.domain.joint.parted is not None or one.name in joint.base_seams:  # these know their fibres; upright
             return sides
         inflated, count = self.domain.joint, len(joint.cells)
         moved = (inflated.points - inflated.reference)[inflated.cells[:count]].mean(axis=1)
@@ -182,7 +175,6 @@ class MixedModel(FullModel):
     def _without_cells(self, name: str) -> ufl.Measure:
         """The measure of the interface model over the facets of a seam without cells; its part 1. Collective."""
         domain, joint = self.by_law.domain, self.joint
-        assert self.meshed is not None
         mesh, below = domain.mesh, joint.surface_cells[:, 0]
         count = len(joint.cells)
         pairs = joint.surface_cells[~self.meshed] @ [1, count]
@@ -190,16 +182,15 @@ class MixedModel(FullModel):
             facets = np.sort(domain.facets(name))
             facets = facets[facets < mesh.topology.index_map(joint.dim - 1).size_local]
             found = exterior_facet_entities(mesh, facets)
-            chosen = found[
-                np.isin(domain.original_cells[found[:, 0]], joint.surface_cells[~self.meshed & (below < 0), 1])
-            ]
+            based = joint.surface_cells[~self.meshed & (below < 0), 1]
+            chosen = found[np.isin(domain.original_cells[found[:, 0]], based)]
             return ufl.Measure("ds", domain=mesh, subdomain_data=[(1, np.ascontiguousarray(chosen).ravel())])
         found = seam_entities(domain, name)
         chosen = found[np.isin(domain.original_cells[found[:, [2, 0]]] @ [1, count], pairs)]
         return ufl.Measure("dS", domain=mesh, subdomain_data=[(1, np.ascontiguousarray(chosen, np.int32).ravel())])
 
 
-def _facets(structure: Setup, where: Where) -> BoolArray:
+def _facets(structure: Structure, where: Where) -> BoolArray:
     """(n_S,) the facets that get cells.
 
     Raises:
@@ -222,7 +213,7 @@ def _facets(structure: Setup, where: Where) -> BoolArray:
     return found
 
 
-def _require(structure: Setup, layer: Layers, meshed: BoolArray, bodies: str) -> None:
+def _require(structure: Structure, layer: Layers, meshed: BoolArray, bodies: str) -> None:
     """Raise ModelError for what a mixed model cannot have, with the reason."""
     joint = structure.joint
     if joint.base_seams and len(joint.seams) > 1:
@@ -248,7 +239,7 @@ def _require(structure: Setup, layer: Layers, meshed: BoolArray, bodies: str) ->
         raise ModelError("a mixed model has no weight of the layer itself; give the bodies theirs")
 
 
-def _on_all_of_s(structure: Setup, layer: Layers) -> Layers:
+def _on_all_of_s(structure: Structure, layer: Layers) -> Layers:
     """The layers of the interface model: of order 0 where seams meet, as junctions, which have cells, know no order 1."""
     if not structure.joint.seams_meet:
         return layer

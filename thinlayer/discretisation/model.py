@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, ClassVar, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -27,22 +27,32 @@ from thinlayer.discretisation.constraints import Constraints, Followers
 from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
 from thinlayer.discretisation.given import Coordinates, Load, Pressure
 from thinlayer.discretisation.given_strains import Matter, MeanStrain, MeanStress, given_strain
-from thinlayer.discretisation.layer import BODIES, BODY, Bond, Gap, Layers, OnSeam, constants, layers_of, on_seams
-from thinlayer.discretisation.measures import compiled
+from thinlayer.discretisation.layer import (
+    BODIES,
+    BODY,
+    Bond,
+    Gap,
+    Layers,
+    OnSeam,
+    SeamLayer,
+    constants,
+    layers_of,
+    loads_of_layers,
+    on_seams,
+)
+from thinlayer.discretisation.measures import compiled, compiled_terms, origin_of, placed
+from thinlayer.discretisation.mesh_functions import cut_at_faces, vector_space
 from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms, check_loads
-from thinlayer.discretisation.quadratures import compiled_terms, origin_of, placed
 from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.rigid import free_translations, on_centre, require_support, resisted, rigid_motions
-from thinlayer.discretisation.seams import SeamLayer, loads_of_layers
-from thinlayer.discretisation.setup import Setup
-from thinlayer.discretisation.spaces import cut_at_faces, vector_space
 from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Supports
 from thinlayer.errors import ModelError, warn
 from thinlayer.pointwise.quadrature import Quadrature, quadrature_degree
 from thinlayer.system.identity import described, digest
 from thinlayer.system.ranks import on_all, require_same
 
-Result = TypeVar("Result")
+if TYPE_CHECKING:
+    from thinlayer.discretisation.structure import Structure
 
 
 @dataclass
@@ -104,7 +114,7 @@ class Model(ABC):
     _bodies = "kept"
     followers: Followers | None = None
 
-    def __init__(self, structure: Setup, layer: Layers, **options: object) -> None:
+    def __init__(self, structure: Structure, layer: Layers, **options: object) -> None:
         self.structure, self.joint, self.plane = structure, structure.joint, structure.plane
         self.element, self.body_laws = structure.element, structure.body_laws
         self._options, self.family = options, Family()
@@ -152,7 +162,7 @@ class Model(ABC):
             require_support(motions, resisted(motions, self.constraints, resistances))
         self.made_from = self._data()
 
-    def _lay(self, layer: Layers, check: Callable[[], Result]) -> Result:
+    def _lay(self, layer: Layers, check: Callable[[], Any]) -> Any:
         """Take the layers of the seams and return the result of a check of them. Collective."""
         structure = self.structure
         with on_all(structure.comm):
@@ -190,10 +200,8 @@ class Model(ABC):
             some = {f"{BODY} {name}": (name,) for name in names}
         cells = {key: self.dx(self.domain.cell_values(*here), **self._rule(self.dx)) for key, here in some.items()}
         volume = self._volume(law)
-        each = [
-            replace(forms.body(law, one, self.kinematics, volume), key=key, given=given) for key, one in cells.items()
-        ]
-        return [placed(term, self.V, self.origin) for term in each]
+        each = {key: forms.body(law, one, self.kinematics, volume) for key, one in cells.items()}
+        return [placed(replace(term, key=key, given=given), self.V, self.origin) for key, term in each.items()]
 
     def _terms_of_layers(self) -> list[forms.Term]:
         return [placed(term, self.V, self.origin) for term in self._layer_terms()]
@@ -202,11 +210,11 @@ class Model(ABC):
         return Supports(self.domain, given, self.coordinates.apart, self._clamped, self.kinematics)
 
     # ---------------------------------------------------------------- differences between kinds of models
-    def _forces(self, structure: Setup) -> Forces:
+    def _forces(self, structure: Structure) -> Forces:
         at = self.coordinates.apart
         points = ConcentratedForms(self.domain, self.joint, structure.degree, at)
-        given = structure.tractions, structure.body_force, at, structure.loads
-        forces = Forces(self.domain, *given, points, self.kinematics)
+        given = structure.tractions, structure.body_force, structure.loads
+        forces = Forces(self.domain, self.kinematics, points, *given)
         for name, load in loads_of_layers(structure.body_force, self.joint, self.layers, self.bonds).items():
             forces.add_layer(name, load, self._places_of(self.layers[name]), self._coordinates_on(at))
         return forces
@@ -284,7 +292,7 @@ class Model(ABC):
                 new.require("mean strain")
             if new.stress and not new.broken:
                 raise ModelError(
-                    "with_layer: under a mean stress a meshed layer is a part of the cell; build the model anew"
+                    "with_layer: under a mean stress a meshed layer is a part of the cell; build a new model"
                 )
         if new.constraints.ties:  # the thickness is an arm of plates
             new.constraints = new._constrained()
@@ -337,13 +345,10 @@ class Model(ABC):
             if supports is not None:
                 new.supports = self._supports(supports)
                 new.supports.anchored = self.supports.anchored
-                places = [
-                    [(place, sorted(given)) for place, given in one.entries] for one in (self.supports, new.supports)
-                ]
-                if places[0] != places[1]:
-                    raise ModelError(
-                        f"supports hold {places[1]}, those of the model {places[0]}; build another structure"
-                    )
+                both = self.supports, new.supports
+                own, other = ([(place, sorted(given)) for place, given in one.entries] for one in both)
+                if own != other:
+                    raise ModelError(f"supports hold {other}, those of the model {own}; build another structure")
             new.forces = new._forces(structure)
         if supports is not None:
             new.constraints = new._constrained()
@@ -440,11 +445,10 @@ class Model(ABC):
     def by_seam(self, values: Mapping[str, float]) -> dict[str, float]:
         """Sums of values of layers, given by key (`SeamLayer.key`), for each seam; empty if there is one seam only."""
         several = self.layers if len(self.joint.seams) > 1 else {}
-        found = {}
-        for name, one in several.items():
-            keys = {one.key, one.pressure_key}
-            found[name] = sum(value for key, value in values.items() if key.split("/")[0] in keys)
-        return found
+        return {
+            name: sum(value for key, value in values.items() if key.split("/")[0] in (one.key, one.pressure_key))
+            for name, one in several.items()
+        }
 
     def held_in(self, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
         """Degrees of freedom of a space (local, unrolled, ghosts included) on which supports and plates act. Collective.
@@ -492,10 +496,6 @@ class Model(ABC):
     def external_work(self, v: Expr, t: float) -> Expr:
         """Virtual work of the loads at a fixed time, a UFL form linear in v."""
         return Hand(t).of(self.forces.work(v))
-
-    def work_on_bases(self, v: Expr, t: float) -> dict[str, Expr]:
-        """Likewise of the loads that go to rigid bases by themselves, for motions v of these bases, by seam."""
-        return {name: Hand(t).of(work) for name, work in self.forces.work_on_bases(v).items()}
 
     @staticmethod
     def form(form: Expr) -> fem.Form:

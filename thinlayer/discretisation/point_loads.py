@@ -17,6 +17,7 @@ from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place as at_place
 from geometry.refusals import unknown
+from geometry.topology import sums
 from thinlayer.discretisation.boundary import refuse_periodic
 from thinlayer.discretisation.given import Coordinates, Load
 from thinlayer.discretisation.mesh_functions import cellwise
@@ -116,44 +117,28 @@ class LineLoad:
             refuse_periodic(joint, name, f"line load on {name!r}")
         if len(np.intersect1d(joint.table.index(names[self.first]), joint.table.index(names[self.second]))):
             raise ModelError(f"{self.what}: both have the same facets; a line lies between two sides")
-        kind = basix.CellType[joint.cell_type]
-        edges = np.array(basix.topology(kind)[1])
-        on_both = np.isin(joint.corners, names[self.first]) & np.isin(joint.corners, names[self.second])
-        near = np.flatnonzero(on_both.sum(axis=1) >= 2)
-        numbers = _edge_numbers(joint, near, edges)
-        shared = np.intersect1d(_edges_of(joint, self.first), _edges_of(joint, self.second))
+        kind, numbers = basix.CellType[joint.cell_type], joint.splitting.entities(1)
+        _, edges, facets, _ = basix.topology(kind)
+        inside = np.array([[k for k, edge in enumerate(edges) if {*edge} <= {*facet}] for facet in facets])
+        of_names = []
+        for name in (self.first, self.second):
+            rows = joint.table.index(names[name])
+            cells, local = joint.table.cells[rows, :1], joint.table.local[rows, 0]
+            of_names.append(numbers[cells, inside[local]])
+        shared = np.intersect1d(*of_names)
         if not len(shared):
             raise ModelError(f"{self.what}: they have no edge in common")
         components, chosen = joint.splitting.components(1), []
+        every, columns = np.nonzero(np.isin(numbers, shared))
         for number in shared:
-            rows, columns = np.nonzero(numbers == number)
-            k = _in_one_body(joint, near[rows], components[near[rows], columns], self.body, self.what)
-            chosen.append((near[rows[k]], columns[k]))
+            here = np.flatnonzero(numbers[every, columns] == number)
+            k = here[_in_one_body(joint, every[here], components[every[here], columns[here]], self.body, self.what)]
+            chosen.append((every[k], columns[k]))
         cells, columns = np.array(chosen).T
-        return along_edges(kind, cells, edges[columns])
+        return along_edges(kind, cells, np.array(edges)[columns])
 
 
-def _edge_numbers(joint: Joint, cells: IntArray, edges: IntArray) -> IntArray:
-    """(n, k) numbers of edges of cells (n,), given by corners (k, 2): the same for the same two vertices."""
-    ends = np.sort(joint.corners[cells][:, edges], axis=2)
-    return np.asarray(ends @ [len(joint.points), 1])
-
-
-def _edges_of(joint: Joint, name: str) -> IntArray:
-    """Numbers of the edges of the facets of a name."""
-    rows = joint.table.index(joint.facets[name])
-    cells, local = joint.table.cells[rows, 0], joint.table.local[rows, 0]
-    topology = basix.topology(basix.CellType[joint.cell_type])
-    found = []
-    for number, corners in enumerate(topology[2]):
-        inside = np.array([edge for edge in topology[1] if set(edge) <= set(corners)])
-        found.append(_edge_numbers(joint, cells[local == number], inside).ravel())
-    return np.concatenate(found)
-
-
-def along_edges(
-    kind: basix.CellType, cells: npt.NDArray[np.int64], ends: npt.NDArray[np.int64], count: int = EDGE_POINTS
-) -> Nodes:
+def along_edges(kind: basix.CellType, cells: IntArray, ends: IntArray, count: int = EDGE_POINTS) -> Nodes:
     """Gauss points on edges of cells (n,) between these corners (n, 2)."""
     s, w = basix.make_quadrature(basix.CellType.interval, 2 * count - 1)
     X = np.asarray(basix.geometry(kind))[ends]  # (n, 2, d)
@@ -161,9 +146,7 @@ def along_edges(
     return Nodes(cells, points, w[None, :, None] * (X[:, None, 1] - X[:, None, 0]))
 
 
-def _in_one_body(
-    joint: Joint, cells: npt.NDArray[np.int64], components: npt.NDArray[np.int64], body: str | None, what: str
-) -> int:
+def _in_one_body(joint: Joint, cells: IntArray, components: IntArray, body: str | None, what: str) -> int:
     """The first of the cells around a place that are of one body; raises ModelError if the place has several nodes."""
     regions = joint.region[cells]
     if body is not None:
@@ -224,10 +207,10 @@ class ConcentratedForms:
     def terms(self, load: Concentrated) -> list[tuple[Expr, ufl.Measure]]:
         """Pairs of a load per volume (d,) and a measure. Collective."""
         nodes, d = load.nodes(self.joint), self.joint.dim
-        along = nodes.in_space(self.joint, self.domain.joint.cell_points)[1]
-        lengths = (
-            np.ones((*along.shape[:2], 1)) if nodes.along is None else np.linalg.norm(along, axis=2, keepdims=True)
-        )
+        lengths = np.ones((*nodes.points.shape[:2], 1))
+        if nodes.along is not None:
+            along = nodes.in_space(self.joint, self.domain.joint.cell_points)[1]
+            lengths = np.linalg.norm(along, axis=2, keepdims=True)
         given = self.at.given(load.force, load.what, (d,))
         return [
             (at.given(load.force, load.what, (d,)).expression * g[0], measure)
@@ -260,11 +243,9 @@ class ConcentratedForms:
 
     def _densities(self, nodes: Nodes, weights: Array) -> Array:
         """(n_cells, m, ...) degrees of freedom of g times weights (n, k, ...), summed over the nodes of each cell."""
-        out = np.zeros((len(self.domain.joint.cells), len(self._inverse), *weights.shape[2:]))
         phi = self._element.tabulate(0, nodes.points.reshape(-1, self.joint.dim))[0, :, :, 0]
         g = (phi @ self._inverse.T).reshape(*nodes.points.shape[:2], -1)
-        np.add.at(out, nodes.cells, np.einsum("nk...,nkm->nm...", weights, g))
-        return out
+        return sums(nodes.cells, np.einsum("nk...,nkm->nm...", weights, g), len(self.domain.joint.cells))
 
 
 def _rounds(cells: npt.NDArray[np.int64]) -> Iterable[npt.NDArray[np.int64]]:

@@ -19,8 +19,7 @@ from geometry.refusals import GeometryError, place
 from geometry.sheet import Rim
 from geometry.topology import FloatArray, is_tensor
 from thinlayer.discretisation.boundary import is_across
-from thinlayer.discretisation.layer import LawOnS, ThinLayer, real_law
-from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.discretisation.layer import LawOnS, SeamLayer, ThinLayer, real_law
 from thinlayer.discretisation.sides import SLIGHT, FacetWeights, held_directions, side_kinds
 from thinlayer.errors import Refused
 

@@ -1,8 +1,11 @@
-"""Rigid motions: at places, in forms and in spaces; supports must prevent them, and multigrid needs them."""
+"""Rigid motions, which supports must prevent, and the forces and moments that work in them: reactions, applied loads."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
 from typing import Any
 
 import numpy as np
@@ -13,15 +16,23 @@ from dolfinx.mesh import Mesh
 
 from forms.kinematics import Expr
 from forms.planes import LIFTED, Kinematics
+from forms.temperature import finite
+from geometry.domain import Domain
 from geometry.joint import Joint
+from geometry.refusals import place as at_place
+from geometry.seam import BASE, S
 from thinlayer.discretisation.boundary import AXES
+from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.constraints import Constraints
+from thinlayer.discretisation.measures import per_unit
+from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
 Resistance = Callable[[Sequence[fem.Function]], Array]
 AXIAL = {2: ((0, 1, 1.0),), 3: ((1, 2, 1.0), (0, 2, -1.0), (0, 1, 1.0))}  # planes (i, j) that rotations turn, and sense
 SMALLEST = 1e-10  # least eigenvalue of the supports' Gram matrix of rigid motions, over its largest one
+ROUNDING = 1e-12  # coordinates over the size of the structure, components over a force, that are told as zero
 
 
 def count(dim: int) -> int:
@@ -86,7 +97,7 @@ def rigid_motions(V: fem.FunctionSpace, joint: Joint, kinematics: Kinematics = L
 
     In periodic joints a rotation is one only if it does not move one side against the other: about the one period in 3D.
     """
-    d, size, one = joint.dim, np.ptp(joint.points, axis=0).max(), np.eye(count(joint.dim))
+    d, size, one = joint.dim, joint.size, np.eye(count(joint.dim))
     shares = {f"translation {AXES[i]}": one[i] for i in kinematics.translations(d)}
     if joint.periods:
         vectors = joint.periods.vectors(joint.points)
@@ -131,3 +142,131 @@ def require_support(motions: Mapping[str, fem.Function], resistance: Array) -> N
     if values[0] <= SMALLEST * max(values[-1], 1.0):
         free = list(motions)[int(np.argmax(np.abs(vectors[:, 0])))]
         raise ModelError(f"no support against rigid motion of the structure ({free}); add supports")
+
+
+@dataclass(frozen=True, eq=False)
+class Resultant:
+    """A force and its moment about a point. In 2D per unit thickness.
+
+    Attributes:
+        force: (d,) force.
+        moment: moment about the point: (3,), in 2D a number, > 0 from x to y.
+        about: (d,) the point, in the coordinates of the model's mesh.
+    """
+
+    force: Array
+    moment: Array
+    about: Array
+
+    def at(self, about: Sequence[float] | Array) -> Resultant:
+        """The same forces, with their moment about another point (d,)."""
+        point = require_point(about, len(self.force))
+        return Resultant(self.force, self.moment + _moment(self.about - point, self.force), point)
+
+    def __add__(self, other: Resultant) -> Resultant:
+        there = other.at(self.about)
+        return Resultant(self.force + there.force, self.moment + there.moment, self.about)
+
+    def __neg__(self) -> Resultant:
+        return Resultant(-self.force, -self.moment, self.about)
+
+    @classmethod
+    def of(cls, values: Array, about: Array) -> Resultant:
+        """From the work (k,) in the motions of `rigid`: translations, then rotations about the point."""
+        d = len(about)
+        moment = values[d:]
+        return cls(values[:d].copy(), moment[0] if d == 2 else moment.copy(), about)
+
+    def __repr__(self) -> str:
+        size = np.abs(self.force).max()
+        force = at_place(np.where(np.abs(self.force) > ROUNDING * size, self.force, 0.0))
+        moment = f"{self.moment:.6g}" if np.ndim(self.moment) == 0 else at_place(self.moment)
+        return f"force {force}, moment {moment} about {at_place(self.about)}"
+
+
+def require_point(about: Sequence[float] | Array, dim: int) -> Array:
+    """A point (d,) as an array; raises ModelError if it is none."""
+    if (point := finite(about, (dim,))) is None:
+        raise ModelError(f"about is {about!r}; it must be a point of {dim} finite coordinates")
+    return point
+
+
+def _moment(arm: Array, force: Array) -> Array:
+    turned = [sense * (arm[i] * force[j] - arm[j] * force[i]) for i, j, sense in AXIAL[len(arm)]]
+    return np.array(turned if len(turned) > 1 else turned[0])
+
+
+def centroid(domain: Domain, name: str) -> Array:
+    """Centroid (d,) of the facets of a name, the sides of the layer that continue it included. Collective."""
+    mesh = domain.mesh
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=domain.facet_tags)(domain.values(name, layer_sides=True))
+    chosen = fem.Constant(mesh, np.zeros(domain.joint.dim + 1))
+    sums = per_unit(domain.comm, ufl.dot(chosen, ufl.as_vector([*ufl.SpatialCoordinate(mesh), 1.0])) * ds, chosen)
+    found = sums[:-1] / sums[-1]
+    return np.asarray(np.where(np.abs(found) > ROUNDING * domain.joint.size, found, 0.0))
+
+
+def applied_to(state: Any, about: Sequence[float] | None) -> Resultant:
+    """See `State.applied`."""
+    forces = state.model.forces
+    found = _of_loads(state, lambda v: {"": forces.work(v), **forces.work_on_bases(v)})
+    return reduce(add, found.values()).at(state.model.centre if about is None else about)
+
+
+def _of_loads(state: Any, work: Callable[[Expr], Mapping[str, Expr]]) -> dict[str, Resultant]:
+    """Resultants, about the centre, of loads by name, from their work in motions v. Collective."""
+    model, hand = state.model, Hand(state.t)
+    motion, v = rigid_expression(model.domain.mesh, model.centre)
+    return {name: _resultant(model, per_unit(model.comm, hand.of(form), motion)) for name, form in work(v).items()}
+
+
+def _resultant(model: Any, values: Array) -> Resultant:
+    """From the work (k,) in the motions about the centre, without what revolution cancels."""
+    return Resultant.of(np.asarray(values) * balanced_motions(model.kinematics, model.joint.dim), model.centre)
+
+
+def all_reactions(state: Any, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
+    """See `State.reactions_by_place`."""
+    model = state.model
+    if state.reactions is None:
+        raise ModelError("this state has no reactions: it is no equilibrium that was solved for")
+    of_parts = [row for part in model.parts for row in part.reaction(model, state.u)]
+    rows = [
+        (place, _resultant(model, values))
+        for place, values in [*zip(model.holders, state.reactions, strict=True), *of_parts]
+    ]
+    rows += [(name, -load) for name, load in _of_loads(state, model.forces.work_on_bases).items()]
+    found: dict[Place, Resultant] = {}
+    for place, one in rows:
+        found[place] = found[place] + one if place in found else one
+    return {place: one.at(model.centre if about is None else about) for place, one in found.items()}
+
+
+def reaction_of(state: Any, place: Place, about: Sequence[float] | None) -> Resultant:
+    """See `State.reaction`."""
+    model, every = state.model, all_reactions(state)
+    bases = {BASE, *model.joint.base_seams}
+    chosen = [name for name in every if name == place or str(name).split("/")[0] == place]
+    if place == S or (place in bases and not chosen):
+        chosen = [name for name in every if name in bases]
+    if not chosen:
+        held = ", ".join(map(repr, every)) or "nothing"
+        raise ModelError(f"nothing holds {place!r}: it is free of supports and springs; held are: {held}")
+    total = reduce(add, (every[name] for name in chosen))
+    return total.at(on_centre(model.kinematics, _middle(model, place, chosen)) if about is None else about)
+
+
+def _middle(model: Any, place: Place, chosen: Sequence[Place]) -> Array:
+    """The default point of moments: the centroid of a facet set, the vertex itself."""
+    domain = model.domain
+    if isinstance(place, str) and place in domain.facet_values and domain.values(place, layer_sides=True):
+        return centroid(domain, place)
+    names = [name for name in chosen if isinstance(name, str) and domain.facet_values.get(name)]
+    if names:
+        return np.asarray(np.mean([centroid(domain, name) for name in names], axis=0))
+    if isinstance(place, str):  # the side of a layer that is not meshed
+        return centroid(domain, place.split("/")[0])
+    joint = domain.joint
+    vertex = joint.nearest_point(place)
+    copies = np.all(joint.reference == joint.reference[vertex], axis=1)
+    return np.asarray(joint.points[copies].mean(axis=0))

@@ -36,16 +36,15 @@ from geometry.sheet import Rim, Sheet
 from geometry.topology import FloatArray, IntArray, ridge_keys
 from thinlayer.discretisation.forces import Forces, Weighted
 from thinlayer.discretisation.given import Coordinates, Load, Pressure, vanishes
-from thinlayer.discretisation.layer import real_law
+from thinlayer.discretisation.layer import SeamLayer, real_law
 from thinlayer.discretisation.mesh_functions import cellwise
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.point_loads import ConcentratedForms, Nodes, along_edges
-from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import Refused, warn
 
-ANTIPLANE = (
-    0.2713773  # 7 zeta(3)/pi^3: mean distance over the thickness of the tractions that balance a load along the end
-)
+# 7 zeta(3)/pi^3: mean distance over the thickness of the tractions that balance a load along the end
+ANTIPLANE = 0.2713773
+AtBase = Callable[[Expr], Expr]
 
 
 @dataclass(frozen=True)
@@ -94,13 +93,7 @@ class SideLoad:
         return at.given(self.load, self.what, (at.mesh.geometry.dim,)).expression, lambda v: g[0] * v
 
 
-def add_side_loads(
-    forces: Forces,
-    model: Model,
-    one: SeamLayer,
-    sides: Interface,
-    to_base: Expr | None,
-) -> None:
+def add_side_loads(forces: Forces, model: Model, one: SeamLayer, sides: Interface, at_base: AtBase) -> None:
     """Add the tractions on the side of a layer of order 1 to the forces of an interface model.
 
     Args:
@@ -108,7 +101,7 @@ def add_side_loads(
         model: the model.
         one: the layer.
         sides: of its seam.
-        to_base: (d,) how far a rigid base is from the facets of the body; None: the body meets it.
+        at_base: motions of a rigid base, from those at the facets of the body above it.
     """
     reduction = model.reductions[one.name]
     free = ridge_keys(reduction.loose.vertices)
@@ -127,7 +120,7 @@ def add_side_loads(
                 f"as large as the force, which is not known{why}; mesh the layer (structure.full) if that matters",
                 model.comm,
             )
-            found += _halves(load.on(~known), model, one, forces.points, to_base)
+            found += _halves(load.on(~known), model, one, forces.points, at_base)
         for force, place in found:
             forces.add_weighted(one.name, load.what, force, place)
 
@@ -198,11 +191,10 @@ def _handed(shares: Expr, m: Expr, sides: Interface, based: bool) -> Weighted:
 
 # ---------------------------------------------------------------- other ends
 def _halves(
-    load: SideLoad, model: Model, one: SeamLayer, points: ConcentratedForms | None, to_base: Expr | None
+    load: SideLoad, model: Model, one: SeamLayer, points: ConcentratedForms, at_base: AtBase
 ) -> Iterator[tuple[Expr, Weighted]]:
     """The load as forces on the rims of both faces, half of it on each; a rigid base takes its half by itself."""
     assert one.thin
-    assert points is not None
     joint, based = model.domain.joint, one.name in model.joint.base_seams
     below, above = joint.surface_cells[one.sheet.parts[0][load.rim.simplex]].T
     faces = [_ridges(joint, cells, load.rim.vertices) for cells in (above, above if based else below)]
@@ -217,17 +209,15 @@ def _halves(
         force, moved = load.at_points(at, g)
 
         def on_base(v: Expr, moved: Callable[[Expr], Expr] = moved) -> Expr:
-            return moved(v if to_base is None else v + ufl.dot(ufl.grad(v), to_base))
+            return moved(at_base(v))
 
         yield force, Weighted(measure, 1, mean=moved, on_base=on_base if based else None)
 
 
 def _ridges(joint: Joint, cells: IntArray, vertices: IntArray) -> Nodes:
     """Ridges of S, given by vertices (n, d - 1), in cells (n,): the vertices in 2D, edges in 3D with two Gauss points."""
-    kind, corner = (
-        basix.CellType[joint.cell_type],
-        (joint.corners[cells][:, None] == vertices[..., None]).argmax(axis=2),
-    )
+    kind = basix.CellType[joint.cell_type]
+    corner = (joint.corners[cells][:, None] == vertices[..., None]).argmax(axis=2)
     if joint.dim == 3:
         return along_edges(kind, cells, corner, 2)
     return Nodes(cells, np.asarray(basix.geometry(kind))[corner])

@@ -17,11 +17,11 @@ from geometry.ends import StraightEnd, share_within
 from geometry.joint import Joint
 from geometry.seam import LAYER, S
 from geometry.sheet import Rim, Sheet, continued
-from geometry.topology import FloatArray, ridge_keys
+from geometry.topology import FloatArray, facet_normals, ridge_keys
 from thinlayer.discretisation.addition import Addition
 from thinlayer.discretisation.boundary import AXES, on_axis
+from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.mesh_functions import cellwise
-from thinlayer.discretisation.seams import SeamLayer
 
 ROUNDING = 1e-6  # of squares of cosines between directions
 SLIGHT = 1e-3  # share of a direction, cos^2, that counts as none: 2 degrees
@@ -70,9 +70,8 @@ def held_directions(one: SeamLayer, of_layer: bool = True) -> FloatArray:
 def _normals(joint: Joint, rim: Rim, name: str) -> FloatArray:
     """(n, d) mean unit normal of the facets of a name at each ridge: that of a layer's side if S ends at right angles."""
     rows, out = joint.facets[name], rim.outward.copy()
-    edges = np.diff(joint.points[rows[:, : joint.dim]], axis=1)
-    normals = edges[:, 0, ::-1] * [1.0, -1.0] if joint.dim == 2 else np.cross(edges[:, 0], edges[:, 1])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    flat = "triangle" if joint.dim == 2 else "tetrahedron"
+    normals = facet_normals(joint.points, rows[:, : joint.dim], flat)[:, 0]
     for k, ridge in enumerate(rim.vertices):
         at = normals[np.isin(rows, ridge).sum(axis=1) == joint.dim - 1]
         mean = (at * np.sign(at @ rim.outward[k])[:, None]).sum(axis=0)
@@ -108,7 +107,7 @@ class FacetWeights:
         joint, x = sheet.joint, sheet.joint.points[sheet.vertices]
         facet = np.searchsorted(sheet.facets, sheet.parts[0])
         count, d = len(sheet.facets), joint.dim
-        size, area = float(np.ptp(joint.points, axis=0).max()), np.bincount(facet, sheet.areas, count)
+        size, area = joint.size, np.bincount(facet, sheet.areas, count)
         weights = np.zeros((3, count))
         nearest, m, offset = np.full(count, np.inf), np.zeros((count, d)), np.full(count, FAR * size)
         centre = np.stack([np.bincount(facet, sheet.areas * c, count) / area for c in x.mean(axis=1).T], axis=1)

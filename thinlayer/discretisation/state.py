@@ -19,7 +19,7 @@ from thinlayer.discretisation.given_strains import MEAN_STRAIN, PAIRS, of_compon
 from thinlayer.discretisation.layer import BODIES, LAYER, PRESSURE
 from thinlayer.discretisation.measures import compiled_scalars, per_unit, whole
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.reactions import Resultant, all_reactions, applied_to, reaction_of
+from thinlayer.discretisation.rigid import Resultant, all_reactions, applied_to, reaction_of
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 from thinlayer.system.ranks import carry
@@ -233,17 +233,19 @@ class State(Configuration):
     @property
     def bodies(self) -> list[Term]:
         """The terms of the bodies' laws, with the strains that are given or found beside those of u. Collective."""
-        model = self.model
-        terms = Hand(self.t).terms(model.bodies)
-        return added(terms, lift(fem.Constant(model.domain.mesh, self.mean_strain()))) if model.stress else terms
+        return self._strained(self.model.bodies)
 
     @property
     def layers(self) -> list[Term]:
         """The terms of the layers' laws, with the strains that are given beside those of u."""
-        model = self.model
-        terms = Hand(self.t).terms(model.layer_terms)
-        found = model.stress and not model.broken
-        return added(terms, lift(fem.Constant(model.domain.mesh, self.mean_strain()))) if found else terms
+        return self._strained(self.model.layer_terms, on_s=self.model.broken)
+
+    def _strained(self, terms: list[Term], *, on_s: bool = False) -> list[Term]:
+        """The terms at the time of the state, but for those on S with the mean strain under a mean stress."""
+        terms = Hand(self.t).terms(terms)
+        if on_s or not self.model.stress:
+            return terms
+        return added(terms, lift(fem.Constant(self.model.domain.mesh, self.mean_strain())))
 
     def stress(self, term: Term) -> Expr:
         """The stress (3, 3) of a term of bodies or of a meshed layer, a UFL expression. Collective.
@@ -265,9 +267,7 @@ class State(Configuration):
                 yield p, stress(p, self.u), p.measure
                 continue
             if p.measure.integral_type() != "cell":
-                raise ModelError(
-                    f"the stress of {type(p.law).__name__} on S is not kept as a field; see Surface.traction"
-                )
+                raise ModelError(f"the stress of {type(p.law).__name__} on S is no field; see Surface.traction")
             rules = self.model.quadratures.items()
             key, points = next((key, one) for key, one in rules if one.term.measure is p.measure)
             values = self.stresses.get(key, np.zeros((points.count, len(MANDEL))))

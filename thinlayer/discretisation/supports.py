@@ -100,13 +100,13 @@ class Supports:
         d = len(self.axes)
         if not isinstance(place, tuple) or len(place) != d or not all(is_number(c) for c in place):
             raise ModelError(
-                f"support on {place!r}; a place is the name of a facet set, or the {d} coordinates of a vertex"
+                f"support on {place!r}; a place is the name of a facet set, or {d} coordinates of a vertex"
             )
 
     def _components(self, place: Place, support: Support) -> Components:
         if callable(support) or support is None:
             raise ModelError(
-                f"support on {place!r} is {support!r}; allowed: a number, or {{component: number or function}}"
+                f"support on {place!r} is {support!r}; allowed: a number, {{component: number or function}}"
             )
         given = support if isinstance(support, Mapping) else dict.fromkeys(self.axes, support)
         components: Components = dict(given)
@@ -197,19 +197,14 @@ class Supports:
 
 def vertex_dofs(V: fem.FunctionSpace, vertices: npt.NDArray[np.int32], component: int) -> npt.NDArray[np.int32]:
     """Local degrees of freedom (unrolled) of one component at local vertices, in every cell that has the vertex."""
-    topology, dofmap = V.mesh.topology, V.dofmap
-    topology.create_connectivity(0, topology.dim)
-    to_cells, to_vertices = topology.connectivity(0, topology.dim), topology.connectivity(topology.dim, 0)
-    found = []
-    for vertex in vertices:
-        for cell in to_cells.links(vertex):
-            corner = int(np.flatnonzero(to_vertices.links(cell) == vertex)[0])
-            block = dofmap.cell_dofs(cell)[dofmap.dof_layout.entity_dofs(0, corner)]
-            found.append(block * dofmap.bs + component)
-    return np.unique(np.concatenate([np.empty(0, np.int32), *found])).astype(np.int32)
+    dofmap, of_cells = V.dofmap, V.mesh.topology.connectivity(V.mesh.topology.dim, 0)
+    corners = of_cells.array.reshape(of_cells.num_nodes, -1)
+    places = [dofmap.dof_layout.entity_dofs(0, k)[0] for k in range(corners.shape[1])]
+    blocks = np.asarray(dofmap.list)[:, places][np.isin(corners, vertices)]
+    return np.unique(blocks * dofmap.bs + component).astype(np.int32)
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Source:
     """The values of one component of one entry: a function that is a number, or an expression to interpolate."""
 
@@ -217,7 +212,7 @@ class _Source:
     place: Place
     axis: str
     value: fem.Function
-    expression: fem.Expression | None
+    expression: fem.Expression | None = None
 
 
 class Prescribed:
@@ -245,7 +240,7 @@ class Prescribed:
         self.supports, self.V, self.comm = supports, V, supports.domain.comm
         self.d = V.dofmap.bs
         self.size = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
-        self.extent = float(np.ptp(supports.domain.joint.points, axis=0).max())
+        self.extent = supports.domain.joint.size
         self._sources = [
             self._source(number, place, axis)
             for number, (place, components) in enumerate(supports.entries)
@@ -264,7 +259,7 @@ class Prescribed:
             return _Source(entry, place, axis, value, fem.Expression(expression, interpolation_points(self.V)))
         if given is not None and given.value:
             value.interpolate(lambda x: np.full((self.d, x.shape[1]), float(given.value)))
-        return _Source(entry, place, axis, value, None)
+        return _Source(entry, place, axis, value)
 
     def _find_conditions(self) -> None:
         """Find the conditions on this rank: source, the degree of freedom that has the value, and direction."""
@@ -282,38 +277,30 @@ class Prescribed:
         fast = np.zeros(self.size, bool)
         fast[dof[clamped]] = True
         kept = clamped | ~((np.abs(directions) > 0) & fast.reshape(-1, d)[dof // d]).any(axis=1)
-        self.entry, self._source_of, self._dof, self.directions = (
-            array[kept] for array in (entry, source, dof, directions)
-        )
+        self.entry, self._source_of = entry[kept], source[kept]
+        self._dof, self.directions = dof[kept], directions[kept]
         self.blocks = self._dof // d
         column = (self.blocks[:, None] * d + np.arange(d)).ravel()
-        begins = np.arange(0, len(column) + 1, d)
-        self.conditions = scipy.sparse.csr_matrix(
-            (self.directions.flatten(), column, begins), (len(self.entry), self.size)
-        )
+        rows = self.directions.flatten(), column, np.arange(0, len(column) + 1, d)
+        self.conditions = scipy.sparse.csr_matrix(rows, (len(self.entry), self.size))
         self.conditions.eliminate_zeros()
 
     def _normal_conditions(self) -> tuple[Numbers, Numbers, Array]:
         """Conditions along normals: source, degree of freedom, direction."""
         d, domain = self.d, self.supports.domain
-        sources: list[Numbers] = [np.empty(0, int)]
-        blocks: list[Numbers] = [np.empty(0, int)]
-        normals: list[Array] = [np.empty((0, d))]
+        columns: list[Array] = [np.empty((0, d + 2))]  # source, block, normal
         for number, one in enumerate(self._sources):
             if one.axis == NORMAL:
                 nodes, n = node_normals(domain, self.V, domain.facets(str(one.place), layer_sides=True))
-                sources.append(np.full(len(nodes), number))
-                blocks.append(nodes)
-                normals.append(n)
-        source, block, normal = map(np.concatenate, (sources, blocks, normals))
-        order = np.argsort(block, kind="stable")
-        rows: list[tuple[int, int, Array]] = []
-        for same in np.split(order, np.flatnonzero(np.diff(block[order])) + 1) if len(order) else []:
-            surface, unit = smooth(normal[same])
-            pairs = np.unique(np.column_stack([source[same], surface]), axis=0)
-            rows += [(int(s), int(block[same[0]]) * d, unit[k]) for s, k in pairs]
-        dofs, units = np.array([row[:2] for row in rows], int).reshape(-1, 2), [row[2] for row in rows]
-        return dofs[:, 0], dofs[:, 1], np.array(units).reshape(-1, d)
+                columns.append(np.column_stack([np.full(len(nodes), number), nodes, n]))
+        table, rows = np.concatenate(columns), [np.empty((0, d + 2))]
+        table = table[np.argsort(table[:, 1], kind="stable")]
+        for same in np.split(table, np.flatnonzero(np.diff(table[:, 1])) + 1) if len(table) else []:
+            surface, unit = smooth(same[:, 2:])
+            pairs = np.unique(np.column_stack([same[:, 0], surface]), axis=0).astype(int)
+            rows += [np.array([[source, same[0, 1] * d, *unit[k]]]) for source, k in pairs]
+        found = np.concatenate(rows)
+        return found[:, 0].astype(int), found[:, 1].astype(int), found[:, 2:]
 
     # ---------------------------------------------------------------- values
     @property
@@ -328,7 +315,6 @@ class Prescribed:
             for number, one in enumerate(self._sources):
                 if one.expression is not None:
                     one.value.interpolate(one.expression)
-                    one.value.x.scatter_forward()
                 rows = self._source_of == number
                 values[rows] = one.value.x.array[self._dof[rows]]
         return values

@@ -13,9 +13,8 @@ from forms.tangent import average_lame, is_isotropic
 from geometry.refusals import unknown
 from geometry.seam import S
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.layer import ThinLayer
+from thinlayer.discretisation.layer import SeamLayer, ThinLayer
 from thinlayer.discretisation.reduction import LEAST_CONTRAST, Reduction, softest_body
-from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, Refused
 from thinlayer.estimating.on_surface import NEAR_ENDS

@@ -58,8 +58,7 @@ def unit(direction: Sequence[float], dim: int, goal: str) -> Array:
     Raises:
         ModelError: it is none.
     """
-    found = finite(direction, (dim,))
-    if found is None or not found.any():
+    if (found := finite(direction, (dim,))) is None or not found.any():
         raise ModelError(f"{goal}: the direction is {direction!r}; give {dim} numbers, not all zero")
     return np.asarray(found / np.linalg.norm(found))
 

@@ -20,8 +20,8 @@ from forms.kinematics import Expr
 from geometry.refusals import unknown
 from geometry.seam import S
 from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.layer import seam_entities
 from thinlayer.discretisation.measures import compiled, whole
-from thinlayer.discretisation.seams import seam_entities
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from geometry.inflating.parting import points_on_middle
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.output.surface import Surface
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart

@@ -14,6 +14,7 @@ from thinlayer.discretisation.forces import Forces
 from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.given_strains import PAIRS, MeanStrain, Strain
 from thinlayer.discretisation.model import Family, Model
+from thinlayer.discretisation.point_loads import ConcentratedForms
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.ranks import on_all
@@ -52,7 +53,8 @@ def homogenised_stiffness(model: Model) -> Array:
     strained.bodies = added(bodies, strained.strain.expression)
     if not model.broken:
         strained.layer_terms = added(strained.layer_terms, strained.strain.expression)
-    strained.forces = Forces(model.domain, None, None, at, kinematics=model.kinematics)
+    points = ConcentratedForms(model.domain, model.joint, model.structure.degree, at)
+    strained.forces = Forces(model.domain, model.kinematics, points)
     with Solver(strained) as solver:
         times = map(float, range(len(PAIRS[model.joint.dim])))
         columns = [_components(solver.step(solver.rest(t), t).mean_stress()) for t in times]

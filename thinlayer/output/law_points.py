@@ -19,8 +19,8 @@ from forms.work import Term, stress
 from geometry.topology import IntArray
 from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.layer import BY_LAW, LAYER, PRESSURE
+from thinlayer.discretisation.measures import compiled_terms
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.quadratures import compiled_terms
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.pointwise.quadrature import Quadrature
 

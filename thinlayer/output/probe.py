@@ -168,7 +168,7 @@ class Probe:
         entity[quadrature.cells] = points.entities[:, None]
         mine = (entity, quadrature.x, quadrature.weights, values)
         entity, x, weights, values = (np.concatenate(one) for one in zip(*self._comm.allgather(mine), strict=True))
-        rank = np.argsort(by_place(x, float(np.ptp(self._joint.points, axis=0).max())))
+        rank = np.argsort(by_place(x, self._joint.size))
         order = np.lexsort([rank, entity])
         return PointValues(key, x[order], values[order], weights[order], entity[order])
 

@@ -21,9 +21,8 @@ from forms.law import LawError
 from geometry.dolfinx_mesh import cell_nodes
 from geometry.topology import IntArray, lagrange
 from thinlayer.discretisation.contact_nodes import component_at
-from thinlayer.discretisation.layer import real_law
-from thinlayer.discretisation.quadratures import column_numbers
-from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.discretisation.layer import SeamLayer, real_law
+from thinlayer.discretisation.measures import column_numbers
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import at_contact
 from thinlayer.output.law_points import LawPoints, law_points, law_points_elsewhere
@@ -105,7 +104,7 @@ def _columns(surface: SurfaceMesh, state: State) -> IntArray:
     joint = surface.joint
     numbers, centres = column_numbers(state.model.domain.joint)
     apart, row = cKDTree(joint.points[surface.corners].mean(axis=1)).query(centres)
-    row = np.where(apart <= NEAR * np.ptp(joint.points, axis=0).max(), row, -1)
+    row = np.where(apart <= NEAR * joint.size, row, -1)
     return np.where(numbers >= 0, row[numbers], -1)
 
 

@@ -17,9 +17,8 @@ from geometry.seam import S
 from geometry.sheet import Rim
 from geometry.topology import IntArray
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.layer import real_law
+from thinlayer.discretisation.layer import SeamLayer, real_law
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.side_loads import SideLoad
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, Refused

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from forms.ends.end_fields import EVEN, EndFields
 from forms.kinematics import MANDEL
 from forms.law import BulkLaw
-from forms.temperature import real
+from forms.temperature import finite
 from geometry.ends import StraightEnd
 from geometry.refusals import place
 from thinlayer.discretisation.state import State
@@ -118,11 +118,7 @@ class Zoom:
             )
 
     def _heights(self, height: Any, n: int) -> Array:
-        try:
-            y = real(height)
-        except (TypeError, ValueError):
-            y = np.array([np.nan])
-        if y.shape not in ((), (n,)) or not (np.abs(y) <= 0.5).all():
+        if (y := finite(height, (), (n,))) is None or not (np.abs(y) <= 0.5).all():
             raise ModelError(
                 f"heights are {height!r:.80}; allowed: one number or {n}, from -1/2 to 1/2 of the thickness"
             )

@@ -13,8 +13,8 @@ from forms.work import Term
 from geometry.inflating.parting import points_on_middle
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.layer import BY_LAW
+from thinlayer.discretisation.measures import compiled_terms
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.quadratures import compiled_terms
 from thinlayer.discretisation.state import transfer
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact_part import ContactPart

@@ -17,8 +17,7 @@ from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.boundary import AXES, on_boundary
 from thinlayer.discretisation.constraints import Tied
 from thinlayer.discretisation.given import Given
-from thinlayer.discretisation.reactions import Array, centroid, require_point
-from thinlayer.discretisation.rigid import balanced_motions, count, on_centre, rigid
+from thinlayer.discretisation.rigid import Array, balanced_motions, centroid, count, on_centre, require_point, rigid
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 
@@ -80,7 +79,7 @@ class RigidPlate(Addition):
 
     def tied(self, model: Host) -> Tied:
         """Its nodes, which follow its motions. Collective."""
-        d, size = model.joint.dim, self.size(model)
+        d, size = model.joint.dim, model.domain.joint.size
         scale = np.where(np.arange(count(d)) < d, 1.0, size)
         held = {k: partial(self._prescribed_at, model, k, scale[k]) for k in self.motions_held(model)}
         R = self._tie(model, self.point(model), size)
@@ -94,7 +93,7 @@ class RigidPlate(Addition):
         model: Any = state.model
         (tie,) = (one for one in model.constraints.ties if one.key == self.key)
         q, d = model.constraints.motion(tie, state.u.x.array[: model.constraints.n]), model.joint.dim
-        rotation = q[d:] / self.size(model)  # of lengths
+        rotation = q[d:] / model.domain.joint.size  # of lengths
         return PlateMotion(q[:d], np.asarray(rotation[0] if d == 2 else rotation), self.point(model))
 
     def _tie(self, model: Host, about: Array, size: float) -> Any:
@@ -201,7 +200,3 @@ class RigidPlate(Addition):
     def motions_held(self, model: Host) -> list[int]:
         """Numbers of the prescribed motions."""
         return sorted({*self._prevented(model), *(motion_names(model.joint.dim).index(name) for name in self.motion)})
-
-    def size(self, model: Host) -> float:
-        """Largest extent of the structure, by which rotations are multiplied to be lengths."""
-        return float(np.ptp(model.domain.joint.points, axis=0).max())

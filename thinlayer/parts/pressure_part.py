@@ -20,7 +20,7 @@ from geometry.dolfinx_mesh import cell_nodes
 from geometry.topology import IntArray
 from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.layer import LAYER, PRESSURE
-from thinlayer.discretisation.spaces import Keys, broken_space
+from thinlayer.discretisation.mesh_functions import Keys, broken_space
 from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
 from thinlayer.pointwise.assembling import add_spread, matrix_of, values_of
 from thinlayer.pointwise.quadrature import Origin, Quadrature, Region

@@ -17,8 +17,7 @@ from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.boundary import on_boundary
 from thinlayer.discretisation.given import DEGREE, Given
 from thinlayer.discretisation.measures import per_unit
-from thinlayer.discretisation.reactions import Array
-from thinlayer.discretisation.rigid import rigid_expression
+from thinlayer.discretisation.rigid import Array, rigid_expression
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 from thinlayer.parts.forms import FormPart, matrix

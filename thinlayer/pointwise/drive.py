@@ -143,8 +143,7 @@ def drive(
 
 def _frame(n: Sequence[float]) -> tuple[Array, Array]:
     """Unit normal (d,) and axes (3, d) of S, as `forms.kinematics.layer_frame`."""
-    normal = finite(n, (2,), (3,))
-    if normal is None or not normal.any():
+    if (normal := finite(n, (2,), (3,))) is None or not normal.any():
         raise ModelError(f"the normal n is {n!r}; allowed: 2 or 3 numbers, not all zero")
     normal = normal / np.linalg.norm(normal)
     frame = numbers(layer_frame(ufl.as_vector(normal.tolist())))
@@ -175,8 +174,7 @@ def _read(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]:
 
 
 def _lengths(dt: float | Sequence[float], count: int) -> Array:
-    lengths = finite(dt, (), (count,))
-    if lengths is None or (lengths < 0).any():
+    if (lengths := finite(dt, (), (count,))) is None or (lengths < 0).any():
         raise ModelError(f"dt is {dt!r}; allowed: a number >= 0, or one for each of the {count} steps")
     return np.broadcast_to(lengths, count)
 

@@ -6,14 +6,68 @@ DOLFINx and PETSc are imported only when something is computed, as that takes se
 from __future__ import annotations
 
 import argparse
+import ast
 import importlib
+import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from thinlayer.running.catalogue import studies
 from thinlayer.running.process import BAD_INPUT, OK, UNFINISHED, is_first, recorded, set_signals, stop
 from thinlayer.system.words import reason, say
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study script.
+
+    Attributes:
+        name: module name in `studies`.
+        summary: first line of its docstring.
+        options: name of a keyword argument of its `run` -> arguments of `ArgumentParser.add_argument` for it.
+        drawn: whether it has pictures, which its `draw` makes of its tables; benchmarks have tables alone.
+    """
+
+    name: str
+    summary: str
+    options: dict[str, dict[str, Any]]
+    drawn: bool
+
+
+@cache
+def studies() -> dict[str, Study]:
+    """All studies by name."""
+    found = {}
+    for path in sorted((Path(__file__).parents[2] / "studies").glob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
+        if run := functions.get("run"):
+            text, summary = ast.get_docstring(run) or "", (ast.get_docstring(tree) or "").partition("\n")[0]
+            options = {one.arg: _option(one, text) for one in run.args.kwonlyargs}
+            found[path.stem] = Study(path.stem, summary, options, "draw" in functions)
+    return found
+
+
+def _option(argument: ast.arg, text: str) -> dict[str, Any]:
+    """Arguments of `add_argument` for a keyword argument of `run`.
+
+    Args:
+        argument: the keyword argument; its annotation is `bool`, `Sequence[float]` (thicknesses) or `Literal[...]`.
+        text: docstring of `run`, in which its description becomes the help of the option.
+    """
+    line = re.search(rf"^\s+{argument.arg}: (.*)$", text, re.MULTILINE)
+    found: dict[str, Any] = {"help": line[1].replace("%", "%%") if line else None}
+    match ast.unparse(argument.annotation) if argument.annotation else "":
+        case "bool":
+            return found | {"action": "store_true"}
+        case "Sequence[float]":
+            return found | {"nargs": "+", "type": float, "metavar": "E"}
+        case kind:
+            allowed = tuple(ast.literal_eval(kind.removeprefix("Literal")))
+            return found | {"choices": allowed, "type": type(allowed[0])}
+
 
 if TYPE_CHECKING:
     from thinlayer.running.record import Record
@@ -69,9 +123,8 @@ def command_line() -> argparse.ArgumentParser:
         one.add_argument("--resume", action="store_true", help="continue a run that was killed, with the same options")
     what = "tell by how much the answer changes if the mesh of a layer is dropped"
     estimate = _add(commands, "estimate", _estimate, f"{what}; thinlayer/guide/estimate.md has the keys", help=what)
-    estimate.add_argument(
-        "description", type=Path, metavar="DESCRIPTION", help="a file in TOML, which names a mesh file"
-    )
+    file = "a file in TOML, which names a mesh file"
+    estimate.add_argument("description", type=Path, metavar="DESCRIPTION", help=file)
     keys = "a key of the description anew, as layer.E=2e3 or 'tractions.RIGHT=[60, 0]'; may be repeated"
     estimate.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=keys)
     return parser
@@ -79,10 +132,8 @@ def command_line() -> argparse.ArgumentParser:
 
 def _add(commands: Any, name: str, work: Callable[..., int], what: str, **more: str) -> argparse.ArgumentParser:
     """The parser of a command that has a folder; --h does not print its help."""
-    about = f"{what} PETSc options start with {PETSC_PREFIX}, as {PETSC_PREFIX}ksp_type cg."
-    one: argparse.ArgumentParser = commands.add_parser(
-        name, allow_abbrev=False, description=about, epilog=STATUSES, **more
-    )
+    more["description"] = f"{what} PETSc options start with {PETSC_PREFIX}, as {PETSC_PREFIX}ksp_type cg."
+    one: argparse.ArgumentParser = commands.add_parser(name, allow_abbrev=False, epilog=STATUSES, **more)
     verbose = "show the attempts of solves; twice: their steps as well"
     one.add_argument("-v", "--verbose", action="count", default=0, help=verbose)
     where = "folder of tables and pictures (default: out/STUDY, out/estimate/NAME)"

@@ -58,9 +58,8 @@ def run(record: Record, given: Description, file: Path) -> None:
     # NaN stands where there is no number
     table = Table([{key: None if value != value else value for key, value in row.items()} for row in rows])
     record.write("estimate.csv", table)
-    record.results = {
-        name: {"sentences": one.sentences, "laws": one.laws, "cost": one.cost} for name, one in found.items()
-    }
+    kept = ("sentences", "laws", "cost")
+    record.results = {name: {what: getattr(one, what) for what in kept} for name, one in found.items()}
     if given.units:
         record.say("lengths in {}, stresses in {}".format(*given.units))
     thicknesses = []

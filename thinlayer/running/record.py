@@ -117,7 +117,7 @@ class Record:
                 self._previous = moved_away(self.out, self._earlier())
         elif tables := sorted(path.name for path in self.out.glob("*.csv")):
             raise ModelError(
-                f"{self.out} has tables ({', '.join(tables)}) and no run.json; give another --out, or remove them"
+                f"{self.out} has tables ({', '.join(tables)}) and no run.json; give another --out, or remove these"
             )
 
     def __exit__(self, _: type[BaseException] | None, error: BaseException | None, __: TracebackType | None) -> None:
@@ -191,9 +191,9 @@ class Record:
 
         on_root(world(), check)
 
-    def close(self, error: str | None = None) -> None:
+    def close(self) -> None:
         """Write run.json. Collective; raises OSError on all ranks."""
-        on_root(world(), lambda: self._write(error))
+        on_root(world(), lambda: self._write(None))
 
     def _write(self, error: str | None) -> None:
         tables = sorted(name for name in self._files if error is None and name.endswith(".csv"))

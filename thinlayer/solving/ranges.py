@@ -13,11 +13,10 @@ from mpi4py import MPI
 
 from forms.tangent import in_plane_modulus
 from geometry.refusals import place
-from thinlayer.discretisation.layer import BODY
+from thinlayer.discretisation.layer import BODY, SeamLayer
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reduction import Reduction
-from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
 from thinlayer.surface.excess import LEAST_ERROR, Faces, Remark, beyond_free_ends, too_stiff

@@ -14,7 +14,7 @@ from petsc4py import PETSc
 from forms.kinematics import Expr
 from forms.law import LawError
 from forms.work import Term, work
-from thinlayer.discretisation.quadratures import compiled_terms
+from thinlayer.discretisation.measures import compiled_terms
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.parts.compiled import CompiledPart

@@ -12,8 +12,8 @@ import scipy.sparse
 import scipy.sparse.linalg
 
 from geometry.topology import FloatArray
+from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.surface.sublayers import Sublayer, sublayers_of
 from thinlayer.surface.surface_mesh import SurfaceMesh, surface_of

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from forms.temperature import finite
 from geometry.joint import Joint
-from geometry.order import by_place
-from geometry.topology import IntArray, is_tensor, lagrange
+from geometry.order import along, by_place
+from geometry.topology import IntArray, connected, is_tensor, lagrange
 from thinlayer.errors import ModelError
 from thinlayer.system.table import Table
 
@@ -82,62 +82,38 @@ class Segments:
     lengths: Array
 
     def lines(self, seam: str, size: float) -> list[Line]:
-        """The lines that they form, ordered by the places at which they start (`by_place`).
+        """The lines that they form, ordered by the places at which they start, then end (`by_place`).
 
         A line starts at the lower of its ends; a closed one at its lowest place, towards the lower of its neighbours.
         """
-        x, ends = self.x.reshape(-1, self.x.shape[2]), self.keys.ravel()
-        rank = np.empty(len(ends), np.int64)  # of a place; equal keys are at one place
-        _, first, number = np.unique(ends, return_index=True, return_inverse=True)
-        rank[:] = np.argsort(by_place(x[first], size))[number.ravel()]
-        ranks = rank.reshape(-1, 2)
-        at: dict[int, list[int]] = {}
-        for segment, pair in enumerate(ranks):
-            for end in pair:
-                at.setdefault(int(end), []).append(segment)
-        left, found = set(range(len(ranks))), []
-        for closed in (False, True):
-            for start in sorted(at):
-                for segment in sorted(at[start], key=lambda k: int(ranks[k].sum())):
-                    if segment in left and (closed or len(at[start]) != 2):
-                        found.append((start, self._line(start, segment, at, ranks, left, seam, size)))
-        return [line for _, line in sorted(found, key=lambda one: one[0])]
+        keys = np.unique(self.keys, return_inverse=True)[1].reshape(-1, 2)
+        apart = np.bincount(keys.ravel())[keys] != 2  # lines end there
+        keys[apart] = keys.max(initial=-1) + 1 + np.arange(apart.sum())
+        _, first, ends = np.unique(keys, return_index=True, return_inverse=True)
+        ends, x = ends.reshape(-1, 2), self.x.reshape(-1, self.x.shape[2])[first]
+        line = connected(ends[:, 0], ends[:, 1], len(x))
+        found = [self._line(seam, np.flatnonzero(line[ends[:, 0]] == k), ends, x, size) for k in np.unique(line)]
+        both = np.array([one.x[[0, -1]].ravel() for one in found]).reshape(len(found), 2 * x.shape[1])
+        return [found[k] for k in by_place(both, size)]
 
-    def _line(
-        self,
-        start: int,
-        segment: int,
-        at: dict[int, list[int]],
-        ranks: IntArray,
-        left: set[int],
-        seam: str,
-        size: float,
-    ) -> Line:
-        """The line from a place on, which begins with a segment; takes its segments from those that are `left`."""
-        here, way = start, list[tuple[int, int]]()
-        while True:
-            left.remove(segment)
-            side = int(ranks[segment, 0] != here)
-            way.append((segment, side))
-            here = int(ranks[segment, 1 - side])
-            onwards = [k for k in at[here] if k in left]
-            if len(at[here]) != 2 or not onwards:
-                break
-            segment = onwards[0]
-        segments, sides = np.array(way).T
-        order = np.stack([sides, 1 - sides], axis=1)
-        s = np.concatenate([[0.0], np.cumsum(self.lengths[segments])])
-        along = np.stack([s[:-1], s[1:]], axis=1).ravel()
-        x, values = (
-            np.take_along_axis(one[segments], order[..., None], axis=1).reshape(2 * len(way), -1)
-            for one in (self.x, self.values)
-        )
-        moved = np.diff(along, prepend=-np.inf) > SAME * size
-        jumps = np.abs(np.diff(values, axis=0, prepend=np.nan)).max(axis=1) > SAME * np.abs(self.values).max(
-            initial=0.0
-        )
-        kept = moved | jumps
-        return Line(seam, along[kept], x[kept], values[kept], here == start and len(at[start]) == 2)
+    def _line(self, seam: str, segments: IntArray, ends: IntArray, x: Array, size: float) -> Line:
+        """The line of some segments, whose ends are given by the numbers of places x."""
+        places, ends = np.unique(ends[segments], return_inverse=True)
+        ends, closed = ends.reshape(-1, 2), len(places) == len(segments)
+        position = np.argsort(along(x[places], ends, size))[ends]
+        last = closed & (np.abs(position[:, 0] - position[:, 1]) > 1)  # leads back to the start
+        turned = (position[:, 0] > position[:, 1]) != last
+        order = np.argsort(np.where(last, len(places), position.min(axis=1)))
+        segments, turned = segments[order], turned[order]
+        s = np.cumsum([0.0, *self.lengths[segments]])
+        s = np.stack([s[:-1], s[1:]], axis=1).ravel()
+        sides = np.stack([turned, ~turned], axis=1).astype(int)[..., None]
+        both = self.x[segments], self.values[segments]
+        x, values = (np.take_along_axis(one, sides, axis=1).reshape(len(s), -1) for one in both)
+        largest = np.abs(self.values).max(initial=0.0)
+        jumps = np.abs(np.diff(values, axis=0, prepend=np.nan)).max(axis=1) > SAME * largest
+        kept = jumps | (np.diff(s, prepend=-np.inf) > SAME * size)
+        return Line(seam, s[kept], x[kept], values[kept], closed)
 
 
 def lines_on(joint: Joint, seam: str, rows: IntArray, values: Array, plane: Plane | None) -> list[Line]:
@@ -152,7 +128,7 @@ def lines_on(joint: Joint, seam: str, rows: IntArray, values: Array, plane: Plan
     """
     of_corners = values.reshape(*values.shape[:2], -1)
     cut = seam_segments(joint, rows, of_corners) if plane is None else cut_segments(joint, rows, of_corners, plane)
-    lines = cut.lines(seam, float(np.ptp(joint.points, axis=0).max()))
+    lines = cut.lines(seam, joint.size)
     return lines if values.ndim == 3 else [replace(one, values=one.values[:, 0]) for one in lines]
 
 
@@ -189,7 +165,7 @@ def cut_segments(joint: Joint, rows: IntArray, values: Array, plane: Plane) -> S
     values = np.take_along_axis(values, column[..., None], axis=1)
     x = joint.points[ring]
     height = (x - point) @ normal
-    height[np.abs(height) <= SAME * np.ptp(joint.points, axis=0).max()] = 0.0
+    height[np.abs(height) <= SAME * joint.size] = 0.0
     for above in (height >= 0, height > 0):  # a plane along facets: those on one side of it are cut, at their edges
         found = _crossed(ring, x, values, height, above)
         if len(found.keys):
@@ -215,9 +191,6 @@ def _crossed(ring: IntArray, x: Array, values: Array, height: Array, above: npt.
 
 def _plane(plane: object) -> tuple[Array, Array]:
     """Point and unit normal of a plane; raises ModelError."""
-    both = finite(plane, (2, 3))
-    if both is None or not both[1].any():
-        raise ModelError(
-            f"plane is {plane!r}; it needs (point, normal), three finite numbers each, and a normal that is not zero"
-        )
+    if (both := finite(plane, (2, 3))) is None or not both[1].any():
+        raise ModelError(f"plane is {plane!r}; it needs (point, normal), three finite numbers each, not all zero")
     return both[0], both[1] / np.linalg.norm(both[1])

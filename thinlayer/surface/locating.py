@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from forms.temperature import finite
 from geometry.joint import Joint
 from geometry.refusals import place
-from geometry.topology import IntArray, geometry_degree, is_tensor, lagrange
+from geometry.topology import IntArray, geometry_degree, is_tensor, lagrange, sums
 from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
@@ -51,10 +51,9 @@ class Located:
             ModelError: no finite numbers of this shape.
         """
         d, degree = nodes.shape[2], geometry_degree(kind, nodes.shape[1])
-        known = finite(x)
-        given = np.empty((0, 0)) if known is None else np.atleast_2d(known)
-        if given.ndim != 2 or not given.size or given.shape[1] != d:
+        if (given := finite(x, (d,), (-1, d))) is None or not given.size:
             raise ModelError(f"places are {x!r:.80}; they need {d} finite coordinates each, (n, {d})")
+        given = np.atleast_2d(given)
         low, high = nodes.min(axis=1), nodes.max(axis=1)
         margin = (high - low).max(axis=1, keepdims=True) * (BULGE if degree > 1 else INSIDE)
         low, high = low - margin, high + margin
@@ -72,10 +71,8 @@ class Located:
         """The cells of a joint, inflated or not, that contain places; raises ModelError as `of`, or if some are in none."""
         located = cls.of(joint.cell_type, joint.cell_points, x)
         if len(missing := located.missing):
-            first = place(located.x[missing[0]])
-            raise ModelError(
-                f"{len(missing)} of {len(located.x)} places are in no cell of the mesh, the first at {first}"
-            )
+            some = f"{len(missing)} of {len(located.x)} places"
+            raise ModelError(f"{some} are in no cell of the mesh, the first at {place(located.x[missing[0]])}")
         return located
 
     def __getitem__(self, rows: IntArray | npt.NDArray[np.bool_]) -> Located:
@@ -88,10 +85,8 @@ class Located:
 
     def mean(self, values: Array) -> Array:
         """(n, ...) means of values (m, ...) over the entities at each place."""
-        out = np.zeros((len(self.x), *values.shape[1:]))
-        np.add.at(out, self.point, values)
         counts = np.bincount(self.point, minlength=len(self.x))
-        return np.asarray(out / counts.reshape(-1, *[1] * (values.ndim - 1)))
+        return np.asarray(sums(self.point, values, len(self.x)) / counts.reshape(-1, *[1] * (values.ndim - 1)))
 
 
 def _pulled_back(kind: str, degree: int, nodes: Array, x: Array) -> Array:

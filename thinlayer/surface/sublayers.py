@@ -10,7 +10,7 @@ import numpy as np
 from forms.law import BulkLaw
 from forms.tangent import across, average_lame, in_plane_modulus
 from geometry.topology import FloatArray
-from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.discretisation.layer import SeamLayer
 
 NEARLY_INCOMPRESSIBLE = 0.5  # (nu = 3/8) a shorter length of the pressure, relative to eps, has no effect along S
 VOLUME = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])  # trace of a strain, as a row over its six components

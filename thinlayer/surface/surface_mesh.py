@@ -21,12 +21,12 @@ from geometry.order import along, by_place
 from geometry.refusals import place, unknown
 from geometry.seam import S
 from geometry.sheet import Rim
-from geometry.topology import FACET_TYPES, IntArray, lagrange
+from geometry.topology import FACET_TYPES, IntArray, lagrange, sums
 from thinlayer.discretisation.contact_nodes import frames_at, pair_numbers
 from thinlayer.discretisation.full_model import FullModel
+from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.mixed_model import MixedModel
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State, cell_values
 from thinlayer.errors import ModelError
 from thinlayer.surface.lines import Line, Plane, lines_on, require_plane
@@ -175,9 +175,8 @@ class SurfaceMesh:
                 wanted = (at.point * count + cells[at.entity])[cells[at.entity] >= 0]
         without = np.setdiff1d(np.concatenate(on_s), wanted // count)
         if len(without):
-            raise ModelError(
-                f"there is no body on the {side} side of S at {place(located.x[without[0]])}, but a rigid base"
-            )
+            at_place = place(located.x[without[0]])
+            raise ModelError(f"there is no body on the {side} side of S at {at_place}, but a rigid base")
         of_side = np.isin(located.point * count + located.entity, wanted)
         return located[of_side | ~np.isin(located.point, np.concatenate(on_s))]
 
@@ -331,7 +330,7 @@ class SurfaceMesh:
         codes = np.take_along_axis(pair_numbers(self.joint)[self.rows], at, axis=1)
         numbers, first, nodes = np.unique(codes, return_index=True, return_inverse=True)
         vertices, nodes = self.joint.masters[self.corners].ravel()[first], nodes.reshape(codes.shape)
-        x, size = self.joint.points[vertices], float(np.ptp(self.joint.points, axis=0).max())
+        x, size = self.joint.points[vertices], self.joint.size
         order = along(x, nodes, size) if self.joint.dim == 2 else by_place(x, size)
         return numbers[order], vertices[order], np.argsort(order)[nodes]
 
@@ -379,9 +378,7 @@ class SurfaceMesh:
 
     def sums(self, of_corners: Array) -> Array:
         """(m, ...) sums at the nodes of values (n, k, ...) at the corners of facets."""
-        out = np.zeros((len(self.numbers), *of_corners.shape[2:]))
-        np.add.at(out, self.nodes, of_corners)
-        return out
+        return sums(self.nodes, of_corners, len(self.numbers))
 
     def moments(self, f: Any) -> Array:
         """(n, k) or (n, k, d) integrals of a field over each facet with the functions of degree 1 of its corners."""
@@ -389,8 +386,8 @@ class SurfaceMesh:
 
     def projected(self, moments: Array) -> Array:
         """(m, ...) nodal values of moments (n, k, ...), integrals with the functions of degree 1."""
-        sums = self.sums(moments)
-        return np.asarray(self._solver(sums.reshape(len(sums), -1))).reshape(sums.shape)
+        total = self.sums(moments)
+        return np.asarray(self._solver(total.reshape(len(total), -1))).reshape(total.shape)
 
     def lumped(self, moments: Array) -> Array:
         """(m, ...) the same over the areas around nodes, as contact laws define tractions."""

@@ -57,7 +57,7 @@ class ContactRelaxation:
         """Unknowns in the order of the nodes' places, along x first: convergence depends on the order of sweeps."""
         nodes = self.problem.nodes
         d, x = nodes.dim, nodes.surface.V.tabulate_dof_coordinates()
-        close = 1e-9 * np.ptp(self.problem.equations.model.joint.points, axis=0).max()
+        close = 1e-9 * self.problem.equations.model.joint.size
         rows = np.lexsort(np.rint(x[:, :d] / close).T)
         return (rows[:, None] * d + np.arange(d)).ravel().astype(np.int32)
 
