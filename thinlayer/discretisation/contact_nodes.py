@@ -140,7 +140,7 @@ class ContactNodes:
         pairs, first, at = np.unique(corners[:, :2], axis=0, return_index=True, return_inverse=True)
         upper, at = pairs[:, 0], at.ravel()
         total = sums(at, corners[:, 2 : 3 + d], len(upper))
-        self.weights, vectors = total[:, 0], total[:, 1:]
+        self.weights, vectors = total[:, 0].copy(), total[:, 1:]  # C reads them
         self.upper = (upper - self._first).astype(np.int32)
         self._lower = pairs[:, 1].astype(np.int64)  # global
         self.numbers = corners[first, 3 + d].astype(np.int64)
@@ -152,7 +152,7 @@ class ContactNodes:
         size = np.linalg.norm(vectors, axis=1)
         if self.comm.allreduce(int((size <= 0).any())):
             raise ModelError("contact: a node of S has no normal, its facets fold back; use a finer mesh there")
-        self.frames = (-1.0 if turned else 1.0) * frames_at(vectors / size[:, None])
+        self.frames = np.ascontiguousarray((-1.0 if turned else 1.0) * frames_at(vectors / size[:, None]))
         self._note_held(held)
         with on_all(self.comm):
             self.gap = np.zeros(len(upper)) if gap is None else gap(np.ascontiguousarray(self.x.T))
