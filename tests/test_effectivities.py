@@ -8,12 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-import ufl
-from dolfinx import fem
-from dolfinx.fem.petsc import LinearProblem
 
-from forms import work as forms
-from geometry.dolfinx_mesh import first_that_fits
 from studies.dropped import further_cases, known_cases, refused_cases
 from studies.may_i_drop import Dropped, along, effectivities, solved
 from tests.on_ranks import on_ranks
@@ -70,20 +65,21 @@ def _with_layer(one: Dropped, **choices):
 
 
 def test_between_rollers_changes_are_those_to_the_meshed_layer(dropped):
-    """Those of order 1 alone are numbers of exact layers and laws, by transfer matrices; a pressure on S is as good.
+    """Those to order 1 alone are numbers of exact layers and laws, by transfer matrices.
 
     Leading terms of the compliance cancel: 1.26 of order 1 alone.
     """
     row, (compliance, _) = effectivities(dropped("1"))
     traction, jump = _ratios(dropped("1"), _with_layer(dropped("1")))
     assert (traction, jump) == (pytest.approx(0.993799, abs=2e-4), pytest.approx(1.007739, abs=2e-4))
-    assert (row["traction"], row["jump"]) == (pytest.approx(1.008, abs=0.002), pytest.approx(1.0, abs=0.012))
-    assert compliance["effectivity"] == pytest.approx(1.15, abs=0.01)
+    assert (row["traction"], row["jump"], compliance["effectivity"]) == pytest.approx((1, 1, 1), abs=0.01)
 
 
 def test_free_ends_are_in_the_estimate_and_without_them_it_is_too_low(dropped):
     one = dropped("6")
-    traction, jump = _ratios(one, one.found.better)
+    row, _ = effectivities(one)
+    assert (row["traction"], row["jump"]) == pytest.approx((1, 1), abs=0.01)
+    traction, jump = _ratios(one, _with_layer(one))
     assert (traction, jump) == (pytest.approx(0.965, abs=0.02), pytest.approx(0.987, abs=0.02))  # of another program
     traction, jump = _ratios(one, _with_layer(one, edges="plain"))
     assert (traction, jump) == (pytest.approx(0.83, abs=0.02), pytest.approx(0.95, abs=0.02))
@@ -93,7 +89,7 @@ def test_goals_change_as_to_the_meshed_layer(dropped):
     _, rows = effectivities(dropped("6"))
     assert {row["goal"] for row in rows} == {goal.name for goal in KNOWN["6"].asked}
     for row in rows:
-        assert row["effectivity"] == pytest.approx(0.975, abs=0.02), row["goal"]
+        assert row["effectivity"] == pytest.approx(1, abs=0.005), row["goal"]
         assert row["told"]
 
 
@@ -101,37 +97,9 @@ def test_a_rubbery_layer_needs_its_pressure(dropped):
     """Without it the law of order 1 does not know the flow along S: its jump is 14 % off."""
     one = dropped("4")
     row, _ = effectivities(one)
-    assert (row["traction"], row["jump"]) == (pytest.approx(1.04, abs=0.005), pytest.approx(1.005, abs=0.005))
+    assert (row["traction"], row["jump"]) == pytest.approx((1, 1), abs=0.02)
     traction, jump = _ratios(one, _with_layer(one))
     assert max(abs(traction - 1), abs(jump - 1)) > 0.1
-
-
-def test_changes_by_the_matrix_of_order_0_are_too_low(dropped):
-    """u_0 - K_0^-1 (K_1 u_0 - f) in place of u_1: the first term of a series that the estimate has whole."""
-    one = dropped("8")
-    traction, _ = _ratios(one, one.found.better)
-    assert traction == pytest.approx(0.92, abs=0.03)
-    _, jump = _ratios(one, _substituted(one))
-    assert jump < 0.87  # 0.99 of the estimate
-
-
-def _substituted(one: Dropped):
-    """The state of order 0, corrected once by its own matrix."""
-    before, better = one.found.state, one.found.better
-    model = before.model
-    du, v = ufl.TrialFunction(model.V), ufl.TestFunction(model.V)
-    lacks = forms.work(before.layers, before.u, v) - forms.work(better.layers, before.u, v)
-    matrix = forms.work([*before.bodies, *before.layers], du, v)
-    held = fem.locate_dofs_geometrical(model.V, lambda x: np.isclose(x[1], -0.5))
-    supports = [fem.dirichletbc(np.zeros(2), held, model.V)]
-    given = {"bcs": supports, "petsc_options": {"ksp_type": "preonly", "pc_type": "lu"}}
-    change = first_that_fits(  # of DOLFINx 0.9, and later
-        lambda: LinearProblem(matrix, lacks, **given),
-        lambda: LinearProblem(matrix, lacks, **given, petsc_options_prefix="substituted_"),
-    ).solve()
-    u = fem.Function(model.V)
-    u.x.array[:] = before.u.x.array + change.x.array
-    return replace(before, u=u)
 
 
 def test_displacements_of_meshed_bodies_are_those_of_the_same_point():
@@ -144,7 +112,7 @@ def test_displacements_of_meshed_bodies_are_those_of_the_same_point():
     assert goal.value(one.full, one.found.better.model) == pytest.approx(there, rel=1e-9)
 
 
-@pytest.mark.parametrize("name", ["yields at a free end", "contact", "changes cancel", "free ends, anisotropic"])
+@pytest.mark.parametrize("name", ["yields at a free end", "contact", "changes cancel", "free ends, creeping"])
 def test_where_there_is_no_number_a_sentence_says_why(name):
     case = REFUSED[name]
     words, silent = case.told()

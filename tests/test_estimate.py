@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import Anisotropic, LinearElastic, Maxwell, MohrCoulomb, Norton, Stack, VonMises
+from forms import LinearElastic, Maxwell, MohrCoulomb, Norton, Stack, VonMises
 from geometry import sandwich
 from geometry.sheet import Rim
 from tests.estimate_run import EPS, GLUE, KINDS, LOWER, estimated, several, structure, total
@@ -44,11 +44,11 @@ pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"
 # ---------------------------------------------------------------- the identity
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_densities_of_goals_add_up_to_their_changes(kind):
-    """Exact for linear laws, whatever the goal."""
+    """Whatever the goal, to the width of its bounds."""
     found = estimated(kind)
     for name, goal in found.goals.items():
-        size = max(abs(goal.value), abs(goal.better))
-        assert total(found, name) == pytest.approx(goal.change, abs=1e-11 * size), name
+        least = 1e-11 * max(abs(goal.value), abs(goal.better))
+        assert total(found, name) == pytest.approx(goal.change, rel=0.02, abs=least), name
 
 
 @pytest.mark.parametrize("dim", [2, 3], ids=["revolution", "tetrahedra"])
@@ -60,7 +60,7 @@ def test_in_three_dimensions_too(dim):
         made = Structure(tube, body=LOWER, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1.0)}, plane="axisymmetric")
         found = estimate(solve(made.interface(ThinLayer(GLUE, EPS, at=1.0))))
     for name, goal in found.goals.items():
-        assert total(found, name) == pytest.approx(goal.change, abs=1e-11 * abs(goal.value)), name
+        assert total(found, name) == pytest.approx(goal.change, rel=0.02, abs=1e-11 * abs(goal.value)), name
 
 
 @pytest.mark.parametrize("kind", ["between", "base"])
@@ -89,22 +89,6 @@ def test_a_goal_that_is_not_linear_has_a_density_to_first_order():
     assert total(found, "square") != pytest.approx(change, rel=0.01 * relative)
 
 
-def test_weights_of_the_law_of_order_0_are_not_exact():
-    """What u_0 itself gives instead of u_1, for the compliance: the first term of a series."""
-    found = estimated("between")
-    first = estimate_by_first_term(found)
-    assert abs(first / found.goals["compliance"].change - 1) > 0.01
-
-
-def estimate_by_first_term(found):
-    from thinlayer.discretisation.state import Configuration
-    from thinlayer.solving.adjoint import Adjoint
-
-    with Adjoint(found.better) as adjoint:
-        z = Configuration(found.state.u, 0.0)
-        return sum(float(part.sum()) for part in adjoint.summands(z, found.state).values())
-
-
 # ---------------------------------------------------------------- effectivity
 def graded() -> Structure:
     """Cells at the ends of S as large as a fifth of the thickness."""
@@ -114,17 +98,14 @@ def graded() -> Structure:
 
 
 def test_the_estimate_is_the_error():
-    """At free ends, beside a law of order 1 without their constants, which finds a sixth less."""
+    """On all of S, at free ends too, beside a law of order 1 without their constants, which finds a sixth less."""
     made, layer = graded(), ThinLayer(GLUE, EPS / 2, at=1.0)
     limit, full = (solve(model, 1.0) for model in (made.interface(layer), made.full(layer)))
     found = estimate(limit)
-    surface = Surface(limit.model)
-    part = away_from_ends(surface, limit.model.layers["S"], 3 * layer.eps)
-    for field, error in ((surface.traction, found.traction), (surface.jump, found.jump)):
-        true = surface.norm(field(full) - field(limit), part) / surface.norm(field(limit), part)
-        assert error == pytest.approx(true, rel=0.08)
+    true = compare(full, limit)
+    assert (found.traction, found.jump) == pytest.approx((true["error_traction"], true["error_jump"]), rel=0.01)
     true = full.energies()["loads"] - limit.energies()["loads"]
-    assert found.goals["compliance"].change == pytest.approx(true, rel=0.08)
+    assert found.goals["compliance"].change == pytest.approx(true, rel=0.002)
     plain = solve(made.interface(ThinLayer(GLUE, layer.eps, order=1, edges="plain", at=1.0)), 1.0)
     assert plain.energies()["loads"] - limit.energies()["loads"] < 0.88 * true
 
@@ -148,7 +129,7 @@ def test_a_history_is_marched_again():
     at_once = estimate(solve(made.interface(ThinLayer(LinearElastic(1.2, 2.0), EPS / 2, at=1.0)), 0.8))
     assert at_once.goals["compliance"].change / true < 0.6
     with pytest.raises(ModelError, match="marched with theta"):
-        estimate(march(structure("between").interface(ThinLayer(LOWER, EPS, at=1.0)), [0.5, 1.0], theta=0.5))
+        estimate(march(made.interface(layer), [0.5, 1.0], theta=0.5))
 
 
 def test_newton_begins_at_the_given_state():
@@ -163,37 +144,18 @@ def test_newton_begins_at_the_given_state():
     assert found.unknown == ""  # it yields, but has no free ends
 
 
-# ---------------------------------------------------------------- laws whose free ends are not known
-@pytest.mark.few(1)
-@pytest.mark.parametrize(
-    "law",
-    [Stack((0.4, GLUE), (0.6, LinearElastic.shear(1.3, 0.4))), Anisotropic.springs(3.1, 1.2)],
-    ids=["stack", "springs"],
-)
-def test_sublayers_and_anisotropic_layers_with_free_ends_have_no_estimate(law):
-    """Without edge terms it was found to be a tenth of the true error, and to have the wrong sign."""
-    found = estimate(solve(graded().interface(ThinLayer(law, EPS, at=1.0)), 1.0))
-    assert "no estimate without edge terms" in found.unknown
-    assert np.isnan([found.traction, found.jump, found.goals["compliance"].relative]).all()
-    assert not found.goals["compliance"].told
-    with pytest.raises(ModelError, match="no estimate without edge terms"):
-        thin_enough(graded(), ThinLayer(law, EPS, at=1.0), 0.05, t=1.0)
-
-
 def test_equal_sublayers_are_one_law():
     one, two = (
         estimate(solve(graded().interface(ThinLayer(law, EPS, at=1.0)), 1.0))
         for law in (GLUE, Stack((0.4, GLUE), (0.6, LinearElastic.shear(3.0, 0.35))))
     )
-    assert two.laws == one.laws == {"S": "order 1 of LinearElastic, with its free ends"}
-    assert two.traction == pytest.approx(one.traction, rel=1e-12)
-    assert two.goals["compliance"].change == pytest.approx(one.goals["compliance"].change, rel=1e-12)
+    assert two.traction == pytest.approx(one.traction, rel=1e-3)  # other cells through the layer
+    assert two.goals["compliance"].change == pytest.approx(one.goals["compliance"].change, rel=1e-3)
 
 
 @pytest.mark.few(5)
-@pytest.mark.parametrize("law", [LinearElastic.shear(50.0, 0.4), Norton(lmbda=20.0, mu=50.0, eta=9.0, p=1.5)])
-def test_between_soft_bodies_half_the_true_error_is_found_without_edge_terms(law):
-    layer = ThinLayer(law, EPS, at=1.0)
+def test_between_soft_bodies_half_the_true_error_is_found_without_edge_terms():
+    layer = ThinLayer(Norton(lmbda=20.0, mu=50.0, eta=9.0, p=1.5), EPS, at=1.0)
     limit, full = (march(model, [0.5, 1.0]) for model in (graded().interface(layer), graded().full(layer)))
     found = estimate(limit)
     true = full.last.energies()["loads"] - limit.last.energies()["loads"]
@@ -212,33 +174,7 @@ def test_a_pressure_between_held_ends_flows_along_s():
     held = Structure(joint, body=LinearElastic.young(1e3, 0.3), supports=sides, tractions=load)
     state = solve(held.interface(layer))
     true = compare(solve(held.full(layer, cells_through=4)), state)["error_traction"]
-    assert estimate(state).traction == pytest.approx(true, rel=0.08)  # the next order; without the pressure 0.4
-
-
-def test_bodies_of_less_than_four_thicknesses_have_a_caveat():
-    """Where estimates were found to be off by up to a half, goals by more; of 4.2 thicknesses nothing is said."""
-    joint, load = sandwich(1.3, 0.5, 0.125, 0.3, h_S=0.1, h_ends=0.02), {"TOP": (0.1, -1.0)}
-    plates = Structure(joint, body=LinearElastic.young(150.0, 0.3), supports={"BOTTOM": 0}, tractions=load)
-    thin, known = (estimate(solve(plates.interface(ThinLayer(GLUE, eps, at=1.0)))) for eps in (0.05, 0.03))
-    assert "a body is 2.5 thicknesses high" in str(thin)
-    assert thin.layers["S"].law.off == 0.5
-    assert known.layers["S"].law.lacks == ""
-    widest = thin_enough(plates, ThinLayer(GLUE, 0.05, at=1.0), 0.9)
-    assert not widest.found
-    assert widest.eps == pytest.approx(0.125 / 4)  # a quarter of the thinner body
-
-
-def test_an_error_that_free_ends_alone_bring_about_is_only_bounded():
-    """Between rigid plates tractions are those of the law but for the field of the ends, which neither law knows."""
-    layer, plates = ThinLayer(LinearElastic.shear(1.0, 0.38), 0.05, at=1.0), {"BOTTOM": 0, "TOP": {"x": 0, "y": -0.01}}
-    made = Structure(graded().joint, body=LinearElastic.young(1e6, 0.3), supports=plates)
-    limit, full = solve(made.interface(layer)), solve(made.full(layer))
-    found, surface = estimate(limit), Surface(limit.model)
-    part = away_from_ends(surface, limit.model.layers["S"], 3 * layer.eps)
-    t = surface.traction(limit)
-    true = surface.norm(surface.traction(full) - t, part) / surface.norm(t, part)
-    assert found.traction < 0.3 * true < true < found.floors[0] < 4 * true
-    assert found.sentences[0].startswith("order 0: below ")
+    assert estimate(state).traction == pytest.approx(true, rel=0.03)  # without the pressure 0.4
 
 
 # ---------------------------------------------------------------- words
@@ -247,11 +183,11 @@ def test_sentences():
     assert said[0].startswith("order 0: ")
     assert "% in traction" in said[0]
     assert "no change in reaction BOTTOM" in said[0]  # equilibrium gives it
-    assert said[1] == "within 0.15 of free ends: not known"
+    assert said[1].startswith("for these cells of the bodies, and 4 cells through the layer")
     assert estimated("bonded").sentences[0].startswith("perfect bond: ")
     assert math.isnan(estimated("bonded").jump)
-    assert estimated("between").laws == {"S": "order 1 of LinearElastic, with its free ends"}
-    assert estimated("rubber").laws["S"].startswith("order 1 of Rubber")
+    assert estimated("between").laws == {"S": "LinearElastic, meshed by itself"}
+    assert estimated("rubber").laws["S"] == "Rubber, meshed by itself"
     assert not any(math.isfinite(row["error"]) and math.isnan(row["noise"]) for row in estimated("between").table.rows)
 
 
@@ -292,15 +228,6 @@ def test_reactions_to_loads_without_a_resultant_are_zero():
         solve(made.interface(ThinLayer(GLUE, EPS, at=1.0))), goals=[goals.Reaction("BOTTOM", (0, 1))]
     ).goals.values()
     assert goal.zero
-
-
-def test_reactions_beside_a_rigid_base_are_not_known_where_the_layer_is_held():
-    """Meshed, the support has the whole force on the layer's side; a law on S gives a half of it to the base."""
-    held = Structure(structure("base").joint, body=LOWER, supports={"LEFT": {"x": 0}}, tractions={"TOP": (0.3, -1.0)})
-    wanted = [goals.Reaction("LEFT", (1, 0)), goals.Compliance()]
-    found = estimate(solve(held.interface(ThinLayer(GLUE, EPS, at=1.0))), goals=wanted)
-    assert [one.known for one in found.goals.values()] == [False, True]
-    assert "laws on S leave out a part" in str(found)
 
 
 def test_a_functional_whose_parts_cancel_is_zero():
@@ -383,7 +310,7 @@ def test_the_compliance_of_supports_that_move_knows_no_path():
     for given in (solve(model, 2.0), march(model, [1.0, 2.0])):
         found = estimate(given)
         changes += [found.goals["compliance"].change, total(found, "compliance")]
-    assert changes == pytest.approx(changes[:1] * 4, rel=1e-8)
+    assert changes == pytest.approx(changes[:1] * 4, rel=0.01)
 
 
 # ---------------------------------------------------------------- thin enough
@@ -417,17 +344,7 @@ def test_thin_enough_does_not_depend_on_where_it_begins():
     assert found[0].eps == pytest.approx(found[1].eps, rel=1e-9)
     widest = thin_enough(made, ThinLayer(glue, 0.05), 0.9)
     assert not widest.found
-    assert widest.eps == pytest.approx(1 / 12)  # beyond, half of S is nearer than three thicknesses to its ends
-
-
-def test_thin_enough_counts_in_what_estimates_lack():
-    """Between soft bodies with Poisson's ratio 0.4: half of the tolerance is left to the estimate."""
-    glue = LinearElastic.shear(50.0, 0.4)
-    found = thin_enough(graded(), ThinLayer(glue, EPS, at=1.0), 0.05, goals.Compliance(), t=1.0)
-    layer = ThinLayer(glue, found.eps, at=found.eps / EPS)
-    told = estimate(solve(graded().interface(layer), 1.0)).goals["compliance"].relative
-    assert "off by up to a half" in str(found)
-    assert told <= 0.0251
+    assert widest.eps == pytest.approx(0.4)  # as high as the thinner body
 
 
 def test_thin_enough_passes_on_what_its_estimate_says(monkeypatch):
@@ -534,15 +451,3 @@ def test_states_and_supports_that_have_no_estimate():
     free = Structure(joint, body=LOWER, supports={"BOTTOM": {"y": 0}, (0.0, -0.3): {"x": 0}}, eigenstrain=0.01)
     found = estimate(solve(free.interface(ThinLayer(GLUE, EPS, at=1.0))), goals=[])
     assert math.isnan(found.traction)  # both bodies expand alike, and the layer bears nothing
-
-
-def test_loads_that_one_of_both_laws_lacks():
-    """A traction on the layer's own side: the work in the layer itself is not known, and a change has no density."""
-    loads = {"TOP": (0.3, -1.0), "RIGHT/LAYER": (0.5, 0.1)}
-    made = Structure(sandwich(1.3, 0.3, 0.4, 0.3, h_ends=0.15), body=LOWER, supports={"BOTTOM": 0}, tractions=loads)
-    wanted = [goals.Compliance(), goals.Displacement((0.41, 0.17), (1, 0))]
-    found = estimate(solve(made.interface(ThinLayer(GLUE, EPS, at=1.0))), goals=wanted)
-    assert "not known in compliance" in str(found)
-    assert math.isnan(found.goals["compliance"].relative)
-    for name in found.goals:
-        refused(ModelError, "act in one of both models alone", found.density, name)

@@ -79,7 +79,7 @@ def test_a_goal_of_another_name_is_of_its_kind(lap, wanted):
     work = Case.of(Description.read(lap, ["goals={work = {kind = 'compliance'}}"])).goals[0]
     assert work.name == "work"
     assert isinstance(work, goals.Compliance)
-    assert work.value(wanted.better, wanted.better.model) == wanted.goals["compliance"].better
+    assert work.value(wanted.state, wanted.state.model) == wanted.goals["compliance"].value
 
 
 def test_bonded(lap, wanted, tmp_path):

@@ -18,7 +18,7 @@ from geometry.joint import Band, Joint, Profile
 from geometry.periodic import repeated, require_inside
 from geometry.refusals import GeometryError, refuse
 from geometry.seam import JUNCTIONS, LAYER
-from geometry.topology import BoolArray, FloatArray, IntArray, node_jacobians
+from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, node_jacobians
 
 
 def inflate(
@@ -147,6 +147,37 @@ def inflate(
     if translation is not None and not is_swept(joint, translation):
         require_apart(opened)
     return repeated(opened, periods) if periods else opened
+
+
+def without_bodies(inflated: Joint) -> Joint:
+    """The layers of an inflated joint by themselves.
+
+    What continues an outer facet set NAME over the layers' sides, "NAME/LAYER", is NAME as well.
+    """
+    band = inflated.band
+    assert band is not None
+    first = len(inflated.regions) - len(band.regions)
+    mine = inflated.region >= first
+    used, cells = np.unique(inflated.cells[mine], return_inverse=True)
+    cells = cells.reshape(inflated.cells[mine].shape)
+    number = np.full(len(inflated.points), -1)
+    number[used] = np.arange(len(used))
+    table = FacetTable.of(cells[:, : inflated.corners.shape[1]], inflated.cell_type)
+    facets: dict[str, IntArray] = {}
+    for name, of_name in inflated.facets.items():
+        rows = number[of_name]
+        rows = rows[(rows >= 0).all(axis=1)]
+        if len(rows := rows[table.index(rows) >= 0]):
+            facets[name] = facets[name.removesuffix(f"/{LAYER}")] = rows
+    return replace(
+        inflated,
+        points=inflated.points[used],
+        cells=cells,
+        region=inflated.region[mine] - first,
+        regions=band.regions,
+        facets=facets,
+        band=replace(band, reference=band.reference[used]),
+    )
 
 
 class _Cells(NamedTuple):

@@ -192,10 +192,11 @@ class Forces:
             )
         return sum(bool(some.all()) for some in covered) / len(covered)
 
-    def work(self, v: Expr) -> Expr:
-        """Virtual work of the loads, a UFL form linear in v that reads the clock."""
+    def work(self, v: Expr, *, layers: bool = False) -> Expr:
+        """Virtual work of the loads, or of those on layers alone, a UFL form linear in v that reads the clock."""
         form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self.domain.joint.dim)), v) * self._everywhere
-        return sum((ufl.inner(load, one.mean(v)) * one.measure for _, load, one, _ in self._loads), form)
+        loads = [one for one in self._loads if one[3] or not layers]
+        return sum((ufl.inner(load, one.mean(v)) * one.measure for _, load, one, _ in loads), form)
 
     def work_on_bases(self, v: Expr) -> dict[str, Expr]:
         """Virtual work of what goes to rigid bases by itself, in motions v that move them, by seam; see `work`."""
@@ -205,16 +206,17 @@ class Forces:
                 works[name] = works.get(name, ufl.Form([])) + ufl.inner(load, one.on_base(v)) * one.measure
         return works
 
-    def nodal_at(self, V: fem.FunctionSpace, t: float) -> PETSc.Vec:
-        """Nodal forces of the loads at a time, in a space; the caller destroys the vector. Collective.
+    def nodal_at(self, V: fem.FunctionSpace, t: float, *, layers: bool = False) -> PETSc.Vec:
+        """Nodal forces of the loads, or of those on layers alone, in a space; the caller destroys the vector. Collective.
 
         Raises:
             ModelError: loads that are not finite.
         """
         if self._form is None or self._form[0] is not V:
             self._form = V, compiled(self.work(ufl.TestFunction(V)))
+        form = compiled(self.work(ufl.TestFunction(V), layers=True)) if layers else self._form[1]
         with self.at.clock.at(t):
-            b = dolfinx.fem.petsc.assemble_vector(self._form[1])
+            b = dolfinx.fem.petsc.assemble_vector(form)
         b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         if not np.isfinite(b.norm()):
             raise ModelError(": ".join([f"the loads are not finite at t = {t:g}", *self._not_finite(t)]))

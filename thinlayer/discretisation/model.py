@@ -153,6 +153,11 @@ class Model(ABC):
                     f"traction on {name!r}: supports hold all of it: the load changes reactions alone",
                     self.comm,
                 )
+        self.require_supported()
+        self.made_from = self._data()
+
+    def require_supported(self) -> None:
+        """Raise ModelError if the bodies can move as one."""
         if not (self.broken and any(name in self.layers for name in self.joint.base_seams)):
             resistances = [partial(part.resistance, self) for part in self.parts if not part.ties_nodes]
             motions = rigid_motions(self.V, self.joint, self.kinematics)
@@ -160,7 +165,6 @@ class Model(ABC):
                 self.supports.anchored = free_translations(motions, resisted(motions, self.constraints, resistances))
                 self.constraints = self._constrained()
             require_support(motions, resisted(motions, self.constraints, resistances))
-        self.made_from = self._data()
 
     def _lay(self, layer: Layers, check: Callable[[], Any]) -> Any:
         """Take the layers of the seams and return the result of a check of them. Collective."""

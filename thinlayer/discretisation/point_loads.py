@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import basix
@@ -199,10 +200,14 @@ class ConcentratedForms:
         X, w = basix.make_quadrature(kind, 2 * degree)
         phi = self._element.tabulate(0, X)[0, :, :, 0]
         self._inverse = np.linalg.inv(phi.T @ (w[:, None] * phi))
-        mesh = domain.mesh
-        dx = ufl.Measure("dx", domain=mesh, subdomain_data=domain.cell_tags, metadata={"quadrature_degree": 2 * degree})
-        self._dx = dx(domain.cell_values(*joint.bodies))
-        self._jacobian = abs(ufl.JacobianDeterminant(mesh))
+        self._jacobian = abs(ufl.JacobianDeterminant(domain.mesh))
+
+    @cached_property
+    def _dx(self) -> ufl.Measure:
+        """Of the bodies."""
+        domain, rule = self.domain, {"quadrature_degree": 2 * self._degree}
+        dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags, metadata=rule)
+        return dx(domain.cell_values(*self.joint.bodies))
 
     def terms(self, load: Concentrated) -> list[tuple[Expr, ufl.Measure]]:
         """Pairs of a load per volume (d,) and a measure. Collective."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,13 @@ from thinlayer.discretisation.layer import Layers
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.estimating.better import BetterLaw, better_model, why_unknown
+from thinlayer.estimating.global_local import NARROW, Bounds, GlobalLocal
 from thinlayer.estimating.goal import Goal
 from thinlayer.estimating.goals import Compliance, Reaction
+from thinlayer.estimating.layer_alone import LayerAlone
 from thinlayer.estimating.on_surface import NEAR_ENDS, errors_of, field_of_ends, squares_of
-from thinlayer.estimating.result import Estimate, GoalError, LayerError
+from thinlayer.estimating.result import Estimate, GoalError, LayerError, Meshed
+from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import solve
 from thinlayer.system.progress import telling
@@ -63,7 +67,11 @@ def estimate(
         checked = _checked_goals(goals)
         if isinstance(state, State) and not state.sudden:
             _require_no_memory(state)
-    model, laws = _with_better_laws(given, layer, seam)
+    model = _with_layers(given, layer, seam)
+    chosen = [name for name in model.layers if seam in (S, name)]
+    if is_bounded(model):
+        return _by_layers(given, model, chosen, checked, options, start)
+    model, laws = better_model(model, seam)
     with on_all(model.comm):
         for goal in checked.values():
             goal.check(model)
@@ -126,21 +134,73 @@ def _checked_goals(goals: Any) -> dict[str, Goal]:
     return dict(zip(names, given, strict=True))
 
 
-def _with_better_laws(state: State, layer: Layers | None, seam: str) -> tuple[InterfaceModel, dict[str, BetterLaw]]:
-    """The interface model with better laws of the layers, and what they are. Collective."""
+def is_bounded(model: InterfaceModel) -> bool:
+    """Whether goals of a model with its layers meshed have bounds: all laws are linear, and remember nothing."""
+    memories = (term.law.traits.remembers or term.law.traits.rate for term in model.terms)
+    return model.linear and model.symmetric and not model.contacts and not any(memories)
+
+
+def _by_layers(
+    given: State,
+    model: InterfaceModel,
+    chosen: Sequence[str],
+    goals: Mapping[str, Goal],
+    options: Mapping[str, OptionValue] | None,
+    start: float,
+) -> Estimate:
+    """The estimate from layers by themselves, with bounds. Collective."""
+    with on_all(model.comm):
+        for goal in goals.values():
+            goal.check(model)
+    better = {name: replace(model.reductions[name].better(), edges="plain") for name in chosen}
+    meshed = {name: replace(one, order=0, edges=None) for name, one in better.items()}
+    layers = LayerAlone(model, meshed, given.t)
+    values = {name: goal.value(given, model) for name, goal in goals.items()}
+    known: dict[str, Bounds] = {}
+    first = solve(model, given.t, options=options) if given.model.bonds else given
+    for law in ("order 0", "order 1"):
+        if law == "order 1":
+            first = solve(model.with_layer(model.on_seams | better), given.t, options=options)
+        with Adjoint(first, options=options, meshed=True) as adjoint:
+            iteration = GlobalLocal(adjoint, layers)
+            one, weights = iteration.run(goals, values, known)
+            last, inside = iteration.states(one)
+            if iteration.gap(one) <= NARROW**2 * one.gained and all(
+                bounds.narrow(values[name], NARROW) for name, bounds in known.items()
+            ):
+                break
+    total, errors = np.zeros(4), {}
+    for name in chosen:
+        squares = squares_of(given, last, model.layers[name], inside)
+        by_itself = BetterLaw(meshed[name], f"{type(meshed[name].law).__name__}, meshed by itself", ends=False)
+        errors[name] = LayerError(by_itself, 0.0, *errors_of(squares), ends=0.0, of_jumps=0.0)
+        total += squares
+    traction, jump = errors_of(total)
+    found = {}
+    for name, goal in goals.items():
+        scale = max(goal.scale(given, model), goal.scale(last, model))
+        at = known.get(name, Bounds(goal.value(last, model), math.nan, math.nan))
+        found[name] = GoalError(values[name], at.told, scale, traction, True, at.lower, at.upper)
+    seconds = time.perf_counter() - start
+    by_layers = Meshed(inside, layers, first, weights)
+    return Estimate(given, last, errors, found, traction, jump, "", seconds, goals, (None, None), options, by_layers)
+
+
+def _with_layers(state: State, layer: Layers | None, seam: str) -> InterfaceModel:
+    """The interface model with the layers whose mesh is dropped. Collective."""
     model = state.model
     if not isinstance(model, InterfaceModel):
         raise ModelError(f"estimate: a {model.name} model has nothing dropped; give a state of an interface model")
     if not model.bonds:
         if layer is not None:
             raise ModelError("estimate: layer= is for seams with a Bond, of which this model has none")
-        return better_model(model, seam)
+        return model
     if layer is None:
         raise ModelError(f"estimate: bodies are bonded at {', '.join(model.bonds)}; give layer=, what was left out")
     left_out = layer if isinstance(layer, Mapping) else dict.fromkeys(model.bonds, layer)
     if set(left_out) != set(model.bonds):
         raise ModelError(f"estimate: layer= has the seams {', '.join(left_out)}; bonded are {', '.join(model.bonds)}")
-    return better_model(InterfaceModel(model.structure, {**model.on_seams, **left_out}), seam)
+    return InterfaceModel(model.structure, {**model.on_seams, **left_out})
 
 
 def _one_before(history: History) -> State | None:

@@ -14,6 +14,7 @@ from forms.temperature import finite
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
+from thinlayer.estimating.layer_alone import LayerAlone
 from thinlayer.solving.adjoint import Adjoint
 
 Array = npt.NDArray[np.float64]
@@ -42,6 +43,10 @@ class Goal(ABC):
     @abstractmethod
     def scale(self, state: State, model: InterfaceModel) -> float:
         """What Q is zero beside where it is only rounding, >= 0. Collective."""
+
+    def in_layers(self, layers: LayerAlone) -> tuple[Array, Array]:
+        """The same of the meshed layers: weights at their unknowns, and motions of their sides; by default none."""
+        return np.zeros_like(layers.load), np.zeros_like(layers.load)
 
     @abstractmethod
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:

@@ -26,6 +26,7 @@ from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 from thinlayer.estimating.goal import Goal, unit, written
+from thinlayer.estimating.layer_alone import LayerAlone
 from thinlayer.output.probe import Probe, cells_at
 from thinlayer.output.surface import Surface
 from thinlayer.solving.adjoint import Adjoint
@@ -56,6 +57,9 @@ class Compliance(Goal):
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         return adjoint.of_loads(), adjoint.of_prescribed()
+
+    def in_layers(self, layers: LayerAlone) -> tuple[Array, Array]:
+        return layers.forces, layers.values
 
 
 def _mean_size(surface: Surface, state: State) -> float:
@@ -105,6 +109,10 @@ class Reaction(Goal):
         if not entries:
             raise ModelError(f"{self.name}: no support holds it, but a plate, springs or a base; there is no map of it")
         return adjoint.nothing(), adjoint.of_reaction(entries, unit(self.direction, model.joint.dim, self.name))
+
+    def in_layers(self, layers: LayerAlone) -> tuple[Array, Array]:
+        d = layers.model.joint.dim
+        return np.zeros_like(layers.load), layers.motion_of(self.place, unit(self.direction, d, self.name))
 
 
 @dataclass(frozen=True)

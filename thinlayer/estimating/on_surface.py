@@ -13,7 +13,9 @@ from scipy.spatial import cKDTree
 from geometry.inflating.parting import points_on_middle
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import SeamLayer
-from thinlayer.discretisation.state import State
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State, displacements_of
+from thinlayer.estimating.global_local import GlobalLocal, Iterate
 from thinlayer.output.surface import Surface
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart
 from thinlayer.solving.adjoint import Adjoint
@@ -38,18 +40,20 @@ def away_from_ends(surface: Surface, one: SeamLayer, length: float) -> Array:
     return np.asarray(surface.between(beyond) > 0, float)
 
 
-def squares_of(before: State, better: State, one: SeamLayer) -> Array:
-    """(4,) squares of norms on a seam, away from its free ends: t(u_1) - t(u_0), t(u_0), and so of [u]. Collective.
+def squares_of(before: State, better: State, one: SeamLayer, layers: State | None = None) -> Array:
+    """(4,) squares of norms on a seam: t(u_1) - t(u_0), t(u_0), and so of [u]. Collective.
 
-    They are zero where they are not known, or are rounding.
+    They are zero where they are rounding. The tractions t(u_1) are those of the meshed `layers`; None: of the better law,
+    and all norms are those away from free ends.
     """
     surface = Surface(better.model, one.name)
     assert one.thin
-    part = away_from_ends(surface, one, NEAR_ENDS * float(one.thin.eps))
+    part = away_from_ends(surface, one, 0.0 if layers else NEAR_ENDS * float(one.thin.eps))
     has_law = one.name in before.model.layers
     traction = surface.traction if has_law else surface.reaction
     t, w = traction(before), surface.jump(before)
-    fields = [traction(better) - t, t] + ([surface.jump(better) - w, w] if has_law else [])
+    changed = surface.traction(layers) if layers else traction(better)
+    fields = [changed - t, t] + ([surface.jump(better) - w, w] if has_law else [])
     found = np.array([surface.norm(f, part) ** 2 for f in fields] + [0.0] * (4 - len(fields)))
     moved = float(better.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) ** 2 * surface.integral(part)
     least = np.square(NOTHING) * moved * (max(stiffness_of_jumps(one.samples[0])) ** 2, 1.0)
@@ -99,9 +103,29 @@ def density_of(adjoint: Adjoint, summands: dict[str, Array]) -> Array:
     return np.asarray(totals[surface.vertices] / areas[surface.vertices])
 
 
-def _add_nodal(sums: Array, model: InterfaceModel, values: Array) -> None:
+def density_by_layers(iteration: GlobalLocal, given: State, z: Iterate) -> Array:
+    """(m,) density, at the nodes of S, of what weights z say that a state lacks to the meshed layers. Collective.
+
+    It is the work of the interface laws in z, less that of the layers by themselves whose faces move as in the state.
+    """
+    model, layers = iteration.model, iteration.layers
+    u, surface = displacements_of(given, model), SurfaceMesh(model)
+    sums, areas = np.zeros((2, len(model.joint.points)))
+    _add_nodal(sums, model, iteration.work_of_laws(u, z, bonded=bool(given.model.bonds)))
+    w = layers.inside(layers.at_faces(u.x.array), layers.load, layers.values)
+    band = layers.model.domain.joint
+    of_band = np.zeros(len(band.points))
+    _add_nodal(of_band, layers.model, layers.work(w, iteration.inside(z)))
+    _, below = cKDTree(model.joint.points).query(band.reference)
+    sums = model.comm.allreduce(sums) - np.bincount(below, of_band, len(sums))
+    np.add.at(areas, surface.vertices, surface.areas)
+    totals = np.bincount(model.joint.masters, sums, len(sums))
+    return np.asarray(totals[surface.vertices] / areas[surface.vertices])
+
+
+def _add_nodal(sums: Array, model: Model, values: Array) -> None:
     """Add values (m,) at the displacements of this rank to the vertices of the joint, by functions of degree 1."""
-    V, joint = model.V, model.joint
+    V, joint = model.V, model.domain.joint
     d = V.dofmap.bs
     of_nodes = values.reshape(-1, d).sum(axis=1)
     dofs = np.asarray(V.dofmap.list)

@@ -13,8 +13,10 @@ import numpy.typing as npt
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.estimating.better import BetterLaw, creeps
+from thinlayer.estimating.global_local import NARROW, GlobalLocal, Iterate
 from thinlayer.estimating.goals import Goal
-from thinlayer.estimating.on_surface import density_of
+from thinlayer.estimating.layer_alone import LayerAlone
+from thinlayer.estimating.on_surface import density_by_layers, density_of
 from thinlayer.output.surface import Surface
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.petsc import OptionValue
@@ -37,6 +39,7 @@ class GoalError:
         scale: what both are compared with to see whether they are only rounding.
         traction: the error of the traction, or what is not told of it where that is more.
         known: whether what both laws leave out of Q is of a higher order.
+        lower, upper: bounds of Q with the layer meshed; nan: there are none.
     """
 
     value: float
@@ -44,11 +47,25 @@ class GoalError:
     scale: float
     traction: float
     known: bool = True
+    lower: float = math.nan
+    upper: float = math.nan
+
+    @property
+    def bounded(self) -> bool:
+        """Whether there are bounds."""
+        return math.isfinite(self.lower)
+
+    @property
+    def between(self) -> tuple[float, float]:
+        """The least and the largest error that bounds allow, |Q - Q(u_0)|/|Q|."""
+        errors = [abs(q - self.value) / abs(q) if q else math.inf for q in (self.lower, self.upper)]
+        least = 0.0 if self.lower <= self.value <= self.upper else min(errors)
+        return least, math.inf if self.lower < 0 < self.upper else max(errors)
 
     @property
     def least(self) -> float:
         """The noise of `relative`: leading terms cancel in an error below it, and the estimate is none."""
-        if self.fixed:
+        if self.fixed or self.bounded:
             return 0.0
         noise = NOISE * min(1.0, self.traction) * self.scale  # 1 where that is nan
         return noise / abs(self.better) if self.better else math.inf
@@ -77,8 +94,8 @@ class GoalError:
 
     @property
     def at_most(self) -> float:
-        """What the true error is at most, relative: the estimate, or with its noise where it is none."""
-        return at_most(self.relative, self.least)
+        """What the true error is at most, relative: the bound, or the estimate, with its noise where it is none."""
+        return self.between[1] if self.bounded and not self.fixed else at_most(self.relative, self.least)
 
     @property
     def fixed(self) -> bool:
@@ -97,6 +114,7 @@ class LayerError:
         jump: likewise; nan beside bonded bodies.
         ends: the part of the tractions there that free ends bring about, of which neither law knows; an error below it is
             not told.
+        of_jumps: what is not told of jumps, over the error of the traction.
     """
 
     law: BetterLaw
@@ -104,11 +122,29 @@ class LayerError:
     traction: float
     jump: float
     ends: float
+    of_jumps: float = OF_JUMPS
 
     @property
     def floors(self) -> tuple[float, float]:
         """As of `Estimate`, of this layer."""
-        return self.ends, OF_JUMPS * min(1.0, self.traction)
+        return self.ends, self.of_jumps * min(1.0, self.traction)
+
+
+@dataclass(frozen=True, eq=False)
+class Meshed:
+    """The layers by themselves, meshed.
+
+    Attributes:
+        inside: a state of them, as they are between bodies.
+        layers: they themselves.
+        first: the state from which steps led to it.
+        weights: of goals.
+    """
+
+    inside: State
+    layers: LayerAlone
+    first: State
+    weights: Mapping[str, Iterate]
 
 
 @dataclass(frozen=True, repr=False)
@@ -136,11 +172,24 @@ class Estimate:
     _goals: Mapping[str, Goal] = field(default_factory=dict)
     _before: tuple[State | None, State | None] = (None, None)
     _options: Mapping[str, OptionValue] | None = None
+    meshed: Meshed | None = None
+
+    @property
+    def inside(self) -> State:
+        """The layers by themselves, meshed, as they are between bodies: for `Probe`, pictures, files.
+
+        Raises:
+            ModelError: laws that are not linear.
+        """
+        if self.meshed is None:
+            raise ModelError("estimate: the layers inside are known of linear laws alone")
+        return self.meshed.inside
 
     @property
     def floors(self) -> tuple[float, float]:
         """Errors of traction and jump below which they are not told: the field of free ends, and where changes cancel."""
-        return max(one.ends for one in self.layers.values()), OF_JUMPS * min(1.0, self.traction)
+        ends, of_jumps = (max(getattr(one, name) for one in self.layers.values()) for name in ("ends", "of_jumps"))
+        return ends, of_jumps * min(1.0, self.traction)
 
     @property
     def cost(self) -> float:
@@ -156,8 +205,10 @@ class Estimate:
     def dropped(self) -> str:
         """What the given state has in place of the layers, in words."""
         bonds, layers = self.state.model.bonds, self.state.model.layers
-        of = f" of {', '.join(bonds)}" if layers else ""
-        return f"perfect bond{of}{', order 0' if layers else ''}" if bonds else "order 0"
+        orders = sorted({one.thin.order for one in layers.values() if one.thin})
+        found = [f"order {' and '.join(map(str, orders))}"] if layers else []
+        of = " of " + ", ".join(bonds) if layers else ""
+        return ", ".join([f"perfect bond{of}", *found] if bonds else found)
 
     # ---------------------------------------------------------------- where
     def density(self, goal: str = "compliance") -> npt.NDArray[np.float64]:
@@ -174,6 +225,11 @@ class Estimate:
         if goal not in self._goals:
             known = ", ".join(map(repr, self._goals)) or "none"
             raise ModelError(f"estimate: there is no goal {goal!r}; there are: {known}")
+        if self.meshed:
+            of_law = self.meshed.first if self.state.model.bonds else self.state
+            with Adjoint(of_law, options=self._options, meshed=True) as adjoint:
+                iteration = GlobalLocal(adjoint, self.meshed.layers)
+                return density_by_layers(iteration, self.state, self.meshed.weights[goal])
         before, theirs = self._before
         with Adjoint(self.better, before, self._options) as adjoint:
             z = adjoint.weights(*self._goals[goal].dual(adjoint))
@@ -201,17 +257,17 @@ class Estimate:
     # ---------------------------------------------------------------- words
     @property
     def table(self) -> Table:
-        """A row for each quantity: values with the given and the better law, relative error, and its noise."""
+        """A row for each quantity: values with the given and the better law, relative error, its noise, bounds."""
         nan, rows = math.nan, []
         for name, one in self.layers.items():
             of = f" {name}" if len(self.layers) > 1 else ""
             for which, error, noise in zip(("traction", "jump"), (one.traction, one.jump), one.floors, strict=True):
                 row = {"quantity": f"{which}{of}", "value": nan, "better": nan, "error": error, "noise": noise}
-                rows.append(row if math.isfinite(error) else row | {"noise": nan})
+                rows.append((row if math.isfinite(error) else row | {"noise": nan}) | {"lower": nan, "upper": nan})
         for name, goal in self.goals.items():
             noise = goal.least if math.isfinite(goal.relative) else nan
             row = {"quantity": name, "value": goal.value, "better": goal.better, "error": goal.relative, "noise": noise}
-            rows.append(row)
+            rows.append(row | {"lower": goal.lower, "upper": goal.upper})
         return Table(rows)
 
     @property
@@ -222,6 +278,8 @@ class Estimate:
             found.append("at t = 0+, just after sudden loads; for later times march, and give the history")
         if self.unknown:
             return found
+        if self.meshed:
+            found.append(f"for these cells of the bodies, and {self.meshed.layers.through} cells through the layer")
         found += dict.fromkeys(one.law.lacks for one in self.layers.values() if one.law.lacks)
         if not all(goal.known for goal in self.goals.values()):
             found.append("laws on S leave out a part of what forces on the layer's own side do")
@@ -262,6 +320,8 @@ def _said(name: str, goal: GoalError) -> str:
         return f"{name} is zero" if goal.zero else f"not known in {name}"
     if not goal.told and goal.least >= 1:
         return f"{name} is nearly zero: its error is noise"
+    if goal.bounded and not goal.fixed and goal.upper - goal.lower > NARROW * abs(goal.change):
+        return f"between {' and '.join(map(_percent, goal.between))} in {name}"
     return f"{_or_below(goal.relative, goal.least)} in {name}"
 
 

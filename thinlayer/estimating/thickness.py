@@ -17,7 +17,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.discretisation.structure import Structure
 from thinlayer.errors import ModelError, RangeWarning
 from thinlayer.estimating.better import LEAST_HEIGHT
-from thinlayer.estimating.estimate import estimate
+from thinlayer.estimating.estimate import estimate, is_bounded
 from thinlayer.estimating.goal import Goal
 from thinlayer.estimating.goals import Compliance
 from thinlayer.estimating.on_surface import NEAR_ENDS
@@ -178,6 +178,8 @@ def _checked(
 def _thickest(model: InterfaceModel, chosen: Sequence[str], quantity: str) -> float:
     """The largest thickness for which an interface law is tried."""
     layers = [model.layers[name] for name in chosen]
+    if is_bounded(model):
+        return min(min(one.sheet.heights) for one in layers)
     found = [min(one.sheet.heights) / LEAST_HEIGHT for one in layers]
     for one in layers if quantity in FIELDS else ():
         surface = surface_of(model, one.name)

@@ -45,11 +45,7 @@ def layer_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part
     """
     parts: list[Part] = [*_in_forms(model, model.layer_terms, "forms"), *_compiled(model, model.layer_terms)]
     if constrained := [p for p in model.layer_terms if p.law.traits.constrained]:
-        diagonal = diagonal_at_rest(bodies)
-        largest = float(diagonal.max()[1])
-        diagonal.destroy()
-        if not largest:  # no law of the bodies is linear, or compiled
-            largest = max(part.largest_at_rest() for part in bodies if isinstance(part, LawForms))
+        largest = _largest_at_rest(bodies or parts)
         joint = model.domain.joint  # whose vertices are those of the mesh
         masters = joint.masters if joint.periods else None
         for p in constrained:
@@ -58,6 +54,16 @@ def layer_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part
     for name, law in model.contacts.items():
         parts.append(ContactPart(law, ContactSurface.of(model, name), held, model.layers[name].key))
     return parts
+
+
+def _largest_at_rest(parts: Sequence[Part]) -> float:
+    """Largest diagonal entry of the tangents at rest."""
+    in_forms, largest = [part for part in parts if isinstance(part, LawForms)], 0.0
+    if parts != in_forms:
+        diagonal = diagonal_at_rest(parts)
+        largest = float(diagonal.max()[1])
+        diagonal.destroy()
+    return largest or max(part.largest_at_rest() for part in in_forms)
 
 
 def _elsewhere(model: Model) -> list[Part]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 
 import dolfinx.fem.petsc
 import numpy as np
@@ -39,18 +40,24 @@ class Adjoint:
         state: u_1.
         old: the configuration from which it was found in one step; None: from rest at its time.
         options: PETSc options of the solve of u_1, as in `solve`; its factor is then used again if the model is linear.
+        meshed: whether goals are those of the meshed layer, which bears the loads on it by itself.
     """
 
     def __init__(
-        self, state: State, old: Configuration | None = None, options: Mapping[str, OptionValue] | None = None
+        self,
+        state: State,
+        old: Configuration | None = None,
+        options: Mapping[str, OptionValue] | None = None,
+        *,
+        meshed: bool = False,
     ) -> None:
         assert isinstance(state.model, InterfaceModel)
-        self.state, self.model = state, state.model
+        self.state, self.model, self.meshed = state, state.model, meshed
         self.equations = equations = Equations(self.model)
         self._given = dict(options or {})
         self._x, self._r = equations.vector(), equations.vector()
-        self._interval = self._between(state, old)
-        equations.begin(self._interval)
+        self.interval = self._between(state, old)
+        equations.begin(self.interval)
         equations.put_state(state, self._x)
         equations.residual(self._x, self._r)
         linear = linear_solvers(self.model, equations.parts, value_of("pc_type", self._given))
@@ -98,7 +105,22 @@ class Adjoint:
 
     def of_loads(self) -> PETSc.Vec:
         """The loads as weights q, those of plates included."""
-        return self.equations.on_unknowns(self.equations.loads, [part.load for part in self.equations.with_own])
+        q = self.equations.on_unknowns(self.equations.loads, [part.load for part in self.equations.with_own])
+        if self.meshed:
+            of_layers = self.equations.u.x.petsc_vec.duplicate()
+            of_layers.array[:] = self.of_layers
+            on_them = self._on_unknowns(of_layers)
+            q.axpy(-1.0, on_them)
+            on_them.destroy()
+        return q
+
+    @cached_property
+    def of_layers(self) -> Array:
+        """Nodal forces (m,) that the interface model has for loads on its layers. Collective."""
+        b = self.model.forces.nodal_at(self.model.V, self.state.t, layers=True)
+        found = b.array_r.copy()
+        b.destroy()
+        return np.asarray(found)
 
     def of_prescribed(self) -> PETSc.Vec:
         """Motions g: the displacements that supports prescribe."""
@@ -169,19 +191,19 @@ class Adjoint:
         if not other.model.bonds:
             theirs = layer_parts(other.model, equations.constraints.held, equations.bodies)
             begun = self._rest_of(theirs, other.t) if old is None else old
-            self._evaluate(theirs, other, u, self._between(other, begun))
-            before = self._work(theirs, z)
+            self.forces(theirs, other, u, self._between(other, begun))
+            before = self.work(theirs, z)
             for part in theirs:
                 part.destroy()
         else:  # forces on S that balance those of the bodies, opposite ones at the nodes of both sides
             equations.put_state(Configuration(u, other.t, fields=self.state.fields), self._x)
             total = equations.nodal_residual(self._x)
             equations.put_state(self.state, self._x)
-            forces = self._evaluate(equations.layers, self.state, u, self._interval) - total
+            forces = self.forces(equations.layers, self.state, u, self.interval) - total
             forces[equations.constraints.held] = 0.0
             before = z.u.x.array[: len(forces)] * forces
-        self._evaluate(equations.layers, self.state, u, self._interval)
-        after = self._work(equations.layers, z)
+        self.forces(equations.layers, self.state, u, self.interval)
+        after = self.work(equations.layers, z)
         own = {part.key: -part.own_start(z) * part.own_residual() for part in PartSum(equations.layers).with_own}
         return {DISPLACEMENTS: before - after, **own}
 
@@ -191,7 +213,7 @@ class Adjoint:
         rest = layers.memory_at_rest
         return Configuration(self.equations.rest(t).u, t, rest, stresses=layers.stresses_at_rest, at_rest=True)
 
-    def _evaluate(self, parts: Sequence[Part], state: Configuration, u: fem.Function, interval: Interval) -> Array:
+    def forces(self, parts: Sequence[Part], state: Configuration, u: fem.Function, interval: Interval) -> Array:
         """Nodal forces (m,) of layers at displacements u, with their own fields in a state."""
         out = self.equations.u.x.petsc_vec.duplicate()
         out.set(0.0)
@@ -206,7 +228,7 @@ class Adjoint:
         out.destroy()
         return np.asarray(found)
 
-    def _work(self, parts: Sequence[Part], z: Configuration) -> Array:
+    def work(self, parts: Sequence[Part], z: Configuration) -> Array:
         """Work (m,) of the layers' stresses of the last evaluation in displacements z, spread over nodes."""
         out = self.equations.u.x.petsc_vec.duplicate()
         forces = out.duplicate()

@@ -219,7 +219,7 @@ class SurfaceMesh:
     def _require_same_joint(self, state: State) -> None:
         if not isinstance(state, State):
             raise ModelError(f"Surface takes a state, as solve returns it or history.last is, not {state!r:.80}")
-        if state.model.joint is not self.model.joint:
+        if state.model.joint.points is not self.model.joint.points:
             raise ModelError("this state's model has another joint than the surface; build both from the same one")
 
     def sides(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:

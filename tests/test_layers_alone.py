@@ -1,0 +1,269 @@
+"""Estimates from the layers by themselves: bounds hold what meshed layers do, and wrong twins of them do not."""
+
+from __future__ import annotations
+
+from functools import cache, partial
+
+import numpy as np
+import pytest
+
+from forms import Anisotropic, LinearElastic, Rubber, Stack
+from geometry import block, faults, ring, sandwich, wall
+from tests.on_ranks import on_ranks
+from thinlayer import ModelError, RigidPlate, SolveError, Structure, Surface, ThinLayer, compare, estimate, goals, solve
+from thinlayer.estimating import global_local
+from thinlayer.estimating.layer_alone import LayerAlone
+
+pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
+
+EPS, THROUGH = 1 / 16, 4
+BODY, OTHER = LinearElastic.young(E=100.0, nu=0.3), LinearElastic.young(E=70.0, nu=0.2)
+GLUE, SOFT = LinearElastic.shear(2.5, 0.3), LinearElastic.shear(0.7, 0.2)
+RUBBERY = LinearElastic.shear(2.5, 0.499)
+WOVEN = Anisotropic(np.diag([12.0, 4.0, 6.0, 1.5, 2.0, 1.7]) + 0.6 * np.eye(6)[[1, 0, 2, 3, 4, 5]], "layer")
+STACK = Stack((0.35, LinearElastic.shear(6.0, 0.3)), (0.25, LinearElastic.shear(0.06, 0.2)), (0.4, GLUE))
+ROUNDING = 1e-8  # of goals
+
+
+def blocks(cell: str = "quadrilateral", h: float = 1 / 12, **choices):
+    return sandwich(1.0, 0.4, 0.5, h, cell=cell, **choices)
+
+
+def loaded(joint, load=(0.3, -1.0), supports=None, **more):
+    given = {"body": {"LOWER": BODY, "UPPER": OTHER}, "supports": supports or {"BOTTOM": 0}} | more
+    return Structure(joint, **{"tractions": {"TOP": load}} | given)
+
+
+WORK, MOVED = goals.Compliance(), goals.Displacement((1.0, 0.5), (0.6, 0.8))
+PUSHED = {"BOTTOM": 0, "TOP": {"x": 0.01, "y": -0.02}}
+PLATE = [RigidPlate("TOP", force=(0.3, -1.0), moment=0.2)]
+SIDES = {"LEFT": 0, "RIGHT": {"x": 0.01, "y": -0.02}}
+WEIGHTS = {"LOWER": (0.0, -1.0), "UPPER": (0.2, -1.0), "S": (0.3, -9.0)}
+FLOORS = {"LOW": [(0.0, 0.3), (1.0, 0.4)], "HIGH": [(0.0, 0.7), (1.0, 0.65)]}
+REACTIONS = (WORK, goals.Reaction("TOP", (1.0, 0.3)))
+ends, solid = partial(goals.Displacement, direction=(0.0, 1.0, 0.0)), {"depth": 0.7, "h": 1 / 4}
+
+
+def cases():
+    """Name -> structure, layers, goals, how bodies are kept."""
+    two = {"LOW": ThinLayer(GLUE, EPS), "HIGH": ThinLayer(SOFT, EPS / 2)}
+    pulled, tapered = {"TOP": (0.3, -1.0), "RIGHT/LAYER": (5.0, 0.7)}, ThinLayer(GLUE, EPS, profile=lambda x: 1 + x[0])
+    rings = ring(1.0, 1.5, 2.0, 0.15, cell="quadrilateral", degree=2)
+    around = {"body": BODY, "supports": {"INSIDE": 0}, "tractions": {"OUTSIDE": (0.3, -1.0)}}
+    bricks = Structure(wall(2, 2, (2.0, 1.0), 1 / 3), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1.0)})
+    base = Structure(
+        block(1.0, 0.5, 1 / 12, cell="quadrilateral"), body=BODY, supports={}, tractions={"TOP": (0.3, -1)}
+    )
+    floors = Structure(
+        faults(1.0, 1.0, FLOORS, 1 / 8), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1.0)}
+    )
+    glue, round_ = ThinLayer(GLUE, EPS), {"plane": "axisymmetric", "supports": {"BOTTOM": 0, "LEFT": {"x": 0}}}
+    return {
+        "free ends": (loaded(blocks()), glue, (WORK, MOVED)),
+        "rollers": (loaded(blocks(), supports={"BOTTOM": 0, "LEFT": {"x": 0}}), glue, (WORK, MOVED)),
+        "stack": (loaded(blocks()), ThinLayer(STACK, EPS), (WORK, MOVED)),
+        "anisotropic": (loaded(blocks()), ThinLayer(WOVEN, EPS), (WORK, MOVED)),
+        "as stiff as bodies": (loaded(blocks()), ThinLayer(LinearElastic.shear(40.0, 0.3), EPS), (WORK, MOVED)),
+        "rubbery": (loaded(blocks()), ThinLayer(RUBBERY, EPS), (WORK, MOVED)),
+        "shrinking": (loaded(blocks()), ThinLayer(GLUE, EPS, eigenstrain=-0.01), (WORK, MOVED)),
+        "moved": (loaded(blocks(), supports=PUSHED, tractions={}), glue, REACTIONS),
+        "sides moved": (loaded(blocks(), supports=SIDES, tractions={}), glue, (WORK, goals.Reaction("LEFT", (0.0, 1.0)))),
+        "weights": (loaded(blocks(), body_force=WEIGHTS), glue, (WORK, MOVED)),
+        "pulled side": (loaded(blocks(), tractions=pulled), glue, (WORK, MOVED)),
+        "plate": (loaded(blocks(), parts=PLATE, tractions={}), glue, (WORK, MOVED)),
+        "plane stress": (loaded(blocks(), plane="stress"), glue, (WORK, MOVED)),
+        "revolution": (loaded(blocks(), (0.0, -1.0), **round_), glue, (WORK,)),
+        "serendipity": (loaded(blocks(), element="S2"), glue, (WORK, MOVED)),
+        "triangles, linear": (loaded(blocks("triangle"), element="P1"), glue, (WORK, MOVED)),
+        "base": (base, glue, (WORK,)),
+        "two seams": (floors, two, (WORK,)),
+        "wall": (bricks, ThinLayer(GLUE, 1 / 8), (WORK,)),
+        "rings": (Structure(rings, **around), glue, (WORK,), "extended"),
+        "tapered": (loaded(blocks()), tapered, (WORK,), "extended"),
+        "hexahedra": (loaded(blocks("hexahedron", **solid), (0.3, -1.0, 0.2)), ThinLayer(GLUE, 1 / 8), (WORK,)),
+        "tetrahedra": (loaded(blocks("tetrahedron", **solid), (0.3, -1.0, 0.2)), ThinLayer(GLUE, 1 / 8), (WORK,)),
+    }  # fmt: skip
+
+
+CASES = cases()
+
+
+@cache
+def told(name: str):
+    """The state of order 0, and its estimate."""
+    structure, layers, wanted, *bodies = CASES[name]
+    state = solve(structure.interface(layers, bodies=(*bodies, "kept")[0]))
+    return state, estimate(state, goals=wanted)
+
+
+@cache
+def meshed(name: str):
+    """The state with the layers meshed by the same cells."""
+    structure, _, _, *bodies = CASES[name]
+    _, found = told(name)
+    layers = {seam: one.law.layer for seam, one in found.layers.items()}
+    return solve(structure.full(layers, bodies=(*bodies, "kept")[0], cells_through=THROUGH))
+
+
+def value(name: str, goal) -> float:
+    """Of a goal with the layers meshed."""
+    state, found = meshed(name), told(name)[1]
+    return goal.value(state, state.model if goal is WORK else found.better.model)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_bounds_hold_what_the_meshed_layer_does(name):
+    _, found = told(name)
+    for goal in CASES[name][2]:
+        one, true = found.goals[goal.name], value(name, goal)
+        assert one.lower - ROUNDING * abs(true) <= true <= one.upper + ROUNDING * abs(true), goal.name
+        assert one.change == pytest.approx(true - one.value, rel=0.01), goal.name
+        assert one.upper - one.lower <= 0.06 * abs(one.change), goal.name
+
+
+@pytest.mark.parametrize("name", ["free ends", "stack", "anisotropic", "rubbery", "base", "hexahedra"])
+def test_tractions_and_jumps_are_those_of_the_meshed_layer_on_all_of_s(name):
+    state, found = told(name)
+    true = compare(meshed(name), state)
+    assert found.traction == pytest.approx(true["error_traction"], rel=0.03)
+    assert found.jump == pytest.approx(true["error_jump"], rel=0.03)
+
+
+@pytest.mark.parametrize("name", ["free ends", "stack", "two seams", "tetrahedra"])
+def test_densities_add_up_to_changes(name):
+    _, found = told(name)
+    surface = Surface(found.better.model)
+    for goal in found.goals:
+        assert surface.integral(found.density(goal)) == pytest.approx(found.goals[goal].change, rel=0.01)
+
+
+def test_forces_on_the_faces_and_their_inverse():
+    """Symmetric, none in rigid motions, and E E^+ r = r for forces r without a resultant."""
+    state, _ = told("free ends")
+    layers = LayerAlone(state.model, dict(state.model.on_seams), 0.0)
+    no, rng = np.zeros(len(layers.load)), np.random.default_rng(2)
+    v, w = (layers.on_free(one) for one in rng.normal(size=(2, len(no))))
+    E_v, E_w = (layers.held(one, no, no) for one in (v, w))
+    assert w @ E_v == pytest.approx(v @ E_w, rel=1e-11)
+    assert layers.R.shape[1] == 3
+    for motion in layers.R.T:
+        assert np.abs(layers.held(layers.on_free(motion), no, no)).max() < 1e-11 * np.abs(E_v).max()
+    assert layers.held(layers.moved(E_v), no, no) == pytest.approx(E_v, abs=1e-10 * np.abs(E_v).max())
+
+
+# ---------------------------------------------------------------- wrong twins
+def test_forces_of_order_0_without_couples_are_no_equilibrium(monkeypatch):
+    """The law resists rotations of the layer, which by itself cannot bear what does."""
+
+    def plain(self, u, F, load, values):
+        return global_local.Iterate(u, self.layers.at_faces(u), F, load, values)
+
+    monkeypatch.setattr(global_local.GlobalLocal, "_balanced", plain)
+    structure, layers, _ = CASES["free ends"]
+    with pytest.raises(SolveError, match="have a resultant"):
+        estimate(solve(structure.interface(layers)))
+
+
+def test_weights_of_the_other_sign_miss(monkeypatch):
+    """Of a reaction: the residual at S is added, not taken off."""
+    bounds = global_local.GlobalLocal.bounds
+
+    def turned(self, q, one, z):
+        found, weighed = bounds(self, q, one, z), z.v @ self.residual(one)
+        return global_local.Bounds(*(x - 2 * weighed for x in (found.told, found.lower, found.upper)))
+
+    structure, layers, wanted = CASES["moved"]
+    true = value("moved", wanted[1])
+    monkeypatch.setattr(global_local.GlobalLocal, "bounds", turned)
+    one = estimate(solve(structure.interface(layers)), goals=wanted).goals[wanted[1].name]
+    assert not one.lower <= true <= one.upper
+
+
+# ---------------------------------------------------------------- random structures
+def random_structure(seed: int):
+    """Bodies from 1.5 to 40 thicknesses high, moduli over three decades, stacks and anisotropic plies, eigenstrains."""
+    rng = np.random.default_rng(seed)
+    eps = 10 ** rng.uniform(-2, -0.9)
+    heights = np.minimum(eps * 10 ** rng.uniform(np.log10(1.5), np.log10(40), 2), 1.0)
+
+    def elastic():
+        return LinearElastic.shear(10 ** rng.uniform(-1, 2), rng.uniform(0, 0.45))
+
+    def woven():
+        A = rng.normal(size=(6, 6))
+        C = A @ A.T + 0.3 * np.eye(6)
+        return Anisotropic(C * 10 ** rng.uniform(-1, 1.5) / np.trace(C) * 6, "layer")
+
+    law = [elastic, woven, lambda: Stack((0.4, elastic()), (0.6, elastic()))][seed % 3]()
+    supports = {"BOTTOM": 0} | ({"LEFT": {"x": 0}} if rng.random() < 0.3 else {})
+    joint = sandwich(1.0, *heights, 1 / 8, h_S=1 / 16, cell="quadrilateral")
+    body = LinearElastic.young(10 ** rng.uniform(1, 4), rng.uniform(0, 0.4))
+    structure = Structure(joint, body=body, supports=supports, tractions={"TOP": tuple(rng.normal(size=2))})
+    moved = goals.Displacement((1.0, heights[1]), (1.0, 0.3))
+    return (
+        structure,
+        ThinLayer(law, eps, eigenstrain=0.01 * rng.normal() if rng.random() < 0.2 else None),
+        (WORK, moved),
+    )
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_random_structures(seed):
+    structure, layer, wanted = random_structure(seed)
+    state = solve(structure.interface(layer))
+    found, full = estimate(state, goals=wanted), solve(structure.full(layer, cells_through=THROUGH))
+    for goal in wanted:
+        one, true = found.goals[goal.name], goal.value(full, full.model if goal is WORK else state.model)
+        assert one.lower - ROUNDING * abs(true) <= true <= one.upper + ROUNDING * abs(true)
+        assert one.change == pytest.approx(true - one.value, rel=0.02)
+
+
+# ---------------------------------------------------------------- ranks, refusals
+def numbers() -> dict[str, float]:
+    """Of several estimates."""
+    out = {}
+    for name in ("free ends", "moved", "two seams", "tetrahedra"):
+        _, found = told(name)
+        out |= {f"{name} {goal}": one.better for goal, one in found.goals.items()}
+        out |= {f"{name} {goal} width": one.upper - one.lower for goal, one in found.goals.items()}
+        out |= {
+            f"{name} traction": found.traction,
+            f"{name} density": Surface(found.better.model).norm(found.density()),
+        }
+    return out
+
+
+@pytest.mark.long
+@on_ranks(numbers, 2)
+def test_ranks_do_not_matter(there):
+    assert there == pytest.approx(numbers(), rel=1e-5)  # widths are small differences
+
+
+def test_what_the_layers_are_inside():
+    """Stresses at points of the meshed layer, at an end and away from it."""
+    from thinlayer import Probe
+
+    _, found = told("free ends")
+    x = [[0.02, 0.01], [0.5, -0.01], [0.97, 0.02]]
+    inside, full = (Probe(one).stress(x) for one in (found.inside, meshed("free ends")))
+    assert inside == pytest.approx(full, abs=0.01 * np.abs(full).max())
+
+
+def test_laws_that_are_not_linear_have_no_bounds():
+    from forms import VonMises
+
+    structure, _, _ = CASES["rollers"]
+    found = estimate(solve(structure.interface(ThinLayer(VonMises(4.0, 3.0, 0.5, hardening=2.0), EPS))))
+    assert not found.goals["compliance"].bounded
+    with pytest.raises(ModelError, match="linear laws alone"):
+        _ = found.inside
+
+
+def test_rubber_is_bounded_too():
+    structure, _, wanted = CASES["rollers"]
+    layer = ThinLayer(Rubber.shear(2.5, 0.49), EPS)
+    state = solve(structure.interface(layer))
+    found, full = estimate(state, goals=wanted), solve(structure.full(layer, cells_through=THROUGH))
+    for goal in wanted:
+        one, true = found.goals[goal.name], goal.value(full, full.model if goal is WORK else state.model)
+        assert one.lower - ROUNDING * abs(true) <= true <= one.upper + ROUNDING * abs(true)

@@ -1,0 +1,234 @@
+"""Bounds of goals of the meshed layer, by an interface model and the layers by themselves: global-local iteration.
+
+An iterate is a displacement u whose bodies are in equilibrium but for S: forces F on the layers' faces balance them. What
+the meshed layer lacks is r = F - (E u - l), on the layers alone. The interface model's matrix K_1 is a preconditioner of
+(K_b + E) d = r; directions are conjugate (Gosselet, Blanchard, Allix and Guguin 2018). By the theorem of Prager and Synge
+(1947) a goal Q with weights z has, with the layer meshed,
+
+    Q in Q(u) + z . r + r . E^+ r_z/2 -+ (r . E^+ r)^(1/2) (r_z . E^+ r_z)^(1/2)/2, r_z = F_z - E z.
+
+E^+ needs forces without resultants. Laws that resist rotations of the layer, as those of order 0 do, leave some: loads on
+the faces that are rigid motions there ("couples") balance them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from thinlayer.discretisation.state import Configuration, State
+from thinlayer.errors import SolveError
+from thinlayer.estimating.goal import Goal
+from thinlayer.estimating.layer_alone import LayerAlone
+from thinlayer.solving.adjoint import Adjoint
+
+Array = npt.NDArray[np.float64]
+STEPS = 5
+ROUNDING = 1e-14  # of these forces, over the stiffness times displacements
+UNBALANCED = 1e-9  # resultant of the forces on a layer, over their sum, that counts as rounding
+NARROW = 0.05  # width of bounds over the change, at which steps end
+
+
+@dataclass(frozen=True)
+class Iterate:
+    """A displacement whose bodies are in equilibrium but for S, or weights z of a goal.
+
+    Attributes:
+        u: (m,) displacements of this rank.
+        v: those of the layers' faces.
+        F: forces of the bodies on the faces.
+        load, values: forces on the layers, and prescribed displacements of their sides; of a goal its weights there.
+        directions: of the steps that led to it: d, v, F of each, and (K_b + E) d at the faces.
+        gained: by which these steps lowered twice the energy.
+    """
+
+    u: Array
+    v: Array
+    F: Array
+    load: Array
+    values: Array
+    directions: tuple[tuple[Array, Array, Array, Array], ...] = field(default=(), repr=False)
+    gained: float = 0.0
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Where a goal of the meshed layer lies.
+
+    Attributes:
+        told: its value, with the residual at S weighed.
+        lower, upper: its bounds.
+    """
+
+    told: float = math.nan
+    lower: float = -math.inf
+    upper: float = math.inf
+
+    def within(self, other: Bounds) -> Bounds:
+        """The intersection with earlier bounds."""
+        return Bounds(self.told, max(self.lower, other.lower), min(self.upper, other.upper))
+
+    def narrow(self, value: float, share: float) -> bool:
+        """Whether they are apart by less than a share of the change from a value."""
+        return self.upper - self.lower <= share * abs(self.told - value)
+
+
+class GlobalLocal:
+    """Global-local iteration of an interface model and its layers by themselves.
+
+    Args:
+        adjoint: at a state of the interface model, with its factor; of goals of the meshed layer.
+        layers: the layers.
+    """
+
+    def __init__(self, adjoint: Adjoint, layers: LayerAlone) -> None:
+        self.adjoint, self.equations, self.state, self.layers = adjoint, adjoint.equations, adjoint.state, layers
+        self.model, self.n = adjoint.model, adjoint.equations.n_displacements
+        keys = [
+            key for name in layers.seams for key in (self.model.layers[name].key, self.model.layers[name].pressure_key)
+        ]
+        self._laws = [part for part in self.equations.layers if part.key.split("/")[0] in keys]
+        self._others = [part for part in self.equations.parts if part not in self._laws]
+        self._at_zero = self._of_bodies(np.zeros(self.n))
+        self._loads = self.equations.loads.array_r - adjoint.of_layers
+        couples = (layers.on_free(layers.K.diagonal())[:, None] * layers.R).T
+        self._couples = [(d, F - load) for load in couples for d, F in [self._back(load)]]
+        self._resultants = layers.R.T @ np.reshape([F for _, F in self._couples], (len(couples), len(layers.load))).T
+
+    # ---------------------------------------------------------------- the interface model
+    def _of_bodies(self, u: Array) -> Array:
+        """Nodal forces (m,) of all but the layers' laws at displacements (m,)."""
+        return self.adjoint.forces(self._others, self.state, self._function(u), self.adjoint.interval)
+
+    def _function(self, u: Array) -> fem.Function:
+        f = fem.Function(self.model.V)
+        f.x.array[: self.n] = u
+        f.x.scatter_forward()
+        return f
+
+    def _pull(self, u: Array, loads: Array | float) -> Array:
+        """Forces of the bodies on the faces, under loads (m,)."""
+        return self.layers.on_free(self.layers.at_faces(loads - self._of_bodies(u)))
+
+    def _back(self, r: Array) -> tuple[Array, Array]:
+        """Displacements K_1^-1 r under forces on the faces, and those that the bodies hand on to the layers."""
+        q = self.adjoint.of_nodes(*self.layers.of_faces(r))
+        d = self.adjoint.weights(q, self.adjoint.nothing()).u.x.array[: self.n].copy()
+        return d, r + self._pull(d, self._at_zero)
+
+    def _balanced(self, u: Array, F: Array, load: Array, values: Array) -> Iterate:
+        """With couples on the faces so that forces F and those on the layers have no resultants."""
+        shares = -np.linalg.solve(self._resultants, self.layers.R.T @ (F + load)) if self._couples else ()
+        for share, (d, dF) in zip(shares, self._couples, strict=True):
+            u, F = u + share * d, F + share * dF
+        return Iterate(u, self.layers.at_faces(u), F, load, values)
+
+    # ---------------------------------------------------------------- iterates
+    def start(self) -> Iterate:
+        """The state."""
+        u = self.state.u.x.array[: self.n].copy()
+        return self._balanced(u, self._pull(u, self._loads), self.layers.load, self.layers.values)
+
+    def weights(self, goal: Goal) -> tuple[Array, Iterate]:
+        """Weights q (m,) of a goal at the displacements of this rank, and z."""
+        q, g = goal.dual(self.adjoint)
+        loads = q.array_r[: self.n].copy()
+        z = self.adjoint.weights(q, g).u.x.array[: self.n].copy()
+        return loads, self._balanced(z, self._pull(z, loads + self._at_zero), *goal.in_layers(self.layers))
+
+    def inside(self, one: Iterate) -> Array:
+        """What is in the layers."""
+        return self.layers.inside(one.v, one.load, one.values)
+
+    def residual(self, one: Iterate) -> Array:
+        """r = F - (E u - l)."""
+        return one.F - self.layers.held(one.v, one.load, one.values)
+
+    def step(self, one: Iterate) -> Iterate:
+        """Toward the meshed layer."""
+        layers, r, no = self.layers, self.residual(one), np.zeros_like(one.v)
+        d, F = self._back(r)
+        new = self._balanced(d, F, no, no)
+        d, v, F = new.u, new.v, new.F - r
+        Kd = layers.held(v, no, no) - F
+        for p, v_p, F_p, Kp in one.directions:
+            c = (v_p @ Kd) / (v_p @ Kp)
+            d, v, F, Kd = d - c * p, v - c * v_p, F - c * F_p, Kd - c * Kp
+        a = (r @ v) / (v @ Kd) if r.any() else 0.0
+        directions, gained = (*one.directions, (d, v, F, Kd)), one.gained + float(a * (r @ v))
+        return replace(one, u=one.u + a * d, v=one.v + a * v, F=one.F + a * F, directions=directions, gained=gained)
+
+    def _require_balance(self, one: Iterate) -> None:
+        """Raise SolveError unless forces on the layers have no resultant, but for rounding."""
+        forces, layers = one.F + one.load, self.layers
+        left, size = np.abs(layers.R.T @ forces).max(initial=0.0), np.abs(forces).sum()
+        if left > UNBALANCED * size + ROUNDING * np.abs(layers.K.diagonal()).sum() * np.abs(one.v).max():
+            raise SolveError(f"estimate: forces on the layers have a resultant, {left:.2g} of {size:.2g}")
+
+    def gap(self, one: Iterate) -> float:
+        """r . E^+ r, at least twice the square of the energy norm of what is missing (Prager and Synge)."""
+        r = self.residual(one)
+        return float(r @ self.layers.moved(r))
+
+    # ---------------------------------------------------------------- goals
+    def bounds(self, q: Array, one: Iterate, z: Iterate) -> Bounds:
+        """Of a goal with weights q (m,) on this rank, and z.load in the layers. Collective.
+
+        Raises:
+            SolveError: forces on the layers are not in equilibrium.
+        """
+        layers, r, r_z = self.layers, self.residual(one), self.residual(z)
+        self._require_balance(one)
+        self._require_balance(z)
+        moved, moved_z = layers.moved(r), layers.moved(r_z)
+        w, w_z = self.inside(one), self.inside(z)
+        of_bodies = q @ self.equations.constraints.unknowns(one.u) - z.u @ (self._of_bodies(one.u) - self._loads)
+        told = self.model.comm.allreduce(float(of_bodies)) + z.load @ w - w_z @ (layers.K @ w - one.load)
+        half = math.sqrt(max(float(r @ moved), 0.0) * max(float(r_z @ moved_z), 0.0)) / 2
+        middle = float(told + r_z @ moved / 2)
+        return Bounds(float(told), middle - half, middle + half)
+
+    def work_of_laws(self, u: fem.Function, z: Iterate, *, bonded: bool = False) -> Array:
+        """Work (m,) of the laws in weights at displacements u, less that of loads on the layers, spread over displacements.
+
+        Bonded bodies have none: in their place are the forces that the bodies need.
+        """
+        adjoint = self.adjoint
+        if bonded:
+            pulls = self._loads - self._of_bodies(u.x.array[: self.n])
+            pulls[self.equations.constraints.held] = 0.0
+            return z.u * pulls
+        adjoint.forces(self._laws, self.state, u, adjoint.interval)
+        at = Configuration(self._function(z.u), self.state.t)
+        return adjoint.work(self._laws, at) - z.u * adjoint.of_layers
+
+    def states(self, one: Iterate) -> tuple[State, State]:
+        """The interface model, and its layers by themselves, at an iterate."""
+        return replace(self.state, u=self._function(one.u)), self.layers.state(self.inside(one))
+
+    def run(
+        self, goals: Mapping[str, Goal], values: Mapping[str, float], known: dict[str, Bounds]
+    ) -> tuple[Iterate, dict[str, Iterate]]:
+        """The state, and the weights of goals, after steps until bounds are narrow, or `STEPS`. Collective.
+
+        Args:
+            goals: by name.
+            values: those from which changes count.
+            known: bounds that are known before, of goals that are linear; it gets these.
+        """
+        one, weights = self.start(), {name: self.weights(goal) for name, goal in goals.items()}
+        linear = [name for name, goal in goals.items() if goal.is_linear(self.model)]
+        for step in range(STEPS + 1):
+            for name in linear:
+                q, z = weights[name]
+                known[name] = self.bounds(q, one, z).within(known.get(name, Bounds()))
+            narrow = all(known[name].narrow(values[name], NARROW) for name in linear)
+            if step == STEPS or (narrow and self.gap(one) <= NARROW**2 * one.gained):
+                break
+            one, weights = self.step(one), {name: (q, self.step(z)) for name, (q, z) in weights.items()}
+        return one, {name: z for name, (_, z) in weights.items()}

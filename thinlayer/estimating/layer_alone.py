@@ -1,0 +1,232 @@
+"""The layers by themselves: what forces hold their faces where the bodies move them, and how forces move their faces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import basix
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+import scipy.sparse
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+from scipy.sparse.csgraph import connected_components
+
+from geometry.joint import Joint
+from geometry.topology import IntArray
+from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.layer import ThinLayer
+from thinlayer.discretisation.layer_model import LayerModel
+from thinlayer.discretisation.rigid import rigid_motions
+from thinlayer.discretisation.state import Report, State
+from thinlayer.discretisation.supports import Place
+from thinlayer.parts.part import Interval
+from thinlayer.solving.equations import Equations
+
+Array = npt.NDArray[np.float64]
+Vertices = tuple[int, ...]
+INDEPENDENT = 1e-9  # singular value of motions that are independent of each other, over the largest
+
+
+class LayerAlone:
+    """The layers of an interface model by themselves, at a time.
+
+    With the faces at v and the least energy inside, the forces that hold them are E v - l, a Schur complement of the
+    stiffness K. Vectors have the layers' unknowns, and are whole on every rank.
+
+    Attributes:
+        model: the layers, meshed.
+        seams: names of their seams.
+        through: number of cells through the thickness.
+        on_face: (n,) which unknowns are displacements of faces, those that bodies hold too included.
+        load: (n,) forces on the layers, those of given strains included.
+        forces: (n,) the former alone.
+        values: (n,) what supports prescribe on the layers' sides.
+        R: (n, m) motions without energy that supports leave to each piece, orthonormal.
+
+    Args:
+        interface: the interface model.
+        layers: name of a seam -> its layer.
+        t: the time.
+        cells_through: number of cells through the thickness.
+    """
+
+    def __init__(
+        self, interface: InterfaceModel, layers: Mapping[str, ThinLayer], t: float, cells_through: int = 4
+    ) -> None:
+        self.seams, self.through, self._comm = [*layers], cells_through, interface.comm
+        self.model = LayerModel(interface, layers, cells_through)
+        equations, self._t = self._begun(t), t
+        x, out = equations.vector(), equations.vector()
+        equations.residual(x, out)
+        self.load, self.forces = -out.array_r, np.zeros(len(out.array_r))
+        self.forces[: equations.n_displacements] = equations.loads.array_r
+        rows = equations.tangent().getValuesCSR()
+        self.K = scipy.sparse.csr_matrix(rows[::-1], shape=(len(self.load),) * 2)
+        self.values, at_sides = np.zeros(len(self.load)), np.zeros(len(self.load), bool)
+        self.values[equations.held], at_sides[equations.held] = equations.prescribed, True
+        self._displacements = equations.n_displacements
+        equations.destroy()
+        self._ours, self._theirs = _pairs(interface, self.model)
+        of_bodies = np.zeros(interface.V.dofmap.index_map.size_local * interface.V.dofmap.bs)
+        of_bodies[interface.constraints.held] = 1.0
+        self.on_face = self.at_faces(np.ones_like(of_bodies)) > 0
+        self.free_faces = self.on_face & ~at_sides & ~(self.at_faces(of_bodies) > 0)
+        self._inside, self._sides = ~self.on_face & ~at_sides, ~self.on_face & at_sides
+        self._dirichlet = _Factor(self.K, self._inside)
+        self.R, pins = self._motions(self.free_faces | self._inside)
+        self._neumann = _Factor(self.K, (self.free_faces | self._inside) & ~pins)
+
+    def _begun(self, t: float) -> Equations:
+        equations = Equations(self.model)
+        equations.begin(Interval(equations.rest(t), t, 0.0, 1.0))
+        return equations
+
+    def state(self, w: Array) -> State:
+        """The layers at displacements, and other unknowns, w."""
+        equations = self._begun(self._t)
+        x = equations.vector()
+        x.array[:] = w
+        found = equations.configuration(x)
+        equations.destroy()
+        return State(**vars(found), model=self.model, report=Report("layers", 0, 0.0, 0.0))
+
+    def work(self, w: Array, z: Array) -> Array:
+        """Work (k,) of the stresses at w in the strains of z, less that of the loads, spread over displacements."""
+        equations = self._begun(self._t)
+        x, found = equations.vector(), fem.Function(self.model.V)
+        x.array[:] = w
+        equations.residual(x, equations.vector())
+        strained = fem.Function(self.model.V)
+        strained.x.array[:] = z[: self._displacements]
+        for part in equations.layers:
+            if hasattr(part, "add_work_in"):
+                part.add_work_in(strained, found.x.petsc_vec)
+        equations.destroy()
+        return np.asarray(found.x.array - (z * self.forces)[: self._displacements])
+
+    def _motions(self, free: npt.NDArray[np.bool_]) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """Motions without energy (n, m), and as many unknowns (n,) that hold them."""
+        model, pins, found = self.model, np.zeros(len(free), bool), []
+        rigid = np.zeros((len(free), 0))
+        motions = rigid_motions(model.V, model.domain.joint, model.kinematics).values()
+        rigid = np.zeros((len(free), len(motions)))
+        rigid[: self._displacements] = np.column_stack([one.x.array[: self._displacements] for one in motions])
+        count, piece = connected_components(self.K, directed=False)
+        for k in range(count):
+            mine = np.flatnonzero(piece == k)
+            some = rigid[mine]
+            some = some @ scipy.linalg.null_space(np.vstack([some[~free[mine]], 0 * some[:1]]), rcond=INDEPENDENT)
+            some = scipy.linalg.orth(some, rcond=INDEPENDENT) if some.any() else some[:, :0]
+            _, _, order = scipy.linalg.qr(some[free[mine]].T, pivoting=True)
+            pins[mine[free[mine]][order[: some.shape[1]]]] = True
+            found.append(np.zeros((len(free), some.shape[1])))
+            found[-1][mine] = some
+        return np.hstack(found), pins
+
+    def motion_of(self, place: Place, direction: Array) -> Array:
+        """(n,) motion of the layers' sides for which -g . r is the force of a support along a direction (d,)."""
+        constraints, out = self.model.constraints, np.zeros(len(self.load))
+        places = [one for one, _ in self.model.supports.entries]
+        if entries := [k for k, one in enumerate(places) if one == place or str(one).split("/")[0] == place]:
+            out[: self._displacements] = -constraints.dual_to_resultant(entries, direction)
+        return out
+
+    # ---------------------------------------------------------------- vectors of the interface model
+    def at_faces(self, x: Array) -> Array:
+        """Values at the faces of a vector (m,) of the interface model's displacements on this rank. Collective."""
+        out = np.zeros(len(self.load))
+        out[self._theirs] = x[self._ours]
+        return np.asarray(self._comm.allreduce(out))
+
+    def of_faces(self, w: Array) -> tuple[IntArray, Array]:
+        """Numbers of this rank's displacements of the interface model at the faces, and values there."""
+        return self._ours, w[self._theirs]
+
+    # ---------------------------------------------------------------- E and its inverse
+    def inside(self, v: Array, load: Array, values: Array) -> Array:
+        """Displacements of layers whose faces are at v, under forces and with prescribed displacements of their sides."""
+        w = np.where(self.on_face, v, np.where(self._sides, values, 0.0))
+        self._dirichlet.solve(load - self.K @ w, w)
+        return w
+
+    def held(self, v: Array, load: Array, values: Array) -> Array:
+        """Forces that hold the faces at v, zero where supports hold them."""
+        return self.on_free(self.K @ self.inside(v, load, values) - load)
+
+    def on_free(self, r: Array) -> Array:
+        """Values at the faces that supports leave free, zero elsewhere."""
+        return np.where(self.free_faces, r, 0.0)
+
+    def moved(self, r: Array) -> Array:
+        """Displacements of the faces under forces on them that have no resultant."""
+        w = np.zeros(len(r))
+        self._neumann.solve(r, w)
+        return np.where(self.on_face, w, 0.0)
+
+
+class _Factor:
+    """Rows and columns of a symmetric matrix, factored."""
+
+    def __init__(self, K: scipy.sparse.csr_matrix, which: npt.NDArray[np.bool_]) -> None:
+        self._which = which
+        part = K[which][:, which].sorted_indices()
+        csr = part.indptr.astype(PETSc.IntType), part.indices.astype(PETSc.IntType), part.data
+        A = PETSc.Mat().createAIJ(part.shape, csr=csr, comm=MPI.COMM_SELF)
+        A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self._ksp = PETSc.KSP().create(MPI.COMM_SELF)
+        self._ksp.setOperators(A)
+        self._ksp.setType("preonly")
+        self._ksp.getPC().setType("cholesky")
+        self._ksp.getPC().setFactorSolverType("mumps")
+        self._x, self._b = A.createVecs()
+
+    def solve(self, b: Array, out: Array) -> None:
+        if self._which.any():
+            self._b.array[:] = b[self._which]
+            self._ksp.solve(self._b, self._x)
+            out[self._which] = self._x.array_r
+
+
+def _pairs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntArray, IntArray]:
+    """Displacements of this rank at the layers' seams, and those of the layers' faces that are the same, unrolled."""
+    base, band, d = layers.joint, layers.domain.joint, interface.joint.dim
+    of_key: dict[tuple[Vertices, int, Vertices], int] = {}
+    for number, seam in enumerate(base.seams):
+        facets = np.sort(base.surface[base.seam_numbers == number][:, : base.table.vertices.shape[1]], axis=1)
+        prefix = f"{seam}/" if len(base.seams) > 1 else ""
+        for side, name in enumerate(("LOWER_FACE", "UPPER_FACE")):
+            faces = band.facets.get(prefix + name, np.empty((0, d), np.int64))
+            for facet, face, row in zip(facets, faces, band.table.index(faces), strict=False):
+                below = dict(zip(face, facet, strict=True))
+                for node, vertices in _nodes(layers, band, band.table.cells[row, 0], band.table.local[row, 0]):
+                    of_key[tuple(facet), side, tuple(sorted(below[v] for v in vertices))] = node
+    owned, pairs = interface.V.dofmap.index_map.size_local, {}
+    for row, cells in zip(base.surface_rows, base.surface_cells, strict=True):
+        facet = tuple(np.sort(base.table.vertices[row]))
+        for side, cell in enumerate(cells):
+            if cell >= 0:
+                local = base.table.local[row][list(base.table.cells[row]).index(cell)]
+                for node, vertices in _nodes(interface, base, cell, local):
+                    key = facet, side, tuple(sorted(vertices))
+                    if node < owned and key in of_key:
+                        pairs[node] = of_key[key]
+    ours, theirs = (
+        np.array(some, np.int64)[:, None] * d + np.arange(d) for some in (list(pairs), list(pairs.values()))
+    )
+    return ours.ravel(), theirs.ravel()
+
+
+def _nodes(model: InterfaceModel | LayerModel, joint: Joint, cell: int, facet: int) -> Iterator[tuple[int, IntArray]]:
+    """Nodes on a facet of a cell of the joint, and the vertices of the vertex, edge or face that each belongs to."""
+    local = np.flatnonzero(model.domain.original_cells == cell)
+    if not len(local):
+        return
+    dofs, layout = model.V.dofmap.cell_dofs(local[0]), model.V.dofmap.dof_layout
+    parts = basix.cell.sub_entity_connectivity(basix.CellType[joint.cell_type])
+    for dim in range(joint.dim):
+        for entity in parts[joint.dim - 1][facet][dim]:
+            for node in layout.entity_dofs(dim, int(entity)):
+                yield int(dofs[node]), joint.corners[cell][parts[dim][entity][0]]
