@@ -7,13 +7,13 @@ from forms.check import check
 from forms.contact import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, Tresca
 from forms.elastic import Anisotropic, LinearElastic
 from forms.kernel import KernelLaw
-from forms.law import BulkLaw, Law, LawError, Step, choice
+from forms.law import BulkLaw, choice
 from forms.non_monotone import NonMonotone, NonMonotoneUnrelaxed
 from forms.plastic import MohrCoulomb, MohrCoulombMonodirectional, VonMises
 from forms.rubber import Incompressible, Rubber
 from forms.series import Stack
 from forms.temperature import Tabulated
-from forms.traction import JumpStep, TractionLaw
+from forms.traction import TractionLaw
 from forms.viscous import KelvinVoigt, Maxwell, Norton, NortonCreep
 
 __all__ = [
@@ -23,11 +23,8 @@ __all__ = [
     "HolonomicCoulomb",
     "Incompressible",
     "IncrementalCoulomb",
-    "JumpStep",
     "KelvinVoigt",
     "KernelLaw",
-    "Law",
-    "LawError",
     "LinearElastic",
     "Maxwell",
     "MohrCoulomb",
@@ -38,7 +35,6 @@ __all__ = [
     "NortonCreep",
     "Rubber",
     "Stack",
-    "Step",
     "Tabulated",
     "TractionLaw",
     "Tresca",

@@ -16,7 +16,13 @@ class ThinlayerError(Exception):
 
 
 class InputError(ThinlayerError, ValueError):
-    """Input that cannot be used. The message says what is wrong, where, and which values are allowed."""
+    """Input that cannot be used. The message says what is wrong, where, and which values are allowed.
+
+    Attributes:
+        key: of the condition that does not hold; "": it has none.
+    """
+
+    key = ""
 
 
 def unknown(kind: str, name: object, known: Iterable[str]) -> str:

@@ -13,9 +13,10 @@ from ufl.algorithms import expand_derivatives
 from ufl.classes import Zero
 from ufl.indexed import Indexed
 
+from forms.base import InputError
 from forms.kernel import KernelLaw
 from forms.kinematics import Expr, mandel
-from forms.law import BulkLaw, Law, LawError, Step, explained, shaped
+from forms.law import BulkLaw, Law, Step, explained, shaped
 from forms.parameter_fields import is_field
 from forms.trace import named, numbers, symbolic
 
@@ -30,7 +31,7 @@ _PASSED: set[tuple[Any, ...]] = set()  # laws with their numbers
 
 
 def check(law: Law, d: int | None = 3) -> None:
-    """Raise LawError unless a law computes what its class declares, with the numbers that it has.
+    """Raise InputError unless a law computes what its class declares, with the numbers that it has.
 
     Models and `drive` ask this once for each law and its numbers, but for laws of this package and of contact. A law in UFL
 
@@ -46,7 +47,7 @@ def check(law: Law, d: int | None = 3) -> None:
         d: number of components of the director where the stress is a part of a form; None in a body.
     """
     if isinstance(law, type):
-        raise LawError(f"{law.__name__} is a class; give a law, with its numbers")
+        raise InputError(f"{law.__name__} is a class; give a law, with its numbers")
     if law.traits.nodal:
         return
     for _, sublayer in law.of_strains().sublayers:
@@ -68,7 +69,7 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
     point = symbolic(given, d=d)
     found = _computed(point.law, point.step)
     if isinstance(found[method], Zero) and not law.traits.compiled:
-        raise LawError(f"{name}.{method} is zero, whatever the strain; a law of this kind needs a stiffness")
+        raise InputError(f"{name}.{method} is zero, whatever the strain; a law of this kind needs a stiffness")
     flat = mandel(found[method])
     asked: dict[str, Expr] = {**found, "tangent": ufl.diff(flat, point.strain)}
     if law.traits.has_energy and law.traits.symmetric and not (law.traits.rate or law.internal):
@@ -88,12 +89,12 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
         tangents = [C for one in turned if (C := values("tangent", one)) is not None]
         for C in tangents:
             if law.traits.linear and _apart(C, tangents[0]):
-                raise LawError(
+                raise InputError(
                     f"{name} declares linear = True, but its stress is not affine in the strain; "
                     "write linear = False in the class, or correct the stress"
                 )
             if law.traits.symmetric and (skew := _apart(C, C.T)):
-                raise LawError(NOT_SYMMETRIC.format(name, skew))
+                raise InputError(NOT_SYMMETRIC.format(name, skew))
         if "slope" in asked:
             _require_slope(name, values("slope", sample), values(method, sample))
 
@@ -102,7 +103,7 @@ def _computed(law: BulkLaw, step: Step) -> dict[str, Expr]:
     """What a law gives in a step, by its methods.
 
     Raises:
-        LawError: a method fails, or gives another shape.
+        InputError: a method fails, or gives another shape.
     """
     name, (method, advances) = type(law).__name__, law.methods
     with explained(law, method):
@@ -111,7 +112,7 @@ def _computed(law: BulkLaw, step: Step) -> dict[str, Expr]:
         new = law.advance(step)
     if not isinstance(new, dict) or set(new) != set(law.internal):
         given = sorted(new) if isinstance(new, dict) else repr(new)
-        raise LawError(f"{name}.{advances} gives {given}; it must give {sorted(law.internal)}")
+        raise InputError(f"{name}.{advances} gives {given}; it must give {sorted(law.internal)}")
     for variable, shape in law.internal.items():
         key = f"{advances}[{variable!r}]"
         found[key] = shaped(law, key, new[variable], shape)
@@ -133,7 +134,7 @@ def _sample(law: BulkLaw, size: float, d: int) -> tuple[Array, Array]:
 def _require_no_decisions(
     law: BulkLaw, d: int | None, sample: Array, values: Callable[[str, Array], Array | None]
 ) -> None:
-    """Raise LawError if a law gives something else with numbers than with symbols."""
+    """Raise InputError if a law gives something else with numbers than with symbols."""
     place, stress = 12 + law.memory, values(law.methods[0], sample)
     work = 0.0 if stress is None else float(np.abs(stress).max() * np.abs(sample[:6]).max())
     least = {"energy": work, "dissipation": work}  # where no energy is stored rounding is left
@@ -148,7 +149,7 @@ def _require_no_decisions(
         for key, one in found.items():
             direct, traced = _evaluated(one), values(key, inputs)
             if direct is not None and traced is not None and _apart(direct, traced, least.get(key, 0.0)):
-                raise LawError(
+                raise InputError(
                     f"{type(law).__name__}.{key}: a parameter, or a value computed from it, is compared or used as a "
                     "condition in Python; laws are traced once for all numbers: write "
                     "ufl.conditional(ufl.eq(a, b), c, d)"
@@ -157,7 +158,7 @@ def _require_no_decisions(
 
 def _require_symmetric(law: BulkLaw, key: str, tensor: Array | None) -> None:
     if tensor is not None and tensor.ndim == 2 and (skew := _apart(tensor, tensor.T)):
-        raise LawError(
+        raise InputError(
             f"{type(law).__name__}.{key} is not symmetric: it differs from its transpose by {skew:.1e} of its size; "
             "use ufl.sym, or vectors (3,) as internal variables"
         )
@@ -165,7 +166,7 @@ def _require_symmetric(law: BulkLaw, key: str, tensor: Array | None) -> None:
 
 def _require_slope(name: str, apart: Array | None, stress: Array | None) -> None:
     if apart is not None and stress is not None and np.abs(apart).max() > TOLERANCE * np.abs(stress).max():
-        raise LawError(
+        raise InputError(
             f"{name}: the derivative of the energy by the strain is not the stress, it is "
             f"{np.abs(apart).max() / (np.abs(stress).max() or 1.0):.1e} of the stress away; correct one of them, or write "
             "symmetric = False in the class if the stress has no energy"
@@ -206,7 +207,7 @@ def _rehearse(law: KernelLaw) -> None:
     if law.source is not None:
         return
     if getattr(law, "kernel", None) is None:
-        raise LawError(
+        raise InputError(
             f"{name} needs a static method kernel(...), or source, the name of a C file; see forms.KernelLaw"
         )
     outputs = np.zeros(6), np.zeros((6, 6)), np.zeros(memory), np.zeros(3)
@@ -217,8 +218,8 @@ def _rehearse(law: KernelLaw) -> None:
     except ArithmeticError:
         return
     except Exception as error:
-        raise LawError(
+        raise InputError(
             f"{name}.kernel: {type(error).__name__}: {error}; see forms.KernelLaw for its arguments"
         ) from error
     if not isinstance(done, (bool, np.bool_)):
-        raise LawError(f"{name}.kernel returns {done!r}; it must return whether it succeeded")
+        raise InputError(f"{name}.kernel returns {done!r}; it must return whether it succeeded")

@@ -10,8 +10,9 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
+from forms.base import InputError
 from forms.elastic import LinearElastic
-from forms.law import Law, LawError, positive
+from forms.law import Law, positive
 from forms.parameter_fields import place_of
 from forms.temperature import values_of
 
@@ -62,7 +63,7 @@ class ContactLaw(Law):
         return super().parameters() | ({"gap": np.nan} if callable(self.gap) else {})
 
     def gaps(self, x: Array) -> Array:
-        """Initial gaps (n,) at places x (d, n); raises LawError if they are not n finite numbers."""
+        """Initial gaps (n,) at places x (d, n); raises InputError if they are not n finite numbers."""
         if not callable(self.gap):
             return np.full(x.shape[1], float(self.gap))
         it = "it must be a numpy function of places (d, n) that gives n lengths"
@@ -73,41 +74,43 @@ class ContactLaw(Law):
 
     def threshold(self, p: Array) -> Array:
         """Largest |t_T| at a pressure."""
-        raise LawError(f"{type(self).__name__} has no threshold; a contact law needs a method threshold(p)")
+        raise InputError(f"{type(self).__name__} has no threshold; a contact law needs a method threshold(p)")
 
     def threshold_rate(self, p: Array) -> Array:
         """Derivative of the threshold by the pressure."""
-        raise LawError(f"{type(self).__name__} has no method threshold_rate(p)")
+        raise InputError(f"{type(self).__name__} has no method threshold_rate(p)")
 
     def check_threshold(self) -> None:
-        """Raise LawError unless `threshold` (>= 0) and `threshold_rate` give finite numbers (n,) for pressures (n,)."""
+        """Raise InputError unless `threshold` (>= 0) and `threshold_rate` give finite numbers (n,) for pressures (n,)."""
         p = np.concatenate([[0.0], self.K_N * np.logspace(-9, 0, 10)])
         for name in ("threshold", "threshold_rate"):
             where, given = f"{type(self).__name__}.{name}(p)", p.copy()
             try:
                 with np.errstate(all="ignore"):  # the law may not be meant for pressures this large
                     found = getattr(self, name)(given)
-            except LawError:
+            except InputError:
                 raise
             except Exception as error:
-                raise LawError(f"{where}: {type(error).__name__}: {error}; p is an array (n,) of pressures") from error
+                raise InputError(
+                    f"{where}: {type(error).__name__}: {error}; p is an array (n,) of pressures"
+                ) from error
             if not np.array_equal(given, p):
-                raise LawError(f"{where} changes p; it must return a new array")
+                raise InputError(f"{where} changes p; it must return a new array")
             array = found if isinstance(found, np.ndarray) else None
             if array is None or array.shape != p.shape or array.dtype.kind != "f":
-                raise LawError(f"{where} is {found!r} for {len(p)} pressures; it must be an array of {len(p)} floats")
+                raise InputError(f"{where} is {found!r} for {len(p)} pressures; it must be an array of {len(p)} floats")
             wrong = np.flatnonzero(~(np.isfinite(array) & ((array >= 0) | (name != "threshold"))))
             if len(wrong):
                 allowed = "finite, >= 0" if name == "threshold" else "finite"
-                raise LawError(f"{where} is {array[wrong[0]]} at p = {p[wrong[0]]:g}; allowed: {allowed}")
+                raise InputError(f"{where} is {array[wrong[0]]} at p = {p[wrong[0]]:g}; allowed: {allowed}")
         if self.numbers is not None:
             if np.shape(self.numbers) != (4,) or self.numbers[:2] != (self.K_N, self.K_T):
-                raise LawError(
+                raise InputError(
                     f"{type(self).__name__}.numbers is {self.numbers!r}; see ContactLaw.numbers, or give None"
                 )
             friction, cohesion = self.numbers[2:]
             if not np.allclose(cohesion + friction * p, self.threshold(p)):
-                raise LawError(f"{type(self).__name__}: numbers and threshold(p) are two laws; give numbers = None")
+                raise InputError(f"{type(self).__name__}: numbers and threshold(p) are two laws; give numbers = None")
 
     def pressure(self, w: Array) -> Array:
         """p, (n,)."""
@@ -192,7 +195,7 @@ class ContactLaw(Law):
         names = [f.name for f in fields(cls) if f.name not in ("K_N", "K_T")]
         for name in others:
             if name not in names:
-                raise LawError(
+                raise InputError(
                     f"{cls.__name__}.of_layer has no parameter {name!r}; known: lmbda, mu, {', '.join(names)}"
                 )
         LinearElastic(lmbda, mu)
@@ -267,7 +270,7 @@ class HolonomicCoulomb(_Coulomb):
         cohesion: C >= 0, stress.
 
     Raises:
-        LawError: a parameter out of range.
+        InputError: a parameter out of range.
     """
 
 
@@ -294,7 +297,7 @@ class Tresca(ContactLaw):
         bound: largest |t_T|, stress; >= 0.
 
     Raises:
-        LawError: a parameter out of range.
+        InputError: a parameter out of range.
     """
 
     bound: float

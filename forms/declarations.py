@@ -37,10 +37,6 @@ LIKENESS = 0.8  # of two names, 1 if they are the same, from which on one may be
 SWITCHED = ("phase", "drive", "bound")  # internal variables of a law whose phases switch
 
 
-class LawError(InputError):
-    """A parameter out of range, or a law used where it is not defined. Says what is wrong, where, and what is allowed."""
-
-
 class RangeWarning(UserWarning):
     """A law, a model or a result outside the range in which it is accurate: the message has the number and the remedy.
 
@@ -70,10 +66,10 @@ def show_warnings() -> None:
 
 
 def require_dataclass(kind: type) -> None:
-    """Raise LawError if a class declares parameters but is not a dataclass, so that its constructor does not take them."""
+    """Raise InputError if a class declares parameters but is not a dataclass: its constructor does not take them."""
     own = [n for n, note in inspect.get_annotations(kind).items() if "ClassVar" not in str(note)]
     if own and "__dataclass_params__" not in vars(kind):
-        raise LawError(f"{kind.__name__} is not a dataclass: write @dataclass(frozen=True) above the class")
+        raise InputError(f"{kind.__name__} is not a dataclass: write @dataclass(frozen=True) above the class")
 
 
 def reset_inherited(kind: Any) -> None:
@@ -125,58 +121,58 @@ def _reset(kind: Any, name: str) -> None:
 
 
 def require_declarations(law: Any) -> None:
-    """Raise LawError unless the declarations of a law's class fit its parameters and methods."""
+    """Raise InputError unless the declarations of a law's class fit its parameters and methods."""
     kind, known = type(law), law.parameters()
     require_dataclass(kind)
     if not isinstance(law.powers, Mapping) or not isinstance(law.internal, Mapping):
-        raise LawError(f"{kind.__name__}: powers is {{parameter: power}}, internal is {{name: shape}}")
+        raise InputError(f"{kind.__name__}: powers is {{parameter: power}}, internal is {{name: shape}}")
     for name, power in law.powers.items():
         if name not in known:
-            raise LawError(f"{kind.__name__}: powers has {name!r}; parameters: {', '.join(known) or 'none'}")
+            raise InputError(f"{kind.__name__}: powers has {name!r}; parameters: {', '.join(known) or 'none'}")
         if not is_number(power) or not math.isfinite(power):
-            raise LawError(f"{kind.__name__}: the power of {name} is {power!r}; allowed: a finite number")
+            raise InputError(f"{kind.__name__}: the power of {name} is {power!r}; allowed: a finite number")
     for name in law.functions:
         if callable(known.get(name)):
-            raise LawError(
+            raise InputError(
                 f"{kind.__name__}: parameters() gives a function for {name}; it must give a number, NaN where it varies"
             )
     for name, shape in law.internal.items():
         if shape not in SIZES:
             allowed = ", ".join(map(str, SIZES))
-            raise LawError(f"{kind.__name__}: internal variable {name!r} has the shape {shape!r}; allowed: {allowed}")
+            raise InputError(f"{kind.__name__}: internal variable {name!r} has the shape {shape!r}; allowed: {allowed}")
     _require_phases(law)
     _require_used(law)
 
 
 def _require_used(law: Any) -> None:
-    """Raise LawError for methods and attributes that would be silently ignored."""
+    """Raise InputError for methods and attributes that would be silently ignored."""
     kind, name = type(law), type(law).__name__
     defining = min(_place(kind, one) for one in ("kernel", "source", "ignored"))
     for one in kind.ignored:
         if _own(kind, one) and _place(kind, one) < defining:
-            raise LawError(
+            raise InputError(
                 f"{name} has a method {one} that is never called: the stress comes from the kernel, source, sublayers or "
                 f"the traction of {kind.__mro__[defining].__name__}; change those, or write a BulkLaw"
             )
     if getattr(kind, "source", None) is not None and _place(kind, "kernel") < _place(kind, "source"):
-        raise LawError(
+        raise InputError(
             f"{name} has a kernel but inherits a source, which would be used instead; write source = None in the class"
         )
     advancing = [one for one in ("advance", "evolve") if _own(kind, one)]
     if advancing and not law.internal:
-        raise LawError(
+        raise InputError(
             f"{name} has a method {advancing[0]} but no internal variables; write internal = {{name: shape}}"
         )
     known = [f.name for f in fields(Traits)]
     for attribute in (one for one in dir(kind) if _own(kind, one) and isinstance(getattr(kind, one), bool)):
         if attribute not in known and (meant := get_close_matches(attribute, known, 1, LIKENESS)):
-            raise LawError(
+            raise InputError(
                 f"{name} has {attribute} = {getattr(kind, attribute)}, which is no trait; is {meant[0]} meant?"
             )
     if (_own(kind, "dissipation") or _own(kind, "dissipated")) and not law.traits.has_energy:
-        raise LawError(f"{name} declares a dissipation but no energy; write a method energy(step) too")
+        raise InputError(f"{name} declares a dissipation but no energy; write a method energy(step) too")
     if _own(kind, "at") and (not _own(kind, "varies") or inspect.getattr_static(kind, "varies") is False):
-        raise LawError(f"{name} has a method at, but no parameters vary; write varies = True in the class")
+        raise InputError(f"{name} has a method at, but no parameters vary; write varies = True in the class")
 
 
 def _own(kind: Any, name: str) -> bool:
@@ -190,14 +186,14 @@ def _own(kind: Any, name: str) -> bool:
 def _require_phases(law: Any) -> None:
     kind, name = type(law), type(law).__name__
     if getattr(kind, "phases", False) is True and law.internal.get("phase") != ():
-        raise LawError(f"{name} has phases = True; it needs an internal variable 'phase' of shape (), a UFL law")
+        raise InputError(f"{name} has phases = True; it needs an internal variable 'phase' of shape (), a UFL law")
     if getattr(kind, "switches", False) is not True:
         return
     if getattr(kind, "phases", False) is not True or any(law.internal.get(one) != () for one in SWITCHED):
-        raise LawError(f"{name} has switches = True; it needs phases = True and the scalars {SWITCHED} in internal")
+        raise InputError(f"{name} has switches = True; it needs phases = True and the scalars {SWITCHED} in internal")
     for method in ("excess", "switched"):
         if not callable(getattr(law, method, None)):
-            raise LawError(f"{name} has switches = True; it needs a method {method}, see NonMonotoneUnrelaxed")
+            raise InputError(f"{name} has switches = True; it needs a method {method}, see NonMonotoneUnrelaxed")
 
 
 def always(_: Iterable[bool]) -> bool:
@@ -275,12 +271,12 @@ class Traits:
         """The traits that a law declares, and those that follow from its methods (`of_methods`).
 
         Raises:
-            LawError: a declaration that is neither True nor False.
+            InputError: a declaration that is neither True nor False.
         """
         declared = {f.name: getattr(law, f.name, f.default) for f in fields(cls) if f.name not in of_methods}
         for name, value in declared.items():
             if not isinstance(value, (bool, np.bool_)):
-                raise LawError(f"{type(law).__name__}: {name} is {value!r}; a trait is True or False")
+                raise InputError(f"{type(law).__name__}: {name} is {value!r}; a trait is True or False")
         return cls(**{name: bool(value) for name, value in (declared | of_methods).items()})
 
     @classmethod

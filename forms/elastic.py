@@ -12,12 +12,12 @@ import numpy.typing as npt
 import ufl
 from scipy.spatial.transform import Rotation
 
-from forms.base import is_number
+from forms.base import InputError, is_number
 from forms.ends.constants import free_end
 from forms.ends.weights import EndWeights, Strips
 from forms.inside import Inside, Sublayers
 from forms.kinematics import MANDEL, ROOT2, Expr, layer_frame
-from forms.law import BulkLaw, LawError, Step, choice
+from forms.law import BulkLaw, Step, choice
 from forms.parameter_fields import Field, OutOfRange, Parameter, field_of
 from forms.stations import Faces, Station, at_gauss_points
 
@@ -35,7 +35,7 @@ def lame(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
 
 
 def require_moduli(law: BulkLaw, lmbda: float, mu: float) -> None:
-    """Raise LawError unless mu > 0 and lmbda + 2 mu/3 > 0."""
+    """Raise InputError unless mu > 0 and lmbda + 2 mu/3 > 0."""
     law.require(math.isfinite(mu) and mu > 0, "mu", "> 0", mu)
     bound = -2 / 3 * mu
     law.require(math.isfinite(lmbda) and lmbda > bound, "lmbda", f"> -2 mu/3 = {bound:g}", lmbda)
@@ -75,7 +75,7 @@ class LinearElastic(LinearLaw):
         mu: shear modulus, likewise; > 0.
 
     Raises:
-        LawError: a modulus out of range.
+        InputError: a modulus out of range.
     """
 
     lmbda: float
@@ -96,9 +96,9 @@ class LinearElastic(LinearLaw):
             given = field_of(E), field_of(nu)
             return cls(Field(_lmbda_of_young, given), Field(_mu_of_young, given))  # type: ignore[arg-type]
         if not (is_number(E) and math.isfinite(E) and E > 0):
-            raise LawError(f"LinearElastic: E is {E!r}; allowed: > 0")
+            raise InputError(f"LinearElastic: E is {E!r}; allowed: > 0")
         if not (is_number(nu) and -1 < nu < 0.5):
-            raise LawError(f"LinearElastic: nu is {nu!r}; allowed: -1 < nu < 0.5")
+            raise InputError(f"LinearElastic: nu is {nu!r}; allowed: -1 < nu < 0.5")
         return cls(E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu)))
 
     @classmethod
@@ -110,7 +110,7 @@ class LinearElastic(LinearLaw):
         if callable(mu) or callable(nu):
             return cls.young(2 * field_of(mu) * (1 + field_of(nu)), nu)
         if not (is_number(mu) and is_number(nu)):
-            raise LawError(f"LinearElastic: mu is {mu!r}, nu is {nu!r}; allowed: numbers")
+            raise InputError(f"LinearElastic: mu is {mu!r}, nu is {nu!r}; allowed: numbers")
         return cls.young(2 * mu * (1 + nu), nu)
 
     def stress(self, step: Step) -> Expr:
@@ -194,7 +194,7 @@ class Anisotropic(LinearLaw):
         frame: "global", or "layer": axis 2 is the director n, axes 1 and 3 lie in the layer (`layer_frame`).
 
     Raises:
-        LawError: C of the wrong shape, not symmetric or indefinite; unknown frame.
+        InputError: C of the wrong shape, not symmetric or indefinite; unknown frame.
     """
 
     C: npt.NDArray[np.float64]
@@ -219,12 +219,12 @@ class Anisotropic(LinearLaw):
         """
         for name, value, allowed in (("K_N", K_N, "> 0"), ("K_T", K_T, ">= 0")):
             if not (math.isfinite(value) and (value > 0 or (value == 0 and name == "K_T"))):
-                raise LawError(f"Anisotropic.springs: {name} is {value}; allowed: {allowed}")
+                raise InputError(f"Anisotropic.springs: {name} is {value}; allowed: {allowed}")
         return cls(np.diag([0, K_N, 0, K_T, 0, K_T]), "layer")
 
     def stress(self, step: Step) -> Expr:
         if self.frame == "layer" and step.n is None:
-            raise LawError("Anisotropic: frame='layer' needs a layer; in a body use frame='global'")
+            raise InputError("Anisotropic: frame='layer' needs a layer; in a body use frame='global'")
         turn = layer_frame(step.n) if self.frame == "layer" else ufl.Identity(3)
         e = turn.T * step.mid * turn
         voigt = ufl.as_vector([e[i, j] if i == j else 2 * e[i, j] for i, j in VOIGT])

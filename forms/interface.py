@@ -8,8 +8,9 @@ from typing import Any
 
 import ufl
 
+from forms.base import InputError
 from forms.kinematics import Expr
-from forms.law import BulkLaw, LawError
+from forms.law import BulkLaw
 from forms.planes import LIFTED, Kinematics
 from forms.stations import Faces
 
@@ -18,10 +19,10 @@ def of_numbers(law: BulkLaw) -> BulkLaw:
     """A law of numbers or UFL expressions, itself.
 
     Raises:
-        LawError: parameters of the law are functions of the place, and the mesh is not known.
+        InputError: parameters of the law are functions of the place, and the mesh is not known.
     """
     if law.fields:
-        raise LawError(
+        raise InputError(
             f"order=1 of {type(law).__name__} with parameters that are functions: the sides of S must know their values; "
             "use it in a Model, or give `Interface(known=...)`"
         )

@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
+from forms.base import InputError
 from forms.declarations import SIZES, Traits, require_dataclass, require_declarations, reset_inherited
-from forms.declarations import LawError as LawError
 from forms.inside import Inside
 from forms.kinematics import Expr
 from forms.parameter_fields import Array, Field, OfPlaces, field_of, is_field, number_of
@@ -65,7 +65,7 @@ class Step(NamedTuple):
     def rate(self) -> Expr:
         """Strain rate of the step."""
         if self.dt is None or not self.rates:
-            raise LawError("a law that uses step.rate must declare rate = True")
+            raise InputError("a law that uses step.rate must declare rate = True")
         return (self.e - self.e_old) / self.dt
 
     def between(self, old: Expr, new: Expr) -> Expr:
@@ -109,7 +109,7 @@ class Law(OfPlaces):
         for name in named:
             if name not in known:
                 hint = "" if known else " (is it a @dataclass(frozen=True)?)"
-                raise LawError(f"{cls.__name__} has no parameter {name!r}; known: {', '.join(known) or 'none'}{hint}")
+                raise InputError(f"{cls.__name__} has no parameter {name!r}; known: {', '.join(known) or 'none'}{hint}")
         return super().__new__(cls)
 
     def __post_init__(self) -> None:
@@ -142,21 +142,21 @@ class Law(OfPlaces):
         except ValueError:  # ragged
             array = np.asarray("")
         if value is None or array.dtype.kind not in "iuf" or (scalar and array.ndim):
-            raise LawError(
+            raise InputError(
                 f"{type(self).__name__}: {name} is {value!r}; allowed: {'a number' if scalar else 'numbers'}"
             )
 
     def check(self) -> None:
-        """Raise LawError if a parameter is out of its range."""
+        """Raise InputError if a parameter is out of its range."""
 
     def require(self, condition: bool, name: str, allowed: str, value: object = UNKNOWN) -> None:
-        """Raise LawError "Law: name is value; allowed: ..." unless the condition holds; by default of a parameter."""
+        """Raise InputError "Law: name is value; allowed: ..." unless the condition holds; by default of a parameter."""
         if not condition:
             value = getattr(self, name) if value is UNKNOWN else value
-            raise LawError(f"{type(self).__name__}: {name} is {value}; allowed: {allowed}")
+            raise InputError(f"{type(self).__name__}: {name} is {value}; allowed: {allowed}")
 
     def check_dimension(self, d: int) -> None:
-        """Raise LawError if the law cannot be used in a model of dimension d."""
+        """Raise InputError if the law cannot be used in a model of dimension d."""
 
     @cached_property
     def traits(self) -> Traits:
@@ -178,9 +178,9 @@ class Law(OfPlaces):
         """The same law written for strains, as terms and compiled code need it.
 
         Raises:
-            LawError: the law acts at nodes.
+            InputError: the law acts at nodes.
         """
-        raise LawError(
+        raise InputError(
             f"{type(self).__name__} is not a law of strains or jumps; derive laws from BulkLaw or TractionLaw"
         )
 
@@ -274,7 +274,7 @@ class BulkLaw(Law):
     # ---------------------------------------------------------------- equations, UFL
     def stress(self, step: Step) -> Expr:
         """Stress at t + theta dt, (3, 3), symmetric, UFL."""
-        raise LawError(f"{type(self).__name__} has no stress; a law needs a method stress(step)")
+        raise InputError(f"{type(self).__name__} has no stress; a law needs a method stress(step)")
 
     def advance(self, step: Step) -> dict[str, Expr]:
         """Internal variables at the end of the step, by name, UFL."""
@@ -282,7 +282,7 @@ class BulkLaw(Law):
 
     def energy(self, step: Step) -> Expr:
         """Stored energy per unit volume of the strain step.e and the internal variables step.q, UFL."""
-        raise LawError(f"{type(self).__name__} declares no energy; a law needs a method energy(step) for it")
+        raise InputError(f"{type(self).__name__} declares no energy; a law needs a method energy(step) for it")
 
     def dissipation(self, step: Step) -> Expr:
         """Dissipated power per unit volume over the step, UFL."""
@@ -298,7 +298,7 @@ class BulkLaw(Law):
 
     def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
         """As `stations`, with the weights of the layer's free ends; laws that have `end_strips` have them."""
-        raise LawError(f"{type(self).__name__} has no stations at free ends")
+        raise InputError(f"{type(self).__name__} has no stations at free ends")
 
     def stations(self) -> list[Station[Any]]:
         """Where the law acts through the thickness in an interface law of order 1, and with which strains.
@@ -306,12 +306,12 @@ class BulkLaw(Law):
         By default at two Gauss points, with displacements that are linear through the layer.
 
         Raises:
-            LawError: there is no such law.
+            InputError: there is no such law.
         """
         if self.traits.switches:
-            raise LawError(f"order=1 of {type(self).__name__}: its phases are those of jumps alone; use order=0")
+            raise InputError(f"order=1 of {type(self).__name__}: its phases are those of jumps alone; use order=0")
         if self.traits.plateau:
-            raise LawError(
+            raise InputError(
                 f"order=1 of {self!r}: where phases mix in sheets parallel to S, strains are not uniform through the "
                 "layer, and the next term depends on where the sheets lie; use order=0"
             )
@@ -321,9 +321,9 @@ class BulkLaw(Law):
         """Lame's moduli lmbda and mu of an isotropic linear elastic law.
 
         Raises:
-            LawError: this is none.
+            InputError: this is none.
         """
-        raise LawError(
+        raise InputError(
             f"order=1 of a Stack with the sublayer {type(self).__name__}: it is known for isotropic elastic sublayers "
             "(LinearElastic), which share the jump in fixed proportions along S and across it; use order=0, or mesh the "
             "layer (structure.full)"
@@ -333,10 +333,10 @@ class BulkLaw(Law):
         """What gives the stresses inside a layer of this law, from the displacements of its faces; parameters are numbers.
 
         Raises:
-            LawError: they are not known.
+            InputError: they are not known.
         """
         why = "with parameters that are functions" if self.fields else "this is none"
-        raise LawError(
+        raise InputError(
             f"stresses inside a layer of {type(self).__name__} are not known without its mesh (structure.full): they are "
             f"for isotropic linear elasticity, LinearElastic, a Stack of them, Rubber and Incompressible, and {why}"
         )
@@ -380,11 +380,11 @@ class BulkLaw(Law):
         """The law of in-plane strains whose out-of-plane stresses are zero; by default `PlaneStress`.
 
         Raises:
-            LawError: a law with a pressure, or whose phases switch, that has no method plane_stress of its own.
+            InputError: a law with a pressure, or whose phases switch, that has no method plane_stress of its own.
         """
         if self.traits.constrained or self.traits.switches:
             why = "its pressure" if self.traits.constrained else "its phases"
-            raise LawError(
+            raise InputError(
                 f"plane stress is not defined for {type(self).__name__}, because {why} would need more than a strain out "
                 "of the plane at each point; use plane='strain', or write a method plane_stress beside its stress"
             )
@@ -545,11 +545,11 @@ def explained(law: Law, method: str) -> Iterator[None]:
     """Turn errors of a law's method into LawErrors that name the law and say how laws are written."""
     try:
         yield
-    except LawError:
+    except InputError:
         raise
     except Exception as error:
         text = str(error) if len(str(error)) < 200 else f"{str(error)[:200]} ..."
-        raise LawError(
+        raise InputError(
             f"{type(law).__name__}.{method}: {type(error).__name__}: {text}. Laws are UFL: ufl.exp, "
             "ufl.conditional(ufl.lt(a, b), c, d), tensors of shape (3, 3); step.dt, step.e_old, step.rate need rate = True "
             "or internal variables; step.n has 2 components in 2D unless the law is compiled, "
@@ -558,20 +558,20 @@ def explained(law: Law, method: str) -> Iterator[None]:
 
 
 def shaped(law: Law, what: str, value: Any, shape: tuple[int, ...]) -> Expr:
-    """The value as UFL; raises LawError unless it is a UFL expression (or number) of this shape."""
+    """The value as UFL; raises InputError unless it is a UFL expression (or number) of this shape."""
     try:
         found = ufl.as_ufl(value)
     except Exception as error:
-        raise LawError(
+        raise InputError(
             f"{type(law).__name__}.{what} is {value!r}; it must be a UFL expression of shape {shape}"
         ) from error
     if found.ufl_shape != shape:
-        raise LawError(f"{type(law).__name__}.{what} has the shape {found.ufl_shape}; it must have {shape}")
+        raise InputError(f"{type(law).__name__}.{what} has the shape {found.ufl_shape}; it must have {shape}")
     return found
 
 
 def positive(law: Law, *names: str) -> None:
-    """Raise LawError unless these parameters of the law are finite and > 0."""
+    """Raise InputError unless these parameters of the law are finite and > 0."""
     for name in names:
         value = getattr(law, name)
         law.require(math.isfinite(value) and value > 0, name, "> 0", value)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ive
 
-from forms.declarations import LawError
+from forms.base import InputError
 
 Array = npt.NDArray[np.float64]
 ROUNDING = 1e-12  # relative tolerance for parameters that equal a bound exactly
@@ -42,13 +42,13 @@ def mohr_coulomb_fixed_opening(
         s: (s_T, s_N) at the start; default: (0, mu w_N), elastic compression.
 
     Raises:
-        LawError: the start is beyond the yield surface.
+        InputError: the start is beyond the yield surface.
     """
     angle, p, x = np.radians(friction_angle), (lmbda + mu) * w_N, np.asarray(w_T, float)
     R = cohesion * np.cos(angle) - p * np.sin(angle)
     s_T, s_N = (0.0, mu * w_N) if s is None else s
     if not (R > 0 and np.hypot(s_T, s_N) <= R * (1 + 1e-12)):
-        raise LawError(f"|s| = {np.hypot(s_T, s_N):g} at the start exceeds R = {R:g}")
+        raise InputError(f"|s| = {np.hypot(s_T, s_N):g} at the start exceeds R = {R:g}")
     sign = -1.0 if np.any(x < 0) else 1.0
     first = sign * np.sqrt(max(R**2 - s_N**2, 0.0))
     beyond = (s_T + mu * x - first) / R  # from first yield on
@@ -98,7 +98,7 @@ def rubber_strip(lmbda: float, mu: float, eps: float, a: float) -> float:
         a: half the width of the strip, length; > 0.
 
     Raises:
-        LawError: an argument out of range.
+        InputError: an argument out of range.
     """
     return (_held(lmbda, mu, a / eps, 0.5) + 2 * mu) / eps
 
@@ -140,7 +140,7 @@ def _held(lmbda: float, mu: float, slenderness: float, k: float) -> float:
     k = 1/2, 3/2 of strips (opened, tilted), 1 of a disc. Written like this it loses no digits for any x.
     """
     if not (lmbda > 0 and 0 < mu < math.inf and 0 < slenderness < math.inf):
-        raise LawError(f"lmbda = {lmbda}, mu = {mu}, width over eps {slenderness}; allowed: > 0, lmbda <= math.inf")
+        raise InputError(f"lmbda = {lmbda}, mu = {mu}, width over eps {slenderness}; allowed: > 0, lmbda <= math.inf")
     if lmbda == math.inf:
         return 3 * mu * slenderness**2 / (k * (k + 1))
     x = slenderness / math.sqrt(lmbda / (12 * mu))
@@ -176,11 +176,11 @@ class PlasticCylinder:
         return self.k * (2 * math.log(c / self.a) + 1 - (c / self.b) ** 2)
 
     def zone(self, pressure: float) -> float:
-        """Outer radius c of the plastic zone; a if there is none. LawError: no equilibrium, the pressure is too high."""
+        """Outer radius c of the plastic zone; a if there is none. InputError: no equilibrium, the pressure is too high."""
         if pressure <= self.pressure(self.a):
             return self.a
         if pressure > self.pressure(self.b):
-            raise LawError(f"the pressure is {pressure:g}; the cylinder bears {self.pressure(self.b):g}")
+            raise InputError(f"the pressure is {pressure:g}; the cylinder bears {self.pressure(self.b):g}")
         from scipy.optimize import brentq  # takes a while to import
 
         return float(brentq(lambda c: self.pressure(c) - pressure, self.a, self.b, xtol=1e-14 * self.b))
@@ -255,7 +255,7 @@ class Bar:
         eps: share of the layer in the length, 0 <= eps < 1.
 
     Raises:
-        LawError: a parameter out of range.
+        InputError: a parameter out of range.
     """
 
     l: float  # noqa: E741
@@ -268,7 +268,7 @@ class Bar:
     def __post_init__(self) -> None:
         bound = self.alpha**2 / (2 * self.kbar) * (1 - ROUNDING)
         if not (all(0 < one < math.inf for one in astuple(self)[:5]) and self.cbar >= bound and 0 <= self.eps < 1):
-            raise LawError(f"{self}; allowed: all > 0, cbar >= alpha^2/(2 kbar) = {bound:g}, 0 <= eps < 1")
+            raise InputError(f"{self}; allowed: all > 0, cbar >= alpha^2/(2 kbar) = {bound:g}, 0 <= eps < 1")
 
     @property
     def sigma_m(self) -> float:

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from forms.base import is_number
+from forms.base import InputError, is_number
 from forms.elastic import isotropic_stiffness, lame, require_moduli
 from forms.kinematics import Expr, layer_frame, lift
-from forms.law import BulkLaw, LawError, Step
+from forms.law import BulkLaw, Step
 from forms.temperature import Field, OfTemperature, evaluated, place, real, temperatures
 from forms.viscous import isotropic_energy
 
@@ -57,7 +57,7 @@ class Phases(BulkLaw):
             places (d, n), in the joint before inflating, and the time.
 
     Raises:
-        LawError: a parameter out of range, a function without a temperature.
+        InputError: a parameter out of range, a function without a temperature.
     """
 
     lmbda: float
@@ -88,7 +88,7 @@ class Phases(BulkLaw):
     def _check_temperature(self) -> None:
         for name in ("alpha", "transformation_energy"):
             if callable(getattr(self, name)) and self.T is None:
-                raise LawError(
+                raise InputError(
                     f"{type(self).__name__}: {name} is a function of T; give T, a number or a function (x, t)"
                 )
         if not (self.T is None or callable(self.T)):
@@ -106,7 +106,7 @@ class Phases(BulkLaw):
         self.require(len(self.chi) == d, "shape of chi", f"({d}, {d}) in a model of dimension {d}", self.chi.shape)
 
     def _check_phases(self, alpha: Any, transformation_energy: Any, where: Callable[[int], str]) -> None:
-        """Raise LawError unless these values, (n,) or numbers, are in range; `where(k)` names the place of the k-th."""
+        """Raise InputError unless these values, (n,) or numbers, are in range; `where(k)` names the place of the k-th."""
         for name, values in {"alpha": alpha, "transformation_energy": transformation_energy}.items():
             values = np.ravel(values).astype(float)
             bad = np.flatnonzero(~((values > 0) & np.isfinite(values)))
@@ -189,7 +189,7 @@ class NonMonotone(Phases):
         G: the gain, 1/stress, computed.
 
     Raises:
-        LawError: as `Phases`; C < g/2, where phases 1 and -1 would mix.
+        InputError: as `Phases`; C < g/2, where phases 1 and -1 would mix.
     """
 
     mixing: float = 1.0

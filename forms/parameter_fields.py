@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.base import InputError, is_number
-from forms.declarations import LawError
 
 Array = npt.NDArray[np.float64]
 MANY = 1000  # number of places at which parameters are checked beside those where they are extreme
@@ -89,7 +88,7 @@ class OfPlaces:
         raise NotImplementedError
 
     def check(self) -> None:
-        """Raise LawError if a parameter is out of its range."""
+        """Raise InputError if a parameter is out of its range."""
 
     @property
     def fields(self) -> dict[str, Field]:
@@ -100,7 +99,7 @@ class OfPlaces:
         """The values (n,) of these parameters at places x (d, n) in the joint before inflating, by name.
 
         Raises:
-            LawError: a function fails, does not give n finite real numbers, or is out of its range; with the place.
+            InputError: a function fails, does not give n finite real numbers, or is out of its range; with the place.
         """
         return {name: self._field_at(name, one, x) for name, one in self.fields.items()}
 
@@ -109,9 +108,9 @@ class OfPlaces:
             return one(x)
         except OutOfRange as error:
             said = str(error) if str(error)[:1].isalpha() and " is " in str(error) else f"{name} is {error}"
-            raise LawError(f"{type(self).__name__}: {said}, at {place_of(x, error.k)}") from None
+            raise InputError(f"{type(self).__name__}: {said}, at {place_of(x, error.k)}") from None
         except Exception as error:
-            raise LawError(
+            raise InputError(
                 f"{type(self).__name__}: {name}(x) fails for x of shape {x.shape}: {type(error).__name__}: {error}; "
                 "it must be a numpy function of places (d, n) in the joint that gives n numbers"
             ) from error
@@ -123,7 +122,7 @@ class OfPlaces:
             yield self.with_parameters({name: float(value[k]) for name, value in values.items()})
 
     def check_at(self, x: Array) -> None:
-        """Raise LawError if a parameter is out of its range at one of the places x (d, n).
+        """Raise InputError if a parameter is out of its range at one of the places x (d, n).
 
         Of many places those are checked at which a parameter, or a difference or a ratio of two, is smallest or largest,
         and some thousand others.
@@ -135,8 +134,8 @@ class OfPlaces:
         for k, one in zip(at, self.at_places(x[:, at]), strict=True):
             try:
                 one.check()
-            except LawError as error:
-                raise LawError(f"{error}, at {place_of(x, k)}") from None
+            except InputError as error:
+                raise InputError(f"{error}, at {place_of(x, k)}") from None
 
     def samples(self, x: Array) -> list[Self]:
         """The law with numbers, at those of the places x (d, n) where a parameter or a ratio of two is extreme."""

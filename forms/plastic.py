@@ -9,12 +9,12 @@ from typing import Any, ClassVar
 
 import ufl
 
-from forms.base import is_number
+from forms.base import InputError, is_number
 from forms.declarations import warn_of_range
 from forms.elastic import LinearElastic, isotropic_stiffness, lame, require_moduli
 from forms.kernel import KernelLaw
 from forms.kinematics import Expr, lift
-from forms.law import BulkLaw, LawError, Step, choice, positive
+from forms.law import BulkLaw, Step, choice, positive
 from forms.parameter_fields import Parameter, is_field
 from forms.viscous import isotropic_energy
 
@@ -23,7 +23,7 @@ LEAST_FRACTION = 1e-6  # elastic fraction from which continuation starts if the 
 
 
 def require_hardening(law: BulkLaw, *names: str) -> None:
-    """Raise LawError unless these parameters and the saturation strain are >= 0, the latter > 0 if it is used."""
+    """Raise InputError unless these parameters and the saturation strain are >= 0, the latter > 0 if it is used."""
     for name in (*names, "saturation_strain"):
         value = law.parameters()[name]
         law.require(math.isfinite(value) and value >= 0, name, ">= 0, finite", value)
@@ -54,7 +54,7 @@ class Plastic(BulkLaw):
             where Q > 0.
 
     Raises:
-        LawError: a parameter out of range.
+        InputError: a parameter out of range.
     """
 
     lmbda: float
@@ -91,7 +91,7 @@ class Plastic(BulkLaw):
     def eased(self, ease: float) -> Plastic:
         """The law with an elastic fraction between its own (ease = 0) and that of an elastic layer (1)."""
         if not (is_number(ease) and 0 <= ease <= 1):
-            raise LawError(f"{type(self).__name__}: ease is {ease!r}; allowed: 0 to 1")
+            raise InputError(f"{type(self).__name__}: ease is {ease!r}; allowed: 0 to 1")
         h = self.elastic_fraction
         if is_field(h):
             share = LEAST_FRACTION ** (1 - ease) if ease else 0.0
@@ -265,7 +265,7 @@ class VonMises(KernelLaw):
         saturation_strain: p_0, strain (in a layer: strain times thickness, a length); > 0 where Q > 0.
 
     Raises:
-        LawError: a parameter out of range.
+        InputError: a parameter out of range.
     """
 
     lmbda: float
@@ -300,7 +300,7 @@ class VonMises(KernelLaw):
     def eased(self, ease: float) -> VonMises:
         """The law with kinematic hardening between its own (ease = 0) and that of an almost elastic material (1)."""
         if not (is_number(ease) and 0 <= ease <= 1):
-            raise LawError(f"{type(self).__name__}: ease is {ease!r}; allowed: 0 to 1")
+            raise InputError(f"{type(self).__name__}: ease is {ease!r}; allowed: 0 to 1")
         if not ease:
             return self
         share = min(LEAST_FRACTION ** (1 - ease), MOST_FRACTION)

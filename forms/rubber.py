@@ -30,7 +30,7 @@ class Incompressible(LinearLaw):
         mu: shear modulus, stress; > 0.
 
     Raises:
-        LawError: mu out of range.
+        InputError: mu out of range.
     """
 
     mu: float
@@ -83,7 +83,7 @@ class Rubber(LinearLaw):
         mu: shear modulus, likewise; > 0.
 
     Raises:
-        LawError: a modulus out of range.
+        InputError: a modulus out of range.
     """
 
     lmbda: float

@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from forms.base import is_number
+from forms.base import InputError, is_number
 from forms.declarations import Traits, require_declarations
 from forms.elastic import LinearElastic
 from forms.inside import Inside, Sublayers
 from forms.kinematics import Expr, jump_strain, lift
-from forms.law import BulkLaw, LawError
+from forms.law import BulkLaw
 from forms.parameter_fields import Array, Field
 from forms.stations import Faces, Station
 
@@ -70,7 +70,7 @@ def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[Station[Any]
     places, Phi_T = -1/2, 0 and 1/2, with the right moments of the moduli give its integral over any number of sublayers.
 
     Raises:
-        LawError: a sublayer of another kind.
+        InputError: a sublayer of another kind.
     """
     fractions, moduli = [a for a, _ in sublayers], [law.elastic_moduli() for _, law in sublayers]
 
@@ -141,7 +141,7 @@ class Stack(BulkLaw):
         laws: laws of the sublayers. A Stack among them is replaced by its sublayers.
 
     Raises:
-        LawError: fractions out of range, a law that a stack cannot hold.
+        InputError: fractions out of range, a law that a stack cannot hold.
     """
 
     fractions: tuple[float, ...]
@@ -152,7 +152,7 @@ class Stack(BulkLaw):
         try:
             given = [(_fraction(a), law) for a, law in sublayers]
         except (TypeError, ValueError) as error:
-            raise LawError(f"Stack needs pairs (fraction, law): {error}") from error
+            raise InputError(f"Stack needs pairs (fraction, law): {error}") from error
         one_by_one = [(a * b, one) for a, law in given for b, one in getattr(law, "sublayers", ((1.0, law),))]
         object.__setattr__(self, "fractions", tuple(a for a, _ in one_by_one))
         object.__setattr__(self, "laws", tuple(law for _, law in one_by_one))
@@ -178,7 +178,7 @@ class Stack(BulkLaw):
             n: number of sublayers, >= 1.
         """
         if not (is_number(n) and n >= 1 and n == int(n)):
-            raise LawError(f"Stack.graded: the number of sublayers is {n!r}; allowed: whole numbers >= 1")
+            raise InputError(f"Stack.graded: the number of sublayers is {n!r}; allowed: whole numbers >= 1")
         return cls(*((1 / int(n), law((k + 0.5) / int(n))) for k in range(int(n))))
 
     @property
@@ -221,7 +221,7 @@ class Stack(BulkLaw):
         if len(self.laws) == 1:
             return self.laws[0].stations()
         if self.fields:
-            raise LawError(
+            raise InputError(
                 "order=1 of a Stack with parameters that are functions: the sublayers' shares of the jump would change "
                 "along S; use order=0, or mesh the layer (structure.full)"
             )

@@ -11,9 +11,10 @@ import numpy.typing as npt
 import ufl
 from ufl.algorithms import expand_derivatives
 
+from forms.base import InputError
 from forms.kinematics import MANDEL, ROOT2
 from forms.kinematics import mandel as in_mandel
-from forms.law import BulkLaw, LawError
+from forms.law import BulkLaw
 from forms.trace import numbers, reads, symbolic
 
 Array = npt.NDArray[np.float64]
@@ -134,7 +135,7 @@ def known_at_rest(law: BulkLaw, n: Array) -> Array | None:
 
 
 def require_stable(law: BulkLaw, C: Array | None, n: Array | None = None, slots: Sequence[int] = ()) -> None:
-    """Raise LawError if a tangent at rest has a negative eigenvalue; does nothing if it is not known.
+    """Raise InputError if a tangent at rest has a negative eigenvalue; does nothing if it is not known.
 
     Eigenvalues are those of the matrix itself: without an energy its symmetric part may be indefinite, and it still stable.
 
@@ -149,7 +150,7 @@ def require_stable(law: BulkLaw, C: Array | None, n: Array | None = None, slots:
     A, what = (C[np.ix_(slots, slots)], "(of C)") if n is None else (across(C, n), "across the layer (of n.C.n)")
     lowest, size = float(np.linalg.eigvals(A).real.min()), float(np.abs(C).max())
     if lowest < -NEGATIVE * size:
-        raise LawError(
+        raise InputError(
             f"{type(law).__name__}: the stiffness at rest is negative, the smallest eigenvalue {what} is {lowest:.4g}, the "
             f"largest entry of C {size:.4g}; allowed: >= 0. Check the signs of the stress and of the parameters (real ones)"
         )

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from forms.law import LawError
+from forms.base import InputError
 from forms.parameter_fields import place_of
 
 OfTemperature = Callable[[Any], Any]  # (n,) temperatures -> (n,) values, numpy
@@ -24,7 +24,7 @@ class Tabulated:
         values: (T, value) pairs, two or more, with T increasing.
 
     Raises:
-        LawError: pairs out of order or not finite; in a call, a temperature outside the table.
+        InputError: pairs out of order or not finite; in a call, a temperature outside the table.
     """
 
     values: tuple[tuple[float, float], ...]
@@ -33,20 +33,20 @@ class Tabulated:
         try:
             rows = real([(T, value) for T, value in values])
         except (TypeError, ValueError) as error:
-            raise LawError(f"Tabulated needs pairs (T, value), not {values!r}: {error}") from error
+            raise InputError(f"Tabulated needs pairs (T, value), not {values!r}: {error}") from error
         if len(rows) < 2 or not np.isfinite(rows).all() or (np.diff(rows[:, 0]) <= 0).any():
-            raise LawError(f"Tabulated needs two or more finite pairs (T, value) with T increasing, not {values!r}")
+            raise InputError(f"Tabulated needs two or more finite pairs (T, value) with T increasing, not {values!r}")
         object.__setattr__(self, "values", tuple((float(T), float(value)) for T, value in rows))
 
     def __call__(self, T: Any) -> npt.NDArray[np.float64]:
         """Values (n,) at temperatures (n,)."""
         if np.asarray(T).dtype.kind not in "iuf":
-            raise LawError(f"T is {T!r}; a table is a function of temperatures, numbers")
+            raise InputError(f"T is {T!r}; a table is a function of temperatures, numbers")
         T, rows = np.asarray(T, float), np.array(self.values)
         outside = np.logical_not((rows[0, 0] <= T) & (rows[-1, 0] >= T))
         if outside.any():
             first = float(np.atleast_1d(T)[np.atleast_1d(outside)][0])
-            raise LawError(f"T is {first:g}; the table knows {rows[0, 0]:g} to {rows[-1, 0]:g}")
+            raise InputError(f"T is {first:g}; the table knows {rows[0, 0]:g} to {rows[-1, 0]:g}")
         return np.asarray(np.interp(T, rows[:, 0], rows[:, 1]))
 
 
@@ -95,16 +95,16 @@ def values_of(
         where: names the k-th place.
 
     Raises:
-        LawError: the function fails, or does not return n finite real numbers.
+        InputError: the function fails, or does not return n finite real numbers.
     """
     try:
         values = np.array(np.broadcast_to(real(function(x.copy(), *more)), x.shape[-1:]))
-    except LawError as error:
-        raise LawError(f"{what}: {error}") from None
+    except InputError as error:
+        raise InputError(f"{what}: {error}") from None
     except Exception as error:
-        raise LawError(f"{what} fails for an array {x.shape}: {type(error).__name__}: {error}; {it}") from error
+        raise InputError(f"{what} fails for an array {x.shape}: {type(error).__name__}: {error}; {it}") from error
     for k in np.flatnonzero(~np.isfinite(values))[:1]:
-        raise LawError(f"{what} is {values[k]}{where(int(k))}; {it}")
+        raise InputError(f"{what} is {values[k]}{where(int(k))}; {it}")
     return values
 
 

@@ -42,9 +42,10 @@ from ufl.classes import (
 from ufl.core.expr import Expr as Node
 from ufl.corealg.traversal import traverse_unique_terminals, unique_post_traversal
 
+from forms.base import InputError
 from forms.declarations import SIZES
 from forms.kinematics import Expr, from_mandel
-from forms.law import BulkLaw, LawError, Step
+from forms.law import BulkLaw, Step
 
 Array = npt.NDArray[np.float64]
 _DOMAIN = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))  # symbols need a mesh
@@ -150,10 +151,10 @@ def _terminal(node: Any, names: dict[tuple[type, int], int]) -> tuple[Any, ...]:
 
 
 def require_numbers_alone(law: BulkLaw, numbers: Expr, expressions: Iterable[Expr]) -> None:
-    """Raise LawError if expressions contain anything but the inputs of the law."""
+    """Raise InputError if expressions contain anything but the inputs of the law."""
     for node in (node for expression in expressions for node in traverse_unique_terminals(expression)):
         if node is not numbers and not isinstance(node, (ConstantValue, MultiIndex, Label)):
-            raise LawError(
+            raise InputError(
                 f"{type(law).__name__} contains {str(node)[:80]}, a {type(node).__name__}; a compiled law knows "
                 "only its parameters and its step: declare a parameter, or `varies` and `at`"
             )

@@ -8,9 +8,10 @@ from typing import Any, ClassVar, NamedTuple
 
 import ufl
 
+from forms.base import InputError
 from forms.declarations import Traits
 from forms.kinematics import Expr
-from forms.law import BulkLaw, Law, LawError, OfLaw, Step, shaped
+from forms.law import BulkLaw, Law, OfLaw, Step, shaped
 
 
 class JumpStep(NamedTuple):
@@ -33,7 +34,7 @@ class JumpStep(NamedTuple):
     def rate(self) -> Expr:
         """Rate of the jump over the step."""
         if not self.rates:
-            raise LawError("a law that uses step.rate must declare rate = True")
+            raise InputError("a law that uses step.rate must declare rate = True")
         return (self.w - self.w_old) / self.dt
 
     @classmethod
@@ -63,7 +64,7 @@ class TractionLaw(Law):
 
     def __post_init__(self) -> None:
         if self.powers:
-            raise LawError(f"{type(self).__name__}: a traction law has no powers of eps")
+            raise InputError(f"{type(self).__name__}: a traction law has no powers of eps")
         super().__post_init__()
 
     def _traits_of_methods(self) -> dict[str, bool]:
@@ -77,16 +78,16 @@ class TractionLaw(Law):
 
     def traction(self, step: JumpStep) -> Expr:
         """Traction at t + theta dt, (3,)."""
-        raise LawError(f"{type(self).__name__} has no traction; a traction law needs a method traction(step)")
+        raise InputError(f"{type(self).__name__} has no traction; a traction law needs a method traction(step)")
 
     def evolve(self, step: JumpStep) -> dict[str, Expr]:
         """Internal variables at the end of the step."""
         known = ", ".join(self.internal)
-        raise LawError(f"{type(self).__name__} gives no new {known}; a law with internal needs a method evolve(step)")
+        raise InputError(f"{type(self).__name__} gives no new {known}; a law with internal needs a method evolve(step)")
 
     def energy(self, step: JumpStep) -> Expr:
         """Stored energy per unit area of the jump step.w and the internal variables step.q, UFL."""
-        raise LawError(f"{type(self).__name__} declares no energy; a traction law needs a method energy(step) for it")
+        raise InputError(f"{type(self).__name__} declares no energy; a traction law needs a method energy(step) for it")
 
     def dissipation(self, step: JumpStep) -> Expr:
         """Dissipated power per unit area over the step, UFL."""

@@ -59,7 +59,7 @@ class KelvinVoigt(SpringBesideDashpot):
         theta_lmbda, theta_mu: viscosity over modulus, times; theta_mu > 0, lmbda theta_lmbda + 2 mu theta_mu/3 >= 0.
 
     Raises:
-        LawError: a parameter out of range.
+        InputError: a parameter out of range.
     """
 
     lmbda: float
@@ -149,7 +149,7 @@ class Maxwell(SpringBeforeDashpot):
         t2: relaxation time of the trace in Eq. (18), >= 3 nu t1/(1 + nu), where the mean stress does not relax; default t1.
 
     Raises:
-        LawError: a parameter out of range.
+        InputError: a parameter out of range.
     """
 
     lmbda: float
@@ -210,7 +210,7 @@ class Norton(SpringBesideDashpot):
             layer: length/time); >= 0. For p < 1.2 Newton's method needs about 1e-4 of the actual rates, or more.
 
     Raises:
-        LawError: a parameter out of range.
+        InputError: a parameter out of range.
     """
 
     lmbda: float
@@ -253,7 +253,7 @@ class NortonCreep(SpringBeforeDashpot):
         n: exponent >= 1; 1 is Maxwell's dashpot, t1 = 1/(3 mu A), of the deviator alone.
 
     Raises:
-        LawError: a parameter out of range.
+        InputError: a parameter out of range.
     """
 
     lmbda: float

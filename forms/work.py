@@ -120,7 +120,7 @@ def surface(
         ends: weights of free ends, for the stations of laws that know them; None: of an infinite layer.
 
     Raises:
-        LawError: there is no law of order 1.
+        InputError: there is no law of order 1.
     """
     n, d, weight = sides.n, len(sides.n), sides.factor * eps
     term = partial(Term, measure=sides.measure, n=n, kinematics=sides.kinematics)

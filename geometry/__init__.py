@@ -1,20 +1,14 @@
 """Meshes with names: builders, joints, inflating S into a layer, distributing over MPI ranks."""
 
 from geometry.builders import block, bond_cell, disc, faults, fibre, grains, ring, sandwich, wall
-from geometry.domain import Domain
 from geometry.importing.gathering import from_dolfinx
 from geometry.importing.reading import read
 from geometry.inflating.inflation import inflate
 from geometry.joint import Joint
 from geometry.periodic import periodic
-from geometry.refusals import GeometryError
-from geometry.seam import Seam
 
 __all__ = [
-    "Domain",
-    "GeometryError",
     "Joint",
-    "Seam",
     "block",
     "bond_cell",
     "disc",

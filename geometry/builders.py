@@ -46,7 +46,7 @@ def block(
         Region "BODY"; facets "S", "TOP", "LEFT", "RIGHT", in 3D "BACK" (z = 0) and "FRONT" (z = depth) too.
 
     Raises:
-        GeometryError: a size is not positive, a name is unknown, a cell is of the other dimension.
+        InputError: a size is not positive, a name is unknown, a cell is of the other dimension.
     """
     return on_root(comm, Boxes(Cells.of(h, cells, Grid), depth, width, (("BODY", height),)).build)
 
@@ -73,7 +73,7 @@ def sandwich(
         Regions "LOWER", "UPPER"; facets "S", "BOTTOM", "TOP", "LEFT", "RIGHT", in 3D "BACK" and "FRONT" too.
 
     Raises:
-        GeometryError: a size is not positive, a name is unknown, a cell is of the other dimension.
+        InputError: a size is not positive, a name is unknown, a cell is of the other dimension.
     """
     return on_root(comm, Boxes(Cells.of(h, cells, Grid), depth, width, (("LOWER", lower), ("UPPER", upper))).build)
 
@@ -105,7 +105,7 @@ def disc(
         cells or more go round a circle.
 
     Raises:
-        GeometryError: a size is not positive, the hole does not fit, a name is unknown, the degree is not 1 or 2.
+        InputError: a size is not positive, the hole does not fit, a name is unknown, the degree is not 1 or 2.
     """
     return on_root(comm, Discs(Cells.of(h, cells, Curved), radius, lower, upper, hole).build)
 
@@ -142,7 +142,7 @@ def ring(
         too. Whatever h is, about 20 cells or more go round a circle.
 
     Raises:
-        GeometryError: a size is not positive, the radii do not grow, the angle is out of range, a name is unknown, a
+        InputError: a size is not positive, the radii do not grow, the angle is out of range, a name is unknown, a
             cell is of the other dimension, the degree is not 1 or 2.
     """
     return on_root(comm, Rings(Cells.of(h, cells, Curved), depth, inner, interface, outer, angle).build)
@@ -175,7 +175,7 @@ def fibre(
         "RIGHT". Whatever h is, about 20 cells or more go round S.
 
     Raises:
-        GeometryError: a size is not positive, the fibre has no room, a name is unknown, quadrilaterals in a rectangle, the
+        InputError: a size is not positive, the fibre has no room, a name is unknown, quadrilaterals in a rectangle, the
             degree is not 1 or 2.
     """
     lengths = around if isinstance(around, tuple) else (around,)
@@ -208,7 +208,7 @@ def wall(
         from below; facets "BOTTOM", "TOP", "LEFT", "RIGHT", in 3D "BACK" (z = 0) and "FRONT" too.
 
     Raises:
-        GeometryError: a size is not positive, a number is not whole, a cell is of the other dimension.
+        InputError: a size is not positive, a number is not whole, a cell is of the other dimension.
     """
     size = tuple(brick) if depth is None else (*brick, depth)
     return on_root(comm, lambda: running_bond(Cells(h, cell=cell), size, bricks, courses))
@@ -243,7 +243,7 @@ def bond_cell(
         top) and "COURSE 2"; facets "BOTTOM", "TOP", "LEFT", "RIGHT", in 3D "BACK" (z = 0) and "FRONT" too.
 
     Raises:
-        GeometryError: a size is not positive, a cell is of the other dimension, the cut is along a joint.
+        InputError: a size is not positive, a cell is of the other dimension, the cut is along a joint.
     """
     size = tuple(brick) if depth is None else (*brick, depth)
     joint = on_root(comm, lambda: repeated_bond(Cells(h, cell=cell), size, cut))
@@ -281,7 +281,7 @@ def grains(
         side; facets "BOTTOM", "TOP", "LEFT", "RIGHT".
 
     Raises:
-        GeometryError: a size or number out of range; points outside, or two at one place; a name of a seam that sides have;
+        InputError: a size or number out of range; points outside, or two at one place; a name of a seam that sides have;
             a side of a grain shorter than half a cell, sides that meet at less than 6 degrees, with the place.
     """
     return on_root(comm, lambda: grained(Cells.of(h, cells, Sizes), width, height, grains, seed, seams).build())
@@ -314,7 +314,7 @@ def faults(
         "LEFT", "RIGHT".
 
     Raises:
-        GeometryError: a size out of range; a fault that is no path, turns back, lies outside, on another one or on a side,
+        InputError: a size out of range; a fault that is no path, turns back, lies outside, on another one or on a side,
             or has the name of a side; faults that come nearer to each other or to a side than half a cell without
             touching, or that meet at less than 6 degrees, with the place.
     """

@@ -16,10 +16,11 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from forms.base import InputError
 from geometry.dolfinx_mesh import create_mesh, facets_of_cells, vertices_of_facets, with_cell_points
 from geometry.joint import Joint
 from geometry.parallel import world
-from geometry.refusals import GeometryError, unknown
+from geometry.refusals import unknown
 from geometry.seam import BASE, LAYER, S
 from geometry.sheet import continued
 from geometry.topology import IntArray
@@ -91,7 +92,7 @@ class Domain:
         """Values of `cell_tags` of regions."""
         for name in regions:
             if name not in self.joint.regions:
-                raise GeometryError(unknown("region", name, self.joint.regions))
+                raise InputError(unknown("region", name, self.joint.regions))
         return tuple(self.joint.regions.index(name) + 1 for name in regions)
 
     @property
@@ -107,10 +108,10 @@ class Domain:
             layer_sides: whether NAME includes the side faces of the layer that continue it.
 
         Raises:
-            GeometryError: unknown name.
+            InputError: unknown name.
         """
         if name not in self.facet_values:
-            raise GeometryError(unknown("facet tag", name, self.facet_values))
+            raise InputError(unknown("facet tag", name, self.facet_values))
         values = self.facet_values[name]
         return values + self.facet_values.get(f"{name}/{LAYER}", ()) if layer_sides else values
 

@@ -63,7 +63,7 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
     """The free ends of S, ridges on one line together that are connected.
 
     Raises:
-        GeometryError: they are curved.
+        InputError: they are curved.
     """
     joint, n, size = sheet.joint, sheet.mean_normal, sheet.joint.size
     x = joint.points[rim.vertices]  # (n, d - 1, d)

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forms.base import is_finite
+from forms.base import InputError, is_finite
 from geometry.periods import Periods
-from geometry.refusals import GeometryError, place, refuse, unknown
+from geometry.refusals import place, refuse, unknown
 from geometry.seam import JUNCTIONS, RESERVED, S, Seam
 from geometry.topology import (
     CELL_TYPES,
@@ -95,7 +95,7 @@ class Joint:
             see `inflating.parting`; None: they are at `points`.
 
     Raises:
-        GeometryError: a seam is missing, empty or not oriented, or shares a facet with another one; a set of facets is
+        InputError: a seam is missing, empty or not oriented, or shares a facet with another one; a set of facets is
             empty or not part of the mesh; a region has no cells; a periodic cell is less than three cells wide, or a seam
             lies on its boundary.
     """
@@ -113,12 +113,12 @@ class Joint:
 
     def __post_init__(self) -> None:
         if self.cell_type not in CELL_TYPES:
-            raise GeometryError(unknown("cell type", self.cell_type, CELL_TYPES))
+            raise InputError(unknown("cell type", self.cell_type, CELL_TYPES))
         geometry_degree(self.cell_type, self.cells.shape[1])
         self._check_regions()
         for name, facets in self.facets.items():
             if len(facets) == 0:
-                raise GeometryError(f"the facets named {name!r} are an empty set")
+                raise InputError(f"the facets named {name!r} are an empty set")
             missing = f"some facets named {name!r} are not facets of the mesh's cells, as at {{at}}"
             refuse(self.table.index(facets) < 0, self.points[facets], missing)
         if self.band is None:
@@ -131,23 +131,23 @@ class Joint:
     def _check_regions(self) -> None:
         for name in [*self.regions, *self.facets] if self.band is None else []:
             if not isinstance(name, str) or name in RESERVED or "/" in name:
-                raise GeometryError(f"{name!r} cannot be a name; not allowed: {', '.join(RESERVED)} and names with '/'")
+                raise InputError(f"{name!r} cannot be a name; not allowed: {', '.join(RESERVED)} and names with '/'")
         for number, name in enumerate(self.regions):
             if not (self.region == number).any():
-                raise GeometryError(f"region {name!r} has no cells")
+                raise InputError(f"region {name!r} has no cells")
         for name, seam in self.seams.items() if self.band is None else ():
             seam.check(name, self.regions, self.dim)
 
     def _check_seams(self) -> None:
         if not self.seams:
-            raise GeometryError(f"a joint needs a seam, such as {S!r}")
+            raise InputError(f"a joint needs a seam, such as {S!r}")
         if JUNCTIONS in self.seams:
-            raise GeometryError(f"{JUNCTIONS!r} cannot be the name of a seam: it is a layer's part where layers meet")
+            raise InputError(f"{JUNCTIONS!r} cannot be the name of a seam: it is a layer's part where layers meet")
         if len(self.seams) > 1 and S in self.seams:
-            raise GeometryError(f"{S!r} is all seams together and cannot name one of several")
+            raise InputError(f"{S!r} is all seams together and cannot name one of several")
         for name in self.seams:
             if name not in self.facets:
-                raise GeometryError(f"the mesh has no facets named {name!r}; known: {', '.join(sorted(self.facets))}")
+                raise InputError(f"the mesh has no facets named {name!r}; known: {', '.join(sorted(self.facets))}")
         rows = np.concatenate([self.rows_of(name) for name in self.seams])
         rows, counts = np.unique(rows, return_counts=True)
         if (counts > 1).any():
@@ -215,7 +215,7 @@ class Joint:
     def rows_of(self, name: str) -> IntArray:
         """Rows of `table` of the facets of a seam, or of all seams ("S"), each once, in ascending order."""
         if name not in self.seams and name != S:
-            raise GeometryError(unknown("seam", name, self.seams))
+            raise InputError(unknown("seam", name, self.seams))
         names = self.seams if name == S else (name,)
         return np.unique(np.concatenate([self.table.index(self.facets[one]) for one in names]))
 
@@ -237,7 +237,7 @@ class Joint:
         """(n_S, 2) the cell below and the cell above each facet of S; -1 for a rigid base.
 
         Raises:
-            GeometryError: a seam lies partly on the outer boundary; its upper side cannot be told.
+            InputError: a seam lies partly on the outer boundary; its upper side cannot be told.
         """
         out = self.table.cells[self.surface_rows][:, ::-1].copy()
         for number, (name, seam) in enumerate(self.seams.items()):
@@ -348,7 +348,7 @@ class Joint:
             name: of the seam, or "S".
 
         Raises:
-            GeometryError: the profile returns something else, or not a positive number.
+            InputError: the profile returns something else, or not a positive number.
         """
         values = np.ones(len(self.points))
         if profile is None:
@@ -361,14 +361,14 @@ class Joint:
                 raise TypeError(f"it returns {given.dtype}")
         except Exception as error:
             reason = f"the thickness profile is no numpy function of coordinates x (d, n): {error}"
-            raise GeometryError(reason) from error
+            raise InputError(reason) from error
         if given.shape not in ((), vertices.shape):
-            raise GeometryError(f"the thickness profile returns shape {given.shape} for {len(vertices)} points of S")
+            raise InputError(f"the thickness profile returns shape {given.shape} for {len(vertices)} points of S")
         values[vertices] = given
         bad = vertices[~(np.isfinite(values[vertices]) & (values[vertices] > 0))]
         if len(bad):
             at = place(self.points[bad[0]])
-            raise GeometryError(f"the thickness profile is {values[bad[0]]:g} at {at}; it must be > 0 on S")
+            raise InputError(f"the thickness profile is {values[bad[0]]:g} at {at}; it must be > 0 on S")
         surface, k = self.surface[np.searchsorted(self.surface_rows, rows)], corner_count(FACET_TYPES[self.cell_type])
         if self.degree == 2:
             values[surface[:, k:]] = values[surface[:, :k]] @ weights_between(FACET_TYPES[self.cell_type]).T
@@ -377,7 +377,7 @@ class Joint:
     def rotated(self, angle: float) -> Joint:
         """The joint turned by an angle (radian, counter-clockwise; in 3D about the third axis)."""
         if not is_finite(angle):
-            raise GeometryError(f"angle is {angle!r}; it must be a number, in radians")
+            raise InputError(f"angle is {angle!r}; it must be a number, in radians")
         turn = np.eye(self.dim)
         turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
         seams = {name: seam.turned(turn) for name, seam in self.seams.items()}
@@ -386,13 +386,13 @@ class Joint:
     def moved(self, by: Sequence[float]) -> Joint:
         """The joint moved by a vector (d,): as from a rectangle to the wall of a tube, away from its axis."""
         if len(by) != self.dim or not all(map(is_finite, by)):
-            raise GeometryError(f"a joint is moved by {by!r}; it must be {self.dim} numbers")
+            raise InputError(f"a joint is moved by {by!r}; it must be {self.dim} numbers")
         return replace(self, points=self.points + np.asarray(by, float))
 
     def swapped(self) -> Joint:
         """The joint with the two sides of every seam exchanged: n changes its sign, nothing moves."""
         if (self.surface_cells[:, 0] < 0).any():
-            raise GeometryError("a joint on a rigid base has no lower body to swap with")
+            raise InputError("a joint on a rigid base has no lower body to swap with")
         return replace(self, seams={name: seam.reversed() for name, seam in self.seams.items()})
 
     def identity(self) -> dict[str, Any]:
@@ -416,14 +416,14 @@ class Joint:
         return f"Joint({what}; facets: {facets})"
 
     def nearest_point(self, x: Sequence[float]) -> int:
-        """Number of the mesh vertex at x; raises GeometryError, naming the nearest vertex, if there is none."""
+        """Number of the mesh vertex at x; raises InputError, naming the nearest vertex, if there is none."""
         vertices = np.unique(self.corners)
         if np.ndim(x) != 1 or not all(map(is_finite, x)):
-            raise GeometryError(f"point {x!r} is not a place; give {self.dim} coordinates")
+            raise InputError(f"point {x!r} is not a place; give {self.dim} coordinates")
         if len(x) != self.dim:
-            raise GeometryError(f"point {tuple(x)} has {len(x)} coordinates, the mesh has {self.dim}")
+            raise InputError(f"point {tuple(x)} has {len(x)} coordinates, the mesh has {self.dim}")
         distance = np.linalg.norm(self.reference[vertices] - np.asarray(x, float), axis=1)
         nearest = int(vertices[np.argmin(distance)])
         if distance.min() > 1e-6 * np.ptp(self.reference, axis=0).max():
-            raise GeometryError(f"no mesh vertex at {tuple(x)}; the nearest is {place(self.reference[nearest])}")
+            raise InputError(f"no mesh vertex at {tuple(x)}; the nearest is {place(self.reference[nearest])}")
         return nearest

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import scipy.spatial
 
+from forms.base import InputError
 from geometry.joint import Joint
 from geometry.periods import CUT, SAME_PLACE, Periods
-from geometry.refusals import GeometryError, place, refuse, unknown
+from geometry.refusals import place, refuse, unknown
 from geometry.topology import IntArray
 
 
@@ -24,25 +25,25 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
             with its facets. The other sides stay free.
 
     Raises:
-        GeometryError: an unknown name; sides that do not match, with the place; less than three cells between two sides;
+        InputError: an unknown name; sides that do not match, with the place; less than three cells between two sides;
             a seam on a periodic side; a joint whose layer is meshed.
     """
     if joint.band is not None:
-        raise GeometryError("the joint's layer is meshed; in a periodic joint it is a surface with an interface model")
+        raise InputError("the joint's layer is meshed; in a periodic joint it is a surface with an interface model")
     if not sides:
-        raise GeometryError('periodic needs pairs of sides, such as ("LEFT", "RIGHT")')
+        raise InputError('periodic needs pairs of sides, such as ("LEFT", "RIGHT")')
     before = joint.periods or Periods((), ())
     names = [*before.names, *(name for pair in sides for name in pair)]
     twice = [name for name in names if names.count(name) > 1]
     if twice:
-        raise GeometryError(f"{twice[0]!r} is in two pairs of periodic sides; a side has one other side")
+        raise InputError(f"{twice[0]!r} is in two pairs of periodic sides; a side has one other side")
     pairs = tuple(_matched(joint, *pair) for pair in sides)
     named = tuple((first, second) for first, second in sides)
     return replace(joint, periods=Periods(before.sides + named, before.pairs + pairs))
 
 
 def require_inside(joint: Joint) -> None:
-    """Raise GeometryError if S reaches a periodic side: inflated, opposite sides would not match."""
+    """Raise InputError if S reaches a periodic side: inflated, opposite sides would not match."""
     for names, pair in zip(joint.periods.sides, joint.periods.pairs, strict=True) if joint.periods else ():
         sides, both = " and ".join(map(repr, names)), np.unique(pair)
         reason = "the layer cannot be meshed, as the sides would not match when it opens"
@@ -71,7 +72,7 @@ def _matched(joint: Joint, first: str, second: str) -> IntArray:
         partners.append(at)
         if apart.max() > SAME_PLACE * size:
             lost = places[apart.argmax()]
-            raise GeometryError(
+            raise InputError(
                 f"{unlike}: {name!r} has a node at {place(lost)}, and {other!r} has none at {place(lost + move)}; {remedy}"
             )
     image = np.full(len(joint.points), -1)
@@ -85,9 +86,9 @@ def _matched(joint: Joint, first: str, second: str) -> IntArray:
 def _outer_rows(joint: Joint, name: str) -> IntArray:
     """Rows of the joint's table of the facets of a side."""
     if name not in joint.facets:
-        raise GeometryError(unknown("side", name, joint.facets.keys() - joint.seams.keys()))
+        raise InputError(unknown("side", name, joint.facets.keys() - joint.seams.keys()))
     if name in joint.seams:
-        raise GeometryError(f"the seam {name!r} cannot be a periodic side: {CUT}")
+        raise InputError(f"the seam {name!r} cannot be a periodic side: {CUT}")
     rows = np.unique(joint.table.index(joint.facets[name]))
     inner, x = joint.table.cells[rows, 1] >= 0, joint.points[joint.table.vertices[rows]]
     refuse(inner, x, f"{name!r} is no side of the joint: {{bad}} of its facets lie inside, as at {{at}}")

@@ -44,7 +44,7 @@ class Periods:
         return master[label]
 
     def check(self, points: FloatArray, corners: IntArray, cell_type: str, seams: IntArray) -> None:
-        """Raise GeometryError unless cells that meet across the sides meet there in one facet, which is in no seam.
+        """Raise InputError unless cells that meet across the sides meet there in one facet, which is in no seam.
 
         Args:
             points: (n, d) nodes of the mesh.

@@ -9,17 +9,13 @@ from forms.base import InputError
 from forms.base import unknown as unknown
 
 
-class GeometryError(InputError):
-    """A mesh, a name or a size that cannot be used. Says what is wrong, where, and what is allowed."""
-
-
 def place(x: npt.NDArray[np.float64]) -> str:
     """Coordinates for a message, short."""
     return f"({', '.join(f'{c:.6g}' for c in x)})"
 
 
 def refuse(bad: npt.NDArray[np.bool_] | np.bool_, x: npt.NDArray[np.float64], message: str) -> None:
-    """Raise GeometryError if any of n things is bad.
+    """Raise InputError if any of n things is bad.
 
     Args:
         bad: (n,) whether each is.
@@ -30,4 +26,4 @@ def refuse(bad: npt.NDArray[np.bool_] | np.bool_, x: npt.NDArray[np.float64], me
         first = x[bad.argmax()].reshape(-1, x.shape[-1]).mean(axis=0)
         for name, value in {"at": place(first), "bad": bad.sum(), "all": np.size(bad)}.items():
             message = message.replace(f"{{{name}}}", str(value))
-        raise GeometryError(message)
+        raise InputError(message)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from forms.base import is_finite
-from geometry.refusals import GeometryError, refuse, unknown
+from forms.base import InputError, is_finite
+from geometry.refusals import refuse, unknown
 from geometry.topology import FloatArray, IntArray
 
 S = "S"
@@ -41,9 +41,9 @@ class Seam:
     direction: tuple[float, ...] | None = None
 
     def reversed(self) -> Seam:
-        """The seam with the opposite normal. GeometryError: neither regions nor a direction are given."""
+        """The seam with the opposite normal. InputError: neither regions nor a direction are given."""
         if self == Seam():
-            raise GeometryError("a seam whose sides follow the order of regions cannot be reversed; name its sides")
+            raise InputError("a seam whose sides follow the order of regions cannot be reversed; name its sides")
         way = None if self.direction is None else tuple(-c for c in self.direction)
         return Seam(self.upper, self.lower, way)
 
@@ -52,22 +52,22 @@ class Seam:
         return self if self.direction is None else replace(self, direction=tuple(map(float, turn @ self.direction)))
 
     def check(self, name: str, regions: Sequence[str], dim: int) -> None:
-        """Raise GeometryError unless the seam of this name can tell its upper side in a mesh of these regions."""
+        """Raise InputError unless the seam of this name can tell its upper side in a mesh of these regions."""
         for side in (self.lower, self.upper):
             if not isinstance(side, tuple):
-                raise GeometryError(f"{name!r}: a side is {side!r}; it must be a tuple of names of regions")
+                raise InputError(f"{name!r}: a side is {side!r}; it must be a tuple of names of regions")
         for region in self.lower + self.upper:
             if region not in regions:
-                raise GeometryError(unknown("region", region, regions))
+                raise InputError(unknown("region", region, regions))
         shared = sorted(set(self.upper) & set(self.lower))
         if shared and self.direction is None:
-            raise GeometryError(f"region {shared[0]!r} is on both sides of {name!r}; give the direction upwards")
+            raise InputError(f"region {shared[0]!r} is on both sides of {name!r}; give the direction upwards")
         if self.direction is not None:
             if set(self.upper) != set(self.lower):
-                raise GeometryError(f"{name!r}: a direction tells the upper side, or regions do; give one of them")
+                raise InputError(f"{name!r}: a direction tells the upper side, or regions do; give one of them")
             numbers = np.shape(self.direction) == (dim,) and all(map(is_finite, self.direction))
             if not numbers or not np.any(self.direction):
-                raise GeometryError(f"direction is {self.direction}; it needs {dim} components, not all zero")
+                raise InputError(f"direction is {self.direction}; it needs {dim} components, not all zero")
 
     def along_direction(
         self, name: str, x: FloatArray, normals: FloatArray, to_second: FloatArray
@@ -81,7 +81,7 @@ class Seam:
             to_second: (n, d) vectors from there into the second cells.
 
         Raises:
-            GeometryError: the direction lies in a facet.
+            InputError: the direction lies in a facet.
         """
         way = np.asarray(self.direction, float)
         cosine = normals @ way / np.linalg.norm(normals, axis=1) / np.linalg.norm(way)
@@ -101,7 +101,7 @@ class Seam:
             regions: names of all regions.
 
         Raises:
-            GeometryError: both cells are on one side.
+            InputError: both cells are on one side.
         """
         if self.lower or self.upper:
             lower, upper = (np.isin(region, [regions.index(one) for one in side]) for side in (self.lower, self.upper))

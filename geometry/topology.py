@@ -15,7 +15,7 @@ import numpy.typing as npt
 import scipy.sparse
 from scipy.sparse.csgraph import connected_components
 
-from geometry.refusals import GeometryError
+from forms.base import InputError
 
 IntArray = npt.NDArray[np.int64]
 FloatArray = npt.NDArray[np.float64]
@@ -43,12 +43,10 @@ def corner_count(cell_type: str) -> int:
 
 
 def geometry_degree(cell_type: str, n_nodes: int) -> int:
-    """Degree of cells with that many nodes, 1 or 2; raises GeometryError for another number."""
+    """Degree of cells with that many nodes, 1 or 2; raises InputError for another number."""
     allowed = {int(lagrange(cell_type, degree).dim): degree for degree in (1, 2)}
     if n_nodes not in allowed:
-        raise GeometryError(
-            f"a {cell_type} has {n_nodes} nodes; allowed: {', '.join(map(str, allowed))} (degree 1 or 2)"
-        )
+        raise InputError(f"a {cell_type} has {n_nodes} nodes; allowed: {', '.join(map(str, allowed))} (degree 1 or 2)")
     return allowed[n_nodes]
 
 
@@ -96,7 +94,7 @@ class FacetTable:
 
     @classmethod
     def of(cls, corners: IntArray, cell_type: str) -> FacetTable:
-        """The table of a mesh given by its cells' vertices; raises GeometryError if more than two cells share a facet."""
+        """The table of a mesh given by its cells' vertices; raises InputError if more than two cells share a facet."""
         rows = np.sort(np.concatenate([corners[:, f] for f in local_facets(cell_type)]), axis=1)
         beginning, keys = rows[:, 0], []
         for column in rows.T[1:-1]:
@@ -109,9 +107,7 @@ class FacetTable:
         keys.append(whole[start])
         counts = np.diff(start, append=len(whole))
         if counts.max(initial=0) > 2:
-            raise GeometryError(
-                f"{(counts > 2).sum()} facets belong to more than two cells: the mesh is not conforming"
-            )
+            raise InputError(f"{(counts > 2).sum()} facets belong to more than two cells: the mesh is not conforming")
         double = counts == 2
         pairs = np.full((len(start), 2), -1, np.int64)  # positions among all cells' facets
         pairs[:, 0] = order[start]

@@ -11,7 +11,8 @@ import numpy as np
 from forms import Incompressible, LinearElastic, Rubber, limits
 from geometry import faults, sandwich
 from geometry.joint import Joint
-from thinlayer import Model, Structure, Surface, Table, ThinLayer, plotting, solve
+from thinlayer import Structure, Surface, Table, ThinLayer, plotting, solve
+from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
 
 RADIUS, PLATE = 30.0, 10.0  # mm: of the disc; height of a plate

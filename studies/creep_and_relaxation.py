@@ -12,7 +12,9 @@ import numpy.typing as npt
 
 from forms import BulkLaw, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from geometry import sandwich
-from thinlayer import Adaptive, Model, State, Structure, Surface, Table, ThinLayer, march, observed_orders, plotting
+from thinlayer import Adaptive, State, Structure, Surface, Table, ThinLayer, march, observed_orders, plotting
+from thinlayer.discretisation.model import Model
+from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 
@@ -207,7 +209,7 @@ def draw(record: Record) -> None:
     styles, colours = {CLOSED: "--"}, {CLOSED: "black"}
     for title, case in CASES.items():
         for kind, style, shown in ((INTERFACE, "-", slice(None)), (FULL, "o", slice(1, None, 2))):
-            for pull, colour in zip(PULLS, plotting.COLOURS, strict=False):
+            for pull, colour in zip(PULLS, COLOURS, strict=False):
                 label = f"{kind}, {pull.name}"
                 styles[label], colours[label] = style, colour
                 parts[title][label] = table["t"][shown], table[f"{title}: {label}"][shown]

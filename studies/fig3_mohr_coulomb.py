@@ -19,7 +19,8 @@ import numpy as np
 
 from forms import LinearElastic, MohrCoulomb
 from geometry import Joint, block
-from thinlayer import Model, State, Structure, Surface, Table, ThinLayer, march, observed_orders, plotting, solve
+from thinlayer import State, Structure, Surface, Table, ThinLayer, march, observed_orders, plotting, solve
+from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 

@@ -15,8 +15,10 @@ import numpy.typing as npt
 from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed, limits
 from forms.non_monotone import Phases
 from geometry import block
-from thinlayer import History, Model, Structure, Surface, Table, ThinLayer, march, piecewise, plotting
+from thinlayer import History, Structure, Surface, Table, ThinLayer, march, piecewise, plotting
+from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.supports import Support
+from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 from thinlayer.time.journal import Observe
@@ -254,7 +256,7 @@ def draw_response(record: Record, relaxed: Table, loop: Table) -> None:
         "delta, displacement of the end",
         "sigma, force",
         styles={"relaxed law, computed": "o", computed: "s--"},
-        colours={everything: "0.75", computed: plotting.COLOURS[3]},
+        colours={everything: "0.75", computed: COLOURS[3]},
         ylim=(0.0, 2.7),
         save=record.path("response.png"),
     )

@@ -16,7 +16,8 @@ from forms import LinearElastic
 from forms.kinematics import Expr
 from geometry import Joint, faults, grains, wall
 from geometry.seam import JUNCTIONS, LAYER
-from thinlayer import Model, State, Structure, Surface, ThinLayer, UflPart, observed_orders, plotting, solve
+from thinlayer import State, Structure, Surface, ThinLayer, UflPart, observed_orders, plotting, solve
+from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 

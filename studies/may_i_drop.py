@@ -33,7 +33,6 @@ from studies.sweeping import last
 from studies.timing import timed
 from thinlayer import (
     History,
-    Model,
     Probe,
     State,
     Structure,
@@ -47,6 +46,7 @@ from thinlayer import (
     thin_enough,
 )
 from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.model import Model
 from thinlayer.estimating.on_surface import away_from_ends
 from thinlayer.estimating.result import Estimate
 from thinlayer.pointwise.assembling import values_of

@@ -13,7 +13,8 @@ from forms import BulkLaw, LinearElastic, VonMises
 from geometry import wall
 from studies.problems import FOURIER_BODY, free_blocks
 from studies.sweeping import by_reaction, errors_of_work, last_order
-from thinlayer import Model, State, Structure, ThinLayer, compare, march, plotting, solve
+from thinlayer import State, Structure, ThinLayer, compare, march, plotting, solve
+from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 

@@ -21,19 +21,10 @@ from forms.non_monotone import Phases
 from geometry import Joint, block
 from studies.fig4_bar import BAR, EXACT, meet, straight
 from studies.problems import phases_on_s
-from thinlayer import (
-    ArcLength,
-    History,
-    Model,
-    State,
-    Structure,
-    Table,
-    ThinLayer,
-    march,
-    piecewise,
-    plotting,
-)
+from thinlayer import ArcLength, History, State, Structure, Table, ThinLayer, march, piecewise, plotting
+from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.supports import Support
+from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 from thinlayer.system.table import Row
@@ -298,9 +289,9 @@ def draw(record: Record) -> None:
     strip, delta = parts[TITLES["strip"]], np.linspace(0, END, 201, dtype=np.float64)
     strip[RELAXED] = delta, LIMIT.sigma(delta)
     styles: dict[str, str] = {}
-    colours = {PURE: plotting.COLOURS[0], RELAXED: plotting.COLOURS[1]}
+    colours = {PURE: COLOURS[0], RELAXED: COLOURS[1]}
     paths = [curve for curve in strip if curve.startswith("r = ") and BACK not in curve]
-    for curve, colour in zip(paths, plotting.COLOURS[2:], strict=False):
+    for curve, colour in zip(paths, COLOURS[2:], strict=False):
         vertices, exact = LIMIT.path(float(curve.removeprefix("r = ")), END), f"{curve}, closed form"
         strip[exact] = vertices[:, 0], vertices[:, 1]
         styles |= {curve: "o", curve + BACK: "x"}
@@ -310,7 +301,7 @@ def draw(record: Record) -> None:
     for curve in finer:  # they hide one another
         del parts[TITLES["block"]][curve]
     styles[meshed] = ":"
-    colours |= dict.fromkeys(others, plotting.COLOURS[2]) | {meshed: "black"}
+    colours |= dict.fromkeys(others, COLOURS[2]) | {meshed: "black"}
     plotting.panels(
         parts,
         "delta, displacement of the upper side",

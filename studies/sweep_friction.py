@@ -14,7 +14,8 @@ import numpy.typing as npt
 from forms import HolonomicCoulomb, IncrementalCoulomb, MohrCoulombMonodirectional
 from studies.problems import pressed
 from studies.sweeping import Solution, Sweep, draw_rates, last, layer_of, table_of
-from thinlayer import History, Model, State, Structure, Surface, Table, ThinLayer, compare, march, plotting, solve
+from thinlayer import History, State, Structure, Surface, Table, ThinLayer, compare, march, plotting, solve
+from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
 
 MODULI = {"lmbda": 60.0, "mu": 40.0}

@@ -7,26 +7,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from forms import BulkLaw, Law
+from forms import BulkLaw
 from forms.kinematics import Expr
+from forms.law import Law
 from geometry import Joint
-from thinlayer import (
-    History,
-    Model,
-    State,
-    Structure,
-    Surface,
-    Table,
-    ThinLayer,
-    compare,
-    observed_orders,
-    plotting,
-    solve,
-)
+from thinlayer import History, State, Structure, Surface, Table, ThinLayer, compare, observed_orders, plotting, solve
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import LawOnS
+from thinlayer.discretisation.model import Model
 from thinlayer.output.comparison import Where
+from thinlayer.output.plotting.curves import ERRORS
 from thinlayer.running.record import Record
 
 Solution = State | History
@@ -124,7 +115,7 @@ class Sweep:
             for end, layer in self.beside.items():
                 other = self._solved(self._interface(self.structure, layer(e)), f"interface{end}_{e:g}")
                 found = compare(full, other, where=self.where)
-                row |= {f"{name}{end}": found[name] for name in plotting.ERRORS.values()}
+                row |= {f"{name}{end}": found[name] for name in ERRORS.values()}
             return row | (self.more(full, limit) if self.more else {})
 
         law = self.layer(eps[0]).law

@@ -8,8 +8,10 @@ import numpy as np
 
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
 from forms.plastic import Plastic
-from geometry import Joint, Seam
-from thinlayer import LimitLoad, Model, Structure, ThinLayer, march, plotting
+from geometry import Joint
+from geometry.seam import Seam
+from thinlayer import LimitLoad, Structure, ThinLayer, march, plotting
+from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
 
 LENGTH, HEIGHT = 250.0, 60.0  # mm, of a brick

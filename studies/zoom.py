@@ -13,6 +13,7 @@ from forms.ends.end_fields import Corner, EndFields
 from studies.problems import free_blocks
 from studies.sweeping import last_order
 from thinlayer import Probe, State, Surface, ThinLayer, Zoom, plotting, solve
+from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 
@@ -127,7 +128,7 @@ def draw(record: Record) -> None:
         "eps",
         "relative error",
         styles={name: "o--" if "order 0" in name else "o-" for name in names},
-        colours=dict(zip(names, 2 * plotting.COLOURS[:3], strict=True)),
+        colours=dict(zip(names, 2 * COLOURS[:3], strict=True)),
         yscale="log",
         columns=2,
         save=record.path("errors.png"),

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ive, kve
 
-from forms import LawError
+from forms.base import InputError
 from forms.limits import fraction, phase_energy
 from forms.non_monotone import lamination_gain
 
@@ -267,11 +267,11 @@ def von_mises_fixed_opening(lmbda: float, mu: float, strength: float, w_N: float
     first yield at w_y on, t_T = Y/sqrt(3) tanh(sqrt(3) mu (w_T - w_y)/Y + artanh(sqrt(3) t_y/Y)): s_N fades.
 
     Raises:
-        LawError: the opening alone makes the layer yield.
+        InputError: the opening alone makes the layer yield.
     """
     x, s_N = np.asarray(w_T, float), 2 * mu * w_N  # 3/2 of the deviator's component
     if not abs(s_N) < strength:
-        raise LawError(f"2 mu |w_N| = {abs(s_N):g} at the start is not below Y = {strength:g}")
+        raise InputError(f"2 mu |w_N| = {abs(s_N):g} at the start is not below Y = {strength:g}")
     first = math.sqrt(strength**2 - s_N**2) / math.sqrt(3)  # t_T at first yield
     angle = math.sqrt(3) * (mu * x - first) / strength + math.atanh(math.sqrt(3) * first / strength)
     yields = mu * x > first

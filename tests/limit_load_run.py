@@ -5,7 +5,8 @@ from __future__ import annotations
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
 from geometry import block, sandwich
 from tests.own_laws import layer_of
-from thinlayer import Model, Structure, ThinLayer
+from thinlayer import Structure, ThinLayer
+from thinlayer.discretisation.model import Model
 
 BODY = LinearElastic.young(100.0, 0.3)
 SLIDING = MohrCoulombMonodirectional(60.0, 40.0, cohesion=0.1, friction_angle=30.0)

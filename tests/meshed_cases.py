@@ -8,7 +8,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from forms import LinearElastic, MohrCoulomb
-from geometry import Joint, Seam, wall
+from geometry import Joint, wall
+from geometry.seam import Seam
 from geometry.topology import FacetTable
 from tests.network_cases import cell_of, springs
 from thinlayer import Gap, Structure, Surface, ThinLayer, march, solve

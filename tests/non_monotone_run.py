@@ -11,7 +11,8 @@ import numpy as np
 from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed, Tabulated
 from geometry import Joint, sandwich
 from studies.problems import phases_on_s
-from thinlayer import Model, Structure, Surface, ThinLayer, march
+from thinlayer import Structure, Surface, ThinLayer, march
+from thinlayer.discretisation.model import Model
 
 CHI = np.array([[-0.3, 0.5], [0.5, 0.9]])
 C = Tabulated([(20.0, 0.03), (50.0, 0.016), (100.0, 0.008)])

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import ufl
 
+from forms.base import InputError
 from forms.traction import TractionLaw
 from tests import arc_length_run
 from tests.arc_length_run import Trilinear, across_and_along, bar, chosen
 from tests.ranks import mpirun
 from tests.snapping_bars import FAR, STEEP, C, openings, sigma
-from thinlayer import ArcLength, ModelError, SolveError, march
+from thinlayer import ArcLength, SolveError, march
 
 
 # ---------------------------------------------------------------- where it ends
@@ -107,12 +108,12 @@ def test_only_the_same_path_is_resumed(tmp_path):
     with pytest.raises(SolveError, match="after 9 steps"):
         march(bar(STEEP), ArcLength(end=FAR, first=0.1, steps=9), out=tmp_path, keep="last")
     for other in (ArcLength(end=FAR, first=0.05), [0.1, FAR]):
-        with pytest.raises(ModelError, match=r"is of another march \(first: 0\.1 there"):
+        with pytest.raises(InputError, match=r"is of another march \(first: 0\.1 there"):
             march(bar(STEEP), other, out=tmp_path, resume=True)
     resumed = march(bar(STEEP), ArcLength(end=FAR, first=0.1), out=tmp_path, keep="last", resume=True)
     assert resumed.t == pytest.approx(whole.t, abs=1e-12)
     assert list(resumed.states) == [len(whole) - 1]
     assert sorted(file.stem for file in (tmp_path / "states").iterdir()) == [f"{len(whole) + k:06d}" for k in (-2, -1)]
     assert len(march(bar(STEEP), ArcLength(end=FAR, first=0.1), out=tmp_path, resume=True)) == len(whole)
-    with pytest.raises(ModelError, match=r"is at t = 1\.5; the path is to end before"):
+    with pytest.raises(InputError, match=r"is at t = 1\.5; the path is to end before"):
         march(bar(STEEP), ArcLength(end=1.0, first=0.1), out=tmp_path, resume=True)

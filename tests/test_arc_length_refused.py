@@ -9,12 +9,13 @@ from typing import ClassVar
 import pytest
 
 from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulomb
+from forms.base import InputError
 from forms.traction import TractionLaw
 from geometry import block
 from tests.arc_length_run import HEIGHT, WIDTH, E, bar
 from tests.refused import refused
 from tests.snapping_bars import STEEP
-from thinlayer import ArcLength, ModelError, OptionError, Structure, ThinLayer, march
+from thinlayer import ArcLength, Structure, ThinLayer, march
 
 
 @pytest.mark.parametrize(
@@ -32,7 +33,7 @@ from thinlayer import ArcLength, ModelError, OptionError, Structure, ThinLayer, 
     ],
 )
 def test_bad_values(values, message):
-    refused(ModelError, f"ArcLength: {message}", lambda: ArcLength(**({"end": 1.0, "first": 0.1} | values)))
+    refused(InputError, f"ArcLength: {message}", lambda: ArcLength(**({"end": 1.0, "first": 0.1} | values)))
 
 
 @pytest.mark.parametrize(
@@ -49,7 +50,7 @@ def test_bad_values(values, message):
     ],
 )
 def test_bad_paths(path, options, message, tmp_path):
-    refused((ModelError, OptionError), message, lambda: march(bar(STEEP), path, out=tmp_path / "out", **options))
+    refused((InputError), message, lambda: march(bar(STEEP), path, out=tmp_path / "out", **options))
     assert not (tmp_path / "out").exists()
 
 
@@ -82,7 +83,7 @@ class Creeping(TractionLaw):
     ],
 )
 def test_laws_that_have_no_path(law, message):
-    refused(ModelError, message, lambda: march(bar(law), ArcLength(1.0, 0.1)))
+    refused(InputError, message, lambda: march(bar(law), ArcLength(1.0, 0.1)))
 
 
 def test_models_that_have_no_path():
@@ -91,7 +92,7 @@ def test_models_that_have_no_path():
     strip = block(WIDTH, HEIGHT, WIDTH, cell="quadrilateral", structured=True)
     setup = {"body": LinearElastic.young(E, 0.2), "supports": {"TOP": 0.0}}
     soft = Structure(strip, **setup).interface(ThinLayer(Incompressible(40.0), 0.1, at=1.0))
-    with pytest.raises(ModelError, match="Incompressible is incompressible: paths have displacements alone"):
+    with pytest.raises(InputError, match="Incompressible is incompressible: paths have displacements alone"):
         march(soft, ArcLength(1.0, 0.1))
     contact = Structure(strip, element="Q1", **setup).interface(HolonomicCoulomb(7.0, 3.0, friction=0.4))
-    refused(ModelError, "HolonomicCoulomb is a contact law: march in time", lambda: march(contact, ArcLength(1.0, 0.1)))
+    refused(InputError, "HolonomicCoulomb is a contact law: march in time", lambda: march(contact, ArcLength(1.0, 0.1)))

@@ -11,22 +11,12 @@ import ufl
 from dolfinx import fem
 
 from forms import Anisotropic, HolonomicCoulomb, Incompressible, LinearElastic, Maxwell, MohrCoulomb, Stack
+from forms.base import InputError
 from geometry import block, periodic, sandwich
 from studies.tubes import lame
 from tests.contact_bars import contact
 from tests.refused import refused
-from thinlayer import (
-    ModelError,
-    Springs,
-    Structure,
-    Surface,
-    ThinLayer,
-    UflPart,
-    compare,
-    goals,
-    march,
-    solve,
-)
+from thinlayer import Springs, Structure, Surface, ThinLayer, UflPart, compare, goals, march, solve
 from thinlayer.errors import LooseBody
 from thinlayer.output.homogenised import homogenised_stiffness
 from thinlayer.output.surface import YIELDS
@@ -101,7 +91,7 @@ def test_integrals_of_users_are_over_the_whole_revolution():
         (math.nan * u * ufl.dx, "not finite"),
         (fem.Constant(model.domain.mesh, math.nan) * ufl.dx, "not finite"),
     ):
-        refused(ModelError, message, state.integral, form)
+        refused(InputError, message, state.integral, form)
 
 
 @pytest.mark.parametrize("order", [0, 1])
@@ -246,7 +236,7 @@ def test_only_motions_along_the_axis_are_rigid():
     slippery = ThinLayer(Anisotropic.springs(K_N=9.0, K_T=0.0), EPS, at=1.0)
     loose = structure(tubes(), {"LEFT/LOWER": {"y": 0.0}}, tractions={"BOTTOM": (P, 0.0)}).interface(slippery)
     refused(LooseBody, r"can move along \(0, 1\)", solve, loose)
-    with pytest.raises(ModelError, match=r"no support against rigid motion of the structure \(translation y\)"):
+    with pytest.raises(InputError, match=r"no support against rigid motion of the structure \(translation y\)"):
         structure(rods(), {"RIGHT": {"x": 0.0}}).bonded()
     springs = structure(rods(), {}, tractions={"TOP": (0.0, P)}, parts=[Springs("BOTTOM", normal=4.0)])
     state = solve(springs.bonded())
@@ -291,4 +281,4 @@ def _rods(**options):
     ],
 )  # fmt: skip
 def test_what_cannot_be_turned(build, message):
-    refused(ModelError, message, build)
+    refused(InputError, message, build)

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from forms import LawError, limits
+from forms import limits
+from forms.base import InputError
 from tests.phases_of_bars import BAR, DELTAS, LONG, SLOW, body, positive
 from tests.refused import refused
 
@@ -131,7 +132,7 @@ def test_any_bar(bar, share):
 
 @pytest.mark.parametrize("change", [{"l": 0.0}, {"kbar": np.inf}, {"cbar": np.nan}, {"eps": 1.0}, {"cbar": 0.27}])
 def test_bar_out_of_range(change):
-    refused(LawError, "allowed: all > 0, cbar >= ", replace, LONG, **change)
+    refused(InputError, "allowed: all > 0, cbar >= ", replace, LONG, **change)
 
 
 def test_bound_of_the_transformation_energy_is_allowed():

@@ -21,23 +21,13 @@ from forms import (
     Stack,
     VonMises,
 )
+from forms.base import InputError
 from geometry import block, bond_cell, ring, sandwich, wall
 from tests.columns_in_time import column, joint
 from tests.own_laws import Slipping
 from tests.refused import refused
 from tests.taylor import observed_orders
-from thinlayer import (
-    Adaptive,
-    LimitLoad,
-    ModelError,
-    Springs,
-    Structure,
-    Surface,
-    ThinLayer,
-    march,
-    piecewise,
-    solve,
-)
+from thinlayer import Adaptive, LimitLoad, Springs, Structure, Surface, ThinLayer, march, piecewise, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.solving.solvers import Solver
 
@@ -199,7 +189,7 @@ def test_a_march_is_resumed_with_the_stresses_of_bodies(tmp_path):
             assert state.memory[key] == pytest.approx(other.memory[key], abs=1e-12)
         assert state.dissipated["bodies"] == pytest.approx(other.dissipated["bodies"], rel=1e-8)
         assert state.energies() == pytest.approx(other.energies(), rel=1e-8)
-    with pytest.raises(ModelError, match=r"another march .*bodies"):
+    with pytest.raises(InputError, match=r"another march .*bodies"):
         march(yielding(replace(YIELDING, hardening=1.0)), [0.25], out=tmp_path, resume=True)
 
 
@@ -216,18 +206,18 @@ def test_a_march_is_resumed_with_the_stresses_of_bodies(tmp_path):
     ids=["stack", "incompressible", "phases", "director", "jumps"],
 )
 def test_laws_that_are_no_bodies(law, message):
-    with pytest.raises(ModelError, match=f"body 'UPPER': .*{message}"):
+    with pytest.raises(InputError, match=f"body 'UPPER': .*{message}"):
         Structure(JOINT, body={"LOWER": GLUE, "UPPER": law}, supports={})
 
 
 def test_what_does_not_go_with_them_is_refused():
-    refused(ModelError, r"VonMises bounds stresses.* theta = 1", lambda: march(yielding(), [1.0], theta=0.5))
-    with pytest.raises(ModelError, match="KelvinVoigt depends on rates: no equilibrium without time"):
+    refused(InputError, r"VonMises bounds stresses.* theta = 1", lambda: march(yielding(), [1.0], theta=0.5))
+    with pytest.raises(InputError, match="KelvinVoigt depends on rates: no equilibrium without time"):
         solve(yielding(KelvinVoigt(60.0, 40.0, 0.1, 0.1)))
     springs = Springs("TOP", normal=1.0)
     object.__setattr__(springs, "key", "body UPPER")
     structure = Structure(JOINT, body=METAL, supports={}, parts=[springs], tractions=SHEARED)
-    refused(ModelError, "two parts are called 'body UPPER'", lambda: structure.bonded())
+    refused(InputError, "two parts are called 'body UPPER'", lambda: structure.bonded())
 
 
 class Pointwise(VonMises):

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from forms import HolonomicCoulomb, LinearElastic
-from geometry import Joint, Seam, sandwich
+from forms.base import InputError
+from geometry import Joint, sandwich
+from geometry.seam import Seam
 from geometry.topology import FacetTable
 from tests.on_ranks import on_ranks
 from tests.refused import refused
-from thinlayer import Bond, ModelError, Structure, Surface, ThinLayer, estimate, goals, solve, thin_enough
+from thinlayer import Bond, Structure, Surface, ThinLayer, estimate, goals, solve, thin_enough
 
 WIDTH, LEVELS = 2.0, (0.5, 1.25)  # of the seams above the lower side; the height is 2
 STEEL = LinearElastic(70.0, 40.0)
@@ -64,14 +66,14 @@ def test_a_rigid_base_holds_what_is_bonded_to_it():
 
 def test_meshed_models_and_other_bonds_are_refused():
     structure = loaded(three_bodies("LOW", "HIGH"))
-    with pytest.raises(ModelError, match="'HIGH' has a Bond, which interface models alone take"):
+    with pytest.raises(InputError, match="'HIGH' has a Bond, which interface models alone take"):
         structure.full(LAYERS | {"HIGH": Bond()})
     model = structure.interface(LAYERS | {"HIGH": Bond()})
-    refused(ModelError, r"bonds on the seams \['HIGH'\], not \[\]", model.with_layer, LAYERS)
-    refused(ModelError, "same element and bonds", lambda: solve(structure.interface(LAYERS), like=solve(model)))
-    with pytest.raises(ModelError, match="layer= has the seams LOW; bonded are HIGH"):
+    refused(InputError, r"bonds on the seams \['HIGH'\], not \[\]", model.with_layer, LAYERS)
+    refused(InputError, "same element and bonds", lambda: solve(structure.interface(LAYERS), like=solve(model)))
+    with pytest.raises(InputError, match="layer= has the seams LOW; bonded are HIGH"):
         estimate(solve(model), {"LOW": LAYERS["LOW"]})
-    refused(ModelError, "LOW, HIGH", thin_enough, structure, LAYERS, 0.01)
+    refused(InputError, "LOW, HIGH", thin_enough, structure, LAYERS, 0.01)
 
 
 def closing(layer: ThinLayer) -> float:

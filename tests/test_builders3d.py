@@ -8,7 +8,8 @@ from math import pi, tau
 import numpy as np
 import pytest
 
-from geometry import GeometryError, Joint, block, disc, ring, sandwich
+from forms.base import InputError
+from geometry import Joint, block, disc, ring, sandwich
 from geometry.shapes.sizing import Grading
 from tests.meshes import check_sound, volumes
 from tests.refused import refused
@@ -243,4 +244,4 @@ def test_layers(first, last, symmetric):
     ],
 )
 def test_errors(build, message):
-    refused(GeometryError, message, lambda: build())
+    refused(InputError, message, lambda: build())

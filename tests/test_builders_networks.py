@@ -10,7 +10,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from forms import LinearElastic
-from geometry import GeometryError, Joint, faults, fibre, grains, inflate, periodic
+from forms.base import InputError
+from geometry import Joint, faults, fibre, grains, inflate, periodic
 from tests.meshes import check_sound, volumes
 from tests.network_cases import shifted, springs
 from tests.refused import refused
@@ -92,7 +93,7 @@ def test_seams_between_grains_are_named_by_the_user():
 def test_layers_between_grains_are_meshed():
     opened = inflate(grains(3.0, 2.0, POINTS, 0.15), 0.01, bodies="extended")
     assert volumes(opened).sum() == pytest.approx(6.0)
-    refused(GeometryError, "cannot be moved apart in one piece", lambda: inflate(grains(3.0, 2.0, 12, 0.15), 0.01))
+    refused(InputError, "cannot be moved apart in one piece", lambda: inflate(grains(3.0, 2.0, 12, 0.15), 0.01))
 
 
 # ---------------------------------------------------------------- faults
@@ -191,7 +192,7 @@ def test_faults_do_not_depend_on_units_or_order():
     ],
 )
 def test_refused_faults(given, message):
-    refused(GeometryError, message, lambda: faults(8.0, 6.0, given, 0.5))
+    refused(InputError, message, lambda: faults(8.0, 6.0, given, 0.5))
 
 
 @pytest.mark.parametrize(
@@ -213,7 +214,7 @@ def test_refused_faults(given, message):
     ],
 )
 def test_refused_grains(given, message):
-    refused(GeometryError, message, lambda: grains(**{"width": 3.0, "height": 2.0, "h": 0.2} | given))
+    refused(InputError, message, lambda: grains(**{"width": 3.0, "height": 2.0, "h": 0.2} | given))
 
 
 # ---------------------------------------------------------------- fibre
@@ -255,5 +256,5 @@ def test_refused_fibres():
         (dict(around=(2.0, 2.0), cell="quadrilateral"), "needs a matrix with an outer circle"),
         (dict(around=1.0, degree=3), "degree is 3"),
     ):
-        with pytest.raises(GeometryError, match=message):
+        with pytest.raises(InputError, match=message):
             fibre(0.4, **given)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from forms import LinearElastic, Stack
+from forms.base import InputError
 from tests import closed_forms
 from tests.columns_in_time import (
     AXIS,
@@ -29,7 +30,7 @@ from tests.columns_in_time import (
 )
 from tests.laws_at_points import CREEP, KELVIN, LMBDA, MAXWELL, MAXWELL_2, MU, NORTON_3, NORTON_15
 from tests.own_laws import AgeingFluid, AgeingKelvinVoigt, AgeingSpring, Slipping
-from thinlayer import ModelError, Structure, Surface, ThinLayer, march
+from thinlayer import Structure, Surface, ThinLayer, march
 
 pytestmark = pytest.mark.few(5)
 
@@ -177,7 +178,7 @@ def test_traction_law_in_time():
             assert jump_of(history, mode) == pytest.approx(root, rel=1e-9)
         assert np.isnan(history.table["imbalance"]).all()  # it declares no energy
         assert np.isfinite(history.table["supplied"]).all()
-    with pytest.raises(ModelError, match="Slipping is a law on S, without a thickness"):
+    with pytest.raises(InputError, match="Slipping is a law on S, without a thickness"):
         Structure(joint(), **column("shear", load=0.5)).full(law)
 
 

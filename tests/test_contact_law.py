@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from forms import HolonomicCoulomb, IncrementalCoulomb, LawError, Tresca
+from forms import HolonomicCoulomb, IncrementalCoulomb, Tresca
+from forms.base import InputError
 from forms.contact import ContactLaw, Status
 from tests.refused import refused
 
@@ -211,5 +212,5 @@ class Other(HolonomicCoulomb):
     ids=lambda x: getattr(x, "kind", None),
 )
 def test_laws_of_ones_own_are_checked(law, words):
-    refused(LawError, words, law.check_threshold)
+    refused(InputError, words, law.check_threshold)
     Own(K_N, K_T, 0).check_threshold()

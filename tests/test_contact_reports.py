@@ -7,12 +7,13 @@ import pytest
 from dolfinx import fem
 from scipy.spatial.transform import Rotation
 
-from forms import LawError, LinearElastic
+from forms import LinearElastic
+from forms.base import InputError
 from studies.problems import sliding_bar
 from tests.contact_bars import bar, contact, coulomb, stacked
 from tests.pictures import assert_coloured, assert_drawn
 from tests.refused import refused
-from thinlayer import ModelError, OptionError, Structure, Surface, ThinLayer, march, plotting, solve
+from thinlayer import Structure, Surface, ThinLayer, march, plotting, solve
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, frames_at
 from thinlayer.solving.contact import dense
 
@@ -81,10 +82,10 @@ def test_pictures(tmp_path):
     for name, field in pressed.items():
         plotting.on_surface({name: solid}, field, save=tmp_path / f"{name}.png", quantity=name)
     assert_drawn(tmp_path / "two.png", tmp_path / "solid.png", tmp_path / "p.png", tmp_path / "u_N.png")
-    refused(ModelError, "nothing to draw", lambda: plotting.along(one.surface, {}))
-    refused(ModelError, "3 components", lambda: plotting.on_surface(solid, Surface.jump))
-    refused(ModelError, "is no field on S", lambda: plotting.on_surface(solid, np.array(["a"])))
-    refused(ModelError, "no state to draw", lambda: plotting.on_surface({}, Surface.status))
+    refused(InputError, "nothing to draw", lambda: plotting.along(one.surface, {}))
+    refused(InputError, "3 components", lambda: plotting.on_surface(solid, Surface.jump))
+    refused(InputError, "is no field on S", lambda: plotting.on_surface(solid, np.array(["a"])))
+    refused(InputError, "no state to draw", lambda: plotting.on_surface({}, Surface.status))
 
 
 # ------------------------------------------------------------------------ status known before
@@ -113,12 +114,12 @@ def test_a_similar_state_saves_steps(method):
 def test_refused_models():
     joint, setup = sliding_bar(4)
     law = coulomb("middle")
-    refused(LawError, "give it alone", lambda: ThinLayer(law, 0.1, profile=lambda x: 1 + x[0], at=1.0))
-    refused(ModelError, "without a thickness", lambda: Structure(joint, **setup).full(law))
-    refused(ModelError, "is for layers", lambda: Structure(joint, **setup | {"body": law}).interface(law))
-    refused(ModelError, "contact law", lambda: contact(solve(Structure(joint, **setup).bonded())))
+    refused(InputError, "give it alone", lambda: ThinLayer(law, 0.1, profile=lambda x: 1 + x[0], at=1.0))
+    refused(InputError, "without a thickness", lambda: Structure(joint, **setup).full(law))
+    refused(InputError, "is for layers", lambda: Structure(joint, **setup | {"body": law}).interface(law))
+    refused(InputError, "contact law", lambda: contact(solve(Structure(joint, **setup).bonded())))
     two, data = stacked()
-    refused(ModelError, "rigid motion", lambda: Structure(two, **data | {"supports": {}}).interface(law))
+    refused(InputError, "rigid motion", lambda: Structure(two, **data | {"supports": {}}).interface(law))
 
 
 def test_refused_solves():
@@ -128,18 +129,18 @@ def test_refused_solves():
     refused(ValueError, "condensed", lambda: solve(model, method="linear"))
     refused(ValueError, "has none", lambda: solve(elastic, method="condensed"))
     for name, value in {"relaxation_omega": 2.5, "relaxation_tolerance": 0.0, "relaxation_max_sweeps": 0}.items():
-        refused(OptionError, "allowed", solve, model, method="relaxation", options={name: value})
+        refused(InputError, "allowed", solve, model, method="relaxation", options={name: value})
     askew = Structure(joint.rotated(0.3), **setup | {"supports": {"RIGHT": {"x": 0.0}}}).interface(coulomb("middle"))
-    refused(ModelError, "supports along the axes of S at its nodes", solve, askew, method="relaxation")
+    refused(InputError, "supports along the axes of S at its nodes", solve, askew, method="relaxation")
     for options in ({"snes_type": "nonsense"}, {"snes_max_it": "many"}, {"relaxation_omga": 1.5}, {"ksp_type": "cg"}):
-        with pytest.raises(OptionError):
+        with pytest.raises(InputError):
             solve(model, method="condensed", options=options)
-    refused(ModelError, "theta", lambda: march(model, [1.0], theta=0.5))
-    refused(ModelError, "like", lambda: solve(model, like=3))
-    refused(ModelError, "for another one", lambda: solve(elastic.structure.bonded(), like=solve(elastic)))
+    refused(InputError, "theta", lambda: march(model, [1.0], theta=0.5))
+    refused(InputError, "like", lambda: solve(model, like=3))
+    refused(InputError, "for another one", lambda: solve(elastic.structure.bonded(), like=solve(elastic)))
     squared = Structure(joint, **setup | {"element": "P2"}).interface(elastic.on_seams)
-    refused(ModelError, "for another one, with the same element", lambda: solve(elastic, like=solve(squared)))
-    refused(ModelError, "unknown seam 'BED'", lambda: contact(solve(model), "BED"))
+    refused(InputError, "for another one, with the same element", lambda: solve(elastic, like=solve(squared)))
+    refused(InputError, "unknown seam 'BED'", lambda: contact(solve(model), "BED"))
     other, data = sliding_bar(5)
-    with pytest.raises(ModelError, match="same joint"):
+    with pytest.raises(InputError, match="same joint"):
         solve(model, like=solve(Structure(other, **data).interface(coulomb("middle"))))

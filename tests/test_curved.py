@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import Anisotropic, LawError, LinearElastic
-from geometry import GeometryError, block, ring, sandwich
+from forms import Anisotropic, LinearElastic
+from forms.base import InputError
+from geometry import block, ring, sandwich
 from geometry.seam import Seam
 from studies.problems import FOURIER_LAYER, fourier
 from tests.meshes import part_of
 from tests.refused import refused
-from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, observed_orders, solve
+from thinlayer import Structure, Surface, ThinLayer, compare, observed_orders, solve
 
 pytestmark = pytest.mark.few(5)
 
@@ -158,7 +159,7 @@ def test_wedge(cell):
         full = solve(Structure(joint, **setup).full(layer, bodies="extended"))
         rows.append(compare(full, solve(Structure(joint, **setup).interface(layer))))
         other = solve(Structure(joint, **setup).interface(ThinLayer(FOURIER_LAYER, e, at=1.0)))
-        refused(ModelError, "the same profile", compare, full, other)
+        refused(InputError, "the same profile", compare, full, other)
         surface = Surface(other.model)
         jump = surface.jump(other)
         uniform.append(surface.norm(surface.jump(full) - jump) / surface.norm(jump))
@@ -204,15 +205,15 @@ def test_wedge_in_three_dimensions():
 def test_profiles_are_checked(profile, message):
     joint, setup = fourier(1 / 4)
     plates, layer = Structure(joint, **setup), ThinLayer(GLUE, 0.01, profile=profile, at=1.0)
-    refused(GeometryError, message, lambda: plates.interface(layer))
-    refused(GeometryError, message, lambda: plates.full(layer, bodies="extended"))
+    refused(InputError, message, lambda: plates.interface(layer))
+    refused(InputError, message, lambda: plates.full(layer, bodies="extended"))
 
 
 def test_what_curved_and_varying_layers_cannot_do():
     joint, setup = fourier(1 / 4)
-    with pytest.raises(GeometryError, match=r"thickness varies along S.*use bodies='extended'"):
+    with pytest.raises(InputError, match=r"thickness varies along S.*use bodies='extended'"):
         Structure(joint, **setup).full(ThinLayer(GLUE, 0.01, profile=wedge, at=1.0))
-    refused(LawError, "must be a function", lambda: ThinLayer(GLUE, 0.01, profile=2.0, at=1.0))
+    refused(InputError, "must be a function", lambda: ThinLayer(GLUE, 0.01, profile=2.0, at=1.0))
 
 
 @pytest.mark.few(5)

@@ -8,7 +8,8 @@ import dolfinx
 import numpy as np
 import pytest
 
-from geometry import Domain, Joint, block, disc, inflate, ring, sandwich
+from geometry import Joint, block, disc, inflate, ring, sandwich
+from geometry.domain import Domain
 from studies import setup_time
 from tests.meshes import renumbered
 from tests.on_ranks import on_ranks

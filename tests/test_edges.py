@@ -12,19 +12,20 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import LawError, LinearElastic, Rubber
+from forms import LinearElastic, Rubber
+from forms.base import InputError
 from forms.ends import free_end
 from forms.ends.weights import EndWeights, Strips
 from forms.law import Step
 from forms.planes import Kinematics
 from forms.stations import Faces
-from geometry import GeometryError, block, faults, sandwich
+from geometry import block, faults, sandwich
 from geometry.ends import share_within, straight_ends
 from geometry.sheet import Sheet
 from tests.edges_run import structure
 from tests.meshes import grid
 from tests.refused import refused
-from thinlayer import ModelError, RigidPlate, Springs, Structure, ThinLayer, compare, estimate, observed_orders, solve
+from thinlayer import RigidPlate, Springs, Structure, ThinLayer, compare, estimate, observed_orders, solve
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.sides import FacetWeights, side_kinds
 from thinlayer.errors import RangeWarning
@@ -280,7 +281,7 @@ def test_turned_structures_are_the_same(dim):
     ("given", "message"), [({"edges": "open"}, "allowed: None, 'free', 'plain'"), ({"order": 0}, "use order=1")]
 )
 def test_other_values_are_refused(given, message):
-    with pytest.raises(LawError, match=message):
+    with pytest.raises(InputError, match=message):
         ThinLayer(**{"law": LinearElastic.young(1.0, 0.3), "eps": 0.1, "at": 1.0, "order": 1, "edges": "free"} | given)
 
 
@@ -305,7 +306,7 @@ def test_ends_are_corrected_where_they_may_be(caplog):
     works = [plates.interface(replace(warm, edges=edges)).identity() for edges in (None, "plain")]
     assert works[0] == works[1]  # unknown, and so plain
     assert models[None].with_layer(replace(layer, edges="plain")).free_ends("S").key == "plain"
-    refused(ModelError, "unknown layer 'T'", lambda: models[None].free_ends("T"))
+    refused(InputError, "unknown layer 'T'", lambda: models[None].free_ends("T"))
 
 
 # ---------------------------------------------------------------- what holds the side of a layer
@@ -401,5 +402,5 @@ def test_a_set_of_one_body_ends_where_s_begins():
     )
     assert one.u.x.array == pytest.approx(same.u.x.array, abs=1e-12)
     assert kinds(joint, {"LOW": {"x": 0.0}}) == ["free", "free"]
-    with pytest.raises(GeometryError, match="unknown facet tag 'LOW/LAYER'"):
+    with pytest.raises(InputError, match="unknown facet tag 'LOW/LAYER'"):
         Structure(joint, body=BODY, supports={"BOTTOM": 0.0, "LOW/LAYER": 0.0}).interface(layer)

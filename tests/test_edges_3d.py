@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from forms import LinearElastic
+from forms.base import InputError
 from forms.ends import free_end
 from forms.ends.weights import Strips
 from geometry.ends import straight_ends
@@ -16,7 +17,7 @@ from geometry.sheet import Sheet
 from studies.free_ends import edge, graded, grid
 from studies.problems import FOURIER_BODY as BODY
 from tests.meshes import part_of
-from thinlayer import ModelError, Structure, ThinLayer, compare, solve
+from thinlayer import Structure, ThinLayer, compare, solve
 from thinlayer.discretisation.sides import FacetWeights
 
 pytestmark = pytest.mark.few(5)
@@ -104,5 +105,5 @@ def test_strips_that_lie_on_one_another_are_refused():
         (tongue, 0.04, 0.05, "lie on one another"),
     ):
         structure, law = Structure(joint, body=BODY, supports={}, tractions={}), LinearElastic.shear(8.0, nu)
-        with pytest.raises(ModelError, match=words):
+        with pytest.raises(InputError, match=words):
             structure.interface(ThinLayer(law, eps, order=1, edges="free", at=1.0))

@@ -10,6 +10,7 @@ import ufl
 from dolfinx import fem
 
 from forms import Anisotropic, HolonomicCoulomb, Incompressible, LinearElastic, Rubber, Stack, VonMises
+from forms.base import InputError
 from forms.law import BulkLaw
 from forms.work import work
 from geometry import block, periodic, sandwich
@@ -17,7 +18,6 @@ from tests.dry_walls import dry_wall
 from tests.eigenstrain_cases import computed, numbers
 from tests.refused import refused
 from thinlayer import (
-    ModelError,
     Prestress,
     Structure,
     Surface,
@@ -362,7 +362,7 @@ def test_temperatures_that_do_not_cover_the_bodies_or_are_no_scalars_are_refused
         (computed(lambda x: x[:2], ("Lagrange", 1, (2,))), "it needs a finite number"),
     ):
         hot = Structure(FLAT, body=LAW, supports={"BOTTOM": 0.0}, eigenstrain=ThermalExpansion(1e-3, T))
-        refused(ModelError, message, hot.bonded)
+        refused(InputError, message, hot.bonded)
 
 
 @pytest.mark.few(1)
@@ -385,21 +385,21 @@ def test_temperatures_that_do_not_cover_the_bodies_or_are_no_scalars_are_refused
     ],
 )
 def test_refused(given, match):
-    refused(ModelError, match, lambda: Structure(FLAT, body=LAW, supports=ROLLERS, eigenstrain=given).bonded())
+    refused(InputError, match, lambda: Structure(FLAT, body=LAW, supports=ROLLERS, eigenstrain=given).bonded())
 
 
 def test_refused_helpers():
     for alpha in ((1.0, 2.0), np.nan, "x", ((1.0, 2.0, 0), (0, 1.0, 0), (0, 0, 1.0))):
-        refused(ModelError, r"alpha|symmetric", ThermalExpansion, alpha, 1.0)
-    refused(ModelError, "T is 'warm'", lambda: ThermalExpansion(1.0, "warm"))
+        refused(InputError, r"alpha|symmetric", ThermalExpansion, alpha, 1.0)
+    refused(InputError, "T is 'warm'", lambda: ThermalExpansion(1.0, "warm"))
     hot = Structure(FLAT, body=LAW, supports=ROLLERS, eigenstrain=ThermalExpansion(1.0, lambda x, t: 1 / (t - 1)))
-    refused(ModelError, "eigenstrain of the bodies is not finite at t = 1", lambda: solve(hot.bonded(), 1.0))
+    refused(InputError, "eigenstrain of the bodies is not finite at t = 1", lambda: solve(hot.bonded(), 1.0))
     out = Structure(FLAT, body=LAW, supports=ROLLERS, plane="stress", eigenstrain=Prestress(1.0))
-    refused(ModelError, "out of the plane", lambda: out.bonded())
+    refused(InputError, "out of the plane", lambda: out.bonded())
     plates = Structure(FLAT, body=LAW, supports=ROLLERS)
     stacked = ThinLayer(Stack((0.3, GLUE), (0.7, LAW)), 0.1, eigenstrain=Prestress(1.0), at=1.0)
-    refused(ModelError, "the layer: its sublayers have stiffnesses", lambda: plates.interface(stacked))
-    with pytest.raises(ModelError, match=r"no strain of .* causes some stresses"):
+    refused(InputError, "the layer: its sublayers have stiffnesses", lambda: plates.interface(stacked))
+    with pytest.raises(InputError, match=r"no strain of .* causes some stresses"):
         plates.interface(ThinLayer(Anisotropic.springs(K_N=2.0, K_T=1.0), 0.1, eigenstrain=Prestress(1.0), at=1.0))
 
 

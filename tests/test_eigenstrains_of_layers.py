@@ -8,6 +8,7 @@ import pytest
 import ufl
 
 from forms import BulkLaw, Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulomb, Rubber, Stack
+from forms.base import InputError
 from forms.elastic import lame
 from geometry import sandwich
 from studies.problems import FOURIER_LAYER, fourier
@@ -15,7 +16,6 @@ from tests.own_laws import layer_of
 from tests.refused import refused
 from thinlayer import (
     Adaptive,
-    ModelError,
     Prestress,
     Structure,
     Surface,
@@ -241,7 +241,7 @@ def test_a_march_goes_on_where_it_was_cut(tmp_path):
     assert np.abs(again.last.u.x.array - whole.last.u.x.array).max() < 1e-14 * np.abs(whole.last.u.x.array).max()
     assert again.table["supplied"] == pytest.approx(whole.table["supplied"], rel=1e-10)
     other = model("full", Maxwell(70.0, 50.0, t1=0.8), ThermalExpansion(-2e-3, lambda x, t: ufl.sin(t)), HELD)
-    refused(ModelError, "eigenstrain", lambda: march(other, [0.5, 1.0, 1.5], out=tmp_path / "run", resume=True))
+    refused(InputError, "eigenstrain", lambda: march(other, [0.5, 1.0, 1.5], out=tmp_path / "run", resume=True))
 
 
 def test_adaptive_steps_follow_shrinkage_and_end_at_its_breaks():
@@ -254,9 +254,9 @@ def test_adaptive_steps_follow_shrinkage_and_end_at_its_breaks():
 
 
 def test_refused():
-    refused(ModelError, "the eigenstrain of the layer is 'much'", lambda: model("full", GLUE, "much"))
+    refused(InputError, "the eigenstrain of the layer is 'much'", lambda: model("full", GLUE, "much"))
     refused(
-        ModelError, "the eigenstrain of the layer is nan; it needs a finite number", lambda: model("full", GLUE, np.nan)
+        InputError, "the eigenstrain of the layer is nan; it needs a finite number", lambda: model("full", GLUE, np.nan)
     )
     late = model("full", GLUE, ThermalExpansion(1e-3, piecewise({0: 0.0, 1: 1.0})))
-    refused(ModelError, "eigenstrain of the layer is not finite at t = 2", lambda: march(late, [2.0]))
+    refused(InputError, "eigenstrain of the layer is not finite at t = 2", lambda: march(late, [2.0]))

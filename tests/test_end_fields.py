@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from forms.declarations import LawError
+from forms.base import InputError
 from forms.ends import free_end
 from forms.ends.end_fields import EVEN, Corner, EndFields, end_fields
 from tests.refused import refused
@@ -134,5 +134,5 @@ def test_fields_are_mirrored():
 def test_fields_are_kept_and_ratios_out_of_range_refused():
     assert end_fields(0.31) is end_fields(0.31)
     for make in (Corner, end_fields):
-        refused(LawError, r"from 0 to 0\.5", make, 0.51)
+        refused(InputError, r"from 0 to 0\.5", make, 0.51)
     assert np.isnan(EndFields(0.0).strengths).all()

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from forms import LinearElastic
+from forms.base import InputError
 from geometry import sandwich
 from tests.on_ranks import on_ranks
 from tests.refused import refused
-from thinlayer import ModelError, SolveError, Structure, Surface, Table, ThinLayer, ensemble, solve
+from thinlayer import SolveError, Structure, Surface, Table, ThinLayer, ensemble, solve
 
 RUNS = [{"mu": 40.0 + 7 * k, "where": "left" if k % 2 else "right"} for k in range(5)]
 
@@ -127,13 +128,13 @@ def test_only_the_same_ensemble_is_resumed(tmp_path, monkeypatch):
     out = tmp_path / "t.csv"
     ensemble(scaled, CASES, out)
     monkeypatch.setattr("tests.test_ensembles.FACTOR", 4.0)
-    with pytest.raises(ModelError, match=r"is the table of another ensemble \(.*FACTOR: 3\.0 there, 4\.0 here"):
+    with pytest.raises(InputError, match=r"is the table of another ensemble \(.*FACTOR: 3\.0 there, 4\.0 here"):
         ensemble(scaled, CASES, out, resume=True)
     monkeypatch.undo()
-    with pytest.raises(ModelError, match=r"is the table of other cases \(run 1: E = 2\.5 there"):
+    with pytest.raises(InputError, match=r"is the table of other cases \(run 1: E = 2\.5 there"):
         ensemble(scaled, [case | {"E": case["E"] ** 2 / 1.5} for case in CASES], out, resume=True)
     assert ensemble(scaled, CASES, out, resume=True)["scaled"][0] == 4.5
-    refused(ModelError, r"another ensemble .* or resume='anyway'", ensemble, doubled, CASES, out, resume=True)
+    refused(InputError, r"another ensemble .* or resume='anyway'", ensemble, doubled, CASES, out, resume=True)
     assert ensemble(doubled, CASES, out, resume="anyway")["scaled"][0] == 4.5  # no row is left to compute
     assert ensemble(doubled, CASES[:2], out)["double"].tolist() == [3.0, 5.0]  # another one moves it away
     assert (tmp_path / "previous-1" / "t.csv").exists()
@@ -178,7 +179,7 @@ def test_rows_drawn_from_a_generator_that_goes_on_are_not_resumed(tmp_path, make
     first = ensemble(make(1), CASES[:3], tmp_path / "t.csv")
     assert len({*first["u"]}) == 3
     for seed in (1, 5):
-        with pytest.raises(ModelError, match=r"generator of random numbers that goes on .* from a number of the case"):
+        with pytest.raises(InputError, match=r"generator of random numbers that goes on .* from a number of the case"):
             ensemble(make(seed), CASES[:3], tmp_path / "t.csv", resume=True)
     assert ensemble(make(5), CASES[:3], tmp_path / "t.csv", resume="anyway").rows == first.rows
     assert ensemble(make(1), CASES[:3], tmp_path / "t.csv").rows == first.rows
@@ -187,7 +188,7 @@ def test_rows_drawn_from_a_generator_that_goes_on_are_not_resumed(tmp_path, make
 def test_parts_that_would_draw_the_same_are_told(tmp_path):
     """So are groups: each part makes a generator of its own, from the same seed."""
     for part in (0, 1):
-        with pytest.raises(ModelError, match="groups and parts of an ensemble draw the same numbers"):
+        with pytest.raises(InputError, match="groups and parts of an ensemble draw the same numbers"):
             ensemble(only_the_run_draws(1), CASES, tmp_path / "t.csv", resume=True, part=(part, 2))
 
 
@@ -228,4 +229,4 @@ def test_rows_drawn_from_seeds_of_their_cases_are_resumed(tmp_path, generator):
     ],
 )
 def test_bad_input_is_told(change, what):
-    refused(ModelError, what, lambda: ensemble(**{"make": doubled, "cases": CASES} | change))
+    refused(InputError, what, lambda: ensemble(**{"make": doubled, "cases": CASES} | change))

@@ -11,6 +11,7 @@ import pytest
 import ufl
 
 from forms import LinearElastic, Maxwell, MohrCoulomb, Norton, Stack, VonMises
+from forms.base import InputError
 from geometry import sandwich
 from geometry.sheet import Rim
 from tests.estimate_run import EPS, GLUE, KINDS, LOWER, estimated, several, structure, total
@@ -19,7 +20,6 @@ from tests.own_laws import Cubic
 from tests.pictures import assert_drawn
 from tests.refused import refused
 from thinlayer import (
-    ModelError,
     RangeWarning,
     Structure,
     Surface,
@@ -128,7 +128,7 @@ def test_a_history_is_marched_again():
     assert total(found, "compliance") == pytest.approx(found.goals["compliance"].change, rel=1e-3)
     at_once = estimate(solve(made.interface(ThinLayer(LinearElastic(1.2, 2.0), EPS / 2, at=1.0)), 0.8))
     assert at_once.goals["compliance"].change / true < 0.6
-    with pytest.raises(ModelError, match="marched with theta"):
+    with pytest.raises(InputError, match="marched with theta"):
         estimate(march(made.interface(layer), [0.5, 1.0], theta=0.5))
 
 
@@ -370,7 +370,7 @@ def test_thin_enough_passes_on_what_its_estimate_says(monkeypatch):
 )
 def test_thin_enough_refuses(tolerance, goal, message):
     layer = ThinLayer(LinearElastic.young(30.0, 0.3), EPS)
-    refused(ModelError, message, lambda: thin_enough(structure("between"), layer, tolerance, goal))
+    refused(InputError, message, lambda: thin_enough(structure("between"), layer, tolerance, goal))
 
 
 def test_a_law_without_an_energy_has_a_noise():
@@ -402,7 +402,7 @@ def test_what_has_no_estimate():
         (lambda: thin_enough(limit.model, layer, 0.1), "takes a Structure"),
         (lambda: thin_enough(made, layer, 0.1, bonded=True, bodies="extended"), "meet on S"),
     ]:
-        refused(ModelError, message, given)
+        refused(InputError, message, given)
 
 
 # ---------------------------------------------------------------- pictures, units, ranks
@@ -445,7 +445,7 @@ def test_states_and_supports_that_have_no_estimate():
     creeping = Structure(joint, supports={"BOTTOM": 0}, **given).interface(
         ThinLayer(Maxwell(3.0, 2.0, 0.5), EPS, at=1.0)
     )
-    refused(ModelError, "give the history", lambda: estimate(march(creeping, [0.4]).last))
+    refused(InputError, "give the history", lambda: estimate(march(creeping, [0.4]).last))
     both = Structure(joint, supports={"BOTTOM": 0, "LEFT": 0, "LEFT/LAYER": 0}, **given)
     assert estimate(solve(both.interface(ThinLayer(GLUE, EPS, at=1.0)))).traction > 0  # the bodies are held there, too
     free = Structure(joint, body=LOWER, supports={"BOTTOM": {"y": 0}, (0.0, -0.3): {"x": 0}}, eigenstrain=0.01)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from forms import HolonomicCoulomb, Incompressible, KelvinVoigt, LinearElastic, MohrCoulomb, Norton
+from forms.base import InputError
 from geometry import sandwich
 from tests.refused import refused
-from thinlayer import ModelError, RigidPlate, Springs, Structure, ThinLayer, march, piecewise, solve
+from thinlayer import RigidPlate, Springs, Structure, ThinLayer, march, piecewise, solve
 from thinlayer.solving.solvers import Solver
 
 JOINT = sandwich(width=2.0, lower=0.5, upper=0.7, h=0.25, structured=True)
@@ -109,18 +110,18 @@ def test_a_meshed_layer_keeps_its_shape():
     same = ThinLayer(LinearElastic(20.0, 30.0), 0.01, at=1.0)
     assert apart(solve(first.with_layer(same)), solve(joined().full(same))) < 1e-11
     with pytest.raises(
-        ModelError, match=r"made room for a layer 'S' of .* \(0\.01, None, \(\)\), not \(0\.03, None, \(\)\)"
+        InputError, match=r"made room for a layer 'S' of .* \(0\.01, None, \(\)\), not \(0\.03, None, \(\)\)"
     ):
         first.with_layer(SOFT)
-    with pytest.raises(ModelError, match="is a law on S, without a thickness"):
+    with pytest.raises(InputError, match="is a law on S, without a thickness"):
         first.with_layer(HolonomicCoulomb(60.0, 40.0, friction=0.3))
 
 
 def test_supports_keep_their_places():
     first = joined().interface(GLUE)
-    with pytest.raises(ModelError, match=r"supports hold .*those of the model .*build another structure"):
+    with pytest.raises(InputError, match=r"supports hold .*those of the model .*build another structure"):
         first.with_loads(supports={"BOTTOM": 0, "TOP": {"y": 0.003}})
-    refused(ModelError, "traction on 'TOP' is", lambda: first.with_loads(tractions={"TOP": (1.0,)}))
+    refused(InputError, "traction on 'TOP' is", lambda: first.with_loads(tractions={"TOP": (1.0,)}))
 
 
 def test_break_times_are_those_of_ones_own_loads():
@@ -138,7 +139,7 @@ def test_supports_of_a_derived_model_that_contradict_a_plate():
     first = joined(supports=supports[0], **data).interface(GLUE)
     solve(first.with_loads(body_force=(0.0, -0.1)))
     for model in (first.with_loads(supports=supports[1]), joined(supports=supports[1], **data).interface(GLUE)):
-        refused(ModelError, r"'LEFT/UPPER' prescribes x = 0\.002 and the plate TOP", solve, model)
+        refused(InputError, r"'LEFT/UPPER' prescribes x = 0\.002 and the plate TOP", solve, model)
 
 
 def test_other_motions_of_supports_beside_a_plate():

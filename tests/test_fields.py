@@ -9,6 +9,7 @@ import pytest
 import pyvista
 
 from forms import LinearElastic, Maxwell, MohrCoulombMonodirectional, NonMonotoneUnrelaxed, Stack
+from forms.base import InputError
 from geometry import sandwich
 from studies.problems import phases_on_s
 from tests.fields_run import (
@@ -28,7 +29,7 @@ from tests.fields_run import (
 )  # fmt: skip
 from tests.on_ranks import on_ranks
 from tests.refused import refused
-from thinlayer import ModelError, Structure, Surface, ThinLayer, fields, march, solve
+from thinlayer import Structure, Surface, ThinLayer, fields, march, solve
 
 pytestmark = pytest.mark.few(5)
 
@@ -288,7 +289,7 @@ def test_files_on_a_full_disk(tmp_path, monkeypatch):
     for kind in ("pvd", "bp"):
         with pytest.raises(OSError, match="disk is full"):
             fields.write(state, tmp_path / f"b.{kind}")
-    refused(ModelError, r"allowed endings: \.pvd", lambda: fields.write(state, tmp_path / "u.xdmf"))
+    refused(InputError, r"allowed endings: \.pvd", lambda: fields.write(state, tmp_path / "u.xdmf"))
 
 
 def test_surface_agrees_with_the_file(written):

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from forms import KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, VonMises
+from forms.base import InputError
 from geometry import sandwich
 from tests.dry_walls import dry_wall
 from tests.fields_run import BODY, EPS, K
 from tests.refused import refused
 from tests.test_fields import last
-from thinlayer import ModelError, Structure, Surface, ThermalExpansion, ThinLayer, fields, march, solve
+from thinlayer import Structure, Surface, ThermalExpansion, ThinLayer, fields, march, solve
 
 L, M, NU = BODY.lmbda, BODY.mu, BODY.lmbda / (2 * (BODY.lmbda + BODY.mu))
 ROLLERS = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
@@ -142,6 +143,6 @@ def test_s_of_a_meshed_layer(tmp_path):
     assert list(on_s.cell_data) == ["seam"]
     other = Surface(Structure(strips(), body=BODY, supports={"BOTTOM": 0.0}).interface(ThinLayer(K, EPS, at=1.0)))
     for wrong, path in ((other, "a.pvd"), (surface, "a.bp")):
-        with pytest.raises(ModelError, match=r"for \.pvd files, and of an interface model of the same joint"):
+        with pytest.raises(InputError, match=r"for \.pvd files, and of an interface model of the same joint"):
             fields.write(full, tmp_path / path, surface=wrong)
-    refused(ModelError, "give Surface", lambda: fields.write(full, tmp_path / "a.pvd", surface=limit))
+    refused(InputError, "give Surface", lambda: fields.write(full, tmp_path / "a.pvd", surface=limit))

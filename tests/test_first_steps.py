@@ -7,8 +7,9 @@ import pytest
 import ufl
 
 from forms import Norton
+from forms.base import InputError
 from tests.viscous_joints import JOINT, SETUP, SLOW, SUDDEN, interface
-from thinlayer import Adaptive, ArcLength, ModelError, SolveError, Structure, ThinLayer, march, piecewise
+from thinlayer import Adaptive, ArcLength, SolveError, Structure, ThinLayer, march, piecewise
 
 pytestmark = pytest.mark.few(5)
 
@@ -70,7 +71,7 @@ def test_steps_after_rest_go_on_where_they_were(tmp_path):
     ],
 )
 def test_steps_that_are_lost_in_rounding_are_refused(times, start):
-    with pytest.raises(ModelError, match="lost in rounding"):
+    with pytest.raises(InputError, match="lost in rounding"):
         march(interface(), times, start=start)
 
 
@@ -90,9 +91,9 @@ def test_times_far_apart_and_near_zero():
 
 def test_errors_of_ours_in_what_is_observed_say_themselves_what_is_allowed(tmp_path):
     model = interface()
-    with pytest.raises(ModelError) as caught:
+    with pytest.raises(InputError) as caught:
         march(model, [0.1], out=tmp_path, observe={"again": lambda state: len(march(model, [0.1], out=tmp_path))})
     assert "observe['again'] at t = " in str(caught.value)
     assert "returns a number" not in str(caught.value)
-    with pytest.raises(ModelError, match="no real number"):
+    with pytest.raises(InputError, match="no real number"):
         march(model, [0.1], observe={"complex": lambda state: np.complex128(1 + 2j)})

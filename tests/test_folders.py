@@ -15,13 +15,14 @@ import pytest
 from matplotlib.figure import Figure
 
 import thinlayer.running.record
+from forms.base import InputError
 from studies import rates
 from tests.folders_run import same_errors
 from tests.on_ranks import on_ranks
 from tests.ranks import CLONE
 from tests.refused import refused
 from tests.viscous_joints import SUDDEN, interface
-from thinlayer import ModelError, Table, march, plotting, sweep
+from thinlayer import Table, march, plotting, sweep
 from thinlayer.running import cli
 from thinlayer.running.record import Record
 from thinlayer.system.folder import owned
@@ -44,7 +45,7 @@ def fail_to_write(*_):
 # ---------------------------------------------------------------- marches
 def test_a_march_leaves_other_tables_alone(tmp_path):
     (tmp_path / "table.csv").write_text("a,b\n1,2\n")
-    refused(ModelError, r"has a table\.csv of something else", lambda: march(interface(), [0.1], out=tmp_path))
+    refused(InputError, r"has a table\.csv of something else", lambda: march(interface(), [0.1], out=tmp_path))
     assert (tmp_path / "table.csv").read_text() == "a,b\n1,2\n"
 
 
@@ -65,7 +66,7 @@ def test_the_second_run_at_a_time_is_refused(tmp_path):
         words = [sys.executable, "-c", program, str(out / name)]
         with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as first:
             assert first.stdout.readline() == "locked\n"
-            with pytest.raises(ModelError, match=r"^another run \(process 123 on there\) is writing into"):
+            with pytest.raises(InputError, match=r"^another run \(process 123 on there\) is writing into"):
                 march(interface(), [0.1], out=out) if name == ".lock" else sweep(row, [0.2], out / "t.csv")
             first.send_signal(signal.SIGKILL)
     assert sorted(path.name for path in out.iterdir()) == [".lock", ".t.csv.lock"]
@@ -76,10 +77,10 @@ def test_the_second_run_at_a_time_is_refused(tmp_path):
 
 def test_a_lock_of_this_process_and_folders_for_nothing(tmp_path):
     out = tmp_path / "a" / "b"
-    with owned(out), pytest.raises(ModelError, match=f"process {os.getpid()} on "), Record("s", out, {}):
+    with owned(out), pytest.raises(InputError, match=f"process {os.getpid()} on "), Record("s", out, {}):
         pass
     assert not (tmp_path / "a").exists()
-    refused(ModelError, r"no files can be written in .*: ", lambda: march(interface(), [0.1], out="/proc/no/such"))
+    refused(InputError, r"no files can be written in .*: ", lambda: march(interface(), [0.1], out="/proc/no/such"))
 
 
 def test_a_lock_is_that_of_the_file_which_is_there(tmp_path, monkeypatch):
@@ -93,7 +94,7 @@ def test_a_lock_is_that_of_the_file_which_is_there(tmp_path, monkeypatch):
         flock(file, flags)
 
     monkeypatch.setattr(fcntl, "flock", late)
-    with owned(tmp_path), pytest.raises(ModelError, match="another run"), owned(tmp_path):
+    with owned(tmp_path), pytest.raises(InputError, match="another run"), owned(tmp_path):
         pass
 
 
@@ -119,7 +120,7 @@ def test_the_table_of_another_sweep_is_not_adopted(tmp_path, monkeypatch):
     before = path.read_bytes()
     monkeypatch.setitem(globals(), "FACTOR", 3.0)
     with pytest.raises(
-        ModelError,
+        InputError,
         match=r"is the table of another sweep \(row\.scaled\.FACTOR: 2\.0 there, 3\.0 here\); give another name",
     ):
         sweep(run, [0.4, 0.2, 0.1], path, resume=True)
@@ -128,9 +129,9 @@ def test_the_table_of_another_sweep_is_not_adopted(tmp_path, monkeypatch):
     assert (tmp_path / "previous-1" / "t.csv").read_bytes() == before
     beside = tmp_path / "t.csv.json"
     beside.write_text(beside.read_text().replace("0.4", "0.5"))
-    refused(ModelError, r"t\.csv\.json' cannot be read", lambda: sweep(run, [0.4], path, resume=True))
+    refused(InputError, r"t\.csv\.json' cannot be read", lambda: sweep(run, [0.4], path, resume=True))
     beside.unlink()
-    refused(ModelError, "that tells what it is made from", lambda: sweep(run, [0.4], path, resume=True))
+    refused(InputError, "that tells what it is made from", lambda: sweep(run, [0.4], path, resume=True))
 
 
 class Study:
@@ -148,7 +149,7 @@ def test_what_changes_beside_it_does_not_hide_what_a_sweep_is_made_from(tmp_path
     sweep(run, [0.4, 0.2], path)
     for again in (Study(60.0).run, run):
         assert len(sweep(again, [0.4, 0.2, 0.1], path, resume=True)) == 3
-    with pytest.raises(ModelError, match=r"is the table of another sweep \(.*E: 60\.0 there, 120\.0 here"):
+    with pytest.raises(InputError, match=r"is the table of another sweep \(.*E: 60\.0 there, 120\.0 here"):
         sweep(Study(120.0).run, [0.4, 0.2, 0.1], path, resume=True)
 
 
@@ -166,7 +167,7 @@ def test_what_changes_beside_it_does_not_hide_what_a_sweep_is_made_from(tmp_path
     ],
 )
 def test_rows_that_do_not_fit(change, problem):
-    with pytest.raises(ModelError, match=rf"run\(0\.1\) returns.* {problem}"):
+    with pytest.raises(InputError, match=rf"run\(0\.1\) returns.* {problem}"):
         sweep(lambda e: row(e) | (change if e == 0.1 else {}), [0.4, 0.1])
 
 
@@ -202,7 +203,7 @@ def test_an_older_run_is_moved_away_and_never_mixed(tmp_path):
     assert {path.name: path.read_bytes() for path in (tmp_path / "previous-1").iterdir()} == first
     table = study(tmp_path, {"b": 2.0}, resume=True)
     assert list(table["b"]) == [2.0, 2.0]
-    refused(ModelError, r"options\.b: 2\.0 there, 3\.0 here", lambda: study(tmp_path, {"b": 3.0}, resume=True))
+    refused(InputError, r"options\.b: 2\.0 there, 3\.0 here", lambda: study(tmp_path, {"b": 3.0}, resume=True))
     study(tmp_path, {"b": 3.0})
     assert {path.name for path in (tmp_path / "previous-2").iterdir()} == first.keys()
 
@@ -228,9 +229,9 @@ def test_bad_input_leaves_the_older_run_where_it_was(tmp_path):
         with Record("s", tmp_path, {"b": 2.0}) as record:
             record.path("table.csv")
             assert {path.name for path in tmp_path.iterdir()} == {".lock", "previous-1", "run.json"}
-            raise ModelError("bad")
+            raise InputError("bad")
 
-    refused(ModelError, "bad", begun)
+    refused(InputError, "bad", begun)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
@@ -239,29 +240,29 @@ def test_only_the_same_run_is_resumed(tmp_path, monkeypatch):
     run = json.loads((tmp_path / "run.json").read_text())
     assert run["petsc"].keys() == {"options", "PETSC_OPTIONS"}
     monkeypatch.setattr(thinlayer.running.record, "code", lambda: "0123456789ab")
-    refused(ModelError, r"another one \(code: ", lambda: study(tmp_path, {"b": 1.0}, resume=True))
+    refused(InputError, r"another one \(code: ", lambda: study(tmp_path, {"b": 1.0}, resume=True))
     monkeypatch.undo()
     options = {"options": {"-thinlayer_snes_rtol": "0.9"}, "PETSC_OPTIONS": ""}
     monkeypatch.setattr(thinlayer.running.record, "petsc_options", lambda: options)
-    with pytest.raises(ModelError, match=r"petsc\.-thinlayer_snes_rtol: nothing there, 0\.9 here"):
+    with pytest.raises(InputError, match=r"petsc\.-thinlayer_snes_rtol: nothing there, 0\.9 here"):
         study(tmp_path, {"b": 1.0}, resume=True)
     monkeypatch.undo()
     for text in ("[]", "{", '{"study": "s", "options": 3}', "\xff"):
         (tmp_path / "run.json").write_bytes(text.encode("latin-1"))
-        with pytest.raises(ModelError, match=r"run\.json cannot be read"):
+        with pytest.raises(InputError, match=r"run\.json cannot be read"):
             study(tmp_path, {"b": 1.0}, resume=True)
     (tmp_path / "run.json").unlink()
     for resume in (True, False):
-        with pytest.raises(ModelError, match=r"has tables \(more\.csv, table\.csv\) and no run\.json"):
+        with pytest.raises(InputError, match=r"has tables \(more\.csv, table\.csv\) and no run\.json"):
             study(tmp_path, {"b": 1.0}, resume=resume)
 
 
 def test_other_tables_are_not_drawn(tmp_path):
     study(tmp_path, {"b": 1.0})
     Record("s", tmp_path, {}).check_drawn()
-    refused(ModelError, "is of the study s, not t", lambda: Record("t", tmp_path, {}).check_drawn())
+    refused(InputError, "is of the study s, not t", lambda: Record("t", tmp_path, {}).check_drawn())
     (tmp_path / "table.csv").write_text("eps,error_traction,error_jump\n0.1,1,1\n")
-    with pytest.raises(ModelError, match=r"table\.csv is not the table that the run in .* wrote"):
+    with pytest.raises(InputError, match=r"table\.csv is not the table that the run in .* wrote"):
         Record("s", tmp_path, {}).check_drawn()
 
 
@@ -336,7 +337,7 @@ def test_texts_are_read_whatever_the_locale():
 # ---------------------------------------------------------------- damage
 def test_names_of_files_that_cannot_be():
     for run in (lambda out: march(interface(SUDDEN), [0.1], out=out), lambda out: sweep(row, [0.4], out)):
-        refused(ModelError, r"no files can be written .*null", run, "a\0b")
+        refused(InputError, r"no files can be written .*null", run, "a\0b")
 
 
 def test_damaged_marches(tmp_path):
@@ -354,7 +355,7 @@ def test_damaged_marches(tmp_path):
     ):
         assert spoilt != whole[path]
         path.unlink() if spoilt is None else path.write_bytes(spoilt)
-        with pytest.raises(ModelError, match=rf"{path.name}'? (cannot be read|is lost or damaged)"):
+        with pytest.raises(InputError, match=rf"{path.name}'? (cannot be read|is lost or damaged)"):
             march(interface(SUDDEN), [0.3], out=tmp_path, resume=True)
         path.write_bytes(whole[path])
     assert len(march(interface(SUDDEN), [0.1, 0.2, 0.3], out=tmp_path, resume=True)) == 4
@@ -364,8 +365,8 @@ def test_damaged_marches(tmp_path):
 def test_damaged_tables(tmp_path, text):
     path = tmp_path / "t.csv"
     path.write_bytes(text)
-    refused(ModelError, r"cannot be read as a table|is no whole table", lambda: Table.load(path))
-    with pytest.raises(ModelError):
+    refused(InputError, r"cannot be read as a table|is no whole table", lambda: Table.load(path))
+    with pytest.raises(InputError):
         plotting.rates(path)
 
 

@@ -15,7 +15,7 @@ import pytest
 import ufl
 
 from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, TractionLaw
-from forms.declarations import LawError
+from forms.base import InputError
 from studies.problems import FOURIER_LAYER, fourier
 from tests import reference
 from tests.own_laws import layer_of
@@ -320,7 +320,7 @@ def test_the_printed_law_of_maxwell_layers_is_refused():
     """Eq. (19) prints a normal stiffness -E nu/(1 - nu): layers that are pulled would close."""
     joint, setup = fourier(H, cell="quadrilateral")
     printed = Relaxing(E / (1 + NU), -E * NU / (1 - NU), 0.7, 0.7)
-    with pytest.raises(LawError, match=r"the stiffness at rest is negative, .* is -44\.57"):
+    with pytest.raises(InputError, match=r"the stiffness at rest is negative, .* is -44\.57"):
         Structure(joint, **setup).interface(layer_of(printed, 0.1))
 
 

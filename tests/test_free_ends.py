@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from forms.declarations import LawError
+from forms.base import InputError
 from forms.ends import free_end
 from forms.ends.constants import COLUMNS, flow_factor, nodes, shipped
 from forms.ends.half_strip import half_strip
@@ -101,4 +101,4 @@ def test_the_factor_of_the_flow():
 @pytest.mark.parametrize("nu", [-0.1, 0.51, math.nan])
 def test_other_ratios_are_refused(nu):
     for solve in (free_end, half_strip):
-        refused(LawError, r"from 0 to 0\.5", solve, nu)
+        refused(InputError, r"from 0 to 0\.5", solve, nu)

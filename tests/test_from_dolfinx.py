@@ -11,7 +11,9 @@ from dolfinx import mesh
 from mpi4py import MPI
 
 from forms import LinearElastic
-from geometry import Domain, GeometryError, Joint, block, disc, from_dolfinx, read, ring, sandwich
+from forms.base import InputError
+from geometry import Joint, block, disc, from_dolfinx, read, ring, sandwich
+from geometry.domain import Domain
 from geometry.seam import Seam
 from tests.meshes import CELLS, drawing, model_to_mesh, rings, stack, volume
 from tests.on_ranks import on_ranks
@@ -124,7 +126,7 @@ def errors() -> list[list[str]]:
     ):
         try:
             from_dolfinx(*data, **names if len(data) > 1 else {}, upper=upper)
-        except GeometryError as found:
+        except InputError as found:
             said.append(str(found))
     return COMM.allgather(said)
 
@@ -245,7 +247,7 @@ def test_refused(change, message):
         given["cell_tags"] = strip()[1]
     if given.pop("floats", False):
         given["cell_tags"] = mesh.meshtags(plane, 2, bodies.indices, bodies.values.astype(float))
-    with pytest.raises(GeometryError, match=message):
+    with pytest.raises(InputError, match=message):
         from_dolfinx(given.pop("mesh"), given.pop("cell_tags"), given.pop("facet_tags"), **given)
 
 
@@ -274,7 +276,7 @@ UNUSABLE = {
 @pytest.mark.parametrize("name", UNUSABLE)
 def test_unusable_meshes(name):
     make, message = UNUSABLE[name]
-    refused(GeometryError, message, lambda: on_its_boundary(make()))
+    refused(InputError, message, lambda: on_its_boundary(make()))
 
 
 def on_its_boundary(m):

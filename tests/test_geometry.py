@@ -9,7 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geometry import Domain, GeometryError, Joint, block, inflate, sandwich
+from forms.base import InputError
+from geometry import Joint, block, inflate, sandwich
+from geometry.domain import Domain
 from geometry.topology import FacetTable, node_jacobians
 from tests.refused import refused
 
@@ -69,7 +71,7 @@ def test_names():
     assert not set(domain.values("LEFT")) & set(domain.values("LEFT/LAYER"))
     assert set(domain.values("LEFT", layer_sides=True)) == set(domain.values("LEFT")) | set(domain.values("LEFT/LAYER"))
     assert Domain.of(SANDWICH).values("LEFT/LAYER") == ()
-    refused(GeometryError, r"did you mean 'LEFT'.*RIGHT", lambda: domain.values("LEFTT"))
+    refused(InputError, r"did you mean 'LEFT'.*RIGHT", lambda: domain.values("LEFTT"))
 
 
 @pytest.mark.parametrize(
@@ -90,12 +92,12 @@ def test_names():
     ],
 )
 def test_inflation_errors(change, message):
-    refused(GeometryError, message, lambda: inflate(SANDWICH, **({"eps": 0.1} | change)))
+    refused(InputError, message, lambda: inflate(SANDWICH, **({"eps": 0.1} | change)))
 
 
 def test_places_and_angles_are_numbers():
-    refused(GeometryError, "angle is nan", lambda: SANDWICH.rotated(float("nan")))
-    refused(GeometryError, r"point 3\.0 is not a place; give 2 coordinates", lambda: SANDWICH.nearest_point(3.0))
+    refused(InputError, "angle is nan", lambda: SANDWICH.rotated(float("nan")))
+    refused(InputError, r"point 3\.0 is not a place; give 2 coordinates", lambda: SANDWICH.nearest_point(3.0))
 
 
 def test_s_must_separate_two_bodies():
@@ -110,9 +112,9 @@ def test_s_must_separate_two_bodies():
         ({"TOP": np.array([[0, 1]])}, "not facets of the mesh"),
     ):
         changed = SANDWICH.facets | facets
-        refused(GeometryError, message, lambda given=changed: inflate(replace(SANDWICH, facets=given), 0.1))
-    refused(GeometryError, "no facets named 'S'", lambda: replace(SANDWICH, facets={"TOP": SANDWICH.facets["TOP"]}))
-    refused(GeometryError, "already", lambda: inflate(inflate(SANDWICH, 0.1), 0.1))
+        refused(InputError, message, lambda given=changed: inflate(replace(SANDWICH, facets=given), 0.1))
+    refused(InputError, "no facets named 'S'", lambda: replace(SANDWICH, facets={"TOP": SANDWICH.facets["TOP"]}))
+    refused(InputError, "already", lambda: inflate(inflate(SANDWICH, 0.1), 0.1))
 
 
 def test_facet_table_refuses_three_cells_at_a_facet():
@@ -127,4 +129,4 @@ def test_planar_to_seven_digits():
     assert np.ptp(rounded.interface_normals, axis=0).max() > 1e-9
     inflate(rounded, 0.1)
     bent = exact.points + 1e-3 * np.sin(3 * exact.points[:, :1]) * np.array([[0.0, 1.0]])
-    refused(GeometryError, "S is not planar", lambda: inflate(replace(exact, points=bent), 0.1))
+    refused(InputError, "S is not planar", lambda: inflate(replace(exact, points=bent), 0.1))

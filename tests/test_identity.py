@@ -22,8 +22,9 @@ import scipy.stats
 import ufl
 
 from forms import LinearElastic
+from forms.base import InputError
 from tests.viscous_joints import JOINT, SETUP, SLOW
-from thinlayer import ModelError, Structure, ThinLayer, compare, march, piecewise, solve, sweep
+from thinlayer import Structure, ThinLayer, compare, march, piecewise, solve, sweep
 from thinlayer.system import identity
 from thinlayer.system.identity import code_of, described, differences, in_words, random_states
 
@@ -109,7 +110,7 @@ def test_a_march_of_another_file_is_resumed_by_who_knows_better(own, tmp_path):
     whole, times = march(model(), [0.1, 0.2], out=tmp_path), [0.1, 0.2, 0.3]
     other = model(helpers="def twice(t):\n    return 3 * t\n")
     with pytest.raises(
-        ModelError, match=r"another march \(loads\..*twice\.\(file\): helpers\.py .* or resume='anyway'"
+        InputError, match=r"another march \(loads\..*twice\.\(file\): helpers\.py .* or resume='anyway'"
     ):
         march(other, times, out=tmp_path, resume=True)
     for end in (3, 4):
@@ -117,13 +118,13 @@ def test_a_march_of_another_file_is_resumed_by_who_knows_better(own, tmp_path):
         assert history.t == pytest.approx([0.0, *times, 0.4][: end + 1])
         assert np.array_equal(history.at(0.2).u.x.array, whole.last.u.x.array)
     assert len(march(model(), [*times, 0.4], out=tmp_path, resume=True)) == 5  # it is the march that was begun
-    with pytest.raises(ModelError, match=r"the march observes \[\], not \['one'\]"):
+    with pytest.raises(InputError, match=r"the march observes \[\], not \['one'\]"):
         march(other, [0.5], observe={"one": lambda state: 1.0}, out=tmp_path, resume="anyway")
     coarser = Structure(JOINT, element="P1", **SETUP).interface(LAYER)
-    with pytest.raises(ModelError, match="is of a march with other unknowns"):
+    with pytest.raises(InputError, match="is of a march with other unknowns"):
         march(coarser, [0.5], out=tmp_path, resume="anyway")
     for choice in ("yes", 1, None):
-        with pytest.raises(ModelError, match=f"resume is {choice!r}; allowed: True, False, and 'anyway'"):
+        with pytest.raises(InputError, match=f"resume is {choice!r}; allowed: True, False, and 'anyway'"):
             march(other, [0.5], out=tmp_path, resume=choice)
 
 
@@ -263,10 +264,10 @@ def test_what_no_other_process_knows_is_not_resumed(tmp_path, monkeypatch):
     sweep(run, [0.4], tmp_path / "t.csv")
     monkeypatch.setattr(identity, "ALONE", ", known to process 2 alone")
     with pytest.raises(
-        ModelError, match=r"is of another march \(loads.*builtins\.generator, known to process \w+ alone"
+        InputError, match=r"is of another march \(loads.*builtins\.generator, known to process \w+ alone"
     ):
         march(model(), [0.1, 0.3], out=tmp_path / "m", resume=True)
-    with pytest.raises(ModelError, match=r"another sweep \(numbers: builtins\.generator, known to process \w+ alone"):
+    with pytest.raises(InputError, match=r"another sweep \(numbers: builtins\.generator, known to process \w+ alone"):
         sweep(run, [0.4, 0.2], tmp_path / "t.csv", resume=True)
     assert len(sweep(run, [0.4, 0.2], tmp_path / "t.csv", resume="anyway")) == 2
 
@@ -279,5 +280,5 @@ def test_models_are_what_they_were_built_with():
     load[1] = 2.0
     assert [json.dumps(one.identity()) for one in (full, interface)] == before
     assert 0 < compare(solve(full), solve(interface))["error_jump"] < 1
-    with pytest.raises(ModelError, match=r"needs the same loads: .*1\.0 there, 2\.0 here"):
+    with pytest.raises(InputError, match=r"needs the same loads: .*1\.0 there, 2\.0 here"):
         compare(solve(full), solve(Structure(JOINT, **SETUP, tractions={"TOP": load}).interface(spring)))

@@ -10,9 +10,10 @@ import ufl
 from dolfinx import fem
 
 from forms import LinearElastic
+from forms.base import InputError
 from geometry import ring, sandwich
 from tests.supports_run import BODY, CREEP, EPS, GLUE, KINDS, MORTAR, model, out_of_balance, turn
-from thinlayer import ModelError, Pressure, Structure, ThinLayer, march, solve
+from thinlayer import Pressure, Structure, ThinLayer, march, solve
 
 
 def column(kind: str, angle: float, law=GLUE, t: float = 0.0, **change):
@@ -123,17 +124,17 @@ def test_a_smooth_side_has_one_normal_and_a_corner_two():
 # ---------------------------------------------------------------- refused
 def test_refused():
     joint = sandwich(2.0, 0.5, 0.6, 0.5)
-    with pytest.raises(ModelError, match="a vertex has no normal"):
+    with pytest.raises(InputError, match="a vertex has no normal"):
         Structure(joint, body=BODY, supports={(0.0, -0.5): {"n": 0.0}}).bonded()
-    with pytest.raises(ModelError, match="rigid motion of the structure"):
+    with pytest.raises(InputError, match="rigid motion of the structure"):
         Structure(joint, body=BODY, supports={"BOTTOM": {"n": 0.0}}).bonded()
-    with pytest.raises(ModelError, match=r"rigid motion of the structure \(rotation"):  # a circle may turn, exactly
+    with pytest.raises(InputError, match=r"rigid motion of the structure \(rotation"):  # a circle may turn, exactly
         Structure(ring(1.0, 1.5, 2.0, h=0.5), body=BODY, supports={"OUTSIDE": {"n": 0.0}}).bonded()
     turned = joint.rotated(0.3)
     clash = {"BOTTOM": {"n": 0.0, "y": 0.1, "x": 0.0}, "LEFT": {"n": 0.0}}
-    with pytest.raises(ModelError, match=r"contradictory supports at .* 'LEFT' prescribes n = 0"):
+    with pytest.raises(InputError, match=r"contradictory supports at .* 'LEFT' prescribes n = 0"):
         Structure(turned, body=BODY, supports=clash).interface(ThinLayer(GLUE, EPS, at=1.0))
-    with pytest.raises(ModelError, match="need nodal displacements, not elements S2"):
+    with pytest.raises(InputError, match="need nodal displacements, not elements S2"):
         Structure(
             sandwich(2.0, 0.5, 0.6, 0.5, cell="quadrilateral"), body=BODY, supports={"BOTTOM": {"n": 0.0}}, element="S2"
         ).bonded()

@@ -14,27 +14,17 @@ from petsc4py import PETSc
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import splu
 
-from forms import Anisotropic, Incompressible, LawError, LinearElastic, Stack, VonMises
+from forms import Anisotropic, Incompressible, LinearElastic, Stack, VonMises
+from forms.base import InputError
 from forms.work import work
-from geometry import GeometryError, Joint, block, ring, sandwich
+from geometry import Joint, block, ring, sandwich
 from studies.problems import FOURIER_BODY, fourier
 from tests import reference
 from tests.refused import refused
 from tests.test_marching import StiffeningSolid
 from tests.test_tips import partly
-from thinlayer import (
-    Model,
-    ModelError,
-    SolveError,
-    State,
-    Structure,
-    Surface,
-    ThinLayer,
-    compare,
-    march,
-    observed_orders,
-    solve,
-)
+from thinlayer import SolveError, State, Structure, Surface, ThinLayer, compare, march, observed_orders, solve
+from thinlayer.discretisation.model import Model
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.solvers import Solver
 
@@ -352,16 +342,16 @@ def test_refused(build):
     layer = ThinLayer(LAW, 0.1, at=1.0)
     state = solve(build(Structure(joint, plane="stress", **pressed(joint)), layer))
     assert state.p is None  # e_33 = -e_11 - e_22 in a sheet
-    with pytest.raises(ModelError, match="Incompressible is for layers"):
+    with pytest.raises(InputError, match="Incompressible is for layers"):
         build(Structure(joint, **pressed(joint) | {"body": LAW}), layer)
 
 
 def test_refused_laws():
-    refused(LawError, "a sublayer", lambda: Stack((0.5, LAW), (0.5, LinearElastic(60.0, MU))))
+    refused(InputError, "a sublayer", lambda: Stack((0.5, LAW), (0.5, LinearElastic(60.0, MU))))
     for mu in (0.0, -1.0, np.nan, np.inf):
-        refused(LawError, "allowed: > 0", Incompressible, mu)
+        refused(InputError, "allowed: > 0", Incompressible, mu)
     joint, setup = fourier(1 / 4)
-    with pytest.raises(GeometryError, match="use bodies='extended'"):
+    with pytest.raises(InputError, match="use bodies='extended'"):
         Structure(joint, **setup).full(ThinLayer(LAW, 0.1, profile=lambda x: 1 + x[0], at=1.0))
 
 

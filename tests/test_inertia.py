@@ -10,13 +10,14 @@ import pytest
 import ufl
 
 from forms import IncrementalCoulomb, LinearElastic
+from forms.base import InputError
 from geometry import sandwich
 from geometry.parallel import world
 from tests.documents import CLONE, GUIDES, PAGES
 from tests.on_ranks import alone, on_ranks
 from tests.own_scripts.inertia import Inertia, Newmark
 from tests.refused import refused
-from thinlayer import Adaptive, ModelError, Structure, Surface, ThinLayer, march, solve
+from thinlayer import Adaptive, Structure, Surface, ThinLayer, march, solve
 from thinlayer.discretisation.addition import Addition
 from thinlayer.parts.part import PartTraits
 
@@ -141,12 +142,12 @@ def test_contact_takes_newtons_method_beside_a_part_whose_stiffness_it_does_not_
 def test_refused():
     silent = bar("interface", WithoutWork(), h=0.1)
     state = march(silent, [0.1]).last
-    refused(ModelError, "'inertia', which has neither work nor work_in", lambda: Surface(silent).reaction(state))
+    refused(InputError, "'inertia', which has neither work nor work_in", lambda: Surface(silent).reaction(state))
     forgetful = bar("bonded", Forgetful(1.0), h=0.1)
-    refused(ModelError, "'inertia' remembers, and its commit returned", lambda: march(forgetful, [0.1]))
+    refused(InputError, "'inertia' remembers, and its commit returned", lambda: march(forgetful, [0.1]))
     model = bar("bonded", Inertia(1.0), h=0.1)
-    refused(ModelError, "the part 'inertia' depends on rates: no equilibrium without time", lambda: solve(model))
-    refused(ModelError, "inertia balances forces at the ends of steps", lambda: march(model, [0.1, 0.2], theta=0.5))
+    refused(InputError, "the part 'inertia' depends on rates: no equilibrium without time", lambda: solve(model))
+    refused(InputError, "inertia balances forces at the ends of steps", lambda: march(model, [0.1, 0.2], theta=0.5))
 
 
 def test_the_guide_has_the_whole_part():

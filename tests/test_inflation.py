@@ -8,7 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from geometry import GeometryError, Joint, block, disc, inflate, ring, sandwich
+from forms.base import InputError
+from geometry import Joint, block, disc, inflate, ring, sandwich
 from tests.meshes import check_sound, grid, in_layer, part_of, upper_cells, volumes
 from tests.refused import refused
 
@@ -148,7 +149,7 @@ def test_no_room_at_a_face_in_the_plane_of_s():
     left = joint.points[joint.cells].mean(axis=1)[:, 0] < 1.0
     lap = part_of(replace(joint, facets=joint.facets | parts), ~upper_cells(joint) | left)
     inflate(lap, 0.1)
-    with pytest.raises(GeometryError, match=r"touches S at \(1, 0\) and is nearly parallel.*bodies='kept'"):
+    with pytest.raises(InputError, match=r"touches S at \(1, 0\) and is nearly parallel.*bodies='kept'"):
         inflate(lap, 0.1, bodies="extended")
 
 
@@ -177,4 +178,4 @@ def test_no_room_between_aligned_grids(cell):
     block_in_it = lambda x: (x[:, 0] > 2) & (x[:, 1] > 0) & (x[:, 1] < 1)
     joint = grid(axes, block_in_it, cell, keep=lambda x: ~gap(x) | block_in_it(x))
     inflate(joint, 0.05)
-    refused(GeometryError, r"no room for a layer of thickness 0.2 at \(", lambda: inflate(joint, 0.2))
+    refused(InputError, r"no room for a layer of thickness 0.2 at \(", lambda: inflate(joint, 0.2))

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import HolonomicCoulomb, IncrementalCoulomb, LawError, LinearElastic, Tresca
+from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic, Tresca
+from forms.base import InputError
 from geometry import block, ring, sandwich, wall
 from tests.contact_bars import contact
 from tests.refused import refused
-from thinlayer import ModelError, SolveError, Structure, Surface, march, solve
+from thinlayer import SolveError, Structure, Surface, march, solve
 
 pytestmark = pytest.mark.few(5)
 
@@ -183,4 +184,4 @@ def test_models_with_other_gaps_are_others():
     ],
 )
 def test_refused(gap, match):
-    refused((LawError, ModelError), match, lambda: solve(curved(gap=gap), 1.0))
+    refused((InputError), match, lambda: solve(curved(gap=gap), 1.0))

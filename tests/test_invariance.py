@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from forms import LinearElastic
-from geometry import GeometryError, block, disc, ring, sandwich
+from forms.base import InputError
+from geometry import block, disc, ring, sandwich
 from tests.meshes import renumbered
 from thinlayer import Structure, ThinLayer, compare, solve
 
@@ -50,7 +51,7 @@ def test_builders(shape):
     ],
 )
 def test_shapes_too_thin(build, message):
-    with pytest.raises(GeometryError, match=message):
+    with pytest.raises(InputError, match=message):
         build()
 
 

@@ -9,7 +9,8 @@ import pytest
 import ufl
 
 from forms import LinearElastic
-from geometry import GeometryError, Joint, disc, faults, inflate, ring, sandwich
+from forms.base import InputError
+from geometry import Joint, disc, faults, inflate, ring, sandwich
 from geometry.seam import Seam
 from geometry.topology import lagrange
 from tests.refused import refused
@@ -75,14 +76,14 @@ def test_a_cell_folded_at_some_corners():
     """Its right side is shorter than what it must give way, its left side is not."""
     joint = two_quadrilaterals(top=(1.0, 0.1))
     inflate(joint, 0.15, bodies="extended")
-    with pytest.raises(GeometryError, match=r"1 cells turn inside out, the first at \(0\.5, 0\.275\)"):
+    with pytest.raises(InputError, match=r"1 cells turn inside out, the first at \(0\.5, 0\.275\)"):
         inflate(joint, 0.3, bodies="extended")
 
 
 def test_a_scarf_with_cells_too_small_for_the_layer():
     """What the error asks for helps: larger cells at the sharp ends, a smaller eps, kept bodies."""
     scarf = {h: faults(100.0, 10.0, {"A": ((20.0, 0.0), (80.0, 10.0))}, h=h) for h in (1.0, 4.0)}
-    with pytest.raises(GeometryError, match=r"smaller eps, larger cells there .*, or on planar seams bodies='kept'"):
+    with pytest.raises(InputError, match=r"smaller eps, larger cells there .*, or on planar seams bodies='kept'"):
         inflate(scarf[1.0], 0.8, bodies="extended")
     inflate(scarf[4.0], 0.8, bodies="extended")
     inflate(scarf[1.0], 0.2, bodies="extended")
@@ -92,7 +93,7 @@ def test_a_scarf_with_cells_too_small_for_the_layer():
 def test_an_outer_face_nearly_along_s():
     """The body has to give way along it: 87.7 degrees from the normal of S are refused, 79 are not."""
     inflate(two_quadrilaterals(low=(-5.0, -1.0)), 0.01, bodies="extended")
-    with pytest.raises(GeometryError, match=r"an outer face touches S at \(0, 0\) and is nearly parallel to it"):
+    with pytest.raises(InputError, match=r"an outer face touches S at \(0, 0\) and is nearly parallel to it"):
         inflate(two_quadrilaterals(low=(-25.0, -1.0)), 0.01, bodies="extended")
 
 
@@ -105,7 +106,7 @@ def test_a_corner_of_the_fixed_body_in_the_way():
         np.array(points, float), np.array(cells), "triangle", region, ("C",), {"S": np.array([[0, 1]])}, {"S": Seam()}
     )
     inflate(joint, 0.9)
-    refused(GeometryError, r"no room for a layer of thickness 1\.2 at \(2\.1, -1\)", lambda: inflate(joint, 1.2))
+    refused(InputError, r"no room for a layer of thickness 1\.2 at \(2\.1, -1\)", lambda: inflate(joint, 1.2))
 
 
 def test_sides_of_the_layer():

@@ -8,7 +8,8 @@ import pytest
 from dolfinx import fem
 
 from forms import LinearElastic
-from geometry import Joint, Seam, sandwich, wall
+from geometry import Joint, sandwich, wall
+from geometry.seam import Seam
 from tests.meshes import renumbered
 from tests.network_cases import BED, HEAD, panel, pushed, springs, three_bricks
 from tests.test_networks import cut_at, on

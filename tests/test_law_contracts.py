@@ -13,7 +13,8 @@ import ufl
 from ufl.algorithms import expand_derivatives
 
 import forms
-from forms import Anisotropic, BulkLaw, KelvinVoigt, KernelLaw, LawError, LinearElastic, Maxwell, Stack, TractionLaw
+from forms import Anisotropic, BulkLaw, KelvinVoigt, KernelLaw, LinearElastic, Maxwell, Stack, TractionLaw
+from forms.base import InputError
 from forms.check import require_computed
 from forms.elastic import lame
 from forms.kinematics import lift
@@ -132,7 +133,7 @@ def test_laws_without_memory_are_told_of_no_step(name):
         )
     )
     for ask in (lambda: drive(law, [{"w_T": 0.1, "w_N": 0.2}]), lambda: solve(column(law))):
-        with pytest.raises(LawError, match=r"rate = True"):
+        with pytest.raises(InputError, match=r"rate = True"):
             ask()
 
 
@@ -223,8 +224,8 @@ def test_what_a_law_is_not(name):
     names, message = WRONG[name] if name in WRONG else WRONG_JUMPS[jumps]
     law = own(BulkLaw if name in WRONG else TractionLaw, **names)
     for _ in range(2):  # what has failed is not known as right
-        refused(LawError, message, lambda: forms.check(law))
-    refused(LawError, "is a class; give a law, with its numbers", lambda: forms.check(type(law)))
+        refused(InputError, message, lambda: forms.check(law))
+    refused(InputError, "is a class; give a law, with its numbers", lambda: forms.check(type(law)))
 
 
 def test_what_a_law_is():
@@ -244,8 +245,10 @@ def test_models_and_points_ask_it():
         asked = [lambda law=law: solve(column(law)), lambda law=law: solve(column(law, Structure.full))]
         asked.append(lambda law=law: drive(law, [{"w_T": 0.1, "w_N": 0.2}]))
         for ask in asked:
-            refused(LawError, message, ask)
-    refused(LawError, "Own declares linear", lambda: solve(column(LinearElastic(L, M), body=own(**WRONG["square"][0]))))
+            refused(InputError, message, ask)
+    refused(
+        InputError, "Own declares linear", lambda: solve(column(LinearElastic(L, M), body=own(**WRONG["square"][0])))
+    )
 
 
 def test_it_is_asked_once_for_the_same_numbers(monkeypatch):
@@ -257,7 +260,7 @@ def test_it_is_asked_once_for_the_same_numbers(monkeypatch):
     for _ in range(3):
         forms.check(law)
     assert len(asked) == 1
-    refused(LawError, "the tangent is not symmetric", lambda: forms.check(law.with_parameters({"l": L + 1})))
+    refused(InputError, "the tangent is not symmetric", lambda: forms.check(law.with_parameters({"l": L + 1})))
 
 
 def test_a_law_that_ufl_does_not_take_for_linear():
@@ -265,7 +268,7 @@ def test_a_law_that_ufl_does_not_take_for_linear():
     law = own(
         stress=lambda law, step: ufl.ln(ufl.exp(law.m * ufl.tr(step.e))) * ufl.Identity(3) + law.m * step.e, linear=True
     )
-    with pytest.raises(LawError, match="Own says linear = True, but is not linear, or UFL does not see that it is"):
+    with pytest.raises(InputError, match="Own says linear = True, but is not linear, or UFL does not see that it is"):
         solve(column(law))
 
 
@@ -320,7 +323,7 @@ class OfTime(Kernel):
 def test_what_a_kernel_reads_is_what_it_says(parent, names, message):
     ask = lambda: drive(type("Own", (parent,), names)(5.0), [{"w_T": 0.1, "w_N": 0.2}], dt=0.1)
     if message:
-        refused(LawError, message, ask)
+        refused(InputError, message, ask)
     else:
         ask()
 
@@ -432,7 +435,7 @@ def test_a_stiffness_is_of_the_stress_beside_it():
     """Refused where it is negative and warned of where it is high, as of a law that inherits nothing."""
     n = np.array([0.0, 1.0])
     assert tangent_at_rest(Cubic(L, M, 1.5), n)[1] == pytest.approx([L, L + 2 * M + 1.5, L, 0, 0, 0], rel=ROUNDED)
-    refused(LawError, "Cubic: the stiffness at rest is negative", lambda: column(Cubic(L, M, -8.0)))
+    refused(InputError, "Cubic: the stiffness at rest is negative", lambda: column(Cubic(L, M, -8.0)))
     with pytest.warns(RangeWarning, match="times as hard as the softer body"):
         solve(column(Cubic(L, M, 1e7)))
     assert Cubic.stations is BulkLaw.stations is not LinearElastic.stations
@@ -502,11 +505,11 @@ def test_methods_that_a_compiled_law_and_a_stack_never_ask(method):
     def never(law, step):
         return step.e
 
-    with pytest.raises(LawError, match=f"Own has a method {method} that is never called: .* MohrCoulomb"):
+    with pytest.raises(InputError, match=f"Own has a method {method} that is never called: .* MohrCoulomb"):
         type("Own", (forms.MohrCoulomb,), {method: never})(L, M, 0.4, 30)
-    with pytest.raises(LawError, match=f"Own has a method {method} that is never called: .* Stack"):
+    with pytest.raises(InputError, match=f"Own has a method {method} that is never called: .* Stack"):
         type("Own", (Stack,), {method: never})((1.0, LinearElastic(L, M)))
-    with pytest.raises(LawError, match="Own has a kernel but inherits a source, which would be used instead"):
+    with pytest.raises(InputError, match="Own has a kernel but inherits a source, which would be used instead"):
         type("Own", (forms.MohrCoulomb,), {"kernel": staticmethod(never)})(L, M, 0.4, 30)
     type("Own", (Mises,), {"kernel": Mises.kernel, "stress": never})(L, M, 1.0)  # beside the kernel: a note
 
@@ -532,7 +535,7 @@ def test_methods_that_a_compiled_law_and_a_stack_never_ask(method):
 def test_what_nobody_would_ask_of_a_law_is_refused(parent, names, message):
     """As the law is made."""
     names = names | {"stress" if parent is BulkLaw else "traction": of_mid}
-    refused(LawError, message, lambda: own(parent, **names))
+    refused(InputError, message, lambda: own(parent, **names))
 
 
 def test_what_depends_on_numbers_is_not_refused():
@@ -561,4 +564,4 @@ def test_what_depends_on_numbers_is_not_refused():
 def test_a_director_of_two_components_is_told_of():
     """In 2D, where the stress is a part of a form."""
     law = own(stress=lambda law, step: of_mid(law, step) + law.m * ufl.outer(step.n, step.n) * ufl.tr(step.e))
-    refused(LawError, r"lift\(step.n\) has 3", lambda: solve(column(law)))
+    refused(InputError, r"lift\(step.n\) has 3", lambda: solve(column(law)))

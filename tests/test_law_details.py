@@ -23,13 +23,13 @@ from forms import (
     Norton,
     Stack,
 )
+from forms.base import InputError
 from forms.declarations import RangeWarning
 from forms.elastic import lame
 from geometry import sandwich
 from tests.at_points import E2, respond, tensor, vector
 from tests.own_laws import Slipping
 from thinlayer import Structure, ThinLayer, drive, solve
-from thinlayer.errors import ModelError
 from thinlayer.pointwise.columns import Columns
 
 
@@ -208,7 +208,7 @@ def test_tractions_are_those_prescribed(p, rest):
 def test_laws_that_depend_on_time_need_a_step(law):
     """No length of a step is meant: one of 1 would be another one in another unit."""
     step = {"w_T": 0.01, "w_N": 0.02}
-    with pytest.raises(ModelError, match=f"dt is missing: {type(law).__name__} depends on the length of the steps"):
+    with pytest.raises(InputError, match=f"dt is missing: {type(law).__name__} depends on the length of the steps"):
         drive(law, [step, step])
     plastic = MohrCoulomb(70.0, 40.0, cohesion=0.3, friction_angle=30.0)
     assert (drive(plastic, [step]).tractions == drive(plastic, [step], dt=7.0).tractions).all()

@@ -10,6 +10,7 @@ import pytest
 import ufl
 
 from forms import IncrementalCoulomb, LinearElastic, MohrCoulomb, NonMonotoneUnrelaxed, Stack
+from forms.base import InputError
 from forms.traction import TractionLaw
 from geometry import sandwich
 from tests import ranges_told
@@ -17,17 +18,7 @@ from tests.meshed_cases import mortar, panel, yielding
 from tests.network_cases import springs, three_bricks
 from tests.refused import refused
 from tests.test_networks import cut_at, on
-from thinlayer import (
-    LimitLoad,
-    ModelError,
-    Structure,
-    Surface,
-    ThinLayer,
-    UflPart,
-    compare,
-    march,
-    solve,
-)
+from thinlayer import LimitLoad, Structure, Surface, ThinLayer, UflPart, compare, march, solve
 
 COLUMN = sandwich(2.0, 4.0, 4.0, 1.0, cell="quadrilateral")  # cut at two heights into three blocks
 BLOCKS = cut_at(COLUMN, {"LOW": (on(1, -1.0), (0, 1)), "HIGH": (on(1, 2.0), (0, 1))})
@@ -120,7 +111,7 @@ def test_contact_on_one_of_two_seams():
 
 def test_a_part_cannot_have_the_name_of_a_layer():
     part = UflPart(energy=lambda u, model: ufl.inner(u, u) * model.dx, key="layer HIGH")
-    refused(ModelError, "two parts are called 'layer HIGH'", lambda: pulled(parts=[part]).interface(springs(4.0, 1.0)))
+    refused(InputError, "two parts are called 'layer HIGH'", lambda: pulled(parts=[part]).interface(springs(4.0, 1.0)))
 
 
 # ---------------------------------------------------------------- order
@@ -142,7 +133,7 @@ def test_the_order_of_layers_makes_no_difference(tmp_path):
         assert state.dissipated == pytest.approx(one.at(state.t).dissipated, rel=1e-10)
         assert state.energies() == pytest.approx(one.at(state.t).energies(), rel=1e-10)
     swapped = {"BED": yields["HEAD"], "HEAD": yields["BED"]}
-    with pytest.raises(ModelError, match="is of another march"):
+    with pytest.raises(InputError, match="is of another march"):
         march(bricks.interface(swapped), times, out=tmp_path, resume=True)
 
 
@@ -191,7 +182,7 @@ def test_snaps_of_each_layer():
         assert surface.phase(history.last) == pytest.approx(1.0)
     half = {row["seam"]: row["plus"] for row in Surface(history.model).table(history.states[first.row]).rows}
     assert half["HIGH"] > half["LOW"] == 0.0
-    with pytest.raises(ModelError, match="column 'minus LOW' is there already"):
+    with pytest.raises(InputError, match="column 'minus LOW' is there already"):
         march(structure.interface(layers), [0.5], observe={"minus LOW": lambda state: 0.0})
 
 
@@ -231,8 +222,8 @@ def test_comparisons_by_name():
         assert parts["BED"][f"error_{field}"] != pytest.approx(parts["HEAD"][f"error_{field}"], rel=0.1)
     left = compare(full, limit, seam="HEAD", where=lambda x: x[1] < 0.5)  # one head of three
     assert 0 < left["jump"] < parts["HEAD"]["jump"]
-    with pytest.raises(ModelError, match="where holds nowhere"):
+    with pytest.raises(InputError, match="where holds nowhere"):
         compare(full, limit, seam="HEAD", where=lambda x: abs(x[0] - 0.25) < 0.1)
-    refused(ModelError, "unknown seam 'BEDS', did you mean 'BED'", lambda: compare(full, limit, seam="BEDS"))
+    refused(InputError, "unknown seam 'BEDS', did you mean 'BED'", lambda: compare(full, limit, seam="BEDS"))
     other = solve(bricks.interface(layers | {"HEAD": springs(1.2, 0.45, 0.02)}), 1.0)
-    refused(ModelError, r"one thickness of the layer 'HEAD', not 0\.013.* and 0\.02", lambda: compare(full, other))
+    refused(InputError, r"one thickness of the layer 'HEAD', not 0\.013.* and 0\.02", lambda: compare(full, other))

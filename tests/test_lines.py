@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from forms import LinearElastic
+from forms.base import InputError
 from geometry import faults, grains, ring, sandwich, wall
 from tests.fields_run import BODY, EPS, K, axes, uniform
 from tests.refused import refused
-from thinlayer import ModelError, Structure, Surface, ThinLayer, plotting, solve
+from thinlayer import Structure, Surface, ThinLayer, plotting, solve
 from thinlayer.surface.lines import Line
 from thinlayer.system.table import Table
 
@@ -54,7 +55,7 @@ def test_a_table_needs_pandas_for_a_frame(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=lambda rows, columns: (rows, columns)))
     assert Table([{"a": 1.0, "b": None}]).to_pandas() == ([{"a": 1.0, "b": None}], ["a", "b"])
     monkeypatch.setitem(sys.modules, "pandas", None)
-    refused(ModelError, "pandas is not installed", lambda: Table().to_pandas())
+    refused(InputError, "pandas is not installed", lambda: Table().to_pandas())
 
 
 def test_a_closed_seam():
@@ -152,13 +153,13 @@ def test_cut_of_a_cylinder():
 
 def test_what_is_no_line():
     plane = Surface(interface(sandwich(2.0, 0.5, 0.7, 0.5)))
-    refused(ModelError, "in 2D S is a line", lambda: plane.along(plane.x, plane=((0, 0, 0), (1, 0, 0))))
-    refused(ModelError, "'traction' is no field on S", lambda: plane.along("traction"))
+    refused(InputError, "in 2D S is a line", lambda: plane.along(plane.x, plane=((0, 0, 0), (1, 0, 0))))
+    refused(InputError, "'traction' is no field on S", lambda: plane.along("traction"))
     solid = Surface(uniform(3)[0].interface(LAYER))
-    refused(ModelError, "cuts by a plane", lambda: solid.along(solid.x))
+    refused(InputError, "cuts by a plane", lambda: solid.along(solid.x))
     for wrong in ((0, 0, 1), ((0, 0), (1, 0)), ((0, 0, 0), (0, 0, 0)), "z"):
-        refused(ModelError, r"it needs \(point, normal\)", solid.along, solid.x, plane=wrong)
-    refused(ModelError, "does not cut S", lambda: solid.along(solid.x, plane=((0, 0, 5), (0, 0, 1))))
+        refused(InputError, r"it needs \(point, normal\)", solid.along, solid.x, plane=wrong)
+    refused(InputError, "does not cut S", lambda: solid.along(solid.x, plane=((0, 0, 5), (0, 0, 1))))
 
 
 def test_lines_are_drawn():

@@ -12,21 +12,10 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 from forms import LinearElastic, Maxwell, NonMonotone, Stack, Tabulated
-from forms.law import LawError
-from geometry import GeometryError, block, disc, sandwich
+from forms.base import InputError
+from geometry import block, disc, sandwich
 from tests.refused import refused
-from thinlayer import (
-    Adaptive,
-    ArcLength,
-    ModelError,
-    Pressure,
-    Structure,
-    ThinLayer,
-    drive,
-    march,
-    piecewise,
-    solve,
-)
+from thinlayer import Adaptive, ArcLength, Pressure, Structure, ThinLayer, drive, march, piecewise, solve
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.solving.equations import Equations
 
@@ -73,10 +62,10 @@ def pulled(one, *times):
 def test_x_and_t_are_no_numbers(used):
     """Each would be found once, when the model is built, and stay as it is."""
     remedy = r"(is no function \(x, t\)|gives nan).*ufl\.conditional\(.*piecewise\(\{time: value"
-    refused(ModelError, f"traction on 'TOP' {remedy}", lambda: model(lambda x, t: (0.0, used(x, t))))
-    with pytest.raises(ModelError, match=f"support on 'TOP': component y {remedy}"):
+    refused(InputError, f"traction on 'TOP' {remedy}", lambda: model(lambda x, t: (0.0, used(x, t))))
+    with pytest.raises(InputError, match=f"support on 'TOP': component y {remedy}"):
         model(tractions={}, supports=SIDES | {"TOP": {"y": used}})
-    with pytest.raises(ModelError, match=f"body force in 'LOWER' {remedy}"):
+    with pytest.raises(InputError, match=f"body force in 'LOWER' {remedy}"):
         model(tractions={}, body_force={"LOWER": lambda x, t: (used(x, t), 0.0)})
 
 
@@ -96,7 +85,7 @@ def test_what_ufl_does_with_x_and_t_is_right():
 
 def test_comparisons_that_symbols_do_not_know_are_refused_with_the_place_and_both_values():
     message = r"at \(1, .*\), t = 0\.37 it gives \[0\.0, 1\.0\] for symbols and \[0\.0, 2\.0\] for numbers"
-    refused(ModelError, message, lambda: model(lambda x, t: (0.0, 2.0 if x[0] == 1 else 1.0)))
+    refused(InputError, message, lambda: model(lambda x, t: (0.0, 2.0 if x[0] == 1 else 1.0)))
     assert pulled(model(lambda x, t: (0.0, 2.0 if x[0] == 0.123 else 1.0)), 1.0) == pytest.approx([1.0])  # nowhere
 
 
@@ -149,7 +138,7 @@ def test_tables_have_ends():
     one = model(piecewise({0.1: (0.0, 1.0), 0.3: (0.0, 2.0)}))
     assert pulled(one, 0.1 + 0.1 + 0.1) == pytest.approx([2.0])
     for t in (0.099, 0.301):
-        refused(ModelError, rf"not finite at t = {t}: traction on 'TOP'", pulled, one, t)
+        refused(InputError, rf"not finite at t = {t}: traction on 'TOP'", pulled, one, t)
 
 
 def test_a_temperature_from_a_table():
@@ -161,7 +150,7 @@ def test_a_temperature_from_a_table():
         laws.at_time(t)
         assert laws.material.parameters[:, 2] == pytest.approx(expected, rel=1e-12)
     assert model(law=law).break_times == model(law=Stack((0.5, GLUE), (0.5, law))).break_times == {0.0, 0.4, 1.0}
-    refused(LawError, "T is nan", lambda: laws.at_time(1.1))
+    refused(InputError, "T is nan", lambda: laws.at_time(1.1))
 
 
 # ---------------------------------------------------------------- temperatures and supports
@@ -237,7 +226,7 @@ MARCHED = Maxwell(60.0, 40.0, t1=0.7)
 )
 def test_booleans_and_complex_numbers_are_refused(wrong, message):
     """True would be 1: a displacement of 1 where a support was meant to hold."""
-    refused((ModelError, LawError, GeometryError), message, lambda: wrong())
+    refused(InputError, message, lambda: wrong())
 
 
 NOT_NUMBERS = {
@@ -256,25 +245,25 @@ def test_numbers_within_expressions_are_finite(name):
         {"body_force": lambda x, t: (one(x, t), 0.0)},
         {"supports": SIDES | {"BOTTOM": {"y": one}}},
     ):
-        refused(ModelError, "of finite real numbers", model, **data)
+        refused(InputError, "of finite real numbers", model, **data)
 
 
 def test_numbers_in_integrals_are_finite():
     state = solve(model())
-    refused(ModelError, "has a number that is not finite", lambda: state.integral(math.nan * state.u[0] * ufl.dx))
+    refused(InputError, "has a number that is not finite", lambda: state.integral(math.nan * state.u[0] * ufl.dx))
 
 
 def test_a_profile_of_booleans():
-    with pytest.raises(GeometryError, match="it returns bool"):
+    with pytest.raises(InputError, match="it returns bool"):
         Structure(JOINT, body=GLUE, supports=SIDES).interface(ThinLayer(GLUE, 0.1, profile=lambda x: x[0] >= 0, at=1.0))
 
 
 def test_places_are_names_or_points():
     with pytest.raises(
-        ModelError, match=r"traction on \(1\.0, 0\.5\): a place is the name of a facet set.*BOTTOM, LEFT, RIGHT, TOP"
+        InputError, match=r"traction on \(1\.0, 0\.5\): a place is the name of a facet set.*BOTTOM, LEFT, RIGHT, TOP"
     ):
         model(tractions={(1.0, 0.5): (1.0, 0.0)})
-    refused(ModelError, r"tractions is .*must be \{facet name: traction\}", lambda: model(tractions=[(1.0, 0.0)]))
+    refused(InputError, r"tractions is .*must be \{facet name: traction\}", lambda: model(tractions=[(1.0, 0.0)]))
     for place in (5, None, (1.0,), (1.0, "a"), (True, 0.0)):
-        with pytest.raises(ModelError, match="a place is the name of a facet set, or 2 coordinates of a vertex"):
+        with pytest.raises(InputError, match="a place is the name of a facet set, or 2 coordinates of a vertex"):
             model(supports=SIDES | {place: 0.0})

@@ -10,9 +10,10 @@ import pytest
 import ufl
 
 from forms import BulkLaw, LinearElastic, Norton, Stack
+from forms.base import InputError
 from tests.refused import refused
 from tests.viscous_joints import G_N, JOINT, K_N, PULL, SETUP, SLOW, SUDDEN, interface, opening
-from thinlayer import ArcLength, ModelError, RangeWarning, Structure, Surface, ThinLayer, compare, march, solve
+from thinlayer import ArcLength, RangeWarning, Structure, Surface, ThinLayer, compare, march, solve
 from thinlayer.discretisation.addition import Addition
 from thinlayer.parts.forms import matrix
 from thinlayer.parts.part import Block, Outcome, Part, PartTraits
@@ -43,7 +44,7 @@ def test_a_law_with_a_rate_starts_at_rest():
     assert history.table["opening"] == pytest.approx((1 - (1 + K_N * 0.1 / G_N) ** -n) / K_N, rel=1e-9, abs=1e-14)
     assert [state.t for state in history] == pytest.approx([0.0, 0.1, 0.2, 0.3])
     assert history.at(0.2).t == pytest.approx(0.2)
-    refused(ModelError, r"no state at t = 0\.15 is kept", lambda: history.at(0.15))
+    refused(InputError, r"no state at t = 0\.15 is kept", lambda: history.at(0.15))
 
 
 def test_a_law_without_a_rate_answers_a_sudden_load_at_once():
@@ -52,7 +53,7 @@ def test_a_law_without_a_rate_answers_a_sudden_load_at_once():
     assert history.t == pytest.approx([1.0, 1.1, 1.2])
     assert history.table["opening"] == pytest.approx((1 + np.array([0.0, 0.1, 0.2]) / 0.7) / K_N, rel=1e-9)
     assert solve(model, 1.0).u.x.array == pytest.approx(history.at(1.0).u.x.array, abs=1e-12)
-    refused(ModelError, "KelvinVoigt depends on rates: no equilibrium", lambda: solve(interface()))
+    refused(InputError, "KelvinVoigt depends on rates: no equilibrium", lambda: solve(interface()))
 
 
 @pytest.mark.parametrize("law", [SLOW, SUDDEN, Stack((0.4, LinearElastic(6.0, 4.0)), (0.6, SLOW))], ids=str)
@@ -125,10 +126,10 @@ def test_a_part_of_ones_own_with_a_rate_starts_at_rest(tmp_path):
     model = make(Dashpots(c))
     found = march(model, [dt, 2 * dt, 3 * dt], observe={"top": top}).table["top"]
     assert found == pytest.approx(w * (1 - (1 + dt / (c * w)) ** -np.arange(4.0)), rel=1e-9, abs=1e-14)
-    refused(ModelError, "the part 'dashpots' depends on rates: no equilibrium without time", lambda: solve(model))
-    with pytest.raises(ModelError, match="the part 'dashpots' depends on rates, and t is no time on a path"):
+    refused(InputError, "the part 'dashpots' depends on rates: no equilibrium without time", lambda: solve(model))
+    with pytest.raises(InputError, match="the part 'dashpots' depends on rates, and t is no time on a path"):
         march(model, ArcLength(end=1.0, first=0.1))
-    with pytest.raises(ModelError, match="the part 'dashpots' remembers values that have no order in files"):
+    with pytest.raises(InputError, match="the part 'dashpots' remembers values that have no order in files"):
         march(make(Dashpots(c, counts=True)), [dt], out=tmp_path / "run")
 
 
@@ -199,7 +200,7 @@ def test_keep_last():
     history = march(interface(), [0.1, 0.2], keep="last")
     assert len(history) == 3
     assert [state.t for state in history] == pytest.approx([0.2])
-    refused(ModelError, r"there are states at 0\.2", lambda: history.at(0.1))
+    refused(InputError, r"there are states at 0\.2", lambda: history.at(0.1))
 
 
 def test_compare_takes_histories_and_states_of_the_same_time():
@@ -207,4 +208,4 @@ def test_compare_takes_histories_and_states_of_the_same_time():
     one, other = march(full, [0.1, 0.2]), march(interface(), [0.1, 0.2])
     assert compare(one, other)["error_jump"] < 1e-9
     assert compare(one, other, at=0.1)["jump"] < compare(one, other)["jump"]
-    refused(ModelError, r"states of the same time, not t = 0\.1 and 0\.2", lambda: compare(one.at(0.1), other))
+    refused(InputError, r"states of the same time, not t = 0\.1 and 0\.2", lambda: compare(one.at(0.1), other))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from forms.base import InputError
 from tests.viscous_joints import interface
-from thinlayer import Adaptive, ModelError, OptionError, march
+from thinlayer import Adaptive, march
 
 
 @pytest.mark.parametrize(
@@ -35,14 +36,14 @@ from thinlayer import Adaptive, ModelError, OptionError, march
 def test_bad_input(times, options, message, tmp_path):
     if not options.get("resume"):
         options = {"out": tmp_path / "out"} | options
-    with pytest.raises((ModelError, OptionError), match=message):
+    with pytest.raises((InputError), match=message):
         march(interface(), times, **options)
     assert not (tmp_path / "out").exists()
 
 
 def test_bad_adaptive_steps():
     for values in ({"first": 0.0}, {"first": 0.1, "tolerance": -1.0}, {"first": 0.1, "largest": 0.0}):
-        with pytest.raises(ModelError, match="allowed: a number > 0"):
+        with pytest.raises(InputError, match="allowed: a number > 0"):
             Adaptive(1.0, **values)
-    with pytest.raises(ModelError, match="at has t = 2; times increase to end = 1"):
+    with pytest.raises(InputError, match="at has t = 2; times increase to end = 1"):
         Adaptive(1.0, 0.1, at=[2.0])

@@ -14,12 +14,13 @@ import pytest
 from mpi4py import MPI
 
 from forms import KelvinVoigt, LinearElastic
+from forms.base import InputError
 from tests import marching_run
 from tests.on_ranks import alone, on_ranks
 from tests.ranks import CLONE, Ended, Ending, clean, mpirun
 from tests.test_cli import thinlayer
 from tests.viscous_joints import JOINT, PULL, SETUP, SLOW, SUDDEN, interface
-from thinlayer import ModelError, RangeWarning, Structure, ThinLayer, march
+from thinlayer import RangeWarning, Structure, ThinLayer, march
 
 pytestmark = pytest.mark.few(5)
 
@@ -49,9 +50,9 @@ def test_another_structure_is_not_resumed_and_not_overwritten(tmp_path, change, 
     other_layer = change.pop("layer", layer)
     other = Structure(change.pop("joint", JOINT), **data | change).interface(other_layer)
     for resume in (True, False):
-        with pytest.raises(ModelError, match=rf"another march \({what}.* there, .* here.* give another folder"):
+        with pytest.raises(InputError, match=rf"another march \({what}.* there, .* here.* give another folder"):
             march(other, [0.1, 0.2], out=tmp_path, resume=resume)
-    with pytest.raises(ModelError, match=r"start: 0\.0 there, -1\.0 here"):
+    with pytest.raises(InputError, match=r"start: 0\.0 there, -1\.0 here"):
         march(Structure(JOINT, **data).interface(layer), [0.1, 0.2], out=tmp_path, resume=True, start=-1.0)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
     same = KelvinVoigt(np.float64(60.0), 40, theta_lmbda=0.3, theta_mu=0.5)
@@ -89,7 +90,7 @@ def test_what_is_observed_in_another_order(tmp_path):
 
 def test_times_that_end_before_a_resumed_march(tmp_path):
     march(interface(), [0.1, 0.2], out=tmp_path)
-    with pytest.raises(ModelError, match=r"is at t = 0\.2; times end before"):
+    with pytest.raises(InputError, match=r"is at t = 0\.2; times end before"):
         march(interface(), [0.1], out=tmp_path, resume=True)
 
 
@@ -99,7 +100,7 @@ def test_only_the_same_march_is_resumed(tmp_path):
     longer = march(interface(), [0.1, 0.2, 0.3], out=tmp_path, resume=True)
     assert (tmp_path / "table.csv").read_text().startswith(first)
     assert len(longer) == 4
-    with pytest.raises(ModelError, match=r"another march \(law\.S\.theta_mu: 0\.5 there, 0\.6 here\)"):
+    with pytest.raises(InputError, match=r"another march \(law\.S\.theta_mu: 0\.5 there, 0\.6 here\)"):
         march(interface(KelvinVoigt(60.0, 40.0, 0.3, 0.6)), [0.1], out=tmp_path, resume=True)
     assert [state.t for state in longer] == pytest.approx([0.0, 0.1, 0.2, 0.3])
     assert len(march(interface(), [0.1], out=tmp_path)) == 2

@@ -11,21 +11,11 @@ import ufl
 from scipy.optimize import brentq
 
 from forms import BulkLaw, KernelLaw, LinearElastic, MohrCoulomb, Norton
+from forms.base import InputError
 from forms.contact import HolonomicCoulomb, IncrementalCoulomb
 from geometry import sandwich
 from tests.viscous_joints import BODY, G_N, K_N, SLOW, SUDDEN, interface, opening
-from thinlayer import (
-    Adaptive,
-    ModelError,
-    RangeWarning,
-    SolveError,
-    Structure,
-    Surface,
-    ThinLayer,
-    march,
-    piecewise,
-    solve,
-)
+from thinlayer import Adaptive, RangeWarning, SolveError, Structure, Surface, ThinLayer, march, piecewise, solve
 
 pytestmark = pytest.mark.few(5)
 
@@ -97,12 +87,12 @@ def test_piecewise_loads():
     history, surface = march(model, [0.5, 1.0, 2.0]), Surface(model)
     pulls = [surface.integral(surface.traction(state)[1]) for state in history]
     assert pulls == pytest.approx([0.0, 1.0, 2.0, 1.5], abs=1e-9)
-    with pytest.raises(ModelError, match=r"the loads are not finite at t = 3\.5: traction on 'TOP'"):
+    with pytest.raises(InputError, match=r"the loads are not finite at t = 3\.5: traction on 'TOP'"):
         march(model, [0.5, 3.5])
-    with pytest.raises(ModelError, match=r"displacement is not finite at t = 2"):
+    with pytest.raises(InputError, match=r"displacement is not finite at t = 2"):
         march(interface(supports={"TOP": {"y": piecewise({0.0: 0.0, 1.0: 0.1})}}, tractions={}), [0.5, 2.0])
     for bad in ({}, {0.0: (0.0, 1.0)}, {0.0: (0.0, 1.0), 1.0: 2.0}, {0.0: "a", 1.0: "b"}, [1, 2]):
-        with pytest.raises(ModelError, match="piecewise"):
+        with pytest.raises(InputError, match="piecewise"):
             piecewise(bad)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
+from forms.base import InputError
 from geometry import sandwich
 from studies import triplet
 from tests.meshed_cases import SHARES, bricks, inner, mortar, panel
@@ -17,7 +18,7 @@ from tests.network_cases import BED, springs, three_bricks
 from tests.pictures import assert_coloured, assert_drawn
 from tests.refused import refused
 from tests.test_networks import cut_at, on
-from thinlayer import LimitLoad, ModelError, Structure, Surface, ThinLayer, march, plotting, solve
+from thinlayer import LimitLoad, Structure, Surface, ThinLayer, march, plotting, solve
 
 pytestmark = pytest.mark.few(5)
 
@@ -202,7 +203,7 @@ def test_status_along_a_seam(tmp_path):
     picture = plotting.on_surface({"tilted": state, "again": state}, Surface.status, save=tmp_path / "a.png", scale=1.0)
     assert_coloured(picture, {"elastic", "open"})
     assert_drawn(tmp_path / "a.png")
-    refused(ModelError, "scale is 'x'", lambda: plotting.on_surface(state, Surface.status, scale="x"))
+    refused(InputError, "scale is 'x'", lambda: plotting.on_surface(state, Surface.status, scale="x"))
     assert set(surface.status(solve(structure.bonded(), 1.0)).ravel()) == {"bonded"}
 
 

@@ -19,6 +19,7 @@ from forms import (
     Norton,
     Stack,
 )
+from forms.base import InputError
 from geometry import sandwich
 from tests.own_laws import (
     AgeingFluid,
@@ -33,7 +34,7 @@ from tests.own_laws import (
     layer_of,
 )
 from tests.snapping_bars import Undeclared
-from thinlayer import ModelError, Structure, Surface, ThinLayer, march, piecewise
+from thinlayer import Structure, Surface, ThinLayer, march, piecewise
 
 pytestmark = pytest.mark.few(5)
 
@@ -166,18 +167,18 @@ REFUSED = {
 def test_refused(name, tmp_path):
     """Before anything is solved; limit loads would come out too high, and steps beyond them find states that are none."""
     law, reason = REFUSED[name]
-    with pytest.raises(ModelError, match=rf"theta is 0\.75; {reason}.*theta = 1"):
+    with pytest.raises(InputError, match=rf"theta is 0\.75; {reason}.*theta = 1"):
         march(model(law), [0.5, 1.0], theta=0.75, out=tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 def test_bodies_that_are_not_linear_are_refused():
-    with pytest.raises(ModelError, match="Cubic answers at once"):
+    with pytest.raises(InputError, match="Cubic answers at once"):
         march(model(CREEP, body={"LOWER": BODY, "UPPER": Cubic(100.0, 50.0)}), [1.0], theta=0.5)
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("law", [HolonomicCoulomb(100.0, 80.0, 0.3), IncrementalCoulomb(100.0, 80.0, 0.3)])
 def test_contact_is_refused(law):
-    with pytest.raises(ModelError, match="Coulomb holds at the ends of steps: theta = 1"):
+    with pytest.raises(InputError, match="Coulomb holds at the ends of steps: theta = 1"):
         march(model(law, element="P1"), [1.0], theta=0.5)

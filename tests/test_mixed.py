@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from forms import LinearElastic, Stack
-from geometry import GeometryError, sandwich
+from forms.base import InputError
+from geometry import sandwich
 from geometry.inflating.inflation import inflate
 from tests.mixed_run import BODY, EPS, LAYER, near_ends, plane, space
 from tests.refused import refused
-from thinlayer import ModelError, RangeWarning, Structure, Surface, ThinLayer, compare, estimate, observed_orders, solve
+from thinlayer import RangeWarning, Structure, Surface, ThinLayer, compare, estimate, observed_orders, solve
 from thinlayer.surface.surface_mesh import most_of
 
 SOFT = LinearElastic.shear(8.0, 0.3)  # free ends of which the law of order 1 knows
@@ -151,8 +152,8 @@ def test_the_fewest_facets_hold_all_but_a_share():
     assert (most == (places > 0.5)).all()
     wider = surface.most_of(-x[0], 1 / 4, margin=0.1)
     assert (wider == (places > 0.4)).all()
-    refused(ModelError, "all_but is 1", lambda: surface.most_of(x[0], 1))
-    refused(ModelError, "the integral over S is 0", lambda: surface.most_of(0 * x[0], 0.1))
+    refused(InputError, "all_but is 1", lambda: surface.most_of(x[0], 1))
+    refused(InputError, "the integral over S is 0", lambda: surface.most_of(0 * x[0], 0.1))
 
 
 def test_the_map_of_an_estimate_tells_where_to_mesh():
@@ -178,7 +179,7 @@ def test_facets_without_cells_leave_the_thickness_empty():
     assert len(opened.facets["LAYER/CUT"]) == 4
     assert "RIGHT/LAYER" not in opened.facets
     for wrong, what in ((np.ones(3, bool), "needs 16 truth values"), (np.zeros(16, bool), "no facet of S gets cells")):
-        refused(GeometryError, what, inflate, joint, EPS, meshed=wrong)
+        refused(InputError, what, inflate, joint, EPS, meshed=wrong)
 
 
 @pytest.mark.parametrize(
@@ -190,4 +191,4 @@ def test_facets_without_cells_leave_the_thickness_empty():
     ],
 )
 def test_what_cannot_be_mixed_is_refused(layer, where, message):
-    refused(ModelError, message, lambda: plane("triangle").mixed(layer, where=where))
+    refused(InputError, message, lambda: plane("triangle").mixed(layer, where=where))

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from forms import KelvinVoigt, LinearElastic, Norton, VonMises
-from geometry import GeometryError, ring, sandwich
+from forms.base import InputError
+from geometry import ring, sandwich
 from tests.mixed_run import BODY, BRICKS, EPS, LAYER, bricks, mortar, near_ends, near_junctions, on_base
 from thinlayer import Structure, ThinLayer, compare, march, solve
 
@@ -67,7 +68,7 @@ def test_a_wall_with_meshed_junctions_and_laws_of_order_1_between_them():
         true, found = full.energies()[name], mixed_1.energies()[name]
         assert found == pytest.approx(true, rel=5e-3), name
     joint = structure.joint
-    with pytest.raises(GeometryError, match="the facets of S there need cells"):
+    with pytest.raises(InputError, match="the facets of S there need cells"):
         structure.mixed(mortar(1), where=lambda x: x[0] > joint.points[:, 0].mean() + 0.1)
 
 

@@ -12,14 +12,15 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms import Anisotropic, LawError, LinearElastic, MohrCoulomb, Stack
+from forms import Anisotropic, LinearElastic, MohrCoulomb, Stack
+from forms.base import InputError
 from forms.work import work
-from geometry import GeometryError, block, sandwich
+from geometry import block, sandwich
 from geometry.seam import Seam
 from tests.limit_load_run import dragged
 from tests.own_laws import Cubic
 from tests.refused import refused
-from thinlayer import ModelError, OptionError, SolveError, Structure, Surface, ThinLayer, compare, piecewise, solve
+from thinlayer import SolveError, Structure, Surface, ThinLayer, compare, piecewise, solve
 from thinlayer.discretisation.state import displacements_of
 from thinlayer.errors import RangeWarning
 from thinlayer.output.nodal_forces import nodal_forces
@@ -181,12 +182,12 @@ def test_petsc_options():
     iterative = solve(model, options={"ksp_type": "cg", "pc_type": "gamg", "ksp_rtol": 1e-12})
     assert iterative.report.iterations > 3
     assert np.abs(direct.u.x.array - iterative.u.x.array).max() < 1e-8 * np.abs(direct.u.x.array).max()
-    refused(OptionError, "-thinlayer_ksp_rtoll", lambda: solve(model, options={"ksp_rtoll": 1e-3}))
+    refused(InputError, "-thinlayer_ksp_rtoll", lambda: solve(model, options={"ksp_rtoll": 1e-3}))
     for options in ({"pc_factor_mat_solver_type": "nosuch"}, {"pc_type": "ilu"}, {"pc_type": "shell"}, {3: 1}):
-        refused(OptionError, r"does not take|it must be", solve, model, options=options)
+        refused(InputError, r"does not take|it must be", solve, model, options=options)
     PETSc.Options().setValue("thinlayer_snes_max_it", 7)
     try:
-        refused(OptionError, "linear solver: -thinlayer_snes_max_it", lambda: solve(model))
+        refused(InputError, "linear solver: -thinlayer_snes_max_it", lambda: solve(model))
     finally:
         PETSc.Options().delValue("thinlayer_snes_max_it")
 
@@ -223,29 +224,29 @@ def test_failed_solves_say_why():
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
-        (dict(supports={"BOTOM": 0.0}), GeometryError, "did you mean 'BOTTOM'.*known.*TOP"),
-        (dict(supports={"BOTTOM": {"z": 0.0}}), ModelError, "unknown component 'z'; known: n, x, y"),
-        (dict(supports={"BOTTOM": "fixed"}), ModelError, "it needs a finite number"),
-        (dict(supports={"BOTTOM": {"x": float("nan")}}), ModelError, "it needs a finite number"),
-        (dict(supports={}), ModelError, "no support against rigid motion"),
-        (dict(supports={"BOTTOM": {"y": 0.0}}), ModelError, "rigid motion of the structure .translation x"),
-        (dict(supports={(0.0, -0.5): 0.0}), ModelError, "rigid motion of the structure .rotation"),
-        (dict(supports={(0.1, -0.5): 0.0}), GeometryError, "the nearest is"),
-        (dict(supports={(0.0, -0.5, 0.0): 0.0}), ModelError, "2 coordinates of a vertex"),
-        (dict(supports={"S": 0.0}), ModelError, "below a layer"),
-        (dict(supports={"BOTTOM/UPPER": 0.0}), ModelError, "empty"),
-        (dict(tractions={"TOP": (1.0, 2.0, 3.0)}), ModelError, "needs 2 finite components"),
-        (dict(tractions={"TOP": lambda x, t: (1.0,)}), ModelError, "needs 2 finite components"),
-        (dict(tractions={"TOP": lambda x, t: (np.sin(x[0]), 0.0)}), ModelError, "use ufl.sin"),
-        (dict(tractions={"UP": (1.0, 2.0)}), GeometryError, "unknown facet tag 'UP'"),
-        (dict(tractions={"TOP/LOWER": (1.0, 2.0)}), ModelError, "this facet set is empty"),
-        (dict(body_force={"MIDDLE": (0.0, 1.0)}), ModelError, "unknown body 'MIDDLE'"),
-        (dict(body={"LOWER": BODY}), ModelError, "body 'UPPER' has no law"),
-        (dict(body={"LOWER": BODY, "UPER": BODY}), ModelError, "did you mean 'UPPER'"),
-        (dict(body=Anisotropic.springs(1.0, 1.0)), LawError, "in a body use frame='global'"),
-        (dict(plane="stres"), ModelError, "did you mean 'stress'"),
-        (dict(element="Q2"), ModelError, "does not exist on triangle cells; allowed: P1, P2"),
-        (dict(layer=GLUE), ModelError, r"give ThinLayer\(law, eps\)"),
+        (dict(supports={"BOTOM": 0.0}), InputError, "did you mean 'BOTTOM'.*known.*TOP"),
+        (dict(supports={"BOTTOM": {"z": 0.0}}), InputError, "unknown component 'z'; known: n, x, y"),
+        (dict(supports={"BOTTOM": "fixed"}), InputError, "it needs a finite number"),
+        (dict(supports={"BOTTOM": {"x": float("nan")}}), InputError, "it needs a finite number"),
+        (dict(supports={}), InputError, "no support against rigid motion"),
+        (dict(supports={"BOTTOM": {"y": 0.0}}), InputError, "rigid motion of the structure .translation x"),
+        (dict(supports={(0.0, -0.5): 0.0}), InputError, "rigid motion of the structure .rotation"),
+        (dict(supports={(0.1, -0.5): 0.0}), InputError, "the nearest is"),
+        (dict(supports={(0.0, -0.5, 0.0): 0.0}), InputError, "2 coordinates of a vertex"),
+        (dict(supports={"S": 0.0}), InputError, "below a layer"),
+        (dict(supports={"BOTTOM/UPPER": 0.0}), InputError, "empty"),
+        (dict(tractions={"TOP": (1.0, 2.0, 3.0)}), InputError, "needs 2 finite components"),
+        (dict(tractions={"TOP": lambda x, t: (1.0,)}), InputError, "needs 2 finite components"),
+        (dict(tractions={"TOP": lambda x, t: (np.sin(x[0]), 0.0)}), InputError, "use ufl.sin"),
+        (dict(tractions={"UP": (1.0, 2.0)}), InputError, "unknown facet tag 'UP'"),
+        (dict(tractions={"TOP/LOWER": (1.0, 2.0)}), InputError, "this facet set is empty"),
+        (dict(body_force={"MIDDLE": (0.0, 1.0)}), InputError, "unknown body 'MIDDLE'"),
+        (dict(body={"LOWER": BODY}), InputError, "body 'UPPER' has no law"),
+        (dict(body={"LOWER": BODY, "UPER": BODY}), InputError, "did you mean 'UPPER'"),
+        (dict(body=Anisotropic.springs(1.0, 1.0)), InputError, "in a body use frame='global'"),
+        (dict(plane="stres"), InputError, "did you mean 'stress'"),
+        (dict(element="Q2"), InputError, "does not exist on triangle cells; allowed: P1, P2"),
+        (dict(layer=GLUE), InputError, r"give ThinLayer\(law, eps\)"),
     ],
 )
 def test_models_that_cannot_be_built(build, change, error, message):
@@ -255,8 +256,8 @@ def test_models_that_cannot_be_built(build, change, error, message):
 
 
 def test_meshed_layers_that_cannot_be_built():
-    refused(GeometryError, "did you mean 'kept'", lambda: structure().full(LAYER, bodies="keep"))
-    with pytest.raises(GeometryError, match=r"cells_through is 0; .* whole number >= 1"):
+    refused(InputError, "did you mean 'kept'", lambda: structure().full(LAYER, bodies="keep"))
+    with pytest.raises(InputError, match=r"cells_through is 0; .* whole number >= 1"):
         structure().full(LAYER, cells_through=0)
 
 
@@ -301,9 +302,9 @@ def test_meshes_communicators_are_not_used_for_pickled_collectives():
 
 def test_compare_refuses_other_pairs():
     full, limit = solve(structure().full(LAYER)), solve(structure().interface(LAYER))
-    refused(ModelError, "not interface and full", lambda: compare(limit, full))
+    refused(InputError, "not interface and full", lambda: compare(limit, full))
     other = sandwich(1.0, 0.5, 0.7, 0.5)
-    refused(ModelError, "same joint", lambda: compare(solve(Structure(other, **SETUP).full(LAYER)), limit))
+    refused(InputError, "same joint", lambda: compare(solve(Structure(other, **SETUP).full(LAYER)), limit))
 
 
 def test_compare_on_a_part_of_s():
@@ -338,7 +339,7 @@ def test_a_term_beside_those_of_a_model():
             assert found[free] == pytest.approx(expected[free], abs=1e-12 * np.abs(expected).max() + 1e-13)
     everywhere = ufl.inner(ufl.jump(u), ufl.jump(u))
     assert solve(model).integral(everywhere * ufl.dS) == pytest.approx(solve(model).integral(everywhere * model.dS))
-    with pytest.raises(ModelError, match=r"two measures dx with different tags; use model\.dx"):
+    with pytest.raises(InputError, match=r"two measures dx with different tags; use model\.dx"):
         model.form(own + ufl.inner(f, v) * ufl.dx(subdomain_data=model.domain.facet_tags))
 
 

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from forms import Incompressible, LinearElastic, Maxwell, MohrCoulomb, Norton, limits
+from forms.base import InputError
 from tests import closed_forms
 from tests.mohr_coulomb_points import LAW, LAWS, LMBDA, MONO, MU, OMEGA, C
 from tests.own_laws import Slipping
 from tests.refused import refused
-from thinlayer.errors import ModelError, SolveError
+from thinlayer.errors import SolveError
 from thinlayer.pointwise.drive import drive
 
 
@@ -186,4 +187,4 @@ def test_an_open_layer_closes_under_pressure():
     ],
 )
 def test_what_drive_refuses(change, message):
-    refused(ModelError, message, lambda: drive(**({"law": LAW, "steps": [{"w_T": 0.0, "w_N": 0.0}]} | change)))
+    refused(InputError, message, lambda: drive(**({"law": LAW, "steps": [{"w_T": 0.0, "w_N": 0.0}]} | change)))

@@ -12,10 +12,11 @@ import pytest
 from PIL import Image
 
 from forms import LinearElastic
+from forms.base import InputError
 from geometry import sandwich
 from tests.on_ranks import on_ranks
 from tests.refused import refused
-from thinlayer import ModelError, Structure, ThinLayer, march, plotting, solve
+from thinlayer import Structure, ThinLayer, march, plotting, solve
 
 
 def pulled(times=(0.5, 1.0, 2.0)):
@@ -83,24 +84,24 @@ def test_ffmpeg_is_missing(history, tmp_path, monkeypatch):
     monkeypatch.delitem(sys.modules, "imageio_ffmpeg", raising=False)
     monkeypatch.setattr(builtins, "__import__", without)
     monkeypatch.setattr(shutil, "which", lambda _: None)
-    with pytest.raises(ModelError, match=r"pip install 'thinlayer\[movie\]'.*save a \.gif"):
+    with pytest.raises(InputError, match=r"pip install 'thinlayer\[movie\]'.*save a \.gif"):
         plotting.movie(history, save=tmp_path / "a.mp4")
     assert not [*tmp_path.iterdir()]
 
 
 def test_what_is_no_movie(history, tmp_path):
     for nothing in (history.last, [], None, [1, 2]):
-        with pytest.raises(ModelError, match="give a history that keeps them, or several states"):
+        with pytest.raises(InputError, match="give a history that keeps them, or several states"):
             plotting.movie(nothing, save=tmp_path / "a.gif")
-    with pytest.raises(ModelError, match="of several models"):
+    with pytest.raises(InputError, match="of several models"):
         plotting.movie([history.last, pulled([1.0]).last], save=tmp_path / "a.gif")
     for name in ("a.avi", None, 3):
-        refused(ModelError, r"ends in \.gif or \.mp4", plotting.movie, history, save=name)
+        refused(InputError, r"ends in \.gif or \.mp4", plotting.movie, history, save=name)
     for pace in (0, 2.5, "x", 1000):
-        with pytest.raises(ModelError, match="whole numbers from 1 to 50"):
+        with pytest.raises(InputError, match="whole numbers from 1 to 50"):
             plotting.movie(history, save=tmp_path / "a.gif", per_second=pace)
-    refused(ModelError, "scale is 'x'", lambda: plotting.movie(history, save=tmp_path / "a.gif", scale="x"))
-    refused(ModelError, "unknown component", lambda: plotting.movie(history, save=tmp_path / "a.gif", component="z"))
+    refused(InputError, "scale is 'x'", lambda: plotting.movie(history, save=tmp_path / "a.gif", scale="x"))
+    refused(InputError, "unknown component", lambda: plotting.movie(history, save=tmp_path / "a.gif", component="z"))
     assert not [*tmp_path.iterdir()]
 
 

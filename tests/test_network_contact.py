@@ -8,12 +8,14 @@ import scipy.sparse as sp
 import ufl
 
 from forms import IncrementalCoulomb, LinearElastic, Stack
-from geometry import Seam, bond_cell
+from forms.base import InputError
+from geometry import bond_cell
+from geometry.seam import Seam
 from studies import dry_wall as dry_wall_study
 from tests.dry_walls import PUSHES, dry_wall, forth_and_back, imbalance, pair_values
 from tests.network_cases import BED, HEAD, springs, three_bricks
 from tests.refused import refused
-from thinlayer import ModelError, Structure, Surface, ThinLayer, march, solve
+from thinlayer import Structure, Surface, ThinLayer, march, solve
 from thinlayer.errors import LimitLoad, LooseBody
 from thinlayer.parts.part import Interval
 from thinlayer.solving.contact.schur import Condensation
@@ -107,7 +109,7 @@ def test_contact_beside_a_compiled_law():
     stacked = bricks.interface({"BED": BED, "HEAD": ThinLayer(Stack((0.5, one), (0.5, other)), 0.01, at=1.0)})
     plain = bricks.interface({"BED": BED, "HEAD": ThinLayer(series, 0.01, at=1.0)})
     require_equal(solve(stacked), solve(plain, method="newton"))
-    refused(ModelError, "linear, symmetric parts and layers", solve, stacked, method="condensed")
+    refused(InputError, "linear, symmetric parts and layers", solve, stacked, method="condensed")
 
 
 def test_a_support_that_moves():
@@ -294,11 +296,11 @@ def test_up_to_sliding_beds():
 def test_refused():
     model = dry_wall(h=0.25)
     for method in ("multigrid", "relaxation"):
-        with pytest.raises(ModelError, match=f"method='{method}' is for one seam without branches.*'condensed'"):
+        with pytest.raises(InputError, match=f"method='{method}' is for one seam without branches.*'condensed'"):
             solve(model, method=method)
     cell = Structure(bond_cell((1.0, 0.5), 0.125), body=LinearElastic.young(50.0, 0.2), supports={}, element="Q1",
                      strain=((0.0, 0.0), (0.0, -0.01)))  # fmt: skip
-    with pytest.raises(ModelError, match="method='condensed' is for one seam without branches, not periodic"):
+    with pytest.raises(InputError, match="method='condensed' is for one seam without branches, not periodic"):
         solve(cell.interface({"BED": BED, "HEAD": HEAD}), method="condensed")
 
 

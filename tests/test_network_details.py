@@ -8,7 +8,9 @@ import pytest
 import ufl
 
 from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, TractionLaw
-from geometry import Seam, bond_cell, periodic, sandwich, wall
+from forms.base import InputError
+from geometry import bond_cell, periodic, sandwich, wall
+from geometry.seam import Seam
 from tests.contact_bars import contact
 from tests.dry_walls import dry_wall
 from tests.meshes import renumbered
@@ -17,7 +19,6 @@ from tests.pictures import assert_coloured
 from tests.refused import refused
 from thinlayer import (
     Gap,
-    ModelError,
     Springs,
     Structure,
     Surface,
@@ -132,11 +133,11 @@ def test_loads_on_a_seam_are_refused():
         return Structure(joint, body=ROCK, **({"supports": {}} | given)).interface(layer)
 
     for name in ("BOTTOM", "GLUE"):
-        with pytest.raises(ModelError, match=f"support on '{name}': its facets lie inside, or below a layer"):
+        with pytest.raises(InputError, match=f"support on '{name}': its facets lie inside, or below a layer"):
             made(supports={name: {"x": 0.1}})
-    with pytest.raises(ModelError, match="traction on 'BOTTOM': its facets lie inside, or below a layer"):
+    with pytest.raises(InputError, match="traction on 'BOTTOM': its facets lie inside, or below a layer"):
         made(tractions={"BOTTOM": (0.3, 0.0)})
-    with pytest.raises(ModelError, match="springs on 'BOTTOM': its facets lie inside, or below a layer"):
+    with pytest.raises(InputError, match="springs on 'BOTTOM': its facets lie inside, or below a layer"):
         made(parts=[Springs("BOTTOM", normal=2.0)])
 
 
@@ -150,7 +151,7 @@ def test_parts_do_not_take_the_names_of_layers():
         return structure.interface(springs(3.0, 1.3))
 
     for key in ("layer BED", "layer BED/1", "pressure HEAD", "contact BED", "layer 1"):
-        refused(ModelError, f"two parts are called '{key}'", made, key)
+        refused(InputError, f"two parts are called '{key}'", made, key)
     assert made("layer of paint").parts[0].key == "layer of paint"
 
 
@@ -158,7 +159,7 @@ def test_loads_inside_a_meshed_network_are_refused():
     bricks = wall(2, 2, (1.0, 0.5), 0.25)
     loads = {"BED/LOWER_FACE": (0.1, -1.0)}
     structure = Structure(bricks, body=ROCK, supports={"BOTTOM": 0.0}, tractions=loads)
-    with pytest.raises(ModelError, match="traction on 'BED/LOWER_FACE': its facets lie inside"):
+    with pytest.raises(InputError, match="traction on 'BED/LOWER_FACE': its facets lie inside"):
         structure.full(springs(3.0, 1.3))
 
 
@@ -220,11 +221,11 @@ def test_stiffness_of_a_cell_with_a_linear_traction_law():
 def test_laws_without_a_stiffness_of_a_cell():
     cell = Structure(bond_cell((2.0, 1.0), h=0.5), body=ROCK, supports={})
     for law in (Maxwell(2.0, 1.0, 0.7), KelvinVoigt(2.0, 1.0, 0.7, 0.5)):
-        with pytest.raises(ModelError, match="there is no stiffness but at a state; march under"):
+        with pytest.raises(InputError, match="there is no stiffness but at a state; march under"):
             homogenised_stiffness(cell.interface({"BED": ThinLayer(law, 0.01, at=1.0), "HEAD": springs(3.0, 1.3)}))
     assert homogenised_stiffness(cell.interface(ThinLayer(Incompressible(0.7), 0.01, at=1.0))).shape == (3, 3)
     strip = Structure(periodic(sandwich(4.0, 1.0, 1.0, 0.5), ("LEFT", "RIGHT")), body=ROCK, supports={})
-    with pytest.raises(ModelError, match="the layer has order=1, whose strains along S"):
+    with pytest.raises(InputError, match="the layer has order=1, whose strains along S"):
         homogenised_stiffness(strip.interface(ThinLayer(LinearElastic(0.8, 2.1), 0.01, order=1, at=1.0)))
 
 

@@ -8,7 +8,9 @@ import ufl
 from dolfinx import fem
 
 from forms import Incompressible, IncrementalCoulomb, LinearElastic
-from geometry import GeometryError, Joint, Seam, sandwich, wall
+from forms.base import InputError
+from geometry import Joint, sandwich, wall
+from geometry.seam import Seam
 from geometry.topology import FacetTable, Splitting, facet_normals
 from tests.meshes import renumbered
 from tests.network_cases import (
@@ -28,7 +30,7 @@ from tests.network_cases import (
     yielded,
 )
 from tests.refused import refused
-from thinlayer import ModelError, Structure, Surface, ThinLayer, march, solve
+from thinlayer import Structure, Surface, ThinLayer, march, solve
 
 pytestmark = pytest.mark.few(5)
 
@@ -221,27 +223,27 @@ def test_slip_of_rigid_bricks_on_two_seams():
 # ---------------------------------------------------------------- what is refused
 def test_refused_joints():
     joint = wall(2, 2, (1.0, 0.5), 0.25)
-    with pytest.raises(GeometryError, match=r"facets are in two seams, 'BED' and 'HEAD', the first at \("):
+    with pytest.raises(InputError, match=r"facets are in two seams, 'BED' and 'HEAD', the first at \("):
         replace(joint, facets=joint.facets | {"HEAD": joint.facets["BED"]})
-    with pytest.raises(GeometryError, match=r"'HEAD' does not separate two bodies.*one region on both sides; give the"):
+    with pytest.raises(InputError, match=r"'HEAD' does not separate two bodies.*one region on both sides; give the"):
         replace(joint, seams={"BED": Seam(), "HEAD": Seam()})
-    with pytest.raises(GeometryError, match="no facets named 'CRACK'"):
+    with pytest.raises(InputError, match="no facets named 'CRACK'"):
         replace(joint, seams=joint.seams | {"CRACK": Seam(direction=(1.0, 0.0))})
-    with pytest.raises(GeometryError, match="'S' is all seams together"):
+    with pytest.raises(InputError, match="'S' is all seams together"):
         replace(joint, facets=joint.facets | {"S": joint.facets["TOP"]}, seams=joint.seams | {"S": Seam()})
     for bad in (dict(bricks=1, courses=1), dict(bricks=1.5, courses=2), dict(bricks=2, courses=0)):
-        refused(GeometryError, r"brick is no wall|whole number", wall, **bad, brick=(1.0, 0.5))
+        refused(InputError, r"brick is no wall|whole number", wall, **bad, brick=(1.0, 0.5))
 
 
 def test_refused_layers():
     joint = wall(2, 2, (1.0, 0.5), 0.25)
     bricks = Structure(joint, body=ROCK, supports={"BOTTOM": 0.0})
     layer = springs(2.0, 1.0)
-    with pytest.raises(ModelError, match="unknown seam 'BEDS', did you mean 'BED'"):
+    with pytest.raises(InputError, match="unknown seam 'BEDS', did you mean 'BED'"):
         bricks.interface({"BEDS": layer, "HEAD": layer})
-    refused(ModelError, "the seam 'HEAD' has no layer", lambda: bricks.interface({"BED": layer}))
-    refused(ModelError, "unknown seam 'BEDS'", lambda: Surface(bricks.interface(layer), "BEDS"))
-    with pytest.raises(ModelError, match="method='multigrid' is for one seam without branches"):
+    refused(InputError, "the seam 'HEAD' has no layer", lambda: bricks.interface({"BED": layer}))
+    refused(InputError, "unknown seam 'BEDS'", lambda: Surface(bricks.interface(layer), "BEDS"))
+    with pytest.raises(InputError, match="method='multigrid' is for one seam without branches"):
         solve(
             Structure(joint, body=ROCK, supports={"BOTTOM": 0.0}, element="Q1").interface({"BED": BED, "HEAD": HEAD}),
             method="multigrid",
@@ -267,12 +269,12 @@ def test_order_one_beside_a_seam_that_ends():
         beside = bodies(apart).interface({"GLUE": layer, "CRACK": closed})
         found.append((total(bodies(SQUARE).interface(layer)), total(beside)))
     for joint in (meeting, in_line):
-        with pytest.raises(ModelError, match=r"the layer 'GLUE' meets another one"):
+        with pytest.raises(InputError, match=r"the layer 'GLUE' meets another one"):
             bodies(joint).interface({"GLUE": layer, "CRACK": closed})
     (zero, zero_apart), (one, one_apart) = found
     assert (zero_apart, one_apart) == pytest.approx((zero, one), rel=1e-6)  # the crack is closed by springs of 1e8
     assert abs(one / zero - 1) > 1e-3
-    with pytest.raises(ModelError, match=r"the layer 'CRACK' ends at \(3, 2\)"):
+    with pytest.raises(InputError, match=r"the layer 'CRACK' ends at \(3, 2\)"):
         bodies(apart).interface({"GLUE": layer, "CRACK": layer})
 
 
@@ -299,7 +301,7 @@ def test_two_incompressible_seams(element):
         surface = Surface(other.model, name)
         across = 1e6 * surface.integral(surface.frame(surface.jump(other))[1])
         assert across == pytest.approx(pressed, rel=0.06), name  # a head is four cells high
-    with pytest.raises(ModelError, match="pressure BED, pressure HEAD"):
+    with pytest.raises(InputError, match="pressure BED, pressure HEAD"):
         _ = state.p
 
 
@@ -310,4 +312,4 @@ def test_a_base_without_a_layer_holds_nothing():
     bodies = Structure(stands, body=ROCK, supports={}, tractions={"TOP": (0.1, -0.2)})
     glue = springs(2.0, 1.0)
     assert solve(bodies.interface({"GLUE": glue, "BOTTOM": glue})).energies()["layer"] > 0
-    refused(ModelError, "no support against rigid motion", lambda: bodies.interface({"GLUE": glue, "BOTTOM": None}))
+    refused(InputError, "no support against rigid motion", lambda: bodies.interface({"GLUE": glue, "BOTTOM": None}))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms import LawError, NonMonotone, NonMonotoneUnrelaxed, Tabulated
+from forms import NonMonotone, NonMonotoneUnrelaxed, Tabulated
+from forms.base import InputError
 from forms.non_monotone import lamination_gain
 from forms.planes import LIFTED
 from tests.at_points import E2, jump_strain, material, traction
@@ -14,7 +15,6 @@ from tests.non_monotone_points import ALPHA, CHI2, EPS, LMBDA, MU, TABLE, C
 from tests.refused import refused
 from thinlayer import ThinLayer, drive
 from thinlayer.discretisation.layer import real_law
-from thinlayer.errors import ModelError
 
 
 def test_a_table_is_linear_in_between():
@@ -33,12 +33,12 @@ def test_a_table_is_linear_in_between():
     ],
 )  # fmt: skip
 def test_a_bad_table(values):
-    refused(LawError, r"Tabulated needs .*pairs \(T, value\)", lambda: Tabulated(values))
+    refused(InputError, r"Tabulated needs .*pairs \(T, value\)", lambda: Tabulated(values))
 
 
 @pytest.mark.parametrize(("T", "named"), [(-0.1, "-0.1"), (np.array([20.0, 41.0]), "41"), (np.nan, "nan")])
 def test_temperatures_outside_the_table(T, named):
-    refused(LawError, f"T is {named}; the table knows 0 to 40", lambda: TABLE(T))
+    refused(InputError, f"T is {named}; the table knows 0 to 40", lambda: TABLE(T))
 
 
 def test_the_layer_switches_only_above_a_temperature():
@@ -87,7 +87,7 @@ def test_a_field_of_temperatures():
             assert traction(stress, n)[k, :2] == pytest.approx(t, rel=1e-11, abs=1e-13)
             assert q[k, 0] == pytest.approx(phase, abs=1e-11)
     assert len(set(q[:, 0])) == 3
-    refused(ModelError, "temperature that is a number, not a field", lambda: drive(law, [{"w_T": 0.0, "w_N": 0.1}]))
+    refused(InputError, "temperature that is a number, not a field", lambda: drive(law, [{"w_T": 0.0, "w_N": 0.1}]))
     arrays = NonMonotone(LMBDA, MU, np.array(ALPHA), np.array(C), CHI2, T=lambda x, t: x[0])
     assert arrays.at(x, 0.0)["alpha"] == pytest.approx(3 * [ALPHA])
 
@@ -128,4 +128,4 @@ X = np.array([[0.0, 1.0], [0.0, 0.5]])
 )
 def test_functions_that_are_none(alpha, C, T, message):
     law = NonMonotone(LMBDA, MU, alpha, C, CHI2, T=T or (lambda x, t: 5 + 5 * x[0]))
-    refused(LawError, f"^NonMonotone: {message}", lambda: law.at(X, 0.5))
+    refused(InputError, f"^NonMonotone: {message}", lambda: law.at(X, 0.5))

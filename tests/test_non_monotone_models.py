@@ -10,7 +10,8 @@ import pytest
 import ufl
 from scipy.optimize import brentq
 
-from forms import LawError, LinearElastic, NonMonotone, NonMonotoneUnrelaxed, Stack, Tabulated
+from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed, Stack, Tabulated
+from forms.base import InputError
 from geometry import block, sandwich
 from studies.problems import phases_on_s
 from studies.sweep_non_monotone import CASES, Formula, blocks
@@ -24,7 +25,7 @@ from tests.non_monotone_run import C as OF_T
 from tests.on_ranks import on_ranks
 from tests.phases_of_bars import BAR
 from tests.test_mohr_coulomb_models import PATH, PATH_3D, check_path, column
-from thinlayer import ModelError, Structure, Surface, ThinLayer, march, piecewise, solve
+from thinlayer import Structure, Surface, ThinLayer, march, piecewise, solve
 from thinlayer.discretisation.state import displacements_of
 from thinlayer.parts.phases import phase_shares
 
@@ -258,9 +259,11 @@ def test_temperature_beyond_its_table(tmp_path):
     law, seen = heated(lambda x, t: 50 + 60 * t * x[0]), []
     for make in (Structure.interface, Structure.full):
         model = make(Structure(joint(), **tall_column("normal", move=0.01)), ThinLayer(law, 0.02, at=1.0))
-        with pytest.raises(LawError, match=r"transformation_energy\(T\): T is 1\d\d\.?\d*; the table knows 20 to 100"):
+        with pytest.raises(
+            InputError, match=r"transformation_energy\(T\): T is 1\d\d\.?\d*; the table knows 20 to 100"
+        ):
             march(model, [0.5, 1.0], out=tmp_path / "out", observe={"seen": lambda state: seen.append(1) or 1.0})
-        with pytest.raises(LawError, match="the table knows 20 to 100"):
+        with pytest.raises(InputError, match="the table knows 20 to 100"):
             solve(model, t=1.0)
     assert not seen
     assert not (tmp_path / "out").exists()
@@ -342,12 +345,12 @@ def test_refused(kind):
     law, deep = kind(LMBDA, MU, ALPHA, 0.02, CHI), kind(LMBDA, MU, ALPHA, 0.02, CHI3)
     setup, layer = {"body": BODY, "supports": FIXED}, ThinLayer(law, 0.1, at=1.0)
     for make in (Structure.interface, Structure.full):
-        with pytest.raises(LawError, match=r"shape of chi is \(2, 2\); allowed: \(3, 3\) in a model of dimension 3"):
+        with pytest.raises(InputError, match=r"shape of chi is \(2, 2\); allowed: \(3, 3\) in a model of dimension 3"):
             make(Structure(solid(), **setup), layer)
-        with pytest.raises(LawError, match=r"shape of chi is \(3, 3\); allowed: \(2, 2\) in a model of dimension 2"):
+        with pytest.raises(InputError, match=r"shape of chi is \(3, 3\); allowed: \(2, 2\) in a model of dimension 2"):
             make(Structure(joint(), **setup), ThinLayer(deep, 0.1, at=1.0))
         with pytest.raises(
-            ModelError, match=f"{kind.__name__} is for layers: its phases are those of a layer's columns"
+            InputError, match=f"{kind.__name__} is for layers: its phases are those of a layer's columns"
         ):
             make(Structure(joint(), **setup | {"body": law}), layer)
     bonded = solve(Structure(joint(), **setup).bonded())
@@ -358,7 +361,7 @@ def test_refused(kind):
 
 
 def test_refused_pure_phases():
-    with pytest.raises(LawError, match="order=1 of NonMonotoneUnrelaxed: its phases are those of jumps alone"):
+    with pytest.raises(InputError, match="order=1 of NonMonotoneUnrelaxed: its phases are those of jumps alone"):
         ThinLayer(PURE, 0.1, order=1, at=1.0)
-    with pytest.raises(LawError, match="Stack: a sublayer is NonMonotoneUnrelaxed"):
+    with pytest.raises(InputError, match="Stack: a sublayer is NonMonotoneUnrelaxed"):
         Stack((0.5, PURE), (0.5, BODY))

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms import LawError, NonMonotone, NonMonotoneUnrelaxed, Stack
+from forms import NonMonotone, NonMonotoneUnrelaxed, Stack
+from forms.base import InputError
 from forms.non_monotone import lamination_gain
 from geometry import sandwich
 from tests.non_monotone_points import ALPHA, CHI2, LMBDA, MU, PURE, RELAXED, STEEP, STIFF, TABLE, C, pulled
 from tests.refused import refused
 from thinlayer import Structure, ThinLayer, drive
-from thinlayer.errors import ModelError
 
 GOOD = {"lmbda": LMBDA, "mu": MU, "alpha": ALPHA, "transformation_energy": C, "chi": CHI2}
 BOUND = ALPHA**2 * lamination_gain(LMBDA, MU, CHI2) / 2
@@ -30,7 +30,7 @@ BAD = [
 
 @pytest.mark.parametrize(("change", "message"), BAD)
 def test_bad_parameters(change, message):
-    refused(LawError, f"^NonMonotone: {message}", lambda: NonMonotone(**{**GOOD, **change}))
+    refused(InputError, f"^NonMonotone: {message}", lambda: NonMonotone(**{**GOOD, **change}))
 
 
 def test_parameters_that_are_just_allowed():
@@ -61,23 +61,23 @@ def test_a_law_equals_itself_alone():
 def test_where_the_laws_have_no_place():
     """Columns that switch are not points in series; bodies have no axes; softening localises; dimensions."""
     pure, relaxed = PURE["2D"], RELAXED["2D"]
-    refused(LawError, "Stack: a sublayer is NonMonotoneUnrelaxed", lambda: Stack((0.5, STIFF), (0.5, pure)))
-    refused(LawError, "order=1 of NonMonotoneUnrelaxed", lambda: ThinLayer(pure, 0.1, order=1, at=1.0))
-    with pytest.raises(LawError, match=r"shape of chi is \(3, 3\); allowed: \(2, 2\) in plane stress"):
+    refused(InputError, "Stack: a sublayer is NonMonotoneUnrelaxed", lambda: Stack((0.5, STIFF), (0.5, pure)))
+    refused(InputError, "order=1 of NonMonotoneUnrelaxed", lambda: ThinLayer(pure, 0.1, order=1, at=1.0))
+    with pytest.raises(InputError, match=r"shape of chi is \(3, 3\); allowed: \(2, 2\) in plane stress"):
         RELAXED["3D"].plane_stress()
     for law, n in ((relaxed, (0, 1, 0)), (RELAXED["3D"], (0, 1)), (Stack((0.5, STIFF), (0.5, relaxed)), (0, 0, 1))):
         d = len(n)
         with pytest.raises(
-            LawError, match=rf"NonMonotone: shape of chi is .*allowed: \({d}, {d}\) in a model of dimension"
+            InputError, match=rf"NonMonotone: shape of chi is .*allowed: \({d}, {d}\) in a model of dimension"
         ):
             drive(law, pulled("w", [(0.0,) * d]), n)
     plates = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
     setup = dict(supports={"BOTTOM": 0.0}, element="Q1")
     for build, law, body, error, message in (
-        (Structure.interface, relaxed, relaxed, ModelError, "body '.*': NonMonotone is for layers: its phases"),
-        (Structure.interface, relaxed, pure, ModelError, "NonMonotoneUnrelaxed is for layers"),
-        (Structure.interface, RELAXED["3D"], STIFF, LawError, r"chi is \(3, 3\); allowed: \(2, 2\) in a model of"),
-        (Structure.full, STEEP, STIFF, ModelError, "falls as strains grow.*take mixing=1, or NonMonotoneUnrelaxed"),
+        (Structure.interface, relaxed, relaxed, InputError, "body '.*': NonMonotone is for layers: its phases"),
+        (Structure.interface, relaxed, pure, InputError, "NonMonotoneUnrelaxed is for layers"),
+        (Structure.interface, RELAXED["3D"], STIFF, InputError, r"chi is \(3, 3\); allowed: \(2, 2\) in a model of"),
+        (Structure.full, STEEP, STIFF, InputError, "falls as strains grow.*take mixing=1, or NonMonotoneUnrelaxed"),
     ):
         with pytest.raises(error, match=message):
             build(Structure(plates, body=body, **setup), ThinLayer(law, 0.1, at=1.0))

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from forms import LawError, LinearElastic, Maxwell, Norton
+from forms import LinearElastic, Maxwell, Norton
+from forms.base import InputError
 from geometry import block, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from studies.rates import HARD
 from tests import reference
-from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, march, observed_orders, solve
+from thinlayer import Structure, Surface, ThinLayer, compare, march, observed_orders, solve
 from thinlayer.errors import RangeWarning
 
 pytestmark = pytest.mark.few(5)
@@ -155,11 +156,11 @@ def test_refused():
     setup = {"body": FOURIER_LAYER, "supports": {"BOTTOM": 0.0}}
     full, limit = (Structure(joint, **setup) for _ in range(2))
     with pytest.raises(
-        ModelError, match="order=1: bodies are extended in the full model and kept in the interface model"
+        InputError, match="order=1: bodies are extended in the full model and kept in the interface model"
     ):
         compare(solve(full.full(layer, bodies="extended")), solve(limit.interface(layer)))
 
 
 def test_orders():
-    with pytest.raises(LawError, match="allowed: 0, 1"):
+    with pytest.raises(InputError, match="allowed: 0, 1"):
         ThinLayer(FOURIER_LAYER, 0.1, order=2, at=1.0)

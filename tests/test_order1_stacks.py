@@ -7,7 +7,8 @@ import warnings
 import numpy as np
 import pytest
 
-from forms import Anisotropic, Incompressible, KelvinVoigt, LawError, LinearElastic, Maxwell, MohrCoulomb, Stack
+from forms import Anisotropic, Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulomb, Stack
+from forms.base import InputError
 from forms.series import in_series
 from geometry import sandwich
 from studies.problems import FOURIER_BODY, FOURIER_LAYER, fourier
@@ -171,7 +172,7 @@ def test_a_graded_layer():
     ]
     assert np.log2((jumps[1] - jumps[0]) / (jumps[2] - jumps[1])) == pytest.approx(2.0, abs=0.1)
     for n in (0, 2.5, "2"):
-        with pytest.raises(LawError, match="number of sublayers"):
+        with pytest.raises(InputError, match="number of sublayers"):
             Stack.graded(graded, n)
 
 
@@ -224,13 +225,13 @@ def test_eigenstrains():
 def test_refused(law):
     both = Stack((0.4, FOURIER_LAYER), (0.6, law))
     with pytest.raises(
-        LawError, match=rf"order=1 of a Stack with the sublayer {type(law).__name__}.*use order=0, or mesh"
+        InputError, match=rf"order=1 of a Stack with the sublayer {type(law).__name__}.*use order=0, or mesh"
     ):
         ThinLayer(both, 0.1, order=1, at=1.0)
     assert ThinLayer(both, 0.1, at=1.0).order == 0
-    with pytest.raises(LawError, match="a sublayer"):
+    with pytest.raises(InputError, match="a sublayer"):
         Stack((0.5, FOURIER_LAYER), (0.5, Incompressible(3.0)))
-    with pytest.raises(LawError, match="order=1 of a Stack with parameters that are functions"):
+    with pytest.raises(InputError, match="order=1 of a Stack with parameters that are functions"):
         ThinLayer(Stack((0.4, FOURIER_LAYER), (0.6, LinearElastic(lambda x: 60 + x[0], 40.0))), 0.1, order=1, at=1.0)
 
 
@@ -241,7 +242,7 @@ def test_one_that_varies_in_time_is_refused():
         def at(self, x, t):
             return {"mu": self.mu * (1 + t) + 0 * x[0]}
 
-    with pytest.raises(LawError, match="sublayer Ageing"):
+    with pytest.raises(InputError, match="sublayer Ageing"):
         ThinLayer(Stack((0.4, FOURIER_LAYER), (0.6, Ageing(60.0, 40.0))), 0.1, order=1, at=1.0)
 
 

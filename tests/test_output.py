@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from forms import LawError
+from forms.base import InputError
 from studies.problems import FOURIER_LAYER, fourier
 from tests.refused import refused
-from thinlayer import History, ModelError, Structure, Surface, Table, ThinLayer, fields, march, plotting, solve, sweep
+from thinlayer import History, Structure, Surface, Table, ThinLayer, fields, march, plotting, solve, sweep
 from thinlayer.output.grid import gather
 
 pytestmark = pytest.mark.few(5)
@@ -54,14 +54,14 @@ def test_a_resumed_sweep_keeps_its_rows(tmp_path):
     assert list(table["eps"]) == [0.4, 0.2, 0.1]
     assert table["order_traction"][1:] == pytest.approx([2.0, 2.0])
     for bad in (None, 5, (1, 2)):
-        with pytest.raises(ModelError, match=r"returns is .* it needs a mapping"):
+        with pytest.raises(InputError, match=r"returns is .* it needs a mapping"):
             sweep(lambda e, bad=bad: bad, [0.2])
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("eps", [[], [0.1, 0.1], [0.0, 0.1], [float("inf")], "12", [True], ["1"], None, 0.1])
 def test_sweep_refuses_bad_thicknesses(eps):
-    refused(LawError, "different thicknesses > 0", lambda: sweep(lambda e: {}, eps))
+    refused(InputError, "different thicknesses > 0", lambda: sweep(lambda e: {}, eps))
 
 
 def test_table():
@@ -85,14 +85,14 @@ def test_a_table_of_columns(tmp_path):
     table.extend(Table.of({"law": "soft", "eps": np.array([0.2, 0.1]), "error": [0.03, None]}))
     assert table.rows == Table.load(tmp_path / "t.csv").rows
     assert table.rows[1] == {"law": "soft", "eps": 0.1, "error": None}
-    refused(ModelError, "not a 2, b 3", lambda: Table.of({"a": [1, 2], "b": [1, 2, 3]}))
+    refused(InputError, "not a 2, b 3", lambda: Table.of({"a": [1, 2], "b": [1, 2, 3]}))
 
 
 def test_tables_are_printed_as_they_are():
     table = Table([{"slip [mm]": 1.0, "[red]a": "[bold]x[/]"}, {"slip [mm]": 2.0, "[red]a": "y"}])
     assert str(table).splitlines()[0].split() == ["slip", "[mm]", "[red]a"]
     assert str(table).splitlines()[1].split() == ["1", "[bold]x[/]"]
-    refused(ModelError, "have texts for names, not 1", lambda: Table([{1: 2.0}]))
+    refused(InputError, "have texts for names, not 1", lambda: Table([{1: 2.0}]))
 
 
 @pytest.mark.few(1)
@@ -174,13 +174,13 @@ def test_displacements_for_paraview(states, tmp_path):
 def test_there_must_be_something_to_draw_and_to_write(states, tmp_path):
     history = march(states[1].model, [1.0])
     for nothing in ({}, history, {"a": history}, None):
-        with pytest.raises(ModelError, match=r"deformed: (there is no state|.* is )"):
+        with pytest.raises(InputError, match=r"deformed: (there is no state|.* is )"):
             plotting.deformed(nothing, save=tmp_path / "a.png")
     for tables in ({}, Table(), {"a": Table([{"eps": 1.0}])}):
-        with pytest.raises(ModelError, match=r"rates: (there is no table|.*no row, or no column .*error_traction)"):
+        with pytest.raises(InputError, match=r"rates: (there is no table|.*no row, or no column .*error_traction)"):
             plotting.rates(tables, save=tmp_path / "a.png")
     for thing in (History(history.model), {"a": states[1]}, None):
-        with pytest.raises(ModelError, match=r"there is nothing to write|are written of a state or a history"):
+        with pytest.raises(InputError, match=r"there is nothing to write|are written of a state or a history"):
             fields.write(thing, tmp_path / "a.pvd")
     assert not [*tmp_path.iterdir()]
     assert len(repr(history)) < 120

@@ -27,9 +27,9 @@ from forms import (
     Norton,
     Stack,
 )
+from forms.base import InputError
 from forms.elastic import lame
 from forms.kinematics import lift
-from forms.law import LawError
 from forms.work import body, energy, work
 from geometry import Joint
 from geometry.dolfinx_mesh import cell_nodes
@@ -39,7 +39,8 @@ from tests.folders_run import raised
 from tests.on_ranks import on_ranks
 from tests.ranks import CLONE
 from tests.refused import refused
-from thinlayer import BrokenMesh, ContactPart, ModelError, SolveError, Springs, StepProblem, Structure, ThinLayer, march
+from thinlayer import BrokenMesh, SolveError, Springs, StepProblem, Structure, ThinLayer, march
+from thinlayer.parts.contact_part import ContactPart
 from thinlayer.parts.forms import FormPart, matrix
 from thinlayer.parts.part import Block, Outcome, Part
 from thinlayer.parts.pressure_part import PressurePart
@@ -484,8 +485,8 @@ def test_refused_parts():
         ([FormPart("forms", blocks.u)], "two parts are called 'forms'"),
         ([Springs("TOP", normal=1.0)], "allowed: objects that derive from"),
     ]:
-        refused(ModelError, message, StepProblem, rest, blocks.u, blocks.bcs, [], parts)
-    refused(ModelError, "contact laws act at vertices", lambda: blocks.broken.contact_surface(LAYER, V))
+        refused(InputError, message, StepProblem, rest, blocks.u, blocks.bcs, [], parts)
+    refused(InputError, "contact laws act at vertices", lambda: blocks.broken.contact_surface(LAYER, V))
 
 
 # ---------------------------------------------------------------- what is refused
@@ -506,10 +507,10 @@ def test_refused_tags():
         (cells, facets, {LAYER: (0, 0)}, "not all 0"),
         (cells, facets, {LAYER: {LOWER, UPPER}}, "one side in"),
     ]:
-        refused(ModelError, message, BrokenMesh, grid, bodies, tags, S)
-    refused(ModelError, "S has no tag 9; there are 3", lambda: blocks.broken.interface(9))
+        refused(InputError, message, BrokenMesh, grid, bodies, tags, S)
+    refused(InputError, "S has no tag 9; there are 3", lambda: blocks.broken.interface(9))
     refused(
-        LawError,
+        InputError,
         "pressure of its own",
         lambda: blocks.broken.layer(LAYER, ThinLayer(Incompressible(mu=1.0), 0.1, at=1.0)),
     )
@@ -519,13 +520,13 @@ def test_refused_tags():
         ({"eigenstrain": 1e-3}, "eigenstrain=... of a layer on a mesh of one's own"),
         ({"order": 1, "profile": lambda x: 1 + x[0]}, "a thickness that varies needs bodies at their true places"),
     ]:
-        with pytest.raises(LawError, match=message):
+        with pytest.raises(InputError, match=message):
             blocks.broken.layer(LAYER, ThinLayer(law, 0.1, at=1.0, **given))
-    with pytest.raises(ModelError, match="order=1 of Maxwell with lmbda/mu = 13"):
+    with pytest.raises(InputError, match="order=1 of Maxwell with lmbda/mu = 13"):
         blocks.broken.layer(LAYER, ThinLayer(Maxwell(52.0, 4.0, t1=1.5), 0.1, order=1, at=1.0))
-    with pytest.raises(LawError, match="a ContactLaw is for ContactPart"):
+    with pytest.raises(InputError, match="a ContactLaw is for ContactPart"):
         blocks.broken.layer(LAYER, HolonomicCoulomb(K_N=1.0, K_T=1.0, friction=0.3))
-    with pytest.raises(LawError, match="ContactLaw has no threshold"):
+    with pytest.raises(InputError, match="ContactLaw has no threshold"):
         ContactPart(ContactLaw(1.0, 1.0), blocks.broken.contact_surface(LAYER, blocks.V))
 
 
@@ -534,19 +535,19 @@ def test_refused_steps():
     law = MohrCoulomb(60.0, 40.0, cohesion=0.2, friction_angle=30.0)
     terms = [body(STONE, blocks.dx), *blocks.broken.layer(LAYER, ThinLayer(law, 0.01, at=1.0))]
     problem = StepProblem(blocks.rest, blocks.u, blocks.bcs, terms)
-    refused(ModelError, "no step has begun", lambda: problem.accept())
-    refused(ModelError, "allowed: >= 0", lambda: problem.begin(-1.0))
+    refused(InputError, "no step has begun", lambda: problem.accept())
+    refused(InputError, "allowed: >= 0", lambda: problem.begin(-1.0))
     problem.begin(0.0)
     blocks.move.value[:] = (0.1, 0.0)
     refused(SolveError, "of the forces of loads and stresses is out of balance", lambda: problem.accept())
     u = fem.Function(fem.functionspace(blocks.grid, ("Lagrange", 1, (2,))))
     elsewhere = fem.dirichletbc(np.zeros(2), np.array([0], np.int32), u.function_space)
-    refused(ModelError, "of another space than u", StepProblem, blocks.rest, blocks.u, [elsewhere], terms)
+    refused(InputError, "of another space than u", StepProblem, blocks.rest, blocks.u, [elsewhere], terms)
     for form in (ufl.inner(blocks.u, blocks.u) * ufl.dx, blocks.rest + ufl.inner(blocks.u, blocks.u) * ufl.dx, 0.0):
-        refused(ModelError, "linear in one test function", StepProblem, form, blocks.u, blocks.bcs, terms)
-    with pytest.raises(ModelError, match="do not jump across S"):
+        refused(InputError, "linear in one test function", StepProblem, form, blocks.u, blocks.bcs, terms)
+    with pytest.raises(InputError, match="do not jump across S"):
         StepProblem(ufl.inner(u, ufl.TestFunction(u.function_space)) * ufl.dx, u, (), terms)
-    with pytest.raises(ModelError, match=r"dx\(1\) has no tags"):
+    with pytest.raises(InputError, match=r"dx\(1\) has no tags"):
         StepProblem(blocks.rest, blocks.u, (), [body(law, ufl.Measure("dx", domain=blocks.grid)(1))])
 
 

@@ -256,7 +256,7 @@ def test_ranks_that_are_told_different_things(there):
     """All have the same error, and none waits."""
     assert there.keys() == DIFFERENT.keys()
     for name, message in DIFFERENT.items():
-        said = f"ModelError: .*{message}" if message else "nothing"
+        said = f"InputError: .*{message}" if message else "nothing"
         assert re.match(said, str(there[name])), (name, there[name])
 
 
@@ -334,4 +334,4 @@ def fails_beside_a_model() -> list[str]:
 @on_ranks(fails_beside_a_model, 2)
 def test_an_error_of_one_rank_where_others_build_a_model(there):
     """They learn of it there, and all ranks go on together."""
-    assert there == ["ModelError: rank 1: one alone", "ValueError: one alone"]
+    assert there == ["InputError: rank 1: one alone", "ValueError: one alone"]

@@ -11,18 +11,8 @@ from dolfinx import fem
 from dolfinx.mesh import create_unit_square
 from mpi4py import MPI
 
-from forms import (
-    Anisotropic,
-    HolonomicCoulomb,
-    LawError,
-    LinearElastic,
-    Maxwell,
-    MohrCoulomb,
-    NonMonotone,
-    Stack,
-    VonMises,
-    work,
-)
+from forms import Anisotropic, HolonomicCoulomb, LinearElastic, Maxwell, MohrCoulomb, NonMonotone, Stack, VonMises, work
+from forms.base import InputError
 from geometry import block, sandwich
 from studies.problems import fourier
 from tests.columns_in_time import column
@@ -30,7 +20,7 @@ from tests.columns_in_time import joint as one_cell
 from tests.own_laws import Cubic, Slipping
 from tests.refused import refused
 from tests.test_order1 import apart
-from thinlayer import ModelError, RangeWarning, StepProblem, Structure, Surface, ThinLayer, drive, march, solve
+from thinlayer import RangeWarning, StepProblem, Structure, Surface, ThinLayer, drive, march, solve
 
 pytestmark = pytest.mark.few(5)
 
@@ -182,9 +172,9 @@ def test_a_body_of_several_materials():
     ids=["E", "nu", "lmbda", "nan", "strength", "shape", "fails"],
 )  # fmt: skip
 def test_values_out_of_range(law, message):
-    refused(LawError, message, lambda: structure(law()).interface(ThinLayer(GLUE, 0.1, at=1.0)))
-    refused(LawError, message, lambda: structure().full(ThinLayer(law(), 0.1, at=1.0)))
-    refused(LawError, message, lambda: structure().interface(ThinLayer(law(), 0.1, at=1.0)))
+    refused(InputError, message, lambda: structure(law()).interface(ThinLayer(GLUE, 0.1, at=1.0)))
+    refused(InputError, message, lambda: structure().full(ThinLayer(law(), 0.1, at=1.0)))
+    refused(InputError, message, lambda: structure().interface(ThinLayer(law(), 0.1, at=1.0)))
 
 
 def test_what_takes_no_functions():
@@ -194,10 +184,10 @@ def test_what_takes_no_functions():
         lambda: HolonomicCoulomb(function, 1.0, friction=0.2),
         lambda: Anisotropic(function),
     ):
-        refused(LawError, r"allowed: (a number|numbers|> 0)", build)
-    with pytest.raises(LawError, match=r"lmbda is a function of the place; allowed: a number, as `at` gives"):
+        refused(InputError, r"allowed: (a number|numbers|> 0)", build)
+    with pytest.raises(InputError, match=r"lmbda is a function of the place; allowed: a number, as `at` gives"):
         NonMonotone(function, 40.0, 0.2, 0.02, np.eye(2))
-    with pytest.raises(ModelError, match="lmbda is a function of the place; a point needs a number"):
+    with pytest.raises(InputError, match="lmbda is a function of the place; a point needs a number"):
         drive(LinearElastic(function, 40.0), [{"w_T": 0.1}])
 
 
@@ -213,7 +203,7 @@ def test_a_range_is_missed_nowhere():
     """One place of many where a ratio is out of range."""
     x = np.linspace(0.0, 1.0, 100_001)[None].repeat(2, axis=0)
     law = LinearElastic(lambda x: np.where(abs(x[0] - 0.00777) < 1e-9, -39.0, -20.0), lambda x: 58.0 + 1e-3 * x[0])
-    refused(LawError, r"lmbda is -39.0; allowed: > -2 mu/3 = -38.6667, at x = \(0.00777", lambda: law.check_at(x))
+    refused(InputError, r"lmbda is -39.0; allowed: > -2 mu/3 = -38.6667, at x = \(0.00777", lambda: law.check_at(x))
 
 
 def test_a_script_of_ones_own():
@@ -232,7 +222,7 @@ def test_a_script_of_ones_own():
         problem.destroy()
     assert energies[0] == pytest.approx(energies[1], rel=1e-12)
     wrong = work.body(LinearElastic.young(lambda x: 100 - 200 * x[0], 0.3), ufl.dx(domain=mesh))
-    refused(LawError, r"E is .* at x", lambda: StepProblem(nothing, u, terms=[wrong]))
+    refused(InputError, r"E is .* at x", lambda: StepProblem(nothing, u, terms=[wrong]))
 
 
 def test_a_meshed_law_of_ones_own_with_a_function_that_is_constant():

@@ -8,8 +8,10 @@ import pytest
 import ufl
 
 from forms import HolonomicCoulomb, Incompressible, LinearElastic, VonMises
+from forms.base import InputError
 from forms.law import BulkLaw
-from geometry import GeometryError, Seam, bond_cell, inflate, periodic, sandwich, wall
+from geometry import bond_cell, inflate, periodic, sandwich, wall
+from geometry.seam import Seam
 from studies import homogenised_bond
 from tests.meshes import renumbered
 from tests.network_cases import springs
@@ -31,7 +33,6 @@ from tests.periodic_cases import (
 from tests.pictures import assert_drawn
 from tests.refused import refused
 from thinlayer import (
-    ModelError,
     PointLoad,
     SolveError,
     Springs,
@@ -303,7 +304,7 @@ def test_contact_in_a_laminate():
     found = solve(stuck.interface(HolonomicCoulomb(K_N=16.0, K_T=4.0, friction=0.3))).mean_strain()
     assert 2 * found[0, 1] == pytest.approx(0.2 * (1 / ROCK.mu + 1 / 4.0), rel=1e-9)
     assert found[1, 1] == pytest.approx(-M / (M**2 - ROCK.lmbda**2) - 1 / 16.0, rel=1e-9)
-    refused(ModelError, "not periodic", lambda: solve(state.model, method="condensed"))
+    refused(InputError, "not periodic", lambda: solve(state.model, method="condensed"))
 
 
 @pytest.mark.filterwarnings("error")  # S has no free ends: it goes on at the other side
@@ -337,7 +338,7 @@ def test_only_free_translations_are_held():
     on_springs = Structure(strip, body=ROCK, supports={}, parts=[Springs("BOTTOM", normal=1.0, tangential=2.0)])
     assert on_springs.interface(springs(4.0, 1.5)).supports.anchored == ()
     pushed = Structure(strip, body=ROCK, supports={"BOTTOM": {"y": 0.0}}, tractions={"TOP": (0.1, -1.0)})
-    with pytest.raises(ModelError, match=r"add up to 0\.1 along x at t = 0, and nothing balances them"):
+    with pytest.raises(InputError, match=r"add up to 0\.1 along x at t = 0, and nothing balances them"):
         solve(pushed.interface(springs(4.0, 1.5)))
 
 
@@ -353,7 +354,7 @@ def test_a_vertex_of_a_periodic_side_may_be_held():
 
 def test_a_box_that_repeats_in_one_direction_may_turn_about_it():
     box = periodic(sandwich(1.0, 0.5, 0.5, 0.25, depth=1.0, cell="hexahedron"), ("LEFT", "RIGHT"))
-    with pytest.raises(ModelError, match=r"rigid motion of the structure \(rotation about \(1, 0, 0\)\)"):
+    with pytest.raises(InputError, match=r"rigid motion of the structure \(rotation about \(1, 0, 0\)\)"):
         Structure(box, body=ROCK, supports={}, element="Q1").interface(springs(4.0, 1.5))
 
 
@@ -380,33 +381,33 @@ def test_the_study_holds_and_can_fail(tmp_path, monkeypatch):
 # ---------------------------------------------------------------- what is refused
 def test_refused_joints():
     joint = sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral")
-    refused(GeometryError, "unknown side 'LEFTT', did you mean 'LEFT'", lambda: periodic(joint, ("LEFTT", "RIGHT")))
-    refused(GeometryError, "'LEFT' is in two pairs", lambda: periodic(joint, ("LEFT", "RIGHT"), ("LEFT", "TOP")))
-    refused(GeometryError, r"'LEFT' and 'TOP' do not match: 'LEFT' has a node at \(", periodic, joint, ("LEFT", "TOP"))
+    refused(InputError, "unknown side 'LEFTT', did you mean 'LEFT'", lambda: periodic(joint, ("LEFTT", "RIGHT")))
+    refused(InputError, "'LEFT' is in two pairs", lambda: periodic(joint, ("LEFT", "RIGHT"), ("LEFT", "TOP")))
+    refused(InputError, r"'LEFT' and 'TOP' do not match: 'LEFT' has a node at \(", periodic, joint, ("LEFT", "TOP"))
     moved = joint.points.copy()
     moved[np.isclose(joint.points, (1.0, 0.25)).all(axis=1), 1] += 0.01
-    with pytest.raises(GeometryError, match=r"has a node at \(0, 0.25\), and 'RIGHT' has none at \(1, 0.25\)"):
+    with pytest.raises(InputError, match=r"has a node at \(0, 0.25\), and 'RIGHT' has none at \(1, 0.25\)"):
         periodic(replace(joint, points=moved), ("LEFT", "RIGHT"))
-    refused(GeometryError, "do not match any more", lambda: replace(periodic(joint, ("LEFT", "RIGHT")), points=moved))
+    refused(InputError, "do not match any more", lambda: replace(periodic(joint, ("LEFT", "RIGHT")), points=moved))
     for n, wide in ((1, False), (2, False), (3, True)):
         narrow = sandwich(0.25 * n, 0.5, 0.5, 0.25, cell="quadrilateral")
         if wide:
             periodic(narrow, ("LEFT", "RIGHT"))
             continue
-        with pytest.raises(GeometryError, match=r"needs three cells or more between its sides \('LEFT' and 'RIGHT'\)"):
+        with pytest.raises(InputError, match=r"needs three cells or more between its sides \('LEFT' and 'RIGHT'\)"):
             periodic(narrow, ("LEFT", "RIGHT"))
-    with pytest.raises(GeometryError, match=r"the seam 'S' cannot be a periodic side.*cut the periodic cell through"):
+    with pytest.raises(InputError, match=r"the seam 'S' cannot be a periodic side.*cut the periodic cell through"):
         periodic(joint, ("S", "TOP"))
     based = replace(wall(2, 2, (1.0, 0.5), 0.125), periods=None)
     left = based.facets["LEFT"]
     both = {"BED": based.facets["BED"], "EDGE": left, "LEFT": left, "RIGHT": based.facets["RIGHT"]}
     seams = {"BED": Seam(direction=(0.0, 1.0)), "EDGE": Seam()}
-    with pytest.raises(GeometryError, match=r"unknown side 'LEFT'|lies on the periodic boundary"):
+    with pytest.raises(InputError, match=r"unknown side 'LEFT'|lies on the periodic boundary"):
         periodic(replace(based, facets=both, seams=seams), ("LEFT", "RIGHT"))
     cell = periodic(joint, *SIDES)
-    refused(GeometryError, "S reaches the periodic sides", lambda: inflate(cell, 0.01))
+    refused(InputError, "S reaches the periodic sides", lambda: inflate(cell, 0.01))
     for cut in ((0.5, 0.5), (0.25, 0.0), (0.25, 0.99)):
-        refused(GeometryError, r"along a joint|between 0 and 1", bond_cell, BRICK, 0.25, cut=cut)
+        refused(InputError, r"along a joint|between 0 and 1", bond_cell, BRICK, 0.25, cut=cut)
 
 
 def test_refused_structures():
@@ -415,32 +416,32 @@ def test_refused_structures():
     def model(**options):
         return Structure(laminate(), **({"body": ROCK, "supports": {}} | options)).interface(layer)
 
-    refused(ModelError, "support on 'LEFT': this side is identified with another one", model, supports={"LEFT": 0.0})
-    with pytest.raises(ModelError, match="traction on 'TOP/COURSE 2': this side is identified"):
+    refused(InputError, "support on 'LEFT': this side is identified with another one", model, supports={"LEFT": 0.0})
+    with pytest.raises(InputError, match="traction on 'TOP/COURSE 2': this side is identified"):
         model(tractions={"TOP/COURSE 2": (0.0, 1.0)})
-    refused(ModelError, "needs 2 x 2 finite components", lambda: model(strain=(1e-3, 0.0, 0.0)))
-    refused(ModelError, "a mean strain or a mean stress, not both", lambda: model(strain=np.eye(2), stress=np.eye(2)))
-    with pytest.raises(ModelError, match="mean stress needs bodies with linear laws"):
+    refused(InputError, "needs 2 x 2 finite components", lambda: model(strain=(1e-3, 0.0, 0.0)))
+    refused(InputError, "a mean strain or a mean stress, not both", lambda: model(strain=np.eye(2), stress=np.eye(2)))
+    with pytest.raises(InputError, match="mean stress needs bodies with linear laws"):
         model(stress=np.eye(2), body=Stiffening(3.0, 1e3))
     strip = Structure(
         periodic(sandwich(1.0, 0.5, 0.5, 0.25), ("LEFT", "RIGHT")), body=ROCK, supports={}, stress=np.eye(2)
     )
-    refused(ModelError, "needs a joint periodic in 2 directions", lambda: strip.interface(layer))
-    refused(ModelError, "at t = 0 is not symmetric", lambda: model(strain=((0.0, 1e-3), (0.0, 0.0))))
-    refused(ModelError, "depends on the place", lambda: model(strain=lambda x, t: ((x[0], 0.0), (0.0, 0.0))))
+    refused(InputError, "needs a joint periodic in 2 directions", lambda: strip.interface(layer))
+    refused(InputError, "at t = 0 is not symmetric", lambda: model(strain=((0.0, 1e-3), (0.0, 0.0))))
+    refused(InputError, "depends on the place", lambda: model(strain=lambda x, t: ((x[0], 0.0), (0.0, 0.0))))
     table = piecewise({0: 0.0, 1: 1e-3})
-    with pytest.raises(ModelError, match="the mean strain is not finite at t = 3"):
+    with pytest.raises(InputError, match="the mean strain is not finite at t = 3"):
         solve(model(strain=lambda x, t: ((table(x, t), 0.0), (0.0, 0.0))), 3.0)
-    refused(ModelError, "the loads of the periodic joint add up to", lambda: solve(model(body_force=(0.0, -1.0))))
+    refused(InputError, "the loads of the periodic joint add up to", lambda: solve(model(body_force=(0.0, -1.0))))
     plain = Structure(laminate(), body=ROCK, supports={}, strain=np.eye(2))
-    with pytest.raises(ModelError, match="order=1, whose strains along S"):
+    with pytest.raises(InputError, match="order=1, whose strains along S"):
         plain.interface(ThinLayer(LinearElastic(1.0, 1.0), 0.01, order=1, at=1.0))
     alone = Structure(sandwich(1.0, 0.5, 0.5, 0.25), body=ROCK, supports={"BOTTOM": 0.0}, strain=np.eye(2))
-    refused(ModelError, "the mean strain is for a periodic cell, and this joint is none", alone.interface, layer)
-    with pytest.raises(ModelError, match="needs a model of a periodic joint"):
+    refused(InputError, "the mean strain is for a periodic cell, and this joint is none", alone.interface, layer)
+    with pytest.raises(InputError, match="needs a model of a periodic joint"):
         homogenised_stiffness(Structure(alone.joint, body=ROCK, supports={"BOTTOM": 0.0}).interface(layer))
     curved = Structure(laminate(), body=Stiffening(3.0, 1e3), supports={})
-    with pytest.raises(ModelError, match="is not linear, or has stresses without strains"):
+    with pytest.raises(InputError, match="is not linear, or has stresses without strains"):
         homogenised_stiffness(curved.interface(layer))
 
 

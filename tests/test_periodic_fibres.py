@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from forms import LinearElastic, Maxwell
-from geometry import GeometryError, Joint, fibre, periodic
+from forms.base import InputError
+from geometry import Joint, fibre, periodic
 from thinlayer import Structure, ThinLayer, homogenised_stiffness, march, solve
 
 WIDTH, HEIGHT, RADIUS = 1.2, 1.0, 0.3
@@ -134,5 +135,5 @@ def test_it_does_not_matter_where_the_cell_is_cut(degree):
 
 def test_meshed_layers_do_not_reach_the_sides():
     other = periodic(cut_at(cell(0.12), 0.05), *SIDES)
-    with pytest.raises(GeometryError, match=r"S reaches the periodic sides 'LEFT' and 'RIGHT', at .* cannot be meshed"):
+    with pytest.raises(InputError, match=r"S reaches the periodic sides 'LEFT' and 'RIGHT', at .* cannot be meshed"):
         structure(other).full(ThinLayer(COATING, 0.02, at=1.0), bodies="extended")

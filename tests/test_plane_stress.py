@@ -15,7 +15,6 @@ from forms import (
     BulkLaw,
     Incompressible,
     KelvinVoigt,
-    LawError,
     LinearElastic,
     Maxwell,
     MohrCoulomb,
@@ -24,6 +23,7 @@ from forms import (
     Norton,
     Stack,
 )
+from forms.base import InputError
 from forms.elastic import lame
 from forms.law import PlaneStress
 from forms.non_monotone import lamination_gain
@@ -240,7 +240,7 @@ def test_laws_with_a_closed_form_are_the_same():
 
 
 def test_what_has_no_plane_stress():
-    with pytest.raises(LawError, match="dimension of the model is 3; allowed: 2"):
+    with pytest.raises(InputError, match="dimension of the model is 3; allowed: 2"):
         drive(LAWS["Maxwell"].plane_stress(), [{"w_T1": 0.0, "w_T2": 0.0, "w_N": 0.01}], n=(0, 1, 0), dt=0.1)
     assert isinstance(PlaneStress(LAWS["Maxwell"]).plane_stress(), PlaneStress)
     with pytest.raises(SolveError, match="the law failed"):
@@ -253,5 +253,5 @@ def test_what_has_no_plane_stress():
         def stress(self, step):
             return lame(0.0, self.mu, step.mid)
 
-    with pytest.raises(LawError, match="plane stress is not defined for Constrained, because its pressure"):
+    with pytest.raises(InputError, match="plane stress is not defined for Constrained, because its pressure"):
         Constrained(L, M).plane_stress()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from forms import LinearElastic
+from forms.base import InputError
 from geometry import block, sandwich
 from tests.arc_length_run import KINKED
 from tests.refused import refused
@@ -15,8 +16,6 @@ from tests.test_order1 import apart
 from thinlayer import (
     ArcLength,
     LimitLoad,
-    LooseBody,
-    ModelError,
     RigidPlate,
     Springs,
     Structure,
@@ -29,6 +28,7 @@ from thinlayer import (
     solve,
 )
 from thinlayer.discretisation.addition import Addition
+from thinlayer.errors import LooseBody
 from thinlayer.solving.solvers import Solver
 
 BEAM = LinearElastic.young(100.0, 0.0)
@@ -188,7 +188,7 @@ def test_contact_under_a_plate():
     assert report.equilibrium < 1e-10
     assert report.clapeyron < 1e-9
     assert report.normal_force == pytest.approx(3.0, rel=1e-9)
-    with pytest.raises(ModelError, match=r"method='condensed' needs .* no inclined supports or rigid plates"):
+    with pytest.raises(InputError, match=r"method='condensed' needs .* no inclined supports or rigid plates"):
         solve(made, method="condensed")
 
 
@@ -220,9 +220,9 @@ def test_by_conjugate_gradients():
 def test_a_plate_that_holds_nothing():
     """Neither a free plate nor its given force prevents a motion; prescribed motions do."""
     joint = sandwich(2.0, 0.5, 0.6, 0.5)
-    with pytest.raises(ModelError, match="rigid motion of the structure"):
+    with pytest.raises(InputError, match="rigid motion of the structure"):
         model(Structure(joint, body=BODY, supports={}, parts=[RigidPlate("TOP", force=(0.0, -1.0))]), "interface")
-    with pytest.raises(ModelError, match=r"rigid motion of the structure .rotation"):
+    with pytest.raises(InputError, match=r"rigid motion of the structure .rotation"):
         model(Structure(joint, body=BODY, supports={}, parts=[RigidPlate("TOP", motion={"x": 0, "y": 0})]), "interface")
     held = RigidPlate("TOP", motion={"x": 0.0, "y": 0.0, "rotation": 0.0})
     structure = Structure(joint, body=BODY, supports={}, parts=[held], tractions={"BOTTOM": (0.1, -0.2)})
@@ -282,7 +282,7 @@ def test_a_plate_at_a_plane_of_symmetry():
     made = model(Structure(half, body=BODY, supports=rollers, parts=[moved]), "interface")
     solve(made, t=0.0)
     with pytest.raises(
-        ModelError, match=r"at \(0, .*'LEFT' prescribes x = 0 and the plate TOP prescribes x = 1 at t = 1"
+        InputError, match=r"at \(0, .*'LEFT' prescribes x = 0 and the plate TOP prescribes x = 1 at t = 1"
     ):
         solve(made, t=1.0)
 
@@ -309,7 +309,7 @@ def test_plates_that_share_a_node():
         sandwich(2.0, 0.5, 0.6, 0.5), body=BODY, supports={"BOTTOM": 0.0},
         parts=[RigidPlate("TOP"), RigidPlate("RIGHT/UPPER")],
     )  # fmt: skip
-    with pytest.raises(ModelError, match=r"plate TOP and plate RIGHT/UPPER have a node in common"):
+    with pytest.raises(InputError, match=r"plate TOP and plate RIGHT/UPPER have a node in common"):
         solve(structure.interface(ThinLayer(GLUE, EPS, at=1.0)))
 
 
@@ -343,6 +343,6 @@ def test_refused_additions():
     force = piecewise({0.0: (0.0, 0.0), 1.0: (0.0, -1.0), 2.0: (0.0, -3.0)})
     data, layer = {"body": LinearElastic.young(30.0, 0.3), "supports": {"BOTTOM": 0.0}}, ThinLayer(CREEP, EPS, at=1.0)
     late = Structure(sandwich(1.0, 0.5, 0.5, 0.5), parts=[Late("TOP", force=force)], **data).interface(layer)
-    refused(ModelError, r"a part gives it in check\(model\)", lambda: march(late, [1.5, 2.0]))
+    refused(InputError, r"a part gives it in check\(model\)", lambda: march(late, [1.5, 2.0]))
     made = lambda: Structure(sandwich(1.0, 0.5, 0.5, 0.5), parts=[Nothing()], **data).bonded()
-    refused(ModelError, "'nothing' does nothing: it has neither part", made)
+    refused(InputError, "'nothing' does nothing: it has neither part", made)

@@ -9,14 +9,14 @@ import pytest
 import ufl
 
 from forms import LinearElastic
+from forms.base import InputError
 from forms.contact import HolonomicCoulomb
-from geometry import GeometryError, block, ring, sandwich
+from geometry import block, ring, sandwich
 from tests.refused import refused
 from tests.supports_run import BODY, CREEP, EPS, GLUE, KINDS, model, out_of_balance
 from thinlayer import (
     Gap,
     LineLoad,
-    ModelError,
     PointLoad,
     Pressure,
     RangeWarning,
@@ -84,7 +84,7 @@ def test_a_node_of_one_body(kind):
         (LineLoad("TOP", "LEFT", (0.3, 0.1)), "lines are edges of solids"),
         ((2.0, 0.6), "allowed: PointLoad, LineLoad"),
     ):
-        with pytest.raises((ModelError, GeometryError), match=message):
+        with pytest.raises((InputError), match=message):
             model(Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, loads=[bad]), kind)
 
 
@@ -148,7 +148,7 @@ def test_lines_that_are_none():
         (LineLoad("TOP", "TOP", (0.0, 0.0, 1.0)), "both have the same facets"),
         (LineLoad("TOP", "RIHGT", (0.0, 0.0, 1.0)), "did you mean 'RIGHT'"),
     ):
-        with pytest.raises(ModelError, match=message):
+        with pytest.raises(InputError, match=message):
             Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, loads=[load], element="P1").bonded()
 
 
@@ -186,9 +186,9 @@ def test_pressures_in_time_and_refused():
         ("high", "finite number"),
         (lambda x, t: x, "it needs a finite number"),
     ):
-        with pytest.raises(ModelError, match=f"traction on 'INSIDE'.*{message}"):
+        with pytest.raises(InputError, match=f"traction on 'INSIDE'.*{message}"):
             Structure(joint, body=BODY, supports={"OUTSIDE": 0.0}, tractions={"INSIDE": Pressure(p)}).bonded()
-    with pytest.raises(ModelError, match="no normal inside a body"):
+    with pytest.raises(InputError, match="no normal inside a body"):
         Structure(joint, body=BODY, supports={"OUTSIDE": 0.0}, body_force={"INNER": Pressure(1.0)}).bonded()
 
 
@@ -253,8 +253,8 @@ def test_layers_without_a_weight():
     given = {"body": BODY, "supports": {"BOTTOM": 0.0}, "body_force": {"S": (0.0, -3.0)}, "element": "P1"}
     structure = Structure(sandwich(2.0, 0.5, 0.6, 0.5), **given)
     for layer in (HolonomicCoulomb(5.0, 2.0, 0.3), {"S": Gap(0.1)}):
-        refused(ModelError, "body force in the layer 'S': it has no layer with a thickness", structure.interface, layer)
-    with pytest.raises(ModelError, match="did you mean 'UPPER'"):
+        refused(InputError, "body force in the layer 'S': it has no layer with a thickness", structure.interface, layer)
+    with pytest.raises(InputError, match="did you mean 'UPPER'"):
         Structure(sandwich(2.0, 0.5, 0.6, 0.5), **given | {"body_force": {"UPER": (0.0, 0.0)}}).bonded()
 
 

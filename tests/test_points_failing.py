@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from forms import KernelLaw, LawError, Stack
+from forms import KernelLaw, Stack
+from forms.base import InputError
 from tests.at_points import DT, E2, jump_strain, material, respond
 from tests.laws_at_points import ELASTIC, KELVIN, LMBDA, MU, NORTON_15
 from tests.own_laws import Fragile
@@ -68,7 +69,7 @@ def spoiled_kernel(body: str, memory: object = 0):
     ],
 )
 def test_mistakes_in_kernels_are_found_before_they_are_compiled(body, memory, message):
-    refused(LawError, message, lambda: material(spoiled_kernel(body, memory)()))
+    refused(InputError, message, lambda: material(spoiled_kernel(body, memory)()))
 
 
 def test_errors_in_a_compiled_kernel_are_failed_points():

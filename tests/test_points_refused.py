@@ -10,12 +10,8 @@ import pytest
 import ufl
 from mpi4py import MPI
 
-from forms import (
-    BulkLaw,
-    KernelLaw,
-    LawError,
-    TractionLaw,
-)
+from forms import BulkLaw, KernelLaw, TractionLaw
+from forms.base import InputError
 from forms.law import Step
 from forms.planes import PLANES
 from forms.traction import JumpStep
@@ -37,7 +33,7 @@ def test_a_traction_law_has_no_powers_of_eps():
         k: float
         powers: ClassVar = {"k": 1}
 
-    refused(LawError, "Scaled: a traction law has no powers of eps", lambda: Scaled(1.0))
+    refused(InputError, "Scaled: a traction law has no powers of eps", lambda: Scaled(1.0))
 
 
 @dataclass(frozen=True)
@@ -93,7 +89,7 @@ SPOILED = {
 def test_a_law_that_gives_something_else_than_it_must(name):
     """The message names the law."""
     kind = SPOILED[name]
-    refused(LawError, kind.__name__, lambda: Material(MPI.COMM_SELF, kind(1.0).of_strains()))
+    refused(InputError, kind.__name__, lambda: Material(MPI.COMM_SELF, kind(1.0).of_strains()))
 
 
 def test_the_law_in_order_is_accepted():
@@ -103,7 +99,7 @@ def test_the_law_in_order_is_accepted():
 
 def test_a_rate_that_is_not_declared():
     """Step.rate outside a march: a law must declare rate = True."""
-    refused(LawError, "rate = True", lambda: KELVIN.stress(Step(ufl.Identity(3), e_old=ufl.Identity(3))))
+    refused(InputError, "rate = True", lambda: KELVIN.stress(Step(ufl.Identity(3), e_old=ufl.Identity(3))))
 
 
 # ---------------------------------------------------------------- declarations and kernels
@@ -126,4 +122,4 @@ def declared(body: str, decorated: bool = True):
     ],
 )
 def test_what_a_class_declares_fits_its_parameters(body, decorated, message):
-    refused(LawError, message, lambda: declared(body, decorated)())
+    refused(InputError, message, lambda: declared(body, decorated)())

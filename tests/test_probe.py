@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from forms import Incompressible, LinearElastic, Maxwell, MohrCoulombMonodirectional, Stack
+from forms.base import InputError
 from geometry import ring, sandwich, wall
 from tests.fields_run import BODY, CASES, EPS, K, axes, slipping, uniform
 from tests.refused import refused
-from thinlayer import ModelError, Probe, Structure, ThinLayer, march, solve
+from thinlayer import Probe, Structure, ThinLayer, march, solve
 
 PLACES = {2: [[0.31, -0.27], [1.73, 0.4], [0.9, 0.05]], 3: [[0.31, -0.27, 0.6], [1.73, 0.4, 0.21], [0.9, 0.05, 0.9]]}
 CREEP = Maxwell(lmbda=60.0, mu=40.0, t1=0.7, t2=0.55)
@@ -31,7 +32,7 @@ def test_displacements_and_stresses_of_a_linear_field(d, cell, element):
     assert probe.stress(x[0])[0, 1] == pytest.approx(stress[0, 1], rel=1e-8)
     assert probe.displacement(corners, side="lower") == pytest.approx(corners @ strain, rel=1e-8, abs=1e-11)
     assert probe.displacement(corners, side="upper") == pytest.approx(corners @ strain + jump, rel=1e-8, abs=1e-11)
-    refused(ModelError, r"displacements jump at .*: give side=", probe.displacement, corners)
+    refused(InputError, r"displacements jump at .*: give side=", probe.displacement, corners)
     if d == 2:
         nu = BODY.lmbda / (2 * (BODY.lmbda + BODY.mu))
         assert probe.stress(x)[:, 2, 2] == pytest.approx(nu * np.trace(stress), rel=1e-9)
@@ -92,9 +93,9 @@ def test_internal_variables_are_those_of_the_memory(kind):
     assert norms.max() > 0.1
     places = found.x[[3, 10]] if kind == "full" else np.column_stack([found.x[[3, 10], 0], [0.0, 0.0]])
     assert probe.internal("plastic", places, key) == pytest.approx(found.values[[3, 10]])
-    refused(ModelError, "there is no internal variable 'flow'; known: layer", lambda: probe.points("flow"))
+    refused(InputError, "there is no internal variable 'flow'; known: layer", lambda: probe.points("flow"))
     where = "does not act at" if kind == "full" else "are not on S"
-    refused(ModelError, where, lambda: probe.internal("plastic", [1.0, -0.31]))
+    refused(InputError, where, lambda: probe.internal("plastic", [1.0, -0.31]))
 
 
 def creeping():
@@ -149,7 +150,7 @@ def test_several_bodies_meet():
     structure = Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.05, -0.1)})
     probe = Probe(solve(structure.interface(ThinLayer(K, EPS, at=1.0))))
     t_joint = [2.0, 1.0]  # two bricks below, one above
-    with pytest.raises(ModelError, match=r"jump at \(2, 1\): several bodies meet there; give side= and seam="):
+    with pytest.raises(InputError, match=r"jump at \(2, 1\): several bodies meet there; give side= and seam="):
         probe.displacement(t_joint, side="lower")
     above = probe.displacement(t_joint, side="upper", seam="BED")
     assert above == pytest.approx(probe.displacement([2.0, 1.0 + 1e-7]), rel=1e-5)
@@ -162,17 +163,17 @@ def test_several_bodies_meet():
 def test_places_that_are_none():
     structure, _, _ = uniform()
     probe = Probe(solve(structure.interface(ThinLayer(K, EPS, at=1.0))))
-    with pytest.raises(ModelError, match=r"1 of 2 places are in no cell of the mesh, the first at \(9, 9\)"):
+    with pytest.raises(InputError, match=r"1 of 2 places are in no cell of the mesh, the first at \(9, 9\)"):
         probe.stress([[0.31, 0.2], [9.0, 9.0]])
-    with pytest.raises(ModelError, match="1 of 1 places are in no cell"):
+    with pytest.raises(InputError, match="1 of 1 places are in no cell"):
         probe.displacement([9.0, 9.0])  # near no cell at all
     for wrong in ([1.0, 2.0, 3.0], "x", [[1.0], [2.0]], [np.nan, 1.0], [[1.0, 2.0], [3.0]]):
-        refused(ModelError, "2 finite coordinates each", probe.displacement, wrong)
-    refused(ModelError, "allowed: lower, upper", lambda: probe.displacement([0.3, 0.2], side="top"))
-    with pytest.raises(ModelError, match="a side is for places on S of an interface model"):
+        refused(InputError, "2 finite coordinates each", probe.displacement, wrong)
+    refused(InputError, "allowed: lower, upper", lambda: probe.displacement([0.3, 0.2], side="top"))
+    with pytest.raises(InputError, match="a side is for places on S of an interface model"):
         Probe(solve(structure.full(ThinLayer(K, EPS, at=1.0)))).displacement([0.3, 0.2], side="upper")
-    refused(ModelError, "no law remembers anything", lambda: probe.points("plastic"))
-    refused(ModelError, "a probe takes a state", lambda: Probe(structure))
+    refused(InputError, "no law remembers anything", lambda: probe.points("plastic"))
+    refused(InputError, "a probe takes a state", lambda: Probe(structure))
 
 
 def numbers() -> list:

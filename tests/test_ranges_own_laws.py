@@ -15,19 +15,20 @@ from forms import (
     Incompressible,
     KelvinVoigt,
     KernelLaw,
-    LawError,
     LinearElastic,
     Maxwell,
     Stack,
     TractionLaw,
 )
+from forms.base import InputError
 from forms.elastic import lame
 from forms.tangent import tangent_at_rest, tangent_over
 from geometry import block, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests import ranges_told
 from tests.own_laws import Mises, StandardSolid, layer_of
-from thinlayer import Model, Structure, ThinLayer, march, solve
+from thinlayer import Structure, ThinLayer, march, solve
+from thinlayer.discretisation.model import Model
 
 pytestmark = pytest.mark.few(5)
 
@@ -199,7 +200,7 @@ def test_negative_layer(law, kind):
     wrong = law.laws[1] if isinstance(law, Stack) else law
     a, b = wrong.a, wrong.b
     lowest = min(0.1 * b, 0.1 * (a + 2 * b))
-    with pytest.raises(LawError, match=rf"stiffness at rest is negative, .*\(of n\.C\.n\) is {lowest:g},"):
+    with pytest.raises(InputError, match=rf"stiffness at rest is negative, .*\(of n\.C\.n\) is {lowest:g},"):
         model_of(law, kind)
 
 
@@ -207,7 +208,7 @@ def test_negative_body():
     """A layer takes lmbda + 2 mu/3 < 0, a body does not: its bulk modulus is negative."""
     law = Own(-2.0, 2.5)
     model_of(law)
-    with pytest.raises(LawError, match=r"Own: the stiffness at rest is negative.*\(of C\)"):
+    with pytest.raises(InputError, match=r"Own: the stiffness at rest is negative.*\(of C\)"):
         model_of(FOURIER_LAYER, body=Own(-2e4, 1.5e4))
     model_of(FOURIER_LAYER, body=Own(-0.9e4, 1.5e4))
 
@@ -247,7 +248,7 @@ class Skew(Own):
 
 def test_which_laws_are_refused():
     for law in (Springs(-3.0), Hill(5.0)):
-        with pytest.raises(LawError, match="stiffness at rest is negative"):
+        with pytest.raises(InputError, match="stiffness at rest is negative"):
             model_of(law)
     for law in (Springs(3.0), Springs(0.0), Said(5.0), Anisotropic.springs(7.0, 0.0), Skew(6.0, 2.5)):
         model_of(law)

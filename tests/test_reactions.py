@@ -5,11 +5,12 @@ from __future__ import annotations
 import pytest
 
 from forms import Incompressible, LinearElastic, Stack
+from forms.base import InputError
 from geometry import block, sandwich, wall
 from tests.arc_length_run import KINKED, PATH, tilted
 from tests.refused import refused
 from tests.supports_run import BODY, CONTACT, CREEP, EPS, GLUE, KINDS, MORTAR, loaded, on_base, out_of_balance
-from thinlayer import ModelError, RangeWarning, Springs, Structure, ThinLayer, march, solve
+from thinlayer import RangeWarning, Springs, Structure, ThinLayer, march, solve
 
 BALANCED = 1e-10  # residual at which solvers stop
 
@@ -153,7 +154,7 @@ def test_a_support_of_the_side_of_a_layer_that_is_not_meshed_holds_nothing():
     setup, layer = Structure(joint, body=BODY, supports=supports), ThinLayer(GLUE, EPS, at=1.0)
     with pytest.warns(RangeWarning, match=r"holds the side of the layer alone, at \(0, 0\)"):
         state = solve(setup.interface(layer))
-    refused(ModelError, "holds the side of the layer alone", lambda: setup.mixed(layer, where=lambda x: x[0] > 0.5))
+    refused(InputError, "holds the side of the layer alone", lambda: setup.mixed(layer, where=lambda x: x[0] > 0.5))
     assert state.reaction("LEFT/LAYER").force == pytest.approx([0.0, 0.0])
 
 
@@ -170,8 +171,8 @@ def test_a_free_side_has_no_reaction():
     state = solve(
         Structure(block(1.0, 1.0, 0.5), body=BODY, supports={"TOP": 0.0}).interface(ThinLayer(GLUE, EPS, at=1.0))
     )
-    refused(ModelError, r"nothing holds 'LEFT': it is free .* held are: 'TOP', 'S'", lambda: state.reaction("LEFT"))
-    refused(ModelError, r"about is .* a point of 2 finite coordinates", lambda: state.reaction("TOP", about=(0.0,)))
+    refused(InputError, r"nothing holds 'LEFT': it is free .* held are: 'TOP', 'S'", lambda: state.reaction("LEFT"))
+    refused(InputError, r"about is .* a point of 2 finite coordinates", lambda: state.reaction("TOP", about=(0.0,)))
 
 
 @pytest.mark.parametrize(
@@ -191,7 +192,7 @@ def test_a_free_side_has_no_reaction():
 def test_contradictory_supports(supports, message):
     """Numbers when the model is made, functions when their values are known; both values and the place are told."""
     joint = sandwich(1.0, 0.5, 0.5, 0.5)
-    with pytest.raises(ModelError, match=message):
+    with pytest.raises(InputError, match=message):
         solve(Structure(joint, body=BODY, supports=supports).interface(ThinLayer(GLUE, EPS, at=1.0)), t=2.0)
 
 

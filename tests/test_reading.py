@@ -7,7 +7,8 @@ import meshio
 import numpy as np
 import pytest
 
-from geometry import GeometryError, block, inflate, read, sandwich
+from forms.base import InputError
+from geometry import block, inflate, read, sandwich
 from geometry.seam import Seam
 from geometry.topology import lagrange
 from tests.meshes import (
@@ -125,11 +126,11 @@ def test_whole_boundary_between_bodies(draw, tmp_path):
     joint = read(path, S=None, upper="LEFT", lower="LOW")  # the third region is bonded to both
     assert joint.points[joint.facets["S"]][..., 0].max() == pytest.approx(1.0)
     assert (joint.bodies, joint.tip) == (("LOW", "LEFT", "RIGHT"), pytest.approx([1.0, 0.0]))
-    with pytest.raises(GeometryError, match=r"S=None .*give upper and lower; regions: LOW, LEFT, RIGHT"):
+    with pytest.raises(InputError, match=r"S=None .*give upper and lower; regions: LOW, LEFT, RIGHT"):
         read(path, S=None, upper="LEFT")
-    with pytest.raises(GeometryError, match=r"did you mean 'RIGHT'\?; known: LEFT, LOW, RIGHT \(physical names\)"):
+    with pytest.raises(InputError, match=r"did you mean 'RIGHT'\?; known: LEFT, LOW, RIGHT \(physical names\)"):
         read(path, S=None, upper="RIHT", lower="LOW")
-    refused(GeometryError, "no facets are named 'S' or anything else", lambda: read(path, upper="LEFT"))
+    refused(InputError, "no facets are named 'S' or anything else", lambda: read(path, upper="LEFT"))
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -142,10 +143,10 @@ def test_rigid_base(draw, tmp_path, dim):
     assert (joint.seams["S"].upper, set(joint.facets)) == (("ONE", "TWO"), {"S"})
     assert joint.interface_normals[:, 1] == pytest.approx(1.0)
     inflate(joint, 0.1)
-    with pytest.raises(GeometryError, match="direction is for S inside one body; 'FOOT' lies on the outer boundary"):
+    with pytest.raises(InputError, match="direction is for S inside one body; 'FOOT' lies on the outer boundary"):
         read(path, S="FOOT", direction=(0, 1, 0))
     both = dict(upper="TWO", lower="ONE")
-    refused(GeometryError, "'S' lie on the outer .*; between ONE and TWO", lambda: read(path, S="FOOT", **both))
+    refused(InputError, "'S' lie on the outer .*; between ONE and TWO", lambda: read(path, S="FOOT", **both))
 
 
 def test_bodies_that_are_not_connected(tmp_path):
@@ -159,7 +160,7 @@ def test_bodies_that_are_not_connected(tmp_path):
     write(path, np.vstack([low, up]), [("quad", np.vstack([below, below + 10])), ("line", lines)], tags, names)
     for named in (dict(upper="UP"), dict(upper=["UP"], lower=[])):
         words = "'S' lies on the outer boundary of LOW, and UP, .* does not touch it there"
-        refused(GeometryError, words, lambda given=named: read(path, **given))
+        refused(InputError, words, lambda given=named: read(path, **given))
     for joint in (read(path, upper="LOW"), read(path)):
         assert joint.rigid_base
         assert set(joint.regions[k] for k in joint.region[joint.surface_cells[:, 1]]) == {"LOW"}
@@ -184,9 +185,9 @@ def test_s_inside_one_body(draw, tmp_path, dim):
     crack = read(path, S="CRACK", direction=-up)
     assert crack.interface_normals @ up == pytest.approx(-1.0)
     assert len(crack.facets["CUT"]) == len(joint.facets["S"]) - len(crack.facets["S"])  # what is S is S alone
-    with pytest.raises(GeometryError, match=r"'CUT' lies inside BODY; name the regions above it .*direction"):
+    with pytest.raises(InputError, match=r"'CUT' lies inside BODY; name the regions above it .*direction"):
         read(path, S="CUT")
-    refused(GeometryError, "nothing is left below it; give the direction", lambda: read(path, S="CUT", upper="BODY"))
+    refused(InputError, "nothing is left below it; give the direction", lambda: read(path, S="CUT", upper="BODY"))
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -199,7 +200,7 @@ def test_s_ends_between_two_bodies(draw, tmp_path, dim):
     assert split[:, 0].max() < 1.0 - 1e-9
     assert split[:, 1] == pytest.approx(0.0)
     assert set(joint.splitting.pieces) == {0}
-    refused(GeometryError, r"ends inside the bodies \(near \(1, 0", lambda: inflate(joint, 0.1))
+    refused(InputError, r"ends inside the bodies \(near \(1, 0", lambda: inflate(joint, 0.1))
 
 
 def test_names_of_gmsh(draw, tmp_path):
@@ -220,15 +221,15 @@ def test_names_of_gmsh(draw, tmp_path):
         assert (joint.seams["S"].lower, set(joint.facets)) == (("LOW",), {"S", "BOTH"})
         assert len(joint.facets["BOTH"]) == len(joint.facets["S"])  # the top; what is S is S alone
     gmsh.model.addPhysicalGroup(2, [up], name="S")
-    with pytest.raises(GeometryError, match=r"physical name 'S' stands for the groups \d+ of dimension 1 and \d+ of"):
+    with pytest.raises(InputError, match=r"physical name 'S' stands for the groups \d+ of dimension 1 and \d+ of"):
         read(saved(), upper="7")
     gmsh.model.removePhysicalGroups()
     gmsh.model.removePhysicalName("S")
     gmsh.model.addPhysicalGroup(2, [low], name="LOW")
-    refused(GeometryError, r"meshio cannot read this \.msh file .*Mesh\.SaveAll = 0", lambda: read(saved(SaveAll=1)))
+    refused(InputError, r"meshio cannot read this \.msh file .*Mesh\.SaveAll = 0", lambda: read(saved(SaveAll=1)))
     gmsh.model.removePhysicalGroups()
     for version, _ in FORMATS[1:3]:
-        with pytest.raises(GeometryError, match=r'no named groups of cells .* Surface\("BODY"\) .*SaveAll = 0'):
+        with pytest.raises(InputError, match=r'no named groups of cells .* Surface\("BODY"\) .*SaveAll = 0'):
             read(saved(MshFileVersion=version))
 
 
@@ -238,9 +239,9 @@ def test_inp_of_gmsh_names_cells_twice(draw, tmp_path):
     gmsh.write(str(path))
     joint = read(path, upper="UPPER", lower="LOWER")
     assert set(joint.regions) == {"LOWER", "UPPER"}
-    with pytest.raises(GeometryError, match="are in none of UPPER; name every region in upper or lower"):
+    with pytest.raises(InputError, match="are in none of UPPER; name every region in upper or lower"):
         read(path, upper="UPPER")
-    refused(GeometryError, "of the groups LOWER, UPPER, Surface1, Surface2; name the regions in", lambda: read(path))
+    refused(InputError, "of the groups LOWER, UPPER, Surface1, Surface2; name the regions in", lambda: read(path))
 
 
 def test_facets_turned_round(tmp_path):
@@ -262,11 +263,11 @@ def test_arrays_of_numbers(tmp_path):
     mesh = meshio.Mesh(points, blocks, cell_data={"part": tags, "size": [t * 0.5 for t in tags]})
     mesh.write(tmp_path / "a.vtu")
     assert set(read(tmp_path / "a.vtu", S="5", upper="2").facets) == {"S"}
-    with pytest.raises(GeometryError, match=r"unknown set of facets 'S'; known: 5 \(numbers in the cell data 'part'\)"):
+    with pytest.raises(InputError, match=r"unknown set of facets 'S'; known: 5 \(numbers in the cell data 'part'\)"):
         read(tmp_path / "a.vtu", upper="2")
     mesh.cell_data["other"] = tags
     mesh.write(tmp_path / "a.vtu")
-    with pytest.raises(GeometryError, match="several arrays of integers could number the groups: part, other; keep"):
+    with pytest.raises(InputError, match="several arrays of integers could number the groups: part, other; keep"):
         read(tmp_path / "a.vtu", S="5", upper="2")
 
 

@@ -17,9 +17,10 @@ from forms import (
     Rubber,
     Stack,
 )
+from forms.base import InputError
 from geometry import disc, ring, sandwich, wall
 from tests.test_tips import partly
-from thinlayer import ModelError, Structure, ThinLayer
+from thinlayer import Structure, ThinLayer
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.reduction import Reduction
 
@@ -146,7 +147,7 @@ def test_the_first_condition_that_does_not_hold(question, key, layer, given):
     refused = known.why_not(question)
     assert (refused and refused.key) == key
     if refused:
-        with pytest.raises(ModelError, match="; ") as found:
+        with pytest.raises(InputError, match="; ") as found:
             known.require(question)
         assert found.value.key == key
 
@@ -162,7 +163,7 @@ def test_models_ask():
         (lambda one: wedge.mixed(one, where=lambda x: x[0] < 0.5), thin(elastic(13.0))),
         (wedge.full, "glue"),
     ):
-        with pytest.raises(ModelError) as found:
+        with pytest.raises(InputError) as found:
             build(layer)
         assert found.value.key
     assert wedge.full(thin(elastic(13.0))).layers["S"].thin.order == 1

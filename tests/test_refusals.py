@@ -10,12 +10,12 @@ import pytest
 import ufl
 
 from forms import Anisotropic, LinearElastic
-from geometry import GeometryError, sandwich
+from forms.base import InputError
+from geometry import sandwich
 from tests.meshes import grid
 from tests.pictures import assert_drawn
 from tests.refused import refused
 from thinlayer import (
-    ModelError,
     SolveError,
     Structure,
     Surface,
@@ -51,15 +51,15 @@ def states():
     ],
 )
 def test_arguments_of_another_kind(wrong, words):
-    refused(ModelError, words, lambda: Structure(**({"joint": JOINT, **SETUP} | wrong)))
+    refused(InputError, words, lambda: Structure(**({"joint": JOINT, **SETUP} | wrong)))
 
 
 def test_thicknesses_that_are_zero_or_that_coordinates_do_not_resolve():
-    with pytest.raises(GeometryError, match="1e-300, which coordinates do not resolve beside bodies of 2"):
+    with pytest.raises(InputError, match="1e-300, which coordinates do not resolve beside bodies of 2"):
         Structure(JOINT, **SETUP).full(ThinLayer(GLUE, 1e-300, at=1.0))
-    with pytest.raises(ModelError, match=r"eps is 2\.1e\+06, the bodies measure 2: .* lost in rounding"):
+    with pytest.raises(InputError, match=r"eps is 2\.1e\+06, the bodies measure 2: .* lost in rounding"):
         Structure(JOINT, **SETUP).full(ThinLayer(GLUE, 2.1e6, at=1.0))
-    with pytest.raises(GeometryError, match=r"the thickness profile is 0 at \(0, 0\); it must be > 0 on S"):
+    with pytest.raises(InputError, match=r"the thickness profile is 0 at \(0, 0\); it must be > 0 on S"):
         Structure(JOINT, **SETUP).interface(ThinLayer(GLUE, 0.1, profile=lambda x: x[0], at=1.0))
 
 
@@ -67,7 +67,7 @@ def test_thicknesses_that_are_zero_or_that_coordinates_do_not_resolve():
     "load", [lambda x, t: (x[0] > 1, 0), lambda x, t: x[0], lambda x, t: (1.0,), ("a", 0), {"x": 5}, lambda x, t: 3.0]
 )
 def test_loads_that_are_no_vectors(load):
-    with pytest.raises(ModelError, match=r"traction on 'TOP' .*needs 2 "):
+    with pytest.raises(InputError, match=r"traction on 'TOP' .*needs 2 "):
         Structure(JOINT, tractions={"TOP": load}, **SETUP).interface(LAYER)
 
 
@@ -75,24 +75,24 @@ def test_states_of_other_joints(states):
     other = solve(Structure(sandwich(2.0, 1.0, 1.0, 0.4), tractions={"TOP": (0.1, 1.0)}, **SETUP).full(LAYER))
     surface = Surface(states[1].model)
     for field in (surface.traction, surface.jump):
-        refused(ModelError, "another joint", field, other)
+        refused(InputError, "another joint", field, other)
 
 
 @pytest.mark.parametrize("where", [lambda x: x[0] > 99.0, lambda x: abs(x[0] - 0.3) < 1e-9])
 def test_where_that_holds_nowhere(states, where):
-    refused(ModelError, "holds nowhere on S", lambda: compare(*states, where=where))
+    refused(InputError, "holds nowhere on S", lambda: compare(*states, where=where))
 
 
 @pytest.mark.parametrize("where", [lambda x: "x", lambda x: x[0], lambda x: 0.5 < x[0] < 1.0, lambda x, t: x[0] > 1])
 def test_where_that_is_no_condition(states, where):
-    refused(ModelError, r"where (is no numpy function|gives numbers)", lambda: compare(*states, where=where))
+    refused(InputError, r"where (is no numpy function|gives numbers)", lambda: compare(*states, where=where))
     both = compare(*states, where=lambda x: (x[0] > 0.5) & (x[0] < 1.5))
     assert 0 < both["error_jump"] < 1
 
 
 @pytest.mark.parametrize("profile", [lambda x: 1j * x[0], lambda x, y: x, lambda x: ufl.sin(x[0]), lambda x: "thick"])
 def test_profiles_that_are_no_numpy_functions(profile):
-    with pytest.raises(GeometryError, match="thickness profile is no numpy function"):
+    with pytest.raises(InputError, match="thickness profile is no numpy function"):
         Structure(JOINT, **SETUP).interface(ThinLayer(GLUE, 0.1, profile=profile, at=1.0))
 
 
@@ -113,7 +113,7 @@ def test_other_structures_are_not_compared(states, change, what):
     other = {"tractions": {"TOP": (0.1, 1.0)}} | change
     layer = other.pop("layer", LAYER)
     model = Structure(JOINT, **SETUP | other).interface(layer)
-    refused(ModelError, f"compare needs the same {what}", lambda: compare(full, replace(interface, model=model)))
+    refused(InputError, f"compare needs the same {what}", lambda: compare(full, replace(interface, model=model)))
 
 
 def test_structures_that_are_written_in_other_words_are_compared():
@@ -136,13 +136,13 @@ def test_structures_that_are_written_in_other_words_are_compared():
 def test_states_of_another_time_than_asked_for(states):
     """A state has one time, here 0."""
     assert compare(*states, at=0) == compare(*states)
-    refused(ModelError, "a state is of t = 0, not of at = 7", lambda: compare(*states, at=7.0))
+    refused(InputError, "a state is of t = 0, not of at = 7", lambda: compare(*states, at=7.0))
     for at in (float("nan"), "0", True):
-        refused(ModelError, r"at is .*; give a time, a finite number", compare, *states, at=at)
+        refused(InputError, r"at is .*; give a time, a finite number", compare, *states, at=at)
 
 
 def test_sweeps(tmp_path):
-    with pytest.raises(ModelError, match="no number error_jump; return what compare returns"):
+    with pytest.raises(InputError, match="no number error_jump; return what compare returns"):
         sweep(lambda e: {"eps": e, "error_traction": 1.0}, [0.1])
     refused(ValueError, "is a folder", lambda: sweep(lambda e: {}, [0.1], out=tmp_path))
 
@@ -154,19 +154,19 @@ def test_pictures(states, tmp_path):
     with pytest.raises(ValueError, match="it needs \\(left, right, bottom, top\\)"):
         plotting.deformed(states[1], save=tmp_path / "a.png", zoom=(0, 1))
     for zoom in ((0, float("nan"), 0, 1), (1, 0, 0, 1), "0011", 3):
-        with pytest.raises(ModelError, match="it needs \\(left, right, bottom, top\\)"):
+        with pytest.raises(InputError, match="it needs \\(left, right, bottom, top\\)"):
             plotting.deformed(states[1], save=tmp_path / "a.png", zoom=zoom)
     for scale in (float("nan"), "x", float("inf"), True):
-        with pytest.raises(ModelError, match=r"scale is .*; it must be a finite number"):
+        with pytest.raises(InputError, match=r"scale is .*; it must be a finite number"):
             plotting.deformed(states[1], save=tmp_path / "a.png", scale=scale)
     with pytest.raises(ValueError, match="unknown component None; allowed: size, x, y"):
         plotting.deformed(states[1], save=tmp_path / "a.png", component=None)
-    refused(ModelError, "save is 3; it must be the name", lambda: plotting.deformed(states[1], save=3))
-    refused(ModelError, "give its name, which ends in", lambda: fields.write(states[1], None))
-    with pytest.raises(ModelError, match="rates: a is 1; give what sweep returns"):
+    refused(InputError, "save is 3; it must be the name", lambda: plotting.deformed(states[1], save=3))
+    refused(InputError, "give its name, which ends in", lambda: fields.write(states[1], None))
+    with pytest.raises(InputError, match="rates: a is 1; give what sweep returns"):
         plotting.rates({"a": 1}, save=tmp_path / "a.png")
     for lines in ({"a": ([1, 2], [1])}, {"a": None}, {"a": (["x"], [1])}, {"a": ([1], [1j])}, [1]):
-        with pytest.raises(ModelError, match=r"'a' is no pair \(x, y\) of as many numbers|are \{label: \(x, y\)\}"):
+        with pytest.raises(InputError, match=r"'a' is no pair \(x, y\) of as many numbers|are \{label: \(x, y\)\}"):
             plotting.curves(lines, xlabel="x", ylabel="y", save=tmp_path / "a.png")
     assert not [*tmp_path.iterdir()]
     plotting.deformed(states[1], save=tmp_path / "amid.png", zoom=np.array([0.01, 0.02, 0.01, 0.02]), scale=0.0)
@@ -175,8 +175,8 @@ def test_pictures(states, tmp_path):
 
 def test_numbers_of_numpy_and_texts():
     Structure(JOINT, **SETUP | {"supports": {"BOTTOM": np.int64(0), "TOP": {"y": np.float32(0.5)}}}).interface(LAYER)
-    refused(GeometryError, "width is '10'; it must be a number", lambda: sandwich("10", 1.0, 1.0))
-    with pytest.raises(GeometryError, match=r"unknown facet tag 'bottom', did you mean 'BOTTOM'"):
+    refused(InputError, "width is '10'; it must be a number", lambda: sandwich("10", 1.0, 1.0))
+    with pytest.raises(InputError, match=r"unknown facet tag 'bottom', did you mean 'BOTTOM'"):
         Structure(JOINT, **SETUP | {"supports": {"bottom": 0.0}}).interface(LAYER)
 
 

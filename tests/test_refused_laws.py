@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 from mpi4py import MPI
 
-from forms import KernelLaw, LawError, LinearElastic
+from forms import KernelLaw, LinearElastic
+from forms.base import InputError
 from geometry import sandwich
 from tests.on_ranks import on_ranks
 from tests.refused import refused
@@ -75,7 +76,7 @@ def test_bad_c_sources(tmp_path, text, message):
     source = tmp_path / "law.c"
     if text is not None:
         source.write_bytes(text if isinstance(text, bytes) else text.encode())
-    refused(LawError, f"FromC: .*{message}", lambda: drive(from_c(5.0, source=source), STEP))
+    refused(InputError, f"FromC: .*{message}", lambda: drive(from_c(5.0, source=source), STEP))
 
 
 @pytest.mark.parametrize(
@@ -89,7 +90,7 @@ def test_bad_c_sources(tmp_path, text, message):
 def test_bad_declarations(tmp_path, declared, message):
     source = tmp_path / "spring.c"
     source.write_text(SPRING)
-    with pytest.raises(LawError, match=message):
+    with pytest.raises(InputError, match=message):
         drive(from_c(5.0, **({"source": source} if "memory" in declared else {}) | declared), STEP)
 
 
@@ -98,7 +99,7 @@ def wrong_source() -> list[str]:
     """A source that does not compile: the same error on all ranks, before the march writes anything."""
     layer = ThinLayer(from_c(5.0, source="no/such/file.c"), 0.1, at=1.0)
     setup = {"body": LinearElastic.young(100.0, 0.3), "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.1, -1.0)}}
-    with pytest.raises(LawError) as found:
+    with pytest.raises(InputError) as found:
         march(Structure(sandwich(1.0, 0.5, 0.5, 0.5), **setup).interface(layer), [1.0], out="no/such/folder")
     return MPI.COMM_WORLD.allgather(str(found.value))
 

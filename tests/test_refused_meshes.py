@@ -6,7 +6,8 @@ import gmsh
 import numpy as np
 import pytest
 
-from geometry import GeometryError, inflate, read
+from forms.base import InputError
+from geometry import inflate, read
 from tests.meshes import GRID, LINES, NAMES, SPACE, boxes, drawing, in_layer, save, sides, squares, volume, volumes
 from tests.refused import refused
 
@@ -21,7 +22,7 @@ def test_unconnected_bodies(draw, tmp_path):
     low, up = boxes(draw, (0, -1, 2, 1), (0, 0, 2, 1), shared=False)
     path = save(tmp_path / "a.msh", 2, {(2, "LOW"): [low], (2, "UP"): [up], (1, "S"): sides(0, 0, 2, 0)[:1]}, h=0.5)
     words = r"^\S*a\.msh: \d+ pairs of nodes at the same place, .* \(.*BooleanFragments"
-    refused(GeometryError, words, lambda: read(path, upper="UP"))
+    refused(InputError, words, lambda: read(path, upper="UP"))
 
 
 @pytest.mark.parametrize(
@@ -37,7 +38,7 @@ def test_cells_that_are_not_allowed(draw, tmp_path, dim, options, message):
     groups = {(2, "SKIN"): sides(0, 0, 1, 1, 3)} if dim == 3 else {(2, "BODY"): [body]}
     if "RecombineAll" in options:
         gmsh.model.mesh.setTransfiniteSurface(body)
-    refused(GeometryError, message, lambda: read(save(tmp_path / "a.msh", 2, groups, h=1.0, **options)))
+    refused(InputError, message, lambda: read(save(tmp_path / "a.msh", 2, groups, h=1.0, **options)))
 
 
 def moved(point, *x):
@@ -77,7 +78,7 @@ BROKEN = [
 @pytest.mark.parametrize(("change", "message"), BROKEN)
 def test_broken_meshes(tmp_path, change, message):
     assert read(squares(tmp_path / "a.msh"), upper="UP").planar
-    refused(GeometryError, message, lambda: read(squares(tmp_path / "a.msh", **change), upper="UP"))
+    refused(InputError, message, lambda: read(squares(tmp_path / "a.msh", **change), upper="UP"))
 
 
 def test_arguments(tmp_path):
@@ -92,7 +93,7 @@ def test_arguments(tmp_path):
         (dict(upper="UP", lower="TOP"), "unknown region 'TOP'"),
         (dict(upper=["LOW", "UP"], direction=(0, 0, 1)), "it needs 2 components"),
     ]:
-        refused(GeometryError, message, read, path, **arguments)
+        refused(InputError, message, read, path, **arguments)
 
 
 def test_files_that_cannot_be_read(tmp_path, capfd):
@@ -106,7 +107,7 @@ def test_files_that_cannot_be_read(tmp_path, capfd):
     ]:
         if text is not None:
             (tmp_path / name).write_text(text)
-        with pytest.raises(GeometryError, match=message):
+        with pytest.raises(InputError, match=message):
             read(tmp_path / name)
     assert capfd.readouterr() == ("", "")
 
@@ -128,7 +129,7 @@ def test_folded_interface(draw, tmp_path):
     """A needle of the lower body in the upper one."""
     s = [(0, 0), (0.99, 0), (1, 0.7), (1.01, 0), (2, 0)]
     joint = plate(draw, tmp_path / "a.msh", [(0, -1), (2, -1), *s[::-1]], [*s, (2, 1), (0, 1)])
-    refused(GeometryError, r"S is folded at \(1, 0\.7\)", lambda: inflate(joint, 0.001, bodies="extended"))
+    refused(InputError, r"S is folded at \(1, 0\.7\)", lambda: inflate(joint, 0.001, bodies="extended"))
 
 
 def test_branching_interface(tmp_path):
@@ -153,7 +154,7 @@ def test_no_room_for_the_layer(draw, tmp_path, width):
     joint = read(save(tmp_path / "a.msh", 2, groups), scale=10.0)
     assert joint.rigid_base
     assert volume(inflate(joint, 9.0)) == pytest.approx(100 * (8 + width) + 20 * 9)
-    refused(GeometryError, r"no room for a layer of thickness 11 at \([\d.]+, [\d.]+\)", lambda: inflate(joint, 11.0))
+    refused(InputError, r"no room for a layer of thickness 11 at \([\d.]+, [\d.]+\)", lambda: inflate(joint, 11.0))
 
 
 @pytest.mark.parametrize("choice", [dict(direction=(0, 1)), dict(upper="IN")])
@@ -186,7 +187,7 @@ def test_bridge(draw, tmp_path):
     groups = {(2, "LOW"): parts[:3], (2, "UP"): parts[3:], (1, "S"): sides(0, 2, 1, 0)}
     joint = read(save(tmp_path / "a.msh", 2, groups), upper="UP")
     assert joint.tip is None
-    refused(GeometryError, r"one body, as at .*, lies below S and above it: .*'extended'", lambda: inflate(joint, 0.1))
+    refused(InputError, r"one body, as at .*, lies below S and above it: .*'extended'", lambda: inflate(joint, 0.1))
     assert volume(inflate(joint, 0.1, bodies="extended")) == pytest.approx(10.0)
 
 
@@ -203,7 +204,7 @@ def wall(draw, tmp_path):
 def test_running_bond(draw, tmp_path):
     """S branches, whatever tells its upper side, and opens as that of a built wall does."""
     build = wall(draw, tmp_path)
-    with pytest.raises(GeometryError, match=r"does not tell the upper side of 'S': it lies in the facet near \(\d, "):
+    with pytest.raises(InputError, match=r"does not tell the upper side of 'S': it lies in the facet near \(\d, "):
         build(S="JOINTS", direction=(0, 1))
     choices = [{"S": "JOINTS", "direction": way} for way in [(1, 1), (0.3, 1), (-1, 0.5)]]
     choices += [{"S": {"BED": (0, 1), "HEAD": (1, 0)}}, {"S": {"BED": (0, -1), "HEAD": (1, 1)}}]
@@ -224,7 +225,7 @@ def test_gap_beside_s(draw, tmp_path, open_end):
     path = squares(tmp_path / "a.msh", np.array(points, float), cells, [[3, 4]], names={**NAMES, "S": (1, 1)})
     if not open_end:
         words = r"1 pairs of nodes .* \(2, 1\).* stay unbonded, draw it wider than 1e-09"
-        refused(GeometryError, words, lambda: read(path, upper="UP"))
+        refused(InputError, words, lambda: read(path, upper="UP"))
     else:
         assert volume(inflate(read(path, upper="UP"), 0.1)) == pytest.approx(4.1, rel=1e-5)
 
@@ -245,4 +246,4 @@ def test_gap_beside_s(draw, tmp_path, open_end):
     ],
 )
 def test_arguments_of_read(data, message):
-    refused(GeometryError, message, lambda: read(**{"path": "a.msh"} | data))
+    refused(InputError, message, lambda: read(**{"path": "a.msh"} | data))

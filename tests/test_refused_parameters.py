@@ -12,7 +12,6 @@ from forms import (
     HolonomicCoulomb,
     Incompressible,
     KelvinVoigt,
-    LawError,
     LinearElastic,
     Maxwell,
     MohrCoulomb,
@@ -26,6 +25,7 @@ from forms import (
     Tresca,
     VonMises,
 )
+from forms.base import InputError
 from forms.non_monotone import lamination_gain
 from tests.refused import refused
 
@@ -99,14 +99,14 @@ def test_parameters_out_of_range(law, name):
     law(**GOOD[law])
     named = "saturation(_strain)?" if name == "saturation" else f"(shape of |smallest eigenvalue of )?{name}"
     for value in OUT[law][name]:
-        with pytest.raises(LawError, match=rf": {named} is .*(allowed: |give T)"):
+        with pytest.raises(InputError, match=rf": {named} is .*(allowed: |give T)"):
             law(**GOOD[law] | {name: value})
 
 
 @pytest.mark.parametrize("law", [law for law in GOOD if inspect.isclass(law)])
 def test_unknown_parameters(law):
     known = f"{law.__name__} has no parameter 'lamda'; known: {', '.join(list(GOOD[law])[:2])}"
-    refused(LawError, known, lambda: law(**GOOD[law], lamda=1.0))
+    refused(InputError, known, lambda: law(**GOOD[law], lamda=1.0))
 
 
 SPRING, CREEPING = LinearElastic(**MODULI), Maxwell(**GOOD[Maxwell])
@@ -127,13 +127,13 @@ SPRING, CREEPING = LinearElastic(**MODULI), Maxwell(**GOOD[Maxwell])
     ],
 )
 def test_sublayers_that_a_stack_cannot_hold(sublayers, message):
-    refused(LawError, message, Stack, *sublayers)
+    refused(InputError, message, Stack, *sublayers)
 
 
 @pytest.mark.parametrize("law", [Incompressible, Rubber, NonMonotoneUnrelaxed, Tresca])
 def test_laws_that_are_no_sublayers(law):
     with pytest.raises(
-        LawError, match=rf"(?s)a sublayer is {law.__name__}.*; allowed: laws that give a stress for a strain"
+        InputError, match=rf"(?s)a sublayer is {law.__name__}.*; allowed: laws that give a stress for a strain"
     ):
         Stack((0.5, CREEPING), (0.5, law(**GOOD[law])))
 
@@ -141,4 +141,4 @@ def test_laws_that_are_no_sublayers(law):
 def test_eases_are_shares():
     for law in (MohrCoulomb(**SOIL), VonMises(**GOOD[VonMises])):
         for ease in (1.5, "a bit"):
-            refused(LawError, f"{type(law).__name__}: ease is .*; allowed: 0 to 1", law.eased, ease)
+            refused(InputError, f"{type(law).__name__}: ease is .*; allowed: 0 to 1", law.eased, ease)

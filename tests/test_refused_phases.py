@@ -11,21 +11,12 @@ import pytest
 import ufl
 from mpi4py import MPI
 
-from forms import BulkLaw, LawError, LinearElastic, NonMonotoneUnrelaxed, Stack, Tabulated
-from geometry import GeometryError, sandwich
+from forms import BulkLaw, LinearElastic, NonMonotoneUnrelaxed, Stack, Tabulated
+from forms.base import InputError
+from geometry import sandwich
 from tests.on_ranks import on_ranks
-from thinlayer import (
-    Adaptive,
-    ArcLength,
-    History,
-    Model,
-    ModelError,
-    Structure,
-    ThinLayer,
-    drive,
-    march,
-    solve,
-)
+from thinlayer import Adaptive, ArcLength, History, Structure, ThinLayer, drive, march, solve
+from thinlayer.discretisation.model import Model
 from thinlayer.parts.phases import phase_shares
 
 JOINT = sandwich(2.0, 1.0, 1.0, 1.0)
@@ -48,7 +39,7 @@ def model(law: BulkLaw, pull: float = 1.0) -> Model:
 
 def refused(law: BulkLaw, message: str, tmp_path: Any) -> None:
     """A march with this law is refused, and writes nothing."""
-    with pytest.raises(LawError, match=message):
+    with pytest.raises(InputError, match=message):
         march(model(law), [0.5, 1.0], out=tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
@@ -78,7 +69,7 @@ def test_temperatures_in_ufl(name):
     space = ufl.FunctionSpace(mesh, basix.ufl.element("Lagrange", "triangle", 1))
     field = ufl.Coefficient(space)  # can be called, as a function
     for value in (field, ufl.SpatialCoordinate(mesh)[0]):
-        with pytest.raises(LawError, match=f"{name} is a UFL expression; allowed: a number, a function in numpy"):
+        with pytest.raises(InputError, match=f"{name} is a UFL expression; allowed: a number, a function in numpy"):
             pure(**{"T": 20.0, name: value})
 
 
@@ -97,7 +88,7 @@ def test_a_field_that_changes_its_places():
 
 def test_a_table_of_no_temperatures():
     for T in (1j, "20", None, np.array([True])):
-        with pytest.raises(LawError, match=r"T is .*; a table is a function of temperatures, numbers"):
+        with pytest.raises(InputError, match=r"T is .*; a table is a function of temperatures, numbers"):
             TABLE(T)
 
 
@@ -147,12 +138,12 @@ SCALARS = {"phase": (), "drive": (), "bound": ()}
     ],
 )
 def test_declared_phases_that_are_not_there(declared, message):
-    with pytest.raises(LawError, match=f"^Own has {message}"):
+    with pytest.raises(InputError, match=f"^Own has {message}"):
         kind(**declared)
 
 
 def test_functions_that_have_no_numbers():
-    with pytest.raises(LawError, match=r"Own: parameters\(\) gives a function for k; it must give a number"):
+    with pytest.raises(InputError, match=r"Own: parameters\(\) gives a function for k; it must give a number"):
         dataclass(frozen=True)(
             type("Own", (Switch,), {"__annotations__": {}, "__module__": __name__, "functions": ("k",)})
         )(lambda T: T)
@@ -208,28 +199,28 @@ def test_parameters_of_a_law_without_memory_vary():
     ],
 )
 def test_marches(times, choices, message):
-    with pytest.raises(ModelError, match=message):
+    with pytest.raises(InputError, match=message):
         march(model(pure()), times, **choices)
 
 
 def test_a_point_with_pure_phases_holds_at_the_ends_of_steps():
-    with pytest.raises(ModelError, match=r"theta is 0\.5; NonMonotoneUnrelaxed holds at the ends of steps"):
+    with pytest.raises(InputError, match=r"theta is 0\.5; NonMonotoneUnrelaxed holds at the ends of steps"):
         drive(pure(), [{"w_T": 0.0, "w_N": 0.4}], theta=0.5)
 
 
 def test_loads_and_supports_that_are_no_numbers():
     layer = ThinLayer(pure(), 0.1, at=1.0)
-    with pytest.raises(ModelError, match="traction on 'TOP' gives nan; it needs 2 finite components"):
+    with pytest.raises(InputError, match="traction on 'TOP' gives nan; it needs 2 finite components"):
         Structure(JOINT, tractions={"TOP": lambda x, t: (0, np.nan)}, **SETUP).interface(layer)
     moved = SETUP | {"supports": {"BOTTOM": 0.0, "TOP": {"y": lambda x, t: np.inf}}}
-    with pytest.raises(ModelError, match="support on 'TOP': component y gives inf; it needs a finite number"):
+    with pytest.raises(InputError, match="support on 'TOP': component y gives inf; it needs a finite number"):
         Structure(JOINT, **moved).interface(layer)
-    with pytest.raises(GeometryError, match="cells_through is '4'; the layer needs a whole number"):
+    with pytest.raises(InputError, match="cells_through is '4'; the layer needs a whole number"):
         Structure(JOINT, **SETUP).full(layer, cells_through="4")
 
 
 def test_a_stack_of_pure_phases():
-    with pytest.raises(LawError, match=r"(?s)a sublayer is NonMonotoneUnrelaxed.*point by point"):
+    with pytest.raises(InputError, match=r"(?s)a sublayer is NonMonotoneUnrelaxed.*point by point"):
         Stack((0.5, pure()), (0.5, LinearElastic(2.0, 5.0)))
 
 
@@ -237,7 +228,7 @@ def test_an_empty_history():
     history = History(model(pure()))
     assert history.snaps == []
     assert len(history.t) == 0
-    with pytest.raises(ModelError, match="no accepted state"):
+    with pytest.raises(InputError, match="no accepted state"):
         _ = history.last
 
 
@@ -246,10 +237,10 @@ def wrong_on_one_rank() -> list[list[str]]:
     """A field, or a function that observes, that is wrong on one rank only: the same error on all ranks."""
     texts = []
     for law in (pure(alpha=TABLE, T=lambda x, t: np.where(x[0] > 1, 150.0, 20.0)), Varying(5.0, way=4)):
-        with pytest.raises(LawError) as found:
+        with pytest.raises(InputError) as found:
             march(model(law), [1.0], out="no/such/folder")
         texts.append(str(found.value))
-    with pytest.raises(ModelError) as found:
+    with pytest.raises(InputError) as found:
         march(model(pure()), [0.1], observe={"a": lambda state: 1 / (1 - MPI.COMM_WORLD.rank)})
     return MPI.COMM_WORLD.allgather([*texts, str(found.value)])
 

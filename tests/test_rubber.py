@@ -9,12 +9,13 @@ import pytest
 import ufl
 from scipy.linalg import expm
 
-from forms import Incompressible, LawError, LinearElastic, Rubber
+from forms import Incompressible, LinearElastic, Rubber
+from forms.base import InputError
 from geometry import sandwich
 from studies.problems import fourier
 from tests.ranges_told import told
 from tests.refused import refused
-from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, march, observed_orders, solve
+from thinlayer import Structure, Surface, ThinLayer, compare, march, observed_orders, solve
 
 K = np.pi  # wave number of the Fourier problem: bodies of height .5, E = 100, nu = .3, top traction (.5 sin, cos)
 NUS = [0.3, 0.45, 0.49, 0.499, 0.5]
@@ -245,11 +246,11 @@ def test_march(theta):
 
 
 def test_refused():
-    refused(LawError, "lmbda is 0", lambda: Rubber(0.0, 1.0))
-    refused(LawError, "mu is -1", lambda: Rubber(1.0, -1.0))
+    refused(InputError, "lmbda is 0", lambda: Rubber(0.0, 1.0))
+    refused(InputError, "mu is -1", lambda: Rubber(1.0, -1.0))
     joint, setup = fourier(1 / 4)
     negative = ThinLayer(Rubber(lambda x: 90.0 - 100 * x[0], 3.0), 0.1, order=1, at=1.0)
     for build in (Structure.full, Structure.interface):
-        with pytest.raises(LawError, match=r"lmbda is -.*allowed: > 0.*, at x = "):
+        with pytest.raises(InputError, match=r"lmbda is -.*allowed: > 0.*, at x = "):
             build(Structure(joint, **setup), negative)
-    refused(ModelError, "Rubber is for layers", lambda: Structure(joint, **setup | {"body": Rubber(2.0, 1.0)}))
+    refused(InputError, "Rubber is for layers", lambda: Structure(joint, **setup | {"body": Rubber(2.0, 1.0)}))

@@ -6,10 +6,11 @@ import pytest
 from mpi4py import MPI
 
 from forms import HolonomicCoulomb, Incompressible, LinearElastic, Rubber
+from forms.base import InputError
 from geometry import faults, sandwich
 from tests.on_ranks import on_ranks
 from tests.refused import refused
-from thinlayer import ModelError, Pressure, Structure, ThinLayer
+from thinlayer import Pressure, Structure, ThinLayer
 
 BODY = LinearElastic.young(100.0, 0.3)
 RUBBER, INCOMPRESSIBLE = Rubber(90.0, 3.0), Incompressible(3.0)
@@ -28,12 +29,12 @@ def test_loads_on_the_side_of_the_layer():
     ]
     free = Structure(JOINT, **HELD).interface(layer())
     for load in loads[:3]:
-        with pytest.raises(ModelError, match=r"'LEFT/LAYER' acts on the side of the layer.*mesh the layer"):
+        with pytest.raises(InputError, match=r"'LEFT/LAYER' acts on the side of the layer.*mesh the layer"):
             Structure(JOINT, tractions=load, **HELD).interface(layer())
         Structure(JOINT, tractions=load, **HELD).full(layer())
     for load in loads[3:]:
         Structure(JOINT, tractions=load, **HELD).interface(layer())
-    refused(ModelError, "acts on the side of the layer", lambda: free.with_loads(tractions=loads[0]))
+    refused(InputError, "acts on the side of the layer", lambda: free.with_loads(tractions=loads[0]))
 
 
 def test_contact_beside_rubber():
@@ -42,12 +43,12 @@ def test_contact_beside_rubber():
     joint = faults(3.0, 3.0, cuts, 0.5)
     layers = {"LOW": layer(order=0), "HIGH": HolonomicCoulomb(9.0, 3.0, 0.4)}
     for element, said in (("P1", "needs elements P2 or Q2"), ("P2", "a contact law .* element='P1'")):
-        with pytest.raises(ModelError, match=said):
+        with pytest.raises(InputError, match=said):
             Structure(joint, element=element, **HELD).interface(layers)
 
 
 def test_rubber_as_a_body():
-    with pytest.raises(ModelError, match=r"Rubber is for layers.*nu = 0.4999"):
+    with pytest.raises(InputError, match=r"Rubber is for layers.*nu = 0.4999"):
         Structure(JOINT, body=RUBBER, supports={"BOTTOM": 0.0}).interface(layer())
 
 
@@ -56,7 +57,7 @@ def half_negative() -> list[list[str]]:
     joint, law = sandwich(1.0, 0.5, 0.5, 0.25), Rubber(lambda x: 90.0 - 100.0 * x[0], 3.0)
     structure, said = Structure(joint, body=LinearElastic(2.0, 1.0), supports={"BOTTOM": 0.0}), []
     for build in (structure.full, structure.interface):
-        with pytest.raises(ModelError) as found:
+        with pytest.raises(InputError) as found:
             build(ThinLayer(law, 0.1, order=1, at=1.0))
         said.append(str(found.value))
     return MPI.COMM_WORLD.allgather(said)

@@ -8,10 +8,11 @@ import pytest
 import pyvista
 
 from forms import LinearElastic, Maxwell, NonMonotone, Stack
-from geometry import GeometryError, read
+from forms.base import InputError
+from geometry import read
 from tests.meshes import boxes, drawing, save, sides
 from tests.refused import refused
-from thinlayer import ModelError, Structure, Surface, ThinLayer, fields, march, solve
+from thinlayer import Structure, Surface, ThinLayer, fields, march, solve
 from thinlayer.output.grid import gather
 
 BODY = LinearElastic(30.0, 20.0)
@@ -113,10 +114,10 @@ def test_what_is_refused(path):
         ({"ONE": ("A", "C"), "TWO": None}, "'ONE' does not separate two bodies"),
         ({"ONE": ("A", "D")}, "unknown region 'D'"),
     ):
-        refused(GeometryError, message, read, path, S=seams)
+        refused(InputError, message, read, path, S=seams)
     structure = Structure(read(path, S=STACK), body=BODY, supports={"BOTTOM": 0.0})
     layer = ThinLayer(SOFT, 0.01, at=1.0)
-    refused(ModelError, "the seam 'TWO' has no layer", lambda: structure.interface({"ONE": layer}))
-    with pytest.raises(ModelError, match="unknown seam 'TWOO', did you mean 'TWO'"):
+    refused(InputError, "the seam 'TWO' has no layer", lambda: structure.interface({"ONE": layer}))
+    with pytest.raises(InputError, match="unknown seam 'TWOO', did you mean 'TWO'"):
         structure.interface({"ONE": layer, "TWO": layer, "TWOO": layer})
-    refused(ModelError, "unknown seam 'THREE'", lambda: Surface(structure.interface(layer), "THREE"))
+    refused(InputError, "unknown seam 'THREE'", lambda: Surface(structure.interface(layer), "THREE"))

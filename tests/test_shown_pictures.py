@@ -14,11 +14,12 @@ from matplotlib.image import imread
 from mpi4py import MPI
 
 from forms import LinearElastic
+from forms.base import InputError
 from geometry import sandwich
 from tests.contact_bars import bar, coulomb
 from tests.on_ranks import on_ranks
 from tests.refused import refused
-from thinlayer import ModelError, Structure, Surface, Table, ThinLayer, plotting, solve
+from thinlayer import Structure, Surface, Table, ThinLayer, plotting, solve
 
 
 def strip():
@@ -53,7 +54,7 @@ def test_pictures_are_figures_that_notebooks_display(pictures):
 
 def test_a_picture_opens_in_a_window(pictures, monkeypatch):
     """The window's canvas has the picture; without windows there is an error that says what to do."""
-    refused(ModelError, "opens no windows; save the picture", lambda: pictures["deformed"].show())
+    refused(InputError, "opens no windows; save the picture", lambda: pictures["deformed"].show())
     assert not pyplot.get_fignums()
     shown = []
     monkeypatch.setattr(FigureCanvasAgg, "required_interactive_framework", "tk")

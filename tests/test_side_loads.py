@@ -10,10 +10,11 @@ import pytest
 import ufl
 
 from forms import Anisotropic, LinearElastic
+from forms.base import InputError
 from forms.ends import free_end
 from geometry import block, disc, sandwich
 from tests.side_loads_run import BODY, EPS, GLUE, SIDES, box, loaded
-from thinlayer import ModelError, Pressure, Structure, ThinLayer, compare, observed_orders, solve
+from thinlayer import Pressure, Structure, ThinLayer, compare, observed_orders, solve
 from thinlayer.errors import RangeWarning
 from thinlayer.output.nodal_forces import nodal_forces
 
@@ -226,5 +227,5 @@ def test_other_loads_of_the_same_model():
     model = setup.interface(ThinLayer(GLUE, 0.1, order=1, edges="free", at=1.0))
     twice = model.with_loads(tractions={"LEFT/LAYER": lambda x, t: (t, 0)})
     assert solve(twice, 2.0).energies()["loads"] == pytest.approx(4 * solve(model).energies()["loads"], rel=1e-9)
-    with pytest.raises(ModelError, match=r"not finite.*'LEFT/LAYER'"):
+    with pytest.raises(InputError, match=r"not finite.*'LEFT/LAYER'"):
         solve(model.with_loads(tractions={"LEFT/LAYER": lambda x, t: (1 / (t - 1), 0)}), 1.0)

@@ -12,6 +12,7 @@ import pytest
 import ufl
 
 from forms import LinearElastic
+from forms.base import InputError
 from forms.law import BulkLaw
 from geometry import block
 from tests import ranges_told
@@ -19,7 +20,7 @@ from tests.arc_length_run import HEIGHT, WIDTH, bar
 from tests.ranks import CLONE
 from tests.refused import refused
 from tests.snapping_bars import STEEP, C, Cohesive, Undeclared, openings, sigma
-from thinlayer import ModelError, Structure, ThinLayer, march, solve
+from thinlayer import Structure, ThinLayer, march, solve
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ def test_softening_is_told_where_it_is_met():
         assert not falling[:2].any()
         assert told(model, 0.05)[0] == []
         assert len(told(model, 0.3)[0]) == 1
-    refused(ModelError, "follow them from rest with march", lambda: solve(bar(Cohesive(0.9, 0.11))))
+    refused(InputError, "follow them from rest with march", lambda: solve(bar(Cohesive(0.9, 0.11))))
 
 
 def test_a_step_over_a_loop_is_told():
@@ -67,7 +68,7 @@ def test_a_step_over_a_loop_is_told():
 
 def test_bodies_do_not_soften():
     strip = block(WIDTH, HEIGHT, WIDTH, cell="quadrilateral", structured=True)
-    with pytest.raises(ModelError, match=r"the stress of Softer falls as strains grow: .* in one row of cells"):
+    with pytest.raises(InputError, match=r"the stress of Softer falls as strains grow: .* in one row of cells"):
         Structure(strip, body=Softer(3.0), supports={"TOP": 0.0}).interface(
             ThinLayer(LinearElastic(1.0, 1.0), 0.1, at=1.0)
         )

@@ -10,25 +10,14 @@ import ufl
 from dolfinx import fem
 
 from forms import Anisotropic, Incompressible, LinearElastic, Maxwell
+from forms.base import InputError
 from forms.contact import HolonomicCoulomb
-from geometry import GeometryError, block, sandwich
+from geometry import block, sandwich
 from tests.arc_length_run import Trilinear
 from tests.on_ranks import alone, on_ranks
 from tests.refused import refused
 from tests.taylor import observed_orders
-from thinlayer import (
-    Adaptive,
-    ArcLength,
-    ModelError,
-    PointLoad,
-    SolveError,
-    Structure,
-    Surface,
-    ThinLayer,
-    UflPart,
-    march,
-    solve,
-)
+from thinlayer import Adaptive, ArcLength, PointLoad, SolveError, Structure, Surface, ThinLayer, UflPart, march, solve
 from thinlayer.parts.springs import Springs
 from thinlayer.solving.solvers import Solver
 
@@ -234,7 +223,7 @@ def test_a_beam_on_springs():
 
 def test_stiffnesses_that_are_refused():
     joint = sandwich(1.0, HEIGHT, HEIGHT, 0.25, structured=True)
-    with pytest.raises(ModelError, match=r"normal is -1.0; allowed: a finite number >= 0, or a function of x"):
+    with pytest.raises(InputError, match=r"normal is -1.0; allowed: a finite number >= 0, or a function of x"):
         Springs("BOTTOM", normal=-1.0)
     for given, message in (
         (lambda x: x[0] - 0.3, r"normal is -0.3 at \(.*, -0.5\); allowed: finite, >= 0"),
@@ -245,7 +234,7 @@ def test_stiffnesses_that_are_refused():
         (lambda x: True, "it needs a finite number"),
     ):
         structure = Structure(joint, body=BODY, supports={}, parts=[Springs("BOTTOM", normal=given, tangential=1.0)])
-        refused(ModelError, message, structure.bonded)
+        refused(InputError, message, structure.bonded)
 
 
 # ---------------------------------------------------------------- marches
@@ -295,7 +284,7 @@ def test_files_keep_energies_by_key(tmp_path):
     other = Structure(
         whole.model.joint, body=BODY, supports={"TOP": {"x": 0.0, "y": -0.02}}, parts=[Springs("BOTTOM", normal=21.0)]
     )
-    with pytest.raises(ModelError, match="of another march"):
+    with pytest.raises(InputError, match="of another march"):
         march(other.interface(ThinLayer(CREEP, EPS, at=1.0)), [0.1, 0.2, 0.4], out=tmp_path, resume=True)
 
 
@@ -320,9 +309,9 @@ def test_a_softening_interface_in_series_with_springs():
 # ---------------------------------------------------------------- what holds a structure, and what cannot be
 def test_springs_hold_a_structure():
     """Across the bottom they do not hold it along; together with those across a side they do."""
-    with pytest.raises(ModelError, match="no support against rigid motion of the structure"):
+    with pytest.raises(InputError, match="no support against rigid motion of the structure"):
         turned(parts=[Springs("BOTTOM", normal=1.0)])
-    with pytest.raises(ModelError, match="no support against rigid motion of the structure"):
+    with pytest.raises(InputError, match="no support against rigid motion of the structure"):
         turned(3, parts=[Springs("BOTTOM", normal=1.0), Springs("LEFT", normal=1.0)])
     solve(turned(parts=[Springs("BOTTOM", normal=1.0), Springs("LEFT", normal=1.0)]))
 
@@ -348,15 +337,15 @@ def test_springs_hold_one_body_of_two():
     ],
 )
 def test_stiffness_out_of_range(given, message):
-    refused(ModelError, message, lambda: Springs("BOTTOM", **given))
+    refused(InputError, message, lambda: Springs("BOTTOM", **given))
 
 
 def test_places_that_are_none():
-    refused(GeometryError, "did you mean 'BOTTOM'", lambda: turned(parts=[Springs("BOTTEM", normal=1.0)]))
-    refused(ModelError, "its facets lie inside", lambda: turned(parts=[BED, Springs("S", normal=1.0)]))
-    with pytest.raises(ModelError, match="facet set is empty, as the layer is a surface here"):
+    refused(InputError, "did you mean 'BOTTOM'", lambda: turned(parts=[Springs("BOTTEM", normal=1.0)]))
+    refused(InputError, "its facets lie inside", lambda: turned(parts=[BED, Springs("S", normal=1.0)]))
+    with pytest.raises(InputError, match="facet set is empty, as the layer is a surface here"):
         turned(parts=[BED, Springs("LEFT/LAYER", normal=1.0)])
-    with pytest.raises(ModelError, match="two parts are called 'springs BOTTOM'"):
+    with pytest.raises(InputError, match="two parts are called 'springs BOTTOM'"):
         turned(parts=[BED, Springs("BOTTOM", normal=1.0)])
 
 

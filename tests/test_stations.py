@@ -11,13 +11,14 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 from scipy.spatial.transform import Rotation
 
-from forms import BulkLaw, Incompressible, KelvinVoigt, LawError, LinearElastic, Rubber, Stack
+from forms import BulkLaw, Incompressible, KelvinVoigt, LinearElastic, Rubber, Stack
+from forms.base import InputError
 from forms.elastic import lame
 from forms.interface import Interface
 from forms.stations import LOCKING, at_gauss_points
 from forms.work import energy, surface
 from geometry import sandwich
-from thinlayer import ModelError, Structure, ThinLayer
+from thinlayer import Structure, ThinLayer
 
 SUBLAYERS = [(0.3, 400.0, 20.0), (0.3, 20.0, 60.0), (0.4, 60.0, 5.0)]  # fraction, lmbda, mu
 ONE = [(1.0, 60.0, 5.0)]
@@ -138,7 +139,7 @@ def test_a_law_with_stations_of_its_own():
     plates = Structure(sandwich(1.0, 0.5, 0.5, 0.5), body=LinearElastic.young(100.0, 0.3), supports={"BOTTOM": 0.0})
     for law in (Locking, Free):
         plates.interface(ThinLayer(law(11.9, 1.0), 0.1, order=1, at=1.0))
-    with pytest.raises(ModelError, match=r"order=1 of Locking with lmbda/mu = 12.1"):
+    with pytest.raises(InputError, match=r"order=1 of Locking with lmbda/mu = 12.1"):
         plates.interface(ThinLayer(Locking(12.1, 1.0), 0.1, order=1, at=1.0))
     facet = Facet(2)
     sides, u = (
@@ -169,7 +170,7 @@ def test_stations_go_with_the_stress():
 
     law = Doubled(60.0, 40.0)
     assert type(law).stations is BulkLaw.stations
-    with pytest.raises(LawError, match="order=1 of a Stack with the sublayer"):
+    with pytest.raises(InputError, match="order=1 of a Stack with the sublayer"):
         ThinLayer(Stack((0.5, LinearElastic(60.0, 40.0)), (0.5, law)), 0.1, order=1, at=1.0)
     again = type("Again", (Doubled,), {name: vars(LinearElastic)[name] for name in ("stations", "elastic_moduli")})
     assert (
@@ -190,7 +191,7 @@ def test_stations_of_laws_with_a_pressure():
 
 def test_functions_need_sides_that_know_them():
     facet, law = Facet(2), LinearElastic(lambda x: 60 + x[0], 40.0)
-    with pytest.raises(LawError, match=r"parameters that are functions: the sides of S must know their values"):
+    with pytest.raises(InputError, match=r"parameters that are functions: the sides of S must know their values"):
         surface(law, Interface.between_bodies(facet.mesh, facet.dS), EPS, 1)
     assert len(surface(law, Interface.between_bodies(facet.mesh, facet.dS), EPS)) == 1
     assert KelvinVoigt(3.0, 2.0, 0.3, 0.5).stations()[0].largest_ratio == LOCKING

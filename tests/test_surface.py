@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from forms import LinearElastic, NonMonotoneUnrelaxed
+from forms.base import InputError
 from geometry import block, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests.meshes import renumbered
 from tests.refused import refused
-from thinlayer import ModelError, Structure, Surface, ThinLayer, march, solve
+from thinlayer import Structure, Surface, ThinLayer, march, solve
 from thinlayer.discretisation.state import Audit, Report, State
 
 STEEL = LinearElastic(3.0, 2.0)
@@ -100,7 +101,7 @@ def test_what_is_no_surface():
         (None, "Surface needs a model, not None"),
         (state(), "Surface needs a model, not State.*: give the state's model"),
     ):
-        refused(ModelError, message, Surface, thing)
+        refused(InputError, message, Surface, thing)
     surface = Surface(model)
     for thing, message in (
         (march(model, [1.0]), r"takes a state, as solve returns it or history\.last is, not History"),
@@ -108,7 +109,7 @@ def test_what_is_no_surface():
         (replace(state(), model=other), "another joint than the surface"),
     ):
         for field in (surface.jump, surface.traction, surface.displacements):
-            refused(ModelError, message, field, thing)
+            refused(InputError, message, field, thing)
 
 
 def test_all_models_of_a_joint_have_one_surface():
@@ -135,12 +136,12 @@ def test_all_models_of_a_joint_have_one_surface():
 )
 def test_what_is_no_field_on_s(field, message):
     surface = Surface(state().model)
-    refused(ModelError, message, lambda: surface.profile(field(surface)))
+    refused(InputError, message, lambda: surface.profile(field(surface)))
 
 
 def test_scalars_have_no_frame():
     surface = Surface(state().model)
-    refused(ModelError, "frame needs a vector field", lambda: surface.frame(surface.jump(state())[0]))
+    refused(InputError, "frame needs a vector field", lambda: surface.frame(surface.jump(state())[0]))
 
 
 def test_a_rigid_base_does_not_move():

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from forms import HolonomicCoulomb, LinearElastic
-from geometry import GeometryError, Joint, block, inflate, ring, sandwich
+from forms.base import InputError
+from geometry import Joint, block, inflate, ring, sandwich
 from geometry.seam import Seam
 from tests.meshes import volumes
 from tests.refused import refused
-from thinlayer import Model, Structure, Surface, ThinLayer, solve
+from thinlayer import Structure, Surface, ThinLayer, solve
+from thinlayer.discretisation.model import Model
 
 BODY = LinearElastic.young(100.0, 0.3)
 E_STRAIN = 100.0 / (1 - 0.3**2)
@@ -116,16 +118,16 @@ def test_cut_through_one_body_is_a_layer_like_any():
 
 def test_directions_are_checked():
     whole = sandwich(1.0, 0.5, 0.5, 0.25)
-    with pytest.raises(GeometryError, match=r"direction \(1.0, 0.0\) does not tell .* 'S': it lies in the facet near"):
+    with pytest.raises(InputError, match=r"direction \(1.0, 0.0\) does not tell .* 'S': it lies in the facet near"):
         in_one_body(whole, (1.0, 0.0))
-    refused(GeometryError, "needs 2 components, not all zero", lambda: in_one_body(whole, (0.0, 0.0)))
-    with pytest.raises(GeometryError, match="'S': a direction tells the upper side, or regions do; give one"):
+    refused(InputError, "needs 2 components, not all zero", lambda: in_one_body(whole, (0.0, 0.0)))
+    with pytest.raises(InputError, match="'S': a direction tells the upper side, or regions do; give one"):
         replace(whole, seams={"S": replace(whole.seams["S"], direction=(0.0, 1.0))})
-    with pytest.raises(GeometryError, match="on both sides of 'S'; give the direction"):
+    with pytest.raises(InputError, match="on both sides of 'S'; give the direction"):
         replace(in_one_body(whole, (0.0, 1.0)), seams={"S": Seam(("ROCK",), ("ROCK",))})
-    with pytest.raises(GeometryError, match="have one region on both sides; give the direction of the upper side"):
+    with pytest.raises(InputError, match="have one region on both sides; give the direction of the upper side"):
         replace(in_one_body(whole, (0.0, 1.0)), seams={"S": Seam()})
-    with pytest.raises(GeometryError, match="does not tell the upper side of 'S'"):
+    with pytest.raises(InputError, match="does not tell the upper side of 'S'"):
         in_one_body(ring(0.5, 1.0, 2.0, 0.2), (0.1, 1.0))
 
 
@@ -147,7 +149,7 @@ def test_upper_side_that_changes():
     assert values[1] == pytest.approx(values[0], abs=0.03 * size)
     opened = [inflate(joint, 0.01, bodies="extended") for joint in (two, one)]
     assert [np.sort(volumes(joint)) for joint in opened][1] == pytest.approx(np.sort(volumes(opened[0])), rel=1e-9)
-    with pytest.raises(GeometryError, match=r"at \(.*the upper side changes, and their sublayers do not meet"):
+    with pytest.raises(InputError, match=r"at \(.*the upper side changes, and their sublayers do not meet"):
         inflate(one, 0.01, bodies="extended", fractions=(0.3, 0.7))
     law = HolonomicCoulomb(30.0, 10.0, 0.3)  # the pair of nodes there is two, each with the normal of its own facets
     pressed = {"body": BODY, "supports": {"INSIDE": 0.0}, "tractions": {"OUTSIDE": (0.5, -0.3)}, "element": "P1"}
@@ -163,5 +165,5 @@ def test_s_is_s_alone():
     assert len(joint.facets["ALL"]) == len(everything) - len(joint.facets["S"])
     opened = inflate(joint, 0.1)
     assert (opened.table.cells[opened.table.index(opened.facets["ALL"]), 1] < 0).all()
-    with pytest.raises(GeometryError, match="'UPPER_FACE' cannot be a name"):
+    with pytest.raises(InputError, match="'UPPER_FACE' cannot be a name"):
         replace(joint, facets={**joint.facets, "UPPER_FACE": joint.facets["TOP"]})

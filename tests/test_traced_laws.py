@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import BulkLaw, KernelLaw, LawError, LinearElastic, TractionLaw, check
+from forms import BulkLaw, KernelLaw, LinearElastic, TractionLaw, check
+from forms.base import InputError
 from forms.elastic import lame
 from geometry import sandwich
 from tests.own_laws import Slipping, layer_of
@@ -158,13 +159,13 @@ def test_laws_that_decide_by_a_number(parent, decision):
     if parent == "with memory":
         parent, names = Deciding, names | {"internal": {"last": (3, 3)}, "advance": lambda self, step: {"last": step.e}}
     law = dataclass(frozen=True)(type("Mine", (parent,), names))(5.0, 0.0 if decision in ("true", "not") else 3.0)
-    refused(LawError, r"^Mine\.(stress|traction): .*ufl\.conditional\(ufl\.", lambda: check(law))
+    refused(InputError, r"^Mine\.(stress|traction): .*ufl\.conditional\(ufl\.", lambda: check(law))
 
 
 def test_decisions_by_a_parameter_that_varies_are_told():
     """Where it is zero somewhere on S."""
     law = type("Mine", (Deciding,), {"decision": DECISIONS["true"]})(5.0, lambda x: x[0])
-    refused(LawError, r"^Mine\.stress: .*ufl\.conditional", lambda: check(law))
+    refused(InputError, r"^Mine\.stress: .*ufl\.conditional", lambda: check(law))
 
 
 def test_conditions_of_ufl_are_no_decisions():
@@ -186,7 +187,9 @@ def test_a_law_at_points_knows_its_numbers_alone():
         def traction(self, step):
             return self.k * x[0] * step.mid
 
-    refused(LawError, r"Placed contains x, a SpatialCoordinate; a compiled law knows", lambda: drive(Placed(1.0), STEP))
+    refused(
+        InputError, r"Placed contains x, a SpatialCoordinate; a compiled law knows", lambda: drive(Placed(1.0), STEP)
+    )
 
 
 # ---------------------------------------------------------------- eigenstrains
@@ -265,7 +268,7 @@ def test_parameters_of_classes_without_postponed_annotations():
     Bare = namespace["Bare"]
     assert Bare(1.0, 2.0, 3.0, 4, [5.0, 6.0]).C == [5.0, 6.0]
     for given in ({"k": [1.0, 2.0]}, {"k": 1.0, "m": [1.0]}, {"k": 1.0, "n": [1.0]}, {"k": 1.0, "i": [1]}):
-        refused(LawError, r"^Bare: \w is \[.*\]; allowed: a number$", Bare, **given)
+        refused(InputError, r"^Bare: \w is \[.*\]; allowed: a number$", Bare, **given)
 
 
 def test_a_traction_law_that_does_not_evolve():
@@ -277,9 +280,9 @@ def test_a_traction_law_that_does_not_evolve():
         def traction(self, step):
             return self.k * step.mid
 
-    refused(LawError, r"Forgetful gives no new slip, path; .* evolve\(step\)", lambda: drive(Forgetful(1.0), STEP))
+    refused(InputError, r"Forgetful gives no new slip, path; .* evolve\(step\)", lambda: drive(Forgetful(1.0), STEP))
     Forgetful.evolve = lambda self, step: {"slip": step.mid}
-    with pytest.raises(LawError, match=r"Forgetful\.evolve gives \['slip'\]; it must give \['path', 'slip'\]"):
+    with pytest.raises(InputError, match=r"Forgetful\.evolve gives \['slip'\]; it must give \['path', 'slip'\]"):
         drive(Forgetful(1.0), STEP)
 
 
@@ -297,7 +300,7 @@ def test_jump_laws_in_plane_stress():
 
 
 def test_a_profile_of_a_law_of_jumps():
-    with pytest.raises(LawError, match="Slipping is a law on S without a thickness: give it alone"):
+    with pytest.raises(InputError, match="Slipping is a law on S without a thickness: give it alone"):
         ThinLayer(Slipping(70.0, 30.0, 12.0, 90.0), 0.1, profile=lambda x: 1 + x[0], at=1.0)
 
 
@@ -314,7 +317,7 @@ def test_a_law_without_energy_has_none_to_tell():
     energies = state.energies()
     assert math.isnan(energies["layer"])
     assert energies["bodies"] > 0
-    refused(LawError, "Plain declares no energy", lambda: Plain(5.0).energy(None))
+    refused(InputError, "Plain declares no energy", lambda: Plain(5.0).energy(None))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ import pytest
 
 import forms.law
 import forms.series
-from forms import BulkLaw, KelvinVoigt, LawError, LinearElastic, MohrCoulomb, NonMonotone, NonMonotoneUnrelaxed, Stack
+from forms import BulkLaw, KelvinVoigt, LinearElastic, MohrCoulomb, NonMonotone, NonMonotoneUnrelaxed, Stack
+from forms.base import InputError
 from forms.declarations import Traits, trait
 from tests.own_laws import AgeingSpring
 from tests.refused import refused
@@ -77,7 +78,7 @@ def test_traits_are_those_of_the_law_with_numbers():
 
 
 def test_pure_phases_are_no_sublayer():
-    with pytest.raises(LawError, match="a sublayer is NonMonotoneUnrelaxed"):
+    with pytest.raises(InputError, match="a sublayer is NonMonotoneUnrelaxed"):
         halves(NonMonotoneUnrelaxed(3.0, 1.0, 1.0, 1.0, ACROSS), STIFF)
 
 
@@ -88,7 +89,7 @@ def test_a_trait_is_true_or_false(value):
         mu: float
         linear: ClassVar = value
 
-    refused(LawError, r"Vague: linear is .*; a trait is True or False", Vague, 1.0)
+    refused(InputError, r"Vague: linear is .*; a trait is True or False", Vague, 1.0)
 
 
 def test_every_trait_says_how_sublayers_fold():

@@ -10,14 +10,15 @@ import ufl
 from dolfinx import fem
 
 from forms import HolonomicCoulomb, Incompressible, LinearElastic, MohrCoulomb, Rubber
+from forms.base import InputError
 from forms.work import energy
-from geometry import GeometryError, block, bond_cell, fibre, periodic, ring, sandwich
+from geometry import block, bond_cell, fibre, periodic, ring, sandwich
 from geometry.inflating.inflation import inflate
 from geometry.inflating.parting import faces, parted
 from studies.tubes import lame
 from tests.refused import refused
 from tests.test_order1 import apart
-from thinlayer import ModelError, Pressure, Probe, Structure, Surface, ThinLayer, compare, observed_orders, solve
+from thinlayer import Pressure, Probe, Structure, Surface, ThinLayer, compare, observed_orders, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.reduction import Reduction
 from thinlayer.output.grid import gather
@@ -300,7 +301,7 @@ def test_places_of_bodies():
     for r in (0.93, 1.07):  # next to the faces
         u, v = (Probe(state).displacement((0.6 * r, 0.8 * r)) for state in (full, limit))
         assert v == pytest.approx(u, abs=2e-3 * np.abs(u).max())
-    refused(ModelError, "places are in no cell", lambda: Probe(limit).displacement((0.6, 0.8)))
+    refused(InputError, "places are in no cell", lambda: Probe(limit).displacement((0.6, 0.8)))
 
 
 def test_weight_on_a_rigid_base():
@@ -334,24 +335,24 @@ def test_other_layers_of_the_same_thickness():
     direct = quarter().interface(ThinLayer(harder, 1 / 8, order=1, at=1.0), bodies="extended")
     works = [solve(one).energies()["loads"] for one in (again, direct)]
     assert works[0] == pytest.approx(works[1], rel=1e-12)
-    with pytest.raises(ModelError, match="bodies have made room for a layer 'S'"):
+    with pytest.raises(InputError, match="bodies have made room for a layer 'S'"):
         model.with_layer(ThinLayer(GLUE, 1 / 16, order=1, at=1.0))
 
 
 def test_refused():
     whole, layer = quarter(), ThinLayer(GLUE, 1 / 8, order=1, at=1.0)
-    refused(GeometryError, "known: extended, kept", lambda: whole.interface(layer, bodies="moved"))
-    with pytest.raises(ModelError, match="'S' has no ThinLayer"):
+    refused(InputError, "known: extended, kept", lambda: whole.interface(layer, bodies="moved"))
+    with pytest.raises(InputError, match="'S' has no ThinLayer"):
         Structure(whole.joint, body=BODY, supports=whole.supports, element="Q1").interface(
             HolonomicCoulomb(1.0, 1.0, 0.3), bodies="extended"
         )
     bricks = Structure(bond_cell((1.0, 0.5), 0.25), body=BODY, supports={})
-    with pytest.raises(ModelError, match="seams meet or branch, where S has no middle"):
+    with pytest.raises(InputError, match="seams meet or branch, where S has no middle"):
         bricks.interface(replace(layer, order=0), bodies="extended")
     one = flat("both")
     loaded = Structure(whole.joint, body=BODY, supports={"INSIDE": 0.0}, tractions={"START": Pressure(1.0)})
-    refused(ModelError, "traction on 'START': S ends there", lambda: loaded.interface(layer, bodies="extended"))
+    refused(InputError, "traction on 'START': S ends there", lambda: loaded.interface(layer, bodies="extended"))
     states = [
         solve(make(layer, **options)) for make, options in ((one.full, {"bodies": "extended"}), (one.interface, {}))
     ]
-    refused(ModelError, "compare, order=1: bodies are extended in the full model and kept", lambda: compare(*states))
+    refused(InputError, "compare, order=1: bodies are extended in the full model and kept", lambda: compare(*states))

@@ -6,10 +6,12 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from forms.base import InputError
 from tests.arc_length_run import Damage, Trilinear, bar
 from tests.refused import refused
 from tests.snapping_bars import FAR, C, openings, sigma
-from thinlayer import Adaptive, ArcLength, ModelError, TurningPoint, follow, march, piecewise, solve
+from thinlayer import Adaptive, ArcLength, follow, march, piecewise, solve
+from thinlayer.errors import TurningPoint
 
 pytestmark = pytest.mark.few(5)
 
@@ -108,10 +110,10 @@ def test_a_march_in_time_goes_on_where_it_was_cut(tmp_path):
 
 
 def test_refused():
-    refused(ModelError, "march with Adaptive: the stress of", lambda: march(bar(STEEP), Adaptive(end=1.0, first=0.1)))
-    refused(ModelError, "theta = 1", lambda: march(bar(STEEP), [0.5], theta=0.5))
-    refused(ModelError, "follow takes a history or a state", lambda: follow(bar(STEEP), ArcLength(end=1.0, first=0.1)))
-    refused(ModelError, "follow takes a history or a state", lambda: follow(turned()[1], [1.0]))
+    refused(InputError, "march with Adaptive: the stress of", lambda: march(bar(STEEP), Adaptive(end=1.0, first=0.1)))
+    refused(InputError, "theta = 1", lambda: march(bar(STEEP), [0.5], theta=0.5))
+    refused(InputError, "follow takes a history or a state", lambda: follow(bar(STEEP), ArcLength(end=1.0, first=0.1)))
+    refused(InputError, "follow takes a history or a state", lambda: follow(turned()[1], [1.0]))
     state = march(bar(GENTLE), [0.3]).last
-    refused(ModelError, "it must come after start", lambda: follow(state, ArcLength(end=0.2, first=0.1)))
-    refused(ModelError, "solve: the stress of", lambda: solve(bar(STEEP)))
+    refused(InputError, "it must come after start", lambda: follow(state, ArcLength(end=0.2, first=0.1)))
+    refused(InputError, "solve: the stress of", lambda: solve(bar(STEEP)))

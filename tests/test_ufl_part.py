@@ -11,10 +11,11 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 from forms import LinearElastic, Maxwell
+from forms.base import InputError
 from geometry import sandwich
 from tests.refused import refused
 from tests.taylor import observed_orders
-from thinlayer import ArcLength, ModelError, Structure, Surface, ThinLayer, UflPart, march, solve
+from thinlayer import ArcLength, Structure, Surface, ThinLayer, UflPart, march, solve
 from thinlayer.solving.solvers import Solver
 
 E, HEIGHT, EPS, P = 100.0, 0.5, 0.1, 0.3
@@ -121,7 +122,7 @@ def test_in_a_march(theta):
 
 def test_midpoint_refuses_foundations_that_answer_not_linearly():
     law = Maxwell(lmbda=0.0, mu=4.0, t1=0.5)
-    with pytest.raises(ModelError, match="the part 'own form' answers at once, and not linearly"):
+    with pytest.raises(InputError, match="the part 'own form' answers at once, and not linearly"):
         march(column(UflPart(energy=hardening), law=law), [0.1, 0.2], theta=0.5)
 
 
@@ -182,23 +183,23 @@ OTHER = mesh.create_unit_square(MPI.COMM_WORLD, 2, 2)
     ],
 )
 def test_what_is_no_form(part, message):
-    refused(ModelError, message, lambda: column(part()))
+    refused(InputError, message, lambda: column(part()))
 
 
 def test_negative_stiffness():
-    with pytest.raises(ModelError, match="negative stiffness"):
+    with pytest.raises(InputError, match="negative stiffness"):
         solve(column(UflPart(energy=lambda u, model: -1e4 * u[1] ** 2 * model.dx), supports={"BOTTOM": 0.0}))
 
 
 def test_two_forms_need_two_keys():
     parts = [UflPart(energy=winkler), UflPart(energy=hardening)]
-    with pytest.raises(ModelError, match="two parts are called 'own form'"):
+    with pytest.raises(InputError, match="two parts are called 'own form'"):
         Structure(JOINT, body=BODY, supports=ROLLERS, parts=parts).bonded()
     Structure(JOINT, body=BODY, supports=ROLLERS, parts=[parts[0], UflPart(energy=hardening, key="other")]).bonded()
 
 
 def test_what_holds_a_structure():
     """Springs across the bottom leave it free to move along; the form tells."""
-    refused(ModelError, "no support against rigid motion", lambda: column(UflPart(energy=winkler), supports={}))
+    refused(InputError, "no support against rigid motion", lambda: column(UflPart(energy=winkler), supports={}))
     everywhere = UflPart(energy=lambda u, model: K / 2 * ufl.inner(u, u) * on_bottom(model))
     assert sinking(solve(column(everywhere, supports={}))) == pytest.approx(-P / K, rel=1e-9)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from forms import Incompressible, LinearElastic, Rubber, Stack
+from forms.base import InputError
 from forms.inside import FaceValues, Pressed, Sublayers
 from geometry import block, disc, sandwich
 from studies.problems import FOURIER_LAYER, fourier
@@ -15,7 +16,7 @@ from tests.pictures import assert_drawn
 from tests.ranges_told import opened
 from tests.refused import refused
 from tests.zoom_run import BODY, EPS, FREE, GLUE, HEIGHTS, PLACES, joint, state
-from thinlayer import ModelError, Probe, Structure, Surface, ThinLayer, Zoom, observed_orders, plotting, solve
+from thinlayer import Probe, Structure, Surface, ThinLayer, Zoom, observed_orders, plotting, solve
 
 pytestmark = pytest.mark.few(5)
 
@@ -268,10 +269,10 @@ def test_a_rigid_base_is_a_very_stiff_body():
 
 
 def test_layers_that_are_not_known_are_refused():
-    refused(ModelError, "state of an interface model", lambda: Zoom(state().model))
+    refused(InputError, "state of an interface model", lambda: Zoom(state().model))
     warm = ThinLayer(GLUE, EPS, eigenstrain=1e-3, at=1.0)
-    refused(ModelError, "zoom into the layer: .* eigenstrain", lambda: Zoom(state(warm)))
-    refused(ModelError, "body force in the layer", lambda: Zoom(state(FREE, body_force={"S": (0, -1)})))
+    refused(InputError, "zoom into the layer: .* eigenstrain", lambda: Zoom(state(warm)))
+    refused(InputError, "body force in the layer", lambda: Zoom(state(FREE, body_force={"S": (0, -1)})))
 
 
 def test_places_and_heights_out_of_range_are_refused():
@@ -284,10 +285,10 @@ def test_places_and_heights_out_of_range_are_refused():
         (np.empty((0, 2)), 0.0, "finite coordinates"),
         ([[1.3, 0.0]], -0.5, r"at the corner at \(1.3, 0\), height -0.5, are infinite"),
     ):
-        refused(ModelError, words, zoom.stress, x, y)
+        refused(InputError, words, zoom.stress, x, y)
     for end in (-1, 2):
-        refused(ModelError, f"end {end}: there are 2, numbered from 0", lambda end=end: zoom.axes_of_end(end))
-    refused(ModelError, "seam", lambda: Zoom(state(), "BED"))
+        refused(InputError, f"end {end}: there are 2, numbered from 0", lambda end=end: zoom.axes_of_end(end))
+    refused(InputError, "seam", lambda: Zoom(state(), "BED"))
 
 
 @pytest.mark.few(1)
@@ -302,8 +303,8 @@ def test_places_and_heights_out_of_range_are_refused():
 def test_ends_that_are_not_known_are_refused_and_the_inside_is_not(layer, given, words):
     zoom = Zoom(state(layer, **given))
     assert np.isfinite(zoom.stress([[0.65, 0.0]])).all()
-    refused(ModelError, words, lambda: zoom.stress([[1.3 - 2 * EPS, 0.0]]))
-    with pytest.raises(ModelError, match=words):
+    refused(InputError, words, lambda: zoom.stress([[1.3 - 2 * EPS, 0.0]]))
+    with pytest.raises(InputError, match=words):
         _ = zoom.ends
 
 
@@ -317,7 +318,7 @@ def test_curved_ends_and_corners_of_ends_are_refused():
     )
     on_s = round_.points[np.unique(round_.surface)]
     assert np.isfinite(zoom.stress(on_s[np.linalg.norm(on_s, axis=1).argmin()])).all()
-    refused(ModelError, "straight", lambda: zoom.stress(on_s[np.linalg.norm(on_s, axis=1).argmax()]))
+    refused(InputError, "straight", lambda: zoom.stress(on_s[np.linalg.norm(on_s, axis=1).argmax()]))
     deep = Structure(
         sandwich(1.3, 0.3, 0.4, 0.2, depth=0.4), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0, 1, 0)}
     )
@@ -325,7 +326,7 @@ def test_curved_ends_and_corners_of_ends_are_refused():
     for end in zoom.ends:
         along = np.abs(end.m[::2]).argmin() * 2  # axis of the edge
         assert np.all((end.x[:, along] > 3 * EPS) & (end.x[:, along] < (1.3, 0, 0.4)[along] - 3 * EPS))
-    refused(ModelError, "two free ends meet", lambda: zoom.stress([[EPS, 0.0, EPS]]))
+    refused(InputError, "two free ends meet", lambda: zoom.stress([[EPS, 0.0, EPS]]))
 
 
 @pytest.mark.long
@@ -339,4 +340,4 @@ def test_the_picture_of_an_end(tmp_path):
     assert_drawn(tmp_path / "end.png")
     assert [axes.get_title() for axes in picture.axes[:2]] == ["meshed layer", "interface law, zoomed"]
     for given, words in (({"end": 2}, "2 free ends"), ({"component": "X"}, "component"), ({"width": -1}, "width")):
-        refused(ModelError, words, plotting.zoomed, zoom, **given)
+        refused(InputError, words, plotting.zoomed, zoom, **given)

@@ -17,19 +17,10 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.discretisation.given import Pressure
     from thinlayer.discretisation.given_strains import Prestress, ThermalExpansion
     from thinlayer.discretisation.layer import Bond, Gap, ThinLayer
-    from thinlayer.discretisation.model import Model
     from thinlayer.discretisation.point_loads import LineLoad, PointLoad
     from thinlayer.discretisation.state import State
     from thinlayer.discretisation.structure import Structure
-    from thinlayer.errors import (
-        LimitLoad,
-        LooseBody,
-        ModelError,
-        RangeWarning,
-        SolveError,
-        ThinlayerError,
-        TurningPoint,
-    )
+    from thinlayer.errors import InputError, LimitLoad, RangeWarning, SolveError, ThinlayerError
     from thinlayer.estimating.estimate import estimate
     from thinlayer.estimating.thickness import thin_enough
     from thinlayer.output.comparison import compare
@@ -39,12 +30,10 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.output.surface import Surface
     from thinlayer.output.sweep import observed_orders, sweep
     from thinlayer.output.zooming import Zoom
-    from thinlayer.parts.contact_part import ContactPart
     from thinlayer.parts.plates import RigidPlate
     from thinlayer.parts.springs import Springs
     from thinlayer.parts.ufl_part import UflPart
     from thinlayer.pointwise.drive import drive
-    from thinlayer.solving.petsc import OptionError
     from thinlayer.solving.solvers import solve
     from thinlayer.solving.step_problem import StepProblem
     from thinlayer.system.table import Table
@@ -59,11 +48,10 @@ _NAMES = {
     "discretisation.layer": ["Bond", "Gap", "ThinLayer"],
     "discretisation.clock": ["piecewise"],
     "discretisation.given": ["Pressure"],
-    "discretisation.model": ["Model"],
     "discretisation.point_loads": ["LineLoad", "PointLoad"],
     "discretisation.state": ["State"],
     "discretisation.structure": ["Structure"],
-    "errors": ["LimitLoad", "LooseBody", "ModelError", "RangeWarning", "SolveError", "ThinlayerError", "TurningPoint"],
+    "errors": ["InputError", "LimitLoad", "RangeWarning", "SolveError", "ThinlayerError"],
     "estimating.estimate": ["estimate"],
     "estimating.thickness": ["thin_enough"],
     "system.table": ["Table"],
@@ -75,11 +63,9 @@ _NAMES = {
     "output.ensemble": ["ensemble"],
     "output.sweep": ["observed_orders", "sweep"],
     "pointwise.drive": ["drive"],
-    "parts.contact_part": ["ContactPart"],
     "parts.plates": ["RigidPlate"],
     "parts.springs": ["Springs"],
     "parts.ufl_part": ["UflPart"],
-    "solving.petsc": ["OptionError"],
     "solving.solvers": ["solve"],
     "solving.step_problem": ["StepProblem"],
     "time.history": ["History"],

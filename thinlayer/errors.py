@@ -29,16 +29,6 @@ def warn(key: str, message: str, comm: MPI.Intracomm) -> None:
         warnings.showwarning = shown
 
 
-class ModelError(InputError):
-    """A model that cannot be built. Says what is wrong, where, and what is allowed.
-
-    Attributes:
-        key: of the condition that does not hold; "": it has none.
-    """
-
-    key = ""
-
-
 @dataclass(frozen=True)
 class Refused:
     """Why something is not known: the key of the condition that does not hold, the reason, and what to do instead."""
@@ -50,9 +40,9 @@ class Refused:
     def __str__(self) -> str:
         return f"{self.reason}; {self.remedy}"
 
-    def error(self, what: str = "") -> ModelError:
+    def error(self, what: str = "") -> InputError:
         """The error of one who asks for it, after some words."""
-        error = ModelError(f"{what}{self}")
+        error = InputError(f"{what}{self}")
         error.key = self.key
         return error
 

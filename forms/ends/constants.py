@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
-from forms.declarations import LawError
+from forms.base import InputError
 
 Array = npt.NDArray[np.float64]
 
@@ -61,10 +61,10 @@ def lame_over_mu(nu: float) -> float:
     """The first Lame modulus over mu, 2 nu/(1 - 2 nu); math.inf for nu = 0.5.
 
     Raises:
-        LawError: nu is not in [0, 0.5].
+        InputError: nu is not in [0, 0.5].
     """
     if not 0 <= nu <= 0.5:
-        raise LawError(f"free end of a layer: Poisson's ratio is {nu!r}; allowed: from 0 to 0.5")
+        raise InputError(f"free end of a layer: Poisson's ratio is {nu!r}; allowed: from 0 to 0.5")
     return 2 * nu / (1 - 2 * nu) if nu < 0.5 else math.inf
 
 
@@ -75,7 +75,7 @@ def free_end(nu: float) -> FreeEnd:
     from 0 to 1, and polynomials of s; the first one is sqrt(1/12) at s = 0.
 
     Raises:
-        LawError: nu out of range.
+        InputError: nu out of range.
     """
     lmbda, s = lame_over_mu(nu), math.sqrt(1 - 2 * nu)
     found: Array = np.asarray(chebyshev.chebval(2 * s - 1, _coefficients()), float)

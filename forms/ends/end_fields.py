@@ -219,6 +219,6 @@ def end_fields(nu: float) -> EndFields:
     """The fields of a Poisson's ratio, which are kept: about two seconds for the first call.
 
     Raises:
-        LawError: nu is not in [0, 0.5].
+        InputError: nu is not in [0, 0.5].
     """
     return EndFields(nu)

@@ -209,7 +209,7 @@ class HalfStrip:
         cells: the quadrilaterals.
 
     Raises:
-        LawError: nu out of range.
+        InputError: nu out of range.
     """
 
     def __init__(self, nu: float, degree: int = DEGREE, levels: int = LEVELS) -> None:

@@ -12,11 +12,11 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from forms.base import InputError
 from geometry.dolfinx_mesh import cell_nodes, vertices_of_facets
 from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
 from geometry.joint import Joint
 from geometry.parallel import on_root, world
-from geometry.refusals import GeometryError
 from geometry.topology import CELL_TYPES, FloatArray, IntArray, corner_count, geometry_degree
 
 WHOLE = "BODY"  # region of all cells if there are no cell tags
@@ -47,7 +47,7 @@ def from_dolfinx(
         comm: the ranks that the mesh is distributed on (default: the world).
 
     Raises:
-        GeometryError: the tags are not those of this mesh; a number without cells or facets; cells of several types, of
+        InputError: the tags are not those of this mesh; a number without cells or facets; cells of several types, of
             one that is not allowed, or of a degree above 2; a mesh on other ranks than those of `comm`; and as in `read`.
     """
     comm = comm or world()
@@ -85,18 +85,18 @@ class _Part(NamedTuple):
 
     @classmethod
     def of(cls, mesh: Any, cell_tags: Any, facet_tags: Any, comm: MPI.Intracomm) -> _Part:
-        """The part of this rank; raises GeometryError if a joint cannot be made of it."""
+        """The part of this rank; raises InputError if a joint cannot be made of it."""
         if not isinstance(mesh, dolfinx.mesh.Mesh):
-            raise GeometryError(f"mesh is {mesh!r}; give a dolfinx.mesh.Mesh")
+            raise InputError(f"mesh is {mesh!r}; give a dolfinx.mesh.Mesh")
         if MPI.Comm.Compare(comm, mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
-            raise GeometryError(
+            raise InputError(
                 f"the mesh is distributed on {mesh.comm.size} ranks, comm has {comm.size}; give comm the communicator that "
                 "the mesh was made with"
             )
         topology, geometry = mesh.topology, mesh.geometry
         kinds = [dolfinx.mesh.to_string(kind) for kind in topology.entity_types[-1]]
         if len(kinds) > 1 or kinds[0] not in CELL_TYPES:
-            raise GeometryError(f"cells are of type {', '.join(kinds)}; allowed: one of {', '.join(CELL_TYPES)}")
+            raise InputError(f"cells are of type {', '.join(kinds)}; allowed: one of {', '.join(CELL_TYPES)}")
         kind, dim, cells = kinds[0], topology.dim, cell_nodes(mesh)
         geometry_degree(kind, cells.shape[1])
         owned = topology.index_map(dim).size_local
@@ -116,13 +116,13 @@ def _tags(mesh: dolfinx.mesh.Mesh, tags: Any, dim: int, what: str) -> tuple[npt.
     if tags is None:
         return np.empty(0, np.int32), np.empty(0, np.int64)
     if not isinstance(tags, dolfinx.mesh.MeshTags):
-        raise GeometryError(f"{what} is {tags!r}; give dolfinx.mesh.MeshTags")
+        raise InputError(f"{what} is {tags!r}; give dolfinx.mesh.MeshTags")
     if tags.dim != dim:
-        raise GeometryError(f"{what} are of entities of dimension {tags.dim}; those of this mesh have dimension {dim}")
+        raise InputError(f"{what} are of entities of dimension {tags.dim}; those of this mesh have dimension {dim}")
     if tags.topology is not mesh.topology and tags.topology is not mesh.topology._cpp_object:
-        raise GeometryError(f"{what} are of another mesh")
+        raise InputError(f"{what} are of another mesh")
     if tags.values.dtype.kind not in "iu":
-        raise GeometryError(f"{what} have values of type {tags.values.dtype}; they must be integers")
+        raise InputError(f"{what} have values of type {tags.values.dtype}; they must be integers")
     return np.asarray(tags.indices), np.asarray(tags.values, np.int64)
 
 
@@ -134,7 +134,7 @@ def _joined(parts: list[Any], regions: Any, facets: Any, sides: SidesOf) -> Join
     (kind, *_), *arrays = zip(*parts, strict=True)
     points, nodes, region, tagged, rows, tags = map(np.concatenate, arrays)
     if not len(nodes):
-        raise GeometryError("the mesh has no cells")
+        raise InputError("the mesh has no cells")
     order = np.lexsort(points.T[::-1])
     number = np.argsort(order)
     points, nodes, rows = points[order], number[nodes], np.sort(number[rows], axis=1)
@@ -143,7 +143,7 @@ def _joined(parts: list[Any], regions: Any, facets: Any, sides: SidesOf) -> Join
     cells = Cells.of(points, nodes, kind, f"{len(nodes)} {kind} cells")
     groups = _groups(regions, region, tagged, "cell")
     if not groups:
-        raise GeometryError("no cell has a tag")
+        raise InputError("no cell has a tag")
     sets = _groups(facets, tags, np.ones(len(tags), bool), "facet")
     named = {name: np.unique(np.searchsorted(cells.used, rows[member]), axis=0) for name, member in sets.items()}
     return Named(cells, groups, named, "tags", Sides.of(**sides)).joint()
@@ -159,11 +159,11 @@ def _groups(names: Any, values: IntArray, tagged: npt.NDArray[np.bool_], what: s
         isinstance(number, Integral) and not isinstance(number, bool) and isinstance(name, str)
         for number, name in names.items()
     ):
-        raise GeometryError(f"{argument} is {names!r}; give {{number in {what}_tags: name}}")
+        raise InputError(f"{argument} is {names!r}; give {{number in {what}_tags: name}}")
     groups: Groups = {}
     for number, name in names.items():
         if number not in found:
             known = ", ".join(map(str, found)) or "none"
-            raise GeometryError(f"{argument}: no {what} has the tag {number}, named {name!r}; tags: {known}")
+            raise InputError(f"{argument}: no {what} has the tag {number}, named {name!r}; tags: {known}")
         groups[name] = groups.get(name, np.zeros(len(values), bool)) | (tagged & (values == number))
     return groups

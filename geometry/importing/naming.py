@@ -9,9 +9,9 @@ from typing import Any, TypedDict
 import numpy as np
 from scipy.spatial import cKDTree
 
-from forms.base import is_finite
+from forms.base import InputError, is_finite
 from geometry.joint import Joint
-from geometry.refusals import GeometryError, place, refuse, unknown
+from geometry.refusals import place, refuse, unknown
 from geometry.seam import S, Seam
 from geometry.topology import (
     FACET_TYPES,
@@ -68,16 +68,16 @@ class Cells:
             what: text for the cells in messages.
 
         Raises:
-            GeometryError: nodes without coordinates, or a surface in 3D.
+            InputError: nodes without coordinates, or a surface in 3D.
         """
         used, numbers = np.unique(nodes, return_inverse=True)
         if used[0] < 0 or used[-1] >= len(points) or not np.isfinite(points[used]).all():
-            raise GeometryError("the cells have nodes without coordinates")
+            raise InputError("the cells have nodes without coordinates")
         dim = lagrange(cell_type, 1).points.shape[1]
         own = points[used]
         height = own[:, dim:]
         if height.size and np.ptp(height) > CLOSE * np.ptp(own, axis=0).max():
-            raise GeometryError(
+            raise InputError(
                 f"2D mesh in 3D: {what} at z = {height.min():g} to {height.max():g}, not in a plane z = const; "
                 "for a solid save the cells of the volume too (gmsh: name them with Physical Volume)"
             )
@@ -89,12 +89,12 @@ class Cells:
         return self.nodes[:, : corner_count(self.type)]
 
     def refuse(self, bad: BoolArray, what: str) -> None:
-        """Raise GeometryError if there are bad cells, with their number and the first one's place."""
+        """Raise InputError if there are bad cells, with their number and the first one's place."""
         if bad.any():  # the places of all nodes of cells are many
             refuse(bad, self.points[self.nodes], f"{{bad}} of {{all}} cells {what}; the first is at {{at}}")
 
     def require_sound(self) -> None:
-        """Raise GeometryError for cells without volume, folded or duplicate cells, and for nodes at the same place."""
+        """Raise InputError for cells without volume, folded or duplicate cells, and for nodes at the same place."""
         size = np.ptp(self.points[self.nodes], axis=1).max(axis=1)
         jacobian = node_jacobians(self.points, self.nodes, self.type)
         largest = np.abs(jacobian).max(axis=1)
@@ -111,7 +111,7 @@ class Cells:
         pairs = cKDTree(self.points).query_pairs(CLOSE * np.ptp(self.points, axis=0).max(), output_type="ndarray")
         if len(pairs):
             x = self.points[pairs[pairs[:, 0].argmin(), 0]]
-            raise GeometryError(
+            raise InputError(
                 f"{len(pairs)} pairs of nodes at the same place, the first at {place(x)}: the cells there are not "
                 "connected; let bodies share their nodes (gmsh: BooleanFragments or Coherence before meshing, "
                 f"removeDuplicateNodes after it), or, for a gap that is to stay unbonded, draw it wider than {CLOSE:g} of "
@@ -144,18 +144,18 @@ class Sides:
 
     @classmethod
     def of(cls, S: Any = S, upper: Any = None, lower: Any = None, direction: Any = None) -> Sides:
-        """The choice from arguments as in `read`; raises GeometryError for wrong types."""
+        """The choice from arguments as in `read`; raises InputError for wrong types."""
         above, below, way = _names_of(upper, "upper"), _names_of(lower, "lower"), _direction(direction)
         if S is None or isinstance(S, str):
             return cls(S, above, below, way)
         rules = dict(S) if isinstance(S, Mapping) else dict.fromkeys(S)
         if not rules or not all(isinstance(name, str) for name in rules):
-            raise GeometryError(
+            raise InputError(
                 f"S is {S!r}; give the name of one set of facets (a group can have several parts), the names of several, "
                 "{name: its upper side}, or None for all facets between the regions lower and upper"
             )
         if above or below or way:
-            raise GeometryError("S names several seams: give the sides of each there, as {name: (lower, upper)}")
+            raise InputError("S names several seams: give the sides of each there, as {name: (lower, upper)}")
         return cls(None, seams={name: _seam(name, rule) for name, rule in rules.items()})
 
 
@@ -168,7 +168,7 @@ def _seam(name: str, rule: Any) -> Seam:
     if np.ndim(rule) == 1 and all(map(is_finite, rule)):
         return Seam(direction=_direction(rule))
     if not isinstance(rule, tuple | list) or len(rule) != 2:
-        raise GeometryError(
+        raise InputError(
             f"S: the upper side of {name!r} is {rule!r}; give a vector, (lower, upper) with names of regions, or None for "
             "the order of the regions"
         )
@@ -178,7 +178,7 @@ def _seam(name: str, rule: Any) -> Seam:
 
 def _direction(given: Any) -> tuple[float, ...] | None:
     if given is not None and not (np.ndim(given) == 1 and all(map(is_finite, given))):
-        raise GeometryError(f"direction is {given!r}; it needs 2 components, in 3D 3, not all zero")
+        raise InputError(f"direction is {given!r}; it needs 2 components, in 3D 3, not all zero")
     return None if given is None else tuple(float(c) for c in given)
 
 
@@ -186,7 +186,7 @@ def _names_of(regions: Any, what: str) -> Names:
     """The names of one side's regions; () if none are given."""
     names = (regions,) if isinstance(regions, str) else () if regions is None else regions
     if not (isinstance(names, Sequence) and all(isinstance(name, str) for name in names)):
-        raise GeometryError(f"{what} is {regions!r}; give the name of a region, or several in a list")
+        raise InputError(f"{what} is {regions!r}; give the name of a region, or several in a list")
     return tuple(names)
 
 
@@ -212,7 +212,7 @@ class Named:
         """The joint; where groups of cells overlap, those named in `sides` are the regions.
 
         Raises:
-            GeometryError: unusable cells or names, or an S that does not fit them.
+            InputError: unusable cells or names, or an S that does not fit them.
         """
         named = replace(self, regions=self._disjoint())
         self.cells.require_sound()
@@ -231,10 +231,10 @@ class Named:
         chosen = sides.upper + sides.lower + tuple(n for seam in sides.seams.values() for n in seam.lower + seam.upper)
         both = [name for name in regions if name in self.facets and not name.isdigit()]
         if both:
-            raise GeometryError(f"{both[0]!r} names both cells and facets; each needs its own name")
+            raise InputError(f"{both[0]!r} names both cells and facets; each needs its own name")
         for name in chosen:
             if name not in regions:
-                raise GeometryError(f"{unknown('region', name, regions)} ({self.source})")
+                raise InputError(f"{unknown('region', name, regions)} ({self.source})")
         count = np.sum(list(regions.values()), axis=0)
         cells.refuse(count == 0, f"are in no named group ({self.source}: {', '.join(regions)})")
         if chosen and (count > 1).any():
@@ -246,11 +246,11 @@ class Named:
         return regions
 
     def _require_facets(self, name: str) -> None:
-        """Raise GeometryError unless a set of facets of the mesh has this name."""
+        """Raise InputError unless a set of facets of the mesh has this name."""
         if not self.facets:
-            raise GeometryError(f"no facets are named {name!r} or anything else; name some, or give S=None and sides")
+            raise InputError(f"no facets are named {name!r} or anything else; name some, or give S=None and sides")
         if name not in self.facets:
-            raise GeometryError(f"{unknown('set of facets', name, self.facets)} ({self.source})")
+            raise InputError(f"{unknown('set of facets', name, self.facets)} ({self.source})")
 
     def _single(self) -> tuple[IntArray, Seam]:
         """Facets (n, k) of the only seam, and its sides."""
@@ -259,10 +259,10 @@ class Named:
         if name is not None:
             self._require_facets(name)
         if name != S and S in self.facets:
-            raise GeometryError(f"other facets are named {S!r}; rename them, or give S={S!r}")
+            raise InputError(f"other facets are named {S!r}; rename them, or give S={S!r}")
         if name is None:
             if not upper or not lower or set(upper) & set(lower):
-                raise GeometryError(f"S=None is all that is between two bodies; give upper and lower; {regions}")
+                raise InputError(f"S=None is all that is between two bodies; give upper and lower; {regions}")
             return self._boundary(upper, lower), Seam(lower, upper)
         facets = self.facets[name]
         table, x = self.cells.facets_among(np.unique(facets)), self.cells.points[facets]
@@ -276,10 +276,10 @@ class Named:
             refuse(outer, x, f"{what}; the first is at {{at}}")
         elif not lower:
             if way is not None:
-                raise GeometryError(f"direction is for S inside one body; {name!r} lies on the outer boundary")
+                raise InputError(f"direction is for S inside one body; {name!r} lies on the outer boundary")
             other = [region for region in touched if region not in (upper or whole)]
             if other:
-                raise GeometryError(
+                raise InputError(
                     f"{name!r} lies on the outer boundary of {' and '.join(other)}, and {'+'.join(upper)}, named in upper, "
                     f"does not touch it there; have both bodies the same nodes on {name!r}?"
                 )
@@ -287,13 +287,13 @@ class Named:
         if way is not None:
             return facets, Seam(lower or upper or whole, upper or lower or whole, way)
         if not upper:
-            raise GeometryError(
+            raise InputError(
                 f"{name!r} lies inside {' and '.join(touched)}; name the regions above it in upper, or give the "
                 f"direction of the upper side if the same body is on both; {regions}"
             )
         lower = lower or tuple(region for region in whole if region not in upper)
         if not lower:
-            raise GeometryError(f"{name!r} lies inside {'+'.join(upper)}, nothing is left below it; give the direction")
+            raise InputError(f"{name!r} lies inside {'+'.join(upper)}, nothing is left below it; give the direction")
         return facets, Seam(lower, upper)
 
     def _boundary(self, upper: Names, lower: Names) -> IntArray:
@@ -304,5 +304,5 @@ class Named:
         first, second = table.cells[table.cells[:, 1] >= 0].T
         found = table.vertices[table.cells[:, 1] >= 0][above[first] & below[second] | below[first] & above[second]]
         if not len(found):
-            raise GeometryError(f"{'+'.join(lower)} and {'+'.join(upper)} have no facet in common")
+            raise InputError(f"{'+'.join(lower)} and {'+'.join(upper)} have no facet in common")
         return found

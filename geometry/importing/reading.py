@@ -17,11 +17,11 @@ import dolfinx
 import numpy as np
 from mpi4py import MPI
 
-from forms.base import is_finite
+from forms.base import InputError, is_finite
 from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
 from geometry.joint import Joint
 from geometry.parallel import on_root
-from geometry.refusals import GeometryError, refuse, unknown
+from geometry.refusals import refuse, unknown
 from geometry.topology import FACET_TYPES, IntArray, corner_count
 
 if TYPE_CHECKING:
@@ -68,15 +68,15 @@ def read(path: str | Path, *, scale: float = 1.0, comm: MPI.Intracomm | None = N
         comm: communicator whose rank 0 reads (default: the world).
 
     Raises:
-        GeometryError: the file cannot be read or lacks names; a name is unknown or ambiguous; cells of several types or
+        InputError: the file cannot be read or lacks names; a name is unknown or ambiguous; cells of several types or
             of one that is not allowed; a surface in 3D; duplicate nodes or cells; flat or folded cells; S does not fit
             `Joint`.
     """
     if not isinstance(path, (str, Path)):
-        raise GeometryError(f"path is {path!r}; it must be the name of a file")
+        raise InputError(f"path is {path!r}; it must be the name of a file")
     chosen = Sides.of(**sides)
     if not is_finite(scale) or scale <= 0:
-        raise GeometryError(f"scale is {scale!r}; it must be a number > 0")
+        raise InputError(f"scale is {scale!r}; it must be a number > 0")
     return on_root(comm, partial(_read, Path(path), chosen, scale))
 
 
@@ -89,25 +89,25 @@ def _read(path: Path, sides: Sides, scale: float) -> Joint:
         regions = _groups(mesh, dim, array)
         if not regions:
             example = f'Physical {"Surface" if dim == 2 else "Volume"}("BODY") = {{...}}'
-            raise GeometryError(f"no named groups of cells ({source}); in gmsh: {example}; saved with Mesh.SaveAll = 0")
+            raise InputError(f"no named groups of cells ({source}); in gmsh: {example}; saved with Mesh.SaveAll = 0")
         facets = _vertices(mesh, cells, _groups(mesh, dim - 1, array))
         return Named(cells, regions, facets, source, sides).joint()
-    except GeometryError as error:
-        raise GeometryError(f"{path}: {error}") from None
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 def _load(path: Path, scale: float) -> meshio.Mesh:
     """The file as meshio reads it, coordinates times a factor; messages that meshio prints are suppressed.
 
     Raises:
-        GeometryError: no such file, not readable, or two groups with one physical name.
+        InputError: no such file, not readable, or two groups with one physical name.
     """
     import meshio  # not needed by joints that are built
 
     if not path.is_file():
-        raise GeometryError("this is a folder, not a file" if path.is_dir() else "there is no such file")
+        raise InputError("this is a folder, not a file" if path.is_dir() else "there is no such file")
     if not {path.suffix.lower(), "".join(path.suffixes[-2:]).lower()} & meshio.extension_to_filetypes.keys():
-        raise GeometryError(unknown("suffix", path.suffix, meshio.extension_to_filetypes))
+        raise InputError(unknown("suffix", path.suffix, meshio.extension_to_filetypes))
     if path.suffix.lower() == ".msh":
         _require_single_names(path)
     said = io.StringIO()
@@ -116,17 +116,17 @@ def _load(path: Path, scale: float) -> meshio.Mesh:
             warnings.simplefilter("ignore")
             mesh = meshio.read(path)
     except ImportError as error:
-        raise GeometryError(f"{path.suffix} files need the Python package {error.name}") from None
+        raise InputError(f"{path.suffix} files need the Python package {error.name}") from None
     except (Exception, SystemExit) as error:  # meshio exits Python when no reader succeeds
         why = " ".join(said.getvalue().split()) if isinstance(error, SystemExit) else f"{type(error).__name__}: {error}"
         hint = "; in gmsh save with Mesh.SaveAll = 0, Mesh.SaveParametric = 0" if path.suffix.lower() == ".msh" else ""
-        raise GeometryError(f"meshio cannot read this {path.suffix} file ({why}){hint}") from None
+        raise InputError(f"meshio cannot read this {path.suffix} file ({why}){hint}") from None
     mesh.points = np.asarray(mesh.points, float) * scale
     return mesh
 
 
 def _require_single_names(path: Path) -> None:
-    """Raise GeometryError if two groups have the same physical name: meshio would drop one of them."""
+    """Raise InputError if two groups have the same physical name: meshio would drop one of them."""
     end = ("$EndPhysicalNames", "$Nodes", "$Elements")
     with path.open("rb") as file:
         lines = (line.decode(errors="replace") for line in file)
@@ -135,23 +135,23 @@ def _require_single_names(path: Path) -> None:
     for name, count in Counter(name for *_, name in found).items():
         if count > 1:
             groups = " and ".join(f"{number} of dimension {dim}" for dim, number, other in found if other == name)
-            raise GeometryError(f"the physical name {name!r} stands for the groups {groups}; each needs its own name")
+            raise InputError(f"the physical name {name!r} stands for the groups {groups}; each needs its own name")
 
 
 def _cells_of(mesh: meshio.Mesh) -> Cells:
-    """The cells of highest dimension; raises GeometryError if they are not all of one known type, or a surface in space."""
+    """The cells of highest dimension; raises InputError if they are not all of one known type, or a surface in space."""
     dim = max((block.dim for block in mesh.cells if len(block)), default=0)
     blocks = [block for block in mesh.cells if len(block) and block.dim == dim]
     kinds = list(dict.fromkeys(block.type for block in blocks))
     if not kinds:
-        raise GeometryError("the file has no cells")
+        raise InputError("the file has no cells")
     types = ", ".join(f"{sum(len(block) for block in blocks if block.type == kind)} {kind}" for kind in kinds)
     if len(kinds) > 1:
-        raise GeometryError(f"mixed cell types: {types}; a joint needs cells of one type")
+        raise InputError(f"mixed cell types: {types}; a joint needs cells of one type")
     kind = kinds[0]
     if kind not in CELLS:
         remedy = next(text for pattern, text in REMEDIES.items() if re.match(pattern, kind))
-        raise GeometryError(f"cells of a type that is not allowed: {types}; allowed: {', '.join(CELLS)}; {remedy}")
+        raise InputError(f"cells of a type that is not allowed: {types}; allowed: {', '.join(CELLS)}; {remedy}")
     cells = np.concatenate([block.data for block in blocks]).astype(np.int64)
     order = dolfinx.cpp.io.perm_vtk(dolfinx.mesh.to_type(CELLS[kind]), cells.shape[1])
     return Cells.of(mesh.points, cells[:, order], CELLS[kind], types)
@@ -171,7 +171,7 @@ def _source(mesh: meshio.Mesh) -> tuple[str, str | None]:
         if name != "gmsh:geometrical" and all(np.ndim(values) == 1 and values.dtype.kind in "iu" for values in data)
     ]
     if len(arrays) > 1:
-        raise GeometryError(f"several arrays of integers could number the groups: {', '.join(arrays)}; keep one")
+        raise InputError(f"several arrays of integers could number the groups: {', '.join(arrays)}; keep one")
     return (f"numbers in the cell data {arrays[0]!r}", arrays[0]) if arrays else ("no cell sets, no numbers", None)
 
 
@@ -212,7 +212,7 @@ def _vertices(mesh: meshio.Mesh, cells: Cells, groups: Groups) -> dict[str, IntA
     blocks = [block for block in mesh.cells if block.dim == cells.points.shape[1] - 1]
     alien = [block.type for block in blocks if not block.type.startswith(FACETS[kind])]
     if alien:
-        raise GeometryError(f"the file has {alien[0]} facets, but its {cells.type} cells have {FACETS[kind]} facets")
+        raise InputError(f"the file has {alien[0]} facets, but its {cells.type} cells have {FACETS[kind]} facets")
     number = np.full(len(mesh.points), -1, np.int64)
     number[cells.used] = np.arange(len(cells.used))
     rows = np.concatenate([block.data[:, : corner_count(kind)] for block in blocks]).astype(np.int64)

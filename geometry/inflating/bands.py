@@ -9,8 +9,9 @@ from functools import cached_property
 import basix
 import numpy as np
 
+from forms.base import InputError
 from geometry.joint import Joint
-from geometry.refusals import GeometryError, place, refuse
+from geometry.refusals import place, refuse
 from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, is_tensor, lagrange
 
 SAME_HEIGHT = 1e-12  # difference of heights, relative to the thickness, that counts as none
@@ -160,7 +161,7 @@ def posts_of(joint: Joint, copies: Copies, heights: Sequence[FloatArray]) -> tup
         heights: of the levels, for each seam.
 
     Raises:
-        GeometryError: one body is on both sides of S at a vertex; the levels of two seams differ where they continue one
+        InputError: one body is on both sides of S at a vertex; the levels of two seams differ where they continue one
             another, or those of one seam where its upper side changes.
     """
     below, above = copies.below.ravel(), copies.above.ravel()
@@ -181,14 +182,12 @@ def posts_of(joint: Joint, copies: Copies, heights: Sequence[FloatArray]) -> tup
     for (one, other, way), x in zip(cases, places, strict=True):
         if not _same(heights[one], 1 - heights[other][::-1] if way else heights[other]):
             continues = f"{names[one]!r} and {names[other]!r} continue one another"
-            raise GeometryError(
+            raise InputError(
                 f"at {place(x)} {continues if one != other else 'the upper side changes'}, and their sublayers do not "
                 "meet: give them the same ones, and an upper side on the same body"
             )
         if way and joint.dim == 3:
-            raise GeometryError(
-                f"the upper side of S changes at {place(x)}: in 3D each layer needs one on one side there"
-            )
+            raise InputError(f"the upper side of S changes at {place(x)}: in 3D each layer needs one on one side there")
     posts = Posts(
         len(joint.points) + len(copies.new), ends, joint.surface.ravel()[first], kind_of_seam[seam[first]], tuple(kinds)
     )

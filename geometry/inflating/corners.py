@@ -56,7 +56,7 @@ def junctions_of(joint: Joint, posts: Posts, footing: Footing) -> tuple[Posts, C
         footing: where the facets have them.
 
     Raises:
-        GeometryError: bodies that touch at a vertex, or along an edge, only lie between the layers that end there.
+        InputError: bodies that touch at a vertex, or along an edge, only lie between the layers that end there.
     """
     links, facets = _links(joint, posts, footing)
     k = links.shape[1]
@@ -154,7 +154,7 @@ def polyhedra_of(joint: Joint, posts: Posts, corners: Corners) -> Corners:
         corners: of junctions.
 
     Raises:
-        GeometryError: the polygons at a vertex do not enclose polyhedra.
+        InputError: the polygons at a vertex do not enclose polyhedra.
     """
     if joint.dim == 2:
         return Corners.none(1)

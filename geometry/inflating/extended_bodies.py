@@ -7,10 +7,11 @@ import scipy.sparse
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from forms.base import InputError
 from geometry.inflating.bands import Copies
 from geometry.inflating.kept_bodies import UNIFORM
 from geometry.joint import Joint
-from geometry.refusals import GeometryError, place, refuse
+from geometry.refusals import place, refuse
 from geometry.topology import FloatArray, IntArray, facet_normals, is_tensor, lagrange, sums, weights_between
 
 SMOOTH = 0.01  # squared sine below which outer faces around a vertex of S count as one smooth surface
@@ -33,7 +34,7 @@ def face_motion(joint: Joint, copies: Copies, given_up: tuple[FloatArray, FloatA
         given_up: g, (n_S, k) at the nodes of each facet: what the body below gives up, and the body above.
 
     Raises:
-        GeometryError: S is folded; an outer face touches S nearly parallel to it; layers of different thickness meet nearly
+        InputError: S is folded; an outer face touches S nearly parallel to it; layers of different thickness meet nearly
             in line.
     """
     upper, there = joint.node_normals, joint.surface_cells[:, 0] >= 0
@@ -70,7 +71,7 @@ def face_motion(joint: Joint, copies: Copies, given_up: tuple[FloatArray, FloatA
     error = np.where(uniform[index].all(axis=1, keepdims=True), 0.0, np.abs(gap - 1))
     if error.max() > NO_CORNER:
         at = index.flat[error.argmax()]
-        raise GeometryError(
+        raise InputError(
             f"layers of different thickness, {thin[at]:g} and {thick[at]:g} on one side, meet nearly in line at "
             f"{place(x[at])}: the body between them has no corner there; give them one thickness"
         )
@@ -167,5 +168,5 @@ def _solve(matrix: scipy.sparse.csr_matrix, b: FloatArray) -> FloatArray:
     for thing in (A, ksp, right, x):
         thing.destroy()
     if reason < 0:
-        raise GeometryError("the harmonic motion of the bodies' nodes was not found: the mesh has nearly flat cells")
+        raise InputError("the harmonic motion of the bodies' nodes was not found: the mesh has nearly flat cells")
     return solution

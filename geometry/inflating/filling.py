@@ -89,7 +89,7 @@ def fill(
         nodes: (n,) the node of S below each copy.
 
     Raises:
-        GeometryError: a polyhedron of hexahedra has a corner where other than three edges meet.
+        InputError: a polyhedron of hexahedra has a corner where other than three edges meet.
     """
     half, k = int(posts.top[junctions.sides.flat[0]]) // 2, junctions.copies.shape[1]
     keys, solid = _Keys.of(posts, junctions, around, values, nodes), is_tensor(joint.cell_type)

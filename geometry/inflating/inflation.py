@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from forms.base import InputError
 from geometry.inflating.bands import Copies, Footing, Posts, band_cells, posts_of
 from geometry.inflating.corners import Corners, are_filled, common_normals, junction_posts, junctions_of, polyhedra_of
 from geometry.inflating.extended_bodies import extended_motion, face_motion
@@ -16,7 +17,7 @@ from geometry.inflating.kept_bodies import NOT_KEPT, UNIFORM, is_swept, kept_mot
 from geometry.inflating.layering import Layering, check_junctions, check_layering, moved_facets
 from geometry.joint import Band, Joint, Profile
 from geometry.periodic import repeated, require_inside
-from geometry.refusals import GeometryError, refuse
+from geometry.refusals import refuse
 from geometry.seam import JUNCTIONS, LAYER
 from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, node_jacobians
 
@@ -67,7 +68,7 @@ def inflate(
         curved cells stay curved.
 
     Raises:
-        GeometryError: a size, cells_through or fractions out of range; S reaches a periodic side, ends inside the bodies
+        InputError: a size, cells_through or fractions out of range; S reaches a periodic side, ends inside the bodies
             or is folded; the thickness varying, or bodies that cannot move apart in one piece (kept); outer faces that
             touch S and are nearly parallel to it, layers of different thickness that meet in line (extended); cells turned
             inside out, layers
@@ -78,9 +79,9 @@ def inflate(
     """
     check_layering(cells_through, bodies)
     if not isinstance(joint, Joint):
-        raise GeometryError(f"inflate takes a joint, not {joint!r}")
+        raise InputError(f"inflate takes a joint, not {joint!r}")
     if joint.band is not None:
-        raise GeometryError("this joint is inflated already; inflate the joint it came from")
+        raise InputError("this joint is inflated already; inflate the joint it came from")
     require_inside(joint)
     periods, joint = joint.periods, replace(joint, periods=None)
     fixed = np.unique(np.concatenate(periods.pairs)) if periods else np.empty(0, np.int64)
@@ -273,7 +274,7 @@ def _translation(joint: Joint, thickness: FloatArray) -> FloatArray:
     for number, name in enumerate(joint.seams):
         own = thickness[joint.seam_numbers == number]
         if np.ptp(own) > UNIFORM * own.max():
-            raise GeometryError(f"the thickness varies along {name}: {NOT_KEPT}")
+            raise InputError(f"the thickness varies along {name}: {NOT_KEPT}")
     translation = kept_motion(joint, thickness[:, 0])
     if is_swept(joint, translation):
         require_room(joint, translation)

@@ -9,8 +9,9 @@ import scipy.sparse
 import scipy.sparse.linalg
 from scipy.spatial import cKDTree
 
+from forms.base import InputError
 from geometry.joint import FLAT, Joint
-from geometry.refusals import GeometryError, place, refuse
+from geometry.refusals import place, refuse
 from geometry.topology import FloatArray, IntArray, connected, is_tensor, sums
 
 UNIFORM = 1e-12  # relative difference of thicknesses that counts as none
@@ -34,7 +35,7 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
         eps: (n_S,) thickness at each facet of S.
 
     Raises:
-        GeometryError: there is no such motion.
+        InputError: there is no such motion.
     """
     pieces, cells, n, d = joint.splitting.pieces, joint.surface_cells, joint.interface_normals, joint.dim
     count = int(pieces.max()) + 1
@@ -119,7 +120,7 @@ def is_swept(joint: Joint, translation: FloatArray) -> bool:
 
 
 def require_room(joint: Joint, translation: FloatArray) -> None:
-    """Raise GeometryError if bodies that are kept, or a layer on a rigid base, hit one another on their way.
+    """Raise InputError if bodies that are kept, or a layer on a rigid base, hit one another on their way.
 
     Args:
         joint: the joint before inflating.
@@ -141,7 +142,7 @@ def require_room(joint: Joint, translation: FloatArray) -> None:
             probes = np.concatenate([joint.points[np.unique(corners)], weights @ joint.points[corners]])
             x = _first_hit(joint, probes, outer[group == fixed], sign * way / eps, eps)
             if x is not None:
-                raise GeometryError(
+                raise InputError(
                     f"no room for a layer of thickness {eps:g} at {place(x)}: moved apart, the bodies would overlap"
                 )
 
@@ -191,7 +192,7 @@ def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, way: FloatArray, eps
 
 
 def require_apart(opened: Joint) -> None:
-    """Raise GeometryError if parts of the outer boundary of a joint in 2D cross each other: bodies overlap."""
+    """Raise InputError if parts of the outer boundary of a joint in 2D cross each other: bodies overlap."""
     outer = opened.table.vertices[opened.table.cells[:, 1] < 0]
     x = opened.points[outer]
     length = float(np.linalg.norm(x[:, 1] - x[:, 0], axis=1).max())

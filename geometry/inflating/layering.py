@@ -9,10 +9,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from forms.base import is_finite
+from forms.base import InputError, is_finite
 from geometry.inflating.bands import Copies, Posts, level_heights
 from geometry.joint import Joint, Profile
-from geometry.refusals import GeometryError, place, refuse, unknown
+from geometry.refusals import place, refuse, unknown
 from geometry.seam import BASE, CUT, LAYER, LOWER_FACE, UPPER_FACE
 from geometry.sheet import continued
 from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, ridge_keys, ridges
@@ -26,22 +26,22 @@ def _with_cells(joint: Joint, gaps: Sequence[str], meshed: BoolArray | None) -> 
     """(n_S,) which facets of S get cells: those of `meshed`, None being all, that are in no gap.
 
     Raises:
-        GeometryError: `meshed` is none of n_S truth values; no facet gets cells; S branches, or seams meet, at a facet
+        InputError: `meshed` is none of n_S truth values; no facet gets cells; S branches, or seams meet, at a facet
             that gets none.
     """
     in_gaps = np.isin(np.array([*joint.seams])[joint.seam_numbers], list(gaps))
     if in_gaps.all():
-        raise GeometryError("all seams are gaps: there is no layer to mesh; use the interface model")
+        raise InputError("all seams are gaps: there is no layer to mesh; use the interface model")
     if meshed is None:
         return np.asarray(~in_gaps)
     chosen, n = np.asarray(meshed), len(joint.surface_rows)
     if chosen.dtype != bool or chosen.shape != (n,):
-        raise GeometryError(f"meshed has shape {chosen.shape} and type {chosen.dtype}; it needs {n} truth values")
+        raise InputError(f"meshed has shape {chosen.shape} and type {chosen.dtype}; it needs {n} truth values")
     without = np.unique(joint.table.vertices[joint.surface_rows[~chosen & ~in_gaps]])
     lacking = "S branches, or seams meet, at {at}: the facets of S there need cells"
     refuse(np.isin(without, joint.meetings), joint.points[without], lacking)
     if not (chosen & ~in_gaps).any():
-        raise GeometryError("no facet of S gets cells: there is no layer to mesh; use the interface model")
+        raise InputError("no facet of S gets cells: there is no layer to mesh; use the interface model")
     return np.asarray(chosen & ~in_gaps)
 
 
@@ -49,25 +49,25 @@ def by_seam(joint: Joint, given: Given | Mapping[str, Given], what: str, *defaul
     """A value for each seam, from one for all, or from {name of a seam: value}; others get the default, if one is given.
 
     Raises:
-        GeometryError: a value for an unknown seam, or none for a seam.
+        InputError: a value for an unknown seam, or none for a seam.
     """
     if not isinstance(given, Mapping):
         return dict.fromkeys(joint.seams, given)
     for name in given:
         if name not in joint.seams:
-            raise GeometryError(f"{what}: {unknown('seam', name, joint.seams)}")
+            raise InputError(f"{what}: {unknown('seam', name, joint.seams)}")
     missing = [name for name in joint.seams if name not in given]
     if missing and not default:
-        raise GeometryError(f"{what}: the seam {missing[0]!r} has none; give {what}={{{missing[0]!r}: ..., ...}}")
+        raise InputError(f"{what}: the seam {missing[0]!r} has none; give {what}={{{missing[0]!r}: ..., ...}}")
     return {name: given[name] if name in given else default[0] for name in joint.seams}
 
 
 def check_layering(cells_through: int, bodies: str) -> None:
-    """Raise GeometryError unless cells_through >= 1 and `bodies` is "kept" or "extended"."""
+    """Raise InputError unless cells_through >= 1 and `bodies` is "kept" or "extended"."""
     if bodies not in WAYS:
-        raise GeometryError(unknown("way to make room for the layer (bodies=...)", bodies, WAYS))
+        raise InputError(unknown("way to make room for the layer (bodies=...)", bodies, WAYS))
     if not is_finite(cells_through) or int(cells_through) != cells_through or cells_through < 1:
-        raise GeometryError(f"cells_through is {cells_through!r}; the layer needs a whole number >= 1 of cells")
+        raise InputError(f"cells_through is {cells_through!r}; the layer needs a whole number >= 1 of cells")
 
 
 @dataclass(frozen=True)
@@ -96,11 +96,11 @@ class Layering:
     def of(
         cls, joint: Joint, eps: Any, profile: Any, through: int, fractions: Any, junctions: Any, gaps: Any, meshed: Any
     ) -> Layering:
-        """From the arguments of `inflate`; raises GeometryError if they are out of range, or S ends inside the bodies."""
+        """From the arguments of `inflate`; raises InputError if they are out of range, or S ends inside the bodies."""
         for what, names in (("junctions", junctions), ("gaps", gaps)):
             for name in names:
                 if name not in joint.seams:
-                    raise GeometryError(f"{what}: {unknown('seam', name, joint.seams)}")
+                    raise InputError(f"{what}: {unknown('seam', name, joint.seams)}")
         with_cells = _with_cells(joint, gaps, meshed)
         sizes: dict[str, float] = by_seam(joint, eps, "eps")
         shares: dict[str, Sequence[float]] = by_seam(joint, fractions, "fractions", ())
@@ -109,18 +109,16 @@ class Layering:
         for name, size in sizes.items():
             which, some = "" if len(joint.seams) == 1 else f" of {name!r}", shares[name]
             if not is_finite(size) or size <= 0:
-                raise GeometryError(f"the layer's thickness eps{which} is {size!r}; it must be > 0")
+                raise InputError(f"the layer's thickness eps{which} is {size!r}; it must be > 0")
             if size < THINNEST * whole:
-                raise GeometryError(
+                raise InputError(
                     f"the layer's thickness eps{which} is {size:.3g}, which coordinates do not resolve beside bodies of "
                     f"{whole:.3g}; use the interface model"
                 )
             if len(some) and not (all(map(is_finite, some)) and min(some) > 0 and abs(sum(some) - 1) <= 1e-12):
-                raise GeometryError(
-                    f"the fractions {tuple(some)}{which} of sublayers must be numbers > 0 and add up to 1"
-                )
+                raise InputError(f"the fractions {tuple(some)}{which} of sublayers must be numbers > 0 and add up to 1")
         if joint.tip is not None:
-            raise GeometryError(
+            raise InputError(
                 f"S ends inside the bodies (near {place(joint.tip)}): the layer has no room at its tip and cannot be "
                 "meshed; use the interface model"
             )
@@ -137,7 +135,7 @@ class Layering:
 
 
 def check_junctions(joint: Joint, posts: Posts, seams: IntArray, meeting: IntArray, layers: Layering) -> None:
-    """Raise GeometryError where layers meet that cannot be meshed there.
+    """Raise InputError where layers meet that cannot be meshed there.
 
     Args:
         joint: the joint before inflating.

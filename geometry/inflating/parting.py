@@ -24,7 +24,7 @@ def parted(
         joint, eps, profile: as in `inflate`.
 
     Raises:
-        GeometryError: as `inflate` does.
+        InputError: as `inflate` does.
     """
     inflated = inflate(joint, eps, profile=profile, cells_through=2, bodies="extended")
     return replace(joint, parted=inflated.points[inflated.cells[: len(joint.cells)]])

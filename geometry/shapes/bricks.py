@@ -8,9 +8,8 @@ from math import ceil
 
 import numpy as np
 
-from forms.base import is_finite
+from forms.base import InputError, is_finite
 from geometry.joint import Joint
-from geometry.refusals import GeometryError
 from geometry.seam import Seam
 from geometry.shapes.sizing import DIGITS, Cells
 from geometry.topology import FacetTable, FloatArray, IntArray, is_tensor
@@ -28,14 +27,14 @@ def running_bond(cells: Cells, size: Sequence[float], bricks: int, courses: int)
         bricks, courses: number of bricks in a course, and of courses.
 
     Raises:
-        GeometryError: sizes or numbers are out of range.
+        InputError: sizes or numbers are out of range.
     """
     half, height, *others = _counts(cells, size, 1)
     for what, number in (("bricks", bricks), ("courses", courses)):
         if not is_finite(number) or number != int(number) or number < 1:
-            raise GeometryError(f"{what} is {number!r}; it must be a whole number >= 1")
+            raise InputError(f"{what} is {number!r}; it must be a whole number >= 1")
     if bricks * courses == 1:
-        raise GeometryError("one brick is no wall: there is no joint in it")
+        raise InputError("one brick is no wall: there is no joint in it")
     lengths = [size[0] * bricks, size[1] * courses, *size[2:]]
     return _joint(cells, lengths, [2 * half * int(bricks), height * int(courses), *others], (half, height))
 
@@ -49,14 +48,14 @@ def repeated_bond(cells: Cells, size: Sequence[float], cut: tuple[float, float])
         cut: place of the cell's left lower corner in a brick, as shares of its width and height, between 0 and 1.
 
     Raises:
-        GeometryError: sizes are out of range, or the cut is along a joint.
+        InputError: sizes are out of range, or the cut is along a joint.
     """
     half, height, *others = _counts(cells, size, 2)
     if np.shape(cut) != (2,) or not all(is_finite(c) and 0 < c < 1 for c in cut):
-        raise GeometryError(f"cut is {cut!r}; it must be two shares of a brick's width and height, between 0 and 1")
+        raise InputError(f"cut is {cut!r}; it must be two shares of a brick's width and height, between 0 and 1")
     start = round(2 * half * cut[0]), round(height * cut[1])
     if start[0] % half == 0 or start[1] % height == 0:
-        raise GeometryError(
+        raise InputError(
             f"cut is {tuple(cut)}, which is along a joint of a grid with {2 * half} x {height} cells in a brick: the cells "
             "on its two sides would be no neighbours in the mesh; cut through bricks"
         )

@@ -10,10 +10,10 @@ from typing import Any, Self
 import numpy as np
 from scipy.spatial import Voronoi, cKDTree
 
-from forms.base import is_finite
+from forms.base import InputError, is_finite
 from forms.temperature import finite
 from geometry.periods import SAME_PLACE
-from geometry.refusals import GeometryError, place, refuse
+from geometry.refusals import place, refuse
 from geometry.seam import LEAST_COSINE, Seam
 from geometry.shapes.drawing import Drawing, Extent, Shape
 from geometry.shapes.sizing import Cells, gmsh
@@ -91,10 +91,10 @@ class CutRectangle(Shape):
 
 
 def faulted(cells: Cells, width: float, height: float, faults: Mapping[str, Any]) -> CutRectangle:
-    """A block with faults: name -> points, from one end to the other. Raises GeometryError, see `builders.faults`."""
+    """A block with faults: name -> points, from one end to the other. Raises InputError, see `builders.faults`."""
     cells.check({"width": width, "height": height}, 2)
     if not isinstance(faults, Mapping) or not faults:
-        raise GeometryError(f"faults is {faults!r}; it must be {{name: points of the fault}}, one or more")
+        raise InputError(f"faults is {faults!r}; it must be {{name: points of the fault}}, one or more")
     _check_names(faults, "fault")
     given = {name: _path(name, points) for name, points in faults.items()}
     ways = {name: x[-1] - x[0] for name, x in given.items()}
@@ -105,31 +105,31 @@ def faulted(cells: Cells, width: float, height: float, faults: Mapping[str, Any]
     lines = _inside(width, height, np.concatenate(pieces), names)
     for name in given:
         if not any(names[k] == name for k in lines.line):
-            raise GeometryError(f"the fault {name!r} lies outside the block (0, {width:g}) x (0, {height:g})")
+            raise InputError(f"the fault {name!r} lies outside the block (0, {width:g}) x (0, {height:g})")
     shape = CutRectangle(cells, width, height, min(width, height), names, lines, seams, "BLOCK")
     return _apart(shape, "faults", "let them meet, draw them farther apart, or use smaller cells")
 
 
 def _check_names(names: Iterable[Any], what: str) -> None:
-    """Raise GeometryError for names that lines inside cannot have."""
+    """Raise InputError for names that lines inside cannot have."""
     for name in names:
         if name in SIDES or not isinstance(name, str):
-            raise GeometryError(f"{name!r} cannot be the name of a {what}; not allowed: {', '.join(SIDES)}")
+            raise InputError(f"{name!r} cannot be the name of a {what}; not allowed: {', '.join(SIDES)}")
 
 
 def _points(given: Any, what: str) -> FloatArray:
-    """(n, 2) points; raises GeometryError."""
+    """(n, 2) points; raises InputError."""
     if (x := finite(given, (-1, 2))) is None or len(x) < 2:
-        raise GeometryError(f"{what} is {given!r}; it must be two points (x, y) or more")
+        raise InputError(f"{what} is {given!r}; it must be two points (x, y) or more")
     return x
 
 
 def _path(name: str, points: Any) -> FloatArray:
-    """(n, 2) points of a fault that does not turn back; raises GeometryError."""
+    """(n, 2) points of a fault that does not turn back; raises InputError."""
     x = _points(points, f"the fault {name!r}")
     way, whole = np.diff(x, axis=0), x[-1] - x[0]
     if not way.any(axis=1).all():
-        raise GeometryError(f"two points of the fault {name!r} that follow each other are the same")
+        raise InputError(f"two points of the fault {name!r} that follow each other are the same")
     back = way @ whole <= LEAST_COSINE * np.linalg.norm(way, axis=1) * np.linalg.norm(whole)
     reason = "so that its left side cannot be told by one vector; give its parts names of their own"
     refuse(back, x[:-1], f"the fault {name!r} turns back at {{at}}, {reason}")
@@ -137,7 +137,7 @@ def _path(name: str, points: Any) -> FloatArray:
 
 
 def _inside(width: float, height: float, cuts: FloatArray, names: Sequence[str]) -> Lines:
-    """The sides and the parts of lines (n, 2, 2) inside; raises GeometryError for lines that lie on each other."""
+    """The sides and the parts of lines (n, 2, 2) inside; raises InputError for lines that lie on each other."""
     corners = np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
     sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
     tolerance = SAME_PLACE * max(width, height)
@@ -148,36 +148,36 @@ def _inside(width: float, height: float, cuts: FloatArray, names: Sequence[str])
     double = lines.doubles()
     if len(double):
         one, other = (names[lines.line[k]] for k in double[0])
-        raise GeometryError(f"{one!r} and {other!r} lie on each other at {place(lines.middles[double[0, 0]])}")
+        raise InputError(f"{one!r} and {other!r} lie on each other at {place(lines.middles[double[0, 0]])}")
     return lines
 
 
 def _apart(shape: CutRectangle, what: str, remedy: str) -> CutRectangle:
-    """The shape; raises GeometryError for lines that nearly touch, or meet at a sharp angle."""
+    """The shape; raises InputError for lines that nearly touch, or meet at a sharp angle."""
     size = shape.sizes[2]
     distance, at = shape.lines.nearest()
     if distance < NEAR * size:
         touch = f"{what} nearly touch each other or a side, or are as short, at {place(at)}"
-        raise GeometryError(f"{touch}: {distance:.3g}, less than {NEAR:g} cells of size {size:g}; {remedy}")
+        raise InputError(f"{touch}: {distance:.3g}, less than {NEAR:g} cells of size {size:g}; {remedy}")
     angle, at = shape.lines.sharpest()
     if angle < SHARP:
         meet = f"{what} meet each other or a side at {degrees(angle):.3g} degrees at {place(at)}"
-        raise GeometryError(f"{meet}; allowed: at least {degrees(SHARP):.3g}")
+        raise InputError(f"{meet}; allowed: at least {degrees(SHARP):.3g}")
     return shape
 
 
 def grained(
     cells: Cells, width: float, height: float, grains: Any, seed: int, seams: Callable[[int, int], str] | None
 ) -> CutRectangle:
-    """Voronoi grains of given points, or of random ones. Raises GeometryError, see `builders.grains`."""
+    """Voronoi grains of given points, or of random ones. Raises InputError, see `builders.grains`."""
     cells.check({"width": width, "height": height}, 2)
     size = max(width, height)
     box = np.array([width, height]) / size
     if np.ndim(grains) == 0:
         if not is_finite(grains) or grains != int(grains) or grains < 2:
-            raise GeometryError(f"grains is {grains!r}; it must be a whole number >= 2, or points (x, y)")
+            raise InputError(f"grains is {grains!r}; it must be a whole number >= 2, or points (x, y)")
         if not is_finite(seed) or seed != int(seed) or seed < 0:
-            raise GeometryError(f"seed is {seed!r}; it must be a whole number >= 0")
+            raise InputError(f"seed is {seed!r}; it must be a whole number >= 0")
         points = _relaxed(np.random.default_rng(int(seed)).random((int(grains), 2)) * box, box)
     else:
         points = np.asarray(_seeds(grains, width, height) / size, float)
@@ -193,13 +193,13 @@ def grained(
 
 
 def _seeds(given: Any, width: float, height: float) -> FloatArray:
-    """(n, 2) points of grains; raises GeometryError."""
+    """(n, 2) points of grains; raises InputError."""
     x = _points(given, "grains")
     box = f"the rectangle (0, {width:g}) x (0, {height:g})"
     refuse(~((x > 0) & (x < (width, height))).all(axis=1), x, f"the point {{at}} of a grain is not inside {box}")
     same = cKDTree(x).query_pairs(SAME_PLACE * max(width, height), output_type="ndarray")
     if len(same):
-        raise GeometryError(f"two points of grains are the same, {place(x[same[0, 0]])}")
+        raise InputError(f"two points of grains are the same, {place(x[same[0, 0]])}")
     return x
 
 

@@ -13,9 +13,8 @@ from typing import Any, ClassVar, NamedTuple, Self
 import dolfinx
 import numpy as np
 
-from forms.base import is_number
+from forms.base import InputError, is_number
 from geometry.joint import Joint
-from geometry.refusals import GeometryError
 from geometry.seam import S, Seam
 from geometry.shapes.sizing import CELLS, PARTS, RANGE, Cells, Grading, gmsh, require_wide, times
 from geometry.topology import FACET_TYPES, FloatArray, IntArray, corner_count, is_tensor
@@ -129,7 +128,7 @@ class Shape(ABC):
         largest = max(self.lengths.values())
         require_wide("the thinnest part", self.extent.thinnest, largest)
         if self.cells.h is None and self.sizes[0] < RANGE * largest:
-            raise GeometryError(f"the default cell size h is {self.sizes[0]:g}; give h, from {RANGE * largest:g} on")
+            raise InputError(f"the default cell size h is {self.sizes[0]:g}; give h, from {RANGE * largest:g} on")
         digits = UNITS * floor(log10(largest) / UNITS)
         return self.scaled(10.0**-digits)._build(10.0**digits)
 

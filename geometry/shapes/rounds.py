@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from geometry.refusals import GeometryError
+from forms.base import InputError
 from geometry.seam import S
 from geometry.shapes.drawing import Drawing, Extent, Prism, Shape, walls
 from geometry.shapes.sizing import Grading, gmsh, require_wide
@@ -87,9 +87,9 @@ class Rings(Prism):
         super().__post_init__()
         if not self.inner < self.interface < self.outer:
             radii = f"inner = {self.inner}, interface = {self.interface}, outer = {self.outer}"
-            raise GeometryError(f"the radii {radii} must grow")
+            raise InputError(f"the radii {radii} must grow")
         if not (0 < self.angle < tau or is_circle(self.angle)):
-            raise GeometryError(f"angle is {self.angle}; it must be > 0 and at most 2 pi, the full circle")
+            raise InputError(f"angle is {self.angle}; it must be > 0 and at most 2 pi, the full circle")
 
     @property
     def plane_lengths(self) -> dict[str, float]:
@@ -152,7 +152,7 @@ class Discs(Shape):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0 <= self.hole < self.radius:
-            raise GeometryError(f"hole is {self.hole}; it must be 0 (no hole) or a radius less than {self.radius}")
+            raise InputError(f"hole is {self.hole}; it must be 0 (no hole) or a radius less than {self.radius}")
         if self.hole:
             require_wide("hole", self.hole, self.radius)
 
@@ -222,13 +222,13 @@ class Fibre(Shape):
 
     def __post_init__(self) -> None:
         if len(self.around) not in (1, 2):
-            raise GeometryError(f"around is {self.around}; it must be a radius, or a width and a height")
+            raise InputError(f"around is {self.around}; it must be a radius, or a width and a height")
         super().__post_init__()
         if self.gap <= 0:
             what = "radius" if self.round else "smaller half side"
-            raise GeometryError(f"radius is {self.radius}; it must be less than the {what} of the matrix, {self.reach}")
+            raise InputError(f"radius is {self.radius}; it must be less than the {what} of the matrix, {self.reach}")
         if self.gridded and not self.round:
-            raise GeometryError(f"{self.kind!r} needs a matrix with an outer circle; in a rectangle use 'triangle'")
+            raise InputError(f"{self.kind!r} needs a matrix with an outer circle; in a rectangle use 'triangle'")
 
     @property
     def round(self) -> bool:

@@ -9,8 +9,8 @@ from typing import Any, Self, TypedDict, get_type_hints
 
 import numpy as np
 
-from forms.base import is_finite, is_number
-from geometry.refusals import GeometryError, unknown
+from forms.base import InputError, is_finite, is_number
+from geometry.refusals import unknown
 
 CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
 PARTS = {2: 10, 3: 5}  # default number of cells across the thinnest part, by dimension
@@ -58,10 +58,10 @@ def times(length: float, factor: float) -> float:
 
 
 def require_wide(what: str, length: float, largest: float) -> None:
-    """Raise GeometryError for a part of a shape that is too thin for gmsh."""
+    """Raise InputError for a part of a shape that is too thin for gmsh."""
     if length < THIN * largest:
         least = f"{THIN * largest:g} ({THIN:g} of the largest length)"
-        raise GeometryError(f"{what} is {length:g}; allowed: at least {least}")
+        raise InputError(f"{what} is {length:g}; allowed: at least {least}")
 
 
 @dataclass(frozen=True)
@@ -86,35 +86,35 @@ class Cells:
 
     @classmethod
     def of(cls, h: float | None, given: Mapping[str, Any], allowed: type[Sizes]) -> Self:
-        """From what a builder is given; raises GeometryError for a keyword that is not one of those of `allowed`."""
+        """From what a builder is given; raises InputError for a keyword that is not one of those of `allowed`."""
         for name in given.keys() - (known := get_type_hints(allowed)):
-            raise GeometryError(unknown("keyword", name, known))
+            raise InputError(unknown("keyword", name, known))
         return cls(h, **given)
 
     def check(self, lengths: Mapping[str, float], dim: int) -> None:
-        """Raise GeometryError if a length of the shape is not > 0 or the cells do not suit its size or dimension."""
+        """Raise InputError if a length of the shape is not > 0 or the cells do not suit its size or dimension."""
         given = {**lengths, "h": self.h, "h_S": self.h_S, "h_ends": self.h_ends}
         for what, value in given.items():
             if value is not None and not is_number(value):
-                raise GeometryError(f"{what} is {value!r}; it must be a number")
+                raise InputError(f"{what} is {value!r}; it must be a number")
         for what, value in lengths.items():
             if not np.isfinite(value) or value <= 0:
-                raise GeometryError(f"{what} is {value}; it must be > 0")
+                raise InputError(f"{what} is {value}; it must be > 0")
         largest = max(lengths.values())
         for what, value in lengths.items():
             require_wide(what, value, largest)
         smallest = RANGE * largest
         for what, size in {"h": self.h, "h_S": self.h_S, "h_ends": self.h_ends}.items():
             if size is not None and not (np.isfinite(size) and smallest <= size <= largest):
-                raise GeometryError(f"cell size {what} is {size}; allowed: {smallest:g} to {largest:g}")
+                raise InputError(f"cell size {what} is {size}; allowed: {smallest:g} to {largest:g}")
         if self.cell in CELLS[5 - dim]:
-            raise GeometryError(f"cell {self.cell!r} does not exist in {dim}D; allowed: {', '.join(CELLS[dim])}")
+            raise InputError(f"cell {self.cell!r} does not exist in {dim}D; allowed: {', '.join(CELLS[dim])}")
         if self.cell is not None and self.cell not in CELLS[dim]:
-            raise GeometryError(unknown("cell", self.cell, CELLS[dim]))
+            raise InputError(unknown("cell", self.cell, CELLS[dim]))
         if self.degree not in (1, 2) or not is_finite(self.degree):
-            raise GeometryError(f"degree is {self.degree!r}; allowed: 1 (straight cells), 2 (curved cells)")
+            raise InputError(f"degree is {self.degree!r}; allowed: 1 (straight cells), 2 (curved cells)")
         if self.arrangement not in ARRANGEMENTS:
-            raise GeometryError(unknown("arrangement", self.arrangement, ARRANGEMENTS))
+            raise InputError(unknown("arrangement", self.arrangement, ARRANGEMENTS))
 
     def scaled(self, factor: float) -> Cells:
         """The cells with all sizes times a factor."""

@@ -12,7 +12,8 @@ from petsc4py import PETSc
 from forms import IncrementalCoulomb, LinearElastic
 from forms.work import body
 from geometry import from_dolfinx
-from thinlayer import BrokenMesh, ContactPart, StepProblem, Structure, Surface, march
+from thinlayer import BrokenMesh, StepProblem, Structure, Surface, march
+from thinlayer.parts.contact_part import ContactPart
 
 comm, LOWER, UPPER, S, TOP, BOTTOM = MPI.COMM_WORLD, 1, 2, 3, 4, 5
 grid = mesh.create_rectangle(comm, [(0, 0), (2, 1)], (16, 8), ghost_mode=mesh.GhostMode.shared_facet)

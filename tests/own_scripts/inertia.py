@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import ufl
 from dolfinx import fem
 
+from forms.base import InputError
 from thinlayer.discretisation.addition import Addition
-from thinlayer.errors import ModelError
 from thinlayer.parts.forms import matrix
 from thinlayer.parts.part import Block, Outcome, Part, PartTraits
 
@@ -38,7 +38,7 @@ class Newmark(Part):
 
     def begin(self, interval):
         if interval.theta < 1:
-            raise ModelError("inertia balances forces at the ends of steps: theta = 1")
+            raise InputError("inertia balances forces at the ends of steps: theta = 1")
         self.interval, self.new = interval, self.rest()
 
     def evaluate(self, u, mid):

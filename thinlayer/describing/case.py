@@ -46,7 +46,7 @@ class Case:
 
         Raises:
             DescriptionError: thicknesses that are nothing beside the bodies, or larger; reactions of what nothing holds.
-            GeometryError, ModelError, LawError: as `read`, `Structure` and `ThinLayer` raise them.
+            InputError: as `read`, `Structure` and `ThinLayer` raise them.
         """
         joint = read(**given.mesh)
         size = joint.size

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 import forms
+from forms.base import InputError
 from forms.elastic import LinearElastic
 from forms.kernel import KernelLaw
-from forms.law import BulkLaw, LawError, scalars
+from forms.law import BulkLaw, scalars
 from forms.series import Stack
 from thinlayer.describing.section import Reader, Section, choice, positive
 
@@ -92,7 +93,7 @@ def _law(section: Section, beside: Mapping[str, Reader], needed: Mapping[str, st
 def _made(section: Section, make: Callable[[], BulkLaw]) -> BulkLaw:
     try:
         return make()
-    except (LawError, TypeError, ValueError) as error:
+    except (InputError, TypeError, ValueError) as error:
         section.refuse(str(error))
 
 

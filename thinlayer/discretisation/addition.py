@@ -12,13 +12,13 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from forms.base import InputError
 from forms.kinematics import Expr
 from thinlayer.discretisation.boundary import AXES
 from thinlayer.discretisation.constraints import Tied
 from thinlayer.discretisation.layer import BODIES, BODY, CONTACT, LAYER
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.supports import Place
-from thinlayer.errors import ModelError
 
 TAKEN = ("forms", LAYER, "pressure", CONTACT, BODIES, "loads")  # keys that every model may have
 
@@ -52,7 +52,7 @@ class Addition:
         return self.ties_nodes or type(self).work is not Addition.work
 
     def check(self, model: Host) -> None:
-        """Raise ModelError unless the description fits the model; by default it does. Collective.
+        """Raise InputError unless the description fits the model; by default it does. Collective.
 
         What varies in time is given to `model.coordinates` here: marches have steps that end at its break times.
         """
@@ -73,10 +73,10 @@ class Addition:
         """Virtual work of the part's forces in a state, with which tractions on S are found; by default that of `work`.
 
         Raises:
-            ModelError: the part has neither method, so that its forces would be missing in tractions.
+            InputError: the part has neither method, so that its forces would be missing in tractions.
         """
         if not self.has_work:
-            raise ModelError(
+            raise InputError(
                 f"tractions on S contain the forces of the part {self.key!r}, which has neither work nor work_in; write "
                 "work_in(model, state, v), a UFL form (ufl.Form([]) if it has no forces)"
             )
@@ -142,16 +142,16 @@ class Addition:
 
 
 def check_additions(parts: Sequence[Any], model: Host) -> None:
-    """Raise ModelError unless a model's parts are additions that fit it, with keys of their own. Collective."""
+    """Raise InputError unless a model's parts are additions that fit it, with keys of their own. Collective."""
     of_seams = {f"{kind} {name}" for kind in (LAYER, CONTACT, "pressure") for name in model.joint.seams}
     of_bodies = {f"{BODY} {name}" for name in model.joint.bodies}
     keys, sublayer = {*TAKEN, *of_seams, *of_bodies}, re.compile(rf"{LAYER} \d+")
     for part in parts:
         if not isinstance(part, Addition):
-            raise ModelError(f"one of parts is {part!r}; allowed: Springs, UflPart, or a dataclass that is an Addition")
+            raise InputError(f"one of parts is {part!r}; allowed: Springs, UflPart, or a dataclass that is an Addition")
         if not part.ties_nodes and type(part).part is Addition.part:
-            raise ModelError(f"the addition {part.key!r} does nothing: it has neither part(model) nor tied(model)")
+            raise InputError(f"the addition {part.key!r} does nothing: it has neither part(model) nor tied(model)")
         if part.key in keys or part.key.split("/")[0] in {LAYER, *of_seams} or sublayer.fullmatch(part.key):
-            raise ModelError(f"two parts are called {part.key!r}; give one of them another name")
+            raise InputError(f"two parts are called {part.key!r}; give one of them another name")
         keys.add(part.key)
         part.check(model)

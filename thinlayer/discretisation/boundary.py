@@ -8,6 +8,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from forms.base import InputError
 from forms.planes import Kinematics
 from geometry.dolfinx_mesh import cell_nodes
 from geometry.domain import Domain
@@ -15,7 +16,6 @@ from geometry.joint import Joint
 from geometry.refusals import place
 from geometry.seam import LAYER, S
 from geometry.topology import IntArray, connected, sums
-from thinlayer.errors import ModelError
 from thinlayer.system.compat import interpolation_points
 from thinlayer.system.ranks import send
 
@@ -33,22 +33,22 @@ def on_axis(kinematics: Kinematics, joint: Joint) -> npt.NDArray[np.bool_]:
 
 
 def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
-    """Raise ModelError unless a joint may be turned about the axis: r >= 0, no seam on the axis, no period across it."""
+    """Raise InputError unless a joint may be turned about the axis: r >= 0, no seam on the axis, no period across it."""
     r, on = kinematics.radius(joint.points), on_axis(kinematics, joint)
     behind = np.flatnonzero((r < 0) & ~on)
     if len(behind):
-        raise ModelError(
+        raise InputError(
             f"plane={kinematics.name!r}: x is the distance from the axis of revolution, and {len(behind)} points have "
             f"x < 0, the first at {place(joint.points[behind[0]])}; allowed: x >= 0"
         )
     for name in joint.seams if joint.band is None else ():
         facets = joint.table.vertices[joint.rows_of(name)]
         if on[facets].all(axis=1).any():
-            raise ModelError(f"plane={kinematics.name!r}: the seam {name!r} lies on the axis, where it has no area")
+            raise InputError(f"plane={kinematics.name!r}: the seam {name!r} lies on the axis, where it has no area")
     if joint.periods:
         held = np.delete(joint.periods.vectors(joint.points), kinematics.translations(joint.dim), axis=1)
         if np.abs(held).max(initial=0.0) > ON_AXIS * joint.size:
-            raise ModelError(f"plane={kinematics.name!r}: a structure repeats along the axis (y) alone")
+            raise InputError(f"plane={kinematics.name!r}: a structure repeats along the axis (y) alone")
 
 
 def is_across(kinematics: Kinematics, normals: npt.NDArray[np.float64]) -> bool:
@@ -58,9 +58,9 @@ def is_across(kinematics: Kinematics, normals: npt.NDArray[np.float64]) -> bool:
 
 
 def require_shifts(kinematics: Kinematics, joint: Joint) -> None:
-    """Raise ModelError unless bodies can be moved apart along the normals of S without a strain (bodies="kept")."""
+    """Raise InputError unless bodies can be moved apart along the normals of S without a strain (bodies="kept")."""
     if not is_across(kinematics, joint.interface_normals.reshape(-1, joint.dim)):
-        raise ModelError(
+        raise InputError(
             f"plane={kinematics.name!r}: bodies='kept' moves the bodies apart along the normal of S, and a body of "
             "revolution cannot move away from its axis; use bodies='extended', or an S across the axis (normal along y)"
         )
@@ -80,30 +80,30 @@ def on_boundary(
         side: whether it may be the side of a layer that is not meshed, without facets.
 
     Raises:
-        ModelError, GeometryError: another place, no place, or an empty one.
+        InputError: another place, no place, or an empty one.
     """
     joint = domain.joint
     base = joint.band.base if joint.band else joint
     if not isinstance(name, str):
         known = ", ".join(sorted(base.facets.keys() - {S}))
-        raise ModelError(f"{what}: a place is the name of a facet set; known: {known}")
+        raise InputError(f"{what}: a place is the name of a facet set; known: {known}")
     whole = name.split("/")[0]
     refuse_periodic(joint, name, what)
     if name in base.seams or whole == S or not (inside or domain.is_outer(name)):
-        raise ModelError(f"{what}: its facets lie inside, or below a layer; take a facet set on the outer boundary")
+        raise InputError(f"{what}: its facets lie inside, or below a layer; take a facet set on the outer boundary")
     facets = joint.facets.get(name, joint.facets.get(whole))
     if not inside and facets is not None and len(facets) and on_axis(kinematics, joint)[facets].all():
-        raise ModelError(f"{what}: these facets are the axis of revolution, which is no boundary")
+        raise InputError(f"{what}: these facets are the axis of revolution, which is no boundary")
     if not domain.values(name) and not (side and name.endswith(f"/{LAYER}")):
         why = ", as the layer is a surface here: mesh it (structure.full)" * name.endswith(f"/{LAYER}")
-        raise ModelError(f"{what}: this facet set is empty{why}")
+        raise InputError(f"{what}: this facet set is empty{why}")
     return domain.values(name)
 
 
 def refuse_periodic(joint: Joint, name: str, what: str) -> None:
-    """Raise ModelError if a name is that of a periodic side: inside the periodic structure there is no boundary."""
+    """Raise InputError if a name is that of a periodic side: inside the periodic structure there is no boundary."""
     if joint.periods and name.split("/")[0] in joint.periods.names:
-        raise ModelError(
+        raise InputError(
             f"{what}: this side is identified with another one, the structure goes on there; a periodic cell is loaded by "
             "a mean strain, Structure(..., strain=...)"
         )

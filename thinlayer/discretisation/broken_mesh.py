@@ -16,8 +16,9 @@ from dolfinx import cpp, fem, la
 from dolfinx.mesh import Mesh, MeshTags
 from mpi4py import MPI
 
+from forms.base import InputError
 from forms.interface import Interface
-from forms.law import BulkLaw, LawError
+from forms.law import BulkLaw
 from forms.planes import PLANES, Kinematics
 from forms.traction import TractionLaw
 from forms.work import Term, surface
@@ -28,7 +29,6 @@ from thinlayer.discretisation.contact_nodes import ContactSurface, first_cells
 from thinlayer.discretisation.layer import AtRest, ThinLayer, for_terms, real_law
 from thinlayer.discretisation.measures import known_at
 from thinlayer.discretisation.mesh_functions import Keys, broken_space
-from thinlayer.errors import ModelError
 from thinlayer.system.compat import interior_facet_entities
 from thinlayer.system.ranks import communicator, on_all
 
@@ -65,7 +65,7 @@ class BrokenMesh:
             for all integrals dS of a form: use this measure for other terms on facets of S in it, too.
 
     Raises:
-        ModelError: cells without a body, bodies that meet outside S, facets of S inside a body, facets whose sides the rule
+        InputError: cells without a body, bodies that meet outside S, facets of S inside a body, facets whose sides the rule
             does not tell apart, ghost cells that are missing; with numbers and places.
     """
 
@@ -92,9 +92,9 @@ class BrokenMesh:
             facets = self._owned(tag)
             total, outer = self._sum(len(facets), np.isin(facets, self._outer).sum())
             if not total:
-                raise ModelError(f"S: no facet has the tag {tag}; there are {self._known()}")
+                raise InputError(f"S: no facet has the tag {tag}; there are {self._known()}")
             if outer not in (0, total):
-                raise ModelError(
+                raise InputError(
                     f"S: {outer} of the {total} facets with tag {tag} lie on the boundary; all or none may"
                 )
             if outer:
@@ -108,11 +108,11 @@ class BrokenMesh:
     @staticmethod
     def _kinematics(mesh: Mesh, plane: str) -> Kinematics:
         if plane not in PLANES or (mesh.geometry.dim == 3 and plane != "strain"):
-            raise ModelError(f"{unknown('plane', plane, PLANES)}; in three dimensions there is none")
+            raise InputError(f"{unknown('plane', plane, PLANES)}; in three dimensions there is none")
         kinematics, x = PLANES[plane], mesh.geometry.x
         behind = communicator(mesh).allreduce(float(kinematics.radius(x).min(initial=0.0)), MPI.MIN)
         if behind < -ON_AXIS * communicator(mesh).allreduce(float(np.abs(x).max(initial=0.0)), MPI.MAX):
-            raise ModelError(f"plane={plane!r}: x is the distance from the axis, and the mesh has x = {behind:g} < 0")
+            raise InputError(f"plane={plane!r}: x is the distance from the axis, and the mesh has x = {behind:g} < 0")
         return kinematics.on(mesh)
 
     # ---------------------------------------------------------------- what users ask for
@@ -149,24 +149,26 @@ class BrokenMesh:
         The law of order 1 is for a flat S.
 
         Raises:
-            LawError: a law of contact (see `contact_surface`), or one that needs a pressure of its own; order 1 of a
+            InputError: a law of contact (see `contact_surface`), or one that needs a pressure of its own; order 1 of a
                 thickness that varies; an eigenstrain, or corrected ends.
-            ModelError: order 1 of a law that would lock.
+            InputError: order 1 of a law that would lock.
         """
         if not isinstance(layer, ThinLayer | TractionLaw):
-            raise LawError(f"the layer is {layer!r}; allowed: ThinLayer, TractionLaw; a ContactLaw is for ContactPart")
+            raise InputError(
+                f"the layer is {layer!r}; allowed: ThinLayer, TractionLaw; a ContactLaw is for ContactPart"
+            )
         law, thin = real_law(layer, self.kinematics), layer if isinstance(layer, ThinLayer) else None
         if law.traits.constrained:
-            raise LawError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")
+            raise InputError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")
         law.check_dimension(self._dim)
         eps, profile, order = (thin.eps, thin.profile, thin.order) if thin else (1.0, None, 0)
         if thin and (thin.edges == "free" or thin.eigenstrain is not None):
             given = "edges='free'" if thin.edges == "free" else "eigenstrain=..."
-            raise LawError(f"{given} of a layer on a mesh of one's own is not known here; use it in a Model")
+            raise InputError(f"{given} of a layer on a mesh of one's own is not known here; use it in a Model")
         if order:
             self._require_no_locking(tag, law)
         if order and profile is not None:
-            raise LawError(
+            raise InputError(
                 "order=1 of a thickness that varies needs bodies at their true places, and those of this mesh meet on S; "
                 "use order=0, or Structure.interface(layer, bodies='extended')"
             )
@@ -185,12 +187,12 @@ class BrokenMesh:
             V: space of the displacements, of `space`, Lagrange of degree 1: contact laws act at vertices.
 
         Raises:
-            ModelError: a tag that is not in S, another mesh or element.
+            InputError: a tag that is not in S, another mesh or element.
         """
         self._require(tag)
         element = V.ufl_element()
         if V.mesh is not self.mesh or element.reference_value_shape != (self._dim,) or element.degree != 1:
-            raise ModelError(
+            raise InputError(
                 f"contact laws act at vertices: V must be space(('Lagrange', 1, ({self._dim},))) of this mesh, not {V}"
             )
         facets = self._owned(tag)
@@ -200,10 +202,10 @@ class BrokenMesh:
 
     def _require(self, tag: int) -> None:
         if tag not in self._tags:
-            raise ModelError(f"S has no tag {tag}; there are {', '.join(map(str, self._tags))}")
+            raise InputError(f"S has no tag {tag}; there are {', '.join(map(str, self._tags))}")
 
     def _require_no_locking(self, tag: int, law: BulkLaw) -> None:
-        """Raise ModelError if a law of order 1 would lock somewhere."""
+        """Raise InputError if a law of order 1 would lock somewhere."""
         _, _, x = self._vertices(tag)
         with on_all(self.comm):
             for one in law.at_places(x) if law.fields else [law]:
@@ -255,7 +257,7 @@ class BrokenMesh:
         body.array[self.bodies.indices[own]] = self.bodies.values[own]
         (lost,) = self._sum(imap.size_local - len(np.unique(self.bodies.indices[own])))
         if lost:
-            raise ModelError(f"bodies: {lost} cells have no tag; each cell belongs to a body")
+            raise InputError(f"bodies: {lost} cells have no tag; each cell belongs to a body")
         body.scatter_forward()
         return np.asarray(body.array)
 
@@ -267,7 +269,7 @@ class BrokenMesh:
         cells_of = np.diff(topology.connectivity(self._dim - 1, self._dim).offsets)
         (lost,) = self._sum(np.count_nonzero(cells_of[inner] < 2))
         if lost:
-            raise ModelError(
+            raise InputError(
                 f"the mesh has no ghost cells across {lost} facets between ranks; create it with "
                 "ghost_mode=dolfinx.mesh.GhostMode.shared_facet (of gmsh and XDMF files: a partitioner with this mode)"
             )
@@ -283,7 +285,7 @@ class BrokenMesh:
         if count:
             places = dolfinx.mesh.compute_midpoints(self.mesh, self._dim - 1, facets[:1])[:, : self._dim]
             first = next(p[0] for p in self.comm.allgather(places) if len(p))
-            raise ModelError(f"{count} facets {what}; one is at ({', '.join(f'{c:g}' for c in first)})")
+            raise InputError(f"{count} facets {what}; one is at ({', '.join(f'{c:g}' for c in first)})")
 
     def _oriented(self, tag: int, facets: Facets, upper: Upper) -> Facets:
         """(upper cell, local facet, lower cell, local facet) of facets between bodies, (n, 4)."""
@@ -304,7 +306,7 @@ class BrokenMesh:
     def _points_to(self, cells: Facets, tag: int, facets: Facets, direction: Array) -> npt.NDArray[np.bool_]:
         """Whether cells lie on the side of their facets that a direction points to."""
         if direction.shape != (self._dim,) or not np.linalg.norm(direction) > 0:
-            raise ModelError(f"S: the upper side of {tag} is {direction}; allowed: {self._dim} numbers, not all 0")
+            raise InputError(f"S: the upper side of {tag} is {direction}; allowed: {self._dim} numbers, not all 0")
         normals = cpp.mesh.cell_normals(self.mesh._cpp_object, self._dim - 1, facets)[:, : self._dim]
         cosines = normals @ direction / np.linalg.norm(direction)
         what = f"with tag {tag} are parallel to {tuple(map(float, direction))}, which does not tell their upper side"

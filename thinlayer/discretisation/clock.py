@@ -21,11 +21,10 @@ from ufl.core.multiindex import MultiIndex
 from ufl.core.terminal import Terminal
 from ufl.corealg.traversal import unique_pre_traversal
 
-from forms.base import is_number
+from forms.base import InputError, is_number
 from forms.kinematics import Expr
 from forms.temperature import real
 from forms.work import Term
-from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
 ROUNDING = 1e-12  # relative tolerance for equal times (a sum of steps against the end of a table) and equal slopes
@@ -244,7 +243,7 @@ def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr
         A function (x, t) for the data of a model; it returns numbers if t is a number.
 
     Raises:
-        ModelError: less than two times, values that are no numbers or of different lengths.
+        InputError: less than two times, values that are no numbers or of different lengths.
     """
     try:
         if not all(is_number(t) for t in values):
@@ -253,9 +252,9 @@ def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr
         rows = real([values[t] for t in times])
         whole = np.isfinite(rows).all() and np.isfinite(np.array(times, float)).all()
     except (TypeError, ValueError, LookupError) as error:
-        raise ModelError(f"piecewise needs {{time: number or components}}: {error}") from error
+        raise InputError(f"piecewise needs {{time: number or components}}: {error}") from error
     if len(times) < 2 or rows.ndim > 2 or not whole:
-        raise ModelError(f"piecewise needs two times or more, each with a number or components, not {values!r}")
+        raise InputError(f"piecewise needs two times or more, each with a number or components, not {values!r}")
     table = Table(np.array(times, float), rows)
 
     def at(_: Any, t: Any) -> Any:

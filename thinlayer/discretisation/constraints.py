@@ -14,10 +14,10 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.sparse.csgraph import connected_components
 
+from forms.base import InputError
 from geometry.refusals import place as at_place
 from geometry.topology import sums
 from thinlayer.discretisation.supports import ROUNDING, Prescribed
-from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[Any]
@@ -117,7 +117,7 @@ class Constraints:
         held: (h,) local numbers of the entries of y that are prescribed or stand for nothing, increasing.
 
     Raises:
-        ModelError: two ties have a node in common; a tie has too few nodes; conditions of numbers contradict each other.
+        InputError: two ties have a node in common; a tie has too few nodes; conditions of numbers contradict each other.
     """
 
     def __init__(self, prescribed: Prescribed, ties: Sequence[Tied] = (), followers: Followers | None = None) -> None:
@@ -144,12 +144,12 @@ class Constraints:
 
     # ---------------------------------------------------------------- who follows whom
     def _require_apart(self) -> None:
-        """Raise ModelError if a displacement follows two ties."""
+        """Raise InputError if a displacement follows two ties."""
         of = {one.key: np.diff(one.R.indptr) > 0 for one in self.ties}
         both = sum((rows.astype(int) for rows in of.values()), np.zeros(self.n, int)) > 1
         names = [key for key, rows in of.items() if (rows & both).any()]
         if several := [one for one in self.comm.allgather(names) if one]:
-            raise ModelError(
+            raise InputError(
                 f"{' and '.join(several[0])} have a node in common: their motions would not be independent"
             )
 
@@ -160,7 +160,7 @@ class Constraints:
             rows = np.setdiff1d(rows, self.first + self.followers.rows)
         least = np.sort(np.concatenate(self.comm.allgather(rows[: tie.count])))[: tie.count]
         if len(least) < tie.count:
-            raise ModelError(f"{tie.key} has fewer displacements than motions")
+            raise InputError(f"{tie.key} has fewer displacements than motions")
         return least
 
     def _tie(self) -> PETSc.Mat | None:
@@ -275,11 +275,11 @@ class Constraints:
         """(h,) values of `held` at a time. Collective.
 
         Raises:
-            ModelError: two conditions prescribe different values of a displacement, or one that is not finite.
+            InputError: two conditions prescribe different values of a displacement, or one that is not finite.
         """
         c = self._values_of_rows(t)
         if self.comm.allreduce(int(not np.isfinite(c).all())):
-            raise ModelError(f"a prescribed displacement is not finite at t = {t:g}")
+            raise InputError(f"a prescribed displacement is not finite at t = {t:g}")
         self._require_agreement(c, when=f" at t = {t:g}")
         y, lo = np.zeros(self.n), self.first
         y[self._columns] = c[self._single] / self._coefficient
@@ -304,14 +304,14 @@ class Constraints:
         return out
 
     def _require_agreement(self, c: Array, when: str = "") -> None:
-        """Raise ModelError if values (r,) of conditions contradict each other."""
+        """Raise InputError if values (r,) of conditions contradict each other."""
         apart = self._by_rows([one.apart(values) for one, values in self._with_values(c)])
         largest = self.comm.allreduce(float(np.abs(c).max(initial=0.0)), max)
         limit, message = max(AGREE * largest, ROUNDING * self.prescribed.extent), ""
         if apart.max(initial=0.0) > limit:
             message = self._contradiction(int(apart.argmax()), c) + when
         if messages := [one for one in self.comm.allgather(message) if one]:
-            raise ModelError(f"{messages[0]}; where supports overlap, their values must agree")
+            raise InputError(f"{messages[0]}; where supports overlap, their values must agree")
 
     def _contradiction(self, row: int, c: Array) -> str:
         """Words for a condition that does not agree with those that share its unknowns."""

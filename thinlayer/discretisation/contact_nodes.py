@@ -14,12 +14,12 @@ from dolfinx.mesh import Mesh, entities_to_geometry
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from forms.base import InputError
 from forms.planes import LIFTED, Kinematics
 from geometry.joint import Joint
 from geometry.topology import sums
 from thinlayer.discretisation.layer import seam_entities
 from thinlayer.discretisation.model import Model
-from thinlayer.errors import ModelError
 from thinlayer.system.ranks import on_all, send
 
 IntArray = npt.NDArray[np.int64]
@@ -148,10 +148,10 @@ class ContactNodes:
         np.minimum.at(self.file_numbers, at, corners[:, 4 + d].astype(np.int64))
         self.x = V.tabulate_dof_coordinates()[self.upper, :d]
         if not self.comm.allreduce(len(upper)):
-            raise ModelError("contact: S has no node where the bodies can part; it is one cell long, or has no facets")
+            raise InputError("contact: S has no node where the bodies can part; it is one cell long, or has no facets")
         size = np.linalg.norm(vectors, axis=1)
         if self.comm.allreduce(int((size <= 0).any())):
-            raise ModelError("contact: a node of S has no normal, its facets fold back; use a finer mesh there")
+            raise InputError("contact: a node of S has no normal, its facets fold back; use a finer mesh there")
         self.frames = np.ascontiguousarray((-1.0 if turned else 1.0) * frames_at(vectors / size[:, None]))
         self._note_held(held)
         with on_all(self.comm):

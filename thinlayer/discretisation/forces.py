@@ -12,6 +12,7 @@ import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
+from forms.base import InputError
 from forms.kinematics import Expr
 from forms.planes import Kinematics
 from geometry.domain import Domain
@@ -21,7 +22,7 @@ from thinlayer.discretisation.boundary import on_boundary
 from thinlayer.discretisation.given import Coordinates, Load, Pressure, by_body
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms
-from thinlayer.errors import ModelError, warn
+from thinlayer.errors import warn
 
 BodyForce = Load | Mapping[str, Load]
 
@@ -65,7 +66,7 @@ class Forces:
         loaded: names of the facet sets with tractions.
 
     Raises:
-        GeometryError, ModelError: unknown names, a traction on S or inside, loads that are no vectors.
+        InputError: unknown names, a traction on S or inside, loads that are no vectors.
     """
 
     def __init__(
@@ -85,7 +86,7 @@ class Forces:
         ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
         dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
         if tractions is not None and not isinstance(tractions, Mapping):
-            raise ModelError(f"tractions is {tractions!r}; it must be {{facet name: traction}}")
+            raise InputError(f"tractions is {tractions!r}; it must be {{facet name: traction}}")
         tractions = tractions or {}
         for name in sorted(tractions, key=str):  # in the same order on all ranks
             load = tractions[name]
@@ -134,7 +135,7 @@ class Forces:
     def _add(self, what: str, load: Load | Pressure, measure: ufl.Measure | None) -> None:
         self.given[what] = load
         if isinstance(load, Pressure) and what.startswith("body force"):
-            raise ModelError(f"{what} is {load!r}: there is no normal inside a body; give a vector")
+            raise InputError(f"{what} is {load!r}: there is no normal inside a body; give a vector")
         checked = self.at.traction(load, what, ufl.FacetNormal(self.domain.mesh))
         if measure is not None:
             self.add_weighted("", what, checked, Weighted(measure, self._kinematics.factor))
@@ -154,10 +155,10 @@ class Forces:
                 )
 
     def _refuse_end(self, name: str, side: str) -> None:
-        """Raise ModelError if bodies gave up a part of a loaded face to the side of a layer without cells."""
+        """Raise InputError if bodies gave up a part of a loaded face to the side of a layer without cells."""
         joint, whole = self.domain.joint, name.split("/")[0]
         if joint.parted is not None and whole in joint.facets and Sheet(joint).rim.on(joint.facets[whole]).any():
-            raise ModelError(
+            raise InputError(
                 f"traction on {name!r}: S ends there, and bodies='extended' gave a part of this face to the side of the "
                 f"layer, which has no facets to carry it; give {side!r} a traction of its own, zero if that side is free"
             )
@@ -210,7 +211,7 @@ class Forces:
         """Nodal forces of the loads, or of those on layers alone, in a space; the caller destroys the vector. Collective.
 
         Raises:
-            ModelError: loads that are not finite.
+            InputError: loads that are not finite.
         """
         if self._form is None or self._form[0] is not V:
             self._form = V, compiled(self.work(ufl.TestFunction(V)))
@@ -219,7 +220,7 @@ class Forces:
             b = dolfinx.fem.petsc.assemble_vector(form)
         b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         if not np.isfinite(b.norm()):
-            raise ModelError(": ".join([f"the loads are not finite at t = {t:g}", *self._not_finite(t)]))
+            raise InputError(": ".join([f"the loads are not finite at t = {t:g}", *self._not_finite(t)]))
         return b
 
     def _not_finite(self, t: float) -> list[str]:

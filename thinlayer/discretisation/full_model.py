@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Self
 
 from forms import work as forms
+from forms.base import InputError
 from forms.tangent import needs_director
 from geometry.inflating.inflation import inflate
 from geometry.inflating.layering import check_layering
@@ -17,7 +18,6 @@ from thinlayer.discretisation.forces import Weighted
 from thinlayer.discretisation.layer import Layers, SeamLayer, constants, real_law
 from thinlayer.discretisation.mesh_functions import director
 from thinlayer.discretisation.model import Model
-from thinlayer.errors import ModelError
 
 if TYPE_CHECKING:
     from thinlayer.discretisation.structure import Structure
@@ -48,14 +48,14 @@ class FullModel(Model):
         self._check_layers()
         gaps = self.gaps
         if self._junctions is not None and self._junctions not in [*self.joint.seams]:
-            raise ModelError(f"junctions: {unknown('seam', self._junctions, self.joint.seams)}")
+            raise InputError(f"junctions: {unknown('seam', self._junctions, self.joint.seams)}")
         if self._junctions in gaps:
-            raise ModelError(f"junctions: the seam {self._junctions!r} is a gap and has no law")
+            raise InputError(f"junctions: the seam {self._junctions!r} is a gap and has no law")
         first = () if self._junctions is None else (self._junctions,)
         thin = {name: one.thin for name, one in self.layers.items() if one.thin}
         eps = {name: layer.eps for given in (thin, gaps) for name, layer in given.items()}
         if (thickest := max(eps.values(), default=0.0)) > LARGEST_EPS * self.joint.size:
-            raise ModelError(
+            raise InputError(
                 f"the layer's thickness eps is {thickest:g}, the bodies measure {self.joint.size:g}: next to such a "
                 "layer their shape is lost in rounding; is eps in the unit of the mesh?"
             )
@@ -77,12 +77,12 @@ class FullModel(Model):
     def _check_layers(self) -> None:
         """Check each layer by itself."""
         if self.bonds:
-            raise ModelError(
+            raise InputError(
                 f"the seam {self.bonds[0]!r} has a Bond, which interface models alone take: make a joint without this seam"
             )
         for name, given in self.on_seams.items():
             if given is None:
-                raise ModelError(
+                raise InputError(
                     f"the seam {name!r} is open, and its width is not known: give it a Gap(eps), or use "
                     "structure.interface"
                 )
@@ -94,7 +94,7 @@ class FullModel(Model):
         self._check_junctions(self.domain.joint)
 
     def _check_junctions(self, inflated: Joint) -> None:
-        """Raise ModelError if a law cannot be that of cells where layers meet, which are in no column of a layer."""
+        """Raise InputError if a law cannot be that of cells where layers meet, which are in no column of a layer."""
         assert inflated.band is not None
         for region, name in inflated.band.junctions.items():
             law = self.reductions[name].law
@@ -105,7 +105,7 @@ class FullModel(Model):
             else:
                 continue
             law_of = f"{type(law).__name__} of the seam {name!r}"
-            raise ModelError(f"{law_of} {why}; give junctions=... the name of a seam with another law")
+            raise InputError(f"{law_of} {why}; give junctions=... the name of a seam with another law")
 
     def _layer_terms(self) -> list[forms.Term]:
         mesh, band, n = self.domain.mesh, self.domain.joint.band, director(self.domain)

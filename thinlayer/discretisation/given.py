@@ -20,7 +20,7 @@ from ufl.constantvalue import ComplexValue, RealValue
 from ufl.corealg.traversal import unique_pre_traversal
 from ufl.geometry import GeometricQuantity
 
-from forms.base import is_number
+from forms.base import InputError, is_number
 from forms.kinematics import Expr
 from geometry.domain import Domain
 from geometry.joint import Joint
@@ -28,7 +28,6 @@ from geometry.refusals import place as at_place
 from geometry.refusals import unknown
 from thinlayer.discretisation.clock import Clock, Reading, readings
 from thinlayer.discretisation.mesh_functions import places_in_cells, sampled, shift
-from thinlayer.errors import ModelError
 from thinlayer.system.compat import interpolation_points
 
 Array = npt.NDArray[np.float64]
@@ -95,7 +94,7 @@ class Coordinates:
         if key not in self.known:
             self.known[key] = given = Given(value, what, shapes, self, of_place=of_place)
             if self.planned and (late := sorted(given.breaks - self.planned[0])):
-                raise ModelError(
+                raise InputError(
                     f"{what} is given after a march has begun, and changes its slope at t = {late[0]:g}, where no step "
                     "ends; a part gives it in check(model)"
                 )
@@ -135,7 +134,7 @@ class Given:
         varies: whether it is anything but numbers.
 
     Raises:
-        ModelError: another shape, what is no finite real number, a function that fails for symbols or that compares them.
+        InputError: another shape, what is no finite real number, a function that fails for symbols or that compares them.
     """
 
     def __init__(self, value: Any, what: str, shapes: Sequence[Shape], at: Coordinates, *, of_place: bool) -> None:
@@ -169,9 +168,9 @@ class Given:
         try:
             values = np.asarray(self.value(x.T), float)
         except Exception as error:
-            raise ModelError(f"{self.what} is no function of x, in UFL or numpy: {error}") from error
+            raise InputError(f"{self.what} is no function of x, in UFL or numpy: {error}") from error
         if values.shape not in ((), (len(x),)):
-            raise ModelError(f"{self.what} gives an array of shape {values.shape}; for x (d, n) it needs (n,)")
+            raise InputError(f"{self.what} gives an array of shape {values.shape}; for x (d, n) it needs (n,)")
         f.x.array[np.asarray(f.function_space.dofmap.list).ravel()] = values
         return f
 
@@ -179,14 +178,14 @@ class Given:
     def _kind(self) -> str:
         return "function x" if self._of_place else "function (x, t)"
 
-    def _no_function(self, why: str) -> ModelError:
-        return ModelError(f"{self.what} is no {self._kind} of UFL coordinates: {why}; {HINT}")
+    def _no_function(self, why: str) -> InputError:
+        return InputError(f"{self.what} is no {self._kind} of UFL coordinates: {why}; {HINT}")
 
-    def _refusal(self, content: Any, more: str = "") -> ModelError:
+    def _refusal(self, content: Any, more: str = "") -> InputError:
         need = " or ".join(map(_in_words, self._shapes))
         if callable(self.value):
-            return ModelError(f"{self.what} gives {content!s:.90}; it needs {need}{more}")
-        return ModelError(f"{self.what} is {self.value!r:.90}; it needs {need}, or a {self._kind} that gives that")
+            return InputError(f"{self.what} gives {content!s:.90}; it needs {need}{more}")
+        return InputError(f"{self.what} is {self.value!r:.90}; it needs {need}, or a {self._kind} that gives that")
 
     def _read(self, content: Any) -> npt.NDArray[Any]:
         """The components of numbers and UFL expressions."""
@@ -226,7 +225,7 @@ class Given:
         return components
 
     def _compare(self, components: npt.NDArray[Any]) -> None:
-        """Raise ModelError if the function says another thing of plain numbers than of symbols."""
+        """Raise InputError if the function says another thing of plain numbers than of symbols."""
         if any(map(_fields, components.flat)):
             return
         for place, t in [*((x, TIMES[0]) for x in self.at.places), *((self.at.places[0], t) for t in TIMES[1:])]:
@@ -262,20 +261,20 @@ class Given:
         return set[float]().union(*(reading.breaks for c in components for reading in readings(c)))
 
     def once(self, thing: str) -> Given:
-        """Itself; raises ModelError if it depends on the place, as what is given once for a whole thing must not."""
+        """Itself; raises InputError if it depends on the place, as what is given once for a whole thing must not."""
         if any(of_place(c) for c in self.components.flat if isinstance(c, ufl.core.expr.Expr)):
-            raise ModelError(f"{self.what} depends on the place x; it is one for {thing}")
+            raise InputError(f"{self.what} depends on the place x; it is one for {thing}")
         return self
 
     def at_time(self, t: float) -> Array:
         """Its numbers (*shape) at a time, of a value that does not depend on the place.
 
         Raises:
-            ModelError: they are not finite.
+            InputError: they are not finite.
         """
         numbers = np.array([evaluated(c, t) for c in self.components.flat]).reshape(self.shape)
         if not np.isfinite(numbers).all():
-            raise ModelError(f"{self.what} is not finite at t = {t:g}: {numbers.tolist()}")
+            raise InputError(f"{self.what} is not finite at t = {t:g}: {numbers.tolist()}")
         return numbers
 
 
@@ -300,12 +299,12 @@ def by_body(given: Any, joint: Joint, what: str = "", others: Sequence[str] = ()
     """What is given for bodies, one for all or by name, in the same order on all ranks.
 
     Raises:
-        ModelError: a name, after some words, that is none of a body nor one of others.
+        InputError: a name, after some words, that is none of a body nor one of others.
     """
     each = given if isinstance(given, Mapping) else dict.fromkeys(joint.bodies, given)
     for name in each:
         if name not in joint.bodies and name not in others:
-            raise ModelError(what + unknown("body", name, joint.bodies))
+            raise InputError(what + unknown("body", name, joint.bodies))
     return {name: each[name] for name in joint.bodies if name in each}
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from forms.base import is_finite, is_number
+from forms.base import InputError, is_finite, is_number
 from forms.kinematics import MANDEL, ROOT2, Expr, lift
 from forms.law import BulkLaw
 from forms.planes import Kinematics
@@ -22,7 +22,6 @@ from forms.work import Term, summed
 from geometry.joint import Joint
 from thinlayer.discretisation.clock import readings
 from thinlayer.discretisation.given import Coordinates, of_place
-from thinlayer.errors import ModelError
 
 MEAN_STRAIN = "mean strain"  # key of the mean strain under a mean stress, in the fields of states
 Array = npt.NDArray[np.float64]
@@ -46,14 +45,14 @@ class MeanStrain:
         size: largest extent of the cell along an axis.
 
     Raises:
-        ModelError: the joint is not periodic; not (d, d) finite numbers, not symmetric, or depending on the place.
+        InputError: the joint is not periodic; not (d, d) finite numbers, not symmetric, or depending on the place.
     """
 
     what: ClassVar[str] = "the mean strain"
 
     def __init__(self, given: Strain, at: Coordinates, joint: Joint) -> None:
         if joint.periods is None:
-            raise ModelError(f"{self.what} is for a periodic cell, and this joint is none; see geometry.periodic")
+            raise InputError(f"{self.what} is for a periodic cell, and this joint is none; see geometry.periodic")
         self._dim, d = joint.dim, joint.dim
         self._given = at.given(given, self.what, (d, d)).once("the whole cell")
         self.size = joint.size
@@ -61,7 +60,7 @@ class MeanStrain:
             self.at(0.0)
 
     def at(self, t: float) -> Array:
-        """The strain (d, d) at a time; raises ModelError if it is not finite or not symmetric."""
+        """The strain (d, d) at a time; raises InputError if it is not finite or not symmetric."""
         strain = self._given.at_time(t)
         rows: Any = strain.tolist()
         require_symmetric(rows, f"{self.what} at t = {t:g}")
@@ -77,7 +76,7 @@ class MeanStress(MeanStrain):
     """A mean stress as a function of time; the mean strain is then unknown. Arguments and errors as in `MeanStrain`.
 
     Raises:
-        ModelError: sides of the cell are free, or bodies are not linear.
+        InputError: sides of the cell are free, or bodies are not linear.
     """
 
     what = "the mean stress"
@@ -87,10 +86,10 @@ class MeanStress(MeanStrain):
         d = joint.dim
         assert joint.periods is not None
         if np.linalg.matrix_rank(joint.periods.vectors(joint.points)) < d:
-            raise ModelError(f"a mean stress needs a joint periodic in {d} directions; load free sides by tractions")
+            raise InputError(f"a mean stress needs a joint periodic in {d} directions; load free sides by tractions")
         for p in bodies:
             if not p.proportional:
-                raise ModelError(
+                raise InputError(
                     f"a mean stress needs bodies with linear laws without stress at zero strain, not {p.law!r}; prescribe "
                     "the mean strain"
                 )
@@ -134,7 +133,7 @@ class Matter:
         """The components of a tensor, (d, d) or (3, 3); of a number times the identity, (3, 3).
 
         Raises:
-            ModelError: another shape, components that are no finite numbers, or a table that is not symmetric.
+            InputError: another shape, components that are no finite numbers, or a table that is not symmetric.
         """
         what, d = f"{what} of {self.name}", len(self.n)
         given = self.at.given(value, what, (), (d, d), (3, 3))
@@ -145,12 +144,12 @@ class Matter:
         return rows
 
     def scalar(self, value: Any, what: str) -> Any:
-        """A number, or a UFL scalar; raises ModelError if the value is none."""
+        """A number, or a UFL scalar; raises InputError if the value is none."""
         return self.at.given(value, f"{what} of {self.name}", ()).components[()]
 
 
 def require_symmetric(rows: Rows, what: str) -> None:
-    """Raise ModelError if a table is not symmetric; UFL expressions are compared as they are written."""
+    """Raise InputError if a table is not symmetric; UFL expressions are compared as they are written."""
     numbers = [abs(c) for row in rows for c in row if isinstance(c, float)]
     for i in range(len(rows)):
         for j in range(i):
@@ -158,7 +157,7 @@ def require_symmetric(rows: Rows, what: str) -> None:
             both = isinstance(a, float) and isinstance(b, float)
             same = abs(a - b) <= SYMMETRY * max(numbers) if both else ufl.as_ufl(a) == ufl.as_ufl(b)
             if not same:
-                raise ModelError(f"{what} is not symmetric: components {i + 1}{j + 1} and {j + 1}{i + 1} are {a}, {b}")
+                raise InputError(f"{what} is not symmetric: components {i + 1}{j + 1} and {j + 1}{i + 1} are {a}, {b}")
 
 
 class Eigenstrain(ABC):
@@ -166,7 +165,7 @@ class Eigenstrain(ABC):
 
     @abstractmethod
     def components(self, matter: Matter) -> Rows:
-        """The strain, (3, 3) numbers or UFL scalars. ModelError: it cannot be that of this body or layer."""
+        """The strain, (3, 3) numbers or UFL scalars. InputError: it cannot be that of this body or layer."""
 
 
 @dataclass(frozen=True)
@@ -194,7 +193,7 @@ class ThermalExpansion(Eigenstrain):
     With a Function this is collective, and no other process takes it for the same.
 
     Raises:
-        ModelError: alpha of another shape, not finite or not symmetric; T or factor that is no number or function.
+        InputError: alpha of another shape, not finite or not symmetric; T or factor that is no number or function.
     """
 
     alpha: float | Sequence[float] | Sequence[Sequence[float]] | Array
@@ -203,12 +202,12 @@ class ThermalExpansion(Eigenstrain):
 
     def __post_init__(self) -> None:
         if (alpha := finite(self.alpha, (), (3,), (3, 3))) is None:
-            raise ModelError(f"alpha is {self.alpha!r}; allowed: a finite number, three, or a symmetric (3, 3)")
+            raise InputError(f"alpha is {self.alpha!r}; allowed: a finite number, three, or a symmetric (3, 3)")
         if alpha.ndim == 2:
             require_symmetric([[*map(float, row)] for row in alpha], "alpha")
         for name, given, meant in (("T", self.T, ", the change of temperature"), ("factor", self.factor, "")):
             if not (callable(given) or is_finite(given)):
-                raise ModelError(f"{name} is {given!r}; allowed: a finite number or a function (x, t){meant}")
+                raise InputError(f"{name} is {given!r}; allowed: a finite number or a function (x, t){meant}")
 
     def components(self, matter: Matter) -> Rows:
         """As in `Eigenstrain`."""
@@ -240,13 +239,13 @@ class Prestress(Eigenstrain):
         if matter.kinematics.name == "stress":
             out = [sigma[i][2] for i in range(3)] if len(sigma) == 3 else []
             if any(not isinstance(c, float) or c for c in out):
-                raise ModelError(
+                raise InputError(
                     f"the prestress of {matter.name} has components out of the plane, of which plane stress has none; give "
                     "(2, 2)"
                 )
             sigma = [row[:2] for row in sigma[:2]]
         if len(sigma) == 2 and 2 in matter.kinematics.slots(2):
-            raise ModelError(f"the prestress of {matter.name} lacks that of hoops, sigma_33; give (3, 3)")
+            raise InputError(f"the prestress of {matter.name} lacks that of hoops, sigma_33; give (3, 3)")
         slots = [slot for slot, (_, j) in enumerate(MANDEL) if j < len(sigma)]
         pairs = [(*MANDEL[slot], 1.0 if slot < 3 else ROOT2) for slot in slots]
         found: Rows = [[0.0] * 3 for _ in range(3)]
@@ -259,8 +258,8 @@ class Prestress(Eigenstrain):
         """Strains per stress in some Mandel components, the others of the strain being zero."""
         law = matter.law
 
-        def refused(why: str) -> ModelError:
-            return ModelError(f"the prestress of {matter.name}: {why}; give its eigenstrain instead")
+        def refused(why: str) -> InputError:
+            return InputError(f"the prestress of {matter.name}: {why}; give its eigenstrain instead")
 
         if len(law.sublayers) > 1:
             raise refused("its sublayers have stiffnesses of their own")
@@ -293,7 +292,7 @@ def eigenstrains(given: Any) -> list[Eigenstrain]:
         return [given]
     if isinstance(given, (list, tuple)) and not _is_table(given):
         if all(is_number(one) for one in given):
-            raise ModelError(
+            raise InputError(
                 f"the eigenstrain is {given!r}; allowed: a number, a symmetric table, a function (x, t), ThermalExpansion, "
                 "Prestress, or a list of these that add up"
             )
@@ -310,7 +309,7 @@ def given_strain(given: Any, matter: Matter) -> Expr | None:
     """Minus the eigenstrain, (3, 3) UFL, which is added to the strain of the displacements; None: it is zero.
 
     Raises:
-        ModelError: an eigenstrain that is none, or not of this body or layer.
+        InputError: an eigenstrain that is none, or not of this body or layer.
     """
     if given is None:
         return None
@@ -340,14 +339,14 @@ class VaryingStrains:
         """Integrals over this rank's cells or facets at a time.
 
         Raises:
-            ModelError: a strain that is not finite.
+            InputError: a strain that is not finite.
         """
         with self._at.clock.at(t):
             integrals = [np.asarray(fem.assemble_vector(form).array) for _, form in self._forms]
         for (p, _), values in zip(self._forms, integrals, strict=True):
             if self._at.mesh.comm.allreduce(int(not np.isfinite(values).all())):
                 what = "layer" if p.n is not None else "bodies"
-                raise ModelError(f"the eigenstrain of the {p.key or what} is not finite at t = {t:g}")
+                raise InputError(f"the eigenstrain of the {p.key or what} is not finite at t = {t:g}")
         return integrals
 
 

@@ -14,6 +14,7 @@ from dolfinx import fem
 from ufl.algorithms.analysis import extract_coefficients
 
 from forms import work as forms
+from forms.base import InputError
 from forms.interface import Interface
 from forms.kinematics import Expr
 from forms.law import BulkLaw
@@ -21,7 +22,7 @@ from geometry.inflating.kept_bodies import kept_motion
 from geometry.inflating.layering import check_layering
 from geometry.inflating.parting import parted
 from geometry.joint import Joint
-from geometry.refusals import GeometryError, unknown
+from geometry.refusals import unknown
 from geometry.seam import S
 from geometry.topology import FloatArray, Splitting
 from thinlayer.discretisation.boundary import require_revolution
@@ -32,7 +33,7 @@ from thinlayer.discretisation.measures import known_at
 from thinlayer.discretisation.mesh_functions import Middle, cellwise, relative_thickness
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.side_loads import add_side_loads
-from thinlayer.errors import ModelError, Refused
+from thinlayer.errors import Refused
 from thinlayer.pointwise.quadrature import quadrature_degree
 from thinlayer.system.ranks import on_all
 
@@ -90,7 +91,7 @@ class InterfaceModel(Model):
     def _check_beside(self, other: Self) -> None:
         self.require("interface law")
         if self.bonds != other.bonds:
-            raise ModelError(
+            raise InputError(
                 f"this model has bonds on the seams {list(other.bonds)}, not {list(self.bonds)}; make a model of its own"
             )
         if self._bodies != "kept":
@@ -128,7 +129,7 @@ class InterfaceModel(Model):
         """The two sides of a seam, or of all ("S"): n, jumps, values from either side, and the measure.
 
         Raises:
-            GeometryError: no such seam. ModelError: S lies between bodies and on a rigid base.
+            InputError: no such seam; S lies between bodies and on a rigid base.
         """
         joint, mesh, to_s = self.joint, self.domain.mesh, self._middle.to_s if self._middle else None
         joint.rows_of(name)
@@ -138,7 +139,7 @@ class InterfaceModel(Model):
             measure = self.ds(self.domain.values(name))
             return Interface.on_rigid_base(mesh, measure, self.kinematics, to_s)
         if any(based):
-            raise ModelError(f"S lies between bodies and on a rigid base; name one of the seams {', '.join(names)}")
+            raise InputError(f"S lies between bodies and on a rigid base; name one of the seams {', '.join(names)}")
         numbers = tuple(list(joint.seams).index(one) + 1 for one in names)
         measure = self.dS(numbers if len(numbers) > 1 else numbers[0])
         return Interface.between_bodies(mesh, measure, self.kinematics, to_s)
@@ -171,17 +172,17 @@ class InterfaceModel(Model):
             return None
         try:
             return kept_motion(self.joint, eps)[self.joint.splitting.pieces]
-        except GeometryError:  # bodies that do not part in one piece
+        except InputError:  # bodies that do not part in one piece
             return None
 
     def free_ends(self, name: str) -> Refused | None:
         """Why the interface law of a seam knows nothing of its free ends; None: it does, or there are none.
 
         Raises:
-            ModelError: no layer of this name.
+            InputError: no layer of this name.
         """
         if name not in self.reductions:
-            raise ModelError(unknown("layer", name, self.reductions))
+            raise InputError(unknown("layer", name, self.reductions))
         return self.reductions[name].why_not("ends")
 
     def terms_of(self, one: SeamLayer, sides: Interface | None = None) -> list[forms.Term]:
@@ -252,16 +253,16 @@ def apart(joint: Joint, layers: Mapping[str, SeamLayer]) -> Joint:
         layers: name of a seam -> its layer.
 
     Raises:
-        ModelError: seams that meet, or one without a thickness. GeometryError: as of `geometry.inflate`.
+        InputError: seams that meet, or one without a thickness; as of `geometry.inflate`.
     """
     if joint.seams_meet:
-        raise ModelError(
+        raise InputError(
             "bodies='extended' of an interface model: seams meet or branch, where S has no middle; use bodies='kept'"
         )
     thin = {name: one.thin for name, one in layers.items() if one.thin}
     for name in joint.seams:
         if name not in thin:
-            raise ModelError(
+            raise InputError(
                 f"bodies='extended' of an interface model: {name!r} has no ThinLayer, so that no thickness tells where "
                 "bodies are; use bodies='kept'"
             )

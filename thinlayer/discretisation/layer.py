@@ -13,10 +13,10 @@ import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from forms.base import is_number
+from forms.base import InputError, is_number
 from forms.contact import ContactLaw
 from forms.kinematics import MANDEL, ROOT2, Expr
-from forms.law import BulkLaw, Law, LawError
+from forms.law import BulkLaw, Law
 from forms.planes import Kinematics
 from forms.series import folded
 from forms.tangent import Array, average_lame, is_checked_at_rest, known_at_rest, require_stable, tangent_over
@@ -28,7 +28,7 @@ from geometry.seam import S
 from geometry.sheet import Sheet
 from thinlayer.discretisation.given import Coordinates, Load
 from thinlayer.discretisation.given_strains import Matter, StrainGiven, given_strain
-from thinlayer.errors import ModelError, Refused
+from thinlayer.errors import Refused
 from thinlayer.system.compat import interior_facet_entities
 from thinlayer.system.identity import described
 
@@ -67,7 +67,7 @@ class ThinLayer:
             "plain": never.
 
     Raises:
-        LawError: a law of jumps or of nodes, which is a layer by itself; eps, order or edges out of range; a law without
+        InputError: a law of jumps or of nodes, which is a layer by itself; eps, order or edges out of range; a law without
             one of order 1.
     """
 
@@ -81,25 +81,27 @@ class ThinLayer:
 
     def __post_init__(self) -> None:
         if isinstance(self.law, LawOnS):
-            raise LawError(
+            raise InputError(
                 f"{type(self.law).__name__} is a law on S without a thickness: give it alone, structure.interface(law)"
             )
         if not isinstance(self.law, BulkLaw):
-            raise LawError(f"the layer's law is {self.law!r}; it must be a law of strains, such as forms.LinearElastic")
+            raise InputError(
+                f"the layer's law is {self.law!r}; it must be a law of strains, such as forms.LinearElastic"
+            )
         object.__setattr__(self, "law", folded(self.law))
         _check_thickness("layer's thickness eps", self.eps)
         if self.at is not None:
             _check_thickness("thickness at which the law's parameters hold, at,", self.at)
         if self.order not in (0, 1) or not is_number(self.order):
-            raise LawError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
+            raise InputError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
         if self.order == 1:
             self.law.stations()  # raises errors of laws without one of order 1
         if self.profile is not None and not callable(self.profile):
-            raise LawError(f"the thickness profile is {self.profile!r}; it must be a function of coordinates")
+            raise InputError(f"the thickness profile is {self.profile!r}; it must be a function of coordinates")
         if self.edges not in EDGES:
-            raise LawError(f"edges is {self.edges!r}; allowed: {', '.join(map(repr, EDGES))}")
+            raise InputError(f"edges is {self.edges!r}; allowed: {', '.join(map(repr, EDGES))}")
         if self.edges == "free" and self.order != 1:
-            raise LawError("edges='free' corrects the interface law of order 1; use order=1")
+            raise InputError("edges='free' corrects the interface law of order 1; use order=1")
 
     @property
     def material(self) -> BulkLaw:
@@ -123,7 +125,7 @@ class Gap:
         eps: width, a length > 0.
 
     Raises:
-        LawError: eps out of range.
+        InputError: eps out of range.
     """
 
     eps: float
@@ -147,7 +149,7 @@ Layers = Layer | Bond | Mapping[str, OnSeam]
 
 def _check_thickness(what: str, eps: Any) -> None:
     if not (is_number(eps) and math.isfinite(eps) and eps > 0):
-        raise LawError(f"the {what} is {eps!r}; allowed: > 0")
+        raise InputError(f"the {what} is {eps!r}; allowed: > 0")
 
 
 def on_seams(joint: Joint, given: Any) -> dict[str, Any]:
@@ -156,16 +158,16 @@ def on_seams(joint: Joint, given: Any) -> dict[str, Any]:
     They are in the order of the joint's seams, so that the order in which they are given makes no difference.
 
     Raises:
-        ModelError: a seam has no layer, or a layer no seam.
+        InputError: a seam has no layer, or a layer no seam.
     """
     if not isinstance(given, Mapping):
         return dict.fromkeys(joint.seams, given)
     for name in given:
         if name not in joint.seams:
-            raise ModelError(f"layer: {unknown('seam', name, joint.seams)}")
+            raise InputError(f"layer: {unknown('seam', name, joint.seams)}")
     for name in joint.seams:
         if name not in given:
-            raise ModelError(f"the seam {name!r} has no layer; give layer={{{name!r}: ..., ...}}")
+            raise InputError(f"the seam {name!r} has no layer; give layer={{{name!r}: ..., ...}}")
     return {name: given[name] for name in joint.seams}
 
 
@@ -232,7 +234,7 @@ class AtRest:
         return found[0], found[1]
 
     def require_stable(self) -> None:
-        """Raise LawError if a stiffness at rest is negative: equilibria would be unstable."""
+        """Raise InputError if a stiffness at rest is negative: equilibria would be unstable."""
         for _, law, C in self.sublayers:
             if is_checked_at_rest(law):
                 require_stable(law, C, self.n)
@@ -360,13 +362,13 @@ def loads_of_layers(given: Any, joint: Joint, layers: Mapping[str, SeamLayer], b
     """Name of a seam -> force per volume of its layer, among the body forces as given; a bond leaves it out.
 
     Raises:
-        ModelError: a load of a seam without a layer that has a thickness.
+        InputError: a load of a seam without a layer that has a thickness.
     """
     named = given if isinstance(given, Mapping) else {}
     loads = [(seam, named[name]) for name in named for seam in joint.seams if name in (S, seam) and seam not in bonds]
     for seam, _ in loads:
         if seam not in layers or not layers[seam].thin:
-            raise ModelError(
+            raise InputError(
                 f"body force in the layer {seam!r}: it has no layer with a thickness: its weight is not known"
             )
     return dict(loads)
@@ -385,7 +387,7 @@ def seam_entities(domain: Domain, name: str) -> npt.NDArray[np.int32]:
     entities = interior_facet_entities(mesh, facets)
     lost = domain.comm.allreduce(len(facets) - len(entities))
     if lost:
-        raise ModelError(f"{lost} facets of {name!r} have one cell on their rank: the mesh lacks ghost cells")
+        raise InputError(f"{lost} facets of {name!r} have one cell on their rank: the mesh lacks ghost cells")
     rows = np.searchsorted(joint.surface_rows, domain.numbers(joint.dim - 1, facets))
     swap = domain.original_cells[entities[:, 0]] != joint.surface_cells[rows, 1]
     entities[swap] = entities[swap][:, [2, 3, 0, 1]]

@@ -17,6 +17,7 @@ from ufl.algorithms import estimate_total_polynomial_degree
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 
+from forms.base import InputError
 from forms.kinematics import Expr
 from forms.law import BulkLaw
 from forms.work import Term
@@ -27,7 +28,6 @@ from thinlayer.discretisation.clock import readings
 from thinlayer.discretisation.given import Coordinates, has_finite_numbers
 from thinlayer.discretisation.layer import BODY, LAYER, constants
 from thinlayer.discretisation.mesh_functions import cellwise
-from thinlayer.errors import ModelError
 from thinlayer.pointwise.quadrature import Origin, Quadrature
 from thinlayer.system.ranks import on_all
 
@@ -44,13 +44,13 @@ def compiled(form: Expr) -> fem.Form:
     """Compile a form, which may have measures with tags and plain ones (DOLFINx itself refuses this).
 
     Raises:
-        ModelError: measures of one kind with two sets of tags.
+        InputError: measures of one kind with two sets of tags.
     """
     first, *others = _with_one_set_of_tags(form)
     if others:
         kind = others[0].integrals()[0].integral_type()
         name = SHORT.get(kind, kind)
-        raise ModelError(f"a form has two measures {name} with different tags; use model.{name} for all of them")
+        raise InputError(f"a form has two measures {name} with different tags; use model.{name} for all of them")
     return fem.form(first)
 
 
@@ -58,22 +58,22 @@ def whole(form: Any, model: Any, what: str = "a form") -> ufl.Form:
     """A form that a user writes on a model's mesh, over the whole structure: in axisymmetry with the factor 2 pi r.
 
     Raises:
-        ModelError: no form, or one that depends on the time; numbers that are not finite or not real; a tag that no cell
+        InputError: no form, or one that depends on the time; numbers that are not finite or not real; a tag that no cell
             or facet has. Collective.
     """
     if not isinstance(form, ufl.Form):
-        raise ModelError(f"{what} is {form!r:.80}; it must be a UFL form, such as f * model.dx")
+        raise InputError(f"{what} is {form!r:.80}; it must be a UFL form, such as f * model.dx")
     if readings(form):
-        raise ModelError(f"{what} depends on the time; only loads and supports may")
+        raise InputError(f"{what} depends on the time; only loads and supports may")
     constants = [constant.value for constant in form.constants()]
     real = all(np.isrealobj(value) and np.isfinite(value).all() for value in constants)
     if not (real and all(has_finite_numbers(part.integrand()) for part in form.integrals())):
-        raise ModelError(f"{what} has a number that is not finite, or not real: {str(form)[:80]}")
+        raise InputError(f"{what} has a number that is not finite, or not real: {str(form)[:80]}")
     for integral in form.integrals():
         kind = integral.integral_type()
         name, asked = SHORT.get(kind, kind), [*np.atleast_1d(np.array(integral.subdomain_id(), object))]
         if any(isinstance(tag, bool) for tag in asked):
-            raise ModelError(f"{what} integrates over {name}{(*asked,)}; tags are whole numbers")
+            raise InputError(f"{what} integrates over {name}{(*asked,)}; tags are whole numbers")
         present = model.comm.allgather(
             {"everywhere", "otherwise"}.union(
                 *(_tags(data, kind, model) for data in form.subdomain_data()[integral.ufl_domain()][kind])
@@ -82,7 +82,7 @@ def whole(form: Any, model: Any, what: str = "a form") -> ufl.Form:
         missing = [str(tag) for tag in asked if tag not in set[Any]().union(*present)]
         if missing:
             where = f"{name}({', '.join(missing)})"
-            raise ModelError(
+            raise InputError(
                 f"{what} integrates over {where}, which is nothing here; tags: {TAGS.get(name, TAGS['ds'])}"
             )
     factor = model.kinematics.factor
@@ -114,7 +114,7 @@ def compiled_scalars(form: Expr) -> list[fem.Form]:
     In a form without arguments FFCx takes the places of one rule for those of another where both are in its integrand.
 
     Raises:
-        ModelError: measures of one kind with two sets of tags.
+        InputError: measures of one kind with two sets of tags.
     """
     by_rule: dict[str, list[Any]] = {}
     for integral in form.integrals():
@@ -227,7 +227,7 @@ def placed(term: Term, V: fem.FunctionSpace, origin: Origin) -> Term:
     The parameters of a law in forms become a function with values there; compiled laws evaluate theirs themselves.
 
     Raises:
-        LawError: a function fails, or a value is out of range, with the place; on all ranks.
+        InputError: a function fails, or a value is out of range, with the place; on all ranks.
     """
     law = term.law
     if not law.fields:

@@ -14,6 +14,7 @@ from dolfinx import fem, geometry
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
+from forms.base import InputError
 from forms.interface import Interface
 from forms.kinematics import Expr
 from geometry.dolfinx_mesh import index_map
@@ -23,7 +24,6 @@ from geometry.joint import Joint, Profile
 from geometry.refusals import place
 from geometry.seam import S
 from geometry.topology import Splitting
-from thinlayer.errors import ModelError
 from thinlayer.system.compat import interpolation_points, space_with_dofmap
 from thinlayer.system.ranks import ask, communicator
 
@@ -93,7 +93,7 @@ def sampled(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Function:
     It is right to 1e-6 of its changes in a cell.
 
     Raises:
-        ModelError: it is not known at a place; `what` are the first words.
+        InputError: it is not known at a place; `what` are the first words.
     """
     degree = min(2, f.function_space.element.basix_element.degree)
     own = fem.Function(fem.functionspace(mesh, ("DG", degree, f.ufl_shape)))
@@ -102,7 +102,7 @@ def sampled(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Function:
     values = _values(f, places)
     missing = communicator(mesh).allgather(places[np.isnan(values).any(axis=1)][:1])
     if any(map(len, missing)):
-        raise ModelError(
+        raise InputError(
             f"{what}: a function is unknown at {place(np.concatenate(missing)[0])}; its mesh must cover all"
         )
     own.x.array.reshape(values.shape)[np.asarray(own.function_space.dofmap.list).ravel()] = values

@@ -14,6 +14,7 @@ from mpi4py import MPI
 from scipy.spatial import cKDTree
 
 from forms import work as forms
+from forms.base import InputError
 from forms.interface import Interface
 from geometry.domain import Domain
 from geometry.parallel import world
@@ -26,7 +27,7 @@ from thinlayer.discretisation.layer import Layers, SeamLayer, layers_of, on_seam
 from thinlayer.discretisation.mesh_functions import cellwise, shift
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reduction import Reduction
-from thinlayer.errors import ModelError, warn
+from thinlayer.errors import warn
 from thinlayer.system.compat import exterior_facet_entities
 from thinlayer.system.identity import described
 from thinlayer.system.ranks import on_all
@@ -53,7 +54,7 @@ def at_cuts(domain: Domain, V: fem.FunctionSpace, layers: Mapping[str, SeamLayer
         layers: name of a seam -> its layer.
 
     Raises:
-        ModelError: a node of a cut that is above none of the faces. Collective.
+        InputError: a node of a cut that is above none of the faces. Collective.
     """
     if CUT not in domain.joint.facets:
         return None
@@ -77,7 +78,7 @@ def at_cuts(domain: Domain, V: fem.FunctionSpace, layers: Mapping[str, SeamLayer
         distance, at = cKDTree(everywhere[:, :d]).query(before[rows])
         with on_all(domain.comm):
             if (distance > SAME_PLACE * size).any():
-                raise ModelError(f"a node at a cut has no face above or below it, {place(x[rows][distance.argmax()])}")
+                raise InputError(f"a node at a cut has no face above or below it, {place(x[rows][distance.argmax()])}")
         ends.append(everywhere[at, d:])
     apart, nodes = ends[1][:, :d] - ends[0][:, :d], [end[:, d].astype(np.int64) for end in ends]
     across = np.linalg.norm(apart, axis=1)
@@ -194,7 +195,7 @@ def _facets(structure: Structure, where: Where) -> BoolArray:
     """(n_S,) the facets that get cells.
 
     Raises:
-        ModelError: `where` gives no truth values, or chooses none of the facets.
+        InputError: `where` gives no truth values, or chooses none of the facets.
     """
     joint = structure.joint
     centres = joint.points[joint.table.vertices[joint.surface_rows]].mean(axis=1)
@@ -202,26 +203,26 @@ def _facets(structure: Structure, where: Where) -> BoolArray:
     try:
         found = np.asarray(where(centres.T) if callable(where) else where)
     except Exception as error:
-        raise ModelError(f"where is no numpy function of places x (d, n): {error}") from error
+        raise InputError(f"where is no numpy function of places x (d, n): {error}") from error
     if found.dtype != bool or found.shape != (n,):
-        raise ModelError(
+        raise InputError(
             f"where gives shape {found.shape} and type {found.dtype}; it must say for each of the {n} facets of S whether "
             "the layer is meshed there, as lambda x: abs(x[0] - 20) > 16 does, or an array of truth values"
         )
     if not found.any():
-        raise ModelError("where holds on no facet of S: no part of the layer is meshed; use structure.interface")
+        raise InputError("where holds on no facet of S: no part of the layer is meshed; use structure.interface")
     return found
 
 
 def _require(structure: Structure, layer: Layers, meshed: BoolArray, bodies: str) -> None:
-    """Raise ModelError for what a mixed model cannot have, with the reason."""
+    """Raise InputError for what a mixed model cannot have, with the reason."""
     joint = structure.joint
     if joint.base_seams and len(joint.seams) > 1:
-        raise ModelError("a mixed model on a rigid base needs one seam")
+        raise InputError("a mixed model on a rigid base needs one seam")
     if joint.periods or structure.strain is not None or structure.stress is not None:
-        raise ModelError("a mixed model is not for periodic cells")
+        raise InputError("a mixed model is not for periodic cells")
     if structure.element[0] == "S":
-        raise ModelError("a mixed model needs nodal displacements, not elements S2")
+        raise InputError("a mixed model needs nodal displacements, not elements S2")
     for name, one in layers_of(on_seams(joint, layer)).items():
         known = Reduction(SeamLayer(name, one, structure), bodies, meshed)
         known.require("mixed", "a mixed model: ")
@@ -231,12 +232,12 @@ def _require(structure: Structure, layer: Layers, meshed: BoolArray, bodies: str
     for name in structure.tractions or {}:
         outer = joint.facets.get(name.removesuffix(f"/{LAYER}")) if name.endswith(f"/{LAYER}") else None
         if outer is not None and by_law.on(outer).any():
-            raise ModelError(
+            raise InputError(
                 f"the traction on {name!r} acts on the side of the layer; mesh all of the layer there, as its law does not "
                 "know the load"
             )
     if isinstance(structure.body_force, Mapping) and {S, *joint.seams} & set(structure.body_force):
-        raise ModelError("a mixed model has no weight of the layer itself; give the bodies theirs")
+        raise InputError("a mixed model has no weight of the layer itself; give the bodies theirs")
 
 
 def _on_all_of_s(structure: Structure, layer: Layers) -> Layers:

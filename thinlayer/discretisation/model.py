@@ -15,6 +15,7 @@ import ufl
 from dolfinx import fem
 
 from forms import work as forms
+from forms.base import InputError
 from forms.contact import ContactLaw
 from forms.kinematics import Expr
 from forms.law import BulkLaw
@@ -46,7 +47,7 @@ from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms
 from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.rigid import free_translations, on_centre, require_support, resisted, rigid_motions
 from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Supports
-from thinlayer.errors import ModelError, warn
+from thinlayer.errors import warn
 from thinlayer.pointwise.quadrature import Quadrature, quadrature_degree
 from thinlayer.system.identity import described, digest
 from thinlayer.system.ranks import on_all, require_same
@@ -157,7 +158,7 @@ class Model(ABC):
         self.made_from = self._data()
 
     def require_supported(self) -> None:
-        """Raise ModelError if the bodies can move as one."""
+        """Raise InputError if the bodies can move as one."""
         if not (self.broken and any(name in self.layers for name in self.joint.base_seams)):
             resistances = [partial(part.resistance, self) for part in self.parts if not part.ties_nodes]
             motions = rigid_motions(self.V, self.joint, self.kinematics)
@@ -239,7 +240,7 @@ class Model(ABC):
     def _mean_loads(self) -> tuple[MeanStrain | None, MeanStress | None]:
         strain, stress = self.structure.strain, self.structure.stress
         if strain is not None and stress is not None:
-            raise ModelError("give a mean strain or a mean stress, not both")
+            raise InputError("give a mean strain or a mean stress, not both")
         if not (strain is None and stress is None):
             self.require("mean strain")
         return (
@@ -248,7 +249,7 @@ class Model(ABC):
         )
 
     def require(self, question: str, what: str = "") -> None:
-        """Raise ModelError, after some words, if a layer does not meet a condition of a question (`Reduction.why_not`)."""
+        """Raise InputError, after some words, if a layer does not meet a condition of a question (`Reduction.why_not`)."""
         for reduction in self.reductions.values():
             reduction.require(question, what)
 
@@ -283,7 +284,7 @@ class Model(ABC):
                 and gaps of the same thickness, profile and fractions, which are those of the mesh.
 
         Raises:
-            ModelError, LawError: as there; another shape of a meshed layer.
+            InputError: as there; another shape of a meshed layer.
         """
         new = self._derived()
         new._lay(layer, partial(new._check_beside, self))
@@ -295,7 +296,7 @@ class Model(ABC):
             if new.strain or new.stress:
                 new.require("mean strain")
             if new.stress and not new.broken:
-                raise ModelError(
+                raise InputError(
                     "with_layer: under a mean stress a meshed layer is a part of the cell; build a new model"
                 )
         if new.constraints.ties:  # the thickness is an arm of plates
@@ -308,7 +309,7 @@ class Model(ABC):
         """Raise an error unless the layers suit the mesh of another model."""
 
     def _require_shapes(self, other: Self) -> None:
-        """Raise ModelError unless layers and gaps need the room that bodies have made for those of another model."""
+        """Raise InputError unless layers and gaps need the room that bodies have made for those of another model."""
         count = 2 if self.broken else 3  # sublayers have cells in meshed layers alone
         needed, made = (
             {name: ("a gap", gap.eps) for name, gap in model.gaps.items()}
@@ -316,7 +317,7 @@ class Model(ABC):
             for model in (self, other)
         )
         for name in (name for name in needed if needed[name] != made.get(name)):
-            raise ModelError(
+            raise InputError(
                 f"bodies have made room for a layer {name!r} of (thickness, profile, fractions) {made.get(name)}, not "
                 f"{needed[name]}; make a model of its own"
             )
@@ -336,7 +337,7 @@ class Model(ABC):
             supports: other values at the same places and components; None: those of this model stay.
 
         Raises:
-            ModelError, GeometryError: as in `Structure`; supports of other places or components.
+            InputError: as in `Structure`; supports of other places or components.
         """
         changed: dict[str, Any] = {"tractions": tractions, "body_force": body_force, "supports": supports}
         with on_all(self.comm):
@@ -352,7 +353,7 @@ class Model(ABC):
                 both = self.supports, new.supports
                 own, other = ([(place, sorted(given)) for place, given in one.entries] for one in both)
                 if own != other:
-                    raise ModelError(f"supports hold {other}, those of the model {own}; build another structure")
+                    raise InputError(f"supports hold {other}, those of the model {own}; build another structure")
             new.forces = new._forces(structure)
         if supports is not None:
             new.constraints = new._constrained()
@@ -506,7 +507,7 @@ class Model(ABC):
         """Compile a form, in which plain dx, ds and dS may stand beside the model's measures, and tags overlap.
 
         Raises:
-            ModelError: measures of one kind with two sets of tags.
+            InputError: measures of one kind with two sets of tags.
         """
         return compiled(form)
 

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
+from forms.base import InputError
 from forms.kinematics import Expr
 from geometry.domain import Domain
 from geometry.joint import Joint
@@ -22,7 +23,6 @@ from geometry.topology import sums
 from thinlayer.discretisation.boundary import refuse_periodic
 from thinlayer.discretisation.given import Coordinates, Load
 from thinlayer.discretisation.mesh_functions import cellwise
-from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -78,7 +78,7 @@ class PointLoad:
         return f"point load at {tuple(self.place)!r}"
 
     def nodes(self, joint: Joint) -> Nodes:
-        """Where it acts. Raises GeometryError or ModelError: no such place, or several nodes are there."""
+        """Where it acts. Raises InputError or InputError: no such place, or several nodes are there."""
         vertex = joint.nearest_point(self.place)
         same = joint.masters == joint.masters[vertex] if joint.periods else np.arange(len(joint.points)) == vertex
         cells, corners = np.nonzero(same[joint.corners])
@@ -108,16 +108,16 @@ class LineLoad:
         return f"line load between {self.first!r} and {self.second!r}"
 
     def nodes(self, joint: Joint) -> Nodes:
-        """Where it acts. Raises GeometryError or ModelError: no such place, or several nodes are there."""
+        """Where it acts. Raises InputError or InputError: no such place, or several nodes are there."""
         if joint.dim != 3:
-            raise ModelError(f"{self.what}: lines are edges of solids; in two dimensions give a PointLoad")
+            raise InputError(f"{self.what}: lines are edges of solids; in two dimensions give a PointLoad")
         names = joint.facets
         for name in (self.first, self.second):
             if name not in names:
-                raise ModelError(f"{self.what}: {unknown('facet set', name, names)}")
+                raise InputError(f"{self.what}: {unknown('facet set', name, names)}")
             refuse_periodic(joint, name, f"line load on {name!r}")
         if len(np.intersect1d(joint.table.index(names[self.first]), joint.table.index(names[self.second]))):
-            raise ModelError(f"{self.what}: both have the same facets; a line lies between two sides")
+            raise InputError(f"{self.what}: both have the same facets; a line lies between two sides")
         kind, numbers = basix.CellType[joint.cell_type], joint.splitting.entities(1)
         _, edges, facets, _ = basix.topology(kind)
         inside = np.array([[k for k, edge in enumerate(edges) if {*edge} <= {*facet}] for facet in facets])
@@ -128,7 +128,7 @@ class LineLoad:
             of_names.append(numbers[cells, inside[local]])
         shared = np.intersect1d(*of_names)
         if not len(shared):
-            raise ModelError(f"{self.what}: they have no edge in common")
+            raise InputError(f"{self.what}: they have no edge in common")
         components, chosen = joint.splitting.components(1), []
         every, columns = np.nonzero(np.isin(numbers, shared))
         for number in shared:
@@ -148,22 +148,22 @@ def along_edges(kind: basix.CellType, cells: IntArray, ends: IntArray, count: in
 
 
 def _in_one_body(joint: Joint, cells: IntArray, components: IntArray, body: str | None, what: str) -> int:
-    """The first of the cells around a place that are of one body; raises ModelError if the place has several nodes."""
+    """The first of the cells around a place that are of one body; raises InputError if the place has several nodes."""
     regions = joint.region[cells]
     if body is not None:
         if body not in joint.bodies:
-            raise ModelError(f"{what}: {unknown('body', body, joint.bodies)}")
+            raise InputError(f"{what}: {unknown('body', body, joint.bodies)}")
         kept = np.flatnonzero(regions == joint.regions.index(body))
         if not len(kept):
             around = ", ".join(sorted({joint.regions[r] for r in regions}))
-            raise ModelError(f"{what}: body {body!r} does not reach this place; around it: {around}")
+            raise InputError(f"{what}: body {body!r} does not reach this place; around it: {around}")
     else:
         kept = np.arange(len(cells))
     if len(np.unique(components[kept])) > 1:
         names = sorted({joint.regions[r] for r in regions[kept]})
         hint = f"give body=..., one of {', '.join(map(repr, names))}" if len(names) > 1 else "move it off S"
         where = at_place(joint.points[joint.corners[cells[kept[0]]]].mean(axis=0))
-        raise ModelError(f"{what} acts where S parts bodies, near {where}, and each of them has a node there; {hint}")
+        raise InputError(f"{what} acts where S parts bodies, near {where}, and each of them has a node there; {hint}")
     return int(kept[cells[kept].argmin()])
 
 
@@ -171,12 +171,12 @@ Concentrated = PointLoad | LineLoad
 
 
 def check_loads(loads: Any) -> tuple[Concentrated, ...]:
-    """Loads as a tuple; raises ModelError if one of them is none."""
+    """Loads as a tuple; raises InputError if one of them is none."""
     if isinstance(loads, Concentrated):
-        raise ModelError(f"loads is {loads!r}; it must be a list of loads")
+        raise InputError(f"loads is {loads!r}; it must be a list of loads")
     for one in loads:
         if not isinstance(one, Concentrated):
-            raise ModelError(f"one of loads is {one!r}; allowed: PointLoad, LineLoad")
+            raise InputError(f"one of loads is {one!r}; allowed: PointLoad, LineLoad")
     return tuple(loads)
 
 

@@ -9,13 +9,14 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from forms.base import InputError
 from forms.elastic import LARGEST_NU, ROUNDING
 from forms.ends.weights import Strips
-from forms.law import BulkLaw, LawError
+from forms.law import BulkLaw
 from forms.rubber import for_next_order
 from forms.tangent import average_lame, is_isotropic, known_at_rest
 from geometry.ends import straight_ends
-from geometry.refusals import GeometryError, place
+from geometry.refusals import place
 from geometry.sheet import Rim
 from geometry.topology import FloatArray, is_tensor
 from thinlayer.discretisation.boundary import is_across
@@ -45,12 +46,12 @@ class Reduction:
         """The first condition of a question (`QUESTIONS`) that does not hold; None: all do. The same on all ranks.
 
         Raises:
-            LawError, GeometryError: parameters out of range, or a bad profile.
+            InputError: parameters out of range, or a bad profile.
         """
         return next((refused for ask in QUESTIONS[question] for refused in ask(self)), None)
 
     def require(self, question: str, what: str = "") -> None:
-        """Raise ModelError with its key, after some words, for the first condition that does not hold; as `why_not`."""
+        """Raise InputError with its key, after some words, for the first condition that does not hold; as `why_not`."""
         if refused := self.why_not(question):
             raise refused.error(what)
 
@@ -318,7 +319,7 @@ def _ends(r: Reduction) -> Iterator[Refused]:
         yield Refused("coarse", reason, "make them shorter (h_ends=...)")
     try:
         straight_ends(r.free, sheet)
-    except GeometryError as error:
+    except InputError as error:
         yield Refused("curved end", str(error))
 
 
@@ -360,7 +361,7 @@ def _inside(r: Reduction) -> Iterator[Refused]:
         yield Refused("apart", "bodies are apart and do not meet on S", "use bodies='kept'")
     try:
         r.law.inside()
-    except LawError as error:
+    except InputError as error:
         yield Refused("no fields", str(error))
 
 

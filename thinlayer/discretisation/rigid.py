@@ -14,6 +14,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
+from forms.base import InputError
 from forms.kinematics import Expr
 from forms.planes import LIFTED, Kinematics
 from forms.temperature import finite
@@ -26,7 +27,6 @@ from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.constraints import Constraints
 from thinlayer.discretisation.measures import per_unit
 from thinlayer.discretisation.supports import Place
-from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
 Resistance = Callable[[Sequence[fem.Function]], Array]
@@ -137,11 +137,11 @@ def free_translations(motions: Mapping[str, fem.Function], resistance: Array) ->
 
 
 def require_support(motions: Mapping[str, fem.Function], resistance: Array) -> None:
-    """Raise ModelError if nothing resists one of the `rigid_motions`; resistance (m, m) as of `resisted`."""
+    """Raise InputError if nothing resists one of the `rigid_motions`; resistance (m, m) as of `resisted`."""
     values, vectors = np.linalg.eigh(resistance)
     if values[0] <= SMALLEST * max(values[-1], 1.0):
         free = list(motions)[int(np.argmax(np.abs(vectors[:, 0])))]
-        raise ModelError(f"no support against rigid motion of the structure ({free}); add supports")
+        raise InputError(f"no support against rigid motion of the structure ({free}); add supports")
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,9 +185,9 @@ class Resultant:
 
 
 def require_point(about: Sequence[float] | Array, dim: int) -> Array:
-    """A point (d,) as an array; raises ModelError if it is none."""
+    """A point (d,) as an array; raises InputError if it is none."""
     if (point := finite(about, (dim,))) is None:
-        raise ModelError(f"about is {about!r}; it must be a point of {dim} finite coordinates")
+        raise InputError(f"about is {about!r}; it must be a point of {dim} finite coordinates")
     return point
 
 
@@ -229,7 +229,7 @@ def all_reactions(state: Any, about: Sequence[float] | None = None) -> dict[Plac
     """See `State.reactions_by_place`."""
     model = state.model
     if state.reactions is None:
-        raise ModelError("this state has no reactions: it is no equilibrium that was solved for")
+        raise InputError("this state has no reactions: it is no equilibrium that was solved for")
     of_parts = [row for part in model.parts for row in part.reaction(model, state.u)]
     rows = [
         (place, _resultant(model, values))
@@ -251,7 +251,7 @@ def reaction_of(state: Any, place: Place, about: Sequence[float] | None) -> Resu
         chosen = [name for name in every if name in bases]
     if not chosen:
         held = ", ".join(map(repr, every)) or "nothing"
-        raise ModelError(f"nothing holds {place!r}: it is free of supports and springs; held are: {held}")
+        raise InputError(f"nothing holds {place!r}: it is free of supports and springs; held are: {held}")
     total = reduce(add, (every[name] for name in chosen))
     return total.at(on_centre(model.kinematics, _middle(model, place, chosen)) if about is None else about)
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from forms.base import InputError
 from forms.kinematics import MANDEL, Expr, from_mandel, lift
 from forms.work import Term, added, energy, stress
 from thinlayer.discretisation.clock import Hand
@@ -21,7 +22,6 @@ from thinlayer.discretisation.measures import compiled_scalars, per_unit, whole
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import Resultant, all_reactions, applied_to, reaction_of
 from thinlayer.discretisation.supports import Place
-from thinlayer.errors import ModelError
 from thinlayer.system.ranks import carry
 
 
@@ -131,11 +131,11 @@ class State(Configuration):
         """Pressure in an incompressible layer, on the cells of the meshed layers or on S; None if there is none.
 
         In a joint with several seams its name is "pressure NAME", by the seam's. If several of them have one, take
-        `fields["pressure NAME"]`; asking for `p` is a ModelError.
+        `fields["pressure NAME"]`; asking for `p` is a InputError.
         """
         found = [key for key in self.fields if key.split(" ")[0] == PRESSURE]
         if len(found) > 1:
-            raise ModelError(f"the layers have several pressures; take state.fields[...] of {', '.join(found)}")
+            raise InputError(f"the layers have several pressures; take state.fields[...] of {', '.join(found)}")
         return self.fields[found[0]] if found else None
 
     def __repr__(self) -> str:
@@ -149,7 +149,7 @@ class State(Configuration):
         """Value of a UFL form without arguments, in axisymmetry with the factor 2 pi r of the whole revolution. Collective.
 
         Raises:
-            ModelError: it is no form; a number in it is not finite; a tag that the mesh has nowhere; measures of one kind
+            InputError: it is no form; a number in it is not finite; a tag that the mesh has nowhere; measures of one kind
                 with two sets of tags.
         """
         return self._sum(whole(form, self.model))
@@ -201,7 +201,7 @@ class State(Configuration):
                 place.
 
         Raises:
-            ModelError: nothing holds this place: it is free.
+            InputError: nothing holds this place: it is free.
         """
         return reaction_of(self, place, about)
 
@@ -267,7 +267,7 @@ class State(Configuration):
                 yield p, stress(p, self.u), p.measure
                 continue
             if p.measure.integral_type() != "cell":
-                raise ModelError(f"the stress of {type(p.law).__name__} on S is no field; see Surface.traction")
+                raise InputError(f"the stress of {type(p.law).__name__} on S is no field; see Surface.traction")
             rules = self.model.quadratures.items()
             key, points = next((key, one) for key, one in rules if one.term.measure is p.measure)
             values = self.stresses.get(key, np.zeros((points.count, len(MANDEL))))

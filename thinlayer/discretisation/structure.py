@@ -9,6 +9,7 @@ from typing import Any, Self
 
 from mpi4py import MPI
 
+from forms.base import InputError
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw, Law, explained
 from forms.planes import PLANES, Kinematics
@@ -29,7 +30,6 @@ from thinlayer.discretisation.layer import Bond, Layers
 from thinlayer.discretisation.mixed_model import MixedModel, Where
 from thinlayer.discretisation.point_loads import Concentrated, check_loads
 from thinlayer.discretisation.supports import ByPlace
-from thinlayer.errors import ModelError
 from thinlayer.system.identity import digest
 from thinlayer.system.ranks import on_all, require_same
 
@@ -83,7 +83,7 @@ class Structure:
         mark: hash of the data, equal on all ranks.
 
     Raises:
-        ModelError, GeometryError, LawError: says what cannot be built, where, and what is allowed. Names of facets and
+        InputError: says what cannot be built, where, and what is allowed. Names of facets and
             loads are checked when a model is made.
     """
 
@@ -105,15 +105,15 @@ class Structure:
         comm: MPI.Intracomm | None = None,
     ) -> None:
         if not (comm is None or isinstance(comm, MPI.Intracomm)):
-            raise ModelError(f"comm is {comm!r}; it must be an MPI communicator, or None")
+            raise InputError(f"comm is {comm!r}; it must be an MPI communicator, or None")
         self.joint, self.plane, self.comm = joint, plane, comm
         self.supports, self.tractions, self.body_force = supports, tractions, body_force
         self.strain, self.stress = strain, stress
         with on_all(comm):
             if not isinstance(joint, Joint):
-                raise ModelError(f"joint is {joint!r:.80}; it must be a Joint, such as geometry.sandwich gives")
+                raise InputError(f"joint is {joint!r:.80}; it must be a Joint, such as geometry.sandwich gives")
             if not isinstance(parts, Sequence):
-                raise ModelError(f"parts is {parts!r:.80}; it must be a list of parts")
+                raise InputError(f"parts is {parts!r:.80}; it must be a list of parts")
             self.parts = tuple(parts)
             self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
             self.loads = check_loads(loads)
@@ -146,7 +146,7 @@ class Structure:
                 model would not converge to the interface model.
 
         Raises:
-            ModelError, GeometryError, LawError: says what cannot be built, where, and what is allowed.
+            InputError: says what cannot be built, where, and what is allowed.
         """
         return FullModel(self, layer, bodies=bodies, cells_through=cells_through, junctions=junctions)
 
@@ -161,7 +161,7 @@ class Structure:
                 that varies, needs this. All layers then have a thickness, and seams do not meet.
 
         Raises:
-            ModelError, GeometryError, LawError: says what cannot be built, where, and what is allowed.
+            InputError: says what cannot be built, where, and what is allowed.
         """
         return InterfaceModel(self, layer, bodies=bodies)
 
@@ -177,7 +177,7 @@ class Structure:
             bodies, cells_through: as in `full`.
 
         Raises:
-            ModelError, GeometryError, LawError: says what cannot be built, where, and what is allowed.
+            InputError: says what cannot be built, where, and what is allowed.
         """
         return MixedModel(self, layer, where, bodies=bodies, cells_through=cells_through)
 
@@ -185,7 +185,7 @@ class Structure:
         """The model without layers: bodies are bonded on all of S (on a rigid base S does not move). Collective.
 
         Raises:
-            ModelError, GeometryError, LawError: says what cannot be built, where, and what is allowed.
+            InputError: says what cannot be built, where, and what is allowed.
         """
         return self.interface(Bond())
 
@@ -232,17 +232,17 @@ class Structure:
     def _check_choices(self) -> None:
         joint, elements = self.joint, ELEMENTS[is_tensor(self.joint.cell_type)]
         if self.plane not in PLANES:
-            raise ModelError(unknown("plane", self.plane, PLANES))
+            raise InputError(unknown("plane", self.plane, PLANES))
         if joint.dim == 3 and self.plane != "strain":
-            raise ModelError(f"plane={self.plane!r} needs a two-dimensional joint")
+            raise InputError(f"plane={self.plane!r} needs a two-dimensional joint")
         require_revolution(self.kinematics, joint)
         if not (self.kinematics.turns or (self.strain is None and self.stress is None)):
-            raise ModelError(
+            raise InputError(
                 f"plane={self.plane!r}: a mean strain or stress is for periodic cells in plane strain, plane stress or 3D"
             )
         if self.element not in elements:
             cells = f"{joint.cell_type} cells; allowed: {', '.join(elements)}"
-            raise ModelError(f"element {self.element!r} does not exist on {cells}")
+            raise InputError(f"element {self.element!r} does not exist on {cells}")
 
     def _laws_of(self, body: BulkLaw | Mapping[str, BulkLaw]) -> dict[str, BulkLaw]:
         """The law of each body, in the same order on all ranks."""
@@ -250,13 +250,13 @@ class Structure:
         for name in self.joint.bodies:
             law = laws.get(name)
             if not isinstance(law, Law):
-                raise ModelError(f"body {name!r} has no law; give body=law or body={{{name!r}: law, ...}}")
+                raise InputError(f"body {name!r} has no law; give body=law or body={{{name!r}: law, ...}}")
             require_body_law(name, law)
         return laws
 
 
 def require_body_law(name: str, law: Law) -> None:
-    """Raise ModelError if a law is for layers alone, with the reason."""
+    """Raise InputError if a law is for layers alone, with the reason."""
     traits, kind = law.traits, type(law).__name__
     reason = ""
     if not isinstance(law, BulkLaw):
@@ -272,9 +272,9 @@ def require_body_law(name: str, law: Law) -> None:
         if isinstance(law, KernelLaw):
             reason += ", or its class does not say isotropic = True"
     if reason:
-        raise ModelError(f"body {name!r}: {kind} is for layers: {reason}")
+        raise InputError(f"body {name!r}: {kind} is for layers: {reason}")
     if traits.softens:
-        raise ModelError(
+        raise InputError(
             f"body {name!r}: the stress of {kind} falls as strains grow: all strain would gather in one row of cells; "
             "let a layer soften, on S"
         )

@@ -14,13 +14,12 @@ from dolfinx import fem, la
 from dolfinx.mesh import entities_to_geometry
 from petsc4py import PETSc
 
-from forms.base import is_number
+from forms.base import InputError, is_number
 from forms.planes import LIFTED, Kinematics
 from geometry.domain import Domain
 from geometry.refusals import unknown
 from thinlayer.discretisation.boundary import AXES, node_normals, on_axis, on_boundary, smooth
 from thinlayer.discretisation.given import Coordinates, Value
-from thinlayer.errors import ModelError
 from thinlayer.system.compat import interpolation_points
 
 BALANCE = 1e-10  # sum of the loads along an axis, over the sum of their sizes, that still counts as rounding
@@ -57,7 +56,7 @@ class Supports:
         on_axis: (n,) which points of the joint lie on an axis of revolution.
 
     Raises:
-        GeometryError: unknown facet name, no vertex at a point. ModelError: unknown component, a value that is no number.
+        InputError: unknown facet name, no vertex at a point; unknown component, a value that is no number.
     """
 
     def __init__(
@@ -69,7 +68,7 @@ class Supports:
         kinematics: Kinematics = LIFTED,
     ) -> None:
         if not isinstance(given, Mapping):
-            raise ModelError(f"supports is {given!r}; it must be {{place: {{component: value}}}}")
+            raise InputError(f"supports is {given!r}; it must be {{place: {{component: value}}}}")
         self.domain, self.at, self.clamped = domain, at, tuple(clamped)
         self.axes = AXES[: domain.joint.dim]
         entries: list[tuple[Place, Components]] = []
@@ -99,24 +98,24 @@ class Supports:
     def _require_point(self, place: Any) -> None:
         d = len(self.axes)
         if not isinstance(place, tuple) or len(place) != d or not all(is_number(c) for c in place):
-            raise ModelError(
+            raise InputError(
                 f"support on {place!r}; a place is the name of a facet set, or {d} coordinates of a vertex"
             )
 
     def _components(self, place: Place, support: Support) -> Components:
         if callable(support) or support is None:
-            raise ModelError(
+            raise InputError(
                 f"support on {place!r} is {support!r}; allowed: a number, {{component: number or function}}"
             )
         given = support if isinstance(support, Mapping) else dict.fromkeys(self.axes, support)
         components: Components = dict(given)
         for axis, value in components.items():
             if axis == NORMAL and isinstance(place, tuple):
-                raise ModelError(f"support on {place!r}: a vertex has no normal; name a facet set, or give components")
+                raise InputError(f"support on {place!r}: a vertex has no normal; name a facet set, or give components")
             if axis not in (*self.axes, NORMAL):
-                raise ModelError(f"support on {place!r}: {unknown('component', axis, (*self.axes, NORMAL))}")
+                raise InputError(f"support on {place!r}: {unknown('component', axis, (*self.axes, NORMAL))}")
             if isinstance(value, (bool, np.bool_)):
-                raise ModelError(f"support on {place!r}: component {axis} is {value!r}; give 0 where it is held")
+                raise InputError(f"support on {place!r}: component {axis} is {value!r}; give 0 where it is held")
         return components
 
     def dofs(self, V: fem.FunctionSpace, place: Place, axis: str) -> npt.NDArray[np.int32]:
@@ -168,14 +167,14 @@ class Supports:
         return np.flatnonzero(mark.x.array).astype(np.int32)
 
     def require_balance(self, b: PETSc.Vec, t: float) -> None:
-        """Raise ModelError if nodal forces move a periodic joint that only an anchored vertex holds. Collective."""
+        """Raise InputError if nodal forces move a periodic joint that only an anchored vertex holds. Collective."""
         size = float(b.norm(PETSc.NormType.NORM_1)) if self.anchored else 0.0
         if not size:
             return
         total = self.domain.comm.allreduce(b.array_r.reshape(-1, len(self.axes)).sum(axis=0))
         for axis in self.anchored:
             if abs(force := float(total[self.axes.index(axis)])) > BALANCE * size:
-                raise ModelError(
+                raise InputError(
                     f"the loads of the periodic joint add up to {force:g} along {axis} at t = {t:g}, and nothing balances "
                     "them; add supports, or loads whose sum is zero"
                 )
@@ -247,7 +246,7 @@ class Prescribed:
             for axis in components
         ]
         if any(one.axis == NORMAL for one in self._sources) and not self._nodal:
-            raise ModelError("supports along normals need nodal displacements, not elements S2; use Q2 or P2")
+            raise InputError("supports along normals need nodal displacements, not elements S2; use Q2 or P2")
         self._find_conditions()
 
     # ---------------------------------------------------------------- conditions

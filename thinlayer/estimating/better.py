@@ -16,7 +16,7 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import SeamLayer, ThinLayer
 from thinlayer.discretisation.reduction import LEAST_CONTRAST, Reduction, softest_body
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError, Refused
+from thinlayer.errors import Refused
 from thinlayer.estimating.on_surface import NEAR_ENDS
 from thinlayer.output.surface import ELASTIC, Surface
 from thinlayer.system.ranks import on_all
@@ -62,13 +62,13 @@ def better_model(model: InterfaceModel, seam: str) -> tuple[InterfaceModel, dict
     """The model with better laws of a seam's layer, or of all ("S"), and name of a seam -> what its law is. Collective.
 
     Raises:
-        ModelError: there are none.
+        InputError: there are none.
     """
     if not model.layers:
-        raise ModelError("estimate: there is no layer whose mesh could be dropped")
+        raise InputError("estimate: there is no layer whose mesh could be dropped")
     with on_all(model.comm):
         if seam not in (S, *model.layers):
-            raise ModelError(f"estimate: {unknown('layer', seam, model.layers)}")
+            raise InputError(f"estimate: {unknown('layer', seam, model.layers)}")
         chosen = {name: reduction for name, reduction in model.reductions.items() if seam in (S, name)}
         for reduction in chosen.values():
             reduction.require("estimate", "estimate: ")
@@ -76,7 +76,7 @@ def better_model(model: InterfaceModel, seam: str) -> tuple[InterfaceModel, dict
         layers = {name: reduction.better() for name, reduction in chosen.items()}
         better = model.with_layer(model.on_seams | layers)
     except InputError as error:
-        raise ModelError(f"estimate: the better law, of order 1, is not known here: {error}") from error
+        raise InputError(f"estimate: the better law, of order 1, is not known here: {error}") from error
     found = {}
     for name in layers:
         reduction = better.reductions[name]

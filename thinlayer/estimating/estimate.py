@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from forms.base import InputError
 from geometry.seam import LAYER, S
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Layers
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
 from thinlayer.estimating.better import BetterLaw, better_model, why_unknown
 from thinlayer.estimating.global_local import NARROW, Bounds, GlobalLocal
 from thinlayer.estimating.goal import Goal
@@ -56,13 +56,13 @@ def estimate(
         options: PETSc options, as in `solve`.
 
     Raises:
-        ModelError: a state or law of which nothing can be estimated, with the reason.
+        InputError: a state or law of which nothing can be estimated, with the reason.
         SolveError: as in `solve`.
     """
     start = time.perf_counter()
     given = state.last if isinstance(state, History) else state
     if not isinstance(given, State):
-        raise ModelError(f"estimate takes a state or a history, as solve and march return them, not {given!r:.80}")
+        raise InputError(f"estimate takes a state or a history, as solve and march return them, not {given!r:.80}")
     with on_all(given.model.comm):
         checked = _checked_goals(goals)
         if isinstance(state, State) and not state.sudden:
@@ -102,10 +102,10 @@ def estimate(
 
 
 def _require_no_memory(state: State) -> None:
-    """Raise ModelError if a state that steps in time led to cannot be found again by one solve."""
+    """Raise InputError if a state that steps in time led to cannot be found again by one solve."""
     for law in (term.law for term in state.model.terms):
         if law.traits.remembers or law.traits.rate:
-            raise ModelError(
+            raise InputError(
                 f"estimate: {type(law).__name__} remembers, and steps in time have led to this state; give the history, "
                 "which is marched again"
             )
@@ -127,10 +127,10 @@ def _checked_goals(goals: Any) -> dict[str, Goal]:
     given = list(goals) if isinstance(goals, Sequence) else [goals]
     for goal in given:
         if not isinstance(goal, Goal):
-            raise ModelError(f"estimate: {goal!r:.80} is no goal; give those of thinlayer.goals")
+            raise InputError(f"estimate: {goal!r:.80} is no goal; give those of thinlayer.goals")
     names = [goal.name for goal in given]
     if twice := [name for name in names if names.count(name) > 1]:
-        raise ModelError(f"estimate: two goals have the name {twice[0]!r}")
+        raise InputError(f"estimate: two goals have the name {twice[0]!r}")
     return dict(zip(names, given, strict=True))
 
 
@@ -190,23 +190,23 @@ def _with_layers(state: State, layer: Layers | None, seam: str) -> InterfaceMode
     """The interface model with the layers whose mesh is dropped. Collective."""
     model = state.model
     if not isinstance(model, InterfaceModel):
-        raise ModelError(f"estimate: a {model.name} model has nothing dropped; give a state of an interface model")
+        raise InputError(f"estimate: a {model.name} model has nothing dropped; give a state of an interface model")
     if not model.bonds:
         if layer is not None:
-            raise ModelError("estimate: layer= is for seams with a Bond, of which this model has none")
+            raise InputError("estimate: layer= is for seams with a Bond, of which this model has none")
         return model
     if layer is None:
-        raise ModelError(f"estimate: bodies are bonded at {', '.join(model.bonds)}; give layer=, what was left out")
+        raise InputError(f"estimate: bodies are bonded at {', '.join(model.bonds)}; give layer=, what was left out")
     left_out = layer if isinstance(layer, Mapping) else dict.fromkeys(model.bonds, layer)
     if set(left_out) != set(model.bonds):
-        raise ModelError(f"estimate: layer= has the seams {', '.join(left_out)}; bonded are {', '.join(model.bonds)}")
+        raise InputError(f"estimate: layer= has the seams {', '.join(left_out)}; bonded are {', '.join(model.bonds)}")
     return InterfaceModel(model.structure, {**model.on_seams, **left_out})
 
 
 def _one_before(history: History) -> State | None:
     """The state from which the last step of a history was made; None: rest."""
     if history.theta != 1:
-        raise ModelError(f"estimate: the history was marched with theta = {history.theta:g}; it must be 1")
+        raise InputError(f"estimate: the history was marched with theta = {history.theta:g}; it must be 1")
     if len(history) > 1 and len(history) - 2 not in history.states:
-        raise ModelError("estimate: the history lacks the state before its last step; march with keep='all'")
+        raise InputError("estimate: the history lacks the state before its last step; march with keep='all'")
     return history.states[len(history) - 2] if len(history) > 1 else None

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
+from forms.base import InputError
 from forms.temperature import finite
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
 from thinlayer.estimating.layer_alone import LayerAlone
 from thinlayer.solving.adjoint import Adjoint
 
@@ -30,7 +30,7 @@ class Goal(ABC):
     name: str
 
     def check(self, model: InterfaceModel) -> None:
-        """Raise ModelError unless the goal suits the model. Not collective."""
+        """Raise InputError unless the goal suits the model. Not collective."""
 
     def is_linear(self, model: InterfaceModel) -> bool:
         """Whether Q is linear in the displacements and reactions."""
@@ -53,7 +53,7 @@ class Goal(ABC):
         """Nodal weights q and motions g of supports for which Q = q . u - g . r, see `Adjoint`. Collective.
 
         Raises:
-            ModelError: there are none.
+            InputError: there are none.
         """
 
 
@@ -61,10 +61,10 @@ def unit(direction: Sequence[float], dim: int, goal: str) -> Array:
     """A direction (d,) of unit length.
 
     Raises:
-        ModelError: it is none.
+        InputError: it is none.
     """
     if (found := finite(direction, (dim,))) is None or not found.any():
-        raise ModelError(f"{goal}: the direction is {direction!r}; give {dim} numbers, not all zero")
+        raise InputError(f"{goal}: the direction is {direction!r}; give {dim} numbers, not all zero")
     return np.asarray(found / np.linalg.norm(found))
 
 

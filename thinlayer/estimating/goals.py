@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from ufl.algorithms import expand_derivatives
 
 from forms import work as forms
+from forms.base import InputError
 from forms.kinematics import Expr
 from geometry.refusals import unknown
 from geometry.seam import S
@@ -24,7 +25,6 @@ from thinlayer.discretisation.layer import seam_entities
 from thinlayer.discretisation.measures import compiled, whole
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.discretisation.supports import Place
-from thinlayer.errors import ModelError
 from thinlayer.estimating.goal import Goal, unit, written
 from thinlayer.estimating.layer_alone import LayerAlone
 from thinlayer.output.probe import Probe, cells_at
@@ -49,7 +49,7 @@ class Compliance(Goal):
         if not _moves(model, state.t):
             return state.load_work()
         if math.isnan(state.prescribed_work):
-            raise ModelError("compliance of supports that move: the state was read from a file, and lacks their work")
+            raise InputError("compliance of supports that move: the state was read from a file, and lacks their work")
         return state.load_work() - state.prescribed_work
 
     def scale(self, state: State, model: InterfaceModel) -> float:
@@ -107,7 +107,7 @@ class Reaction(Goal):
         places = [place for place, _ in model.supports.entries]
         entries = [k for k, one in enumerate(places) if one == self.place or str(one).split("/")[0] == self.place]
         if not entries:
-            raise ModelError(f"{self.name}: no support holds it, but a plate, springs or a base; there is no map of it")
+            raise InputError(f"{self.name}: no support holds it, but a plate, springs or a base; there is no map of it")
         return adjoint.nothing(), adjoint.of_reaction(entries, unit(self.direction, model.joint.dim, self.name))
 
     def in_layers(self, layers: LayerAlone) -> tuple[Array, Array]:
@@ -138,11 +138,11 @@ class MeanTraction(Goal):
     def check(self, model: InterfaceModel) -> None:
         unit(self.direction, model.joint.dim, self.name)
         if self.seam not in (S, *model.layers):
-            raise ModelError(f"{self.name}: {unknown('layer', self.seam, model.layers)}")
+            raise InputError(f"{self.name}: {unknown('layer', self.seam, model.layers)}")
 
     def value(self, state: State, model: InterfaceModel) -> float:
         if any(term.law.traits.compiled for term in model.bodies) and state.model is not model:
-            raise ModelError(f"{self.name} of bonded bodies: their laws are not linear")
+            raise InputError(f"{self.name} of bonded bodies: their laws are not linear")
         v, u = self._test(model), displacements_of(state, model)
         given = state.bodies if state.model is model else model.bodies
         works = [state.work(given, v)] if state.model.V is model.V else [forms.work(model.bodies, u, v)]
@@ -156,7 +156,7 @@ class MeanTraction(Goal):
         model = adjoint.model
         linear = all(term.law.traits.linear and not term.law.traits.compiled for term in model.bodies)
         if not linear or not all(part.is_linear(model) for part in model.parts):
-            raise ModelError(f"{self.name}: there is no map of it, as a law of the bodies, or a part, is not linear")
+            raise InputError(f"{self.name}: there is no map of it, as a law of the bodies, or a part, is not linear")
         du, v = ufl.TestFunction(model.V), self._test(model)
         works = forms.work([replace(term, given=None) for term in model.bodies], v, du)
         u = fem.Function(model.V)
@@ -257,13 +257,13 @@ class Functional(Goal):
 
     def _form(self, u: fem.Function, model: InterfaceModel) -> Expr:
         if not callable(self.of):
-            raise ModelError(f"the goal {self.name!r} is {self.of!r:.80}; it must be a function (u, model) -> UFL form")
+            raise InputError(f"the goal {self.name!r} is {self.of!r:.80}; it must be a function (u, model) -> UFL form")
         try:
             form = self.of(u, model)
         except Exception as error:
-            raise ModelError(f"the goal {self.name!r}: its function (u, model) fails: {error}") from error
+            raise InputError(f"the goal {self.name!r}: its function (u, model) fails: {error}") from error
         if not isinstance(form, ufl.Form) or form.arguments():
-            raise ModelError(f"the goal {self.name!r} is {form!r:.80}; it must be a UFL form without test functions")
+            raise InputError(f"the goal {self.name!r} is {form!r:.80}; it must be a UFL form without test functions")
         return whole(form, model, f"the goal {self.name!r}")
 
     def value(self, state: State, model: InterfaceModel) -> float:

@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from forms.base import InputError
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
 from thinlayer.estimating.better import BetterLaw, creeps
 from thinlayer.estimating.global_local import NARROW, GlobalLocal, Iterate
 from thinlayer.estimating.goals import Goal
@@ -179,10 +179,10 @@ class Estimate:
         """The layers by themselves, meshed, as they are between bodies: for `Probe`, pictures, files.
 
         Raises:
-            ModelError: laws that are not linear.
+            InputError: laws that are not linear.
         """
         if self.meshed is None:
-            raise ModelError("estimate: the layers inside are known of linear laws alone")
+            raise InputError("estimate: the layers inside are known of linear laws alone")
         return self.meshed.inside
 
     @property
@@ -220,11 +220,11 @@ class Estimate:
         the change. It is large where a mesh of the layer is needed.
 
         Raises:
-            ModelError: no such goal; one without a dual; loads that act in one of both models alone.
+            InputError: no such goal; one without a dual; loads that act in one of both models alone.
         """
         if goal not in self._goals:
             known = ", ".join(map(repr, self._goals)) or "none"
-            raise ModelError(f"estimate: there is no goal {goal!r}; there are: {known}")
+            raise InputError(f"estimate: there is no goal {goal!r}; there are: {known}")
         if self.meshed:
             of_law = self.meshed.first if self.state.model.bonds else self.state
             with Adjoint(of_law, options=self._options, meshed=True) as adjoint:
@@ -239,11 +239,11 @@ class Estimate:
         return found
 
     def _require_same_loads(self, density: npt.NDArray[np.float64], goal: GoalError) -> None:
-        """Raise ModelError if the identity does not hold, as loads act in one of both models alone."""
+        """Raise InputError if the identity does not hold, as loads act in one of both models alone."""
         total = Surface(self.better.model).integral(density)
         size = max(abs(goal.value), abs(goal.better), goal.scale)
         if abs(total - goal.change) > SAME * size:
-            raise ModelError(
+            raise InputError(
                 "estimate: loads act in one of both models alone, such as tractions on the layer's side or its weight, so "
                 f"that the change {goal.change:.4g} has no density on S (it would add up to {total:.4g})"
             )

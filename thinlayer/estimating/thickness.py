@@ -8,14 +8,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from forms.base import is_number
+from forms.base import InputError, is_number
 from geometry.seam import S
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Bond, Layers, ThinLayer, on_seams
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.discretisation.structure import Structure
-from thinlayer.errors import ModelError, RangeWarning
+from thinlayer.errors import RangeWarning
 from thinlayer.estimating.better import LEAST_HEIGHT
 from thinlayer.estimating.estimate import estimate, is_bounded
 from thinlayer.estimating.goal import Goal
@@ -106,7 +106,7 @@ def thin_enough(
         options: PETSc options, as in `solve`.
 
     Raises:
-        ModelError: arguments out of range; a layer of which nothing can be estimated; no thickness is thin enough.
+        InputError: arguments out of range; a layer of which nothing can be estimated; no thickness is thin enough.
         SolveError: as in `solve`.
     """
     given = _checked(structure, layer, tolerance, goal, seam, bonded, bodies)
@@ -151,27 +151,27 @@ def thin_enough(
 def _checked(
     structure: Structure, layer: Layers, tolerance: float, goal: str | Goal, seam: str, bonded: bool, bodies: str
 ) -> dict[str, Any]:
-    """What is on each seam; raises ModelError for arguments out of range."""
+    """What is on each seam; raises InputError for arguments out of range."""
     if not isinstance(structure, Structure):
-        raise ModelError(f"thin_enough takes a Structure, of which it makes models, not {structure!r:.80}")
+        raise InputError(f"thin_enough takes a Structure, of which it makes models, not {structure!r:.80}")
     with on_all(structure.comm):
         if bonded and bodies != "kept":
-            raise ModelError("thin_enough: bonded bodies meet on S; bodies='extended' is for the interface law alone")
+            raise InputError("thin_enough: bonded bodies meet on S; bodies='extended' is for the interface law alone")
         given = on_seams(structure.joint, layer)
         if seam not in given and not (seam == S and isinstance(layer, ThinLayer)):
-            raise ModelError(
+            raise InputError(
                 f"thin_enough: name the seam of the layer that becomes thinner: {', '.join(given)}, not {seam!r}"
             )
         if not isinstance(sought := given.get(seam, layer), ThinLayer):
-            raise ModelError(f"thin_enough: the layer is {sought!r:.80}; give a ThinLayer")
+            raise InputError(f"thin_enough: the layer is {sought!r:.80}; give a ThinLayer")
         if not (is_number(tolerance) and 0 < tolerance < 1):
-            raise ModelError(f"thin_enough: the tolerance is {tolerance!r}; allowed: between 0 and 1")
+            raise InputError(f"thin_enough: the tolerance is {tolerance!r}; allowed: between 0 and 1")
         if not (isinstance(goal, Goal) or goal in FIELDS):
-            raise ModelError(
+            raise InputError(
                 f"thin_enough: the goal is {goal!r}; allowed: {', '.join(FIELDS)}, or one of thinlayer.goals"
             )
         if bonded and goal == "jump":
-            raise ModelError("thin_enough: bonded bodies have no jump; take the traction, or a goal")
+            raise InputError("thin_enough: bonded bodies have no jump; take the traction, or a goal")
     return given
 
 
@@ -191,16 +191,16 @@ def _thickest(model: InterfaceModel, chosen: Sequence[str], quantity: str) -> fl
 def _error(found: Estimate, quantity: str) -> float:
     """The largest error of a quantity that the estimate allows; infinite where the layer bears nothing."""
     if found.unknown:
-        raise ModelError(f"thin_enough: {found.unknown}")
+        raise InputError(f"thin_enough: {found.unknown}")
     shown = 1 - max(one.law.off for one in found.layers.values())
     if quantity in FIELDS:
         error, noise = (found.traction, found.floors[0]) if quantity == "traction" else (found.jump, found.floors[1])
         return at_most(error, noise) / shown if math.isfinite(error) else math.inf
     goal = found.goals[quantity]
     if goal.zero:
-        raise ModelError(f"thin_enough: {quantity} is zero, and so has no relative error")
+        raise InputError(f"thin_enough: {quantity} is zero, and so has no relative error")
     if not goal.known:
-        raise ModelError(f"thin_enough: the error of {quantity} is not known: {found}")
+        raise InputError(f"thin_enough: the error of {quantity} is not known: {found}")
     return goal.at_most / shown
 
 
@@ -238,16 +238,16 @@ def _search(
 
 
 def _require_falling(errors: Sequence[float], low: float, passed: int) -> None:
-    """Raise ModelError if errors do not fall with the thickness any more, and are not allowed."""
+    """Raise InputError if errors do not fall with the thickness any more, and are not allowed."""
     if passed or len(errors) <= FEW:
         return
     if math.isinf(errors[-1]):
-        raise ModelError(
+        raise InputError(
             f"thin_enough: even at {low:.3g} the layer bears nothing farther than {NEAR_ENDS:g} thicknesses from its free "
             "ends; are there loads at this time?"
         )
     if errors[-1] > STALLED * max(errors[-1 - FEW : -1]) or len(errors) > STEPS:
-        raise ModelError(
+        raise InputError(
             f"thin_enough: no thickness is thin enough: the error is {errors[-1]:.3g} at {low:.3g}, and hardly falls with "
             "the thickness; is the layer much softer than the bodies?"
         )

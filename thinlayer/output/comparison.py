@@ -10,14 +10,13 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from forms.base import is_number
+from forms.base import InputError, is_number
 from geometry.parallel import on_root
 from geometry.seam import S
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.mixed_model import MixedModel
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
 from thinlayer.output.surface import Surface
 from thinlayer.surface.excess import times_too_stiff
 from thinlayer.system.identity import differences, in_words
@@ -58,36 +57,36 @@ def compare(
         the layer's law alone is that many times too stiff against the openings found (`Surface.table`).
 
     Raises:
-        ModelError: the states are not a full and an interface model of the same structure (joint, bodies, supports, loads,
+        InputError: the states are not a full and an interface model of the same structure (joint, bodies, supports, loads,
             plane, element, thickness), or are of two times; `where` is no function of places, or holds nowhere on S;
             unknown seam.
     """
     for one in (full, interface):
         if not isinstance(one, (State, History)):
-            raise ModelError(f"compare takes states or histories, as solve and march return them, not {one!r}")
+            raise InputError(f"compare takes states or histories, as solve and march return them, not {one!r}")
     if at is not None and not (is_number(at) and math.isfinite(at)):
-        raise ModelError(f"compare: at is {at!r}; give a time, a finite number")
+        raise InputError(f"compare: at is {at!r}; give a time, a finite number")
     full, interface = (_state(one, at) for one in (full, interface))
     meshed, limit = full.model, interface.model
     if isinstance(limit, MixedModel):
         limit = limit.by_law
     if not (isinstance(meshed, FullModel) and isinstance(limit, InterfaceModel)):
-        raise ModelError(f"compare needs a full and an interface model, not {meshed.name} and {limit.name}")
+        raise InputError(f"compare needs a full and an interface model, not {meshed.name} and {limit.name}")
     if full.model.joint is not interface.model.joint:
-        raise ModelError("compare needs two models of the same joint")
+        raise InputError("compare needs two models of the same joint")
     if abs(full.t - interface.t) > SAME_TIME * max(abs(full.t), abs(interface.t)):
-        raise ModelError(f"compare needs states of the same time, not t = {full.t:g} and {interface.t:g}")
+        raise InputError(f"compare needs states of the same time, not t = {full.t:g} and {interface.t:g}")
     if full.model.element != interface.model.element:
-        raise ModelError(f"compare needs one element, not {full.model.element} and {interface.model.element}")
+        raise InputError(f"compare needs one element, not {full.model.element} and {interface.model.element}")
     is_open = [
         ", ".join(name for name in one.joint.seams if name not in one.layers) or "none" for one in (meshed, limit)
     ]
     if is_open[0] != is_open[1]:
-        raise ModelError(f"compare needs the same open joints, not {is_open[0]} and {is_open[1]}")
+        raise InputError(f"compare needs the same open joints, not {is_open[0]} and {is_open[1]}")
     for name, layer in limit.layers.items():
         thin, other = meshed.layers[name].thin, layer.thin
         if thin and other and thin.eps != other.eps:
-            raise ModelError(f"compare needs one thickness of {layer}, not {thin.eps} and {other.eps}")
+            raise InputError(f"compare needs one thickness of {layer}, not {thin.eps} and {other.eps}")
     _require_same_places(meshed, limit)
     on_root(meshed.comm, lambda: _require_same_structure(meshed, limit))
     surface = Surface(limit, seam)
@@ -114,7 +113,7 @@ def _too_stiff(state: State, seam: str) -> dict[str, float]:
 def _state(one: State | History, at: float | None) -> State:
     if isinstance(one, State):
         if at is not None and not abs(one.t - at) <= SAME_TIME * max(abs(one.t), abs(at)):
-            raise ModelError(
+            raise InputError(
                 f"compare: a state is of t = {one.t:g}, not of at = {at:g}; give its history, or leave out at"
             )
         return one
@@ -122,31 +121,31 @@ def _state(one: State | History, at: float | None) -> State:
 
 
 def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
-    """Raise ModelError where a law of order 1 has its bodies at other places than the full model."""
+    """Raise InputError where a law of order 1 has its bodies at other places than the full model."""
     band = full.domain.joint.band
     here = "kept" if interface.domain.joint.parted is None else "extended"
     assert band is not None
     if band.bodies != here and any(one.thin and one.thin.order for one in interface.layers.values()):
-        raise ModelError(
+        raise InputError(
             f"compare, order=1: bodies are {band.bodies} in the full model and {here} in the interface model, which is a "
             "difference of order 1 by itself; give both the same bodies='...'"
         )
 
 
 def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
-    """Raise ModelError unless both models have the same data but for the layer's law."""
+    """Raise InputError unless both models have the same data but for the layer's law."""
     there, here = (
         {name: model.made_from[name] for name in ("plane", "bodies", "loads")}
         | {"supports": model.made_from["supports"][: len(model.supports.given)]}
         for model in (full, interface)
     )
     if found := [*differences(there, here)]:
-        raise ModelError(f"compare needs the same {found[0][0][0]}: {in_words(found)}")
+        raise InputError(f"compare needs the same {found[0][0][0]}: {in_words(found)}")
     for name, layer in interface.layers.items():
         both = [one.thin.profile for one in (full.layers[name], layer) if one.thin]
         shapes = [full.joint.relative_thickness(profile, name) for profile in both]  # a law on S has no thickness
         if not np.allclose(shapes[0], shapes[-1], rtol=SAME_PROFILE, atol=0.0):
-            raise ModelError("compare needs the same profile of the thickness in both models")
+            raise InputError("compare needs the same profile of the thickness in both models")
 
 
 def _part(surface: Surface, where: Where | None) -> npt.NDArray[np.float64]:
@@ -154,8 +153,8 @@ def _part(surface: Surface, where: Where | None) -> npt.NDArray[np.float64]:
     with on_all(surface.model.comm):
         part = surface.where(1.0 if where is None else where)
         if not np.isin(part, (0.0, 1.0)).all():
-            raise ModelError("where gives numbers; it must hold or not at each place, as lambda x: x[0] > 1 does")
+            raise InputError("where gives numbers; it must hold or not at each place, as lambda x: x[0] > 1 does")
     require_same(surface.model.comm, where=part)
     if not part.any():
-        raise ModelError("where holds nowhere on S, or on less than its quadrature points see")
+        raise InputError("where holds nowhere on S, or on less than its quadrature points see")
     return part

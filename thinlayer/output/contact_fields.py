@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
+from forms.base import InputError
 from forms.contact import Status
 from geometry.seam import S
 from geometry.topology import IntArray, connected
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, pairs_of
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
 from thinlayer.output.nodal_forces import contact_forces, nodal_forces
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.table import Table
@@ -151,12 +151,12 @@ class Contact:
 
 
 def contact_on(surface: SurfaceMesh, state: State) -> Contact:
-    """Contact of a state on a surface. Collective; raises ModelError."""
+    """Contact of a state on a surface. Collective; raises InputError."""
     values = at_contact(surface, state)
     if not values:
         known = ", ".join(state.model.contacts)
         hint = f"; seams with one: {known}" if known else ""
-        raise ModelError(f"no contact law is on {surface.seam!r} in this state's model, {state.model!r}{hint}")
+        raise InputError(f"no contact law is on {surface.seam!r} in this state's model, {state.model!r}{hint}")
     equilibrium, clapeyron = _balance(state)
     return Contact(surface=surface, **values, equilibrium=equilibrium, clapeyron=clapeyron)
 

@@ -9,8 +9,9 @@ from typing import Any
 
 from mpi4py import MPI
 
+from forms.base import InputError
 from geometry.parallel import on_root, within, world
-from thinlayer.errors import ModelError, SolveError
+from thinlayer.errors import SolveError
 from thinlayer.output.row_file import GENERATOR, RowFile, checked, make_room, require_csv
 from thinlayer.system.folder import LOCK, locked, owned, read_sealed
 from thinlayer.system.identity import Resume, random_states
@@ -60,14 +61,14 @@ def ensemble(
         The table: "run", the case's columns, the row's, and with `keep_failures` "failure"; with all rows on the disk.
 
     Raises:
-        ModelError: cases or rows without numbers or texts, or with unlike names; ranks or part out of range; `out` is of
+        InputError: cases or rows without numbers or texts, or with unlike names; ranks or part out of range; `out` is of
             another ensemble; several groups or parts draw from a generator that goes on from run to run. OSError: a file
             could not be written. Errors of runs.
     """
     with on_all(None):
         comm = world()
         if not callable(make):
-            raise ModelError(f"make is {make!r}; it must be a function that returns a function of a case")
+            raise InputError(f"make is {make!r}; it must be a function that returns a function of a case")
         require_csv(out, resume)
         known = _known(cases)
         ranks = comm.size if ranks is None else ranks
@@ -116,7 +117,7 @@ class _Rows:
             with on_all(comm):
                 run = make()
                 if not callable(run):
-                    raise ModelError(f"make returns {run!r}; it must return a function of a case")
+                    raise InputError(f"make returns {run!r}; it must return a function of a case")
                 if file:
                     file.watch((make, run))
             states = random_states((make, run))
@@ -124,7 +125,7 @@ class _Rows:
                 self.own[k] = self._row(run, k, comm, keep_failures)
                 with on_all(comm):
                     if self._step > 1 and random_states((make, run)) != states:
-                        raise ModelError(f"groups and parts of an ensemble draw the same numbers, as from {GENERATOR}")
+                        raise InputError(f"groups and parts of an ensemble draw the same numbers, as from {GENERATOR}")
                 if file and self._files:
                     file.write((kept | self.own).values())
                     self._files.merge(0.0)
@@ -169,7 +170,7 @@ class _Files:
             changed = [name for name, value in case.items() if row.get(name) != value]
             if not case or changed:
                 what = f"{changed[0]} = {row.get(changed[0])!r} there" if changed else "no such run here"
-                raise ModelError(
+                raise InputError(
                     f"{str(self.path)!r} is the table of other cases (run {k}: {what}); give another name, or remove it "
                     f"and {str(self._folder)!r}"
                 )
@@ -184,7 +185,7 @@ class _Files:
         with ExitStack() as stack:
             try:
                 stack.enter_context(locked(self._folder, f".merge{LOCK}", wait))
-            except ModelError:
+            except InputError:
                 if wait:
                     raise
                 return {}
@@ -208,24 +209,24 @@ def _table(cases: list[Row], rows: Mapping[int, Row]) -> Table:
 
 
 def _known(cases: Any) -> list[Row]:
-    """The cases as rows; raises ModelError."""
+    """The cases as rows; raises InputError."""
     if not isinstance(cases, Iterable) or not (known := [*cases]):
-        raise ModelError(f"cases is {cases!r:.80}; an ensemble needs one case or more")
+        raise InputError(f"cases is {cases!r:.80}; an ensemble needs one case or more")
     rows = [checked(case, f"case {k}", (RUN, FAILURE)) for k, case in enumerate(known)]
     for k, row in enumerate(rows):
         if [*row] != [*rows[0]] or None in row.values():
-            raise ModelError(f"case {k} has {', '.join(row)}, the first one {', '.join(rows[0])}; all need the same")
+            raise InputError(f"case {k} has {', '.join(row)}, the first one {', '.join(rows[0])}; all need the same")
     return rows
 
 
 def _check_groups(ranks: Any, size: int, part: Any, out: Any, resume: Resume) -> None:
-    """Raise ModelError unless the ranks and the part of the cases are in range."""
+    """Raise InputError unless the ranks and the part of the cases are in range."""
     if ranks not in [n for n in range(1, size + 1) if size % n == 0]:
-        raise ModelError(f"ranks is {ranks!r}; allowed: a number that divides the number of ranks, {size}")
+        raise InputError(f"ranks is {ranks!r}; allowed: a number that divides the number of ranks, {size}")
     if not (isinstance(part, tuple) and [*map(type, part)] == [int, int] and 0 <= part[0] < part[1]):
-        raise ModelError(f"part is {part!r}; allowed: (k, n), the k-th of n parts, 0 <= k < n")
+        raise InputError(f"part is {part!r}; allowed: (k, n), the k-th of n parts, 0 <= k < n")
     if part[1] > 1 and (out is None or not resume):
-        raise ModelError("parts of an ensemble share a table: give out=... and resume=True")
+        raise InputError("parts of an ensemble share a table: give out=... and resume=True")
 
 
 def _raise_together(comm: MPI.Intracomm, group: int, error: Exception | None) -> None:
@@ -234,4 +235,4 @@ def _raise_together(comm: MPI.Intracomm, group: int, error: Exception | None) ->
     if error is not None:
         raise error
     if first := next(filter(None, errors), None):
-        raise ModelError(f"group {first[0]} of ranks has failed: {first[1]}")
+        raise InputError(f"group {first[0]} of ranks has failed: {first[1]}")

@@ -13,10 +13,10 @@ from xml.sax.saxutils import quoteattr
 import dolfinx
 import pyvista
 
+from forms.base import InputError
 from geometry.parallel import on_root, world
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
 from thinlayer.output.blocks import blocks
 from thinlayer.output.grid import nodal_displacement
 from thinlayer.output.surface import Surface
@@ -56,25 +56,25 @@ def write(solution: State | History, path: str | Path, *, surface: Surface | Non
             S was before it was inflated; its layer's status and internal variables are in the block "layer".
 
     Raises:
-        ModelError: no state, no name of a file, or another ending; a surface of another joint, or beside a .bp file.
-        ModelError: this DOLFINx has no ADIOS2, which VTX needs.
+        InputError: no state, no name of a file, or another ending; a surface of another joint, or beside a .bp file;
+            this DOLFINx has no ADIOS2, which VTX needs.
         OSError: the files could not be written; on all ranks.
     """
     comm = solution.model.comm if isinstance(solution, (State, History)) else world()
     with on_all(comm):
         states = _states(solution)
         if not isinstance(path, (str, Path)):
-            raise ModelError(f"fields are written to a file, not to {path!r}; give its name, which ends in .pvd or .bp")
+            raise InputError(f"fields are written to a file, not to {path!r}; give its name, which ends in .pvd or .bp")
         path = Path(path)
         if path.suffix not in BYTES:
-            raise ModelError(f"cannot write {str(path)!r}; allowed endings: .pvd (VTK, all fields), .bp (VTX, u)")
+            raise InputError(f"cannot write {str(path)!r}; allowed endings: .pvd (VTK, all fields), .bp (VTX, u)")
         if path.suffix == VTX and not dolfinx.has_adios2:
-            raise ModelError("VTX needs a DOLFINx with ADIOS2; write a .pvd file instead")
+            raise InputError("VTX needs a DOLFINx with ADIOS2; write a .pvd file instead")
         model = surface.model if isinstance(surface, Surface) else states[0].model
         if surface is not None and not (isinstance(surface, Surface) and isinstance(model, InterfaceModel)):
-            raise ModelError(f"surface is {surface!r:.80}; give Surface(limit.model), of an interface model")
+            raise InputError(f"surface is {surface!r:.80}; give Surface(limit.model), of an interface model")
         if surface is not None and (path.suffix == VTX or surface.model.joint is not states[0].model.joint):
-            raise ModelError("a surface is for .pvd files, and of an interface model of the same joint as the states")
+            raise InputError("a surface is for .pvd files, and of an interface model of the same joint as the states")
     require_same(comm, models=states[0].model.mark, states=[state.t for state in states], path=str(path))
     nodes = states[0].u.function_space.dofmap.index_map.size_global
     once, each = BYTES[path.suffix]
@@ -88,12 +88,12 @@ def write(solution: State | History, path: str | Path, *, surface: Surface | Non
 def _states(solution: State | History) -> list[State]:
     """The states to write."""
     if not isinstance(solution, (State, History)):
-        raise ModelError(
+        raise InputError(
             f"fields are written of a state or a history, as solve and march return them, not of {solution!r}"
         )
     states = [solution] if isinstance(solution, State) else list(solution)
     if not states:
-        raise ModelError(f"there is nothing to write: {solution!r} has no state")
+        raise InputError(f"there is nothing to write: {solution!r} has no state")
     return states
 
 

@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
+from forms.base import InputError
 from geometry.joint import Joint
 from geometry.seam import BASE
 from geometry.topology import FACET_TYPES, geometry_degree
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
 
 MIRRORED = (1, 0, 2, 3, 4, 6, 5, 8, 7, 9)  # nodes of a tetrahedron of degree 2 in VTK's order; the first four: degree 1
 
@@ -56,11 +56,11 @@ class Grid:
     base_type: int
 
     def component(self, name: str) -> npt.NDArray[np.float64]:
-        """(n,) component of the displacement, "x", "y" or "z", or its "size"; raises ModelError for another name."""
+        """(n,) component of the displacement, "x", "y" or "z", or its "size"; raises InputError for another name."""
         if name == "size":
             return np.linalg.norm(self.u, axis=1)
         if name not in tuple("xyz"[: self.dim]):
-            raise ModelError(f"unknown component {name!r}; allowed: size, {', '.join('xyz'[: self.dim])}")
+            raise InputError(f"unknown component {name!r}; allowed: size, {', '.join('xyz'[: self.dim])}")
         return self.u[:, "xyz".index(name)]
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from forms.base import InputError
 from forms.work import added
 from thinlayer.discretisation.clock import piecewise
 from thinlayer.discretisation.forces import Forces
@@ -15,7 +16,7 @@ from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.given_strains import PAIRS, MeanStrain, Strain
 from thinlayer.discretisation.model import Family, Model
 from thinlayer.discretisation.point_loads import ConcentratedForms
-from thinlayer.errors import ModelError, SolveError
+from thinlayer.errors import SolveError
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.ranks import on_all
 
@@ -37,7 +38,7 @@ def homogenised_stiffness(model: Model) -> Array:
         sides are free, rows and columns of directions without a period vanish.
 
     Raises:
-        ModelError: the joint is not periodic; a law is not linear or has stresses without strains; a layer is of order 1;
+        InputError: the joint is not periodic; a law is not linear or has stresses without strains; a layer is of order 1;
             supports that move.
         SolveError: no unique solution; the stiffness of symmetric laws is not symmetric.
     """
@@ -68,23 +69,23 @@ def homogenised_stiffness(model: Model) -> Array:
 
 def _check(model: Model) -> None:
     if not isinstance(model, Model) or model.joint.periods is None:
-        raise ModelError(
+        raise InputError(
             f"homogenised_stiffness needs a model of a periodic joint, not {model!r}; see geometry.periodic"
         )
     if not model.kinematics.turns:
-        raise ModelError(
+        raise InputError(
             f"homogenised_stiffness is not for plane={model.plane!r}: a body of revolution has no mean strain"
         )
     model.require("mean strain")
     for law in (p.law for p in model.terms if not p.proportional):
-        raise ModelError(
+        raise InputError(
             f"{law!r} is not linear, or has stresses without strains: there is no stiffness but at a state; march under "
             "Structure(..., strain=...) and look at State.mean_stress"
         )
     if not model.linear:
-        raise ModelError("the model is not linear; homogenised_stiffness needs linear laws and parts")
+        raise InputError("the model is not linear; homogenised_stiffness needs linear laws and parts")
     if moving := model.supports.moving:
-        raise ModelError(f"the support on {moving[0]!r} moves; homogenised_stiffness needs supports at rest")
+        raise InputError(f"the support on {moving[0]!r} moves; homogenised_stiffness needs supports at rest")
 
 
 def _components(stress: Array) -> Array:

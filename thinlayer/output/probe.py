@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from forms.base import InputError
 from geometry.order import by_place
 from geometry.refusals import place
 from geometry.seam import S
@@ -18,7 +19,6 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import BODY, LAYER
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, cell_values
-from thinlayer.errors import ModelError
 from thinlayer.output.law_points import LawPoints, law_points
 from thinlayer.surface.locating import Located
 from thinlayer.surface.surface_mesh import SurfaceMesh
@@ -56,12 +56,12 @@ class Probe:
         state: as `solve` returns it, or `history.at(t)`.
 
     Raises:
-        ModelError: no state.
+        InputError: no state.
     """
 
     def __init__(self, state: State) -> None:
         if not isinstance(state, State):
-            raise ModelError(f"a probe takes a state, as solve returns it or history.at(t) is, not {state!r:.80}")
+            raise InputError(f"a probe takes a state, as solve returns it or history.at(t) is, not {state!r:.80}")
         self.state, self._joint, self._comm = state, state.model.domain.joint, state.model.comm
 
     # ---------------------------------------------------------------- at places in bodies and meshed layers
@@ -74,7 +74,7 @@ class Probe:
             seam: name of the seam whose side is meant, for places where several meet; "S": all of them.
 
         Raises:
-            ModelError: places outside the bodies and meshed layers; a place where displacements jump, without a side.
+            InputError: places outside the bodies and meshed layers; a place where displacements jump, without a side.
         """
         located = self._located(x, side, seam)
         element = self.state.u.function_space.ufl_element().basix_element
@@ -86,7 +86,7 @@ class Probe:
         if apart.any():
             there = located.x[located.point[apart.argmax()]]
             hint = "several bodies meet there; give side= and seam=" if side else "give side="
-            raise ModelError(f"displacements jump at {place(there)}: {hint}")
+            raise InputError(f"displacements jump at {place(there)}: {hint}")
         return u[first] if np.ndim(x) > 1 else u[first][0]
 
     def stress(self, x: Any, *, side: str | None = None, seam: str = S) -> Array:
@@ -159,7 +159,7 @@ class Probe:
             key: of the law, see `names`; None: the only one with such a variable.
 
         Raises:
-            ModelError: no such variable; several laws have it, and no key is given.
+            InputError: no such variable; several laws have it, and no key is given.
         """
         key = self._key(name, key)
         points, values = self._variables[key][name]
@@ -183,7 +183,7 @@ class Probe:
             x: places (n, d), or (d,); for the law of a layer on S places on its seam.
 
         Raises:
-            ModelError: as in `points`; places where this law does not act.
+            InputError: as in `points`; places where this law does not act.
         """
         found = self.points(name, key)
         if self._variables[found.key][name][0].quadrature.region.dim == self._joint.dim:
@@ -198,7 +198,7 @@ class Probe:
         for k, one in enumerate(located.x):
             here = np.flatnonzero(np.isin(found.entity, entity[located.point == k]))
             if not len(here):
-                raise ModelError(f"the law {found.key!r} does not act at {place(one)}")
+                raise InputError(f"the law {found.key!r} does not act at {place(one)}")
             out[k] = found.values[here[cKDTree(found.x[here]).query(one)[1]]]
         return out if np.ndim(x) > 1 else out[0]
 
@@ -210,9 +210,9 @@ class Probe:
         )
         if not having or key not in (None, *having):
             where = "" if key is None else f" of the law {key!r}"
-            raise ModelError(f"there is no internal variable {name!r}{where}; known: {known}")
+            raise InputError(f"there is no internal variable {name!r}{where}; known: {known}")
         if key is None and len(having) > 1:
-            raise ModelError(f"several laws have an internal variable {name!r}; give key=, one of {', '.join(having)}")
+            raise InputError(f"several laws have an internal variable {name!r}; give key=, one of {', '.join(having)}")
         return key or having[0]
 
 
@@ -220,13 +220,13 @@ def cells_at(model: Model, x: Any, side: str | None = None, seam: str = S) -> Lo
     """The cells of a model that contain places (n, d), or one (d,); with a side of S those on it alone.
 
     Raises:
-        ModelError: no places, or outside the cells; no side, or one that is only a rigid base; an unknown seam.
+        InputError: no places, or outside the cells; no side, or one that is only a rigid base; an unknown seam.
     """
     located = Located.in_cells(model.domain.joint, x)
     if side is None:
         return located
     if not isinstance(model, InterfaceModel):
-        raise ModelError("a side is for places on S of an interface model")
+        raise InputError("a side is for places on S of an interface model")
     return SurfaceMesh(model, seam).beside(located, side)
 
 

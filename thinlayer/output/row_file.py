@@ -7,7 +7,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
-from thinlayer.errors import ModelError
+from forms.base import InputError
 from thinlayer.system.folder import moved_away, read_sealed, write_sealed
 from thinlayer.system.identity import (
     CODE,
@@ -57,18 +57,18 @@ class RowFile:
         """The rows in the file.
 
         Raises:
-            ModelError: the file is damaged; or its rows are not those of this function, unless `anyway`.
+            InputError: the file is damaged; or its rows are not those of this function, unless `anyway`.
         """
         if not self.path.exists():
             return []
         content, name = read_sealed(self.path), str(self.path)
         self._changing, self._drawn = {*map(tuple, content["changing"])}, content["drawn"]
         if self._drawn and not anyway:
-            raise ModelError(f"{name!r} cannot be resumed: its rows were drawn from {GENERATOR}; {ADVICE}")
+            raise InputError(f"{name!r} cannot be resumed: its rows were drawn from {GENERATOR}; {ADVICE}")
         found = differences(content["made from"], self._made_from)
         other = [one for one in found if _changed(*one) not in self._changing]
         if other and not anyway:
-            raise ModelError(f"{name!r} is the table of another {self._kind} ({in_words(other)}); {ADVICE}")
+            raise InputError(f"{name!r} is the table of another {self._kind} ({in_words(other)}); {ADVICE}")
         rows: list[Row] = content["rows"]
         return rows
 
@@ -82,20 +82,20 @@ class RowFile:
 
 
 def require_csv(out: Any, resume: Any) -> None:
-    """Raise ModelError unless `out` may be the name of a csv file, or None, and `resume` a choice."""
+    """Raise InputError unless `out` may be the name of a csv file, or None, and `resume` a choice."""
     require_resume(resume)
     if not (out is None or isinstance(out, (str, Path))):
-        raise ModelError(f"out is {out!r}; it must be the name of a csv file, or None")
+        raise InputError(f"out is {out!r}; it must be the name of a csv file, or None")
     if out is not None and Path(out).is_dir():
-        raise ModelError(f"out: {str(out)!r} is a folder; give the name of a csv file")
+        raise InputError(f"out: {str(out)!r} is a folder; give the name of a csv file")
 
 
 def make_room(table: Path, beside: Path, resume: Resume) -> None:
-    """Move a table that is not resumed away, with what is kept beside it. ModelError: it cannot be resumed."""
+    """Move a table that is not resumed away, with what is kept beside it. InputError: it cannot be resumed."""
     if not resume:
         moved_away(table.parent, [table.name, beside.name])
     elif table.exists() and not beside.exists():
-        raise ModelError(
+        raise InputError(
             f"{str(table)!r} cannot be resumed: there is no {beside.name} that tells what it is made from; "
             "give another name, or remove it"
         )
@@ -105,19 +105,19 @@ def checked(row: Any, what: str, taken: Collection[str]) -> Row:
     """A row that a user gives, with floats, texts and None.
 
     Raises:
-        ModelError: the row, which is `what`, has a column that is taken, or entries that are neither numbers nor texts.
+        InputError: the row, which is `what`, has a column that is taken, or entries that are neither numbers nor texts.
     """
     if not isinstance(row, Mapping):
-        raise ModelError(f"{what} is {row!r:.80}; it needs a mapping of names to numbers or texts")
+        raise InputError(f"{what} is {row!r:.80}; it needs a mapping of names to numbers or texts")
     found: Row = {}
     for name, value in row.items():
         if not isinstance(name, str) or name in taken:
-            raise ModelError(f"{what} has {name!r}; names of columns are texts, other than {', '.join(taken)}")
+            raise InputError(f"{what} has {name!r}; names of columns are texts, other than {', '.join(taken)}")
         if not (value is None or isinstance(value, str) or (isinstance(value, Real) and not isinstance(value, bool))):
-            raise ModelError(f"{what}: {name} = {value!r} is neither a number nor a text")
+            raise InputError(f"{what}: {name} = {value!r} is neither a number nor a text")
         kept = found[name] = value if value is None or isinstance(value, str) else float(value)
         if isinstance(value, Integral) and value != kept:
-            raise ModelError(f"{what}: {name} = {value!r}, of which a table keeps {kept:.17g}; take it below 2^53")
+            raise InputError(f"{what}: {name} = {value!r}, of which a table keeps {kept:.17g}; take it below 2^53")
     return found
 
 

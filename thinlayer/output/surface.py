@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from forms.base import InputError
 from forms.law import Law
 from geometry.topology import IntArray
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
 from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, at_contact, contact_on
 from thinlayer.output.law_points import LawPoints
 from thinlayer.output.tractions import by_reactions, in_rule, of_layers, points_on
@@ -81,12 +81,12 @@ class Surface(SurfaceMesh):
         A facet has the status of the largest part of it. Plastic strains are those since the beginning, not of one step.
 
         Raises:
-            ModelError: a state of another kind of model.
+            InputError: a state of another kind of model.
         """
         self._require_same_joint(state)
         model = state.model
         if not isinstance(model, InterfaceModel):
-            raise ModelError(f"a status is known of states of interface models, not of {model!r}")
+            raise InputError(f"a status is known of states of interface models, not of {model!r}")
         areas = {name: np.zeros(len(self.rows)) for name in STATUSES}
         for name in model.joint.seams:
             if len(possible := statuses(model, name)) == 1:
@@ -125,7 +125,7 @@ class Surface(SurfaceMesh):
         """What contact laws do at the nodes.
 
         Raises:
-            ModelError: the state's model has no contact law here.
+            InputError: the state's model has no contact law here.
         """
         self._require_same_joint(state)
         return contact_on(self, state)

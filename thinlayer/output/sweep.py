@@ -11,10 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from forms.base import is_number
-from forms.law import LawError
+from forms.base import InputError, is_number
 from geometry.parallel import on_root, world
-from thinlayer.errors import ModelError
 from thinlayer.output.row_file import RowFile, checked, make_room, require_csv
 from thinlayer.system.folder import LOCK, owned
 from thinlayer.system.identity import Resume
@@ -55,7 +53,7 @@ def sweep(
         resume: True: keep the rows that `out` already has, and compute the others. "anyway": even those of another sweep.
 
     Raises:
-        LawError: a thickness out of range or given twice. ModelError: a row of another thickness, lacking columns or with
+        InputError: a thickness out of range or given twice; a row of another thickness, lacking columns or with
             others than the first; `out` is a folder, cannot be written, another run writes it, or it is to be resumed and
             is another sweep's. OSError: a row could not be written. All of them on all ranks.
     """
@@ -67,9 +65,9 @@ def sweep(
                 raise TypeError("thicknesses are numbers")
             values = sorted(map(float, given), reverse=True)
         except (TypeError, ValueError) as error:
-            raise LawError(f"eps is {eps!r}; a sweep needs different thicknesses > 0") from error
+            raise InputError(f"eps is {eps!r}; a sweep needs different thicknesses > 0") from error
         if values[-1] <= 0 or not np.isfinite(values).all() or len(set(values)) != len(values):
-            raise LawError(f"eps is {values}; a sweep needs different thicknesses > 0")
+            raise InputError(f"eps is {values}; a sweep needs different thicknesses > 0")
     require_same(world(), eps=values, out=out and str(out), resume=resume)
     path = None if out is None else Path(out)
     with nullcontext() if path is None else owned(path.parent, name=f".{path.name}{LOCK}"):
@@ -94,11 +92,11 @@ def _row(run: Callable[[float], Mapping[str, Any]], eps: float, first: Row | Non
     with on_all(world()):
         row = checked(run(eps), what, ORDERS)
         if wrong := [name for name in ERRORS if not isinstance(row.get(name), float)]:
-            raise ModelError(f"{what} has no number {', '.join(wrong)}; return what compare returns")
+            raise InputError(f"{what} has no number {', '.join(wrong)}; return what compare returns")
         if not abs(row["eps"] - eps) <= SAME_EPS * eps:  # type: ignore[operator]
-            raise ModelError(f"{what} is of another thickness, eps = {row['eps']:g}")
+            raise InputError(f"{what} is of another thickness, eps = {row['eps']:g}")
         if first is not None and row.keys() != first.keys():
-            raise ModelError(f"{what} has the columns {', '.join(row)}, where the first row has {', '.join(first)}")
+            raise InputError(f"{what} has the columns {', '.join(row)}, where the first row has {', '.join(first)}")
     order = first or (*ERRORS, *(name for name in row if name not in ERRORS))
     return {name: row[name] for name in order} | {"eps": eps}
 

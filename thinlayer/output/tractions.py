@@ -16,8 +16,8 @@ from dolfinx import fem
 from scipy.spatial import cKDTree
 from ufl.classes import Zero
 
+from forms.base import InputError
 from forms.kinematics import Expr, from_mandel, vectors
-from forms.law import LawError
 from geometry.dolfinx_mesh import cell_nodes
 from geometry.topology import IntArray, lagrange
 from thinlayer.discretisation.contact_nodes import component_at
@@ -139,7 +139,7 @@ def _weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float]:
         return 1.0, 1.0
     try:
         moduli = [law.elastic_moduli() for _, law in sublayers]
-    except LawError:
+    except InputError:
         return 1.0, 1.0
     k = [p.measure for p in model.layer_terms if p.key == layer.key].index(points.term.measure)
     shares = np.array([(a / mu, a / (lmbda + 2 * mu)) for (a, _), (lmbda, mu) in zip(sublayers, moduli, strict=True)])

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from forms.base import InputError
 from forms.ends.end_fields import EndFields, end_fields
 from forms.inside import FaceValues, Inside
 from geometry.ends import StraightEnd, straight_ends
@@ -21,7 +22,7 @@ from thinlayer.discretisation.layer import SeamLayer, real_law
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.side_loads import SideLoad
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError, Refused
+from thinlayer.errors import Refused
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.ranks import on_all, require_same
 
@@ -69,21 +70,21 @@ class Zoomable:
         """The layer of a seam.
 
         Raises:
-            ModelError: there is none, or its stresses inside are not known.
+            InputError: there is none, or its stresses inside are not known.
         """
         if not isinstance(state, State) or not isinstance(state.model, InterfaceModel):
             given = state.model if isinstance(state, State) else state
-            raise ModelError(f"a zoom takes a state of an interface model, as solve returns it, not {given!r:.80}")
+            raise InputError(f"a zoom takes a state of an interface model, as solve returns it, not {given!r:.80}")
         model, names = state.model, [*state.model.joint.seams]
         name = names[0] if seam == S and len(names) == 1 else seam
         if name not in names:
-            raise ModelError(unknown("seam", seam, names))
+            raise InputError(unknown("seam", seam, names))
         if name not in model.layers:
-            raise ModelError(f"the seam {name!r} is open: no layer is there")
+            raise InputError(f"the seam {name!r} is open: no layer is there")
         one = model.layers[name]
         model.reductions[name].require("inside", f"zoom into {one}: ")
         if model.forces.weighs(name):
-            raise ModelError(f"zoom into {one}: a body force in the layer is not in the fields inside")
+            raise InputError(f"zoom into {one}: a body force in the layer is not in the fields inside")
         return cls(state, model, one, real_law(one.layer, model.kinematics).inside())
 
     @property
@@ -108,7 +109,7 @@ class Zoomable:
         """The faces at places. Collective.
 
         Raises:
-            ModelError: places that are not on the seam.
+            InputError: places that are not on the seam.
         """
         surface, u, comm = self.surface, self.state.u, self.model.comm
         with on_all(comm):
@@ -218,7 +219,7 @@ class Zoomable:
         """Free ends and the distances (n,) of places (n, d) that lie beside them, others inf; ends with such places.
 
         Raises:
-            ModelError: a place is near an end whose fields are not known, or near two that meet.
+            InputError: a place is near an end whose fields are not known, or near two that meet.
         """
         if not len(self.rim.vertices):
             return []
@@ -238,7 +239,7 @@ class Zoomable:
         ends = self._ends_near(x)
         wrong = (ends > 1) | ((ends == 0) & (self.rim.distance(self.model.joint.points, x) < NEAR * self.eps))
         if wrong.any():
-            raise ModelError(
+            raise InputError(
                 f"zoom into {self.one} at {place(x[wrong.argmax()])}, within {NEAR:g} thicknesses of where two free ends "
                 "meet, or of both: the fields of an end are those far from others"
             )

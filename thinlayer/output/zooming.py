@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from forms.base import InputError
 from forms.ends.end_fields import EVEN, EndFields
 from forms.kinematics import MANDEL
 from forms.law import BulkLaw
@@ -16,7 +17,6 @@ from forms.temperature import finite
 from geometry.ends import StraightEnd
 from geometry.refusals import place
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
 from thinlayer.output.zoomable import Faces, Zoomable
 
 Array = npt.NDArray[np.float64]
@@ -61,7 +61,7 @@ class Zoom:
         seam: name of a seam; "S" of a joint that has one.
 
     Raises:
-        ModelError: no such state or seam; a layer whose stresses inside are not known, with the reason.
+        InputError: no such state or seam; a layer whose stresses inside are not known, with the reason.
     """
 
     def __init__(self, state: State, seam: str = "S") -> None:
@@ -88,7 +88,7 @@ class Zoom:
                 stresses along S jump: there they are those of the lower one.
 
         Raises:
-            ModelError: places off the seam; heights out of range; corners of free ends; places within 3 thicknesses of a
+            InputError: places off the seam; heights out of range; corners of free ends; places within 3 thicknesses of a
                 free end whose fields are not known, with the reason, or of two ends that meet.
         """
         faces = self._known.faces(x)
@@ -109,17 +109,17 @@ class Zoom:
         return heights, self.stress(np.tile(np.asarray(x, float), (n, 1)), heights)
 
     def _require_no_corner(self, x: Array, distance: Array, y: Array) -> None:
-        """Raise ModelError for places at a corner, where stresses are infinite."""
+        """Raise InputError for places at a corner, where stresses are infinite."""
         near = (distance < AT_CORNER * self.eps) & (np.abs(y) > 0.5 - AT_CORNER)
         if near.any() and self._fields.corner.exponent < 1:
-            raise ModelError(
+            raise InputError(
                 f"the stresses at the corner at {place(x[near.argmax()])}, height {y[near.argmax()]:g}, are infinite; "
                 "their exponents and strengths are in `ends`"
             )
 
     def _heights(self, height: Any, n: int) -> Array:
         if (y := finite(height, (), (n,))) is None or not (np.abs(y) <= 0.5).all():
-            raise ModelError(
+            raise InputError(
                 f"heights are {height!r:.80}; allowed: one number or {n}, from -1/2 to 1/2 of the thickness"
             )
         return np.broadcast_to(y, (n,))
@@ -146,11 +146,11 @@ class Zoom:
         """(2, 3) unit vectors at one of `ends`: inward along S, and the normal of S.
 
         Raises:
-            ModelError: as of `ends`; no end of this number.
+            InputError: as of `ends`; no end of this number.
         """
         known = [one for one, x in self._known.places_of_ends if len(x)]
         if end not in range(len(known)):
-            raise ModelError(f"end {end!r}: there are {len(known)}, numbered from 0")
+            raise InputError(f"end {end!r}: there are {len(known)}, numbered from 0")
         return self._axes(known[end])
 
     @property
@@ -187,7 +187,7 @@ class Zoom:
         """The singular stresses at the straight free ends of S. Collective.
 
         Raises:
-            ModelError: ends whose fields are not known, with the reason.
+            InputError: ends whose fields are not known, with the reason.
         """
         found = []
         corner = self._fields.corner

@@ -11,9 +11,9 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from forms.base import InputError
 from forms.check import NOT_SYMMETRIC
 from forms.kinematics import MANDEL
-from forms.law import LawError
 from forms.tangent import takes_time
 from forms.work import Term
 from thinlayer.discretisation.clock import Hand
@@ -148,9 +148,9 @@ class CompiledPart(Part):
         self.points.spread(np.einsum("pm,pm->p", self._response.stress, strain), out)
 
     def tangents(self, relative_residual: float) -> list[Block]:
-        """As in `Part`. LawError: a law declares a symmetric tangent and has another; half of it would be lost."""
+        """As in `Part`. InputError: a law declares a symmetric tangent and has another; half of it would be lost."""
         if self._symmetric and (skew := self.comm.allreduce(self._response.skew, MPI.MAX)) > ASYMMETRY:
-            raise LawError(NOT_SYMMETRIC.format(type(self.law).__name__, skew))
+            raise InputError(NOT_SYMMETRIC.format(type(self.law).__name__, skew))
         self._tangent = self.points.stiffness(self._response.tangent, relative_residual, self._tangent)
         return [Block(self._tangent, kept=True)]
 

@@ -7,8 +7,8 @@ import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
+from forms.base import InputError
 from forms.contact import ContactLaw, EasedContact
-from forms.law import LawError
 from thinlayer.discretisation.contact_nodes import NONE, Array, ContactNodes, ContactSurface
 from thinlayer.discretisation.layer import CONTACT
 from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part, PartTraits
@@ -36,7 +36,7 @@ class ContactPart(Part):
         self, law: ContactLaw, surface: ContactSurface, held: npt.NDArray[np.int32] = NONE, key: str = CONTACT
     ) -> None:
         if not isinstance(law, ContactLaw):
-            raise LawError(f"{law!r} is no contact law")
+            raise InputError(f"{law!r} is no contact law")
         law.check_threshold()
         of_law = {name: getattr(law.traits, name) for name in ("remembers", "softens")}
         self.traits = PartTraits(nonlinear=True, releases=True, eases=True, **of_law)

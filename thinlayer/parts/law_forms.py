@@ -13,10 +13,11 @@ from dolfinx import fem
 from petsc4py import PETSc
 from ufl.algorithms.check_arities import ArityMismatch
 
+from forms.base import InputError
 from forms.check import check
 from forms.elastic import LinearElastic
 from forms.kinematics import Expr
-from forms.law import BulkLaw, LawError, Step
+from forms.law import BulkLaw, Step
 from forms.trace import named
 from forms.work import Term, energy, stress, work
 from thinlayer.discretisation.clock import OverStep
@@ -203,7 +204,7 @@ def _stiffness(V: fem.FunctionSpace, linear: Sequence[Term], bodies: Sequence[Te
     """The assembled matrix of the linear laws; if there are none, zeros in the nonzero pattern of elastic bodies.
 
     Raises:
-        LawError: a law declares that it is linear and is not.
+        InputError: a law declares that it is linear and is not.
     """
     trial, test = ufl.TrialFunction(V), ufl.TestFunction(V)
     pattern = linear or [replace(p, law=LinearElastic(0.0, 1.0)) for p in bodies]
@@ -211,7 +212,7 @@ def _stiffness(V: fem.FunctionSpace, linear: Sequence[Term], bodies: Sequence[Te
         K = matrix(work((replace(p, given=None) for p in pattern), trial, test))
     except ArityMismatch as error:
         names = " or ".join(sorted({type(p.law).__name__ for p in linear if named(p.law) is None}))
-        raise LawError(
+        raise InputError(
             f"{names} says linear = True, but is not linear, or UFL does not see that it is: {error}; "
             "write linear = False in the class"
         ) from error

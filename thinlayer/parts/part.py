@@ -170,8 +170,8 @@ class Part(ABC):
 
     - `add_fixed(out)`: adds the nodal forces beside those of K that the unknowns of the step do not change.
     - `failure() -> str`: says what failed in the last evaluation and where; "" if nothing did.
-    - `at_time(t)`: uses the parameters of time t from now on; LawError: a parameter is out of range. `parameters() -> list`
-      of arrays returns those that vary in time, on this rank.
+    - `at_time(t)`: uses the parameters of time t from now on; InputError: a parameter is out of range. `parameters()`:
+      list of arrays, those that vary in time, on this rank.
     - `ease(ease)`: uses the eased law; 0 is the law itself, 1 an elastic one.
     - `excess() -> float`: largest gain of energy if a column changed its phase. `switch() -> bool` changes columns to the
       phases of lowest energy in the last evaluation; True if any column changes.

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse
 from dolfinx import fem
 
+from forms.base import InputError
 from forms.kinematics import Expr
 from geometry.refusals import unknown
 from thinlayer.discretisation.addition import Addition, Host
@@ -19,7 +20,6 @@ from thinlayer.discretisation.constraints import Tied
 from thinlayer.discretisation.given import Given
 from thinlayer.discretisation.rigid import Array, balanced_motions, centroid, count, on_centre, require_point, rigid
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
 
 Number = float | Callable[[Expr, Any], Any]
 Vector = Sequence[float] | Callable[[Expr, Any], Sequence[Any]]
@@ -63,7 +63,7 @@ class RigidPlate(Addition):
         key: name of its unknowns, "plate NAME".
 
     Raises:
-        ModelError: when a model is made: an unknown or empty place, inner facets, values that are no numbers, a force along
+        InputError: when a model is made: an unknown or empty place, inner facets, values that are no numbers, a force along
             a prescribed motion, nodes that another plate holds too.
     """
 
@@ -109,7 +109,7 @@ class RigidPlate(Addition):
         try:
             x = V.tabulate_dof_coordinates()[blocks, :d]
         except RuntimeError as error:
-            raise ModelError(f"{self.what} needs nodal displacements, not elements S2") from error
+            raise InputError(f"{self.what} needs nodal displacements, not elements S2") from error
         if (shifts := model.shifts()) is not None:
             by_node = np.zeros((owned + V.dofmap.index_map.num_ghosts, d))
             by_node[V.dofmap.list] = shifts[model.domain.original_cells][:, None]
@@ -136,12 +136,12 @@ class RigidPlate(Addition):
         d = model.joint.dim
         names = motion_names(d)
         if not isinstance(self.motion, Mapping):
-            raise ModelError(f"{self.what}: motion is {self.motion!r}; it must be {{{names[0]!r}: value, ...}}")
+            raise InputError(f"{self.what}: motion is {self.motion!r}; it must be {{{names[0]!r}: value, ...}}")
         for name in self.motion:
             if name not in names:
-                raise ModelError(f"{self.what}: {unknown('motion', name, names)}")
+                raise InputError(f"{self.what}: {unknown('motion', name, names)}")
             if names.index(name) in self._prevented(model):
-                raise ModelError(
+                raise InputError(
                     f"{self.what}: a rigid plate of revolution has no motion {name!r}; it moves along the axis"
                 )
         if self.about is not None:
@@ -176,7 +176,7 @@ class RigidPlate(Addition):
         return [int(k) for k in np.flatnonzero(balanced_motions(model.kinematics, model.joint.dim) == 0)]
 
     def resultants(self, model: Host, t: float) -> Array:
-        """Force and moment (k,) at a time; raises ModelError if one of them is along a prescribed motion."""
+        """Force and moment (k,) at a time; raises InputError if one of them is along a prescribed motion."""
         d = model.joint.dim
         out, given = np.zeros(count(d)), self._resultants(model)
         if "force" in given:
@@ -185,7 +185,7 @@ class RigidPlate(Addition):
             out[d:] = given["moment"].at_time(t)
         for k in self.motions_held(model):
             if out[k]:
-                raise ModelError(
+                raise InputError(
                     f"{self.what}: the motion {motion_names(d)[k]!r} is prescribed, and {out[k]:g} is given for its force "
                     "or moment; one of them follows from the other"
                 )

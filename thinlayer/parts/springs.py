@@ -10,7 +10,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from forms.base import is_finite
+from forms.base import InputError, is_finite
 from forms.kinematics import Expr
 from geometry.refusals import place as at_place
 from thinlayer.discretisation.addition import Addition, Host
@@ -19,7 +19,6 @@ from thinlayer.discretisation.given import DEGREE, Given
 from thinlayer.discretisation.measures import per_unit
 from thinlayer.discretisation.rigid import Array, rigid_expression
 from thinlayer.discretisation.supports import Place
-from thinlayer.errors import ModelError
 from thinlayer.parts.forms import FormPart, matrix
 
 Stiffness = float | Callable[[Any], Any]
@@ -42,7 +41,7 @@ class Springs(Addition):
         key: name of their energy, "springs NAME".
 
     Raises:
-        ModelError: a stiffness out of range. When a model is made: an unknown or empty facet set, or inner facets, a
+        InputError: a stiffness out of range. When a model is made: an unknown or empty facet set, or inner facets, a
             function that is no function of the place or is negative.
     """
 
@@ -55,20 +54,20 @@ class Springs(Addition):
         for name in ("normal", "tangential"):
             value = getattr(self, name)
             if not callable(value) and not (is_finite(value) and value >= 0):
-                raise ModelError(
+                raise InputError(
                     f"springs on {self.place!r}: {name} is {value!r}; allowed: a finite number >= 0, or a function of x"
                 )
         if self.normal == self.tangential == 0:
-            raise ModelError(f"springs on {self.place!r} have no stiffness; give normal=... or tangential=...")
+            raise InputError(f"springs on {self.place!r} have no stiffness; give normal=... or tangential=...")
         object.__setattr__(self, "key", f"springs {self.place}")
 
     def check(self, model: Host) -> None:
-        """Raise ModelError or GeometryError unless the facet set exists and lies on the outer boundary."""
+        """Raise InputError or InputError unless the facet set exists and lies on the outer boundary."""
         on_boundary(model.domain, model.kinematics, self.place, f"springs on {self.place!r}")
         self._check_functions(model)
 
     def _check_functions(self, model: Host) -> None:
-        """Raise ModelError if a function is not finite or negative at nodes of the facets."""
+        """Raise InputError if a function is not finite or negative at nodes of the facets."""
         facets, V = model.domain.facets(self.place), fem.functionspace(model.domain.mesh, ("Lagrange", DEGREE))
         for stiffness in self._stiffnesses(model):
             if stiffness.varies:
@@ -77,7 +76,7 @@ class Springs(Addition):
                 values = np.where(np.isfinite(values), values, -np.inf)
                 if len(values) and values.min() < -ROUNDING * values.max():
                     k = int(values.argmin())
-                    raise ModelError(f"{stiffness.what} is {values[k]:.6g} at {at_place(x[k])}; allowed: finite, >= 0")
+                    raise InputError(f"{stiffness.what} is {values[k]:.6g} at {at_place(x[k])}; allowed: finite, >= 0")
 
     def _stiffnesses(self, model: Host) -> list[Given]:
         """The stiffnesses, normal and tangential. Collective."""

@@ -13,10 +13,10 @@ from ufl.algorithms import expand_derivatives
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
 
+from forms.base import InputError
 from forms.kinematics import Expr
 from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.measures import whole
-from thinlayer.errors import ModelError
 from thinlayer.parts.forms import FormPart, matrix
 from thinlayer.parts.part import Outcome, PartTraits
 
@@ -39,7 +39,7 @@ class UflPart(Addition):
         key: name of the part in `State.energies`.
 
     Raises:
-        ModelError: neither function, or both. When a model is made: a function does not return such a form.
+        InputError: neither function, or both. When a model is made: a function does not return such a form.
     """
 
     virtual_work: Callable[[Any, Any, Any], Any] | None = None
@@ -49,28 +49,28 @@ class UflPart(Addition):
     def __post_init__(self) -> None:
         given = [function for function in (self.virtual_work, self.energy) if function is not None]
         if len(given) != 1 or not callable(given[0]):
-            raise ModelError(f"{self!r}: give one function, virtual_work(u, v, model) or energy(u, model)")
+            raise InputError(f"{self!r}: give one function, virtual_work(u, v, model) or energy(u, model)")
 
     def check(self, model: Host) -> None:
-        """Raise ModelError unless the function gives a form that can be assembled on the model. Collective."""
+        """Raise InputError unless the function gives a form that can be assembled on the model. Collective."""
         u, v = fem.Function(model.V), ufl.TestFunction(model.V)
         what = f"the part {self.key!r}"
         try:
             form = self._given(model, u, v)
         except Exception as error:
-            raise ModelError(f"{what}: {type(error).__name__}: {error}") from error
+            raise InputError(f"{what}: {type(error).__name__}: {error}") from error
         arguments = () if self.virtual_work is None else (v,)
         wanted = "of u alone" if self.virtual_work is None else "of u, and linear in v"
         if not isinstance(form, ufl.Form):
-            raise ModelError(f"{what} gives {form!r}; it must be a UFL form {wanted}")
+            raise InputError(f"{what} gives {form!r}; it must be a UFL form {wanted}")
         if not all(domain is model.V.mesh.ufl_domain() for domain in form.ufl_domains()):
-            raise ModelError(f"{what} is a form on another mesh than the model's; use model.dx and model.ds")
+            raise InputError(f"{what} is a form on another mesh than the model's; use model.dx and model.ds")
         whole(form, model, what)
         if form.arguments() != arguments or not has_arity(form):
-            raise ModelError(f"{what} is {str(form)[:80]}; it must be a form {wanted}")
+            raise InputError(f"{what} is {str(form)[:80]}; it must be a form {wanted}")
         forces = ufl.derivative(form, u, v) if self.energy else form
         if expand_derivatives(ufl.derivative(expand_derivatives(forces), u, ufl.TrialFunction(model.V))).empty():
-            raise ModelError(f"the forces of {what} do not depend on u; loads are `tractions` and `body_force`")
+            raise InputError(f"the forces of {what} do not depend on u; loads are `tractions` and `body_force`")
 
     def _given(self, model: Host, u: Expr, v: Expr) -> Any:
         return self.virtual_work(u, v, model) if self.virtual_work else self.energy(u, model)  # type: ignore[misc]
@@ -106,7 +106,7 @@ class _OwnForms(FormPart):
             super().__init__(given.key, u, None, given.work(model, u, v), energy, kept=True)
         K = self.K
         if K is not None and model.comm.allreduce(float(K.getDiagonal().array_r.min(initial=0.0)), min) < 0:
-            raise ModelError(
+            raise InputError(
                 f"the part {given.key!r} has a negative stiffness, with which no equilibrium need be stable"
             )
         self._has_energy = K is None or _is_symmetric(K)

@@ -10,10 +10,10 @@ import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
+from forms.base import InputError
 from forms.kinematics import MANDEL, UNITS, Expr, mandel
 from forms.tangent import LONG
 from forms.work import Term
-from thinlayer.errors import ModelError
 from thinlayer.pointwise.assembling import add_spread, matrix_of
 from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.kernels import Array
@@ -171,7 +171,7 @@ class CompiledTerm(Quadrature):
         """Use the law's parameters at this time from now on. Collective.
 
         Raises:
-            LawError: parameters out of range; on ranks without them ModelError.
+            InputError: parameters out of range; on ranks without them InputError.
         """
         if self.material.varies:
             places = self.joint_x
@@ -254,12 +254,12 @@ class MeanVolume:
         degree: of the polynomials of the coordinates: 0, means over cells, or 1.
 
     Raises:
-        ModelError: another degree, or a term that is not over cells.
+        InputError: another degree, or a term that is not over cells.
     """
 
     def __init__(self, points: Quadrature, degree: int) -> None:
         if degree not in (0, 1) or points.region.dim < points.dim:
-            raise ModelError(f"volume is {degree!r}; allowed: 0 or 1, for a law of cells, or None")
+            raise InputError(f"volume is {degree!r}; allowed: 0 or 1, for a law of cells, or None")
         self._cells, self._width = points.cells, len(points.slots)
         x, root = points.x[points.cells], np.sqrt(points.weights[points.cells])
         basis = np.ones((*root.shape, 1))

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import ufl
 
-from forms.base import is_number
+from forms.base import InputError, is_number
 from forms.kinematics import layer_frame, tensors
 from forms.law import Law
 from forms.tangent import takes_time
 from forms.temperature import finite
 from forms.trace import numbers
-from thinlayer.errors import ModelError, SolveError
+from thinlayer.errors import SolveError
 from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material_point import COMPONENTS, MaterialPoint, MaterialPointState
 from thinlayer.system.table import Table
@@ -87,23 +87,23 @@ def drive(
             balance within the steps, and jumps at their ends oscillate about the path; `march` refuses that.
 
     Raises:
-        ModelError: a path that prescribes nothing or both values for a component; no dt where the law depends on it; other
+        InputError: a path that prescribes nothing or both values for a component; no dt where the law depends on it; other
             input out of range.
         SolveError: tractions beyond the strength of the law; `history` has the steps before.
     """
     if not isinstance(law, Law) or law.traits.nodal or law.traits.constrained:
-        raise ModelError(
+        raise InputError(
             f"the law of a point is {law!r}; allowed: laws that give a stress for a strain, or a TractionLaw"
         )
     if law.fields:
-        raise ModelError(
+        raise InputError(
             f"{type(law).__name__}: {next(iter(law.fields))} is a function of the place; a point needs a number"
         )
     if law.traits.varies:
-        raise ModelError(f"{type(law).__name__} at a point needs a temperature that is a number, not a field")
+        raise InputError(f"{type(law).__name__} at a point needs a temperature that is a number, not a field")
     if isinstance(steps, (str, Mapping)) or not isinstance(steps, Iterable):
         example = "[{'w_T': 0.01, 't_N': -1.0}, ...]"
-        raise ModelError(f"steps is {steps!r}; it must be a sequence of dictionaries, one for each step: {example}")
+        raise InputError(f"steps is {steps!r}; it must be a sequence of dictionaries, one for each step: {example}")
     steps = list(steps)
     normal, axes = _frame(n)
     law.check_dimension(len(normal))
@@ -111,19 +111,19 @@ def drive(
     no_time = isinstance(dt, tuple) and not dt
     lengths = _lengths(1.0 if no_time else dt, len(path))
     if not path:
-        raise ModelError("a path needs at least one step")
+        raise InputError("a path needs at least one step")
     if not (is_number(theta) and 0.5 <= theta <= 1):
-        raise ModelError(f"theta is {theta!r}; allowed: 0.5 to 1")
+        raise InputError(f"theta is {theta!r}; allowed: 0.5 to 1")
     if law.traits.switches and theta != 1:
-        raise ModelError(f"theta is {theta}; {type(law).__name__} holds at the ends of steps: theta = 1")
+        raise InputError(f"theta is {theta}; {type(law).__name__} holds at the ends of steps: theta = 1")
     if law.traits.rate and (lengths == 0).any():
-        raise ModelError(
+        raise InputError(
             f"dt is 0 in step {int(np.argmin(lengths)) + 1}; {type(law).__name__} lets no jump change at once"
         )
     timeless = f"dt is missing: {type(law).__name__} depends on the length of the steps in time"
     point = MaterialPoint(law.of_strains(), normal, axes, float(theta))
     if no_time and any(takes_time(one) for _, one in point.law.sublayers):
-        raise ModelError(timeless)
+        raise InputError(timeless)
     states = [point.rest()]
     parts: list[int] = []
 
@@ -144,7 +144,7 @@ def drive(
 def _frame(n: Sequence[float]) -> tuple[Array, Array]:
     """Unit normal (d,) and axes (3, d) of S, as `forms.kinematics.layer_frame`."""
     if (normal := finite(n, (2,), (3,))) is None or not normal.any():
-        raise ModelError(f"the normal n is {n!r}; allowed: 2 or 3 numbers, not all zero")
+        raise InputError(f"the normal n is {n!r}; allowed: 2 or 3 numbers, not all zero")
     normal = normal / np.linalg.norm(normal)
     frame = numbers(layer_frame(ufl.as_vector(normal.tolist())))
     if len(normal) == 2:
@@ -159,23 +159,23 @@ def _read(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]:
     names = COMPONENTS[d]
     allowed = ", ".join(f"w_{c} or t_{c}" for c in names)
     if not isinstance(step, Mapping):
-        raise ModelError(f"step {k + 1} is {step!r}; it must be a dictionary with {allowed}")
+        raise InputError(f"step {k + 1} is {step!r}; it must be a dictionary with {allowed}")
     for name, value in step.items():
         if name not in [f"{kind}_{c}" for kind in "wt" for c in names]:
-            raise ModelError(f"step {k + 1} has {name!r}; allowed in {d}D: {allowed}")
+            raise InputError(f"step {k + 1} has {name!r}; allowed in {d}D: {allowed}")
         if not (is_number(value) and math.isfinite(value)):
-            raise ModelError(f"step {k + 1}: {name} is {value!r}; it must be a finite number")
+            raise InputError(f"step {k + 1}: {name} is {value!r}; it must be a finite number")
     for c in names:
         if (f"w_{c}" in step) == (f"t_{c}" in step):
             given = "both" if f"w_{c}" in step else "neither"
-            raise ModelError(f"step {k + 1} has {given} of w_{c} (jump) and t_{c} (traction); it must have one")
+            raise InputError(f"step {k + 1} has {given} of w_{c} (jump) and t_{c} (traction); it must have one")
     jumps_given = np.array([f"w_{c}" in step for c in names])
     return jumps_given, np.array([step.get(f"w_{c}", step.get(f"t_{c}")) for c in names], float)
 
 
 def _lengths(dt: float | Sequence[float], count: int) -> Array:
     if (lengths := finite(dt, (), (count,))) is None or (lengths < 0).any():
-        raise ModelError(f"dt is {dt!r}; allowed: a number >= 0, or one for each of the {count} steps")
+        raise InputError(f"dt is {dt!r}; allowed: a number >= 0, or one for each of the {count} steps")
     return np.broadcast_to(lengths, count)
 
 

@@ -22,11 +22,12 @@ import ufl
 from dolfinx import jit
 from mpi4py import MPI
 
+from forms.base import InputError
 from forms.check import check
 from forms.declarations import SIZES
 from forms.kernel import KernelLaw
 from forms.kinematics import Expr, mandel
-from forms.law import BulkLaw, LawError, Step
+from forms.law import BulkLaw, Step
 from forms.trace import Symbolic, key, named, require_numbers_alone, symbolic
 from thinlayer.system.compilation import SourceError, library
 from thinlayer.system.identity import described, digest
@@ -67,7 +68,7 @@ def kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
     """The compiled functions of a law with real parameters, one for each sublayer. Collective.
 
     Raises:
-        LawError: a law is not what it declares, see `forms.check`; it is the same on all ranks.
+        InputError: a law is not what it declares, see `forms.check`; it is the same on all ranks.
     """
     return [_kernel(comm, one, a) for a, one in law.sublayers]
 
@@ -148,14 +149,14 @@ def _packed(value: Expr, shape: tuple[int, ...]) -> list[Expr]:
 def _compiled_from_c(comm: MPI.Intracomm, law: KernelLaw) -> tuple[int, Any]:
     name, source = type(law).__name__, law.source
     if not isinstance(source, (str, Path)):
-        raise LawError(f"{name}.source is {source!r}; it must be the name of a C file")
+        raise InputError(f"{name}.source is {source!r}; it must be the name of a C file")
     try:
         module = library(Path(source), comm)
     except SourceError as error:
-        raise LawError(f"{name}: {error}") from error
+        raise InputError(f"{name}: {error}") from error
     function, ffi = getattr(module.lib, "kernel", None), module.ffi
     if function is None or ffi.typeof(function) is not ffi.typeof(C_KERNEL.format("(*)")):
-        raise LawError(f"{name}: {str(source)!r} has no function {C_KERNEL.format(' kernel')}")
+        raise InputError(f"{name}: {str(source)!r} has no function {C_KERNEL.format(' kernel')}")
     return int(ffi.cast("intptr_t", ffi.addressof(module.lib, "kernel"))), module
 
 

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from forms.base import InputError
 from forms.kernel import KernelLaw
-from forms.law import BulkLaw, LawError
+from forms.law import BulkLaw
 from forms.parameter_fields import number_of
 from forms.trace import named
-from thinlayer.errors import ModelError
 from thinlayer.pointwise.kernels import Array, kernels
 from thinlayer.system.compilation import library
 
@@ -54,11 +54,11 @@ class Material:
         Varying parameters are used from the next `take_at` on.
 
         Raises:
-            ModelError: a law of another kind, or parameters of another shape.
+            InputError: a law of another kind, or parameters of another shape.
         """
         counts = [len(numbers) for numbers in _numbers(law)]
         if _kinds(law) != _kinds(self.law) or counts != self._counts.tolist():
-            raise ModelError(f"{law!r} is not of the kind that is compiled, {self.law!r}")
+            raise InputError(f"{law!r} is not of the kind that is compiled, {self.law!r}")
         self._current = law
         if not law.traits.varies:
             self.parameters = np.concatenate(_numbers(law))
@@ -77,7 +77,7 @@ class Material:
         """Use from now on the parameters at places x (d, points), in the joint before inflating, and at a time.
 
         Raises:
-            LawError: parameters out of range at one of them, or of the wrong shape.
+            InputError: parameters out of range at one of them, or of the wrong shape.
         """
         columns = []
         for _, law in self._current.sublayers:
@@ -111,16 +111,16 @@ class Material:
                 stress.
 
         Raises:
-            ModelError: arrays of the wrong shape.
+            InputError: arrays of the wrong shape.
         """
         components = np.array(list(slots), np.int32)
         points, m, varying = len(e), len(components), self.parameters.ndim == 2
         if varying and len(self.parameters) != points:
-            raise ModelError(f"parameters are those of {len(self.parameters)} points; there are {points}")
+            raise InputError(f"parameters are those of {len(self.parameters)} points; there are {points}")
         shapes = {"e": (e, m), "e_old": (e_old, m), "q": (q, self.memory), "n": (n, 3)}
         for name, (array, width) in shapes.items():
             if array.shape != (points, width):
-                raise ModelError(f"{name} has the shape {array.shape}; it must be {(points, width)}")
+                raise InputError(f"{name} has the shape {array.shape}; it must be {(points, width)}")
         s, C, energies = np.empty((points, 6)), np.empty((points, m, m)), np.empty((points, 3))
         q_new = np.empty((points, self.memory))
         failed = self._library.lib.run(
@@ -142,7 +142,7 @@ _KERNELS: set[tuple[type[BulkLaw], bytes]] = set()  # checked ones, with their n
 
 
 def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
-    """Raise LawError unless a KernelLaw of one's own depends on the director and on dt as its class says.
+    """Raise InputError unless a KernelLaw of one's own depends on the director and on dt as its class says.
 
     Its compiled function is called for strains, or jumps, of all sizes, with steps of several lengths.
     """
@@ -168,7 +168,7 @@ def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
         said = f"relaxes = {law.relaxes}, but its answer {does} on dt: write relaxes = {not law.relaxes}"
     if said:
         _KERNELS.discard(key)
-        raise LawError(f"{name} says {said} in the class")
+        raise InputError(f"{name} says {said} in the class")
 
 
 def _varying(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
@@ -177,16 +177,16 @@ def _varying(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
     known = [name for name, value in law.parameters().items() if np.ndim(value) == 0]
     try:
         given = {name: np.asarray(value, float) for name, value in law.at(x.copy(), t).items()}
-    except LawError:
+    except InputError:
         raise
     except Exception as error:
-        raise LawError(f"{asked}, fails: {type(error).__name__}: {error}") from error
+        raise InputError(f"{asked}, fails: {type(error).__name__}: {error}") from error
     if not given or not given.keys() <= set(known):
         allowed = ", ".join(known)
-        raise LawError(f"{asked}, gives {sorted(given)}; allowed: those that vary of {allowed}, scalars")
+        raise InputError(f"{asked}, gives {sorted(given)}; allowed: those that vary of {allowed}, scalars")
     for name, value in given.items():
         if value.shape != x.shape[1:] or not np.isfinite(value).all():
-            raise LawError(f"{asked}, gives {name} of shape {value.shape}; allowed: {x.shape[1:]}, finite numbers")
+            raise InputError(f"{asked}, gives {name} of shape {value.shape}; allowed: {x.shape[1:]}, finite numbers")
     return given
 
 

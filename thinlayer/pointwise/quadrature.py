@@ -16,10 +16,10 @@ from dolfinx.mesh import CellType, Mesh
 from mpi4py import MPI
 from ufl.classes import Zero
 
+from forms.base import InputError
 from forms.kinematics import MANDEL, Expr, lift
 from forms.work import Term
 from geometry.topology import IntArray
-from thinlayer.errors import ModelError
 from thinlayer.pointwise.columns import Columns
 from thinlayer.system.compat import create_submesh
 from thinlayer.system.ranks import communicator
@@ -63,12 +63,12 @@ class Region:
         maps: its entity maps.
 
     Raises:
-        ModelError: a measure of another kind, or one for entities with tags that has no tags.
+        InputError: a measure of another kind, or one for entities with tags that has no tags.
     """
 
     def __init__(self, mesh: Mesh, measure: ufl.Measure) -> None:
         if measure.integral_type() not in KINDS:
-            raise ModelError(f"laws act on dx, ds or dS, not on integrals of the type {measure.integral_type()!r}")
+            raise InputError(f"laws act on dx, ds or dS, not on integrals of the type {measure.integral_type()!r}")
         self.measure, self.parent_mesh = measure, mesh
         self.dim = mesh.topology.dim - (measure.integral_type() != "cell")
         self.mesh, self.maps, self.parent = create_submesh(mesh, self.dim, _entities(mesh, measure))
@@ -98,7 +98,7 @@ def _entities(mesh: Mesh, measure: ufl.Measure) -> npt.NDArray[np.int32]:
         found = _everywhere(mesh, kind)
     elif data is None:
         tags = ", ".join(map(str, ids))
-        raise ModelError(f"the measure {KINDS[kind]}({tags}) has no tags; give {KINDS[kind]} its subdomain_data")
+        raise InputError(f"the measure {KINDS[kind]}({tags}) has no tags; give {KINDS[kind]} its subdomain_data")
     elif hasattr(data, "indices"):
         found = data.indices[np.isin(data.values, ids.astype(int))]
     else:
@@ -260,7 +260,7 @@ class Quadrature:
         """The columns of the layer that contain the points; on S without a joint each facet is a column.
 
         Raises:
-            ModelError: a meshed layer without a joint.
+            InputError: a meshed layer without a joint.
         """
         if self.origin:
             numbers, centres = self.origin.columns()
@@ -279,7 +279,7 @@ class Quadrature:
         """Number of each facet of the region that this rank owns, and the number of those of all ranks."""
         mesh, dim = self.region.mesh, self.region.dim
         if dim == self.region.parent_mesh.topology.dim:
-            raise ModelError(
+            raise InputError(
                 f"{type(self.term.law).__name__} has phases in columns, which a layer meshed elsewhere has not"
             )
         imap = mesh.topology.index_map(dim)

@@ -175,7 +175,7 @@ def _told(texts: Mapping[str, str]) -> int:
 
 def _draw(parser: argparse.ArgumentParser, chosen: argparse.Namespace, _: Petsc) -> int:
     out = chosen.out or Path("out", chosen.study)
-    from thinlayer import ModelError
+    from forms.base import InputError
     from thinlayer.running.record import Record
 
     set_signals()
@@ -183,7 +183,7 @@ def _draw(parser: argparse.ArgumentParser, chosen: argparse.Namespace, _: Petsc)
         record = Record(chosen.study, out, {})
         record.check_drawn()
         importlib.import_module(f"studies.{chosen.study}").draw(record)
-    except (ModelError, FileNotFoundError, KeyError) as error:
+    except (InputError, FileNotFoundError, KeyError) as error:
         parser.error(f"{out} is not a whole run of {chosen.study}: {error}; run the study first")
     except OSError as error:
         return stop(True, UNFINISHED, reason(error))

@@ -9,13 +9,13 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from forms.base import InputError
 from geometry.parallel import on_root, world
 from geometry.seam import S
 from thinlayer.describing.case import Case
 from thinlayer.describing.description import Description
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
 from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.result import Estimate
 from thinlayer.estimating.thickness import thin_enough
@@ -95,7 +95,7 @@ def _thicknesses(record: Record, case: Case, name: str) -> list[dict[str, Any]]:
             goal = goals.get(quantity, quantity)
             thin = thin_enough(case.structure, case.layer, tolerance, goal, seam=seam, **given)
             eps, words = thin.eps, str(thin)
-        except ModelError as error:  # an answer too: no thickness is thin enough
+        except InputError as error:  # an answer too: no thickness is thin enough
             eps, words = None, str(error).removeprefix("thin_enough: ")
         rows.append({"instead": name, **of, "quantity": quantity, "tolerance": tolerance, "eps": eps})
         record.say(f"  {f'{seam}: ' if of else ''}{words}")
@@ -107,7 +107,7 @@ def _draw(record: Record, case: Case, name: str, found: Estimate) -> None:
     for goal in found.goals if not found.unknown else ():
         try:
             density = found.density(goal)
-        except ModelError as error:
+        except InputError as error:
             record.say(f"no picture of {goal}: {error}")
             continue
         file = "_".join(["map", name, *re.findall(r"\w+", goal)]) + ".png"

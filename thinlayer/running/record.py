@@ -12,10 +12,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from forms.base import InputError
 from geometry.parallel import on_root, world
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.errors import InputError, ModelError, SolveError
+from thinlayer.errors import SolveError
 from thinlayer.output.sweep import sweep
 from thinlayer.running.provenance import code, petsc_options, versions
 from thinlayer.solving.petsc import PREFIX
@@ -99,7 +100,7 @@ class Record:
         """Lock the folder, and move the files of an earlier run away unless it is resumed. Collective.
 
         Raises:
-            ModelError: the folder cannot be written, belongs to a run that goes on, or has tables without a run.json; or
+            InputError: the folder cannot be written, belongs to a run that goes on, or has tables without a run.json; or
                 the earlier run cannot be resumed.
         """
         with ExitStack() as stack:
@@ -116,7 +117,7 @@ class Record:
             else:
                 self._previous = moved_away(self.out, self._earlier())
         elif tables := sorted(path.name for path in self.out.glob("*.csv")):
-            raise ModelError(
+            raise InputError(
                 f"{self.out} has tables ({', '.join(tables)}) and no run.json; give another --out, or remove these"
             )
 
@@ -143,29 +144,29 @@ class Record:
         """Files of the run whose run.json is in the folder."""
         try:
             names = self._read()["files"]
-        except ModelError:
+        except InputError:
             names = [MARCHES, *(path.name for path in self.out.iterdir() if path.suffix in (".csv", ".png"))]
         # run.json last: it is still there if the process is killed while files are moved
         return [*(name for name in names if Path(name).name == name), RUN]
 
     def _read(self) -> dict[str, Any]:
-        """The content of run.json; on rank 0. ModelError: the file cannot be read, or has other content."""
+        """The content of run.json; on rank 0. InputError: the file cannot be read, or has other content."""
         path = self.out / RUN
         try:
             run = json.loads(path.read_text(encoding="utf-8"))
             return {name: run[name] for name in ("study", "options", "code", "petsc", "files", "tables")}
         except (OSError, ValueError, LookupError, TypeError) as error:
-            raise ModelError(f"{path} cannot be read ({error})") from error
+            raise InputError(f"{path} cannot be read ({error})") from error
 
     def _of_study(self) -> dict[str, Any]:
-        """The same, of this study; ModelError: it is of another."""
+        """The same, of this study; InputError: it is of another."""
         run = self._read()
         if run["study"] != self.study:
-            raise ModelError(f"the run in {self.out} is of the study {run['study']}, not {self.study}")
+            raise InputError(f"the run in {self.out} is of the study {run['study']}, not {self.study}")
         return run
 
     def _resumed(self) -> dict[str, Any]:
-        """The same; ModelError: the run had other options or source code."""
+        """The same; InputError: the run had other options or source code."""
 
         def settings(petsc: Mapping[str, Any]) -> dict[str, Any]:
             return {name: value for name, value in petsc["options"].items() if name.startswith(f"-{PREFIX}")}
@@ -174,7 +175,7 @@ class Record:
         there = {"options": run["options"], "code": run["code"], "petsc": settings(run["petsc"])}
         here = {"options": self.identity()[1], "code": code(), "petsc": settings(petsc_options())}
         if found := [*differences(there, here)]:
-            raise ModelError(f"--resume: the run in {self.out} was another one ({in_words(found)}); run the study anew")
+            raise InputError(f"--resume: the run in {self.out} was another one ({in_words(found)}); run the study anew")
         return run
 
     def identity(self) -> list[Any]:
@@ -182,12 +183,12 @@ class Record:
         return [self.study, json.loads(json.dumps(self.options, default=str))]
 
     def check_drawn(self) -> None:
-        """Raise ModelError if the tables in the folder are not those of a run of the study. Collective."""
+        """Raise InputError if the tables in the folder are not those of a run of the study. Collective."""
 
         def check() -> None:
             for name, found in self._of_study()["tables"].items():
                 if hash_of(self.out / name) not in (None, found):
-                    raise ModelError(f"{self.out / name} is not the table that the run in {self.out} wrote")
+                    raise InputError(f"{self.out / name} is not the table that the run in {self.out} wrote")
 
         on_root(world(), check)
 

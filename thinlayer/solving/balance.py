@@ -14,8 +14,9 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from forms.base import InputError
 from thinlayer.discretisation.state import Configuration
-from thinlayer.errors import ModelError, SolveError
+from thinlayer.errors import SolveError
 from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FieldPart, Interval, Memory, Outcome, Part, PartTraits
 
 AIM = 1e-10  # residual at which solvers stop, relative to the forces
@@ -132,7 +133,7 @@ class PartSum:
         self.with_own = [part for part in self.parts if isinstance(part, FieldPart)]
         for part in self.parts:
             if hasattr(part, "field") and not isinstance(part, FieldPart):
-                raise ModelError(f"the part {part.key!r} has a field of its own; derive it from FieldPart")
+                raise InputError(f"the part {part.key!r} has a field of its own; derive it from FieldPart")
         timed = (part.traits.rate or (part.traits.remembers and not part.traits.switches) for part in self.parts)
         self.depends_on_dt, self.failed = any(timed), 0
 
@@ -145,10 +146,10 @@ class PartSum:
         return [name for part in self.parts for name, traits in part.named().items() if getattr(traits, trait)]
 
     def refuse(self, reasons: Mapping[str, str]) -> None:
-        """Raise ModelError if a part has one of these traits, with the reason, in which {} is the part's name."""
+        """Raise InputError if a part has one of these traits, with the reason, in which {} is the part's name."""
         for trait, reason in reasons.items():
             for name in self.having(trait):
-                raise ModelError(reason.format(name))
+                raise InputError(reason.format(name))
 
     def ask(self, name: str, *arguments: Any) -> list[Any]:
         """What an optional method or attribute gives in each of the parts that have it, see `Part`."""
@@ -218,7 +219,7 @@ class PartSum:
         found = {part.key: part.commit() for part in self.parts}
         memory = {key: one.memory for key, one in found.items() if one.memory is not None}
         if lost := [part.key for part in self.parts if part.traits.remembers and part.key not in memory]:
-            raise ModelError(f"the part {lost[0]!r} remembers, and its commit returned an Outcome without memory=...")
+            raise InputError(f"the part {lost[0]!r} remembers, and its commit returned an Outcome without memory=...")
         fields = {part.key: part.own_result() for part in self.with_own}
         stored = {key: one.after for key, one in found.items() if one.kept}
         stresses = {key: one.stress for key, one in found.items() if one.stress is not None}

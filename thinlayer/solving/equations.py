@@ -199,7 +199,7 @@ class Equations(PartSum):
         """Begin a step: set its loads and supports, and begin it in all parts.
 
         Raises:
-            ModelError: loads, supports or given strains that are not finite at the times of the step.
+            InputError: loads, supports or given strains that are not finite at the times of the step.
         """
         self.interval, old = interval, interval.old
         self.loads.set(0.0)
@@ -226,7 +226,7 @@ class Equations(PartSum):
         """Nodal forces of the loads at a time, those of ties included; the caller destroys the vector.
 
         Raises:
-            ModelError: loads that are not finite, or that nothing balances in a periodic joint.
+            InputError: loads that are not finite, or that nothing balances in a periodic joint.
         """
         b = self.model.forces.nodal_at(self.model.V, t)
         self.model.supports.require_balance(b, t)
@@ -297,7 +297,7 @@ class Equations(PartSum):
         """Tangent at the unknowns of the last residual, without supports. Each call fills the same matrix.
 
         Raises:
-            LawError: a law declares a symmetric tangent and has another one.
+            InputError: a law declares a symmetric tangent and has another one.
         """
         self._tangent = self._matrix.fill(self.blocks(self._relative_residual))
         if self._T is None:
@@ -351,7 +351,7 @@ class Equations(PartSum):
 
     # ---------------------------------------------------------------- time
     def check_times(self, times: list[float]) -> None:
-        """Raise ModelError (loads, supports) or LawError (parameters of laws) for values out of range at these times."""
+        """Raise InputError (loads, supports) or InputError (parameters of laws) for values out of range at these times."""
         for t in times:
             self._given_at(t)
 

@@ -9,11 +9,12 @@ from typing import Any
 
 from petsc4py import PETSc
 
+from forms.base import InputError
 from thinlayer.errors import SolveError
 from thinlayer.solving.balance import ALLOWED
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import mark
-from thinlayer.solving.petsc import PREFIX, OptionError, OptionValue, reason_name, solve_linear, solve_nonlinear
+from thinlayer.solving.petsc import PREFIX, OptionValue, reason_name, solve_linear, solve_nonlinear
 
 # Relative residuals; keys: True for direct solvers, False for Krylov methods.
 REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # refinement ends at this residual
@@ -323,8 +324,8 @@ class Equilibrium(Finder):
         residual stagnates or displacements run away, as for loads beyond the limit load.
 
         Raises:
-            SolveError: no convergence. OptionError: a method of PETSc's that does not use our convergence test.
-            PETSc.Error: PETSc itself has failed. Errors of the equations, such as a LawError, as they were raised.
+            SolveError: no convergence. InputError: a method of PETSc's that does not use our convergence test.
+            PETSc.Error: PETSc itself has failed. Errors of the equations, such as a InputError, as they were raised.
         """
         equations, largest = self.equations, RUN_AWAY * _largest(x)
         residuals: list[float] = []
@@ -366,7 +367,7 @@ class Equilibrium(Finder):
         solve_nonlinear(snes, x, r)
         reason, steps = snes.getConvergedReason(), snes.getIterationNumber()
         if self._own_test and not residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN
-            raise OptionError(f"-{PREFIX}snes_type {snes.getType()} does not look at the residual; use another one")
+            raise InputError(f"-{PREFIX}snes_type {snes.getType()} does not look at the residual; use another one")
         last = equations.scale.relative(float(snes.getFunctionNorm()))
         ksp_reason = snes.getKSP().getConvergedReason()
         snes.destroy()

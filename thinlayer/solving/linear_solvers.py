@@ -18,12 +18,13 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
+from forms.base import InputError
 from forms.work import Term
 from thinlayer.discretisation.model import Model
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Part
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.balance import DIFFERENT, Layout, TangentMatrix, side_by_side
-from thinlayer.solving.petsc import PREFIX, OptionError, OptionValue, options_set
+from thinlayer.solving.petsc import PREFIX, OptionValue, options_set
 
 DIRECT: dict[str, OptionValue] = {
     "ksp_type": "preonly",
@@ -84,21 +85,19 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
         chosen: the user's type of preconditioner; None: ours.
 
     Raises:
-        OptionError: a type of preconditioner that does not suit the model.
+        InputError: a type of preconditioner that does not suit the model.
     """
     direct = direct_solver(model)
     large = model.unknowns >= MULTIGRID_FROM[model.joint.dim]
     if any(isinstance(part, PressurePart) for part in parts):
         if chosen in MULTIGRIDS:
-            raise OptionError(
-                f"pc_type {chosen} cannot solve for the pressures of a layer, too; use pc_type fieldsplit"
-            )
+            raise InputError(f"pc_type {chosen} cannot solve for the pressures of a layer, too; use pc_type fieldsplit")
         factorising = [direct, {**direct, **SPACIOUS}, {**direct, **LENIENT}]
         if chosen != "fieldsplit" and not large:
             return factorising
         unsuited = [part.key for part in parts if isinstance(part, FieldPart) and part.own_mass is None]
         if chosen == "fieldsplit" and unsuited:
-            raise OptionError(
+            raise InputError(
                 f"pc_type fieldsplit is for displacements and pressures on S; the unknowns {unsuited[0]!r} are others (of "
                 "a meshed layer, a plate or a mean stress)"
             )

@@ -35,10 +35,6 @@ ARGUMENTS = {  # name of a function -> types of its arguments; all functions ret
 }
 
 
-class OptionError(InputError):
-    """A PETSc option that no solver reads."""
-
-
 @contextmanager
 def defaults(options: Mapping[str, OptionValue]) -> Iterator[None]:
     """Within a `with` block, PETSc's database has these options under our prefix, unless the user has set them."""
@@ -79,11 +75,11 @@ def given_elsewhere() -> str:
 
 
 def require_all_read(solver: str, ours: Collection[str]) -> None:
-    """Raise OptionError if the last solve has not read all options that the user has set; ours may stay unread."""
+    """Raise InputError if the last solve has not read all options that the user has set; ours may stay unread."""
     theirs = options_set().keys() - _PLACED.intersection(ours)
     if names := sorted(name for name in theirs if not was_read(PREFIX + name)):
         listed = ", ".join(f"-{PREFIX}{name}" for name in names)
-        raise OptionError(
+        raise InputError(
             f"PETSc options not read by the {solver} solver: {listed}; a direct solver has no tolerances, "
             f"-{PREFIX}ksp_view and -{PREFIX}snes_view show what is at work"
         )
@@ -94,7 +90,7 @@ def chosen(ours: Mapping[str, OptionValue], given: Mapping[str, OptionValue] | N
     """Within a `with` block, PETSc's database has our options, and those of a script, which override them.
 
     Raises:
-        OptionError: PETSc does not take the value of one of the user's options.
+        InputError: PETSc does not take the value of one of the user's options.
         SolveError: PETSc, or a library that it calls, has failed, so that a march can try a shorter step.
     """
     given = given or {}
@@ -106,7 +102,7 @@ def chosen(ours: Mapping[str, OptionValue], given: Mapping[str, OptionValue] | N
             theirs = sorted(found.keys() - _PLACED.intersection(ours.keys() - given.keys()))
             if error.ierr in OPTION_ERRORS and theirs:
                 listed = ", ".join(f"-{PREFIX}{name} {found[name]}" for name in theirs)
-                raise OptionError(f"PETSc does not take the value of one of these options: {listed}") from error
+                raise InputError(f"PETSc does not take the value of one of these options: {listed}") from error
             said = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines()]
             raise SolveError(f"PETSc: {said[-1] if said else ''} (error {error.ierr})") from error
 

@@ -11,11 +11,11 @@ from typing import Any
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms.base import is_number
+from forms.base import InputError, is_number
 from geometry.parallel import world
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State, displacements_of
-from thinlayer.errors import LooseBody, ModelError, SolveError, warn
+from thinlayer.errors import LooseBody, SolveError, warn
 from thinlayer.parts.part import Interval
 from thinlayer.solving.contact.solver import METHODS, check_method, contact_finder, default_method
 from thinlayer.solving.continuation import Restraint, through_eased_laws
@@ -31,7 +31,7 @@ from thinlayer.solving.equilibrium import (
     Found,
 )
 from thinlayer.solving.linear_solvers import linear_solvers
-from thinlayer.solving.petsc import PREFIX, OptionError, OptionValue, chosen, is_set, require_all_read, value_of
+from thinlayer.solving.petsc import PREFIX, OptionValue, chosen, is_set, require_all_read, value_of
 from thinlayer.solving.ranges import warn_of_model, warn_of_no_time, warn_of_states
 from thinlayer.system.progress import logger
 from thinlayer.system.ranks import on_all, require_same
@@ -71,14 +71,14 @@ def solve(
 
     Raises:
         SolveError: no convergence, or no unique solution; LooseBody if a body can be named that nothing holds.
-        OptionError: a PETSc option that the solver does not read.
-        ModelError: a law without an instantaneous response; loads that are not finite; `like` of another joint.
-        ModelError: unknown method, or a linear solve of a non-linear law.
+        InputError: a PETSc option that the solver does not read;
+            a law without an instantaneous response; loads that are not finite; `like` of another joint.
+        InputError: unknown method, or a linear solve of a non-linear law.
     """
     with Solver(model, options=options, method=method, like=like) as solver:
         with on_all(model.comm):
             if not is_number(t) or not math.isfinite(t):
-                raise ModelError(f"t is {t!r}; it must be a finite number")
+                raise InputError(f"t is {t!r}; it must be a finite number")
         require_same(model.comm, t=t)
         late = "{} depends on rates: no equilibrium without time; use march(model, times)"
         solver.equations.refuse({"softens": f"solve: {SOFTENS}", "rate": late})
@@ -103,12 +103,12 @@ def comm_of(model: Any) -> MPI.Intracomm:
 def _check_like(model: Model, like: Any) -> None:
     if not isinstance(like, State) or like.model.joint is not model.joint:
         given = f"a state of a model of another joint ({like.model!r})" if isinstance(like, State) else repr(like)[:200]
-        raise ModelError(f"like is {given}; it must be a state of a model of the same joint")
+        raise InputError(f"like is {given}; it must be a state of a model of the same joint")
     if not (model.broken and like.model.broken) or (like.model.element, like.model.bonds) != (
         model.element,
         model.bonds,
     ):
-        raise ModelError("like is a state of an interface model for another one, with the same element and bonds")
+        raise InputError("like is a state of an interface model for another one, with the same element and bonds")
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class Solver:
     ) -> None:
         with on_all(comm_of(model)):
             if not isinstance(model, Model):
-                raise ModelError(f"model is {model!r}; give what Structure.full or Structure.interface returns")
+                raise InputError(f"model is {model!r}; give what Structure.full or Structure.interface returns")
             ours = default_method(model) if model.contact else "linear" if model.linear else "newton"
             self.model, self.method = model, ours if method is None else method
             self._check()
@@ -156,7 +156,7 @@ class Solver:
                 _check_like(model, like)
             named = options is None or (isinstance(options, Mapping) and all(isinstance(name, str) for name in options))
             if not named:
-                raise OptionError(f"options is {options!r}; it must be {{name without prefix: value}}")
+                raise InputError(f"options is {options!r}; it must be {{name without prefix: value}}")
         self._given, self._like = dict(options or {}), like
         marks = {"models": model.mark, "like": like and [like.model.mark, like.t]}
         require_same(model.comm, **marks, options=self._given, method=self.method)
@@ -183,9 +183,9 @@ class Solver:
         if self.method in METHODS:
             check_method(model, self.method)
         elif self.method not in allowed:
-            raise ModelError(f"unknown method {self.method!r}; allowed: {', '.join(allowed)}")
+            raise InputError(f"unknown method {self.method!r}; allowed: {', '.join(allowed)}")
         if self.method == "linear" and not model.linear:
-            raise ModelError("method='linear' cannot solve a non-linear law; use method='newton'")
+            raise InputError("method='linear' cannot solve a non-linear law; use method='newton'")
 
     def __enter__(self) -> Solver:
         return self

@@ -11,12 +11,12 @@ import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
+from forms.base import InputError
 from forms.kinematics import Expr
-from forms.law import LawError
 from forms.work import Term, work
 from thinlayer.discretisation.measures import compiled_terms
 from thinlayer.discretisation.state import Configuration
-from thinlayer.errors import ModelError, SolveError
+from thinlayer.errors import SolveError
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.forms import FormPart
 from thinlayer.parts.part import DISPLACEMENTS, Array, FieldPart, Interval, Part
@@ -58,8 +58,8 @@ class StepProblem(PartSum):
         parts, traits, failed: as in `PartSum`; the first part is the form.
 
     Raises:
-        LawError: a law that needs its own pressure field.
-        ModelError: a form that is not linear in one test function; conditions made on another space; a measure without
+        InputError: a law that needs its own pressure field;
+            a form that is not linear in one test function; conditions made on another space; a measure without
             tags; a space without jumps across S; a part that is none, has unknowns of its own, or the key of another one.
     """
 
@@ -75,12 +75,12 @@ class StepProblem(PartSum):
     ) -> None:
         V, terms, parts = u.function_space, list(terms), list(parts)
         if not isinstance(form, ufl.Form) or not has_arity(form) or len(form.arguments()) != bool(form.integrals()):
-            raise ModelError(f"the form is {str(form)[:80]}; it must be linear in one test function")
+            raise InputError(f"the form is {str(form)[:80]}; it must be linear in one test function")
         if not all(belongs_to(bc, V) for bc in bcs):
-            raise ModelError("a condition of bcs is of another space than u; make it on u.function_space or its sub(i)")
+            raise InputError("a condition of bcs is of another space than u; make it on u.function_space or its sub(i)")
         for term in terms:
             if term.law.traits.constrained:
-                raise LawError(f"{type(term.law).__name__} needs a pressure of its own; use it in a Model")
+                raise InputError(f"{type(term.law).__name__} needs a pressure of its own; use it in a Model")
             _require_jumps(V, term)
         terms = [replace(term, law=term.law.for_points()) if term.law.fields else term for term in terms]
         compiled = compiled_terms(terms)
@@ -142,7 +142,7 @@ class StepProblem(PartSum):
         After a step that failed, set u back to `state.u` and call `begin` again.
         """
         if not dt >= 0:
-            raise ModelError(f"the length of a step is {dt}; allowed: >= 0")
+            raise InputError(f"the length of a step is {dt}; allowed: >= 0")
         self._interval = Interval(self.state, self.t + float(dt), float(dt), 1.0)
         self.begin_parts(self._interval)
 
@@ -219,7 +219,7 @@ class StepProblem(PartSum):
         """Write internal forces less loads, reactions included, at the displacements u."""
         if self._interval is None:
             if self.state.memory:
-                raise ModelError("no step has begun: call begin(dt) before each solve")
+                raise InputError("no step has begun: call begin(dt) before each solve")
             self.begin(0.0)
         self._sizes = self.forces(self._u, self._u, out, self._each)
         self._sizes.append(float(out.norm()))
@@ -233,23 +233,23 @@ class StepProblem(PartSum):
 
 
 def _require_jumps(V: fem.FunctionSpace, term: Term) -> None:
-    """Raise ModelError if displacements cannot jump across the facets of a term inside the mesh. Collective."""
+    """Raise InputError if displacements cannot jump across the facets of a term inside the mesh. Collective."""
     if term.measure.integral_type() != "interior_facet":
         return
     sides = np.concatenate([np.empty(0, np.int64), *(rows for _, rows in term.measure.subdomain_data())]).reshape(-1, 4)
     common = [len(np.intersect1d(V.dofmap.cell_dofs(lower), V.dofmap.cell_dofs(upper))) for lower, _, upper, _ in sides]
     of_facet = len(V.dofmap.dof_layout.entity_closure_dofs(V.mesh.topology.dim - 1, 0))
     if communicator(V.mesh).allreduce(max(common, default=0), max) >= of_facet:
-        raise ModelError("displacements do not jump across S in the space of u; make it by `BrokenMesh.space`")
+        raise InputError("displacements do not jump across S in the space of u; make it by `BrokenMesh.space`")
 
 
 def _check(parts: Sequence[Part], keys: set[str]) -> None:
-    """Raise ModelError unless these are parts without unknowns of their own, with keys other than `keys`."""
+    """Raise InputError unless these are parts without unknowns of their own, with keys other than `keys`."""
     for part in parts:
         if not isinstance(part, Part):
-            raise ModelError(f"one of parts is {part!r}; allowed: objects that derive from thinlayer.parts.part.Part")
+            raise InputError(f"one of parts is {part!r}; allowed: objects that derive from thinlayer.parts.part.Part")
         if isinstance(part, FieldPart):
-            raise ModelError(f"the part {part.key!r} has unknowns of its own; use it in a Model")
+            raise InputError(f"the part {part.key!r} has unknowns of its own; use it in a Model")
         if part.key in keys:
-            raise ModelError(f"two parts are called {part.key!r}; give one of them another key")
+            raise InputError(f"two parts are called {part.key!r}; give one of them another key")
         keys.add(part.key)

@@ -9,11 +9,11 @@ import basix
 import numpy as np
 import numpy.typing as npt
 
+from forms.base import InputError
 from forms.temperature import finite
 from geometry.joint import Joint
 from geometry.order import along, by_place
 from geometry.topology import IntArray, connected, is_tensor, lagrange
-from thinlayer.errors import ModelError
 from thinlayer.system.table import Table
 
 Array = npt.NDArray[np.float64]
@@ -133,10 +133,10 @@ def lines_on(joint: Joint, seam: str, rows: IntArray, values: Array, plane: Plan
 
 
 def require_plane(plane: Plane | None, dim: int) -> None:
-    """Raise ModelError for a plane in 2D, or none in 3D."""
+    """Raise InputError for a plane in 2D, or none in 3D."""
     if (plane is None) != (dim == 2):
         hint = "in 2D S is a line" if dim == 2 else "in 3D lines on S are cuts by a plane: plane=(point, normal)"
-        raise ModelError(f"plane is {plane!r}; {hint}")
+        raise InputError(f"plane is {plane!r}; {hint}")
 
 
 def seam_segments(joint: Joint, rows: IntArray, values: Array) -> Segments:
@@ -190,7 +190,7 @@ def _crossed(ring: IntArray, x: Array, values: Array, height: Array, above: npt.
 
 
 def _plane(plane: object) -> tuple[Array, Array]:
-    """Point and unit normal of a plane; raises ModelError."""
+    """Point and unit normal of a plane; raises InputError."""
     if (both := finite(plane, (2, 3))) is None or not both[1].any():
-        raise ModelError(f"plane is {plane!r}; it needs (point, normal), three finite numbers each, not all zero")
+        raise InputError(f"plane is {plane!r}; it needs (point, normal), three finite numbers each, not all zero")
     return both[0], both[1] / np.linalg.norm(both[1])

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from forms.base import InputError
 from forms.temperature import finite
 from geometry.joint import Joint
 from geometry.refusals import place
 from geometry.topology import IntArray, geometry_degree, is_tensor, lagrange, sums
-from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
 INSIDE = 1e-9  # how far outside the reference entity a place may be that counts as in it
@@ -48,11 +48,11 @@ class Located:
             x: the places.
 
         Raises:
-            ModelError: no finite numbers of this shape.
+            InputError: no finite numbers of this shape.
         """
         d, degree = nodes.shape[2], geometry_degree(kind, nodes.shape[1])
         if (given := finite(x, (d,), (-1, d))) is None or not given.size:
-            raise ModelError(f"places are {x!r:.80}; they need {d} finite coordinates each, (n, {d})")
+            raise InputError(f"places are {x!r:.80}; they need {d} finite coordinates each, (n, {d})")
         given = np.atleast_2d(given)
         low, high = nodes.min(axis=1), nodes.max(axis=1)
         margin = (high - low).max(axis=1, keepdims=True) * (BULGE if degree > 1 else INSIDE)
@@ -68,11 +68,11 @@ class Located:
 
     @classmethod
     def in_cells(cls, joint: Joint, x: Any) -> Located:
-        """The cells of a joint, inflated or not, that contain places; raises ModelError as `of`, or if some are in none."""
+        """The cells of a joint, inflated or not, that contain places; raises InputError as `of`, or if some are in none."""
         located = cls.of(joint.cell_type, joint.cell_points, x)
         if len(missing := located.missing):
             some = f"{len(missing)} of {len(located.x)} places"
-            raise ModelError(f"{some} are in no cell of the mesh, the first at {place(located.x[missing[0]])}")
+            raise InputError(f"{some} are in no cell of the mesh, the first at {place(located.x[missing[0]])}")
         return located
 
     def __getitem__(self, rows: IntArray | npt.NDArray[np.bool_]) -> Located:

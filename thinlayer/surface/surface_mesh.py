@@ -14,7 +14,7 @@ import scipy.sparse.linalg
 from dolfinx import fem
 from scipy.spatial import cKDTree
 
-from forms.base import is_number
+from forms.base import InputError, is_number
 from geometry.inflating.parting import faces, points_on_middle
 from geometry.joint import Joint
 from geometry.order import along, by_place
@@ -28,7 +28,6 @@ from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.mixed_model import MixedModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, cell_values
-from thinlayer.errors import ModelError
 from thinlayer.surface.lines import Line, Plane, lines_on, require_plane
 from thinlayer.surface.locating import Located
 
@@ -103,15 +102,15 @@ class SurfaceMesh:
         shapes: (q, k) values at the points of the functions of degree 1 of the corners.
 
     Raises:
-        ModelError: no model, or an unknown seam.
+        InputError: no model, or an unknown seam.
     """
 
     def __init__(self, model: Model, seam: str = S) -> None:
         if not isinstance(model, Model):
             hint = ": give the state's model" if isinstance(model, State) else ""
-            raise ModelError(f"Surface needs a model, not {model!r:.80}{hint}")
+            raise InputError(f"Surface needs a model, not {model!r:.80}{hint}")
         if seam not in (S, *model.joint.seams):
-            raise ModelError(unknown("seam", seam, model.joint.seams))
+            raise InputError(unknown("seam", seam, model.joint.seams))
         self.model, self.seam = model.by_law if isinstance(model, MixedModel) else model, seam
         self.joint: Joint = self.model.domain.joint if self.model.broken else model.joint
         joint = self.joint
@@ -150,11 +149,11 @@ class SurfaceMesh:
         """The facets that contain places (n, d), or one (d,): all of them, and a point on each.
 
         Raises:
-            ModelError: no finite numbers of this shape; places that are not on the surface.
+            InputError: no finite numbers of this shape; places that are not on the surface.
         """
         located = Located.of(self.kind, self.faces.mean(axis=0), x)
         if len(off := located.missing):
-            raise ModelError(
+            raise InputError(
                 f"{len(off)} of {len(located.x)} places are not on {self.seam}, the first at {place(located.x[off[0]])}"
             )
         return located, FacetPoints(self, located.entity, located.X[:, None])
@@ -163,10 +162,10 @@ class SurfaceMesh:
         """Places in cells of the joint: those on the surface in the cells on one side alone, others in all of theirs.
 
         Raises:
-            ModelError: no side; a rigid base, which has no cells below.
+            InputError: no side; a rigid base, which has no cells below.
         """
         if side not in SIDES:
-            raise ModelError(f"side is {side!r}; allowed: lower, upper")
+            raise InputError(f"side is {side!r}; allowed: lower, upper")
         count, on_s, wanted = len(self.joint.cells) + 1, [], np.empty(0, np.int64)
         for name, nodes, cells in zip(SIDES, self.faces, self.cells.T, strict=True):
             at = Located.of(self.kind, nodes, located.x)
@@ -176,7 +175,7 @@ class SurfaceMesh:
         without = np.setdiff1d(np.concatenate(on_s), wanted // count)
         if len(without):
             at_place = place(located.x[without[0]])
-            raise ModelError(f"there is no body on the {side} side of S at {at_place}, but a rigid base")
+            raise InputError(f"there is no body on the {side} side of S at {at_place}, but a rigid base")
         of_side = np.isin(located.point * count + located.entity, wanted)
         return located[of_side | ~np.isin(located.point, np.concatenate(on_s))]
 
@@ -188,12 +187,12 @@ class SurfaceMesh:
             height: from -1/2 at the lower to 1/2 at the upper face, one or (n,).
 
         Raises:
-            ModelError: a surface of another model; a seam on a rigid base; places off S.
+            InputError: a surface of another model; a seam on a rigid base; places off S.
         """
         if not isinstance(self.model, FullModel):
-            raise ModelError(f"places in a meshed layer need a full model, not {self.model!r:.80}")
+            raise InputError(f"places in a meshed layer need a full model, not {self.model!r:.80}")
         if (self.cells < 0).any():
-            raise ModelError(f"the seam {self.seam!r} stands on a rigid base: one of its faces is not in the mesh")
+            raise InputError(f"the seam {self.seam!r} stands on a rigid base: one of its faces is not in the mesh")
         nodes = faces(self.joint, self.model.domain.joint.cell_points)[:, self.rows]
         located, at = self.at(x)
         shapes = tabulated(lagrange(self.kind, self.joint.degree), at.points, len(at.rows))[0]
@@ -206,7 +205,7 @@ class SurfaceMesh:
         """(2, d, n, q) displacements of the lower and of the upper side; zero of a rigid base. Collective.
 
         Raises:
-            ModelError: no state, or one of another joint.
+            InputError: no state, or one of another joint.
         """
         self._require_same_joint(state)
         return self.sides(state.u, state.model, self.quadrature)
@@ -218,9 +217,9 @@ class SurfaceMesh:
 
     def _require_same_joint(self, state: State) -> None:
         if not isinstance(state, State):
-            raise ModelError(f"Surface takes a state, as solve returns it or history.last is, not {state!r:.80}")
+            raise InputError(f"Surface takes a state, as solve returns it or history.last is, not {state!r:.80}")
         if state.model.joint.points is not self.model.joint.points:
-            raise ModelError("this state's model has another joint than the surface; build both from the same one")
+            raise InputError("this state's model has another joint than the surface; build both from the same one")
 
     def sides(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:
         """(2, m, n, q) values of a function of a model, below and above; zero of a rigid base. Collective."""
@@ -271,7 +270,7 @@ class SurfaceMesh:
 
     # ---------------------------------------------------------------- integrals
     def _field(self, f: Any) -> Array:
-        """(..., n, q) a field; raises ModelError."""
+        """(..., n, q) a field; raises InputError."""
         try:
             if f is None:
                 raise TypeError
@@ -282,7 +281,7 @@ class SurfaceMesh:
                 raise ValueError
             return np.broadcast_to(values, (*values.shape[:-2], *self.weights.shape))
         except (TypeError, ValueError):
-            raise ModelError(
+            raise InputError(
                 f"{_named(f)} is no field on S; give an array (..., n, q) = (..., {str(self.weights.shape)[1:]}, "
                 "as surface.jump(state) or surface.x[0] is, (n, 1) of facets, or values at the nodes"
             ) from None
@@ -291,12 +290,12 @@ class SurfaceMesh:
         """(n, q) weights of a part of S: of a field, or a numpy function of places x (d, n, q).
 
         Raises:
-            ModelError: neither.
+            InputError: neither.
         """
         try:
             return self._field(part(self.x) if callable(part) else part)
         except Exception as error:
-            raise ModelError(
+            raise InputError(
                 f"where is no numpy function of coordinates, as lambda x: x[0] > 1 or lambda x: (x[0] > 1) & (x[0] < 9): "
                 f"{error}"
             ) from error
@@ -317,7 +316,7 @@ class SurfaceMesh:
         """
         f, n = self._field(f), self.n
         if f.shape != n.shape:
-            raise ModelError(f"frame needs a vector field, of shape {n.shape}, not {f.shape}")
+            raise InputError(f"frame needs a vector field, of shape {n.shape}, not {f.shape}")
         axes = frames_at(np.moveaxis(n, 0, -1).reshape(-1, len(n))).reshape(*self.weights.shape, len(n), len(n))
         return np.einsum("fqij,jfq->ifq", axes, f)
 
@@ -432,7 +431,7 @@ class SurfaceMesh:
             plane: in 3D a point of the plane and its normal, ((x, y, z), (n_x, n_y, n_z)).
 
         Raises:
-            ModelError: no field; a plane in 2D, none in 3D, one that does not cut S.
+            InputError: no field; a plane in 2D, none in 3D, one that does not cut S.
         """
         joint, values, found = self.joint, self.at_corners(f), list[Line]()
         require_plane(plane, joint.dim)
@@ -443,7 +442,7 @@ class SurfaceMesh:
             mine = self.seams == name
             found += lines_on(joint, name, rows[mine], values[mine], plane)
         if not found:
-            raise ModelError(f"the plane {plane!r} does not cut S")
+            raise InputError(f"the plane {plane!r} does not cut S")
         return found
 
     def at_corners(self, f: Any) -> Array:
@@ -475,12 +474,12 @@ class SurfaceMesh:
             margin: length by which the part of S that is chosen is made wider.
 
         Raises:
-            ModelError: a number out of range; an integral that is zero, or not finite; where seams meet.
+            InputError: a number out of range; an integral that is zero, or not finite; where seams meet.
         """
         if not is_number(margin) or not 0 <= margin < np.inf:
-            raise ModelError(f"margin is {margin!r}; it must be a length >= 0")
+            raise InputError(f"margin is {margin!r}; it must be a length >= 0")
         if self.joint.seams_meet:
-            raise ModelError("most_of needs seams that do not meet, as mixed models do")
+            raise InputError("most_of needs seams that do not meet, as mixed models do")
         joint, sums = self.joint, np.zeros(len(self.joint.surface_rows))
         sums[self.rows] = (np.abs(self._field(f)) * self.weights).sum(axis=1)
         chosen = most_of(sums, all_but)
@@ -493,13 +492,13 @@ def most_of(sums: Array, all_but: float) -> npt.NDArray[np.bool_]:
     """The fewest values >= 0 whose sum is that of all but for a share.
 
     Raises:
-        ModelError: a share out of range; values that are not finite, or all zero.
+        InputError: a share out of range; values that are not finite, or all zero.
     """
     if not is_number(all_but) or not 0 <= all_but < 1:
-        raise ModelError(f"all_but is {all_but!r}, a share of an integral; allowed: from 0 to less than 1")
+        raise InputError(f"all_but is {all_but!r}, a share of an integral; allowed: from 0 to less than 1")
     total = float(sums.sum())
     if not (np.isfinite(total) and total > 0):
-        raise ModelError(f"the integral over S is {total:g}; nothing tells one part of S from another")
+        raise InputError(f"the integral over S is {total:g}; nothing tells one part of S from another")
     order = np.argsort(-sums, kind="stable")
     left = total - np.cumsum(sums[order])
     chosen = np.zeros(len(sums), bool)

@@ -17,8 +17,8 @@ from typing import Any, BinaryIO
 
 from mpi4py import MPI
 
+from forms.base import InputError
 from geometry.parallel import on_root
-from thinlayer.errors import ModelError
 
 LOCK = ".lock"
 PREVIOUS = "previous-"
@@ -65,14 +65,14 @@ def read_sealed(path: Path) -> dict[str, Any]:
     """The data of `write_sealed`.
 
     Raises:
-        ModelError: the file cannot be read, or is not as it was written.
+        InputError: the file cannot be read, or is not as it was written.
     """
     try:
         content = dict(json.loads(path.read_text(encoding="utf-8")))
         if content.pop("hash", None) != _seal(content):
             raise ValueError("it is damaged, or has been changed")
     except (OSError, ValueError, TypeError) as error:
-        raise ModelError(f"{str(path)!r} cannot be read ({error}); remove it to start anew") from error
+        raise InputError(f"{str(path)!r} cannot be read ({error}); remove it to start anew") from error
     return content
 
 
@@ -94,7 +94,7 @@ def owned(folder: Path | None, comm: MPI.Intracomm | None = None, name: str = LO
         name: name of the lock file; runs that write different files of the folder use different names.
 
     Raises:
-        ModelError: another run is at work there, or no files can be written.
+        InputError: another run is at work there, or no files can be written.
     """
     with ExitStack() as stack:
         if folder is not None:
@@ -111,10 +111,10 @@ def locked(folder: Path, name: str = LOCK, wait: float = 0.0) -> Iterator[None]:
             made = [one for one in (folder, *folder.parents) if not one.is_dir()]
             folder.mkdir(parents=True, exist_ok=True)
             file = _lock(folder / name, time.monotonic() + wait)
-        except ModelError:  # a ValueError with a complete message
+        except InputError:  # a ValueError with a complete message
             raise
         except (OSError, ValueError) as error:  # a name with a null character is no OSError
-            raise ModelError(f"no files can be written in {str(folder)!r}: {error}; give another folder") from error
+            raise InputError(f"no files can be written in {str(folder)!r}: {error}; give another folder") from error
         yield
     finally:
         if file >= 0:
@@ -138,7 +138,7 @@ def _lock(path: Path, end: float) -> int:
                     time.sleep(0.05)
                     continue
                 who = os.pread(file, 200, 0).decode(errors="replace").strip() or "another process"
-                raise ModelError(
+                raise InputError(
                     f"another run ({who}) is writing into {str(path.parent)!r}; wait for it, or give another folder"
                 ) from None
             except OSError as error:

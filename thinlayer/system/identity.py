@@ -33,8 +33,7 @@ import ufl
 from ufl.algorithms.signature import compute_expression_signature
 from ufl.domain import extract_domains
 
-from forms.base import PACKAGES
-from thinlayer.errors import ModelError
+from forms.base import PACKAGES, InputError
 
 Resume = bool | Literal["anyway"]
 CODE, FILE, CLASS, SAME = "(code)", "(file)", "(class)", "(same as)"
@@ -109,9 +108,9 @@ def in_words(found: list[tuple[tuple[str, ...], Any, Any]]) -> str:
 
 
 def require_resume(resume: Any) -> None:
-    """Raise ModelError unless this is a choice of whether a run is resumed."""
+    """Raise InputError unless this is a choice of whether a run is resumed."""
     if not (isinstance(resume, bool) or (isinstance(resume, str) and resume == "anyway")):
-        raise ModelError(f"resume is {resume!r}; allowed: True, False, and 'anyway' for a run that may be another one")
+        raise InputError(f"resume is {resume!r}; allowed: True, False, and 'anyway' for a run that may be another one")
 
 
 def digest(value: Any) -> str:

@@ -20,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from forms.base import InputError
 from geometry.parallel import world
-from thinlayer.errors import ModelError
 from thinlayer.system.identity import ALONE, MISSING, described, differences, digest
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
     all ranks.
 
     Raises:
-        ModelError: on some ranks an error occurred; it names the first of them. If all have one, each raises its own.
+        InputError: on some ranks an error occurred; it names the first of them. If all have one, each raises its own.
     """
     comm = comm or world()
     key, began = comm.py2f(), time.monotonic()
@@ -63,7 +63,7 @@ def on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
             texts = _texts(comm, _DEPTH[key], problem, max(PATIENCE, time.monotonic() - began))
             wrong = [rank for rank, text in enumerate(texts) if text is not None]
             if wrong and len(wrong) < comm.size:
-                raise _for_all(ModelError(f"rank {wrong[0]}: {texts[wrong[0]]}")) from problem
+                raise _for_all(InputError(f"rank {wrong[0]}: {texts[wrong[0]]}")) from problem
         if problem is not None:
             raise _for_all(problem)
     finally:
@@ -92,7 +92,7 @@ def _texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, patience:
 
 
 def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
-    """Hash of data that all ranks were given; raises ModelError, on all ranks, if they differ. Collective.
+    """Hash of data that all ranks were given; raises InputError, on all ranks, if they differ. Collective.
 
     Args:
         comm: communicator (default: the world).
@@ -115,7 +115,7 @@ def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
                 here, there = ("nothing" if one is MISSING else json.dumps(one)[:SHOWN] for one in both)
                 at = f"{'.'.join(path)} is " if path else ""
                 what = f"the ranks were given different {name}: {at}{here} on rank 0, {there} on rank {rank}"
-                raise _for_all(ModelError(f"{what}; give all ranks the same"))
+                raise _for_all(InputError(f"{what}; give all ranks the same"))
     return digest(found[0])
 
 

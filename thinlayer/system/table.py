@@ -17,7 +17,6 @@ from rich.text import Text
 
 from forms.base import InputError
 from geometry.parallel import on_root
-from thinlayer.errors import ModelError
 from thinlayer.system.folder import replaced
 
 Row = dict[str, float | str | None]
@@ -46,7 +45,7 @@ class Table:
         """Add a row, and write the table to its file: on the disk before this returns. Collective, if there is a file.
 
         Raises:
-            ModelError: other columns than the first row's, or a name of a column that is no text.
+            InputError: other columns than the first row's, or a name of a column that is no text.
             OSError: the file could not be written; on all ranks.
         """
         self.extend([row])
@@ -56,9 +55,9 @@ class Table:
         before = len(self.rows)
         for row in rows:
             if self.rows and list(row) != self.columns:
-                raise ModelError(f"a row with columns {list(row)} does not fit a table with columns {self.columns}")
+                raise InputError(f"a row with columns {list(row)} does not fit a table with columns {self.columns}")
             if wrong := [name for name in row if not isinstance(name, str)]:
-                raise ModelError(f"a table's columns have texts for names, not {', '.join(map(repr, wrong))}")
+                raise InputError(f"a table's columns have texts for names, not {', '.join(map(repr, wrong))}")
             self.rows.append(dict(row))
         if self.path is not None and len(self.rows) > before:
             self.write(self.path)
@@ -88,23 +87,23 @@ class Table:
         """The rows as a pandas.DataFrame.
 
         Raises:
-            ModelError: pandas is not installed.
+            InputError: pandas is not installed.
         """
         try:
             import pandas
         except ImportError as error:
-            raise ModelError("pandas is not installed; how it is added is in thinlayer/guide/results.md") from error
+            raise InputError("pandas is not installed; how it is added is in thinlayer/guide/results.md") from error
         return pandas.DataFrame(self.rows, columns=self.columns)
 
     @classmethod
     def of(cls, columns: Mapping[str, Any]) -> Table:
-        """A table from its columns, with as many entries each or one for all rows; ModelError: other numbers."""
+        """A table from its columns, with as many entries each or one for all rows; InputError: other numbers."""
         entries = [np.atleast_1d(np.asarray(column, object)) for column in columns.values()]
         try:
             rows = zip(*np.broadcast_arrays(*entries), strict=True)
         except ValueError:
             sizes = ", ".join(f"{name} {len(column)}" for name, column in zip(columns, entries, strict=True))
-            raise ModelError(f"columns of a table have as many entries each, or one; not {sizes}") from None
+            raise InputError(f"columns of a table have as many entries each, or one; not {sizes}") from None
         return cls(dict(zip(columns, row, strict=True)) for row in rows)
 
     @classmethod
@@ -116,7 +115,7 @@ class Table:
             comm: communicator whose rank 0 reads (default: the world).
 
         Raises:
-            FileNotFoundError: there is no file. ModelError: it cannot be read, or is no table. On all ranks.
+            FileNotFoundError: there is no file. InputError: it cannot be read, or is no table. On all ranks.
         """
 
         def read() -> list[list[str]]:
@@ -126,13 +125,13 @@ class Table:
             except FileNotFoundError:
                 raise
             except (OSError, ValueError, csv.Error) as error:
-                raise ModelError(f"{str(path)!r} cannot be read as a table: {error}") from error
+                raise InputError(f"{str(path)!r} cannot be read as a table: {error}") from error
 
         table, (names, *rows) = cls(), on_root(comm, read) or [[]]
         for number, row in enumerate(rows, 2):
             if len(row) != len(names):
                 columns = f"{len(names)} columns"
-                raise ModelError(f"{str(path)!r} is no whole table: line {number} has {len(row)} entries for {columns}")
+                raise InputError(f"{str(path)!r} is no whole table: line {number} has {len(row)} entries for {columns}")
             table.rows.append(dict(zip(names, map(_value, row), strict=True)))
         return table
 

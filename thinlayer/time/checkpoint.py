@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
+from forms.base import InputError
 from geometry.parallel import on_root
 from thinlayer.discretisation.state import Audit, Report, State
-from thinlayer.errors import ModelError
 from thinlayer.parts.part import FileOrder
 from thinlayer.solving.equations import Equations
 from thinlayer.system.folder import hash_of, read_sealed, replaced, write_sealed
@@ -70,7 +70,7 @@ class Checkpoint:
         self._orders |= {start + key: order for key, order in of_parts.items() for start in (MEMORY, STRESS)}
         for key, values in self._rest.items():
             if not isinstance(values, Mapping) and key not in of_parts:
-                raise ModelError(
+                raise InputError(
                     f"the part {key!r} remembers values that have no order in files: march without out=, or give "
                     "its class file_order, a FileOrder of the rows of its memory, or a memory of functions"
                 )
@@ -145,7 +145,7 @@ class Checkpoint:
         With "anyway" it may be another march, and stays the one that it was begun as.
 
         Raises:
-            ModelError: the files belong to another march, or it is to be resumed and they are damaged.
+            InputError: the files belong to another march, or it is to be resumed and they are damaged.
         """
         found = on_root(self.comm, lambda: self._content(resume))
         if found is None:
@@ -162,22 +162,22 @@ class Checkpoint:
         if not self.path.exists():
             if (self.folder / TABLE).exists():
                 found = f"{self.folder} has a {TABLE} of something else"
-                raise ModelError(f"{found}, as there is no {self.path.name}; give another folder, or remove it")
+                raise InputError(f"{found}, as there is no {self.path.name}; give another folder, or remove it")
             return None
         try:
             content = read_sealed(self.path)
-        except ModelError:
+        except InputError:
             if resume:
                 raise
             return None
         there, here = content["mark"], self.mark
         if there != here and resume != "anyway":
             other = in_words([*differences(there, here)])
-            raise ModelError(
+            raise InputError(
                 f"{self.path} is of another march ({other}); give another folder, remove it, or resume='anyway'"
             )
         if there["observe"].keys() != here["observe"].keys():
-            raise ModelError(f"{self.path}: the march observes {[*there['observe']]}, not {[*here['observe']]}")
+            raise InputError(f"{self.path}: the march observes {[*there['observe']]}, not {[*here['observe']]}")
         return content if resume else None
 
     def _read_state(self, row: int, table: Table) -> State:
@@ -186,7 +186,7 @@ class Checkpoint:
         def load() -> tuple[list[str], dict[str, float], Array | None]:
             seal, stored = self._states[str(row)]
             if hash_of(self._file(row)) != seal:
-                raise ModelError(f"{self._file(row)} is lost or damaged; remove the folder to start anew")
+                raise InputError(f"{self._file(row)} is lost or damaged; remove the folder to start anew")
             with np.load(self._file(row), allow_pickle=False) as file:
                 arrays.update(file)
             return [*arrays], stored, arrays.get(REACTIONS)
@@ -228,7 +228,7 @@ class Checkpoint:
         rows = rows if rows is not None and rows.shape[1] == width + 1 else np.empty((0, width + 1))
         found = carry(self.comm, rows[:, 0].astype(np.int64), rows[:, 1:], numbers)
         if self.comm.allreduce(int(not np.isfinite(found).all())):
-            raise ModelError(f"{self._file(row)} is of a march with other unknowns; remove the folder to start anew")
+            raise InputError(f"{self._file(row)} is of a march with other unknowns; remove the folder to start anew")
         return found
 
 

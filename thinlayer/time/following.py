@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from forms.base import InputError
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError, SolveError, TurningPoint
+from thinlayer.errors import SolveError, TurningPoint
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.identity import Resume
@@ -61,7 +62,7 @@ class PathFollowing:
         try:
             if self._journal.read(resume):
                 if self._history.last.t > self.plan.end + self._near:
-                    raise ModelError(
+                    raise InputError(
                         f"the march in {self._journal.out} is at t = {self._history.last.t:g}; the path is to end before"
                     )
             elif not len(self._history):

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from forms.base import is_number
+from forms.base import InputError, is_number
 from thinlayer.discretisation.layer import BODIES
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
 from thinlayer.parts.phases import seams_with_phases
 from thinlayer.system.table import Table
 
@@ -90,9 +89,9 @@ class History:
 
     @property
     def last(self) -> State:
-        """State of the last accepted step. ModelError: there is none."""
+        """State of the last accepted step. InputError: there is none."""
         if not self.states:
-            raise ModelError("the march has no accepted state: its first one failed")
+            raise InputError("the march has no accepted state: its first one failed")
         return self.states[max(self.states)]
 
     @property
@@ -121,12 +120,12 @@ class History:
         return tuple(seam for seam, both in shares.items() if np.diff(both).any())
 
     def at(self, t: float) -> State:
-        """The state at a time, the last of several. ModelError: no step ended there, or its state was not kept."""
+        """The state at a time, the last of several. InputError: no step ended there, or its state was not kept."""
         if not is_number(t) or not math.isfinite(t):
-            raise ModelError(f"t is {t!r}; it must be a finite number")
+            raise InputError(f"t is {t!r}; it must be a finite number")
         near = SAME_TIME * max(abs(t), float(np.ptp(self.t)))
         rows = [row for row in self.states if abs(self.states[row].t - t) <= near]
         if not rows:
             kept = ", ".join(f"{state.t:g}" for state in self)
-            raise ModelError(f"no state at t = {t:g} is kept; there are states at {kept}")
+            raise InputError(f"no state at t = {t:g} is kept; there are states at {kept}")
         return self.states[rows[-1]]

@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from forms.base import ThinlayerError
+from forms.base import InputError, ThinlayerError
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
 from thinlayer.parts.phases import phase_shares, seams_with_phases
 from thinlayer.solving.equations import Equations
 from thinlayer.system.identity import Resume, code_of, described
@@ -76,7 +75,7 @@ class Journal:
         """Take over the march in the folder. False: there is no march, or `resume` is False.
 
         Raises:
-            ModelError: the folder has another march, or files that are damaged and to be resumed.
+            InputError: the folder has another march, or files that are damaged and to be resumed.
         """
         pace = self._checkpoint.read(self.history, self._keep, resume) if self._checkpoint else None
         if pace is None:
@@ -132,7 +131,7 @@ class Journal:
         return known | {name: self._observed(name, state) for name in self._observe}
 
     def _observed(self, name: str, state: State) -> float:
-        """The value of an observing function on rank 0. ModelError: the function fails, or ranks find other values."""
+        """The value of an observing function on rank 0. InputError: the function fails, or ranks find other values."""
         comm, place = self.model.comm, f"observe[{name!r}] at t = {state.t:g}"
         try:
             with on_all(comm):
@@ -141,12 +140,12 @@ class Journal:
                     raise TypeError(f"it gives {found!r}, no real number")
                 value = float(found)
         except Exception as error:
-            raise ModelError(f"{place}: {_problem(error)}") from error
+            raise InputError(f"{place}: {_problem(error)}") from error
         values = np.array(comm.allgather(value))
         if not np.allclose(values, values[0], rtol=SAME_VALUE, atol=0.0, equal_nan=True):
             numbers = ", ".join(f"{value:.6g}" for value in values)
             advice = "let the function return the sum, or the largest, of the values of all ranks"
-            raise ModelError(f"{place}: the ranks find {numbers}; {advice}")
+            raise InputError(f"{place}: the ranks find {numbers}; {advice}")
         return float(values[0])
 
 

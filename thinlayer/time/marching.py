@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from forms.base import InputError
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError, SolveError, warn
+from thinlayer.errors import SolveError, warn
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.ranges import warn_of_model, warn_of_states, warn_of_steps, warn_of_strains
@@ -93,7 +94,7 @@ def march(
             Before the march: planned steps are not well below a relaxation or retardation time of a law.
 
     Raises:
-        ModelError: times, theta, names or loads out of range, before the first solve; theta < 1 with a contact law, or a
+        InputError: times, theta, names or loads out of range, before the first solve; theta < 1 with a contact law, or a
             law that yields, has phases, or answers at once and not linearly; files of another march in `out`; an `out` that
             cannot be written, or that another march uses.
         OSError: a file could not be written; on all ranks.
@@ -165,11 +166,11 @@ def follow(
         The states of the path, and the one that it begins with.
 
     Raises:
-        ModelError: neither a history nor a state; laws whose paths cannot be followed, see `march`; `path` out of range.
+        InputError: neither a history nor a state; laws whose paths cannot be followed, see `march`; `path` out of range.
         SolveError: as in `march`.
     """
     if not isinstance(begun, (History, State)) or not isinstance(path, ArcLength):
-        raise ModelError(
+        raise InputError(
             f"follow takes a history or a state, and an ArcLength(...), not {begun!r:.80} and {path!r:.80}"
         )
     *earlier, last = [begun] if isinstance(begun, State) else begun
@@ -212,43 +213,43 @@ def _on_path(
 
 
 def _require_path(equations: Equations, plan: Plan, theta: float, method: str | None) -> None:
-    """Raise ModelError unless a march of a softening layer can go along its path. Collective."""
+    """Raise InputError unless a march of a softening layer can go along its path. Collective."""
     if plan.adaptive:
         equations.refuse({"softens": f"march with Adaptive: {SOFTENS}"})
     try:
         require_choices(theta, method)
         require_path(equations)
-    except ModelError as error:
-        raise ModelError(f"the stress of a layer falls, and equilibria in time must be on its path: {error}") from error
+    except InputError as error:
+        raise InputError(f"the stress of a layer falls, and equilibria in time must be on its path: {error}") from error
 
 
 def _number(name: str, value: Any) -> float:
     if np.ndim(value) or np.asarray(value).dtype.kind not in "iuf":
-        raise ModelError(f"{name} is {value!r}; it must be a number")
+        raise InputError(f"{name} is {value!r}; it must be a number")
     return float(value)
 
 
 def _check(model: Any, theta: float, keep: str, out: Any, resume: Resume, observe: Any) -> None:
     if not isinstance(model, Model):
-        raise ModelError(f"model is {model!r}; march takes what Structure.full or Structure.interface returns")
+        raise InputError(f"model is {model!r}; march takes what Structure.full or Structure.interface returns")
     if observe is not None and not isinstance(observe, Mapping):
-        raise ModelError(f"observe is {observe!r}; it must be {{name of a column: function of a state}}")
+        raise InputError(f"observe is {observe!r}; it must be {{name of a column: function of a state}}")
     for name, function in (observe or {}).items():
         if not isinstance(name, str) or not callable(function):
-            raise ModelError(
+            raise InputError(
                 f"observe[{name!r}] is {function!r}; it must be a function of a state that returns a number"
             )
         if name in columns(model):
-            raise ModelError(f"observe: column {name!r} is there already; give it another name")
+            raise InputError(f"observe: column {name!r} is there already; give it another name")
     if not 0.5 <= theta <= 1:
-        raise ModelError(f"theta is {theta}; allowed: 1/2 (midpoint rule) to 1 (backward Euler)")
+        raise InputError(f"theta is {theta}; allowed: 1/2 (midpoint rule) to 1 (backward Euler)")
     if keep not in ("all", "last"):
-        raise ModelError(f"keep is {keep!r}; allowed: 'all', 'last'")
+        raise InputError(f"keep is {keep!r}; allowed: 'all', 'last'")
     require_resume(resume)
     if resume and out is None:
-        raise ModelError(f"resume={resume!r} needs out=, the folder of the march")
+        raise InputError(f"resume={resume!r} needs out=, the folder of the march")
     if out is not None and (not isinstance(out, (str, Path)) or not str(out)):
-        raise ModelError(f"out is {out!r}; it must be the name of a folder")
+        raise InputError(f"out is {out!r}; it must be the name of a folder")
 
 
 # ---------------------------------------------------------------- what planned steps leave undetermined

@@ -19,8 +19,9 @@ from collections.abc import Mapping
 
 from petsc4py import PETSc
 
+from forms.base import InputError
 from thinlayer.discretisation.state import Report, State
-from thinlayer.errors import ModelError, SolveError
+from thinlayer.errors import SolveError
 from thinlayer.parts.part import Interval
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import Factor, direct_solver, mark
@@ -92,7 +93,7 @@ class PathEquations:
     def _begin(self, last: State, t: float) -> None:
         try:
             self.equations.begin(Interval(last, t, t - last.t, 1.0))
-        except ModelError as error:
+        except InputError as error:
             raise SolveError(str(error)) from error
 
     def _require_law(self) -> None:

@@ -10,9 +10,8 @@ from numbers import Integral
 import numpy as np
 import numpy.typing as npt
 
-from forms.base import is_finite, is_number
+from forms.base import InputError, is_finite, is_number
 from forms.temperature import real
-from thinlayer.errors import ModelError
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.equations import Equations
 from thinlayer.time.history import SAME_TIME
@@ -42,7 +41,7 @@ class Adaptive:
         largest: length of the longest step (default: no limit).
 
     Raises:
-        ModelError: values out of range.
+        InputError: values out of range.
     """
 
     end: float
@@ -55,10 +54,10 @@ class Adaptive:
     def __post_init__(self) -> None:
         _require_numbers(self, "first", "tolerance", "smallest", "largest", signed=("end",))
         if isinstance(self.at, str) or not isinstance(self.at, Iterable) or not all(is_number(t) for t in self.at):
-            raise ModelError(f"Adaptive: at is {self.at!r}; allowed: a sequence of times")
+            raise InputError(f"Adaptive: at is {self.at!r}; allowed: a sequence of times")
         object.__setattr__(self, "at", tuple(map(float, self.at)))
         if self.at and max(self.at) > self.end:
-            raise ModelError(f"Adaptive: at has t = {max(self.at):g}; times increase to end = {self.end:g}")
+            raise InputError(f"Adaptive: at has t = {max(self.at):g}; times increase to end = {self.end:g}")
 
     @property
     def targets(self) -> list[float]:
@@ -67,13 +66,13 @@ class Adaptive:
 
 
 def _require_numbers(given: Adaptive | ArcLength, *positive: str, signed: tuple[str, ...]) -> None:
-    """Raise ModelError unless attributes are numbers > 0, or finite ones of either sign, or None by default."""
+    """Raise InputError unless attributes are numbers > 0, or finite ones of either sign, or None by default."""
     for name in (*signed, *positive):
         value = getattr(given, name)
         good = is_finite(value) if name in signed else is_number(value) and value > 0
         if not good and not (value is None and getattr(type(given), name, 0) is None):
             above = "" if name in signed else " > 0"
-            raise ModelError(f"{type(given).__name__}: {name} is {value!r}; allowed: a number{above}")
+            raise InputError(f"{type(given).__name__}: {name} is {value!r}; allowed: a number{above}")
 
 
 @dataclass(frozen=True)
@@ -95,17 +94,17 @@ class Plan:
         """The plan for `times`; steps must also end at `breaks` between them."""
         adaptive = times if isinstance(times, Adaptive) else None
         if isinstance(times, str):
-            raise ModelError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)")
+            raise InputError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)")
         try:
             given = real([*(adaptive.targets if adaptive else times)])  # type: ignore[misc]
             if given.ndim != 1:
                 raise TypeError("it has rows")
             targets = [float(t) for t in given]
         except (TypeError, ValueError) as error:
-            raise ModelError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)") from error
+            raise InputError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)") from error
         whole = np.array([start, *targets])
         if not targets or not np.isfinite(whole).all() or (np.diff(whole) <= 0).any():
-            raise ModelError(
+            raise InputError(
                 f"times is {targets} from start = {start:g}; they must be finite, increase, "
                 "and come after start, which is not one of them"
             )
@@ -133,14 +132,14 @@ def distinct(start: float, end: float) -> bool:
 
 
 def _require_steps(times: npt.NDArray[np.float64], adaptive: Adaptive | None) -> None:
-    """Raise ModelError if steps between times, or the shortest parts of them, are lost in rounding."""
+    """Raise InputError if steps between times, or the shortest parts of them, are lost in rounding."""
     tiny = np.finfo(float).tiny  # smaller numbers lose digits
     if adaptive:
         start, first = float(times[0]), min(adaptive.first, float(times[-1] - times[0]))
         if not distinct(start, start + first) or (adaptive.smallest or first / MOST_SHORTENED) < tiny:
-            raise ModelError(f"Adaptive: first is {first:g}: a step from t = {start:g} that is lost in rounding")
+            raise InputError(f"Adaptive: first is {first:g}: a step from t = {start:g} that is lost in rounding")
         if adaptive.largest < np.spacing(np.abs(times).max()) * 2:
-            raise ModelError(
+            raise InputError(
                 f"Adaptive: largest is {adaptive.largest:g}: such steps to t = {times[-1]:g} are lost in rounding"
             )
     dt = np.diff(times)
@@ -148,7 +147,7 @@ def _require_steps(times: npt.NDArray[np.float64], adaptive: Adaptive | None) ->
     lost = np.flatnonzero(dt < near * (1 if adaptive else 2**HALVINGS))
     if len(lost):
         a, b = times[lost[0]], times[lost[0] + 1]
-        raise ModelError(f"times has {b!r} after {a!r}: the step between them, or its parts, are lost in rounding")
+        raise InputError(f"times has {b!r} after {a!r}: the step between them, or its parts, are lost in rounding")
 
 
 def _with_breaks(start: float, targets: list[float], breaks: set[float]) -> list[float]:
@@ -163,7 +162,7 @@ def _with_breaks(start: float, targets: list[float], breaks: set[float]) -> list
 
 # ---------------------------------------------------------------- theta
 def require_ends(equations: Equations, theta: float, times: Sequence[float]) -> None:
-    """Raise ModelError if theta < 1 and a part does not balance at the ends of steps then. Collective.
+    """Raise InputError if theta < 1 and a part does not balance at the ends of steps then. Collective.
 
     Laws at points that creep or relax may be of any kind; others say `linear`, and their parameters do not change in time.
 
@@ -186,7 +185,7 @@ def require_ends(equations: Equations, theta: float, times: Sequence[float]) -> 
             at_once = [*filter(None, [part.answers_at_once(times)])]
         for name, changes in at_once:
             how = "with parameters that change in time" if changes else "not linearly (linear = True is not declared)"
-            raise ModelError(
+            raise InputError(
                 f"theta is {theta}; {name} answers at once, and {how}: if forces balance within a step, states at the ends "
                 f"of steps oscillate about the solution, and nothing damps them: {ALLOWED_THETA}"
             )
@@ -215,7 +214,7 @@ class ArcLength:
             a SolveError. Loads and supports are evaluated at such times.
 
     Raises:
-        ModelError: values out of range.
+        InputError: values out of range.
     """
 
     end: float
@@ -228,36 +227,36 @@ class ArcLength:
     def __post_init__(self) -> None:
         _require_numbers(self, "first", "smallest", "largest", signed=("end", "back"))
         if not isinstance(self.steps, Integral) or isinstance(self.steps, bool) or self.steps < 1:
-            raise ModelError(f"ArcLength: steps is {self.steps!r}; allowed: a whole number > 0")
+            raise InputError(f"ArcLength: steps is {self.steps!r}; allowed: a whole number > 0")
         if self.largest < self.smallest:
-            raise ModelError(f"ArcLength: largest is {self.largest:g}; allowed: >= smallest = {self.smallest:g}")
+            raise InputError(f"ArcLength: largest is {self.largest:g}; allowed: >= smallest = {self.smallest:g}")
 
     def lowest(self, start: float) -> float:
         """The time below which the march ends."""
         return 2 * start - self.end if self.back is None else float(self.back)
 
     def check(self, start: float) -> None:
-        """Raise ModelError unless the path can begin at the time `start`."""
+        """Raise InputError unless the path can begin at the time `start`."""
         if not math.isfinite(start) or not self.end > start:
-            raise ModelError(f"ArcLength: end is {self.end:g}; it must come after start = {start:g}")
+            raise InputError(f"ArcLength: end is {self.end:g}; it must come after start = {start:g}")
         if self.first > self.end - start:
-            raise ModelError(f"ArcLength: first is {self.first:g}; end - start is {self.end - start:g}")
+            raise InputError(f"ArcLength: first is {self.first:g}; end - start is {self.end - start:g}")
         if not distinct(start, start + self.first) or self.first**2 < np.finfo(float).tiny:
-            raise ModelError(f"ArcLength: first is {self.first:g}: a step from t = {start:g} that is lost in rounding")
+            raise InputError(f"ArcLength: first is {self.first:g}: a step from t = {start:g} that is lost in rounding")
         if not self.lowest(start) < start:
-            raise ModelError(f"ArcLength: back is {self.back:g}; it must be less than start = {start:g}")
+            raise InputError(f"ArcLength: back is {self.back:g}; it must be less than start = {start:g}")
 
 
 def require_choices(theta: float, method: str | None) -> None:
-    """Raise ModelError unless a path is followed by Newton's method, with forces that balance at t itself."""
+    """Raise InputError unless a path is followed by Newton's method, with forces that balance at t itself."""
     if theta != 1:
-        raise ModelError(f"theta is {theta}; forces on a path balance at t itself: theta = 1")
+        raise InputError(f"theta is {theta}; forces on a path balance at t itself: theta = 1")
     if method not in (None, "newton"):
-        raise ModelError(f"method is {method!r}; a path is followed by Newton's method")
+        raise InputError(f"method is {method!r}; a path is followed by Newton's method")
 
 
 def require_path(equations: Equations) -> None:
-    """Raise ModelError unless paths of the model can be followed: no part has a rate or bounds. Collective."""
+    """Raise InputError unless paths of the model can be followed: no part has a rate or bounds. Collective."""
     refused = {
         "releases": "{} is a contact law: march in time instead of ArcLength",
         "bounded": "{} bounds stresses: on a path loads stay at their limit; march in time, which finds the limit",
@@ -266,7 +265,7 @@ def require_path(equations: Equations) -> None:
     }
     for part in equations.of_kind(PressurePart):
         for name in part.named():
-            raise ModelError(f"{name} is incompressible: paths have displacements alone, no pressures; march in time")
+            raise InputError(f"{name} is incompressible: paths have displacements alone, no pressures; march in time")
     equations.refuse(refused)
     for name in filter(None, equations.ask("takes_time")):
-        raise ModelError(f"{name} creeps or relaxes, and t is no time on a path: march in time")
+        raise InputError(f"{name} creeps or relaxes, and t is no time on a path: march in time")

@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
+from forms.base import InputError
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import State
-from thinlayer.errors import LimitLoad, ModelError, NoEquilibrium, SolveError, warn
+from thinlayer.errors import LimitLoad, NoEquilibrium, SolveError, warn
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.identity import Resume
@@ -67,7 +68,7 @@ class TimeStepping:
             if self._journal.read(resume):
                 last, end = self._history.last.t, self.plan.targets[-1]
                 if last > end + SAME_TIME * max(abs(end), abs(self.start)):
-                    raise ModelError(f"the march in {self._journal.out} is at t = {last:g}; times end before")
+                    raise InputError(f"the march in {self._journal.out} is at t = {last:g}; times end before")
                 if passed := self._passed():
                     warn(
                         "passed time",

@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from forms.base import InputError
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
 from thinlayer.output.contact_fields import PINNED, Contact
 from thinlayer.output.plotting.curves import COLOURS, logarithmic
 from thinlayer.output.plotting.picture import Picture, finish
@@ -53,10 +53,10 @@ def along(
         log: whether scales of numbers are logarithmic, on both sides of zero.
 
     Raises:
-        ModelError: no surface, no state or field; errors of `Surface.along`. OSError: the picture could not be written.
+        InputError: no surface, no state or field; errors of `Surface.along`. OSError: the picture could not be written.
     """
     if not isinstance(surface, Surface):
-        raise ModelError(f"along: surface is {surface!r:.80}; give Surface(limit.model)")
+        raise InputError(f"along: surface is {surface!r:.80}; give Surface(limit.model)")
     units = [f" ({unit})" if unit else "" for unit in (stress, length)]
     rows = [_Row(surface, label, cases, plane) for label, cases in _rows(surface, fields, *units).items()]
     seams, curve = list(dict.fromkeys(surface.seams.tolist())), PANEL[1] if len(rows) < 3 else LOW
@@ -86,7 +86,7 @@ def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, 
     """Label of a row -> label of a case -> field; of pinned nodes the force is the support's, and left out."""
     cases = dict(fields) if isinstance(fields, Mapping) else {"": fields}
     if not cases:
-        raise ModelError("along: there is nothing to draw")
+        raise InputError("along: there is nothing to draw")
     if not all(isinstance(one, (State, Contact)) for one in cases.values()):
         return {label: one if isinstance(one, Mapping) else {"": one} for label, one in cases.items()}
     rows: dict[str, dict[str, Values]] = {}

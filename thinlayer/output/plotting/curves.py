@@ -13,8 +13,8 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator
 
+from forms.base import InputError
 from forms.temperature import real
-from thinlayer.errors import ModelError
 from thinlayer.output.plotting.picture import Picture, finish
 from thinlayer.system.table import Table
 
@@ -47,21 +47,21 @@ def rates(
         errors: label -> column of the tables.
 
     Raises:
-        ModelError: a table without rows or without these columns. OSError: the picture could not be written.
+        InputError: a table without rows or without these columns. OSError: the picture could not be written.
     """
     tables = table if isinstance(table, Mapping) else {"": table}
     if not tables:
-        raise ModelError("rates: there is no table to draw")
+        raise InputError("rates: there is no table to draw")
     for case, one in tables.items():
         if not isinstance(one, (Table, str, Path)):
-            raise ModelError(
+            raise InputError(
                 f"rates: {case or 'table'} is {one!r}; give what sweep returns, or the name of its csv file"
             )
     data = {case: one if isinstance(one, Table) else Table.load(one) for case, one in tables.items()}
     for case, one in data.items():
         if lacking := [name for name in ("eps", *errors.values()) if name not in one.columns]:
             which = f"the table {case!r}" if case else "the table"
-            raise ModelError(f"rates: {which} has no row, or no column {', '.join(lacking)}; give what sweep returns")
+            raise InputError(f"rates: {which} has no row, or no column {', '.join(lacking)}; give what sweep returns")
     figure, axes = _figure(6, 4.5)
     lines = []
     for k, (name, column) in enumerate(errors.items()):
@@ -113,7 +113,7 @@ def curves(
         ylim: range of the y axis.
 
     Raises:
-        ModelError: x and y of a line are not as many numbers.
+        InputError: x and y of a line are not as many numbers.
     """
     figure, axes = _figure(6.5, 4.5)
     _plot(axes, lines, _by_label(lines, styles), _by_label(lines, colours))
@@ -184,7 +184,7 @@ def _plot(
     axes: Axes, lines: Mapping[str, tuple[Any, Any]], styles: Mapping[str, str], colours: Mapping[str, str]
 ) -> None:
     if not isinstance(lines, Mapping):
-        raise ModelError(f"curves are {{label: (x, y)}}, not {lines!r}")
+        raise InputError(f"curves are {{label: (x, y)}}, not {lines!r}")
     for k, (label, line) in enumerate(lines.items()):
         x, y = _numbers(label, line)
         axes.plot(x, y, styles.get(label, "-"), color=colours.get(label, COLOURS[k % len(COLOURS)]), label=label, ms=4)
@@ -198,7 +198,7 @@ def _numbers(label: str, line: Any) -> list[npt.NDArray[np.float64]]:
         if x.ndim != 1 or x.shape != y.shape:
             raise TypeError(f"x has the shape {x.shape}, y {y.shape}")
     except (TypeError, ValueError) as error:
-        raise ModelError(f"the curve {label!r} is no pair (x, y) of as many numbers: {error}") from error
+        raise InputError(f"the curve {label!r} is no pair (x, y) of as many numbers: {error}") from error
     return [x, y]
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 
+from forms.base import InputError
 from forms.temperature import real
-from thinlayer.errors import ModelError
 from thinlayer.output.plotting.picture import Picture, finish
 
 RANGES = ("#5e9bc8", "#b7dfc0", "#fff7b0", "#f8b26a", "#dd5a4d")  # colours of the ranges, from the lowest values
@@ -47,16 +47,16 @@ def maps(
         save: name of a file to save the picture to.
 
     Raises:
-        ModelError: values or texts of another shape, levels that do not grow or are too many, another number of names.
+        InputError: values or texts of another shape, levels that do not grow or are too many, another number of names.
     """
     shape = (len(y), len(x))
     values = {label: real(part).astype(float) for label, part in parts.items()}
     for label, part in values.items():
         given = np.asarray(texts.get(label, "")).shape
         if not part.shape == given == shape:
-            raise ModelError(f"maps: {label!r} has values {part.shape} and texts {given}, not {shape}")
+            raise InputError(f"maps: {label!r} has values {part.shape} and texts {given}, not {shape}")
     if np.any(np.diff(levels) <= 0) or not len(levels) + 1 == len(names) <= len(RANGES):
-        raise ModelError(f"maps: {len(names)} names for levels {list(levels)}; give up to 4 that grow, and a name more")
+        raise InputError(f"maps: {len(names)} names for levels {list(levels)}; give up to 4 that grow, and a name more")
     columns = min(columns, len(parts))
     rows = -(-len(parts) // columns)
     width, height = ((n * cell + margin) for n, cell, margin in zip(shape[::-1], CELL, MARGIN, strict=True))

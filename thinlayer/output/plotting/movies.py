@@ -11,10 +11,9 @@ from pathlib import Path
 from matplotlib import rc_context
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 
-from forms.base import is_number
+from forms.base import InputError, is_number
 from geometry.parallel import on_root
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
 from thinlayer.output.grid import gather
 from thinlayer.output.plotting.scene import Look, Scene
 from thinlayer.system.progress import track
@@ -55,15 +54,15 @@ def movie(
         The file, on all ranks.
 
     Raises:
-        ModelError: no state, or states of several models; arguments as in `deformed`; another ending; no ffmpeg.
+        InputError: no state, or states of several models; arguments as in `deformed`; another ending; no ffmpeg.
         OSError: the movie could not be written; on all ranks.
     """
     states = _states(solution)
     look = Look(component, scale, unit, zoom, view, cut)
     if not isinstance(save, (str, Path)) or Path(save).suffix not in (GIF, MP4):
-        raise ModelError(f"save is {save!r}; it must be the name of a movie, which ends in .gif or .mp4")
+        raise InputError(f"save is {save!r}; it must be the name of a movie, which ends in .gif or .mp4")
     if not (is_number(per_second) and per_second == int(per_second) and 1 <= per_second <= FASTEST):
-        raise ModelError(f"per_second is {per_second!r}; allowed: whole numbers from 1 to {FASTEST}")
+        raise InputError(f"per_second is {per_second!r}; allowed: whole numbers from 1 to {FASTEST}")
     path, comm = Path(save), states[0].model.comm
     ffmpeg = on_root(comm, _ffmpeg) if path.suffix == MP4 else ""
     grids = [grid for state in track(states, "movie", "{0.t:.4g}") if (grid := gather(state))]
@@ -101,14 +100,14 @@ def _states(solution: object) -> list[State]:
     """The states of a movie, of one model."""
     states = list(solution) if isinstance(solution, Iterable) else []
     if not states or not all(isinstance(one, State) for one in states):
-        raise ModelError(f"movie: {solution!r:.80} has no states; give a history that keeps them, or several states")
+        raise InputError(f"movie: {solution!r:.80} has no states; give a history that keeps them, or several states")
     if any(one.model is not states[0].model for one in states):
-        raise ModelError("movie: the states are of several models; give those of one march")
+        raise InputError("movie: the states are of several models; give those of one march")
     return states
 
 
 def _ffmpeg() -> str:
-    """Where ffmpeg is; raises ModelError if it is missing."""
+    """Where ffmpeg is; raises InputError if it is missing."""
     try:
         from imageio_ffmpeg import get_ffmpeg_exe
 
@@ -116,6 +115,6 @@ def _ffmpeg() -> str:
     except (ImportError, RuntimeError):
         if found := shutil.which("ffmpeg"):
             return found
-    raise ModelError(
+    raise InputError(
         "an mp4 needs ffmpeg, which is not here: install imageio-ffmpeg (pip install 'thinlayer[movie]'), or save a .gif"
     )

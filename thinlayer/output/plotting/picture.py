@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 from matplotlib.figure import Figure
 from mpi4py import MPI
 
+from forms.base import InputError
 from geometry.parallel import on_root
-from thinlayer.errors import ModelError
 from thinlayer.system.folder import replaced
 
 SAVED: dict[str, Any] = {"dpi": 150, "bbox_inches": "tight"}  # options of all pictures that are saved
@@ -34,7 +34,7 @@ class Picture(Figure):
         """Open the picture in a window and wait until it is closed; for scripts where there is a screen.
 
         Raises:
-            ModelError: matplotlib's backend has no windows, as where there is no screen.
+            InputError: matplotlib's backend has no windows, as where there is no screen.
         """
         from matplotlib import pyplot
 
@@ -43,7 +43,7 @@ class Picture(Figure):
         canvas = manager.canvas
         if type(canvas).required_interactive_framework is None:
             pyplot.close(canvas.figure)
-            raise ModelError(
+            raise InputError(
                 f"matplotlib's backend {pyplot.get_backend()!r} opens no windows; save the picture, or in a notebook let "
                 "it be the last value of a cell"
             )
@@ -77,23 +77,23 @@ def drawn_on_root(comm: MPI.Intracomm, draw: Callable[[], Picture], save: str | 
 
 
 def require_name(save: Any) -> None:
-    """Raise ModelError unless `save` is None or the name of a file."""
+    """Raise InputError unless `save` is None or the name of a file."""
     if not (save is None or isinstance(save, Path) or (isinstance(save, str) and save)):
-        raise ModelError(f"save is {save!r}; it must be the name of a picture, or None")
+        raise InputError(f"save is {save!r}; it must be the name of a picture, or None")
 
 
 def put(figure: Figure, path: Path) -> None:
     """Save a picture on this rank. A file of this name is replaced only when the new one is complete.
 
     Raises:
-        ModelError: the name is that of a folder, or has an ending that matplotlib does not know.
+        InputError: the name is that of a folder, or has an ending that matplotlib does not know.
         OSError: the file could not be written.
     """
     if path.is_dir():
-        raise ModelError(f"{str(path)!r} is a folder; give the name of a picture")
+        raise InputError(f"{str(path)!r} is a folder; give the name of a picture")
     kind = path.suffix.removeprefix(".") or "png"
     if kind not in (known := figure.canvas.get_supported_filetypes()):
-        raise ModelError(
+        raise InputError(
             f"{str(path)!r} ends with {path.suffix}; allowed: {', '.join(f'.{one}' for one in sorted(known))}"
         )
     with replaced(path if path.suffix else path.with_suffix(".png")) as file:

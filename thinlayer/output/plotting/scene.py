@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from forms.base import InputError
+
 if not os.environ.get("DISPLAY"):  # without an X server VTK otherwise tries one first, and warns
     os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
 
@@ -19,7 +21,6 @@ from matplotlib.colors import Normalize
 
 from forms.base import is_finite
 from forms.temperature import finite
-from thinlayer.errors import ModelError
 from thinlayer.output.grid import Grid
 from thinlayer.output.plotting.picture import Picture
 
@@ -51,7 +52,7 @@ class Look:
     """What the caller of a picture asks for, checked on every rank; see `deformed`.
 
     Raises:
-        ModelError: a scale that is no finite number, a window that is none.
+        InputError: a scale that is no finite number, a window that is none.
     """
 
     component: str = "size"
@@ -63,7 +64,7 @@ class Look:
 
     def __post_init__(self) -> None:
         if self.scale is not None and not is_finite(self.scale):
-            raise ModelError(f"scale is {self.scale!r}; it must be a finite number, the factor of the displacements")
+            raise InputError(f"scale is {self.scale!r}; it must be a finite number, the factor of the displacements")
         if self.zoom is not None:
             _window(self.zoom)
 
@@ -133,12 +134,12 @@ def edges(surface: pyvista.PolyData) -> pyvista.PolyData:
 
 
 def _axes(dim: int, view: Sequence[float] | None, cut: bool) -> Array:
-    """(3, 3) unit vectors to the right, upwards and towards the viewer; raises ModelError for a view in 2D, or none."""
+    """(3, 3) unit vectors to the right, upwards and towards the viewer; raises InputError for a view in 2D, or none."""
     if dim == 2 and (view is not None or cut):
-        raise ModelError("view and cut are for three-dimensional structures")
+        raise InputError("view and cut are for three-dimensional structures")
     towards = finite(VIEWS[dim] if view is None else view, (3,))
     if towards is None or not towards.any():
-        raise ModelError(f"view is {view}; it needs three components, not all zero")
+        raise InputError(f"view is {view}; it needs three components, not all zero")
     towards /= np.linalg.norm(towards)
     right = np.cross((0.0, 1.0, 0.0) if np.hypot(*towards[::2]) > 1e-6 else (0.0, 0.0, -towards[1]), towards)
     right /= np.linalg.norm(right)
@@ -168,7 +169,7 @@ class Scene:
         """The view in which all grids can be seen.
 
         Raises:
-            ModelError: unknown component, no direction, view or cut in 2D, nothing in the window.
+            InputError: unknown component, no direction, view or cut in 2D, nothing in the window.
         """
         axes = _axes(grids[0].dim, look.view, look.cut)
         largest = max(np.linalg.norm(grid.u, axis=1).max() for grid in grids)
@@ -180,7 +181,7 @@ class Scene:
         inside = (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
         values = np.concatenate([shape.values for shape in shapes])
         if x.max() < x0 or x.min() > x1 or y.max() < y0 or y.min() > y1:
-            raise ModelError(f"nothing to draw in the window {(x0, x1, y0, y1)}")
+            raise InputError(f"nothing to draw in the window {(x0, x1, y0, y1)}")
         seen = values if np.isnan(values[inside]).all() else values[inside]  # a window may lie inside one cell
         return replace(scene, window=window, limits=(float(np.nanmin(seen)), float(np.nanmax(seen))))
 
@@ -256,10 +257,10 @@ def _range(x: Array) -> tuple[float, float]:
 
 
 def _window(zoom: Any) -> Window:
-    """The four numbers of a window; raises ModelError."""
+    """The four numbers of a window; raises InputError."""
     sides = finite(zoom, (4,))
     if sides is None or not (sides[0] < sides[1] and sides[2] < sides[3]):
-        raise ModelError(
+        raise InputError(
             f"zoom is {zoom!r}; it needs (left, right, bottom, top), numbers, left < right and bottom < top"
         )
     left, right, bottom, top = map(float, sides)

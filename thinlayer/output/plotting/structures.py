@@ -14,8 +14,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, SymLogNorm, to_rgb
 from matplotlib.patches import Patch
 
+from forms.base import InputError
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
 from thinlayer.output.grid import Grid, gather
 from thinlayer.output.plotting.curves import COLOURS, SHOWN
 from thinlayer.output.plotting.picture import Picture, drawn_on_root, require_name
@@ -65,9 +65,9 @@ def deformed(
         The picture on rank 0, which has the fields; None on other ranks.
 
     Raises:
-        ModelError: what is no state, a scale or a window that is no number, no name of a file.
+        InputError: what is no state, a scale or a window that is no number, no name of a file.
         OSError: the picture could not be written; on all ranks.
-        ModelError: unknown component, no direction, view or cut in 2D, nothing in the window.
+        InputError: unknown component, no direction, view or cut in 2D, nothing in the window.
     """
     look = Look(component, scale, unit, zoom, view, cut)
     panels = _panels(states, "deformed", save)
@@ -106,7 +106,7 @@ def on_surface(
         The picture on rank 0, None on other ranks.
 
     Raises:
-        ModelError: no state, no scalar field on S; what `deformed` refuses. OSError: the picture could not be written.
+        InputError: no state, no scalar field on S; what `deformed` refuses. OSError: the picture could not be written.
     """
     look, panels = Look("size", scale, "", zoom, view, cut), _panels(states, "on_surface", save)
     surfaces, fields, sides = dict[str, Surface](), dict[str, Values](), dict[str, tuple[Array, Array]]()
@@ -119,7 +119,7 @@ def on_surface(
     names, fields = numbered(fields)
     shown = {label: surfaces[label].at_corners(f) for label, f in fields.items()}
     if wrong := [f.shape[2] for f in shown.values() if f.ndim > 2]:
-        raise ModelError(f"on_surface: the field has {wrong[0]} components; give one of them")
+        raise InputError(f"on_surface: the field has {wrong[0]} components; give one of them")
     colours = _Colours(names, np.concatenate([f.ravel() for f in shown.values()]), log=log)
 
     def image(scene: Scene, label: str, grid: Grid) -> npt.NDArray[np.uint8]:
@@ -140,14 +140,14 @@ def on_surface(
 
 
 def _panels(states: Mapping[str, State] | State, what: str, save: str | Path | None) -> dict[str, State]:
-    """Label -> state; raises ModelError."""
+    """Label -> state; raises InputError."""
     panels = dict(states) if isinstance(states, Mapping) else {"": states}
     if not panels:
-        raise ModelError(f"{what}: there is no state to draw")
+        raise InputError(f"{what}: there is no state to draw")
     for label, one in panels.items():
         if not isinstance(one, State):
             given = f"{label!r} is {one!r}" if label else f"states is {one!r}"
-            raise ModelError(f"{what}: {given}; give states, of a history its last one or history.at(t)")
+            raise InputError(f"{what}: {given}; give states, of a history its last one or history.at(t)")
     require_name(save)
     return panels
 
@@ -182,7 +182,7 @@ def numbered(fields: Mapping[str, Values]) -> tuple[list[str], dict[str, Values]
     if not any(f.dtype.kind == "U" for f in fields.values()):
         return [], dict(fields)
     if wrong := [f.shape for f in fields.values() if f.ndim > 1 and f.shape[-1] != 1]:
-        raise ModelError(f"names on S are those of facets, (n, 1), or nodes, (m,), not {wrong[0]}")
+        raise InputError(f"names on S are those of facets, (n, 1), or nodes, (m,), not {wrong[0]}")
     found = {*np.concatenate([f.ravel() for f in fields.values()]).tolist()}
     names = [*(name for name in NAMED if name in found), *sorted(found - {*NAMED})]
     return names, {label: np.vectorize(names.index, otypes=[int])(f) for label, f in fields.items()}

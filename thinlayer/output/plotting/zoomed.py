@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from forms.base import is_number
+from forms.base import InputError, is_number
 from geometry.refusals import unknown
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
 from thinlayer.output.plotting.picture import Picture, drawn_on_root, require_name
 from thinlayer.output.probe import Probe
 from thinlayer.output.zooming import Zoom
@@ -48,21 +47,21 @@ def zoomed(
         stress: unit of stresses, for the labels.
 
     Raises:
-        ModelError: 3D, no such end, component or width; a state of another joint. OSError: the file could not be written.
+        InputError: 3D, no such end, component or width; a state of another joint. OSError: the file could not be written.
     """
     if not isinstance(zoom, Zoom):
-        raise ModelError(f"zoomed: zoom is {zoom!r:.80}; give Zoom(state)")
+        raise InputError(f"zoomed: zoom is {zoom!r:.80}; give Zoom(state)")
     if component not in COMPONENTS:
-        raise ModelError(unknown("component", component, COMPONENTS))
+        raise InputError(unknown("component", component, COMPONENTS))
     if not (is_number(width) and 0 < width < np.inf):
-        raise ModelError(f"zoomed: width is {width!r}; allowed: > 0, over the thickness")
+        raise InputError(f"zoomed: width is {width!r}; allowed: > 0, over the thickness")
     require_name(save)
     if zoom.state.model.joint.dim != 2:
-        raise ModelError("zoomed: pictures of ends are for two dimensions; in 3D take zoom.stress")
+        raise InputError("zoomed: pictures of ends are for two dimensions; in 3D take zoom.stress")
     if end not in range(len(zoom.ends)):
-        raise ModelError(f"zoomed: end is {end!r}; S has {len(zoom.ends)} free ends")
+        raise InputError(f"zoomed: end is {end!r}; S has {len(zoom.ends)} free ends")
     if full is not None and full.model.joint is not zoom.state.model.joint:
-        raise ModelError("zoomed: the full state's model has another joint; build both from the same one")
+        raise InputError("zoomed: the full state's model has another joint; build both from the same one")
     at, axes = zoom.ends[end], zoom.axes_of_end(end)
     # finer towards the end and the faces, but not at corners, where stresses are infinite
     d = width * (1 - np.cos(np.linspace(0, np.pi / 2, POINTS[0])))

@@ -14,9 +14,10 @@ from petsc4py import PETSc
 from scipy import linalg
 from scipy.sparse.csgraph import connected_components, depth_first_order
 
+from forms.base import InputError
 from forms.contact import ContactLaw
 from thinlayer.discretisation.contact_nodes import Array
-from thinlayer.errors import ModelError, SolveError
+from thinlayer.errors import SolveError
 from thinlayer.solving.balance import TINY
 from thinlayer.solving.contact.dense import STALLED, DenseSystem, Load
 from thinlayer.solving.contact.problem import ContactProblem
@@ -42,7 +43,7 @@ class Condensed:
         problem: the contact problem; its matrix is read at the first `solve`, its loads and slip at every `solve`.
 
     Raises:
-        ModelError: no free displacement on S.
+        InputError: no free displacement on S.
     """
 
     def __init__(self, problem: ContactProblem) -> None:
@@ -50,7 +51,7 @@ class Condensed:
         self._u, self._r = problem.b.duplicate(), problem.b.duplicate()
         self._sides = SideDisplacements(problem)
         if not len(self._sides.dofs):
-            raise ModelError("supports hold every displacement on S: nothing is left for contact")
+            raise InputError("supports hold every displacement on S: nothing is left for contact")
 
     @cached_property
     def _factor(self) -> SchurFactor:

@@ -9,22 +9,14 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
+from forms.base import InputError
 from thinlayer.discretisation.contact_nodes import Array, ContactNodes
 from thinlayer.errors import SolveError
 from thinlayer.solving.contact.contact_tangent import SurfaceStiffness, Tangent
 from thinlayer.solving.contact.gauss_seidel import Sliding, load, sliding, turned
 from thinlayer.solving.contact.problem import ContactProblem
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
-from thinlayer.solving.petsc import (
-    PREFIX,
-    OptionError,
-    OptionValue,
-    defaults,
-    is_set,
-    options_set,
-    reason_name,
-    solve_nonlinear,
-)
+from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, is_set, options_set, reason_name, solve_nonlinear
 from thinlayer.system.ranks import carry
 
 Reductions = tuple[float, float]  # factors by which the first and the later linear solves reduce the residual
@@ -101,7 +93,7 @@ class MultigridContact:
                 reason = newton.run(self._u, guess)
                 history += newton.residuals
                 if not newton.residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN
-                    raise OptionError(
+                    raise InputError(
                         f"-{PREFIX}snes_type ksponly does not look at the residual; contact needs Newton's method"
                     )
                 self._solved = reason > 0

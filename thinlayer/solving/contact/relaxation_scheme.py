@@ -9,12 +9,13 @@ import numpy.typing as npt
 import scipy.sparse
 from petsc4py import PETSc
 
+from forms.base import InputError
 from thinlayer.discretisation.contact_nodes import Array
-from thinlayer.errors import ModelError, SolveError
+from thinlayer.errors import SolveError
 from thinlayer.solving.balance import ALLOWED
 from thinlayer.solving.contact.gauss_seidel import relax
 from thinlayer.solving.contact.problem import ContactProblem
-from thinlayer.solving.petsc import PREFIX, OptionError
+from thinlayer.solving.petsc import PREFIX
 
 SLOW = 1e5  # largest residual, relative to the tolerance of the increments: slow convergence has small increments
 FIXED = 1e20  # diagonal entry of held components of contact nodes, relative to the mean stiffness
@@ -40,7 +41,7 @@ class ContactRelaxation:
         self.problem, nodes = problem, problem.nodes
         self._held_jumps = _held_components(nodes.frames, nodes.held)
         if (nodes.held_upper & ~nodes.held).any():
-            raise ModelError(
+            raise InputError(
                 "method='relaxation' needs supports on both sides of S or on the lower one; use 'condensed'"
             )
         self._moving = np.flatnonzero(~self._held_jumps.all(axis=1))
@@ -116,12 +117,12 @@ class ContactRelaxation:
 
 
 def _options() -> dict[str, Any]:
-    """The options of the relaxation in PETSc's database. OptionError: a value is out of range."""
+    """The options of the relaxation in PETSc's database. InputError: a value is out of range."""
     options, chosen = PETSc.Options(PREFIX + "relaxation_"), dict[str, Any]()
     for name, (default, bound) in OPTIONS.items():
         chosen[name] = (options.getInt if isinstance(default, int) else options.getReal)(name, default)
         if not 0 < chosen[name] < bound:
-            raise OptionError(f"-{PREFIX}relaxation_{name} is {chosen[name]:g}; allowed: > 0 and < {bound:g}")
+            raise InputError(f"-{PREFIX}relaxation_{name} is {chosen[name]:g}; allowed: > 0 and < {bound:g}")
     return chosen
 
 
@@ -130,5 +131,5 @@ def _held_components(frames: Array, held: npt.NDArray[np.bool_]) -> npt.NDArray[
     along = np.abs(frames)
     aligned = (np.abs(along - np.rint(along)) < ALIGNED).all(axis=(1, 2))
     if (~aligned & held.any(axis=1) & ~held.all(axis=1)).any():
-        raise ModelError("method='relaxation' needs supports along the axes of S at its nodes; use 'condensed'")
+        raise InputError("method='relaxation' needs supports along the axes of S at its nodes; use 'condensed'")
     return np.asarray(np.einsum("nij,nj->ni", along > 0.5, held) > 0)

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
+from forms.base import InputError
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, displacements_of
-from thinlayer.errors import ModelError
 from thinlayer.solving.contact.condensed import Condensed
 from thinlayer.solving.contact.multigrid import MultigridContact
 from thinlayer.solving.contact.network import NetworkFinder
@@ -119,9 +119,9 @@ def contact_finder(equations: Equations, method: str, like: State | None) -> Fin
 
 
 def check_method(model: Model, method: str) -> None:
-    """Raise ModelError unless one of METHODS suits the model."""
+    """Raise InputError unless one of METHODS suits the model."""
     if reason := _unsuited(model, method):
-        raise ModelError(f"method={method!r} {reason}")
+        raise InputError(f"method={method!r} {reason}")
 
 
 def _unsuited(model: Model, method: str) -> str:
