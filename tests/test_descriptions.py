@@ -11,8 +11,8 @@ import pytest
 
 from forms import Anisotropic, Incompressible, LinearElastic, Norton, Rubber, Stack, VonMises
 from tests.refused import refused
-from thinlayer.describing.description import Description
-from thinlayer.describing.section import DescriptionError
+from thinlayer.running.description import Description
+from thinlayer.running.section import DescriptionError
 
 CLONE = Path(__file__).parent.parent
 LEAST = """

@@ -14,9 +14,9 @@ from tests.on_ranks import alone, on_ranks
 from tests.pictures import assert_drawn
 from tests.test_cli import rows, thinlayer
 from thinlayer import estimate, solve
-from thinlayer.describing.case import Case
-from thinlayer.describing.description import Description
 from thinlayer.estimating import goals
+from thinlayer.running.case import Case
+from thinlayer.running.description import Description
 from thinlayer.system.folder import hash_of
 
 COMM = MPI.COMM_WORLD

@@ -16,9 +16,9 @@ import pytest
 from studies.rates import LAWS
 from tests.documents import CLONE, GUIDES, PAGES, anchors, sections
 from thinlayer import RangeWarning, compare, solve
-from thinlayer.describing.case import Case
-from thinlayer.describing.description import READERS, Description
+from thinlayer.running.case import Case
 from thinlayer.running.cli import main, studies
+from thinlayer.running.description import READERS, Description
 
 SECTIONS = sections()
 LONG = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from forms import work as forms
 from forms.base import InputError
@@ -18,9 +18,7 @@ from thinlayer.discretisation.forces import Weighted
 from thinlayer.discretisation.layer import Layers, SeamLayer, constants, real_law
 from thinlayer.discretisation.mesh_functions import director
 from thinlayer.discretisation.model import Model
-
-if TYPE_CHECKING:
-    from thinlayer.discretisation.structure import Structure
+from thinlayer.discretisation.setup import Setup
 
 LARGEST_EPS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
 
@@ -31,7 +29,7 @@ class FullModel(Model):
     name = "full"
 
     def __init__(
-        self, structure: Structure, layer: Layers, *, bodies: str, cells_through: int, junctions: str | None
+        self, structure: Setup, layer: Layers, *, bodies: str, cells_through: int, junctions: str | None
     ) -> None:
         self._bodies, self._cells_through, self._junctions = bodies, cells_through, junctions
         chosen = {} if junctions is None else {"junctions": junctions}

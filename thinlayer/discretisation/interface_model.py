@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -32,13 +32,11 @@ from thinlayer.discretisation.layer import Layers, SeamLayer, ThinLayer, for_ter
 from thinlayer.discretisation.measures import known_at
 from thinlayer.discretisation.mesh_functions import Middle, cellwise, relative_thickness
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.side_loads import add_side_loads
 from thinlayer.errors import Refused
 from thinlayer.pointwise.quadrature import quadrature_degree
 from thinlayer.system.ranks import on_all
-
-if TYPE_CHECKING:
-    from thinlayer.discretisation.structure import Structure
 
 AT_ENDS = 2  # how much higher the degree of quadrature is where weights of free ends are linear along S
 
@@ -50,7 +48,7 @@ class InterfaceModel(Model):
     broken = True
 
     def __init__(
-        self, structure: Structure, layer: Layers, *, bodies: str = "kept", meshed: npt.NDArray[np.bool_] | None = None
+        self, structure: Setup, layer: Layers, *, bodies: str = "kept", meshed: npt.NDArray[np.bool_] | None = None
     ) -> None:
         self._bodies, self.meshed = bodies, meshed
         super().__init__(structure, layer, **({} if bodies == "kept" else {"bodies": bodies}))
@@ -64,7 +62,7 @@ class InterfaceModel(Model):
         require_revolution(self.structure.kinematics, joint)
         return joint
 
-    def _forces(self, structure: Structure) -> Forces:
+    def _forces(self, structure: Setup) -> Forces:
         forces = super()._forces(structure)  # raises errors of bad data
         for one in self.layers.values():
             if one.thin and one.thin.order == 1:

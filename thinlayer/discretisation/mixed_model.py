@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -27,13 +27,11 @@ from thinlayer.discretisation.layer import Layers, SeamLayer, layers_of, on_seam
 from thinlayer.discretisation.mesh_functions import cellwise, shift
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reduction import Reduction
+from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import warn
 from thinlayer.system.compat import exterior_facet_entities
 from thinlayer.system.identity import described
 from thinlayer.system.ranks import on_all
-
-if TYPE_CHECKING:
-    from thinlayer.discretisation.structure import Structure
 
 Array = npt.NDArray[np.float64]
 SAME_PLACE = 1e-9  # distance before inflating, relative to the size of the joint, of nodes above one another
@@ -114,7 +112,7 @@ class MixedModel(FullModel):
     name = "mixed"
     meshed: BoolArray
 
-    def __init__(self, structure: Structure, layer: Layers, where: Where, *, bodies: str, cells_through: int) -> None:
+    def __init__(self, structure: Setup, layer: Layers, where: Where, *, bodies: str, cells_through: int) -> None:
         with on_all(structure.comm):
             self.meshed = _facets(structure, where)
             _require(structure, layer, self.meshed, bodies)
@@ -191,7 +189,7 @@ class MixedModel(FullModel):
         return ufl.Measure("dS", domain=mesh, subdomain_data=[(1, np.ascontiguousarray(chosen, np.int32).ravel())])
 
 
-def _facets(structure: Structure, where: Where) -> BoolArray:
+def _facets(structure: Setup, where: Where) -> BoolArray:
     """(n_S,) the facets that get cells.
 
     Raises:
@@ -214,7 +212,7 @@ def _facets(structure: Structure, where: Where) -> BoolArray:
     return found
 
 
-def _require(structure: Structure, layer: Layers, meshed: BoolArray, bodies: str) -> None:
+def _require(structure: Setup, layer: Layers, meshed: BoolArray, bodies: str) -> None:
     """Raise InputError for what a mixed model cannot have, with the reason."""
     joint = structure.joint
     if joint.base_seams and len(joint.seams) > 1:
@@ -240,7 +238,7 @@ def _require(structure: Structure, layer: Layers, meshed: BoolArray, bodies: str
         raise InputError("a mixed model has no weight of the layer itself; give the bodies theirs")
 
 
-def _on_all_of_s(structure: Structure, layer: Layers) -> Layers:
+def _on_all_of_s(structure: Setup, layer: Layers) -> Layers:
     """The layers of the interface model: of order 0 where seams meet, as junctions, which have cells, know no order 1."""
     if not structure.joint.seams_meet:
         return layer

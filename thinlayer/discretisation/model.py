@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -46,14 +46,12 @@ from thinlayer.discretisation.mesh_functions import cut_at_faces, vector_space
 from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms, check_loads
 from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.rigid import free_translations, on_centre, require_support, resisted, rigid_motions
+from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Supports
 from thinlayer.errors import warn
 from thinlayer.pointwise.quadrature import Quadrature, quadrature_degree
 from thinlayer.system.identity import described, digest
 from thinlayer.system.ranks import on_all, require_same
-
-if TYPE_CHECKING:
-    from thinlayer.discretisation.structure import Structure
 
 
 @dataclass
@@ -115,7 +113,7 @@ class Model(ABC):
     _bodies = "kept"
     followers: Followers | None = None
 
-    def __init__(self, structure: Structure, layer: Layers, **options: object) -> None:
+    def __init__(self, structure: Setup, layer: Layers, **options: object) -> None:
         self.structure, self.joint, self.plane = structure, structure.joint, structure.plane
         self.element, self.body_laws = structure.element, structure.body_laws
         self._options, self.family = options, Family()
@@ -215,7 +213,7 @@ class Model(ABC):
         return Supports(self.domain, given, self.coordinates.apart, self._clamped, self.kinematics)
 
     # ---------------------------------------------------------------- differences between kinds of models
-    def _forces(self, structure: Structure) -> Forces:
+    def _forces(self, structure: Setup) -> Forces:
         at = self.coordinates.apart
         points = ConcentratedForms(self.domain, self.joint, structure.degree, at)
         given = structure.tractions, structure.body_force, structure.loads

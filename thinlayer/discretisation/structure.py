@@ -1,43 +1,15 @@
-"""Structure: bodies, supports and loads, checked once, from which the models of a thin layer are made."""
+"""Structure: bodies, supports and loads, from which the models of a thin layer are made."""
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Mapping, Sequence
-from functools import cached_property
-from typing import Any, Self
-
-from mpi4py import MPI
-
-from forms.base import InputError
-from forms.kernel import KernelLaw
-from forms.law import BulkLaw, Law, explained
-from forms.planes import PLANES, Kinematics
-from forms.tangent import Array, known_at_rest, needs_director, require_stable
-from geometry.joint import Joint
-from geometry.refusals import unknown
-from geometry.sheet import Sheet
-from geometry.topology import is_tensor
-from thinlayer.discretisation.addition import Addition
-from thinlayer.discretisation.boundary import require_revolution
-from thinlayer.discretisation.forces import BodyForce
 from thinlayer.discretisation.full_model import FullModel
-from thinlayer.discretisation.given import Load, Pressure, by_body
-from thinlayer.discretisation.given_strains import Strain
-from thinlayer.discretisation.given_strains import StrainGiven as Eigenstrain
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Bond, Layers
 from thinlayer.discretisation.mixed_model import MixedModel, Where
-from thinlayer.discretisation.point_loads import Concentrated, check_loads
-from thinlayer.discretisation.supports import ByPlace
-from thinlayer.system.identity import digest
-from thinlayer.system.ranks import on_all, require_same
-
-ELEMENTS = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}
-Eigenstrains = Eigenstrain | Mapping[str, Eigenstrain | None]
+from thinlayer.discretisation.setup import Setup
 
 
-class Structure:
+class Structure(Setup):
     """A structure with a thin soft layer: bodies, supports and loads, given once for all of its models. Collective.
 
     Args:
@@ -72,62 +44,12 @@ class Structure:
             `Prestress`, or a list of several that add up. Layers have their own, `ThinLayer(..., eigenstrain=...)`.
         comm: MPI communicator (default: the world).
 
-    Attributes:
-        joint: the joint before inflating.
-        plane: "strain", "stress" or "axisymmetric".
-        element: the finite element of displacements.
-        body_laws: law of each body.
-        supports, tractions, body_force, loads, parts, strain, stress: as given.
-        eigenstrains: eigenstrain of each body that has one, as given.
-        comm: MPI communicator; None stands for the world.
-        mark: hash of the data, equal on all ranks.
+    Attributes are those of `Setup`.
 
     Raises:
         InputError: says what cannot be built, where, and what is allowed. Names of facets and
             loads are checked when a model is made.
     """
-
-    def __init__(
-        self,
-        joint: Joint,
-        *,
-        body: BulkLaw | Mapping[str, BulkLaw],
-        supports: ByPlace,
-        tractions: Mapping[str, Load | Pressure] | None = None,
-        body_force: BodyForce | None = None,
-        loads: Sequence[Concentrated] = (),
-        plane: str = "strain",
-        element: str | None = None,
-        parts: Sequence[Addition] = (),
-        strain: Strain | None = None,
-        stress: Strain | None = None,
-        eigenstrain: Eigenstrains | None = None,
-        comm: MPI.Intracomm | None = None,
-    ) -> None:
-        if not (comm is None or isinstance(comm, MPI.Intracomm)):
-            raise InputError(f"comm is {comm!r}; it must be an MPI communicator, or None")
-        self.joint, self.plane, self.comm = joint, plane, comm
-        self.supports, self.tractions, self.body_force = supports, tractions, body_force
-        self.strain, self.stress = strain, stress
-        with on_all(comm):
-            if not isinstance(joint, Joint):
-                raise InputError(f"joint is {joint!r:.80}; it must be a Joint, such as geometry.sandwich gives")
-            if not isinstance(parts, Sequence):
-                raise InputError(f"parts is {parts!r:.80}; it must be a list of parts")
-            self.parts = tuple(parts)
-            self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
-            self.loads = check_loads(loads)
-            self._check_choices()
-            self.body_laws = self._laws_of(body)
-            strains = by_body(eigenstrain, joint, "eigenstrain: ")
-            self.eigenstrains = {name: given for name, given in strains.items() if given is not None}
-            for law, C in zip(self._bodies_with_numbers, self.bodies_at_rest, strict=True):
-                require_stable(law, C, slots=self.kinematics.slots(joint.dim))
-        self.mark = require_same(
-            comm, joint=joint, body=body, supports=_ordered(supports), tractions=tractions, body_force=body_force,
-            loads=self.loads, plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress,
-            eigenstrain=eigenstrain,
-        )  # fmt: skip
 
     def full(
         self, layer: Layers, *, bodies: str = "kept", cells_through: int = 4, junctions: str | None = None
@@ -188,103 +110,3 @@ class Structure:
             InputError: says what cannot be built, where, and what is allowed.
         """
         return self.interface(Bond())
-
-    def with_loads(self, loads: Mapping[str, Any]) -> Self:
-        """The same data with other loads, unchecked: argument -> value. Collective."""
-        new = copy.copy(self)
-        for name, value in loads.items():
-            setattr(new, name, value)
-        given = {name: _ordered(value) if name == "supports" else value for name, value in loads.items()}
-        new.mark = digest([self.mark, require_same(self.comm, **given)])
-        return new
-
-    @property
-    def degree(self) -> int:
-        """Polynomial degree of the displacements."""
-        return int(self.element[1])
-
-    @cached_property
-    def kinematics(self) -> Kinematics:
-        """Strains of displacements, without a mesh."""
-        return PLANES[self.plane]
-
-    @cached_property
-    def sheet(self) -> Sheet:
-        """S as a sheet of straight simplices."""
-        return Sheet(self.joint)
-
-    @cached_property
-    def bodies_at_rest(self) -> list[Array | None]:
-        """Tangents of the bodies' laws at rest; None: not known."""
-        n = self.sheet.mean_normal
-        laws = [self.kinematics.law(law) for law in self._bodies_with_numbers]
-        return [known_at_rest(law, n) for law in laws]
-
-    @cached_property
-    def _bodies_with_numbers(self) -> list[BulkLaw]:
-        """The laws of the bodies; where parameters are functions, those at the cells where one is smallest or largest."""
-        joint, found = self.joint, []
-        for name, law in self.body_laws.items():
-            cells = joint.corners[joint.region == joint.regions.index(name)] if law.fields else joint.corners[:1]
-            found += law.samples(joint.points[cells].mean(axis=1).T)
-        return found
-
-    def _check_choices(self) -> None:
-        joint, elements = self.joint, ELEMENTS[is_tensor(self.joint.cell_type)]
-        if self.plane not in PLANES:
-            raise InputError(unknown("plane", self.plane, PLANES))
-        if joint.dim == 3 and self.plane != "strain":
-            raise InputError(f"plane={self.plane!r} needs a two-dimensional joint")
-        require_revolution(self.kinematics, joint)
-        if not (self.kinematics.turns or (self.strain is None and self.stress is None)):
-            raise InputError(
-                f"plane={self.plane!r}: a mean strain or stress is for periodic cells in plane strain, plane stress or 3D"
-            )
-        if self.element not in elements:
-            cells = f"{joint.cell_type} cells; allowed: {', '.join(elements)}"
-            raise InputError(f"element {self.element!r} does not exist on {cells}")
-
-    def _laws_of(self, body: BulkLaw | Mapping[str, BulkLaw]) -> dict[str, BulkLaw]:
-        """The law of each body, in the same order on all ranks."""
-        laws = by_body(body, self.joint)
-        for name in self.joint.bodies:
-            law = laws.get(name)
-            if not isinstance(law, Law):
-                raise InputError(f"body {name!r} has no law; give body=law or body={{{name!r}: law, ...}}")
-            require_body_law(name, law)
-        return laws
-
-
-def require_body_law(name: str, law: Law) -> None:
-    """Raise InputError if a law is for layers alone, with the reason."""
-    traits, kind = law.traits, type(law).__name__
-    reason = ""
-    if not isinstance(law, BulkLaw):
-        reason = "it gives tractions for jumps, which a body has not"
-    elif law.sublayers[0][1] is not law:
-        reason = "its sublayers lie across the thickness of a layer; give regions laws of their own"
-    elif traits.constrained:
-        reason = "its pressure is a field of its own; take a nearly incompressible law, with nu = 0.4999, say"
-    elif traits.phases:
-        reason = "its phases are those of a layer's columns"
-    elif traits.compiled and _reads_director(law):  # others have none in a body, and say so
-        reason = "its stress depends on the normal of S, which a body has not"
-        if isinstance(law, KernelLaw):
-            reason += ", or its class does not say isotropic = True"
-    if reason:
-        raise InputError(f"body {name!r}: {kind} is for layers: {reason}")
-    if traits.softens:
-        raise InputError(
-            f"body {name!r}: the stress of {kind} falls as strains grow: all strain would gather in one row of cells; "
-            "let a layer soften, on S"
-        )
-
-
-def _reads_director(law: BulkLaw) -> bool:
-    with explained(law, law.methods[0]):
-        return needs_director(law)
-
-
-def _ordered(given: Any) -> Any:
-    """Data as pairs in their order, because later supports override earlier ones."""
-    return [list(entry) for entry in given.items()] if isinstance(given, Mapping) else given

@@ -211,7 +211,7 @@ def _run(_: argparse.ArgumentParser, chosen: argparse.Namespace, petsc: Petsc) -
 
 def _estimate(_: argparse.ArgumentParser, chosen: argparse.Namespace, petsc: Petsc) -> int:
     from forms.base import InputError
-    from thinlayer.describing.description import Description
+    from thinlayer.running.description import Description
 
     try:
         given = Description.read(chosen.description, chosen.set)

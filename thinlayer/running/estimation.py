@@ -12,8 +12,6 @@ from typing import Any
 from forms.base import InputError
 from geometry.parallel import on_root, world
 from geometry.seam import S
-from thinlayer.describing.case import Case
-from thinlayer.describing.description import Description
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.estimating.estimate import estimate
@@ -21,6 +19,8 @@ from thinlayer.estimating.result import Estimate
 from thinlayer.estimating.thickness import thin_enough
 from thinlayer.output import plotting
 from thinlayer.output.surface import Surface
+from thinlayer.running.case import Case
+from thinlayer.running.description import Description
 from thinlayer.running.record import Record
 from thinlayer.solving.solvers import solve
 from thinlayer.system.folder import hash_of

@@ -15,7 +15,7 @@ from forms.elastic import LinearElastic
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw, scalars
 from forms.series import Stack
-from thinlayer.describing.section import Reader, Section, choice, positive
+from thinlayer.running.section import Reader, Section, choice, positive
 
 ELASTIC = ("E", "nu", "K", "G", "mu", "lmbda")
 PAIRS = "E and nu, G and nu, K and G, or lmbda and mu (G is mu)"

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from forms.base import is_finite
-from thinlayer.describing.materials import Material, materials
-from thinlayer.describing.section import (
+from thinlayer.running.materials import Material, materials
+from thinlayer.running.section import (
     Reader,
     Section,
     choice,

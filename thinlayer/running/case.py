@@ -10,9 +10,6 @@ from forms.base import unknown
 from geometry.importing.reading import read
 from geometry.joint import Joint
 from geometry.seam import S
-from thinlayer.describing.description import Description
-from thinlayer.describing.materials import Material
-from thinlayer.describing.section import History
 from thinlayer.discretisation.clock import piecewise
 from thinlayer.discretisation.given import Pressure
 from thinlayer.discretisation.layer import Layers, ThinLayer
@@ -20,6 +17,9 @@ from thinlayer.discretisation.point_loads import LineLoad, PointLoad
 from thinlayer.discretisation.structure import Structure
 from thinlayer.estimating import goals as kinds
 from thinlayer.estimating.goals import Goal
+from thinlayer.running.description import Description
+from thinlayer.running.materials import Material
+from thinlayer.running.section import History
 
 LEAST_EPS = 1e-9  # thickness over the size of the bodies: below, rounding is larger than its effect
 
