@@ -59,7 +59,7 @@ def test_layers_between_shims_are_springs_in_series(plane):
     full = solve(whole.full(layers(0), cells_through=4))
     for state, near in ((limit, 2e-3), (full, 0.015)):
         assert state.reaction("TOP").force[1] / (area(plane) * OPENING) == pytest.approx(wanted, rel=near)
-        assert abs(state.audit.imbalance) < 1e-9
+        assert abs(state.audit.imbalance) < 1e-7 * state.audit.supplied  # saddle points, nu near 1/2
         stored = state.energies()
         for name, k in each.items():
             surface = Surface(limit.model, name)

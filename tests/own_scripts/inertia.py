@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import ufl
 from dolfinx import fem
 
-from forms.base import InputError
+from thinlayer import InputError
 from thinlayer.discretisation.addition import Addition
 from thinlayer.parts.forms import matrix
 from thinlayer.parts.part import Block, Outcome, Part, PartTraits

@@ -18,7 +18,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.estimating.better import BetterLaw, better_model, why_unknown
 from thinlayer.estimating.global_local import NARROW, Bounds, GlobalLocal
 from thinlayer.estimating.goal import Goal
-from thinlayer.estimating.goals import Compliance, Reaction
+from thinlayer.estimating.goals import Compliance, Reaction, nodes_of_sides
 from thinlayer.estimating.layer_alone import LayerAlone
 from thinlayer.estimating.on_surface import NEAR_ENDS, errors_of, field_of_ends, squares_of
 from thinlayer.estimating.result import Estimate, GoalError, LayerError, Meshed
@@ -135,9 +135,25 @@ def _checked_goals(goals: Any) -> dict[str, Goal]:
 
 
 def is_bounded(model: InterfaceModel) -> bool:
-    """Whether goals of a model with its layers meshed have bounds: all laws are linear, and remember nothing."""
+    """Whether goals of a model with its layers meshed have bounds. Collective.
+
+    All laws are linear, and remember nothing; nodes on S follow neither plates nor inclined supports.
+    """
     memories = (term.law.traits.remembers or term.law.traits.rate for term in model.terms)
-    return model.linear and model.symmetric and not model.contacts and not any(memories)
+    return model.linear and model.symmetric and not (model.contacts or any(memories) or _is_tied(model))
+
+
+def _is_tied(model: InterfaceModel) -> bool:
+    """Whether displacements on S follow others, or are turned. Collective."""
+    if (T := model.constraints.T) is None:
+        return False
+    starts, columns, shares = T.getValuesCSR()
+    own = np.diff(starts) == 1
+    first, count = T.getOwnershipRange()[0], len(own)
+    own[own] = (columns[starts[:-1][own]] == first + np.flatnonzero(own)) & (shares[starts[:-1][own]] == 1.0)
+    nodes = np.concatenate([side for name in model.layers for side in nodes_of_sides(model, name)])
+    dofs = (nodes[:, None] * model.joint.dim + np.arange(model.joint.dim)).ravel()
+    return bool(model.comm.allreduce(int(not own[dofs[dofs < count]].all()), max))
 
 
 def _by_layers(

@@ -177,7 +177,7 @@ class MeanTraction(Goal):
         held = np.isin(np.arange(len(v.x.array)), model.held_in(model.V))
         free, x = 1.0 - held.reshape(-1, d), model.V.tabulate_dof_coordinates()
         for name in names:
-            upper, lower = _nodes_of_sides(model, name)
+            upper, lower = nodes_of_sides(model, name)
             for sign, nodes, others in ((-1.0, upper, lower), (1.0, lower, upper)):
                 own = free[nodes]
                 beside = free[others[cKDTree(x[others]).query(x[nodes])[1]]] if len(others) else 0.0 * own
@@ -292,7 +292,7 @@ class Functional(Goal):
         return adjoint.of_form(self._derivative(adjoint.state.u, adjoint.model)), adjoint.nothing()
 
 
-def _nodes_of_sides(model: InterfaceModel, name: str) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def nodes_of_sides(model: InterfaceModel, name: str) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Local nodes of the displacements on the upper and on the lower side of a seam (on a rigid base: none). Collective.
 
     They are those that this rank's facets have, ghosts included.
