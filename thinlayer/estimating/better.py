@@ -10,7 +10,6 @@ import numpy as np
 from forms.base import InputError
 from forms.law import BulkLaw
 from forms.tangent import average_lame, is_isotropic
-from geometry.refusals import unknown
 from geometry.seam import S
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import SeamLayer, ThinLayer
@@ -64,11 +63,7 @@ def better_model(model: InterfaceModel, seam: str) -> tuple[InterfaceModel, dict
     Raises:
         InputError: there are none.
     """
-    if not model.layers:
-        raise InputError("estimate: there is no layer whose mesh could be dropped")
     with on_all(model.comm):
-        if seam not in (S, *model.layers):
-            raise InputError(f"estimate: {unknown('layer', seam, model.layers)}")
         chosen = {name: reduction for name, reduction in model.reductions.items() if seam in (S, name)}
         for reduction in chosen.values():
             reduction.require("estimate", "estimate: ")

@@ -1,4 +1,4 @@
-"""`estimate`: by how much the answer changes as a layer is dropped, without meshing it."""
+"""`estimate`: by how much the answer changes as the mesh of a layer is dropped."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from forms.base import InputError
+from geometry.refusals import unknown as no_such
 from geometry.seam import LAYER, S
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Layers
@@ -40,16 +41,19 @@ def estimate(
     seam: str = S,
     options: Mapping[str, OptionValue] | None = None,
 ) -> Estimate:
-    """By how much the answer changes if a layer's mesh is dropped, estimated without meshing it. Collective.
+    """By how much the answer changes if a layer's mesh is dropped, without meshing it between its bodies. Collective.
 
-    The structure is solved once more on the same mesh with a better law of the layer: of order 1, with its free ends, and
-    with a pressure that flows along S where the layer is nearly incompressible. The difference of the two answers is, as
-    the thickness tends to zero, the error of the first one. Near free ends, within three thicknesses, tractions and jumps
-    of neither law are those of the layer.
+    If all laws are linear, the layer is meshed by itself. A few steps lead from the given state to the structure with it,
+    and goals have bounds that hold for these cells of the bodies and of the layer (`global_local`).
+
+    Otherwise the structure is solved once more on the same mesh with a better law of the layer, of order 1. The difference
+    of the two answers is, as the thickness tends to zero, the error of the first one. Near free ends, within three
+    thicknesses, tractions and jumps of neither law are those of the layer.
 
     Args:
-        state: a state of an interface model with layers of order 0, or with bonds ("may the layer be ignored
-            altogether?"); or its history (marched with theta = 1, all states kept), which is then marched again.
+        state: a state of an interface model, or of one with bonds ("may the layer be ignored altogether?"). If laws are
+            not linear its layers are of order 0; or it is a history (marched with theta = 1, all states kept), which is
+            then marched again.
         layer: what was left out at the bonds: one layer for all of them, or {name of a seam: its layer}.
         goals: numbers whose change is wanted.
         seam: name of the seam whose layer is dropped; the others stay as they are in the state. "S": all of them.
@@ -67,7 +71,11 @@ def estimate(
         checked = _checked_goals(goals)
         if isinstance(state, State) and not state.sudden:
             _require_no_memory(state)
-    model = _with_layers(given, layer, seam)
+    model = _with_layers(given, layer)
+    if not model.layers:
+        raise InputError("estimate: there is no layer whose mesh could be dropped")
+    if seam not in (S, *model.layers):
+        raise InputError(f"estimate: {no_such('layer', seam, model.layers)}")
     chosen = [name for name in model.layers if seam in (S, name)]
     if is_bounded(model):
         return _by_layers(given, model, chosen, checked, options, start)
@@ -168,6 +176,8 @@ def _by_layers(
     with on_all(model.comm):
         for goal in goals.values():
             goal.check(model)
+        for name in chosen:
+            model.reductions[name].require("mesh", "estimate: ")
     better = {name: replace(model.reductions[name].better(), edges="plain") for name in chosen}
     meshed = {name: replace(one, order=0, edges=None) for name, one in better.items()}
     layers = LayerAlone(model, meshed, given.t)
@@ -202,7 +212,7 @@ def _by_layers(
     return Estimate(given, last, errors, found, traction, jump, "", seconds, goals, (None, None), options, by_layers)
 
 
-def _with_layers(state: State, layer: Layers | None, seam: str) -> InterfaceModel:
+def _with_layers(state: State, layer: Layers | None) -> InterfaceModel:
     """The interface model with the layers whose mesh is dropped. Collective."""
     model = state.model
     if not isinstance(model, InterfaceModel):

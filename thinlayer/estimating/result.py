@@ -1,4 +1,4 @@
-"""Estimate: what an estimate of the error of interface laws says, in numbers, places and words."""
+"""Estimate: what an estimate of the error of interface laws says, in numbers, bounds, places and words."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ class Estimate:
 
     Attributes:
         state: u_0, as given.
-        better: u_1, of the better laws.
+        better: u_1, of the better laws; of linear ones the same model with the layers by themselves.
         layers: name of a seam -> its errors.
         goals: name of a goal -> its error.
         traction, jump: as of `LayerError`, over all layers.

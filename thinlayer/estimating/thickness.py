@@ -49,7 +49,7 @@ class ThinEnough:
         eps: the thickness; where the error stays below the tolerance, the largest that was tried.
         tolerance: the relative error that is allowed.
         quantity: "traction", "jump", or the name of a goal.
-        table: a row for each thickness that was tried: eps, error (with what the estimate may be off).
+        table: a row for each thickness that was tried: eps, error (at most, or with what the estimate may be off).
         found: whether the error is equal to the tolerance at `eps`, to one percent of the thickness.
         lacks: the caveats of the estimate; what they say it may be off is in the errors. "": none.
         bonded: whether the layer is ignored altogether.
@@ -88,15 +88,15 @@ def thin_enough(
 ) -> ThinEnough:
     """The thickness at which the estimated error of dropping a layer's mesh is equal to a tolerance. Collective.
 
-    The layer's material stays the same. Each thickness is two
-    solves on one mesh; it takes ten to twenty thicknesses, from the largest one for which estimates hold down to five in
-    turn with a smaller error.
+    The layer's material stays the same. Where goals have bounds, the largest error that they allow is taken. It takes ten
+    to twenty thicknesses on one mesh, from the largest one for which estimates hold down to five in turn with a smaller
+    error.
 
     Args:
         structure: bodies, supports and loads.
         layer: the layer, one for all seams, or {name of a seam: its layer, bond or gap}.
         tolerance: relative error that is allowed, between 0 and 1.
-        goal: "traction" or "jump", on S away from its free ends; or a goal.
+        goal: "traction" or "jump", on S (without bounds: away from its free ends); or a goal.
         seam: name of the seam whose layer becomes thinner; the others stay as they are, and their errors are not counted.
             "S": all of them, where one layer is given for all.
         t: time of the loads and supports, as in `solve`.
