@@ -29,6 +29,7 @@ from thinlayer.solving.adjoint import Adjoint
 
 Array = npt.NDArray[np.float64]
 STEPS = 5
+SAME = 1e-10  # difference of two iterates, relative, that counts as rounding
 ROUNDING = 1e-14  # of these forces, over the stiffness times displacements
 UNBALANCED = 1e-9  # resultant of the forces on a layer, over their sum, that counts as rounding
 NARROW = 0.05  # width of bounds over the change, at which steps end
@@ -54,6 +55,11 @@ class Iterate:
     values: Array
     directions: tuple[tuple[Array, Array, Array, Array], ...] = field(default=(), repr=False)
     gained: float = 0.0
+
+    def is_near(self, other: Iterate) -> bool:
+        """Whether two are the same, but for rounding, and so are their steps: faces are whole on all ranks."""
+        pairs = ((self.v, other.v), (self.F, other.F), (self.load, other.load), (self.values, other.values))
+        return all(np.abs(a - b).max(initial=0.0) <= SAME * np.abs(a).max(initial=0.0) for a, b in pairs)
 
 
 @dataclass(frozen=True)
@@ -96,9 +102,11 @@ class GlobalLocal:
         self._others = [part for part in self.equations.parts if part not in self._laws]
         self._at_zero = self._of_bodies(np.zeros(self.n))
         self._loads = self.equations.loads.array_r - adjoint.of_layers
-        couples = (layers.on_free(layers.K.diagonal())[:, None] * layers.R).T
-        self._couples = [(d, F - load) for load in couples for d, F in [self._back(load)]]
-        self._resultants = layers.R.T @ np.reshape([F for _, F in self._couples], (len(couples), len(layers.load))).T
+        self._shares = layers.on_free(layers.K.diagonal())[:, None]
+        gram = layers.R.T @ (self._shares * layers.R)
+        self._R = layers.R @ np.linalg.inv(np.linalg.cholesky(gram)).T if gram.size else layers.R
+        self._axes = np.empty((gram.shape[0], 0))  # of the motions that have couples
+        self._couples: list[tuple[Array, Array]] = []
 
     # ---------------------------------------------------------------- the interface model
     def _of_bodies(self, u: Array) -> Array:
@@ -122,11 +130,38 @@ class GlobalLocal:
         return d, r + self._pull(d, self._at_zero)
 
     def _balanced(self, u: Array, F: Array, load: Array, values: Array) -> Iterate:
-        """With couples on the faces so that forces F and those on the layers have no resultants."""
-        shares = -np.linalg.solve(self._resultants, self.layers.R.T @ (F + load)) if self._couples else ()
-        for share, (d, dF) in zip(shares, self._couples, strict=True):
-            u, F = u + share * d, F + share * dF
-        return Iterate(u, self.layers.at_faces(u), F, load, values)
+        """With couples on the faces so that forces F and those on the layers have no resultants.
+
+        A couple is a solve with K_1; only motions that laws resist, or that loads on the layers drive, need one.
+        """
+        one = Iterate(u, self.layers.at_faces(u), F, load, values)
+        for _ in range(len(self._axes) + 1):  # a couple may leave a resultant along other axes
+            left, least = self._resultant(one)
+            if left <= least:
+                break
+            along = self._R.T @ (one.F + load)
+            self._add_couple(along)
+            resultants = self._axes.T @ self._R.T @ np.column_stack([dF for _, dF in self._couples])
+            for share, (d, dF) in zip(-np.linalg.solve(resultants, self._axes.T @ along), self._couples, strict=True):
+                u, F = u + share * d, F + share * dF
+            one = Iterate(u, self.layers.at_faces(u), F, load, values)
+        return one
+
+    def _add_couple(self, along: Array) -> None:
+        """Solve for the couple along a new axis of motions, if a resultant has one."""
+        new = along - self._axes @ (self._axes.T @ along)
+        if np.linalg.norm(new) > UNBALANCED * np.linalg.norm(along):
+            axis = new / np.linalg.norm(new)
+            couple = self._shares[:, 0] * (self._R @ axis)
+            d, pulled = self._back(couple)
+            self._couples.append((d, pulled - couple))
+            self._axes = np.column_stack([self._axes, axis])
+
+    def _resultant(self, one: Iterate) -> tuple[float, float]:
+        """The largest resultant of the forces on the layers, and what counts as rounding."""
+        forces, layers = one.F + one.load, self.layers
+        rounding = ROUNDING * float(np.abs(layers.K.diagonal()).sum() * np.abs(one.v).max())
+        return np.abs(layers.R.T @ forces).max(initial=0.0), UNBALANCED * float(np.abs(forces).sum()) + rounding
 
     # ---------------------------------------------------------------- iterates
     def start(self) -> Iterate:
@@ -165,10 +200,9 @@ class GlobalLocal:
 
     def _require_balance(self, one: Iterate) -> None:
         """Raise SolveError unless forces on the layers have no resultant, but for rounding."""
-        forces, layers = one.F + one.load, self.layers
-        left, size = np.abs(layers.R.T @ forces).max(initial=0.0), np.abs(forces).sum()
-        if left > UNBALANCED * size + ROUNDING * np.abs(layers.K.diagonal()).sum() * np.abs(one.v).max():
-            raise SolveError(f"estimate: forces on the layers have a resultant, {left:.2g} of {size:.2g}")
+        left, least = self._resultant(one)
+        if left > 2 * least:
+            raise SolveError(f"estimate: forces on the layers have a resultant, {left:.2g}; allowed: {least:.2g}")
 
     def gap(self, one: Iterate) -> float:
         """r . E^+ r, at least twice the square of the energy norm of what is missing (Prager and Synge)."""
@@ -222,6 +256,7 @@ class GlobalLocal:
             known: bounds that are known before, of goals that are linear; it gets these.
         """
         one, weights = self.start(), {name: self.weights(goal) for name, goal in goals.items()}
+        same = [name for name, (_, z) in weights.items() if one.is_near(z)]  # the compliance is its own weight
         linear = [name for name, goal in goals.items() if goal.is_linear(self.model)]
         for step in range(STEPS + 1):
             for name in linear:
@@ -230,5 +265,6 @@ class GlobalLocal:
             narrow = all(known[name].narrow(values[name], NARROW) for name in linear)
             if step == STEPS or (narrow and self.gap(one) <= NARROW**2 * one.gained):
                 break
-            one, weights = self.step(one), {name: (q, self.step(z)) for name, (q, z) in weights.items()}
+            one = self.step(one)
+            weights = {name: (q, one if name in same else self.step(z)) for name, (q, z) in weights.items()}
         return one, {name: z for name, (_, z) in weights.items()}

@@ -193,8 +193,8 @@ class Estimate:
 
     @property
     def cost(self) -> float:
-        """Time of the solve of the better laws over that of the given state."""
-        return self.better.report.seconds / self.state.report.seconds
+        """Time of the solve of the better laws, or of all of the estimate by layers, over that of the given state."""
+        return (self.seconds if self.meshed else self.better.report.seconds) / self.state.report.seconds
 
     @property
     def laws(self) -> dict[str, str]:
