@@ -196,7 +196,7 @@ def test_a_rigid_block_on_uneven_springs(given):
     x, y = state.model.V.tabulate_dof_coordinates()[:, 0], state.u.x.array[1::2]
     assert y == pytest.approx(-(sinks + turns * x), rel=1e-5)
     bed = state.reaction("BOTTOM", about=(0.0, 0.0))
-    assert bed.force == pytest.approx([0.0, 0.8], abs=1e-7)
+    assert bed.force == pytest.approx([0.0, 0.8], abs=1e-6)  # bodies are 3e7 times as stiff as their bed
     assert bed.moment == pytest.approx(0.8, rel=1e-6)
 
 
