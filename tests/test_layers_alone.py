@@ -19,6 +19,7 @@ pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"
 
 EPS, THROUGH = 1 / 16, 4
 BODY, OTHER = LinearElastic.young(E=100.0, nu=0.3), LinearElastic.young(E=70.0, nu=0.2)
+STEEL = LinearElastic.young(E=1e4, nu=0.3)
 GLUE, SOFT = LinearElastic.shear(2.5, 0.3), LinearElastic.shear(0.7, 0.2)
 RUBBERY = LinearElastic.shear(2.5, 0.499)
 WOVEN = Anisotropic(np.diag([12.0, 4.0, 6.0, 1.5, 2.0, 1.7]) + 0.6 * np.eye(6)[[1, 0, 2, 3, 4, 5]], "layer")
@@ -66,6 +67,7 @@ def cases():
         "anisotropic": (loaded(blocks()), ThinLayer(WOVEN, EPS), (WORK, MOVED)),
         "as stiff as bodies": (loaded(blocks()), ThinLayer(LinearElastic.shear(40.0, 0.3), EPS), (WORK, MOVED)),
         "rubbery": (loaded(blocks()), ThinLayer(RUBBERY, EPS), (WORK, MOVED)),
+        "rubber, steel": (loaded(blocks(), body=STEEL), ThinLayer(Rubber.shear(0.01, 0.4999), EPS), (WORK, MOVED)),
         "shrinking": (loaded(blocks()), ThinLayer(GLUE, EPS, eigenstrain=-0.01), (WORK, MOVED)),
         "moved": (loaded(blocks(), supports=PUSHED, tractions={}), glue, REACTIONS),
         "sides moved": (loaded(blocks(), supports=SIDES, tractions={}), glue, (WORK, goals.Reaction("LEFT", (0.0, 1.0)))),

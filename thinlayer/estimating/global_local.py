@@ -32,6 +32,7 @@ STEPS = 5
 SAME = 1e-10  # difference of two iterates, relative, that counts as rounding
 ROUNDING = 1e-14  # of these forces, over the stiffness times displacements
 UNBALANCED = 1e-9  # resultant of the forces on a layer, over their sum, that counts as rounding
+NEW_AXIS = 0.1  # part of a resultant that is along no axis yet, over all of it
 NARROW = 0.05  # width of bounds over the change, at which steps end
 
 
@@ -150,7 +151,7 @@ class GlobalLocal:
     def _add_couple(self, along: Array) -> None:
         """Solve for the couple along a new axis of motions, if a resultant has one."""
         new = along - self._axes @ (self._axes.T @ along)
-        if np.linalg.norm(new) > UNBALANCED * np.linalg.norm(along):
+        if np.linalg.norm(new) > NEW_AXIS * np.linalg.norm(along):  # less is left to the next turn, or rounding
             axis = new / np.linalg.norm(new)
             couple = self._shares[:, 0] * (self._R @ axis)
             d, pulled = self._back(couple)
