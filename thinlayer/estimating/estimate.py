@@ -31,6 +31,8 @@ from thinlayer.system.ranks import on_all
 from thinlayer.time.history import History
 from thinlayer.time.marching import march
 
+ROUNDING = 3e-8  # of goals, relative: found between steel and rubber 1e6 times as soft; bounds are as much wider
+
 
 @telling("estimate")
 def estimate(
@@ -206,7 +208,9 @@ def _by_layers(
     for name, goal in goals.items():
         scale = max(goal.scale(given, model), goal.scale(last, model))
         at = known.get(name, Bounds(goal.value(last, model), math.nan, math.nan))
-        found[name] = GoalError(values[name], at.told, scale, traction, True, at.lower, at.upper)
+        slack = ROUNDING * max(abs(values[name]), abs(at.told))
+        bounds = at.lower - slack, at.upper + slack
+        found[name] = GoalError(values[name], at.told, scale, traction, True, *bounds)
     seconds = time.perf_counter() - start
     by_layers = Meshed(inside, layers, first, weights)
     return Estimate(given, last, errors, found, traction, jump, "", seconds, goals, (None, None), options, by_layers)
