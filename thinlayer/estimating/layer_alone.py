@@ -68,7 +68,8 @@ class LayerAlone:
         self.values, at_sides = np.zeros(len(self.load)), np.zeros(len(self.load), bool)
         self.values[equations.held], at_sides[equations.held] = equations.prescribed, True
         self._displacements = equations.n_displacements
-        equations.destroy()
+        for one in (x, out, equations):
+            one.destroy()
         self._ours, self._theirs = _pairs(interface, self.model)
         of_bodies = np.zeros(interface.V.dofmap.index_map.size_local * interface.V.dofmap.bs)
         of_bodies[interface.constraints.held] = 1.0
@@ -90,27 +91,28 @@ class LayerAlone:
         x = equations.vector()
         x.array[:] = w
         found = equations.configuration(x)
-        equations.destroy()
+        for one in (x, equations):
+            one.destroy()
         return State(**vars(found), model=self.model, report=Report("layers", 0, 0.0, 0.0))
 
     def work(self, w: Array, z: Array) -> Array:
         """Work (k,) of the stresses at w in the strains of z, less that of the loads, spread over displacements."""
         equations = self._begun(self._t)
-        x, found = equations.vector(), fem.Function(self.model.V)
+        x, out, found = equations.vector(), equations.vector(), fem.Function(self.model.V)
         x.array[:] = w
-        equations.residual(x, equations.vector())
+        equations.residual(x, out)
         strained = fem.Function(self.model.V)
         strained.x.array[:] = z[: self._displacements]
         for part in equations.layers:
             if hasattr(part, "add_work_in"):
                 part.add_work_in(strained, found.x.petsc_vec)
-        equations.destroy()
+        for one in (x, out, equations):
+            one.destroy()
         return np.asarray(found.x.array - (z * self.forces)[: self._displacements])
 
     def _motions(self, free: npt.NDArray[np.bool_]) -> tuple[Array, npt.NDArray[np.bool_]]:
         """Motions without energy (n, m), and as many unknowns (n,) that hold them."""
         model, pins, found = self.model, np.zeros(len(free), bool), []
-        rigid = np.zeros((len(free), 0))
         motions = rigid_motions(model.V, model.domain.joint, model.kinematics).values()
         rigid = np.zeros((len(free), len(motions)))
         rigid[: self._displacements] = np.column_stack([one.x.array[: self._displacements] for one in motions])
@@ -193,6 +195,7 @@ class _Factor:
 def _pairs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntArray, IntArray]:
     """Displacements of this rank at the layers' seams, and those of the layers' faces that are the same, unrolled."""
     base, band, d = layers.joint, layers.domain.joint, interface.joint.dim
+    ours_of, theirs_of = (_cells_of(model, joint) for model, joint in ((interface, base), (layers, band)))
     of_key: dict[tuple[Vertices, int, Vertices], int] = {}
     for number, seam in enumerate(base.seams):
         facets = np.sort(base.surface[base.seam_numbers == number][:, : base.table.vertices.shape[1]], axis=1)
@@ -201,7 +204,9 @@ def _pairs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntArray, Int
             faces = band.facets.get(prefix + name, np.empty((0, d), np.int64))
             for facet, face, row in zip(facets, faces, band.table.index(faces), strict=False):
                 below = dict(zip(face, facet, strict=True))
-                for node, vertices in _nodes(layers, band, band.table.cells[row, 0], band.table.local[row, 0]):
+                for node, vertices in _nodes(
+                    layers, theirs_of, band, band.table.cells[row, 0], band.table.local[row, 0]
+                ):
                     of_key[tuple(facet), side, tuple(sorted(below[v] for v in vertices))] = node
     owned, pairs = interface.V.dofmap.index_map.size_local, {}
     for row, cells in zip(base.surface_rows, base.surface_cells, strict=True):
@@ -209,7 +214,7 @@ def _pairs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntArray, Int
         for side, cell in enumerate(cells):
             if cell >= 0:
                 local = base.table.local[row][list(base.table.cells[row]).index(cell)]
-                for node, vertices in _nodes(interface, base, cell, local):
+                for node, vertices in _nodes(interface, ours_of, base, cell, local):
                     key = facet, side, tuple(sorted(vertices))
                     if node < owned and key in of_key:
                         pairs[node] = of_key[key]
@@ -219,12 +224,21 @@ def _pairs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntArray, Int
     return ours.ravel(), theirs.ravel()
 
 
-def _nodes(model: InterfaceModel | LayerModel, joint: Joint, cell: int, facet: int) -> Iterator[tuple[int, IntArray]]:
+def _cells_of(model: InterfaceModel | LayerModel, joint: Joint) -> IntArray:
+    """Cells (n_cells,) of the model's mesh on this rank that are those of the joint; -1: not on this rank."""
+    out = np.full(len(joint.corners), -1, np.int64)
+    original = model.domain.original_cells
+    out[original] = np.arange(len(original))
+    return out
+
+
+def _nodes(
+    model: InterfaceModel | LayerModel, cells: IntArray, joint: Joint, cell: int, facet: int
+) -> Iterator[tuple[int, IntArray]]:
     """Nodes on a facet of a cell of the joint, and the vertices of the vertex, edge or face that each belongs to."""
-    local = np.flatnonzero(model.domain.original_cells == cell)
-    if not len(local):
+    if cells[cell] < 0:
         return
-    dofs, layout = model.V.dofmap.cell_dofs(local[0]), model.V.dofmap.dof_layout
+    dofs, layout = model.V.dofmap.cell_dofs(cells[cell]), model.V.dofmap.dof_layout
     parts = basix.cell.sub_entity_connectivity(basix.CellType[joint.cell_type])
     for dim in range(joint.dim):
         for entity in parts[joint.dim - 1][facet][dim]:
