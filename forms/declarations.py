@@ -27,7 +27,6 @@ OF_ONE_STRESS = (
     "elastic_moduli",
     "end_strips",
     "stations_at_ends",
-    "inside",
     "plane_stress",
     "energetic",
 )  # attributes valid for one stress only

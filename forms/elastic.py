@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from forms.base import InputError, is_number
 from forms.ends.constants import free_end
 from forms.ends.weights import EndWeights, Strips
-from forms.inside import Inside, Sublayers
 from forms.kinematics import MANDEL, ROOT2, Expr, layer_frame
 from forms.law import BulkLaw, Step, choice
 from forms.parameter_fields import Field, OutOfRange, Parameter, field_of
@@ -118,11 +117,6 @@ class LinearElastic(LinearLaw):
 
     def elastic_moduli(self) -> tuple[Any, Any]:
         return super().elastic_moduli() if self.traits.compiled else (self.lmbda, self.mu)  # compiled: its moduli vary
-
-    def inside(self) -> Inside:
-        if self.fields or self.traits.compiled:
-            return super().inside()
-        return Sublayers.of([(1.0, float(self.lmbda), float(self.mu))])
 
     def stations(self) -> list[Station[Any]]:
         """The change of strain through the layer does not change the tractions: its stress times n is zero.

@@ -20,7 +20,6 @@ import ufl
 
 from forms.base import InputError
 from forms.declarations import SIZES, Traits, require_dataclass, require_declarations, reset_inherited
-from forms.inside import Inside
 from forms.kinematics import Expr
 from forms.parameter_fields import Array, Field, OfPlaces, field_of, is_field, number_of
 from forms.stations import Station, at_gauss_points
@@ -327,18 +326,6 @@ class BulkLaw(Law):
             f"order=1 of a Stack with the sublayer {type(self).__name__}: it is known for isotropic elastic sublayers "
             "(LinearElastic), which share the jump in fixed proportions along S and across it; use order=0, or mesh the "
             "layer (structure.full)"
-        )
-
-    def inside(self) -> Inside:
-        """What gives the stresses inside a layer of this law, from the displacements of its faces; parameters are numbers.
-
-        Raises:
-            InputError: they are not known.
-        """
-        why = "with parameters that are functions" if self.fields else "this is none"
-        raise InputError(
-            f"stresses inside a layer of {type(self).__name__} are not known without its mesh (structure.full): they are "
-            f"for isotropic linear elasticity, LinearElastic, a Stack of them, Rubber and Incompressible, and {why}"
         )
 
     def own_step(self, step: Step) -> Step:

@@ -12,7 +12,6 @@ import numpy.typing as npt
 from forms.elastic import LARGEST_NU, ROUNDING, LinearElastic, LinearLaw, isotropic_stiffness, lame, poisson_ratio
 from forms.ends.constants import free_end
 from forms.ends.weights import EndWeights, Strips, of_pressure_at_ends
-from forms.inside import Inside, Pressed, Sublayers
 from forms.kinematics import Expr
 from forms.law import BulkLaw, Step, positive
 from forms.stations import Station, of_pressure
@@ -52,9 +51,6 @@ class Incompressible(LinearLaw):
     def stations(self) -> list[Station[Any]]:
         """The pressure is a field on S, which flows along S."""
         return of_pressure(self)
-
-    def inside(self) -> Inside:
-        return super().inside() if self.fields else Pressed(math.inf, float(self.mu))
 
     def end_strips(self) -> Strips | None:
         return None if self.fields else Strips.with_pressure(free_end(0.5))
@@ -119,15 +115,6 @@ class Rubber(LinearLaw):
 
     def end_strips(self) -> Strips | None:
         return None if self.fields else Strips.with_pressure(free_end(poisson_ratio(self)))
-
-    def inside(self) -> Inside:
-        """Where the pressure does not flow far it is that of `LinearElastic`, but for the second order in eps."""
-        if self.fields:
-            return super().inside()
-        lmbda, mu = float(self.lmbda), float(self.mu)
-        if poisson_ratio(self) > LARGEST_NU + ROUNDING:
-            return Pressed(lmbda, mu)
-        return Sublayers.of([(1.0, lmbda, mu)])
 
     def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
         return of_pressure_at_ends(self, weights)

@@ -14,7 +14,6 @@ import ufl
 from forms.base import InputError, is_number
 from forms.declarations import Traits, require_declarations
 from forms.elastic import LinearElastic
-from forms.inside import Inside, Sublayers
 from forms.kinematics import Expr, jump_strain, lift
 from forms.law import BulkLaw
 from forms.parameter_fields import Array, Field
@@ -226,13 +225,6 @@ class Stack(BulkLaw):
                 "along S; use order=0, or mesh the layer (structure.full)"
             )
         return in_series(self.sublayers)
-
-    def inside(self) -> Inside:
-        if self.fields:
-            return super().inside()
-        for law in self.laws:
-            law.inside()  # raises errors of laws without one
-        return Sublayers.of([(a, *law.elastic_moduli()) for a, law in self.sublayers])
 
     def with_laws(self, laws: Sequence[BulkLaw]) -> Stack:
         """The same fractions with other laws, unchecked."""

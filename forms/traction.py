@@ -59,7 +59,7 @@ class TractionLaw(Law):
 
     ignored: ClassVar = (
         *("stress", "advance", "dissipated", "eased", "stiffness", "plane_stress"),
-        *("stations", "elastic_moduli", "inside"),
+        *("stations", "elastic_moduli"),
     )
 
     def __post_init__(self) -> None:

@@ -36,6 +36,11 @@ class StraightEnd:
     reach: tuple[float, float]
     length: float = 1.0
 
+    @property
+    def axes(self) -> FloatArray:
+        """(2, 3) unit vectors: inward along S, and the normal of S."""
+        return np.stack([np.pad(one, (0, 3 - len(one))) for one in (-self.m, self.n)])
+
     def distance(self, x: FloatArray) -> FloatArray:
         """Distance (...) of places (..., d) of S from it."""
         return np.asarray(self.offset - x @ self.m)

@@ -13,7 +13,7 @@ from geometry import block, faults, ring, sandwich, wall
 from tests.on_ranks import on_ranks
 from thinlayer import RigidPlate, SolveError, Structure, Surface, ThinLayer, compare, estimate, goals, solve
 from thinlayer.estimating import global_local
-from thinlayer.estimating.layer_alone import LayerAlone
+from thinlayer.solving.layer_alone import LayerAlone
 
 pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
 

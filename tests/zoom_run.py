@@ -13,7 +13,7 @@ from thinlayer import State, Structure, ThinLayer, Zoom, solve
 EPS = 0.05
 BODY, GLUE = LinearElastic.young(E=70.0, nu=0.2), LinearElastic.shear(3.0, 0.35)
 FREE = ThinLayer(GLUE, EPS, order=1, edges="free", at=1.0)
-D, Y = (one.ravel() for one in np.meshgrid([0.0, 0.1, 0.6, 2.0, 7.0], [-0.45, -0.1, 0.3]))
+D, Y = (one.ravel() for one in np.meshgrid([0.0, 0.1, 0.6, 2.0, 7.0], [-0.4, -0.1, 0.3]))
 PLACES = np.concatenate([np.stack([D * EPS, 0 * D], axis=1), np.stack([1.3 - D * EPS, 0 * D], axis=1)])
 HEIGHTS = np.concatenate([Y, Y])
 
@@ -38,9 +38,9 @@ def numbers() -> dict[str, Any]:
         blocks = sandwich(1.3, 0.3, 0.4, 0.2 * (dim - 1), **size)
         load = (0.3, -1.0, 0.2)[:dim]
         structure = Structure(blocks, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": load})
-        zoom = Zoom(solve(structure.interface(FREE)))
+        zoom = Zoom(solve(structure.interface(FREE)), cells_through=2, at_ends=1.0)
         places = np.pad(PLACES, ((0, 0), (0, dim - 2)), constant_values=0.19)
         found[f"stress {dim}"] = zoom.stress(places, HEIGHTS).ravel().tolist()
-        ends = sorted(zoom.ends, key=lambda end: tuple(end.m.round(6)))
-        found[f"H {dim}"] = np.concatenate([np.concatenate([end.lower, end.upper]) for end in ends]).tolist()
+        corners = sorted(zoom.corners, key=lambda one: (*one.m.round(6), one.side))
+        found[f"H {dim}"] = np.concatenate([one.H for one in corners]).tolist()
     return found

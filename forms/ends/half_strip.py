@@ -33,8 +33,6 @@ LEVELS, DEGREE = 11, 12  # how often they shrink, and the degree of displacement
 SPLIT = -0.5  # first Lame modulus over mu that is left beside the pressure: the rest stays positive definite
 SIDES = ((0, 1), (2, 3), (0, 2), (1, 3))  # corners of each side, in the order (-1, -1), (1, -1), (-1, 1), (1, 1)
 ORDER = [0, 2, 1, 3]  # of the corners, the second coordinate first
-INSIDE = 1e-8  # how far outside the square -1 < a, b < 1 a place may be that counts as in it
-STEPS = 4  # of Newton's method for places in trapezoids, one coordinate of which is known at once
 
 
 @dataclass(frozen=True)
@@ -133,15 +131,6 @@ class Quadrilateral:
         values, slopes = BILINEAR.at(at)
         return values @ self.corners[ORDER], slopes @ self.corners[ORDER]
 
-    def pulled_back(self, x: Array) -> Array:
-        """Places in the square, (n, 2), of places x (n, 2)."""
-        at = np.zeros_like(x)
-        for _ in range(STEPS):
-            there, slopes = self.mapped(at)
-            step = np.linalg.solve(np.swapaxes(slopes, 1, 2), (x - there)[..., None])[..., 0]
-            at = np.clip(at + step, -3.0, 3.0)
-        return at
-
     def all_unknowns(self, kept: Array) -> Array:
         """All displacements and pressures of the cell from those that are kept."""
         unknowns = np.empty(len(self.kept) + len(self._lost))
@@ -180,18 +169,6 @@ class Solution:
             for cell, unknowns in zip(self.cells, self.unknowns, strict=True)
         ]
         return tuple(np.concatenate(found).T)
-
-    def at(self, x: Array) -> tuple[Array, Array]:
-        """Displacements (n, 2) and stresses 11, 22, 12 (n, 3) at places x (n, 2); zero outside the half strip."""
-        u, stress = np.zeros((len(x), 2)), np.zeros((len(x), 3))
-        for cell, unknowns in zip(self.cells, self.unknowns, strict=True):
-            low, high = cell.corners.min(axis=0), cell.corners.max(axis=0)
-            margin = INSIDE * (high - low)
-            near = np.flatnonzero(((x >= low - margin) & (x <= high + margin)).all(axis=1))
-            at = cell.pulled_back(x[near])
-            inside = (np.abs(at) <= 1 + INSIDE).all(axis=1)
-            u[near[inside]], stress[near[inside]] = cell.values(unknowns, at[inside])
-        return u, stress
 
 
 class HalfStrip:

@@ -24,9 +24,14 @@ LARGEST_EPS = 1e6  # largest thickness over the bodies' size: beyond it coordina
 
 
 class FullModel(Model):
-    """The model whose layers are meshed."""
+    """The model whose layers are meshed.
+
+    Attributes:
+        inflated: the joint with the layers' cells.
+    """
 
     name = "full"
+    inflated: Joint
 
     def __init__(
         self, structure: Setup, layer: Layers, *, bodies: str, cells_through: int, junctions: str | None
@@ -70,6 +75,7 @@ class FullModel(Model):
         )
         self._check_junctions(inflated)
         require_revolution(self.structure.kinematics, inflated)
+        self.inflated = inflated
         return inflated
 
     def _check_layers(self) -> None:

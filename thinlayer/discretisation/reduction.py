@@ -303,20 +303,24 @@ def _ends(r: Reduction) -> Iterator[Refused]:
     if r.strips is None:
         known = f"LinearElastic with Poisson's ratio from 0 to {LARGEST_NU:g}, Rubber and Incompressible, by numbers"
         yield Refused("no constants", f"free ends are not known of this {type(one.law).__name__}: they are of {known}")
+    yield from _straight(r, r.contrast)
+    if one.flows and r.coarse.any():
+        at, fall = place(sheet.joint.points[r.loose[r.coarse].vertices[0, 0]]), r.falls.min()
+        reason = f"cells at free ends must not be longer than the fall of the pressure there, {fall:.3g}, as at {at}"
+        yield Refused("coarse", reason, "make them shorter (h_ends=...)")
+
+
+def _straight(r: Reduction, contrast: float) -> Iterator[Refused]:
+    """Of free ends that are straight, on a flat layer between rigid faces: its contrast with the bodies is large."""
+    sheet = r.one.sheet
     if r.bent:
         yield Refused("bent", f"free ends are not known of a layer {r.bent}")
     if len(oblique := r.rim("oblique").vertices):
         at = place(sheet.joint.points[oblique[0, 0]])
         yield Refused("oblique", f"something holds the layer's side at {at} neither along S nor across it")
-    if r.contrast < LEAST_CONTRAST * (1 - ROUNDING):
-        reason = (
-            f"faces must be rigid beside free ends: E of a body is {r.contrast:.4g} times mu of the layer; allowed: "
-        )
+    if contrast < LEAST_CONTRAST * (1 - ROUNDING):
+        reason = f"faces must be rigid beside free ends: E of a body is {contrast:.4g} times mu of the layer; allowed: "
         yield Refused("contrast", f"{reason}at least {LEAST_CONTRAST:g}")
-    if one.flows and r.coarse.any():
-        at, fall = place(sheet.joint.points[r.loose[r.coarse].vertices[0, 0]]), r.falls.min()
-        reason = f"cells at free ends must not be longer than the fall of the pressure there, {fall:.3g}, as at {at}"
-        yield Refused("coarse", reason, "make them shorter (h_ends=...)")
     try:
         straight_ends(r.free, sheet)
     except InputError as error:
@@ -353,29 +357,27 @@ def _evens_out(r: Reduction) -> Iterator[Refused]:
         yield Refused("no excess", f"lmbda of the layer is {lmbda:.4g}")
 
 
-def _inside(r: Reduction) -> Iterator[Refused]:
-    """Of stresses inside the layer."""
-    if r.one.thin and r.one.thin.eigenstrain is not None:
-        yield Refused("eigenstrain", "its eigenstrain is not in the fields inside")
-    if r.bodies != "kept":
-        yield Refused("apart", "bodies are apart and do not meet on S", "use bodies='kept'")
-    try:
-        r.law.inside()
-    except InputError as error:
-        yield Refused("no fields", str(error))
+def _alone(r: Reduction) -> Iterator[Refused]:
+    """Of the layer by itself, between faces that are moved."""
+    traits, kind = r.one.law.traits, type(r.one.law).__name__
+    if not traits.linear or r.one.remembers:
+        yield Refused("not linear", f"{kind} is not linear, or remembers", "mesh the layer (structure.full)")
+    elif traits.constrained and not r.law.volume_compliance and not len(r.loose.vertices):
+        reason = f"{kind} between faces, with no side that is free, bears a pressure that these do not tell"
+        yield Refused("closed", reason, "take Rubber with Poisson's ratio 0.4999")
 
 
-def _ends_inside(r: Reduction) -> Iterator[Refused]:
-    """Of stresses inside the layer at its free ends."""
-    assert r.one.thin
-    inside = r.law.inside()
-    if inside.moduli is None:
-        yield Refused("sublayers", "the fields of free ends are those of a layer of one law")
-    if inside.flows and r.one.thin.order == 0:
-        yield Refused("order 0", "the pressure of order 0 does not fall at free ends", "use order=1")
+def _corners(r: Reduction) -> Iterator[Refused]:
+    """Of the singular stresses at corners of free ends: a wedge of 90 degrees on a rigid face, in plane strain."""
+    sublayers, n = r.law.sublayers, r.one.sheet.mean_normal
+    outer = [] if r.law.fields else [known_at_rest(law, n) for _, law in (sublayers[0], sublayers[-1])]
+    isotropic = [average_lame(C)[1] for C in outer if C is not None and is_isotropic(C)]
+    if len(isotropic) < 2:
+        yield Refused("not isotropic", "exponents are known of isotropic layers, by numbers")
+        return
     if r.one.structure.plane == "axisymmetric":
         yield Refused("radius", "free ends of a body of revolution are curved")
-    yield from _ends(r)
+    yield from _straight(r, softest_body(r.one) / max(isotropic))
 
 
 Ask = Callable[[Reduction], Iterator[Refused]]
@@ -389,6 +391,6 @@ QUESTIONS: dict[str, tuple[Ask, ...]] = {
     "ends": (_thickness, _corrected),
     "estimate": (_thickness, _held_alone, _estimated),
     "excess of pressure": (_thickness, _evens_out),
-    "inside": (_thickness, _inside),
-    "ends inside": (_thickness, _inside, _ends_inside),
+    "alone": (_thickness, _alone),
+    "corners": (_thickness, _alone, _corners),
 }

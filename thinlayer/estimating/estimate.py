@@ -20,10 +20,10 @@ from thinlayer.estimating.better import BetterLaw, better_model, why_unknown
 from thinlayer.estimating.global_local import NARROW, Bounds, GlobalLocal
 from thinlayer.estimating.goal import Goal
 from thinlayer.estimating.goals import Compliance, Reaction, nodes_of_sides
-from thinlayer.estimating.layer_alone import LayerAlone
 from thinlayer.estimating.on_surface import NEAR_ENDS, errors_of, field_of_ends, squares_of
 from thinlayer.estimating.result import Estimate, GoalError, LayerError, Meshed
 from thinlayer.solving.adjoint import Adjoint
+from thinlayer.solving.layer_alone import LayerAlone
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import solve
 from thinlayer.system.progress import telling
@@ -150,7 +150,9 @@ def is_bounded(model: InterfaceModel) -> bool:
     All laws are linear, and remember nothing; nodes on S follow neither plates nor inclined supports.
     """
     memories = (term.law.traits.remembers or term.law.traits.rate for term in model.terms)
-    return model.linear and model.symmetric and not (model.contacts or any(memories) or _is_tied(model))
+    if not (model.linear and model.symmetric) or model.contacts or any(memories):
+        return False
+    return not any(model.reductions[name].why_not("alone") for name in model.layers) and not _is_tied(model)
 
 
 def _is_tied(model: InterfaceModel) -> bool:

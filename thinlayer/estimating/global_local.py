@@ -24,8 +24,8 @@ from dolfinx import fem
 from thinlayer.discretisation.state import Configuration, State
 from thinlayer.errors import SolveError
 from thinlayer.estimating.goal import Goal
-from thinlayer.estimating.layer_alone import LayerAlone
 from thinlayer.solving.adjoint import Adjoint
+from thinlayer.solving.layer_alone import LayerAlone
 
 Array = npt.NDArray[np.float64]
 STEPS = 5

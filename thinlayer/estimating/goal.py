@@ -14,8 +14,8 @@ from forms.base import InputError
 from forms.temperature import finite
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
-from thinlayer.estimating.layer_alone import LayerAlone
 from thinlayer.solving.adjoint import Adjoint
+from thinlayer.solving.layer_alone import LayerAlone
 
 Array = npt.NDArray[np.float64]
 

@@ -26,10 +26,10 @@ from thinlayer.discretisation.measures import compiled, whole
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.discretisation.supports import Place
 from thinlayer.estimating.goal import Goal, unit, written
-from thinlayer.estimating.layer_alone import LayerAlone
 from thinlayer.output.probe import Probe, cells_at
 from thinlayer.output.surface import Surface
 from thinlayer.solving.adjoint import Adjoint
+from thinlayer.solving.layer_alone import LayerAlone
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.compat import exterior_facet_entities
 

@@ -15,10 +15,10 @@ from thinlayer.discretisation.state import State
 from thinlayer.estimating.better import BetterLaw, creeps
 from thinlayer.estimating.global_local import NARROW, GlobalLocal, Iterate
 from thinlayer.estimating.goals import Goal
-from thinlayer.estimating.layer_alone import LayerAlone
 from thinlayer.estimating.on_surface import density_by_layers, density_of
 from thinlayer.output.surface import Surface
 from thinlayer.solving.adjoint import Adjoint
+from thinlayer.solving.layer_alone import LayerAlone
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.system.table import Table
 

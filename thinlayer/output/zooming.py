@@ -1,121 +1,171 @@
-"""Zoom: stresses inside a layer that an interface law stands for, through its thickness and at its free ends."""
+"""Zoom: stresses inside layers that interface laws stand for, from the layers by themselves; corners of their free ends."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from forms.base import InputError
-from forms.ends.end_fields import EVEN, EndFields
-from forms.kinematics import MANDEL
+from forms.base import InputError, is_finite
+from forms.ends.corner import Corner
 from forms.law import BulkLaw
 from forms.temperature import finite
-from geometry.ends import StraightEnd
-from geometry.refusals import place
+from geometry.ends import StraightEnd, straight_ends
+from geometry.refusals import place, unknown
+from geometry.seam import S
+from thinlayer.discretisation.full_model import FullModel
+from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.layer import SeamLayer
+from thinlayer.discretisation.layer_model import LayerModel
+from thinlayer.discretisation.side_loads import SideLoad
 from thinlayer.discretisation.state import State
-from thinlayer.output.zoomable import Faces, Zoomable
+from thinlayer.errors import Refused, warn
+from thinlayer.output.probe import Probe
+from thinlayer.output.surface import Surface
+from thinlayer.solving.layer_alone import HeldLayers, LayerAlone
+from thinlayer.surface.surface_mesh import SurfaceMesh
 
 Array = npt.NDArray[np.float64]
-AT_CORNER = 1e-6  # distance from a corner, over the thickness, where stresses count as infinite
+NEAR = 3.0  # distance of two ends, over the thickness, within which the field of one is not that of an end alone
+AT_ENDS = (1 / 16, 1 / 2)  # how far cells at ends reach, over the thickness, and tetrahedra
+FAR_OFF = 0.3  # difference in traction of the layer and the bodies, in L2, from which on zooms warn
+AT_CORNER = 1 / 16  # distance from a corner, over the thickness, where stresses are not known
+RADIUS = 0.3  # over the thickness, of the arc around a corner from which its strength is taken
+OF_SUBLAYER = 0.6  # the same over the thickness of a thin sublayer
 
 
 @dataclass(frozen=True)
-class CornerStrengths:
-    """The singular stresses at the two corners of a free end of a layer, at places along it.
+class CornerStrength:
+    """The singular stresses at the corner between a face and a free end, at places along the end.
 
-    On the body's face at the distance r from a corner the traction across it is H r^(exponent - 1) in the limit r -> 0; the
+    On the face at the distance r from the corner the traction across it is H r^(exponent - 1) in the limit r -> 0; the
     traction along S, away from the end, is `shear` times that. A criterion of crack initiation compares H with what a
     test of the same layer and exponent has found.
 
     Attributes:
         x: (n, d) places along the end, farther than 3 thicknesses from others; in 2D one.
         m: (d,) unit normal of the end, in S, outward.
+        side: "lower" or "upper", of the face.
         exponent: lambda, from 1 at nu = 0 to 0.595 at nu = 0.5.
-        shear: of the traction along S; at the upper corner with the other sign.
-        lower, upper: H, (n,), at the corners on the lower and on the upper face, stress times length^(1 - exponent); nan
-            for nu < 0.01, where nothing grows.
+        shear: of the traction along S; on the upper face with the other sign.
+        H: (n,), stress times length^(1 - exponent).
     """
 
     x: Array
     m: Array
+    side: str
     exponent: float
     shear: float
-    lower: Array
-    upper: Array
+    H: Array
 
 
 class Zoom:
-    """Stresses inside a layer, from a solved interface model, without a mesh of the layer. Methods are collective.
+    """Stresses inside a layer of an interface model: the layer meshed by itself, its faces where the bodies move them.
 
-    For isotropic linear elastic layers, a `Stack` of them, `Rubber` and `Incompressible`. Away from free ends the error of
-    the stresses is that of the state: O(eps) for a layer of order 0, O(eps^2) of order 1 (`forms.inside`). At straight free
-    ends of a layer of one law fields are added that take the stresses off the end, those between rigid faces
-    (`forms.ends.end_fields`); the error there is O(eps), the layer's stiffness over the bodies'.
+    For all linear laws, sublayers, curved seams, networks, layers with a weight or an eigenstrain. Cells are divided
+    towards free ends and junctions. The error is that of the faces: for a layer of order 0 O(eps), of order 1 O(eps^2);
+    with `Zoom(estimate(state).better)` the bodies have yielded to the layer and its ends. Of a model whose layer is meshed
+    the stresses are those in its own cells.
 
     Args:
-        state: of an interface model, as `solve` returns it, or `history.at(t)`.
+        state: of an interface model or of a full one, as `solve` returns it, or `history.at(t)`. Collective.
         seam: name of a seam; "S" of a joint that has one.
+        cells_through: number of cells through the thickness.
+        at_ends: how far cells at free ends and junctions reach at most, over the thickness, > 0. None: 1/16; of tetrahedra,
+            of which there would be too many, 1/2.
+
+    Attributes:
+        layer: state of the layer by itself, for `Probe`, pictures and files, whole on every rank; of a full model this one.
 
     Raises:
-        InputError: no such state or seam; a layer whose stresses inside are not known, with the reason.
+        InputError: no such state or seam; a layer whose law is not linear.
     """
 
-    def __init__(self, state: State, seam: str = "S") -> None:
-        self._known = Zoomable.of(state, seam)
-        self.state, self.seam = state, self._known.one.name
+    def __init__(self, state: State, seam: str = S, *, cells_through: int = 8, at_ends: float | None = None) -> None:
+        self.state, self._one = state, _layer_of(state, seam)
+        self.seam = self._one.name
+        if at_ends is None:
+            at_ends = AT_ENDS[state.model.joint.cell_type == "tetrahedron"]
+        if not (is_finite(at_ends) and at_ends > 0):
+            raise InputError(f"at_ends is {at_ends!r}; allowed: > 0, over the thickness")
+        meshed = isinstance(state.model, FullModel)
+        self.layer = state if meshed else self._by_itself(cells_through, at_ends)
+        self._probe, self._surface = Probe(self.layer), SurfaceMesh(self.layer.model, self.seam)
+
+    def _by_itself(self, cells_through: int, at_ends: float) -> State:
+        """The layer, or layers that meet, meshed between the faces of the state."""
+        state, model = self.state, self.state.model
+        assert isinstance(model, InterfaceModel)
+        layers = {}
+        for name in [*model.layers] if model.joint.seams_meet else [self.seam]:
+            model.reductions[name].require("alone", f"zoom into {model.layers[name]}: ")
+            thin = model.layers[name].thin
+            assert thin
+            layers[name] = replace(thin, order=0, edges=None)
+        coarse = LayerAlone(model, layers, state.t, cells_through)
+        w = coarse.inside(coarse.at_faces(state.u.x.array), coarse.load, coarse.values)
+        self._require_faces(coarse.state(w))
+        reach = at_ends * min(float(one.eps) for one in layers.values())
+        fine = HeldLayers(LayerModel(model, layers, cells_through, reach), state.t)
+        return fine.state(fine.inside(coarse.in_parts(w, fine), fine.load, fine.values))
 
     @property
     def eps(self) -> float:
         """The layer's thickness; where it varies the one that its profile multiplies."""
-        return self._known.eps
+        assert self._one.thin
+        return float(self._one.thin.eps)
 
     @property
     def law(self) -> BulkLaw:
         """The layer's law with real parameters, in a plane that of its kinematics."""
-        return self._known.model.reductions[self.seam].law
+        return self._known.law
+
+    @cached_property
+    def _known(self) -> Any:
+        return self.state.model.reductions[self.seam]
+
+    def _require_faces(self, layers: State) -> None:
+        """Warn if the layer does not bear what the bodies do."""
+        surface = Surface(self.state.model, self.seam)
+        bodies = surface.reaction(self.state)
+        off = surface.norm(surface.traction(layers) - bodies) / (surface.norm(bodies) or 1.0)
+        if off > FAR_OFF:
+            reason = f"it bears tractions that differ by {100 * off:.2g} % from what the bodies do"
+            remedy = "take Zoom(estimate(state).better), whose bodies have yielded to it"
+            warn("zoom", f"zoom into {self._one}: between these faces {reason}; {remedy}", surface.model.comm)
 
     # ---------------------------------------------------------------- stresses
     def stress(self, x: Any, height: Any = 0.0) -> Array:
-        """Stresses (n, 3, 3) at places x (n, d) of S and heights, or (3, 3) at one place.
+        """Stresses (n, 3, 3) at places x (n, d) of S and heights, or (3, 3) at one place; between cells their mean.
 
         Args:
             x: places on S, in the mesh's coordinates.
-            height: over the thickness, from -1/2 at the lower to 1/2 at the upper face, one or (n,). Between two sublayers
-                stresses along S jump: there they are those of the lower one.
+            height: over the thickness, from -1/2 at the lower to 1/2 at the upper face, one or (n,).
 
         Raises:
-            InputError: places off the seam; heights out of range; corners of free ends; places within 3 thicknesses of a
-                free end whose fields are not known, with the reason, or of two ends that meet.
+            InputError: places off the seam; heights out of range; places at corners of free ends, in the last cell.
         """
-        faces = self._known.faces(x)
-        y = self._heights(height, len(faces.x))
-        found = self._inside(faces, y)
-        near = self._known.near(faces.x)
-        for end, distance in near:
-            at = np.flatnonzero(np.isfinite(distance))
-            self._require_no_corner(faces.x[at], distance[at], y[at])
-            foot = self._known.faces(faces.x[at] + distance[at, None] * end.m)
-            fields = self._fields.stresses(np.asarray(distance[at] / self.eps), y[at])
-            found[at] += self._turned(end, np.einsum("kn,knc->nc", self._amplitudes(end, foot), fields))
+        located, _ = self._surface.at(x)
+        y = self._heights(height, len(located.x))
+        free = self._known.free
+        if len(free.vertices):
+            near = free.distance(self.state.model.joint.points, located.x) < AT_CORNER * self.eps
+            near &= np.abs(y) > 0.5 - AT_CORNER
+            if near.any():
+                raise InputError(
+                    f"the corner at {place(located.x[near.argmax()])}, height {y[near.argmax()]:g}, is nearer than cells "
+                    "can tell, and stresses are infinite there; their exponents and strengths are in `corners`"
+                )
+        found = self._probe.stress(self._surface.in_layer(located.x, y))
         return found if np.ndim(x) > 1 else found[0]
 
     def through(self, x: Any, n: int = 41) -> tuple[Array, Array]:
         """Heights (n,), from -1/2 to 1/2, and the stresses (n, 3, 3) there, at one place x (d,) of S."""
         heights = np.asarray(np.linspace(-0.5, 0.5, n), np.float64)
         return heights, self.stress(np.tile(np.asarray(x, float), (n, 1)), heights)
-
-    def _require_no_corner(self, x: Array, distance: Array, y: Array) -> None:
-        """Raise InputError for places at a corner, where stresses are infinite."""
-        near = (distance < AT_CORNER * self.eps) & (np.abs(y) > 0.5 - AT_CORNER)
-        if near.any() and self._fields.corner.exponent < 1:
-            raise InputError(
-                f"the stresses at the corner at {place(x[near.argmax()])}, height {y[near.argmax()]:g}, are infinite; "
-                "their exponents and strengths are in `ends`"
-            )
 
     def _heights(self, height: Any, n: int) -> Array:
         if (y := finite(height, (), (n,))) is None or not (np.abs(y) <= 0.5).all():
@@ -124,78 +174,76 @@ class Zoom:
             )
         return np.broadcast_to(y, (n,))
 
-    def _inside(self, faces: Faces, y: Array) -> Array:
-        """Stresses (n, 3, 3) as if the layer had no end."""
-        known = self._known
-        values = known.face_values(faces)
-        stresses = known.inside.stress(values, known.thickness(faces.x), y)
-        return stresses * self._there_is
-
+    # ---------------------------------------------------------------- corners
     @cached_property
-    def _there_is(self) -> Array:
-        """(3, 3) 1 for the stresses that the kinematics have."""
-        model = self.state.model
-        mask = np.zeros((3, 3))
-        for slot in model.kinematics.stressed(model.joint.dim):
-            i, j = MANDEL[slot]
-            mask[i, j] = mask[j, i] = 1.0
-        return mask
-
-    # ---------------------------------------------------------------- ends
-    def axes_of_end(self, end: int) -> Array:
-        """(2, 3) unit vectors at one of `ends`: inward along S, and the normal of S.
+    def ends(self) -> list[tuple[StraightEnd, Array]]:
+        """Each free end, and places (n, d) on it: vertices of S farther than 3 thicknesses from others; in 2D one.
 
         Raises:
-            InputError: as of `ends`; no end of this number.
+            InputError: ends are curved.
         """
-        known = [one for one, x in self._known.places_of_ends if len(x)]
-        if end not in range(len(known)):
-            raise InputError(f"end {end!r}: there are {len(known)}, numbered from 0")
-        return self._axes(known[end])
+        free, points = self._known.free, self.state.model.joint.points
+        ends, found = straight_ends(free, self._one.sheet), []
+        every = points[np.unique(free.vertices)]
+        for end in ends:
+            others = [other.beside(every) & (other.distance(every) <= NEAR * self.eps) for other in ends]
+            x = every[end.has(every) & (np.sum(others, axis=0) == 1)]
+            if len(x):
+                found.append((end, x[np.argsort(x @ end.along)]))
+        return found
+
+    @cached_property
+    def corners(self) -> list[CornerStrength]:
+        """The singular stresses at the corners of straight free ends, two for each: on the lower and on the upper face.
+
+        By reciprocity with the dual field on an arc around the corner, between rigid faces in plane strain.
+
+        Raises:
+            InputError: corners of which exponents are not known, with the reason.
+        """
+        for load in SideLoad.of(self.state.model, self._one):
+            raise Refused("loaded side", f"the {load.what} acts on the layer's side").error(self._at_corners)
+        self._known.require("corners", self._at_corners)
+        return [self._strength(end, x, side) for end, x in self.ends for side in (-1, 1)]
 
     @property
-    def _fields(self) -> EndFields:
-        return self._known.fields
+    def _at_corners(self) -> str:
+        return f"zoom into {self._one} at its corners: "
 
-    def _amplitudes(self, end: StraightEnd, feet: Faces) -> Array:
-        """(4, n) stresses 11 and 12 that an end without its fields would have, and their growth with the height."""
-        upper, lower = (self._in_end(end, self._inside(feet, np.full(len(feet.x), y))) for y in (0.5, -0.5))
-        mean, growth = (upper + lower) / 2, upper - lower
-        return np.stack([mean[:, 0], mean[:, 1], growth[:, 0], growth[:, 1]])
+    def _strength(self, end: StraightEnd, x: Array, side: int) -> CornerStrength:
+        """At the corners on the upper (1) or the lower face (-1)."""
+        sublayers = self.law.sublayers
+        share, law = sublayers[0 if side < 0 else -1]
+        lmbda, mu = law.elastic_moduli()
+        corner = Corner(1 / (1 + mu / lmbda) / 2 if lmbda else 0.0)
+        radius = RADIUS if len(sublayers) == 1 else min(RADIUS, OF_SUBLAYER * share)
+        r, axes = radius * self.eps, end.axes * np.array([[1.0], [-side]])  # inward, and into the layer
+        at = np.vstack([corner.arc(radius), [[0.0, 0.0], [radius, 0.0]]])
+        on_s = (x[:, None] - at[:, :1] * self.eps * end.m).reshape(-1, x.shape[1])
+        places = self._surface.in_layer(on_s, np.tile(side * (0.5 - at[:, 1]), len(x)))
+        d = x.shape[1]
+        u = (self._probe.displacement(places) @ axes[:, :d].T).reshape(len(x), -1, 2)
+        stress = self._probe.stress(places).reshape(len(x), -1, 3, 3)
+        in_axes = np.einsum("ai,nqij,bj->nqab", axes, stress, axes)[:, :-2]
+        turn = (u[:, -1, 1] - u[:, -2, 1]) / r  # of the face, with its body
+        u -= u[:, -2:-1] + turn[:, None, None] * self.eps * np.stack([-at[:, 1], at[:, 0]], axis=1)
+        components = np.stack([in_axes[..., 0, 0], in_axes[..., 1, 1], in_axes[..., 0, 1]], axis=2)
+        H = [corner.strength(r, mu * one, two) for one, two in zip(u[:, :-2], components, strict=True)]
+        name = "upper" if side > 0 else "lower"
+        return CornerStrength(x, end.m, name, corner.exponent, corner.shear, np.array(H))
 
-    def _axes(self, end: StraightEnd) -> Array:
-        """(2, 3) the axes of an end: inward along S, and the normal of S."""
-        return np.stack([np.pad(one, (0, 3 - len(one))) for one in (-end.m, end.n)])
 
-    def _in_end(self, end: StraightEnd, stress: Array) -> Array:
-        """Components 11 and 12 (n, 2) of stresses in the axes of an end."""
-        inward, n = self._axes(end)
-        return np.stack([np.einsum("i,nij,j->n", inward, stress, one) for one in (inward, n)], axis=1)
-
-    def _turned(self, end: StraightEnd, stress: Array) -> Array:
-        """Stresses (n, 3, 3) from the components 11, 22, 12 (n, 3) in the axes of an end; plane strain across them."""
-        inward, n = self._axes(end)
-        along = np.cross(inward, n)
-        s11, s22, s12 = stress.T[:, :, None, None]
-        third = self._fields.nu * (s11 + s22) * np.outer(along, along)
-        both = np.outer(inward, n)
-        found = s11 * np.outer(inward, inward) + s22 * np.outer(n, n) + s12 * (both + both.T) + third
-        return np.asarray(found * self._there_is)
-
-    @cached_property
-    def ends(self) -> list[CornerStrengths]:
-        """The singular stresses at the straight free ends of S. Collective.
-
-        Raises:
-            InputError: ends whose fields are not known, with the reason.
-        """
-        found = []
-        corner = self._fields.corner
-        for end, x in self._known.places_of_ends:
-            if not len(x):
-                continue
-            amplitudes = self._amplitudes(end, self._known.faces(x))
-            size = self.eps ** (1 - corner.exponent)
-            lower, upper = (size * (self._fields.strengths * sign) @ amplitudes for sign in (1.0, EVEN))
-            found.append(CornerStrengths(x, end.m, corner.exponent, corner.shear, lower, upper))
-        return found
+def _layer_of(state: State, seam: str) -> SeamLayer:
+    """The layer of a seam of a state of an interface model."""
+    if not isinstance(state, State) or not isinstance(state.model, InterfaceModel | FullModel):
+        given = state.model if isinstance(state, State) else state
+        raise InputError(
+            f"a zoom takes a state of an interface or a full model, as solve returns it, not {given!r:.80}"
+        )
+    model, names = state.model, [*state.model.joint.seams]
+    name = names[0] if seam == S and len(names) == 1 else seam
+    if name not in names:
+        raise InputError(unknown("seam", seam, names))
+    if name not in model.layers:
+        raise InputError(f"there is no layer on the seam {name!r}")
+    return model.layers[name]

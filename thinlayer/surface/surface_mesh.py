@@ -19,7 +19,7 @@ from geometry.inflating.parting import faces, points_on_middle
 from geometry.joint import Joint
 from geometry.order import along, by_place
 from geometry.refusals import place, unknown
-from geometry.seam import S
+from geometry.seam import BASE, S
 from geometry.sheet import Rim
 from geometry.topology import FACET_TYPES, IntArray, lagrange, sums
 from thinlayer.discretisation.contact_nodes import frames_at, pair_numbers
@@ -187,13 +187,18 @@ class SurfaceMesh:
             height: from -1/2 at the lower to 1/2 at the upper face, one or (n,).
 
         Raises:
-            InputError: a surface of another model; a seam on a rigid base; places off S.
+            InputError: a surface of another model; places off S.
         """
         if not isinstance(self.model, FullModel):
             raise InputError(f"places in a meshed layer need a full model, not {self.model!r:.80}")
-        if (self.cells < 0).any():
-            raise InputError(f"the seam {self.seam!r} stands on a rigid base: one of its faces is not in the mesh")
-        nodes = faces(self.joint, self.model.domain.joint.cell_points)[:, self.rows]
+        inflated = self.model.inflated
+        nodes = faces(self.joint, inflated.cell_points)[:, self.rows]
+        if BASE in inflated.facets:
+            table, kind = inflated.table, inflated.cell_type
+            on_base = np.unique(table.nodes(table.index(inflated.facets[BASE]), inflated.cells, kind))
+            stands = self.cells[:, 0] < 0
+            _, at_s = cKDTree(inflated.reference[on_base]).query(nodes[0, stands])
+            nodes[0, stands] = inflated.points[on_base[at_s]]
         located, at = self.at(x)
         shapes = tabulated(lagrange(self.kind, self.joint.degree), at.points, len(at.rows))[0]
         both = np.einsum("fqa,sfad->sfd", shapes, nodes[:, at.rows])

@@ -1,4 +1,4 @@
-"""Pictures of stresses inside a layer at its free end, zoomed from an interface model, beside those of a meshed layer."""
+"""Pictures of stresses inside a layer at its free end, from the layer by itself, beside those of a meshed layer."""
 
 from __future__ import annotations
 
@@ -9,11 +9,8 @@ import numpy.typing as npt
 
 from forms.base import InputError, is_number
 from geometry.refusals import unknown
-from thinlayer.discretisation.state import State
 from thinlayer.output.plotting.picture import Picture, drawn_on_root, require_name
-from thinlayer.output.probe import Probe
-from thinlayer.output.zooming import Zoom
-from thinlayer.surface.surface_mesh import SurfaceMesh
+from thinlayer.output.zooming import AT_CORNER, Zoom
 
 Array = npt.NDArray[np.float64]
 COMPONENTS = {"N": (1, 1), "T": (0, 1), "S": (0, 0)}  # of stresses in the axes of an end: inward, n
@@ -25,7 +22,7 @@ SHOWN = 0.02  # share of the largest values beyond the range of colours: those a
 
 def zoomed(
     zoom: Zoom,
-    full: State | None = None,
+    full: Zoom | None = None,
     *,
     end: int = 0,
     width: float = 3.0,
@@ -38,7 +35,7 @@ def zoomed(
 
     Args:
         zoom: the zoom.
-        full: state of the meshed model of the same joint, to compare with.
+        full: that of the meshed layer, to compare with.
         end: number of the end in `zoom.ends`.
         width: length of the part of the layer that is drawn, over the thickness, > 0.
         component: "N", "T" or "S": normal traction, shear traction (of axes inward along S and along n), stress along S.
@@ -47,31 +44,30 @@ def zoomed(
         stress: unit of stresses, for the labels.
 
     Raises:
-        InputError: 3D, no such end, component or width; a state of another joint. OSError: the file could not be written.
+        InputError: 3D, no zoom, no such end, component or width. OSError: the file could not be written.
     """
-    if not isinstance(zoom, Zoom):
-        raise InputError(f"zoomed: zoom is {zoom!r:.80}; give Zoom(state)")
+    for one in (zoom,) if full is None else (zoom, full):
+        if not isinstance(one, Zoom):
+            raise InputError(f"zoomed: it takes Zoom(state), not {one!r:.80}")
     if component not in COMPONENTS:
         raise InputError(unknown("component", component, COMPONENTS))
-    if not (is_number(width) and 0 < width < np.inf):
-        raise InputError(f"zoomed: width is {width!r}; allowed: > 0, over the thickness")
+    if not (is_number(width) and AT_CORNER < width < np.inf):
+        raise InputError(f"zoomed: width is {width!r}; allowed: > {AT_CORNER:g}, over the thickness")
     require_name(save)
     if zoom.state.model.joint.dim != 2:
         raise InputError("zoomed: pictures of ends are for two dimensions; in 3D take zoom.stress")
     if end not in range(len(zoom.ends)):
         raise InputError(f"zoomed: end is {end!r}; S has {len(zoom.ends)} free ends")
-    if full is not None and full.model.joint is not zoom.state.model.joint:
-        raise InputError("zoomed: the full state's model has another joint; build both from the same one")
-    at, axes = zoom.ends[end], zoom.axes_of_end(end)
+    (at, (start, *_)), axes = zoom.ends[end], zoom.ends[end][0].axes
     # finer towards the end and the faces, but not at corners, where stresses are infinite
-    d = width * (1 - np.cos(np.linspace(0, np.pi / 2, POINTS[0])))
+    d = AT_CORNER + (width - AT_CORNER) * (1 - np.cos(np.linspace(0, np.pi / 2, POINTS[0])))
     y = HIGHEST * np.sin(np.linspace(-np.pi / 2, np.pi / 2, POINTS[1]))
     D, Y = np.meshgrid(d, y)
-    x, height = at.x[0] - D.ravel()[:, None] * zoom.eps * at.m, Y.ravel()
+    x, height = start - D.ravel()[:, None] * zoom.eps * at.m, Y.ravel()
     i, j = COMPONENTS[component]
-    found = {"interface law, zoomed": zoom.stress(x, height)}
+    found = {"layer by itself": zoom.stress(x, height)}
     if full is not None:
-        found = {"meshed layer": Probe(full).stress(SurfaceMesh(full.model, zoom.seam).in_layer(x, height))} | found
+        found = {"meshed layer": full.stress(x, height)} | found
     values = {name: np.einsum("i,nij,j->n", axes[i], one, axes[j]).reshape(D.shape) for name, one in found.items()}
     return drawn_on_root(zoom.state.model.comm, lambda: _drawn(values, D, Y, component, title, stress), save)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 
 import basix
 import numpy as np
@@ -24,61 +25,49 @@ from thinlayer.discretisation.state import Report, State
 from thinlayer.discretisation.supports import Place
 from thinlayer.parts.part import Interval
 from thinlayer.solving.equations import Equations
+from thinlayer.system.compat import interpolation_points
 
 Array = npt.NDArray[np.float64]
 Vertices = tuple[int, ...]
 INDEPENDENT = 1e-9  # singular value of motions that are independent of each other, over the largest
 
 
-class LayerAlone:
-    """The layers of an interface model by themselves, at a time.
-
-    With the faces at v and the least energy inside, the forces that hold them are E v - l, a Schur complement of the
-    stiffness K. Vectors have the layers' unknowns, and are whole on every rank.
+class HeldLayers:
+    """Layers by themselves, at a time, between faces that are moved. Vectors have their unknowns.
 
     Attributes:
         model: the layers, meshed.
-        seams: names of their seams.
-        through: number of cells through the thickness.
-        on_face: (n,) which unknowns are displacements of faces, those that bodies hold too included.
-        load: (n,) forces on the layers, those of given strains included.
+        K: (n, n) their stiffness.
+        load: (n,) forces on them, those of given strains included.
         forces: (n,) the former alone.
-        values: (n,) what supports prescribe on the layers' sides.
-        R: (n, m) motions without energy that supports leave to each piece, orthonormal.
+        values: (n,) what supports prescribe on their sides.
+        on_face: (n,) which unknowns are displacements of faces, those that bodies hold too included.
 
     Args:
-        interface: the interface model.
-        layers: name of a seam -> its layer.
+        model: the layers.
         t: the time.
-        cells_through: number of cells through the thickness.
     """
 
-    def __init__(
-        self, interface: InterfaceModel, layers: Mapping[str, ThinLayer], t: float, cells_through: int = 4
-    ) -> None:
-        self.seams, self.through, self._comm = [*layers], cells_through, interface.comm
-        self.model = LayerModel(interface, layers, cells_through)
-        equations, self._t = self._begun(t), t
+    def __init__(self, model: LayerModel, t: float) -> None:
+        self.model, self._t = model, t
+        equations = self._begun(t)
         x, out = equations.vector(), equations.vector()
         equations.residual(x, out)
         self.load, self.forces = -out.array_r, np.zeros(len(out.array_r))
         self.forces[: equations.n_displacements] = equations.loads.array_r
         rows = equations.tangent().getValuesCSR()
         self.K = scipy.sparse.csr_matrix(rows[::-1], shape=(len(self.load),) * 2)
-        self.values, at_sides = np.zeros(len(self.load)), np.zeros(len(self.load), bool)
-        self.values[equations.held], at_sides[equations.held] = equations.prescribed, True
+        self.values, self._at_sides = np.zeros(len(self.load)), np.zeros(len(self.load), bool)
+        self.values[equations.held], self._at_sides[equations.held] = equations.prescribed, True
         self._displacements = equations.n_displacements
         for one in (x, out, equations):
             one.destroy()
-        self._ours, self._theirs = _pairs(interface, self.model)
-        of_bodies = np.zeros(interface.V.dofmap.index_map.size_local * interface.V.dofmap.bs)
-        of_bodies[interface.constraints.held] = 1.0
-        self.on_face = self.at_faces(np.ones_like(of_bodies)) > 0
-        self.free_faces = self.on_face & ~at_sides & ~(self.at_faces(of_bodies) > 0)
-        self._inside, self._sides = ~self.on_face & ~at_sides, ~self.on_face & at_sides
-        self._dirichlet = _Factor(self.K, self._inside)
-        self.R, pins = self._motions(self.free_faces | self._inside)
-        self._neumann = _Factor(self.K, (self.free_faces | self._inside) & ~pins)
+        domain, d = model.domain, model.joint.dim
+        assert domain.joint.band is not None
+        nodes = [fem.locate_dofs_topological(model.V, d - 1, domain.facets(name)) for name in domain.joint.band.faces]
+        self.on_face = np.zeros(len(self.load), bool)
+        self.on_face[np.concatenate(nodes)[:, None] * d + np.arange(d)] = True
+        self._inside = ~self.on_face & ~self._at_sides
 
     def _begun(self, t: float) -> Equations:
         equations = Equations(self.model)
@@ -94,6 +83,67 @@ class LayerAlone:
         for one in (x, equations):
             one.destroy()
         return State(**vars(found), model=self.model, report=Report("layers", 0, 0.0, 0.0))
+
+    @cached_property
+    def _dirichlet(self) -> _Factor:
+        return _Factor(self.K, self._inside)
+
+    def inside(self, v: Array, load: Array, values: Array) -> Array:
+        """Displacements of layers whose faces are at v, under forces and with prescribed displacements of their sides."""
+        w = np.where(self.on_face, v, np.where(self._at_sides, values, 0.0))
+        self._dirichlet.solve(load - self.K @ w, w)
+        return w
+
+    def in_parts(self, w: Array, fine: HeldLayers) -> Array:
+        """(m,) displacements w of these layers in cells that are parts of theirs; other unknowns are zero there."""
+        divided, d = fine.model.divided, self.model.joint.dim
+        if divided is None:
+            return w
+        V, element = fine.model.V, self.model.V.ufl_element().basix_element
+        X = divided.in_parents(interpolation_points(V))
+        shapes = element.tabulate(0, X.reshape(-1, d))[0, :, :, 0].reshape(*X.shape[:2], -1)
+        own = self.model.V.dofmap.list[_cells_of(self.model, self.model.domain.joint)[divided.parent]]
+        values = np.einsum(
+            "iq,nqk,nkd->nid", element.interpolation_matrix, shapes, w[: self._displacements].reshape(-1, d)[own]
+        )
+        out = np.zeros(len(fine.load))
+        out[: fine._displacements].reshape(-1, d)[V.dofmap.list] = values[fine.model.domain.original_cells]
+        return out
+
+
+class LayerAlone(HeldLayers):
+    """The layers of an interface model by themselves, at a time.
+
+    With the faces at v and the least energy inside, the forces that hold them are E v - l, a Schur complement of the
+    stiffness K. Vectors are whole on every rank.
+
+    Attributes:
+        seams: names of their seams.
+        through: number of cells through the thickness.
+        free_faces: (n,) which unknowns are displacements of faces that nothing holds.
+        R: (n, m) motions without energy that supports leave to each piece, orthonormal.
+
+    Args:
+        interface: the interface model.
+        layers: name of a seam -> its layer.
+        t: the time.
+        cells_through: number of cells through the thickness.
+    """
+
+    def __init__(
+        self, interface: InterfaceModel, layers: Mapping[str, ThinLayer], t: float, cells_through: int = 4
+    ) -> None:
+        super().__init__(LayerModel(interface, layers, cells_through), t)
+        self.seams, self.through, self._comm = [*layers], cells_through, interface.comm
+        self._ours, self._theirs = _pairs(interface, self.model)
+        of_bodies = np.zeros(interface.V.dofmap.index_map.size_local * interface.V.dofmap.bs)
+        of_bodies[interface.constraints.held] = 1.0
+        self.free_faces = self.on_face & ~self._at_sides & ~(self.at_faces(of_bodies) > 0)
+        self.R, self._pins = self._motions(self.free_faces | self._inside)
+
+    @cached_property
+    def _neumann(self) -> _Factor:
+        return _Factor(self.K, (self.free_faces | self._inside) & ~self._pins)
 
     def work(self, w: Array, z: Array) -> Array:
         """Work (k,) of the stresses at w in the strains of z, less that of the loads, spread over displacements."""
@@ -148,12 +198,6 @@ class LayerAlone:
         return self._ours, w[self._theirs]
 
     # ---------------------------------------------------------------- E and its inverse
-    def inside(self, v: Array, load: Array, values: Array) -> Array:
-        """Displacements of layers whose faces are at v, under forces and with prescribed displacements of their sides."""
-        w = np.where(self.on_face, v, np.where(self._sides, values, 0.0))
-        self._dirichlet.solve(load - self.K @ w, w)
-        return w
-
     def held(self, v: Array, load: Array, values: Array) -> Array:
         """Forces that hold the faces at v, zero where supports hold them."""
         return self.on_free(self.K @ self.inside(v, load, values) - load)

@@ -1,8 +1,4 @@
-"""Stresses near a free end of a layer: what a stress field that goes on as if there were no end lacks there.
-
-Inside a layer between much stiffer faces stresses are those of a strip without end, plus fields that take their tractions
-off the free side and fade within a few thicknesses. Between faces that do not move further these fields are those of the
-half strip (`forms.ends.half_strip`). The tractions are linear through the thickness, so there are four fields.
+"""The singular field at the corner of a layer's free end.
 
 At its corners, where a face meets the free side, the layer is a wedge of 90 degrees, 0 < theta < pi/2, held at theta = 0
 and free at theta = pi/2. Its stresses grow like H r^(lambda - 1) towards the corner (Williams 1952). With Muskhelishvili's
@@ -16,25 +12,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import legendre
 
 from forms.ends.constants import lame_over_mu
-from forms.ends.half_strip import DEGREE, LEVELS, MIDDLE, HalfStrip, Solution
 
 Array = npt.NDArray[np.float64]
 ANGLES = 24  # Gauss points of an arc around the corner
-NONE = np.zeros(2)
-LEAST_NU = 0.01  # below, the exponent is so near zero that the strength is lost in what is regular at the corner
-RADIUS = 0.3  # of the arc from which strengths are taken
-# each field: powers of the height y of the stresses 11 and 12 on the end that it takes away, as (component, power), and
-# which displacement is zero on the middle line
-LOADS = ((0, 0, 1), (1, 0, 0), (0, 1, 0), (1, 1, 1))
-EVEN = np.array([1.0, -1.0, -1.0, 1.0])  # whether the mirror image, at y -> -y, of a field is itself
-SIGNS = np.array([1.0, 1.0, -1.0])  # of stresses 11, 22, 12 in a mirror
 
 
 @dataclass(frozen=True)
@@ -120,27 +107,21 @@ class Corner:
         angles = self._arc[0]
         return r * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
-    def strength(self, r: float, u: Array, stress: Array, start: Array = NONE, slope: Array = NONE) -> float:
+    def strength(self, r: float, u: Array, stress: Array) -> float:
         """H of a field, by reciprocity with the dual field, of displacements ~ r^(-lambda).
 
-        Any radius gives the same, as long as the face does not move.
+        Any radius gives the same, as long as the face does not move and the side is free.
 
         Args:
             r: radius of the arc.
             u: displacements (n, 2), times mu, less that of the face, at `arc`.
             stress: 11, 22, 12, (n, 3), there.
-            start, slope: (2,) traction on the side, at the corner and its change over the distance from it; by default the
-                side is free.
 
         Returns:
             H, in the unit of stress times that of r to the power 1 - lambda.
         """
         unit = self._reciprocal(1.0, *self.field(np.array(1.0), self._arc[0]))
-        found = self._reciprocal(r, u, stress)
-        if start.any() or slope.any():
-            along = self._values(-self.exponent, self._dual, np.array(r), np.array(np.pi / 2))[0]
-            found += float(along @ (start * r / (1 - self.exponent) + slope * r**2 / (2 - self.exponent)))
-        return found / unit
+        return self._reciprocal(r, u, stress) / unit
 
     def _reciprocal(self, r: float, u: Array, stress: Array) -> float:
         """Work of the stresses in the dual displacements, less that of the dual stresses, on an arc."""
@@ -154,71 +135,3 @@ def _work(stress: Array, angles: Array, u: Array) -> Array:
     c, s = np.cos(angles), np.sin(angles)
     t_x, t_y = stress[:, 0] * c + stress[:, 2] * s, stress[:, 2] * c + stress[:, 1] * s
     return np.asarray(t_x * u[:, 0] + t_y * u[:, 1])
-
-
-@dataclass(frozen=True)
-class EndFields:
-    """The fields of the free end of an isotropic layer; lengths over the thickness, plane strain.
-
-    The layer is 0 < x, -1/2 < y < 1/2, its end x = 0. The fields belong to the stresses 11 and 12 that there would be on
-    the end: s_11 = a_0 + a_2 y, s_12 = a_1 + a_3 y.
-
-    Attributes:
-        nu: Poisson's ratio, in [0, 0.5]; in plane stress nu/(1 + nu) of the layer.
-        degree, levels: as in `half_strip`.
-    """
-
-    nu: float
-    degree: int = DEGREE
-    levels: int = LEVELS
-
-    def __post_init__(self) -> None:
-        lame_over_mu(self.nu)  # raises errors of ratios out of range
-
-    @cached_property
-    def _solutions(self) -> list[Solution]:
-        strip = HalfStrip(self.nu, self.degree, self.levels)
-
-        def loaded(component: int, power: int, odd: int) -> Solution:
-            return strip.loaded(lambda x: np.eye(2)[component] * (x[:, 1:] - MIDDLE) ** power, odd)
-
-        return [loaded(*load) for load in LOADS]
-
-    @cached_property
-    def corner(self) -> Corner:
-        """The singular field at its corners."""
-        return Corner(self.nu)
-
-    def stresses(self, x: Array, y: Array) -> Array:
-        """Stresses 11, 22, 12 at places, (4, n, 3), of the field of each amplitude; they fade for large x.
-
-        Args:
-            x: (n,) distances from the end, >= 0.
-            y: (n,) heights, from -1/2 to 1/2.
-        """
-        lower = np.stack([x, MIDDLE - np.abs(y)], axis=1)
-        found = np.stack([solution.at(lower)[1] for solution in self._solutions])
-        mirrored = found * (EVEN[:, None, None] * SIGNS)
-        return np.where((y > 0)[:, None], mirrored, found)
-
-    @cached_property
-    def strengths(self) -> Array:
-        """H at the lower corner for each amplitude, (4,); at the upper one times `EVEN`. nan for nu < `LEAST_NU`."""
-        if self.nu < LEAST_NU:
-            return np.full(4, np.nan)
-        corner, arc = self.corner, self.corner.arc(RADIUS)
-        found = []
-        for solution, (component, power, _) in zip(self._solutions, LOADS, strict=True):
-            load = np.eye(2)[component]
-            found.append(corner.strength(RADIUS, *solution.at(arc), load * (-MIDDLE) ** power, load * power))
-        return np.array(found)
-
-
-@lru_cache(maxsize=16)
-def end_fields(nu: float) -> EndFields:
-    """The fields of a Poisson's ratio, which are kept: about two seconds for the first call.
-
-    Raises:
-        InputError: nu is not in [0, 0.5].
-    """
-    return EndFields(nu)

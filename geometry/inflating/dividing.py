@@ -1,0 +1,146 @@
+"""Dividing the cells of layers towards their ends, where stresses change over less than the thickness."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import basix
+import numpy as np
+from scipy.spatial import cKDTree
+
+from geometry.joint import Joint
+from geometry.topology import BoolArray, FloatArray, IntArray, connected, is_tensor, lagrange, local_facets
+
+SAME = 1e-10  # distance of nodes that are one, over the size of the joint
+ROUNDING = 1e-9  # of lengths and of reference coordinates
+
+
+@dataclass(frozen=True)
+class Divided:
+    """Layers whose cells are parts of others, so that functions on these go over to them exactly.
+
+    Attributes:
+        joint: the layers.
+        parent: (n,) the cell that each cell is a part of.
+        corners: (n, k, d) places of its vertices in the reference cell of its parent.
+    """
+
+    joint: Joint
+    parent: IntArray
+    corners: FloatArray
+
+    def in_parents(self, X: FloatArray) -> FloatArray:
+        """(n, q, d) places in the reference cells of the parents of places X (q, d) in the reference cell."""
+        return np.asarray(_shapes(self.joint.cell_type, 1, X) @ self.corners)
+
+
+def divided(layers: Joint, distance: FloatArray, size: float) -> Divided:
+    """Halve the cells at ends again and again, until they reach no farther from these than a size.
+
+    Args:
+        layers: layers by themselves, inflated.
+        distance: (n_points,) along S from the nearest end; 0 there.
+        size: length > 0.
+    """
+    kind = layers.cell_type
+    local = np.array(basix.topology(basix.CellType[kind])[1])  # vertices of edges; of parallel ones in one order
+    cells: IntArray = layers.corners.copy()
+    parent: IntArray = np.arange(len(cells))
+    X = np.tile(basix.geometry(basix.CellType[kind]), (len(cells), 1, 1))
+    while True:
+        pairs, edges = np.unique(np.sort(cells[:, local], axis=2).reshape(-1, 2), axis=0, return_inverse=True)
+        edges, (a, b) = edges.reshape(len(cells), -1), pairs.T
+        near, far = np.sort([distance[a], distance[b]], axis=0)
+        halved = _conforming(kind, edges, far, (near == 0) & (far > size * (1 + ROUNDING)))
+        if not halved.any():
+            return _assembled(layers, parent, X)
+        middle = np.where(halved, len(distance) - 1 + np.cumsum(halved), -1)
+        distance = np.concatenate([distance, (near + far)[halved] / 2])
+        rows, which = np.nonzero(halved[edges])
+        rows, which = np.unique(rows), which.reshape(len(np.unique(rows)), -1)
+        first, last = np.moveaxis(local[which], 2, 0)
+        new, at = middle[edges[rows[:, None], which]], rows[:, None]
+        new_X = (X[at, first] + X[at, last]) / 2
+        upper, upper_X = cells[rows], X[rows]
+        own = np.arange(len(rows))[:, None]
+        cells[at, last], X[at, last] = new, new_X
+        upper[own, first], upper_X[own, first] = new, new_X
+        cells, X, parent = (np.concatenate(both) for both in ((cells, upper), (X, upper_X), (parent, parent[rows])))
+
+
+def _conforming(kind: str, edges: IntArray, far: FloatArray, wanted: BoolArray) -> BoolArray:
+    """Which edges (m,) to halve first, of those that are wanted: in each cell one, or all that are parallel to it.
+
+    Where an edge of quadrilaterals or hexahedra is halved, so are those parallel to it in its cells, in theirs, and so on.
+
+    Args:
+        kind: type of the cells.
+        edges: (n, k) edges of each cell.
+        far: (m,) how far they reach; of simplices the farthest come first.
+        wanted: (m,).
+    """
+    parallel, none = _parallel(kind), len(far)
+    if is_tensor(kind):
+        links = np.concatenate([edges[:, [some[0], one]] for some in parallel for one in some[1:]])
+        group = connected(links[:, 0], links[:, 1], none)
+    else:
+        group = np.argsort(np.lexsort([np.arange(none), -far]))
+    halved = np.zeros(none + 1, bool)
+    halved[group[wanted]] = True
+    in_cell = np.where(halved[group], group, none)[edges[:, [some[0] for some in parallel]]]
+    first = in_cell.min(axis=1, keepdims=True)
+    alone = (in_cell == first).sum(axis=1, keepdims=True) == 1  # else parallel edges meet in a cell: they stay whole
+    halved[in_cell[(in_cell != first) | ~alone]] = False
+    return np.asarray(halved[group])
+
+
+def _parallel(kind: str) -> list[IntArray]:
+    """Edges of the reference cell that are parallel, for each direction; of simplices each by itself."""
+    first, last = np.array(basix.topology(basix.CellType[kind])[1]).T
+    direction = last - first if is_tensor(kind) else np.arange(len(first))
+    return [np.flatnonzero(direction == one) for one in np.unique(direction)]
+
+
+def _shapes(kind: str, degree: int, X: FloatArray) -> FloatArray:
+    """(..., k) values of the functions of degree 1 or 2 at places (..., d) in the reference cell."""
+    table = lagrange(kind, degree).tabulate(0, X.reshape(-1, X.shape[-1]))[0, :, :, 0]
+    return np.asarray(table.reshape(*X.shape[:-1], -1))
+
+
+def _assembled(layers: Joint, parent: IntArray, corners: FloatArray) -> Divided:
+    """The layers of these parts of cells, with all their names."""
+    band, kind = layers.band, layers.cell_type
+    assert band is not None
+    nodes = _shapes(kind, 1, lagrange(kind, layers.degree).points) @ corners
+    shapes = _shapes(kind, layers.degree, nodes)
+    old = layers.cells[parent]
+    x, reference = (
+        np.einsum("nqk,nkd->nqd", shapes, some[old]).reshape(-1, layers.dim) for some in (layers.points, band.reference)
+    )
+    same = cKDTree(x).query_pairs(SAME * layers.size, output_type="ndarray")
+    _, chosen, number = np.unique(connected(same[:, 0], same[:, 1], len(x)), return_index=True, return_inverse=True)
+    cells = number.reshape(nodes.shape[:2])
+    linear = _shapes(kind, 1, corners)
+    director = linear @ band.director[parent]
+    director /= np.linalg.norm(director, axis=2, keepdims=True)
+
+    own = local_facets(kind)
+    off = np.array([np.isin(np.arange(linear.shape[2]), facet, invert=True) for facet in own])
+    beyond = np.einsum("nqk,fk->nqf", linear, off)[:, own]  # (n, its facets, their vertices, the parent's facets)
+    on = (beyond < ROUNDING).all(axis=2)
+    vertices = cells[:, : own.max() + 1][:, own]
+    facets = {}
+    for name, given in layers.facets.items():
+        rows = layers.table.index(given)
+        named = np.zeros((len(layers.cells), len(own)), bool)
+        named[layers.table.cells[rows, 0], layers.table.local[rows, 0]] = True
+        facets[name] = vertices[(on & named[parent][:, None]).any(axis=2)]
+    joint = replace(
+        layers,
+        points=x[chosen],
+        cells=cells,
+        region=layers.region[parent],
+        facets=facets,
+        band=replace(band, reference=reference[chosen], director=director),
+    )
+    return Divided(joint, parent, corners)
