@@ -64,6 +64,7 @@ def cases():
         "free ends": (loaded(blocks()), glue, (WORK, MOVED)),
         "rollers": (loaded(blocks(), supports={"BOTTOM": 0, "LEFT": {"x": 0}}), glue, (WORK, MOVED)),
         "stack": (loaded(blocks()), ThinLayer(STACK, EPS), (WORK, MOVED)),
+        "woven ply": (loaded(blocks()), ThinLayer(Stack((0.4, WOVEN), (0.6, GLUE)), EPS), (WORK, MOVED)),
         "anisotropic": (loaded(blocks()), ThinLayer(WOVEN, EPS), (WORK, MOVED)),
         "as stiff as bodies": (loaded(blocks()), ThinLayer(LinearElastic.shear(40.0, 0.3), EPS), (WORK, MOVED)),
         "rubbery": (loaded(blocks()), ThinLayer(RUBBERY, EPS), (WORK, MOVED)),

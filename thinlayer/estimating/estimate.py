@@ -14,7 +14,8 @@ from forms.base import InputError
 from geometry.refusals import unknown as no_such
 from geometry.seam import LAYER, S
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.layer import Layers
+from thinlayer.discretisation.layer import Layers, ThinLayer
+from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.state import State
 from thinlayer.estimating.better import BetterLaw, better_model, why_unknown
 from thinlayer.estimating.global_local import NARROW, Bounds, GlobalLocal
@@ -182,14 +183,14 @@ def _by_layers(
             goal.check(model)
         for name in chosen:
             model.reductions[name].require("mesh", "estimate: ")
-    better = {name: replace(model.reductions[name].better(), edges="plain") for name in chosen}
+    better = {name: _of_order_1(model.reductions[name]) for name in chosen}
     meshed = {name: replace(one, order=0, edges=None) for name, one in better.items()}
     layers = LayerAlone(model, meshed, given.t)
     values = {name: goal.value(given, model) for name, goal in goals.items()}
     known: dict[str, Bounds] = {}
     first = solve(model, given.t, options=options) if given.model.bonds else given
-    for law in ("order 0", "order 1"):
-        if law == "order 1":
+    for order in range(max(one.order for one in better.values()) + 1):
+        if order == 1:
             first = solve(model.with_layer(model.on_seams | better), given.t, options=options)
         with Adjoint(first, options=options, meshed=True) as adjoint:
             iteration = GlobalLocal(adjoint, layers)
@@ -216,6 +217,15 @@ def _by_layers(
     seconds = time.perf_counter() - start
     by_layers = Meshed(inside, layers, first, weights)
     return Estimate(given, last, errors, found, traction, jump, "", seconds, goals, (None, None), options, by_layers)
+
+
+def _of_order_1(reduction: Reduction) -> ThinLayer:
+    """The layer with its plain law of order 1; as it is where none is known, as of sublayers that are anisotropic."""
+    assert reduction.one.thin
+    try:
+        return replace(reduction.better(), edges="plain")
+    except InputError:
+        return reduction.one.thin
 
 
 def _with_layers(state: State, layer: Layers | None) -> InterfaceModel:
