@@ -16,8 +16,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 import ufl
+from dolfinx import fem
 
 from forms import (
+    Anisotropic,
     BulkLaw,
     ContactLaw,
     HolonomicCoulomb,
@@ -33,7 +35,7 @@ from forms import (
     Stack,
     VonMises,
 )
-from forms.elastic import lame
+from forms.elastic import VOIGT, lame
 from forms.kinematics import Expr
 from forms.law import Step
 from geometry import block, faults, ring, sandwich
@@ -323,6 +325,43 @@ def further_cases() -> list[Case]:
         Case("a disc", disc, soft(30.0, 0.3)),
         Case("a corner in 3D", corner, soft(30.0, 0.3), solid=True),
     ]
+
+
+# ---------------------------------------------------------------- at random
+def random_case(seed: int) -> tuple[float, Case]:
+    """A thickness, and two blocks, 1 wide and 1.5 to 40 thicknesses high, with such a layer, of one to three plies."""
+    rng = np.random.default_rng(seed)
+    eps = 10 ** rng.uniform(-2.0, -0.9)
+    heights = np.minimum(1.5 * eps * 10 ** rng.uniform(0.0, 1.43, 2), 1.0)
+    body = {name: young(10 ** rng.uniform(2.0, 2.5), rng.uniform(0.0, 0.4)) for name in ("LOWER", "UPPER")}
+    plies = [_random_ply(rng) for _ in range(seed % 3 + 1)]
+    law = Stack(*zip(rng.dirichlet([3.0] * len(plies)), plies, strict=True)) if len(plies) > 1 else plies[0]
+    load, held, eigenstrain = rng.normal(size=2), rng.random() < 0.3, -0.01 if rng.random() < 0.2 else None
+    words = [type(one).__name__ for one in plies] + ["rollers"] * held + ["shrinks"] * (eigenstrain is not None)
+
+    def mean(u: Expr, model: Any) -> Expr:
+        along = fem.Constant(model.domain.mesh, np.array([0.6, 0.8]) / heights[1])
+        return ufl.inner(along, u) * model.ds(model.domain.values("RIGHT/UPPER"))
+
+    supports = CLAMPED | ({"LEFT": {"x": 0.0}} if held else {})
+    return eps, Case(
+        " ".join(words),
+        lambda _: free_blocks(eps / 4, tuple(load), tuple(heights), h_S=ALONG, body=body, supports=supports),
+        lambda _: ThinLayer(law, eps, eigenstrain=eigenstrain),
+        asked=(goals.Compliance(), goals.Functional("mean displacement", mean)),
+    )
+
+
+def _random_ply(rng: np.random.Generator) -> LinearElastic | Anisotropic:
+    """A ply with moduli of three decades, the largest as bodies have them; one in two has fibres along any direction."""
+    ply, d, stiff = young(10 ** rng.uniform(-1.0, 2.0), rng.uniform(0.0, 0.45)), rng.normal(size=3), rng.uniform(0.0, 2.0)
+    if rng.random() < 0.5:
+        return ply
+    along = np.array([d[i] * d[j] for i, j in VOIGT]) / (d @ d)  # strain along fibres, of that in Voigt's order
+    lmbda, mu = ply.elastic_moduli()
+    C = np.diag([2.0 * mu] * 3 + [mu] * 3) + 10**stiff * np.outer(along, along)
+    C[:3, :3] += lmbda
+    return Anisotropic(C, "layer")
 
 
 # ---------------------------------------------------------------- no number

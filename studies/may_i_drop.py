@@ -24,6 +24,7 @@ from studies.dropped import (
     free,
     further_cases,
     known_cases,
+    random_case,
     refused_cases,
     unwarned,
     young,
@@ -69,14 +70,16 @@ def run(record: Record, *, quick: bool = False) -> None:
 
     effectivities.csv has the true changes, relative, and estimated over true ones, of tractions and jumps on S (without
     bounds: further than three thicknesses from free ends); goals.csv other numbers; refused.csv what is said where there is
-    no number; thin_enough.csv the thickness from which on the layer may be dropped; costs.csv times.
+    no number; random.csv goals of structures made at random; thin_enough.csv the thickness from which on the layer may be
+    dropped; costs.csv times.
 
     Args:
         record: where to write.
-        quick: without structures in three dimensions, one question of thickness, fewer times.
+        quick: without structures in three dimensions, fewer ones at random, one question of thickness, fewer times.
     """
     _effectivities(record, quick=quick)
     _refusals(record)
+    _at_random(record, count=12 if quick else 100)
     _thin_enough(record, quick=quick)
     _costs(record, quick=quick)
 
@@ -120,6 +123,18 @@ def _refusals(record: Record) -> None:
         missing += (case.says not in words) or (silent != case.silent)
         table.append({"case": case.name, "number": float(not silent), "says": words})
     record.check("cases that do not say what they have to", missing, high=0)
+
+
+def _at_random(record: Record, *, count: int) -> None:
+    """Two goals of structures with layers whose laws are linear."""
+    table = record.table("random.csv")
+    for seed in track(range(count), "may_i_drop", "random, {}"):
+        eps, case = random_case(seed)
+        _, asked = effectivities(Dropped.of(case, eps))
+        table.extend({"seed": seed, "what": case.name, "eps": eps, **goal} for goal in asked)
+    off = np.abs(table["effectivity"] - 1)
+    record.check("random: goals that are not between their bounds", np.sum(table["outside"]), high=0)
+    record.check("random: largest distance of a goal's effectivity from 1", off.max(), high=CLOSE)
 
 
 def _thin_enough(record: Record, *, quick: bool) -> None:
@@ -228,6 +243,7 @@ def effectivities(one: Dropped) -> tuple[dict[str, float], list[dict[str, float 
         changes = {"true": truth[name] / goal.value, "effectivity": estimated[name] / truth[name]}
         true, least = goal.value + truth[name], ROUNDING * abs(goal.value)
         outside = goal.bounded and not goal.lower - least <= true <= goal.upper + least
+        changes["width"] = (goal.upper - goal.lower) / abs(truth[name])
         asked.append({"goal": name, **changes, "told": float(goal.told), "outside": float(outside)})
     return row, asked
 

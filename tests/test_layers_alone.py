@@ -10,6 +10,8 @@ import pytest
 from forms import Anisotropic, LinearElastic, Rubber, Stack
 from forms.base import InputError
 from geometry import block, faults, ring, sandwich, wall
+from studies.dropped import random_case
+from studies.may_i_drop import Dropped, effectivities
 from tests.on_ranks import on_ranks
 from thinlayer import RigidPlate, SolveError, Structure, Surface, ThinLayer, compare, estimate, goals, solve
 from thinlayer.estimating import global_local
@@ -184,42 +186,13 @@ def test_weights_of_the_other_sign_miss(monkeypatch):
 
 
 # ---------------------------------------------------------------- random structures
-def random_structure(seed: int):
-    """Bodies from 1.5 to 40 thicknesses high, moduli over three decades, stacks and anisotropic plies, eigenstrains."""
-    rng = np.random.default_rng(seed)
-    eps = 10 ** rng.uniform(-2, -0.9)
-    heights = np.minimum(eps * 10 ** rng.uniform(np.log10(1.5), np.log10(40), 2), 1.0)
-
-    def elastic():
-        return LinearElastic.shear(10 ** rng.uniform(-1, 2), rng.uniform(0, 0.45))
-
-    def woven():
-        A = rng.normal(size=(6, 6))
-        C = A @ A.T + 0.3 * np.eye(6)
-        return Anisotropic(C * 10 ** rng.uniform(-1, 1.5) / np.trace(C) * 6, "layer")
-
-    law = [elastic, woven, lambda: Stack((0.4, elastic()), (0.6, elastic()))][seed % 3]()
-    supports = {"BOTTOM": 0} | ({"LEFT": {"x": 0}} if rng.random() < 0.3 else {})
-    joint = sandwich(1.0, *heights, 1 / 8, h_S=1 / 16, cell="quadrilateral")
-    body = LinearElastic.young(10 ** rng.uniform(1, 4), rng.uniform(0, 0.4))
-    structure = Structure(joint, body=body, supports=supports, tractions={"TOP": tuple(rng.normal(size=2))})
-    moved = goals.Displacement((1.0, heights[1]), (1.0, 0.3))
-    return (
-        structure,
-        ThinLayer(law, eps, eigenstrain=0.01 * rng.normal() if rng.random() < 0.2 else None),
-        (WORK, moved),
-    )
-
-
 @pytest.mark.parametrize("seed", range(12))
 def test_random_structures(seed):
-    structure, layer, wanted = random_structure(seed)
-    state = solve(structure.interface(layer))
-    found, full = estimate(state, goals=wanted), solve(structure.full(layer, cells_through=THROUGH))
-    for goal in wanted:
-        one, true = found.goals[goal.name], goal.value(full, full.model if goal is WORK else state.model)
-        assert one.lower - ROUNDING * abs(true) <= true <= one.upper + ROUNDING * abs(true)
-        assert one.change == pytest.approx(true - one.value, rel=0.02)
+    eps, case = random_case(seed)
+    for goal in effectivities(Dropped.of(case, eps))[1]:
+        assert not goal["outside"]
+        assert goal["effectivity"] == pytest.approx(1, abs=0.01)
+        assert goal["width"] < 0.06
 
 
 # ---------------------------------------------------------------- ranks, refusals
