@@ -278,29 +278,23 @@ def along(one: Dropped) -> Table:
 
 
 def _of_layer(one: Dropped, at: Array) -> Array:
-    """Work of the meshed layer's stress in displacements u_0 of its faces, spread over the places x of columns."""
-    model, state = one.full.model, one.full
-    V, Q = model.V, fem.functionspace(model.domain.mesh, ("Lagrange", 1))
+    """Work of the meshed layer's stress in what it does if its faces are at u_0, spread over the places x of columns."""
+    assert one.found.meshed
+    model, state, layers = one.full.model, one.full, one.found.meshed.layers
+    V, Q, comm = model.V, fem.functionspace(model.domain.mesh, ("Lagrange", 1)), model.comm
     v, q = fem.Function(V), ufl.TestFunction(Q)
     x = V.tabulate_dof_coordinates()[:, :2]
-    layer = np.flatnonzero(np.abs(x[:, 1]) <= one.eps / 2 * (1 + 1e-9))
-    v.x.array.reshape(-1, 2)[layer] = _between(one, x[layer])
+    inner = np.flatnonzero(np.abs(x[:, 1]) <= one.eps / 2 * (1 + 1e-9))
+    faces = layers.at_faces(one.found.state.u.x.array)
+    bent = Probe(layers.state(layers.inside(faces, layers.load, layers.values)))
+    everywhere = comm.allgather(x[inner])  # a probe has the same places on all ranks
+    begin = sum(len(there) for there in everywhere[: comm.rank])
+    v.x.array.reshape(-1, 2)[inner] = bent.displacement(np.concatenate(everywhere))[begin : begin + len(inner)]
     (term,) = state.layers
     work = ufl.inner(state.stress(term), term.strain(v)) * term.weight * q * term.measure
     mine = Q.dofmap.index_map.size_local
     near = np.abs(Q.tabulate_dof_coordinates()[:mine, 0] - at[:, None]) < 10.0**-ROUND
-    return np.asarray(model.comm.allreduce(near @ values_of(fem.form(work), mine)))
-
-
-def _between(one: Dropped, x: Array) -> Array:
-    """Displacements u_0 (n, 2) at places (n, 2) of the meshed layer, linear from face to face. Collective."""
-    comm, count = one.full.model.comm, len(x)
-    everywhere = comm.allgather(x)  # a probe has the same places on all ranks
-    probe, places = Probe(one.found.state), np.concatenate(everywhere) * (1.0, 0.0)
-    begin = sum(len(there) for there in everywhere[: comm.rank])
-    upper, lower = (probe.displacement(places, side=side)[begin : begin + count] for side in ("upper", "lower"))
-    share = x[:, 1:] / one.eps + 0.5
-    return np.asarray(share * upper + (1 - share) * lower)
+    return np.asarray(comm.allreduce(near @ values_of(fem.form(work), mine)))
 
 
 # ---------------------------------------------------------------- how thin

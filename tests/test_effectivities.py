@@ -123,11 +123,10 @@ def test_where_there_is_no_number_a_sentence_says_why(name):
 @pytest.mark.long
 @on_ranks(numbers, 2)
 def test_the_density_of_the_change_is_that_of_the_meshed_layer_on_any_ranks(there):
-    """Away from ends, where the law of order 1 has the strains of the meshed layer."""
+    """At free ends too; quadratic displacements are spread to vertices in two ways."""
     one = two_stiffnesses()
     table = along(one)
-    inner = np.abs(table["x"] - 0.5) < 0.3
-    assert table["density"][inner] == pytest.approx(table["true_density"][inner], rel=0.06)
+    assert table["density"] == pytest.approx(table["true_density"], rel=0.04)
     assert np.trapezoid(table["density"], table["x"]) == pytest.approx(one.estimated["compliance"], rel=1e-8)
     assert np.trapezoid(table["true_density"], table["x"]) == pytest.approx(one.truth["compliance"], rel=1e-6)
     assert there == pytest.approx(numbers(), rel=1e-8)

@@ -21,7 +21,6 @@ from thinlayer.parts.part import DISPLACEMENTS, FieldPart
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.surface.sublayers import stiffness_of_jumps, sublayers_of
 from thinlayer.surface.surface_mesh import SurfaceMesh, surface_of
-from thinlayer.system.compat import interpolation_points
 
 Array = npt.NDArray[np.float64]
 NEAR_ENDS = 3.0  # distance from free ends, over the thickness, within which tractions and jumps are not estimated
@@ -103,19 +102,27 @@ def density_of(adjoint: Adjoint, summands: dict[str, Array]) -> Array:
     return np.asarray(totals[surface.vertices] / areas[surface.vertices])
 
 
-def density_by_layers(iteration: GlobalLocal, given: State, z: Iterate) -> Array:
-    """(m,) density, at the nodes of S, of what weights z say that a state lacks to the meshed layers. Collective.
+def density_by_layers(iteration: GlobalLocal, given: State, better: State, z: Iterate) -> Array:
+    """(m,) density, at the nodes of S, of the change of a goal from a state to a better one. Collective.
 
-    It is the work of the interface laws in z, less that of the layers by themselves whose faces move as in the state.
+    It is the work of the interface laws in weights z, less that of the layers by themselves whose faces move as in the
+    state; what z lack, in the change of the faces; and, of the compliance, the change of the loads on the layers.
     """
     model, layers = iteration.model, iteration.layers
     u, surface = displacements_of(given, model), SurfaceMesh(model)
     sums, areas = np.zeros((2, len(model.joint.points)))
     _add_nodal(sums, model, iteration.work_of_laws(u, z, bonded=bool(given.model.bonds)))
-    w = layers.inside(layers.at_faces(u.x.array), layers.load, layers.values)
+    if z.load.any():
+        loads = given.model.forces.nodal_at(given.model.V, given.t, layers=True)
+        _add_nodal(sums, given.model, -loads.array_r * given.u.x.array[: loads.getLocalSize()])
+        loads.destroy()
+    v = layers.at_faces(u.x.array)
+    w = layers.inside(v, layers.load, layers.values)
+    of_layers = layers.work(w, iteration.inside(z))
+    of_layers -= (iteration.residual(z) * (layers.at_faces(better.u.x.array) - v) + z.load * w)[: len(of_layers)]
     band = layers.model.domain.joint
     of_band = np.zeros(len(band.points))
-    _add_nodal(of_band, layers.model, layers.work(w, iteration.inside(z)))
+    _add_nodal(of_band, layers.model, of_layers)
     _, below = cKDTree(model.joint.points).query(band.reference)
     sums = model.comm.allreduce(sums) - np.bincount(below, of_band, len(sums))
     np.add.at(areas, surface.vertices, surface.areas)
@@ -124,7 +131,7 @@ def density_by_layers(iteration: GlobalLocal, given: State, z: Iterate) -> Array
 
 
 def _add_nodal(sums: Array, model: Model, values: Array) -> None:
-    """Add values (m,) at the displacements of this rank to the vertices of the joint, by functions of degree 1."""
+    """Add values (m,) at the displacements of this rank to the vertices of the edge, face or cell that each belongs to."""
     V, joint = model.V, model.domain.joint
     d = V.dofmap.bs
     of_nodes = values.reshape(-1, d).sum(axis=1)
@@ -132,7 +139,9 @@ def _add_nodal(sums: Array, model: Model, values: Array) -> None:
     nodes, first = np.unique(dofs.ravel(), return_index=True)
     owned = nodes < len(of_nodes)
     cell, place = np.divmod(first[owned], dofs.shape[1])
-    element = basix.create_element(basix.ElementFamily.P, basix.CellType[joint.cell_type], 1)
-    shares = element.tabulate(0, interpolation_points(V))[0, :, :, 0]
+    shares = np.zeros((dofs.shape[1], joint.corners.shape[1]))
+    for dim, entities in enumerate(basix.cell.sub_entity_connectivity(basix.CellType[joint.cell_type])):
+        for entity, (vertices, *_) in enumerate(entities):
+            shares[np.ix_(V.dofmap.dof_layout.entity_dofs(dim, entity), vertices)] = 1 / len(vertices)
     corners = joint.corners[model.domain.original_cells[cell]]
     np.add.at(sums, corners, shares[place] * of_nodes[nodes[owned], None])

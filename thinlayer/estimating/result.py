@@ -229,7 +229,7 @@ class Estimate:
             of_law = self.meshed.first if self.state.model.bonds else self.state
             with Adjoint(of_law, options=self._options, meshed=True) as adjoint:
                 iteration = GlobalLocal(adjoint, self.meshed.layers)
-                return density_by_layers(iteration, self.state, self.meshed.weights[goal])
+                return density_by_layers(iteration, self.state, self.better, self.meshed.weights[goal])
         before, theirs = self._before
         with Adjoint(self.better, before, self._options) as adjoint:
             z = adjoint.weights(*self._goals[goal].dual(adjoint))
