@@ -44,6 +44,8 @@ PLATE = [RigidPlate("TOP", force=(0.3, -1.0), moment=0.2)]
 SIDES = {"LEFT": 0, "RIGHT": {"x": 0.01, "y": -0.02}}
 WEIGHTS = {"LOWER": (0.0, -1.0), "UPPER": (0.2, -1.0), "S": (0.3, -9.0)}
 FLOORS = {"LOW": [(0.0, 0.3), (1.0, 0.4)], "HIGH": [(0.0, 0.7), (1.0, 0.65)]}
+TUGGED = {"tractions": {"RIGHT/UPPER": (0.2, 0.7)}, "eigenstrain": {"UPPER": 0.002}}
+AT_REST = (goals.MeanTraction((0.3, -1.0)), goals.Functional("gap", lambda u, model: (u[1] + 0.01) * model.dx))
 REACTIONS = (WORK, goals.Reaction("TOP", (1.0, 0.3)))
 ends, solid = partial(goals.Displacement, direction=(0.0, 1.0, 0.0)), {"depth": 0.7, "h": 1 / 4}
 
@@ -72,6 +74,7 @@ def cases():
         "rubbery": (loaded(blocks()), ThinLayer(RUBBERY, EPS), (WORK, MOVED)),
         "rubber, steel": (loaded(blocks(), body=STEEL), ThinLayer(Rubber.shear(0.01, 0.4999), EPS), (WORK, MOVED)),
         "shrinking": (loaded(blocks()), ThinLayer(GLUE, EPS, eigenstrain=-0.01), (WORK, MOVED)),
+        "at rest": (loaded(blocks(), supports=PUSHED, **TUGGED), glue, AT_REST),
         "moved": (loaded(blocks(), supports=PUSHED, tractions={}), glue, REACTIONS),
         "sides moved": (loaded(blocks(), supports=SIDES, tractions={}), glue, (WORK, goals.Reaction("LEFT", (0.0, 1.0)))),
         "weights": (loaded(blocks(), body_force=WEIGHTS), glue, (WORK, MOVED)),
@@ -179,8 +182,8 @@ def test_weights_of_the_other_sign_miss(monkeypatch):
     """Of a reaction: the residual at S is added, not taken off."""
     bounds = global_local.GlobalLocal.bounds
 
-    def turned(self, q, one, z):
-        found, weighed = bounds(self, q, one, z), z.v @ self.residual(one)
+    def turned(self, at_rest, q, one, z):
+        found, weighed = bounds(self, at_rest, q, one, z), z.v @ self.residual(one)
         return global_local.Bounds(*(x - 2 * weighed for x in (found.told, found.lower, found.upper)))
 
     structure, layers, wanted = CASES["moved"]

@@ -211,8 +211,8 @@ class GlobalLocal:
         return float(r @ self.layers.moved(r))
 
     # ---------------------------------------------------------------- goals
-    def bounds(self, q: Array, one: Iterate, z: Iterate) -> Bounds:
-        """Of a goal with weights q (m,) on this rank, and z.load in the layers. Collective.
+    def bounds(self, at_rest: float, q: Array, one: Iterate, z: Iterate) -> Bounds:
+        """Of a goal with a value at rest, weights q (m,) on this rank, and z.load in the layers. Collective.
 
         Raises:
             SolveError: forces on the layers are not in equilibrium.
@@ -223,7 +223,7 @@ class GlobalLocal:
         moved, moved_z = layers.moved(r), layers.moved(r_z)
         w, w_z = self.inside(one), self.inside(z)
         of_bodies = q @ self.equations.constraints.unknowns(one.u) - z.u @ (self._of_bodies(one.u) - self._loads)
-        told = self.model.comm.allreduce(float(of_bodies)) + z.load @ w - w_z @ (layers.K @ w - one.load)
+        told = at_rest + self.model.comm.allreduce(float(of_bodies)) + z.load @ w - w_z @ (layers.K @ w - one.load)
         half = math.sqrt(max(float(r @ moved), 0.0) * max(float(r_z @ moved_z), 0.0)) / 2
         middle = float(told + r_z @ moved / 2)
         return Bounds(float(told), middle - half, middle + half)
@@ -258,12 +258,14 @@ class GlobalLocal:
         """
         one, weights = self.start(), {name: self.weights(goal) for name, goal in goals.items()}
         same = [name for name, (_, z) in weights.items() if one.is_near(z)]  # the compliance is its own weight
-        linear = [name for name, goal in goals.items() if goal.is_linear(self.model)]
+        at_rest = {
+            name: goal.at_rest(self.state, self.model) for name, goal in goals.items() if goal.is_linear(self.model)
+        }
         for step in range(STEPS + 1):
-            for name in linear:
+            for name, rest in at_rest.items():
                 q, z = weights[name]
-                known[name] = self.bounds(q, one, z).within(known.get(name, Bounds()))
-            narrow = all(known[name].narrow(values[name], NARROW) for name in linear)
+                known[name] = self.bounds(rest, q, one, z).within(known.get(name, Bounds()))
+            narrow = all(known[name].narrow(values[name], NARROW) for name in at_rest)
             if step == STEPS or (narrow and self.gap(one) <= NARROW**2 * one.gained):
                 break
             one = self.step(one)

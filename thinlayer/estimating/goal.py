@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.base import InputError
@@ -44,13 +46,17 @@ class Goal(ABC):
     def scale(self, state: State, model: InterfaceModel) -> float:
         """What Q is zero beside where it is only rounding, >= 0. Collective."""
 
+    def at_rest(self, state: State, model: InterfaceModel) -> float:
+        """Q without displacements, where it is linear: what given strains and loads do. Collective."""
+        return self.value(replace(state, u=fem.Function(model.V)), model)
+
     def in_layers(self, layers: LayerAlone) -> tuple[Array, Array]:
         """The same of the meshed layers: weights at their unknowns, and motions of their sides; by default none."""
         return np.zeros_like(layers.load), np.zeros_like(layers.load)
 
     @abstractmethod
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
-        """Nodal weights q and motions g of supports for which Q = q . u - g . r, see `Adjoint`. Collective.
+        """Nodal weights q and motions g of supports for which Q = q . u - g . r + `at_rest`, see `Adjoint`. Collective.
 
         Raises:
             InputError: there are none.

@@ -58,6 +58,9 @@ class Compliance(Goal):
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         return adjoint.of_loads(), adjoint.of_prescribed()
 
+    def at_rest(self, state: State, model: InterfaceModel) -> float:
+        return 0.0  # reactions have it
+
     def in_layers(self, layers: LayerAlone) -> tuple[Array, Array]:
         return layers.forces, layers.values
 
@@ -109,6 +112,9 @@ class Reaction(Goal):
         if not entries:
             raise InputError(f"{self.name}: no support holds it, but a plate, springs or a base; there is no map of it")
         return adjoint.nothing(), adjoint.of_reaction(entries, unit(self.direction, model.joint.dim, self.name))
+
+    def at_rest(self, state: State, model: InterfaceModel) -> float:
+        return 0.0  # as of the compliance
 
     def in_layers(self, layers: LayerAlone) -> tuple[Array, Array]:
         d = layers.model.joint.dim
