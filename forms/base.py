@@ -30,9 +30,8 @@ def unknown(kind: str, name: object, known: Iterable[str]) -> str:
     known = sorted(known)
     lowered = {one.lower(): one for one in known}
     near = [lowered[one] for one in difflib.get_close_matches(str(name).lower(), lowered, n=1)]
-    return (
-        f"unknown {kind} {name!r}" + (f", did you mean {near[0]!r}?" if near else "") + f"; known: {', '.join(known)}"
-    )
+    meant = f", did you mean {near[0]!r}?" if near else ""
+    return f"unknown {kind} {name!r}{meant}; known: {', '.join(known)}"
 
 
 def is_number(value: Any) -> bool:

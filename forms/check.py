@@ -207,9 +207,7 @@ def _rehearse(law: KernelLaw) -> None:
     if law.source is not None:
         return
     if getattr(law, "kernel", None) is None:
-        raise InputError(
-            f"{name} needs a static method kernel(...), or source, the name of a C file; see forms.KernelLaw"
-        )
+        raise InputError(f"{name} needs a static method kernel(...), or source, a file's name; see forms.KernelLaw")
     outputs = np.zeros(6), np.zeros((6, 6)), np.zeros(memory), np.zeros(3)
     rest = np.zeros(6), np.zeros(6), np.zeros(memory), 1.0, 1.0, np.array([0.0, 1.0, 0.0])
     try:
@@ -218,8 +216,6 @@ def _rehearse(law: KernelLaw) -> None:
     except ArithmeticError:
         return
     except Exception as error:
-        raise InputError(
-            f"{name}.kernel: {type(error).__name__}: {error}; see forms.KernelLaw for its arguments"
-        ) from error
+        raise InputError(f"{name}.kernel: {type(error).__name__}: {error}; arguments: see forms.KernelLaw") from error
     if not isinstance(done, (bool, np.bool_)):
         raise InputError(f"{name}.kernel returns {done!r}; it must return whether it succeeded")

@@ -91,9 +91,7 @@ class ContactLaw(Law):
             except InputError:
                 raise
             except Exception as error:
-                raise InputError(
-                    f"{where}: {type(error).__name__}: {error}; p is an array (n,) of pressures"
-                ) from error
+                raise InputError(f"{where}: {type(error).__name__}: {error}; p is an array (n,), pressures") from error
             if not np.array_equal(given, p):
                 raise InputError(f"{where} changes p; it must return a new array")
             array = found if isinstance(found, np.ndarray) else None
@@ -105,9 +103,7 @@ class ContactLaw(Law):
                 raise InputError(f"{where} is {array[wrong[0]]} at p = {p[wrong[0]]:g}; allowed: {allowed}")
         if self.numbers is not None:
             if np.shape(self.numbers) != (4,) or self.numbers[:2] != (self.K_N, self.K_T):
-                raise InputError(
-                    f"{type(self).__name__}.numbers is {self.numbers!r}; see ContactLaw.numbers, or give None"
-                )
+                raise InputError(f"{type(self).__name__}.numbers is {self.numbers!r}; see ContactLaw.numbers, or None")
             friction, cohesion = self.numbers[2:]
             if not np.allclose(cohesion + friction * p, self.threshold(p)):
                 raise InputError(f"{type(self).__name__}: numbers and threshold(p) are two laws; give numbers = None")
@@ -195,9 +191,7 @@ class ContactLaw(Law):
         names = [f.name for f in fields(cls) if f.name not in ("K_N", "K_T")]
         for name in others:
             if name not in names:
-                raise InputError(
-                    f"{cls.__name__}.of_layer has no parameter {name!r}; known: lmbda, mu, {', '.join(names)}"
-                )
+                raise InputError(f"{cls.__name__}.of_layer has no {name!r}; known: lmbda, mu, {', '.join(names)}")
         LinearElastic(lmbda, mu)
         return cls(K_N=lmbda + 2 * mu, K_T=mu, **others)
 

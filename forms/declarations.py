@@ -132,9 +132,7 @@ def require_declarations(law: Any) -> None:
             raise InputError(f"{kind.__name__}: the power of {name} is {power!r}; allowed: a finite number")
     for name in law.functions:
         if callable(known.get(name)):
-            raise InputError(
-                f"{kind.__name__}: parameters() gives a function for {name}; it must give a number, NaN where it varies"
-            )
+            raise InputError(f"{kind.__name__}: parameters() gives a function for {name}; give NaN where it varies")
     for name, shape in law.internal.items():
         if shape not in SIZES:
             allowed = ", ".join(map(str, SIZES))
@@ -154,20 +152,15 @@ def _require_used(law: Any) -> None:
                 f"the traction of {kind.__mro__[defining].__name__}; change those, or write a BulkLaw"
             )
     if getattr(kind, "source", None) is not None and _place(kind, "kernel") < _place(kind, "source"):
-        raise InputError(
-            f"{name} has a kernel but inherits a source, which would be used instead; write source = None in the class"
-        )
+        raise InputError(f"{name} has a kernel but inherits a source, which would be used; write source = None in it")
     advancing = [one for one in ("advance", "evolve") if _own(kind, one)]
     if advancing and not law.internal:
-        raise InputError(
-            f"{name} has a method {advancing[0]} but no internal variables; write internal = {{name: shape}}"
-        )
+        raise InputError(f"{name} has a method {advancing[0]} but no internal variables: internal = {{name: shape}}")
     known = [f.name for f in fields(Traits)]
     for attribute in (one for one in dir(kind) if _own(kind, one) and isinstance(getattr(kind, one), bool)):
         if attribute not in known and (meant := get_close_matches(attribute, known, 1, LIKENESS)):
-            raise InputError(
-                f"{name} has {attribute} = {getattr(kind, attribute)}, which is no trait; is {meant[0]} meant?"
-            )
+            value = getattr(kind, attribute)
+            raise InputError(f"{name} has {attribute} = {value}, which is no trait; is {meant[0]} meant?")
     if (_own(kind, "dissipation") or _own(kind, "dissipated")) and not law.traits.has_energy:
         raise InputError(f"{name} declares a dissipation but no energy; write a method energy(step) too")
     if _own(kind, "at") and (not _own(kind, "varies") or inspect.getattr_static(kind, "varies") is False):

@@ -68,9 +68,8 @@ def layer_frame(n: Expr) -> Expr:
     if n.ufl_shape[0] == 2:
         return ufl.as_tensor([[n[1], n[0], 0], [-n[0], n[1], 0], [0, 0, 1]])
     opposite = ufl.lt(n[1], -1 + 1e-12)
-    downwards = (1 - n[1]) / ufl.conditional(
-        opposite, 1, n[0] * n[0] + n[2] * n[2]
-    )  # = 1/(1 + n_2) without cancellation
+    squares = n[0] * n[0] + n[2] * n[2]
+    downwards = (1 - n[1]) / ufl.conditional(opposite, 1, squares)  # = 1/(1 + n_2) without cancellation
     s = ufl.conditional(ufl.lt(n[1], 0), downwards, 1 / ufl.conditional(ufl.lt(n[1], 0), 1, 1 + n[1]))
     turn = ufl.as_tensor(
         [

@@ -141,9 +141,8 @@ class Law(OfPlaces):
         except ValueError:  # ragged
             array = np.asarray("")
         if value is None or array.dtype.kind not in "iuf" or (scalar and array.ndim):
-            raise InputError(
-                f"{type(self).__name__}: {name} is {value!r}; allowed: {'a number' if scalar else 'numbers'}"
-            )
+            allowed = "a number" if scalar else "numbers"
+            raise InputError(f"{type(self).__name__}: {name} is {value!r}; allowed: {allowed}")
 
     def check(self) -> None:
         """Raise InputError if a parameter is out of its range."""
@@ -179,9 +178,7 @@ class Law(OfPlaces):
         Raises:
             InputError: the law acts at nodes.
         """
-        raise InputError(
-            f"{type(self).__name__} is not a law of strains or jumps; derive laws from BulkLaw or TractionLaw"
-        )
+        raise InputError(f"{type(self).__name__} is no law of strains or jumps; derive it from BulkLaw or TractionLaw")
 
     @property
     def own_times(self) -> tuple[float, ...]:
@@ -549,9 +546,7 @@ def shaped(law: Law, what: str, value: Any, shape: tuple[int, ...]) -> Expr:
     try:
         found = ufl.as_ufl(value)
     except Exception as error:
-        raise InputError(
-            f"{type(law).__name__}.{what} is {value!r}; it must be a UFL expression of shape {shape}"
-        ) from error
+        raise InputError(f"{type(law).__name__}.{what} is {value!r}; it must be UFL of shape {shape}") from error
     if found.ufl_shape != shape:
         raise InputError(f"{type(law).__name__}.{what} has the shape {found.ufl_shape}; it must have {shape}")
     return found

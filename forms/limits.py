@@ -74,9 +74,8 @@ def apparent_friction(friction_angle: float, dilatancy_angle: float) -> float:
     Davis' friction coefficient: sin(Omega) for psi = 0, and tan(Omega), the coefficient of Eq. (37), for psi = Omega alone.
     """
     friction_angle, dilatancy_angle = np.radians(friction_angle), np.radians(dilatancy_angle)
-    return float(
-        np.sin(friction_angle) * np.cos(dilatancy_angle) / (1 - np.sin(friction_angle) * np.sin(dilatancy_angle))
-    )
+    sin_friction, sin_dilatancy = np.sin(friction_angle), np.sin(dilatancy_angle)
+    return float(sin_friction * np.cos(dilatancy_angle) / (1 - sin_friction * sin_dilatancy))
 
 
 # ---------------------------------------------------------------- rubber bearings; real moduli, not per thickness

@@ -187,9 +187,8 @@ class MohrCoulombMonodirectional(Plastic):
         stored = isotropic_energy(self.lmbda, self.mu, e)
         if self.unilateral:
             stored -= self._tension(e, lift(step.n)) ** 2 / (2 * (self.lmbda + 2 * self.mu))
-        return (1 - self.elastic_fraction) * stored + self.elastic_fraction * isotropic_energy(
-            self.lmbda, self.mu, step.e
-        )
+        elastic = isotropic_energy(self.lmbda, self.mu, step.e)
+        return (1 - self.elastic_fraction) * stored + self.elastic_fraction * elastic
 
     def _flow(self, step: Step) -> tuple[Expr, Expr]:
         """Increments up to t + theta dt of the plastic strain, (3, 3), traceless, and of the accumulated one."""

@@ -118,9 +118,8 @@ def is_checked_at_rest(law: BulkLaw) -> bool:
     It may be negative for laws that declare `softens`. It is not computed for laws with both memory and rate, nor
     for non-linear laws of jumps, because the size of a small jump is not known.
     """
-    return not (
-        law.traits.softens or (law.traits.rate and law.internal) or (law.traits.of_jumps and not law.traits.linear)
-    )
+    at_jumps = law.traits.of_jumps and not law.traits.linear
+    return not (law.traits.softens or (law.traits.rate and law.internal) or at_jumps)
 
 
 def across(C: Array, n: Array) -> Array:

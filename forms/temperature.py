@@ -55,9 +55,8 @@ def real(values: Any) -> npt.NDArray[np.float64]:
     array = np.asarray(values)
     if array.dtype.kind not in "iuf":
         raise TypeError(f"it gives {array.dtype.name} values, not real numbers")
-    if isinstance(values, (list, tuple)) and any(
-        isinstance(v, (bool, np.bool_)) for v in np.array(values, object).flat
-    ):
+    flat = np.array(values, object).flat if isinstance(values, (list, tuple)) else ()
+    if any(isinstance(v, (bool, np.bool_)) for v in flat):
         raise TypeError("it gives True or False among its values, which are not numbers")
     return array.astype(float)
 

@@ -245,9 +245,7 @@ class Joint:
             outer = out[here, 0] < 0
             if seam.lower or not outer.all():
                 sides = f"between {'+'.join(seam.lower)} and {'+'.join(seam.upper)} " if seam.lower else ""
-                what = (
-                    f"{{bad}} of {{all}} facets of {name!r} lie on the outer boundary, the first at {{at}}; {sides}each"
-                )
+                what = f"{{bad}} of {{all}} facets of {name!r} lie on the outer boundary, as at {{at}}; {sides}each"
                 needs = "needs a cell on both sides, or all must stand on a rigid base"
                 refuse(outer, self.points[self.surface[here]], f"{what} {needs}")
             if not outer.any():

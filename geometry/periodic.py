@@ -72,9 +72,8 @@ def _matched(joint: Joint, first: str, second: str) -> IntArray:
         partners.append(at)
         if apart.max() > SAME_PLACE * size:
             lost = places[apart.argmax()]
-            raise InputError(
-                f"{unlike}: {name!r} has a node at {place(lost)}, and {other!r} has none at {place(lost + move)}; {remedy}"
-            )
+            both = f"{name!r} has a node at {place(lost)}, and {other!r} has none at {place(lost + move)}"
+            raise InputError(f"{unlike}: {both}; {remedy}")
     image = np.full(len(joint.points), -1)
     image[nodes[0]] = nodes[1][partners[0]]
     facets = joint.table.vertices[rows[0]]

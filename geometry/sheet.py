@@ -188,8 +188,7 @@ class Sheet:
         found = []
         for side in sides:
             inside = np.isin(pieces, side)
-            away = np.abs(
-                (joint.points[joint.corners[inside]] - joint.points[self.vertices[0, 0]]) @ self.mean_normal
-            ).max()
+            apart = joint.points[joint.corners[inside]] - joint.points[self.vertices[0, 0]]
+            away = np.abs(apart @ self.mean_normal).max()
             found.append(min(volumes[inside].sum() / self.areas.sum(), away if self.planar else math.inf))
         return tuple(map(float, found))

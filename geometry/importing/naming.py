@@ -100,9 +100,8 @@ class Cells:
         largest = np.abs(jacobian).max(axis=1)
         self.refuse(largest <= FLAT_CELL * size ** self.points.shape[1], "are degenerate (no volume)")
         smallest = (jacobian * np.sign(jacobian.sum(axis=1))[:, None]).min(axis=1)
-        self.refuse(
-            smallest <= FOLDED * largest, "are folded (their Jacobian vanishes or changes sign within the cell)"
-        )
+        folded = "are folded (their Jacobian vanishes or changes sign within the cell)"
+        self.refuse(smallest <= FOLDED * largest, folded)
         _, first = np.unique(np.sort(self.corners, axis=1), axis=0, return_index=True)
         self.refuse(
             ~np.isin(np.arange(len(self.nodes)), first),

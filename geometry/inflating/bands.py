@@ -169,9 +169,7 @@ def posts_of(joint: Joint, copies: Copies, heights: Sequence[FloatArray]) -> tup
     _, first, at = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     at = at.ravel()
     ends = np.column_stack([below, above])[first]
-    closed = (
-        "one body lies on both sides of S: the layer has no room there and cannot be meshed; use the interface model"
-    )
+    closed = "one body lies on both sides of S, so that the layer has no room there; use the interface model"
     refuse(ends[:, 0] == ends[:, 1], joint.points[joint.surface.ravel()[first]], f"at {{at}} {closed}")
     turned = below != ends[at, 0]
     seam = np.repeat(joint.seam_numbers, joint.surface.shape[1])

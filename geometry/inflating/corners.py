@@ -72,9 +72,7 @@ def junctions_of(joint: Joint, posts: Posts, footing: Footing) -> tuple[Posts, C
     loose |= np.bincount(of_link, facets > 1) > 0  # two layers between the same bodies
     for column in copies.T:  # a body has one corner at each end
         loose |= np.bincount(_numbered(np.column_stack([of, column]))[0][:, 0]) < np.bincount(of)
-    touching = (
-        "bodies touch at a vertex or along an edge only, between layers that meet there: the layers' ends enclose no"
-    )
+    touching = "bodies only touch at a vertex or an edge, between layers that meet there: the layers' ends enclose no"
     refuse(loose, joint.points[vertices], f"at {{at}} {touching} polygon")
 
     alone = np.flatnonzero(degree == 1)
@@ -167,13 +165,10 @@ def polyhedra_of(joint: Joint, posts: Posts, corners: Corners) -> Corners:
     uses = np.bincount(around.sides.ravel(), minlength=len(posts.nodes))
     columns = (around.copies, around.sides[:, 0], around.polygons)
     vertices, edges, polygons = (np.bincount(_pairs(around.of, of)[0][:, 0]) for of in columns)
-    whole = (vertices - edges + polygons == 2)[around.of] & (uses[around.sides] == 4).all(
-        axis=(1, 2)
-    )  # Euler's formula
+    euler = vertices - edges + polygons == 2
+    whole = euler[around.of] & (uses[around.sides] == 4).all(axis=(1, 2))
     wrong = np.concatenate([around.sides[~whole, 0, 0], corners.sides[ends[corners.polygons] > 2][:, 0]])
-    open_ends = (
-        "junctions meet in a way that is not meshed: the layers' ends enclose no polyhedron; use the interface model"
-    )
+    open_ends = "junctions are not meshed: the layers' ends enclose no polyhedron; use the interface model"
     refuse(wrong >= 0, joint.points[posts.nodes[wrong]], f"S branches at {{at}}, where {open_ends}")
     return around
 

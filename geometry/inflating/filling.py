@@ -186,9 +186,8 @@ def _weights(k: int, half: int) -> IntArray:
 def _pieces(grid: IntArray, k: int) -> IntArray:
     """(n, half**k, 2**k) the cells of grids of nodes (n, half + 1, ..., half + 1)."""
     half = grid.shape[1] - 1
-    corners = [
-        grid[(slice(None), *(slice(bit, half + bit) for bit in bits[::-1]))] for bits in product((0, 1), repeat=k)
-    ]
+    parts = (tuple(slice(bit, half + bit) for bit in bits[::-1]) for bits in product((0, 1), repeat=k))
+    corners = [grid[(slice(None), *part)] for part in parts]
     return np.stack(corners, axis=-1).reshape(len(grid), half**k, 2**k)
 
 

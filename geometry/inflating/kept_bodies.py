@@ -142,9 +142,7 @@ def require_room(joint: Joint, translation: FloatArray) -> None:
             probes = np.concatenate([joint.points[np.unique(corners)], weights @ joint.points[corners]])
             x = _first_hit(joint, probes, outer[group == fixed], sign * way / eps, eps)
             if x is not None:
-                raise InputError(
-                    f"no room for a layer of thickness {eps:g} at {place(x)}: moved apart, the bodies would overlap"
-                )
+                raise InputError(f"no room for a layer of thickness {eps:g} at {place(x)}: bodies would overlap")
 
 
 def _near(x: FloatArray, group: IntArray, translation: FloatArray) -> Iterator[tuple[int, int]]:

@@ -183,9 +183,8 @@ class Discs(Shape):
         gmsh.model.geo.synchronize()
         low = self.sweep(disc, (0.0, -self.lower, 0.0), Grading.of(self.lower, h_S, h))
         high = self.sweep(disc, (0.0, self.upper, 0.0), Grading.of(self.upper, h_S, h))
-        facets = {S: disc, "SIDE": walls(web.arcs[-1], disc)} | (
-            {"HOLE": walls(web.arcs[0], disc)} if self.hole else {}
-        )
+        hole = {"HOLE": walls(web.arcs[0], disc)} if self.hole else {}
+        facets = {S: disc, "SIDE": walls(web.arcs[-1], disc)} | hole
         for name, swept in (("BOTTOM", low), ("TOP", high)):
             facets[name] = [far for _, far in swept.values()]
         bodies = {name: [volume for volume, _ in swept.values()] for name, swept in (("LOWER", low), ("UPPER", high))}

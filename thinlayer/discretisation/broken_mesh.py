@@ -94,9 +94,7 @@ class BrokenMesh:
             if not total:
                 raise InputError(f"S: no facet has the tag {tag}; there are {self._known()}")
             if outer not in (0, total):
-                raise InputError(
-                    f"S: {outer} of the {total} facets with tag {tag} lie on the boundary; all or none may"
-                )
+                raise InputError(f"S: {outer} of {total} facets with tag {tag} lie on the boundary; all or none may")
             if outer:
                 self._bases.add(tag)
             else:
@@ -154,9 +152,7 @@ class BrokenMesh:
             InputError: order 1 of a law that would lock.
         """
         if not isinstance(layer, ThinLayer | TractionLaw):
-            raise InputError(
-                f"the layer is {layer!r}; allowed: ThinLayer, TractionLaw; a ContactLaw is for ContactPart"
-            )
+            raise InputError(f"layer is {layer!r}; allowed: ThinLayer, TractionLaw; a ContactLaw is for ContactPart")
         law, thin = real_law(layer, self.kinematics), layer if isinstance(layer, ThinLayer) else None
         if law.traits.constrained:
             raise InputError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")
@@ -192,9 +188,8 @@ class BrokenMesh:
         self._require(tag)
         element = V.ufl_element()
         if V.mesh is not self.mesh or element.reference_value_shape != (self._dim,) or element.degree != 1:
-            raise InputError(
-                f"contact laws act at vertices: V must be space(('Lagrange', 1, ({self._dim},))) of this mesh, not {V}"
-            )
+            wanted = f"space(('Lagrange', 1, ({self._dim},))) of this mesh"
+            raise InputError(f"contact laws act at vertices: V must be {wanted}, not {V}")
         facets = self._owned(tag)
         based = tag in self._bases
         upper, lower = (first_cells(self.mesh, facets), None) if based else self._sides[tag][:, [0, 2]].T

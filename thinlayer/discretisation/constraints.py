@@ -149,9 +149,7 @@ class Constraints:
         both = sum((rows.astype(int) for rows in of.values()), np.zeros(self.n, int)) > 1
         names = [key for key, rows in of.items() if (rows & both).any()]
         if several := [one for one in self.comm.allgather(names) if one]:
-            raise InputError(
-                f"{' and '.join(several[0])} have a node in common: their motions would not be independent"
-            )
+            raise InputError(f"{' and '.join(several[0])} share a node: their motions would not be independent")
 
     def _slots_of(self, tie: Tied) -> Numbers:
         """(m,) global numbers of the displacements in whose places the motions of a tie stand."""

@@ -81,9 +81,7 @@ class FullModel(Model):
     def _check_layers(self) -> None:
         """Check each layer by itself."""
         if self.bonds:
-            raise InputError(
-                f"the seam {self.bonds[0]!r} has a Bond, which interface models alone take: make a joint without this seam"
-            )
+            raise InputError(f"the seam {self.bonds[0]!r} has a Bond, for interface models: make a joint without it")
         for name, given in self.on_seams.items():
             if given is None:
                 raise InputError(

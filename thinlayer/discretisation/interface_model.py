@@ -89,9 +89,8 @@ class InterfaceModel(Model):
     def _check_beside(self, other: Self) -> None:
         self.require("interface law")
         if self.bonds != other.bonds:
-            raise InputError(
-                f"this model has bonds on the seams {list(other.bonds)}, not {list(self.bonds)}; make a model of its own"
-            )
+            both = f"{list(other.bonds)}, not {list(self.bonds)}"
+            raise InputError(f"this model has bonds on the seams {both}; make a model of its own")
         if self._bodies != "kept":
             self._require_shapes(other)
 
@@ -254,9 +253,7 @@ def apart(joint: Joint, layers: Mapping[str, SeamLayer]) -> Joint:
         InputError: seams that meet, or one without a thickness; as of `geometry.inflate`.
     """
     if joint.seams_meet:
-        raise InputError(
-            "bodies='extended' of an interface model: seams meet or branch, where S has no middle; use bodies='kept'"
-        )
+        raise InputError("bodies='extended': seams meet or branch, where S has no middle; use bodies='kept'")
     thin = {name: one.thin for name, one in layers.items() if one.thin}
     for name in joint.seams:
         if name not in thin:

@@ -81,13 +81,10 @@ class ThinLayer:
 
     def __post_init__(self) -> None:
         if isinstance(self.law, LawOnS):
-            raise InputError(
-                f"{type(self.law).__name__} is a law on S without a thickness: give it alone, structure.interface(law)"
-            )
+            kind = type(self.law).__name__
+            raise InputError(f"{kind} is a law on S without a thickness: give it alone, structure.interface(law)")
         if not isinstance(self.law, BulkLaw):
-            raise InputError(
-                f"the layer's law is {self.law!r}; it must be a law of strains, such as forms.LinearElastic"
-            )
+            raise InputError(f"the layer's law is {self.law!r}; it must be a law of strains, as forms.LinearElastic")
         object.__setattr__(self, "law", folded(self.law))
         _check_thickness("layer's thickness eps", self.eps)
         if self.at is not None:
@@ -368,9 +365,7 @@ def loads_of_layers(given: Any, joint: Joint, layers: Mapping[str, SeamLayer], b
     loads = [(seam, named[name]) for name in named for seam in joint.seams if name in (S, seam) and seam not in bonds]
     for seam, _ in loads:
         if seam not in layers or not layers[seam].thin:
-            raise InputError(
-                f"body force in the layer {seam!r}: it has no layer with a thickness: its weight is not known"
-            )
+            raise InputError(f"body force in the layer {seam!r}: it has no layer with a thickness, no weight is known")
     return dict(loads)
 
 

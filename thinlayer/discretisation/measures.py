@@ -82,9 +82,8 @@ def whole(form: Any, model: Any, what: str = "a form") -> ufl.Form:
         missing = [str(tag) for tag in asked if tag not in set[Any]().union(*present)]
         if missing:
             where = f"{name}({', '.join(missing)})"
-            raise InputError(
-                f"{what} integrates over {where}, which is nothing here; tags: {TAGS.get(name, TAGS['ds'])}"
-            )
+            known = TAGS.get(name, TAGS["ds"])
+            raise InputError(f"{what} integrates over {where}, which is nothing here; tags: {known}")
     factor = model.kinematics.factor
     return ufl.Form([part.reconstruct(integrand=factor * part.integrand()) for part in form.integrals()])
 

@@ -102,9 +102,8 @@ def sampled(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Function:
     values = _values(f, places)
     missing = communicator(mesh).allgather(places[np.isnan(values).any(axis=1)][:1])
     if any(map(len, missing)):
-        raise InputError(
-            f"{what}: a function is unknown at {place(np.concatenate(missing)[0])}; its mesh must cover all"
-        )
+        first = place(np.concatenate(missing)[0])
+        raise InputError(f"{what}: a function is unknown at {first}; its mesh must cover all")
     own.x.array.reshape(values.shape)[np.asarray(own.function_space.dofmap.list).ravel()] = values
     return own
 

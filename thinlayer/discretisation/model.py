@@ -294,9 +294,7 @@ class Model(ABC):
             if new.strain or new.stress:
                 new.require("mean strain")
             if new.stress and not new.broken:
-                raise InputError(
-                    "with_layer: under a mean stress a meshed layer is a part of the cell; build a new model"
-                )
+                raise InputError("with_layer: under a mean stress a meshed layer is a part of the cell; build a model")
         if new.constraints.ties:  # the thickness is an arm of plates
             new.constraints = new._constrained()
         new.made_from = new._data()

@@ -140,9 +140,7 @@ class Setup:
             raise InputError(f"plane={self.plane!r} needs a two-dimensional joint")
         require_revolution(self.kinematics, joint)
         if not (self.kinematics.turns or (self.strain is None and self.stress is None)):
-            raise InputError(
-                f"plane={self.plane!r}: a mean strain or stress is for periodic cells in plane strain, plane stress or 3D"
-            )
+            raise InputError(f"plane={self.plane!r}: a mean strain or stress is for periodic cells without an axis")
         if self.element not in elements:
             cells = f"{joint.cell_type} cells; allowed: {', '.join(elements)}"
             raise InputError(f"element {self.element!r} does not exist on {cells}")

@@ -98,15 +98,11 @@ class Supports:
     def _require_point(self, place: Any) -> None:
         d = len(self.axes)
         if not isinstance(place, tuple) or len(place) != d or not all(is_number(c) for c in place):
-            raise InputError(
-                f"support on {place!r}; a place is the name of a facet set, or {d} coordinates of a vertex"
-            )
+            raise InputError(f"support on {place!r}; a place is a facet set's name, or {d} coordinates of a vertex")
 
     def _components(self, place: Place, support: Support) -> Components:
         if callable(support) or support is None:
-            raise InputError(
-                f"support on {place!r} is {support!r}; allowed: a number, {{component: number or function}}"
-            )
+            raise InputError(f"support on {place!r} is {support!r}; give a number, {{component: number or function}}")
         given = support if isinstance(support, Mapping) else dict.fromkeys(self.axes, support)
         components: Components = dict(given)
         for axis, value in components.items():

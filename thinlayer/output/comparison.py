@@ -78,9 +78,8 @@ def compare(
         raise InputError(f"compare needs states of the same time, not t = {full.t:g} and {interface.t:g}")
     if full.model.element != interface.model.element:
         raise InputError(f"compare needs one element, not {full.model.element} and {interface.model.element}")
-    is_open = [
-        ", ".join(name for name in one.joint.seams if name not in one.layers) or "none" for one in (meshed, limit)
-    ]
+    opened = ([name for name in one.joint.seams if name not in one.layers] for one in (meshed, limit))
+    is_open = [", ".join(names) or "none" for names in opened]
     if is_open[0] != is_open[1]:
         raise InputError(f"compare needs the same open joints, not {is_open[0]} and {is_open[1]}")
     for name, layer in limit.layers.items():
@@ -113,9 +112,7 @@ def _too_stiff(state: State, seam: str) -> dict[str, float]:
 def _state(one: State | History, at: float | None) -> State:
     if isinstance(one, State):
         if at is not None and not abs(one.t - at) <= SAME_TIME * max(abs(one.t), abs(at)):
-            raise InputError(
-                f"compare: a state is of t = {one.t:g}, not of at = {at:g}; give its history, or leave out at"
-            )
+            raise InputError(f"compare: a state is of t = {one.t:g}, not of at = {at:g}; give its history, or no at")
         return one
     return one.last if at is None else one.at(at)
 

@@ -88,9 +88,7 @@ def write(solution: State | History, path: str | Path, *, surface: Surface | Non
 def _states(solution: State | History) -> list[State]:
     """The states to write."""
     if not isinstance(solution, (State, History)):
-        raise InputError(
-            f"fields are written of a state or a history, as solve and march return them, not of {solution!r}"
-        )
+        raise InputError(f"fields are written of a state or a history, as solve and march return, not of {solution!r}")
     states = [solution] if isinstance(solution, State) else list(solution)
     if not states:
         raise InputError(f"there is nothing to write: {solution!r} has no state")

@@ -48,9 +48,8 @@ def homogenised_stiffness(model: Model) -> Array:
     strained.family = Family()  # what the model's family keeps has its strains
     strained.coordinates = at = Coordinates.of(model.domain)
     strained.strain, strained.stress = MeanStrain(_unit_strains(model.joint.dim), at, model.joint), None
-    bodies, strained.layer_terms = (
-        [replace(p, given=None) for p in some] for some in (model.bodies, model.layer_terms)
-    )
+    some = model.bodies, model.layer_terms
+    bodies, strained.layer_terms = ([replace(p, given=None) for p in terms] for terms in some)
     strained.bodies = added(bodies, strained.strain.expression)
     if not model.broken:
         strained.layer_terms = added(strained.layer_terms, strained.strain.expression)
@@ -69,13 +68,9 @@ def homogenised_stiffness(model: Model) -> Array:
 
 def _check(model: Model) -> None:
     if not isinstance(model, Model) or model.joint.periods is None:
-        raise InputError(
-            f"homogenised_stiffness needs a model of a periodic joint, not {model!r}; see geometry.periodic"
-        )
+        raise InputError(f"homogenised_stiffness needs a model of a periodic joint (geometry.periodic), not {model!r}")
     if not model.kinematics.turns:
-        raise InputError(
-            f"homogenised_stiffness is not for plane={model.plane!r}: a body of revolution has no mean strain"
-        )
+        raise InputError(f"homogenised_stiffness, plane={model.plane!r}: a body of revolution has no mean strain")
     model.require("mean strain")
     for law in (p.law for p in model.terms if not p.proportional):
         raise InputError(

@@ -205,9 +205,8 @@ class Probe:
     def _key(self, name: str, key: str | None) -> str:
         """The key of the law with an internal variable."""
         having = [one for one, variables in self._variables.items() if name in variables]
-        known = (
-            "; ".join(f"{one}: {', '.join(names)}" for one, names in self.names.items()) or "no law remembers anything"
-        )
+        listed = "; ".join(f"{one}: {', '.join(names)}" for one, names in self.names.items())
+        known = listed or "no law remembers anything"
         if not having or key not in (None, *having):
             where = "" if key is None else f" of the law {key!r}"
             raise InputError(f"there is no internal variable {name!r}{where}; known: {known}")

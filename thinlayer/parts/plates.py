@@ -141,9 +141,7 @@ class RigidPlate(Addition):
             if name not in names:
                 raise InputError(f"{self.what}: {unknown('motion', name, names)}")
             if names.index(name) in self._prevented(model):
-                raise InputError(
-                    f"{self.what}: a rigid plate of revolution has no motion {name!r}; it moves along the axis"
-                )
+                raise InputError(f"{self.what}: a plate of revolution has no motion {name!r}; it moves along the axis")
         if self.about is not None:
             require_point(self.about, d)
         values = [*self._resultants(model).values(), *self._motions(model).values()]

@@ -54,9 +54,8 @@ class Springs(Addition):
         for name in ("normal", "tangential"):
             value = getattr(self, name)
             if not callable(value) and not (is_finite(value) and value >= 0):
-                raise InputError(
-                    f"springs on {self.place!r}: {name} is {value!r}; allowed: a finite number >= 0, or a function of x"
-                )
+                allowed = "a finite number >= 0, or a function of x"
+                raise InputError(f"springs on {self.place!r}: {name} is {value!r}; allowed: {allowed}")
         if self.normal == self.tangential == 0:
             raise InputError(f"springs on {self.place!r} have no stiffness; give normal=... or tangential=...")
         object.__setattr__(self, "key", f"springs {self.place}")

@@ -106,9 +106,7 @@ class _OwnForms(FormPart):
             super().__init__(given.key, u, None, given.work(model, u, v), energy, kept=True)
         K = self.K
         if K is not None and model.comm.allreduce(float(K.getDiagonal().array_r.min(initial=0.0)), min) < 0:
-            raise InputError(
-                f"the part {given.key!r} has a negative stiffness, with which no equilibrium need be stable"
-            )
+            raise InputError(f"the part {given.key!r} has a negative stiffness: no equilibrium need be stable with it")
         self._has_energy = K is None or _is_symmetric(K)
         self.traits = PartTraits(saddle=True, weakens=not (self._has_energy and linear), nonlinear=not linear)
 

@@ -92,13 +92,10 @@ def drive(
         SolveError: tractions beyond the strength of the law; `history` has the steps before.
     """
     if not isinstance(law, Law) or law.traits.nodal or law.traits.constrained:
-        raise InputError(
-            f"the law of a point is {law!r}; allowed: laws that give a stress for a strain, or a TractionLaw"
-        )
+        raise InputError(f"a point's law is {law!r}; allowed: laws that give a stress for a strain, or a TractionLaw")
     if law.fields:
-        raise InputError(
-            f"{type(law).__name__}: {next(iter(law.fields))} is a function of the place; a point needs a number"
-        )
+        name = next(iter(law.fields))
+        raise InputError(f"{type(law).__name__}: {name} is a function of the place; a point needs a number")
     if law.traits.varies:
         raise InputError(f"{type(law).__name__} at a point needs a temperature that is a number, not a field")
     if isinstance(steps, (str, Mapping)) or not isinstance(steps, Iterable):

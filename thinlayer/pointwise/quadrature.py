@@ -279,8 +279,6 @@ class Quadrature:
         """Number of each facet of the region that this rank owns, and the number of those of all ranks."""
         mesh, dim = self.region.mesh, self.region.dim
         if dim == self.region.parent_mesh.topology.dim:
-            raise InputError(
-                f"{type(self.term.law).__name__} has phases in columns, which a layer meshed elsewhere has not"
-            )
+            raise InputError(f"{type(self.term.law).__name__} has phases in columns, which layers of other meshes lack")
         imap = mesh.topology.index_map(dim)
         return np.arange(imap.size_local, dtype=np.int64) + imap.local_range[0], int(imap.size_global)

@@ -103,9 +103,8 @@ def start() -> int:
 
 def command_line() -> argparse.ArgumentParser:
     """The parser of the commands and of the studies' options."""
-    parser = argparse.ArgumentParser(
-        prog="python3 -m thinlayer", description="Thin soft layers, meshed or replaced by their interface law."
-    )
+    about = "Thin soft layers, meshed or replaced by their interface law."
+    parser = argparse.ArgumentParser(prog="python3 -m thinlayer", description=about)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     commands.add_parser("list", help="list the studies").set_defaults(work=_list)
     info = commands.add_parser("info", help="print the versions of the packages that results depend on")

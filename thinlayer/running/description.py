@@ -103,9 +103,8 @@ class Description:
         """Raise DescriptionError unless times are there if they are needed, and histories reach from 0 to the last one."""
         slow = [one.law for one in (*self.layer.values(), *self.body.values()) if one.law.traits.rate]
         if slow and not self.times:
-            self.section.refuse(
-                f"times is missing: {type(slow[0]).__name__} depends on the rate of strains; give ends of time steps"
-            )
+            law = type(slow[0]).__name__
+            self.section.refuse(f"times is missing: {law} depends on the rate of strains; give ends of time steps")
         for one in self.section.histories:
             first, last = min(one.values), max(one.values)
             if not self.times:

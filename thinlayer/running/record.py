@@ -117,9 +117,8 @@ class Record:
             else:
                 self._previous = moved_away(self.out, self._earlier())
         elif tables := sorted(path.name for path in self.out.glob("*.csv")):
-            raise InputError(
-                f"{self.out} has tables ({', '.join(tables)}) and no run.json; give another --out, or remove these"
-            )
+            what = f"{self.out} has tables ({', '.join(tables)}) and no run.json"
+            raise InputError(f"{what}; give another --out, or remove these")
 
     def __exit__(self, _: type[BaseException] | None, error: BaseException | None, __: TracebackType | None) -> None:
         """Write run.json, and unlock the folder; of bad input without results nothing stays. Collective if all is well.

@@ -96,9 +96,8 @@ class ForceScale:
 
     def aim(self, largest_displacement: float) -> float:
         """Norm of the residual at which solvers stop."""
-        return max(
-            AIM * self.forces, self._support_rounding, min(self.rounding(largest_displacement), ALLOWED * self.least)
-        )
+        rounded = min(self.rounding(largest_displacement), ALLOWED * self.least)
+        return max(AIM * self.forces, self._support_rounding, rounded)
 
     @property
     def allowed(self) -> float:
@@ -264,9 +263,8 @@ class Layout:
 
     def __init__(self, comm: MPI.Intracomm, fields: Mapping[str, fem.Function]) -> None:
         self.comm, self.fields = comm, fields
-        maps = {
-            key: (f.function_space.dofmap.index_map, f.function_space.dofmap.index_map_bs) for key, f in fields.items()
-        }
+        dofmaps = {key: f.function_space.dofmap for key, f in fields.items()}
+        maps = {key: (one.index_map, one.index_map_bs) for key, one in dofmaps.items()}
         self.sizes = {key: int(imap.size_local * bs) for key, (imap, bs) in maps.items()}
         self._ends = np.cumsum([*self.sizes.values()])
 

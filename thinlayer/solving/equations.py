@@ -97,9 +97,8 @@ class Equations(PartSum):
         """Write unknowns into the displacements u and the parts' own functions."""
         self._layout.put(x)
         if self._T is not None:
-            self.u.x.array[: self.n_displacements] = self.constraints.displacements(
-                self.u.x.array[: self.n_displacements]
-            )
+            own = self.u.x.array[: self.n_displacements]
+            own[:] = self.constraints.displacements(own)
             self.u.x.scatter_forward()
 
     def _prescribed(self, t: float | None) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:

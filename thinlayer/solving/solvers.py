@@ -277,9 +277,7 @@ class Solver:
         try:
             return self._try(attempt, start), 0
         except SolveError as error:
-            self._log.info(
-                "t = %g: Newton's method from a state like it failed: %s", equations.interval.t, error.reason
-            )
+            self._log.info("t = %g: Newton's method from like failed: %s", equations.interval.t, error.reason)
             return None
         finally:
             start.destroy()

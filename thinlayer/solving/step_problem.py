@@ -188,9 +188,7 @@ class StepProblem(PartSum):
             self.scale.see(*self._sizes, self._self_balanced())
         self.require_equilibrium(self._forces)
         if self.excess > TIE:
-            raise SolveError(
-                "columns of the layer must change phase: call switch() and solve again until it returns False"
-            )
+            raise SolveError("columns of the layer must change phase: call switch() and solve until it returns False")
         found, self.state = self.end_parts(self._u, self._interval.t)
         for key, before in self.energies.items():
             one = found[key]

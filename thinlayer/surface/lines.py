@@ -60,9 +60,8 @@ class Line:
         values = self.values.reshape(len(self.s), -1)
         names = [name] if values.shape[1] == 1 else [f"{name} {axis}" for axis in "xyz"[: values.shape[1]]]
         columns = ["s", *"xyz"[: self.x.shape[1]], *names]
-        return Table(
-            dict(zip(columns, map(float, row), strict=True)) for row in np.column_stack([self.s, self.x, values])
-        )
+        rows = np.column_stack([self.s, self.x, values])
+        return Table(dict(zip(columns, map(float, row), strict=True)) for row in rows)
 
 
 @dataclass(frozen=True)

@@ -153,9 +153,8 @@ class SurfaceMesh:
         """
         located = Located.of(self.kind, self.faces.mean(axis=0), x)
         if len(off := located.missing):
-            raise InputError(
-                f"{len(off)} of {len(located.x)} places are not on {self.seam}, the first at {place(located.x[off[0]])}"
-            )
+            first = place(located.x[off[0]])
+            raise InputError(f"{len(off)} of {len(located.x)} places are not on {self.seam}, the first at {first}")
         return located, FacetPoints(self, located.entity, located.X[:, None])
 
     def beside(self, located: Located, side: str) -> Located:

@@ -138,9 +138,8 @@ def _lock(path: Path, end: float) -> int:
                     time.sleep(0.05)
                     continue
                 who = os.pread(file, 200, 0).decode(errors="replace").strip() or "another process"
-                raise InputError(
-                    f"another run ({who}) is writing into {str(path.parent)!r}; wait for it, or give another folder"
-                ) from None
+                busy = f"another run ({who}) is writing into {str(path.parent)!r}"
+                raise InputError(f"{busy}; wait for it, or give another folder") from None
             except OSError as error:
                 if error.errno not in WITHOUT_LOCKS:  # there runs go on without protection
                     raise

@@ -188,9 +188,8 @@ class _Describer:
         return found
 
     def _named(self, values: Mapping[Any, Any], at: str) -> dict[str, Any]:
-        texts = {
-            name if type(name) is str else f"<{json.dumps(self.of(name, at))}>": one for name, one in values.items()
-        }
+        keys = (name if type(name) is str else f"<{json.dumps(self.of(name, at))}>" for name in values)
+        texts = dict(zip(keys, values.values(), strict=True))
         return {name: self.of(one, f"{at}.{name}") for name, one in sorted(texts.items(), key=lambda entry: entry[0])}
 
     def _copied(self, value: Any, at: str) -> Any:

@@ -109,9 +109,8 @@ def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
         for rank, theirs in enumerate(found):
             if theirs[name] != first:
                 full = [json.loads(text) for text in comm.allgather(texts[name])]
-                path, *both = next(
-                    differences(full[0], full[rank]), ((), full[0], full[rank])
-                )  # True and 1.0 are equal
+                same = (), full[0], full[rank]  # True and 1.0 are equal
+                path, *both = next(differences(full[0], full[rank]), same)
                 here, there = ("nothing" if one is MISSING else json.dumps(one)[:SHOWN] for one in both)
                 at = f"{'.'.join(path)} is " if path else ""
                 what = f"the ranks were given different {name}: {at}{here} on rank 0, {there} on rank {rank}"

@@ -173,9 +173,8 @@ class Checkpoint:
         there, here = content["mark"], self.mark
         if there != here and resume != "anyway":
             other = in_words([*differences(there, here)])
-            raise InputError(
-                f"{self.path} is of another march ({other}); give another folder, remove it, or resume='anyway'"
-            )
+            remedy = "give another folder, remove it, or resume='anyway'"
+            raise InputError(f"{self.path} is of another march ({other}); {remedy}")
         if there["observe"].keys() != here["observe"].keys():
             raise InputError(f"{self.path}: the march observes {[*there['observe']]}, not {[*here['observe']]}")
         return content if resume else None

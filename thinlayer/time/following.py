@@ -62,9 +62,8 @@ class PathFollowing:
         try:
             if self._journal.read(resume):
                 if self._history.last.t > self.plan.end + self._near:
-                    raise InputError(
-                        f"the march in {self._journal.out} is at t = {self._history.last.t:g}; the path is to end before"
-                    )
+                    last = self._history.last.t
+                    raise InputError(f"the march in {self._journal.out} is at t = {last:g}; the path is to end before")
             elif not len(self._history):
                 self._begin()
             self._travel()
@@ -131,9 +130,8 @@ class PathFollowing:
         unit = change.norm() * self.plan.first / (last.t - first.t)
         change.destroy()
         if not unit:
-            raise SolveError(
-                f"nothing moves from t = {first.t:g} to {last.t:g}: the path has no direction", self._history
-            )
+            still = f"nothing moves from t = {first.t:g} to {last.t:g}: the path has no direction"
+            raise SolveError(still, self._history)
         return 1 / unit**2
 
     def _try(self, last: State, length: float) -> tuple[State | None, float]:

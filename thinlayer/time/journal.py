@@ -106,9 +106,8 @@ class Journal:
     def note(self, state: State) -> None:
         """Add a row and a state to the history; the next `accept` writes them."""
         before, report = self.history.last if self.history.states else None, state.report
-        self._log.info(
-            "t = %g: %s, %d steps, residual %.1e", state.t, report.method, report.iterations, report.residual
-        )
+        found = state.t, report.method, report.iterations, report.residual
+        self._log.info("t = %g: %s, %d steps, residual %.1e", *found)
         row = self._row(state, state.t - before.t if before else 0.0)
         self.history.table.append({name: row[name] for name in self.history.table.columns or row})
         if self._directed:

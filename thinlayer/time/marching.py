@@ -170,9 +170,7 @@ def follow(
         SolveError: as in `march`.
     """
     if not isinstance(begun, (History, State)) or not isinstance(path, ArcLength):
-        raise InputError(
-            f"follow takes a history or a state, and an ArcLength(...), not {begun!r:.80} and {path!r:.80}"
-        )
+        raise InputError(f"follow takes a history or a state, and ArcLength(...), not {begun!r:.80} and {path!r:.80}")
     *earlier, last = [begun] if isinstance(begun, State) else begun
     before = earlier[-1] if earlier else None
     model = last.model
@@ -236,9 +234,7 @@ def _check(model: Any, theta: float, keep: str, out: Any, resume: Resume, observ
         raise InputError(f"observe is {observe!r}; it must be {{name of a column: function of a state}}")
     for name, function in (observe or {}).items():
         if not isinstance(name, str) or not callable(function):
-            raise InputError(
-                f"observe[{name!r}] is {function!r}; it must be a function of a state that returns a number"
-            )
+            raise InputError(f"observe[{name!r}] is {function!r}; it needs a function of a state that returns a number")
         if name in columns(model):
             raise InputError(f"observe: column {name!r} is there already; give it another name")
     if not 0.5 <= theta <= 1:

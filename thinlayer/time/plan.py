@@ -139,9 +139,8 @@ def _require_steps(times: npt.NDArray[np.float64], adaptive: Adaptive | None) ->
         if not distinct(start, start + first) or (adaptive.smallest or first / MOST_SHORTENED) < tiny:
             raise InputError(f"Adaptive: first is {first:g}: a step from t = {start:g} that is lost in rounding")
         if adaptive.largest < np.spacing(np.abs(times).max()) * 2:
-            raise InputError(
-                f"Adaptive: largest is {adaptive.largest:g}: such steps to t = {times[-1]:g} are lost in rounding"
-            )
+            rounded = f"such steps to t = {times[-1]:g} are lost in rounding"
+            raise InputError(f"Adaptive: largest is {adaptive.largest:g}: {rounded}")
     dt = np.diff(times)
     near = np.maximum(np.spacing(np.maximum(np.abs(times[1:]), np.abs(times[:-1]))), tiny)
     lost = np.flatnonzero(dt < near * (1 if adaptive else 2**HALVINGS))

@@ -98,10 +98,8 @@ class TimeStepping:
             self._accept([self.solver.step(rest, self.start)])
         except SolveError as error:
             advice = "let the loads grow from less, as functions (x, t) or piecewise" if self.solver.yields else None
-            reason = error.reason if advice else str(error)
-            raise SolveError(
-                f"the sudden load at t = {self.start:g}: {reason}", self._history, advice=advice
-            ) from error
+            what = f"the sudden load at t = {self.start:g}: {error.reason if advice else error}"
+            raise SolveError(what, self._history, advice=advice) from error
 
     def _reach(self, target: float) -> None:
         """Step to a target, in shorter steps if necessary."""
@@ -119,9 +117,8 @@ class TimeStepping:
                 self._fail(old, end, error)
                 continue
             if not states:
-                self._shorten(
-                    (end - old.t) * factor, old, end, SolveError("its estimated error stays above the tolerance")
-                )
+                large = SolveError("its estimated error stays above the tolerance")
+                self._shorten((end - old.t) * factor, old, end, large)
                 continue
             passed = self._failed_at is None or end >= self._failed_at
             if self.plan.adaptive:

@@ -50,9 +50,7 @@ def steps(solver: Solver, old: State, end: float) -> Iterator[State]:
                 continue
         old = snapped(solver.step(old, t))
         if solver.equations.excess > 2 * TIE:
-            raise SolveError(
-                f"at t = {t:g}: excess() > 0 for a column, but switched() keeps its phase; the law's two methods disagree"
-            )
+            raise SolveError(f"at t = {t:g}: excess() > 0 for a column, but switched() keeps its phase; they disagree")
         yield old
         if t == end:
             return

@@ -54,9 +54,7 @@ def rates(
         raise InputError("rates: there is no table to draw")
     for case, one in tables.items():
         if not isinstance(one, (Table, str, Path)):
-            raise InputError(
-                f"rates: {case or 'table'} is {one!r}; give what sweep returns, or the name of its csv file"
-            )
+            raise InputError(f"rates: {case or 'table'} is {one!r}; give what sweep returns, or the name of its file")
     data = {case: one if isinstance(one, Table) else Table.load(one) for case, one in tables.items()}
     for case, one in data.items():
         if lacking := [name for name in ("eps", *errors.values()) if name not in one.columns]:

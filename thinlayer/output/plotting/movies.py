@@ -115,6 +115,4 @@ def _ffmpeg() -> str:
     except (ImportError, RuntimeError):
         if found := shutil.which("ffmpeg"):
             return found
-    raise InputError(
-        "an mp4 needs ffmpeg, which is not here: install imageio-ffmpeg (pip install 'thinlayer[movie]'), or save a .gif"
-    )
+    raise InputError("an mp4 needs ffmpeg: install imageio-ffmpeg (pip install 'thinlayer[movie]'), or save a .gif")

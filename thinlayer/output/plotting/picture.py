@@ -93,8 +93,7 @@ def put(figure: Figure, path: Path) -> None:
         raise InputError(f"{str(path)!r} is a folder; give the name of a picture")
     kind = path.suffix.removeprefix(".") or "png"
     if kind not in (known := figure.canvas.get_supported_filetypes()):
-        raise InputError(
-            f"{str(path)!r} ends with {path.suffix}; allowed: {', '.join(f'.{one}' for one in sorted(known))}"
-        )
+        allowed = ", ".join(f".{one}" for one in sorted(known))
+        raise InputError(f"{str(path)!r} ends with {path.suffix}; allowed: {allowed}")
     with replaced(path if path.suffix else path.with_suffix(".png")) as file:
         figure.savefig(file, format=kind, **SAVED)

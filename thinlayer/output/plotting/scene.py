@@ -260,8 +260,6 @@ def _window(zoom: Any) -> Window:
     """The four numbers of a window; raises InputError."""
     sides = finite(zoom, (4,))
     if sides is None or not (sides[0] < sides[1] and sides[2] < sides[3]):
-        raise InputError(
-            f"zoom is {zoom!r}; it needs (left, right, bottom, top), numbers, left < right and bottom < top"
-        )
+        raise InputError(f"zoom is {zoom!r}; it needs (left, right, bottom, top), left < right and bottom < top")
     left, right, bottom, top = map(float, sides)
     return left, right, bottom, top

@@ -194,9 +194,8 @@ class DenseSystem:
             turn[~self._moves] = 0.0
             w += np.einsum("nji,nj->ni", self.frames, turn)
             self._swept = self._moves & ~turn.any(axis=1)
-        sweep_nodes(
-            self.H, load.g, w, self._base, self.frames, self.weights, numbers, slip=load.slip, moves=self._swept
-        )
+        sides = self._base, self.frames, self.weights, numbers
+        sweep_nodes(self.H, load.g, w, *sides, slip=load.slip, moves=self._swept)
 
     @cached_property
     def _scale(self) -> ForceScale:
@@ -211,9 +210,8 @@ class DenseSystem:
             return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
         if step > 1 and history[-1] > history[-2] / 2:
             largest = float(snes.getSolution().norm(PETSc.NormType.INFINITY))
-            rounding = self._scale.rounding(largest) / max(
-                self._load.size, self._size
-            )  # large for soft or stiff springs
+            forces = max(self._load.size, self._size)
+            rounding = self._scale.rounding(largest) / forces  # large for soft or stiff springs
             if history[-1] <= max(STALLED, min(rounding, ALLOWED)):
                 return PETSc.SNES.ConvergedReason.CONVERGED_SNORM_RELATIVE
         return False

@@ -93,9 +93,7 @@ class MultigridContact:
                 reason = newton.run(self._u, guess)
                 history += newton.residuals
                 if not newton.residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN
-                    raise InputError(
-                        f"-{PREFIX}snes_type ksponly does not look at the residual; contact needs Newton's method"
-                    )
+                    raise InputError(f"-{PREFIX}snes_type ksponly ignores the residual; contact needs Newton's method")
                 self._solved = reason > 0
                 if self._solved:
                     return self._u, len(newton.residuals) - 1, history

@@ -95,9 +95,8 @@ class NetworkFinder(Finder):
         try:
             system, condensation = self._system, self.condensation
         except FactorError as error:
-            raise SolveError(
-                f"contact: {error}; is every body supported, or does it meet S in more than a point?"
-            ) from error
+            held = "is every body supported, or does it meet S in more than a point?"
+            raise SolveError(f"contact: {error}; {held}") from error
         if start is None:
             equations.put_state(equations.interval.old, x)
         else:
@@ -118,9 +117,8 @@ class NetworkFinder(Finder):
         equations.residual(x, self._r)
         relative = equations.scale.relative(equations.free_norm(self._r))
         if not relative <= ALLOWED:
-            raise SolveError(
-                f"contact: the residual of the whole problem is {relative:.1e} of the forces", residuals=residuals
-            )
+            large = f"contact: the residual of the whole problem is {relative:.1e} of the forces"
+            raise SolveError(large, residuals=residuals)
         return Found(x, len(residuals) - 1, relative)
 
     def close(self) -> None:

@@ -41,9 +41,7 @@ class ContactRelaxation:
         self.problem, nodes = problem, problem.nodes
         self._held_jumps = _held_components(nodes.frames, nodes.held)
         if (nodes.held_upper & ~nodes.held).any():
-            raise InputError(
-                "method='relaxation' needs supports on both sides of S or on the lower one; use 'condensed'"
-            )
+            raise InputError("method='relaxation' needs supports on both sides of S or on the lower; use 'condensed'")
         self._moving = np.flatnonzero(~self._held_jumps.all(axis=1))
         self._lower = None if nodes.lower is None else nodes.pairs[:, 1:] * nodes.dim + np.arange(nodes.dim)
         self._held = np.zeros(problem.b.getLocalSize(), bool)

@@ -151,9 +151,7 @@ def _upper_triangle(A: Rows, d: int, order: npt.NDArray[Any], kept: Indices, spr
     given = (begins.astype(np.int32, copy=False), indices.astype(np.int32, copy=False), data, place, order)
     filled = c.lib.upper_triangle(n, d, size, *pointers(c, *given, rows, columns, entries))
     if filled != size:
-        raise FactorError(
-            "the nonzero pattern of the stiffness matrix is not symmetric, or not made of blocks of nodes"
-        )
+        raise FactorError("the nonzero pattern of the stiffness is not symmetric, or not made of blocks of nodes")
     entries[rows[kept]] += springs  # the first entry of a row is its diagonal
     csr = rows.astype(PETSc.IntType, copy=False), columns.astype(PETSc.IntType, copy=False), entries
     out = PETSc.Mat().createAIJWithArrays((n * d, n * d), csr, comm=PETSc.COMM_SELF)
