@@ -89,10 +89,8 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
         tangents = [C for one in turned if (C := values("tangent", one)) is not None]
         for C in tangents:
             if law.traits.linear and _apart(C, tangents[0]):
-                raise InputError(
-                    f"{name} declares linear = True, but its stress is not affine in the strain; "
-                    "write linear = False in the class, or correct the stress"
-                )
+                remedy = "write linear = False in the class, or correct the stress"
+                raise InputError(f"{name} declares linear = True, but its stress is not affine in the strain; {remedy}")
             if law.traits.symmetric and (skew := _apart(C, C.T)):
                 raise InputError(NOT_SYMMETRIC.format(name, skew))
         if "slope" in asked:

@@ -22,10 +22,8 @@ def of_numbers(law: BulkLaw) -> BulkLaw:
         InputError: parameters of the law are functions of the place, and the mesh is not known.
     """
     if law.fields:
-        raise InputError(
-            f"order=1 of {type(law).__name__} with parameters that are functions: the sides of S must know their values; "
-            "use it in a Model, or give `Interface(known=...)`"
-        )
+        reason = "the sides of S must know their values; use it in a Model, or give `Interface(known=...)`"
+        raise InputError(f"order=1 of {type(law).__name__} with parameters that are functions: {reason}")
     return law
 
 

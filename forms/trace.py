@@ -154,10 +154,8 @@ def require_numbers_alone(law: BulkLaw, numbers: Expr, expressions: Iterable[Exp
     """Raise InputError if expressions contain anything but the inputs of the law."""
     for node in (node for expression in expressions for node in traverse_unique_terminals(expression)):
         if node is not numbers and not isinstance(node, (ConstantValue, MultiIndex, Label)):
-            raise InputError(
-                f"{type(law).__name__} contains {str(node)[:80]}, a {type(node).__name__}; a compiled law knows "
-                "only its parameters and its step: declare a parameter, or `varies` and `at`"
-            )
+            remedy = "a compiled law knows only its parameters and its step: declare a parameter, or `varies` and `at`"
+            raise InputError(f"{type(law).__name__} contains {str(node)[:80]}, a {type(node).__name__}; {remedy}")
 
 
 Values = npt.NDArray[Any]

@@ -10,16 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from forms import (
-    Incompressible,
-    KelvinVoigt,
-    LinearElastic,
-    Maxwell,
-    MohrCoulombMonodirectional,
-    Norton,
-    Rubber,
-    Stack,
-)
+from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulombMonodirectional, Norton, Rubber, Stack
 from geometry import Joint
 from studies import fig3_mohr_coulomb as fig3
 from studies import problems

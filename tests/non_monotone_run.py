@@ -55,10 +55,7 @@ def numbers(out: Path, end: float, resume: bool = False) -> dict[str, float]:
             for t in (t for t in (HALF, END) if t <= end):
                 state, at, row = history.at(t), f"{case} {t}", np.flatnonzero(history.t <= t)[-1]
                 x, phase = phases_on_s(state)
-                found |= {
-                    f"{at} traction": surface.norm(surface.traction(state)),
-                    f"{at} phase": float(phase @ x),
-                }
+                found |= {f"{at} traction": surface.norm(surface.traction(state)), f"{at} phase": float(phase @ x)}
                 found |= {f"{at} jump": surface.norm(surface.jump(state)), f"{at} energy": history.table["energy"][row]}
     return found
 

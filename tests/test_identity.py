@@ -238,13 +238,7 @@ def test_observed_functions_are_all_code_that_they_call():
     def observed(function):
         return code_of(described(function))
 
-    for way in (
-        functools.cache,
-        numba.njit,
-        partial,
-        lambda f: lambda state: f(state),
-        lambda f: Times(f, 1),
-    ):
+    for way in (functools.cache, numba.njit, partial, lambda f: lambda state: f(state), lambda f: Times(f, 1)):
         assert observed(way(scaled)) == observed(way(scaled)) != observed(way(same))
     assert observed(Gauge([]).slip) == observed(Gauge([1.0]).slip) != observed(Gauge([]).gap)
     one, again, other = (partial(same, found, at=at) for found, at in (([], 1), ([3.0], 1), ([], 2)))

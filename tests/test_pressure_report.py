@@ -161,10 +161,7 @@ def test_layers_without_a_number():
     for layer, key in (
         (ThinLayer(elastic, eps, eigenstrain=0.01, at=1.0), "eigenstrain"),
         (ThinLayer(LinearElastic(lambda x: 60 + x[0], 40.0), eps, at=1.0), "functions"),
-        (
-            ThinLayer(Stack((0.5, elastic), (0.5, LinearElastic(50.0, 40.0))), eps, at=1.0),
-            "not elastic",
-        ),
+        (ThinLayer(Stack((0.5, elastic), (0.5, LinearElastic(50.0, 40.0))), eps, at=1.0), "not elastic"),
         (ThinLayer(Anisotropic.springs(3.0, 2.0), eps, at=1.0), "anisotropic"),
         (ThinLayer(LinearElastic(-1.0, 40.0), eps, at=1.0), "no excess"),
     ):

@@ -127,13 +127,7 @@ class LimitLoad(SolveError):
     """
 
     def __init__(
-        self,
-        reason: str,
-        t: float,
-        failed_at: float,
-        resultant: Sequence[float],
-        run_away: NoEquilibrium,
-        history: Any,
+        self, reason: str, t: float, failed_at: float, resultant: Sequence[float], run_away: NoEquilibrium, history: Any
     ) -> None:
         growth, shares = run_away.growth, run_away.shares
         loads = ", ".join(f"{force:.6g}" for force in resultant)

@@ -89,10 +89,8 @@ class _Part(NamedTuple):
         if not isinstance(mesh, dolfinx.mesh.Mesh):
             raise InputError(f"mesh is {mesh!r}; give a dolfinx.mesh.Mesh")
         if MPI.Comm.Compare(comm, mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
-            raise InputError(
-                f"the mesh is distributed on {mesh.comm.size} ranks, comm has {comm.size}; give comm the communicator that "
-                "the mesh was made with"
-            )
+            remedy = "give comm the communicator that the mesh was made with"
+            raise InputError(f"the mesh is distributed on {mesh.comm.size} ranks, comm has {comm.size}; {remedy}")
         topology, geometry = mesh.topology, mesh.geometry
         kinds = [dolfinx.mesh.to_string(kind) for kind in topology.entity_types[-1]]
         if len(kinds) > 1 or kinds[0] not in CELL_TYPES:

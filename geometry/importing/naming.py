@@ -167,10 +167,8 @@ def _seam(name: str, rule: Any) -> Seam:
     if np.ndim(rule) == 1 and all(map(is_finite, rule)):
         return Seam(direction=_direction(rule))
     if not isinstance(rule, tuple | list) or len(rule) != 2:
-        raise InputError(
-            f"S: the upper side of {name!r} is {rule!r}; give a vector, (lower, upper) with names of regions, or None for "
-            "the order of the regions"
-        )
+        remedy = "give a vector, (lower, upper) with names of regions, or None for the order of the regions"
+        raise InputError(f"S: the upper side of {name!r} is {rule!r}; {remedy}")
     lower, upper = (_names_of(side, f"side of {name!r}") for side in rule)
     return Seam(lower, upper)
 

@@ -116,10 +116,7 @@ def extended_motion(
     node, way = np.nonzero(eigenvalues < EXACT)
     unknown = np.arange(len(node))
     directions = scipy.sparse.csr_matrix(
-        (
-            vectors[node, :, way].ravel(),
-            ((node[:, None] * d + np.arange(d)).ravel(), np.repeat(unknown, d)),
-        ),
+        (vectors[node, :, way].ravel(), ((node[:, None] * d + np.arange(d)).ravel(), np.repeat(unknown, d))),
         shape=(len(free) * d, len(node)),
     )
     if len(node):

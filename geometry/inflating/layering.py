@@ -111,17 +111,13 @@ class Layering:
             if not is_finite(size) or size <= 0:
                 raise InputError(f"the layer's thickness eps{which} is {size!r}; it must be > 0")
             if size < THINNEST * whole:
-                raise InputError(
-                    f"the layer's thickness eps{which} is {size:.3g}, which coordinates do not resolve beside bodies of "
-                    f"{whole:.3g}; use the interface model"
-                )
+                tiny = f"which coordinates do not resolve beside bodies of {whole:.3g}; use the interface model"
+                raise InputError(f"the layer's thickness eps{which} is {size:.3g}, {tiny}")
             if len(some) and not (all(map(is_finite, some)) and min(some) > 0 and abs(sum(some) - 1) <= 1e-12):
                 raise InputError(f"the fractions {tuple(some)}{which} of sublayers must be numbers > 0 and add up to 1")
         if joint.tip is not None:
-            raise InputError(
-                f"S ends inside the bodies (near {place(joint.tip)}): the layer has no room at its tip and cannot be "
-                "meshed; use the interface model"
-            )
+            reason = "the layer has no room at its tip and cannot be meshed; use the interface model"
+            raise InputError(f"S ends inside the bodies (near {place(joint.tip)}): {reason}")
         relative = np.stack([size * joint.relative_thickness(profiles[name], name) for name, size in sizes.items()])
         return cls(
             {name: float(size) for name, size in sizes.items()},

@@ -103,10 +103,8 @@ def on_boundary(
 def refuse_periodic(joint: Joint, name: str, what: str) -> None:
     """Raise InputError if a name is that of a periodic side: inside the periodic structure there is no boundary."""
     if joint.periods and name.split("/")[0] in joint.periods.names:
-        raise InputError(
-            f"{what}: this side is identified with another one, the structure goes on there; a periodic cell is loaded by "
-            "a mean strain, Structure(..., strain=...)"
-        )
+        remedy = "a periodic cell is loaded by a mean strain, Structure(..., strain=...)"
+        raise InputError(f"{what}: this side is identified with another one, the structure goes on there; {remedy}")
 
 
 def node_normals(domain: Domain, V: fem.FunctionSpace, facets: npt.NDArray[np.int32]) -> tuple[IntArray, Array]:

@@ -84,10 +84,8 @@ class FullModel(Model):
             raise InputError(f"the seam {self.bonds[0]!r} has a Bond, for interface models: make a joint without it")
         for name, given in self.on_seams.items():
             if given is None:
-                raise InputError(
-                    f"the seam {name!r} is open, and its width is not known: give it a Gap(eps), or use "
-                    "structure.interface"
-                )
+                remedy = "give it a Gap(eps), or use structure.interface"
+                raise InputError(f"the seam {name!r} is open, and its width is not known: {remedy}")
         self.require("mesh")
 
     def _check_beside(self, other: Self) -> None:

@@ -257,9 +257,7 @@ def apart(joint: Joint, layers: Mapping[str, SeamLayer]) -> Joint:
     thin = {name: one.thin for name, one in layers.items() if one.thin}
     for name in joint.seams:
         if name not in thin:
-            raise InputError(
-                f"bodies='extended' of an interface model: {name!r} has no ThinLayer, so that no thickness tells where "
-                "bodies are; use bodies='kept'"
-            )
+            reason = f"{name!r} has no ThinLayer, so that no thickness tells where bodies are; use bodies='kept'"
+            raise InputError(f"bodies='extended' of an interface model: {reason}")
     eps, profiles = ({name: getattr(one, of) for name, one in thin.items()} for of in ("eps", "profile"))
     return parted(joint, eps, profile=profiles)

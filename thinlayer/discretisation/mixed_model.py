@@ -230,10 +230,8 @@ def _require(structure: Setup, layer: Layers, meshed: BoolArray, bodies: str) ->
     for name in structure.tractions or {}:
         outer = joint.facets.get(name.removesuffix(f"/{LAYER}")) if name.endswith(f"/{LAYER}") else None
         if outer is not None and by_law.on(outer).any():
-            raise InputError(
-                f"the traction on {name!r} acts on the side of the layer; mesh all of the layer there, as its law does not "
-                "know the load"
-            )
+            remedy = "mesh all of the layer there, as its law does not know the load"
+            raise InputError(f"the traction on {name!r} acts on the side of the layer; {remedy}")
     if isinstance(structure.body_force, Mapping) and {S, *joint.seams} & set(structure.body_force):
         raise InputError("a mixed model has no weight of the layer itself; give the bodies theirs")
 

@@ -170,10 +170,8 @@ class _Files:
             changed = [name for name, value in case.items() if row.get(name) != value]
             if not case or changed:
                 what = f"{changed[0]} = {row.get(changed[0])!r} there" if changed else "no such run here"
-                raise InputError(
-                    f"{str(self.path)!r} is the table of other cases (run {k}: {what}); give another name, or remove it "
-                    f"and {str(self._folder)!r}"
-                )
+                remedy = f"give another name, or remove it and {str(self._folder)!r}"
+                raise InputError(f"{str(self.path)!r} is the table of other cases (run {k}: {what}); {remedy}")
         return rows
 
     def merge(self, wait: float) -> dict[int, Row]:

@@ -95,10 +95,8 @@ def make_room(table: Path, beside: Path, resume: Resume) -> None:
     if not resume:
         moved_away(table.parent, [table.name, beside.name])
     elif table.exists() and not beside.exists():
-        raise InputError(
-            f"{str(table)!r} cannot be resumed: there is no {beside.name} that tells what it is made from; "
-            "give another name, or remove it"
-        )
+        reason = f"there is no {beside.name} that tells what it is made from; give another name, or remove it"
+        raise InputError(f"{str(table)!r} cannot be resumed: {reason}")
 
 
 def checked(row: Any, what: str, taken: Collection[str]) -> Row:

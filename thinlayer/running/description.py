@@ -15,15 +15,7 @@ from typing import Any
 
 from forms.base import is_finite
 from thinlayer.running.materials import Material, materials
-from thinlayer.running.section import (
-    Reader,
-    Section,
-    choice,
-    history,
-    is_growing,
-    positive,
-    read,
-)
+from thinlayer.running.section import Reader, Section, choice, history, is_growing, positive, read
 
 Place = str | tuple[float, ...]
 Vector = tuple[float, ...]

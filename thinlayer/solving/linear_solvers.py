@@ -97,10 +97,8 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
             return factorising
         unsuited = [part.key for part in parts if isinstance(part, FieldPart) and part.own_mass is None]
         if chosen == "fieldsplit" and unsuited:
-            raise InputError(
-                f"pc_type fieldsplit is for displacements and pressures on S; the unknowns {unsuited[0]!r} are others (of "
-                "a meshed layer, a plate or a mean stress)"
-            )
+            others = f"the unknowns {unsuited[0]!r} are others (of a meshed layer, a plate or a mean stress)"
+            raise InputError(f"pc_type fieldsplit is for displacements and pressures on S; {others}")
         return factorising if unsuited else [BLOCKS, *factorising]
     iterative = {**MULTIGRID, "ksp_type": "cg" if model.symmetric else "gmres"}
     if chosen in MULTIGRIDS:

@@ -79,10 +79,8 @@ def require_all_read(solver: str, ours: Collection[str]) -> None:
     theirs = options_set().keys() - _PLACED.intersection(ours)
     if names := sorted(name for name in theirs if not was_read(PREFIX + name)):
         listed = ", ".join(f"-{PREFIX}{name}" for name in names)
-        raise InputError(
-            f"PETSc options not read by the {solver} solver: {listed}; a direct solver has no tolerances, "
-            f"-{PREFIX}ksp_view and -{PREFIX}snes_view show what is at work"
-        )
+        remedy = f"a direct solver has no tolerances, -{PREFIX}ksp_view and -{PREFIX}snes_view show what is at work"
+        raise InputError(f"PETSc options not read by the {solver} solver: {listed}; {remedy}")
 
 
 @contextmanager

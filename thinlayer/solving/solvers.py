@@ -20,16 +20,7 @@ from thinlayer.parts.part import Interval
 from thinlayer.solving.contact.solver import METHODS, check_method, contact_finder, default_method
 from thinlayer.solving.continuation import Restraint, through_eased_laws
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.equilibrium import (
-    CONTACT,
-    EASED_CONTACT,
-    NEWTON,
-    SINGULAR,
-    YIELDING,
-    Equilibrium,
-    Finder,
-    Found,
-)
+from thinlayer.solving.equilibrium import CONTACT, EASED_CONTACT, NEWTON, SINGULAR, YIELDING, Equilibrium, Finder, Found
 from thinlayer.solving.linear_solvers import linear_solvers
 from thinlayer.solving.petsc import PREFIX, OptionValue, chosen, is_set, require_all_read, value_of
 from thinlayer.solving.ranges import warn_of_model, warn_of_no_time, warn_of_states

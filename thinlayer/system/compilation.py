@@ -60,10 +60,8 @@ def acquire(folder: Path, name: str) -> None:
         if not os.access(folder, os.W_OK | os.X_OK):
             raise PermissionError("it is not writable")
     except OSError as error:
-        raise CacheError(
-            f"compiled forms cannot be kept in {folder}: {error.strerror or error}; "
-            "set XDG_CACHE_HOME to a folder that you own"
-        ) from None
+        remedy = "set XDG_CACHE_HOME to a folder that you own"
+        raise CacheError(f"compiled forms cannot be kept in {folder}: {error.strerror or error}; {remedy}") from None
     _lock(folder, name, fcntl.LOCK_EX)
 
 

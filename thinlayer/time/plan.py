@@ -104,10 +104,8 @@ class Plan:
             raise InputError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)") from error
         whole = np.array([start, *targets])
         if not targets or not np.isfinite(whole).all() or (np.diff(whole) <= 0).any():
-            raise InputError(
-                f"times is {targets} from start = {start:g}; they must be finite, increase, "
-                "and come after start, which is not one of them"
-            )
+            remedy = "they must be finite, increase, and come after start, which is not one of them"
+            raise InputError(f"times is {targets} from start = {start:g}; {remedy}")
         _require_steps(whole, adaptive)
         targets = _with_breaks(start, targets, breaks)
         if adaptive:

@@ -7,14 +7,4 @@ from thinlayer.output.plotting.movies import movie
 from thinlayer.output.plotting.structures import deformed, on_surface
 from thinlayer.output.plotting.zoomed import zoomed
 
-__all__ = [
-    "along",
-    "curves",
-    "deformed",
-    "maps",
-    "movie",
-    "on_surface",
-    "panels",
-    "rates",
-    "zoomed",
-]
+__all__ = ["along", "curves", "deformed", "maps", "movie", "on_surface", "panels", "rates", "zoomed"]

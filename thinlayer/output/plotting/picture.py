@@ -43,10 +43,8 @@ class Picture(Figure):
         canvas = manager.canvas
         if type(canvas).required_interactive_framework is None:
             pyplot.close(canvas.figure)
-            raise InputError(
-                f"matplotlib's backend {pyplot.get_backend()!r} opens no windows; save the picture, or in a notebook let "
-                "it be the last value of a cell"
-            )
+            remedy = "save the picture, or in a notebook let it be the last value of a cell"
+            raise InputError(f"matplotlib's backend {pyplot.get_backend()!r} opens no windows; {remedy}")
         canvas.figure = self
         self.set_canvas(canvas)
         pyplot.show()

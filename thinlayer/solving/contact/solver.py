@@ -133,13 +133,9 @@ def _unsuited(model: Model, method: str) -> str:
         return f"is for one rank, not {model.comm.size}; use method='multigrid'"
     if _is_network(model) and (method != "condensed" or model.joint.periods):
         also = "" if model.joint.periods else " or, on one rank, 'condensed'"
-        return (
-            "is for one seam without branches, not periodic, whose jumps are independent of each other; use "
-            f"method='newton'{also}"
-        )
+        remedy = f"use method='newton'{also}"
+        return f"is for one seam without branches, not periodic, whose jumps are independent of each other; {remedy}"
     if not _is_linear(model):
-        return (
-            "needs linear bodies without stresses at rest, linear, symmetric parts and layers, and no inclined supports or "
-            "rigid plates; use method='newton'"
-        )
+        others = "and no inclined supports or rigid plates; use method='newton'"
+        return f"needs linear bodies without stresses at rest, linear, symmetric parts and layers, {others}"
     return f"needs one of the laws of forms.contact, not {own[0]}; use method='newton'" if own else ""
