@@ -132,7 +132,8 @@ def require_declarations(law: Any) -> None:
             raise InputError(f"{kind.__name__}: the power of {name} is {power!r}; allowed: a finite number")
     for name in law.functions:
         if callable(known.get(name)):
-            raise InputError(f"{kind.__name__}: parameters() gives a function for {name}; give NaN where it varies")
+            needed = "it must give a number, NaN where it varies"
+            raise InputError(f"{kind.__name__}: parameters() gives a function for {name}; {needed}")
     for name, shape in law.internal.items():
         if shape not in SIZES:
             allowed = ", ".join(map(str, SIZES))
@@ -152,7 +153,7 @@ def _require_used(law: Any) -> None:
                 f"the traction of {kind.__mro__[defining].__name__}; change those, or write a BulkLaw"
             )
     if getattr(kind, "source", None) is not None and _place(kind, "kernel") < _place(kind, "source"):
-        raise InputError(f"{name} has a kernel but inherits a source, which would be used; write source = None in it")
+        raise InputError(f"{name} has a kernel but inherits a source, which would be used instead; write source = None")
     advancing = [one for one in ("advance", "evolve") if _own(kind, one)]
     if advancing and not law.internal:
         raise InputError(f"{name} has a method {advancing[0]} but no internal variables: internal = {{name: shape}}")

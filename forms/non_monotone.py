@@ -88,7 +88,8 @@ class Phases(BulkLaw):
     def _check_temperature(self) -> None:
         for name in ("alpha", "transformation_energy"):
             if callable(getattr(self, name)) and self.T is None:
-                raise InputError(f"{type(self).__name__}: {name} is a function of T; give T, number or function (x, t)")
+                remedy = "give T, a number or a function (x, t)"
+                raise InputError(f"{type(self).__name__}: {name} is a function of T; {remedy}")
         if not (self.T is None or callable(self.T)):
             self.require(is_number(self.T) and math.isfinite(self.T), "T", "a number, a function", repr(self.T))
         if not self.varies:

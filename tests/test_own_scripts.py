@@ -501,7 +501,7 @@ def test_refused_tags():
         (some, facets, LAYER, "24 cells have no tag"),
         (one, facets, LAYER, r"6 facets of S lie inside a body.*\(.*, 0.5\)"),
         (cells, half, LAYER, "3 facets where two bodies meet are not in S"),
-        (cells, mixed, LAYER, "6 of the 12 facets with tag 3 lie on the boundary"),
+        (cells, mixed, LAYER, "6 of 12 facets with tag 3 lie on the boundary"),
         (cells, facets, (LAYER, 7), "no facet has the tag 7; there are 3"),
         (cells, facets, {LAYER: (1, 0)}, "parallel"),
         (cells, facets, {LAYER: (0, 0)}, "not all 0"),

@@ -23,6 +23,7 @@ from thinlayer.time.checkpoint import Checkpoint, Pace
 from thinlayer.time.history import History, dissipated_columns, phase_columns
 
 Observe = Mapping[str, Callable[[State], float]]
+OBSERVING = "it must be a function of a state that returns a number"
 COLUMNS = ("t", "dt", "iterations", "residual", "supplied", "stored", "dissipated", "remainder", "imbalance")
 # Largest relative difference of an observed value between ranks. Rounding is much smaller; values of one rank's part of the
 # mesh differ by more.
@@ -160,4 +161,4 @@ def _problem(error: Exception) -> str:
     if isinstance(error, ThinlayerError):
         return str(error)
     kind = "" if isinstance(error, (TypeError, ValueError)) else f"{type(error).__name__}: "
-    return f"{kind}{error}; it must be a function of a state that returns a number"
+    return f"{kind}{error}; {OBSERVING}"

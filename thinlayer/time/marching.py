@@ -26,7 +26,7 @@ from thinlayer.system.ranks import on_all, require_same
 from thinlayer.time.checkpoint import Pace
 from thinlayer.time.following import PathFollowing, PathInTime
 from thinlayer.time.history import History
-from thinlayer.time.journal import Journal, Observe, columns
+from thinlayer.time.journal import OBSERVING, Journal, Observe, columns
 from thinlayer.time.plan import HALVINGS, Adaptive, ArcLength, Plan, require_choices, require_ends, require_path
 from thinlayer.time.stepping import QUANTITIES, ErrorEstimate, TimeStepping
 
@@ -234,7 +234,7 @@ def _check(model: Any, theta: float, keep: str, out: Any, resume: Resume, observ
         raise InputError(f"observe is {observe!r}; it must be {{name of a column: function of a state}}")
     for name, function in (observe or {}).items():
         if not isinstance(name, str) or not callable(function):
-            raise InputError(f"observe[{name!r}] is {function!r}; it needs a function of a state that returns a number")
+            raise InputError(f"observe[{name!r}] is {function!r}; {OBSERVING}")
         if name in columns(model):
             raise InputError(f"observe: column {name!r} is there already; give it another name")
     if not 0.5 <= theta <= 1:
