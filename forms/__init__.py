@@ -3,6 +3,7 @@
 The names here are those that users import: laws, contracts of laws, and what laws are written with.
 """
 
+# ruff: noqa: F401
 from forms.check import check
 from forms.contact import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, Tresca
 from forms.elastic import Anisotropic, LinearElastic
@@ -15,30 +16,3 @@ from forms.series import Stack
 from forms.temperature import Tabulated
 from forms.traction import TractionLaw
 from forms.viscous import KelvinVoigt, Maxwell, Norton, NortonCreep
-
-__all__ = [
-    "Anisotropic",
-    "BulkLaw",
-    "ContactLaw",
-    "HolonomicCoulomb",
-    "Incompressible",
-    "IncrementalCoulomb",
-    "KelvinVoigt",
-    "KernelLaw",
-    "LinearElastic",
-    "Maxwell",
-    "MohrCoulomb",
-    "MohrCoulombMonodirectional",
-    "NonMonotone",
-    "NonMonotoneUnrelaxed",
-    "Norton",
-    "NortonCreep",
-    "Rubber",
-    "Stack",
-    "Tabulated",
-    "TractionLaw",
-    "Tresca",
-    "VonMises",
-    "check",
-    "choice",
-]

@@ -16,9 +16,8 @@ import numpy as np
 
 from forms.base import PACKAGES, InputError, is_number
 
-DEFAULTS = tuple(
-    f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series")
-)  # modules of base classes
+# modules of base classes
+DEFAULTS = tuple(f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series"))
 RESPONSES = ("stress", "traction", "kernel", "source")  # attributes that give the stress or traction of a law
 UPDATES = ("advance", "evolve")  # methods that give new internal variables
 OF_ONE_STRESS = (
@@ -78,7 +77,7 @@ def reset_inherited(kind: Any) -> None:
     that only select solvers (`linear`, `symmetric`, ...) stay, and so does what depends on parameters only (`powers`,
     `at`). An energy stays if it is checked against the stress, or if the class itself writes one of `ENERGIES`.
     """
-    for name in OF_ONE_STRESS:
+    for name in OF_ONE_STRESS + STATIONS:
         if _is_for_another_stress(kind, name, RESPONSES + UPDATES):
             _reset(kind, name)
     written = [name for name in ENERGIES if _own(kind, name)]

@@ -1,25 +1,9 @@
 """Meshes with names: builders, joints, inflating S into a layer, distributing over MPI ranks."""
 
+# ruff: noqa: F401
 from geometry.builders import block, bond_cell, disc, faults, fibre, grains, ring, sandwich, wall
 from geometry.importing.gathering import from_dolfinx
 from geometry.importing.reading import read
 from geometry.inflating.inflation import inflate
 from geometry.joint import Joint
 from geometry.periodic import periodic
-
-__all__ = [
-    "Joint",
-    "block",
-    "bond_cell",
-    "disc",
-    "faults",
-    "fibre",
-    "from_dolfinx",
-    "grains",
-    "inflate",
-    "periodic",
-    "read",
-    "ring",
-    "sandwich",
-    "wall",
-]

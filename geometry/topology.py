@@ -23,12 +23,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 BITS = 31  # bits for a vertex number in a key
 CELL_TYPES = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
-FACET_TYPES = {
-    "triangle": "interval",
-    "quadrilateral": "interval",
-    "tetrahedron": "triangle",
-    "hexahedron": "quadrilateral",
-}
+FACET_TYPES = dict(zip(CELL_TYPES, ("interval", "interval", "triangle", "quadrilateral"), strict=True))
 
 
 @cache

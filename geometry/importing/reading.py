@@ -22,23 +22,15 @@ from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
 from geometry.joint import Joint
 from geometry.parallel import on_root
 from geometry.refusals import refuse, unknown
-from geometry.topology import FACET_TYPES, IntArray, corner_count
+from geometry.topology import CELL_TYPES, FACET_TYPES, IntArray, corner_count
 
 if TYPE_CHECKING:
     import meshio
 
 FACETS = {"interval": "line", "triangle": "triangle", "quadrilateral": "quad"}  # start of meshio's names
 PHYSICAL = "gmsh:physical"
-CELLS = {
-    "triangle": "triangle",
-    "triangle6": "triangle",
-    "quad": "quadrilateral",
-    "quad9": "quadrilateral",
-    "tetra": "tetrahedron",
-    "tetra10": "tetrahedron",
-    "hexahedron": "hexahedron",
-    "hexahedron27": "hexahedron",
-}
+NAMES = ("triangle triangle6", "quad quad9", "tetra tetra10", "hexahedron hexahedron27")  # of meshio
+CELLS = {name: kind for kind, names in zip(CELL_TYPES, NAMES, strict=True) for name in names.split()}
 REMEDIES = {
     "quad8|hexahedron20": "save complete cells (gmsh: Mesh.SecondOrderIncomplete = 0)",
     "wedge|pyramid": "mesh with tetrahedra or with hexahedra alone",

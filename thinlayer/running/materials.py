@@ -59,10 +59,9 @@ def materials(section: Section, key: str, *, thin: bool = False) -> dict[str | N
 @cache
 def known_laws() -> dict[str, type[BulkLaw]]:
     """The laws of strains that a description may name."""
-    found = {name: getattr(forms, name) for name in forms.__all__}
     return {
         name: kind
-        for name, kind in found.items()
+        for name, kind in sorted(vars(forms).items())
         if isinstance(kind, type) and issubclass(kind, BulkLaw) and kind not in (BulkLaw, KernelLaw)
     }
 

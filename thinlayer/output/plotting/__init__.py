@@ -1,10 +1,9 @@
 """Pictures: rates and curves from tables, deformed structures, fields on S of a structure and along it."""
 
+# ruff: noqa: F401
 from thinlayer.output.plotting.along import along
 from thinlayer.output.plotting.curves import curves, panels, rates
 from thinlayer.output.plotting.maps import maps
 from thinlayer.output.plotting.movies import movie
 from thinlayer.output.plotting.structures import deformed, on_surface
 from thinlayer.output.plotting.zoomed import zoomed
-
-__all__ = ["along", "curves", "deformed", "maps", "movie", "on_surface", "panels", "rates", "zoomed"]
