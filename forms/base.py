@@ -1,4 +1,4 @@
-"""Shared by all packages here: base classes of errors, words for unknown names, tests for numbers, names of packages."""
+"""Shared by all packages here: errors, words for unknown names, tests for numbers, type of arrays, names of packages."""
 
 from __future__ import annotations
 
@@ -8,6 +8,10 @@ from collections.abc import Iterable
 from numbers import Real
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
 PACKAGES = ("forms", "geometry", "thinlayer")
 
 

@@ -7,20 +7,18 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from ufl.algorithms import expand_derivatives
 from ufl.classes import Zero
 from ufl.indexed import Indexed
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.kernel import KernelLaw
 from forms.kinematics import Expr, mandel
 from forms.law import BulkLaw, Law, Step, explained, shaped
 from forms.parameter_fields import is_field
 from forms.trace import named, numbers, symbolic
 
-Array = npt.NDArray[np.float64]
 STRAINS = (0.01, 0.3)  # sizes of the strains at which laws are evaluated
 TOLERANCE = 1e-8  # relative difference that counts as rounding
 NOT_SYMMETRIC = (

@@ -10,13 +10,11 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.elastic import LinearElastic
 from forms.law import Law, positive
 from forms.parameter_fields import place_of
 from forms.temperature import values_of
-
-Array = npt.NDArray[np.float64]
 
 
 class Status(IntEnum):

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 
-Array = npt.NDArray[np.float64]
+from forms.base import Array
+
 Expr = Any  # a UFL expression; ufl's own types are not annotated
 
 

@@ -13,9 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ive
 
-from forms.base import InputError
+from forms.base import Array, InputError
 
-Array = npt.NDArray[np.float64]
 ROUNDING = 1e-12  # relative tolerance for parameters that equal a bound exactly
 
 

@@ -11,14 +11,12 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from forms.base import InputError, is_number
+from forms.base import Array, InputError, is_number
 from forms.elastic import isotropic_stiffness, lame, require_moduli
 from forms.kinematics import Expr, layer_frame, lift
 from forms.law import BulkLaw, Step
 from forms.temperature import Field, OfTemperature, evaluated, place, real, temperatures
 from forms.viscous import isotropic_energy
-
-Array = npt.NDArray[np.float64]
 
 
 def lamination_gain(lmbda: float, mu: float, chi: Array) -> float:

@@ -9,11 +9,9 @@ from itertools import combinations
 from typing import Any, ClassVar, Self
 
 import numpy as np
-import numpy.typing as npt
 
-from forms.base import InputError, is_number
+from forms.base import Array, InputError, is_number
 
-Array = npt.NDArray[np.float64]
 MANY = 1000  # number of places at which parameters are checked beside those where they are extreme
 Parameter = float | Callable[[Array], Any]  # a number, or a numpy function of places (d, n) that gives n values
 

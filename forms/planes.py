@@ -6,13 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 
+from forms.base import Array
 from forms.kinematics import MANDEL, Expr, lift, strain
 from forms.law import BulkLaw
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,17 +7,15 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from ufl.algorithms import expand_derivatives
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.kinematics import MANDEL, ROOT2
 from forms.kinematics import mandel as in_mandel
 from forms.law import BulkLaw
 from forms.trace import numbers, reads, symbolic
 
-Array = npt.NDArray[np.float64]
 SMALL_STRAIN = 1e-6 * np.array([1.0, -0.7, 0.4, 0.5, -0.3, 0.6])  # too small for yielding; at none a norm has no slope
 UNCOUPLED = 1e-9  # share of a traction, or component of a unit normal, below which it counts as zero
 NEGATIVE = 1e-6  # a negative eigenvalue beyond this share of the tangent's largest entry is not a rounding error

@@ -42,12 +42,11 @@ from ufl.classes import (
 from ufl.core.expr import Expr as Node
 from ufl.corealg.traversal import traverse_unique_terminals, unique_post_traversal
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.declarations import SIZES
 from forms.kinematics import Expr, from_mandel
 from forms.law import BulkLaw, Step
 
-Array = npt.NDArray[np.float64]
 _DOMAIN = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))  # symbols need a mesh
 _KNOWN: dict[tuple[Any, ...], int] = {}  # known parts of expressions -> their numbers
 

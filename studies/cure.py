@@ -13,6 +13,7 @@ import numpy.typing as npt
 import ufl
 
 from forms import BulkLaw, LinearElastic
+from forms.base import Array
 from forms.elastic import lame
 from forms.kinematics import Expr
 from forms.law import Step
@@ -21,7 +22,6 @@ from thinlayer import State, Structure, Surface, Table, ThermalExpansion, ThinLa
 from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
 
-Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.floating[Any]]
 NU = 0.3
 ALUMINIUM, STEEL = LinearElastic.young(E=70e3, nu=NU), LinearElastic.young(E=210e3, nu=NU)  # MPa

@@ -10,9 +10,9 @@ from math import pi
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from forms import LinearElastic
+from forms.base import Array
 from geometry import fibre, periodic
 from geometry.parallel import on_root
 from studies.problems import of
@@ -21,7 +21,6 @@ from thinlayer import State, Structure, Table, ThinLayer, homogenised_stiffness,
 from thinlayer.output.grid import gather
 from thinlayer.running.record import Record
 
-Array = npt.NDArray[np.float64]
 EPS = (0.08, 0.04, 0.02, 0.01)  # over the radius of the matrix
 SIZES = (0.1, 0.05, 0.025)
 RADIUS, RIM = 0.4, 1.0

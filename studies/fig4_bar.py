@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed, limits
+from forms.base import Array
 from forms.non_monotone import Phases
 from geometry import block
 from thinlayer import History, Structure, Surface, Table, ThinLayer, march, piecewise, plotting
@@ -23,7 +24,6 @@ from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 from thinlayer.time.journal import Observe
 
-Array = npt.NDArray[np.float64]
 BAR = limits.Bar(l=1.0, K=2.0, kbar=3.0, alpha=1.2, cbar=0.9, eps=0.1)
 EPS = (BAR.eps, 0.05, 0.01, 0.0)  # thicknesses over the length of the bar; 0: the interface law
 END = 2.0  # largest prescribed displacement delta

@@ -11,10 +11,10 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 
 from forms import BulkLaw, Incompressible, LinearElastic, Rubber
+from forms.base import Array
 from forms.ends import FreeEnd, free_end
 from forms.ends.constants import COLUMNS, nodes, shipped
 from forms.ends.half_strip import half_strip
@@ -33,7 +33,6 @@ from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 from thinlayer.system.table import Table
 
-Array = npt.NDArray[np.float64]
 RATIOS = (0.0, 0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.475, 0.49, 0.499, 0.4999, 0.5)  # Poisson's
 ROWS = 17  # of the package's table
 EPS = (1 / 16, 1 / 32, 1 / 64, 1 / 128)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from forms import BulkLaw, LinearElastic, VonMises
+from forms.base import Array
 from geometry import wall
 from studies.problems import FOURIER_BODY, free_blocks
 from studies.sweeping import by_reaction, errors_of_work, last_order
@@ -18,7 +19,6 @@ from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 
-Array = npt.NDArray[np.float64]
 ELASTIC = LinearElastic.shear(40.0, 0.3)
 YIELDING = VonMises(60.0, 40.0, strength=1.2, hardening=4.0)  # at its free ends alone, which the law on S does not see
 TIMES = (0.5, 1.0)

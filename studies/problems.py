@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from scipy.linalg import expm
 
 from forms import BulkLaw, LinearElastic, MohrCoulomb
+from forms.base import Array
 from geometry import Joint, block, disc, read, ring, sandwich
 from studies.sweeping import Solution, last, layer_of
 from thinlayer import State, Structure, Surface, ThinLayer, piecewise, solve
@@ -24,7 +24,6 @@ FOURIER_LAYER = LinearElastic(lmbda=60.0, mu=40.0)
 MORTAR = MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02)  # of `sheared` blocks
 BAR = LinearElastic.young(E=130e3, nu=0.2)  # MPa, section 8.2 of the paper
 SHEAR = 5.0  # largest shear on the upper side in `sheared`, over the pressure there
-Array = npt.NDArray[np.float64]
 
 
 def of(law: BulkLaw, at: float | None = 1.0, **choices: Any) -> Callable[[float], ThinLayer]:

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed
+from forms.base import Array
 from forms.non_monotone import Phases
 from geometry import Joint, block
 from studies.fig4_bar import BAR, EXACT, meet, straight
@@ -29,7 +30,6 @@ from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 from thinlayer.system.table import Row
 
-Array = npt.NDArray[np.float64]
 END = 2.4  # largest prescribed displacement
 LIMIT = replace(BAR, eps=0.0)  # the bar with its interface law
 THIN = 0.02  # thickness; the interface law does not depend on it

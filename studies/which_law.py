@@ -10,10 +10,10 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 
 from forms import Incompressible, LinearElastic, Rubber
+from forms.base import Array
 from geometry.parallel import world
 from studies.problems import FOURIER_BODY, Wave, fourier, free_blocks
 from thinlayer import RangeWarning, State, Structure, Surface, Table, ThinLayer, plotting, solve
@@ -42,7 +42,6 @@ LOAD = 1e-6  # stress: far below the moduli of the layers, so that warnings are 
 INNER = 0.25  # free ends: errors are measured up to this distance from the middle of S
 SET_UPS = {"rollers": "between rollers, under one half-wave", "free": "free ends, inner half of S"}
 
-Array = npt.NDArray[np.float64]
 Compared = Callable[[State], tuple[float, ...]]
 
 

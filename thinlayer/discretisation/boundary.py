@@ -8,7 +8,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.planes import Kinematics
 from geometry.dolfinx_mesh import cell_nodes
 from geometry.domain import Domain
@@ -22,7 +22,6 @@ from thinlayer.system.ranks import send
 AXES = "xyz"  # names of components and of motions
 ON_AXIS = 1e-10  # distance from the axis, over the size of the joint, that is rounding
 ACROSS = 1e-9  # largest component of a normal along which bodies cannot move
-Array = npt.NDArray[np.float64]
 CORNER = 30.0  # degrees; facets whose normals differ by less at a node are one smooth surface there
 ALONG_AXES = 1e-12  # a component of a unit normal that counts as rounding
 

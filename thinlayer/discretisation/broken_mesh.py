@@ -16,7 +16,7 @@ from dolfinx import cpp, fem, la
 from dolfinx.mesh import Mesh, MeshTags
 from mpi4py import MPI
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.interface import Interface
 from forms.law import BulkLaw
 from forms.planes import PLANES, Kinematics
@@ -32,7 +32,6 @@ from thinlayer.discretisation.mesh_functions import Keys, broken_space
 from thinlayer.system.compat import interior_facet_entities
 from thinlayer.system.ranks import communicator, on_all
 
-Array = npt.NDArray[np.float64]
 Facets = npt.NDArray[np.int32]
 Upper = int | set[int] | frozenset[int] | Sequence[float] | None
 ALONG = 0.02  # least cosine between a facet's normal and a direction that chooses its upper side

@@ -10,7 +10,6 @@ from typing import Any
 from weakref import WeakSet
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
@@ -21,12 +20,11 @@ from ufl.core.multiindex import MultiIndex
 from ufl.core.terminal import Terminal
 from ufl.corealg.traversal import unique_pre_traversal
 
-from forms.base import InputError, is_number
+from forms.base import Array, InputError, is_number
 from forms.kinematics import Expr
 from forms.temperature import real
 from forms.work import Term
 
-Array = npt.NDArray[np.float64]
 ROUNDING = 1e-12  # relative tolerance for equal times (a sum of steps against the end of a table) and equal slopes
 RATIONAL = (Sum, Product, Division)
 SAMPLE_TIMES = (-2.5, 0.0, 1.0, 7.0)  # where a rational argument of a table is tested for being linear in the time

@@ -14,12 +14,11 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.sparse.csgraph import connected_components
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from geometry.refusals import place as at_place
 from geometry.topology import sums
 from thinlayer.discretisation.supports import ROUNDING, Prescribed
 
-Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[Any]
 Sparse = Any  # scipy.sparse.csr_matrix, which has no types
 INDEPENDENT = 1e-6  # least singular value of conditions that are independent of each other

@@ -14,16 +14,14 @@ from dolfinx.mesh import Mesh, entities_to_geometry
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.planes import LIFTED, Kinematics
 from geometry.joint import Joint
-from geometry.topology import sums
+from geometry.topology import IntArray, sums
 from thinlayer.discretisation.layer import seam_entities
 from thinlayer.discretisation.model import Model
 from thinlayer.system.ranks import on_all, send
 
-IntArray = npt.NDArray[np.int64]
-Array = npt.NDArray[np.float64]
 NONE = np.empty(0, np.int32)
 
 

@@ -20,7 +20,7 @@ from ufl.constantvalue import ComplexValue, RealValue
 from ufl.corealg.traversal import unique_pre_traversal
 from ufl.geometry import GeometricQuantity
 
-from forms.base import InputError, is_number
+from forms.base import Array, InputError, is_number
 from forms.kinematics import Expr
 from geometry.domain import Domain
 from geometry.joint import Joint
@@ -30,7 +30,6 @@ from thinlayer.discretisation.clock import Clock, Reading, readings
 from thinlayer.discretisation.mesh_functions import places_in_cells, sampled, shift
 from thinlayer.system.compat import interpolation_points
 
-Array = npt.NDArray[np.float64]
 Value = float | Callable[[Expr, Expr], Expr]
 Load = Sequence[float] | Callable[[Expr, Expr], Sequence[Expr]]
 Shape = tuple[int, ...]

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from forms.base import InputError, is_finite, is_number
+from forms.base import Array, InputError, is_finite, is_number
 from forms.kinematics import MANDEL, ROOT2, Expr, lift
 from forms.law import BulkLaw
 from forms.planes import Kinematics
@@ -24,7 +23,6 @@ from thinlayer.discretisation.clock import readings
 from thinlayer.discretisation.given import Coordinates, of_place
 
 MEAN_STRAIN = "mean strain"  # key of the mean strain under a mean stress, in the fields of states
-Array = npt.NDArray[np.float64]
 Strain = Sequence[Sequence[float]] | Array | Callable[[Expr, Any], Sequence[Sequence[Any]]]
 PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}  # Voigt's order
 Rows = list[list[Any]]  # numbers, or UFL scalars of place and time

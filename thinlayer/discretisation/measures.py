@@ -17,7 +17,7 @@ from ufl.algorithms import estimate_total_polynomial_degree
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.kinematics import Expr
 from forms.law import BulkLaw
 from forms.work import Term
@@ -31,7 +31,6 @@ from thinlayer.discretisation.mesh_functions import cellwise
 from thinlayer.pointwise.quadrature import Origin, Quadrature
 from thinlayer.system.ranks import on_all
 
-Array = npt.NDArray[np.float64]
 TAGS = {
     "dx": "model.domain.cell_values(name)",
     "ds": "model.domain.values(name)",

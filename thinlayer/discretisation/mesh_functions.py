@@ -14,7 +14,7 @@ from dolfinx import fem, geometry
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.interface import Interface
 from forms.kinematics import Expr
 from geometry.dolfinx_mesh import index_map
@@ -23,12 +23,10 @@ from geometry.inflating.parting import to_middle
 from geometry.joint import Joint, Profile
 from geometry.refusals import place
 from geometry.seam import S
-from geometry.topology import Splitting
+from geometry.topology import IntArray, Splitting
 from thinlayer.system.compat import interpolation_points, space_with_dofmap
 from thinlayer.system.ranks import ask, communicator
 
-Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 OfEntities = Sequence[IntArray]
 INWARDS = 1e-6  # way of a place towards the middle of its cell, so that it is on one side of S, over the distance
 

@@ -20,6 +20,7 @@ from geometry.domain import Domain
 from geometry.parallel import world
 from geometry.refusals import place
 from geometry.seam import BASE, CUT, LAYER, LOWER_FACE, UPPER_FACE, S
+from geometry.topology import BoolArray
 from thinlayer.discretisation.constraints import Followers
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -33,9 +34,7 @@ from thinlayer.system.compat import exterior_facet_entities
 from thinlayer.system.identity import described
 from thinlayer.system.ranks import on_all
 
-Array = npt.NDArray[np.float64]
 SAME_PLACE = 1e-9  # distance before inflating, relative to the size of the joint, of nodes above one another
-BoolArray = npt.NDArray[np.bool_]
 Where = BoolArray | Callable[[npt.NDArray[np.float64]], Any]
 UPRIGHT = 1e-4  # shift of bodies along S, over that across it, that counts as none: S is planar to 1e-5
 REACH = 3.0  # largest width, over the thickness, of the strips on which a law has the constants of a free end

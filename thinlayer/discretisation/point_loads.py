@@ -13,19 +13,17 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.kinematics import Expr
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place as at_place
 from geometry.refusals import unknown
-from geometry.topology import sums
+from geometry.topology import IntArray, sums
 from thinlayer.discretisation.boundary import refuse_periodic
 from thinlayer.discretisation.given import Coordinates, Load
 from thinlayer.discretisation.mesh_functions import cellwise
 
-Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 EDGE_POINTS = 4  # Gauss points on an edge: exact for degree 7
 
 

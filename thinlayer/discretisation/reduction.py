@@ -18,7 +18,7 @@ from forms.tangent import average_lame, is_isotropic, known_at_rest
 from geometry.ends import straight_ends
 from geometry.refusals import place
 from geometry.sheet import Rim
-from geometry.topology import FloatArray, is_tensor
+from geometry.topology import BoolArray, FloatArray, is_tensor
 from thinlayer.discretisation.boundary import is_across
 from thinlayer.discretisation.layer import LawOnS, SeamLayer, ThinLayer, real_law
 from thinlayer.discretisation.sides import SLIGHT, FacetWeights, held_directions, side_kinds
@@ -27,7 +27,6 @@ from thinlayer.errors import Refused
 LEAST_CONTRAST = 40.0  # Young's modulus of the bodies over the layer's mu
 LEAST_RADIUS = 4.0  # of curved ends, over the thickness; what constants leave out there is of the order of its inverse
 BENDING = 44.0  # 48 (1 - nu^2): (eps k)^3 E/mu where half-spaces yield to a pressure of wave number k as the layer does
-BoolArray = npt.NDArray[np.bool_]
 
 
 class Reduction:

@@ -14,7 +14,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.kinematics import Expr
 from forms.planes import LIFTED, Kinematics
 from forms.temperature import finite
@@ -28,7 +28,6 @@ from thinlayer.discretisation.constraints import Constraints
 from thinlayer.discretisation.measures import per_unit
 from thinlayer.discretisation.supports import Place
 
-Array = npt.NDArray[np.float64]
 Resistance = Callable[[Sequence[fem.Function]], Array]
 AXIAL = {2: ((0, 1, 1.0),), 3: ((1, 2, 1.0), (0, 2, -1.0), (0, 1, 1.0))}  # planes (i, j) that rotations turn, and sense
 SMALLEST = 1e-10  # least eigenvalue of the supports' Gram matrix of rigid motions, over its largest one

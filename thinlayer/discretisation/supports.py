@@ -14,7 +14,7 @@ from dolfinx import fem, la
 from dolfinx.mesh import entities_to_geometry
 from petsc4py import PETSc
 
-from forms.base import InputError, is_number
+from forms.base import Array, InputError, is_number
 from forms.planes import LIFTED, Kinematics
 from geometry.domain import Domain
 from geometry.refusals import unknown
@@ -23,7 +23,6 @@ from thinlayer.discretisation.given import Coordinates, Value
 from thinlayer.system.compat import interpolation_points
 
 BALANCE = 1e-10  # sum of the loads along an axis, over the sum of their sizes, that still counts as rounding
-Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[Any]
 ROUNDING = 1e-13  # a difference that counts as rounding, over the size of the structure
 NORMAL = "n"  # the component along the normal of the boundary

@@ -10,6 +10,7 @@ import numpy.typing as npt
 import pyvista
 from mpi4py import MPI
 
+from forms.base import Array
 from geometry.joint import Joint
 from geometry.topology import lagrange
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -19,7 +20,6 @@ from thinlayer.output.grid import Grid, gather, vtk_order, vtk_type
 from thinlayer.output.law_points import LawPoints, law_points
 from thinlayer.output.surface import STATUSES, Surface
 
-Array = npt.NDArray[np.float64]
 BODIES, LAYER, ON_S = "bodies", "layer", "S"
 VTK_TENSOR = ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])  # XX, YY, ZZ, XY, YZ, XZ: the order in which VTK names six
 STRESS, VON_MISES = "stress", "von Mises"

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.contact import Status
 from geometry.seam import S
 from geometry.topology import IntArray, connected
@@ -21,7 +21,6 @@ from thinlayer.output.nodal_forces import contact_forces, nodal_forces
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.table import Table
 
-Array = npt.NDArray[np.float64]
 PINNED, NO_CONTACT = "pinned", "no contact law"
 NAMES = {Status.SEPARATED: "separated", Status.SLIDING: "sliding", Status.STICK: "stick"}
 CONTACT_STATUSES = (*NAMES.values(), PINNED)

@@ -6,9 +6,8 @@ from copy import copy
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.work import added
 from thinlayer.discretisation.clock import piecewise
 from thinlayer.discretisation.forces import Forces
@@ -20,7 +19,6 @@ from thinlayer.errors import SolveError
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.ranks import on_all
 
-Array = npt.NDArray[np.float64]
 ASYMMETRY = 1e-8  # difference of the stiffness from its transpose, over its size, that shows a wrong law or solve
 ROUNDING = 1e-12  # the same over the stiffness of the bodies, whose strains are differences
 

@@ -8,10 +8,10 @@ from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from forms.base import Array
 from forms.declarations import SIZES
 from forms.kinematics import MANDEL, mandel, tensors
 from forms.law import BulkLaw
@@ -24,7 +24,6 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.pointwise.quadrature import Quadrature
 
-Array = npt.NDArray[np.float64]
 MEMORY = "memory"  # name of the internal values of a law that does not name them
 _FOUND: WeakKeyDictionary[Model, list[Quadrature]] = WeakKeyDictionary()
 

@@ -7,10 +7,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from geometry.order import by_place
 from geometry.refusals import place
 from geometry.seam import S
@@ -24,7 +23,6 @@ from thinlayer.surface.locating import Located
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.ranks import on_all, require_same
 
-Array = npt.NDArray[np.float64]
 SAME = 1e-9  # difference of displacements at one place, over the largest displacement, that counts as none
 
 

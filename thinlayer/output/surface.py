@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.law import Law
 from geometry.topology import IntArray
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -22,7 +22,6 @@ from thinlayer.surface.sublayers import sublayers_of
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.table import Table
 
-Array = npt.NDArray[np.float64]
 NO_LAYER, BONDED, ELASTIC, OPEN = "no layer", "bonded", "elastic", "open"
 SLIDING, CRUSHED, TORN = "sliding", "crushed", "torn"
 YIELDS = (ELASTIC, SLIDING, CRUSHED, TORN, OPEN)

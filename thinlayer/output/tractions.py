@@ -16,7 +16,7 @@ from dolfinx import fem
 from scipy.spatial import cKDTree
 from ufl.classes import Zero
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.kinematics import Expr, from_mandel, vectors
 from geometry.dolfinx_mesh import cell_nodes
 from geometry.topology import IntArray, lagrange
@@ -30,7 +30,6 @@ from thinlayer.output.nodal_forces import reaction
 from thinlayer.pointwise.quadrature import Quadrature
 from thinlayer.surface.surface_mesh import FacetPoints, SurfaceMesh
 
-Array = npt.NDArray[np.float64]
 LEAST_SQUARES_TOLERANCE = 1e-15  # relative tolerance for the tractions whose forces are the reactions
 _OF_EACH: WeakKeyDictionary[Quadrature, Array] = WeakKeyDictionary()
 NEAR = 1e-9  # distance of the centres of a facet and of its column, over the size of the joint

@@ -11,10 +11,10 @@ import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
+from forms.base import Array
 from forms.law import Law
 from thinlayer.discretisation.state import Configuration
 
-Array = npt.NDArray[np.float64]
 Memory = Array | Mapping[str, fem.Function]  # (n, values) at entities, or functions by name
 DISPLACEMENTS = "u"  # the key of the unknowns that all parts share
 

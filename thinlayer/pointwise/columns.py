@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-Array = npt.NDArray[np.float64]
+from forms.base import Array
+
 TIE = 1e-11  # largest excess that counts as rounding: the phase stays
 
 

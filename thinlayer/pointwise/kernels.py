@@ -17,12 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import jit
 from mpi4py import MPI
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.check import check
 from forms.declarations import SIZES
 from forms.kernel import KernelLaw
@@ -32,7 +31,6 @@ from forms.trace import Symbolic, key, named, require_numbers_alone, symbolic
 from thinlayer.system.compilation import SourceError, library
 from thinlayer.system.identity import described, digest
 
-Array = npt.NDArray[np.float64]
 ARGUMENTS = 7  # number of arguments of FFCx's C functions; older releases have fewer, and ignore the rest
 FIXED_IN, FIXED_OUT = 6 + 6 + 3 + 2, 6 + 36 + 3
 C_KERNEL = "int{}(double *out, const void *, const double *in)"

@@ -16,7 +16,7 @@ from dolfinx.mesh import CellType, Mesh
 from mpi4py import MPI
 from ufl.classes import Zero
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.kinematics import MANDEL, Expr, lift
 from forms.work import Term
 from geometry.topology import IntArray
@@ -24,7 +24,6 @@ from thinlayer.pointwise.columns import Columns
 from thinlayer.system.compat import create_submesh
 from thinlayer.system.ranks import communicator
 
-Array = npt.NDArray[np.float64]
 DIAGONAL = (0, 1, 2)  # Mandel components whose sum is the trace
 KINDS = {"cell": "dx", "exterior_facet": "ds", "interior_facet": "dS"}
 

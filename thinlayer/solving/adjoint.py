@@ -11,6 +11,7 @@ import numpy.typing as npt
 from dolfinx import fem, la
 from petsc4py import PETSc
 
+from forms.base import Array
 from forms.kinematics import Expr
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.measures import compiled
@@ -21,8 +22,6 @@ from thinlayer.solving.balance import PartSum
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import linear_solvers, mark
 from thinlayer.solving.petsc import OptionValue, defaults, solve_linear, value_of
-
-Array = npt.NDArray[np.float64]
 
 
 class Adjoint:

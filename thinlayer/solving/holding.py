@@ -10,6 +10,7 @@ import numpy.typing as npt
 import scipy.sparse
 from petsc4py import PETSc
 
+from forms.base import Array
 from geometry.refusals import place
 from geometry.seam import BASE
 from thinlayer.discretisation.boundary import AXES
@@ -19,7 +20,6 @@ from thinlayer.discretisation.rigid import rigid_motions, rigid_values
 from thinlayer.errors import LooseBody
 from thinlayer.parts.part import Interval, Part
 
-Array = npt.NDArray[np.float64]
 # Largest eigenvalue of a motion that supports allow, relative to the largest one, of the Gram matrix of the motions at
 # supports.
 ALLOWED_MOTION = 1e-10

@@ -9,14 +9,13 @@ import basix
 import numpy as np
 import numpy.typing as npt
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.temperature import finite
 from geometry.joint import Joint
 from geometry.order import along, by_place
 from geometry.topology import IntArray, connected, is_tensor, lagrange
 from thinlayer.system.table import Table
 
-Array = npt.NDArray[np.float64]
 Plane = tuple[Sequence[float], Sequence[float]]
 SAME = 1e-12  # difference of values, over the largest, and of places, over the size, that counts as none
 ARC_DEGREE = 8  # of the quadrature for the length of a curved facet

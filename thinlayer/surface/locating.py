@@ -10,13 +10,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.temperature import finite
 from geometry.joint import Joint
 from geometry.refusals import place
 from geometry.topology import IntArray, geometry_degree, is_tensor, lagrange, sums
 
-Array = npt.NDArray[np.float64]
 INSIDE = 1e-9  # how far outside the reference entity a place may be that counts as in it
 BULGE = 0.5  # by how much of its size a curved entity may exceed the box around its nodes, at most
 STEPS = 30  # of Newton's method for places in entities that are not affine

@@ -14,7 +14,7 @@ import scipy.sparse.linalg
 from dolfinx import fem
 from scipy.spatial import cKDTree
 
-from forms.base import InputError, is_number
+from forms.base import Array, InputError, is_number
 from geometry.inflating.parting import faces, points_on_middle
 from geometry.joint import Joint
 from geometry.order import along, by_place
@@ -31,7 +31,6 @@ from thinlayer.discretisation.state import State, cell_values
 from thinlayer.surface.lines import Line, Plane, lines_on, require_plane
 from thinlayer.surface.locating import Located
 
-Array = npt.NDArray[np.float64]
 Where = Array | npt.NDArray[np.bool_] | Callable[[Array], Any]
 SIDES = ("lower", "upper")
 ROUNDING = 1e-12  # of sums, relative

@@ -6,10 +6,9 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import State
 from thinlayer.errors import LimitLoad, NoEquilibrium, SolveError, warn
@@ -34,8 +33,6 @@ NO_LIMIT = (
     "no equilibrium was found, which need not be a limit of the loads: displacements did not run away. Try other times, "
     "another mesh, more steps of Newton's method, or in a layer that yields an elastic fraction or other cells through it"
 )
-
-Array = npt.NDArray[np.float64]
 
 
 class TimeStepping:

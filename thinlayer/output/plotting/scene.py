@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from forms.base import InputError
+from forms.base import Array, InputError
 
 if not os.environ.get("DISPLAY"):  # without an X server VTK otherwise tries one first, and warns
     os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
@@ -42,7 +42,6 @@ SHARP = 30.0  # angle (degree) between faces whose common edge is drawn
 ALMOST = 0.999  # factor of displacements that keeps the two sides of S apart, so that VTK does not merge them
 OFF_MIDDLE = 1e-3  # distance of a cut from the middle, over the structure's size: not along the faces of a grid
 
-Array = npt.NDArray[np.float64]
 Window = tuple[float, float, float, float]
 PANEL = 4.6  # width of a structure in a picture, inches
 

@@ -14,7 +14,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, SymLogNorm, to_rgb
 from matplotlib.patches import Patch
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from thinlayer.discretisation.state import State
 from thinlayer.output.grid import Grid, gather
 from thinlayer.output.plotting.curves import COLOURS, SHOWN
@@ -22,7 +22,6 @@ from thinlayer.output.plotting.picture import Picture, drawn_on_root, require_na
 from thinlayer.output.plotting.scene import BAR, Look, Scene
 from thinlayer.output.surface import Surface
 
-Array = npt.NDArray[np.float64]
 Values = npt.NDArray[Any]
 Field = Values | Callable[[Surface, State], Values]
 NAMED = {

@@ -15,10 +15,10 @@ import numpy.typing as npt
 import scipy.sparse
 from mpi4py import MPI
 
+from forms.base import Array
 from forms.contact import ContactLaw, Status
 from thinlayer.system.compilation import library, own_library
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 Sliding = tuple[npt.NDArray[np.int8], Array]  # status of nodes (n,), and their tangential jumps less slip (n, d - 1)
 

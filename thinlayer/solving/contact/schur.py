@@ -17,13 +17,12 @@ import scipy.sparse
 from petsc4py import PETSc
 from scipy.sparse.csgraph import connected_components
 
-from forms.base import ThinlayerError
+from forms.base import Array, ThinlayerError
 from thinlayer.solving.contact.gauss_seidel import pointers
 from thinlayer.solving.linear_solvers import DIRECT
 from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, keep_unknowns, schur_of
 from thinlayer.system.compilation import own_library
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
 Rows = tuple[npt.NDArray[Any], npt.NDArray[Any], Array]
