@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from scipy.spatial.transform import Rotation
 
-from forms.base import InputError, is_number
+from forms.base import Array, InputError, is_number
 from forms.ends.constants import free_end
 from forms.ends.weights import EndWeights, Strips
 from forms.kinematics import MANDEL, ROOT2, Expr, layer_frame
@@ -40,7 +39,7 @@ def require_moduli(law: BulkLaw, lmbda: float, mu: float) -> None:
     law.require(math.isfinite(lmbda) and lmbda > bound, "lmbda", f"> -2 mu/3 = {bound:g}", lmbda)
 
 
-def isotropic_stiffness(law: BulkLaw, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def isotropic_stiffness(law: BulkLaw, n: Array) -> Array:
     """`BulkLaw.stiffness` for laws that are isotropic at rest with moduli lmbda and mu: (6, 6) in Mandel's order."""
     named = law.parameters()
     identity = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
@@ -191,7 +190,7 @@ class Anisotropic(LinearLaw):
         InputError: C of the wrong shape, not symmetric or indefinite; unknown frame.
     """
 
-    C: npt.NDArray[np.float64]
+    C: Array
     frame: str = choice("global")
     powers: ClassVar = {"C": 1}
 
@@ -225,7 +224,7 @@ class Anisotropic(LinearLaw):
         s = ufl.dot(ufl.as_tensor(self.C) if isinstance(self.C, np.ndarray) else self.C, voigt)
         return turn * ufl.as_tensor([[s[k] for k in row] for row in VOIGT_PLACES]) * turn.T
 
-    def stiffness(self, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def stiffness(self, n: Array) -> Array:
         rows = np.array(VOIGT_PLACES)
         C = np.asarray(self.C, float)[rows[:, :, None, None], rows[None, None]]
         if self.frame == "layer":

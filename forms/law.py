@@ -15,13 +15,12 @@ from types import SimpleNamespace, UnionType
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, get_args, get_origin
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.declarations import SIZES, Traits, require_dataclass, require_declarations, reset_inherited
 from forms.kinematics import Expr
-from forms.parameter_fields import Array, Field, OfPlaces, field_of, is_field, number_of
+from forms.parameter_fields import Field, OfPlaces, field_of, is_field, number_of
 from forms.stations import Station, at_gauss_points
 
 if TYPE_CHECKING:
@@ -190,7 +189,7 @@ class Law(OfPlaces):
         """(fraction of the thickness, law) from the lower to the upper face; a law that is no Stack is its only one."""
         return ((1.0, self),)
 
-    def at(self, x: npt.NDArray[np.float64], t: float) -> dict[str, npt.NDArray[np.float64]]:
+    def at(self, x: Array, t: float) -> dict[str, Array]:
         """The parameters that vary, at places x (d, n) in the joint before inflating: name -> (n,).
 
         For the stress of a step t is the time at which forces balance, for the stored energy it is the end of the step.
@@ -212,7 +211,7 @@ class Law(OfPlaces):
         known = self.parameters()
         return tuple((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in known)
 
-    def parameter_values(self) -> npt.NDArray[np.float64]:
+    def parameter_values(self) -> Array:
         """The parameters one after the other, (k,); NaN for functions."""
         values = [np.ravel(number_of(value)) for value in self.parameters().values()]
         return np.concatenate([np.empty(0), *values])
@@ -348,7 +347,7 @@ class BulkLaw(Law):
         """Number of internal values at a point."""
         return sum(SIZES[shape] for shape in self.internal.values())
 
-    def stiffness(self, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
+    def stiffness(self, n: Array) -> Array | None:
         """d stress/d strain at rest, (6, 6) in Mandel's order, for a director n (d,); None if the law does not define it.
 
         Parameters are numbers. `forms.tangent` evaluates the stress of laws that give None.
@@ -379,7 +378,7 @@ class BulkLaw(Law):
         """The law of strains in three dimensions behind this one: itself."""
         return self
 
-    def condensed(self, C: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def condensed(self, C: Array) -> Array:
         """The tangent (6, 6) of this law for that of `in_space`."""
         return C
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 
 from forms.base import Array, InputError, is_number
@@ -62,7 +61,7 @@ class Phases(BulkLaw):
     mu: float
     alpha: float | OfTemperature
     transformation_energy: float | OfTemperature
-    chi: npt.NDArray[np.float64]
+    chi: Array
     T: float | Field | None = None
     powers: ClassVar[Mapping[str, float]] = {"lmbda": 1, "mu": 1, "transformation_energy": -1}
     functions: ClassVar = ("alpha", "transformation_energy", "T")

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
+from forms.base import Array
 from forms.elastic import LARGEST_NU, ROUNDING, LinearElastic, LinearLaw, isotropic_stiffness, lame, poisson_ratio
 from forms.ends.constants import free_end
 from forms.ends.weights import EndWeights, Strips, of_pressure_at_ends
@@ -58,7 +58,7 @@ class Incompressible(LinearLaw):
     def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
         return of_pressure_at_ends(self, weights)
 
-    def stiffness(self, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def stiffness(self, n: Array) -> Array:
         return 2 * float(self.mu) * np.eye(6)
 
 

@@ -7,16 +7,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
-import numpy as np
-import numpy.typing as npt
 import ufl
 
-from forms.base import InputError, is_number
+from forms.base import Array, InputError, is_number
 from forms.declarations import Traits, require_declarations
 from forms.elastic import LinearElastic
 from forms.kinematics import Expr, jump_strain, lift
 from forms.law import BulkLaw
-from forms.parameter_fields import Array, Field
+from forms.parameter_fields import Field
 from forms.stations import Faces, Station
 
 
@@ -237,7 +235,7 @@ class Stack(BulkLaw):
         """Parameters of all sublayers; "0.mu" is the mu of the lowest one."""
         return {f"{k}.{name}": value for k, law in enumerate(self.laws) for name, value in law.parameters().items()}
 
-    def at(self, x: npt.NDArray[np.float64], t: float) -> dict[str, npt.NDArray[np.float64]]:
+    def at(self, x: Array, t: float) -> dict[str, Array]:
         return {f"{k}.{name}": value for k, law in enumerate(self.laws) for name, value in law.at(x, t).items()}
 
     def check_dimension(self, d: int) -> None:

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.parameter_fields import place_of
 
 OfTemperature = Callable[[Any], Any]  # (n,) temperatures -> (n,) values, numpy
@@ -38,7 +37,7 @@ class Tabulated:
             raise InputError(f"Tabulated needs two or more finite pairs (T, value) with T increasing, not {values!r}")
         object.__setattr__(self, "values", tuple((float(T), float(value)) for T, value in rows))
 
-    def __call__(self, T: Any) -> npt.NDArray[np.float64]:
+    def __call__(self, T: Any) -> Array:
         """Values (n,) at temperatures (n,)."""
         if np.asarray(T).dtype.kind not in "iuf":
             raise InputError(f"T is {T!r}; a table is a function of temperatures, numbers")
@@ -50,7 +49,7 @@ class Tabulated:
         return np.asarray(np.interp(T, rows[:, 0], rows[:, 1]))
 
 
-def real(values: Any) -> npt.NDArray[np.float64]:
+def real(values: Any) -> Array:
     """Numbers as float64; raises TypeError for complex and boolean values, which a conversion would change silently."""
     array = np.asarray(values)
     if array.dtype.kind not in "iuf":
@@ -61,7 +60,7 @@ def real(values: Any) -> npt.NDArray[np.float64]:
     return array.astype(float)
 
 
-def finite(values: Any, *shapes: tuple[int, ...]) -> npt.NDArray[np.float64] | None:
+def finite(values: Any, *shapes: tuple[int, ...]) -> Array | None:
     """Finite real numbers of one of some shapes (none: of any), where a first -1 is any length; None: they are none."""
     try:
         array = real(values)
@@ -71,7 +70,7 @@ def finite(values: Any, *shapes: tuple[int, ...]) -> npt.NDArray[np.float64] | N
     return array if fits and np.isfinite(array).all() else None
 
 
-def place(x: npt.NDArray[np.float64], t: float, k: int) -> str:
+def place(x: Array, t: float, k: int) -> str:
     """Text of the k-th of the places x (d, n) and of the time t, for messages."""
     return f" at {place_of(x, k)}, t = {t:g}"
 
@@ -79,11 +78,11 @@ def place(x: npt.NDArray[np.float64], t: float, k: int) -> str:
 def values_of(
     what: str,
     function: Callable[..., Any],
-    x: npt.NDArray[np.float64],
+    x: Array,
     *more: Any,
     it: str,
     where: Callable[[int], str],
-) -> npt.NDArray[np.float64]:
+) -> Array:
     """Values (n,) of a user's function at x, (n,) or (d, n).
 
     Args:
@@ -107,7 +106,7 @@ def values_of(
     return values
 
 
-def evaluated(law: object, name: str, given: float | OfTemperature, T: npt.NDArray[np.float64]) -> Any:
+def evaluated(law: object, name: str, given: float | OfTemperature, T: Array) -> Any:
     """Values (n,) of a law's parameter, a number or a function of the temperature, at temperatures T (n,)."""
     if not callable(given):
         return np.full(len(T), float(given))
@@ -115,7 +114,7 @@ def evaluated(law: object, name: str, given: float | OfTemperature, T: npt.NDArr
     return values_of(f"{type(law).__name__}: {name}(T)", given, T, it=it, where=lambda k: f" at T = {T[k]:g}")
 
 
-def temperatures(law: object, T: Field, x: npt.NDArray[np.float64], t: float) -> npt.NDArray[np.float64]:
+def temperatures(law: object, T: Field, x: Array, t: float) -> Array:
     """A temperature field at places x (d, n) and a time, (n,)."""
     it = "T(x, t) must be a numpy function of places (d, n) and a time that gives n temperatures"
     return values_of(f"{type(law).__name__}: T", T, x, t, it=it, where=lambda k: place(x, t, k))

@@ -9,13 +9,10 @@ from typing import Any
 import basix.ufl
 import dolfinx
 import numpy as np
-import numpy.typing as npt
 import ufl
 from mpi4py import MPI
 
-from geometry.topology import FloatArray, IntArray, geometry_degree, local_facets
-
-Numbers = npt.NDArray[np.int32]
+from geometry.topology import FloatArray, Indices, IntArray, geometry_degree, local_facets
 
 
 def first_that_fits(*calls: Callable[[], Any]) -> Any:
@@ -45,7 +42,7 @@ def create_mesh(comm: MPI.Intracomm, points: FloatArray, cells: IntArray, cell_t
     return dolfinx.mesh.create_mesh(*(arguments[name] for name in order), partitioner=partitioner)
 
 
-def cell_nodes(mesh: dolfinx.mesh.Mesh) -> Numbers:
+def cell_nodes(mesh: dolfinx.mesh.Mesh) -> Indices:
     """Nodes of the geometry of each cell of this rank, (cells, nodes)."""
     maps = getattr(mesh.geometry, "dofmaps", None)
     return np.asarray(mesh.geometry.dofmap if maps is None or callable(maps) else maps[0])
@@ -73,14 +70,14 @@ def with_cell_points(mesh: dolfinx.mesh.Mesh, x: FloatArray) -> dolfinx.mesh.Mes
     return dolfinx.mesh.Mesh(moved, ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()))
 
 
-def index_map(comm: MPI.Intracomm, n: int, ghosts: npt.NDArray[np.int64], owners: Numbers) -> Any:
+def index_map(comm: MPI.Intracomm, n: int, ghosts: IntArray, owners: Indices) -> Any:
     """Index map of n owned indices and ghosts given by global number and owner. Collective."""
     arguments = (comm, n, np.asarray(ghosts, np.int64), np.asarray(owners, np.int32))
     create = dolfinx.cpp.common.IndexMap
     return first_that_fits(lambda: create(*arguments), lambda: create(*arguments, 1801))
 
 
-def facets_of_cells(mesh: dolfinx.mesh.Mesh, cell_type: str) -> Numbers:
+def facets_of_cells(mesh: dolfinx.mesh.Mesh, cell_type: str) -> Indices:
     """(n_cells, m) facets of the local cells (ghosts included), in the order of the cells' own facets."""
     topology = mesh.topology
     topology.create_entities(topology.dim - 1)
@@ -89,7 +86,7 @@ def facets_of_cells(mesh: dolfinx.mesh.Mesh, cell_type: str) -> Numbers:
     return topology.connectivity(topology.dim, topology.dim - 1).array.reshape(-1, len(local_facets(cell_type)))
 
 
-def vertices_of_facets(mesh: dolfinx.mesh.Mesh, cell_type: str, facets: Numbers, corners: IntArray) -> IntArray:
+def vertices_of_facets(mesh: dolfinx.mesh.Mesh, cell_type: str, facets: Indices, corners: IntArray) -> IntArray:
     """(n, k) vertices of local facets, numbered as in `corners`.
 
     Args:

@@ -23,7 +23,7 @@ from geometry.parallel import world
 from geometry.refusals import unknown
 from geometry.seam import BASE, LAYER, S
 from geometry.sheet import continued
-from geometry.topology import IntArray
+from geometry.topology import Indices, IntArray
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -76,7 +76,7 @@ class Domain:
         """(n,) number in `joint.points` of each local node of the mesh's geometry."""
         return np.asarray(self.mesh.geometry.input_global_indices, np.int64)
 
-    def numbers(self, dim: int, entities: npt.NDArray[np.int32]) -> IntArray:
+    def numbers(self, dim: int, entities: Indices) -> IntArray:
         """(n,) numbers in the joint of local cells (dim: the joint's), or rows of `joint.table` of local facets."""
         joint = self.joint
         if dim == joint.dim:
@@ -122,12 +122,12 @@ class Domain:
         facets = joint.facets[known[0]] if known else np.empty((0, joint.dim), np.int64)
         return bool((joint.table.cells[joint.table.index(facets), 1] < 0).all())
 
-    def facets(self, name: str, *, layer_sides: bool = False) -> npt.NDArray[np.int32]:
+    def facets(self, name: str, *, layer_sides: bool = False) -> Indices:
         """Local facets (ghosts included) of a name; arguments and errors as in `values`."""
         found = np.isin(self.facet_tags.values, self.values(name, layer_sides=layer_sides))
         return self.facet_tags.indices[found]
 
-    def vertices(self, original: int) -> npt.NDArray[np.int32]:
+    def vertices(self, original: int) -> Indices:
         """Local vertices made from a vertex of the joint before inflating: one, or all copies of a vertex on S.
 
         Those that periodic sides identify with it are among them.
@@ -144,7 +144,7 @@ class Domain:
 
 def _local_facets(
     joint: Joint, mesh: dolfinx.mesh.Mesh, original: IntArray, rows: IntArray
-) -> tuple[npt.NDArray[np.int32], IntArray]:
+) -> tuple[Indices, IntArray]:
     """Local facets (ghosts included), ascending, of some rows of joint.table, and the position of each in `rows`.
 
     A cell of the mesh has its vertices in the order of the joint's cell, and so its facets.
@@ -180,7 +180,7 @@ def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
             yield f"{name}/{LAYER}", rows[:0]
 
 
-def _name_combinations(joint: Joint) -> tuple[IntArray, npt.NDArray[np.int32], dict[str, tuple[int, ...]]]:
+def _name_combinations(joint: Joint) -> tuple[IntArray, Indices, dict[str, tuple[int, ...]]]:
     """Facets with a name (rows of joint.table), the number of the combination of names of each, name -> combinations."""
     sets = list(_named_sets(joint))
     names, rows = [name for name, _ in sets], [row for _, row in sets]

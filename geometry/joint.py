@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from forms.base import InputError, is_finite
 from geometry.periods import Periods
@@ -18,6 +17,7 @@ from geometry.seam import JUNCTIONS, RESERVED, S, Seam
 from geometry.topology import (
     CELL_TYPES,
     FACET_TYPES,
+    BoolArray,
     FacetTable,
     FloatArray,
     IntArray,
@@ -253,7 +253,7 @@ class Joint:
                 out[wrong] = out[wrong][:, ::-1]
         return out
 
-    def _second_is_upper(self, name: str, seam: Seam, cells: IntArray, nodes: IntArray) -> NDArray[np.bool_]:
+    def _second_is_upper(self, name: str, seam: Seam, cells: IntArray, nodes: IntArray) -> BoolArray:
         """(n,) whether the second of two cells (n, 2) is the upper one, for facets of a seam given by their nodes."""
         x = self.points[nodes].mean(axis=1)
         if seam.direction is None:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from forms.base import InputError
 from forms.base import unknown as unknown
+from geometry.topology import BoolArray, FloatArray
 
 
-def place(x: npt.NDArray[np.float64]) -> str:
+def place(x: FloatArray) -> str:
     """Coordinates for a message, short."""
     return f"({', '.join(f'{c:.6g}' for c in x)})"
 
 
-def refuse(bad: npt.NDArray[np.bool_] | np.bool_, x: npt.NDArray[np.float64], message: str) -> None:
+def refuse(bad: BoolArray | np.bool_, x: FloatArray, message: str) -> None:
     """Raise InputError if any of n things is bad.
 
     Args:

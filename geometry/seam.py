@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from forms.base import InputError, is_finite
 from geometry.refusals import refuse, unknown
-from geometry.topology import FloatArray, IntArray
+from geometry.topology import BoolArray, FloatArray, IntArray
 
 S = "S"
 LAYER = "LAYER"
@@ -69,9 +68,7 @@ class Seam:
             if not numbers or not np.any(self.direction):
                 raise InputError(f"direction is {self.direction}; it needs {dim} components, not all zero")
 
-    def along_direction(
-        self, name: str, x: FloatArray, normals: FloatArray, to_second: FloatArray
-    ) -> NDArray[np.bool_]:
+    def along_direction(self, name: str, x: FloatArray, normals: FloatArray, to_second: FloatArray) -> BoolArray:
         """(n,) whether the second of the two cells at each of n facets is the upper one, by `direction`.
 
         Args:
@@ -91,7 +88,7 @@ class Seam:
         refuse(np.abs(cosine) < LEAST_COSINE, x, untold)
         return np.asarray((to_second * normals).sum(axis=1) * cosine > 0)
 
-    def between_regions(self, name: str, x: FloatArray, region: IntArray, regions: Sequence[str]) -> NDArray[np.bool_]:
+    def between_regions(self, name: str, x: FloatArray, region: IntArray, regions: Sequence[str]) -> BoolArray:
         """(n,) whether the second of the two cells at each of n facets is the upper one, by the cells' regions.
 
         Args:

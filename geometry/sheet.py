@@ -8,11 +8,10 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
 from geometry.joint import FLAT, Joint
 from geometry.seam import S
-from geometry.topology import FloatArray, IntArray, node_jacobians, ridge_keys, ridges
+from geometry.topology import BoolArray, FloatArray, IntArray, node_jacobians, ridge_keys, ridges
 
 TRIANGLES = ((0, 1, 2), (1, 3, 2))  # corners of a quadrilateral
 VOLUMES = {"triangle": 1 / 2, "quadrilateral": 1.0, "tetrahedron": 1 / 6, "hexahedron": 1.0}  # of reference cells
@@ -37,10 +36,10 @@ class Rim:
     depth: FloatArray
     length: FloatArray
 
-    def __getitem__(self, which: npt.NDArray[np.bool_]) -> Rim:
+    def __getitem__(self, which: BoolArray) -> Rim:
         return Rim(*(getattr(self, f.name)[which] for f in fields(self)))
 
-    def on(self, facets: IntArray) -> npt.NDArray[np.bool_]:
+    def on(self, facets: IntArray) -> BoolArray:
         """(n,) whether each ridge belongs to one of these facets, given by vertices."""
         pairs = list(combinations(range(facets.shape[1]), self.vertices.shape[1]))
         found = [ridge_keys(facets[:, list(pair)]) for pair in pairs]

@@ -10,12 +10,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed, limits
 from forms.base import Array
 from forms.non_monotone import Phases
 from geometry import block
+from geometry.topology import BoolArray
 from thinlayer import History, Structure, Surface, Table, ThinLayer, march, piecewise, plotting
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.supports import Support
@@ -172,7 +172,7 @@ def moved(t: Array) -> Array:
     return END - np.abs(t - END)
 
 
-def straight(x: Array, y: Array, inside: npt.NDArray[np.bool_]) -> Array:
+def straight(x: Array, y: Array, inside: BoolArray) -> Array:
     """Slope and value at 0 of the line through some of the points."""
     return np.polyfit(x[inside], y[inside], 1)
 

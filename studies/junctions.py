@@ -8,11 +8,11 @@ from math import cos, radians, sin
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from scipy.spatial import cKDTree
 
 from forms import LinearElastic
+from forms.base import Array
 from forms.kinematics import Expr
 from geometry import Joint, faults, grains, wall
 from geometry.seam import JUNCTIONS, LAYER
@@ -198,7 +198,7 @@ def check(record: Record, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
     record.check(f"{name}: least order of the jump on all of S", min(orders["jump"]), low=low)
 
 
-def far_from_junctions(surface: Surface, distance: float) -> npt.NDArray[np.float64]:
+def far_from_junctions(surface: Surface, distance: float) -> Array:
     """1 on the facets of S whose middles are farther than a distance from junctions and from where S ends, else 0."""
     joint = surface.joint
     on_s = np.unique(joint.table.vertices[joint.surface_rows])

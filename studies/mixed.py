@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from forms import BulkLaw, LinearElastic, VonMises
 from forms.base import Array
 from geometry import wall
+from geometry.topology import BoolArray
 from studies.problems import FOURIER_BODY, free_blocks
 from studies.sweeping import by_reaction, errors_of_work, last_order
 from thinlayer import State, Structure, ThinLayer, compare, march, plotting, solve
@@ -76,7 +76,7 @@ class _Blocks:
         """The state of the mixed model whose cuts are so far from the free ends."""
         length = thicknesses * self.eps
 
-        def near_ends(x: Array) -> npt.NDArray[np.bool_]:
+        def near_ends(x: Array) -> BoolArray:
             return np.asarray(np.minimum(x[0], 1 - x[0]) < length)
 
         layer = ThinLayer(self.law, self.eps, order=1, at=1.0)
@@ -164,7 +164,7 @@ def _mortar(eps: float, order: int) -> dict[str, ThinLayer]:
     return {name: ThinLayer(ELASTIC, thickness, order=order, at=1.0) for name, thickness in thicknesses.items()}
 
 
-def _within(special: Array, length: float, x: Array) -> npt.NDArray[np.bool_]:
+def _within(special: Array, length: float, x: Array) -> BoolArray:
     """Whether places (d, n) are within a length of special ones (m, d)."""
     return np.asarray(cKDTree(special).query(x.T)[0] < length)
 

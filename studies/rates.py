@@ -8,9 +8,9 @@ from functools import partial
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulombMonodirectional, Norton, Rubber, Stack
+from forms.base import Array
 from geometry import Joint
 from studies import fig3_mohr_coulomb as fig3
 from studies import problems
@@ -160,7 +160,7 @@ def inside_bar(x: Any) -> Any:
     return abs(x[0] - fig3.SIDE / 2) < 0.45 * fig3.SIDE
 
 
-def wedge(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def wedge(x: Array) -> Array:
     """Thickness over the mean thickness: three times as thick at the right end as at the left one."""
     return 0.5 + x[0]
 

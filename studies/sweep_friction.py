@@ -9,9 +9,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from forms import HolonomicCoulomb, IncrementalCoulomb, MohrCoulombMonodirectional
+from forms.base import Array
 from studies.problems import pressed
 from studies.sweeping import Solution, Sweep, draw_rates, last, layer_of, table_of
 from thinlayer import History, State, Structure, Surface, Table, ThinLayer, compare, march, plotting, solve
@@ -199,7 +199,7 @@ def profile_of(band: State, contact: State, friction: float) -> Table:
     return Table.of(columns)
 
 
-def statuses(t: npt.NDArray[np.float64], friction: float) -> list[str]:
+def statuses(t: Array, friction: float) -> list[str]:
     """Status of nodes, from their tractions (n, 2) in the frame of S.
 
     It is found in the same way for both models. In a meshed layer zones end between two cells of different status.

@@ -8,9 +8,9 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from forms import LinearElastic
+from forms.base import Array
 from geometry import Joint, sandwich
 from studies.sweeping import Solution, Sweep, draw_rates, last, layer_of
 from thinlayer import Surface, ThinLayer, plotting
@@ -37,7 +37,7 @@ class Lame:
 
     radii: tuple[float, ...]
     laws: tuple[LinearElastic, ...]
-    coefficients: npt.NDArray[np.float64]
+    coefficients: Array
 
     def displacement(self, k: int, r: float) -> float:
         """Radial displacement of tube k at a radius."""
@@ -48,7 +48,7 @@ class Lame:
         return float(self.coefficients[k] @ _radial(self.laws[k], r))
 
 
-def _radial(law: LinearElastic, r: float) -> npt.NDArray[np.float64]:
+def _radial(law: LinearElastic, r: float) -> Array:
     return np.array([2 * (law.lmbda + law.mu), -2 * law.mu / r**2])
 
 

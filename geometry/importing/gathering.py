@@ -9,7 +9,6 @@ from typing import Any, NamedTuple, Unpack
 
 import dolfinx
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 
 from forms.base import InputError
@@ -17,7 +16,7 @@ from geometry.dolfinx_mesh import cell_nodes, vertices_of_facets
 from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
 from geometry.joint import Joint
 from geometry.parallel import on_root, world
-from geometry.topology import CELL_TYPES, FloatArray, IntArray, corner_count, geometry_degree
+from geometry.topology import CELL_TYPES, BoolArray, FloatArray, Indices, IntArray, corner_count, geometry_degree
 
 WHOLE = "BODY"  # region of all cells if there are no cell tags
 
@@ -79,7 +78,7 @@ class _Part(NamedTuple):
     points: FloatArray
     nodes: IntArray
     region: IntArray
-    tagged: npt.NDArray[np.bool_]
+    tagged: BoolArray
     facets: IntArray
     tags: IntArray
 
@@ -109,7 +108,7 @@ class _Part(NamedTuple):
         return cls(kind, points, whole[:owned], region, tagged, vertices, tags)
 
 
-def _tags(mesh: dolfinx.mesh.Mesh, tags: Any, dim: int, what: str) -> tuple[npt.NDArray[np.int32], IntArray]:
+def _tags(mesh: dolfinx.mesh.Mesh, tags: Any, dim: int, what: str) -> tuple[Indices, IntArray]:
     """Local entities with a tag, and their tags; both empty without tags."""
     if tags is None:
         return np.empty(0, np.int32), np.empty(0, np.int64)
@@ -147,7 +146,7 @@ def _joined(parts: list[Any], regions: Any, facets: Any, sides: SidesOf) -> Join
     return Named(cells, groups, named, "tags", Sides.of(**sides)).joint()
 
 
-def _groups(names: Any, values: IntArray, tagged: npt.NDArray[np.bool_], what: str) -> Groups:
+def _groups(names: Any, values: IntArray, tagged: BoolArray, what: str) -> Groups:
     """The entities of each name."""
     found = [int(number) for number in np.unique(values[tagged])]
     if names is None:

@@ -8,12 +8,12 @@ from typing import Any, ClassVar
 
 import dolfinx.fem.petsc
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.kinematics import Expr
+from geometry.topology import Indices
 from thinlayer.discretisation.boundary import AXES
 from thinlayer.discretisation.constraints import Tied
 from thinlayer.discretisation.layer import BODIES, BODY, CONTACT, LAYER
@@ -82,7 +82,7 @@ class Addition:
             )
         return self.work(model, state.u, v)
 
-    def resistance(self, model: Host, motions: Sequence[fem.Function]) -> npt.NDArray[np.float64]:
+    def resistance(self, model: Host, motions: Sequence[fem.Function]) -> Array:
         """Stiffness (m, m) of the part against m rigid motions of the structure. Collective.
 
         Entry (i, j) is the work that the part's forces do on motion j if motion i has taken place. Supports and parts
@@ -102,14 +102,14 @@ class Addition:
         A.destroy()
         return stiffness
 
-    def reaction(self, model: Host, u: fem.Function) -> list[tuple[Place, npt.NDArray[np.float64]]]:
+    def reaction(self, model: Host, u: fem.Function) -> list[tuple[Place, Array]]:
         """Places that the part holds, each with its force and moment (k,) about `model.centre` at displacements u.
 
         Collective. By default none: forces of a part of your own are no reactions.
         """
         return []
 
-    def held(self, model: Host, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
+    def held(self, model: Host, V: fem.FunctionSpace) -> Indices:
         """Degrees of freedom of a space (local, unrolled, ghosts included) on which the part acts as supports do.
 
         Collective. By default those of the components that it ties.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import basix
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
@@ -15,7 +14,7 @@ from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place
 from geometry.seam import LAYER, S
-from geometry.topology import IntArray, connected, sums
+from geometry.topology import BoolArray, Indices, IntArray, connected, sums
 from thinlayer.system.compat import interpolation_points
 from thinlayer.system.ranks import send
 
@@ -26,7 +25,7 @@ CORNER = 30.0  # degrees; facets whose normals differ by less at a node are one 
 ALONG_AXES = 1e-12  # a component of a unit normal that counts as rounding
 
 
-def on_axis(kinematics: Kinematics, joint: Joint) -> npt.NDArray[np.bool_]:
+def on_axis(kinematics: Kinematics, joint: Joint) -> BoolArray:
     """(n,) which points of a joint lie on the axis."""
     return np.asarray(np.abs(kinematics.radius(joint.points)) <= ON_AXIS * joint.size)
 
@@ -50,7 +49,7 @@ def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
             raise InputError(f"plane={kinematics.name!r}: a structure repeats along the axis (y) alone")
 
 
-def is_across(kinematics: Kinematics, normals: npt.NDArray[np.float64]) -> bool:
+def is_across(kinematics: Kinematics, normals: Array) -> bool:
     """Whether S, with these normals (n, d), lies across the axis: translations along them are rigid motions."""
     held = np.delete(normals, kinematics.translations(normals.shape[1]), axis=1)
     return bool(np.abs(held).max(initial=0.0) <= ACROSS)
@@ -106,7 +105,7 @@ def refuse_periodic(joint: Joint, name: str, what: str) -> None:
         raise InputError(f"{what}: this side is identified with another one, the structure goes on there; {remedy}")
 
 
-def node_normals(domain: Domain, V: fem.FunctionSpace, facets: npt.NDArray[np.int32]) -> tuple[IntArray, Array]:
+def node_normals(domain: Domain, V: fem.FunctionSpace, facets: Indices) -> tuple[IntArray, Array]:
     """Outer normals of facets at their nodes, with weights whose sum at a vertex on a circle or sphere is along its normal.
 
     The weight is sin(angle)/(product of lengths) of the facet's edges at a vertex (Max 1999, Weights for computing vertex

@@ -10,7 +10,6 @@ from typing import Any
 import basix.ufl
 import dolfinx.mesh
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import cpp, fem, la
 from dolfinx.mesh import Mesh, MeshTags
@@ -24,6 +23,7 @@ from forms.traction import TractionLaw
 from forms.work import Term, surface
 from geometry.joint import Profile
 from geometry.refusals import unknown
+from geometry.topology import BoolArray, Indices
 from thinlayer.discretisation.boundary import ON_AXIS
 from thinlayer.discretisation.contact_nodes import ContactSurface, first_cells
 from thinlayer.discretisation.layer import AtRest, ThinLayer, for_terms, real_law
@@ -32,7 +32,6 @@ from thinlayer.discretisation.mesh_functions import Keys, broken_space
 from thinlayer.system.compat import interior_facet_entities
 from thinlayer.system.ranks import communicator, on_all
 
-Facets = npt.NDArray[np.int32]
 Upper = int | set[int] | frozenset[int] | Sequence[float] | None
 ALONG = 0.02  # least cosine between a facet's normal and a direction that chooses its upper side
 
@@ -86,7 +85,7 @@ class BrokenMesh:
         self._body = self._bodies()
         self._check_cuts(np.concatenate([np.empty(0, np.int32), *(self._owned(tag) for tag in rules)]))
         self._bases: set[int] = set()
-        self._sides: dict[int, Facets] = {}
+        self._sides: dict[int, Indices] = {}
         for tag, upper in rules.items():
             facets = self._owned(tag)
             total, outer = self._sum(len(facets), np.isin(facets, self._outer).sum())
@@ -206,7 +205,7 @@ class BrokenMesh:
                 if refused := AtRest(one, np.eye(self._dim)[-1]).locks():
                     raise refused.error()
 
-    def _vertices(self, tag: int) -> tuple[fem.FunctionSpace, npt.NDArray[np.int32], npt.NDArray[np.float64]]:
+    def _vertices(self, tag: int) -> tuple[fem.FunctionSpace, Indices, Array]:
         """Functions of degree 1, their unknowns on the facets with a tag, and the places (d, n) of these."""
         P1 = fem.functionspace(self.mesh, ("Lagrange", 1))
         dofs = fem.locate_dofs_topological(P1, self._dim - 1, self.facet_tags.find(tag))
@@ -235,7 +234,7 @@ class BrokenMesh:
     def _sum(self, *counts: int) -> list[int]:
         return [int(n) for n in self.comm.allreduce(np.array(counts, np.int64))]
 
-    def _owned(self, tag: int) -> Facets:
+    def _owned(self, tag: int) -> Indices:
         """This rank's own facets with a tag, sorted."""
         facets = self.facet_tags.find(tag)
         return np.sort(facets[facets < self.mesh.topology.index_map(self._dim - 1).size_local])
@@ -244,7 +243,7 @@ class BrokenMesh:
         found = {int(tag) for tags in self.comm.allgather(np.unique(self.facet_tags.values)) for tag in tags}
         return ", ".join(map(str, sorted(found))) or "none"
 
-    def _bodies(self) -> npt.NDArray[np.int32]:
+    def _bodies(self) -> Indices:
         """Body of each local cell, ghosts included."""
         imap = self.mesh.topology.index_map(self._dim)
         body, own = la.vector(imap, dtype=np.int32), self.bodies.indices < imap.size_local
@@ -255,7 +254,7 @@ class BrokenMesh:
         body.scatter_forward()
         return np.asarray(body.array)
 
-    def _check_cuts(self, cuts: Facets) -> None:
+    def _check_cuts(self, cuts: Indices) -> None:
         """Refuse bodies that meet where no layer holds them, and an S inside a body."""
         topology = self.mesh.topology
         own = np.arange(topology.index_map(self._dim - 1).size_local, dtype=np.int32)
@@ -274,14 +273,14 @@ class BrokenMesh:
         self._refuse(number[apart & ~cut], "where two bodies meet are not in S: tag them, or give both one value")
         self._refuse(number[cut & ~apart], "of S lie inside a body: give the bodies on its two sides different values")
 
-    def _refuse(self, facets: Facets, what: str) -> None:
+    def _refuse(self, facets: Indices, what: str) -> None:
         (count,) = self._sum(len(facets))
         if count:
             places = dolfinx.mesh.compute_midpoints(self.mesh, self._dim - 1, facets[:1])[:, : self._dim]
             first = next(p[0] for p in self.comm.allgather(places) if len(p))
             raise InputError(f"{count} facets {what}; one is at ({', '.join(f'{c:g}' for c in first)})")
 
-    def _oriented(self, tag: int, facets: Facets, upper: Upper) -> Facets:
+    def _oriented(self, tag: int, facets: Indices, upper: Upper) -> Indices:
         """(upper cell, local facet, lower cell, local facet) of facets between bodies, (n, 4)."""
         rows = interior_facet_entities(self.mesh, facets)
         first, second = rows[:, 0], rows[:, 2]
@@ -297,7 +296,7 @@ class BrokenMesh:
         rows[swap] = rows[swap][:, [2, 3, 0, 1]]
         return rows
 
-    def _points_to(self, cells: Facets, tag: int, facets: Facets, direction: Array) -> npt.NDArray[np.bool_]:
+    def _points_to(self, cells: Indices, tag: int, facets: Indices, direction: Array) -> BoolArray:
         """Whether cells lie on the side of their facets that a direction points to."""
         if direction.shape != (self._dim,) or not np.linalg.norm(direction) > 0:
             raise InputError(f"S: the upper side of {tag} is {direction}; allowed: {self._dim} numbers, not all 0")

@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -16,10 +15,9 @@ from scipy.sparse.csgraph import connected_components
 
 from forms.base import Array, InputError
 from geometry.refusals import place as at_place
-from geometry.topology import sums
+from geometry.topology import IntArray, sums
 from thinlayer.discretisation.supports import ROUNDING, Prescribed
 
-Numbers = npt.NDArray[Any]
 Sparse = Any  # scipy.sparse.csr_matrix, which has no types
 INDEPENDENT = 1e-6  # least singular value of conditions that are independent of each other
 AGREE = 1e-9  # difference of two values of one displacement, at most, over the largest prescribed displacement
@@ -60,8 +58,8 @@ class Followers:
         shares: (n, k) of these.
     """
 
-    rows: npt.NDArray[np.int64]
-    of: npt.NDArray[np.int64]
+    rows: IntArray
+    of: IntArray
     shares: Array
 
 
@@ -72,8 +70,8 @@ class _Group:
     The first `rank` columns of the frame are what they hold.
     """
 
-    rows: Numbers
-    columns: Numbers
+    rows: np.ndarray
+    columns: np.ndarray
     N: Array
     frame: Array
     rank: int
@@ -150,7 +148,7 @@ class Constraints:
         if several := [one for one in self.comm.allgather(names) if one]:
             raise InputError(f"{' and '.join(several[0])} share a node: their motions would not be independent")
 
-    def _slots_of(self, tie: Tied) -> Numbers:
+    def _slots_of(self, tie: Tied) -> np.ndarray:
         """(m,) global numbers of the displacements in whose places the motions of a tie stand."""
         rows = self.first + np.flatnonzero(np.diff(tie.R.indptr))
         if self.followers is not None:
@@ -185,7 +183,7 @@ class Constraints:
         T.destroy()
         return followed
 
-    def _matrix(self, i: Numbers, j: Numbers, v: Array, rows: int | None = None) -> PETSc.Mat:
+    def _matrix(self, i: np.ndarray, j: np.ndarray, v: Array, rows: int | None = None) -> PETSc.Mat:
         """Entries v in rows i of this rank and columns j of all displacements; diagonals are stored, products need them."""
         rows = self.n if rows is None else rows
         if rows == self.n:
@@ -361,7 +359,7 @@ class Constraints:
         b.destroy()
         return np.asarray(found)
 
-    def _own(self, tie: Tied) -> tuple[Numbers, Numbers]:
+    def _own(self, tie: Tied) -> tuple[np.ndarray, np.ndarray]:
         """Numbers of the motions of a tie that stand on this rank, and the local numbers of their places."""
         slots = self.slots[tie.key] - self.first
         own = np.flatnonzero((slots >= 0) & (slots < self.n))
@@ -475,7 +473,7 @@ def _groups(A: Sparse) -> list[_Group]:
     return found
 
 
-def _by_label(labels: Numbers) -> list[Numbers]:
+def _by_label(labels: np.ndarray) -> list[np.ndarray]:
     order = np.argsort(labels, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
 

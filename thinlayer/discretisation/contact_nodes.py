@@ -17,7 +17,7 @@ from petsc4py import PETSc
 from forms.base import Array, InputError
 from forms.planes import LIFTED, Kinematics
 from geometry.joint import Joint
-from geometry.topology import IntArray, sums
+from geometry.topology import Indices, IntArray, sums
 from thinlayer.discretisation.layer import seam_entities
 from thinlayer.discretisation.model import Model
 from thinlayer.system.ranks import on_all, send
@@ -65,10 +65,10 @@ class ContactSurface:
 
     V: fem.FunctionSpace
     comm: MPI.Intracomm
-    facets: npt.NDArray[np.int32]
-    upper: npt.NDArray[np.int32]
-    lower: npt.NDArray[np.int32] | None
-    rows: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    facets: Indices
+    upper: Indices
+    lower: Indices | None
+    rows: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     kinematics: Kinematics = LIFTED
 
     @classmethod
@@ -83,7 +83,7 @@ class ContactSurface:
         return cls(model.V, model.comm, facets, upper, lower, rows, model.kinematics)
 
 
-def first_cells(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+def first_cells(mesh: Mesh, facets: Indices) -> Indices:
     """The local cells of facets of the outer boundary; of others one of theirs."""
     topology = mesh.topology
     topology.create_connectivity(topology.dim - 1, topology.dim)
@@ -113,7 +113,7 @@ class ContactNodes:
     def __init__(
         self,
         surface: ContactSurface,
-        held: npt.NDArray[np.int32] = NONE,
+        held: Indices = NONE,
         *,
         gap: Callable[[Array], Array] | None = None,
         turned: bool = False,
@@ -156,7 +156,7 @@ class ContactNodes:
             self.gap = np.zeros(len(upper)) if gap is None else gap(np.ascontiguousarray(self.x.T))
 
     @property
-    def pairs(self) -> npt.NDArray[np.int64]:
+    def pairs(self) -> IntArray:
         """(n, 2) global numbers of the nodes of V on the upper and on the lower side; -1 on a rigid base."""
         return np.column_stack([self._first + self.upper.astype(np.int64), self._lower])
 
@@ -199,7 +199,7 @@ class ContactNodes:
         rows = np.column_stack([above, below, areas.ravel(), vectors, numbers, of_facet.ravel()])
         return np.asarray(rows[below != self._global(above)])  # at a tip of S there is no jump
 
-    def _nodes(self, cells: npt.NDArray[np.int32], vertices: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    def _nodes(self, cells: Indices, vertices: Indices) -> Indices:
         """Local nodes of V at vertices (n, k) of cells (n,)."""
         V, topology = self.surface.V, self.surface.V.mesh.topology
         to_vertices = topology.connectivity(self.dim, 0)
@@ -210,7 +210,7 @@ class ContactNodes:
         return np.asarray(np.take_along_axis(dofs, places[corner], axis=1), np.int32)
 
     # ---------------------------------------------------------------- supports
-    def _note_held(self, held: npt.NDArray[np.int32]) -> None:
+    def _note_held(self, held: Indices) -> None:
         """Set `held`, `held_upper` and `held_lower` from the held displacements of this rank (local, unrolled)."""
         mark = self.zero()
         mark.array[held] = 1.0
@@ -226,7 +226,7 @@ class ContactNodes:
         return PETSc.Vec().createMPI((self._size * self.dim, None), bsize=self.dim, comm=self.comm)
 
     @cached_property
-    def dofs(self) -> npt.NDArray[np.int32]:
+    def dofs(self) -> Indices:
         """Local numbers of the displacements of the upper side, (n, d)."""
         return self.upper[:, None] * np.int32(self.dim) + np.arange(self.dim, dtype=np.int32)
 

@@ -8,7 +8,6 @@ from functools import cached_property, partial
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from ufl.algorithms.analysis import extract_coefficients
@@ -24,7 +23,7 @@ from geometry.inflating.parting import parted
 from geometry.joint import Joint
 from geometry.refusals import unknown
 from geometry.seam import S
-from geometry.topology import FloatArray, Splitting
+from geometry.topology import BoolArray, FloatArray, Splitting
 from thinlayer.discretisation.boundary import require_revolution
 from thinlayer.discretisation.forces import Forces, Weighted
 from thinlayer.discretisation.given import Coordinates
@@ -48,7 +47,7 @@ class InterfaceModel(Model):
     broken = True
 
     def __init__(
-        self, structure: Setup, layer: Layers, *, bodies: str = "kept", meshed: npt.NDArray[np.bool_] | None = None
+        self, structure: Setup, layer: Layers, *, bodies: str = "kept", meshed: BoolArray | None = None
     ) -> None:
         self._bodies, self.meshed = bodies, meshed
         super().__init__(structure, layer, **({} if bodies == "kept" else {"bodies": bodies}))

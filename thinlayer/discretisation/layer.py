@@ -9,23 +9,23 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from forms.base import InputError, is_number
+from forms.base import Array, InputError, is_number
 from forms.contact import ContactLaw
 from forms.kinematics import MANDEL, ROOT2, Expr
 from forms.law import BulkLaw, Law
 from forms.planes import Kinematics
 from forms.series import folded
-from forms.tangent import Array, average_lame, is_checked_at_rest, known_at_rest, require_stable, tangent_over
+from forms.tangent import average_lame, is_checked_at_rest, known_at_rest, require_stable, tangent_over
 from forms.traction import TractionLaw
 from geometry.domain import Domain
 from geometry.joint import Joint, Profile
 from geometry.refusals import unknown
 from geometry.seam import S
 from geometry.sheet import Sheet
+from geometry.topology import Indices
 from thinlayer.discretisation.given import Coordinates, Load
 from thinlayer.discretisation.given_strains import Matter, StrainGiven, given_strain
 from thinlayer.errors import Refused
@@ -369,7 +369,7 @@ def loads_of_layers(given: Any, joint: Joint, layers: Mapping[str, SeamLayer], b
     return dict(loads)
 
 
-def seam_entities(domain: Domain, name: str) -> npt.NDArray[np.int32]:
+def seam_entities(domain: Domain, name: str) -> Indices:
     """(upper cell, local facet, lower cell, local facet) of this rank's facets of a seam between bodies, (n, 4).
 
     They are in the order of the local facets. Collective.

@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh, exterior_facet_indices
@@ -24,6 +23,7 @@ from forms.work import Term
 from geometry.domain import Domain
 from geometry.inflating.parting import points_on_middle, to_middle
 from geometry.joint import Joint
+from geometry.topology import IntArray
 from thinlayer.discretisation.clock import readings
 from thinlayer.discretisation.given import Coordinates, has_finite_numbers
 from thinlayer.discretisation.layer import BODY, LAYER, constants
@@ -196,7 +196,7 @@ def origin_of(domain: Domain) -> Origin:
     return Origin(domain.comm, x, domain.numbers, columns, on_s, points_on_middle(joint))
 
 
-def column_numbers(joint: Joint) -> tuple[npt.NDArray[np.int64], Array]:
+def column_numbers(joint: Joint) -> tuple[IntArray, Array]:
     """The column of every cell of an inflated joint (-1 outside the layer), or of every facet; and their centres.
 
     Returns:

@@ -8,7 +8,6 @@ from typing import Any
 
 import basix.ufl
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem, geometry
 from dolfinx.mesh import Mesh
@@ -31,7 +30,7 @@ OfEntities = Sequence[IntArray]
 INWARDS = 1e-6  # way of a place towards the middle of its cell, so that it is on one side of S, over the distance
 
 
-def cellwise(domain: Domain, element: tuple[Any, ...], values: npt.NDArray[np.float64]) -> fem.Function:
+def cellwise(domain: Domain, element: tuple[Any, ...], values: Array) -> fem.Function:
     """A function given by its degrees of freedom on each cell of the joint, (n_cells, dofs per cell, components)."""
     f = fem.Function(fem.functionspace(domain.mesh, element))
     dofs = f.function_space.dofmap.list

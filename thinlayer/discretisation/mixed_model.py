@@ -7,20 +7,19 @@ from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
 from scipy.spatial import cKDTree
 
 from forms import work as forms
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.interface import Interface
 from geometry.domain import Domain
 from geometry.parallel import world
 from geometry.refusals import place
 from geometry.seam import BASE, CUT, LAYER, LOWER_FACE, UPPER_FACE, S
-from geometry.topology import BoolArray
+from geometry.topology import BoolArray, IntArray
 from thinlayer.discretisation.constraints import Followers
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -35,7 +34,7 @@ from thinlayer.system.identity import described
 from thinlayer.system.ranks import on_all
 
 SAME_PLACE = 1e-9  # distance before inflating, relative to the size of the joint, of nodes above one another
-Where = BoolArray | Callable[[npt.NDArray[np.float64]], Any]
+Where = BoolArray | Callable[[Array], Any]
 UPRIGHT = 1e-4  # shift of bodies along S, over that across it, that counts as none: S is planar to 1e-5
 REACH = 3.0  # largest width, over the thickness, of the strips on which a law has the constants of a free end
 
@@ -91,7 +90,7 @@ def at_cuts(domain: Domain, V: fem.FunctionSpace, layers: Mapping[str, SeamLayer
     return Followers((rows[:, None] * d + every).ravel(), of, shares)
 
 
-def _owned(domain: Domain, V: fem.FunctionSpace, name: str) -> npt.NDArray[np.int64]:
+def _owned(domain: Domain, V: fem.FunctionSpace, name: str) -> IntArray:
     """Nodes of this rank on the facets of a name, by their local numbers. Collective."""
     found = fem.locate_dofs_topological(V, V.mesh.topology.dim - 1, domain.facets(name))
     return np.unique(found[found < V.dofmap.index_map.size_local]).astype(np.int64)

@@ -10,7 +10,6 @@ from functools import cached_property, partial
 from typing import Any, ClassVar, Self
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
@@ -21,7 +20,7 @@ from forms.kinematics import Expr
 from forms.law import BulkLaw
 from geometry.domain import Domain
 from geometry.joint import Joint
-from geometry.topology import FloatArray, Splitting, is_tensor
+from geometry.topology import BoolArray, FloatArray, Indices, Splitting, is_tensor
 from thinlayer.discretisation.addition import check_additions
 from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.constraints import Constraints, Followers
@@ -109,7 +108,7 @@ class Model(ABC):
 
     name: ClassVar[str]
     broken: ClassVar[bool] = False
-    meshed: npt.NDArray[np.bool_] | None = None
+    meshed: BoolArray | None = None
     _bodies = "kept"
     followers: Followers | None = None
 
@@ -451,7 +450,7 @@ class Model(ABC):
             for name, one in several.items()
         }
 
-    def held_in(self, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
+    def held_in(self, V: fem.FunctionSpace) -> Indices:
         """Degrees of freedom of a space (local, unrolled, ghosts included) on which supports and plates act. Collective.
 
         Without those that a rigid base holds.

@@ -10,7 +10,6 @@ from typing import Any
 import basix
 import basix.ufl
 import numpy as np
-import numpy.typing as npt
 import ufl
 
 from forms.base import Array, InputError
@@ -38,7 +37,7 @@ class Nodes:
             all weights are 1.
     """
 
-    cells: npt.NDArray[np.int64]
+    cells: IntArray
     points: Array
     along: Array | None = None
 
@@ -251,7 +250,7 @@ class ConcentratedForms:
         return sums(nodes.cells, np.einsum("nk...,nkm->nm...", weights, g), len(self.domain.joint.cells))
 
 
-def _rounds(cells: npt.NDArray[np.int64]) -> Iterable[npt.NDArray[np.int64]]:
+def _rounds(cells: IntArray) -> Iterable[IntArray]:
     """Rows of nodes in groups in which each cell is at most once."""
     order = np.argsort(cells, kind="stable")
     first = np.searchsorted(cells[order], cells[order])

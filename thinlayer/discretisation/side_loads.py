@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 
 import basix
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
@@ -33,7 +32,7 @@ from geometry.ends import StraightEnd, share_within, straight_ends
 from geometry.joint import Joint
 from geometry.seam import LAYER
 from geometry.sheet import Rim, Sheet
-from geometry.topology import FloatArray, IntArray, ridge_keys
+from geometry.topology import BoolArray, FloatArray, IntArray, ridge_keys
 from thinlayer.discretisation.forces import Forces, Weighted
 from thinlayer.discretisation.given import Coordinates, Load, Pressure, vanishes
 from thinlayer.discretisation.layer import SeamLayer, real_law
@@ -73,7 +72,7 @@ class SideLoad:
                 if here.any():
                     yield given.on(here)
 
-    def on(self, which: npt.NDArray[np.bool_]) -> SideLoad:
+    def on(self, which: BoolArray) -> SideLoad:
         """The same on some of its ridges."""
         return replace(self, rim=self.rim[which])
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.kinematics import MANDEL, Expr, from_mandel, lift
 from forms.work import Term, added, energy, stress
+from geometry.topology import IntArray
 from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.given_strains import MEAN_STRAIN, PAIRS, of_components
 from thinlayer.discretisation.layer import BODIES, LAYER, PRESSURE
@@ -100,8 +100,8 @@ class Configuration:
     fields: Mapping[str, fem.Function] = field(default_factory=dict)
     stored: Mapping[str, float] = field(default_factory=dict)
     at_rest: bool = False
-    reactions: npt.NDArray[np.float64] | None = None
-    stresses: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
+    reactions: Array | None = None
+    stresses: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -217,7 +217,7 @@ class State(Configuration):
         """
         return applied_to(self, about)
 
-    def mean_strain(self) -> npt.NDArray[np.float64]:
+    def mean_strain(self) -> Array:
         """Mean strain (d, d) of a periodic cell, prescribed or found under a mean stress; else zero. Collective."""
         model, d = self.model, self.model.joint.dim
         if model.strain:
@@ -273,7 +273,7 @@ class State(Configuration):
             values = self.stresses.get(key, np.zeros((points.count, len(MANDEL))))
             yield p, from_mandel(points.function(values)), points.measure
 
-    def mean_stress(self) -> npt.NDArray[np.float64]:
+    def mean_stress(self) -> Array:
         """Mean stress (d, d) of the bodies and of meshed layers. Collective.
 
         In a periodic cell with a layer on S, which has no volume, it is the stress of the cell as a whole.
@@ -295,7 +295,7 @@ class State(Configuration):
         return self._sum(energy(points, self.u)) if points else 0.0
 
 
-def cell_values(f: fem.Function, model: Model, cells: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+def cell_values(f: fem.Function, model: Model, cells: IntArray) -> Array:
     """(..., a, m) values at the nodes of cells (...), by their numbers in a model's joint, of any rank. Collective.
 
     A body's cell has one number in the joint, and one order of its degrees of freedom, in all models.

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 import ufl
 from dolfinx import fem, la
@@ -18,12 +17,12 @@ from forms.base import Array, InputError, is_number
 from forms.planes import LIFTED, Kinematics
 from geometry.domain import Domain
 from geometry.refusals import unknown
+from geometry.topology import BoolArray, Indices
 from thinlayer.discretisation.boundary import AXES, node_normals, on_axis, on_boundary, smooth
 from thinlayer.discretisation.given import Coordinates, Value
 from thinlayer.system.compat import interpolation_points
 
 BALANCE = 1e-10  # sum of the loads along an axis, over the sum of their sizes, that still counts as rounding
-Numbers = npt.NDArray[Any]
 ROUNDING = 1e-13  # a difference that counts as rounding, over the size of the structure
 NORMAL = "n"  # the component along the normal of the boundary
 Place = str | tuple[float, ...]
@@ -113,7 +112,7 @@ class Supports:
                 raise InputError(f"support on {place!r}: component {axis} is {value!r}; give 0 where it is held")
         return components
 
-    def dofs(self, V: fem.FunctionSpace, place: Place, axis: str) -> npt.NDArray[np.int32]:
+    def dofs(self, V: fem.FunctionSpace, place: Place, axis: str) -> Indices:
         """Local degrees of freedom (unrolled, ghosts included) of one component on one place. Collective.
 
         Of the normal component all that it may hold: all components.
@@ -134,9 +133,7 @@ class Supports:
         free = sum(len(np.setdiff1d(self.dofs(V, name, axis), held)) for axis in self.axes)
         return self.domain.comm.allreduce(free) == 0
 
-    def held(
-        self, V: fem.FunctionSpace, entries: Sequence[tuple[Place, Mapping[str, Value]]] | None = None
-    ) -> npt.NDArray[np.int32]:
+    def held(self, V: fem.FunctionSpace, entries: Sequence[tuple[Place, Mapping[str, Value]]] | None = None) -> Indices:
         """All degrees of freedom of a space that supports act on, or some entries (local, unrolled, ghosts included).
 
         Collective.
@@ -147,7 +144,7 @@ class Supports:
         found += [anchors, self.axis(V)]
         return np.unique(np.concatenate([np.empty(0, np.int32), *found]))
 
-    def anchors(self, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
+    def anchors(self, V: fem.FunctionSpace) -> Indices:
         """Local degrees of freedom (unrolled, ghosts included) of the anchored components, at one corner. Collective."""
         if not self.anchored:
             return np.empty(0, np.int32)
@@ -174,7 +171,7 @@ class Supports:
                     "them; add supports, or loads whose sum is zero"
                 )
 
-    def axis(self, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
+    def axis(self, V: fem.FunctionSpace) -> Indices:
         """Local degrees of freedom (unrolled, ghosts included) of the component x on an axis of revolution. Collective."""
         if not self.on_axis.any():
             return np.empty(0, np.int32)
@@ -189,7 +186,7 @@ class Supports:
         return np.union1d(along, vertex_dofs(V, vertices, 0)).astype(np.int32)
 
 
-def vertex_dofs(V: fem.FunctionSpace, vertices: npt.NDArray[np.int32], component: int) -> npt.NDArray[np.int32]:
+def vertex_dofs(V: fem.FunctionSpace, vertices: Indices, component: int) -> Indices:
     """Local degrees of freedom (unrolled) of one component at local vertices, in every cell that has the vertex."""
     dofmap, of_cells = V.dofmap, V.mesh.topology.connectivity(V.mesh.topology.dim, 0)
     corners = of_cells.array.reshape(of_cells.num_nodes, -1)
@@ -260,7 +257,7 @@ class Prescribed:
         supports, V, d = self.supports, self.V, self.d
         along_axes = [(k, one) for k, one in enumerate(self._sources) if one.axis != NORMAL]
         held = [(k, supports.dofs(V, one.place, one.axis)) for k, one in along_axes]
-        found: list[tuple[Numbers, Numbers, Array]] = []
+        found: list[tuple[np.ndarray, np.ndarray, Array]] = []
         for number, dofs in (*held, (-1, supports.anchors(V)), (-1, supports.axis(V))):
             own = np.unique(dofs[dofs < self.size])
             found.append((np.full(len(own), number), own, np.eye(d)[own % d]))
@@ -279,7 +276,7 @@ class Prescribed:
         self.conditions = scipy.sparse.csr_matrix(rows, (len(self.entry), self.size))
         self.conditions.eliminate_zeros()
 
-    def _normal_conditions(self) -> tuple[Numbers, Numbers, Array]:
+    def _normal_conditions(self) -> tuple[np.ndarray, np.ndarray, Array]:
         """Conditions along normals: source, degree of freedom, direction."""
         d, domain = self.d, self.supports.domain
         columns: list[Array] = [np.empty((0, d + 2))]  # source, block, normal
@@ -298,7 +295,7 @@ class Prescribed:
 
     # ---------------------------------------------------------------- values
     @property
-    def varies(self) -> npt.NDArray[np.bool_]:
+    def varies(self) -> BoolArray:
         """(k,) whether the value of a condition is a function."""
         return np.array([*(one.expression is not None for one in self._sources), False])[self._source_of]
 

@@ -6,13 +6,12 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pyvista
 from mpi4py import MPI
 
 from forms.base import Array
 from geometry.joint import Joint
-from geometry.topology import lagrange
+from geometry.topology import BoolArray, IntArray, lagrange
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import CONTACT_STATUSES, NO_CONTACT, at_contact
@@ -92,7 +91,7 @@ class _Means:
         found: name -> (n, components), NaN where nothing was added; tensors have VTK's six components.
     """
 
-    def __init__(self, comm: MPI.Intracomm, numbers: npt.NDArray[np.int64]) -> None:
+    def __init__(self, comm: MPI.Intracomm, numbers: IntArray) -> None:
         self._comm, self._numbers = comm, numbers
         self.found: dict[str, Array] = {}
 
@@ -138,7 +137,7 @@ def _volume(joint: Joint, grid: Grid, of_cells: Mapping[str, Array]) -> pyvista.
     return mesh
 
 
-def _part(mesh: pyvista.UnstructuredGrid, chosen: npt.NDArray[np.bool_]) -> pyvista.UnstructuredGrid:
+def _part(mesh: pyvista.UnstructuredGrid, chosen: BoolArray) -> pyvista.UnstructuredGrid:
     """Some cells with their points and data; data that are NaN in all of them, which VTK cannot read, are left out."""
     part = mesh.extract_cells(np.flatnonzero(chosen))
     for name in ("vtkOriginalCellIds", "vtkOriginalPointIds"):

@@ -7,10 +7,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 
-from forms.base import InputError, is_number
+from forms.base import Array, InputError, is_number
 from geometry.parallel import on_root
 from geometry.seam import S
 from thinlayer.discretisation.full_model import FullModel
@@ -23,7 +22,7 @@ from thinlayer.system.identity import differences, in_words
 from thinlayer.system.ranks import on_all, require_same
 from thinlayer.time.history import SAME_TIME, History
 
-Where = Callable[[npt.NDArray[np.float64]], Any]
+Where = Callable[[Array], Any]
 ROUNDING = 1e-12  # a jump up to this share of the displacements is their rounding
 SAME_PROFILE = 1e-9  # relative difference of equal thickness profiles
 
@@ -145,7 +144,7 @@ def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
             raise InputError("compare needs the same profile of the thickness in both models")
 
 
-def _part(surface: Surface, where: Where | None) -> npt.NDArray[np.float64]:
+def _part(surface: Surface, where: Where | None) -> Array:
     """(n, q) 1 on a part of S, 0 elsewhere."""
     with on_all(surface.model.comm):
         part = surface.where(1.0 if where is None else where)

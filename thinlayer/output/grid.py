@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from geometry.joint import Joint
 from geometry.seam import BASE
-from geometry.topology import FACET_TYPES, geometry_degree
+from geometry.topology import FACET_TYPES, Indices, IntArray, geometry_degree
 from thinlayer.discretisation.state import State
 
 MIRRORED = (1, 0, 2, 3, 4, 6, 5, 8, 7, 9)  # nodes of a tetrahedron of degree 2 in VTK's order; the first four: degree 1
@@ -26,7 +26,7 @@ def vtk_type(cell_type: str, n_nodes: int) -> int:
     return (STRAIGHT if geometry_degree(cell_type, n_nodes) == 1 else LAGRANGE)[cell_type]
 
 
-def vtk_order(cell_type: str, n_nodes: int) -> npt.NDArray[np.int64]:
+def vtk_order(cell_type: str, n_nodes: int) -> IntArray:
     """(n_nodes,) the nodes of a cell, numbered as DOLFINx does, in the order that VTK wants."""
     order = dolfinx.cpp.io.perm_vtk(dolfinx.mesh.to_type(cell_type), n_nodes)
     return np.argsort(np.asarray(order, np.int64))
@@ -47,15 +47,15 @@ class Grid:
     """
 
     dim: int
-    points: npt.NDArray[np.float64]
-    u: npt.NDArray[np.float64]
-    cells: npt.NDArray[np.int64]
+    points: Array
+    u: Array
+    cells: IntArray
     types: npt.NDArray[np.uint8]
-    region: npt.NDArray[np.int64]
-    base: npt.NDArray[np.float64]
+    region: IntArray
+    base: Array
     base_type: int
 
-    def component(self, name: str) -> npt.NDArray[np.float64]:
+    def component(self, name: str) -> Array:
         """(n,) component of the displacement, "x", "y" or "z", or its "size"; raises InputError for another name."""
         if name == "size":
             return np.linalg.norm(self.u, axis=1)
@@ -112,27 +112,27 @@ def gather(state: State) -> Grid | None:
     return Grid(d, points, moved, cells, types, region, *_base(joint))
 
 
-def _places(V: fem.FunctionSpace, periodic: bool, n: int) -> npt.NDArray[np.float64]:
+def _places(V: fem.FunctionSpace, periodic: bool, n: int) -> Array:
     """Places (n, nodes, 3) of the nodes of the first n cells, each cell's own: nodes of periodic sides have two."""
     space = fem.functionspace(V.mesh, ("DG", V.ufl_element().degree)) if periodic else V
-    x: npt.NDArray[np.float64] = space.tabulate_dof_coordinates()[np.asarray(space.dofmap.list)[:n]]
+    x: Array = space.tabulate_dof_coordinates()[np.asarray(space.dofmap.list)[:n]]
     return x
 
 
-def _numbers(space: fem.FunctionSpace, nodes: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
+def _numbers(space: fem.FunctionSpace, nodes: Indices) -> IntArray:
     """Global numbers of local nodes."""
-    found: npt.NDArray[np.int64] = space.dofmap.index_map.local_to_global(np.ravel(nodes)).reshape(nodes.shape)
+    found: IntArray = space.dofmap.index_map.local_to_global(np.ravel(nodes)).reshape(nodes.shape)
     return found
 
 
-def _orient(points: npt.NDArray[np.float64], cells: npt.NDArray[np.int64]) -> None:
+def _orient(points: Array, cells: IntArray) -> None:
     """Turn tetrahedra (n, 4 or 10) right-handed, in place: VTK takes inner faces of others for outer ones."""
     corners = points[cells[:, :4]]
     left = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
     cells[left] = cells[left][:, MIRRORED[: cells.shape[1]]]
 
 
-def _base(joint: Joint) -> tuple[npt.NDArray[np.float64], int]:
+def _base(joint: Joint) -> tuple[Array, int]:
     """Facets of the rigid base, (n, k, 3) in VTK's order of nodes, and their VTK type."""
     kind = FACET_TYPES[joint.cell_type]
     names = joint.base_seams if joint.band is None else (BASE,) if BASE in joint.facets else ()

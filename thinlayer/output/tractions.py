@@ -8,7 +8,6 @@ from weakref import WeakKeyDictionary
 
 import basix
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 import scipy.sparse.linalg
 import ufl
@@ -19,7 +18,7 @@ from ufl.classes import Zero
 from forms.base import Array, InputError
 from forms.kinematics import Expr, from_mandel, vectors
 from geometry.dolfinx_mesh import cell_nodes
-from geometry.topology import IntArray, lagrange
+from geometry.topology import BoolArray, IntArray, lagrange
 from thinlayer.discretisation.contact_nodes import component_at
 from thinlayer.discretisation.layer import SeamLayer, real_law
 from thinlayer.discretisation.measures import column_numbers
@@ -201,7 +200,7 @@ def _to_sides(surface: SurfaceMesh, sides: IntArray, count: int) -> scipy.sparse
     return scipy.sparse.csr_matrix((values, (np.concatenate(rows), np.tile(columns, 2))), shape=shape)
 
 
-def _lumped(surface: SurfaceMesh, sides: IntArray, means: Array, known: npt.NDArray[np.bool_]) -> Array:
+def _lumped(surface: SurfaceMesh, sides: IntArray, means: Array, known: BoolArray) -> Array:
     """(m,) tractions from means of forces over areas at the bodies' nodes; where none is known, of the nodes around."""
     signs = np.array([1.0, -1.0])[:, None, None]
     counts = surface.sums(known[sides].sum(axis=0).astype(float))

@@ -11,7 +11,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.check import NOT_SYMMETRIC
 from forms.kinematics import MANDEL
 from forms.tangent import takes_time
@@ -19,7 +19,7 @@ from forms.work import Term
 from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.layer import LAYER
 from thinlayer.discretisation.state import Configuration
-from thinlayer.parts.part import Array, Block, FileOrder, Interval, Outcome, Part, PartTraits
+from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part, PartTraits
 from thinlayer.pointwise.compiled_term import CompiledTerm, Response
 from thinlayer.pointwise.quadrature import Origin
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.contact import ContactLaw, EasedContact
-from thinlayer.discretisation.contact_nodes import NONE, Array, ContactNodes, ContactSurface
+from geometry.topology import Indices
+from thinlayer.discretisation.contact_nodes import NONE, ContactNodes, ContactSurface
 from thinlayer.discretisation.layer import CONTACT
 from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part, PartTraits
 
@@ -32,9 +32,7 @@ class ContactPart(Part):
         slip: (n, d - 1) slip at the beginning of the step.
     """
 
-    def __init__(
-        self, law: ContactLaw, surface: ContactSurface, held: npt.NDArray[np.int32] = NONE, key: str = CONTACT
-    ) -> None:
+    def __init__(self, law: ContactLaw, surface: ContactSurface, held: Indices = NONE, key: str = CONTACT) -> None:
         if not isinstance(law, ContactLaw):
             raise InputError(f"{law!r} is no contact law")
         law.check_threshold()

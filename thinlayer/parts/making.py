@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
+from forms.base import Array
 from forms.work import Term
 from geometry.inflating.parting import points_on_middle
+from geometry.topology import Indices
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.layer import BY_LAW
 from thinlayer.discretisation.measures import compiled_terms
@@ -35,7 +36,7 @@ def body_parts(model: Model) -> list[Part]:
     return parts
 
 
-def layer_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part]) -> list[Part]:
+def layer_parts(model: Model, held: Indices, bodies: Sequence[Part]) -> list[Part]:
     """The parts of a model's layers, each with another key. Collective.
 
     Args:
@@ -104,7 +105,7 @@ def diagonal_at_rest(parts: Sequence[Part]) -> PETSc.Vec:
     return first
 
 
-def _free(model: Model, term: Term) -> npt.NDArray[np.float64] | None:
+def _free(model: Model, term: Term) -> Array | None:
     """Vertices of S where the pressure of a layer of order 1 is zero; None for other terms."""
     if not has_flow(term):
         return None

@@ -11,13 +11,14 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from forms.base import Array
 from forms.kinematics import lift
 from forms.law import Step
 from forms.work import Term
 from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.given_strains import MEAN_STRAIN, MeanStress, of_components
 from thinlayer.discretisation.mesh_functions import Keys, broken_space
-from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
+from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
 from thinlayer.pointwise.assembling import matrix_of, values_of
 
 

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from dataclasses import astuple, dataclass
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.base import Array
 from forms.law import Law
+from geometry.topology import IntArray
 from thinlayer.discretisation.state import Configuration
 
 Memory = Array | Mapping[str, fem.Function]  # (n, values) at entities, or functions by name
@@ -132,8 +132,8 @@ class FileOrder:
         order: (cells, k) local indices of each cell's values, in an order that does not depend on the distribution.
     """
 
-    numbers: npt.NDArray[np.int64]
-    order: npt.NDArray[np.int64]
+    numbers: IntArray
+    order: IntArray
 
     @property
     def width(self) -> int:
@@ -141,7 +141,7 @@ class FileOrder:
         return int(self.order.shape[1])
 
     @classmethod
-    def by_place(cls, numbers: npt.NDArray[np.int64], indices: npt.NDArray[np.int64], x: Array) -> FileOrder:
+    def by_place(cls, numbers: IntArray, indices: IntArray, x: Array) -> FileOrder:
         """Order the values of each cell by the projections of their places x (n, d) on DIRECTION."""
         along = x @ np.array(DIRECTION[: x.shape[1]])
         return cls(numbers, np.take_along_axis(indices, np.argsort(along[indices], axis=1), axis=1))
@@ -297,7 +297,7 @@ class FieldPart(Part):
             return np.zeros(self.own_size)
         return np.asarray((values.x.array / self.unit)[: self.own_size])
 
-    def own_held(self, t: float | None) -> tuple[npt.NDArray[np.int64], Array]:
+    def own_held(self, t: float | None) -> tuple[IntArray, Array]:
         """Own unknowns of this rank that are prescribed: their numbers, and values at time t, or 0 without a time."""
         return np.empty(0, np.int64), np.empty(0)
 

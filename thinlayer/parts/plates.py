@@ -11,14 +11,14 @@ import numpy as np
 import scipy.sparse
 from dolfinx import fem
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.kinematics import Expr
 from geometry.refusals import unknown
 from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.boundary import AXES, on_boundary
 from thinlayer.discretisation.constraints import Tied
 from thinlayer.discretisation.given import Given
-from thinlayer.discretisation.rigid import Array, balanced_motions, centroid, count, on_centre, require_point, rigid
+from thinlayer.discretisation.rigid import balanced_motions, centroid, count, on_centre, require_point, rigid
 from thinlayer.discretisation.state import State
 
 Number = float | Callable[[Expr, Any], Any]

@@ -7,13 +7,13 @@ from functools import cached_property
 
 import basix.ufl
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 from scipy.spatial import cKDTree
 from ufl.classes import Zero
 
+from forms.base import Array
 from forms.kinematics import Expr
 from forms.work import Term
 from geometry.dolfinx_mesh import cell_nodes
@@ -21,7 +21,7 @@ from geometry.topology import IntArray
 from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.discretisation.mesh_functions import Keys, broken_space
-from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
+from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
 from thinlayer.pointwise.assembling import add_spread, matrix_of, values_of
 from thinlayer.pointwise.quadrature import Origin, Quadrature, Region
 from thinlayer.system.ranks import communicator
@@ -179,7 +179,7 @@ class PressurePart(FieldPart):
         room = self._volume.array_r + self._given
         return np.asarray(room if self._filled is None else room - self._filled)
 
-    def own_held(self, t: float | None) -> tuple[npt.NDArray[np.int64], Array]:
+    def own_held(self, t: float | None) -> tuple[IntArray, Array]:
         """At free ends the pressure of a law with flow is zero."""
         return self._zero, np.zeros(len(self._zero))
 
@@ -244,7 +244,7 @@ def identified(region: Region, masters: IntArray) -> fem.FunctionSpace:
     return broken_space(comm, Keys.of_entities(comm, mesh, element, [masters[vertices]]))
 
 
-def at_places(space: fem.FunctionSpace, places: Array) -> npt.NDArray[np.int64]:
+def at_places(space: fem.FunctionSpace, places: Array) -> IntArray:
     """Unknowns of this rank of a space of degree 1 at some of its vertices (n, d). Collective."""
     owned = space.dofmap.index_map.size_local
     x = space.tabulate_dof_coordinates()[:owned, : places.shape[1]]

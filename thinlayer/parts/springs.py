@@ -10,14 +10,14 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from forms.base import InputError, is_finite
+from forms.base import Array, InputError, is_finite
 from forms.kinematics import Expr
 from geometry.refusals import place as at_place
 from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.boundary import on_boundary
 from thinlayer.discretisation.given import DEGREE, Given
 from thinlayer.discretisation.measures import per_unit
-from thinlayer.discretisation.rigid import Array, rigid_expression
+from thinlayer.discretisation.rigid import rigid_expression
 from thinlayer.discretisation.supports import Place
 from thinlayer.parts.forms import FormPart, matrix
 

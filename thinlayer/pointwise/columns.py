@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 
 from forms.base import Array
+from geometry.topology import IntArray
 
 TIE = 1e-11  # largest excess that counts as rounding: the phase stays
 
@@ -21,7 +21,7 @@ class Columns:
         of: (points,) column of each point of this rank.
     """
 
-    def __init__(self, comm: MPI.Intracomm, of: npt.NDArray[np.int64], count: int, weights: Array) -> None:
+    def __init__(self, comm: MPI.Intracomm, of: IntArray, count: int, weights: Array) -> None:
         self.comm, self.of, self.count, self._weights = comm, of, count, weights
         self._total = self.sum_of(weights)
 

@@ -10,13 +10,12 @@ import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.kinematics import MANDEL, UNITS, Expr, mandel
 from forms.tangent import LONG
 from forms.work import Term
 from thinlayer.pointwise.assembling import add_spread, matrix_of
 from thinlayer.pointwise.columns import Switching
-from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
 from thinlayer.pointwise.quadrature import DIAGONAL, Origin, Quadrature
 from thinlayer.system.ranks import on_all

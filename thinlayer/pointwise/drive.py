@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 import ufl
 
-from forms.base import InputError, is_number
+from forms.base import Array, InputError, is_number
 from forms.kinematics import layer_frame, tensors
 from forms.law import Law
 from forms.tangent import takes_time
 from forms.temperature import finite
 from forms.trace import numbers
 from thinlayer.errors import SolveError
-from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material_point import COMPONENTS, MaterialPoint, MaterialPointState
 from thinlayer.system.table import Table
 

@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw
 from forms.parameter_fields import number_of
 from forms.trace import named
-from thinlayer.pointwise.kernels import Array, kernels
+from thinlayer.pointwise.kernels import kernels
 from thinlayer.system.compilation import library
 
 TRIAL_SIZES = tuple(10.0**k for k in range(-15, 7))  # of strains, or jumps in any unit

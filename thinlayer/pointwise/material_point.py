@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from mpi4py import MPI
 
+from forms.base import Array
 from forms.kinematics import UNITS
 from forms.law import BulkLaw
 from thinlayer.errors import SolveError
 from thinlayer.pointwise.columns import Switching
-from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
 
 COMPONENTS = {2: ("T", "N"), 3: ("T1", "T2", "N")}

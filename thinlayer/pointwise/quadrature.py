@@ -9,7 +9,6 @@ from functools import cached_property
 import basix.ufl
 import dolfinx.mesh
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from dolfinx.mesh import CellType, Mesh
@@ -19,7 +18,7 @@ from ufl.classes import Zero
 from forms.base import Array, InputError
 from forms.kinematics import MANDEL, Expr, lift
 from forms.work import Term
-from geometry.topology import IntArray
+from geometry.topology import Indices, IntArray
 from thinlayer.pointwise.columns import Columns
 from thinlayer.system.compat import create_submesh
 from thinlayer.system.ranks import communicator
@@ -44,7 +43,7 @@ class Origin:
 
     comm: MPI.Intracomm
     x: Expr
-    numbers: Callable[[int, npt.NDArray[np.int32]], IntArray]
+    numbers: Callable[[int, Indices], IntArray]
     columns: Callable[[], tuple[IntArray, Array]]
     x_on_s: Expr | None = None
     middle: Array | None = None
@@ -86,7 +85,7 @@ class Region:
         return f("+") if self.measure.integral_type() == "interior_facet" else f
 
 
-def _entities(mesh: Mesh, measure: ufl.Measure) -> npt.NDArray[np.int32]:
+def _entities(mesh: Mesh, measure: ufl.Measure) -> Indices:
     """Local cells or facets over which a measure integrates, and those that are ghosts here. Sorted. Collective."""
     kind, data, topology = measure.integral_type(), measure.subdomain_data(), mesh.topology
     dim = topology.dim - (kind != "cell")
@@ -114,7 +113,7 @@ def _entities(mesh: Mesh, measure: ufl.Measure) -> npt.NDArray[np.int32]:
     return np.flatnonzero(marks.array).astype(np.int32)
 
 
-def _everywhere(mesh: Mesh, kind: str) -> npt.NDArray[np.int32]:
+def _everywhere(mesh: Mesh, kind: str) -> Indices:
     """All owned entities that a measure of this kind integrates over."""
     dim = mesh.topology.dim - (kind != "cell")
     own = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)

@@ -7,12 +7,12 @@ from functools import cached_property
 
 import dolfinx.fem.petsc
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem, la
 from petsc4py import PETSc
 
 from forms.base import Array
 from forms.kinematics import Expr
+from geometry.topology import IntArray
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.state import Configuration, State, displacements_of
@@ -94,7 +94,7 @@ class Adjoint:
         forces.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         return self._on_unknowns(forces)
 
-    def of_nodes(self, dofs: npt.NDArray[np.int64], values: Array) -> PETSc.Vec:
+    def of_nodes(self, dofs: IntArray, values: Array) -> PETSc.Vec:
         """Weights q (n,) at displacements (n,), local numbers that one rank gives, ghosts included."""
         f, forces = fem.Function(self.model.V), self.equations.u.x.petsc_vec.duplicate()
         np.add.at(f.x.array, dofs, values)

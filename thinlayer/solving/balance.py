@@ -14,10 +14,11 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms.base import InputError
+from forms.base import Array, InputError
+from geometry.topology import Indices
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import SolveError
-from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FieldPart, Interval, Memory, Outcome, Part, PartTraits
+from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, Interval, Memory, Outcome, Part, PartTraits
 
 AIM = 1e-10  # residual at which solvers stop, relative to the forces
 ALLOWED = 1e-6  # largest residual of an accepted state, relative to the forces
@@ -123,7 +124,7 @@ class PartSum:
     """
 
     comm: MPI.Intracomm
-    held: npt.NDArray[np.int32]
+    held: Indices
     scale: ForceScale
 
     def __init__(self, parts: Iterable[Part]) -> None:
@@ -272,7 +273,7 @@ class Layout:
         """A vector of unknowns, zero."""
         return PETSc.Vec().createMPI((int(self._ends[-1]), None), comm=self.comm)
 
-    def split(self, values: npt.NDArray[np.float64]) -> dict[str, npt.NDArray[np.float64]]:
+    def split(self, values: Array) -> dict[str, Array]:
         """The unknowns of this rank, split by key; the arrays are views."""
         return dict(zip(self.sizes, np.split(values, self._ends[:-1]), strict=True))
 
@@ -292,7 +293,7 @@ class Layout:
         others.destroy()
         return whole
 
-    def rows(self, local: npt.NDArray[np.int32]) -> npt.NDArray[PETSc.IntType]:
+    def rows(self, local: Indices) -> npt.NDArray[PETSc.IntType]:
         """Global numbers of unknowns of this rank."""
         n = int(self._ends[-1])
         return (self.comm.scan(n) - n + local).astype(PETSc.IntType)

@@ -14,6 +14,8 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from forms.base import Array
+from geometry.topology import IntArray
 from thinlayer.discretisation.given_strains import VaryingStrains
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
@@ -101,7 +103,7 @@ class Equations(PartSum):
             own[:] = self.constraints.displacements(own)
             self.u.x.scatter_forward()
 
-    def _prescribed(self, t: float | None) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+    def _prescribed(self, t: float | None) -> tuple[IntArray, Array]:
         """Numbers of the held unknowns, increasing, and their values at time t."""
         of_supports = np.zeros(len(self.constraints.held)) if t is None else self.constraints.values(t)
         numbers: list[npt.NDArray[Any]] = [self.constraints.held]
@@ -249,7 +251,7 @@ class Equations(PartSum):
         loads.destroy()
         return out
 
-    def on_unknowns(self, forces: PETSc.Vec, own: Sequence[npt.NDArray[np.float64]] = ()) -> PETSc.Vec:
+    def on_unknowns(self, forces: PETSc.Vec, own: Sequence[Array] = ()) -> PETSc.Vec:
         """Nodal forces, and forces in own equations, as those on the unknowns; the caller destroys the vector."""
         out = self.vector()
         rows = self._layout.split(out.array)
@@ -285,7 +287,7 @@ class Equations(PartSum):
         rows[DISPLACEMENTS][:] = self.constraints.forces(rows[DISPLACEMENTS])
         self._relative_residual = self.scale.relative(self.free_norm(out)) if self.traits.singular else 0.0
 
-    def nodal_residual(self, x: PETSc.Vec) -> npt.NDArray[np.float64]:
+    def nodal_residual(self, x: PETSc.Vec) -> Array:
         """(m,) internal forces less loads at the displacements of this rank, whatever the unknowns are in their place."""
         out = self.vector()
         self.residual(x, out)
@@ -366,7 +368,7 @@ class Equations(PartSum):
                     return False
         return True
 
-    def _given_at(self, t: float) -> list[npt.NDArray[np.float64]]:
+    def _given_at(self, t: float) -> list[Array]:
         """Loads, prescribed displacements, given strains and varying parameters at time t, on this rank."""
         self.ask("at_time", t)
         b = self.loads_at(t)
@@ -374,7 +376,7 @@ class Equations(PartSum):
         b.destroy()
         return [loads, self.constraints.values(t), *self._strains_at(t), *chain(*self.ask("parameters"))]
 
-    def _strains_at(self, t: float) -> list[npt.NDArray[np.float64]]:
+    def _strains_at(self, t: float) -> list[Array]:
         if self.model.strain:  # has words of its own for values that are not finite
             self.model.strain.at(t)
         return self._strains.integrals(t)

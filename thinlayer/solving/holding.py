@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 from petsc4py import PETSc
 
 from forms.base import Array
 from geometry.refusals import place
 from geometry.seam import BASE
+from geometry.topology import Indices
 from thinlayer.discretisation.boundary import AXES
 from thinlayer.discretisation.layer import BY_LAW, LAYER, PRESSURE
 from thinlayer.discretisation.model import Model
@@ -135,7 +135,7 @@ class RigidMotions:
         values, vectors = np.linalg.eigh(gram)
         return shown, vectors[:, values <= ALLOWED_MOTION * max(values.max(), 1.0)]
 
-    def _motions(self) -> tuple[Array, npt.NDArray[np.int32]]:
+    def _motions(self) -> tuple[Array, Indices]:
         """At each displacement of this rank, its translations and rotations (n, per), of order 1; its piece (n,)."""
         model, joint = self.model, self.model.domain.joint
         V, number = model.V, model.splitting.pieces

@@ -15,11 +15,11 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 
 from forms.base import InputError
 from forms.work import Term
+from geometry.topology import Indices
 from thinlayer.discretisation.model import Model
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Part
 from thinlayer.parts.pressure_part import PressurePart
@@ -230,7 +230,7 @@ def split(
     pc: PETSc.PC,
     A: PETSc.Mat,
     layout: Layout,
-    held: npt.NDArray[np.int32],
+    held: Indices,
     masses: Mapping[str, PETSc.Mat],
     motions: Sequence[PETSc.Vec],
 ) -> None:
@@ -260,9 +260,7 @@ def split(
         thing.destroy()
 
 
-def _compliance(
-    A: PETSc.Mat, layout: Layout, held: npt.NDArray[np.int32], masses: Mapping[str, PETSc.Mat]
-) -> PETSc.Mat:
+def _compliance(A: PETSc.Mat, layout: Layout, held: Indices, masses: Mapping[str, PETSc.Mat]) -> PETSc.Mat:
     """Multiples of the mass matrices that stand for B A^-1 B', without rows and columns of held unknowns."""
     diagonal, ones, forces, free = A.getDiagonal(), layout.vector(), layout.vector(), layout.vector()
     free.set(1.0)

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from thinlayer.errors import SolveError
 
 PREFIX = "thinlayer_"
@@ -143,7 +143,7 @@ def keep_unknowns(factor: PETSc.Mat, unknowns: npt.NDArray[Any]) -> None:
     places.destroy()
 
 
-def schur_of(factor: PETSc.Mat, c: int) -> npt.NDArray[np.float64]:
+def schur_of(factor: PETSc.Mat, c: int) -> Array:
     """Copy (c, c) of the Schur complement of the c unknowns that a Cholesky factor keeps; its upper triangle is set."""
     out = np.empty((c, c))
     dense = PETSc.Mat().createDense((c, c), array=out.T, comm=PETSc.COMM_SELF)  # PETSc stores columns

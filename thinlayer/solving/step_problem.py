@@ -6,20 +6,20 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.kinematics import Expr
 from forms.work import Term, work
+from geometry.topology import Indices
 from thinlayer.discretisation.measures import compiled_terms
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import SolveError
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.forms import FormPart
-from thinlayer.parts.part import DISPLACEMENTS, Array, FieldPart, Interval, Part
+from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Interval, Part
 from thinlayer.parts.ufl_part import has_arity
 from thinlayer.pointwise.columns import TIE
 from thinlayer.pointwise.compiled_term import CompiledTerm
@@ -63,7 +63,7 @@ class StepProblem(PartSum):
             tags; a space without jumps across S; a part that is none, has unknowns of its own, or the key of another one.
     """
 
-    held: npt.NDArray[np.int32] = np.empty(0, np.int32)  # prescribed displacements are equations among the others here
+    held: Indices = np.empty(0, np.int32)  # prescribed displacements are equations among the others here
 
     def __init__(
         self,

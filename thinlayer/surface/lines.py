@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 
 import basix
 import numpy as np
-import numpy.typing as npt
 
 from forms.base import Array, InputError
 from forms.temperature import finite
 from geometry.joint import Joint
 from geometry.order import along, by_place
-from geometry.topology import IntArray, connected, is_tensor, lagrange
+from geometry.topology import BoolArray, IntArray, connected, is_tensor, lagrange
 from thinlayer.system.table import Table
 
 Plane = tuple[Sequence[float], Sequence[float]]
@@ -171,7 +170,7 @@ def cut_segments(joint: Joint, rows: IntArray, values: Array, plane: Plane) -> S
     return found
 
 
-def _crossed(ring: IntArray, x: Array, values: Array, height: Array, above: npt.NDArray[np.bool_]) -> Segments:
+def _crossed(ring: IntArray, x: Array, values: Array, height: Array, above: BoolArray) -> Segments:
     after = np.roll(np.arange(ring.shape[1]), -1)
     crossed = above != above[:, after]
     facets = np.flatnonzero(crossed.sum(axis=1) == 2)

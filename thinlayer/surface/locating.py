@@ -7,14 +7,13 @@ from typing import Any
 
 import basix
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from forms.base import Array, InputError
 from forms.temperature import finite
 from geometry.joint import Joint
 from geometry.refusals import place
-from geometry.topology import IntArray, geometry_degree, is_tensor, lagrange, sums
+from geometry.topology import BoolArray, IntArray, geometry_degree, is_tensor, lagrange, sums
 
 INSIDE = 1e-9  # how far outside the reference entity a place may be that counts as in it
 BULGE = 0.5  # by how much of its size a curved entity may exceed the box around its nodes, at most
@@ -74,7 +73,7 @@ class Located:
             raise InputError(f"{some} are in no cell of the mesh, the first at {place(located.x[missing[0]])}")
         return located
 
-    def __getitem__(self, rows: IntArray | npt.NDArray[np.bool_]) -> Located:
+    def __getitem__(self, rows: IntArray | BoolArray) -> Located:
         return Located(self.x, self.point[rows], self.entity[rows], self.X[rows])
 
     @property
@@ -108,6 +107,6 @@ def _pulled_back(kind: str, degree: int, nodes: Array, x: Array) -> Array:
     return X
 
 
-def _is_inside(X: Array, tensor: bool) -> npt.NDArray[np.bool_]:
+def _is_inside(X: Array, tensor: bool) -> BoolArray:
     last = X.max(axis=1, initial=-np.inf) if tensor else X.sum(axis=1)
     return np.asarray((X >= -INSIDE).all(axis=1) & (last <= 1 + INSIDE))

@@ -8,7 +8,6 @@ from typing import Any
 
 import basix
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 import scipy.sparse.linalg
 from dolfinx import fem
@@ -21,7 +20,7 @@ from geometry.order import along, by_place
 from geometry.refusals import place, unknown
 from geometry.seam import BASE, S
 from geometry.sheet import Rim
-from geometry.topology import FACET_TYPES, IntArray, lagrange, sums
+from geometry.topology import FACET_TYPES, BoolArray, IntArray, lagrange, sums
 from thinlayer.discretisation.contact_nodes import frames_at, pair_numbers
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.layer import SeamLayer
@@ -31,7 +30,7 @@ from thinlayer.discretisation.state import State, cell_values
 from thinlayer.surface.lines import Line, Plane, lines_on, require_plane
 from thinlayer.surface.locating import Located
 
-Where = Array | npt.NDArray[np.bool_] | Callable[[Array], Any]
+Where = Array | BoolArray | Callable[[Array], Any]
 SIDES = ("lower", "upper")
 ROUNDING = 1e-12  # of sums, relative
 
@@ -468,7 +467,7 @@ class SurfaceMesh:
         return float(rim.length @ self.model.kinematics.factor_at(self.joint.points[rim.vertices].mean(axis=1)))
 
     # ---------------------------------------------------------------- parts of S
-    def most_of(self, f: Any, all_but: float, *, margin: float = 0.0) -> npt.NDArray[np.bool_]:
+    def most_of(self, f: Any, all_but: float, *, margin: float = 0.0) -> BoolArray:
         """(n_S,) the fewest facets of S that hold the integral of |f| but for a share, for `Structure.mixed`.
 
         Args:
@@ -491,7 +490,7 @@ class SurfaceMesh:
         return np.asarray(chosen | (near < margin))
 
 
-def most_of(sums: Array, all_but: float) -> npt.NDArray[np.bool_]:
+def most_of(sums: Array, all_but: float) -> BoolArray:
     """The fewest values >= 0 whose sum is that of all but for a share.
 
     Raises:

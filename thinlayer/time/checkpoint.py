@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 
 from forms.base import InputError
@@ -22,7 +21,6 @@ from thinlayer.system.ranks import carry
 from thinlayer.system.table import Table
 from thinlayer.time.history import History, dissipated_columns
 
-Array = npt.NDArray[Any]
 TABLE = "table.csv"
 REACTIONS = "reactions"
 MEMORY, FIELD, STRESS = "memory ", "field ", "stress "  # prefixes of keys of parts in a state's file
@@ -180,9 +178,9 @@ class Checkpoint:
         return content if resume else None
 
     def _read_state(self, row: int, table: Table) -> State:
-        arrays: dict[str, Array] = {}  # on rank 0 alone
+        arrays: dict[str, np.ndarray] = {}  # on rank 0 alone
 
-        def load() -> tuple[list[str], dict[str, float], Array | None]:
+        def load() -> tuple[list[str], dict[str, float], np.ndarray | None]:
             seal, stored = self._states[str(row)]
             if hash_of(self._file(row)) != seal:
                 raise InputError(f"{self._file(row)} is lost or damaged; remove the folder to start anew")
@@ -213,7 +211,7 @@ class Checkpoint:
             model=self.model, report=report, audit=audit, dissipated=dissipated,
         )  # fmt: skip
 
-    def _gather(self, numbers: Array, values: Array) -> Array:
+    def _gather(self, numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
         """The rows (number, values...) of all ranks on rank 0, sorted by number, each number once."""
         parts = self.comm.gather(np.column_stack([numbers.astype(float), values]))
         if parts is None:
@@ -222,7 +220,7 @@ class Checkpoint:
         _, first = np.unique(rows[:, 0], return_index=True)
         return rows[first]
 
-    def _wanted(self, row: int, rows: Array | None, numbers: Array, width: int) -> Array:
+    def _wanted(self, row: int, rows: np.ndarray | None, numbers: np.ndarray, width: int) -> np.ndarray:
         """The values (len(numbers), width) of these numbers on each rank, from rows (number, values...) on rank 0."""
         rows = rows if rows is not None and rows.shape[1] == width + 1 else np.empty((0, width + 1))
         found = carry(self.comm, rows[:, 0].astype(np.int64), rows[:, 1:], numbers)
@@ -238,8 +236,8 @@ def _functions(u: fem.Function, memory: Mapping[str, Any]) -> dict[str, fem.Func
 
 
 def _values(
-    u: fem.Function, memory: Mapping[str, Any], fields: Mapping[str, fem.Function], stresses: Mapping[str, Array]
-) -> dict[str, Array]:
+    u: fem.Function, memory: Mapping[str, Any], fields: Mapping[str, fem.Function], stresses: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
     """Values (n, v) of what a state has, by their names in its file; no copies."""
     functions = _functions(u, memory).items()
     return (

@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from forms.base import InputError, is_number
+from forms.base import Array, InputError, is_number
 from thinlayer.discretisation.layer import BODIES
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
@@ -95,7 +94,7 @@ class History:
         return self.states[max(self.states)]
 
     @property
-    def t(self) -> npt.NDArray[np.float64]:
+    def t(self) -> Array:
         """Times of all accepted states."""
         return self.table["t"] if self.table.rows else np.empty(0)
 

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from numbers import Integral
 
 import numpy as np
-import numpy.typing as npt
 
-from forms.base import InputError, is_finite, is_number
+from forms.base import Array, InputError, is_finite, is_number
 from forms.temperature import real
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.equations import Equations
@@ -129,7 +128,7 @@ def distinct(start: float, end: float) -> bool:
     return start < (start + end) / 2 < end
 
 
-def _require_steps(times: npt.NDArray[np.float64], adaptive: Adaptive | None) -> None:
+def _require_steps(times: Array, adaptive: Adaptive | None) -> None:
     """Raise InputError if steps between times, or the shortest parts of them, are lost in rounding."""
     tiny = np.finfo(float).tiny  # smaller numbers lose digits
     if adaptive:

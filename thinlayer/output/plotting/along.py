@@ -16,7 +16,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import PINNED, Contact
 from thinlayer.output.plotting.curves import COLOURS, logarithmic
 from thinlayer.output.plotting.picture import Picture, finish
-from thinlayer.output.plotting.structures import Values, colour_of, numbered
+from thinlayer.output.plotting.structures import colour_of, numbered
 from thinlayer.output.surface import Surface
 from thinlayer.surface.lines import Line, Plane
 
@@ -82,18 +82,18 @@ def along(
     return finish(figure, save)
 
 
-def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, Mapping[str, Values]]:
+def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, Mapping[str, np.ndarray]]:
     """Label of a row -> label of a case -> field; of pinned nodes the force is the support's, and left out."""
     cases = dict(fields) if isinstance(fields, Mapping) else {"": fields}
     if not cases:
         raise InputError("along: there is nothing to draw")
     if not all(isinstance(one, (State, Contact)) for one in cases.values()):
         return {label: one if isinstance(one, Mapping) else {"": one} for label, one in cases.items()}
-    rows: dict[str, dict[str, Values]] = {}
+    rows: dict[str, dict[str, np.ndarray]] = {}
     for label, one in cases.items():
         if isinstance(one, State):
             t, w = (surface.frame(f(one)) for f in (surface.traction, surface.jump))
-            of_case: dict[str, Values] = {f"t_N, t_T{stress}": t, f"w_N, w_T{length}": w}
+            of_case: dict[str, np.ndarray] = {f"t_N, t_T{stress}": t, f"w_N, w_T{length}": w}
         else:
             pinned = np.where(one.status == PINNED, np.nan, 1.0)
             t_T, u_T = (v[:, 0] if v.shape[1] == 1 else np.linalg.norm(v, axis=1) for v in (one.t_T, one.u_T))
@@ -107,7 +107,7 @@ def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, 
 class _Row:
     """One row of the picture: the lines of each case, and the names that their values number, if they are names."""
 
-    def __init__(self, surface: Surface, label: str, cases: Mapping[str, Values], plane: Plane | None) -> None:
+    def __init__(self, surface: Surface, label: str, cases: Mapping[str, np.ndarray], plane: Plane | None) -> None:
         self.label = label
         self.names, arrays = numbered({case: np.asarray(f) for case, f in cases.items()})
         self.lines = {case: surface.along(f, plane=plane) for case, f in arrays.items()}

@@ -8,12 +8,10 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.temperature import real
 from thinlayer.output.plotting.picture import Picture, finish
 from thinlayer.system.table import Table
@@ -189,7 +187,7 @@ def _plot(
     axes.grid(color="0.9")
 
 
-def _numbers(label: str, line: Any) -> list[npt.NDArray[np.float64]]:
+def _numbers(label: str, line: Any) -> list[Array]:
     """x and y of a line, (n,) each."""
     try:
         x, y = (real(one).astype(float) for one in line)

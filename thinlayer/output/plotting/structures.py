@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,8 +21,7 @@ from thinlayer.output.plotting.picture import Picture, drawn_on_root, require_na
 from thinlayer.output.plotting.scene import BAR, Look, Scene
 from thinlayer.output.surface import Surface
 
-Values = npt.NDArray[Any]
-Field = Values | Callable[[Surface, State], Values]
+Field = np.ndarray | Callable[[Surface, State], np.ndarray]
 NAMED = {
     "elastic": "#9aa5b1", "stick": "#1b6ca8", "sliding": "#f0a202", "crushed": "#c1121f", "torn": "#8f5ea2",
     "open": "#2ec4ff", "separated": "#2ec4ff", "pinned": "#6a994e", "bonded": "#7f5539",
@@ -108,7 +106,7 @@ def on_surface(
         InputError: no state, no scalar field on S; what `deformed` refuses. OSError: the picture could not be written.
     """
     look, panels = Look("size", scale, "", zoom, view, cut), _panels(states, "on_surface", save)
-    surfaces, fields, sides = dict[str, Surface](), dict[str, Values](), dict[str, tuple[Array, Array]]()
+    surfaces, fields, sides = dict[str, Surface](), dict[str, np.ndarray](), dict[str, tuple[Array, Array]]()
     for label, state in panels.items():
         surface = Surface(state.model, seam)
         fields[label] = np.asarray(field(surface, state) if callable(field) else field)
@@ -176,7 +174,7 @@ def _side_by_side(
     return drawn_on_root(next(iter(panels.values())).model.comm, draw, save)
 
 
-def numbered(fields: Mapping[str, Values]) -> tuple[list[str], dict[str, Values]]:
+def numbered(fields: Mapping[str, np.ndarray]) -> tuple[list[str], dict[str, np.ndarray]]:
     """For fields of names those that occur, and their positions in this list; for numbers [], and the fields."""
     if not any(f.dtype.kind == "U" for f in fields.values()):
         return [], dict(fields)

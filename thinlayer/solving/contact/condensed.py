@@ -5,25 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 from petsc4py import PETSc
 from scipy import linalg
 from scipy.sparse.csgraph import connected_components, depth_first_order
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.contact import ContactLaw
-from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.errors import SolveError
 from thinlayer.solving.balance import TINY
-from thinlayer.solving.contact.dense import STALLED, DenseSystem, Load
+from thinlayer.solving.contact.dense import STALLED, Chains, DenseSystem, Load
 from thinlayer.solving.contact.problem import ContactProblem
 from thinlayer.solving.contact.schur import FactorError, SchurFactor
-
-Indices = npt.NDArray[Any]
 
 SLOPE = 1.2  # slope, relative to S, of the front along which nodes are numbered
 SAMPLE = 64  # number of nodes whose edges show the diagonals of the cells
@@ -241,7 +236,7 @@ class SideDisplacements:
 
 
 # ---------------------------------------------------------------- orders of nodes
-def chains_of(problem: ContactProblem, moving: Indices) -> list[tuple[Indices, Array]]:
+def chains_of(problem: ContactProblem, moving: np.ndarray) -> Chains:
     """For each piece of S, its moving nodes in order and their arc lengths; [] in three dimensions."""
     nodes, joint = problem.nodes, problem.equations.model.joint
     if nodes.dim != 2:
@@ -263,7 +258,7 @@ def chains_of(problem: ContactProblem, moving: Indices) -> list[tuple[Indices, A
     return chains
 
 
-def oblique_order(problem: ContactProblem) -> Indices:
+def oblique_order(problem: ContactProblem) -> np.ndarray:
     """Nodes of the bodies in the order of a front that is oblique to S and moves away from it.
 
     With a Schur complement MUMPS orders by minimum degree and decides ties by the numbers. On grids bad numbers cost twice

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse
 from petsc4py import PETSc
 
-from thinlayer.discretisation.contact_nodes import Array
+from forms.base import Array
 from thinlayer.solving.contact.gauss_seidel import sorted_blocks, sweep_nodes
 from thinlayer.solving.contact.problem import ContactProblem
 from thinlayer.solving.petsc import PREFIX

@@ -8,19 +8,17 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 from scipy import sparse
 
+from forms.base import Array
 from forms.contact import ContactLaw
-from thinlayer.discretisation.contact_nodes import Array
+from geometry.topology import BoolArray
 from thinlayer.solving.balance import ALLOWED, ForceScale
 from thinlayer.solving.contact.gauss_seidel import Sliding, sliding, sweep_nodes, turned
 from thinlayer.solving.petsc import PREFIX, OptionValue, defaults
 
-Indices = npt.NDArray[Any]
-Mask = npt.NDArray[np.bool_]
-
+Chains = list[tuple[np.ndarray, Array]]  # of each piece of S its nodes, and their arc lengths
 NEWTON: dict[str, OptionValue] = {
     "snes_type": "newtonls",
     "snes_linesearch_type": "basic",  # the residual may grow on the way to a solution, which line searches prevent
@@ -66,12 +64,12 @@ class DenseSystem:
     """
 
     def __init__(
-        self, H: Array, weights: Array, frames: Array, held: Mask, chains: list[tuple[Indices, Array]], prefix: str = ""
+        self, H: Array, weights: Array, frames: Array, held: BoolArray, chains: Chains, prefix: str = ""
     ) -> None:
         self.H, self.weights, self.frames, self.held, self.chains = H, weights, frames, held, chains
         self.n, self.d = held.shape
         self.converged = False
-        self._moves: Mask = np.asarray(~held.any(axis=1))
+        self._moves: BoolArray = np.asarray(~held.any(axis=1))
         self._base = np.zeros((self.n, self.d))
         self._axes = weights[:, None, None] * frames  # from tractions to nodal forces
         nodes = np.arange(self.n * self.d).reshape(self.n, self.d)
@@ -223,7 +221,7 @@ class DenseSystem:
         if not self.chains or self.n <= COARSEST:
             return None
         rows, columns, shares, kept = [], [], [], []
-        chains: list[tuple[Indices, Array]] = []
+        chains: Chains = []
         count = 0
         for nodes, s in self.chains:
             stays = np.zeros(len(nodes), bool)

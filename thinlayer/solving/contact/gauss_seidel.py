@@ -17,9 +17,9 @@ from mpi4py import MPI
 
 from forms.base import Array
 from forms.contact import ContactLaw, Status
+from geometry.topology import BoolArray, Indices
 from thinlayer.system.compilation import library, own_library
 
-Indices = npt.NDArray[np.int32]
 Sliding = tuple[npt.NDArray[np.int8], Array]  # status of nodes (n,), and their tangential jumps less slip (n, d - 1)
 
 SOURCE = Path(__file__).with_name("sweeps.c")
@@ -57,7 +57,7 @@ def sweep_nodes(
     numbers: Sequence[float],
     *,
     slip: Array | None = None,
-    moves: npt.NDArray[np.bool_] | None = None,
+    moves: BoolArray | None = None,
     sweeps: int = 1,
 ) -> float:
     """Gauss-Seidel sweeps over n contact nodes, in place: each node solves exactly for its d components.

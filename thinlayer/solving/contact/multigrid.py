@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from forms.base import InputError
-from thinlayer.discretisation.contact_nodes import Array, ContactNodes
+from forms.base import Array, InputError
+from thinlayer.discretisation.contact_nodes import ContactNodes
 from thinlayer.errors import SolveError
 from thinlayer.solving.contact.contact_tangent import SurfaceStiffness, Tangent
 from thinlayer.solving.contact.gauss_seidel import Sliding, load, sliding, turned

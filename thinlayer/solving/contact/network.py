@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse
 from petsc4py import PETSc
 
-from thinlayer.discretisation.contact_nodes import Array
+from forms.base import Array
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.errors import SolveError
 from thinlayer.parts.contact_part import ContactPart

@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 
+from forms.base import Array
 from forms.contact import ContactLaw, EasedContact
-from thinlayer.discretisation.contact_nodes import Array
+from geometry.topology import BoolArray
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.solving.contact.gauss_seidel import pointers
 from thinlayer.system.compilation import own_library
@@ -32,7 +32,7 @@ class PairNodes:
         d: dimension.
     """
 
-    def __init__(self, parts: Sequence[ContactPart], held: npt.NDArray[np.bool_]) -> None:
+    def __init__(self, parts: Sequence[ContactPart], held: BoolArray) -> None:
         self._parts, self.d = parts, parts[0].nodes.dim
         pairs = np.concatenate([part.nodes.pairs for part in parts])
         self.nodes, place = np.unique(np.concatenate([[-1], pairs.ravel()]), return_inverse=True)

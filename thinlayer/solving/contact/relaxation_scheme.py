@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 from petsc4py import PETSc
 
-from forms.base import InputError
-from thinlayer.discretisation.contact_nodes import Array
+from forms.base import Array, InputError
+from geometry.topology import BoolArray, Indices
 from thinlayer.errors import SolveError
 from thinlayer.solving.balance import ALLOWED
 from thinlayer.solving.contact.gauss_seidel import relax
@@ -52,7 +51,7 @@ class ContactRelaxation:
         self._A = self._T.T @ scipy.sparse.csr_matrix((values, indices, indptr)) @ self._T
         self._u, self._r = problem.b.duplicate(), problem.b.duplicate()
 
-    def _order(self) -> npt.NDArray[np.int32]:
+    def _order(self) -> Indices:
         """Unknowns in the order of the nodes' places, along x first: convergence depends on the order of sweeps."""
         nodes = self.problem.nodes
         d, x = nodes.dim, nodes.surface.V.tabulate_dof_coordinates()
@@ -124,7 +123,7 @@ def _options() -> dict[str, Any]:
     return chosen
 
 
-def _held_components(frames: Array, held: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def _held_components(frames: Array, held: BoolArray) -> BoolArray:
     """Held components (n, d) of jumps in the axes of S."""
     along = np.abs(frames)
     aligned = (np.abs(along - np.rint(along)) < ALIGNED).all(axis=(1, 2))

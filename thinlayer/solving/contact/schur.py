@@ -18,12 +18,11 @@ from petsc4py import PETSc
 from scipy.sparse.csgraph import connected_components
 
 from forms.base import Array, ThinlayerError
+from geometry.topology import Indices
 from thinlayer.solving.contact.gauss_seidel import pointers
 from thinlayer.solving.linear_solvers import DIRECT
 from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, keep_unknowns, schur_of
 from thinlayer.system.compilation import own_library
-
-Indices = npt.NDArray[np.int32]
 
 Rows = tuple[npt.NDArray[Any], npt.NDArray[Any], Array]
 SOURCE = Path(__file__).with_name("schur.c")
