@@ -309,7 +309,7 @@ def test_plates_that_share_a_node():
         sandwich(2.0, 0.5, 0.6, 0.5), body=BODY, supports={"BOTTOM": 0.0},
         parts=[RigidPlate("TOP"), RigidPlate("RIGHT/UPPER")],
     )  # fmt: skip
-    with pytest.raises(InputError, match=r"plate TOP and plate RIGHT/UPPER have a node in common"):
+    with pytest.raises(InputError, match=r"plate TOP and plate RIGHT/UPPER share a node"):
         solve(structure.interface(ThinLayer(GLUE, EPS, at=1.0)))
 
 
