@@ -127,9 +127,7 @@ def _sample(law: BulkLaw, size: float, d: int) -> tuple[Array, Array]:
     return e, np.concatenate([e, *before, n / np.linalg.norm(n), [0.1, 1.0], law.parameter_values()])
 
 
-def _require_no_decisions(
-    law: BulkLaw, d: int | None, sample: Array, values: Callable[[str, Array], Array | None]
-) -> None:
+def _require_no_decisions(law: BulkLaw, d: int | None, sample: Array, values: Callable[..., Array | None]) -> None:
     """Raise InputError if a law gives something else with numbers than with symbols."""
     place, stress = 12 + law.memory, values(law.methods[0], sample)
     work = 0.0 if stress is None else float(np.abs(stress).max() * np.abs(sample[:6]).max())

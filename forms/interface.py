@@ -79,40 +79,33 @@ class Interface:
     known: Callable[[BulkLaw], BulkLaw] = of_numbers
 
     @classmethod
-    def between_bodies(
-        cls, mesh: Any, measure: ufl.Measure, kinematics: Kinematics = LIFTED, to_s: Expr | None = None
-    ) -> Interface:
+    def between_bodies(cls, dS: ufl.Measure, kinematics: Kinematics = LIFTED, to_s: Expr | None = None) -> Interface:
         """S inside the mesh; the measure's "+" is the upper body.
 
         Args:
-            mesh: the mesh.
-            measure: of the facets.
+            dS: measure of the facets; knows its mesh.
             kinematics: of the mesh.
             to_s: (d,) how far S is from the facets' places, on either side; None: it is there.
         """
-        upper, lower = Side(lambda v: v("+")), Side(lambda v: v("-"))
+        mesh, upper, lower = dS.ufl_domain(), Side(lambda v: v("+")), Side(lambda v: v("-"))
         if to_s is None:
             x, n = upper(ufl.SpatialCoordinate(mesh)), ufl.FacetNormal(mesh)("-")
-            return cls(measure, x, n, n, upper, lower, kinematics)
-        return cls._apart(mesh, measure, kinematics, to_s, upper, Side(lower.restrict, _back(to_s)("-")))
+            return cls(dS, x, n, n, upper, lower, kinematics)
+        return cls._apart(dS, kinematics, to_s, upper, Side(lower.restrict, _back(to_s)("-")))
 
     @classmethod
-    def on_rigid_base(
-        cls, mesh: Any, measure: ufl.Measure, kinematics: Kinematics = LIFTED, to_s: Expr | None = None
-    ) -> Interface:
+    def on_rigid_base(cls, ds: ufl.Measure, kinematics: Kinematics = LIFTED, to_s: Expr | None = None) -> Interface:
         """S on the boundary of the upper body; the base below does not move; arguments as in `between_bodies`."""
-        upper, lower = Side(lambda v: v), Side(lambda v: 0 * v)
+        mesh, upper, lower = ds.ufl_domain(), Side(lambda v: v), Side(lambda v: 0 * v)
         if to_s is None:
             n = -ufl.FacetNormal(mesh)
-            return cls(measure, ufl.SpatialCoordinate(mesh), n, n, upper, lower, kinematics)
-        return cls._apart(mesh, measure, kinematics, to_s, upper, lower)
+            return cls(ds, ufl.SpatialCoordinate(mesh), n, n, upper, lower, kinematics)
+        return cls._apart(ds, kinematics, to_s, upper, lower)
 
     @classmethod
-    def _apart(
-        cls, mesh: Any, measure: ufl.Measure, kinematics: Kinematics, to_s: Expr, upper: Side, lower: Side
-    ) -> Interface:
+    def _apart(cls, measure: ufl.Measure, kinematics: Kinematics, to_s: Expr, upper: Side, lower: Side) -> Interface:
         """S apart from the facets of the mesh, seen from the upper side, whose facets the measure is of (Nanson)."""
-        back = upper(_back(to_s))
+        mesh, back = measure.ufl_domain(), upper(_back(to_s))
         N = -ufl.dot(upper(ufl.FacetNormal(mesh)), back)
         length = ufl.sqrt(ufl.dot(N, N))
         n, x = N / length, upper(ufl.SpatialCoordinate(mesh) + to_s)

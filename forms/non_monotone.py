@@ -202,9 +202,8 @@ class NonMonotone(Phases):
 
     def _check_phases(self, alpha: Any, transformation_energy: Any, where: Callable[[int], str]) -> None:
         super()._check_phases(alpha, transformation_energy, where)
-        values, least = map(
-            np.ravel, np.broadcast_arrays(transformation_energy, self.mixing * self.G * np.square(alpha) / 2)
-        )
+        least = self.mixing * self.G * np.square(alpha) / 2
+        values, least = map(np.ravel, np.broadcast_arrays(transformation_energy, least))
         for k in np.flatnonzero(~(values >= least * (1 - 1e-12)))[:1]:
             allowed = f">= mixing alpha^2 G/2 = {least[k]:g}: phases 1 and -1 would mix"
             self.require(False, f"transformation_energy{where(k)}", allowed, f"{values[k]:g}")

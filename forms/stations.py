@@ -97,9 +97,7 @@ class Station(Generic[L]):
     largest_ratio: float = math.inf
 
 
-def at_gauss_points(
-    law: L, difference: Callable[[L, Faces], Expr] | None = None, largest_ratio: float = math.inf
-) -> list[Station[L]]:
+def at_gauss_points(law: L, difference: Callable[[L, Faces], Expr] | None = None) -> list[Station[L]]:
     """Two stations, at the Gauss points through the thickness: the strain changes linearly from face to face.
 
     Args:
@@ -107,11 +105,9 @@ def at_gauss_points(
         difference: the law and the displaced faces, as in `Station` -> strain (3, 3) at the upper face less that at the
             lower one; by default displacements are linear through the layer, `Faces.change`, which locks for
             lmbda/mu > `LOCKING`.
-        largest_ratio: as in `Station`.
     """
-    if difference is None:
-        difference, largest_ratio = lambda law, faces: faces.change, LOCKING
-    change = difference
+    change = difference or (lambda law, faces: faces.change)
+    largest_ratio = math.inf if difference else LOCKING
 
     def at(z: float) -> Callable[[L, Faces], Expr]:
         return lambda law, faces: faces.across() + faces.mean + z * change(law, faces)

@@ -263,7 +263,7 @@ class Splitting:
         facets = np.flatnonzero(linked)
         pairs = position[self.table.cells[facets]]
         inside = np.array(
-            [[i for i, entity in enumerate(local) if set(entity) <= set(facet)] for facet in self._topology[-2]]
+            [[i for i, one in enumerate(local) if set(one) <= set(facet)] for facet in self._topology[-2]]
         )
         links: list[IntArray] = []
         for cell, facet in zip(pairs.T, self.table.local[facets].T, strict=True):

@@ -230,15 +230,13 @@ def _column(what: str, kind: str) -> str:
     return f"error_{what}" + ("" if kind == KNOWN else f", {kind}")
 
 
-def _rates(
-    record: Record, cases: Sequence[EndCase], kinds: Sequence[str], thicknesses: Sequence[float], cells: int
-) -> None:
+def _rates(record: Record, cases: Sequence[EndCase], kinds: Sequence[str], sizes: Sequence[float], cells: int) -> None:
     """Write the last errors and orders of structures with free ends, and check the orders."""
     rows = Table()
     for case in cases:
-        table = record.sweep(partial(_errors, record, case, kinds, cells), thicknesses, case.file)
+        table = record.sweep(partial(_errors, record, case, kinds, cells), sizes, case.file)
         for kind in kinds:
-            row: dict[str, float | str] = {"structure": case.name, "ends": kind, "eps": thicknesses[-1]}
+            row: dict[str, float | str] = {"structure": case.name, "ends": kind, "eps": sizes[-1]}
             row |= {what: float(table[_column(what, kind)][-1]) for what in WHAT}
             for what in WHAT:
                 row[f"order of {what}"] = order = last_order(table, _column(what, kind))

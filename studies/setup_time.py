@@ -102,9 +102,8 @@ def plain(joint: Joint, load: tuple[float, ...]) -> tuple[fem.Form, fem.Form, li
         for name in ("LEFT", "RIGHT")
     ]
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    dx, ds = (
-        ufl.Measure(kind, domain=mesh, subdomain_data=tags) for kind, tags in (("dx", cell_tags), ("ds", facet_tags))
-    )
+    dx = ufl.Measure("dx", domain=mesh, subdomain_data=cell_tags)
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
     e, d = ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))
     work = (BODY.lmbda * ufl.tr(e) * ufl.tr(d) + 2 * BODY.mu * ufl.inner(e, d)) * dx((1, 2))
     return fem.form(work), fem.form(ufl.inner(fem.Constant(mesh, np.array(load)), v) * ds(1)), supports

@@ -95,7 +95,7 @@ def test_energy_of_the_stations(d, sublayers):
     above.interpolate(lambda x: A @ x[:d] + b[:, None], cells0=facet.upper)
     laws = [(a, LinearElastic(lmbda, mu)) for a, lmbda, mu in sublayers]
     law = Stack(*laws) if len(laws) > 1 else laws[0][1]
-    terms = surface(law, Interface.between_bodies(facet.mesh, facet.dS), EPS, 1)
+    terms = surface(law, Interface.between_bodies(facet.dS), EPS, 1)
     wanted, mirrored = (
         sum(
             weight * exact(some, A @ x + b, C + A / 2, A, facet.normal)
@@ -143,7 +143,7 @@ def test_a_law_with_stations_of_its_own():
         plates.interface(ThinLayer(Locking(12.1, 1.0), 0.1, order=1, at=1.0))
     facet = Facet(2)
     sides, u = (
-        Interface.between_bodies(facet.mesh, facet.dS),
+        Interface.between_bodies(facet.dS),
         fem.Function(fem.functionspace(facet.mesh, ("DG", 1, (2,)))),
     )
     u.x.array[:] = np.random.default_rng(5).normal(size=u.x.array.size)
@@ -192,6 +192,6 @@ def test_stations_of_laws_with_a_pressure():
 def test_functions_need_sides_that_know_them():
     facet, law = Facet(2), LinearElastic(lambda x: 60 + x[0], 40.0)
     with pytest.raises(InputError, match=r"parameters that are functions: the sides of S must know their values"):
-        surface(law, Interface.between_bodies(facet.mesh, facet.dS), EPS, 1)
-    assert len(surface(law, Interface.between_bodies(facet.mesh, facet.dS), EPS)) == 1
+        surface(law, Interface.between_bodies(facet.dS), EPS, 1)
+    assert len(surface(law, Interface.between_bodies(facet.dS), EPS)) == 1
     assert KelvinVoigt(3.0, 2.0, 0.3, 0.5).stations()[0].largest_ratio == LOCKING

@@ -56,9 +56,7 @@ class SolveError(ThinlayerError, RuntimeError):
         residuals: residual over the forces at every step of Newton's method or of a contact solve.
     """
 
-    def __init__(
-        self, reason: str, history: Any = None, residuals: tuple[float, ...] = (), advice: str | None = None
-    ) -> None:
+    def __init__(self, reason: str, history: Any = None, residuals: tuple[float, ...] = (), advice: str = "") -> None:
         super().__init__(f"{reason}; {advice}" if advice else reason)
         self.reason, self.history, self.residuals = reason, history, residuals
 

@@ -174,9 +174,8 @@ def _groups(mesh: meshio.Mesh, dim: int, array: str | None) -> Groups:
     for name, members in mesh.cell_sets.items():
         if blocks and not name.startswith("gmsh:"):
             parts = [np.asarray([] if members[k] is None else members[k]) for k in blocks]
-            groups[name] = np.concatenate(
-                [np.isin(np.arange(len(mesh.cells[k])), part) for k, part in zip(blocks, parts, strict=True)]
-            )
+            pairs = zip(blocks, parts, strict=True)
+            groups[name] = np.concatenate([np.isin(np.arange(len(mesh.cells[k])), part) for k, part in pairs])
     if blocks and array is not None:
         numbers = np.concatenate([mesh.cell_data[array][k] for k in blocks]).astype(np.int64)
         for number in np.unique(numbers):

@@ -186,10 +186,8 @@ def posts_of(joint: Joint, copies: Copies, heights: Sequence[FloatArray]) -> tup
             )
         if way and joint.dim == 3:
             raise InputError(f"the upper side of S changes at {place(x)}: in 3D each layer needs one on one side there")
-    posts = Posts(
-        len(joint.points) + len(copies.new), ends, joint.surface.ravel()[first], kind_of_seam[seam[first]], tuple(kinds)
-    )
-    shape = joint.surface.shape
+    shape, nodes = joint.surface.shape, joint.surface.ravel()[first]
+    posts = Posts(len(joint.points) + len(copies.new), ends, nodes, kind_of_seam[seam[first]], tuple(kinds))
     return posts, Footing(at.reshape(shape), turned.reshape(shape), seam[first])
 
 

@@ -177,9 +177,7 @@ def _weights(k: int, half: int) -> IntArray:
     t = np.arange(half + 1)
     out = np.ones((1, 1), np.int64)
     for _ in range(k):  # the new axis: the last one of nodes, the slowest one of key points
-        out = np.concatenate([out[:, None] * (half - t)[:, None], out[:, None] * t[:, None]], axis=2).reshape(
-            len(out) * len(t), -1
-        )
+        out = np.concatenate([out[:, None] * s[:, None] for s in (half - t, t)], axis=2).reshape(len(out) * len(t), -1)
     return out
 
 
@@ -216,9 +214,8 @@ def _extruded(triangles: IntArray) -> IntArray:
     if triangles.shape[1] == 1:
         return triangles[:, 0]
     low, high = triangles[:, 0], triangles[:, 1]
-    return np.concatenate(
-        [np.concatenate([low[..., : j + 1], high[..., j:]], axis=2) for j in range(triangles.shape[3])], axis=1
-    )
+    steps = [np.concatenate([low[..., : j + 1], high[..., j:]], axis=2) for j in range(low.shape[2])]
+    return np.concatenate(steps, axis=1)
 
 
 def _cones(grids: IntArray, centres: IntArray) -> IntArray:

@@ -72,36 +72,34 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
     return np.asarray(T - shift[part])
 
 
-def _translations(
-    pairs: IntArray, part: IntArray, wanted: FloatArray, across: FloatArray, weight: FloatArray
-) -> FloatArray:
+def _translations(pair: IntArray, part: IntArray, jump: FloatArray, across: FloatArray, area: FloatArray) -> FloatArray:
     """Least squares of the jumps along S, under the constraint of those across: (count, d), up to a common translation.
 
     By an augmented Lagrangian, whose multiplier exists for redundant constraints, too.
 
     Args:
-        pairs: (n, 2) pieces below and above.
+        pair: (n, 2) pieces below and above.
         part: (count,) label of the connected part of the joint that each piece is in.
-        wanted: (n, d) jump across the layers between two pieces.
+        jump: (n, d) jump across the layers between two pieces.
         across: (n, d, d) projector to the directions across these layers.
-        weight: (n,) area of S between them.
+        area: (n,) area of S between them.
     """
-    (n, d), count = wanted.shape, len(part)
-    low, up = (scipy.sparse.csr_matrix((np.ones(n), (np.arange(n), end)), shape=(n, count)) for end in pairs.T)
-    jump = scipy.sparse.kron(up - low, np.eye(d), format="csr")
-    stiffness = STIFF * across + (weight / weight.mean())[:, None, None] * (np.eye(d) - across)
+    (n, d), count = jump.shape, len(part)
+    low, up = (scipy.sparse.csr_matrix((np.ones(n), (np.arange(n), end)), shape=(n, count)) for end in pair.T)
+    jumps = scipy.sparse.kron(up - low, np.eye(d), format="csr")
+    stiffness = STIFF * across + (area / area.mean())[:, None, None] * (np.eye(d) - across)
     blocks = scipy.sparse.bsr_matrix((stiffness, np.arange(n), np.arange(n + 1)), shape=(n * d, n * d))
     ground = np.zeros(count)
     ground[np.unique(part, return_index=True)[1]] = STIFF
-    matrix = jump.T @ blocks @ jump + scipy.sparse.kron(scipy.sparse.diags(ground), np.eye(d))
+    matrix = jumps.T @ blocks @ jumps + scipy.sparse.kron(scipy.sparse.diags(ground), np.eye(d))
     factors = scipy.sparse.linalg.splu(matrix.tocsc())
     T, multiplier = np.zeros((count, d)), np.zeros((n, d))
     for _ in range(STEPS):
-        missing = wanted - np.einsum("nij,nj->ni", across, T[pairs[:, 1]] - T[pairs[:, 0]])
-        if np.abs(missing).max() <= 10 * np.finfo(float).eps * np.abs(wanted).max():
+        missing = jump - np.einsum("nij,nj->ni", across, T[pair[:, 1]] - T[pair[:, 0]])
+        if np.abs(missing).max() <= 10 * np.finfo(float).eps * np.abs(jump).max():
             break
         multiplier += missing
-        T = factors.solve(jump.T @ (STIFF * multiplier).ravel()).reshape(count, d)
+        T = factors.solve(jumps.T @ (STIFF * multiplier).ravel()).reshape(count, d)
     return T
 
 
@@ -172,9 +170,8 @@ def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, way: FloatArray, eps
     facets = joint.points[nodes]
     tolerance = 1e-9 * joint.size
     start, heights = x @ way, facets @ way
-    near = (heights.max(axis=1) > start.min(initial=np.inf) + tolerance) & (
-        heights.min(axis=1) < start.max(initial=-np.inf) + eps
-    )
+    low, high = start.min(initial=np.inf) + tolerance, start.max(initial=-np.inf) + eps
+    near = (heights.max(axis=1) > low) & (heights.min(axis=1) < high)
     plane = np.linalg.svd(way[None])[2][1:]
     for facet, height in zip(facets[near] @ plane.T, heights[near], strict=True):
         edges = (facet[1:] - facet[0]).T

@@ -205,10 +205,9 @@ def _cut(joint: Joint, filled: BoolArray) -> IntArray:
     found = []
     for number in range(len(joint.seams)):
         of_seam = joint.seam_numbers == number
-        with_cells, without = (
-            ridge_keys(ridges(joint.surface[of_seam & some], joint.cell_type)[0]) for some in (filled, ~filled)
-        )
-        found.append(np.intersect1d(with_cells, without))
+        parts = joint.surface[of_seam & filled], joint.surface[of_seam & ~filled]
+        one, other = (ridge_keys(ridges(part, joint.cell_type)[0]) for part in parts)
+        found.append(np.intersect1d(one, other))
     return np.concatenate(found)
 
 

@@ -132,8 +132,8 @@ class BrokenMesh:
         self._require(tag)
         if tag in self._bases:
             ds = ufl.Measure("ds", domain=self.mesh, subdomain_data=self.facet_tags)
-            return Interface.on_rigid_base(self.mesh, ds(tag), self.kinematics)
-        return Interface.between_bodies(self.mesh, self.dS(tag), self.kinematics)
+            return Interface.on_rigid_base(ds(tag), self.kinematics)
+        return Interface.between_bodies(self.dS(tag), self.kinematics)
 
     def layer(self, tag: int, layer: ThinLayer | TractionLaw) -> list[Term]:
         """The terms of a layer's law on the facets of S with a tag: for `work`, or for `StepProblem`.

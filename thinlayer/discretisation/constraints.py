@@ -261,9 +261,8 @@ class Constraints:
             j.append(columns.ravel())
             v.append(one.frame[own].ravel())
         rest = np.flatnonzero(same)
-        return self._matrix(
-            np.concatenate([rest, *i]), np.concatenate([lo + rest, *j]), np.concatenate([np.ones(len(rest)), *v])
-        )
+        rows, columns = np.concatenate([rest, *i]), np.concatenate([lo + rest, *j])
+        return self._matrix(rows, columns, np.concatenate([np.ones(len(rest)), *v]))
 
     # ---------------------------------------------------------------- values
     def values(self, t: float) -> Array:

@@ -33,9 +33,7 @@ class FullModel(Model):
     name = "full"
     inflated: Joint
 
-    def __init__(
-        self, structure: Setup, layer: Layers, *, bodies: str, cells_through: int, junctions: str | None
-    ) -> None:
+    def __init__(self, structure: Setup, layer: Layers, bodies: str, cells_through: int, junctions: str | None) -> None:
         self._bodies, self._cells_through, self._junctions = bodies, cells_through, junctions
         chosen = {} if junctions is None else {"junctions": junctions}
         super().__init__(structure, layer, bodies=bodies, cells_through=cells_through, **chosen)

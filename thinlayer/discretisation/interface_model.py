@@ -46,9 +46,7 @@ class InterfaceModel(Model):
     name = "interface"
     broken = True
 
-    def __init__(
-        self, structure: Setup, layer: Layers, *, bodies: str = "kept", meshed: BoolArray | None = None
-    ) -> None:
+    def __init__(self, structure: Setup, layer: Layers, bodies: str = "kept", meshed: BoolArray | None = None) -> None:
         self._bodies, self.meshed = bodies, meshed
         super().__init__(structure, layer, **({} if bodies == "kept" else {"bodies": bodies}))
 
@@ -127,18 +125,18 @@ class InterfaceModel(Model):
         Raises:
             InputError: no such seam; S lies between bodies and on a rigid base.
         """
-        joint, mesh, to_s = self.joint, self.domain.mesh, self._middle.to_s if self._middle else None
+        joint, to_s = self.joint, self._middle.to_s if self._middle else None
         joint.rows_of(name)
         names = tuple(joint.seams) if name == S else (name,)
         based = [one in joint.base_seams for one in names]
         if all(based):
             measure = self.ds(self.domain.values(name))
-            return Interface.on_rigid_base(mesh, measure, self.kinematics, to_s)
+            return Interface.on_rigid_base(measure, self.kinematics, to_s)
         if any(based):
             raise InputError(f"S lies between bodies and on a rigid base; name one of the seams {', '.join(names)}")
         numbers = tuple(list(joint.seams).index(one) + 1 for one in names)
         measure = self.dS(numbers if len(numbers) > 1 else numbers[0])
-        return Interface.between_bodies(mesh, measure, self.kinematics, to_s)
+        return Interface.between_bodies(measure, self.kinematics, to_s)
 
     @cached_property
     def sides(self) -> Interface:

@@ -73,11 +73,9 @@ def whole(form: Any, model: Any, what: str = "a form") -> ufl.Form:
         name, asked = SHORT.get(kind, kind), [*np.atleast_1d(np.array(integral.subdomain_id(), object))]
         if any(isinstance(tag, bool) for tag in asked):
             raise InputError(f"{what} integrates over {name}{(*asked,)}; tags are whole numbers")
-        present = model.comm.allgather(
-            {"everywhere", "otherwise"}.union(
-                *(_tags(data, kind, model) for data in form.subdomain_data()[integral.ufl_domain()][kind])
-            )
-        )
+        data = form.subdomain_data()[integral.ufl_domain()][kind]
+        own = {"everywhere", "otherwise"}.union(*(_tags(one, kind, model) for one in data))
+        present = model.comm.allgather(own)
         missing = [str(tag) for tag in asked if tag not in set[Any]().union(*present)]
         if missing:
             where = f"{name}({', '.join(missing)})"

@@ -208,11 +208,9 @@ def broken_space(comm: MPI.Intracomm, unknowns: Keys) -> fem.FunctionSpace:
     number = np.full(len(keys), -1, np.int64)
     number[own] = first + np.arange(n_own)
     order = np.argsort(keys[own])
-    sorted_keys, sorted_numbers = keys[own][order], number[own][order]
+    known, numbers = keys[own][order], number[own][order]
     foreign = ~own
-    number[foreign] = ask(
-        comm, owner[foreign], keys[foreign], lambda q, _: sorted_numbers[np.searchsorted(sorted_keys, q)]
-    )
+    number[foreign] = ask(comm, owner[foreign], keys[foreign], lambda q, _: numbers[np.searchsorted(known, q)])
     local = np.empty(len(keys), np.int32)
     local[own] = np.arange(n_own)
     local[foreign] = n_own + np.arange(len(keys) - n_own)

@@ -44,6 +44,7 @@ from thinlayer.errors import Refused, warn
 # 7 zeta(3)/pi^3: mean distance over the thickness of the tractions that balance a load along the end
 ANTIPLANE = 0.2713773
 AtBase = Callable[[Expr], Expr]
+Piece = tuple[Expr, Weighted]  # of a load, and where it acts
 
 
 @dataclass(frozen=True)
@@ -125,9 +126,7 @@ def add_side_loads(forces: Forces, model: Model, one: SeamLayer, sides: Interfac
 
 
 # ---------------------------------------------------------------- ends with constants
-def _at_ends(
-    load: SideLoad, at: Coordinates, model: Model, one: SeamLayer, sides: Interface
-) -> Iterator[tuple[Expr, Weighted]]:
+def _at_ends(load: SideLoad, at: Coordinates, model: Model, one: SeamLayer, sides: Interface) -> Iterator[Piece]:
     """The load at straight free ends, handed to the faces along strips."""
     assert one.thin
     mesh, based = model.domain.mesh, one.name in model.joint.base_seams
@@ -191,7 +190,7 @@ def _handed(shares: Expr, m: Expr, sides: Interface, based: bool) -> Weighted:
 # ---------------------------------------------------------------- other ends
 def _halves(
     load: SideLoad, model: Model, one: SeamLayer, points: ConcentratedForms, at_base: AtBase
-) -> Iterator[tuple[Expr, Weighted]]:
+) -> Iterator[Piece]:
     """The load as forces on the rims of both faces, half of it on each; a rigid base takes its half by itself."""
     assert one.thin
     joint, based = model.domain.joint, one.name in model.joint.base_seams

@@ -28,13 +28,10 @@ SAME = 1e-12  # relative difference of parameters at several times that counts a
 SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # of a step, at which parameters are looked at
 
 
-def falls(
-    points: CompiledTerm, e: Array, e_old: Array, memory: Array, response: Response | None = None
-) -> tuple[str, str] | None:
+def falls(points: CompiledTerm, e: Array, e_old: Array, memory: Array, response: Response) -> tuple[str, str] | None:
     """Name of a law whose stress falls at strains e or since e_old, and where; None: it does not. Collective."""
     term = points.term
-    known = response or points.respond(e, e_old, memory, 0.0, 1.0)
-    count = points.comm.allreduce(points.falls(e, e_old, memory, known))
+    count = points.comm.allreduce(points.falls(e, e_old, memory, response))
     return (type(term.law).__name__, f"at {count} points of the {term.key or LAYER}") if count else None
 
 

@@ -84,9 +84,8 @@ class LawForms(FormPart):
         """Work of the stresses at the last evaluation in the growth of given strains over the step."""
         over, grown = self._over, [p for p in self._terms if p.given is not None]
         stresses = [stress(p, self._u) for p in _given(grown, over.balanced)]
-        return compiled(
-            sum(ufl.inner(s, over.growth(p.given)) * p.weight * p.measure for s, p in zip(stresses, grown, strict=True))
-        )
+        pairs = zip(stresses, grown, strict=True)
+        return compiled(sum(ufl.inner(s, over.growth(p.given)) * p.weight * p.measure for s, p in pairs))
 
     def begin(self, interval: Interval) -> None:
         super().begin(interval)
@@ -145,11 +144,11 @@ class LawForms(FormPart):
 
     def undeclared_softening(self) -> tuple[str, str] | None:
         old = self.interval.old
+        ends = (self._end, self.interval.t), (old.u, old.t)
         for points, given in self._softening:
-            e, e_old = (
-                points.strain(u.x.petsc_vec) + given(t) for u, t in ((self._end, self.interval.t), (old.u, old.t))
-            )
-            if found := falls(points, e, e_old, points.rest()):
+            e, e_old = (points.strain(u.x.petsc_vec) + given(t) for u, t in ends)
+            response = points.respond(e, e_old, points.rest(), 0.0, 1.0)
+            if found := falls(points, e, e_old, points.rest(), response):
                 return found
         return None
 

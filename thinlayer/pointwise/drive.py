@@ -113,9 +113,7 @@ def drive(
     if law.traits.switches and theta != 1:
         raise InputError(f"theta is {theta}; {type(law).__name__} holds at the ends of steps: theta = 1")
     if law.traits.rate and (lengths == 0).any():
-        raise InputError(
-            f"dt is 0 in step {int(np.argmin(lengths)) + 1}; {type(law).__name__} lets no jump change at once"
-        )
+        raise InputError(f"dt is 0 in step {np.argmin(lengths) + 1}; {type(law).__name__} lets no jump change at once")
     timeless = f"dt is missing: {type(law).__name__} depends on the length of the steps in time"
     point = MaterialPoint(law.of_strains(), normal, axes, float(theta))
     if no_time and any(takes_time(one) for _, one in point.law.sublayers):
@@ -175,9 +173,7 @@ def _lengths(dt: float | Sequence[float], count: int) -> Array:
     return np.broadcast_to(lengths, count)
 
 
-def _history(
-    law: Law, n: Array, memory: int, states: Sequence[MaterialPointState], parts: Sequence[int]
-) -> PointHistory:
+def _history(law: Law, n: Array, memory: int, states: list[MaterialPointState], parts: list[int]) -> PointHistory:
     """The steps so far; `states` begin with the one at rest."""
     rows: Any = states[1:]
     d = len(n)

@@ -64,27 +64,25 @@ class MaterialPoint:
         self.stiffness = max(self.stiffness, np.abs(tangent).max())
         return MaterialPointState(old.t + dt, w, self.E.T @ stress[0], tangent, stress[0], memory[0], energies[0])
 
-    def advance(
-        self, old: MaterialPointState, jumps_given: Array, goal: Array, dt: float
-    ) -> tuple[MaterialPointState, int]:
+    def advance(self, old: MaterialPointState, given: Array, goal: Array, dt: float) -> tuple[MaterialPointState, int]:
         """The state after a step, and the number of parts in which it was made; energies are those of all parts.
 
         Args:
             old: the state before the step.
-            jumps_given: (d,) whether the jump of a component is prescribed; else its traction is.
+            given: (d,) whether the jump of a component is prescribed; else its traction is.
             goal: (d,) prescribed jumps and tractions at the end of the step.
             dt: length of the step.
         """
-        start = np.where(jumps_given, old.w, old.traction)
+        start = np.where(given, old.w, old.traction)
         done, part, parts = 0.0, 1.0, 0
         state, spent = old, np.zeros(3)
         while done < 1:
             aim = goal if done + part >= 1 else start + (done + part) * (goal - start)
-            found = self._settled(state, jumps_given, aim, part * dt)
+            found = self._settled(state, given, aim, part * dt)
             if found is None:
                 part /= 2
                 if part < LEAST_PART:
-                    raise SolveError(self._stuck(state, jumps_given, done))
+                    raise SolveError(self._stuck(state, given, done))
                 continue
             state, done, parts = found, done + part, parts + 1
             spent += state.energies

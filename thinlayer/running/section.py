@@ -112,23 +112,21 @@ class Section:
         """Raise DescriptionError about this table, or about an entry of it."""
         raise DescriptionError(": ".join(filter(None, [self.name, ".".join((*self.path, *keys)), what])))
 
-    def entries(
-        self, readers: Mapping[str, Reader], needed: Mapping[str, str] = NONE, kind: str = "key"
-    ) -> dict[str, Any]:
+    def entries(self, keys: Mapping[str, Reader], needs: Mapping[str, str] = NONE, kind: str = "key") -> dict[str, Any]:
         """What readers take from the entries of their keys.
 
         Args:
-            readers: key -> what reads it, of all keys that are allowed.
-            needed: key that must be given -> words for what it is.
+            keys: key -> what reads it, of all keys that are allowed.
+            needs: key that must be given -> words for what it is.
             kind: the word for a key.
         """
         for key in self.values:
-            if key not in readers:
-                self.refuse(unknown(kind, key, readers))
-        for key, what in needed.items():
+            if key not in keys:
+                self.refuse(unknown(kind, key, keys))
+        for key, what in needs.items():
             if key not in self.values:
                 self.refuse(f"{key} is missing: {what}")
-        return {key: read(self, key) for key, read in readers.items() if key in self.values}
+        return {key: read(self, key) for key, read in keys.items() if key in self.values}
 
     def checked(self, key: str, good: Callable[[Any], bool], wrong: str) -> Any:
         """The value of a key; raises DescriptionError unless it is good, with what is wrong."""

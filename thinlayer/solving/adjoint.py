@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 
 import dolfinx.fem.petsc
@@ -21,7 +21,7 @@ from thinlayer.parts.part import DISPLACEMENTS, Interval, Part
 from thinlayer.solving.balance import PartSum
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import linear_solvers, mark
-from thinlayer.solving.petsc import OptionValue, defaults, solve_linear, value_of
+from thinlayer.solving.petsc import Options, defaults, solve_linear, value_of
 
 
 class Adjoint:
@@ -46,7 +46,7 @@ class Adjoint:
         self,
         state: State,
         old: Configuration | None = None,
-        options: Mapping[str, OptionValue] | None = None,
+        options: Options | None = None,
         *,
         meshed: bool = False,
     ) -> None:

@@ -9,7 +9,7 @@ k falls, and no equilibrium is nearer (Brezis 1973, the regularisation of Yosida
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TypeVar
 
 from petsc4py import PETSc
@@ -19,7 +19,7 @@ from thinlayer.errors import NoEquilibrium, SolveError
 from thinlayer.parts.part import Interval
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import Factor, mark
-from thinlayer.solving.petsc import OptionValue, chosen, solve_linear
+from thinlayer.solving.petsc import Options, chosen, solve_linear
 
 FIRST_DECREMENT, LEAST_DECREMENT = 0.5, 1 / 64  # decrements of the ease from one law to the next
 MOST_SOLVES = 30  # number of solves after which continuation gives up
@@ -82,7 +82,7 @@ class Restraint:
         options: PETSc options of the linear solver.
     """
 
-    def __init__(self, equations: Equations, options: Mapping[str, OptionValue]) -> None:
+    def __init__(self, equations: Equations, options: Options) -> None:
         self.equations = equations
         self._options = {name: value for name, value in options.items() if not name.startswith("snes_")}
         self._factor = Factor()

@@ -302,10 +302,8 @@ class Equilibrium(Finder):
         hold all that would expand. Then the displacements count that are known before the step, and those that the forces
         of the step cause against the mean stiffness.
         """
-        scale, n = self.equations.scale, x.getSize()
-        of_forces = (
-            scale.forces / (self.equations.mean_stiffness * math.sqrt(n)) if self.equations.mean_stiffness else 0.0
-        )
+        scale, stiffness = self.equations.scale, self.equations.mean_stiffness
+        of_forces = scale.forces / (stiffness * math.sqrt(x.getSize())) if stiffness else 0.0
         return max(_largest(x), scale.displacement, of_forces)
 
     def _relative(self, r: PETSc.Vec) -> float:

@@ -24,6 +24,7 @@ PREFIX = "thinlayer_"
 # function missing, unknown type, no such factorisation
 OPTION_ERRORS = (56, 62, 63, 73, 83, 86, 92)
 OptionValue = str | int | float | bool | None
+Options = Mapping[str, OptionValue]  # names without the prefix -> values
 _PLACED: set[str] = set()  # names, without the prefix, of the options that `defaults` has put into PETSc's database
 POINTER = ctypes.c_void_p
 ARGUMENTS = {  # name of a function -> types of its arguments; all functions return PETSc's error code
@@ -36,7 +37,7 @@ ARGUMENTS = {  # name of a function -> types of its arguments; all functions ret
 
 
 @contextmanager
-def defaults(options: Mapping[str, OptionValue]) -> Iterator[None]:
+def defaults(options: Options) -> Iterator[None]:
     """Within a `with` block, PETSc's database has these options under our prefix, unless the user has set them."""
     database = PETSc.Options()
     theirs = database.getAll()  # hasName would mark the option as read
@@ -58,12 +59,12 @@ def options_set() -> dict[str, str]:
     return {name.removeprefix(PREFIX): value for name, value in found if name.startswith(PREFIX)}
 
 
-def is_set(name: str, given: Mapping[str, OptionValue]) -> bool:
+def is_set(name: str, given: Options) -> bool:
     """Whether the user has set an option, in a script or in PETSc's database."""
     return name in given or name in options_set()
 
 
-def value_of(name: str, given: Mapping[str, OptionValue]) -> str | None:
+def value_of(name: str, given: Options) -> str | None:
     """The user's value of an option, in PETSc's database or in a script; None: not set."""
     found = options_set().get(name, given.get(name))
     return None if found is None else str(found)
@@ -84,7 +85,7 @@ def require_all_read(solver: str, ours: Collection[str]) -> None:
 
 
 @contextmanager
-def chosen(ours: Mapping[str, OptionValue], given: Mapping[str, OptionValue] | None = None) -> Iterator[None]:
+def chosen(ours: Options, given: Options | None = None) -> Iterator[None]:
     """Within a `with` block, PETSc's database has our options, and those of a script, which override them.
 
     Raises:

@@ -22,7 +22,7 @@ from thinlayer.solving.continuation import Restraint, through_eased_laws
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import CONTACT, EASED_CONTACT, NEWTON, SINGULAR, YIELDING, Equilibrium, Finder, Found
 from thinlayer.solving.linear_solvers import linear_solvers
-from thinlayer.solving.petsc import PREFIX, OptionValue, chosen, is_set, require_all_read, value_of
+from thinlayer.solving.petsc import PREFIX, Options, OptionValue, chosen, is_set, require_all_read, value_of
 from thinlayer.solving.ranges import warn_of_model, warn_of_no_time, warn_of_states
 from thinlayer.system.progress import logger
 from thinlayer.system.ranks import on_all, require_same
@@ -38,7 +38,7 @@ def solve(
     model: Model,
     t: float = 0.0,
     *,
-    options: Mapping[str, OptionValue] | None = None,
+    options: Options | None = None,
     method: str | None = None,
     like: State | None = None,
 ) -> State:
@@ -114,8 +114,8 @@ class Attempt:
     """
 
     name: str
-    linear: Mapping[str, OptionValue] = field(default_factory=dict)
-    options: Mapping[str, OptionValue] = field(default_factory=dict)
+    linear: Options = field(default_factory=dict)
+    options: Options = field(default_factory=dict)
     eased: bool = False
 
 
@@ -133,7 +133,7 @@ class Solver:
         self,
         model: Model,
         *,
-        options: Mapping[str, OptionValue] | None = None,
+        options: Options | None = None,
         method: str | None = None,
         like: State | None = None,
     ) -> None:
@@ -201,9 +201,7 @@ class Solver:
         """The state at rest, before the first step."""
         return self.equations.rest(t)
 
-    def step(
-        self, old: State, t: float, theta: float = 1.0, thorough: bool = True, *, keep_phases: bool = False
-    ) -> State:
+    def step(self, old: State, t: float, theta: float = 1.0, thorough: bool = True, keep_phases: bool = False) -> State:
         """State at a time t >= old.t, with the balance of forces at old.t + theta (t - old.t). Collective.
 
         With t = old.t it is the response to a sudden load. Errors as in `solve`.

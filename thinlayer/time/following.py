@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from forms.base import InputError
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError, TurningPoint
-from thinlayer.solving.petsc import OptionValue
+from thinlayer.solving.petsc import Options
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.identity import Resume
 from thinlayer.system.progress import logger, telling
@@ -39,19 +39,15 @@ class PathFollowing:
     """
 
     def __init__(
-        self, solver: Solver, journal: Journal, plan: ArcLength, start: float, options: Mapping[str, OptionValue] | None
+        self, solver: Solver, journal: Journal, plan: ArcLength, start: float, options: Options | None
     ) -> None:
         self.solver, self.plan, self.start = solver, plan, start
-        self._journal = journal
+        self._journal, self._history = journal, journal.history
         self._log = logger("march", solver.model.comm)
         balance = PathEquations(solver.equations, plan.first, (start + plan.end) / 2, options)
         self._path = EquilibriumPath(balance, plan.first)
         self._unit = math.sqrt(2.0)  # length of the first step: 1 in u and 1 in t
         self._aimed = False  # whether the path knows its direction at the last state
-
-    @property
-    def _history(self) -> History:
-        return self._journal.history
 
     @property
     def _near(self) -> float:
@@ -191,7 +187,7 @@ class PathInTime(PathFollowing):
         journal: Journal,
         times: Sequence[float],
         start: float,
-        options: Mapping[str, OptionValue] | None,
+        options: Options | None,
     ) -> None:
         self._times, lengths = times, np.diff([start, *times])
         first = float(lengths[0])

@@ -16,7 +16,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError, warn
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.petsc import OptionValue
+from thinlayer.solving.petsc import Options
 from thinlayer.solving.ranges import warn_of_model, warn_of_states, warn_of_steps, warn_of_strains
 from thinlayer.solving.solvers import SOFTENS, Solver, comm_of
 from thinlayer.system.folder import owned
@@ -46,7 +46,7 @@ def march(
     keep: str = "all",
     out: str | Path | None = None,
     resume: Resume = False,
-    options: Mapping[str, OptionValue] | None = None,
+    options: Options | None = None,
     method: str | None = None,
 ) -> History:
     """Follow a model in time, from rest just before `start`. Collective.
@@ -151,7 +151,7 @@ def follow(
     *,
     observe: Observe | None = None,
     keep: str = "all",
-    options: Mapping[str, OptionValue] | None = None,
+    options: Options | None = None,
 ) -> History:
     """Follow the equilibria of a model on by arc length, from the last state of a march, or from a state. Collective.
 
@@ -189,7 +189,7 @@ def _on_path(
     path: ArcLength | Plan,
     start: float,
     keeping: Callable[..., Journal],
-    options: Mapping[str, OptionValue] | None,
+    options: Options | None,
     resume: Resume = False,
     begun: tuple[State | None, State] | None = None,
 ) -> History:

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
 
 from petsc4py import PETSc
 
@@ -25,7 +24,14 @@ from thinlayer.errors import SolveError
 from thinlayer.parts.part import Interval
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import Factor, direct_solver, mark
-from thinlayer.solving.petsc import OptionValue, chosen, options_set, reason_name, require_all_read, solve_linear
+from thinlayer.solving.petsc import (
+    Options,
+    chosen,
+    options_set,
+    reason_name,
+    require_all_read,
+    solve_linear,
+)
 
 ITERATIONS = 12  # largest number of Newton steps
 TURN_ITERATIONS = 2  # the same for a step that turns: the branch beyond a corner is nearly straight
@@ -60,9 +66,7 @@ class PathEquations:
         change: after `linearise` the derivative of the unknowns by t in equilibrium, -K^-1 dR/dt, supports included.
     """
 
-    def __init__(
-        self, equations: Equations, unit: float, middle: float, options: Mapping[str, OptionValue] | None
-    ) -> None:
+    def __init__(self, equations: Equations, unit: float, middle: float, options: Options | None) -> None:
         self.equations, self.middle, self._short = equations, middle, QUOTIENT_STEP * unit
         self._ours = direct_solver(equations.model)
         self._given = {name: value for name, value in (options or {}).items() if not name.startswith("snes_")}

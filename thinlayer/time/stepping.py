@@ -48,16 +48,12 @@ class TimeStepping:
 
     def __init__(self, solver: Solver, journal: Journal, plan: Plan, start: float, theta: float) -> None:
         self.solver, self.plan, self.start, self.theta = solver, plan, start, theta
-        self._journal = journal
+        self._journal, self._history = journal, journal.history
         self._late = solver.equations.traits.rate  # whether a part does not answer to a sudden load at once
         self._failed_at: float | None = None  # earliest end of a failed step that the march has not reached
         self._run_away = math.inf  # earliest time at which displacements ran away
         self._shortest = False  # whether the step cannot be shortened further
         self._estimate = ErrorEstimate(solver.equations) if plan.adaptive else None
-
-    @property
-    def _history(self) -> History:
-        return self._journal.history
 
     def run(self, resume: Resume) -> History:
         """Run the march, or the rest of the march in its folder. Collective; errors as in `march`."""
@@ -94,7 +90,7 @@ class TimeStepping:
         try:
             self._accept([self.solver.step(rest, self.start)])
         except SolveError as error:
-            advice = "let the loads grow from less, as functions (x, t) or piecewise" if self.solver.yields else None
+            advice = "let the loads grow from less, as functions (x, t) or piecewise" if self.solver.yields else ""
             what = f"the sudden load at t = {self.start:g}: {error.reason if advice else error}"
             raise SolveError(what, self._history, advice=advice) from error
 
@@ -170,7 +166,7 @@ class TimeStepping:
         raise SolveError(
             f"step {len(self._history)}, from t = {old.t:g} to {end:g}, failed, and so did longer ones: {error}",
             self._history,
-            advice=NO_LIMIT if self.solver.bounded else None,
+            advice=NO_LIMIT if self.solver.bounded else "",
         ) from error
 
     def _farthest(self, t: float, end: float) -> float:

@@ -62,9 +62,8 @@ def along(
     seams, curve = list(dict.fromkeys(surface.seams.tolist())), PANEL[1] if len(rows) < 3 else LOW
     heights = [STRIP * len(row.lines) if row.names else curve for row in rows]
     figure = Picture(figsize=(PANEL[0] + 2.2 * (len(seams) - 1), sum(heights) + 0.8), layout="constrained")
-    panels = figure.subplots(
-        len(rows), len(seams), sharex="col", sharey="row", squeeze=False, gridspec_kw={"height_ratios": heights}
-    )
+    shape = len(rows), len(seams)
+    panels = figure.subplots(*shape, sharex="col", sharey="row", squeeze=False, height_ratios=heights)
     for row, places in zip(rows, panels, strict=True):
         for axes, seam in zip(places, seams, strict=True):
             row.draw(axes, seam)

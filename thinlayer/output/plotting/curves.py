@@ -176,9 +176,7 @@ def _by_label(labels: Iterable[str], chosen: Chosen) -> dict[str, str]:
     return dict(zip(labels, cycle([chosen] if isinstance(chosen, str) else chosen or []), strict=False))
 
 
-def _plot(
-    axes: Axes, lines: Mapping[str, tuple[Any, Any]], styles: Mapping[str, str], colours: Mapping[str, str]
-) -> None:
+def _plot(axes: Axes, lines: Any, styles: Mapping[str, str], colours: Mapping[str, str]) -> None:
     if not isinstance(lines, Mapping):
         raise InputError(f"curves are {{label: (x, y)}}, not {lines!r}")
     for k, (label, line) in enumerate(lines.items()):

@@ -58,11 +58,9 @@ class Condensed:
 
     @cached_property
     def _system(self) -> DenseSystem:
-        nodes, moving = self.problem.nodes, self._sides.moving
+        nodes, at = self.problem.nodes, self._sides.moving
         H = self._sides.to_jumps(self._factor.complement)
-        return DenseSystem(
-            H, nodes.weights[moving], nodes.frames[moving], nodes.held[moving], chains_of(self.problem, moving)
-        )
+        return DenseSystem(H, nodes.weights[at], nodes.frames[at], nodes.held[at], chains_of(self.problem, at))
 
     def solve(self, start: Array | None) -> tuple[PETSc.Vec, int, list[float]]:
         """Equilibrium under the problem's loads.

@@ -70,9 +70,8 @@ class PairNodes:
 
     def _gathered(self, of_part: Callable[[Law, Array, Array], Array], w: Array) -> Array:
         """(pairs, ...) values of each part's law at the jumps (pairs, d)."""
-        return np.concatenate(
-            [of_part(part.now, w[own], part.slip) for part, own in zip(self._parts, self._of_part, strict=True)]
-        )
+        parts = zip(self._parts, self._of_part, strict=True)
+        return np.concatenate([of_part(part.now, w[own], part.slip) for part, own in parts])
 
     def apart(self, u: Array) -> Array:
         """(pairs, d) jumps, and initial gaps along the normal, in the pairs' frames at displacements (n d,)."""
@@ -102,11 +101,9 @@ class PairNodes:
     @property
     def pattern(self) -> scipy.sparse.csr_matrix:
         """A matrix with all entries that `tangent` and `bonded` may have."""
-        count, d = len(self._ends), self.d
+        n, d = len(self._ends), self.d
         pair, side = np.nonzero(self._ends >= 0)
-        ends = scipy.sparse.csr_matrix(
-            (np.ones(len(pair)), (pair, self._ends[pair, side])), shape=(count, len(self.nodes))
-        )
+        ends = scipy.sparse.csr_matrix((np.ones(len(pair)), (pair, self._ends[pair, side])), shape=(n, len(self.nodes)))
         return scipy.sparse.kron(ends.T @ ends, np.ones((d, d)), format="csr")
 
     def _stiffness(self, D: Array) -> scipy.sparse.csr_matrix:

@@ -197,10 +197,8 @@ class Condensation:
         column[order] = np.arange(len(kept)) - starts  # number of an unknown in its piece
         self.solves = int(column.max(initial=-1)) + 1
         of_piece = np.full((int(piece.max(initial=-1)) + 1, self.solves), -1)
-        of_piece[piece, column] = np.arange(len(kept))
-        gathered = scipy.sparse.csr_matrix(
-            (np.ones(len(kept)), (np.arange(len(kept)), column)), shape=(len(kept), self.solves)
-        )
+        of_piece[piece, column] = rows = np.arange(len(kept))
+        gathered = scipy.sparse.csr_matrix((np.ones(len(kept)), (rows, column)), shape=(len(kept), self.solves))
         right = (self._coupling @ gathered).toarray()
         less = self._coupling.T @ self._solve(right)
         row, at = np.nonzero(of_piece[piece] >= 0)
