@@ -76,12 +76,7 @@ def place(x: Array, t: float, k: int) -> str:
 
 
 def values_of(
-    what: str,
-    function: Callable[..., Any],
-    x: Array,
-    *more: Any,
-    it: str,
-    where: Callable[[int], str],
+    what: str, function: Callable[..., Any], x: Array, *more: Any, it: str, where: Callable[[int], str]
 ) -> Array:
     """Values (n,) of a user's function at x, (n,) or (d, n).
 

@@ -142,10 +142,7 @@ def test_a_law_with_stations_of_its_own():
     with pytest.raises(InputError, match=r"order=1 of Locking with lmbda/mu = 12.1"):
         plates.interface(ThinLayer(Locking(12.1, 1.0), 0.1, order=1, at=1.0))
     facet = Facet(2)
-    sides, u = (
-        Interface.between_bodies(facet.dS),
-        fem.Function(fem.functionspace(facet.mesh, ("DG", 1, (2,)))),
-    )
+    sides, u = (Interface.between_bodies(facet.dS), fem.Function(fem.functionspace(facet.mesh, ("DG", 1, (2,)))))
     u.x.array[:] = np.random.default_rng(5).normal(size=u.x.array.size)
     work = [
         sum(facet_energy(term, u, facet) for term in surface(law, sides, EPS, 1))

@@ -43,12 +43,7 @@ class Adjoint:
     """
 
     def __init__(
-        self,
-        state: State,
-        old: Configuration | None = None,
-        options: Options | None = None,
-        *,
-        meshed: bool = False,
+        self, state: State, old: Configuration | None = None, options: Options | None = None, *, meshed: bool = False
     ) -> None:
         assert isinstance(state.model, InterfaceModel)
         self.state, self.model, self.meshed = state, state.model, meshed

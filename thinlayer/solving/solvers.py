@@ -130,12 +130,7 @@ class Solver:
     """
 
     def __init__(
-        self,
-        model: Model,
-        *,
-        options: Options | None = None,
-        method: str | None = None,
-        like: State | None = None,
+        self, model: Model, *, options: Options | None = None, method: str | None = None, like: State | None = None
     ) -> None:
         with on_all(comm_of(model)):
             if not isinstance(model, Model):

@@ -182,12 +182,7 @@ class PathInTime(PathFollowing):
     """
 
     def __init__(
-        self,
-        solver: Solver,
-        journal: Journal,
-        times: Sequence[float],
-        start: float,
-        options: Options | None,
+        self, solver: Solver, journal: Journal, times: Sequence[float], start: float, options: Options | None
     ) -> None:
         self._times, lengths = times, np.diff([start, *times])
         first = float(lengths[0])

@@ -24,14 +24,7 @@ from thinlayer.errors import SolveError
 from thinlayer.parts.part import Interval
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import Factor, direct_solver, mark
-from thinlayer.solving.petsc import (
-    Options,
-    chosen,
-    options_set,
-    reason_name,
-    require_all_read,
-    solve_linear,
-)
+from thinlayer.solving.petsc import Options, chosen, options_set, reason_name, require_all_read, solve_linear
 
 ITERATIONS = 12  # largest number of Newton steps
 TURN_ITERATIONS = 2  # the same for a step that turns: the branch beyond a corner is nearly straight
