@@ -136,22 +136,11 @@ def draw(record: Record) -> None:
         x = np.log10(2 * part["nu"][at] / (1 - 2 * part["nu"][at]))
         stiffnesses = {label: (x, (part[name] / part["closed"])[at]) for name, label in MODELS.items()}
         parts[f"radius {2 * shape:g} eps"] = stiffnesses
-    plotting.panels(
-        parts,
-        "log10(lmbda/mu); 3.7: nu = 0.4999",
-        "stiffness over closed form",
-        styles=("o", "-", "^-"),
-        ylim=(0.95, 1.3),
-        save=record.path("stiffness.png"),
-    )
+    ratio, share, styles = "log10(lmbda/mu); 3.7: nu = 0.4999", "stiffness over closed form", ("o", "-", "^-")
+    plotting.panels(parts, ratio, share, styles=styles, ylim=(0.95, 1.3), save=record.path("stiffness.png"))
     along = record.load("tractions.csv")
     columns = {"closed": "closed form, rigid plates", **MODELS}
-    plotting.curves(
-        {label: (along["radius_mm"], along[name]) for name, label in columns.items()},
-        "radius (mm)",
-        "normal traction over the largest in closed form",
-        title=f"rubber of nu = {DRAWN['nu']:g}, radius {2 * DRAWN['shape']:g} eps",
-        styles=("-", ".", "--", ":"),
-        ylim=(0.0, 2.8),
-        save=record.path("tractions.png"),
-    )
+    lines = {label: (along["radius_mm"], along[name]) for name, label in columns.items()}
+    title, save = f"rubber of nu = {DRAWN['nu']:g}, radius {2 * DRAWN['shape']:g} eps", record.path("tractions.png")
+    share, dashes = "normal traction over the largest in closed form", ("-", ".", "--", ":")
+    plotting.curves(lines, "radius (mm)", share, title=title, styles=dashes, ylim=(0.0, 2.8), save=save)

@@ -259,15 +259,9 @@ def draw(record: Record) -> None:
     lines = {name: (table["mu"], 1e3 * table[name]) for name in ("meshed layer", "interface law")}
     lines["closed form"] = grid, np.array([1e3 * bent(float(mu)) for mu in grid])
     lines["Timoshenko"] = grid, np.full(len(grid), 1e3 * timoshenko())
-    plotting.curves(
-        lines,
-        "shear modulus of the layer (MPa)",
-        "curvature (1/m)",
-        title="two strips of unequal expansion, cooled by 80 K, free to bend",
-        styles=("s", "o", "-", ":"),
-        xscale="log",
-        save=record.path("bending.png"),
-    )
+    title, save = "two strips of unequal expansion, cooled by 80 K, free to bend", record.path("bending.png")
+    modulus, styles = "shear modulus of the layer (MPa)", ("s", "o", "-", ":")
+    plotting.curves(lines, modulus, "curvature (1/m)", title=title, styles=styles, xscale="log", save=save)
     finest, grid = [*record.load("curing.csv").split("steps").values()][-1], np.linspace(0, 4 * TAU, 200)
     lines = {name: (part["t"][::4], part["t_N"][::4]) for name, part in finest.split("model").items()}
     lines["closed form"] = grid, cured(grid)

@@ -256,15 +256,9 @@ def draw(record: Record) -> None:
         h, error = part["h"], part["error_energy"]
         lines["straight cells" if degree == 1 else "curved cells"] = h, error
         lines[f"slope {2 * degree:g}"] = h, 0.6 * error[-1] * (h / h[-1]) ** (2 * degree)
-    plotting.curves(
-        lines,
-        "cell size h",
-        "relative error of the energy",
-        title="interface model of a coated fibre",
-        styles=("o-", ":", "s-", ":"),
-        logarithmic=True,
-        save=record.path("refinement.png"),
-    )
+    title, dashes, save = "interface model of a coated fibre", ("o-", ":", "s-", ":"), record.path("refinement.png")
+    of_energy = "relative error of the energy"
+    plotting.curves(lines, "cell size h", of_energy, title=title, styles=dashes, logarithmic=True, save=save)
     along, lines, styles = record.load("axis.csv").split("model"), {}, {}
     for name, style, marker in (("meshed interphase", "-", "o"), ("interface law", "--", "s")):
         for kind, part in along[name].split("kind").items():

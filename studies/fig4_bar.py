@@ -203,12 +203,8 @@ def draw(record: Record) -> None:
         elongation |= {f"{name}, closed form": (FINE, bar.U(FINE)), name: (rows["delta"], rows["U"])}
         boundary |= {f"{name}, closed form": (FINE, 1 - bar.phase(FINE)), name: (rows["delta"], 1 - rows["phase"])}
         styles[name] = marker
-    plotting.panels(
-        {"elongation of the layer": elongation, "phase boundary: height over the layer's thickness": boundary},
-        "delta, displacement of the end",
-        styles=styles,
-        save=record.path("elongation.png"),
-    )
+    parts = {"elongation of the layer": elongation, "phase boundary: height over the layer's thickness": boundary}
+    plotting.panels(parts, "delta, displacement of the end", styles=styles, save=record.path("elongation.png"))
 
 
 def draw_energies(record: Record, relaxed: Table) -> None:
@@ -245,18 +241,13 @@ def draw_response(record: Record, relaxed: Table, loop: Table) -> None:
     lost = ", ".join(f"{energy:.4f}" for energy in loop["lost"][~np.isnan(loop["lost"])])
     everything = f"pure phases in {ELEMENTS} elements, all equilibria"
     computed = f"computed; energies lost in snaps: {lost}"
-    plotting.curves(
-        {
-            everything: (np.tile(FINE, equilibria.shape[1]), equilibria.T.ravel()),
-            "least energy, closed form": (FINE, BAR.sigma(FINE)),
-            "relaxed law, computed": (relaxed["delta"], relaxed["sigma"]),
-            "one phase, kept while it holds, closed form": (np.insert(delta, 2, np.nan), np.insert(kept, 2, np.nan)),
-            computed: (loop["delta"], loop["sigma"]),
-        },
-        "delta, displacement of the end",
-        "sigma, force",
-        styles={"relaxed law, computed": "o", computed: "s--"},
-        colours={everything: "0.75", computed: COLOURS[3]},
-        ylim=(0.0, 2.7),
-        save=record.path("response.png"),
-    )
+    lines = {
+        everything: (np.tile(FINE, equilibria.shape[1]), equilibria.T.ravel()),
+        "least energy, closed form": (FINE, BAR.sigma(FINE)),
+        "relaxed law, computed": (relaxed["delta"], relaxed["sigma"]),
+        "one phase, kept while it holds, closed form": (np.insert(delta, 2, np.nan), np.insert(kept, 2, np.nan)),
+        computed: (loop["delta"], loop["sigma"]),
+    }
+    styles, colours = {"relaxed law, computed": "o", computed: "s--"}, {everything: "0.75", computed: COLOURS[3]}
+    look = {"styles": styles, "colours": colours, "ylim": (0.0, 2.7), "save": record.path("response.png")}
+    plotting.curves(lines, "delta, displacement of the end", "sigma, force", **look)

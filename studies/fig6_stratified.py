@@ -100,7 +100,5 @@ def draw(record: Record) -> None:
     x = table["x_mm"]
     lines = {"meshed layer": (x, table["ratio_band"] / 1e3), "interface law": (x, table["ratio_interface"] / 1e3)}
     lines |= {"K_T, harmonic mean": (x, 0 * x + K_T / 1e3), "arithmetic mean": (x, 0 * x + (7.5 + 10) / 2 / EPS)}
-    title, save = "Figure 6: tangential stiffness along S", record.path("ratio.png")
-    plotting.curves(
-        lines, "x (mm)", "t_T / u_T (10^3 N/mm^3)", title=title, styles=("-", "--", ":", ":"), ylim=(82, 90), save=save
-    )
+    title, styles, save = "Figure 6: tangential stiffness along S", ("-", "--", ":", ":"), record.path("ratio.png")
+    plotting.curves(lines, "x (mm)", "t_T / u_T (10^3 N/mm^3)", title=title, styles=styles, ylim=(82, 90), save=save)

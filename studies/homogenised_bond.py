@@ -66,12 +66,8 @@ def draw(record: Record) -> None:
     """Draw the errors of rigid bricks from table.csv."""
     table = record.load("table.csv")
     lines = {name: (table["E"], table[f"error_{name}"]) for name in ENTRIES}
-    plotting.curves(
-        lines | {"slope -1": (table["E"], 20 / table["E"])},
-        "Young's modulus of the bricks",
-        "1 - A/A of rigid bricks",
-        title="a wall in running bond as a whole",
-        styles=dict(zip(ENTRIES, ("o-", "s-", "^-"), strict=True)) | {"slope -1": "--"},
-        logarithmic=True,
-        save=record.path("rigid_bricks.png"),
-    )
+    lines |= {"slope -1": (table["E"], 20 / table["E"])}
+    labels, title = ("Young's modulus of the bricks", "1 - A/A of rigid bricks"), "a wall in running bond as a whole"
+    styles = dict(zip(ENTRIES, ("o-", "s-", "^-"), strict=True)) | {"slope -1": "--"}
+    save = record.path("rigid_bricks.png")
+    plotting.curves(lines, *labels, title=title, styles=styles, logarithmic=True, save=save)

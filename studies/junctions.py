@@ -241,13 +241,6 @@ def draw(record: Record) -> None:
         eps, least = min(lines.values(), key=lambda line: line[1][-1])
         most = max(line[1].max() for line in lines.values())
         lines["slope 1"] = (eps, 0.7 * least[-1] * eps / eps[-1])
-        plotting.curves(
-            lines,
-            "layer thickness eps",
-            "relative difference, L2",
-            title=title,
-            logarithmic=True,
-            styles=dict(zip(lines, STYLES, strict=False)) | {"slope 1": ":"},
-            save=record.path(f"{error}.png"),
-            ylim=(least[-1] / 2, 120 * most),
-        )
+        styles, save = dict(zip(lines, STYLES, strict=False)) | {"slope 1": ":"}, record.path(f"{error}.png")
+        look = {"title": title, "logarithmic": True, "styles": styles, "ylim": (least[-1] / 2, 120 * most)}
+        plotting.curves(lines, "layer thickness eps", "relative difference, L2", save=save, **look)

@@ -172,12 +172,9 @@ def _within(special: Array, length: float, x: Array) -> BoolArray:
 def _picture(record: Record) -> None:
     """Draw the right end of a thick layer."""
     blocks = _Blocks(record, ELASTIC, THICK)
-    plotting.deformed(
-        {"full": blocks.full, "mixed": blocks.mixed(2.0)},
-        zoom=(1 - 5 * THICK, 1 + 2 * THICK, -3 * THICK, 3 * THICK),
-        scale=1.0,
-        save=record.path("mixed.png"),
-    )
+    window = 1 - 5 * THICK, 1 + 2 * THICK, -3 * THICK, 3 * THICK
+    states = {"full": blocks.full, "mixed": blocks.mixed(2.0)}
+    plotting.deformed(states, zoom=window, scale=1.0, save=record.path("mixed.png"))
 
 
 def draw(record: Record) -> None:
@@ -186,23 +183,13 @@ def draw(record: Record) -> None:
     plotting.rates(walls, title="two courses of bricks, all of S", save=record.path("wall.png"))
     for name, law in {"elastic": ELASTIC, "yielding": YIELDING}.items():
         tables = {one: record.load(f"{name}_{_file(one)}.csv") for one in _laws(law)}
-        plotting.panels(
-            {
-                what: {one: (np.log2(table["eps"]), table[f"error_{of}"]) for one, table in tables.items()}
-                for what, of in MEASURED.items()
-            },
-            "log2 of the thickness over the width",
-            styles="o-",
-            columns=4,
-            yscale="log",
-            save=record.path(f"{name}.png"),
-        )
+        parts = {
+            what: {one: (np.log2(table["eps"]), table[f"error_{of}"]) for one, table in tables.items()}
+            for what, of in MEASURED.items()
+        }
+        width, save = "log2 of the thickness over the width", record.path(f"{name}.png")
+        plotting.panels(parts, width, styles="o-", columns=4, yscale="log", save=save)
     table = record.load("distances.csv")
-    plotting.curves(
-        {what: (table["distance"], table[f"error_{of}"]) for what, of in MEASURED.items()},
-        "distance of the cut from the free ends / thickness",
-        "relative error",
-        styles="o-",
-        logarithmic=True,
-        save=record.path("distances.png"),
-    )
+    lines = {what: (table["distance"], table[f"error_{of}"]) for what, of in MEASURED.items()}
+    distance, save = "distance of the cut from the free ends / thickness", record.path("distances.png")
+    plotting.curves(lines, distance, "relative error", styles="o-", logarithmic=True, save=save)

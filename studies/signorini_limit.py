@@ -89,12 +89,6 @@ def draw(record: Record) -> None:
     K = table["K_T"]
     lines = {name: (K, table[f"error_{name}"]) for name in ("jump", "traction")}
     lines["slope -1"] = (K[1:], 0.3 * table["error_jump"][-1] * K[-1] / K[1:])
-    plotting.curves(
-        lines,
-        "K_T (N/mm³), K_N = 5 K_T",
-        "relative difference to the limit, L2 on S",
-        title="Signorini's and Coulomb's laws as K grows",
-        styles={"slope -1": "--", "jump": "o-", "traction": "s-"},
-        logarithmic=True,
-        save=record.path("limit.png"),
-    )
+    title, styles = "Signorini's and Coulomb's laws as K grows", {"slope -1": "--", "jump": "o-", "traction": "s-"}
+    labels, save = ("K_T (N/mm³), K_N = 5 K_T", "relative difference to the limit, L2 on S"), record.path("limit.png")
+    plotting.curves(lines, *labels, title=title, styles=styles, logarithmic=True, save=save)

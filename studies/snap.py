@@ -302,24 +302,12 @@ def draw(record: Record) -> None:
         del parts[TITLES["block"]][curve]
     styles[meshed] = ":"
     colours |= dict.fromkeys(others, COLOURS[2]) | {meshed: "black"}
-    plotting.panels(
-        parts,
-        "delta, displacement of the upper side",
-        "force",
-        styles=styles,
-        colours=colours,
-        xlim=(0.9, 2.2),
-        ylim={TITLES["strip"]: (0.9, 2.5), TITLES["block"]: (2.3, 4.7)},
-        save=record.path("response.png"),
-    )
-    plotting.panels(
-        {
-            f"delta = {delta:g}": {curve: (rows["x"], rows["phase"]) for curve, rows in part.split("curve").items()}
-            for delta, part in record.load("table_phases.csv").split("delta").items()
-        },
-        "x along S",
-        "share of phase 1",
-        styles={f"{PURE}, down": "--"},
-        ylim=(-0.08, 1.08),
-        save=record.path("phases.png"),
-    )
+    end, save = "delta, displacement of the upper side", record.path("response.png")
+    forces = {TITLES["strip"]: (0.9, 2.5), TITLES["block"]: (2.3, 4.7)}
+    plotting.panels(parts, end, "force", styles=styles, colours=colours, xlim=(0.9, 2.2), ylim=forces, save=save)
+    parts = {
+        f"delta = {delta:g}": {curve: (rows["x"], rows["phase"]) for curve, rows in part.split("curve").items()}
+        for delta, part in record.load("table_phases.csv").split("delta").items()
+    }
+    styles, save = {f"{PURE}, down": "--"}, record.path("phases.png")
+    plotting.panels(parts, "x along S", "share of phase 1", styles=styles, ylim=(-0.08, 1.08), save=save)

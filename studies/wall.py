@@ -172,14 +172,7 @@ def draw(record: Record) -> None:
         if not record.has(file):
             continue
         parts = record.load(file).split(column)
-        plotting.curves(
-            {
-                name: (np.insert(part["shift_mm"], 0, 0), np.insert(part["shear_MPa"], 0, 0))
-                for name, part in parts.items()
-            },
-            "shift of the top (mm)",
-            "shear stress (MPa)",
-            title=f"{title}, under a pressure of {PRESSURE:g} MPa",
-            styles=("o-", "s-", "^--", "v--", "d--"),
-            save=record.path(picture),
-        )
+        columns = "shift_mm", "shear_MPa"
+        lines = {name: tuple(np.insert(part[one], 0, 0) for one in columns) for name, part in parts.items()}
+        look = {"title": f"{title}, under a pressure of {PRESSURE:g} MPa", "styles": ("o-", "s-", "^--", "v--", "d--")}
+        plotting.curves(lines, "shift of the top (mm)", "shear stress (MPa)", save=record.path(picture), **look)

@@ -36,6 +36,7 @@ LETTERS = {"order_0": "0", "order_1": "1", "rubber": "R"}
 CORRECTED = {"edges": "order_1", "rubber_edges": "rubber"}  # at free ends -> not corrected
 QUANTITIES = ("traction", "jump", "compliance")
 LEVELS = (0.001, 0.01, 0.05, 0.2)  # errors at which cells of the maps change their colour
+RANGES = ("< 0.1 %", "0.1 to 1 %", "1 to 5 %", "5 to 20 %", "> 20 %")  # between them
 WANTED = (0.01, 0.05)  # errors for which the cheapest law is drawn
 TOLD = 0.1  # error of order 1 from which on there has to be a warning
 LOAD = 1e-6  # stress: far below the moduli of the layers, so that warnings are of the laws and not of the loads
@@ -199,16 +200,9 @@ def draw(record: Record) -> None:
                 panel = f"{LAWS[law]}; E/mu = {contrast:,.0f}"
                 errors[panel] = _grid(_worst(part, law), nus)
                 texts[panel] = np.vectorize(_percent)(errors[panel], _grid(part[f"warned_{law}"], nus) > 0)
-        plotting.maps(
-            errors,
-            texts=texts,
-            levels=LEVELS,
-            names=["< 0.1 %", "0.1 to 1 %", "1 to 5 %", "5 to 20 %", "> 20 %"],
-            title=f"errors in per cent, the larger of traction and jump (!: a RangeWarning); {what}",
-            columns=len(drawn),
-            save=record.path(f"errors_{name}.png"),
-            **axes,
-        )
+        look = {"names": RANGES, "columns": len(drawn), "save": record.path(f"errors_{name}.png"), **axes}
+        title = f"errors in per cent, the larger of traction and jump (!: a RangeWarning); {what}"
+        plotting.maps(errors, texts=texts, levels=LEVELS, title=title, **look)
         _cheapest(record, f"cheapest_{name}.png", what, drawn, errors, axes)
 
 
@@ -236,16 +230,9 @@ def _cheapest(
             good = np.append(stack < wanted, np.ones((1, *stack.shape[1:]), bool), axis=0)
             parts[panel] = good.argmax(axis=0)
             texts[panel] = np.array(list(names))[parts[panel]]
-    plotting.maps(
-        parts,
-        texts=texts,
-        levels=np.arange(len(laws)) + 0.5,
-        names=[f"{letter}: {name}" for letter, name in names.items()],
-        title=f"cheapest law; {what}",
-        columns=len(WANTED),
-        save=record.path(picture),
-        **axes,
-    )
+    levels, legend = np.arange(len(laws)) + 0.5, [f"{letter}: {name}" for letter, name in names.items()]
+    look = {"title": f"cheapest law; {what}", "columns": len(WANTED), "save": record.path(picture), **axes}
+    plotting.maps(parts, texts=texts, levels=levels, names=legend, **look)
 
 
 def _grid(values: Array, nus: Array) -> Array:
