@@ -268,13 +268,8 @@ class NonMonotoneUnrelaxed(Phases):
         return lame(self.lmbda, self.mu, step.mid) - step.q["phase"] * self._transformation_stress(step.n)
 
     def advance(self, step: Step) -> dict[str, Expr]:
-        drive = self._drive(step.e, step.n)
-        return {
-            "phase": step.q["phase"],
-            "stored": self.energy(step),
-            "drive": drive,
-            "bound": ufl.as_ufl(self.transformation_energy),
-        }
+        drive, bound = self._drive(step.e, step.n), ufl.as_ufl(self.transformation_energy)
+        return {"phase": step.q["phase"], "stored": self.energy(step), "drive": drive, "bound": bound}
 
     def energy(self, step: Step) -> Expr:
         z = step.q["phase"]

@@ -83,14 +83,8 @@ def band(law: BulkLaw, measure: ufl.Measure, n: Expr, kinematics: Kinematics = L
 
 def of_jumps(law: BulkLaw, sides: Interface) -> Term:
     """A law of jumps on S, as one of strains (`TractionLaw.of_strains`): strain sym([u] (x) n), weight 1."""
-    return Term(
-        law,
-        lambda u: jump_strain(sides.jump(u), sides.n),
-        sides.factor,
-        sides.measure,
-        sides.n,
-        kinematics=sides.kinematics,
-    )
+    n, kinematics = sides.n, sides.kinematics
+    return Term(law, lambda u: jump_strain(sides.jump(u), n), sides.factor, sides.measure, n, kinematics=kinematics)
 
 
 def surface(

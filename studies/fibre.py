@@ -16,10 +16,11 @@ from forms.base import Array
 from geometry import fibre, periodic
 from geometry.parallel import on_root
 from studies.problems import of
-from studies.sweeping import Solution, Sweep, draw_rates, last, layer_of
+from studies.sweeping import Sweep, draw_rates, last, layer_of
 from thinlayer import State, Structure, Table, ThinLayer, homogenised_stiffness, observed_orders, plotting, solve
 from thinlayer.output.grid import gather
 from thinlayer.running.record import Record
+from thinlayer.time.history import Solution
 
 EPS = (0.08, 0.04, 0.02, 0.01)  # over the radius of the matrix
 SIZES = (0.1, 0.05, 0.025)
@@ -29,6 +30,7 @@ STRETCH = 0.1  # of the rim, along x
 GLASS, RESIN = LinearElastic.young(E=5.0, nu=0.3), LinearElastic.young(E=1.0, nu=0.2)
 COATING = LinearElastic(lmbda=0.6, mu=0.7)  # at the thickness 1
 MODES = (0, 2)  # fields are proportional to cos(mode theta), those along the circles to sin(mode theta)
+Springs = Sequence[tuple[float, float] | None]  # between neighbours: normal and tangential stiffness, or bonded
 ORDERS = {1: (1.8, 2.2), 2: (3.3, 5.0)}  # degree of cells -> range of the observed order of the energy in h
 
 
@@ -168,17 +170,13 @@ class Cylinders:
 
     @classmethod
     def stretched(
-        cls,
-        laws: Sequence[LinearElastic],
-        radii: Sequence[float],
-        springs: Sequence[tuple[float, float] | None],
-        stretch: tuple[float, float],
+        cls, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs, stretch: tuple[float, float]
     ) -> Self:
         """Solve.
 
         Args:
             laws, radii: see above.
-            springs: normal and tangential stiffness between neighbours, stress per length; None: bonded.
+            springs: between neighbours, stress per length.
             stretch: a and b.
         """
         a, b = stretch
@@ -218,13 +216,7 @@ def _solutions(mode: int, law: LinearElastic, r: float) -> Array:
     return np.concatenate([np.array(u) / (2 * mu), s])
 
 
-def _solved(
-    mode: int,
-    laws: Sequence[LinearElastic],
-    radii: Sequence[float],
-    springs: Sequence[tuple[float, float] | None],
-    rim: Array,
-) -> Array:
+def _solved(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs, rim: Array) -> Array:
     """Coefficients of a mode: regular in the innermost cylinder, continuous stresses, jumps as of springs."""
     n = _solutions(mode, laws[0], 1.0).shape[1]
     rows, right = [], []

@@ -16,8 +16,9 @@ from scipy.linalg import expm
 from forms import BulkLaw, LinearElastic, MohrCoulomb
 from forms.base import Array
 from geometry import Joint, block, disc, read, ring, sandwich
-from studies.sweeping import Solution, last, layer_of
+from studies.sweeping import last, layer_of
 from thinlayer import State, Structure, Surface, ThinLayer, piecewise, solve
+from thinlayer.time.history import Solution
 
 FOURIER_BODY = LinearElastic.young(E=100.0, nu=0.3)
 FOURIER_LAYER = LinearElastic(lmbda=60.0, mu=40.0)

@@ -13,10 +13,11 @@ import numpy as np
 from forms import HolonomicCoulomb, IncrementalCoulomb, MohrCoulombMonodirectional
 from forms.base import Array
 from studies.problems import pressed
-from studies.sweeping import Solution, Sweep, draw_rates, last, layer_of, table_of
+from studies.sweeping import Sweep, draw_rates, last, layer_of, table_of
 from thinlayer import History, State, Structure, Surface, Table, ThinLayer, compare, march, plotting, solve
 from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
+from thinlayer.time.history import Solution
 
 MODULI = {"lmbda": 60.0, "mu": 40.0}
 OMEGA = 25.0

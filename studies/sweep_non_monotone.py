@@ -16,9 +16,10 @@ from forms.kinematics import Expr
 from forms.traction import JumpStep
 from geometry import Joint, sandwich
 from studies.problems import FOURIER_BODY, phases_on_s
-from studies.sweeping import Floors, Solution, Sweep, check_floors, draw_rates, last, last_order, layer_of
+from studies.sweeping import Floors, Sweep, check_floors, draw_rates, last, last_order, layer_of
 from thinlayer import History, RangeWarning, Surface, Table, ThinLayer, plotting
 from thinlayer.running.record import Record
+from thinlayer.time.history import Solution
 
 OBLIQUE = np.array([[0.0, 0.3], [0.3, 0.5]])  # chi, in the axes t, n of S
 # law; amplitudes of shear and pull on the upper side

@@ -11,7 +11,7 @@ from forms import BulkLaw
 from forms.kinematics import Expr
 from forms.law import Law
 from geometry import Joint
-from thinlayer import History, State, Structure, Surface, Table, ThinLayer, compare, observed_orders, plotting, solve
+from thinlayer import State, Structure, Surface, Table, ThinLayer, compare, observed_orders, plotting, solve
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import LawOnS
@@ -19,8 +19,8 @@ from thinlayer.discretisation.model import Model
 from thinlayer.output.comparison import Where
 from thinlayer.output.plotting.curves import ERRORS
 from thinlayer.running.record import Record
+from thinlayer.time.history import Solution
 
-Solution = State | History
 Floors = Mapping[str, tuple[float, float]]  # traction or jump -> range of the relative error that a wrong law leaves
 
 

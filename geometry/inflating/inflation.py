@@ -196,12 +196,7 @@ class _Cells(NamedTuple):
 
 
 def _junctions(
-    joint: Joint,
-    posts: Posts,
-    footing: Footing,
-    corners: tuple[Corners, Corners],
-    claims: Sequence[str],
-    filled: Filled,
+    joint: Joint, posts: Posts, footing: Footing, corners: tuple[Corners, Corners], claims: list[str], filled: Filled
 ) -> _Cells:
     """The cells of junctions; `region` is the number of the seam that they belong to, one for each junction.
 

@@ -72,11 +72,7 @@ def _counts(cells: Cells, size: Sequence[float], least: int) -> list[int]:
 
 
 def _joint(
-    cells: Cells,
-    lengths: Sequence[float],
-    counts: Sequence[int],
-    brick: tuple[int, int],
-    start: tuple[int, int] = (0, 0),
+    cells: Cells, lengths: Sequence[float], counts: list[int], brick: tuple[int, int], start: tuple[int, int] = (0, 0)
 ) -> Joint:
     """The joint of a grid, with beds between courses, heads between the bricks of a course, and its sides.
 

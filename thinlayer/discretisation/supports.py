@@ -14,7 +14,7 @@ from dolfinx.mesh import entities_to_geometry
 from petsc4py import PETSc
 
 from forms.base import Array, InputError, is_number
-from forms.planes import LIFTED, Kinematics
+from forms.planes import Kinematics
 from geometry.domain import Domain
 from geometry.refusals import unknown
 from geometry.topology import BoolArray, Indices
@@ -58,12 +58,7 @@ class Supports:
     """
 
     def __init__(
-        self,
-        domain: Domain,
-        given: ByPlace,
-        at: Coordinates,
-        clamped: Sequence[str] = (),
-        kinematics: Kinematics = LIFTED,
+        self, domain: Domain, given: ByPlace, at: Coordinates, clamped: Sequence[str], kinematics: Kinematics
     ) -> None:
         if not isinstance(given, Mapping):
             raise InputError(f"supports is {given!r}; it must be {{place: {{component: value}}}}")

@@ -20,7 +20,7 @@ from thinlayer.output.surface import Surface
 from thinlayer.surface.excess import times_too_stiff
 from thinlayer.system.identity import differences, in_words
 from thinlayer.system.ranks import on_all, require_same
-from thinlayer.time.history import SAME_TIME, History
+from thinlayer.time.history import SAME_TIME, History, Solution
 
 Where = Callable[[Array], Any]
 ROUNDING = 1e-12  # a jump up to this share of the displacements is their rounding
@@ -28,12 +28,7 @@ SAME_PROFILE = 1e-9  # relative difference of equal thickness profiles
 
 
 def compare(
-    full: State | History,
-    interface: State | History,
-    *,
-    seam: str = S,
-    where: Where | None = None,
-    at: float | None = None,
+    full: Solution, interface: Solution, *, seam: str = S, where: Where | None = None, at: float | None = None
 ) -> dict[str, float]:
     """Difference between the interface law and the meshed layer. Collective.
 
@@ -108,7 +103,7 @@ def _too_stiff(state: State, seam: str) -> dict[str, float]:
     return {f"too_stiff {name}" if several else "too_stiff": one for name, one in factors.items() if one is not None}
 
 
-def _state(one: State | History, at: float | None) -> State:
+def _state(one: Solution, at: float | None) -> State:
     if isinstance(one, State):
         if at is not None and not abs(one.t - at) <= SAME_TIME * max(abs(one.t), abs(at)):
             raise InputError(f"compare: a state is of t = {one.t:g}, not of at = {at:g}; give its history, or no at")

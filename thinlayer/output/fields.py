@@ -21,14 +21,14 @@ from thinlayer.output.blocks import blocks
 from thinlayer.output.grid import nodal_displacement
 from thinlayer.output.surface import Surface
 from thinlayer.system.ranks import on_all, require_same
-from thinlayer.time.history import History
+from thinlayer.time.history import History, Solution
 
 # approximate size of a node in a file: its mesh, once; its values, each time
 BYTES = {".bp": (128, 24), ".pvd": (0, 200)}
 VTX, VTK = ".bp", ".pvd"
 
 
-def write(solution: State | History, path: str | Path, *, surface: Surface | None = None) -> None:
+def write(solution: Solution, path: str | Path, *, surface: Surface | None = None) -> None:
     """Write a state, or all states that a history keeps with their times, for ParaView. Collective.
 
     A path that ends in .pvd: all that is known. Rank 0 gathers it and writes "run.pvd" and the folder "run_pvd". Blocks:
@@ -85,7 +85,7 @@ def write(solution: State | History, path: str | Path, *, surface: Surface | Non
     _write_vtk(states, path, model if isinstance(model, InterfaceModel) else None)
 
 
-def _states(solution: State | History) -> list[State]:
+def _states(solution: Solution) -> list[State]:
     """The states to write."""
     if not isinstance(solution, (State, History)):
         raise InputError(f"fields are written of a state or a history, as solve and march return, not of {solution!r}")

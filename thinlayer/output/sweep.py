@@ -37,10 +37,7 @@ def observed_orders(eps: Iterable[float], errors: Iterable[float]) -> list[float
 
 
 def sweep(
-    run: Callable[[float], Mapping[str, Any]],
-    eps: Iterable[float],
-    out: str | Path | None = None,
-    resume: Resume = False,
+    run: Callable[..., Mapping[str, Any]], eps: Iterable[float], out: str | Path | None = None, resume: Resume = False
 ) -> Table:
     """A table of comparisons over decreasing thickness, with observed orders. Collective.
 

@@ -227,12 +227,7 @@ def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
 
 
 def split(
-    pc: PETSc.PC,
-    A: PETSc.Mat,
-    layout: Layout,
-    held: Indices,
-    masses: Mapping[str, PETSc.Mat],
-    motions: Sequence[PETSc.Vec],
+    pc: PETSc.PC, A: PETSc.Mat, layout: Layout, held: Indices, masses: dict[str, PETSc.Mat], motions: list[PETSc.Vec]
 ) -> None:
     """Tell a PCFIELDSPLIT its blocks "u", displacements, and "p", pressures, and the Schur complement. Collective.
 

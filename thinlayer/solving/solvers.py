@@ -95,10 +95,8 @@ def _check_like(model: Model, like: Any) -> None:
     if not isinstance(like, State) or like.model.joint is not model.joint:
         given = f"a state of a model of another joint ({like.model!r})" if isinstance(like, State) else repr(like)[:200]
         raise InputError(f"like is {given}; it must be a state of a model of the same joint")
-    if not (model.broken and like.model.broken) or (like.model.element, like.model.bonds) != (
-        model.element,
-        model.bonds,
-    ):
+    other = like.model
+    if not (model.broken and other.broken) or (model.element, model.bonds) != (other.element, other.bonds):
         raise InputError("like is a state of an interface model for another one, with the same element and bonds")
 
 

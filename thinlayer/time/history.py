@@ -128,3 +128,6 @@ class History:
             kept = ", ".join(f"{state.t:g}" for state in self)
             raise InputError(f"no state at t = {t:g} is kept; there are states at {kept}")
         return self.states[rows[-1]]
+
+
+Solution = State | History

@@ -93,12 +93,8 @@ class Condensed:
     def _find(self, system: DenseSystem, start: Array | None, history: list[float]) -> tuple[Array, int]:
         """Jumps of the moving nodes in global axes, and the number of Newton steps."""
         sides, problem = self._sides, self.problem
-        load = Load(
-            sides.forces(system.H),
-            problem.slip[sides.moving],
-            sides.held_jumps,
-            max(problem.equations.scale.least, float(problem.loads.norm()), TINY),
-        )
+        size = max(problem.equations.scale.least, float(problem.loads.norm()), TINY)
+        load = Load(sides.forces(system.H), problem.slip[sides.moving], sides.held_jumps, size)
         steps = 0
         for law, w, few in self._trials(system, load, start):
             steps += system.newton(law, load, w, TOLERANCE, history, few=few)
