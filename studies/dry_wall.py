@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -78,14 +79,9 @@ def bonded(size: tuple[int, int], K_N: float) -> InterfaceModel:
 
 
 def _structure(size: tuple[int, int], push: float) -> Structure:
-    return Structure(
-        wall(*size, BRICK, BRICK[1] / 4),
-        body=CLAY,
-        supports={"BOTTOM": 0.0},
-        tractions={"TOP": (push * PRESSURE, -PRESSURE)},
-        body_force=(0.0, -WEIGHT),
-        element="Q1",
-    )
+    joint, tractions = wall(*size, BRICK, BRICK[1] / 4), {"TOP": (push * PRESSURE, -PRESSURE)}
+    own: dict[str, Any] = {"body": CLAY, "body_force": (0.0, -WEIGHT), "element": "Q1"}
+    return Structure(joint, supports={"BOTTOM": 0.0}, tractions=tractions, **own)
 
 
 def solved(model: InterfaceModel, method: str | None = None) -> tuple[State, float]:

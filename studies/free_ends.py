@@ -280,12 +280,8 @@ def draw(record: Record) -> None:
         plotting.rates(shown, reference=2.0, title=title, save=save)
     table, ratios = record.load("table.csv"), np.linspace(0.02, 0.4995, 200)
     lines = Table(_row(free_end(float(ratio))) for ratio in ratios)
-    plotting.panels(
-        {name: {"half strip": (table["nu"], table[name]), "table": (ratios, lines[name])} for name in DRAWN},
-        "Poisson's ratio",
-        {name: "over the thickness" for name in DRAWN if name != "kappa"},
-        styles={"half strip": "o"},
-        colours={"half strip": "black"},
-        ylim={"c_N": (0.0, 3.0), "rho_N": (0.0, 3.0), "m_N/c_N": (0.0, 4.0)},
-        save=record.path("constants.png"),
-    )
+    parts = {name: {"half strip": (table["nu"], table[name]), "table": (ratios, lines[name])} for name in DRAWN}
+    units = {name: "over the thickness" for name in DRAWN if name != "kappa"}
+    limits, save = {"c_N": (0.0, 3.0), "rho_N": (0.0, 3.0), "m_N/c_N": (0.0, 4.0)}, record.path("constants.png")
+    look = {"styles": {"half strip": "o"}, "colours": {"half strip": "black"}, "ylim": limits}
+    plotting.panels(parts, "Poisson's ratio", units, save=save, **look)

@@ -21,16 +21,13 @@ from thinlayer import History, RangeWarning, Surface, Table, ThinLayer, plotting
 from thinlayer.running.record import Record
 from thinlayer.time.history import Solution
 
-OBLIQUE = np.array([[0.0, 0.3], [0.3, 0.5]])  # chi, in the axes t, n of S
+# chi, in the axes t, n of S
+OBLIQUE, SHEARED = np.array([[0.0, 0.3], [0.3, 0.5]]), np.array([[0.0, 0.5], [0.5, 0.0]])
 # law; amplitudes of shear and pull on the upper side
 CASES: dict[str, tuple[NonMonotone, float, float]] = {
     "": (NonMonotone(60.0, 40.0, alpha=1.0, transformation_energy=0.0031, chi=OBLIQUE), 4.0, 1.0),
     "across": (NonMonotone(60.0, 40.0, alpha=0.7, transformation_energy=0.003, chi=np.diag([0.0, 1.0])), 1.0, 1.2),
-    "along": (
-        NonMonotone(60.0, 40.0, alpha=0.3, transformation_energy=0.0004, chi=np.array([[0.0, 0.5], [0.5, 0.0]])),
-        4.0,
-        0.4,
-    ),
+    "along": (NonMonotone(60.0, 40.0, alpha=0.3, transformation_energy=0.0004, chi=SHEARED), 4.0, 0.4),
 }
 PURE = NonMonotoneUnrelaxed(60.0, 40.0, alpha=0.6, transformation_energy=0.0025, chi=OBLIQUE)
 MOVED, TIMES = (0.04, 0.03), (0.25, 0.5, 0.75, 1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import cos, radians, sin, tan
+from typing import Any
 
 import numpy as np
 
@@ -74,13 +75,9 @@ def stack(courses: int, h: float, length: float = LENGTH, height: float = HEIGHT
 def sheared(law: type[Plastic], pressure: float, h: float, kind: str) -> Model:
     """A triplet whose middle brick is pushed so that the mean shear traction on both beds is t, in MPa."""
     bed = ThinLayer(law(MORTAR.lmbda, MORTAR.mu, cohesion=COHESION, friction_angle=ANGLE), EPS)
-    structure = Structure(
-        stack(3, h),
-        body=CLAY,
-        supports={"BOTTOM": {"y": 0.0}, "RIGHT/LOWER": {"x": 0.0}, "RIGHT/UPPER": {"x": 0.0}},
-        tractions={"TOP": (0.0, -pressure), "LEFT/MIDDLE": lambda x, t: (2 * LENGTH / HEIGHT * t, 0.0)},
-        element="Q1",
-    )
+    supports = {"BOTTOM": {"y": 0.0}, "RIGHT/LOWER": {"x": 0.0}, "RIGHT/UPPER": {"x": 0.0}}
+    tractions: dict[str, Any] = {"TOP": (0.0, -pressure), "LEFT/MIDDLE": lambda x, t: (2 * LENGTH / HEIGHT * t, 0.0)}
+    structure = Structure(stack(3, h), body=CLAY, supports=supports, tractions=tractions, element="Q1")
     return structure.interface(bed) if kind == "S" else structure.full(bed, cells_through=1)
 
 

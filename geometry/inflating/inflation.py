@@ -170,15 +170,9 @@ def without_bodies(inflated: Joint) -> Joint:
         rows = rows[(rows >= 0).all(axis=1)]
         if len(rows := rows[table.index(rows) >= 0]):
             facets[name] = facets[name.removesuffix(f"/{LAYER}")] = rows
-    return replace(
-        inflated,
-        points=inflated.points[used],
-        cells=cells,
-        region=inflated.region[mine] - first,
-        regions=band.regions,
-        facets=facets,
-        band=replace(band, reference=band.reference[used]),
-    )
+    points, region = inflated.points[used], inflated.region[mine] - first
+    own = replace(band, reference=band.reference[used])
+    return replace(inflated, points=points, cells=cells, region=region, regions=band.regions, facets=facets, band=own)
 
 
 class _Cells(NamedTuple):

@@ -35,13 +35,9 @@ class Material:
         self.law, self._current, self._kernels = law, law, kernels(comm, law)
         self._library = library(SOURCE, comm)
         self._counts = np.array([len(k.parameters) for k in self._kernels], np.int32)
-        self._sublayers: list[npt.NDArray[Any]] = [
-            np.array([k.address for k in self._kernels], np.intp),
-            np.array([k.memory for k in self._kernels], np.int32),
-            np.array([k.plane for k in self._kernels], np.int32),
-            self._counts,
-            np.array([k.fraction for k in self._kernels]),
-        ]
+        addresses, fractions = (np.array([getattr(k, name) for k in self._kernels]) for name in ("address", "fraction"))
+        memory, plane = (np.array([getattr(k, name) for k in self._kernels], np.int32) for name in ("memory", "plane"))
+        self._sublayers: list[np.ndarray] = [addresses.astype(np.intp), memory, plane, self._counts, fractions]
         self.parameters = np.concatenate([k.parameters for k in self._kernels])
         layers = len(self._kernels)
         self.memory = sum(k.values for k in self._kernels) + (3 * layers if layers > 1 else 0)

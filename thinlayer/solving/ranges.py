@@ -232,16 +232,13 @@ def warn_of_steps(model: Model, start: float, times: Sequence[float], theta: flo
     Steps count that begin within this time of the start or of a break of the data: later ones follow what is slow.
     """
     begun = [start, *(t for t in model.break_times if t > start)]
-    worst = max(
-        (
-            (_step_error((b - a) / own, theta), b - a, a, own, name)
-            for name, own in _own_times(model)
-            for a, b in pairwise([start, *times])
-            if any(0 <= a - t < own for t in begun)
-        ),
-        default=None,
+    steps = (
+        (_step_error((b - a) / own, theta), b - a, a, own, name)
+        for name, own in _own_times(model)
+        for a, b in pairwise([start, *times])
+        if any(0 <= a - t < own for t in begun)
     )
-    if worst and worst[0] > ALLOWED_STEP_ERROR:
+    if (worst := max(steps, default=None)) and worst[0] > ALLOWED_STEP_ERROR:
         error, step, t, own, name = worst
         warn(
             "time step",
