@@ -110,27 +110,26 @@ class ContactLaw(Law):
         """p, (n,)."""
         return self.K_N * np.maximum(-w[:, -1], 0.0)
 
-    def _trial(self, w: Array, slip: Array | None, threshold: Array | None) -> tuple[Array, Array, Array, Array]:
+    def _trial(self, w: Array, slip: Array | None) -> tuple[Array, Array, Array, Array]:
         """Pressure, threshold, elastic tangential traction and its length."""
         p = self.pressure(w)
         elastic = self.K_T * (w[:, :-1] if slip is None else w[:, :-1] - slip)
-        return p, self.threshold(p) if threshold is None else threshold, elastic, np.linalg.norm(elastic, axis=1)
+        return p, self.threshold(p), elastic, np.linalg.norm(elastic, axis=1)
 
-    def traction(self, w: Array, slip: Array | None = None, threshold: Array | None = None) -> Array:
+    def traction(self, w: Array, slip: Array | None = None) -> Array:
         """Traction on the lower side of S, (n, d); -traction acts on the upper one.
 
         Args:
             w: (n, d) jumps.
             slip: (n, d - 1) slip at the beginning of the step; None: zero.
-            threshold: (n,) thresholds to use instead of the law's own, as in the paper's fixed point.
         """
-        p, bound, elastic, size = self._trial(w, slip, threshold)
+        p, bound, elastic, size = self._trial(w, slip)
         shorter = np.where(size <= bound, 1.0, bound / np.where(size > 0, size, 1.0))
         return np.column_stack([elastic * shorter[:, None], -p])
 
-    def tangent(self, w: Array, slip: Array | None = None, threshold: Array | None = None) -> Array:
+    def tangent(self, w: Array, slip: Array | None = None) -> Array:
         """Derivative of the traction by the jump, (n, d, d); arguments as in `traction`. Not symmetric where S slides."""
-        p, bound, elastic, size = self._trial(w, slip, threshold)
+        p, bound, elastic, size = self._trial(w, slip)
         n, d = w.shape
         out = np.zeros((n, d, d))
         out[:, -1, -1] = np.where(p > 0, self.K_N, 0.0)
@@ -140,21 +139,20 @@ class ContactLaw(Law):
             along = elastic[slides] / size[slides, None]
             across = np.eye(d - 1) - along[:, :, None] * along[:, None, :]
             out[slides, : d - 1, : d - 1] = (self.K_T * bound[slides] / size[slides])[:, None, None] * across
-            if threshold is None:
-                rate = -self.K_N * np.where(p > 0, self.threshold_rate(p), 0.0)[slides]
-                out[slides, : d - 1, -1] = along * rate[:, None]
+            rate = -self.K_N * np.where(p > 0, self.threshold_rate(p), 0.0)[slides]
+            out[slides, : d - 1, -1] = along * rate[:, None]
         return out
 
     def bonded(self, n: int, d: int) -> Array:
         """Tangents of n nodes that neither open nor slide, (n, d, d)."""
         return np.tile(np.diag([self.K_T] * (d - 1) + [self.K_N]), (n, 1, 1))
 
-    def status(self, w: Array, slip: Array | None = None, threshold: Array | None = None) -> npt.NDArray[np.int8]:
+    def status(self, w: Array, slip: Array | None = None) -> npt.NDArray[np.int8]:
         """`Status` of each node, (n,): separated without pressure, else stick up to the threshold, else sliding.
 
         A separated node may carry t_T up to the cohesion, or up to Tresca's bound.
         """
-        p, bound, _, size = self._trial(w, slip, threshold)
+        p, bound, _, size = self._trial(w, slip)
         return np.where(p <= 0, Status.SEPARATED, np.where(size <= bound, Status.STICK, Status.SLIDING)).astype(np.int8)
 
     def slip_after(self, w: Array, slip: Array) -> Array:

@@ -10,17 +10,15 @@ import numpy as np
 from forms import HolonomicCoulomb, LinearElastic
 from geometry import wall
 from studies.timing import timed
+from studies.wall import BRICK, CLAY, PRESSURE
 from thinlayer import SolveError, State, Structure, Surface, ThinLayer, plotting, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.output.contact_fields import Contact
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 
-BRICK = (250.0, 75.0)  # mm
-CLAY = LinearElastic.young(E=12e3, nu=0.2)  # MPa
 FRICTION = 0.5
 STIFFNESS = (60.0, 6e3)  # K_N of the joints, MPa/mm; K_T is 0.4 times as much
-PRESSURE = 0.5  # MPa, on the top
 WEIGHT = 2e-5  # N/mm^3; without it bricks that slide on both faces would have no place of their own
 WALLS = {(3, 4): (0.1, 0.3, 0.4, 0.45), (14, 15): (0.1, 0.2, 0.3)}  # bricks and courses -> push over pressure
 SOLVERS = ("condensed", "newton")

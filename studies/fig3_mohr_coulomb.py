@@ -19,6 +19,7 @@ import numpy as np
 
 from forms import LinearElastic, MohrCoulomb
 from geometry import Joint, block
+from studies.problems import STEEL
 from thinlayer import State, Structure, Surface, Table, ThinLayer, march, observed_orders, plotting, solve
 from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
@@ -26,7 +27,6 @@ from thinlayer.system.progress import track
 
 SIDE = 100.0  # mm
 EPS = 1.0  # mm
-STEEL = LinearElastic.young(E=210e3, nu=0.3)  # MPa
 GLUE = LinearElastic.young(E=30e3, nu=0.3)  # MPa
 OMEGA = 30.0
 H = 0.02  # elastic fraction of both models where the meshed layer is compared

@@ -9,12 +9,12 @@ import numpy as np
 
 from forms import LinearElastic, Stack
 from geometry import block
+from studies.problems import BAR
 from thinlayer import State, Structure, Surface, Table, ThinLayer, observed_orders, plotting, solve
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 
 EPS = 0.1  # mm
-BAR = LinearElastic.young(E=130e3, nu=0.2)  # MPa
 SOFTER, HARDER = (LinearElastic.shear(mu=mu, nu=0.3) for mu in (7.5e3, 10e3))  # MPa
 GLUE = Stack((0.5, SOFTER), (0.5, HARDER))
 K_T = 1 / (0.5 * EPS / 7.5e3 + 0.5 * EPS / 10e3)  # N/mm^3: compliances add

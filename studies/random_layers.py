@@ -8,6 +8,7 @@ import numpy as np
 
 from forms import LinearElastic
 from geometry import sandwich
+from studies.problems import STEEL
 from studies.timing import resident, seconds, solve_once, timed
 from thinlayer import State, Structure, Surface, ThinLayer, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -17,7 +18,6 @@ from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import direct_solver, mark
 from thinlayer.system.progress import track
 
-STEEL = LinearElastic.young(E=210e3, nu=0.3)  # MPa
 RUNS, EARLY = 200, 20
 LIMIT = 1.3  # time of a run over that of one linear solve
 GROWTH = 1.02  # memory after all runs over that after the first ones

@@ -7,12 +7,12 @@ import math
 import numpy as np
 
 from forms import HolonomicCoulomb
+from studies.fig8_friction import STIFFNESS
 from studies.problems import sliding_bar
 from thinlayer import SolveError, Structure, Table, plotting, solve
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 
-STIFFNESS = ((15e8, 5e8), (15e4, 5e4), (15.0, 5.0))  # lmbda, mu per thickness, N/mm^3
 OMEGAS = (0.8, 1.0, 1.2, 1.4, 1.6, 1.7, 1.8, 1.85, 1.9, 1.93, 1.95)
 TOLERANCE = 1e-8  # largest relative increment of a converged relaxation
 MAX_SWEEPS = 30_000

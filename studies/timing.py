@@ -8,13 +8,11 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TypeVar
 
 from petsc4py import PETSc
 
+from geometry.parallel import T
 from thinlayer.solving.petsc import PREFIX, OptionValue, defaults
-
-T = TypeVar("T")
 
 
 def timed(work: Callable[[], T]) -> tuple[float, T]:

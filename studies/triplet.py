@@ -7,18 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
+from forms import MohrCoulomb, MohrCoulombMonodirectional
 from forms.plastic import Plastic
 from geometry import Joint
 from geometry.seam import Seam
+from studies.wall import CLAY, EPS, MORTAR
 from thinlayer import LimitLoad, Structure, ThinLayer, march, plotting
 from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
 
 LENGTH, HEIGHT = 250.0, 60.0  # mm, of a brick
-CLAY = LinearElastic.young(E=12e3, nu=0.2)  # MPa
-EPS = 10.0  # mm, thickness of the beds
-MORTAR = LinearElastic.young(E=2e3, nu=0.2)
 COHESION, ANGLE = 0.2, 35.0  # MPa, degrees
 LAWS: dict[str, type[Plastic]] = {"MohrCoulomb": MohrCoulomb, "MohrCoulombMonodirectional": MohrCoulombMonodirectional}
 # |shear traction| = cohesion + friction * pressure, as these laws have it under lasting shear

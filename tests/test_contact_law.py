@@ -71,12 +71,6 @@ def test_tresca_holds_without_pressure():
     assert law.traction(one(0.01, 0.1)) == pytest.approx(one(0.11, 0.0))
 
 
-def test_given_thresholds_replace_the_law():
-    w = np.array([[5.0, -0.02], [5.0, 0.3]])
-    t = LAWS[0].traction(w, threshold=np.array([0.2, 0.3]))
-    assert t == pytest.approx(np.array([[0.2, -0.74], [0.3, 0.0]]))
-
-
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
 @pytest.mark.parametrize("d", [2, 3])
 def test_tangent_is_the_derivative(law, d):

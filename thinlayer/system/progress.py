@@ -15,13 +15,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
-from typing import TextIO, TypeVar
+from typing import TextIO
 
 from mpi4py import MPI
 
-from geometry.parallel import world
+from geometry.parallel import T, world
 
-T = TypeVar("T")
 LEAST = 1e-3  # share from which on the time left is told
 # s before the first line and the next: on a terminal, else
 AFTER, AGAIN = {True: 5.0, False: 60.0}, {True: 0.2, False: 60.0}
