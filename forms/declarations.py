@@ -21,13 +21,8 @@ DEFAULTS = tuple(f"forms.{name}" for name in ("law", "traction", "kernel", "cont
 RESPONSES = ("stress", "traction", "kernel", "source")  # attributes that give the stress or traction of a law
 UPDATES = ("advance", "evolve")  # methods that give new internal variables
 OF_ONE_STRESS = (
-    "stiffness",
-    "stations",
-    "elastic_moduli",
-    "end_strips",
-    "stations_at_ends",
-    "plane_stress",
-    "energetic",
+    *("stiffness", "stations", "elastic_moduli", "end_strips", "stations_at_ends"),
+    *("plane_stress", "energetic"),
 )  # attributes valid for one stress only
 ENERGIES = ("energy", "dissipation", "dissipated")
 SIZES = {(): 1, (3,): 3, (3, 3): 6}  # shape of an internal variable -> its number of components
@@ -77,7 +72,7 @@ def reset_inherited(kind: Any) -> None:
     that only select solvers (`linear`, `symmetric`, ...) stay, and so does what depends on parameters only (`powers`,
     `at`). An energy stays if it is checked against the stress, or if the class itself writes one of `ENERGIES`.
     """
-    for name in OF_ONE_STRESS + STATIONS:
+    for name in OF_ONE_STRESS:
         if _is_for_another_stress(kind, name, RESPONSES + UPDATES):
             _reset(kind, name)
     written = [name for name in ENERGIES if _own(kind, name)]
