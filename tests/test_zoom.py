@@ -236,7 +236,7 @@ def test_layers_with_a_weight_a_strain_and_loads_on_their_sides():
     )
     full = solve(fine.full(layer, cells_through=8))
     known = Probe(full).stress(Surface(full.model).in_layer(x, y))
-    assert relative(Zoom(estimate(solve(blocks.interface(layer))).better).stress(x, y), known) < 0.03
+    assert relative(Zoom(estimate(solve(blocks.interface(layer))).better).stress(x, y), known) < 0.04
 
 
 def test_layers_of_a_network_beside_their_junction():
