@@ -15,7 +15,6 @@ S = "S"
 LAYER = "LAYER"
 JUNCTIONS = "JUNCTIONS"  # where three or more layers or bodies meet, the part of the layer
 LOWER_FACE, UPPER_FACE, BASE = "LOWER_FACE", "UPPER_FACE", "BASE"
-CUT = f"{LAYER}/CUT"  # sides of a meshed layer where it goes on without cells
 RESERVED = (LAYER, LOWER_FACE, UPPER_FACE, BASE)
 LEAST_COSINE = 0.02  # least cosine of the angle between a facet's normal and a direction that tells its upper side
 

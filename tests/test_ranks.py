@@ -16,7 +16,6 @@ CASES = {  # a function in a module of the tests: the largest relative differenc
     "test_lines:numbers": 1e-9,
     "test_probe:numbers": 1e-8,
     "eigenstrain_cases:numbers": 1e-10,
-    "mixed_run:numbers": 1e-10,
     "network_cases:numbers": 1e-10,
     "periodic_cases:numbers": 1e-10,
     "side_loads_run:numbers": 1e-9,

@@ -118,12 +118,6 @@ TABLE = {
         ("no layer", "glue", {}),
         ("softens", thin(SOFTENING, 0), {}),
     ],
-    "mixed": [
-        (None, thin(), {}),
-        ("not passed on", thin(Incompressible(40.0)), {}),
-        ("not passed on", thin(LinearElastic.young(varies, 0.3)), {}),
-        ("locks", thin(elastic(13.0)), {}),
-    ],
     "estimate": [
         (None, thin(order=0), {}),
         ("no thickness", CONTACT, {}),
@@ -159,21 +153,9 @@ def test_models_ask():
         (wedge.interface, thin(edges="free", eigenstrain=0.01)),
         (wedge.interface, thin(profile=varies)),
         (curved.interface, thin()),
-        (lambda one: wedge.mixed(one, where=lambda x: x[0] < 0.5), thin(elastic(13.0))),
         (wedge.full, "glue"),
     ):
         with pytest.raises(InputError) as found:
             build(layer)
         assert found.value.key
     assert wedge.full(thin(elastic(13.0))).layers["S"].thin.order == 1
-
-
-def test_ends_with_cells_are_no_ends_of_the_law_beside_them():
-    """One of two ends: the law has the constants of the other one alone."""
-    structure = Structure(PLATES, body=BODY, supports={"BOTTOM": 0.0})
-    meshed = PLATES.points[PLATES.surface].mean(axis=1)[:, 0] < 0.5
-    known = Reduction(SeamLayer("S", thin(), structure), meshed=meshed)
-    assert known.rim("meshed").outward == pytest.approx(np.array([[-1.0, 0.0]]))
-    assert known.free.outward == pytest.approx(np.array([[1.0, 0.0]]))
-    assert set(known.weights.m[:, 0]) == {1.0}
-    assert Reduction(SeamLayer("S", thin(STACK), structure), meshed=meshed | True).why_not("ends") is None

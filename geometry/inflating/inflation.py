@@ -19,7 +19,7 @@ from geometry.joint import Band, Joint, Profile
 from geometry.periodic import repeated, require_inside
 from geometry.refusals import refuse
 from geometry.seam import JUNCTIONS, LAYER
-from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, node_jacobians
+from geometry.topology import FacetTable, FloatArray, IntArray, node_jacobians
 
 
 def inflate(
@@ -32,7 +32,6 @@ def inflate(
     bodies: str = "kept",
     junctions: Sequence[str] = (),
     gaps: Sequence[str] = (),
-    meshed: BoolArray | None = None,
 ) -> Joint:
     """Open S into meshed layers.
 
@@ -56,8 +55,6 @@ def inflate(
         gaps: names of seams that get no cells: their thickness is left empty between the bodies. Layers that pass the end
             of a gap go on: the junction there is filled as others are. It is empty where two neighbouring seams are gaps:
             the body between them would touch its cells at a corner only.
-        meshed: (n_S,) which facets of S, in the order of `joint.surface`, get cells; at the others the thickness is left
-            empty between the bodies, and the sides of cells where they begin are named "LAYER/CUT". None: all facets do.
 
     Returns:
         A joint with the layer's cells in regions "LAYER" (or "LAYER/1", "LAYER/2", ... upwards), its faces in the facet
@@ -85,7 +82,7 @@ def inflate(
     require_inside(joint)
     periods, joint = joint.periods, replace(joint, periods=None)
     fixed = np.unique(np.concatenate(periods.pairs)) if periods else np.empty(0, np.int64)
-    layers = Layering.of(joint, eps, profile, cells_through, fractions, junctions, gaps, meshed)
+    layers = Layering.of(joint, eps, profile, cells_through, fractions, junctions, gaps)
     copies = Copies.of(joint)
     posts, footing = posts_of(joint, copies, layers.heights)
     meeting = junction_posts(posts)

@@ -13,36 +13,21 @@ from forms.base import InputError, is_finite
 from geometry.inflating.bands import Copies, Posts, level_heights
 from geometry.joint import Joint, Profile
 from geometry.refusals import place, refuse, unknown
-from geometry.seam import BASE, CUT, LAYER, LOWER_FACE, UPPER_FACE
+from geometry.seam import BASE, LAYER, LOWER_FACE, UPPER_FACE
 from geometry.sheet import continued
-from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, ridge_keys, ridges
+from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, ridge_keys
 
 WAYS = ("kept", "extended")
 THINNEST = 1e-11  # thickness of a meshed layer over the size of its joint
 Given = TypeVar("Given")
 
 
-def _with_cells(joint: Joint, gaps: Sequence[str], meshed: BoolArray | None) -> BoolArray:
-    """(n_S,) which facets of S get cells: those of `meshed`, None being all, that are in no gap.
-
-    Raises:
-        InputError: `meshed` is none of n_S truth values; no facet gets cells; S branches, or seams meet, at a facet
-            that gets none.
-    """
+def _with_cells(joint: Joint, gaps: Sequence[str]) -> BoolArray:
+    """(n_S,) which facets of S get cells: those that are in no gap."""
     in_gaps = np.isin(np.array([*joint.seams])[joint.seam_numbers], list(gaps))
     if in_gaps.all():
         raise InputError("all seams are gaps: there is no layer to mesh; use the interface model")
-    if meshed is None:
-        return np.asarray(~in_gaps)
-    chosen, n = np.asarray(meshed), len(joint.surface_rows)
-    if chosen.dtype != bool or chosen.shape != (n,):
-        raise InputError(f"meshed has shape {chosen.shape} and type {chosen.dtype}; it needs {n} truth values")
-    without = np.unique(joint.table.vertices[joint.surface_rows[~chosen & ~in_gaps]])
-    lacking = "S branches, or seams meet, at {at}: the facets of S there need cells"
-    refuse(np.isin(without, joint.meetings), joint.points[without], lacking)
-    if not (chosen & ~in_gaps).any():
-        raise InputError("no facet of S gets cells: there is no layer to mesh; use the interface model")
-    return np.asarray(chosen & ~in_gaps)
+    return np.asarray(~in_gaps)
 
 
 def by_seam(joint: Joint, given: Given | Mapping[str, Given], what: str, *default: Given) -> dict[str, Given]:
@@ -94,14 +79,14 @@ class Layering:
 
     @classmethod
     def of(
-        cls, joint: Joint, eps: Any, profile: Any, through: int, fractions: Any, junctions: Any, gaps: Any, meshed: Any
+        cls, joint: Joint, eps: Any, profile: Any, through: int, fractions: Any, junctions: Any, gaps: Any
     ) -> Layering:
         """From the arguments of `inflate`; raises InputError if they are out of range, or S ends inside the bodies."""
         for what, names in (("junctions", junctions), ("gaps", gaps)):
             for name in names:
                 if name not in joint.seams:
                     raise InputError(f"{what}: {unknown('seam', name, joint.seams)}")
-        with_cells = _with_cells(joint, gaps, meshed)
+        with_cells = _with_cells(joint, gaps)
         sizes: dict[str, float] = by_seam(joint, eps, "eps")
         shares: dict[str, Sequence[float]] = by_seam(joint, fractions, "fractions", ())
         profiles: dict[str, Profile | None] = by_seam(joint, profile, "profile", None)
@@ -183,9 +168,6 @@ def moved_facets(
     sides, of_band = _side_faces(cells, n_bands, joint.cell_type, np.concatenate([above[filled], below[filled]]))
     stands = footprint[sides]
     below_sides, upright = _ridges(stands, joint.dim), (stands == stands[:, :1]).all(axis=1)
-    at_cut = np.isin(below_sides, _cut(joint, filled)).any(axis=1)
-    if at_cut.any():
-        out[CUT] = sides[at_cut]
     for name, facets in joint.facets.items():
         if name in joint.seams:
             continue
@@ -198,17 +180,6 @@ def moved_facets(
         if on.any():
             out[f"{name}/{LAYER}"] = sides[on]
     return out, tuple(faces)
-
-
-def _cut(joint: Joint, filled: BoolArray) -> IntArray:
-    """Keys of the ridges of S between facets with cells and facets of the same seam without."""
-    found = []
-    for number in range(len(joint.seams)):
-        of_seam = joint.seam_numbers == number
-        parts = joint.surface[of_seam & filled], joint.surface[of_seam & ~filled]
-        one, other = (ridge_keys(ridges(part, joint.cell_type)[0]) for part in parts)
-        found.append(np.intersect1d(one, other))
-    return np.concatenate(found)
 
 
 def _side_faces(layers: IntArray, n_bands: int, cell_type: str, faces: IntArray) -> tuple[IntArray, BoolArray]:

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from forms.base import Array, InputError
 from geometry.refusals import place as at_place
-from geometry.topology import IntArray, sums
+from geometry.topology import sums
 from thinlayer.discretisation.supports import ROUNDING, Prescribed
 
 Sparse = Any  # scipy.sparse.csr_matrix, which has no types
@@ -46,21 +46,6 @@ class Tied:
     def count(self) -> int:
         """Number of motions."""
         return int(self.R.shape[1])
-
-
-@dataclass(frozen=True)
-class Followers:
-    """Displacements that are sums of others, which follow none.
-
-    Attributes:
-        rows: (n,) displacements of this rank, unrolled, that follow.
-        of: (n, k) global numbers of those that they follow.
-        shares: (n, k) of these.
-    """
-
-    rows: IntArray
-    of: IntArray
-    shares: Array
 
 
 @dataclass(frozen=True)
@@ -99,7 +84,7 @@ class _Group:
 
 
 class Constraints:
-    """Conditions of supports, plates and followers on the displacements of a model. All methods are collective.
+    """Conditions of supports and plates on the displacements of a model. All methods are collective.
 
     Ties give u = T0 y: the motions q of a tie stand in the places of displacements of its first nodes; y is zero, and held,
     at the others that follow. Supports and prescribed motions are rows A T0 y = c. Rows that share unknowns are a group,
@@ -108,7 +93,6 @@ class Constraints:
     Args:
         prescribed: conditions of supports, on nodes.
         ties: displacements that follow motions.
-        followers: displacements that follow others.
 
     Attributes:
         held: (h,) local numbers of the entries of y that are prescribed or stand for nothing, increasing.
@@ -117,17 +101,15 @@ class Constraints:
         InputError: two ties have a node in common; a tie has too few nodes; conditions of numbers contradict each other.
     """
 
-    def __init__(self, prescribed: Prescribed, ties: Sequence[Tied] = (), followers: Followers | None = None) -> None:
-        self.prescribed, self.ties, self.followers = prescribed, list(ties), followers
+    def __init__(self, prescribed: Prescribed, ties: Sequence[Tied] = ()) -> None:
+        self.prescribed, self.ties = prescribed, list(ties)
         self.comm: MPI.Intracomm = prescribed.comm
         self.d, self.n = prescribed.d, prescribed.size
         self.first = int(self.comm.scan(self.n) - self.n)
         self._require_apart()
         self.slots = {one.key: self._slots_of(one) for one in self.ties}
-        following = np.empty(0, np.int64) if followers is None else followers.rows
         rows = [np.flatnonzero(np.diff(one.R.indptr)) for one in self.ties]
-        self.tied = np.unique(np.concatenate([following, *rows])).astype(np.int64)
-        self._C: PETSc.Mat | None = None
+        self.tied = np.unique(np.concatenate([np.empty(0, np.int64), *rows])).astype(np.int64)
         self._T0 = self._tie()
         self._rows = self._conditions()
         self._resolve()
@@ -151,8 +133,6 @@ class Constraints:
     def _slots_of(self, tie: Tied) -> np.ndarray:
         """(m,) global numbers of the displacements in whose places the motions of a tie stand."""
         rows = self.first + np.flatnonzero(np.diff(tie.R.indptr))
-        if self.followers is not None:
-            rows = np.setdiff1d(rows, self.first + self.followers.rows)
         least = np.sort(np.concatenate(self.comm.allgather(rows[: tie.count])))[: tie.count]
         if len(least) < tie.count:
             raise InputError(f"{tie.key} has fewer displacements than motions")
@@ -169,19 +149,7 @@ class Constraints:
             rows.append(entries.row)
             columns.append(self.slots[one.key][entries.col])
             values.append(entries.data)
-        T = self._matrix(np.concatenate(rows), np.concatenate(columns), np.concatenate(values))
-        if self.followers is None:
-            return T
-        others = np.setdiff1d(np.arange(self.n), self.followers.rows)
-        of, shares = self.followers.of, self.followers.shares
-        C = self._matrix(
-            np.concatenate([others, self.followers.rows.repeat(of.shape[1])]),
-            np.concatenate([self.first + others, of.ravel()]),
-            np.concatenate([np.ones(len(others)), shares.ravel()]),
-        )
-        self._C, followed = C, C.matMult(T)
-        T.destroy()
-        return followed
+        return self._matrix(np.concatenate(rows), np.concatenate(columns), np.concatenate(values))
 
     def _matrix(self, i: np.ndarray, j: np.ndarray, v: Array, rows: int | None = None) -> PETSc.Mat:
         """Entries v in rows i of this rank and columns j of all displacements; diagonals are stored, products need them."""
@@ -341,10 +309,6 @@ class Constraints:
     def forces(self, f: Array) -> Array:
         """T'f of nodal forces f (n,)."""
         return self._times(self.T, f, transposed=True)
-
-    def passed_on(self, f: Array) -> Array:
-        """Nodal forces (n,): those on displacements that follow others act on these."""
-        return self._times(self._C, f, transposed=True)
 
     def _times(self, matrix: PETSc.Mat | None, values: Array, *, transposed: bool = False) -> Array:
         if matrix is None:

@@ -69,7 +69,6 @@ class FullModel(Model):
             bodies=self._bodies,
             junctions=(*first, *thin),
             gaps=tuple(gaps),
-            meshed=self.meshed,
         )
         self._check_junctions(inflated)
         require_revolution(self.structure.kinematics, inflated)

@@ -23,7 +23,7 @@ from geometry.inflating.parting import parted
 from geometry.joint import Joint
 from geometry.refusals import unknown
 from geometry.seam import S
-from geometry.topology import BoolArray, FloatArray, Splitting
+from geometry.topology import FloatArray, Splitting
 from thinlayer.discretisation.boundary import require_revolution
 from thinlayer.discretisation.forces import Forces, Weighted
 from thinlayer.discretisation.given import Coordinates
@@ -46,8 +46,8 @@ class InterfaceModel(Model):
     name = "interface"
     broken = True
 
-    def __init__(self, structure: Setup, layer: Layers, bodies: str = "kept", meshed: BoolArray | None = None) -> None:
-        self._bodies, self.meshed = bodies, meshed
+    def __init__(self, structure: Setup, layer: Layers, bodies: str = "kept") -> None:
+        self._bodies = bodies
         super().__init__(structure, layer, **({} if bodies == "kept" else {"bodies": bodies}))
 
     def _checked(self) -> Joint:
@@ -179,9 +179,9 @@ class InterfaceModel(Model):
             raise InputError(unknown("layer", name, self.reductions))
         return self.reductions[name].why_not("ends")
 
-    def terms_of(self, one: SeamLayer, sides: Interface | None = None) -> list[forms.Term]:
-        """The terms of a layer without contact on its seam, or on some sides that are given."""
-        mesh, law, sides = self.domain.mesh, real_law(one.layer, self.kinematics), sides or self.sides_of(one.name)
+    def terms_of(self, one: SeamLayer) -> list[forms.Term]:
+        """The terms of a layer without contact on its seam."""
+        mesh, law, sides = self.domain.mesh, real_law(one.layer, self.kinematics), self.sides_of(one.name)
         measure = sides.measure.reconstruct(**self._rule(sides.measure))
         if self._middle:  # whose slopes and lengths UFL takes for functions of a high degree
             degree = quadrature_degree(self.V, measure) + self.kinematics.degree

@@ -14,7 +14,7 @@ from dolfinx.mesh import Mesh
 
 from forms.base import Array, InputError, is_number
 from forms.contact import ContactLaw
-from forms.kinematics import MANDEL, ROOT2, Expr
+from forms.kinematics import Expr
 from forms.law import BulkLaw, Law
 from forms.planes import Kinematics
 from forms.series import folded
@@ -33,7 +33,6 @@ from thinlayer.system.compat import interior_facet_entities
 from thinlayer.system.identity import described
 
 # keys of what laws remember and store, in states and in files
-BY_LAW = "law"  # last part of the keys of laws that act where a layer is not meshed
 LAYER, CONTACT, BODY, PRESSURE = "layer", "contact", "body", "pressure"
 BODIES = "bodies"  # name of all bodies together, beside the names of seams
 EDGES = (None, "free", "plain")
@@ -213,22 +212,6 @@ class AtRest:
             laws = [law for _, law, _ in self.sublayers]
             self._over[dt] = [tangent_over(law, self.n, dt) if law.traits.compiled else None for law in laws]
         return self._over[dt]
-
-    def through(self, y: Array) -> tuple[Array, Array]:
-        """Phi_N and Phi_T at heights -1/2 <= y <= 1/2: displacements <u> + Phi [u] of sublayers in series.
-
-        Linear where a tangent is not known.
-        """
-        n = np.pad(self.n, (0, 3 - len(self.n)))
-        t = np.cross(n, np.eye(3)[np.abs(n).argmin()])
-        shares, found = np.array([share for share, _, _ in self.sublayers]), []
-        knots = np.concatenate([[0.0], np.cumsum(shares)]) - 0.5
-        for way in (n, t / np.linalg.norm(t)):
-            e = np.array([(way[i] * n[j] + way[j] * n[i]) / 2 * (1 if i == j else ROOT2) for i, j in MANDEL])
-            stiffness = [1.0 if C is None else float(e @ C @ e) for _, _, C in self.sublayers]
-            grown = np.concatenate([[0.0], np.cumsum(shares / stiffness)])
-            found.append(np.interp(y, knots, grown / grown[-1] - 0.5))
-        return found[0], found[1]
 
     def require_stable(self) -> None:
         """Raise InputError if a stiffness at rest is negative: equilibria would be unstable."""

@@ -20,10 +20,10 @@ from forms.kinematics import Expr
 from forms.law import BulkLaw
 from geometry.domain import Domain
 from geometry.joint import Joint
-from geometry.topology import BoolArray, FloatArray, Indices, Splitting, is_tensor
+from geometry.topology import FloatArray, Indices, Splitting, is_tensor
 from thinlayer.discretisation.addition import check_additions
 from thinlayer.discretisation.clock import Hand
-from thinlayer.discretisation.constraints import Constraints, Followers
+from thinlayer.discretisation.constraints import Constraints
 from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
 from thinlayer.discretisation.given import Coordinates, Load, Pressure
 from thinlayer.discretisation.given_strains import Matter, MeanStrain, MeanStress, given_strain
@@ -99,8 +99,6 @@ class Model(ABC):
         coordinates: place and time as arguments of what is given, and the clock.
         centre: (d,) mean place of the mesh's points; of bodies of revolution on the axis.
         broken: whether displacements jump across S.
-        meshed: (n_S,) which facets of S have cells of the layer; None: all of a full model, none of others.
-        followers: displacements that follow others; None: none does.
         mark: hash of the data, equal on all ranks.
         family: what the model has in common with those that were made from it by `with_layer` and `with_loads`.
         made_from: description, as JSON, of the data at the time the model was built.
@@ -108,9 +106,7 @@ class Model(ABC):
 
     name: ClassVar[str]
     broken: ClassVar[bool] = False
-    meshed: BoolArray | None = None
     _bodies = "kept"
-    followers: Followers | None = None
 
     def __init__(self, structure: Setup, layer: Layers, **options: object) -> None:
         self.structure, self.joint, self.plane = structure, structure.joint, structure.plane
@@ -170,7 +166,7 @@ class Model(ABC):
         with on_all(structure.comm):
             self.on_seams: dict[str, OnSeam] = on_seams(self.joint, layer)
             self.layers = {name: SeamLayer(name, one, structure) for name, one in layers_of(self.on_seams).items()}
-            self.reductions = {name: Reduction(one, self._bodies, self.meshed) for name, one in self.layers.items()}
+            self.reductions = {name: Reduction(one, self._bodies) for name, one in self.layers.items()}
             checked = check()
         what = require_same(structure.comm, model=self.name, layer=layer, options=self._options)
         self.mark = structure.mark + what
@@ -268,10 +264,6 @@ class Model(ABC):
     def _layer_terms(self) -> list[forms.Term]:
         """The terms of the layer's law."""
 
-    def law_elsewhere(self) -> tuple[Model, list[forms.Term]] | None:
-        """Terms of interface laws where a layer is not meshed, and the model that they are of; None: there are none."""
-        return None
-
     # ---------------------------------------------------------------- other models of the family
     def with_layer(self, layer: Layers) -> Self:
         """The same model with other layers; it shares mesh, space, supports, loads and the bodies' matrix. Collective.
@@ -357,7 +349,7 @@ class Model(ABC):
 
     def _constrained(self) -> Constraints:
         ties = [part.tied(self) for part in self.parts if part.ties_nodes]
-        return Constraints(Prescribed(self.supports, self.V), ties, self.followers)
+        return Constraints(Prescribed(self.supports, self.V), ties)
 
     def _derived(self) -> Self:
         """A copy that shares all that this model has."""

@@ -35,11 +35,10 @@ class Reduction:
     Attributes:
         one: the layer on its seam.
         bodies: "kept" or "extended", as of its model.
-        meshed: (n_S,) which facets of S have cells, beside which a law acts; None: none.
     """
 
-    def __init__(self, one: SeamLayer, bodies: str = "kept", meshed: BoolArray | None = None) -> None:
-        self.one, self.bodies, self.meshed = one, bodies, meshed
+    def __init__(self, one: SeamLayer, bodies: str = "kept") -> None:
+        self.one, self.bodies = one, bodies
 
     def why_not(self, question: str) -> Refused | None:
         """The first condition of a question (`QUESTIONS`) that does not hold; None: all do. The same on all ranks.
@@ -76,15 +75,7 @@ class Reduction:
 
     @cached_property
     def _kinds(self) -> npt.NDArray[np.str_]:
-        kinds = side_kinds(self.one)
-        return np.where(self.has_cells & np.isin(kinds, ["free", "oblique"]), "meshed", kinds)
-
-    @property
-    def has_cells(self) -> BoolArray:
-        """(n,) at which ridges of the rim the layer has cells, which know of its end."""
-        sheet = self.one.sheet
-        facets = sheet.parts[0][sheet.rim.simplex]
-        return np.zeros(len(facets), bool) if self.meshed is None else self.meshed[facets]
+        return side_kinds(self.one)
 
     @cached_property
     def free(self) -> Rim:
@@ -241,22 +232,15 @@ def _meshed(r: Reduction) -> Iterator[Refused]:
         yield Refused("softens", reason, "take mixing=1, or NonMonotoneUnrelaxed, which has one phase for each column")
 
 
-def _meshed_in_part(r: Reduction) -> Iterator[Refused]:
-    traits, kind = r.one.law.traits, type(r.one.law).__name__
-    kept = {"a pressure": traits.constrained, "phases": traits.phases, "functions as parameters": r.one.law.fields}
-    for what in (what for what, given in kept.items() if given):
-        yield Refused("not passed on", f"{kind} has {what}, which do not pass from cells to S")
-
-
 def _under_mean_strain(r: Reduction) -> Iterator[Refused]:
     if r.one.thin and r.one.thin.order:
         yield Refused("order 1", f"{r.one} has order=1, whose strains along S have a mean part", "use order=0")
 
 
 def _held_alone(r: Reduction) -> Iterator[Refused]:
-    """Of supports that hold the layer's own side, NAME/LAYER: they hold the bodies beside it, too, or it has cells."""
+    """Of supports that hold the layer's own side, NAME/LAYER: they hold the bodies beside it, too."""
     rim, alone = r.one.sheet.rim, held_directions(r.one) - held_directions(r.one, of_layer=False)
-    if len(at := rim.vertices[(np.abs(alone).max(axis=(1, 2)) > SLIGHT) & ~r.has_cells]):
+    if len(at := rim.vertices[np.abs(alone).max(axis=(1, 2)) > SLIGHT]):
         where = place(r.one.sheet.joint.points[at[0, 0]])
         reason = f"a support holds the side of {r.one} alone, at {where}, of which no law on S knows"
         yield Refused("held alone", reason, "support the bodies too, or mesh the layer")
@@ -383,7 +367,6 @@ Ask = Callable[[Reduction], Iterator[Refused]]
 QUESTIONS: dict[str, tuple[Ask, ...]] = {
     "law": (_law,),
     "mesh": (_thickness, _law, _meshed),
-    "mixed": (_thickness, _law, _meshed, _meshed_in_part, _held_alone, _next_term),
     "sides": (_held_alone,),
     "mean strain": (_under_mean_strain,),
     "interface law": (_law, _next_term, _on_all_of_s),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Bond, Layers
-from thinlayer.discretisation.mixed_model import MixedModel, Where
 from thinlayer.discretisation.setup import Setup
 
 
@@ -86,22 +85,6 @@ class Structure(Setup):
             InputError: says what cannot be built, where, and what is allowed.
         """
         return InterfaceModel(self, layer, bodies=bodies)
-
-    def mixed(self, layer: Layers, *, where: Where, bodies: str = "kept", cells_through: int = 4) -> MixedModel:
-        """The model whose layer is meshed on a part of S and replaced by its interface law on the rest. Collective.
-
-        Args:
-            layer: a thin layer, without a pressure, phases or parameters that are functions; its order is that of the law.
-                Of several seams as in `full`; where they meet they are meshed.
-            where: the part of S where the layer is meshed, a function of places x (d, n) before inflating that returns n
-                truth values, asked at the centres of the facets of S; or these values, (n_S,), as
-                `Surface.most_of` gives them.
-            bodies, cells_through: as in `full`.
-
-        Raises:
-            InputError: says what cannot be built, where, and what is allowed.
-        """
-        return MixedModel(self, layer, where, bodies=bodies, cells_through=cells_through)
 
     def bonded(self) -> InterfaceModel:
         """The model without layers: bodies are bonded on all of S (on a rigid base S does not move). Collective.

@@ -14,7 +14,6 @@ from geometry.parallel import on_root
 from geometry.seam import S
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.mixed_model import MixedModel
 from thinlayer.discretisation.state import State
 from thinlayer.output.surface import Surface
 from thinlayer.surface.excess import times_too_stiff
@@ -62,8 +61,6 @@ def compare(
         raise InputError(f"compare: at is {at!r}; give a time, a finite number")
     full, interface = (_state(one, at) for one in (full, interface))
     meshed, limit = full.model, interface.model
-    if isinstance(limit, MixedModel):
-        limit = limit.by_law
     if not (isinstance(meshed, FullModel) and isinstance(limit, InterfaceModel)):
         raise InputError(f"compare needs a full and an interface model, not {meshed.name} and {limit.name}")
     if full.model.joint is not interface.model.joint:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from weakref import WeakKeyDictionary
 
@@ -17,11 +17,10 @@ from forms.kinematics import MANDEL, mandel, tensors
 from forms.law import BulkLaw
 from forms.work import Term, stress
 from geometry.topology import IntArray
-from thinlayer.discretisation.clock import Hand
-from thinlayer.discretisation.layer import BY_LAW, LAYER, PRESSURE
+from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.discretisation.measures import compiled_terms
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.state import State, displacements_of
+from thinlayer.discretisation.state import State
 from thinlayer.pointwise.quadrature import Quadrature
 
 MEMORY = "memory"  # name of the internal values of a law that does not name them
@@ -90,18 +89,6 @@ def law_points(state: State) -> Iterator[LawPoints]:
     keys = {id(term): key for key, term in compiled_terms(model.terms).items()}
     for own, term, quadrature in zip(model.terms, terms, _quadratures(model), strict=True):
         yield LawPoints(state, term, quadrature, keys.get(id(own), ""))
-
-
-def law_points_elsewhere(state: State) -> Iterator[LawPoints]:
-    """The points of interface laws that stand where a layer of a mixed model has no cells. Collective."""
-    found = state.model.law_elsewhere()
-    if found is None:
-        return
-    other, terms = found
-    there = replace(state, model=other, u=displacements_of(state, other))
-    keys = {id(term): f"{key}/{BY_LAW}" for key, term in compiled_terms(terms).items()}
-    for own, term in zip(terms, Hand(state.t).terms(terms), strict=True):
-        yield LawPoints(there, term, Quadrature(other.V, term, other.origin), keys.get(id(own), ""))
 
 
 def _quadratures(model: Model) -> list[Quadrature]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from itertools import chain
 from weakref import WeakKeyDictionary
 
 import basix
@@ -24,7 +23,7 @@ from thinlayer.discretisation.layer import SeamLayer, real_law
 from thinlayer.discretisation.measures import column_numbers
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import at_contact
-from thinlayer.output.law_points import LawPoints, law_points, law_points_elsewhere
+from thinlayer.output.law_points import LawPoints, law_points
 from thinlayer.output.nodal_forces import reaction
 from thinlayer.pointwise.quadrature import Quadrature
 from thinlayer.surface.surface_mesh import FacetPoints, SurfaceMesh
@@ -56,7 +55,7 @@ def points_on(surface: SurfaceMesh, state: State) -> Iterator[tuple[LawPoints, I
     place = np.full(len(joint.table.vertices), -1)
     place[joint.surface_rows[surface.rows]] = np.arange(len(surface.rows))
     columns = _columns(surface, state) if not state.model.broken else None
-    for points in chain(law_points(state), law_points_elsewhere(state)):
+    for points in law_points(state):
         if points.quadrature.region.dim < joint.dim:
             yield points, place[points.entities]
         elif points.term.n is not None and columns is not None:

@@ -65,7 +65,6 @@ class CompiledPart(Part):
         term: the term of the law.
         origin: relation of the mesh to its joint, if there is one; files need it.
         symmetric: whether solvers take the tangent for symmetric; it is then tested.
-        carrier: displacements in V by those that solvers find, as of `CompiledTerm`.
 
     Attributes:
         points: the compiled term, with the quadrature points.
@@ -73,11 +72,10 @@ class CompiledPart(Part):
     """
 
     def __init__(
-        self, key: str, V: fem.FunctionSpace, term: Term, origin: Origin | None = None, *,
-        symmetric: bool = False, carrier: PETSc.Mat | None = None,
-    ) -> None:  # fmt: skip
+        self, key: str, V: fem.FunctionSpace, term: Term, origin: Origin | None = None, *, symmetric: bool = False
+    ) -> None:
         self.key, self._symmetric = key, symmetric
-        self.points = CompiledTerm(V, term, origin, carrier)
+        self.points = CompiledTerm(V, term, origin)
         self._given_at = GivenAtPoints(self.points)
         self.comm = self.points.comm
         self.law = law = term.law

@@ -28,7 +28,6 @@ class FormPart(Part):
         energy: the stored energy of F and g, a UFL form of u; None: they have no energy.
         kept: whether states keep the energy, under the key.
         g: virtual work of the constant forces, a UFL form that is linear in a test function; None: there are none.
-        carrier: displacements u by those that solvers find, of another mesh of the same joint; None: they are the same.
     """
 
     def __init__(
@@ -41,16 +40,11 @@ class FormPart(Part):
         *,
         kept: bool = False,
         g: Expr | None = None,
-        carrier: PETSc.Mat | None = None,
     ) -> None:
-        self.key, self.K, self._energy, self._kept, self._carrier = key, K, energy, kept, carrier
-        if K is not None and carrier is not None:
-            self.K = K.ptap(carrier)
-            K.destroy()
+        self.key, self.K, self._energy, self._kept = key, K, energy, kept
         V, self._u = u.function_space, u
         self.comm = communicator(V.mesh)
-        like = u.x.petsc_vec if carrier is None else carrier.createVecRight()
-        self._product, self._change = (like.duplicate() for _ in range(2))
+        self._product, self._change = (u.x.petsc_vec.duplicate() for _ in range(2))
         self._F = [] if F is None else compiled_summands(F)
         self._J = [] if F is None else compiled_summands(ufl.derivative(F, u, ufl.TrialFunction(V)))
         self._tangents: list[PETSc.Mat] = []  # of the forms in _J
@@ -64,15 +58,12 @@ class FormPart(Part):
     def _take(self, u: PETSc.Vec, into: fem.Function | None = None) -> None:
         """From now on compute F and its energy at displacements u; or put what they are here into another function."""
         own = into or self._u
-        if self._carrier is None:
-            u.copy(own.x.petsc_vec)
-        else:
-            self._carrier.mult(u, own.x.petsc_vec)
+        u.copy(own.x.petsc_vec)
         own.x.scatter_forward()
 
     def add_fixed(self, out: PETSc.Vec) -> None:
         if self._g:
-            add_forces_of(out, *self._g, carrier=self._carrier)
+            add_forces_of(out, *self._g)
 
     def add_forces(self, out: PETSc.Vec) -> float:
         return self._add(self._mid.x.petsc_vec, out)
@@ -85,7 +76,7 @@ class FormPart(Part):
             size = float(self._product.norm())
             out.axpy(1.0, self._product)
         if self._F or self._g:
-            size = max(size, add_forces_of(out, *self._F, *self._g, carrier=self._carrier))
+            size = max(size, add_forces_of(out, *self._F, *self._g))
         return size
 
     def tangents(self, relative_residual: float) -> list[Block]:
@@ -97,8 +88,7 @@ class FormPart(Part):
             J.zeroEntries()
             dolfinx.fem.petsc.assemble_matrix(J, form)
             J.assemble()
-            carried = J if self._carrier is None else J.ptap(self._carrier)
-            found.append(Block(carried, theta, kept=carried is J))
+            found.append(Block(J, theta, kept=True))
         return found
 
     def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
@@ -117,7 +107,7 @@ class FormPart(Part):
         remainder = (2 * theta - 1) * of_change
         if self._F or self._g:
             self._product.set(0.0)
-            add_forces_of(self._product, *self._F, *self._g, carrier=self._carrier)
+            add_forces_of(self._product, *self._F, *self._g)
             supplied = self._supplied()
             worked = float(self._product.dot(change)) + supplied
             taken = self._u.x.array.copy()  # `now` may be the vector of these values

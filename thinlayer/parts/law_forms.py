@@ -39,10 +39,9 @@ class LawForms(FormPart):
         key: key of the part.
         V: space of the displacements.
         terms: the terms; those whose laws are compiled are left out.
-        carrier: displacements in V by those that solvers find, as of `FormPart`; states then keep the energy by the key.
     """
 
-    def __init__(self, key: str, V: fem.FunctionSpace, terms: Iterable[Term], carrier: PETSc.Mat | None = None) -> None:
+    def __init__(self, key: str, V: fem.FunctionSpace, terms: Iterable[Term]) -> None:
         terms = list(terms)
         everywhere = [p for p in terms if p.n is None]
         self._terms = terms = [p for p in terms if not p.law.traits.compiled]
@@ -64,9 +63,7 @@ class LawForms(FormPart):
             _stiffness(V, linear, everywhere) if linear or everywhere else None,
             work(_given(others, over.balanced), u, v) if others else None,
             stored,
-            kept=carrier is not None,
             g=sum(_of_given(p, v) for p in _given(strained, over.balanced)) if strained else None,
-            carrier=carrier,
         )
         self._opposing = _opposing([p for p in _given(others, over.balanced) if p.n is None and p.given is not None], u)
         self.traits = replace(reduce(or_, map(_traits, terms), PartTraits()), inner=len(bodies) == len(terms))
@@ -115,7 +112,7 @@ class LawForms(FormPart):
             self._take(u.x.petsc_vec, own)
         for p in _given(self._terms, self._over.balanced):
             density = ufl.inner(stress(p, self._u), p.strain(there)) * p.weight
-            add_spread(density, there.function_space, p.measure, out, carrier=self._carrier)
+            add_spread(density, there.function_space, p.measure, out)
 
     def _stored(self, u: PETSc.Vec, interval: Interval, *, before: bool = False) -> float:
         old = interval.old
@@ -138,8 +135,8 @@ class LawForms(FormPart):
     def _softening(self) -> list[tuple[CompiledTerm, GivenAtPoints]]:
         """The layers' laws that may soften, at points, but those of a meshed layer with parameters that are functions."""
         terms = [p for p in self._terms if p.n is not None and p.law.traits.may_soften and _is_uniform(p.law)]
-        V, carrier = self._u.function_space, self._carrier
-        points = [CompiledTerm(V, replace(p, law=_at_points(p.law)), carrier=carrier) for p in terms]
+        V = self._u.function_space
+        points = [CompiledTerm(V, replace(p, law=_at_points(p.law))) for p in terms]
         return [(one, GivenAtPoints(one)) for one in points]
 
     def undeclared_softening(self) -> tuple[str, str] | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.base import Array
@@ -13,10 +12,8 @@ from forms.work import Term
 from geometry.inflating.parting import points_on_middle
 from geometry.topology import Indices
 from thinlayer.discretisation.contact_nodes import ContactSurface
-from thinlayer.discretisation.layer import BY_LAW
 from thinlayer.discretisation.measures import compiled_terms
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.state import transfer
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.parts.law_forms import LawForms
@@ -51,7 +48,6 @@ def layer_parts(model: Model, held: Indices, bodies: Sequence[Part]) -> list[Par
         masters = joint.masters if joint.periods else None
         for p in constrained:
             parts.append(PressurePart(model.V, p, largest, model.origin, _free(model, p), masters))
-    parts += _elsewhere(model)
     for name, law in model.contacts.items():
         parts.append(ContactPart(law, ContactSurface.of(model, name), held, model.layers[name].key))
     return parts
@@ -67,29 +63,18 @@ def _largest_at_rest(parts: Sequence[Part]) -> float:
     return largest or max(part.largest_at_rest() for part in in_forms)
 
 
-def _elsewhere(model: Model) -> list[Part]:
-    """The parts of interface laws where a layer is not meshed, on the mesh of the interface model. Collective."""
-    found = model.law_elsewhere()
-    if found is None:
-        return []
-    other, terms = found
-    carrier = _carrier(model, other)
-    return [*_in_forms(other, terms, BY_LAW, carrier), *_compiled(other, terms, carrier)]
-
-
-def _in_forms(model: Model, terms: Iterable[Term], end: str, carrier: PETSc.Mat | None = None) -> list[LawForms]:
+def _in_forms(model: Model, terms: Iterable[Term], end: str) -> list[LawForms]:
     """A part for the laws in forms of each layer."""
     of_layers: dict[str, list[Term]] = {}
     for p in terms:
         if not p.law.traits.compiled:
             of_layers.setdefault(p.key, []).append(p)
-    return [LawForms(f"{key}/{end}", model.V, own, carrier) for key, own in of_layers.items()]
+    return [LawForms(f"{key}/{end}", model.V, own) for key, own in of_layers.items()]
 
 
-def _compiled(model: Model, terms: Iterable[Term], carrier: PETSc.Mat | None = None) -> list[CompiledPart]:
-    end, origin = "" if carrier is None else f"/{BY_LAW}", model.origin
+def _compiled(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:
     return [
-        CompiledPart(f"{key}{end}", model.V, term, origin, symmetric=model.symmetric, carrier=carrier)
+        CompiledPart(key, model.V, term, model.origin, symmetric=model.symmetric)
         for key, term in compiled_terms(terms).items()
     ]
 
@@ -112,18 +97,3 @@ def _free(model: Model, term: Term) -> Array | None:
     one = next(one for one in model.layers.values() if one.key == term.key)
     known = model.reductions[one.name]
     return points_on_middle(model.domain.joint)[np.unique(known.loose[~known.coarse].vertices)]
-
-
-def _carrier(model: Model, other: Model) -> PETSc.Mat:
-    """Displacements of another model of the same joint by those of a model. Collective.
-
-    Body cells of both models have the same degrees of freedom, so that this is a change of numbers.
-    """
-    numbers, V = fem.Function(model.V), other.V
-    x, n = numbers.x.petsc_vec, numbers.x.petsc_vec.getLocalSize()
-    numbers.x.array[:n] = np.arange(*x.getOwnershipRange())
-    numbers.x.scatter_forward()
-    rows = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
-    columns = np.rint(transfer(numbers, model, V, other).x.array[:rows]).astype(PETSc.IntType)
-    csr = (np.arange(rows + 1, dtype=PETSc.IntType), columns, np.ones(rows))
-    return PETSc.Mat().createAIJ(((rows, None), (n, None)), csr=csr, comm=model.comm)

@@ -29,13 +29,10 @@ def forces_of(first: fem.Form, *others: fem.Form) -> PETSc.Vec:
     return b
 
 
-def add_forces_of(out: PETSc.Vec, *forms: fem.Form, carrier: PETSc.Mat | None = None) -> float:
-    """Add the sum of linear forms at the nodes to a vector, of the displacements that a carrier takes; returns its norm."""
+def add_forces_of(out: PETSc.Vec, *forms: fem.Form) -> float:
+    """Add the sum of linear forms at the nodes to a vector; returns its norm."""
     b = forces_of(*forms)
-    if carrier is None:
-        out.axpy(1.0, b)
-    else:
-        carrier.multTransposeAdd(b, out, out)
+    out.axpy(1.0, b)
     size = float(b.norm())
     b.destroy()
     return size
@@ -51,13 +48,11 @@ def values_of(form: fem.Form | None, count: int) -> Any:
     return values
 
 
-def add_spread(
-    density: Expr, V: fem.FunctionSpace, measure: ufl.Measure, out: PETSc.Vec, maps: Any = None, carrier: Any = None
-) -> None:
+def add_spread(density: Expr, V: fem.FunctionSpace, measure: ufl.Measure, out: PETSc.Vec, maps: Any = None) -> None:
     """Add the integral of a density to the first components of displacements, in shares by shape functions.
 
-    On S they are those of the upper side; shape functions add up to one. A carrier is that of `add_forces_of`.
+    On S they are those of the upper side; shape functions add up to one.
     """
     v = ufl.TestFunction(V)
     v = v("+") if measure.integral_type() == "interior_facet" else v
-    add_forces_of(out, fem.form(density * v[0] * measure, entity_maps=maps), carrier=carrier)
+    add_forces_of(out, fem.form(density * v[0] * measure, entity_maps=maps))

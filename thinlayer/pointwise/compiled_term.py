@@ -63,27 +63,21 @@ class CompiledTerm(Quadrature):
         V: space of the displacements of the term's mesh.
         term: the term.
         origin: as of `Quadrature`.
-        carrier: displacements in V by those that methods take and give forces for; None: these are those in V.
 
     Attributes:
         material: the compiled law.
         switching: for a law whose phases are fixed in a solve and switch after it; else None.
     """
 
-    def __init__(
-        self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None, carrier: PETSc.Mat | None = None
-    ) -> None:
+    def __init__(self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None) -> None:
         super().__init__(V, term, origin)
-        self._V, self._carrier = V, carrier
+        self._V = V
         # displacements -> strains at the points (m rows each); assembled once, as strains are linear
         self.B = B = matrix_of(self.form_of(self.term.strain(ufl.TrialFunction(V))))
         B.diagonalScale(L=self._vector(np.repeat(1 / self._integrals, len(self.slots))))
         self._volume = None if term.volume is None else MeanVolume(self, term.volume)
         if self._volume:
             self.B = self._volume.matrix(B)
-        if carrier is not None:
-            own, self.B = self.B, self.B.matMult(carrier)
-            own.destroy()
         stressed = term.kinematics.stressed(self.dim)
         self._none = [k for k in range(len(MANDEL)) if k not in stressed]
         self._strain, self._forces = self.B.createVecLeft(), self.B.createVecRight()
@@ -208,7 +202,7 @@ class CompiledTerm(Quadrature):
         f.x.array[: self.count] = density
         f.x.scatter_forward()
         weighted = self.region.side(f) * self.term.weight
-        add_spread(weighted, self._V, self.measure, out, self.region.maps, self._carrier)
+        add_spread(weighted, self._V, self.measure, out, self.region.maps)
 
     def stiffness(self, tangent: Array, relative_residual: float = 0.0, into: PETSc.Mat | None = None) -> PETSc.Mat:
         """Matrix of int e(v) : tangent : e(du), for Newton's method. Collective.

@@ -11,10 +11,9 @@ from petsc4py import PETSc
 
 from forms.base import Array
 from geometry.refusals import place
-from geometry.seam import BASE
 from geometry.topology import Indices
 from thinlayer.discretisation.boundary import AXES
-from thinlayer.discretisation.layer import BY_LAW, LAYER, PRESSURE
+from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions, rigid_values
 from thinlayer.errors import LooseBody
@@ -77,12 +76,7 @@ class ReactionSums:
         model, constraints = self.model, self.model.constraints
         by_supports = constraints.support_forces(r.array_r)
         rows = [constraints.of_supports(by_supports, self._motions)]
-        if layers and model.joint.base_seams:  # on which laws may act beside meshed layers, which supports hold
-            for number, (place, _) in enumerate(model.supports.entries):
-                if place == BASE:
-                    keys = {part.key for part in self.parts if part.key.endswith(f"/{BY_LAW}")}
-                    rows[0][number] -= self._of_parts(keys, r)
-        rest = constraints.passed_on(r.array_r) + of_ties - constraints.prescribed.conditions.T @ by_supports
+        rest = r.array_r + of_ties - constraints.prescribed.conditions.T @ by_supports
         for tie in constraints.ties:
             tied = np.diff(tie.R.indptr) > 0
             rows.append((rest[tied] @ self._motions[tied])[None])

@@ -13,7 +13,7 @@ import scipy.sparse.linalg
 from dolfinx import fem
 from scipy.spatial import cKDTree
 
-from forms.base import Array, InputError, is_number
+from forms.base import Array, InputError
 from geometry.inflating.parting import faces, points_on_middle
 from geometry.joint import Joint
 from geometry.order import along, by_place
@@ -24,7 +24,6 @@ from geometry.topology import FACET_TYPES, BoolArray, IntArray, lagrange, sums
 from thinlayer.discretisation.contact_nodes import frames_at, pair_numbers
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.layer import SeamLayer
-from thinlayer.discretisation.mixed_model import MixedModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, cell_values
 from thinlayer.surface.lines import Line, Plane, lines_on, require_plane
@@ -32,7 +31,6 @@ from thinlayer.surface.locating import Located
 
 Where = Array | BoolArray | Callable[[Array], Any]
 SIDES = ("lower", "upper")
-ROUNDING = 1e-12  # of sums, relative
 
 
 class FacetPoints:
@@ -109,7 +107,7 @@ class SurfaceMesh:
             raise InputError(f"Surface needs a model, not {model!r:.80}{hint}")
         if seam not in (S, *model.joint.seams):
             raise InputError(unknown("seam", seam, model.joint.seams))
-        self.model, self.seam = model.by_law if isinstance(model, MixedModel) else model, seam
+        self.model, self.seam = model, seam
         self.joint: Joint = self.model.domain.joint if self.model.broken else model.joint
         joint = self.joint
         self.kind = FACET_TYPES[joint.cell_type]
@@ -465,47 +463,6 @@ class SurfaceMesh:
     def length(self, rim: Rim) -> float:
         """Length of a part of the rim; in a plane the number of its points, in axisymmetry that of their circles."""
         return float(rim.length @ self.model.kinematics.factor_at(self.joint.points[rim.vertices].mean(axis=1)))
-
-    # ---------------------------------------------------------------- parts of S
-    def most_of(self, f: Any, all_but: float, *, margin: float = 0.0) -> BoolArray:
-        """(n_S,) the fewest facets of S that hold the integral of |f| but for a share, for `Structure.mixed`.
-
-        Args:
-            f: scalar field, such as `Estimate.density` gives.
-            all_but: the share that the others may hold, from 0 to less than 1.
-            margin: length by which the part of S that is chosen is made wider.
-
-        Raises:
-            InputError: a number out of range; an integral that is zero, or not finite; where seams meet.
-        """
-        if not is_number(margin) or not 0 <= margin < np.inf:
-            raise InputError(f"margin is {margin!r}; it must be a length >= 0")
-        if self.joint.seams_meet:
-            raise InputError("most_of needs seams that do not meet, as mixed models do")
-        joint, sums = self.joint, np.zeros(len(self.joint.surface_rows))
-        sums[self.rows] = (np.abs(self._field(f)) * self.weights).sum(axis=1)
-        chosen = most_of(sums, all_but)
-        vertices = joint.table.vertices[joint.surface_rows]
-        near, _ = cKDTree(joint.points[np.unique(vertices[chosen])]).query(joint.points[vertices].mean(axis=1))
-        return np.asarray(chosen | (near < margin))
-
-
-def most_of(sums: Array, all_but: float) -> BoolArray:
-    """The fewest values >= 0 whose sum is that of all but for a share.
-
-    Raises:
-        InputError: a share out of range; values that are not finite, or all zero.
-    """
-    if not is_number(all_but) or not 0 <= all_but < 1:
-        raise InputError(f"all_but is {all_but!r}, a share of an integral; allowed: from 0 to less than 1")
-    total = float(sums.sum())
-    if not (np.isfinite(total) and total > 0):
-        raise InputError(f"the integral over S is {total:g}; nothing tells one part of S from another")
-    order = np.argsort(-sums, kind="stable")
-    left = total - np.cumsum(sums[order])
-    chosen = np.zeros(len(sums), bool)
-    chosen[order[: int(np.argmax(left <= (all_but + ROUNDING) * total)) + 1]] = True
-    return chosen
 
 
 def _named(f: Any) -> str:
