@@ -145,8 +145,7 @@ def _require_no_decisions(law: BulkLaw, d: int | None, sample: Array, values: Ca
             if direct is not None and traced is not None and _apart(direct, traced, least.get(key, 0.0)):
                 raise InputError(
                     f"{type(law).__name__}.{key}: a parameter, or a value computed from it, is compared or used as a "
-                    "condition in Python; laws are traced once for all numbers: write "
-                    "ufl.conditional(ufl.eq(a, b), c, d)"
+                    "condition in Python; laws are traced once for all numbers: write ufl.conditional(ufl.eq(a, b), c, d)"
                 )
 
 

@@ -224,7 +224,7 @@ def test_gap_beside_s(draw, tmp_path, open_end):
     cells = [[0, 1, 4, 3], [1, 2, 5, 4], [3, 4, 7, 6], [4, 9, 8, 7]]
     path = squares(tmp_path / "a.msh", np.array(points, float), cells, [[3, 4]], names={**NAMES, "S": (1, 1)})
     if not open_end:
-        words = r"1 pairs of nodes .* \(2, 1\).* stay unbonded, draw it wider than 1e-09"
+        words = r"1 pairs of nodes .* \(2, 1\).* stay unbonded wider than 1e-09"
         refused(InputError, words, lambda: read(path, upper="UP"))
     else:
         assert volume(inflate(read(path, upper="UP"), 0.1)) == pytest.approx(4.1, rel=1e-5)

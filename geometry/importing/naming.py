@@ -113,8 +113,7 @@ class Cells:
             raise InputError(
                 f"{len(pairs)} pairs of nodes at the same place, the first at {place(x)}: the cells there are not "
                 "connected; let bodies share their nodes (gmsh: BooleanFragments or Coherence before meshing, "
-                f"removeDuplicateNodes after it), or, for a gap that is to stay unbonded, draw it wider than {CLOSE:g} of "
-                "the mesh's size"
+                f"removeDuplicateNodes after it), or draw gaps that stay unbonded wider than {CLOSE:g} of the mesh"
             )
 
     def facets_among(self, vertices: IntArray) -> FacetTable:

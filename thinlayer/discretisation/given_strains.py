@@ -88,8 +88,7 @@ class MeanStress(MeanStrain):
         for p in bodies:
             if not p.proportional:
                 raise InputError(
-                    f"a mean stress needs bodies with linear laws without stress at zero strain, not {p.law!r}; prescribe "
-                    "the mean strain"
+                    f"a mean stress needs bodies with linear laws and no stress at rest, not {p.law!r}; give a mean strain"
                 )
 
     @property
@@ -238,8 +237,7 @@ class Prestress(Eigenstrain):
             out = [sigma[i][2] for i in range(3)] if len(sigma) == 3 else []
             if any(not isinstance(c, float) or c for c in out):
                 raise InputError(
-                    f"the prestress of {matter.name} has components out of the plane, of which plane stress has none; give "
-                    "(2, 2)"
+                    f"the prestress of {matter.name} has components out of the plane; plane stress has (2, 2)"
                 )
             sigma = [row[:2] for row in sigma[:2]]
         if len(sigma) == 2 and 2 in matter.kinematics.slots(2):

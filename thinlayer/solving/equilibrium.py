@@ -283,8 +283,7 @@ class Equilibrium(Finder):
                 less = LESS_STIFF * residual / ALLOWED
                 raise SolveError(
                     f"linear solve failed: {residual:.1e} of the forces is out of balance, allowed: {ALLOWED:g}: the "
-                    "bodies are so much stiffer than what holds them that their strains are lost in the rounding of their "
-                    "displacements",
+                    "bodies are so much stiffer than what holds them that their strains are lost in rounding",
                     advice=f"take moduli of the bodies that are {less:.0e} times smaller, or larger cells",
                 )
             hints = "".join(f", or {part.hint}" for part in equations.with_own if part.hint)

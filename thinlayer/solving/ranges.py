@@ -121,8 +121,7 @@ def warn_of_strains(states: Sequence[State]) -> None:
             f"at t = {states[worst].t:.4g} strains of {f'the body {name!r}' if name else 'the bodies'} are "
             f"{found[worst]:.3g} (root mean square over its volume), beyond {LARGEST_STRAIN:g} from "
             f"t = {states[beyond[0]].t:.4g} on: the theory is for small strains; what yields there flows at loads that it "
-            "cannot bear: do not use these states, and take smaller loads or motions of supports; or check the units of "
-            "the moduli",
+            "cannot bear: take smaller loads or motions of supports, or check the units of the moduli",
             model.comm,
         )
 

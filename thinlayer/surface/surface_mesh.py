@@ -295,10 +295,8 @@ class SurfaceMesh:
         try:
             return self._field(part(self.x) if callable(part) else part)
         except Exception as error:
-            raise InputError(
-                f"where is no numpy function of coordinates, as lambda x: x[0] > 1 or lambda x: (x[0] > 1) & (x[0] < 9): "
-                f"{error}"
-            ) from error
+            wrong = f"where is no numpy function of coordinates, as lambda x: (x[0] > 1) & (x[0] < 9): {error}"
+            raise InputError(wrong) from error
 
     def integral(self, f: Any) -> Any:
         """Integral over S of a field: a float, of vectors an array (d,)."""

@@ -124,8 +124,7 @@ class Condensed:
 
     def _failure(self, history: list[float]) -> SolveError:
         return SolveError(
-            f"contact: no equilibrium found, residual {history[-1]:.1e} of the forces after {len(history) - 1} Newton "
-            "steps",
+            f"contact: no equilibrium found, residual {history[-1]:.1e} of the forces after {len(history) - 1} steps",
             residuals=tuple(history),
             advice="is every body supported, or pressed against S rather than pulled off it? Else try smaller load steps, "
             "or another solver",
