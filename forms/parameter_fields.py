@@ -166,10 +166,8 @@ def place_of(x: Array, k: int) -> str:
 
 def extremes(values: Sequence[Array], *, differences: bool = False) -> list[int]:
     """Numbers of the places at which one of some values (n,), or a ratio, or a difference of two is smallest or largest."""
-    compared = list(values)
+    fields = list(values)
     with np.errstate(all="ignore"):
         for a, b in combinations(values, 2):
-            compared += [a / b] + ([a - b] if differences else [])
-    return sorted(
-        {int(pick(one)) for one in compared for pick in (np.nanargmin, np.nanargmax) if np.isfinite(one).any()}
-    )
+            fields += [a / b] + ([a - b] if differences else [])
+    return sorted({int(pick(one)) for one in fields for pick in (np.nanargmin, np.nanargmax) if np.isfinite(one).any()})

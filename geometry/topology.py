@@ -262,9 +262,7 @@ class Splitting:
         linked[self.cut] = False
         facets = np.flatnonzero(linked)
         pairs = position[self.table.cells[facets]]
-        inside = np.array(
-            [[i for i, one in enumerate(local) if set(one) <= set(facet)] for facet in self._topology[-2]]
-        )
+        inside = np.array([[i for i, one in enumerate(local) if set(one) <= set(each)] for each in self._topology[-2]])
         links: list[IntArray] = []
         for cell, facet in zip(pairs.T, self.table.local[facets].T, strict=True):
             entity = inside[facet]

@@ -53,19 +53,17 @@ def _radial(law: LinearElastic, r: float) -> Array:
     return np.array([2 * (law.lmbda + law.mu), -2 * law.mu / r**2])
 
 
-def lame(
-    radii: Sequence[float], laws: Sequence[LinearElastic], springs: Sequence[float | None], pressure: float
-) -> Lame:
+def lame(radii: Sequence[float], laws: Sequence[LinearElastic], springs: Sequence[float | None], p: float) -> Lame:
     """Solve.
 
     Args:
         radii, laws: see `Lame`.
         springs: normal stiffness between neighbours, stress per length; None: bonded.
-        pressure: in the bore; the rim is free.
+        p: pressure in the bore; the rim is free.
     """
     n = len(laws)
     A, b = np.zeros((2 * n, 2 * n)), np.zeros(2 * n)
-    A[0, :2], b[0] = _radial(laws[0], radii[0]), -pressure
+    A[0, :2], b[0] = _radial(laws[0], radii[0]), -p
     for k, spring in enumerate(springs):
         r, row, inside, outside = radii[k + 1], 1 + 2 * k, slice(2 * k, 2 * k + 2), slice(2 * k + 2, 2 * k + 4)
         stress = _radial(laws[k], r)

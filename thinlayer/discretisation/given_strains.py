@@ -87,9 +87,7 @@ class MeanStress(MeanStrain):
             raise InputError(f"a mean stress needs a joint periodic in {d} directions; load free sides by tractions")
         for p in bodies:
             if not p.proportional:
-                raise InputError(
-                    f"a mean stress needs bodies with linear laws and no stress at rest, not {p.law!r}; give a mean strain"
-                )
+                raise InputError(f"mean stress needs linear bodies without stress at rest, not {p.law!r}; give strain")
 
     @property
     def count(self) -> int:
@@ -236,9 +234,7 @@ class Prestress(Eigenstrain):
         if matter.kinematics.name == "stress":
             out = [sigma[i][2] for i in range(3)] if len(sigma) == 3 else []
             if any(not isinstance(c, float) or c for c in out):
-                raise InputError(
-                    f"the prestress of {matter.name} has components out of the plane; plane stress has (2, 2)"
-                )
+                raise InputError(f"the prestress of {matter.name} has components out of the plane; give (2, 2)")
             sigma = [row[:2] for row in sigma[:2]]
         if len(sigma) == 2 and 2 in matter.kinematics.slots(2):
             raise InputError(f"the prestress of {matter.name} lacks that of hoops, sigma_33; give (3, 3)")
