@@ -197,11 +197,6 @@ def plates(eigenstrain: Any, law: BulkLaw, top: dict[Any, Any]) -> dict[str, Mod
     return both(structure, ThinLayer(law, EPS, eigenstrain=eigenstrain))
 
 
-def normal_traction(state: State, surface: Surface) -> float:
-    """Mean of t_N on S."""
-    return surface.integral(surface.frame(surface.traction(state))[1]) / 4.0
-
-
 def cured(t: Numbers) -> Array:
     """Stress of a held layer: the integral of (3 lmbda + 2 mu) c de with e = SHRINKAGE c, half of that of a hard resin."""
     final = (3 * RESIN.lmbda + 2 * RESIN.mu) * SHRINKAGE
@@ -219,7 +214,7 @@ def curing(record: Record, steps: tuple[int, ...]) -> None:
     for n in steps:
         for name, model in models.items():
             history = record.march(model, [*map(float, np.linspace(0, 4 * TAU, n + 1)[1:])], f"{name} {n}")
-            found = np.array([normal_traction(state, surface) for state in history])
+            found = np.array([surface.integral(surface.frame(surface.traction(one))[1]) / 4.0 for one in history])
             exact = cured(history.t)
             errors[name, n] = found[-1] / exact[-1] - 1
             table.extend(Table.of({"model": name, "steps": n, "t": history.t, "t_N": found, "closed_form": exact}))

@@ -237,17 +237,13 @@ def follow_block(record: Record, body: Block, relaxed: History, r: float, step: 
     for how, other in others.items():
         gap = distance(np.column_stack([other[column] for column in shown]), vertices).max()
         record.check(f"{name}: distance of the path {how}", gap, high=ALONG)
-    record.check(f"{name}: delta goes back by", turns_back(path), low=1e-3)
+    back = np.maximum(-np.diff(path["delta"]), 0).sum()
+    record.check(f"{name}: delta goes back by", float(back), low=1e-3)
     energy, least = path["energy"][-1], relaxed.table["energy"][-1]
     record.check_near(f"{name}: energy at the end of the path over the least one", energy / least, 1.0, EXACT)
     work = float(np.trapezoid(path["force"], path["delta"]))
     record.check(f"{name}: work along the path over that energy, less 1", abs(work / energy - 1), high=ALONG)
     return path.rows
-
-
-def turns_back(path: Table) -> float:
-    """Sum of all decreases of delta along a path."""
-    return float(np.maximum(-np.diff(path["delta"]), 0).sum())
 
 
 def check_steps(record: Record, body: Block, pure: History) -> None:

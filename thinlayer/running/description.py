@@ -135,10 +135,6 @@ def _units(section: Section, key: str) -> tuple[str, str]:
     return lengths, stresses[0]
 
 
-def _bonded(section: Section, key: str) -> bool:
-    return bool(section.checked(key, lambda one: isinstance(one, bool), "is neither true nor false"))
-
-
 def _supports(section: Section, key: str) -> dict[Place, Any]:
     """Place -> a number, or components."""
     places, found = section.table(key, "places with what they prescribe, such as LEFT = 0"), dict[Place, Any]()
@@ -248,5 +244,5 @@ READERS: dict[str, Reader] = {
     "times": _times,
     "goals": _goals,
     "tolerance": _tolerance,
-    "bonded": _bonded,
+    "bonded": lambda section, key: section.checked(key, lambda one: isinstance(one, bool), "is neither true nor false"),
 }

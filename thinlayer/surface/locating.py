@@ -62,7 +62,8 @@ class Located:
         boxed = ((given[point] >= low[entity]) & (given[point] <= high[entity])).all(axis=1)
         point, entity = point[boxed], entity[boxed]
         X = _pulled_back(kind, degree, nodes[entity], given[point])
-        return cls(given, point, entity, X)[_is_inside(X, is_tensor(kind))]
+        last = X.max(axis=1, initial=-np.inf) if is_tensor(kind) else X.sum(axis=1)
+        return cls(given, point, entity, X)[(X >= -INSIDE).all(axis=1) & (last <= 1 + INSIDE)]
 
     @classmethod
     def in_cells(cls, joint: Joint, x: Any) -> Located:
@@ -105,8 +106,3 @@ def _pulled_back(kind: str, degree: int, nodes: Array, x: Array) -> Array:
     sizes = np.ptp(nodes, axis=1).max(axis=1)
     X[np.linalg.norm(x - there, axis=1) > INSIDE * sizes] = 2.0
     return X
-
-
-def _is_inside(X: Array, tensor: bool) -> BoolArray:
-    last = X.max(axis=1, initial=-np.inf) if tensor else X.sum(axis=1)
-    return np.asarray((X >= -INSIDE).all(axis=1) & (last <= 1 + INSIDE))
