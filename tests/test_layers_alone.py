@@ -60,9 +60,7 @@ def cases():
     base = Structure(
         block(1.0, 0.5, 1 / 12, cell="quadrilateral"), body=BODY, supports={}, tractions={"TOP": (0.3, -1)}
     )
-    floors = Structure(
-        faults(1.0, 1.0, FLOORS, 1 / 8), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1.0)}
-    )
+    floors = Structure(faults(1.0, 1.0, FLOORS, 1 / 8), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1)})
     glue, round_ = ThinLayer(GLUE, EPS), {"plane": "axisymmetric", "supports": {"BOTTOM": 0, "LEFT": {"x": 0}}}
     return {
         "free ends": (loaded(blocks()), glue, (WORK, MOVED)),

@@ -75,9 +75,7 @@ def test_given_forces_and_prescribed_motions_are_conjugate(dim, kind):
             moment=_moment({name: 0.0 for name in held}, turns, given.moment),
         )  # fmt: skip
         structure = loaded.structure
-        again = Structure(
-            structure.joint, body=BODY, supports={"BOTTOM": 0.0}, parts=[moved], element=structure.element
-        )
+        again = Structure(structure.joint, body=BODY, supports={"BOTTOM": 0}, parts=[moved], element=structure.element)
         state = solve(model(again, kind))
         assert state.reaction("TOP").force == pytest.approx(given.force, rel=1e-7)
         assert state.reaction("TOP").moment == pytest.approx(given.moment, rel=1e-7)
@@ -115,9 +113,7 @@ def test_the_point_of_the_moment():
         RigidPlate("TOP", force=(0.3, -2.0), moment=0.7),
         RigidPlate("TOP", force=(0.3, -2.0), moment=0.7 - 2.0 * 1.0 - 0.3 * 0.6, about=(0.0, 0.0)),
     ]
-    states = [
-        solve(model(Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, parts=[p]), "interface")) for p in plates
-    ]
+    states = [solve(model(Structure(joint, body=BODY, supports={"BOTTOM": 0}, parts=[p]), "interface")) for p in plates]
     assert states[1].u.x.array == pytest.approx(states[0].u.x.array, abs=1e-10)
     assert plates[1].motion_in(states[1]).rotation == pytest.approx(plates[0].motion_in(states[0]).rotation, rel=1e-9)
 
@@ -260,9 +256,7 @@ def test_a_body_that_is_loose_beside_a_plate():
     ],
 )
 def test_refused(given, message):
-    structure = Structure(
-        sandwich(2.0, 0.5, 0.6, 0.5), body=BODY, supports={"BOTTOM": 0.0}, parts=[RigidPlate(**given)]
-    )
+    structure = Structure(sandwich(2.0, 0.5, 0.6, 0.5), body=BODY, supports={"BOTTOM": 0}, parts=[RigidPlate(**given)])
     refused(ValueError, message, lambda: solve(structure.interface(ThinLayer(GLUE, EPS, at=1.0))))
 
 

@@ -48,9 +48,7 @@ def nodal(made, t=0.0):
 def test_a_force_at_one_node(kind, element):
     """Nothing else is loaded, whatever the element; functions have the place before inflating."""
     loads = [PointLoad((2.0, 0.6), lambda x, t: (t * x[0], x[1] + piecewise({0: 0.0, 4: 8.0})(x, t)))]
-    structure = Structure(
-        sandwich(2.0, 0.5, 0.6, 0.5), body=BODY, supports={"BOTTOM": 0.0}, loads=loads, element=element
-    )
+    structure = Structure(sandwich(2.0, 0.5, 0.6, 0.5), body=BODY, supports={"BOTTOM": 0}, loads=loads, element=element)
     made = model(structure, kind)
     f, x = nodal(made, 2.0)
     here = np.linalg.norm(x - x.max(axis=0), axis=1) < 1e-9

@@ -19,9 +19,7 @@ pytestmark = pytest.mark.few(5)
 
 
 @pytest.mark.parametrize("nu", [0.45, 0.499, 0.4999])
-@pytest.mark.parametrize(
-    ("supports", "half_width"), [({}, 0.5), ({"LEFT": {"x": 0.0}}, 1.0), ({"LEFT/LAYER": 0.0}, 1.0)]
-)
+@pytest.mark.parametrize(("supports", "half_width"), [({}, 0.5), ({"LEFT": {"x": 0}}, 1.0), ({"LEFT/LAYER": 0.0}, 1.0)])
 def test_strip(nu, supports, half_width):
     """Between rigid faces that move apart; a side that is held is a plane of symmetry."""
     joint = sandwich(1.0, 0.3, 0.3, 1 / 16, h_S=1 / 128, h_ends=1 / 256)

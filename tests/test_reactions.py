@@ -103,9 +103,7 @@ def test_a_column_between_rollers(kind):
 def test_a_corner_of_two_supports():
     """Each component's force belongs to the support that prescribes it; if both do, they share it."""
     joint, pull = sandwich(1.0, 0.5, 0.5, 0.5), {"TOP": (0.4, -0.3)}
-    one = solve(
-        Structure(joint, body=BODY, supports={"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}}, tractions=pull).bonded()
-    )
+    one = solve(Structure(joint, body=BODY, supports={"BOTTOM": {"y": 0}, "LEFT": {"x": 0.0}}, tractions=pull).bonded())
     assert one.reaction("BOTTOM").force == pytest.approx([0.0, 0.3], abs=1e-10)
     assert one.reaction("LEFT").force == pytest.approx([-0.4, 0.0], abs=1e-10)
     twice = {"BOTTOM": 0.0, "LEFT/LOWER": 0.0}

@@ -186,9 +186,7 @@ def test_crossing_pieces_of_s():
     joint = grid([axis, axis], lambda x: (x[:, 0] < 0.5) == (x[:, 1] > 0.5), "quadrilateral")
     assert joint.splitting.valence.max() == joint.splitting.pieces.max() + 1 == 4
     body, layer, t = LinearElastic.young(100.0, 0.2), ThinLayer(LinearElastic(30.0, 20.0), 0.01, at=1.0), 3.0
-    structure = Structure(
-        joint, body=body, supports={"LEFT": {"x": 0.0}, "BOTTOM": {"y": 0.0}}, tractions={"TOP": (0.0, t)}
-    )
+    structure = Structure(joint, body=body, supports={"LEFT": {"x": 0}, "BOTTOM": {"y": 0}}, tractions={"TOP": (0, t)})
     state = solve(structure.interface(layer))
     assert state.energies()["layer"] == pytest.approx(t**2 / (30 + 2 * 20) / 2, rel=1e-9)
     assert state.energies()["bodies"] == pytest.approx(t**2 * (1 - 0.2**2) / 100.0 / 2, rel=1e-9)

@@ -105,9 +105,7 @@ def sheet(supports, law=IDEAL, grows=False):
 
 
 @pytest.mark.parametrize("grows", [False, True])
-@pytest.mark.parametrize(
-    "supports", [{"BOTTOM": 0.0}, {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}}], ids=["clamped", "free"]
-)
+@pytest.mark.parametrize("supports", [{"BOTTOM": 0}, {"BOTTOM": {"y": 0}, "LEFT": {"x": 0.0}}], ids=["clamped", "free"])
 def test_a_first_step_far_beyond_yield(supports, grows):
     """In one step or in short ones: the loads are far from a limit, and the answer is nearly the same."""
     model = sheet(supports, grows=grows)
