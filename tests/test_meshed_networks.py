@@ -401,7 +401,7 @@ def test_refused_meshes():
     joint = wall(2, 2, BRICK, 0.25)
     both = {"BED": 0.01, "HEAD": 0.02}
     for given, message in (
-        (dict(eps={"BED": 0.01}), "eps: the seam 'HEAD' has none"),
+        (dict(eps={"BED": 0.01}), "the seam 'HEAD' has no eps"),
         (dict(eps=both | {"BEDS": 0.01}), "eps: unknown seam 'BEDS', did you mean 'BED'"),
         (dict(eps=both | {"HEAD": -1.0}), "eps of 'HEAD' is -1.0; it must be > 0"),
         (dict(eps=both, gaps=["HAED"]), "gaps: unknown seam 'HAED', did you mean 'HEAD'"),

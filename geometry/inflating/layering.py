@@ -43,7 +43,7 @@ def by_seam(joint: Joint, given: Given | Mapping[str, Given], what: str, *defaul
             raise InputError(f"{what}: {unknown('seam', name, joint.seams)}")
     missing = [name for name in joint.seams if name not in given]
     if missing and not default:
-        raise InputError(f"{what}: the seam {missing[0]!r} has none; give {what}={{{missing[0]!r}: ..., ...}}")
+        raise InputError(f"the seam {missing[0]!r} has no {what}; give {what}={{{missing[0]!r}: ..., ...}}")
     return {name: given[name] if name in given else default[0] for name in joint.seams}
 
 

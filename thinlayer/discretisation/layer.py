@@ -21,8 +21,8 @@ from forms.series import folded
 from forms.tangent import average_lame, is_checked_at_rest, known_at_rest, require_stable, tangent_over
 from forms.traction import TractionLaw
 from geometry.domain import Domain
+from geometry.inflating.layering import by_seam
 from geometry.joint import Joint, Profile
-from geometry.refusals import unknown
 from geometry.seam import S
 from geometry.sheet import Sheet
 from geometry.topology import Indices
@@ -156,15 +156,7 @@ def on_seams(joint: Joint, given: Any) -> dict[str, Any]:
     Raises:
         InputError: a seam has no layer, or a layer no seam.
     """
-    if not isinstance(given, Mapping):
-        return dict.fromkeys(joint.seams, given)
-    for name in given:
-        if name not in joint.seams:
-            raise InputError(f"layer: {unknown('seam', name, joint.seams)}")
-    for name in joint.seams:
-        if name not in given:
-            raise InputError(f"the seam {name!r} has no layer; give layer={{{name!r}: ..., ...}}")
-    return {name: given[name] for name in joint.seams}
+    return by_seam(joint, given, "layer")
 
 
 def layers_of(given: Mapping[str, Any]) -> dict[str, Any]:
