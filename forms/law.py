@@ -350,7 +350,7 @@ class BulkLaw(Law):
     def stiffness(self, n: Array) -> Array | None:
         """d stress/d strain at rest, (6, 6) in Mandel's order, for a director n (d,); None if the law does not define it.
 
-        Parameters are numbers. `forms.tangent` evaluates the stress of laws that give None.
+        Parameters are numbers. `forms.trace` evaluates the stress of laws that give None.
         """
         return None
 

@@ -15,7 +15,7 @@ from mpi4py import MPI
 
 from forms import LinearElastic
 from geometry import Joint, sandwich
-from geometry.dolfinx_mesh import create_mesh
+from geometry.domain import create_mesh
 from studies.timing import in_turn, peak, seconds
 from thinlayer import Structure, ThinLayer
 from thinlayer.running.record import Record

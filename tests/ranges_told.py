@@ -12,8 +12,7 @@ from forms import LinearElastic
 from tests.meshes import upper_cells
 from thinlayer.discretisation.state import Report, State
 from thinlayer.errors import RangeWarning
-from thinlayer.surface.excess import Faces, pressure_excess
-from thinlayer.surface.sublayers import sublayers_of
+from thinlayer.surface.excess import Faces, pressure_excess, sublayers_of
 
 STIFF = LinearElastic.young(1e5, 0.3)
 

@@ -19,8 +19,7 @@ from forms.check import require_computed
 from forms.elastic import lame
 from forms.kinematics import lift
 from forms.law import PlaneStress
-from forms.tangent import tangent_at_rest
-from forms.trace import numbers
+from forms.trace import numbers, tangent_at_rest
 from forms.viscous import isotropic_energy
 from geometry import sandwich
 from tests.own_laws import Fragile, Mises

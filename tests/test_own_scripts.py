@@ -32,7 +32,7 @@ from forms.elastic import lame
 from forms.kinematics import lift
 from forms.work import body, energy, work
 from geometry import Joint
-from geometry.dolfinx_mesh import cell_nodes
+from geometry.domain import cell_nodes
 from geometry.seam import Seam
 from tests.documents import PAGES
 from tests.folders_run import raised

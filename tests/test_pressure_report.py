@@ -16,8 +16,7 @@ from tests.on_ranks import on_ranks
 from tests.ranges_told import STIFF, opened, strip_excess
 from tests.test_networks import cut_at, on
 from thinlayer import RangeWarning, Structure, Surface, Table, ThinLayer, compare, solve
-from thinlayer.surface.excess import pressure_excess
-from thinlayer.surface.sublayers import sublayers_of
+from thinlayer.surface.excess import pressure_excess, sublayers_of
 
 HALF_WIDTH = 0.5
 LAYERS = {

@@ -16,7 +16,7 @@ from tests.ranges_told import STIFF, excess, strip_excess, times_too_stiff, told
 from tests.refused import refused
 from thinlayer import SolveError, Structure, ThinLayer, march, solve
 from thinlayer.solving.ranges import warn_of_model
-from thinlayer.surface.sublayers import stiffness_of_jumps
+from thinlayer.surface.excess import stiffness_of_jumps
 
 
 # ---------------------------------------------------------------- jumps that are no openings

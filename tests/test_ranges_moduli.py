@@ -11,7 +11,7 @@ import ufl
 from forms import Anisotropic, BulkLaw, KelvinVoigt, LinearElastic, Maxwell
 from forms.planes import Kinematics
 from forms.stations import GAUSS, Faces
-from forms.tangent import average_lame, in_plane_modulus, tangent_at_rest
+from forms.trace import average_lame, in_plane_modulus, tangent_at_rest
 
 MODULI = np.diag([7.0, 5, 9, 2, 3, 4])
 MODULI[:3, :3] += np.array([[0, 1.2, 0.7], [1.2, 0, 1.9], [0.7, 1.9, 0]])

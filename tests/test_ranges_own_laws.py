@@ -22,7 +22,7 @@ from forms import (
 )
 from forms.base import InputError
 from forms.elastic import lame
-from forms.tangent import tangent_at_rest, tangent_over
+from forms.trace import tangent_at_rest, tangent_over
 from geometry import block, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests import ranges_told

@@ -12,8 +12,7 @@ from studies.problems import FOURIER_LAYER, fourier
 from tests.ranges_told import STIFF, excess, opened, strip_excess, times_too_stiff, told
 from thinlayer import Structure, Surface, ThinLayer, march, piecewise, solve
 from thinlayer.solving.ranges import warn_of_model
-from thinlayer.surface.excess import pressure_length
-from thinlayer.surface.sublayers import Sublayer
+from thinlayer.surface.excess import Sublayer, pressure_length
 
 pytestmark = pytest.mark.few(5)
 

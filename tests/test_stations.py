@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 from forms import BulkLaw, Incompressible, KelvinVoigt, LinearElastic, Rubber, Stack
 from forms.base import InputError
 from forms.elastic import lame
-from forms.interface import Interface
 from forms.stations import LOCKING, at_gauss_points
-from forms.work import energy, surface
+from forms.work import Interface, energy, surface
 from geometry import sandwich
 from thinlayer import Structure, ThinLayer
 

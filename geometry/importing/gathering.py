@@ -12,7 +12,7 @@ import numpy as np
 from mpi4py import MPI
 
 from forms.base import InputError
-from geometry.dolfinx_mesh import cell_nodes, vertices_of_facets
+from geometry.domain import cell_nodes, vertices_of_facets
 from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
 from geometry.joint import Joint
 from geometry.parallel import on_root, world

@@ -9,8 +9,7 @@ from dolfinx import fem
 
 from forms.base import Array, InputError
 from forms.planes import Kinematics
-from geometry.dolfinx_mesh import cell_nodes
-from geometry.domain import Domain
+from geometry.domain import Domain, cell_nodes
 from geometry.joint import Joint
 from geometry.refusals import place
 from geometry.seam import LAYER, S

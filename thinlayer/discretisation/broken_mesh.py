@@ -16,11 +16,10 @@ from dolfinx.mesh import Mesh, MeshTags
 from mpi4py import MPI
 
 from forms.base import Array, InputError
-from forms.interface import Interface
 from forms.law import BulkLaw
 from forms.planes import PLANES, Kinematics
 from forms.traction import TractionLaw
-from forms.work import Term, surface
+from forms.work import Interface, Term, surface
 from geometry.joint import Profile
 from geometry.refusals import unknown
 from geometry.topology import BoolArray, Indices

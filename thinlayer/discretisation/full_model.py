@@ -7,7 +7,7 @@ from typing import Self
 
 from forms import work as forms
 from forms.base import InputError
-from forms.tangent import needs_director
+from forms.trace import needs_director
 from geometry.inflating.inflation import inflate
 from geometry.inflating.layering import check_layering
 from geometry.joint import Joint

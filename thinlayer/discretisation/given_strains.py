@@ -15,8 +15,8 @@ from forms.base import Array, InputError, is_finite, is_number
 from forms.kinematics import MANDEL, ROOT2, Expr, lift
 from forms.law import BulkLaw
 from forms.planes import Kinematics
-from forms.tangent import tangent_at_rest
 from forms.temperature import finite
+from forms.trace import tangent_at_rest
 from forms.work import Term, summed
 from geometry.joint import Joint
 from thinlayer.discretisation.clock import readings

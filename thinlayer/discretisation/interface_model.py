@@ -14,9 +14,9 @@ from ufl.algorithms.analysis import extract_coefficients
 
 from forms import work as forms
 from forms.base import InputError
-from forms.interface import Interface
 from forms.kinematics import Expr
 from forms.law import BulkLaw
+from forms.work import Interface
 from geometry.inflating.kept_bodies import kept_motion
 from geometry.inflating.layering import check_layering
 from geometry.inflating.parting import parted

@@ -18,7 +18,7 @@ from forms.kinematics import Expr
 from forms.law import BulkLaw, Law
 from forms.planes import Kinematics
 from forms.series import folded
-from forms.tangent import average_lame, is_checked_at_rest, known_at_rest, require_stable, tangent_over
+from forms.trace import average_lame, is_checked_at_rest, known_at_rest, require_stable, tangent_over
 from forms.traction import TractionLaw
 from geometry.domain import Domain
 from geometry.inflating.layering import by_seam

@@ -14,10 +14,9 @@ from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
 from forms.base import Array, InputError
-from forms.interface import Interface
 from forms.kinematics import Expr
-from geometry.dolfinx_mesh import index_map
-from geometry.domain import Domain
+from forms.work import Interface
+from geometry.domain import Domain, index_map
 from geometry.inflating.parting import to_middle
 from geometry.joint import Joint, Profile
 from geometry.refusals import place

@@ -14,7 +14,7 @@ from forms.elastic import LARGEST_NU, ROUNDING
 from forms.ends.weights import Strips
 from forms.law import BulkLaw
 from forms.rubber import for_next_order
-from forms.tangent import average_lame, is_isotropic, known_at_rest
+from forms.trace import average_lame, is_isotropic, known_at_rest
 from geometry.ends import straight_ends
 from geometry.refusals import place
 from geometry.sheet import Rim

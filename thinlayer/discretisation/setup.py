@@ -13,7 +13,7 @@ from forms.base import Array, InputError
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw, Law, explained
 from forms.planes import PLANES, Kinematics
-from forms.tangent import known_at_rest, needs_director, require_stable
+from forms.trace import known_at_rest, needs_director, require_stable
 from geometry.joint import Joint
 from geometry.refusals import unknown
 from geometry.sheet import Sheet

@@ -25,9 +25,9 @@ from dolfinx import fem
 from forms.elastic import poisson_ratio
 from forms.ends.constants import FreeEnd, free_end
 from forms.ends.weights import Strips
-from forms.interface import Interface
 from forms.kinematics import Expr
 from forms.planes import Kinematics
+from forms.work import Interface
 from geometry.ends import StraightEnd, share_within, straight_ends
 from geometry.joint import Joint
 from geometry.seam import LAYER

@@ -11,7 +11,7 @@ import ufl
 from dolfinx import fem
 
 from forms.ends.weights import EndWeights, Strips
-from forms.interface import Interface
+from forms.work import Interface
 from geometry.domain import Domain
 from geometry.ends import StraightEnd, share_within
 from geometry.joint import Joint

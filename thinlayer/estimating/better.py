@@ -9,7 +9,7 @@ import numpy as np
 
 from forms.base import InputError
 from forms.law import BulkLaw
-from forms.tangent import average_lame, is_isotropic
+from forms.trace import average_lame, is_isotropic
 from geometry.seam import S
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import SeamLayer, ThinLayer

@@ -19,7 +19,7 @@ from thinlayer.estimating.global_local import GlobalLocal, Iterate
 from thinlayer.output.surface import Surface
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart
 from thinlayer.solving.adjoint import Adjoint
-from thinlayer.surface.sublayers import stiffness_of_jumps, sublayers_of
+from thinlayer.surface.excess import stiffness_of_jumps, sublayers_of
 from thinlayer.surface.surface_mesh import SurfaceMesh, surface_of
 
 Array = npt.NDArray[np.float64]

@@ -10,10 +10,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from forms.base import Array, InputError
-from geometry.order import by_place
 from geometry.refusals import place
 from geometry.seam import S
-from geometry.topology import IntArray, is_tensor
+from geometry.topology import IntArray, by_place, is_tensor
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import BODY, LAYER
 from thinlayer.discretisation.model import Model

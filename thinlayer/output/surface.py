@@ -17,8 +17,7 @@ from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, at_contac
 from thinlayer.output.law_points import LawPoints
 from thinlayer.output.tractions import by_reactions, in_rule, of_layers, points_on
 from thinlayer.parts.phases import phase_shares, phase_slots, seams_with_phases
-from thinlayer.surface.excess import times_too_stiff
-from thinlayer.surface.sublayers import sublayers_of
+from thinlayer.surface.excess import sublayers_of, times_too_stiff
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.table import Table
 

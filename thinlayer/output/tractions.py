@@ -16,7 +16,7 @@ from ufl.classes import Zero
 
 from forms.base import Array, InputError
 from forms.kinematics import Expr, from_mandel, vectors
-from geometry.dolfinx_mesh import cell_nodes
+from geometry.domain import cell_nodes
 from geometry.topology import BoolArray, IntArray, lagrange
 from thinlayer.discretisation.contact_nodes import component_at
 from thinlayer.discretisation.layer import SeamLayer, real_law

@@ -14,7 +14,7 @@ from petsc4py import PETSc
 from forms.base import Array, InputError
 from forms.check import NOT_SYMMETRIC
 from forms.kinematics import MANDEL
-from forms.tangent import takes_time
+from forms.trace import takes_time
 from forms.work import Term
 from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.layer import LAYER

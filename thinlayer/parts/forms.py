@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from functools import cached_property, reduce
+from operator import or_
 
 import dolfinx.fem.petsc
+import numpy as np
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
+from ufl.algorithms.check_arities import ArityMismatch
 
+from forms.base import InputError
+from forms.check import check
+from forms.elastic import LinearElastic
 from forms.kinematics import Expr
+from forms.law import BulkLaw, Step
+from forms.trace import named
+from forms.work import Term, energy, stress, work
+from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.measures import compiled, compiled_summands
 from thinlayer.discretisation.state import Configuration
-from thinlayer.parts.part import Block, Interval, Outcome, Part
-from thinlayer.pointwise.assembling import add_forces_of, matrix_of
+from thinlayer.parts.compiled import GivenAtPoints, falls
+from thinlayer.parts.part import Block, Interval, Outcome, Part, PartTraits
+from thinlayer.pointwise.assembling import add_forces_of, add_spread, matrix_of
+from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.system.ranks import communicator
 
 
@@ -147,3 +161,191 @@ class FormPart(Part):
 def matrix(form: Expr) -> PETSc.Mat:
     """The assembled matrix of a bilinear form, without supports."""
     return matrix_of(compiled(form))
+
+
+class LawForms(FormPart):
+    """The terms of bodies and layer whose laws are not compiled: linear laws in K, the others in F.
+
+    If no law of bodies is linear, K is zero with the nonzero pattern of the tangent. Strains that are given beside those
+    of the displacements cause constant forces by linear laws, and do work as they grow.
+
+    Args:
+        key: key of the part.
+        V: space of the displacements.
+        terms: the terms; those whose laws are compiled are left out.
+    """
+
+    def __init__(self, key: str, V: fem.FunctionSpace, terms: Iterable[Term]) -> None:
+        terms = list(terms)
+        everywhere = [p for p in terms if p.n is None]
+        self._terms = terms = [p for p in terms if not p.law.traits.compiled]
+        for p in terms:
+            check(p.law, None if p.n is None else p.n.ufl_shape[0])
+        proportional = [p.proportional for p in terms]
+        linear = [p for p, yes in zip(terms, proportional, strict=True) if yes]
+        others = [p for p, yes in zip(terms, proportional, strict=True) if not yes]
+        strained, bodies = [p for p in linear if p.given is not None], [p for p in terms if p.n is None]
+        self._over = over = OverStep(V.mesh, terms)
+        self._strained = any(p.given is not None for p in terms)
+        u, v = fem.Function(V), ufl.TestFunction(V)
+        stored = None
+        if (others or strained) and all(p.law.traits.has_energy for p in others + strained):
+            stored = energy(_given(others, over.now), u) + sum(_beyond(p, u) for p in _given(strained, over.now))
+        super().__init__(
+            key,
+            u,
+            _stiffness(V, linear, everywhere) if linear or everywhere else None,
+            work(_given(others, over.balanced), u, v) if others else None,
+            stored,
+            g=sum(_of_given(p, v) for p in _given(strained, over.balanced)) if strained else None,
+        )
+        self._opposing = _opposing([p for p in _given(others, over.balanced) if p.n is None and p.given is not None], u)
+        self.traits = replace(reduce(or_, map(_traits, terms), PartTraits()), inner=len(bodies) == len(terms))
+
+    def named(self) -> dict[str, PartTraits]:
+        laws: dict[str, PartTraits] = {}
+        for p in self._terms:
+            name = type(p.law).__name__
+            laws[name] = laws.get(name, PartTraits()) | _traits(p)
+        return laws
+
+    # ---------------------------------------------------------------- given strains
+    @cached_property
+    def _power(self) -> fem.Form:
+        """Work of the stresses at the last evaluation in the growth of given strains over the step."""
+        over, grown = self._over, [p for p in self._terms if p.given is not None]
+        stresses = [stress(p, self._u) for p in _given(grown, over.balanced)]
+        pairs = zip(stresses, grown, strict=True)
+        return compiled(sum(ufl.inner(s, over.growth(p.given)) * p.weight * p.measure for s, p in pairs))
+
+    def begin(self, interval: Interval) -> None:
+        super().begin(interval)
+        self._over.begin(interval.old.t, interval.t, interval.theta, at_rest=interval.old.at_rest)
+
+    def _supplied(self) -> float:
+        grows = self._strained and self._over.grows
+        return float(self.comm.allreduce(fem.assemble_scalar(self._power))) if grows else 0.0
+
+    def add_forces(self, out: PETSc.Vec) -> float:
+        return max(super().add_forces(out), self._opposing_force())
+
+    def _opposing_force(self) -> float:
+        """A mean stress against given strains times the area of a side of the bodies; 0 for given strains of 0.
+
+        Nodal forces of equal stresses cancel, and bodies that are not linear have no stiffness in K to judge them by.
+        """
+        if not self._opposing:
+            return 0.0
+        work, square, volume = self.comm.allreduce(np.array([fem.assemble_scalar(form) for form in self._opposing]))
+        size = np.sqrt(square * volume) * volume ** (1 / self._u.function_space.mesh.geometry.dim) / volume
+        return float(abs(work) / size) if size > 0 and np.isfinite(work) else 0.0
+
+    def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
+        there = fem.Function(self._u.function_space)
+        for u, own in ((z, there), (self._mid, self._u)):
+            self._take(u.x.petsc_vec, own)
+        for p in _given(self._terms, self._over.balanced):
+            density = ufl.inner(stress(p, self._u), p.strain(there)) * p.weight
+            add_spread(density, there.function_space, p.measure, out)
+
+    def _stored(self, u: PETSc.Vec, interval: Interval, *, before: bool = False) -> float:
+        old = interval.old
+        self._over.look_at(old.t if before else interval.t, at_rest=before and old.at_rest)
+        return super()._stored(u, interval, before=before)
+
+    def largest_at_rest(self) -> float:
+        """Largest diagonal entry of the tangent at rest of laws that are not linear; 1 if it has no number. Collective."""
+        self._u.x.array[:] = 0.0
+        found = 0.0
+        for form in self._J:
+            A = matrix_of(form)
+            diagonal = A.getDiagonal()
+            found = max(found, float(diagonal.max()[1]))
+            diagonal.destroy()
+            A.destroy()
+        return found if 0 < found < np.inf else 1.0
+
+    @cached_property
+    def _softening(self) -> list[tuple[CompiledTerm, GivenAtPoints]]:
+        """The layers' laws that may soften, at points, but those of a meshed layer with parameters that are functions."""
+        terms = [p for p in self._terms if p.n is not None and p.law.traits.may_soften and _is_uniform(p.law)]
+        V = self._u.function_space
+        points = [CompiledTerm(V, replace(p, law=_at_points(p.law))) for p in terms]
+        return [(one, GivenAtPoints(one)) for one in points]
+
+    def undeclared_softening(self) -> tuple[str, str] | None:
+        old = self.interval.old
+        ends = (self._end, self.interval.t), (old.u, old.t)
+        for points, given in self._softening:
+            e, e_old = (points.strain(u.x.petsc_vec) + given(t) for u, t in ends)
+            response = points.respond(e, e_old, points.rest(), 0.0, 1.0)
+            if found := falls(points, e, e_old, points.rest(), response):
+                return found
+        return None
+
+    def destroy(self) -> None:
+        super().destroy()
+        for points, _ in self.__dict__.get("_softening", ()):
+            points.destroy()
+
+
+def _is_uniform(law: BulkLaw) -> bool:
+    """Whether all parameters are numbers or Constants."""
+    parameters = [value for _, sublayer in law.sublayers for value in sublayer.parameters().values()]
+    return all(isinstance(value, fem.Constant) or not isinstance(value, ufl.core.expr.Expr) for value in parameters)
+
+
+def _at_points(law: BulkLaw) -> BulkLaw:
+    """The law compiled, with the present values of its Constants."""
+    return law.mapped(lambda value, _: np.asarray(getattr(value, "value", value), float)).for_points()
+
+
+def _traits(p: Term) -> PartTraits:
+    """Traits of a law in forms: Newton's method takes it as it is, and is told of what weakens in layers alone."""
+    traits = PartTraits.of(p.law)
+    weakens, unchecked = traits.weakens and p.n is not None, not p.proportional
+    return replace(traits, singular=False, eases=False, weakens=weakens, unchecked=unchecked)
+
+
+def _given(terms: Iterable[Term], change: Callable[[Expr], Expr]) -> list[Term]:
+    """The terms, their given strains changed."""
+    return [p if p.given is None else replace(p, given=change(p.given)) for p in terms]
+
+
+def _of_given(p: Term, v: Expr) -> Expr:
+    """Virtual work of the stress of a given strain alone in the strains of v."""
+    return ufl.inner(p.law.stress(Step(p.given, p.n)), p.strain(v)) * p.weight * p.measure
+
+
+def _beyond(p: Term, u: Expr) -> Expr:
+    """What a given strain adds to the energy of the displacements, of a linear law."""
+    return _of_given(p, u) + p.law.energy(Step(p.given, p.n)) * p.weight * p.measure
+
+
+def _opposing(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:
+    """Work of stresses in their given strains, integral of the squares of these, and volume of the bodies."""
+    one = fem.Constant(u.function_space.mesh, 1.0)
+    densities = [(ufl.inner(stress(p, u), p.given), ufl.inner(p.given, p.given), one) for p in strained]
+    rows = [[f * p.weight * p.measure for f in row] for p, row in zip(strained, densities, strict=True)]
+    return [compiled(sum(column)) for column in zip(*rows, strict=True)]
+
+
+def _stiffness(V: fem.FunctionSpace, linear: Sequence[Term], bodies: Sequence[Term]) -> PETSc.Mat:
+    """The assembled matrix of the linear laws; if there are none, zeros in the nonzero pattern of elastic bodies.
+
+    Raises:
+        InputError: a law declares that it is linear and is not.
+    """
+    trial, test = ufl.TrialFunction(V), ufl.TestFunction(V)
+    pattern = linear or [replace(p, law=LinearElastic(0.0, 1.0)) for p in bodies]
+    try:
+        K = matrix(work((replace(p, given=None) for p in pattern), trial, test))
+    except ArityMismatch as error:
+        names = " or ".join(sorted({type(p.law).__name__ for p in linear if named(p.law) is None}))
+        raise InputError(
+            f"{names} says linear = True, but is not linear, or UFL does not see that it is: {error}; "
+            "write linear = False in the class"
+        ) from error
+    if not linear:
+        K.zeroEntries()
+    return K

@@ -16,7 +16,7 @@ from ufl.classes import Zero
 from forms.base import Array
 from forms.kinematics import Expr
 from forms.work import Term
-from geometry.dolfinx_mesh import cell_nodes
+from geometry.domain import cell_nodes
 from geometry.topology import IntArray
 from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.layer import LAYER, PRESSURE

@@ -12,7 +12,7 @@ from petsc4py import PETSc
 
 from forms.base import Array, InputError
 from forms.kinematics import MANDEL, UNITS, Expr, mandel
-from forms.tangent import LONG
+from forms.trace import LONG
 from forms.work import Term
 from thinlayer.pointwise.assembling import add_spread, matrix_of
 from thinlayer.pointwise.columns import Switching

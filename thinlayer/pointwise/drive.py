@@ -13,9 +13,8 @@ import ufl
 from forms.base import Array, InputError, is_number
 from forms.kinematics import layer_frame, tensors
 from forms.law import Law
-from forms.tangent import takes_time
 from forms.temperature import finite
-from forms.trace import numbers
+from forms.trace import numbers, takes_time
 from thinlayer.errors import SolveError
 from thinlayer.pointwise.material_point import COMPONENTS, MaterialPoint, MaterialPointState
 from thinlayer.system.table import Table

@@ -11,7 +11,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from forms.tangent import in_plane_modulus
+from forms.trace import in_plane_modulus
 from geometry.refusals import place
 from thinlayer.discretisation.layer import BODY, SeamLayer
 from thinlayer.discretisation.measures import compiled
@@ -19,8 +19,17 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
-from thinlayer.surface.excess import LEAST_ERROR, Faces, Remark, beyond_free_ends, too_stiff
-from thinlayer.surface.sublayers import Sublayer, acts_on_jumps, stiffness_of_jumps, sublayers_of
+from thinlayer.surface.excess import (
+    LEAST_ERROR,
+    Faces,
+    Remark,
+    Sublayer,
+    acts_on_jumps,
+    beyond_free_ends,
+    stiffness_of_jumps,
+    sublayers_of,
+    too_stiff,
+)
 from thinlayer.surface.surface_mesh import surface_of
 
 LEAST_OVERLAP = 2.0  # least closing, relative to the thickness, that leads to a warning; the bodies overlap from 1 on

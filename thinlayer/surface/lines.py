@@ -11,8 +11,7 @@ import numpy as np
 from forms.base import Array, InputError
 from forms.temperature import finite
 from geometry.joint import Joint
-from geometry.order import along, by_place
-from geometry.topology import BoolArray, IntArray, connected, is_tensor, lagrange
+from geometry.topology import BoolArray, IntArray, along, by_place, connected, is_tensor, lagrange
 from thinlayer.system.table import Table
 
 Plane = tuple[Sequence[float], Sequence[float]]

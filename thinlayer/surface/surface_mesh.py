@@ -16,11 +16,10 @@ from scipy.spatial import cKDTree
 from forms.base import Array, InputError
 from geometry.inflating.parting import faces, points_on_middle
 from geometry.joint import Joint
-from geometry.order import along, by_place
 from geometry.refusals import place, unknown
 from geometry.seam import BASE, S
 from geometry.sheet import Rim
-from geometry.topology import FACET_TYPES, BoolArray, IntArray, lagrange, sums
+from geometry.topology import FACET_TYPES, BoolArray, IntArray, along, by_place, lagrange, sums
 from thinlayer.discretisation.contact_nodes import frames_at, pair_numbers
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.layer import SeamLayer

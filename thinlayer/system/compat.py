@@ -14,7 +14,7 @@ from dolfinx import cpp, fem
 from dolfinx.mesh import Mesh
 
 import thinlayer.system.compilation  # noqa: F401  # before any form is compiled
-from geometry.dolfinx_mesh import first_that_fits
+from geometry.domain import first_that_fits
 
 
 def space_with_dofmap(V: fem.FunctionSpace, dofs: npt.NDArray[np.int32], imap: Any) -> fem.FunctionSpace:
