@@ -227,12 +227,12 @@ def test_bodies_that_touch_along_an_edge_only():
     assert volumes(opened).sum() == pytest.approx(4.0, rel=1e-12)
     assert opened.band.regions == ("LAYER",)
     y, z = base.points[base.corners].mean(axis=1).T[1:]
-    with pytest.raises(InputError, match=r"at \(.*, 0, 0\) bodies touch at a vertex or along an edge only"):
+    with pytest.raises(InputError, match=r"at \(.*, 0, 0\) bodies only touch at a vertex or an edge"):
         inflate(parted(base, (y > z).astype(int)), 0.01, bodies="extended")
     block = grid([np.arange(4.0), *[np.arange(5.0)] * 2], lambda x: x[:, 0] > 1, "tetrahedron")
     at = np.floor(block.points[block.corners].mean(axis=1)).astype(int)
     cubes = sum(k * (at == place).all(axis=1) for k, place in ((1, (1, 1, 1)), (2, (1, 2, 2))))  # in a third body
-    with pytest.raises(InputError, match=r"at \(1.5, 2, 2\) bodies touch at a vertex or along an edge only"):
+    with pytest.raises(InputError, match=r"at \(1.5, 2, 2\) bodies only touch at a vertex or an edge"):
         inflate(parted(block, cubes), 0.01, bodies="extended")
 
 
@@ -261,7 +261,7 @@ def test_random_blocks(cell, monkeypatch):
         assert (np.diff(np.sort(opened.cells, axis=1), axis=1) > 0).all()
         meshed += 1
     assert meshed >= 4
-    reasons = r"S branches at \(|at \(.* bodies touch|at \(.* one body lies on both sides"
+    reasons = r"S branches at \(|at \(.* bodies only touch|at \(.* one body lies on both sides"
     assert all(re.match(reasons, one) for one in refused)
 
 
