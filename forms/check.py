@@ -175,8 +175,7 @@ def _apart(a: Array, b: Array, least: float = 0.0) -> float:
 def _evaluated(expression: Expr, values: dict[Expr, Array] | None = None) -> Array | None:
     """The numbers of an expression; None if it has none, or they are not finite."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # UFL warns where it finds no number
+        with warnings.catch_warnings(action="ignore"):  # UFL warns where it finds no number
             found = numbers(expand_derivatives(expression), values)
     except Exception:  # parts without a value, such as a coordinate: the compiler will report errors
         return None

@@ -309,8 +309,7 @@ def _computed(law: BulkLaw, n: Array, dt: float) -> Array | None:
         point = symbolic(given, d=3 if law.traits.compiled else len(n))
         stress = in_mandel(point.law.stress(point.law.own_step(point.step)))
         tangent: Any = expand_derivatives(ufl.diff(stress, point.strain))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # UFL warns of roots of negative numbers
+        with warnings.catch_warnings(action="ignore"):  # UFL warns of roots of negative numbers
             inputs = [
                 np.concatenate([e, rest, n3, [dt, 1.0], given.parameter_values()])
                 for e in (SMALL_STRAIN, -SMALL_STRAIN)

@@ -69,8 +69,7 @@ def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: 
     errors: dict[str, float | None] = {f"{quantity}_{law}": None for law in LAWS for quantity in QUANTITIES}
     told: dict[str, float | None] = dict.fromkeys(["too_stiff", *(f"warned_{law}" for law in LAWS)])
     for law, layer in set_up.layers(lmbda, mu, eps).items():
-        with warnings.catch_warnings(record=True) as found:
-            warnings.simplefilter("always")
+        with warnings.catch_warnings(record=True, action="always") as found:
             state = record.solved(solve(structure.interface(layer)))
         warned = any(issubclass(one.category, RangeWarning) for one in found)
         told[f"warned_{law}"] = float(world().bcast(warned))  # rank 0 warns

@@ -19,8 +19,7 @@ STIFF = LinearElastic.young(1e5, 0.3)
 
 def told(action):
     """What it returns, and its RangeWarnings, each as "key: message"."""
-    with warnings.catch_warnings(record=True) as found:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as found:
         result = action()
     return result, [f"{w.message.key}: {w.message}" for w in found if issubclass(w.category, RangeWarning)]
 

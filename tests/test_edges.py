@@ -240,8 +240,7 @@ def test_there_is_no_warning_of_ends_that_the_law_knows():
     layers = [
         ThinLayer(LinearElastic.shear(8.0, 0.45), EPS[0], order=1, edges=edges, at=1.0) for edges in ("free", "plain")
     ]
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         solve(stack(EPS[0]).interface(layers[0]))
     with pytest.warns(RangeWarning, match="free ends"):
         solve(stack(EPS[0]).interface(layers[1]))

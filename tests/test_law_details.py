@@ -128,8 +128,7 @@ def test_angles_that_look_like_radians(law):
     ) as caught:
         found = law(70.0, 40.0, cohesion=0.3, friction_angle=0.6)
     assert len(caught) == 1
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         drive(found, [{"w_T": 0.01, "w_N": -0.01}])  # has been said
         for Omega in (0.0, 2.0, 30.0):
             law(70.0, 40.0, cohesion=0.3, friction_angle=Omega)

@@ -69,8 +69,7 @@ def test_times_may_be_negative(tmp_path):
 def test_times_that_a_resumed_march_has_passed(tmp_path):
     """A row for them there will never be, and who asks for it is told."""
     march(interface(), [0.2, 0.4], out=tmp_path)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         warnings.filterwarnings("ignore", "the step of .* is not well below a time")
         march(interface(), [0.2, 0.4, 0.5], out=tmp_path, resume=True)
     with pytest.warns(

@@ -73,16 +73,14 @@ def test_without_projection_loads_beyond_the_limit_are_borne_and_told():
 
 def test_moved_supports_that_strain_a_body_too_far_are_told_once_and_small_strains_are_not():
     model = tube("Q2", load={"BOTTOM": {"x": lambda x, t: t}})
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         warnings.filterwarnings("ignore", "the 1 steps of this march")
         march(model, [0.1])
     with pytest.warns(RangeWarning, match="beyond 0.1 from t = 4 on") as told:
         march(model, [0.1, 4.0])
     assert sum("root mean square" in str(one.message) for one in told) == 2  # of two bodies
     linear = tube("Q2", LinearElastic(1.0, 1.0), {"BOTTOM": {"x": lambda x, t: t}})
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         march(linear, [4.0])
 
 

@@ -93,8 +93,7 @@ def test_layer_with_moduli_held(law):
         assert error == pytest.approx(reference.next_order_errors(*moduli, e)[0], rel=0.02)
         assert error < reference.next_order_errors(*moduli, e, locked=True)[0]
     assert all(order >= 2.5 for order in observed_orders(eps, errors)[2:])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RangeWarning)  # of the hard layer
+    with warnings.catch_warnings(action="ignore", category=RangeWarning):  # of the hard layer
         limit_law = rows(lambda e: law.scaled(1 / e), eps[:1], "quadrilateral", order=0)[0, 0]
     assert errors[0] < 0.1 * limit_law
 

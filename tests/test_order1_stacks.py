@@ -247,6 +247,5 @@ def test_one_that_varies_in_time_is_refused():
 
 
 def test_no_warnings():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", RangeWarning)
+    with warnings.catch_warnings(action="error", category=RangeWarning):
         found(stack(TWO), eps=(1 / 8,), h=1 / 8)

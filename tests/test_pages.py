@@ -59,8 +59,7 @@ def run_script(path: Path, blocks: list) -> None:
         print(*args, file=(out := io.StringIO()), **options)
         printed[sys._getframe(1).f_lineno] += out.getvalue()
 
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", RangeWarning)
+    with warnings.catch_warnings(record=True, action="always", category=RangeWarning) as caught:
         runpy.run_path(str(path), {"print": told}, run_name="__main__")
     assert ("# warns" in text) == any(issubclass(one.category, RangeWarning) for one in caught)
     below = defaultdict(str)

@@ -30,8 +30,7 @@ def numbers() -> dict[str, Any]:
     grid = wall(1, 3, (2 * HALF_WIDTH, 0.5), 1 / 32, cell="quadrilateral")
     joint = cut_at(grid, {"LOW": (on(1, 0.5), np.eye(2)[1]), "HIGH": (on(1, 1.0), np.eye(2)[1])})
     blocks = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": 1e-3}})
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RangeWarning)
+    with warnings.catch_warnings(action="ignore", category=RangeWarning):
         state = solve(blocks.interface(LAYERS))
         full = solve(blocks.full(LAYERS, cells_through=1))
     found = {"table": Surface(state.model).table(state).rows, "one": Surface(state.model, "HIGH").table(state).rows}
@@ -164,8 +163,7 @@ def test_layers_without_a_number():
         (ThinLayer(Anisotropic.springs(3.0, 2.0), eps, at=1.0), "anisotropic"),
         (ThinLayer(LinearElastic(-1.0, 40.0), eps, at=1.0), "no excess"),
     ):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RangeWarning)
+        with warnings.catch_warnings(action="ignore", category=RangeWarning):
             full, limit = solve(structure.full(layer)), solve(structure.interface(layer))
         assert limit.model.reductions["S"].why_not("excess of pressure").key == key
         assert "too_stiff" not in Surface(limit.model).table(limit).columns

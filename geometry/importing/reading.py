@@ -104,8 +104,7 @@ def _load(path: Path, scale: float) -> meshio.Mesh:
         _require_single_names(path)
     said = io.StringIO()
     try:
-        with redirect_stdout(said), redirect_stderr(said), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with redirect_stdout(said), redirect_stderr(said), warnings.catch_warnings(action="ignore"):
             mesh = meshio.read(path)
     except ImportError as error:
         raise InputError(f"{path.suffix} files need the Python package {error.name}") from None

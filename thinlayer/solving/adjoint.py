@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from functools import cached_property
 
 import dolfinx.fem.petsc
@@ -24,7 +25,7 @@ from thinlayer.solving.linear_solvers import linear_solvers, mark
 from thinlayer.solving.petsc import Options, defaults, solve_linear, value_of
 
 
-class Adjoint:
+class Adjoint(AbstractContextManager["Adjoint"]):
     """Weights z of a goal Q at an equilibrium u_1 of an interface model: K_1^t z = Q', z = g where displacements are held.
 
     A goal is Q(u) = q . u - g . r(u), with nodal weights q, the reactions r of what holds the model, and motions g of it.
@@ -68,9 +69,6 @@ class Adjoint:
     def _between(self, state: State, old: Configuration | None) -> Interval:
         begun = self.equations.rest(state.t) if old is None else old
         return Interval(begun, state.t, state.t - begun.t, 1.0)
-
-    def __enter__(self) -> Adjoint:
-        return self
 
     def __exit__(self, *_: object) -> None:
         for thing in (self._x, self._r, self._tangent):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -117,7 +118,7 @@ class Attempt:
     eased: bool = False
 
 
-class Solver:
+class Solver(AbstractContextManager["Solver"]):
     """Solves a model step after step; keeps matrices, and their factors as long as they stay the same.
 
     Arguments and errors as in `solve`. Use it in a `with` statement, or call `close`.
@@ -170,9 +171,6 @@ class Solver:
             raise InputError(f"unknown method {self.method!r}; allowed: {', '.join(allowed)}")
         if self.method == "linear" and not model.linear:
             raise InputError("method='linear' cannot solve a non-linear law; use method='newton'")
-
-    def __enter__(self) -> Solver:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from matplotlib import rc_context
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
@@ -16,6 +15,7 @@ from geometry.parallel import on_root
 from thinlayer.discretisation.state import State
 from thinlayer.output.grid import gather
 from thinlayer.output.plotting.scene import Look, Scene
+from thinlayer.system.folder import replaced
 from thinlayer.system.progress import track
 from thinlayer.time.history import History
 
@@ -78,19 +78,14 @@ def movie(
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # every frame has the layout of the first
         writer: AbstractMovieWriter = PillowWriter(per_second) if path.suffix == GIF else FFMpegWriter(per_second)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_name(f".{path.stem}.part{path.suffix}")
-        try:
-            with rc_context({"animation.ffmpeg_path": ffmpeg}), writer.saving(figure, str(partial), DPI):
+        with TemporaryDirectory() as folder, replaced(path) as file:
+            drawn = Path(folder) / path.name
+            with rc_context({"animation.ffmpeg_path": ffmpeg}), writer.saving(figure, str(drawn), DPI):
                 for state, grid in track([*zip(states, grids, strict=True)], "movie", "a frame"):
                     shown.set_data(scene.image(grid))
                     clock.set_text(f"t = {state.t:.4g}{f' {time_unit}' if time_unit else ''}")
                     writer.grab_frame()
-            os.replace(partial, path)
-        except BaseException:
-            with suppress(OSError):
-                partial.unlink(missing_ok=True)
-            raise
+            file.write(drawn.read_bytes())
 
     on_root(comm, draw)
     return path
