@@ -19,10 +19,9 @@ import numpy.typing as npt
 import ufl
 from mpi4py import MPI
 
-from forms.base import InputError
 from geometry.joint import Joint
 from geometry.parallel import world
-from geometry.refusals import unknown
+from geometry.refusals import require_known
 from geometry.seam import BASE, LAYER, S
 from geometry.sheet import continued
 from geometry.topology import FloatArray, Indices, IntArray, geometry_degree, local_facets
@@ -181,8 +180,7 @@ class Domain:
     def cell_values(self, *regions: str) -> tuple[int, ...]:
         """Values of `cell_tags` of regions."""
         for name in regions:
-            if name not in self.joint.regions:
-                raise InputError(unknown("region", name, self.joint.regions))
+            require_known("region", name, self.joint.regions)
         return tuple(self.joint.regions.index(name) + 1 for name in regions)
 
     @property
@@ -200,8 +198,7 @@ class Domain:
         Raises:
             InputError: unknown name.
         """
-        if name not in self.facet_values:
-            raise InputError(unknown("facet tag", name, self.facet_values))
+        require_known("facet tag", name, self.facet_values)
         values = self.facet_values[name]
         return values + self.facet_values.get(f"{name}/{LAYER}", ()) if layer_sides else values
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from forms.base import InputError, is_finite
 from geometry.periods import Periods
-from geometry.refusals import place, refuse, unknown
+from geometry.refusals import place, refuse, require_known
 from geometry.seam import JUNCTIONS, RESERVED, S, Seam
 from geometry.topology import (
     CELL_TYPES,
@@ -112,8 +112,7 @@ class Joint:
     parted: FloatArray | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        if self.cell_type not in CELL_TYPES:
-            raise InputError(unknown("cell type", self.cell_type, CELL_TYPES))
+        require_known("cell type", self.cell_type, CELL_TYPES)
         geometry_degree(self.cell_type, self.cells.shape[1])
         self._check_regions()
         for name, facets in self.facets.items():
@@ -214,8 +213,8 @@ class Joint:
     # ---------------------------------------------------------------- S
     def rows_of(self, name: str) -> IntArray:
         """Rows of `table` of the facets of a seam, or of all seams ("S"), each once, in ascending order."""
-        if name not in self.seams and name != S:
-            raise InputError(unknown("seam", name, self.seams))
+        if name != S:
+            require_known("seam", name, self.seams)
         names = self.seams if name == S else (name,)
         return np.unique(np.concatenate([self.table.index(self.facets[one]) for one in names]))
 

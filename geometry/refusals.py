@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from forms.base import InputError
@@ -12,6 +14,12 @@ from geometry.topology import BoolArray, FloatArray
 def place(x: FloatArray) -> str:
     """Coordinates for a message, short."""
     return f"({', '.join(f'{c:.6g}' for c in x)})"
+
+
+def require_known(kind: str, name: object, known: Collection[str], what: str = "") -> None:
+    """Raise InputError for a name that does not exist; `what` begins the message."""
+    if name not in known:
+        raise InputError((f"{what}: " if what else "") + unknown(kind, name, known))
 
 
 def refuse(bad: BoolArray | np.bool_, x: FloatArray, message: str) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from forms.base import InputError, is_finite
-from geometry.refusals import refuse, unknown
+from geometry.refusals import refuse, require_known
 from geometry.topology import BoolArray, FloatArray, IntArray
 
 S = "S"
@@ -55,8 +55,7 @@ class Seam:
             if not isinstance(side, tuple):
                 raise InputError(f"{name!r}: a side is {side!r}; it must be a tuple of names of regions")
         for region in self.lower + self.upper:
-            if region not in regions:
-                raise InputError(unknown("region", region, regions))
+            require_known("region", region, regions)
         shared = sorted(set(self.upper) & set(self.lower))
         if shared and self.direction is None:
             raise InputError(f"region {shared[0]!r} is on both sides of {name!r}; give the direction upwards")

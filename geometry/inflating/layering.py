@@ -12,7 +12,7 @@ import numpy as np
 from forms.base import InputError, is_finite
 from geometry.inflating.bands import Copies, Posts, level_heights
 from geometry.joint import Joint, Profile
-from geometry.refusals import place, refuse, unknown
+from geometry.refusals import place, refuse, require_known
 from geometry.seam import BASE, LAYER, LOWER_FACE, UPPER_FACE
 from geometry.sheet import continued
 from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, ridge_keys
@@ -39,8 +39,7 @@ def by_seam(joint: Joint, given: Given | Mapping[str, Given], what: str, *defaul
     if not isinstance(given, Mapping):
         return dict.fromkeys(joint.seams, given)
     for name in given:
-        if name not in joint.seams:
-            raise InputError(f"{what}: {unknown('seam', name, joint.seams)}")
+        require_known("seam", name, joint.seams, what)
     missing = [name for name in joint.seams if name not in given]
     if missing and not default:
         raise InputError(f"the seam {missing[0]!r} has no {what}; give {what}={{{missing[0]!r}: ..., ...}}")
@@ -49,8 +48,7 @@ def by_seam(joint: Joint, given: Given | Mapping[str, Given], what: str, *defaul
 
 def check_layering(cells_through: int, bodies: str) -> None:
     """Raise InputError unless cells_through >= 1 and `bodies` is "kept" or "extended"."""
-    if bodies not in WAYS:
-        raise InputError(unknown("way to make room for the layer (bodies=...)", bodies, WAYS))
+    require_known("way to make room for the layer (bodies=...)", bodies, WAYS)
     if not is_finite(cells_through) or int(cells_through) != cells_through or cells_through < 1:
         raise InputError(f"cells_through is {cells_through!r}; the layer needs a whole number >= 1 of cells")
 
@@ -84,8 +82,7 @@ class Layering:
         """From the arguments of `inflate`; raises InputError if they are out of range, or S ends inside the bodies."""
         for what, names in (("junctions", junctions), ("gaps", gaps)):
             for name in names:
-                if name not in joint.seams:
-                    raise InputError(f"{what}: {unknown('seam', name, joint.seams)}")
+                require_known("seam", name, joint.seams, what)
         with_cells = _with_cells(joint, gaps)
         sizes: dict[str, float] = by_seam(joint, eps, "eps")
         shares: dict[str, Sequence[float]] = by_seam(joint, fractions, "fractions", ())

@@ -10,7 +10,7 @@ from typing import Any, Self, TypedDict, get_type_hints
 import numpy as np
 
 from forms.base import InputError, is_finite, is_number
-from geometry.refusals import unknown
+from geometry.refusals import require_known, unknown
 
 CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
 PARTS = {2: 10, 3: 5}  # default number of cells across the thinnest part, by dimension
@@ -113,8 +113,7 @@ class Cells:
             raise InputError(unknown("cell", self.cell, CELLS[dim]))
         if self.degree not in (1, 2) or not is_finite(self.degree):
             raise InputError(f"degree is {self.degree!r}; allowed: 1 (straight cells), 2 (curved cells)")
-        if self.arrangement not in ARRANGEMENTS:
-            raise InputError(unknown("arrangement", self.arrangement, ARRANGEMENTS))
+        require_known("arrangement", self.arrangement, ARRANGEMENTS)
 
     def scaled(self, factor: float) -> Cells:
         """The cells with all sizes times a factor."""

@@ -21,7 +21,7 @@ from geometry.inflating.kept_bodies import kept_motion
 from geometry.inflating.layering import check_layering
 from geometry.inflating.parting import parted
 from geometry.joint import Joint
-from geometry.refusals import unknown
+from geometry.refusals import require_known
 from geometry.seam import S
 from geometry.topology import FloatArray, Splitting
 from thinlayer.discretisation.boundary import require_revolution
@@ -175,8 +175,7 @@ class InterfaceModel(Model):
         Raises:
             InputError: no layer of this name.
         """
-        if name not in self.reductions:
-            raise InputError(unknown("layer", name, self.reductions))
+        require_known("layer", name, self.reductions)
         return self.reductions[name].why_not("ends")
 
     def terms_of(self, one: SeamLayer) -> list[forms.Term]:

@@ -17,7 +17,7 @@ from forms.kinematics import Expr
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place as at_place
-from geometry.refusals import unknown
+from geometry.refusals import require_known
 from geometry.topology import IntArray, sums
 from thinlayer.discretisation.boundary import refuse_periodic
 from thinlayer.discretisation.given import Coordinates, Load
@@ -110,8 +110,7 @@ class LineLoad:
             raise InputError(f"{self.what}: lines are edges of solids; in two dimensions give a PointLoad")
         names = joint.facets
         for name in (self.first, self.second):
-            if name not in names:
-                raise InputError(f"{self.what}: {unknown('facet set', name, names)}")
+            require_known("facet set", name, names, self.what)
             refuse_periodic(joint, name, f"line load on {name!r}")
         if len(np.intersect1d(joint.table.index(names[self.first]), joint.table.index(names[self.second]))):
             raise InputError(f"{self.what}: both have the same facets; a line lies between two sides")
@@ -148,8 +147,7 @@ def _in_one_body(joint: Joint, cells: IntArray, components: IntArray, body: str 
     """The first of the cells around a place that are of one body; raises InputError if the place has several nodes."""
     regions = joint.region[cells]
     if body is not None:
-        if body not in joint.bodies:
-            raise InputError(f"{what}: {unknown('body', body, joint.bodies)}")
+        require_known("body", body, joint.bodies, what)
         kept = np.flatnonzero(regions == joint.regions.index(body))
         if not len(kept):
             around = ", ".join(sorted({joint.regions[r] for r in regions}))

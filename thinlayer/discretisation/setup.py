@@ -15,7 +15,7 @@ from forms.law import BulkLaw, Law, explained
 from forms.planes import PLANES, Kinematics
 from forms.trace import known_at_rest, needs_director, require_stable
 from geometry.joint import Joint
-from geometry.refusals import unknown
+from geometry.refusals import require_known
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import Addition
@@ -134,8 +134,7 @@ class Setup:
 
     def _check_choices(self) -> None:
         joint, elements = self.joint, ELEMENTS[is_tensor(self.joint.cell_type)]
-        if self.plane not in PLANES:
-            raise InputError(unknown("plane", self.plane, PLANES))
+        require_known("plane", self.plane, PLANES)
         if joint.dim == 3 and self.plane != "strain":
             raise InputError(f"plane={self.plane!r} needs a two-dimensional joint")
         require_revolution(self.kinematics, joint)

@@ -16,7 +16,7 @@ from petsc4py import PETSc
 from forms.base import Array, InputError, is_number
 from forms.planes import Kinematics
 from geometry.domain import Domain
-from geometry.refusals import unknown
+from geometry.refusals import require_known
 from geometry.topology import BoolArray, Indices
 from thinlayer.discretisation.boundary import AXES, node_normals, on_axis, on_boundary, smooth
 from thinlayer.discretisation.given import Coordinates, Value
@@ -101,8 +101,7 @@ class Supports:
         for axis, value in components.items():
             if axis == NORMAL and isinstance(place, tuple):
                 raise InputError(f"support on {place!r}: a vertex has no normal; name a facet set, or give components")
-            if axis not in (*self.axes, NORMAL):
-                raise InputError(f"support on {place!r}: {unknown('component', axis, (*self.axes, NORMAL))}")
+            require_known("component", axis, (*self.axes, NORMAL), f"support on {place!r}")
             if isinstance(value, (bool, np.bool_)):
                 raise InputError(f"support on {place!r}: component {axis} is {value!r}; give 0 where it is held")
         return components

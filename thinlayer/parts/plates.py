@@ -13,7 +13,7 @@ from dolfinx import fem
 
 from forms.base import Array, InputError
 from forms.kinematics import Expr
-from geometry.refusals import unknown
+from geometry.refusals import require_known
 from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.boundary import AXES, on_boundary
 from thinlayer.discretisation.constraints import Tied
@@ -138,8 +138,7 @@ class RigidPlate(Addition):
         if not isinstance(self.motion, Mapping):
             raise InputError(f"{self.what}: motion is {self.motion!r}; it must be {{{names[0]!r}: value, ...}}")
         for name in self.motion:
-            if name not in names:
-                raise InputError(f"{self.what}: {unknown('motion', name, names)}")
+            require_known("motion", name, names, self.what)
             if names.index(name) in self._prevented(model):
                 raise InputError(f"{self.what}: a plate of revolution has no motion {name!r}; it moves along the axis")
         if self.about is not None:

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from forms.base import Array, InputError
 from geometry.inflating.parting import faces, points_on_middle
 from geometry.joint import Joint
-from geometry.refusals import place, unknown
+from geometry.refusals import place, require_known
 from geometry.seam import BASE, S
 from geometry.sheet import Rim
 from geometry.topology import FACET_TYPES, BoolArray, IntArray, along, by_place, lagrange, sums
@@ -104,8 +104,8 @@ class SurfaceMesh:
         if not isinstance(model, Model):
             hint = ": give the state's model" if isinstance(model, State) else ""
             raise InputError(f"Surface needs a model, not {model!r:.80}{hint}")
-        if seam not in (S, *model.joint.seams):
-            raise InputError(unknown("seam", seam, model.joint.seams))
+        if seam != S:
+            require_known("seam", seam, model.joint.seams)
         self.model, self.seam = model, seam
         self.joint: Joint = self.model.domain.joint if self.model.broken else model.joint
         joint = self.joint
