@@ -29,6 +29,12 @@ class InputError(ThinlayerError, ValueError):
     key = ""
 
 
+def require(good: object, what: str, value: object, wanted: str) -> None:
+    """Raise InputError that says what a value is, and what is wanted, unless it is good."""
+    if not good:
+        raise InputError(f"{what} is {value!r}; {wanted}")
+
+
 def unknown(kind: str, name: object, known: Iterable[str]) -> str:
     """Message for a name that does not exist: the nearest known one and the whole list."""
     known = sorted(known)

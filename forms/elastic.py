@@ -11,7 +11,7 @@ import numpy as np
 import ufl
 from scipy.spatial.transform import Rotation
 
-from forms.base import Array, InputError, is_number
+from forms.base import Array, InputError, is_number, require
 from forms.ends.constants import free_end
 from forms.ends.weights import EndWeights, Strips
 from forms.kinematics import MANDEL, ROOT2, Expr, layer_frame
@@ -93,10 +93,8 @@ class LinearElastic(LinearLaw):
         if callable(E) or callable(nu):
             given = field_of(E), field_of(nu)
             return cls(Field(_lmbda_of_young, given), Field(_mu_of_young, given))  # type: ignore[arg-type]
-        if not (is_number(E) and math.isfinite(E) and E > 0):
-            raise InputError(f"LinearElastic: E is {E!r}; allowed: > 0")
-        if not (is_number(nu) and -1 < nu < 0.5):
-            raise InputError(f"LinearElastic: nu is {nu!r}; allowed: -1 < nu < 0.5")
+        require(is_number(E) and math.isfinite(E) and E > 0, "LinearElastic: E", E, "allowed: > 0")
+        require(is_number(nu) and -1 < nu < 0.5, "LinearElastic: nu", nu, "allowed: -1 < nu < 0.5")
         return cls(E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu)))
 
     @classmethod
@@ -107,8 +105,7 @@ class LinearElastic(LinearLaw):
         """
         if callable(mu) or callable(nu):
             return cls.young(2 * field_of(mu) * (1 + field_of(nu)), nu)
-        if not (is_number(mu) and is_number(nu)):
-            raise InputError(f"LinearElastic: mu is {mu!r}, nu is {nu!r}; allowed: numbers")
+        require(is_number(mu) and is_number(nu), f"LinearElastic: mu is {mu!r}, nu", nu, "allowed: numbers")
         return cls.young(2 * mu * (1 + nu), nu)
 
     def stress(self, step: Step) -> Expr:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import ufl
 
-from forms.base import InputError, is_number
+from forms.base import is_number, require
 from forms.declarations import warn_of_range
 from forms.elastic import LinearElastic, isotropic_stiffness, lame, require_moduli
 from forms.kernel import KernelLaw
@@ -90,8 +90,7 @@ class Plastic(BulkLaw):
 
     def eased(self, ease: float) -> Plastic:
         """The law with an elastic fraction between its own (ease = 0) and that of an elastic layer (1)."""
-        if not (is_number(ease) and 0 <= ease <= 1):
-            raise InputError(f"{type(self).__name__}: ease is {ease!r}; allowed: 0 to 1")
+        require(is_number(ease) and 0 <= ease <= 1, f"{type(self).__name__}: ease", ease, "allowed: 0 to 1")
         h = self.elastic_fraction
         if is_field(h):
             share = LEAST_FRACTION ** (1 - ease) if ease else 0.0
@@ -298,8 +297,7 @@ class VonMises(KernelLaw):
 
     def eased(self, ease: float) -> VonMises:
         """The law with kinematic hardening between its own (ease = 0) and that of an almost elastic material (1)."""
-        if not (is_number(ease) and 0 <= ease <= 1):
-            raise InputError(f"{type(self).__name__}: ease is {ease!r}; allowed: 0 to 1")
+        require(is_number(ease) and 0 <= ease <= 1, f"{type(self).__name__}: ease", ease, "allowed: 0 to 1")
         if not ease:
             return self
         share = min(LEAST_FRACTION ** (1 - ease), MOST_FRACTION)

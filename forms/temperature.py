@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, require
 from forms.parameter_fields import place_of
 
 OfTemperature = Callable[[Any], Any]  # (n,) temperatures -> (n,) values, numpy
@@ -39,8 +39,7 @@ class Tabulated:
 
     def __call__(self, T: Any) -> Array:
         """Values (n,) at temperatures (n,)."""
-        if np.asarray(T).dtype.kind not in "iuf":
-            raise InputError(f"T is {T!r}; a table is a function of temperatures, numbers")
+        require(np.asarray(T).dtype.kind in "iuf", "T", T, "a table is a function of temperatures, numbers")
         T, rows = np.asarray(T, float), np.array(self.values)
         outside = np.logical_not((rows[0, 0] <= T) & (rows[-1, 0] >= T))
         if outside.any():

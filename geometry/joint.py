@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from forms.base import InputError, is_finite
+from forms.base import InputError, is_finite, require
 from geometry.periods import Periods
 from geometry.refusals import place, refuse, require_known
 from geometry.seam import JUNCTIONS, RESERVED, S, Seam
@@ -373,8 +373,7 @@ class Joint:
 
     def rotated(self, angle: float) -> Joint:
         """The joint turned by an angle (radian, counter-clockwise; in 3D about the third axis)."""
-        if not is_finite(angle):
-            raise InputError(f"angle is {angle!r}; it must be a number, in radians")
+        require(is_finite(angle), "angle", angle, "it must be a number, in radians")
         turn = np.eye(self.dim)
         turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
         seams = {name: seam.turned(turn) for name, seam in self.seams.items()}

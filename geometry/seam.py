@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from forms.base import InputError, is_finite
+from forms.base import InputError, is_finite, require
 from geometry.refusals import refuse, require_known
 from geometry.topology import BoolArray, FloatArray, IntArray
 
@@ -52,8 +52,7 @@ class Seam:
     def check(self, name: str, regions: Sequence[str], dim: int) -> None:
         """Raise InputError unless the seam of this name can tell its upper side in a mesh of these regions."""
         for side in (self.lower, self.upper):
-            if not isinstance(side, tuple):
-                raise InputError(f"{name!r}: a side is {side!r}; it must be a tuple of names of regions")
+            require(isinstance(side, tuple), f"{name!r}: a side", side, "it must be a tuple of names of regions")
         for region in self.lower + self.upper:
             require_known("region", region, regions)
         shared = sorted(set(self.upper) & set(self.lower))

@@ -11,7 +11,7 @@ import dolfinx
 import numpy as np
 from mpi4py import MPI
 
-from forms.base import InputError
+from forms.base import InputError, require
 from geometry.domain import cell_nodes, vertices_of_facets
 from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
 from geometry.joint import Joint
@@ -85,8 +85,7 @@ class _Part(NamedTuple):
     @classmethod
     def of(cls, mesh: Any, cell_tags: Any, facet_tags: Any, comm: MPI.Intracomm) -> _Part:
         """The part of this rank; raises InputError if a joint cannot be made of it."""
-        if not isinstance(mesh, dolfinx.mesh.Mesh):
-            raise InputError(f"mesh is {mesh!r}; give a dolfinx.mesh.Mesh")
+        require(isinstance(mesh, dolfinx.mesh.Mesh), "mesh", mesh, "give a dolfinx.mesh.Mesh")
         if MPI.Comm.Compare(comm, mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
             remedy = "give comm the communicator that the mesh was made with"
             raise InputError(f"the mesh is distributed on {mesh.comm.size} ranks, comm has {comm.size}; {remedy}")
@@ -112,8 +111,7 @@ def _tags(mesh: dolfinx.mesh.Mesh, tags: Any, dim: int, what: str) -> tuple[Indi
     """Local entities with a tag, and their tags; both empty without tags."""
     if tags is None:
         return np.empty(0, np.int32), np.empty(0, np.int64)
-    if not isinstance(tags, dolfinx.mesh.MeshTags):
-        raise InputError(f"{what} is {tags!r}; give dolfinx.mesh.MeshTags")
+    require(isinstance(tags, dolfinx.mesh.MeshTags), what, tags, "give dolfinx.mesh.MeshTags")
     if tags.dim != dim:
         raise InputError(f"{what} are of entities of dimension {tags.dim}; those of this mesh have dimension {dim}")
     if tags.topology is not mesh.topology and tags.topology is not mesh.topology._cpp_object:

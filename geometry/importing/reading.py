@@ -17,7 +17,7 @@ import dolfinx
 import numpy as np
 from mpi4py import MPI
 
-from forms.base import InputError, is_finite
+from forms.base import InputError, is_finite, require
 from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
 from geometry.joint import Joint
 from geometry.parallel import on_root
@@ -64,8 +64,7 @@ def read(path: str | Path, *, scale: float = 1.0, comm: MPI.Intracomm | None = N
             of one that is not allowed; a surface in 3D; duplicate nodes or cells; flat or folded cells; S does not fit
             `Joint`.
     """
-    if not isinstance(path, (str, Path)):
-        raise InputError(f"path is {path!r}; it must be the name of a file")
+    require(isinstance(path, (str, Path)), "path", path, "it must be the name of a file")
     chosen = Sides.of(**sides)
     if not is_finite(scale) or scale <= 0:
         raise InputError(f"scale is {scale!r}; it must be a number > 0")

@@ -9,7 +9,7 @@ from typing import Any, Self, TypedDict, get_type_hints
 
 import numpy as np
 
-from forms.base import InputError, is_finite, is_number
+from forms.base import InputError, is_finite, is_number, require
 from geometry.refusals import require_known, unknown
 
 CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
@@ -95,8 +95,7 @@ class Cells:
         """Raise InputError if a length of the shape is not > 0 or the cells do not suit its size or dimension."""
         given = {**lengths, "h": self.h, "h_S": self.h_S, "h_ends": self.h_ends}
         for what, value in given.items():
-            if value is not None and not is_number(value):
-                raise InputError(f"{what} is {value!r}; it must be a number")
+            require(value is None or is_number(value), what, value, "it must be a number")
         for what, value in lengths.items():
             if not np.isfinite(value) or value <= 0:
                 raise InputError(f"{what} is {value}; it must be > 0")

@@ -12,7 +12,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from forms.base import Array, InputError, is_number
+from forms.base import Array, InputError, is_number, require
 from forms.contact import ContactLaw
 from forms.kinematics import Expr
 from forms.law import BulkLaw, Law
@@ -94,8 +94,7 @@ class ThinLayer:
             self.law.stations()  # raises errors of laws without one of order 1
         if self.profile is not None and not callable(self.profile):
             raise InputError(f"the thickness profile is {self.profile!r}; it must be a function of coordinates")
-        if self.edges not in EDGES:
-            raise InputError(f"edges is {self.edges!r}; allowed: {', '.join(map(repr, EDGES))}")
+        require(self.edges in EDGES, "edges", self.edges, f"allowed: {', '.join(map(repr, EDGES))}")
         if self.edges == "free" and self.order != 1:
             raise InputError("edges='free' corrects the interface law of order 1; use order=1")
 
@@ -144,8 +143,7 @@ Layers = Layer | Bond | Mapping[str, OnSeam]
 
 
 def _check_thickness(what: str, eps: Any) -> None:
-    if not (is_number(eps) and math.isfinite(eps) and eps > 0):
-        raise InputError(f"the {what} is {eps!r}; allowed: > 0")
+    require(is_number(eps) and math.isfinite(eps) and eps > 0, f"the {what}", eps, "allowed: > 0")
 
 
 def on_seams(joint: Joint, given: Any) -> dict[str, Any]:

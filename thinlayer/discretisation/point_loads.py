@@ -12,7 +12,7 @@ import basix.ufl
 import numpy as np
 import ufl
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, require
 from forms.kinematics import Expr
 from geometry.domain import Domain
 from geometry.joint import Joint
@@ -167,11 +167,9 @@ Concentrated = PointLoad | LineLoad
 
 def check_loads(loads: Any) -> tuple[Concentrated, ...]:
     """Loads as a tuple; raises InputError if one of them is none."""
-    if isinstance(loads, Concentrated):
-        raise InputError(f"loads is {loads!r}; it must be a list of loads")
+    require(not isinstance(loads, Concentrated), "loads", loads, "it must be a list of loads")
     for one in loads:
-        if not isinstance(one, Concentrated):
-            raise InputError(f"one of loads is {one!r}; allowed: PointLoad, LineLoad")
+        require(isinstance(one, Concentrated), "one of loads", one, "allowed: PointLoad, LineLoad")
     return tuple(loads)
 
 

@@ -13,7 +13,7 @@ from dolfinx import fem, la
 from dolfinx.mesh import entities_to_geometry
 from petsc4py import PETSc
 
-from forms.base import Array, InputError, is_number
+from forms.base import Array, InputError, is_number, require
 from forms.planes import Kinematics
 from geometry.domain import Domain
 from geometry.refusals import require_known
@@ -60,8 +60,7 @@ class Supports:
     def __init__(
         self, domain: Domain, given: ByPlace, at: Coordinates, clamped: Sequence[str], kinematics: Kinematics
     ) -> None:
-        if not isinstance(given, Mapping):
-            raise InputError(f"supports is {given!r}; it must be {{place: {{component: value}}}}")
+        require(isinstance(given, Mapping), "supports", given, "it must be {place: {component: value}}")
         self.domain, self.at, self.clamped = domain, at, tuple(clamped)
         self.axes = AXES[: domain.joint.dim]
         entries: list[tuple[Place, Components]] = []

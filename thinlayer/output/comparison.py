@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from forms.base import Array, InputError, is_number
+from forms.base import Array, InputError, is_number, require
 from geometry.parallel import on_root
 from geometry.seam import S
 from thinlayer.discretisation.full_model import FullModel
@@ -57,8 +57,7 @@ def compare(
     for one in (full, interface):
         if not isinstance(one, (State, History)):
             raise InputError(f"compare takes states or histories, as solve and march return them, not {one!r}")
-    if at is not None and not (is_number(at) and math.isfinite(at)):
-        raise InputError(f"compare: at is {at!r}; give a time, a finite number")
+    require(at is None or (is_number(at) and math.isfinite(at)), "compare: at", at, "give a time, a finite number")
     full, interface = (_state(one, at) for one in (full, interface))
     meshed, limit = full.model, interface.model
     if not (isinstance(meshed, FullModel) and isinstance(limit, InterfaceModel)):

@@ -9,7 +9,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from forms.base import InputError
+from forms.base import InputError, require
 from geometry.parallel import on_root, within, world
 from thinlayer.errors import SolveError
 from thinlayer.output.row_file import GENERATOR, RowFile, checked, make_room, require_csv
@@ -67,8 +67,7 @@ def ensemble(
     """
     with on_all(None):
         comm = world()
-        if not callable(make):
-            raise InputError(f"make is {make!r}; it must be a function that returns a function of a case")
+        require(callable(make), "make", make, "it must be a function that returns a function of a case")
         require_csv(out, resume)
         known = _known(cases)
         ranks = comm.size if ranks is None else ranks

@@ -7,7 +7,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
-from forms.base import InputError
+from forms.base import InputError, require
 from thinlayer.system.folder import moved_away, read_sealed, write_sealed
 from thinlayer.system.identity import (
     CODE,
@@ -84,8 +84,7 @@ class RowFile:
 def require_csv(out: Any, resume: Any) -> None:
     """Raise InputError unless `out` may be the name of a csv file, or None, and `resume` a choice."""
     require_resume(resume)
-    if not (out is None or isinstance(out, (str, Path))):
-        raise InputError(f"out is {out!r}; it must be the name of a csv file, or None")
+    require(out is None or isinstance(out, (str, Path)), "out", out, "it must be the name of a csv file, or None")
     if out is not None and Path(out).is_dir():
         raise InputError(f"out: {str(out)!r} is a folder; give the name of a csv file")
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import ufl
 
-from forms.base import Array, InputError, is_number
+from forms.base import Array, InputError, is_number, require
 from forms.kinematics import layer_frame, tensors
 from forms.law import Law
 from forms.temperature import finite
@@ -107,8 +107,7 @@ def drive(
     lengths = _lengths(1.0 if no_time else dt, len(path))
     if not path:
         raise InputError("a path needs at least one step")
-    if not (is_number(theta) and 0.5 <= theta <= 1):
-        raise InputError(f"theta is {theta!r}; allowed: 0.5 to 1")
+    require(is_number(theta) and 0.5 <= theta <= 1, "theta", theta, "allowed: 0.5 to 1")
     if law.traits.switches and theta != 1:
         raise InputError(f"theta is {theta}; {type(law).__name__} holds at the ends of steps: theta = 1")
     if law.traits.rate and (lengths == 0).any():
@@ -151,13 +150,11 @@ def _read(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]:
     """(d,) whether each component of a step has a prescribed jump, and (d,) the prescribed values."""
     names = COMPONENTS[d]
     allowed = ", ".join(f"w_{c} or t_{c}" for c in names)
-    if not isinstance(step, Mapping):
-        raise InputError(f"step {k + 1} is {step!r}; it must be a dictionary with {allowed}")
+    require(isinstance(step, Mapping), f"step {k + 1}", step, f"it must be a dictionary with {allowed}")
     for name, value in step.items():
         if name not in [f"{kind}_{c}" for kind in "wt" for c in names]:
             raise InputError(f"step {k + 1} has {name!r}; allowed in {d}D: {allowed}")
-        if not (is_number(value) and math.isfinite(value)):
-            raise InputError(f"step {k + 1}: {name} is {value!r}; it must be a finite number")
+        require(is_number(value) and math.isfinite(value), f"step {k + 1}: {name}", value, "it must be a finite number")
     for c in names:
         if (f"w_{c}" in step) == (f"t_{c}" in step):
             given = "both" if f"w_{c}" in step else "neither"

@@ -12,7 +12,7 @@ from typing import Any
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms.base import InputError, is_number
+from forms.base import InputError, is_number, require
 from geometry.parallel import world
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State, displacements_of
@@ -69,8 +69,7 @@ def solve(
     """
     with Solver(model, options=options, method=method, like=like) as solver:
         with on_all(model.comm):
-            if not is_number(t) or not math.isfinite(t):
-                raise InputError(f"t is {t!r}; it must be a finite number")
+            require(is_number(t) and math.isfinite(t), "t", t, "it must be a finite number")
         require_same(model.comm, t=t)
         late = "{} depends on rates: no equilibrium without time; use march(model, times)"
         solver.equations.refuse({"softens": f"solve: {SOFTENS}", "rate": late})
@@ -132,16 +131,14 @@ class Solver(AbstractContextManager["Solver"]):
         self, model: Model, *, options: Options | None = None, method: str | None = None, like: State | None = None
     ) -> None:
         with on_all(comm_of(model)):
-            if not isinstance(model, Model):
-                raise InputError(f"model is {model!r}; give what Structure.full or Structure.interface returns")
+            require(isinstance(model, Model), "model", model, "give what Structure.full or Structure.interface returns")
             ours = default_method(model) if model.contact else "linear" if model.linear else "newton"
             self.model, self.method = model, ours if method is None else method
             self._check()
             if like is not None:
                 _check_like(model, like)
             named = options is None or (isinstance(options, Mapping) and all(isinstance(name, str) for name in options))
-            if not named:
-                raise InputError(f"options is {options!r}; it must be {{name without prefix: value}}")
+            require(named, "options", options, "it must be {name without prefix: value}")
         self._given, self._like = dict(options or {}), like
         marks = {"models": model.mark, "like": like and [like.model.mark, like.t]}
         require_same(model.comm, **marks, options=self._given, method=self.method)

@@ -13,7 +13,7 @@ import scipy.sparse.linalg
 from dolfinx import fem
 from scipy.spatial import cKDTree
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, require
 from geometry.inflating.parting import faces, points_on_middle
 from geometry.joint import Joint
 from geometry.refusals import place, require_known
@@ -158,8 +158,7 @@ class SurfaceMesh:
         Raises:
             InputError: no side; a rigid base, which has no cells below.
         """
-        if side not in SIDES:
-            raise InputError(f"side is {side!r}; allowed: lower, upper")
+        require(side in SIDES, "side", side, "allowed: lower, upper")
         count, on_s, wanted = len(self.joint.cells) + 1, [], np.empty(0, np.int64)
         for name, nodes, cells in zip(SIDES, self.faces, self.cells.T, strict=True):
             at = Located.of(self.kind, nodes, located.x)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from forms.base import Array, InputError, is_number
+from forms.base import Array, InputError, is_number, require
 from thinlayer.discretisation.layer import BODIES
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
@@ -120,8 +120,7 @@ class History:
 
     def at(self, t: float) -> State:
         """The state at a time, the last of several. InputError: no step ended there, or its state was not kept."""
-        if not is_number(t) or not math.isfinite(t):
-            raise InputError(f"t is {t!r}; it must be a finite number")
+        require(is_number(t) and math.isfinite(t), "t", t, "it must be a finite number")
         near = SAME_TIME * max(abs(t), float(np.ptp(self.t)))
         rows = [row for row in self.states if abs(self.states[row].t - t) <= near]
         if not rows:

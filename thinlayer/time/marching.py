@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from forms.base import InputError
+from forms.base import InputError, require
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError, warn
@@ -222,30 +222,25 @@ def _require_path(equations: Equations, plan: Plan, theta: float, method: str | 
 
 
 def _number(name: str, value: Any) -> float:
-    if np.ndim(value) or np.asarray(value).dtype.kind not in "iuf":
-        raise InputError(f"{name} is {value!r}; it must be a number")
+    require(not np.ndim(value) and np.asarray(value).dtype.kind in "iuf", name, value, "it must be a number")
     return float(value)
 
 
 def _check(model: Any, theta: float, keep: str, out: Any, resume: Resume, observe: Any) -> None:
-    if not isinstance(model, Model):
-        raise InputError(f"model is {model!r}; march takes what Structure.full or Structure.interface returns")
+    require(isinstance(model, Model), "model", model, "march takes what Structure.full or Structure.interface returns")
     if observe is not None and not isinstance(observe, Mapping):
         raise InputError(f"observe is {observe!r}; it must be {{name of a column: function of a state}}")
     for name, function in (observe or {}).items():
-        if not isinstance(name, str) or not callable(function):
-            raise InputError(f"observe[{name!r}] is {function!r}; {OBSERVING}")
+        require(isinstance(name, str) and callable(function), f"observe[{name!r}]", function, OBSERVING)
         if name in columns(model):
             raise InputError(f"observe: column {name!r} is there already; give it another name")
     if not 0.5 <= theta <= 1:
         raise InputError(f"theta is {theta}; allowed: 1/2 (midpoint rule) to 1 (backward Euler)")
-    if keep not in ("all", "last"):
-        raise InputError(f"keep is {keep!r}; allowed: 'all', 'last'")
+    require(keep in ("all", "last"), "keep", keep, "allowed: 'all', 'last'")
     require_resume(resume)
     if resume and out is None:
         raise InputError(f"resume={resume!r} needs out=, the folder of the march")
-    if out is not None and (not isinstance(out, (str, Path)) or not str(out)):
-        raise InputError(f"out is {out!r}; it must be the name of a folder")
+    require(out is None or (isinstance(out, (str, Path)) and str(out)), "out", out, "it must be the name of a folder")
 
 
 # ---------------------------------------------------------------- what planned steps leave undetermined

@@ -9,7 +9,7 @@ from numbers import Integral
 
 import numpy as np
 
-from forms.base import Array, InputError, is_finite, is_number
+from forms.base import Array, InputError, is_finite, is_number, require
 from forms.temperature import real
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.equations import Equations
@@ -92,8 +92,7 @@ class Plan:
     def of(cls, times: Sequence[float] | Adaptive, start: float, breaks: set[float]) -> Plan:
         """The plan for `times`; steps must also end at `breaks` between them."""
         adaptive = times if isinstance(times, Adaptive) else None
-        if isinstance(times, str):
-            raise InputError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)")
+        require(not isinstance(times, str), "times", times, "it must be a sequence of numbers or Adaptive(...)")
         try:
             given = real([*(adaptive.targets if adaptive else times)])  # type: ignore[misc]
             if given.ndim != 1:
@@ -247,8 +246,7 @@ def require_choices(theta: float, method: str | None) -> None:
     """Raise InputError unless a path is followed by Newton's method, with forces that balance at t itself."""
     if theta != 1:
         raise InputError(f"theta is {theta}; forces on a path balance at t itself: theta = 1")
-    if method not in (None, "newton"):
-        raise InputError(f"method is {method!r}; a path is followed by Newton's method")
+    require(method in (None, "newton"), "method", method, "a path is followed by Newton's method")
 
 
 def require_path(equations: Equations) -> None:
