@@ -32,7 +32,7 @@ class InputError(ThinlayerError, ValueError):
 def require(good: object, what: str, value: object, wanted: str) -> None:
     """Raise InputError that says what a value is, and what is wanted, unless it is good."""
     if not good:
-        raise InputError(f"{what} is {value!r}; {wanted}")
+        raise InputError(f"{what} is {value!r:.200}; {wanted}")
 
 
 def unknown(kind: str, name: object, known: Iterable[str]) -> str:

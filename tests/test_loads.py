@@ -263,7 +263,7 @@ def test_places_are_names_or_points():
         InputError, match=r"traction on \(1\.0, 0\.5\): a place is the name of a facet set.*BOTTOM, LEFT, RIGHT, TOP"
     ):
         model(tractions={(1.0, 0.5): (1.0, 0.0)})
-    refused(InputError, r"tractions is .*must be \{facet name: traction\}", lambda: model(tractions=[(1.0, 0.0)]))
+    refused(InputError, r"tractions is .*give \{name: traction\}", lambda: model(tractions=[(1.0, 0.0)]))
     for place in (5, None, (1.0,), (1.0, "a"), (True, 0.0)):
         with pytest.raises(InputError, match="a place is a facet set's name, or 2 coordinates of a vertex"):
             model(supports=SIDES | {place: 0.0})

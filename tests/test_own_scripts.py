@@ -483,7 +483,7 @@ def test_refused_parts():
         ([PressurePart(V, term, 1.0)], "'pressure' has unknowns of its own"),
         ([springs, springs], "two parts are called 'springs'"),
         ([FormPart("forms", blocks.u)], "two parts are called 'forms'"),
-        ([Springs("TOP", normal=1.0)], "allowed: objects that derive from"),
+        ([Springs("TOP", normal=1.0)], "allowed: what derives from"),
     ]:
         refused(InputError, message, StepProblem, rest, blocks.u, blocks.bcs, [], parts)
     refused(InputError, "contact laws act at vertices", lambda: blocks.broken.contact_surface(LAYER, V))

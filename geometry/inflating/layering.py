@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from forms.base import InputError, is_finite
+from forms.base import InputError, is_finite, require
 from geometry.inflating.bands import Copies, Posts, level_heights
 from geometry.joint import Joint, Profile
 from geometry.refusals import place, refuse, require_known
@@ -90,8 +90,7 @@ class Layering:
         whole = joint.size
         for name, size in sizes.items():
             which, some = "" if len(joint.seams) == 1 else f" of {name!r}", shares[name]
-            if not is_finite(size) or size <= 0:
-                raise InputError(f"the layer's thickness eps{which} is {size!r}; it must be > 0")
+            require(is_finite(size) and size > 0, f"the layer's thickness eps{which}", size, "it must be > 0")
             if size < THINNEST * whole:
                 tiny = f"which coordinates do not resolve beside bodies of {whole:.3g}; use the interface model"
                 raise InputError(f"the layer's thickness eps{which} is {size:.3g}, {tiny}")

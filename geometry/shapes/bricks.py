@@ -8,7 +8,7 @@ from math import ceil
 
 import numpy as np
 
-from forms.base import InputError, is_finite
+from forms.base import InputError, is_finite, require
 from geometry.joint import Joint
 from geometry.seam import Seam
 from geometry.shapes.sizing import DIGITS, Cells
@@ -31,8 +31,7 @@ def running_bond(cells: Cells, size: Sequence[float], bricks: int, courses: int)
     """
     half, height, *others = _counts(cells, size, 1)
     for what, number in (("bricks", bricks), ("courses", courses)):
-        if not is_finite(number) or number != int(number) or number < 1:
-            raise InputError(f"{what} is {number!r}; it must be a whole number >= 1")
+        require(is_finite(number) and number == int(number) and number >= 1, what, number, "give a whole number >= 1")
     if bricks * courses == 1:
         raise InputError("one brick is no wall: there is no joint in it")
     lengths = [size[0] * bricks, size[1] * courses, *size[2:]]

@@ -11,7 +11,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, require
 from forms.kinematics import Expr
 from geometry.topology import Indices
 from thinlayer.discretisation.boundary import AXES
@@ -147,8 +147,7 @@ def check_additions(parts: Sequence[Any], model: Host) -> None:
     of_bodies = {f"{BODY} {name}" for name in model.joint.bodies}
     keys, sublayer = {*TAKEN, *of_seams, *of_bodies}, re.compile(rf"{LAYER} \d+")
     for part in parts:
-        if not isinstance(part, Addition):
-            raise InputError(f"one of parts is {part!r}; allowed: Springs, UflPart, or a dataclass that is an Addition")
+        require(isinstance(part, Addition), "one of parts", part, "allowed: Springs, UflPart, or an Addition")
         if not part.ties_nodes and type(part).part is Addition.part:
             raise InputError(f"the addition {part.key!r} does nothing: it has neither part(model) nor tied(model)")
         if part.key in keys or part.key.split("/")[0] in {LAYER, *of_seams} or sublayer.fullmatch(part.key):

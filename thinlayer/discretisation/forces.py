@@ -12,7 +12,7 @@ import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
-from forms.base import InputError
+from forms.base import InputError, require
 from forms.kinematics import Expr
 from forms.planes import Kinematics
 from geometry.domain import Domain
@@ -85,8 +85,7 @@ class Forces:
         self._form: tuple[fem.FunctionSpace, fem.Form] | None = None  # of the work in a space
         ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
         dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
-        if tractions is not None and not isinstance(tractions, Mapping):
-            raise InputError(f"tractions is {tractions!r}; it must be {{facet name: traction}}")
+        require(tractions is None or isinstance(tractions, Mapping), "tractions", tractions, "give {name: traction}")
         tractions = tractions or {}
         for name in sorted(tractions, key=str):  # in the same order on all ranks
             load = tractions[name]

@@ -82,8 +82,7 @@ class ThinLayer:
         if isinstance(self.law, LawOnS):
             kind = type(self.law).__name__
             raise InputError(f"{kind} is a law on S without a thickness: give it alone, structure.interface(law)")
-        if not isinstance(self.law, BulkLaw):
-            raise InputError(f"the layer's law is {self.law!r}; it must be a law of strains, as forms.LinearElastic")
+        require(isinstance(self.law, BulkLaw), "the layer's law", self.law, "give a law of strains, as LinearElastic")
         object.__setattr__(self, "law", folded(self.law))
         _check_thickness("layer's thickness eps", self.eps)
         if self.at is not None:
@@ -92,8 +91,7 @@ class ThinLayer:
             raise InputError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
         if self.order == 1:
             self.law.stations()  # raises errors of laws without one of order 1
-        if self.profile is not None and not callable(self.profile):
-            raise InputError(f"the thickness profile is {self.profile!r}; it must be a function of coordinates")
+        require(self.profile is None or callable(self.profile), "the profile", self.profile, "give a function of x")
         require(self.edges in EDGES, "edges", self.edges, f"allowed: {', '.join(map(repr, EDGES))}")
         if self.edges == "free" and self.order != 1:
             raise InputError("edges='free' corrects the interface law of order 1; use order=1")

@@ -16,7 +16,7 @@ from ufl.algorithms import estimate_total_polynomial_degree
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, require
 from forms.kinematics import Expr
 from forms.law import BulkLaw
 from forms.work import Term
@@ -60,8 +60,7 @@ def whole(form: Any, model: Any, what: str = "a form") -> ufl.Form:
         InputError: no form, or one that depends on the time; numbers that are not finite or not real; a tag that no cell
             or facet has. Collective.
     """
-    if not isinstance(form, ufl.Form):
-        raise InputError(f"{what} is {form!r:.80}; it must be a UFL form, such as f * model.dx")
+    require(isinstance(form, ufl.Form), what, form, "it must be a UFL form, such as f * model.dx")
     if readings(form):
         raise InputError(f"{what} depends on the time; only loads and supports may")
     constants = [constant.value for constant in form.constants()]

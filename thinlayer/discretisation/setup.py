@@ -9,7 +9,7 @@ from typing import Any, Self
 
 from mpi4py import MPI
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, require
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw, Law, explained
 from forms.planes import PLANES, Kinematics
@@ -67,16 +67,13 @@ class Setup:
         eigenstrain: Eigenstrains | None = None,
         comm: MPI.Intracomm | None = None,
     ) -> None:
-        if not (comm is None or isinstance(comm, MPI.Intracomm)):
-            raise InputError(f"comm is {comm!r}; it must be an MPI communicator, or None")
+        require(comm is None or isinstance(comm, MPI.Intracomm), "comm", comm, "give an MPI communicator, or None")
         self.joint, self.plane, self.comm = joint, plane, comm
         self.supports, self.tractions, self.body_force = supports, tractions, body_force
         self.strain, self.stress = strain, stress
         with on_all(comm):
-            if not isinstance(joint, Joint):
-                raise InputError(f"joint is {joint!r:.80}; it must be a Joint, such as geometry.sandwich gives")
-            if not isinstance(parts, Sequence):
-                raise InputError(f"parts is {parts!r:.80}; it must be a list of parts")
+            require(isinstance(joint, Joint), "joint", joint, "it must be a Joint, such as geometry.sandwich gives")
+            require(isinstance(parts, Sequence), "parts", parts, "it must be a list of parts")
             self.parts = tuple(parts)
             self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
             self.loads = check_loads(loads)

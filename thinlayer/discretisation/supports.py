@@ -93,8 +93,7 @@ class Supports:
             raise InputError(f"support on {place!r}; a place is a facet set's name, or {d} coordinates of a vertex")
 
     def _components(self, place: Place, support: Support) -> Components:
-        if callable(support) or support is None:
-            raise InputError(f"support on {place!r} is {support!r}; give a number, {{component: number or function}}")
+        require(not callable(support) and support is not None, f"support on {place!r}", support, "give {axis: value}")
         given = support if isinstance(support, Mapping) else dict.fromkeys(self.axes, support)
         components: Components = dict(given)
         for axis, value in components.items():

@@ -104,8 +104,7 @@ def checked(row: Any, what: str, taken: Collection[str]) -> Row:
     Raises:
         InputError: the row, which is `what`, has a column that is taken, or entries that are neither numbers nor texts.
     """
-    if not isinstance(row, Mapping):
-        raise InputError(f"{what} is {row!r:.80}; it needs a mapping of names to numbers or texts")
+    require(isinstance(row, Mapping), what, row, "it needs a mapping of names to numbers or texts")
     found: Row = {}
     for name, value in row.items():
         if not isinstance(name, str) or name in taken:

@@ -228,8 +228,7 @@ def _number(name: str, value: Any) -> float:
 
 def _check(model: Any, theta: float, keep: str, out: Any, resume: Resume, observe: Any) -> None:
     require(isinstance(model, Model), "model", model, "march takes what Structure.full or Structure.interface returns")
-    if observe is not None and not isinstance(observe, Mapping):
-        raise InputError(f"observe is {observe!r}; it must be {{name of a column: function of a state}}")
+    require(observe is None or isinstance(observe, Mapping), "observe", observe, "give {name of a column: function}")
     for name, function in (observe or {}).items():
         require(isinstance(name, str) and callable(function), f"observe[{name!r}]", function, OBSERVING)
         if name in columns(model):

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from forms.base import InputError
+from forms.base import InputError, require
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import PINNED, Contact
 from thinlayer.output.plotting.curves import COLOURS, logarithmic
@@ -55,8 +55,7 @@ def along(
     Raises:
         InputError: no surface, no state or field; errors of `Surface.along`. OSError: the picture could not be written.
     """
-    if not isinstance(surface, Surface):
-        raise InputError(f"along: surface is {surface!r:.80}; give Surface(limit.model)")
+    require(isinstance(surface, Surface), "along: surface", surface, "give Surface(limit.model)")
     units = [f" ({unit})" if unit else "" for unit in (stress, length)]
     rows = [_Row(surface, label, cases, plane) for label, cases in _rows(surface, fields, *units).items()]
     seams, curve = list(dict.fromkeys(surface.seams.tolist())), PANEL[1] if len(rows) < 3 else LOW

@@ -11,7 +11,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, require
 from forms.temperature import real
 from thinlayer.output.plotting.picture import Picture, finish
 from thinlayer.system.table import Table
@@ -51,8 +51,7 @@ def rates(
     if not tables:
         raise InputError("rates: there is no table to draw")
     for case, one in tables.items():
-        if not isinstance(one, (Table, str, Path)):
-            raise InputError(f"rates: {case or 'table'} is {one!r}; give what sweep returns, or the name of its file")
+        require(isinstance(one, (Table, str, Path)), f"rates: {case or 'table'}", one, "give what sweep returns")
     data = {case: one if isinstance(one, Table) else Table.load(one) for case, one in tables.items()}
     for case, one in data.items():
         if lacking := [name for name in ("eps", *errors.values()) if name not in one.columns]:

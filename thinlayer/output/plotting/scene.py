@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, require
 
 if not os.environ.get("DISPLAY"):  # without an X server VTK otherwise tries one first, and warns
     os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
@@ -62,8 +62,7 @@ class Look:
     cut: bool = False
 
     def __post_init__(self) -> None:
-        if self.scale is not None and not is_finite(self.scale):
-            raise InputError(f"scale is {self.scale!r}; it must be a finite number, the factor of the displacements")
+        require(self.scale is None or is_finite(self.scale), "scale", self.scale, "give a factor of displacements")
         if self.zoom is not None:
             _window(self.zoom)
 
