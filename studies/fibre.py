@@ -20,7 +20,7 @@ from studies.sweeping import Sweep, draw_rates, last, layer_of
 from thinlayer import State, Structure, Table, ThinLayer, homogenised_stiffness, observed_orders, plotting, solve
 from thinlayer.output.grid import gather
 from thinlayer.running.record import Record
-from thinlayer.time.history import Solution
+from thinlayer.solving.history import Solution
 
 EPS = (0.08, 0.04, 0.02, 0.01)  # over the radius of the matrix
 SIZES = (0.1, 0.05, 0.025)

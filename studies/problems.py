@@ -18,7 +18,7 @@ from forms.base import Array
 from geometry import Joint, block, disc, read, ring, sandwich
 from studies.sweeping import last, layer_of
 from thinlayer import State, Structure, Surface, ThinLayer, piecewise, solve
-from thinlayer.time.history import Solution
+from thinlayer.solving.history import Solution
 
 FOURIER_BODY = LinearElastic.young(E=100.0, nu=0.3)
 FOURIER_LAYER = LinearElastic(lmbda=60.0, mu=40.0)

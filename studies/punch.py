@@ -17,7 +17,7 @@ from studies.problems import FOURIER_BODY, MORTAR, of, sheared
 from studies.sweeping import Sweep, draw_rates
 from thinlayer import History, State, Structure, Surface, Table, ThinLayer, march, plotting
 from thinlayer.running.record import Record
-from thinlayer.time.history import Solution
+from thinlayer.solving.history import Solution
 
 K = 1.0  # yield stress in shear; all stresses of the punch and the cylinder are relative to it
 STRENGTH = math.sqrt(3) * K

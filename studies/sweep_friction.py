@@ -17,7 +17,7 @@ from studies.sweeping import Sweep, draw_rates, last, layer_of, table_of
 from thinlayer import History, State, Structure, Surface, Table, ThinLayer, compare, march, plotting, solve
 from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
-from thinlayer.time.history import Solution
+from thinlayer.solving.history import Solution
 
 MODULI = {"lmbda": 60.0, "mu": 40.0}
 OMEGA = 25.0

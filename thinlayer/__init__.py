@@ -11,6 +11,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from thinlayer.system.words import VERSION as __version__
+
 if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.discretisation.broken_mesh import BrokenMesh
     from thinlayer.discretisation.clock import piecewise
@@ -34,14 +36,13 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.parts.springs import Springs
     from thinlayer.parts.ufl_part import UflPart
     from thinlayer.pointwise.drive import drive
+    from thinlayer.solving.history import History
     from thinlayer.solving.solvers import solve
     from thinlayer.solving.step_problem import StepProblem
     from thinlayer.system.table import Table
-    from thinlayer.time.history import History
     from thinlayer.time.marching import follow, march
     from thinlayer.time.plan import Adaptive, ArcLength
 
-__version__ = "0.1.0"
 _PUBLIC = """
     discretisation.broken_mesh.BrokenMesh discretisation.clock.piecewise discretisation.given.Pressure
     discretisation.given_strains.Prestress discretisation.given_strains.ThermalExpansion discretisation.layer.Bond
@@ -52,7 +53,7 @@ _PUBLIC = """
     output.homogenised.homogenised_stiffness output.probe.Probe output.surface.Surface output.sweep.observed_orders
     output.sweep.sweep output.zooming.Zoom parts.plates.RigidPlate parts.springs.Springs parts.ufl_part.UflPart
     pointwise.drive.drive solving.solvers.solve solving.step_problem.StepProblem system.table.Table
-    time.history.History time.marching.follow time.marching.march time.plan.Adaptive time.plan.ArcLength
+    solving.history.History time.marching.follow time.marching.march time.plan.Adaptive time.plan.ArcLength
 """
 _HOME = {one.rpartition(".")[2]: one.rpartition(".")[0] for one in _PUBLIC.split()}  # name -> its module
 _MODULES = {"plotting": "output.plotting", "fields": "output.fields", "goals": "estimating.goals"}

@@ -22,13 +22,13 @@ from thinlayer.estimating.goal import Goal
 from thinlayer.estimating.goals import Compliance
 from thinlayer.estimating.on_surface import NEAR_ENDS
 from thinlayer.estimating.result import Estimate, at_most
+from thinlayer.solving.history import History
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import solve
 from thinlayer.surface.surface_mesh import surface_of
 from thinlayer.system.progress import telling
 from thinlayer.system.ranks import on_all
 from thinlayer.system.table import Table
-from thinlayer.time.history import History
 from thinlayer.time.marching import march
 
 FIELDS = ("traction", "jump")

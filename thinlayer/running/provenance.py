@@ -15,6 +15,7 @@ from petsc4py import PETSc
 
 from forms.base import PACKAGES
 from forms.law import Law
+from thinlayer.system.words import VERSION
 
 INSTALLED = (
     "fenics-dolfinx fenics-basix fenics-ufl fenics-ffcx petsc4py mpi4py numba gmsh meshio pyvista vtk numpy scipy "
@@ -25,9 +26,7 @@ INSTALLED = (
 @cache
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that results depend on; "not installed" for a missing one."""
-    import thinlayer
-
-    found = {"python": platform.python_version(), "thinlayer": thinlayer.__version__}
+    found = {"python": platform.python_version(), "thinlayer": VERSION}
     found["petsc"] = ".".join(map(str, PETSc.Sys.getVersion()))
     for name in INSTALLED.split():
         try:

@@ -1,9 +1,11 @@
-"""Words on standard output, and those of errors that end a run; imports nothing of MPI."""
+"""The version, words on standard output, and those of errors that end a run; imports nothing of MPI."""
 
 from __future__ import annotations
 
 import os
 import sys
+
+VERSION = "0.1.0"  # of these packages
 
 
 def reason(error: BaseException) -> str:

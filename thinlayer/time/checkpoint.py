@@ -15,11 +15,11 @@ from geometry.parallel import on_root
 from thinlayer.discretisation.state import Audit, Report, State
 from thinlayer.parts.part import FileOrder
 from thinlayer.solving.equations import Equations
+from thinlayer.solving.history import History, dissipated_columns
 from thinlayer.system.folder import hash_of, read_sealed, replaced, write_sealed
 from thinlayer.system.identity import Resume, differences, in_words
 from thinlayer.system.ranks import carry
 from thinlayer.system.table import Table
-from thinlayer.time.history import History, dissipated_columns
 
 TABLE = "table.csv"
 REACTIONS = "reactions"

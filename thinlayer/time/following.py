@@ -11,11 +11,11 @@ import numpy as np
 from forms.base import InputError
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError, TurningPoint
+from thinlayer.solving.history import SAME_TIME, History
 from thinlayer.solving.petsc import Options
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.identity import Resume
 from thinlayer.system.progress import logger, telling
-from thinlayer.time.history import SAME_TIME, History
 from thinlayer.time.journal import Journal
 from thinlayer.time.path import EquilibriumPath, PathEquations
 from thinlayer.time.plan import ArcLength

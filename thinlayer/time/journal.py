@@ -15,12 +15,12 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.parts.phases import phase_shares, seams_with_phases
 from thinlayer.solving.equations import Equations
+from thinlayer.solving.history import History, dissipated_columns, phase_columns
 from thinlayer.system.identity import Resume, code_of, described
 from thinlayer.system.progress import logger
 from thinlayer.system.ranks import collect, on_all
 from thinlayer.system.table import Row
 from thinlayer.time.checkpoint import Checkpoint, Pace
-from thinlayer.time.history import History, dissipated_columns, phase_columns
 
 Observe = Mapping[str, Callable[[State], float]]
 OBSERVING = "it must be a function of a state that returns a number"

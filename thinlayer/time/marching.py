@@ -16,6 +16,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError, warn
 from thinlayer.solving.equations import Equations
+from thinlayer.solving.history import History
 from thinlayer.solving.petsc import Options
 from thinlayer.solving.ranges import warn_of_model, warn_of_states, warn_of_steps, warn_of_strains
 from thinlayer.solving.solvers import SOFTENS, Solver, comm_of
@@ -25,7 +26,6 @@ from thinlayer.system.progress import telling
 from thinlayer.system.ranks import on_all, require_same
 from thinlayer.time.checkpoint import Pace
 from thinlayer.time.following import PathFollowing, PathInTime
-from thinlayer.time.history import History
 from thinlayer.time.journal import OBSERVING, Journal, Observe, columns
 from thinlayer.time.plan import HALVINGS, Adaptive, ArcLength, Plan, require_choices, require_ends, require_path
 from thinlayer.time.stepping import QUANTITIES, ErrorEstimate, TimeStepping

@@ -13,7 +13,7 @@ from forms.base import Array, InputError, is_finite, is_number, require
 from forms.temperature import real
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.equations import Equations
-from thinlayer.time.history import SAME_TIME
+from thinlayer.solving.history import SAME_TIME
 
 HALVINGS = 10  # largest number of times that a planned step is halved
 ALLOWED_THETA = "theta = 1"  # the last words of errors

@@ -13,10 +13,10 @@ from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import State
 from thinlayer.errors import LimitLoad, NoEquilibrium, SolveError, warn
 from thinlayer.solving.equations import Equations
+from thinlayer.solving.history import SAME_TIME, History
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.identity import Resume
 from thinlayer.system.progress import logger, telling
-from thinlayer.time.history import SAME_TIME, History
 from thinlayer.time.journal import Journal
 from thinlayer.time.plan import HALVINGS, Plan, distinct
 from thinlayer.time.switching import steps
