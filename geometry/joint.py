@@ -92,7 +92,7 @@ class Joint:
         band: how the layer was meshed; None while S is a surface.
         periods: which sides are identified with each other, if the joint is a cell that repeats; None: none are.
         parted: (n_cells, k, d) places of the nodes of each cell where bodies have made room for layers that have no cells,
-            see `inflating.parting`; None: they are at `points`.
+            see `inflating.inflation.parted`; None: they are at `points`.
 
     Raises:
         InputError: a seam is missing, empty or not oriented, or shares a facet with another one; a set of facets is

@@ -13,8 +13,7 @@ from forms import HolonomicCoulomb, Incompressible, LinearElastic, MohrCoulomb, 
 from forms.base import InputError
 from forms.work import energy
 from geometry import block, bond_cell, fibre, periodic, ring, sandwich
-from geometry.inflating.inflation import inflate
-from geometry.inflating.parting import faces, parted
+from geometry.inflating.inflation import faces, inflate, parted
 from studies.tubes import lame
 from tests.refused import refused
 from tests.test_order1 import apart

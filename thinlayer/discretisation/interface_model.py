@@ -17,9 +17,9 @@ from forms.base import InputError
 from forms.kinematics import Expr
 from forms.law import BulkLaw
 from forms.work import Interface
+from geometry.inflating.inflation import parted
 from geometry.inflating.kept_bodies import kept_motion
 from geometry.inflating.layering import check_layering
-from geometry.inflating.parting import parted
 from geometry.joint import Joint
 from geometry.refusals import require_known
 from geometry.seam import S

@@ -21,7 +21,7 @@ from forms.kinematics import Expr
 from forms.law import BulkLaw
 from forms.work import Term
 from geometry.domain import Domain
-from geometry.inflating.parting import points_on_middle, to_middle
+from geometry.inflating.inflation import points_on_middle, to_middle
 from geometry.joint import Joint
 from geometry.topology import IntArray
 from thinlayer.discretisation.clock import readings

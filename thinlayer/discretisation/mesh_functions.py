@@ -17,7 +17,7 @@ from forms.base import Array, InputError
 from forms.kinematics import Expr
 from forms.work import Interface
 from geometry.domain import Domain, index_map
-from geometry.inflating.parting import to_middle
+from geometry.inflating.inflation import to_middle
 from geometry.joint import Joint, Profile
 from geometry.refusals import place
 from geometry.seam import S

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from petsc4py import PETSc
 from scipy.spatial import cKDTree
 
-from geometry.inflating.parting import points_on_middle
+from geometry.inflating.inflation import points_on_middle
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model

@@ -16,8 +16,8 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import CONTACT_STATUSES, NO_CONTACT, at_contact
 from thinlayer.output.grid import Grid, gather, vtk_order, vtk_type
-from thinlayer.output.law_points import LawPoints, law_points
 from thinlayer.output.surface import STATUSES, Surface
+from thinlayer.output.tractions import LawPoints, law_points
 
 BODIES, LAYER, ON_S = "bodies", "layer", "S"
 VTK_TENSOR = ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])  # XX, YY, ZZ, XY, YZ, XZ: the order in which VTK names six

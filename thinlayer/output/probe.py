@@ -17,7 +17,7 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import BODY, LAYER
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, cell_values
-from thinlayer.output.law_points import LawPoints, law_points
+from thinlayer.output.tractions import LawPoints, law_points
 from thinlayer.surface.locating import Located
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.ranks import on_all, require_same

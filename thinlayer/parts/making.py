@@ -9,7 +9,7 @@ from petsc4py import PETSc
 
 from forms.base import Array
 from forms.work import Term
-from geometry.inflating.parting import points_on_middle
+from geometry.inflating.inflation import points_on_middle
 from geometry.topology import Indices
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.measures import compiled_terms

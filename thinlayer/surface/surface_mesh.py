@@ -14,7 +14,7 @@ from dolfinx import fem
 from scipy.spatial import cKDTree
 
 from forms.base import Array, InputError, require
-from geometry.inflating.parting import faces, points_on_middle
+from geometry.inflating.inflation import faces, points_on_middle
 from geometry.joint import Joint
 from geometry.refusals import place, require_known
 from geometry.seam import BASE, S
