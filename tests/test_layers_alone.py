@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache, partial
 
 import numpy as np
@@ -15,6 +16,7 @@ from studies.may_i_drop import Dropped, effectivities
 from tests.on_ranks import on_ranks
 from thinlayer import RigidPlate, SolveError, Structure, Surface, ThinLayer, compare, estimate, goals, solve
 from thinlayer.estimating import global_local
+from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.layer_alone import LayerAlone
 
 pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
@@ -189,6 +191,37 @@ def test_weights_of_the_other_sign_miss(monkeypatch):
     monkeypatch.setattr(global_local.GlobalLocal, "bounds", turned)
     one = estimate(solve(structure.interface(layers)), goals=wanted).goals[wanted[1].name]
     assert not one.lower <= true <= one.upper
+
+
+@pytest.mark.parametrize(("name", "holds"), [("free ends", True), ("moved", False), ("shrinking", False)])
+def test_the_compliance_of_loads_alone_misses_where_supports_move_or_the_layer_shrinks(monkeypatch, name, holds):
+    """C in f . u + u . r and r . E^+ r above: right where nothing but loads drives the structure."""
+
+    def of_loads(self, at_rest, q, one, z):
+        least = q @ self.equations.constraints.unknowns(one.u) + one.v @ self.residual(one)
+        return global_local.Bounds(least, least, least + self.gap(one))
+
+    structure, layer, _ = CASES[name]
+    monkeypatch.setattr(global_local.GlobalLocal, "bounds", of_loads)
+    found = estimate(solve(structure.interface(layer))).goals["compliance"]
+    assert (found.lower <= value(name, WORK) <= found.upper) == holds
+
+
+@pytest.mark.parametrize("name", ["free ends", "stack", "rubber, steel"])
+def test_laws_of_order_1_resist_no_rotation_of_the_layer(name):
+    """So that the bodies' forces on it have no resultant, in a stack too; those of order 0 have one."""
+    structure, layer, _ = CASES[name]
+    for order, edges in ((0, None), (1, "plain")):
+        state = solve(structure.interface(replace(layer, order=order, edges=edges)))
+        with Adjoint(state, meshed=True) as adjoint:
+            iteration = global_local.GlobalLocal(adjoint, LayerAlone(state.model, {"S": layer}, 0.0))
+            u = state.u.x.array[: iteration.n]
+            F = iteration._pull(u, iteration._loads)
+            one = global_local.Iterate(
+                u, iteration.layers.at_faces(u), F, iteration.layers.load, iteration.layers.values
+            )
+            left, least = iteration._resultant(one)
+        assert (left <= least) == (order == 1)
 
 
 # ---------------------------------------------------------------- random structures
