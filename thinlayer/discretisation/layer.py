@@ -82,7 +82,7 @@ class ThinLayer:
         if isinstance(self.law, LawOnS):
             kind = type(self.law).__name__
             raise InputError(f"{kind} is a law on S without a thickness: give it alone, structure.interface(law)")
-        require(isinstance(self.law, BulkLaw), "the layer's law", self.law, "give a law of strains, as LinearElastic")
+        require(isinstance(self.law, BulkLaw), "the layer's law", self.law, "it must be a law of strains")
         object.__setattr__(self, "law", folded(self.law))
         _check_thickness("layer's thickness eps", self.eps)
         if self.at is not None:

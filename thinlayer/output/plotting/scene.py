@@ -62,7 +62,7 @@ class Look:
     cut: bool = False
 
     def __post_init__(self) -> None:
-        require(self.scale is None or is_finite(self.scale), "scale", self.scale, "give a factor of displacements")
+        require(self.scale is None or is_finite(self.scale), "scale", self.scale, "it must be a finite number")
         if self.zoom is not None:
             _window(self.zoom)
 
