@@ -91,7 +91,9 @@ class ThinLayer:
             raise InputError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
         if self.order == 1:
             self.law.stations()  # raises errors of laws without one of order 1
-        require(self.profile is None or callable(self.profile), "the profile", self.profile, "it must be a function of x")
+        require(
+            self.profile is None or callable(self.profile), "the profile", self.profile, "it must be a function of x"
+        )
         require(self.edges in EDGES, "edges", self.edges, f"allowed: {', '.join(map(repr, EDGES))}")
         if self.edges == "free" and self.order != 1:
             raise InputError("edges='free' corrects the interface law of order 1; use order=1")
