@@ -1,6 +1,6 @@
 """Functions that hide the differences between DOLFINx 0.9 and 0.11 in spaces and forms.
 
-They try the signatures of the releases in turn, and do not ask for the version. Meshes: `geometry/dolfinx_mesh.py`.
+They try the signatures of the releases in turn, and do not ask for the version. Meshes: `geometry/domain.py`.
 """
 
 from __future__ import annotations
