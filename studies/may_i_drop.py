@@ -9,12 +9,12 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from scipy.optimize import brentq
 
 from forms import LinearElastic, Rubber
+from forms.base import Array
 from studies.dropped import (
     COARSE,
     FINE,
@@ -55,7 +55,6 @@ from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 from thinlayer.system.table import Table
 
-Array = npt.NDArray[np.float64]
 THICKNESSES = (COARSE, FINE)
 FIELDS = ("traction", "jump")
 INNER = 0.25  # from the middle of S, where another program measured

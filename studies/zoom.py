@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from forms import LinearElastic
 from studies.problems import free_blocks
@@ -17,7 +16,6 @@ from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 
-Array = npt.NDArray[np.float64]
 # Poisson's ratio; E of the bodies over mu, see EPS
 CASES = ((0.3, 1000.0), (0.3, 100.0), (0.45, 1000.0), (0.45, 100.0))
 EPS = (1 / 16, 1 / 32, 1 / 64)  # the moduli are those of the first one there, and proportional to eps

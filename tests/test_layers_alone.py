@@ -14,7 +14,9 @@ from geometry import block, faults, ring, sandwich, wall
 from studies.dropped import random_case
 from studies.may_i_drop import Dropped, effectivities
 from tests.on_ranks import on_ranks
+from tests.refused import refused
 from thinlayer import RigidPlate, SolveError, Structure, Surface, ThinLayer, compare, estimate, goals, solve
+from thinlayer.discretisation.state import displacements_of
 from thinlayer.estimating import global_local
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.layer_alone import LayerAlone
@@ -165,6 +167,34 @@ def test_forces_on_the_faces_and_their_inverse():
     assert layers.held(layers.moved(E_v), no, no) == pytest.approx(E_v, abs=1e-10 * np.abs(E_v).max())
 
 
+@pytest.mark.parametrize("name", ["free ends", "stack", "anisotropic"])
+def test_steps_lead_to_the_meshed_layer_and_half_the_gap_is_the_distance_from_the_centre(name):
+    """Of Prager and Synge: |u_full - u|^2 in the bodies and |F_full - (F + E u)/2|^2 in the layer add up to g^2/4."""
+    state, _ = told(name)
+    layers = LayerAlone(state.model, dict(state.model.on_seams), 0.0)
+    true = displacements_of(meshed(name), state.model).x.array[: state.model.V.dofmap.index_map.size_local * 2]
+    with Adjoint(state, meshed=True) as adjoint:
+        iteration = global_local.GlobalLocal(adjoint, layers)
+        one = iteration.start()
+        for _ in range(2):
+            missing, v = true - one.u, layers.at_faces(true)
+            in_bodies = missing @ (iteration._of_bodies(true) - iteration._of_bodies(one.u))
+            apart = layers.held(v, one.load, one.values) - (one.F + layers.held(one.v, one.load, one.values)) / 2
+            assert in_bodies + apart @ layers.moved(apart) == pytest.approx(iteration.gap(one) / 4, rel=1e-7)
+            one = iteration.step(one)
+        for _ in range(6):
+            one = iteration.step(one)
+        assert one.u == pytest.approx(true, abs=1e-6 * np.abs(true).max())
+
+
+def test_a_layer_pressed_between_rollers_has_no_gap():
+    rollers = {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
+    state = solve(loaded(blocks(), (0.0, -1.0), rollers).interface(ThinLayer(GLUE, EPS)))
+    with Adjoint(state, meshed=True) as adjoint:
+        iteration = global_local.GlobalLocal(adjoint, LayerAlone(state.model, dict(state.model.on_seams), 0.0))
+        assert iteration.gap(iteration.start()) < 1e-16 * abs(WORK.value(state, state.model))
+
+
 # ---------------------------------------------------------------- wrong twins
 def test_forces_of_order_0_without_couples_are_no_equilibrium(monkeypatch):
     """The law resists rotations of the layer, which by itself cannot bear what does."""
@@ -263,6 +293,19 @@ def test_what_the_layers_are_inside():
     x = [[0.02, 0.01], [0.5, -0.01], [0.97, 0.02]]
     inside, full = (Probe(one).stress(x) for one in (found.inside, meshed("free ends")))
     assert inside == pytest.approx(full, abs=0.01 * np.abs(full).max())
+
+
+def test_cells_at_ends_and_junctions_are_judged_by_finer_ones():
+    """Cells of S of 2.7 eps leave most of what the layers change; the same bodies with finer cells are the judge."""
+    _, found = told("wall")
+    goal, (_, layer, _) = found.goals["compliance"], CASES["wall"]
+    joint = wall(2, 2, (2.0, 1.0), 1 / 12)
+    fine = solve(Structure(joint, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1.0)}).full(layer))
+    change = WORK.value(fine, fine.model) - goal.value
+    assert goal.change < 0.2 * change
+    assert found.with_finer_ends() - goal.value == pytest.approx(change, rel=0.25)
+    assert found.with_finer_ends(at_ends=10.0) == pytest.approx(goal.better, rel=1e-12)
+    refused(InputError, "no goal 'slip' with bounds", found.with_finer_ends, "slip")
 
 
 def test_laws_that_are_not_linear_have_no_bounds():

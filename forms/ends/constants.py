@@ -8,12 +8,9 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
-from forms.base import InputError
-
-Array = npt.NDArray[np.float64]
+from forms.base import Array, InputError
 
 COLUMNS = ("nu", "c_N", "m_N", "rho_N", "c_T", "m_T")
 TABLE = Path(__file__).parent / "table.csv"

@@ -15,12 +15,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 from numpy.polynomial import legendre
 
+from forms.base import Array
 from forms.ends.constants import lame_over_mu
 
-Array = npt.NDArray[np.float64]
 ANGLES = 24  # Gauss points of an arc around the corner
 
 

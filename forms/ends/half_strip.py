@@ -21,9 +21,9 @@ import scipy.sparse as sp
 from numpy.polynomial import legendre
 from scipy.sparse.linalg import splu
 
+from forms.base import Array
 from forms.ends.constants import FreeEnd, flow_factor, lame_over_mu
 
-Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]
 
 MIDDLE = 0.5  # y of the middle line, where the faces are at 0 and 1

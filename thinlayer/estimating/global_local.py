@@ -18,16 +18,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 
+from forms.base import Array
 from thinlayer.discretisation.state import Configuration, State
 from thinlayer.errors import SolveError
 from thinlayer.estimating.goal import Goal
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.layer_alone import LayerAlone
 
-Array = npt.NDArray[np.float64]
 STEPS = 5
 SAME = 1e-10  # difference of two iterates, relative, that counts as rounding
 ROUNDING = 1e-14  # of these forces, over the stiffness times displacements

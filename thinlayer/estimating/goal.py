@@ -8,18 +8,15 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.temperature import finite
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.solving.adjoint import Adjoint
-from thinlayer.solving.layer_alone import LayerAlone
-
-Array = npt.NDArray[np.float64]
+from thinlayer.solving.layer_alone import HeldLayers
 
 
 class Goal(ABC):
@@ -50,7 +47,7 @@ class Goal(ABC):
         """Q without displacements, where it is linear: what given strains and loads do. Collective."""
         return self.value(replace(state, u=fem.Function(model.V)), model)
 
-    def in_layers(self, layers: LayerAlone) -> tuple[Array, Array]:
+    def in_layers(self, layers: HeldLayers) -> tuple[Array, Array]:
         """The same of the meshed layers: weights at their unknowns, and motions of their sides; by default none."""
         return np.zeros_like(layers.load), np.zeros_like(layers.load)
 

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from ufl.algorithms import expand_derivatives
 
 from forms import work as forms
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.kinematics import Expr
 from geometry.refusals import unknown
 from geometry.seam import S
@@ -29,11 +29,9 @@ from thinlayer.estimating.goal import Goal, unit, written
 from thinlayer.output.probe import Probe, cells_at
 from thinlayer.output.surface import Surface
 from thinlayer.solving.adjoint import Adjoint
-from thinlayer.solving.layer_alone import LayerAlone
+from thinlayer.solving.layer_alone import HeldLayers
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.compat import exterior_facet_entities
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ class Compliance(Goal):
     def at_rest(self, state: State, model: InterfaceModel) -> float:
         return 0.0  # reactions have it
 
-    def in_layers(self, layers: LayerAlone) -> tuple[Array, Array]:
+    def in_layers(self, layers: HeldLayers) -> tuple[Array, Array]:
         return layers.forces, layers.values
 
 
@@ -116,7 +114,7 @@ class Reaction(Goal):
     def at_rest(self, state: State, model: InterfaceModel) -> float:
         return 0.0  # as of the compliance
 
-    def in_layers(self, layers: LayerAlone) -> tuple[Array, Array]:
+    def in_layers(self, layers: HeldLayers) -> tuple[Array, Array]:
         d = layers.model.joint.dim
         return np.zeros_like(layers.load), layers.motion_of(self.place, unit(self.direction, d, self.name))
 

@@ -6,10 +6,10 @@ import math
 
 import basix
 import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 from scipy.spatial import cKDTree
 
+from forms.base import Array
 from geometry.inflating.inflation import points_on_middle
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import SeamLayer
@@ -22,7 +22,6 @@ from thinlayer.solving.adjoint import Adjoint
 from thinlayer.surface.excess import stiffness_of_jumps, sublayers_of
 from thinlayer.surface.surface_mesh import SurfaceMesh, surface_of
 
-Array = npt.NDArray[np.float64]
 NEAR_ENDS = 3.0  # distance from free ends, over the thickness, within which tractions and jumps are not estimated
 SAME_PLACE = 1e-9  # distance of two places that are one, over the size of the joint
 NOTHING = (1e-11, 1e-9)  # traction over the layer's stiffness times displacements, jump over these: rounding up to here

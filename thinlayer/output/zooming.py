@@ -7,14 +7,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from forms.base import InputError, is_finite
+from forms.base import Array, InputError, is_finite, require
 from forms.ends.corner import Corner
 from forms.law import BulkLaw
 from forms.temperature import finite
 from geometry.ends import StraightEnd, straight_ends
-from geometry.refusals import place, unknown
+from geometry.refusals import place, require_known
 from geometry.seam import S
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -28,7 +27,6 @@ from thinlayer.output.surface import Surface
 from thinlayer.solving.layer_alone import HeldLayers, LayerAlone
 from thinlayer.surface.surface_mesh import SurfaceMesh
 
-Array = npt.NDArray[np.float64]
 NEAR = 3.0  # distance of two ends, over the thickness, within which the field of one is not that of an end alone
 AT_ENDS = (1 / 16, 1 / 2)  # how far cells at ends reach, over the thickness, and tetrahedra
 FAR_OFF = 0.3  # difference in traction of the layer and the bodies, in L2, from which on zooms warn
@@ -89,8 +87,7 @@ class Zoom:
         self.seam = self._one.name
         if at_ends is None:
             at_ends = AT_ENDS[state.model.joint.cell_type == "tetrahedron"]
-        if not (is_finite(at_ends) and at_ends > 0):
-            raise InputError(f"at_ends is {at_ends!r}; allowed: > 0, over the thickness")
+        require(is_finite(at_ends) and at_ends > 0, "at_ends", at_ends, "allowed: > 0, over the thickness")
         meshed = isinstance(state.model, FullModel)
         self.layer = state if meshed else self._by_itself(cells_through, at_ends)
         self._probe, self._surface = Probe(self.layer), SurfaceMesh(self.layer.model, self.seam)
@@ -242,8 +239,7 @@ def _layer_of(state: State, seam: str) -> SeamLayer:
         )
     model, names = state.model, [*state.model.joint.seams]
     name = names[0] if seam == S and len(names) == 1 else seam
-    if name not in names:
-        raise InputError(unknown("seam", seam, names))
+    require_known("seam", name, names)
     if name not in model.layers:
         raise InputError(f"there is no layer on the seam {name!r}")
     return model.layers[name]

@@ -15,6 +15,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.sparse.csgraph import connected_components
 
+from forms.base import Array
 from geometry.joint import Joint
 from geometry.topology import IntArray
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -27,7 +28,6 @@ from thinlayer.parts.part import Interval
 from thinlayer.solving.equations import Equations
 from thinlayer.system.compat import interpolation_points
 
-Array = npt.NDArray[np.float64]
 Vertices = tuple[int, ...]
 INDEPENDENT = 1e-9  # singular value of motions that are independent of each other, over the largest
 
@@ -93,6 +93,14 @@ class HeldLayers:
         w = np.where(self.on_face, v, np.where(self._at_sides, values, 0.0))
         self._dirichlet.solve(load - self.K @ w, w)
         return w
+
+    def motion_of(self, place: Place, direction: Array) -> Array:
+        """(n,) motion of the layers' sides for which -g . r is the force of a support along a direction (d,)."""
+        constraints, out = self.model.constraints, np.zeros(len(self.load))
+        places = [one for one, _ in self.model.supports.entries]
+        if entries := [k for k, one in enumerate(places) if one == place or str(one).split("/")[0] == place]:
+            out[: self._displacements] = -constraints.dual_to_resultant(entries, direction)
+        return out
 
     def in_parts(self, w: Array, fine: HeldLayers) -> Array:
         """(m,) displacements w of these layers in cells that are parts of theirs; other unknowns are zero there."""
@@ -177,14 +185,6 @@ class LayerAlone(HeldLayers):
             found.append(np.zeros((len(free), some.shape[1])))
             found[-1][mine] = some
         return np.hstack(found), pins
-
-    def motion_of(self, place: Place, direction: Array) -> Array:
-        """(n,) motion of the layers' sides for which -g . r is the force of a support along a direction (d,)."""
-        constraints, out = self.model.constraints, np.zeros(len(self.load))
-        places = [one for one, _ in self.model.supports.entries]
-        if entries := [k for k, one in enumerate(places) if one == place or str(one).split("/")[0] == place]:
-            out[: self._displacements] = -constraints.dual_to_resultant(entries, direction)
-        return out
 
     # ---------------------------------------------------------------- vectors of the interface model
     def at_faces(self, x: Array) -> Array:

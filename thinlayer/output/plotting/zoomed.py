@@ -5,14 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from forms.base import InputError, is_number
-from geometry.refusals import unknown
+from forms.base import Array, InputError, is_number
+from geometry.refusals import require_known
 from thinlayer.output.plotting.picture import Picture, drawn_on_root, require_name
 from thinlayer.output.zooming import AT_CORNER, Zoom
 
-Array = npt.NDArray[np.float64]
 COMPONENTS = {"N": (1, 1), "T": (0, 1), "S": (0, 0)}  # of stresses in the axes of an end: inward, n
 NAMES = {"N": "normal traction t_N", "T": "shear traction t_T", "S": "stress along S"}
 POINTS = (121, 61)  # along S and through the thickness
@@ -49,8 +47,7 @@ def zoomed(
     for one in (zoom,) if full is None else (zoom, full):
         if not isinstance(one, Zoom):
             raise InputError(f"zoomed: it takes Zoom(state), not {one!r:.80}")
-    if component not in COMPONENTS:
-        raise InputError(unknown("component", component, COMPONENTS))
+    require_known("component", component, COMPONENTS)
     if not (is_number(width) and AT_CORNER < width < np.inf):
         raise InputError(f"zoomed: width is {width!r}; allowed: > {AT_CORNER:g}, over the thickness")
     require_name(save)
