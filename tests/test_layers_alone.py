@@ -305,6 +305,10 @@ def test_cells_at_ends_and_junctions_are_judged_by_finer_ones():
     assert goal.change < 0.2 * change
     assert found.with_finer_ends() - goal.value == pytest.approx(change, rel=0.25)
     assert found.with_finer_ends(at_ends=10.0) == pytest.approx(goal.better, rel=1e-12)
+    plain = told("free ends")[1]  # where cells are 1.3 eps long
+    assert plain.with_finer_ends() - plain.goals["compliance"].better == pytest.approx(
+        0.012 * plain.goals["compliance"].change, rel=0.1
+    )
     refused(InputError, "no goal 'slip' with bounds", found.with_finer_ends, "slip")
 
 
