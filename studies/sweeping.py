@@ -166,13 +166,6 @@ def by_reaction(full: Solution, limit: Solution, where: Where | None = None) -> 
     return {"error_reaction": surface.norm(meshed - wanted, part) / surface.norm(wanted, part)}
 
 
-def errors_of_work(full: State, limit: State, where: Where | None = None) -> dict[str, float]:
-    """What `compare` tells, its error of the traction by reactions, and the relative error of the loads' work."""
-    work = limit.energies()["loads"] / full.energies()["loads"]
-    traction = {"error_traction": by_reaction(full, limit, where)["error_reaction"]}
-    return compare(full, limit, where=where) | traction | {"error_work": abs(work - 1)}
-
-
 def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: Floors) -> None:
     """Check the errors that a wrong law leaves, that they no longer fall, and that they are not the right law's."""
     for of, (low, high) in floors.items():

@@ -43,19 +43,37 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.time.marching import follow, march
     from thinlayer.time.plan import Adaptive, ArcLength
 
-_PUBLIC = """
-    discretisation.broken_mesh.BrokenMesh discretisation.clock.piecewise discretisation.given.Pressure
-    discretisation.given_strains.Prestress discretisation.given_strains.ThermalExpansion discretisation.layer.Bond
-    discretisation.layer.Gap discretisation.layer.ThinLayer discretisation.point_loads.LineLoad
-    discretisation.point_loads.PointLoad discretisation.state.State discretisation.structure.Structure
-    errors.InputError errors.LimitLoad errors.RangeWarning errors.SolveError errors.ThinlayerError
-    estimating.estimate.estimate estimating.thickness.thin_enough output.comparison.compare output.ensemble.ensemble
-    output.homogenised.homogenised_stiffness output.probe.Probe output.surface.Surface output.sweep.observed_orders
-    output.sweep.sweep output.zooming.Zoom parts.plates.RigidPlate parts.springs.Springs parts.ufl_part.UflPart
-    pointwise.drive.drive solving.solvers.solve solving.step_problem.StepProblem system.table.Table
-    solving.history.History time.marching.follow time.marching.march time.plan.Adaptive time.plan.ArcLength
-"""
-_HOME = {one.rpartition(".")[2]: one.rpartition(".")[0] for one in _PUBLIC.split()}  # name -> its module
+_NAMES = {
+    "discretisation.broken_mesh": "BrokenMesh",
+    "discretisation.clock": "piecewise",
+    "discretisation.given": "Pressure",
+    "discretisation.given_strains": "Prestress ThermalExpansion",
+    "discretisation.layer": "Bond Gap ThinLayer",
+    "discretisation.point_loads": "LineLoad PointLoad",
+    "discretisation.state": "State",
+    "discretisation.structure": "Structure",
+    "errors": "InputError LimitLoad RangeWarning SolveError ThinlayerError",
+    "estimating.estimate": "estimate",
+    "estimating.thickness": "thin_enough",
+    "output.comparison": "compare",
+    "output.ensemble": "ensemble",
+    "output.homogenised": "homogenised_stiffness",
+    "output.probe": "Probe",
+    "output.surface": "Surface",
+    "output.sweep": "observed_orders sweep",
+    "output.zooming": "Zoom",
+    "parts.plates": "RigidPlate",
+    "parts.springs": "Springs",
+    "parts.ufl_part": "UflPart",
+    "pointwise.drive": "drive",
+    "solving.solvers": "solve",
+    "solving.step_problem": "StepProblem",
+    "system.table": "Table",
+    "solving.history": "History",
+    "time.marching": "follow march",
+    "time.plan": "Adaptive ArcLength",
+}  # module -> its public names
+_HOME = {name: module for module, names in _NAMES.items() for name in names.split()}
 _MODULES = {"plotting": "output.plotting", "fields": "output.fields", "goals": "estimating.goals"}
 __all__ = sorted(_HOME)
 

@@ -67,12 +67,10 @@ def inflate(
     Raises:
         InputError: a size, cells_through or fractions out of range; S reaches a periodic side, ends inside the bodies
             or is folded; the thickness varying, or bodies that cannot move apart in one piece (kept); outer faces that
-            touch S and are nearly parallel to it, layers of different thickness that meet in line (extended); cells turned
-            inside out, layers
-            that overlap the bodies; junctions of sublayers, of a varying thickness, of curved cells, of an odd number of
-            cells; hexahedra where junctions meet at a vertex and one of the bodies has other than three layers there;
-            bodies that touch at a vertex, or along an edge, only; gaps alone; facets without cells where S branches or
-            seams meet, or all of them.
+            touch S and are nearly parallel to it, layers of different thickness that meet in line (extended); cells
+            turned inside out, layers that overlap the bodies; junctions of sublayers, of a varying thickness, of curved
+            cells, of an odd number of cells; hexahedra where junctions meet at a vertex and one of the bodies has other
+            than three layers there; bodies that touch at a vertex, or along an edge, only; gaps alone.
     """
     check_layering(cells_through, bodies)
     if not isinstance(joint, Joint):

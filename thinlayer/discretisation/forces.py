@@ -123,10 +123,6 @@ class Forces:
         for one in places:
             self.add_weighted(name, what, force, one)
 
-    def weighs(self, name: str) -> bool:
-        """Whether a body force acts in the layer of a seam."""
-        return WEIGHT.format(name) in self.given
-
     def add_weighted(self, name: str, what: str, force: Expr, place: Weighted) -> None:
         """Add a force, a UFL vector, at a place: of the layer of a seam, or of the bodies ("")."""
         self._loads.append((what, place.value(force) * place.weight, place, name))

@@ -14,7 +14,7 @@ from dolfinx import fem
 from scipy.spatial import cKDTree
 
 from forms.base import Array, InputError, require
-from geometry.inflating.inflation import faces, points_on_middle
+from geometry.inflating.inflation import faces
 from geometry.joint import Joint
 from geometry.refusals import place, require_known
 from geometry.seam import BASE, S
@@ -238,17 +238,6 @@ class SurfaceMesh:
             along = tabulated(element, X, len(here), 1)[1:]
             out[side][:, :, here] = np.einsum("kfqa,fam,fqkj->mjfq", along, values[here, side], to_x)
         return out
-
-    def corner_values(self, f: fem.Function, model: Model) -> Array:
-        """(n, k) values at the corners of a function of degree 1 on S, as a layer's pressure is. Collective."""
-        joint, mine = self.joint, f.function_space.dofmap.index_map.size_local
-        x = f.function_space.tabulate_dof_coordinates()[:mine, : joint.dim]
-        known = np.concatenate(model.comm.allgather(np.column_stack([x, f.x.array[:mine]])))
-        vertices = np.unique(self.corners)
-        _, nearest = cKDTree(points_on_middle(joint)[vertices]).query(known[:, :-1])
-        values = np.zeros(len(joint.points))
-        values[joint.masters[vertices[nearest]]] = known[:, -1]
-        return np.asarray(values[joint.masters[self.corners]])
 
     def _beside(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:
         """(n, 2, a, m) values at the nodes of the cells below, without meaning at a rigid base, and above. Collective."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from forms.base import Array, InputError, is_number
+from forms.base import Array, InputError, is_number, require
 from geometry.refusals import require_known
 from thinlayer.output.plotting.picture import Picture, drawn_on_root, require_name
 from thinlayer.output.zooming import AT_CORNER, Zoom
@@ -45,16 +45,14 @@ def zoomed(
         InputError: 3D, no zoom, no such end, component or width. OSError: the file could not be written.
     """
     for one in (zoom,) if full is None else (zoom, full):
-        if not isinstance(one, Zoom):
-            raise InputError(f"zoomed: it takes Zoom(state), not {one!r:.80}")
+        require(isinstance(one, Zoom), "zoomed: a zoom", one, "give Zoom(state)")
     require_known("component", component, COMPONENTS)
-    if not (is_number(width) and AT_CORNER < width < np.inf):
-        raise InputError(f"zoomed: width is {width!r}; allowed: > {AT_CORNER:g}, over the thickness")
+    allowed = f"allowed: > {AT_CORNER:g}, over the thickness"
+    require(is_number(width) and AT_CORNER < width < np.inf, "zoomed: width", width, allowed)
     require_name(save)
     if zoom.state.model.joint.dim != 2:
         raise InputError("zoomed: pictures of ends are for two dimensions; in 3D take zoom.stress")
-    if end not in range(len(zoom.ends)):
-        raise InputError(f"zoomed: end is {end!r}; S has {len(zoom.ends)} free ends")
+    require(end in range(len(zoom.ends)), "zoomed: end", end, f"S has {len(zoom.ends)} free ends")
     (at, (start, *_)), axes = zoom.ends[end], zoom.ends[end][0].axes
     # finer towards the end and the faces, but not at corners, where stresses are infinite
     d = AT_CORNER + (width - AT_CORNER) * (1 - np.cos(np.linspace(0, np.pi / 2, POINTS[0])))
