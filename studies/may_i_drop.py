@@ -1,4 +1,4 @@
-"""May you drop the layer? What leaving out its mesh changes: estimated, and in truth, in 33 structures."""
+"""May you drop the layer? What leaving out its mesh changes: estimated, and in truth, in 34 structures."""
 
 from __future__ import annotations
 
@@ -92,8 +92,8 @@ def _effectivities(record: Record, *, quick: bool) -> None:
         one = Dropped.of(case, eps, record)
         row, asked = effectivities(one)
         here: dict[str, float | str] = {"case": case.name, "eps": eps}
-        size, bounded = one.found.better.model.unknowns, float(one.found.meshed is not None)
-        table.append({**here, "unknowns": size, **row, "bounded": bounded})
+        size, alone = one.found.better.model.unknowns, float(one.found.meshed is not None)
+        table.append({**here, "unknowns": size, **row, "alone": alone})
         goals.extend(here | goal for goal in asked)
         if (case.name, eps) == (DRAWN, COARSE):
             record.write("along.csv", along(one))
@@ -101,13 +101,13 @@ def _effectivities(record: Record, *, quick: bool) -> None:
 
 
 def _check(record: Record, table: Table, goals: Table) -> None:
-    """Laws that are linear, others, and goals."""
-    bounded = table["bounded"] > 0
+    """Layers that are meshed by themselves, others, and goals."""
+    alone = table["alone"] > 0
     for name in FIELDS:
         distance = np.abs(table[name] - 1)
         what = f"largest distance of the {name}'s effectivity from 1"
-        record.check(f"{what}, linear laws", distance[bounded].max(), high=CLOSE)
-        record.check(f"{what}, others", np.nanmax(distance[~bounded]), high=BAND)
+        record.check(f"{what}, layers by themselves", distance[alone].max(), high=CLOSE)
+        record.check(f"{what}, others", np.nanmax(distance[~alone]), high=BAND)
     told = np.abs(goals["effectivity"] - 1)[goals["told"] > 0]
     record.check("median distance of a told goal's effectivity from 1", np.median(told), high=1e-3)
     record.check("largest distance of a told goal's effectivity from 1", told.max(), high=0.3)

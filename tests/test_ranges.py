@@ -152,4 +152,4 @@ def told_by_ranks() -> list[list[str]]:
 def test_told_once_on_all_ranks(there):
     (alone,) = told_by_ranks()
     assert [one for some in there for one in some] == alone
-    assert [one.startswith("the layer is nearly incompressible (") for one in alone].count(True) == 1
+    assert [one.startswith("too stiff: the layer is nearly incompressible (") for one in alone].count(True) == 1

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from forms import Incompressible, LinearElastic, MohrCoulomb, Rubber, Stack
+from forms import Incompressible, LinearElastic, MohrCoulomb, Rubber, Stack, VonMises
 from forms.base import InputError
 from geometry import block, disc, sandwich, wall
 from studies.problems import FOURIER_LAYER, fourier
@@ -24,6 +24,7 @@ from thinlayer import (
     ThinLayer,
     Zoom,
     estimate,
+    march,
     observed_orders,
     plotting,
     solve,
@@ -104,6 +105,28 @@ def test_stresses_at_free_ends_are_those_of_a_meshed_layer_though_cells_of_s_are
     better = relative(Zoom(estimate(zero).better).stress(x, y), known)
     assert better < most
     assert better < relative(Zoom(zero).stress(x, y), known)
+
+
+@FACES
+def test_stresses_of_a_layer_that_yields_at_its_ends():
+    """Of one step from rest; corners have no exponent then, and steps in time are not known to a zoom."""
+    yields, load = (
+        VonMises(4.0, 3.0, 0.8, hardening=2.0),
+        {"supports": {"BOTTOM": 0}, "tractions": {"TOP": (0.3, -1.0)}},
+    )
+    coarse, fine = (
+        Structure(sandwich(1.0, 0.5, 0.5, 1 / 8, h_ends=end, cell="quadrilateral"), body=STIFF, **load)
+        for end in (None, 1 / 64)
+    )
+    zero = solve(coarse.interface(ThinLayer(yields, 1 / 16)))
+    full = solve(fine.full(ThinLayer(yields, 1 / 16), cells_through=8))
+    x, y = places(np.array([0.01, 0.06, 0.2, 0.45]), [-0.3, 0.1])
+    zoom, known = Zoom(estimate(zero).better), Probe(full).stress(Surface(full.model).in_layer(x, y))
+    assert relative(zoom.stress(x, y), known) < 0.03  # cells of S are twice as long as the layer is thick
+    assert relative(Zoom(zero).stress(x, y), known) > 0.04
+    refused(InputError, "exponents are known of linear laws", lambda: zoom.corners)
+    in_time = march(coarse.interface(ThinLayer(yields, 1 / 16)), [0.5, 1.0]).last
+    refused(InputError, "remembers earlier steps", lambda: Zoom(in_time))
 
 
 def test_cells_that_are_not_divided_at_ends_are_too_long():
@@ -267,7 +290,9 @@ def test_the_layer_is_asked_whether_it_bears_what_the_bodies_do():
 def test_layers_that_are_not_known_are_refused():
     refused(InputError, "state of an interface or a full model", lambda: Zoom(state().model))
     yields = MohrCoulomb(GLUE.lmbda, GLUE.mu, cohesion=1e3, friction_angle=30)
-    refused(InputError, "MohrCoulomb is not linear", lambda: Zoom(state(ThinLayer(yields, EPS, at=1.0))))
+    refused(
+        InputError, "MohrCoulomb has .* an unsymmetric tangent", lambda: Zoom(state(ThinLayer(yields, EPS, at=1.0)))
+    )
     rollers = {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
     closed = ThinLayer(Incompressible(3.0), EPS, order=1)
     pressed = {"supports": rollers, "tractions": {"TOP": (0.0, -1.0)}}

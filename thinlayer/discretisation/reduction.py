@@ -343,8 +343,9 @@ def _evens_out(r: Reduction) -> Iterator[Refused]:
 def _alone(r: Reduction) -> Iterator[Refused]:
     """Of the layer by itself, between faces that are moved."""
     traits, kind = r.one.law.traits, type(r.one.law).__name__
-    if not traits.linear or r.one.remembers:
-        yield Refused("not linear", f"{kind} is not linear, or remembers", "mesh the layer (structure.full)")
+    if traits.rate or traits.phases or traits.softens or not traits.symmetric:
+        reason = f"{kind} has a rate, phases, stresses that fall, or an unsymmetric tangent"
+        yield Refused("no energy", reason, "mesh the layer (structure.full)")
     elif traits.constrained and not r.law.volume_compliance and not len(r.loose.vertices):
         reason = f"{kind} between faces, with no side that is free, bears a pressure that these do not tell"
         yield Refused("closed", reason, "take Rubber with Poisson's ratio 0.4999")
@@ -352,6 +353,8 @@ def _alone(r: Reduction) -> Iterator[Refused]:
 
 def _corners(r: Reduction) -> Iterator[Refused]:
     """Of the singular stresses at corners of free ends: a wedge of 90 degrees on a rigid face, in plane strain."""
+    if not r.one.law.traits.linear:
+        yield Refused("not linear", f"exponents are known of linear laws, not of {type(r.one.law).__name__}")
     sublayers, n = r.law.sublayers, r.one.sheet.mean_normal
     outer = [] if r.law.fields else [known_at_rest(law, n) for _, law in (sublayers[0], sublayers[-1])]
     isotropic = [average_lame(C)[1] for C in outer if C is not None and is_isotropic(C)]

@@ -17,7 +17,7 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Layers, ThinLayer
 from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.state import State
-from thinlayer.estimating.better import BetterLaw, better_model, why_unknown
+from thinlayer.estimating.better import BetterLaw, better_model, creeps, why_unknown
 from thinlayer.estimating.global_local import NARROW, Bounds, GlobalLocal
 from thinlayer.estimating.goal import Goal
 from thinlayer.estimating.goals import Compliance, Reaction, nodes_of_sides
@@ -46,12 +46,13 @@ def estimate(
 ) -> Estimate:
     """By how much the answer changes if a layer's mesh is dropped, without meshing it between its bodies. Collective.
 
-    If all laws are linear, the layer is meshed by itself. A few steps lead from the given state to the structure with it,
-    and goals have bounds that hold for these cells of the bodies and of the layer (`global_local`).
+    If the bodies are linear and the layers' laws have an energy (linear ones, or plasticity in one step from rest), the
+    layer is meshed by itself. A few steps lead from the given state to the structure with it (`global_local`). For linear
+    laws goals have bounds that hold for these cells of the bodies and of the layer; for others the energy has.
 
-    Otherwise the structure is solved once more on the same mesh with a better law of the layer, of order 1. The difference
-    of the two answers is, as the thickness tends to zero, the error of the first one. Near free ends, within three
-    thicknesses, tractions and jumps of neither law are those of the layer.
+    Otherwise, and for histories of layers that remember, the structure is solved once more on the same mesh with a better
+    law of the layer, of order 1. The difference of the two answers is, as the thickness tends to zero, the error of the
+    first one. Near free ends, within three thicknesses, tractions and jumps of neither law are those of the layer.
 
     Args:
         state: a state of an interface model, or of one with bonds ("may the layer be ignored altogether?"). If laws are
@@ -80,7 +81,7 @@ def estimate(
     if seam not in (S, *model.layers):
         raise InputError(f"estimate: {no_such('layer', seam, model.layers)}")
     chosen = [name for name in model.layers if seam in (S, name)]
-    if is_bounded(model):
+    if is_alone(model, in_time=isinstance(state, History)):
         return _by_layers(given, model, chosen, checked, options, start)
     model, laws = better_model(model, seam)
     with on_all(model.comm):
@@ -145,13 +146,21 @@ def _checked_goals(goals: Any) -> dict[str, Goal]:
     return dict(zip(names, given, strict=True))
 
 
-def is_bounded(model: InterfaceModel) -> bool:
-    """Whether goals of a model with its layers meshed have bounds. Collective.
+def is_alone(model: InterfaceModel, *, in_time: bool) -> bool:
+    """Whether the layers of a model can be meshed by themselves between its bodies. Collective.
 
-    All laws are linear, and remember nothing; nodes on S follow neither plates nor inclined supports.
+    The bodies' laws are linear, and none has a rate; nodes on S follow neither plates nor inclined supports. What
+    remembers must have been at rest before.
+
+    Args:
+        model: the interface model.
+        in_time: whether steps in time have led to its state.
     """
-    memories = (term.law.traits.remembers or term.law.traits.rate for term in model.terms)
-    if not (model.linear and model.symmetric) or model.contacts or any(memories):
+    laws = [term.law for term in model.terms]
+    if not model.symmetric or model.contacts or any(creeps(law) or (in_time and law.traits.remembers) for law in laws):
+        return False
+    linear = all(term.law.traits.linear for term in model.bodies) and all(part.is_linear(model) for part in model.parts)
+    if not linear:
         return False
     return not any(model.reductions[name].why_not("alone") for name in model.layers) and not _is_tied(model)
 
@@ -189,12 +198,13 @@ def _by_layers(
     values = {name: goal.value(given, model) for name, goal in goals.items()}
     known: dict[str, Bounds] = {}
     first = solve(model, given.t, options=options) if given.model.bonds else given
-    for order in range(max(one.order for one in better.values()) + 1):
+    for order in range(max(one.order for one in better.values()) + 1 if model.linear else 1):
         if order == 1:
             first = solve(model.with_layer(model.on_seams | better), given.t, options=options)
         with Adjoint(first, options=options, meshed=True) as adjoint:
             iteration = GlobalLocal(adjoint, layers)
             one, weights = iteration.run(goals, values, known)
+            energy = None if model.linear else iteration.energy(given, one)
             last, inside = iteration.states(one)
             if iteration.gap(one) <= NARROW**2 * one.gained and all(
                 bounds.narrow(values[name], NARROW) for name, bounds in known.items()
@@ -211,11 +221,12 @@ def _by_layers(
     for name, goal in goals.items():
         scale = max(goal.scale(given, model), goal.scale(last, model))
         at = known.get(name, Bounds(goal.value(last, model), math.nan, math.nan))
+        at = at if model.linear else Bounds(at.told, math.nan, math.nan)
         slack = ROUNDING * max(abs(values[name]), abs(at.told))
         bounds = at.lower - slack, at.upper + slack
-        found[name] = GoalError(values[name], at.told, scale, traction, True, *bounds)
+        found[name] = GoalError(values[name], at.told, scale, 0.0, True, *bounds)
     seconds = time.perf_counter() - start
-    by_layers = Meshed(inside, layers, first, weights)
+    by_layers = Meshed(inside, layers, first, weights, energy)
     return Estimate(given, last, errors, found, traction, jump, "", seconds, goals, (None, None), options, by_layers)
 
 

@@ -7,6 +7,14 @@ the meshed layer lacks is r = F - (E u - l), on the layers alone. The interface 
 
     Q in Q(u) + z . r + r . E^+ r_z/2 -+ (r . E^+ r)^(1/2) (r_z . E^+ r_z)^(1/2)/2, r_z = F_z - E z.
 
+If the layers' laws are not linear, E is their tangent where the bodies have moved them, and follows the iterate. There are
+no bounds of goals then. If energies are convex there are some of the energy J(u_0) of the state with the layer in place of
+its law: with E(v) the least energy of the layers and E* its conjugate,
+
+    gap = E(u) + E*(F) - F . u >= J(u) - min J, D - gap <= J(u_0) - min J <= D,
+
+where D is |u_0 - u|^2/2 in the bodies and, in the layers, the energy of u_0 above the tangent plane where F move them.
+
 E^+ needs forces without resultants. Laws that resist rotations of the layer, as those of order 0 do, leave some: loads on
 the faces that are rigid motions there ("couples") balance them.
 """
@@ -21,17 +29,20 @@ import numpy as np
 from dolfinx import fem
 
 from forms.base import Array
-from thinlayer.discretisation.state import Configuration, State
+from thinlayer.discretisation.state import Configuration, State, displacements_of
 from thinlayer.errors import SolveError
 from thinlayer.estimating.goal import Goal
 from thinlayer.solving.adjoint import Adjoint
-from thinlayer.solving.layer_alone import LayerAlone
+from thinlayer.solving.layer_alone import LayerAlone, share_of_step
 
 STEPS = 5
 SAME = 1e-10  # difference of two iterates, relative, that counts as rounding
 ROUNDING = 1e-14  # of these forces, over the stiffness times displacements
 UNBALANCED = 1e-9  # resultant of the forces on a layer, over their sum, that counts as rounding
 NEW_AXIS = 0.1  # part of a resultant that is along no axis yet, over all of it
+NEWTON_STEPS = 20  # at most, each of so many conjugate ones
+CONJUGATE = 3
+SETTLED = 1e-6  # part of what steps have lowered the energy by that may be left
 NARROW = 0.05  # width of bounds over the change, at which steps end
 
 
@@ -164,10 +175,10 @@ class GlobalLocal:
         return np.abs(layers.R.T @ forces).max(initial=0.0), UNBALANCED * float(np.abs(forces).sum()) + rounding
 
     # ---------------------------------------------------------------- iterates
-    def start(self) -> Iterate:
+    def first(self) -> Iterate:
         """The state."""
         u = self.state.u.x.array[: self.n].copy()
-        return self._balanced(u, self._pull(u, self._loads), self.layers.load, self.layers.values)
+        return self._settled(self._balanced(u, self._pull(u, self._loads), self.layers.load, self.layers.values))
 
     def weights(self, goal: Goal) -> tuple[Array, Iterate]:
         """Weights q (m,) of a goal at the displacements of this rank, and z."""
@@ -198,6 +209,29 @@ class GlobalLocal:
         directions, gained = (*one.directions, (d, v, F, Kd)), one.gained + float(a * (r @ v))
         return replace(one, u=one.u + a * d, v=one.v + a * v, F=one.F + a * F, directions=directions, gained=gained)
 
+    def _settled(self, one: Iterate) -> Iterate:
+        """The iterate, with the layers' tangent at it."""
+        self.layers.settled(one.v)
+        return replace(one, load=self.layers.load, directions=())
+
+    def newton_step(self, one: Iterate) -> Iterate:
+        """Toward meshed layers whose laws are not linear: conjugate steps with their tangent, while the energy falls."""
+        aim = one
+        for _ in range(CONJUGATE):
+            aim = self.step(aim)
+        du, dv, dF = aim.u - one.u, aim.v - one.v, aim.F - one.F
+        new = one
+
+        def slope(share: float) -> float:
+            nonlocal new
+            moved = replace(aim, u=one.u + share * du, v=one.v + share * dv, F=one.F + share * dF)
+            new = self._settled(moved)
+            return float(self.residual(new) @ dv)
+
+        if (start := float(self.residual(one) @ dv)) > 0:
+            share_of_step(slope, start)
+        return new
+
     def _require_balance(self, one: Iterate) -> None:
         """Raise SolveError unless forces on the layers have no resultant, but for rounding."""
         left, least = self._resultant(one)
@@ -208,6 +242,27 @@ class GlobalLocal:
         """r . E^+ r, at least twice the square of the energy norm of what is missing (Prager and Synge)."""
         r = self.residual(one)
         return float(r @ self.layers.moved(r))
+
+    def energy(self, given: State, one: Iterate) -> Bounds | None:
+        """Of J(u_0) - min J, from a last iterate. Collective.
+
+        None: the layers cannot bear the forces on their faces, or an energy is not convex.
+        """
+        try:
+            return self._energy(displacements_of(given, self.model).x.array[: self.n], one)
+        except SolveError:
+            return None
+
+    def _energy(self, u: Array, one: Iterate) -> Bounds:
+        self._require_balance(one)
+        layers, du = self.layers, one.u - u
+        w = layers.settled(one.v)
+        borne = layers.pulled(w, one.F)
+        gap = layers.divergence(w, borne)[1]
+        between = layers.divergence(layers.settled(layers.at_faces(u)), borne)
+        in_bodies = self.model.comm.allreduce(float(du @ (self._of_bodies(one.u) - self._of_bodies(u)))) / 2
+        lower, upper = (in_bodies + part for part in between)
+        return Bounds((lower - gap + upper) / 2, max(lower - gap, 0.0), upper)
 
     # ---------------------------------------------------------------- goals
     def bounds(self, at_rest: float, q: Array, one: Iterate, z: Iterate) -> Bounds:
@@ -243,7 +298,7 @@ class GlobalLocal:
 
     def states(self, one: Iterate) -> tuple[State, State]:
         """The interface model, and its layers by themselves, at an iterate."""
-        return replace(self.state, u=self._function(one.u)), self.layers.state(self.inside(one))
+        return replace(self.state, u=self._function(one.u)), self.layers.state(self.layers.settled(one.v))
 
     def run(
         self, goals: Mapping[str, Goal], values: Mapping[str, float], known: dict[str, Bounds]
@@ -255,7 +310,14 @@ class GlobalLocal:
             values: those from which changes count.
             known: bounds that are known before, of goals that are linear; it gets these.
         """
-        one, weights = self.start(), {name: self.weights(goal) for name, goal in goals.items()}
+        one = self.first()
+        for _ in range(NEWTON_STEPS):
+            if self.layers.model.linear or self.gap(one) <= SETTLED * one.gained:
+                break
+            one = self.newton_step(one)
+        else:
+            raise SolveError(f"estimate: the structure with its layers is not found in {NEWTON_STEPS} of Newton's steps")
+        weights = {name: self.weights(goal) for name, goal in goals.items()}
         same = [name for name, (_, z) in weights.items() if one.is_near(z)]  # the compliance is its own weight
         at_rest = {
             name: goal.at_rest(self.state, self.model) for name, goal in goals.items() if goal.is_linear(self.model)

@@ -115,10 +115,12 @@ def density_by_layers(iteration: GlobalLocal, given: State, better: State, z: It
         loads = given.model.forces.nodal_at(given.model.V, given.t, layers=True)
         _add_nodal(sums, given.model, -loads.array_r * given.u.x.array[: loads.getLocalSize()])
         loads.destroy()
-    v = layers.at_faces(u.x.array)
-    w = layers.inside(v, layers.load, layers.values)
-    of_layers = layers.work(w, iteration.inside(z))
-    of_layers -= (iteration.residual(z) * (layers.at_faces(better.u.x.array) - v) + z.load * w)[: len(of_layers)]
+    v, moved = layers.at_faces(u.x.array), layers.at_faces(better.u.x.array)
+    layers.settled(moved)
+    inside, missing = iteration.inside(z), iteration.residual(z)
+    w = layers.settled(v)
+    of_layers = layers.work(w, inside)
+    of_layers -= (missing * (moved - v) + z.load * w)[: len(of_layers)]
     band = layers.model.domain.joint
     of_band = np.zeros(len(band.points))
     _add_nodal(of_band, layers.model, of_layers)

@@ -15,7 +15,7 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer_model import LayerModel
 from thinlayer.discretisation.state import State
 from thinlayer.estimating.better import BetterLaw, creeps
-from thinlayer.estimating.global_local import NARROW, GlobalLocal, Iterate
+from thinlayer.estimating.global_local import NARROW, Bounds, GlobalLocal, Iterate
 from thinlayer.estimating.goals import Goal
 from thinlayer.estimating.on_surface import density_by_layers, density_of
 from thinlayer.output.surface import Surface
@@ -141,12 +141,15 @@ class Meshed:
         layers: they themselves.
         first: the state from which steps led to it.
         weights: of goals.
+        energy: bounds of that of the given displacements, with the layers meshed, above the least one; None: not known, or
+            of linear laws.
     """
 
     inside: State
     layers: LayerAlone
     first: State
     weights: Mapping[str, Iterate]
+    energy: Bounds | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -181,11 +184,20 @@ class Estimate:
         """The layers by themselves, meshed, as they are between bodies: for `Probe`, pictures, files.
 
         Raises:
-            InputError: laws that are not linear.
+            InputError: the estimate is by a better law.
         """
         if self.meshed is None:
-            raise InputError("estimate: the layers inside are known of linear laws alone")
+            raise InputError("estimate: the layers inside are not known; they were not meshed by themselves")
         return self.meshed.inside
+
+    @property
+    def energy(self) -> Bounds | None:
+        """Bounds of the potential energy of the given displacements, with the layers meshed, above the least one.
+
+        Half of what the bodies' part of the error has in the energy norm, squared, is at most that. None: of linear laws
+        goals have bounds; or it is not known.
+        """
+        return self.meshed.energy if self.meshed else None
 
     @property
     def floors(self) -> tuple[float, float]:
@@ -301,6 +313,15 @@ class Estimate:
             noise = goal.least if math.isfinite(goal.relative) else nan
             row = {"quantity": name, "value": goal.value, "better": goal.better, "error": goal.relative, "noise": noise}
             rows.append(row | {"lower": goal.lower, "upper": goal.upper})
+        if energy := self.energy:
+            row = {
+                "quantity": "energy above the least",
+                "value": energy.told,
+                "better": 0.0,
+                "error": nan,
+                "noise": nan,
+            }
+            rows.append(row | {"lower": energy.lower, "upper": energy.upper})
         return Table(rows)
 
     @property
@@ -313,6 +334,9 @@ class Estimate:
             return found
         if self.meshed:
             found.append(f"for these cells of the bodies, and {self.meshed.layers.through} cells through the layer")
+        if self.energy:
+            between = f"{self.energy.lower:.3g} to {self.energy.upper:.3g}"
+            found.append(f"laws are not linear: goals have no bounds, the energy is {between} above the least")
         found += dict.fromkeys(one.law.lacks for one in self.layers.values() if one.law.lacks)
         if not all(goal.known for goal in self.goals.values()):
             found.append("laws on S leave out a part of what forces on the layer's own side do")

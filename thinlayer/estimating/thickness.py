@@ -17,7 +17,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.discretisation.structure import Structure
 from thinlayer.errors import RangeWarning
 from thinlayer.estimating.better import LEAST_HEIGHT
-from thinlayer.estimating.estimate import estimate, is_bounded
+from thinlayer.estimating.estimate import estimate, is_alone
 from thinlayer.estimating.goal import Goal
 from thinlayer.estimating.goals import Compliance
 from thinlayer.estimating.on_surface import NEAR_ENDS
@@ -141,7 +141,7 @@ def thin_enough(
         return _error(found, quantity)
 
     rows: dict[float, float] = {}
-    eps, found = _search(error, _thickest(begun, chosen, quantity), tolerance, rows)
+    eps, found = _search(error, _thickest(begun, chosen, quantity, in_time=times is not None), tolerance, rows)
     for one in heard[eps]:
         warnings.warn(one.message, stacklevel=3)
     table = Table([{"eps": one, "error": rows[one]} for one in sorted(rows, reverse=True)])
@@ -175,10 +175,10 @@ def _checked(
     return given
 
 
-def _thickest(model: InterfaceModel, chosen: Sequence[str], quantity: str) -> float:
+def _thickest(model: InterfaceModel, chosen: Sequence[str], quantity: str, *, in_time: bool) -> float:
     """The largest thickness for which an interface law is tried."""
     layers = [model.layers[name] for name in chosen]
-    if is_bounded(model):
+    if is_alone(model, in_time=in_time):
         return min(min(one.sheet.heights) for one in layers)
     found = [min(one.sheet.heights) / LEAST_HEIGHT for one in layers]
     for one in layers if quantity in FIELDS else ():

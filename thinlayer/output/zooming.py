@@ -63,10 +63,10 @@ class CornerStrength:
 class Zoom:
     """Stresses inside a layer of an interface model: the layer meshed by itself, its faces where the bodies move them.
 
-    For all linear laws, sublayers, curved seams, networks, layers with a weight or an eigenstrain. Cells are divided
-    towards free ends and junctions. The error is that of the faces: for a layer of order 0 O(eps), of order 1 O(eps^2);
-    with `Zoom(estimate(state).better)` the bodies have yielded to the layer and its ends. Of a model whose layer is meshed
-    the stresses are those in its own cells.
+    For all laws with an energy (linear ones, or plasticity in one step from rest), sublayers, curved seams, networks,
+    layers with a weight or an eigenstrain. Cells are divided towards free ends and junctions. The error is that of the
+    faces: for a layer of order 0 O(eps), of order 1 O(eps^2); with `Zoom(estimate(state).better)` the bodies have yielded
+    to the layer and its ends. Of a model whose layer is meshed the stresses are those in its own cells.
 
     Args:
         state: of an interface model or of a full one, as `solve` returns it, or `history.at(t)`. Collective.
@@ -79,7 +79,8 @@ class Zoom:
         layer: state of the layer by itself, for `Probe`, pictures and files, whole on every rank; of a full model this one.
 
     Raises:
-        InputError: no such state or seam; a layer whose law is not linear.
+        InputError: no such state or seam; a layer whose law has no energy, or remembers earlier steps.
+        SolveError: the layer by itself is not found.
     """
 
     def __init__(self, state: State, seam: str = S, *, cells_through: int = 8, at_ends: float | None = None) -> None:
@@ -101,13 +102,17 @@ class Zoom:
             model.reductions[name].require("alone", f"zoom into {model.layers[name]}: ")
             thin = model.layers[name].thin
             assert thin
+            if thin.law.traits.remembers and not state.sudden:
+                raise InputError(
+                    f"zoom into {model.layers[name]}: it remembers earlier steps; mesh it (structure.full)"
+                )
             layers[name] = replace(thin, order=0, edges=None)
         coarse = LayerAlone(model, layers, state.t, cells_through)
-        w = coarse.inside(coarse.at_faces(state.u.x.array), coarse.load, coarse.values)
+        w = coarse.settled(coarse.at_faces(state.u.x.array))
         self._require_faces(coarse.state(w))
         reach = at_ends * min(float(one.eps) for one in layers.values())
         fine = HeldLayers(LayerModel(model, layers, cells_through, reach), state.t)
-        return fine.state(fine.inside(coarse.in_parts(w, fine), fine.load, fine.values))
+        return fine.state(fine.settled(coarse.in_parts(w, fine)))
 
     @property
     def eps(self) -> float:

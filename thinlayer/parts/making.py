@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.base import Array
@@ -43,7 +44,7 @@ def layer_parts(model: Model, held: Indices, bodies: Sequence[Part]) -> list[Par
     """
     parts: list[Part] = [*_in_forms(model, model.layer_terms, "forms"), *_compiled(model, model.layer_terms)]
     if constrained := [p for p in model.layer_terms if p.law.traits.constrained]:
-        largest = _largest_at_rest(bodies or parts)
+        largest = _largest_at_rest(model, bodies or parts)
         joint = model.domain.joint  # whose vertices are those of the mesh
         masters = joint.masters if joint.periods else None
         for p in constrained:
@@ -53,13 +54,11 @@ def layer_parts(model: Model, held: Indices, bodies: Sequence[Part]) -> list[Par
     return parts
 
 
-def _largest_at_rest(parts: Sequence[Part]) -> float:
+def _largest_at_rest(model: Model, parts: Sequence[Part]) -> float:
     """Largest diagonal entry of the tangents at rest."""
     in_forms, largest = [part for part in parts if isinstance(part, LawForms)], 0.0
     if parts != in_forms:
-        diagonal = diagonal_at_rest(parts)
-        largest = float(diagonal.max()[1])
-        diagonal.destroy()
+        largest = float(diagonal_at_rest(parts, fem.Function(model.V).x.petsc_vec).max()[1])
     return largest or max(part.largest_at_rest() for part in in_forms)
 
 
@@ -79,15 +78,15 @@ def _compiled(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:
     ]
 
 
-def diagonal_at_rest(parts: Sequence[Part]) -> PETSc.Vec:
-    """Diagonal of K and of the tangents at rest of bodies that are not in K; the caller destroys it. Collective."""
+def diagonal_at_rest(parts: Sequence[Part], out: PETSc.Vec) -> PETSc.Vec:
+    """Diagonal of K and of the tangents at rest of bodies that are not in K, written into a vector. Collective."""
+    out.set(0.0)  # layers by themselves have no bodies
     of_K = [part.K.getDiagonal() for part in parts if part.K is not None]
     of_parts = (part.diagonal_at_rest() for part in parts if hasattr(part, "diagonal_at_rest"))
-    first, *others = of_K + [diagonal for diagonal in of_parts if diagonal is not None]
-    for other in others:
-        first.axpy(1.0, other)
-        other.destroy()
-    return first
+    for diagonal in (*of_K, *(one for one in of_parts if one is not None)):
+        out.axpy(1.0, diagonal)
+        diagonal.destroy()
+    return out
 
 
 def _free(model: Model, term: Term) -> Array | None:

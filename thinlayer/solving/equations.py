@@ -73,7 +73,7 @@ class Equations(PartSum):
         self._T = self._layout.widened(self.constraints.T)
         self._product: PETSc.Mat | None = None
         self.held = self._prescribed(None)[0].astype(np.int32)
-        diagonal = diagonal_at_rest(self.parts)
+        diagonal = diagonal_at_rest(self.parts, self.u.x.petsc_vec.duplicate())
         self.scale = ForceScale(float(diagonal.norm()), max([0.0, *self.ask("cancelling")]))
         self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
         diagonal.destroy()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from functools import cached_property
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property, partial
 
 import basix
 import numpy as np
@@ -24,11 +24,16 @@ from thinlayer.discretisation.layer_model import LayerModel
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import Report, State
 from thinlayer.discretisation.supports import Place
+from thinlayer.errors import SolveError
 from thinlayer.parts.part import Interval
 from thinlayer.solving.equations import Equations
 from thinlayer.system.compat import interpolation_points
 
 Vertices = tuple[int, ...]
+NEWTON_STEPS = 40  # at most
+SETTLED = 1e-9  # what a step of Newton's changes, in the energy norm and relative, that counts as none
+LEAST_SHARE, SHARES = 0.1, 8  # of a step in the one before, number of them in turn
+PARTS = 32  # of a straight way between two displacements, over which work is summed
 INDEPENDENT = 1e-9  # singular value of motions that are independent of each other, over the largest
 
 
@@ -49,19 +54,16 @@ class HeldLayers:
     """
 
     def __init__(self, model: LayerModel, t: float) -> None:
-        self.model, self._t = model, t
-        equations = self._begun(t)
-        x, out = equations.vector(), equations.vector()
-        equations.residual(x, out)
-        self.load, self.forces = -out.array_r, np.zeros(len(out.array_r))
+        self.model = model
+        self._equations = equations = Equations(model)  # of this rank alone: freed with the layers
+        equations.begin(Interval(equations.rest(t), t, 0.0, 1.0))
+        self._x, self._out = equations.vector(), equations.vector()
+        self.linearise(np.zeros(self._x.getLocalSize()))
+        self.forces = np.zeros(len(self.load))
         self.forces[: equations.n_displacements] = equations.loads.array_r
-        rows = equations.tangent().getValuesCSR()
-        self.K = scipy.sparse.csr_matrix(rows[::-1], shape=(len(self.load),) * 2)
         self.values, self._at_sides = np.zeros(len(self.load)), np.zeros(len(self.load), bool)
         self.values[equations.held], self._at_sides[equations.held] = equations.prescribed, True
         self._displacements = equations.n_displacements
-        for one in (x, out, equations):
-            one.destroy()
         domain, d = model.domain, model.joint.dim
         assert domain.joint.band is not None
         nodes = [fem.locate_dofs_topological(model.V, d - 1, domain.facets(name)) for name in domain.joint.band.faces]
@@ -69,30 +71,64 @@ class HeldLayers:
         self.on_face[np.concatenate(nodes)[:, None] * d + np.arange(d)] = True
         self._inside = ~self.on_face & ~self._at_sides
 
-    def _begun(self, t: float) -> Equations:
-        equations = Equations(self.model)
-        equations.begin(Interval(equations.rest(t), t, 0.0, 1.0))
-        return equations
+    def residual(self, w: Array) -> Array:
+        """Internal forces (n,) at displacements, and other unknowns, w, less forces on the layers; NaN: a law fails."""
+        self._x.array[:] = w
+        self._equations.residual(self._x, self._out)
+        return np.asarray(self._out.array_r.copy())
+
+    def linearise(self, w: Array) -> None:
+        """Let K be the tangent at w, and `load` such that the residual there is K w - load."""
+        r = self.residual(w)
+        rows = self._equations.tangent().getValuesCSR()
+        self.K = scipy.sparse.csr_matrix(rows[::-1], shape=(len(r),) * 2)
+        self.load = self.K @ w - r
+        for factor in ("_dirichlet", "_neumann"):
+            vars(self).pop(factor, None)
 
     def state(self, w: Array) -> State:
         """The layers at displacements, and other unknowns, w."""
-        equations = self._begun(self._t)
-        x = equations.vector()
-        x.array[:] = w
-        found = equations.configuration(x)
-        for one in (x, equations):
-            one.destroy()
-        return State(**vars(found), model=self.model, report=Report("layers", 0, 0.0, 0.0))
+        self.residual(w)
+        _, end = self._equations.end_parts(self._equations.u, self._equations.interval.t)
+        return State(**vars(end), model=self.model, report=Report("layers", 0, 0.0, 0.0))
 
     @cached_property
     def _dirichlet(self) -> _Factor:
         return _Factor(self.K, self._inside)
 
     def inside(self, v: Array, load: Array, values: Array) -> Array:
-        """Displacements of layers whose faces are at v, under forces and with prescribed displacements of their sides."""
+        """Displacements of layers whose faces are at v, under forces and with prescribed displacements of their sides.
+
+        If laws are not linear their tangent is in their place, see `linearise`.
+        """
         w = np.where(self.on_face, v, np.where(self._at_sides, values, 0.0))
         self._dirichlet.solve(load - self.K @ w, w)
         return w
+
+    def settled(self, v: Array) -> Array:
+        """As `inside`, under the layers' own forces, with their laws, which are linearised there.
+
+        Raises:
+            SolveError: it is not found.
+        """
+        return self._balanced(self.inside(v, self.load, self.values), np.zeros(len(v)), lambda: self._dirichlet)
+
+    def _balanced(self, w: Array, forces: Array, factor: Callable[[], _Factor]) -> Array:
+        """Displacements, from w on, under forces on unknowns that a factor has, by Newton's method. Linear ones are w."""
+        if self.model.linear:
+            return w
+        for _ in range(NEWTON_STEPS):
+            self.linearise(w)
+            d = np.zeros_like(w)
+            slope = factor().solve(forces - self.residual(w), d)
+            if slope <= SETTLED**2 * abs(w @ (self.K @ w)):
+                return w
+            w = w + d * share_of_step(partial(self._slope, w, d, forces), slope)
+        raise SolveError(f"the layer by itself is not in equilibrium after {NEWTON_STEPS} of Newton's steps")
+
+    def _slope(self, w: Array, d: Array, forces: Array, share: float) -> float:
+        """By which the energy falls along d, a share of it beyond w."""
+        return float(d @ (forces - self.residual(w + share * d)))
 
     def motion_of(self, place: Place, direction: Array) -> Array:
         """(n,) motion of the layers' sides for which -g . r is the force of a support along a direction (d,)."""
@@ -155,17 +191,12 @@ class LayerAlone(HeldLayers):
 
     def work(self, w: Array, z: Array) -> Array:
         """Work (k,) of the stresses at w in the strains of z, less that of the loads, spread over displacements."""
-        equations = self._begun(self._t)
-        x, out, found = equations.vector(), equations.vector(), fem.Function(self.model.V)
-        x.array[:] = w
-        equations.residual(x, out)
-        strained = fem.Function(self.model.V)
+        self.residual(w)
+        strained, found = fem.Function(self.model.V), fem.Function(self.model.V)
         strained.x.array[:] = z[: self._displacements]
-        for part in equations.layers:
+        for part in self._equations.layers:
             if hasattr(part, "add_work_in"):
                 part.add_work_in(strained, found.x.petsc_vec)
-        for one in (x, out, equations):
-            one.destroy()
         return np.asarray(found.x.array - (z * self.forces)[: self._displacements])
 
     def _motions(self, free: npt.NDArray[np.bool_]) -> tuple[Array, npt.NDArray[np.bool_]]:
@@ -212,6 +243,26 @@ class LayerAlone(HeldLayers):
         self._neumann.solve(r, w)
         return np.where(self.on_face, w, 0.0)
 
+    def pulled(self, w: Array, F: Array) -> Array:
+        """Displacements, from w on, of layers with forces F on their faces, which have no resultant; as `settled`."""
+        return self._balanced(w, F, lambda: self._neumann)
+
+    def divergence(self, w: Array, at: Array) -> tuple[float, float]:
+        """Bounds of the energy at w above its tangent plane at another place, of laws whose energy is convex.
+
+        It is the work in w - at of residuals on the straight way, less that of the first one. Along it their work grows, so
+        that sums over its parts are bounds.
+
+        Raises:
+            SolveError: their work falls somewhere: the energy is not convex.
+        """
+        d = w - at
+        work = np.array([d @ self.residual(at + share * d) for share in np.linspace(0.0, 1.0, PARTS + 1)])
+        work -= work[0]
+        if (np.diff(work) < -SETTLED * np.abs(work).max()).any():
+            raise SolveError("the energy of the layer is not convex")
+        return float(work[:-1].mean()), float(work[1:].mean())
+
 
 class _Factor:
     """Rows and columns of a symmetric matrix, factored."""
@@ -229,11 +280,24 @@ class _Factor:
         self._ksp.getPC().setFactorSolverType("mumps")
         self._x, self._b = A.createVecs()
 
-    def solve(self, b: Array, out: Array) -> None:
-        if self._which.any():
-            self._b.array[:] = b[self._which]
-            self._ksp.solve(self._b, self._x)
-            out[self._which] = self._x.array_r
+    def solve(self, b: Array, out: Array) -> float:
+        """Write the solution into `out`; returns its product with b."""
+        if not self._which.any():
+            return 0.0
+        self._b.array[:] = b[self._which]
+        self._ksp.solve(self._b, self._x)
+        out[self._which] = self._x.array_r
+        return float(self._b.dot(self._x))
+
+
+def share_of_step(slope: Callable[[float], float], start: float) -> float:
+    """The share of a step at which the slope of a convex energy, `start` > 0 downhill at first, is not far uphill."""
+    share = 1.0
+    while not (end := slope(share)) >= -start / 2:  # a law that fails has none
+        share *= max(start / (start - end), LEAST_SHARE) if end < 0 else LEAST_SHARE
+        if share < LEAST_SHARE**SHARES:
+            raise SolveError("the energy of the layer by itself falls along no step")
+    return share
 
 
 def _pairs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntArray, IntArray]:
