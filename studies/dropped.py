@@ -294,6 +294,15 @@ SUBLAYERS = Stack((0.3, LinearElastic(60.0, 40.0)), (0.7, LinearElastic(600.0, 2
 CREEPING = Norton(lmbda=50.0, mu=30.0, eta=1500.0, p=3.0)
 
 
+HARD, TENDER = shear(400.0, 0.3), shear(4.0, 0.3)  # plies
+FIBRES = Anisotropic(np.diag([200.0, 60.0, 90.0, 25.0, 30.0, 40.0]) + 20.0 * np.eye(6)[[1, 0, 2, 3, 4, 5]], "layer")
+
+
+def _plies(*laws: BulkLaw) -> Callable[[float], ThinLayer]:
+    """Thickness -> a layer of plies that are equally thick."""
+    return of(Stack(*((1 / len(laws), law) for law in laws)))
+
+
 def _two(eps: float) -> dict[str, ThinLayer]:
     """A layer, and a thinner one above it."""
     return {"LOW": soft(30.0, 0.3)(eps), "HIGH": soft(10.0, 0.2)(eps / 2)}
@@ -305,7 +314,11 @@ def further_cases() -> list[Case]:
     ends, middle = (work, moved), (work, moved, goals.MeanTraction((1.0, 0.0)))
     unlike = partial(free, load=(-0.6, 0.4), heights=(0.4, 0.7), lower=young(50.0, 0.2), upper=young(200.0, 0.35))
     sheet = partial(free, load=(0.5, -0.6), plane="stress")
-    bonded = partial(free, load=(0.3, -1.0))
+    bonded, pressed = partial(free, load=(0.3, -1.0)), partial(free, load=(0.0, -1.0), lower=STEEL, upper=STEEL)
+
+    def thin(eps: float) -> Structure:
+        return free(eps, heights=(2 * eps, 3 * eps))
+
     return [
         Case("two stiffnesses", unlike, soft(15.0, 0.35), asked=ends),
         Case("tilted S", tilted, soft(30.0, 0.25)),
@@ -317,6 +330,10 @@ def further_cases() -> list[Case]:
         Case("fixed moduli", bonded, of(young(3.0, 0.35), None), asked=ends),
         Case("plastic, free ends", free, of(YIELDING), asked=ends),
         Case("sublayers", channel, of(SUBLAYERS), asked=middle),
+        Case("plies, hard outside, pressed", pressed, _plies(HARD, TENDER, HARD)),
+        Case("plies, hard inside, pressed", pressed, _plies(TENDER, HARD, TENDER)),
+        Case("fibres, pressed", pressed, of(FIBRES)),
+        Case("thin bodies", thin, soft(40.0, 0.3), asked=ends[:1]),
         Case("rubber, rollers", channel, of(Rubber.shear(20.0, 0.49)), asked=middle),
         Case("Norton, p = 3", channel, of(CREEPING), step=0.02, asked=middle),
         Case("Kelvin-Voigt", channel, of(KelvinVoigt(60.0, 40.0, 0.3, 0.5)), step=0.2, asked=middle),

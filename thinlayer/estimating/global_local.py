@@ -316,7 +316,9 @@ class GlobalLocal:
                 break
             one = self.newton_step(one)
         else:
-            raise SolveError(f"estimate: the structure with its layers is not found in {NEWTON_STEPS} of Newton's steps")
+            raise SolveError(
+                f"estimate: the structure with its layers is not found in {NEWTON_STEPS} of Newton's steps"
+            )
         weights = {name: self.weights(goal) for name, goal in goals.items()}
         same = [name for name, (_, z) in weights.items() if one.is_near(z)]  # the compliance is its own weight
         at_rest = {
