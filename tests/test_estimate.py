@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 import warnings
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import ufl
 
-from forms import LinearElastic, Maxwell, MohrCoulomb, Norton, Stack, VonMises
+from forms import LinearElastic, Maxwell, MohrCoulomb, Norton, Rubber, Stack
 from forms.base import InputError
 from geometry import sandwich
 from geometry.sheet import Rim
 from tests.estimate_run import EPS, GLUE, KINDS, LOWER, estimated, several, structure, total
 from tests.on_ranks import on_ranks
-from tests.own_laws import Cubic
 from tests.pictures import assert_drawn
 from tests.refused import refused
 from thinlayer import (
@@ -32,11 +30,11 @@ from thinlayer import (
     solve,
     thin_enough,
 )
-from thinlayer.estimating import better, thickness
-from thinlayer.estimating.on_surface import away_from_ends
+from thinlayer.estimating import thickness
 from thinlayer.estimating.result import GoalError, _said
-from thinlayer.estimating.thickness import _error, _search
-from thinlayer.output.surface import ELASTIC
+from thinlayer.estimating.thickness import _search
+
+SLIPS = MohrCoulomb(4.0, 3.0, cohesion=10.0, friction_angle=15.0)
 
 pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
 
@@ -124,25 +122,12 @@ def test_a_history_is_marched_again():
     found = estimate(limit)
     assert found.better.t == 0.8
     true = full.last.energies()["loads"] - limit.last.energies()["loads"]
-    assert found.goals["compliance"].change == pytest.approx(true, rel=0.04)  # of order 1: 0.06 at EPS
-    assert total(found, "compliance") == pytest.approx(found.goals["compliance"].change, rel=1e-3)
+    assert found.goals["compliance"].change == pytest.approx(true, rel=1e-4)
+    assert total(found, "compliance") == pytest.approx(found.goals["compliance"].change, rel=0.02)  # to first order
     at_once = estimate(solve(made.interface(ThinLayer(LinearElastic(1.2, 2.0), EPS / 2, at=1.0)), 0.8))
     assert at_once.goals["compliance"].change / true < 0.6
     with pytest.raises(InputError, match="marched with theta"):
         estimate(march(made.interface(layer), [0.5, 1.0], theta=0.5))
-
-
-def test_newton_begins_at_the_given_state():
-    """From u_0 and from rest it finds the same, of bodies that are not linear."""
-    made, stiffens = between_rollers(), Cubic(300.0, 1e6)
-    made = Structure(made.joint, body=stiffens, supports=made.supports, tractions=made.tractions)
-    limit = solve(made.interface(ThinLayer(VonMises(4.0, 3.0, strength=0.5, hardening=2.0), EPS, at=1.0)), 1.0)
-    found = estimate(limit)
-    again = solve(found.better.model, 1.0)
-    difference = np.abs(again.u.x.array - found.better.u.x.array).max()
-    assert difference < 1e-9 * np.abs(again.u.x.array).max()
-    assert found.better.report.iterations <= again.report.iterations
-    assert found.unknown == ""  # it yields, but has no free ends
 
 
 def test_equal_sublayers_are_one_law():
@@ -152,16 +137,6 @@ def test_equal_sublayers_are_one_law():
     )
     assert two.traction == pytest.approx(one.traction, rel=1e-3)  # other cells through the layer
     assert two.goals["compliance"].change == pytest.approx(one.goals["compliance"].change, rel=1e-3)
-
-
-@pytest.mark.few(5)
-def test_between_soft_bodies_half_the_true_error_is_found_without_edge_terms():
-    layer = ThinLayer(Norton(lmbda=20.0, mu=50.0, eta=9.0, p=1.5), EPS, at=1.0)
-    limit, full = (march(model, [0.5, 1.0]) for model in (graded().interface(layer), graded().full(layer)))
-    found = estimate(limit)
-    true = full.last.energies()["loads"] - limit.last.energies()["loads"]
-    assert "without edge terms: off by up to a half" in str(found)
-    assert 0.5 * true < found.goals["compliance"].change < 1.02 * true
 
 
 def test_a_pressure_between_held_ends_flows_along_s():
@@ -187,27 +162,7 @@ def test_sentences():
     assert said[1].startswith("for these cells of the bodies, and 4 cells through the layer")
     assert estimated("bonded").sentences[0].startswith("perfect bond: ")
     assert math.isnan(estimated("bonded").jump)
-    assert estimated("between").laws == {"S": "LinearElastic, meshed by itself"}
-    assert estimated("rubber").laws["S"] == "Rubber, meshed by itself"
-    assert not any(math.isfinite(row["error"]) and math.isnan(row["noise"]) for row in estimated("between").table.rows)
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("law", "words"),
-    [
-        (VonMises(4.0, 3.0, strength=0.9, hardening=2.0), "yields at its free ends"),
-        (MohrCoulomb(4.0, 3.0, cohesion=0.1, friction_angle=15.0), "slides or yields with a dilatancy"),
-    ],
-)
-def test_a_layer_that_yields_at_its_ends_in_steps_of_time_has_no_estimate(law, words):
-    model = graded().interface(ThinLayer(law, EPS, at=1.0))
-    found = estimate(march(model, [0.5, 1.0]))
-    assert math.isnan(found.traction)
-    assert found.sentences == [f"order 0: {found.unknown}"]
-    assert words in found.unknown
-    assert np.isnan(found.table["error"]).all()
-    assert words not in estimate(march(model, [0.005, 0.01])).unknown  # it stays elastic
+    assert isinstance(estimated("rubber").layers["S"].layer.law, Rubber)  # its pressure is not lost
 
 
 def test_goals_that_are_zero():
@@ -216,7 +171,6 @@ def test_goals_that_are_zero():
     found = estimate(solve(made.interface(ThinLayer(GLUE, EPS, at=1.0))), goals=[goals.Reaction("BOTTOM", (1, 0))])
     (goal,) = found.goals.values()
     assert goal.zero
-    assert not goal.told
     assert math.isnan(goal.relative)
     assert "reaction BOTTOM along (1, 0) is zero" in str(found)
 
@@ -239,23 +193,10 @@ def test_a_functional_whose_parts_cancel_is_zero():
     assert goal.scale > 5e-4  # of displacements of 0.001 along x on each half
 
 
-def test_a_goal_whose_change_is_noise_is_only_bounded():
-    """Next to a traction that is off by 5 %, on a mesh that is not symmetric, a goal that is zero but for the mesh."""
-    small = GoalError(value=3.0e-7, better=3.5e-7, scale=0.03, traction=0.05)
-    assert not small.zero
-    assert not small.told
-    assert small.least > 100
-    assert _said("small", small) == "small is nearly zero: its error is noise"
-    fixed, clear = GoalError(1.0, 1.0 + 1e-13, 2.0, 0.05), GoalError(1.0, 1.02, 2.0, 0.05)
-    assert (fixed.told, fixed.relative) == (True, 0.0)
-    assert clear.told
-    law = SimpleNamespace(off=0.5)
-    found = SimpleNamespace(unknown="", layers={"S": SimpleNamespace(law=law)}, goals={"small": small, "clear": clear})
-    assert _error(found, "small") == (small.relative + small.least) / 0.5
-    assert not GoalError(1.0, 1.01, 2.0, math.nan).told  # of tractions nothing is known
-    below = GoalError(1.0, 1.001, 2.0, 0.05)  # the change and what it may be wrong by
-    assert (below.told, _said("it", below)) == (False, "below 1.1 % in it")
-    assert _error(found, "clear") == clear.relative / 0.5
+def test_a_goal_that_equilibrium_gives_does_not_change():
+    fixed, clear = GoalError(1.0, 1.0 + 1e-13, 2.0), GoalError(1.0, 1.02, 2.0)
+    assert (fixed.relative, _said("it", fixed)) == (0.0, "no change in it")
+    assert (clear.at_most, _said("it", clear)) == (pytest.approx(0.02 / 1.02), "2 % in it")
 
 
 def test_rigid_motions_do_not_matter():
@@ -269,13 +210,6 @@ def test_rigid_motions_do_not_matter():
 
 
 # ---------------------------------------------------------------- places
-def test_places_away_from_ends():
-    model = graded().interface(ThinLayer(GLUE, EPS, at=1.0))
-    surface, length = Surface(model), 0.17
-    area = surface.integral(away_from_ends(surface, model.layers["S"], length))
-    assert area == pytest.approx(1.3 - 2 * length, abs=0.05)  # two cells there
-
-
 def test_distances_from_edges_and_not_from_their_lines():
     """Against the nearest of many points of two edges that end in space."""
     points = np.array([[0.0, 0.1, 0.0], [0.7, 0.1, 0.2], [0.7, 0.9, 0.2]])
@@ -285,21 +219,6 @@ def test_distances_from_edges_and_not_from_their_lines():
     wanted = np.linalg.norm(x[:, None] - along, axis=2).min(axis=1)
     found = Rim(edges, *[np.zeros(len(edges))] * 4).distance(points, x)
     assert found == pytest.approx(wanted, abs=1e-3)
-
-
-def test_a_layer_that_yields_two_thicknesses_from_its_ends_has_no_estimate(monkeypatch):
-    law = VonMises(4.0, 3.0, strength=0.9, hardening=2.0)
-    state = solve(graded().interface(ThinLayer(law, EPS, at=1.0)), 0.01)
-    at = Surface(state.model).x[0].mean(axis=1)
-
-    def why(near, far):
-        status = np.where((at > near * EPS) & (at < far * EPS), "yields", ELASTIC)
-        assert (status == "yields").any()
-        monkeypatch.setattr(Surface, "status", lambda *_: status[:, None])
-        return better.why_unknown(state)
-
-    assert "yields at its free ends" in why(1.0, 2.0)
-    assert why(5.0, 9.0) == ""
 
 
 def test_the_compliance_of_supports_that_move_knows_no_path():
@@ -373,14 +292,6 @@ def test_thin_enough_refuses(tolerance, goal, message):
     refused(InputError, message, lambda: thin_enough(structure("between"), layer, tolerance, goal))
 
 
-def test_a_law_without_an_energy_has_a_noise():
-    """Of goals, which says where leading terms cancel."""
-    rolling = Structure(sandwich(1.3, 0.3, 0.4, 0.3), body=Cubic(300.0, 5.0), tractions={"TOP": (0.3, -1.0)},
-                        supports={"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}})  # fmt: skip
-    goal = estimate(solve(rolling.interface(ThinLayer(Cubic(2.0, 5.0), EPS)))).goals["compliance"]
-    assert 0 < goal.least < 1
-
-
 # ---------------------------------------------------------------- refused
 def test_what_has_no_estimate():
     made, layer = structure("between"), ThinLayer(GLUE, EPS, at=1.0)
@@ -399,6 +310,7 @@ def test_what_has_no_estimate():
         (lambda: estimate(limit, goals=[goals.Functional("mean", 3)]), "must be a function"),
         (lambda: estimate(limit, goals=[goals.Functional("mean", lambda u, model: u[5] * model.dx)]), "fails"),
         (lambda: estimate(limit, goals=[goals.Functional("m", lambda u, model: 1j * u[0] * model.dx)]), "not real"),
+        (lambda: estimate(solve(made.interface(ThinLayer(SLIPS, EPS)))), "MohrCoulomb has .* not symmetric"),
         (lambda: thin_enough(limit.model, layer, 0.1), "takes a Structure"),
         (lambda: thin_enough(made, layer, 0.1, bonded=True, bodies="extended"), "meet on S"),
     ]:
@@ -446,6 +358,8 @@ def test_states_and_supports_that_have_no_estimate():
         ThinLayer(Maxwell(3.0, 2.0, 0.5), EPS, at=1.0)
     )
     refused(InputError, "give the history", lambda: estimate(march(creeping, [0.4]).last))
+    tied = Structure(joint.rotated(0.3), supports={"BOTTOM": 0, "LEFT": {"n": 0}}, **given)
+    refused(InputError, "tie nodes on S", lambda: estimate(solve(tied.interface(ThinLayer(GLUE, EPS, at=1.0)))))
     both = Structure(joint, supports={"BOTTOM": 0, "LEFT": 0, "LEFT/LAYER": 0}, **given)
     assert estimate(solve(both.interface(ThinLayer(GLUE, EPS, at=1.0)))).traction > 0  # the bodies are held there, too
     free = Structure(joint, body=LOWER, supports={"BOTTOM": {"y": 0}, (0.0, -0.3): {"x": 0}}, eigenstrain=0.01)

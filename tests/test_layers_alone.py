@@ -8,7 +8,7 @@ from functools import cache, partial
 import numpy as np
 import pytest
 
-from forms import Anisotropic, LinearElastic, Rubber, Stack, VonMises
+from forms import Anisotropic, KelvinVoigt, LinearElastic, Maxwell, Norton, NortonCreep, Rubber, Stack, VonMises
 from forms.base import InputError
 from geometry import block, faults, ring, sandwich, wall
 from studies.dropped import random_case
@@ -16,7 +16,7 @@ from studies.may_i_drop import Dropped, effectivities
 from tests.on_ranks import on_ranks
 from tests.own_laws import Cubic
 from tests.refused import refused
-from thinlayer import RigidPlate, SolveError, Structure, Surface, ThinLayer, compare, estimate, goals, solve
+from thinlayer import RigidPlate, SolveError, Structure, Surface, ThinLayer, compare, estimate, goals, march, solve
 from thinlayer.discretisation.state import displacements_of
 from thinlayer.estimating import global_local
 from thinlayer.solving.adjoint import Adjoint
@@ -113,7 +113,7 @@ def meshed(name: str):
     """The state with the layers meshed by the same cells."""
     structure, _, _, *bodies = CASES[name]
     _, found = told(name)
-    layers = {seam: one.law.layer for seam, one in found.layers.items()}
+    layers = {seam: one.layer for seam, one in found.layers.items()}
     return solve(structure.full(layers, bodies=(*bodies, "kept")[0], cells_through=THROUGH))
 
 
@@ -174,7 +174,7 @@ def test_steps_lead_to_the_meshed_layer_and_half_the_gap_is_the_distance_from_th
     state, _ = told(name)
     layers = LayerAlone(state.model, dict(state.model.on_seams), 0.0)
     true = displacements_of(meshed(name), state.model).x.array[: state.model.V.dofmap.index_map.size_local * 2]
-    with Adjoint(state, meshed=True) as adjoint:
+    with Adjoint(state) as adjoint:
         iteration = global_local.GlobalLocal(adjoint, layers)
         one = iteration.first()
         for _ in range(2):
@@ -191,7 +191,7 @@ def test_steps_lead_to_the_meshed_layer_and_half_the_gap_is_the_distance_from_th
 def test_a_layer_pressed_between_rollers_has_no_gap():
     rollers = {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
     state = solve(loaded(blocks(), (0.0, -1.0), rollers).interface(ThinLayer(GLUE, EPS)))
-    with Adjoint(state, meshed=True) as adjoint:
+    with Adjoint(state) as adjoint:
         iteration = global_local.GlobalLocal(adjoint, LayerAlone(state.model, dict(state.model.on_seams), 0.0))
         assert iteration.gap(iteration.first()) < 1e-16 * abs(WORK.value(state, state.model))
 
@@ -244,10 +244,10 @@ def test_laws_of_order_1_resist_no_rotation_of_the_layer(name):
     structure, layer, _ = CASES[name]
     for order, edges in ((0, None), (1, "plain")):
         state = solve(structure.interface(replace(layer, order=order, edges=edges)))
-        with Adjoint(state, meshed=True) as adjoint:
+        with Adjoint(state) as adjoint:
             iteration = global_local.GlobalLocal(adjoint, LayerAlone(state.model, {"S": layer}, 0.0))
             u = state.u.x.array[: iteration.n]
-            F = iteration._pull(u, iteration._loads)
+            F = iteration._pulled(iteration._lack(u))
             one = global_local.Iterate(
                 u, iteration.layers.at_faces(u), F, iteration.layers.load, iteration.layers.values
             )
@@ -369,7 +369,7 @@ def test_energy_has_bounds_from_the_first_step_on_and_none_of_what_the_layer_can
     """They are wider then. A law of order 0 that yields bears more than the layer by itself, whose ends are free."""
     for name, bears in (("hardens", True), ("perfectly plastic", False)):
         state, found, _ = yielding(name)
-        with Adjoint(state, meshed=True) as adjoint:
+        with Adjoint(state) as adjoint:
             iteration = global_local.GlobalLocal(adjoint, LayerAlone(state.model, dict(state.model.on_seams), 0.0))
             early, last = iteration.energy(state, iteration.first()), found.energy
         assert (early is not None) == bears
@@ -383,6 +383,53 @@ def test_an_energy_that_is_not_convex_has_no_bounds():
     pressed = layers.on_face * 0.1 * np.random.default_rng(3).normal(size=len(layers.load))
     with pytest.raises(SolveError, match="not convex"):
         layers.divergence(pressed, 0 * pressed)
+
+
+# ---------------------------------------------------------------- in time, bodies that are not linear
+GROWING = {"tractions": {"TOP": lambda x, t: (0.3 * t, -t)}}
+STIFFENS, METAL = Cubic(50.0, 3e5), VonMises(50.0, 40.0, 1.2, hardening=10.0)
+HARDENS = VonMises(4.0, 3.0, 0.8, hardening=0.2)
+STEPS = {  # name -> bodies, the layer's law, ends of time steps; none: one step from rest
+    "creeps": (None, Norton(lmbda=1.2, mu=2.0, eta=0.7, p=1.5), [0.3, 0.8]),
+    "creeps slowly": (None, Norton(lmbda=1.2, mu=2.0, eta=7.0, p=3.0), [0.3, 0.8]),
+    "relaxes": (None, Maxwell(4.0, 3.0, 0.7, 1.5), [0.3, 0.6, 1.0]),
+    "at once": (None, Maxwell(4.0, 3.0, 0.7, 1.5), None),
+    "retards": (None, KelvinVoigt(4.0, 3.0, 0.3, 0.5), [0.3, 1.0]),
+    "flows": (None, NortonCreep(4.0, 3.0, 0.5, 3.0), [0.3, 1.0]),
+    "yields": (None, HARDENS, [0.5, 1.0]),
+    "as stiff as bodies": (None, Norton(lmbda=28.0, mu=19.0, eta=12.0, p=1.5), [0.01]),
+    "bodies stiffen": (STIFFENS, LinearElastic(4.0, 3.0), None),
+    "bodies stiffen, in time": (STIFFENS, HARDENS, [0.5, 1.0]),
+    "bodies yield": (METAL, HARDENS, None),
+}
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_layers_in_time_and_bodies_that_are_not_linear(name):
+    """Their memory goes on beside that of the interface law, with bodies that yield to the layer at each time."""
+    body, law, times = STEPS[name]
+    made = loaded(blocks(), **GROWING | ({"body": body} if body else {}))
+    model, full = made.interface(ThinLayer(law, EPS)), made.full(ThinLayer(law, EPS), cells_through=THROUGH)
+    state, true = (march(one, times) if times else solve(one, 1.0) for one in (model, full))
+    found = estimate(state, goals=(WORK, MOVED))
+    known = compare(true, state)
+    assert (found.traction, found.jump) == pytest.approx((known["error_traction"], known["error_jump"]), rel=2e-4)
+    last = true.last if times else true
+    for goal in (WORK, MOVED):
+        one, meshed = found.goals[goal.name], goal.value(last, full if goal is WORK else model)
+        assert one.change == pytest.approx(meshed - one.value, rel=5e-4), goal.name
+        assert one.bounded == (name == "at once")
+    if "stiff as" not in name:  # where the change is small beside the answer
+        assert Surface(model).integral(found.density()) == pytest.approx(found.goals["compliance"].change, rel=0.09)
+
+
+def test_histories_of_which_states_are_not_kept_and_of_bonds_are_marched_again():
+    made, layer = loaded(blocks(), **GROWING), ThinLayer(Maxwell(4.0, 3.0, 0.7, 1.5), EPS)
+    kept = estimate(march(made.interface(layer), [0.3, 1.0]))
+    again = estimate(march(made.interface(layer), [0.3, 1.0], keep="last"))
+    bonded = estimate(march(made.bonded(), [0.3, 1.0]), layer)
+    change = [found.goals["compliance"].better for found in (kept, again, bonded)]
+    assert change == pytest.approx(change[:1] * 3, rel=1e-5)
 
 
 def test_rubber_is_bounded_too():

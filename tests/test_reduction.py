@@ -16,6 +16,7 @@ from forms import (
     NonMonotone,
     Rubber,
     Stack,
+    VonMises,
 )
 from forms.base import InputError
 from geometry import disc, ring, sandwich, wall
@@ -99,9 +100,11 @@ TABLE = {
         (None, thin(Incompressible(40.0)), {}),
         ("closed", thin(Incompressible(40.0)), {"supports": SIDE | {"RIGHT": {"x": 0.0}}}),
         ("no thickness", CONTACT, {}),
-        ("not linear", thin(MohrCoulomb(4.0, 3.0, cohesion=1.0, friction_angle=30.0), 0), {}),
+        ("no energy", thin(MohrCoulomb(4.0, 3.0, cohesion=1.0, friction_angle=30.0), 0), {}),
+        ("rate", thin(KelvinVoigt(4.0, 3.0, 0.2, 0.5), 0), {}),
     ],
     "corners": [
+        ("not linear", thin(VonMises(4.0, 3.0, 1.0), 0), {}),
         (None, thin(order=0), {}),
         (None, thin(STACK), {}),
         (None, thin(Rubber.shear(1.0, 0.48), 0), {}),
@@ -121,8 +124,9 @@ TABLE = {
     "estimate": [
         (None, thin(order=0), {}),
         ("no thickness", CONTACT, {}),
-        ("order 1", thin(), {}),
-        ("phases", thin(SOFTENING, 0), {}),
+        (None, thin(), {}),
+        (None, thin(KelvinVoigt(4.0, 3.0, 0.2, 0.5), 0), {}),
+        ("no energy", thin(SOFTENING, 0), {}),
         ("held alone", thin(order=0), {"supports": {"BOTTOM": 0.0, "LEFT/LAYER": 0.0}}),
         (None, thin(order=0), {"supports": {"BOTTOM": 0.0, "LEFT": 0.0, "LEFT/LAYER": 0.0}}),
     ],

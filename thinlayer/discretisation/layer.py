@@ -253,6 +253,10 @@ class SeamLayer:
         """Key of the layer's pressure, if its law has one."""
         return PRESSURE + self.key.removeprefix(LAYER)
 
+    def owns(self, key: str) -> bool:
+        """Whether a key of a layer is that of one of its terms, or of its pressure."""
+        return len(self.structure.joint.seams) == 1 or key.split("/")[0] in (self.key, self.pressure_key)
+
     @property
     def flows(self) -> bool:
         """Whether the interface law is that of order 1 of a law with a pressure, which flows along S."""

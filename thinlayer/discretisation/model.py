@@ -437,10 +437,7 @@ class Model(ABC):
     def by_seam(self, values: Mapping[str, float]) -> dict[str, float]:
         """Sums of values of layers, given by key (`SeamLayer.key`), for each seam; empty if there is one seam only."""
         several = self.layers if len(self.joint.seams) > 1 else {}
-        return {
-            name: sum(value for key, value in values.items() if key.split("/")[0] in (one.key, one.pressure_key))
-            for name, one in several.items()
-        }
+        return {name: sum(value for key, value in values.items() if one.owns(key)) for name, one in several.items()}
 
     def held_in(self, V: fem.FunctionSpace) -> Indices:
         """Degrees of freedom of a space (local, unrolled, ghosts included) on which supports and plates act. Collective.

@@ -310,15 +310,6 @@ def _straight(r: Reduction, contrast: float) -> Iterator[Refused]:
         yield Refused("curved end", str(error))
 
 
-def _estimated(r: Reduction) -> Iterator[Refused]:
-    """Of a law of order 0 whose error a better law tells."""
-    thin, traits = r.one.thin, r.one.law.traits
-    if thin and thin.order == 1:
-        yield Refused("order 1", f"{r.one} has order=1 already, and an estimate needs a better law", "give it order=0")
-    if traits.phases or traits.softens:
-        yield Refused("phases", f"{type(r.one.law).__name__} has phases, or a stress that falls as strains grow")
-
-
 def _evens_out(r: Reduction) -> Iterator[Refused]:
     """Of a pressure whose excess is known (`thinlayer.surface.excess`)."""
     one = r.one
@@ -340,15 +331,22 @@ def _evens_out(r: Reduction) -> Iterator[Refused]:
         yield Refused("no excess", f"lmbda of the layer is {lmbda:.4g}")
 
 
-def _alone(r: Reduction) -> Iterator[Refused]:
+def _with_energy(r: Reduction) -> Iterator[Refused]:
     """Of the layer by itself, between faces that are moved."""
     traits, kind = r.one.law.traits, type(r.one.law).__name__
-    if traits.rate or traits.phases or traits.softens or not traits.symmetric:
-        reason = f"{kind} has a rate, phases, stresses that fall, or an unsymmetric tangent"
+    if traits.phases or traits.softens or not traits.symmetric:
+        reason = f"{kind} has phases, a stress that falls as strains grow, or a tangent that is not symmetric"
         yield Refused("no energy", reason, "mesh the layer (structure.full)")
     elif traits.constrained and not r.law.volume_compliance and not len(r.loose.vertices):
         reason = f"{kind} between faces, with no side that is free, bears a pressure that these do not tell"
         yield Refused("closed", reason, "take Rubber with Poisson's ratio 0.4999")
+
+
+def _at_once(r: Reduction) -> Iterator[Refused]:
+    """Of a state that knows no rates."""
+    if r.one.law.traits.rate:
+        reason = f"{type(r.one.law).__name__} has a rate, of which a state does not know"
+        yield Refused("rate", reason, "mesh the layer (structure.full)")
 
 
 def _corners(r: Reduction) -> Iterator[Refused]:
@@ -374,8 +372,8 @@ QUESTIONS: dict[str, tuple[Ask, ...]] = {
     "mean strain": (_under_mean_strain,),
     "interface law": (_law, _next_term, _on_all_of_s),
     "ends": (_thickness, _corrected),
-    "estimate": (_thickness, _held_alone, _estimated),
+    "estimate": (_thickness, _held_alone, _with_energy),
     "excess of pressure": (_thickness, _evens_out),
-    "alone": (_thickness, _alone),
-    "corners": (_thickness, _alone, _corners),
+    "alone": (_thickness, _at_once, _with_energy),
+    "corners": (_thickness, _at_once, _with_energy, _corners),
 }

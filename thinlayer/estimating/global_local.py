@@ -28,11 +28,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from dolfinx import fem
 
-from forms.base import Array
+from forms.base import Array, InputError
+from geometry.topology import IntArray
 from thinlayer.discretisation.state import Configuration, State, displacements_of
 from thinlayer.errors import SolveError
 from thinlayer.estimating.goal import Goal
 from thinlayer.solving.adjoint import Adjoint
+from thinlayer.solving.balance import PartSum
 from thinlayer.solving.layer_alone import LayerAlone, share_of_step
 
 STEPS = 5
@@ -40,8 +42,8 @@ SAME = 1e-10  # difference of two iterates, relative, that counts as rounding
 ROUNDING = 1e-14  # of these forces, over the stiffness times displacements
 UNBALANCED = 1e-9  # resultant of the forces on a layer, over their sum, that counts as rounding
 NEW_AXIS = 0.1  # part of a resultant that is along no axis yet, over all of it
-NEWTON_STEPS = 20  # at most, each of so many conjugate ones
-CONJUGATE = 3
+NEWTON_STEPS, CONJUGATE = 20, 30  # at most; the latter in each of the former
+LITTLE = 1e-3  # part of what a step of Newton's has gained, at which conjugate ones end
 SETTLED = 1e-6  # part of what steps have lowered the energy by that may be left
 NARROW = 0.05  # width of bounds over the change, at which steps end
 
@@ -106,12 +108,16 @@ class GlobalLocal:
     def __init__(self, adjoint: Adjoint, layers: LayerAlone) -> None:
         self.adjoint, self.equations, self.state, self.layers = adjoint, adjoint.equations, adjoint.state, layers
         self.model, self.n = adjoint.model, adjoint.equations.n_displacements
-        keys = [
-            key for name in layers.seams for key in (self.model.layers[name].key, self.model.layers[name].pressure_key)
-        ]
-        self._laws = [part for part in self.equations.layers if part.key.split("/")[0] in keys]
-        self._others = [part for part in self.equations.parts if part not in self._laws]
-        self._at_zero = self._of_bodies(np.zeros(self.n))
+        dropped = [self.model.layers[name] for name in layers.seams]
+        self._laws = [part for part in self.equations.layers if any(one.owns(part.key) for one in dropped)]
+        others = PartSum(part for part in self.equations.parts if part not in self._laws)
+        if others.with_own:
+            raise InputError(
+                f"estimate: {others.with_own[0].key!r} has unknowns of its own; mesh the layer (structure.full)"
+            )
+        self._others, self._nonlinear = others.parts, others.traits.nonlinear
+        self._K_b = adjoint.tangent_of(others)
+        self._x = self.equations.u.x.petsc_vec.duplicate()
         self._loads = self.equations.loads.array_r - adjoint.of_layers
         self._shares = layers.on_free(layers.K.diagonal())[:, None]
         gram = layers.R.T @ (self._shares * layers.R)
@@ -130,15 +136,32 @@ class GlobalLocal:
         f.x.scatter_forward()
         return f
 
-    def _pull(self, u: Array, loads: Array | float) -> Array:
-        """Forces of the bodies on the faces, under loads (m,)."""
-        return self.layers.on_free(self.layers.at_faces(loads - self._of_bodies(u)))
+    def _lack(self, u: Array) -> Array:
+        """Loads (m,) less the forces of all but the layers' laws, at displacements (m,)."""
+        return np.asarray(self._loads - self._of_bodies(u))
 
-    def _back(self, r: Array) -> tuple[Array, Array]:
-        """Displacements K_1^-1 r under forces on the faces, and those that the bodies hand on to the layers."""
-        q = self.adjoint.of_nodes(*self.layers.of_faces(r))
-        d = self.adjoint.weights(q, self.adjoint.nothing()).u.x.array[: self.n].copy()
-        return d, r + self._pull(d, self._at_zero)
+    def _pulled(self, forces: Array) -> Array:
+        """Forces on the faces, from nodal ones (m,)."""
+        return self.layers.on_free(self.layers.at_faces(forces))
+
+    def _resisted(self, d: Array) -> Array:
+        """Forces of all but the layers' laws, linearised, at small displacements (m,)."""
+        self._x.array[:] = d
+        out = self._x.duplicate()
+        self._K_b.mult(self._x, out)
+        found = np.asarray(out.array_r.copy())
+        out.destroy()
+        return found
+
+    def _back(self, dofs: IntArray, forces: Array) -> Array:
+        """Displacements (m,) of the interface model, linearised, under forces."""
+        q = self.adjoint.of_nodes(dofs, forces)
+        return np.asarray(self.adjoint.weights(q, self.adjoint.nothing()).u.x.array[: self.n].copy())
+
+    def _under(self, r: Array) -> tuple[Array, Array]:
+        """Displacements under forces on the faces, and forces that the bodies then hand on to the layers."""
+        d = self._back(*self.layers.of_faces(r))
+        return d, r - self._pulled(self._resisted(d))
 
     def _balanced(self, u: Array, F: Array, load: Array, values: Array) -> Iterate:
         """With couples on the faces so that forces F and those on the layers have no resultants.
@@ -164,7 +187,7 @@ class GlobalLocal:
         if np.linalg.norm(new) > NEW_AXIS * np.linalg.norm(along):  # less is left to the next turn, or rounding
             axis = new / np.linalg.norm(new)
             couple = self._shares[:, 0] * (self._R @ axis)
-            d, pulled = self._back(couple)
+            d, pulled = self._under(couple)
             self._couples.append((d, pulled - couple))
             self._axes = np.column_stack([self._axes, axis])
 
@@ -178,14 +201,14 @@ class GlobalLocal:
     def first(self) -> Iterate:
         """The state."""
         u = self.state.u.x.array[: self.n].copy()
-        return self._settled(self._balanced(u, self._pull(u, self._loads), self.layers.load, self.layers.values))
+        return self._settled(self._balanced(u, self._pulled(self._lack(u)), self.layers.load, self.layers.values))
 
     def weights(self, goal: Goal) -> tuple[Array, Iterate]:
         """Weights q (m,) of a goal at the displacements of this rank, and z."""
         q, g = goal.dual(self.adjoint)
         loads = q.array_r[: self.n].copy()
         z = self.adjoint.weights(q, g).u.x.array[: self.n].copy()
-        return loads, self._balanced(z, self._pull(z, loads + self._at_zero), *goal.in_layers(self.layers))
+        return loads, self._balanced(z, self._pulled(loads - self._resisted(z)), *goal.in_layers(self.layers))
 
     def inside(self, one: Iterate) -> Array:
         """What is in the layers."""
@@ -198,14 +221,16 @@ class GlobalLocal:
     def step(self, one: Iterate) -> Iterate:
         """Toward the meshed layer."""
         layers, r, no = self.layers, self.residual(one), np.zeros_like(one.v)
-        d, F = self._back(r)
+        d, F = self._under(r)
         new = self._balanced(d, F, no, no)
         d, v, F = new.u, new.v, new.F - r
         Kd = layers.held(v, no, no) - F
         for p, v_p, F_p, Kp in one.directions:
             c = (v_p @ Kd) / (v_p @ Kp)
             d, v, F, Kd = d - c * p, v - c * v_p, F - c * F_p, Kd - c * Kp
-        a = (r @ v) / (v @ Kd) if r.any() else 0.0
+        if not (size := v @ Kd) > 0:  # nothing is missing
+            return one
+        a = (r @ v) / size
         directions, gained = (*one.directions, (d, v, F, Kd)), one.gained + float(a * (r @ v))
         return replace(one, u=one.u + a * d, v=one.v + a * v, F=one.F + a * F, directions=directions, gained=gained)
 
@@ -214,23 +239,58 @@ class GlobalLocal:
         self.layers.settled(one.v)
         return replace(one, load=self.layers.load, directions=())
 
+    def _with_bodies(self, one: Iterate) -> Iterate:
+        """The iterate, with bodies in equilibrium but for S, to first order, where they are not linear."""
+        if not self._nonlinear:
+            return one
+        missing, (dofs, _) = self._lack(one.u), self.layers.of_faces(one.F)
+        missing[dofs] = 0.0
+        missing[self.equations.constraints.held] = 0.0
+        d = self._back(np.arange(self.n), missing)
+        gained = one.gained + self._product(missing, d)
+        v, F = one.v + self.layers.at_faces(d), one.F - self._pulled(self._resisted(d))
+        return replace(one, u=one.u + d, v=v, F=F, gained=gained)
+
     def newton_step(self, one: Iterate) -> Iterate:
         """Toward meshed layers whose laws are not linear: conjugate steps with their tangent, while the energy falls."""
-        aim = one
+        aim = self._with_bodies(one)
         for _ in range(CONJUGATE):
-            aim = self.step(aim)
-        du, dv, dF = aim.u - one.u, aim.v - one.v, aim.F - one.F
-        new = one
+            before, aim = aim.gained, self.step(aim)
+            if aim.gained - before <= LITTLE * (aim.gained - one.gained):
+                break
+        else:
+            raise SolveError(
+                f"estimate: the interface law is too far from its layer: {CONJUGATE} steps hardly lead to it"
+            )
+        du, dv, new = aim.u - one.u, aim.v - one.v, one
 
         def slope(share: float) -> float:
             nonlocal new
-            moved = replace(aim, u=one.u + share * du, v=one.v + share * dv, F=one.F + share * dF)
-            new = self._settled(moved)
-            return float(self.residual(new) @ dv)
+            u = one.u + share * du
+            lack = self._lack(u)
+            new = self._settled(replace(aim, u=u, v=one.v + share * dv, F=self._pulled(lack)))
+            return self._product(lack, du) - float(self.layers.held(new.v, new.load, new.values) @ dv)
 
-        if (start := float(self.residual(one) @ dv)) > 0:
+        if (start := aim.gained - one.gained) > 0:
             share_of_step(slope, start)
         return new
+
+    def newton(self) -> Iterate:
+        """The structure with its layers meshed, from the state on.
+
+        Raises:
+            SolveError: it is not found.
+        """
+        one = self.first()
+        for _ in range(NEWTON_STEPS):
+            old, one = one, self.newton_step(one)
+            if one.gained - old.gained <= SETTLED * one.gained:
+                return one
+        raise SolveError(f"estimate: the structure with its layers is not found in {NEWTON_STEPS} of Newton's steps")
+
+    def _product(self, a: Array, b: Array) -> float:
+        """Of vectors (m,), over all ranks."""
+        return float(self.model.comm.allreduce(float(a @ b)))
 
     def _require_balance(self, one: Iterate) -> None:
         """Raise SolveError unless forces on the layers have no resultant, but for rounding."""
@@ -248,6 +308,8 @@ class GlobalLocal:
 
         None: the layers cannot bear the forces on their faces, or an energy is not convex.
         """
+        if self._nonlinear:
+            return None
         try:
             return self._energy(displacements_of(given, self.model).x.array[: self.n], one)
         except SolveError:
@@ -260,9 +322,13 @@ class GlobalLocal:
         borne = layers.pulled(w, one.F)
         gap = layers.divergence(w, borne)[1]
         between = layers.divergence(layers.settled(layers.at_faces(u)), borne)
-        in_bodies = self.model.comm.allreduce(float(du @ (self._of_bodies(one.u) - self._of_bodies(u)))) / 2
+        in_bodies = self._product(du, self._resisted(du)) / 2
         lower, upper = (in_bodies + part for part in between)
         return Bounds((lower - gap + upper) / 2, max(lower - gap, 0.0), upper)
+
+    def is_near(self, one: Iterate) -> bool:
+        """Whether what is missing is little beside what steps have gained."""
+        return self.gap(one) <= NARROW**2 * one.gained
 
     # ---------------------------------------------------------------- goals
     def bounds(self, at_rest: float, q: Array, one: Iterate, z: Iterate) -> Bounds:
@@ -271,16 +337,19 @@ class GlobalLocal:
         Raises:
             SolveError: forces on the layers are not in equilibrium.
         """
-        layers, r, r_z = self.layers, self.residual(one), self.residual(z)
+        r, r_z = self.residual(one), self.residual(z)
         self._require_balance(one)
         self._require_balance(z)
-        moved, moved_z = layers.moved(r), layers.moved(r_z)
-        w, w_z = self.inside(one), self.inside(z)
-        of_bodies = q @ self.equations.constraints.unknowns(one.u) - z.u @ (self._of_bodies(one.u) - self._loads)
-        told = at_rest + self.model.comm.allreduce(float(of_bodies)) + z.load @ w - w_z @ (layers.K @ w - one.load)
+        moved, moved_z, told = self.layers.moved(r), self.layers.moved(r_z), self.told(at_rest, q, one, z)
         half = math.sqrt(max(float(r @ moved), 0.0) * max(float(r_z @ moved_z), 0.0)) / 2
         middle = float(told + r_z @ moved / 2)
-        return Bounds(float(told), middle - half, middle + half)
+        return Bounds(told, middle - half, middle + half)
+
+    def told(self, at_rest: float, q: Array, one: Iterate, z: Iterate) -> float:
+        """A goal, as of `bounds`, with the residual at S weighed. Collective."""
+        layers, w, w_z = self.layers, self.inside(one), self.inside(z)
+        of_bodies = self._product(q, self.equations.constraints.unknowns(one.u)) + self._product(z.u, self._lack(one.u))
+        return float(at_rest + of_bodies + z.load @ w - w_z @ (layers.K @ w - one.load))
 
     def work_of_laws(self, u: fem.Function, z: Iterate, *, bonded: bool = False) -> Array:
         """Work (m,) of the laws in weights at displacements u, less that of loads on the layers, spread over displacements.
@@ -289,7 +358,7 @@ class GlobalLocal:
         """
         adjoint = self.adjoint
         if bonded:
-            pulls = self._loads - self._of_bodies(u.x.array[: self.n])
+            pulls = self._lack(u.x.array[: self.n])
             pulls[self.equations.constraints.held] = 0.0
             return z.u * pulls
         adjoint.forces(self._laws, self.state, u, adjoint.interval)
@@ -301,35 +370,35 @@ class GlobalLocal:
         return replace(self.state, u=self._function(one.u)), self.layers.state(self.layers.settled(one.v))
 
     def run(
-        self, goals: Mapping[str, Goal], values: Mapping[str, float], known: dict[str, Bounds]
+        self, goals: Mapping[str, Goal], values: Mapping[str, float], known: dict[str, Bounds], *, bounded: bool
     ) -> tuple[Iterate, dict[str, Iterate]]:
-        """The state, and the weights of goals, after steps until bounds are narrow, or `STEPS`. Collective.
+        """The state and the weights of goals, after steps until bounds are narrow, or `STEPS`. Collective.
+
+        Without bounds the state has the layers meshed, by Newton's steps.
 
         Args:
             goals: by name.
             values: those from which changes count.
             known: bounds that are known before, of goals that are linear; it gets these.
+            bounded: whether goals have bounds: of linear laws in one step.
         """
-        one = self.first()
-        for _ in range(NEWTON_STEPS):
-            if self.layers.model.linear or self.gap(one) <= SETTLED * one.gained:
-                break
-            one = self.newton_step(one)
-        else:
-            raise SolveError(
-                f"estimate: the structure with its layers is not found in {NEWTON_STEPS} of Newton's steps"
-            )
+        one = self.first() if bounded else self.newton()
         weights = {name: self.weights(goal) for name, goal in goals.items()}
         same = [name for name, (_, z) in weights.items() if one.is_near(z)]  # the compliance is its own weight
         at_rest = {
             name: goal.at_rest(self.state, self.model) for name, goal in goals.items() if goal.is_linear(self.model)
         }
+        if not bounded:
+            for name, rest in at_rest.items():
+                q, z = weights[name]
+                known[name] = Bounds(self.told(rest, q, one, z), math.nan, math.nan)
+            return one, {name: z for name, (_, z) in weights.items()}
         for step in range(STEPS + 1):
             for name, rest in at_rest.items():
                 q, z = weights[name]
                 known[name] = self.bounds(rest, q, one, z).within(known.get(name, Bounds()))
             narrow = all(known[name].narrow(values[name], NARROW) for name in at_rest)
-            if step == STEPS or (narrow and self.gap(one) <= NARROW**2 * one.gained):
+            if step == STEPS or (narrow and self.is_near(one)):
                 break
             one = self.step(one)
             weights = {name: (q, one if name in same else self.step(z)) for name, (q, z) in weights.items()}

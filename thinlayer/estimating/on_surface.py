@@ -1,4 +1,4 @@
-"""On S: norms away from its free ends, of what a layer bears and how far it opens; and where changes of goals come from."""
+"""On S: norms of what a layer bears and how far it opens, and where changes of goals come from."""
 
 from __future__ import annotations
 
@@ -10,50 +10,28 @@ from petsc4py import PETSc
 from scipy.spatial import cKDTree
 
 from forms.base import Array
-from geometry.inflating.inflation import points_on_middle
-from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.estimating.global_local import GlobalLocal, Iterate
 from thinlayer.output.surface import Surface
-from thinlayer.parts.part import DISPLACEMENTS, FieldPart
-from thinlayer.solving.adjoint import Adjoint
-from thinlayer.surface.excess import stiffness_of_jumps, sublayers_of
-from thinlayer.surface.surface_mesh import SurfaceMesh, surface_of
+from thinlayer.surface.excess import stiffness_of_jumps
+from thinlayer.surface.surface_mesh import SurfaceMesh
 
-NEAR_ENDS = 3.0  # distance from free ends, over the thickness, within which tractions and jumps are not estimated
-SAME_PLACE = 1e-9  # distance of two places that are one, over the size of the joint
 NOTHING = (1e-11, 1e-9)  # traction over the layer's stiffness times displacements, jump over these: rounding up to here
 
 
-def away_from_ends(surface: Surface, one: SeamLayer, length: float) -> Array:
-    """(n, q) 1 on the part of a seam that is farther than a length from its free ends, 0 elsewhere. Collective."""
-    assert isinstance(surface.model, InterfaceModel)
-    rim = surface.model.reductions[one.name].free
-    if not len(rim.vertices):
-        return np.ones_like(surface.weights)
-    x = surface.joint.points[surface.corners].reshape(-1, surface.joint.dim)
-    beyond = rim.distance(surface.joint.points, x).reshape(surface.corners.shape) - length * (1 + SAME_PLACE)
-    return np.asarray(surface.between(beyond) > 0, float)
-
-
-def squares_of(before: State, better: State, one: SeamLayer, layers: State | None = None) -> Array:
+def squares_of(before: State, better: State, one: SeamLayer, layers: State) -> Array:
     """(4,) squares of norms on a seam: t(u_1) - t(u_0), t(u_0), and so of [u]. Collective.
 
-    They are zero where they are rounding. The tractions t(u_1) are those of the meshed `layers`; None: of the better law,
-    and all norms are those away from free ends.
+    They are zero where they are rounding. The tractions t(u_1) are those of the meshed `layers`.
     """
     surface = Surface(better.model, one.name)
-    assert one.thin
-    part = away_from_ends(surface, one, 0.0 if layers else NEAR_ENDS * float(one.thin.eps))
     has_law = one.name in before.model.layers
-    traction = surface.traction if has_law else surface.reaction
-    t, w = traction(before), surface.jump(before)
-    changed = surface.traction(layers) if layers else traction(better)
-    fields = [changed - t, t] + ([surface.jump(better) - w, w] if has_law else [])
-    found = np.array([surface.norm(f, part) ** 2 for f in fields] + [0.0] * (4 - len(fields)))
-    moved = float(better.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) ** 2 * surface.integral(part)
+    t, w = (surface.traction if has_law else surface.reaction)(before), surface.jump(before)
+    fields = [surface.traction(layers) - t, t] + ([surface.jump(better) - w, w] if has_law else [])
+    found = np.array([surface.norm(f) ** 2 for f in fields] + [0.0] * (4 - len(fields)))
+    moved = float(better.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) ** 2 * surface.integral(1.0)
     least = np.square(NOTHING) * moved * (max(stiffness_of_jumps(one.samples[0])) ** 2, 1.0)
     found[1::2] *= found[1::2] > least  # rounding of bodies that bear nothing there
     return np.asarray(found)
@@ -66,42 +44,7 @@ def errors_of(squares: Array) -> tuple[float, float]:
     return found[0] * (found[0] > NOTHING[1]), found[1] * (found[1] > NOTHING[1])
 
 
-def field_of_ends(model: InterfaceModel, one: SeamLayer) -> float:
-    """The share of tractions, in L2, that free ends bring about farther away than `NEAR_ENDS`, of which no law on S knows.
-
-    It falls over a length that grows with lmbda/mu. The numbers are those of pressed layers between rigid faces with nu
-    from 0.2 to 0.45, to 30 %; a layer whose pressure flows along S has most of it.
-    """
-    rim, sublayers = model.reductions[one.name].free, [a for sample in one.samples for a in sublayers_of(sample)]
-    if one.flows or not len(rim.vertices) or not sublayers:
-        return 0.0
-    assert one.thin
-    surface, length = surface_of(model, one.name), max(a.length for a in sublayers)
-    at = 0.8 * length * math.exp(-NEAR_ENDS / math.sqrt(0.2 + length**2))
-    return at * math.sqrt(float(one.thin.eps) * surface.length(rim) / surface.integral(1.0))
-
-
-def density_of(adjoint: Adjoint, summands: dict[str, Array]) -> Array:
-    """(m,) density, at the nodes of S, of summands at nodes (`Adjoint.summands`). Collective.
-
-    A summand is shared by the vertices of its cell, and by the area around each vertex.
-    """
-    model = adjoint.model
-    joint, surface = model.joint, SurfaceMesh(model)
-    sums, areas = np.zeros((2, len(joint.points)))
-    _add_nodal(sums, model, summands[DISPLACEMENTS])
-    for part in adjoint.equations.layers:
-        if isinstance(part, FieldPart) and part.key in summands:
-            x = part.field.function_space.tabulate_dof_coordinates()[: part.own_size, : joint.dim]
-            near, number = cKDTree(points_on_middle(surface.joint)[surface.corners.ravel()]).query(x)
-            assert (near <= SAME_PLACE * np.ptp(joint.points)).all()
-            np.add.at(sums, surface.corners.ravel()[number], summands[part.key])
-    np.add.at(areas, surface.vertices, surface.areas)
-    totals = np.bincount(joint.masters, model.comm.allreduce(sums), len(sums))
-    return np.asarray(totals[surface.vertices] / areas[surface.vertices])
-
-
-def density_by_layers(iteration: GlobalLocal, given: State, better: State, z: Iterate) -> Array:
+def density_of(iteration: GlobalLocal, given: State, better: State, z: Iterate) -> Array:
     """(m,) density, at the nodes of S, of the change of a goal from a state to a better one. Collective.
 
     It is the work of the interface laws in weights z, less that of the layers by themselves whose faces move as in the

@@ -10,22 +10,18 @@ from typing import Any
 
 from forms.base import InputError, is_number
 from geometry.seam import S
-from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Bond, Layers, ThinLayer, on_seams
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.discretisation.structure import Structure
 from thinlayer.errors import RangeWarning
-from thinlayer.estimating.better import LEAST_HEIGHT
-from thinlayer.estimating.estimate import estimate, is_alone
+from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.goal import Goal
 from thinlayer.estimating.goals import Compliance
-from thinlayer.estimating.on_surface import NEAR_ENDS
-from thinlayer.estimating.result import Estimate, at_most
+from thinlayer.estimating.result import Estimate
 from thinlayer.solving.history import History
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import solve
-from thinlayer.surface.surface_mesh import surface_of
 from thinlayer.system.progress import telling
 from thinlayer.system.ranks import on_all
 from thinlayer.system.table import Table
@@ -38,7 +34,6 @@ SURE = 5  # of them in turn at which the error is allowed
 FEW = 8  # steps over which an error should fall
 STALLED = 0.92  # error over that before so many steps from which on it hardly falls
 STEPS = 40  # at most, in search of a thickness that is thin enough
-INSIDE = 0.5  # least share of S that must be away from its free ends
 
 
 @dataclass(frozen=True)
@@ -49,9 +44,9 @@ class ThinEnough:
         eps: the thickness; where the error stays below the tolerance, the largest that was tried.
         tolerance: the relative error that is allowed.
         quantity: "traction", "jump", or the name of a goal.
-        table: a row for each thickness that was tried: eps, error (at most, or with what the estimate may be off).
+        table: a row for each thickness that was tried: eps, error (at most, where there are bounds).
         found: whether the error is equal to the tolerance at `eps`, to one percent of the thickness.
-        lacks: the caveats of the estimate; what they say it may be off is in the errors. "": none.
+        lacks: the caveats of the estimate.
         bonded: whether the layer is ignored altogether.
     """
 
@@ -96,7 +91,7 @@ def thin_enough(
         structure: bodies, supports and loads.
         layer: the layer, one for all seams, or {name of a seam: its layer, bond or gap}.
         tolerance: relative error that is allowed, between 0 and 1.
-        goal: "traction" or "jump", on S (without bounds: away from its free ends); or a goal.
+        goal: "traction" or "jump", on S; or a goal.
         seam: name of the seam whose layer becomes thinner; the others stay as they are, and their errors are not counted.
             "S": all of them, where one layer is given for all.
         t: time of the loads and supports, as in `solve`.
@@ -141,7 +136,7 @@ def thin_enough(
         return _error(found, quantity)
 
     rows: dict[float, float] = {}
-    eps, found = _search(error, _thickest(begun, chosen, quantity, in_time=times is not None), tolerance, rows)
+    eps, found = _search(error, min(min(begun.layers[name].sheet.heights) for name in chosen), tolerance, rows)
     for one in heard[eps]:
         warnings.warn(one.message, stacklevel=3)
     table = Table([{"eps": one, "error": rows[one]} for one in sorted(rows, reverse=True)])
@@ -175,33 +170,15 @@ def _checked(
     return given
 
 
-def _thickest(model: InterfaceModel, chosen: Sequence[str], quantity: str, *, in_time: bool) -> float:
-    """The largest thickness for which an interface law is tried."""
-    layers = [model.layers[name] for name in chosen]
-    if is_alone(model, in_time=in_time):
-        return min(min(one.sheet.heights) for one in layers)
-    found = [min(one.sheet.heights) / LEAST_HEIGHT for one in layers]
-    for one in layers if quantity in FIELDS else ():
-        surface = surface_of(model, one.name)
-        length = surface.length(model.reductions[one.name].free)
-        found += [(1 - INSIDE) * surface.integral(1.0) / length / NEAR_ENDS] if length else []
-    return min(found)
-
-
 def _error(found: Estimate, quantity: str) -> float:
     """The largest error of a quantity that the estimate allows; infinite where the layer bears nothing."""
-    if found.unknown:
-        raise InputError(f"thin_enough: {found.unknown}")
-    shown = 1 - max(one.law.off for one in found.layers.values())
     if quantity in FIELDS:
-        error, noise = (found.traction, found.floors[0]) if quantity == "traction" else (found.jump, found.floors[1])
-        return at_most(error, noise) / shown if math.isfinite(error) else math.inf
+        error = found.traction if quantity == "traction" else found.jump
+        return error if math.isfinite(error) else math.inf
     goal = found.goals[quantity]
     if goal.zero:
         raise InputError(f"thin_enough: {quantity} is zero, and so has no relative error")
-    if not goal.known:
-        raise InputError(f"thin_enough: the error of {quantity} is not known: {found}")
-    return goal.at_most / shown
+    return goal.at_most
 
 
 def _search(
@@ -242,10 +219,7 @@ def _require_falling(errors: Sequence[float], low: float, passed: int) -> None:
     if passed or len(errors) <= FEW:
         return
     if math.isinf(errors[-1]):
-        raise InputError(
-            f"thin_enough: even at {low:.3g} the layer bears nothing farther than {NEAR_ENDS:g} thicknesses from its free "
-            "ends; are there loads at this time?"
-        )
+        raise InputError(f"thin_enough: even at {low:.3g} the layer bears nothing; are there loads at this time?")
     if errors[-1] > STALLED * max(errors[-1 - FEW : -1]) or len(errors) > STEPS:
         raise InputError(
             f"thin_enough: no thickness is thin enough: the error is {errors[-1]:.3g} at {low:.3g}, and hardly falls with "

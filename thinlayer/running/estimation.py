@@ -58,7 +58,7 @@ def run(record: Record, given: Description, file: Path) -> None:
     # NaN stands where there is no number
     table = Table([{key: None if value != value else value for key, value in row.items()} for row in rows])
     record.write("estimate.csv", table)
-    kept = ("sentences", "laws", "cost")
+    kept = ("sentences", "cost")
     record.results = {name: {what: getattr(one, what) for what in kept} for name, one in found.items()}
     if given.units:
         record.say("lengths in {}, stresses in {}".format(*given.units))
@@ -104,7 +104,7 @@ def _thicknesses(record: Record, case: Case, name: str) -> list[dict[str, Any]]:
 
 def _draw(record: Record, case: Case, name: str, found: Estimate) -> None:
     """A picture for each goal whose density on S is known."""
-    for goal in found.goals if not found.unknown else ():
+    for goal in found.goals:
         try:
             density = found.density(goal)
         except InputError as error:

@@ -1,4 +1,4 @@
-"""Adjoint: responses of a model at one of its equilibria to small forces and motions, with the transposed tangent there."""
+"""Adjoint: responses of a model at one of its equilibria to small forces and motions, with the tangent there."""
 
 from __future__ import annotations
 
@@ -16,49 +16,42 @@ from forms.kinematics import Expr
 from geometry.topology import IntArray
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.measures import compiled
-from thinlayer.discretisation.state import Configuration, State, displacements_of
-from thinlayer.parts.making import layer_parts
+from thinlayer.discretisation.state import Configuration, State
 from thinlayer.parts.part import DISPLACEMENTS, Interval, Part
-from thinlayer.solving.balance import PartSum
+from thinlayer.solving.balance import PartSum, TangentMatrix
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import linear_solvers, mark
 from thinlayer.solving.petsc import Options, defaults, solve_linear, value_of
 
 
 class Adjoint(AbstractContextManager["Adjoint"]):
-    """Weights z of a goal Q at an equilibrium u_1 of an interface model: K_1^t z = Q', z = g where displacements are held.
+    """Linear responses of an interface model at an equilibrium, to loads of its own or of goals. Tangents are symmetric.
 
     A goal is Q(u) = q . u - g . r(u), with nodal weights q, the reactions r of what holds the model, and motions g of it.
-    Let another law of the layer have the forces F_0 at S, and its equilibrium u_0 under the same loads; those of this law
-    are F_1. If both are linear and symmetric then exactly
-
-        Q(u_1) - Q(u_0) = -z . (F_1(u_0) - F_0(u_0)),
-
-    a sum over the nodes of S; otherwise it holds to first order in the difference. Use it in a `with` statement.
+    Its weights z are K z = q, z = g where displacements are held. Use it in a `with` statement.
 
     Args:
-        state: u_1.
+        state: the equilibrium.
         old: the configuration from which it was found in one step; None: from rest at its time.
-        options: PETSc options of the solve of u_1, as in `solve`; its factor is then used again if the model is linear.
-        meshed: whether goals are those of the meshed layer, which bears the loads on it by itself.
+        options: PETSc options of the solve, as in `solve`; its factor is then used again if the model is linear.
     """
 
-    def __init__(
-        self, state: State, old: Configuration | None = None, options: Options | None = None, *, meshed: bool = False
-    ) -> None:
+    def __init__(self, state: State, old: Configuration | None = None, options: Options | None = None) -> None:
         assert isinstance(state.model, InterfaceModel)
-        self.state, self.model, self.meshed = state, state.model, meshed
+        self.state, self.model = state, state.model
         self.equations = equations = Equations(self.model)
         self._given = dict(options or {})
         self._x, self._r = equations.vector(), equations.vector()
-        self.interval = self._between(state, old)
+        begun = equations.rest(state.t) if old is None else old
+        self.interval = Interval(begun, state.t, state.t - begun.t, 1.0)
         equations.begin(self.interval)
         equations.put_state(state, self._x)
         equations.residual(self._x, self._r)
         linear = linear_solvers(self.model, equations.parts, value_of("pc_type", self._given))
         self._options = {**linear[0], **self._given}
         self._tangent: PETSc.Mat | None = None
-        if not (self.model.linear and self.model.symmetric and equations.factor.of == (0.0, 1.0)):
+        self._of_parts: list[TangentMatrix] = []
+        if not (self.model.linear and equations.factor.of == (0.0, 1.0)):
             A = equations.tangent()
             self._tangent = A.copy()
             equations.hold(A)
@@ -66,12 +59,8 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             with defaults(self._options):
                 equations.factor.renew(A, None, equations.tell)
 
-    def _between(self, state: State, old: Configuration | None) -> Interval:
-        begun = self.equations.rest(state.t) if old is None else old
-        return Interval(begun, state.t, state.t - begun.t, 1.0)
-
     def __exit__(self, *_: object) -> None:
-        for thing in (self._x, self._r, self._tangent):
+        for thing in (self._x, self._r, self._tangent, *self._of_parts):
             if thing is not None:
                 thing.destroy()
         self.equations.destroy()
@@ -96,14 +85,13 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return self._on_unknowns(forces)
 
     def of_loads(self) -> PETSc.Vec:
-        """The loads as weights q, those of plates included."""
+        """The loads as weights q, those of plates included, without those on the layers, which bear these themselves."""
         q = self.equations.on_unknowns(self.equations.loads, [part.load for part in self.equations.with_own])
-        if self.meshed:
-            of_layers = self.equations.u.x.petsc_vec.duplicate()
-            of_layers.array[:] = self.of_layers
-            on_them = self._on_unknowns(of_layers)
-            q.axpy(-1.0, on_them)
-            on_them.destroy()
+        of_layers = self.equations.u.x.petsc_vec.duplicate()
+        of_layers.array[:] = self.of_layers
+        on_them = self._on_unknowns(of_layers)
+        q.axpy(-1.0, on_them)
+        on_them.destroy()
         return q
 
     @cached_property
@@ -141,12 +129,8 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             self._times(g, out)
             q.axpy(-1.0, out)
         q.array[held] = 0.0
-        ksp = equations.factor.ksp
         with defaults(self._options):
-            if self.model.symmetric:
-                solve_linear(ksp, q, z)
-            else:
-                ksp.solveTranspose(q, z)
+            solve_linear(equations.factor.ksp, q, z)
         z.array[held] = g.array_r[held]
         found = equations.configuration(z)
         for thing in (q, g, z, out):
@@ -154,9 +138,9 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return found
 
     def _times(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
-        """K^t x; by residuals if the matrix of the factor is the tangent, with its held rows replaced."""
+        """K x; by residuals if the matrix of the factor is the tangent, with its held rows replaced."""
         if self._tangent is not None:
-            self._tangent.multTranspose(x, out)
+            self._tangent.mult(x, out)
             return
         zero, at_zero = self.equations.vector(), self.equations.vector()
         self.equations.residual(x, out)
@@ -165,45 +149,11 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         zero.destroy()
         at_zero.destroy()
 
-    # ---------------------------------------------------------------- forces of the layers
-    def summands(self, z: Configuration, other: State, old: Configuration | None = None) -> dict[str, Array]:
-        """The summands of -z . (F_1(u_0) - F_0(u_0)): (m,) at the displacements of this rank ("u"), and at own unknowns.
-
-        Each is the work of stresses in the strains of z around a node (`Part.add_work_in`), not the forces at the node
-        times z: that is another density with the same sum, which depends on the place from which displacements are counted.
-        The layers' own fields, such as pressures, are those of u_1.
-
-        Args:
-            z: weights.
-            other: u_0, of an interface model of the same mesh, with other laws or with bonds.
-            old: as of the constructor, for u_0.
-        """
-        equations, u = self.equations, displacements_of(other, self.model)
-        equations.put_state(self.state, self._x)
-        if not other.model.bonds:
-            theirs = layer_parts(other.model, equations.constraints.held, equations.bodies)
-            begun = self._rest_of(theirs, other.t) if old is None else old
-            self.forces(theirs, other, u, self._between(other, begun))
-            before = self.work(theirs, z)
-            for part in theirs:
-                part.destroy()
-        else:  # forces on S that balance those of the bodies, opposite ones at the nodes of both sides
-            equations.put_state(Configuration(u, other.t, fields=self.state.fields), self._x)
-            total = equations.nodal_residual(self._x)
-            equations.put_state(self.state, self._x)
-            forces = self.forces(equations.layers, self.state, u, self.interval) - total
-            forces[equations.constraints.held] = 0.0
-            before = z.u.x.array[: len(forces)] * forces
-        self.forces(equations.layers, self.state, u, self.interval)
-        after = self.work(equations.layers, z)
-        own = {part.key: -part.own_start(z) * part.own_residual() for part in PartSum(equations.layers).with_own}
-        return {DISPLACEMENTS: before - after, **own}
-
-    def _rest_of(self, parts: Sequence[Part], t: float) -> Configuration:
-        """The configuration at rest, with the memory of these parts: their keys are not those of other laws."""
-        layers = PartSum(parts)
-        rest = layers.memory_at_rest
-        return Configuration(self.equations.rest(t).u, t, rest, stresses=layers.stresses_at_rest, at_rest=True)
+    # ---------------------------------------------------------------- parts of the balance
+    def tangent_of(self, parts: PartSum) -> PETSc.Mat:
+        """Tangent of some parts in their last evaluation, after the constructor's the state; destroyed with the adjoint."""
+        self._of_parts.append(TangentMatrix(self.model.comm, {DISPLACEMENTS: self.equations.n_displacements}))
+        return self._of_parts[-1].fill(parts.blocks())
 
     def forces(self, parts: Sequence[Part], state: Configuration, u: fem.Function, interval: Interval) -> Array:
         """Nodal forces (m,) of layers at displacements u, with their own fields in a state."""

@@ -22,7 +22,7 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.layer_model import LayerModel
 from thinlayer.discretisation.rigid import rigid_motions
-from thinlayer.discretisation.state import Report, State
+from thinlayer.discretisation.state import Configuration, Report, State
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import SolveError
 from thinlayer.parts.part import Interval
@@ -50,26 +50,35 @@ class HeldLayers:
 
     Args:
         model: the layers.
-        t: the time.
+        t: the time, at which they answer at once from rest; `begin` goes on in time.
     """
 
     def __init__(self, model: LayerModel, t: float) -> None:
         self.model = model
         self._equations = equations = Equations(model)  # of this rank alone: freed with the layers
-        equations.begin(Interval(equations.rest(t), t, 0.0, 1.0))
         self._x, self._out = equations.vector(), equations.vector()
-        self.linearise(np.zeros(self._x.getLocalSize()))
-        self.forces = np.zeros(len(self.load))
-        self.forces[: equations.n_displacements] = equations.loads.array_r
-        self.values, self._at_sides = np.zeros(len(self.load)), np.zeros(len(self.load), bool)
-        self.values[equations.held], self._at_sides[equations.held] = equations.prescribed, True
-        self._displacements = equations.n_displacements
+        self._displacements, n = equations.n_displacements, self._x.getLocalSize()
+        self.forces, self.values, self._at_sides = np.zeros(n), np.zeros(n), np.zeros(n, bool)
+        self._at_sides[equations.held] = True
+        self.begin(self.rest(t), t)
         domain, d = model.domain, model.joint.dim
         assert domain.joint.band is not None
         nodes = [fem.locate_dofs_topological(model.V, d - 1, domain.facets(name)) for name in domain.joint.band.faces]
-        self.on_face = np.zeros(len(self.load), bool)
+        self.on_face = np.zeros(n, bool)
         self.on_face[np.concatenate(nodes)[:, None] * d + np.arange(d)] = True
         self._inside = ~self.on_face & ~self._at_sides
+
+    def rest(self, t: float) -> State:
+        """The layers at a time, before anything has happened."""
+        return self._equations.rest(t)
+
+    def begin(self, old: Configuration, t: float) -> None:
+        """Begin a step from a state of the layers to a time."""
+        equations = self._equations
+        equations.begin(Interval(old, t, t - old.t, 1.0))
+        self.forces[: self._displacements], self.values[equations.held] = equations.loads.array_r, equations.prescribed
+        equations.put_state(old, self._x)
+        self.linearise(self._x.array_r.copy())
 
     def residual(self, w: Array) -> Array:
         """Internal forces (n,) at displacements, and other unknowns, w, less forces on the layers; NaN: a law fails."""
@@ -114,7 +123,7 @@ class HeldLayers:
         return self._balanced(self.inside(v, self.load, self.values), np.zeros(len(v)), lambda: self._dirichlet)
 
     def _balanced(self, w: Array, forces: Array, factor: Callable[[], _Factor]) -> Array:
-        """Displacements, from w on, under forces on unknowns that a factor has, by Newton's method. Linear ones are w."""
+        """Displacements, from w on, under forces on the unknowns of a factor, by Newton's method."""
         if self.model.linear:
             return w
         for _ in range(NEWTON_STEPS):
