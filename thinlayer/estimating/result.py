@@ -177,7 +177,7 @@ class Estimate:
     def density(self, goal: str = "compliance") -> npt.NDArray[np.float64]:
         """Where on S the change of a goal comes from: a density whose integral is Q(u_1) - Q(u_0). Collective.
 
-        It is (m,) at the nodes of `Surface(estimate.better.model)`, a field for its `integral`, `along`, `most_of`.
+        It is (m,) at the nodes of `Surface(estimate.better.model)`, a field for its `integral` and `along`.
 
         For linear models and goals the integral is exact, otherwise it is so to first order in the change. It is large
         where a mesh of the layer is needed.

@@ -287,13 +287,6 @@ class Equations(PartSum):
         rows[DISPLACEMENTS][:] = self.constraints.forces(rows[DISPLACEMENTS])
         self._relative_residual = self.scale.relative(self.free_norm(out)) if self.traits.singular else 0.0
 
-    def nodal_residual(self, x: PETSc.Vec) -> Array:
-        """(m,) internal forces less loads at the displacements of this rank, whatever the unknowns are in their place."""
-        out = self.vector()
-        self.residual(x, out)
-        out.destroy()
-        return np.asarray(self._forces.array_r.copy())
-
     def tangent(self) -> PETSc.Mat:
         """Tangent at the unknowns of the last residual, without supports. Each call fills the same matrix.
 
