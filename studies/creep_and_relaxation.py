@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from forms import BulkLaw, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from geometry import sandwich
-from thinlayer import Adaptive, State, Structure, Surface, Table, ThinLayer, march, observed_orders, plotting
+from thinlayer import Adaptive, State, Structure, Surface, Table, ThinLayer, march, plotting
 from thinlayer.discretisation.model import Model
 from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
@@ -197,7 +197,8 @@ class Column:
         for scheme, (theta, _) in SCHEMES.items():
             errors = [error(until(AT, dt), theta)[0] for dt in steps]
             row |= {f"{scheme} {dt:g}": one for dt, one in zip(steps, errors, strict=True)}
-            row[f"{scheme} order"] = observed_orders(steps, errors)[-1] if errors[-1] > EXACT else None
+            orders = Table.of({"dt": steps, "error": errors}).orders("error", of="dt")
+            row[f"{scheme} order"] = orders[-1] if errors[-1] > EXACT else None
         row["adaptive error"], row["adaptive steps"] = error(Adaptive(end=AT, first=0.01, tolerance=1e-4), 0.5)
         return row
 

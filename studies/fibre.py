@@ -17,7 +17,7 @@ from geometry import fibre, periodic
 from geometry.parallel import on_root
 from studies.problems import of
 from studies.sweeping import Sweep, draw_rates, last, layer_of
-from thinlayer import State, Structure, Table, ThinLayer, homogenised_stiffness, observed_orders, plotting, solve
+from thinlayer import State, Structure, Table, ThinLayer, homogenised_stiffness, plotting, solve
 from thinlayer.output.grid import gather
 from thinlayer.running.record import Record
 from thinlayer.solving.history import Solution
@@ -103,13 +103,14 @@ def refine(record: Record, sizes: Sequence[float]) -> None:
     """The energy of the interface model on finer and finer meshes."""
     table, exact = record.table("refinement.csv"), with_springs().energy
     for degree, (low, high) in ORDERS.items():
-        errors = []
+        found = Table()
         for h in sizes:
             structure = Structure(fibre(RADIUS, RIM, h, degree=degree), **setup())
             model = structure.interface(ThinLayer(COATING, 0.01, at=1.0))
-            errors.append(abs(energy(record.solved(solve(model))) / exact - 1))
-            order = observed_orders(sizes[: len(errors)], errors)[-1]
-            row = {"degree": degree, "h": h, "cells": len(model.joint.cells), "error_energy": errors[-1]}
+            error = abs(energy(record.solved(solve(model))) / exact - 1)
+            found.append({"h": h, "error": error})
+            order = found.orders("error", of="h")[-1]
+            row = {"degree": degree, "h": h, "cells": len(model.joint.cells), "error_energy": error}
             table.append(row | {"order": order})
         record.check(f"observed order of the energy in h, cells of degree {degree}", order or 0.0, low=low, high=high)
 
@@ -118,15 +119,16 @@ def homogenise(record: Record, eps: Sequence[float], h: float) -> None:
     """Stiffness of a periodic cell of coated fibres as a whole, the coating meshed and as a law on S: error O(eps)."""
     cell = periodic(fibre(RADIUS, CELL, h, degree=2), ("LEFT", "RIGHT"), ("BOTTOM", "TOP"))
     structure, table = Structure(cell, body=setup()["body"], supports={}), record.table("homogenised.csv")
-    errors: list[float] = []
+    errors = Table()
     for e in eps:
         layer = ThinLayer(COATING, e, at=1.0)
         models = structure.full(layer, bodies="extended"), structure.interface(layer)
         full, limit = map(homogenised_stiffness, models)
-        errors.append(float(np.abs(full - limit).max() / np.abs(limit).max()))
-        order = observed_orders(eps[: len(errors)], errors)[-1]
+        error = float(np.abs(full - limit).max() / np.abs(limit).max())
+        errors.append({"eps": e, "error": error})
+        order = errors.orders("error")[-1]
         row = {"eps": e, "C_11": full[0, 0], "C_22": full[1, 1], "C_12": full[0, 1], "C_66": full[2, 2]}
-        table.append({name: float(value) for name, value in row.items()} | {"error": errors[-1], "order": order})
+        table.append({name: float(value) for name, value in row.items()} | {"error": error, "order": order})
     record.check("observed order of the homogenised stiffness in eps", order or 0.0, low=0.85, high=1.15)
 
 

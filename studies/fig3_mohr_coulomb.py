@@ -20,7 +20,7 @@ import numpy as np
 from forms import LinearElastic, MohrCoulomb
 from geometry import Joint, block
 from studies.problems import STEEL
-from thinlayer import State, Structure, Surface, Table, ThinLayer, march, observed_orders, plotting, solve
+from thinlayer import State, Structure, Surface, Table, ThinLayer, march, plotting, solve
 from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
@@ -174,8 +174,8 @@ def refine(record: Record, bar: YieldingBar, counts: Sequence[int]) -> None:
     """Refine the steps of the shear, after the pressure: the shear force depends on the path of loads, not on the mesh."""
     forces = {steps: bar.shear_force(bar.sheared(steps)) for steps in track(counts, "fig3_mohr_coulomb", "{} steps")}
     last = forces[counts[-1]]
-    errors = [abs(forces[steps] - last) for steps in counts[:-1]]
-    orders = [*observed_orders([1 / steps for steps in counts[:-1]], errors), None]
+    errors = [{"size": 1 / steps, "error": abs(forces[steps] - last)} for steps in counts[:-1]]
+    orders = [*Table(errors).orders("error", of="size"), None]
     table = Table.of({"steps": counts, "shear_force": [*forces.values()], "order": orders})
     record.write("steps.csv", table)
     record.check("R1: shear force on S in many steps", last, low=R_X_REFINED - 1e-3, high=R_X_REFINED + 1e-3)

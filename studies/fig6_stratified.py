@@ -10,7 +10,7 @@ import numpy as np
 from forms import LinearElastic, Stack
 from geometry import block
 from studies.problems import BAR
-from thinlayer import State, Structure, Surface, Table, ThinLayer, observed_orders, plotting, solve
+from thinlayer import State, Structure, Surface, Table, ThinLayer, plotting, solve
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 
@@ -87,8 +87,9 @@ def _deviation(record: Record, bar: StratifiedBar, eps: Sequence[float]) -> Tabl
     for e in track(eps, "fig6_stratified", "eps = {:g} mm"):
         columns["deviation_ratios_held"].append(bar.deviation(ThinLayer(GLUE, e, at=EPS), K_T))
         columns["deviation_moduli_held"].append(bar.deviation(ThinLayer(GLUE, e), K_T * EPS / e))
+    table = Table.of(columns)
     for way in ("ratios_held", "moduli_held"):
-        columns[f"order_{way}"] = observed_orders(eps, columns[f"deviation_{way}"])
+        columns[f"order_{way}"] = table.orders(f"deviation_{way}", of="eps_mm")
     table = Table.of(columns)
     record.write("deviation.csv", table)
     return table

@@ -16,7 +16,7 @@ from forms.base import Array
 from forms.kinematics import Expr
 from geometry import Joint, faults, grains, wall
 from geometry.seam import JUNCTIONS, LAYER
-from thinlayer import State, Structure, Surface, ThinLayer, UflPart, observed_orders, plotting, solve
+from thinlayer import State, Structure, Surface, Table, ThinLayer, UflPart, plotting, solve
 from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
@@ -151,7 +151,7 @@ def compared(record: Record, name: str, sizes: Sequence[float]) -> list[dict[str
             states = {f"meshed layers, eps = {eps:g}": full, "interface laws": by_law}
             plotting.deformed(states, save=record.path(PICTURED[name]), title=name)
     for error in ERRORS:
-        for row, order in zip(rows, observed_orders(sizes, [row[error] for row in rows]), strict=True):
+        for row, order in zip(rows, Table(rows).orders(error), strict=True):
             row[f"order_{error}"] = order
     return rows
 

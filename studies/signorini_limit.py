@@ -9,7 +9,7 @@ import numpy as np
 
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
-from thinlayer import Structure, Surface, Table, observed_orders, plotting, solve
+from thinlayer import Structure, Surface, Table, plotting, solve
 from thinlayer.output.contact_fields import Contact
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
@@ -63,9 +63,8 @@ def _errors(reports: dict[float, Contact]) -> Table:
     for name, known in limit.items():
         found = [fields(reports[K])[name] for K in STIFFNESS]
         columns[f"error_{name}"] = [norm(field - known) / norm(known) for field in found]
-    compliances = [1 / K for K in STIFFNESS]
-    columns |= {f"order_{name}": observed_orders(compliances, columns[f"error_{name}"]) for name in limit}
-    return Table.of(columns)
+    table = Table.of(columns | {"compliance": [1 / K for K in STIFFNESS]})
+    return Table.of(columns | {f"order_{name}": table.orders(f"error_{name}", of="compliance") for name in limit})
 
 
 def fields(report: Contact) -> dict[str, np.ndarray]:

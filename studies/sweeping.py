@@ -11,7 +11,7 @@ from forms import BulkLaw
 from forms.kinematics import Expr
 from forms.law import Law
 from geometry import Joint
-from thinlayer import State, Structure, Surface, Table, ThinLayer, compare, observed_orders, plotting, solve
+from thinlayer import State, Structure, Surface, Table, ThinLayer, compare, plotting, solve
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import LawOnS
@@ -156,7 +156,7 @@ def layer_of(solution: Solution) -> ThinLayer:
 
 def last_order(table: Table, column: str, by: str = "eps") -> float:
     """The last observed order of a column of errors; NaN where there is none."""
-    return observed_orders(table[by], table[column])[-1] or math.nan
+    return table.orders(column, of=by)[-1] or math.nan
 
 
 def by_reaction(full: Solution, limit: Solution, where: Where | None = None) -> dict[str, float]:

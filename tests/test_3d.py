@@ -13,10 +13,11 @@ from scipy.spatial.transform import Rotation
 from forms import Anisotropic, LinearElastic
 from geometry import Joint, block, sandwich
 from tests import reference
+from tests.orders import observed_orders
 from tests.refused import refused
 from tests.test_columns import GLUE, LOWER, UPPER, check_column, tensor_of
 from tests.test_fourier import ABOVE, BELOW
-from thinlayer import SolveError, Structure, Surface, ThinLayer, compare, observed_orders, solve
+from thinlayer import SolveError, Structure, Surface, ThinLayer, compare, solve
 from thinlayer.solving import linear_solvers
 
 pytestmark = pytest.mark.few(5)

@@ -24,9 +24,9 @@ from forms import (
 from forms.base import InputError
 from geometry import block, bond_cell, ring, sandwich, wall
 from tests.columns_in_time import column, joint
+from tests.orders import taylor_order
 from tests.own_laws import Slipping
 from tests.refused import refused
-from tests.taylor import observed_orders
 from thinlayer import Adaptive, LimitLoad, Springs, Structure, Surface, ThinLayer, march, piecewise, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.solving.solvers import Solver
@@ -141,7 +141,7 @@ def test_order_one_knows_the_stresses_of_bodies():
 def test_the_tangent_is_that_of_the_residual(body, theta):
     for model in (yielding(body), yielding({"LOWER": body, "UPPER": GLUE})):
         with Solver(model, method="newton") as solver:
-            assert observed_orders(solver, theta=theta, longest=1e-3) > 1.9
+            assert taylor_order(solver, theta=theta, longest=1e-3) > 1.9
 
 
 def test_bodies_reach_their_limit():

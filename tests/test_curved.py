@@ -14,8 +14,9 @@ from geometry import block, ring, sandwich
 from geometry.seam import Seam
 from studies.problems import FOURIER_LAYER, fourier
 from tests.meshes import part_of
+from tests.orders import observed_orders
 from tests.refused import refused
-from thinlayer import Structure, Surface, ThinLayer, compare, observed_orders, solve
+from thinlayer import Structure, Surface, ThinLayer, compare, solve
 
 pytestmark = pytest.mark.few(5)
 

@@ -24,8 +24,9 @@ from geometry.ends import share_within, straight_ends
 from geometry.sheet import Sheet
 from tests.edges_run import structure
 from tests.meshes import grid
+from tests.orders import observed_orders
 from tests.refused import refused
-from thinlayer import RigidPlate, Springs, Structure, ThinLayer, compare, estimate, observed_orders, solve
+from thinlayer import RigidPlate, Springs, Structure, ThinLayer, compare, estimate, solve
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.sides import FacetWeights, side_kinds
 from thinlayer.errors import RangeWarning

@@ -12,6 +12,7 @@ from forms.base import InputError
 from forms.elastic import lame
 from geometry import sandwich
 from studies.problems import FOURIER_LAYER, fourier
+from tests.orders import observed_orders
 from tests.own_laws import layer_of
 from tests.refused import refused
 from thinlayer import (
@@ -22,7 +23,6 @@ from thinlayer import (
     ThermalExpansion,
     ThinLayer,
     march,
-    observed_orders,
     piecewise,
     solve,
 )

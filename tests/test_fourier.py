@@ -9,7 +9,8 @@ from dolfinx import fem
 
 from studies.problems import FOURIER_BODY, FOURIER_LAYER, fourier
 from tests import reference
-from thinlayer import Structure, Surface, ThinLayer, compare, observed_orders, solve
+from tests.orders import observed_orders
+from thinlayer import Structure, Surface, ThinLayer, compare, solve
 
 pytestmark = pytest.mark.few(5)
 

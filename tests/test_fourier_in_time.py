@@ -18,8 +18,9 @@ from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, S
 from forms.base import InputError
 from studies.problems import FOURIER_LAYER, fourier
 from tests import reference
+from tests.orders import observed_orders
 from tests.own_laws import layer_of
-from thinlayer import Structure, Surface, ThinLayer, compare, march, observed_orders, solve
+from thinlayer import Structure, Surface, ThinLayer, compare, march, solve
 
 pytestmark = pytest.mark.few(5)
 

@@ -17,8 +17,9 @@ from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic, MohrCoulo
 from geometry import sandwich
 from studies import sweep_friction
 from studies.problems import pressed
+from tests.orders import observed_orders
 from tests.own_laws import layer_of
-from thinlayer import Structure, Surface, ThinLayer, compare, march, observed_orders, solve
+from thinlayer import Structure, Surface, ThinLayer, compare, march, solve
 from thinlayer.discretisation.state import displacements_of
 
 # layers whose thickness tends to zero under the same load, and columns of any height

@@ -20,10 +20,11 @@ from forms.work import work
 from geometry import Joint, block, ring, sandwich
 from studies.problems import FOURIER_BODY, fourier
 from tests import reference
+from tests.orders import observed_orders
 from tests.refused import refused
 from tests.test_marching import StiffeningSolid
 from tests.test_tips import partly
-from thinlayer import SolveError, State, Structure, Surface, ThinLayer, compare, march, observed_orders, solve
+from thinlayer import SolveError, State, Structure, Surface, ThinLayer, compare, march, solve
 from thinlayer.discretisation.model import Model
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.solvers import Solver

@@ -14,7 +14,8 @@ from geometry import block, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from studies.rates import HARD
 from tests import reference
-from thinlayer import Structure, Surface, ThinLayer, compare, march, observed_orders, solve
+from tests.orders import observed_orders
+from thinlayer import Structure, Surface, ThinLayer, compare, march, solve
 from thinlayer.errors import RangeWarning
 
 pytestmark = pytest.mark.few(5)
@@ -46,7 +47,7 @@ def test_soft_layer(cell):
         [reference.next_order_errors(*reference.LAYER, e)[0] for e in eps[:4]], rel=1e-2
     )
     for errors in (tractions, jumps):
-        assert observed_orders(eps, list(errors))[-2:] == pytest.approx([2.0, 2.0], abs=0.1)
+        assert observed_orders(eps, errors)[-2:] == pytest.approx([2.0, 2.0], abs=0.1)
 
 
 @pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # that the layer alone is too stiff
@@ -61,7 +62,7 @@ def test_layer_that_keeps_its_volume(nu):
         )
         assert errors == pytest.approx(right, rel=0.05)  # cells are as large as the thickest layer is thick
         assert all(wrong > 1.15 * error for wrong, error in zip(locked, errors, strict=True))
-        assert observed_orders(eps, list(errors))[-1] == pytest.approx(2.0, abs=0.2)
+        assert observed_orders(eps, errors)[-1] == pytest.approx(2.0, abs=0.2)
 
 
 def test_fourier_states_of_the_next_order():

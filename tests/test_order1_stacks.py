@@ -13,9 +13,10 @@ from forms.series import in_series
 from geometry import sandwich
 from studies.problems import FOURIER_BODY, FOURIER_LAYER, fourier
 from tests import reference
+from tests.orders import observed_orders
 from tests.test_eigenstrains_of_layers import varying
 from tests.test_order1 import apart
-from thinlayer import Structure, ThinLayer, observed_orders, solve
+from thinlayer import Structure, ThinLayer, solve
 from thinlayer.errors import RangeWarning
 
 pytestmark = pytest.mark.few(5)
@@ -51,7 +52,7 @@ def found(law, limit=None, eps=EPS, h=1 / 16, **more):
 
 
 def orders(rows, eps=EPS):
-    return [observed_orders(eps, list(errors))[-1] for errors in zip(*rows, strict=True)]
+    return [observed_orders(eps, errors)[-1] for errors in zip(*rows, strict=True)]
 
 
 # ---------------------------------------------------------------- moments, and laws written down elsewhere

@@ -8,7 +8,8 @@ import pytest
 from forms import Anisotropic
 from studies.fig6_stratified import EPS, GLUE, K_T, PLACE, StratifiedBar
 from studies.problems import fourier
-from thinlayer import Structure, Surface, ThinLayer, observed_orders, solve
+from tests.orders import observed_orders
+from thinlayer import Structure, Surface, ThinLayer, solve
 from thinlayer.running.record import Record
 
 # t_T/u_T (N/mm^3) of the meshed layer at some x (mm), P1 on a graded mesh, from an independent code

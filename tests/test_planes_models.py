@@ -24,7 +24,7 @@ from forms.limits import PlasticCylinder
 from geometry import sandwich
 from studies.problems import fourier
 from tests.columns_in_time import check_same, column, joint
-from tests.taylor import observed_orders
+from tests.orders import taylor_order
 from tests.test_plane_stress import Pressed, Stiffening
 from thinlayer import SolveError, Structure, Surface, ThinLayer, march, solve
 from thinlayer.output.probe import Probe
@@ -132,7 +132,7 @@ def test_tangents_of_models_are_those_of_the_residual():
         structure.full(ThinLayer(Stiffening(9.0), EPS, at=1.0)),
     ):
         with Solver(model) as solver:
-            assert observed_orders(solver) > 1.9
+            assert taylor_order(solver) > 1.9
 
 
 def test_where_no_strain_out_of_the_plane_is_found_the_error_says_so():

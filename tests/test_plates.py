@@ -9,9 +9,9 @@ from forms import LinearElastic
 from forms.base import InputError
 from geometry import block, sandwich
 from tests.arc_length_run import KINKED
+from tests.orders import taylor_order
 from tests.refused import refused
 from tests.supports_run import BODY, CONTACT, CREEP, EPS, GLUE, KINDS, MORTAR, model, out_of_balance, plate, turn
-from tests.taylor import observed_orders
 from tests.test_order1 import apart
 from thinlayer import (
     ArcLength,
@@ -192,7 +192,7 @@ def test_contact_under_a_plate():
 def test_tangent(theta):
     _, made = plate(2, "interface", angle=0.3, law=MORTAR if theta == 1 else CREEP)
     with Solver(made, method="newton") as solver:
-        orders = observed_orders(solver, theta=theta)
+        orders = taylor_order(solver, theta=theta)
     assert orders == float("inf") or orders > 1.9
 
 

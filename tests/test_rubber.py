@@ -13,9 +13,10 @@ from forms import Incompressible, LinearElastic, Rubber
 from forms.base import InputError
 from geometry import sandwich
 from studies.problems import fourier
+from tests.orders import observed_orders
 from tests.ranges_told import told
 from tests.refused import refused
-from thinlayer import Structure, Surface, ThinLayer, compare, march, observed_orders, solve
+from thinlayer import Structure, Surface, ThinLayer, compare, march, solve
 
 K = np.pi  # wave number of the Fourier problem: bodies of height .5, E = 100, nu = .3, top traction (.5 sin, cos)
 NUS = [0.3, 0.45, 0.49, 0.499, 0.5]

@@ -10,9 +10,10 @@ from dolfinx import fem
 from forms import LinearElastic, Rubber
 from geometry import fibre, periodic, ring, sandwich
 from studies.problems import FOURIER_BODY
+from tests.orders import observed_orders
 from tests.test_order1 import apart
 from tests.test_rubber import NUS, K, found, law_of, of, of_law
-from thinlayer import Structure, ThinLayer, march, observed_orders, solve
+from thinlayer import Structure, ThinLayer, march, solve
 from thinlayer.parts import pressure_part as pressure
 
 pytestmark = pytest.mark.few(5)

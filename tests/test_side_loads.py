@@ -13,8 +13,9 @@ from forms import Anisotropic, LinearElastic
 from forms.base import InputError
 from forms.ends import free_end
 from geometry import block, disc, sandwich
+from tests.orders import observed_orders
 from tests.side_loads_run import BODY, EPS, GLUE, SIDES, box, loaded
-from thinlayer import Pressure, Structure, ThinLayer, compare, observed_orders, solve
+from thinlayer import Pressure, Structure, ThinLayer, compare, solve
 from thinlayer.errors import RangeWarning
 from thinlayer.output.nodal_forces import nodal_forces
 

@@ -15,8 +15,8 @@ from forms.contact import HolonomicCoulomb
 from geometry import block, sandwich
 from tests.arc_length_run import Trilinear
 from tests.on_ranks import alone, on_ranks
+from tests.orders import taylor_order
 from tests.refused import refused
-from tests.taylor import observed_orders
 from thinlayer import Adaptive, ArcLength, PointLoad, SolveError, Structure, Surface, ThinLayer, UflPart, march, solve
 from thinlayer.parts.springs import Springs
 from thinlayer.solving.solvers import Solver
@@ -123,7 +123,7 @@ def test_springs_are_a_foundation_in_ufl(kind):
 @pytest.mark.parametrize("theta", [1.0, 0.5])
 def test_tangent(kind, theta):
     with Solver(turned(kind=kind), method="newton") as solver:
-        assert observed_orders(solver, theta=theta) == float("inf")  # all is linear: no error but rounding
+        assert taylor_order(solver, theta=theta) == float("inf")  # all is linear: no error but rounding
 
 
 def test_an_incompressible_layer_on_springs():

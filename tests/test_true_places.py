@@ -15,9 +15,10 @@ from forms.work import energy
 from geometry import block, bond_cell, fibre, periodic, ring, sandwich
 from geometry.inflating.inflation import faces, inflate, parted
 from studies.tubes import lame
+from tests.orders import observed_orders
 from tests.refused import refused
 from tests.test_order1 import apart
-from thinlayer import Pressure, Probe, Structure, Surface, ThinLayer, compare, observed_orders, solve
+from thinlayer import Pressure, Probe, Structure, Surface, ThinLayer, compare, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.reduction import Reduction
 from thinlayer.output.grid import gather
@@ -238,7 +239,7 @@ def test_eigenstrains():
         layer = ThinLayer(GLUE, e, order=1, profile=wavy, eigenstrain=lambda x, t: 0.3 * ufl.cos(ufl.pi * x[0]), at=1.0)
         states = [solve(make(layer, bodies="extended")) for make in (whole.full, whole.interface)]
         errors.append(apart(*states))
-    assert min(observed_orders(eps, list(one))[-1] for one in np.transpose(errors)) > 1.8
+    assert min(observed_orders(eps, one)[-1] for one in np.transpose(errors)) > 1.8
 
 
 # ---------------------------------------------------------------- a curved S

@@ -12,6 +12,7 @@ from forms import Incompressible, LinearElastic, MohrCoulomb, Rubber, Stack, Von
 from forms.base import InputError
 from geometry import block, disc, sandwich, wall
 from studies.problems import FOURIER_LAYER, fourier
+from tests.orders import observed_orders
 from tests.pictures import assert_drawn
 from tests.ranges_told import opened
 from tests.refused import refused
@@ -25,7 +26,6 @@ from thinlayer import (
     Zoom,
     estimate,
     march,
-    observed_orders,
     plotting,
     solve,
 )

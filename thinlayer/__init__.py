@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.output.homogenised import homogenised_stiffness
     from thinlayer.output.probe import Probe
     from thinlayer.output.surface import Surface
-    from thinlayer.output.sweep import observed_orders, sweep
+    from thinlayer.output.sweep import sweep
     from thinlayer.output.zooming import Zoom
     from thinlayer.parts.plates import RigidPlate
     from thinlayer.parts.springs import Springs
@@ -60,7 +60,7 @@ _NAMES = {
     "output.homogenised": "homogenised_stiffness",
     "output.probe": "Probe",
     "output.surface": "Surface",
-    "output.sweep": "observed_orders sweep",
+    "output.sweep": "sweep",
     "output.zooming": "Zoom",
     "parts.plates": "RigidPlate",
     "parts.springs": "Springs",

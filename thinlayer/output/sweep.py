@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import nullcontext
 from functools import partial
@@ -23,17 +22,6 @@ from thinlayer.system.table import Row, Table
 ERRORS = ("eps", "error_traction", "error_jump")
 ORDERS = ("order_traction", "order_jump")  # columns that a sweep adds
 SAME_EPS = 1e-9  # relative difference of equal thicknesses
-
-
-def observed_orders(eps: Iterable[float], errors: Iterable[float]) -> list[float | None]:
-    """Observed order between each row and the one before it, log(e_k-1/e_k)/log(eps_k-1/eps_k).
-
-    None for the first row, and where one of the two errors is zero or not finite.
-    """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x, e = np.log(np.array(list(eps), float)), np.log(np.array(list(errors), float))
-        orders = np.diff(e) / np.diff(x)
-    return [None, *(order if math.isfinite(order) else None for order in orders.tolist())]
 
 
 def sweep(
@@ -100,12 +88,8 @@ def _row(run: Callable[[float], Mapping[str, Any]], eps: float, first: Row | Non
 
 def _with_orders(rows: Mapping[float, Row]) -> Table:
     """The table of rows by thickness, descending, with the observed orders between each row and the one before."""
-    ordered = [rows[e] for e in sorted(rows, reverse=True)]
-    columns = {name: [float(row[name]) for row in ordered] for name in ERRORS}  # type: ignore[arg-type]
-    orders = {name: observed_orders(columns["eps"], columns[f"error_{name}"]) for name in ("traction", "jump")}
-    table = Table()
-    for k, row in enumerate(ordered):
-        first = {name: row[name] for name in ERRORS}
-        rest = {name: value for name, value in row.items() if name not in ERRORS}
-        table.append(first | {f"order_{name}": orders[name][k] for name in orders} | rest)
+    table = Table(rows[e] for e in sorted(rows, reverse=True))
+    orders = {order: table.orders(error) for order, error in zip(ORDERS, ERRORS[1:], strict=True)}
+    for k, row in enumerate(table.rows):
+        table.rows[k] = {name: row[name] for name in ERRORS} | {name: orders[name][k] for name in ORDERS} | row
     return table

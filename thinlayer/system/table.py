@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -139,6 +140,15 @@ class Table:
     def columns(self) -> list[str]:
         """Names of the columns."""
         return list(self.rows[0]) if self.rows else []
+
+    def orders(self, errors: str, of: str = "eps") -> list[float | None]:
+        """Observed order in each row, log(e_k-1/e_k)/log(h_k-1/h_k), of a column of errors e over one of sizes h.
+
+        None in the first row, and where one of the two errors is zero or no number. ColumnError: no such column.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = np.diff(np.log(self[errors])) / np.diff(np.log(self[of]))
+        return [None, *(order if math.isfinite(order) else None for order in found.tolist())]
 
     def split(self, column: str) -> dict[Any, Table]:
         """Each value of a column -> the rows that have it, in their order; ColumnError: no such column."""

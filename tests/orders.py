@@ -1,14 +1,22 @@
-"""Taylor tests of the tangent of a model's balance of forces."""
+"""Observed orders: of errors, and of the tangent of a model's balance of forces."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
+from thinlayer import Table
 from thinlayer.parts.part import Interval
 from thinlayer.solving.solvers import Solver
 
 
-def observed_orders(solver: Solver, size: float = 1e-2, theta: float = 1.0, longest: float = 1.0) -> float:
+def observed_orders(sizes: Iterable[float], errors: Iterable[float]) -> list[float | None]:
+    """Order of errors between each size and the one before."""
+    return Table.of({"h": list(sizes), "error": list(errors)}).orders("error", of="h")
+
+
+def taylor_order(solver: Solver, size: float = 1e-2, theta: float = 1.0, longest: float = 1.0) -> float:
     """Smallest order in h of |R(x + h d) - R(x) - h A d| at some unknowns x, for a direction d; inf where it vanishes."""
     equations = solver.equations
     equations.begin(Interval(solver.rest(0.0), 0.1, 0.1, theta))
