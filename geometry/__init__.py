@@ -2,7 +2,6 @@
 
 # ruff: noqa: F401
 from geometry.builders import block, bond_cell, disc, faults, fibre, grains, ring, sandwich, wall
-from geometry.importing.gathering import from_dolfinx
 from geometry.importing.reading import read
 from geometry.inflating.inflation import inflate
 from geometry.joint import Joint

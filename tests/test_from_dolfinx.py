@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from forms import LinearElastic
 from forms.base import InputError
-from geometry import Joint, block, disc, from_dolfinx, read, ring, sandwich
+from geometry import Joint, block, disc, read, ring, sandwich
 from geometry.domain import Domain
 from geometry.seam import Seam
 from tests.meshes import CELLS, drawing, model_to_mesh, rings, stack, volume
@@ -40,14 +40,9 @@ def built() -> dict[str, Joint]:
 def taken_back(joint: Joint) -> Joint:
     """A joint, distributed by DOLFINx with its tags, and gathered again."""
     domain = Domain.of(joint)
-    return from_dolfinx(
-        domain.mesh,
-        domain.cell_tags,
-        domain.facet_tags,
-        regions={number + 1: name for number, name in enumerate(joint.regions)},
-        facets={value: name for name in joint.facets for value in domain.values(name)},
-        upper=joint.seams["S"].upper,
-    )
+    names = {name: (joint.dim, number + 1) for number, name in enumerate(joint.regions)}
+    names |= {name: (joint.dim - 1, *domain.values(name)) for name in joint.facets}
+    return read((domain.mesh, domain.cell_tags, domain.facet_tags), names=names, upper=joint.seams["S"].upper)
 
 
 def strip() -> tuple[mesh.Mesh, mesh.MeshTags, mesh.MeshTags]:
@@ -70,28 +65,27 @@ def tagged(plane: mesh.Mesh) -> tuple[mesh.MeshTags, mesh.MeshTags]:
 
 
 PLACES = {3: 0.0, 4: -1.0, 5: 1.0}
-FACETS = {3: "S", 4: "BOTTOM", 5: "TOP"}
-REGIONS = {1: "LOWER", 2: "UPPER"}
+FACETS = {"S": (1, 3), "BOTTOM": (1, 4), "TOP": (1, 5)}
+REGIONS = {"LOWER": (2, 1), "UPPER": (2, 2)}
+NAMES = {"names": REGIONS | FACETS, "upper": "UPPER"}
 
 
 def made_by_dolfinx() -> dict[str, Joint]:
     """A mesh of DOLFINx, a part of one, a refined one, and gmsh's by DOLFINx."""
-    names = {"regions": REGIONS, "facets": FACETS, "upper": "UPPER"}
     plane, *tags = strip()
-    joints = {"rectangle": from_dolfinx(plane, *tags, **names)}
+    joints = {"rectangle": read((plane, *tags), **NAMES)}
     inside = mesh.locate_entities(plane, 2, lambda x: x[0] < 1.4)
     owned = inside[inside < plane.topology.index_map(2).size_local]
     part = mesh.create_submesh(plane, 2, owned)[0]
-    joints["a part of it"] = from_dolfinx(part, *tagged(part), **names)
+    joints["a part of it"] = read((part, *tagged(part)), **NAMES)
     plane.topology.create_entities(1)
     finer = mesh.refine(plane)[0]
-    joints["refined"] = from_dolfinx(finer, *tagged(finer), **names)
+    joints["refined"] = read((finer, *tagged(finer)), **NAMES)
     with drawing() as occ:
         if COMM.rank == 0:
             stack(occ, None, h=0.4)
         solid, *tags, known = model_to_mesh(COMM, 3)  # a plane mesh in space
-    regions, facets = ({tag: name for (d, tag), name in known.items() if d == dim} for dim in (2, 1))
-    joints["gmsh"] = from_dolfinx(solid, *tags, regions=regions, facets=facets, upper="UPPER")
+    joints["gmsh"] = read((solid, *tags), names={name: group for group, name in known.items()}, upper="UPPER")
     return joints
 
 
@@ -117,7 +111,6 @@ def numbers() -> dict[str, list]:
 def errors() -> list[list[str]]:
     """What each rank is told of a mesh that is on one rank alone, of a name that is none, of a mesh of other ranks."""
     plane, *tags = strip()
-    names = {"regions": REGIONS, "facets": FACETS}
     said = []
     for data, upper in (
         ((plane if COMM.rank == 0 else None, *tags), "UPPER"),
@@ -125,13 +118,10 @@ def errors() -> list[list[str]]:
         ((mesh.create_unit_square(MPI.COMM_SELF, 2, 2),), "UPPER"),
     ):
         try:
-            from_dolfinx(*data, **names if len(data) > 1 else {}, upper=upper)
+            read(data, names=NAMES["names"] if len(data) > 1 else None, upper=upper)
         except InputError as found:
             said.append(str(found))
     return COMM.allgather(said)
-
-
-NAMES = {"regions": REGIONS, "facets": FACETS, "upper": "UPPER"}
 
 
 @pytest.fixture(scope="module")
@@ -170,12 +160,10 @@ def test_as_read_from_gmsh(tmp_path, cell, degree):
     """The mesh that gmsh hands to DOLFINx and the file that it writes give the same joint."""
     with drawing() as occ:
         path = rings(occ, tmp_path / "a.msh", cell, degree)
-        solid, cell_tags, facet_tags, known = model_to_mesh(MPI.COMM_WORLD, 3)
-    dim = CELLS[cell][0]
-    regions, facets = ({tag: name for (d, tag), name in known.items() if d == k} for k in (dim, dim - 1))
-    joint = from_dolfinx(solid, cell_tags, facet_tags, regions=regions, facets=facets, upper="RING")
+        *tagged, known = model_to_mesh(MPI.COMM_WORLD, 3)
+    joint = read(tagged, names={name: group for group, name in known.items()}, upper="RING")
     other = read(path, upper="RING")
-    assert (joint.cell_type, joint.degree, joint.dim) == (cell, degree, dim)
+    assert (joint.cell_type, joint.degree, joint.dim) == (cell, degree, CELLS[cell][0])
     assert sorted(joint.regions) == sorted(other.regions)
     assert joint.seams == other.seams
     assert volume(joint) == pytest.approx(volume(other), rel=1e-12)
@@ -192,50 +180,55 @@ def test_solution_as_of_a_file(tmp_path, alone):
 
 def test_names():
     plane, bodies, sides = strip()
-    numbers = from_dolfinx(plane, bodies, sides, S="3", upper="2")
+    numbers = read((plane, bodies, sides), S="3", upper="2")
     assert (numbers.regions, numbers.seams, set(numbers.facets)) == (
         ("1", "2"),
         {"S": Seam(("1",), ("2",))},
         {"S", "4", "5"},
     )
-    between = from_dolfinx(plane, bodies, S=None, lower="1", upper="2")
+    between = read((plane, bodies), S=None, lower="1", upper="2")
     assert set(between.facets) == {"S"}
     assert len(between.facets["S"]) == len(numbers.facets["S"]) == 6
-    merged = from_dolfinx(plane, bodies, sides, regions=REGIONS, facets={3: "GLUE", 4: "ENDS", 5: "ENDS"}, S="GLUE",
-                          upper="UPPER")  # fmt: skip
+    several = REGIONS | {"GLUE": (1, 3), "ENDS": (1, 4, 5)}
+    merged = read((plane, bodies, sides), names=several, S="GLUE", upper="UPPER")
     assert len(merged.facets["ENDS"]) == 12
-    cut = from_dolfinx(plane, facet_tags=sides, facets={3: "S"}, direction=(0, 1))
+    cut = read((plane, None, sides), names={"S": (1, 3)}, direction=(0, 1))
     assert (cut.bodies, cut.seams["S"].direction) == (("BODY",), (0.0, 1.0))
-    base = from_dolfinx(plane, facet_tags=sides, facets={4: "S", 5: "TOP"})
+    base = read((plane, None, sides), names={"S": (1, 4), "TOP": (1, 5)}, scale=10.0)
     assert base.rigid_base
+    assert base.points.max(axis=0) == pytest.approx([20.0, 10.0], rel=1e-15)
     assert base.interface_normals == pytest.approx(np.tile([0.0, 1.0], (6, 1)))
 
 
 def test_ghosts_and_tags_on_ghosts_do_not_count_twice():
     plane = mesh.create_rectangle(MPI.COMM_WORLD, [(0, -1), (2, 1)], (6, 6), ghost_mode=mesh.GhostMode.shared_facet)
-    joint = from_dolfinx(plane, *tagged(plane), **NAMES)
-    assert joint.identity() == from_dolfinx(*strip(), **NAMES).identity()
+    joint = read((plane, *tagged(plane)), **NAMES)
+    assert joint.identity() == read(strip(), **NAMES).identity()
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"mesh": None}, "mesh is None; give a dolfinx.mesh.Mesh"),
+        ({"mesh": None}, "mesh is None; give the name of a file, or a dolfinx.mesh.Mesh"),
         ({"cell_tags": 1}, "cell_tags is 1; give dolfinx.mesh.MeshTags"),
         ({"swapped": True}, "cell_tags are of entities of dimension 1; those of this mesh have dimension 2"),
         ({"other": True}, "cell_tags are of another mesh"),
         ({"floats": True}, "cell_tags have values of type float64; they must be integers"),
-        ({"regions": {1: "LOWER"}, "upper": "LOWER"}, "36 of 72 cells are in no named group .*LOWER.*; the first is"),
-        ({"regions": {1: "LOWER", 7: "UPPER"}}, "regions: no cell has the tag 7, named 'UPPER'; tags: 1, 2"),
-        ({"facets": {6: "S"}}, "facets: no facet has the tag 6, named 'S'; tags: 3, 4, 5"),
-        ({"facet_tags": None, "facets": None}, "no facets are named 'S' or anything else"),
-        ({"facet_tags": None}, "facets: no facet has the tag 3, named 'S'; tags: none"),
-        ({"regions": {"LOWER": 1}}, r"regions is \{'LOWER': 1\}; give \{number in cell_tags: name\}"),
-        ({"facets": ["S"]}, r"facets is \['S'\]; give \{number in facet_tags: name\}"),
+        (
+            {"names": {"LOWER": (2, 1)} | FACETS, "upper": "LOWER"},
+            "36 of 72 cells are in no named group .*LOWER",
+        ),
+        ({"names": {"LOWER": (2, 1), "UPPER": (2, 7)}}, "names: no cell has the tag 7, named 'UPPER'; tags: 1, 2"),
+        ({"names": REGIONS | {"S": (1, 6)}}, "names: no facet has the tag 6, named 'S'; tags: 3, 4, 5"),
+        ({"facet_tags": None, "names": REGIONS}, "no facets are named 'S' or anything else"),
+        ({"facet_tags": None}, "names: no facet has the tag 3, named 'S'; tags: none"),
+        ({"names": {"LOWER": 1}}, r"names is \{'LOWER': 1\}; give \{name: \(dimension, number of its tags\)\}"),
+        ({"names": {"LOWER": (2,)}}, r"names is \{'LOWER': \(2,\)\}; give"),
+        ({"names": ["S"]}, r"names is \['S'\]; give"),
+        ({"names": {1: (2, 1)}}, r"names is \{1: \(2, 1\)\}; give"),
         ({"S": "GLUE"}, "unknown set of facets 'GLUE'; known: BOTTOM, S, TOP"),
-        ({"facets": {3: "GLUE", 4: "BOTTOM"}}, "unknown set of facets 'S'; known: BOTTOM, GLUE"),
-        ({"facets": {3: "UPPER"}, "S": "UPPER"}, "'UPPER' names both cells and facets"),
-        ({"facets": {3: "S", 4: "S"}}, "6 of 12 facets named 'S' lie on the outer boundary"),
+        ({"names": REGIONS | {"GLUE": (1, 3), "BOTTOM": (1, 4)}}, "unknown set of facets 'S'; known: BOTTOM, GLUE"),
+        ({"names": REGIONS | {"S": (1, 3, 4)}}, "6 of 12 facets named 'S' lie on the outer boundary"),
     ],
 )
 def test_refused(change, message):
@@ -248,7 +241,7 @@ def test_refused(change, message):
     if given.pop("floats", False):
         given["cell_tags"] = mesh.meshtags(plane, 2, bodies.indices, bodies.values.astype(float))
     with pytest.raises(InputError, match=message):
-        from_dolfinx(given.pop("mesh"), given.pop("cell_tags"), given.pop("facet_tags"), **given)
+        read([given.pop(name) for name in ("mesh", "cell_tags", "facet_tags")], **given)
 
 
 def whole(cell, degree, points, cells):
@@ -286,7 +279,7 @@ def on_its_boundary(m):
     m.topology.create_connectivity(dim - 1, dim)
     prisms = m.topology.cell_name() == "prism"  # of which DOLFINx 0.11 does not know the boundary
     facets = np.arange(1, dtype=np.int32) if prisms else mesh.exterior_facet_indices(m.topology)
-    return from_dolfinx(m, facet_tags=mesh.meshtags(m, dim - 1, facets, np.ones(len(facets), np.int32)), S="1")
+    return read((m, None, mesh.meshtags(m, dim - 1, facets, np.ones(len(facets), np.int32))), S="1")
 
 
 @pytest.mark.long
@@ -295,6 +288,6 @@ def test_errors_on_two_ranks(there):
     """All ranks have them, and none waits."""
     (one, two, three), others = there
     assert others == [one, two, three]
-    assert one == "mesh is None; give a dolfinx.mesh.Mesh"
+    assert one == "mesh is None; give the name of a file, or a dolfinx.mesh.Mesh"
     assert two.startswith("unknown region 'UPPERS', did you mean 'UPPER'")
     assert three.startswith("the mesh is distributed on 1 ranks, comm has 2; give comm the communicator")

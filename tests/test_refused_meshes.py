@@ -242,8 +242,9 @@ def test_gap_beside_s(draw, tmp_path, open_end):
         ({"direction": "up"}, "direction is 'up'; it needs 2 components"),
         ({"direction": (0, float("nan"))}, "direction is"),
         ({"scale": True}, "scale is True; it must be a number > 0"),
-        ({"path": None}, "path is None"),
+        ({"mesh": None}, "mesh is None; give the name of a file, or a dolfinx.mesh.Mesh"),
+        ({"names": {"S": (1, 3)}}, "names are those of tags of DOLFINx; a file has its own"),
     ],
 )
 def test_arguments_of_read(data, message):
-    refused(InputError, message, lambda: read(**{"path": "a.msh"} | data))
+    refused(InputError, message, lambda: read(**{"mesh": "a.msh"} | data))

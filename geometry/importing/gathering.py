@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
-from numbers import Integral
-from typing import Any, NamedTuple, Unpack
+from operator import index
+from typing import Any, NamedTuple
 
 import dolfinx
 import numpy as np
@@ -19,46 +19,21 @@ from geometry.parallel import on_root, world
 from geometry.topology import CELL_TYPES, BoolArray, FloatArray, Indices, IntArray, corner_count, geometry_degree
 
 WHOLE = "BODY"  # region of all cells if there are no cell tags
+TagNames = Mapping[str, Sequence[int]]  # name -> dimension of what is tagged, and numbers of its tags
 
 
-def from_dolfinx(
-    mesh: dolfinx.mesh.Mesh,
-    cell_tags: dolfinx.mesh.MeshTags | None = None,
-    facet_tags: dolfinx.mesh.MeshTags | None = None,
-    *,
-    regions: Mapping[int, str] | None = None,
-    facets: Mapping[int, str] | None = None,
-    comm: MPI.Intracomm | None = None,
-    **sides: Unpack[SidesOf],
-) -> Joint:
-    """A joint from a mesh of DOLFINx, on any number of ranks, with or without ghosts. Collective.
-
-    The joint does not depend on how the mesh is distributed: its nodes and cells are numbered by their places.
-
-    Args:
-        mesh: triangles, quadrilaterals, tetrahedra or hexahedra, straight or of degree 2; 2D: in a plane z = const.
-        cell_tags: number of the region of each cell (default: one region, "BODY").
-        facet_tags: numbers of the sets of facets.
-        regions: number in `cell_tags` -> name of the region (default: the numbers, as text). Several numbers may have one
-            name; every cell must be in a region. The value on rank 0 is used.
-        facets: number in `facet_tags` -> name of the set of facets; facets with other numbers are left out.
-        S, upper, lower, direction: as in `read`.
-        comm: the ranks that the mesh is distributed on (default: the world).
-
-    Raises:
-        InputError: the tags are not those of this mesh; a number without cells or facets; cells of several types, of
-            one that is not allowed, or of a degree above 2; a mesh on other ranks than those of `comm`; and as in `read`.
-    """
+def gathered(mesh: Any, names: TagNames | None, scale: float, comm: MPI.Intracomm | None, sides: SidesOf) -> Joint:
+    """The joint of a mesh of DOLFINx with its tags, as `read` describes it. Collective."""
     comm = comm or world()
+    mesh, cell_tags, facet_tags = (*(mesh if isinstance(mesh, (tuple, list)) else [mesh]), None, None)[:3]
     mine: _Part | Exception
     try:
         mine = _Part.of(mesh, cell_tags, facet_tags, comm)
     except Exception as error:
         mine = error  # the other ranks must not wait
     parts = comm.gather(mine) or []
-    if cell_tags is None and regions is None:
-        regions = {0: WHOLE}
-    return on_root(comm, partial(_joined, parts, regions, facets, sides))
+    whole = {WHOLE: [0]} if cell_tags is None else None
+    return on_root(comm, partial(_joined, parts, names, whole, scale, sides))
 
 
 class _Part(NamedTuple):
@@ -85,7 +60,7 @@ class _Part(NamedTuple):
     @classmethod
     def of(cls, mesh: Any, cell_tags: Any, facet_tags: Any, comm: MPI.Intracomm) -> _Part:
         """The part of this rank; raises InputError if a joint cannot be made of it."""
-        require(isinstance(mesh, dolfinx.mesh.Mesh), "mesh", mesh, "give a dolfinx.mesh.Mesh")
+        require(isinstance(mesh, dolfinx.mesh.Mesh), "mesh", mesh, "give the name of a file, or a dolfinx.mesh.Mesh")
         if MPI.Comm.Compare(comm, mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
             remedy = "give comm the communicator that the mesh was made with"
             raise InputError(f"the mesh is distributed on {mesh.comm.size} ranks, comm has {comm.size}; {remedy}")
@@ -121,7 +96,7 @@ def _tags(mesh: dolfinx.mesh.Mesh, tags: Any, dim: int, what: str) -> tuple[Indi
     return np.asarray(tags.indices), np.asarray(tags.values, np.int64)
 
 
-def _joined(parts: list[Any], regions: Any, facets: Any, sides: SidesOf) -> Joint:
+def _joined(parts: list[Any], names: Any, whole: Any, scale: float, sides: SidesOf) -> Joint:
     """The joint of all ranks' parts, in the order of places: of the nodes, and of the cells' nodes."""
     for part in parts:
         if isinstance(part, Exception):
@@ -132,33 +107,40 @@ def _joined(parts: list[Any], regions: Any, facets: Any, sides: SidesOf) -> Join
         raise InputError("the mesh has no cells")
     order = np.lexsort(points.T[::-1])
     number = np.argsort(order)
-    points, nodes, rows = points[order], number[nodes], np.sort(number[rows], axis=1)
+    points, nodes, rows = scale * points[order], number[nodes], np.sort(number[rows], axis=1)
     order = np.lexsort(np.sort(nodes[:, : corner_count(kind)], axis=1).T[::-1])
     nodes, region, tagged = nodes[order], region[order], tagged[order]
     cells = Cells.of(points, nodes, kind, f"{len(nodes)} {kind} cells")
-    groups = _groups(regions, region, tagged, "cell")
+    dim, chosen = cells.points.shape[1], _by_dimension(names or {})
+    groups = _groups(chosen.get(dim, whole), region, tagged, "cell")
     if not groups:
         raise InputError("no cell has a tag")
-    sets = _groups(facets, tags, np.ones(len(tags), bool), "facet")
+    sets = _groups(chosen.get(dim - 1), tags, np.ones(len(tags), bool), "facet")
     named = {name: np.unique(np.searchsorted(cells.used, rows[member]), axis=0) for name, member in sets.items()}
     return Named(cells, groups, named, "tags", Sides.of(**sides)).joint()
 
 
-def _groups(names: Any, values: IntArray, tagged: BoolArray, what: str) -> Groups:
-    """The entities of each name."""
+def _by_dimension(names: Any) -> dict[int, dict[str, list[int]]]:
+    """Dimension -> name -> numbers."""
+    chosen: dict[int, dict[str, list[int]]] = {}
+    try:
+        for name, (dim, first, *others) in names.items():
+            if not isinstance(name, str):
+                raise TypeError("a name is a text")
+            chosen.setdefault(index(dim), {})[name] = [index(number) for number in (first, *others)]
+    except (AttributeError, TypeError, ValueError):
+        raise InputError(f"names is {names!r}; give {{name: (dimension, number of its tags)}}") from None
+    return chosen
+
+
+def _groups(names: dict[str, list[int]] | None, values: IntArray, tagged: BoolArray, what: str) -> Groups:
+    """Name -> which entities have one of its tags; all tags by their numbers if there are no names."""
     found = [int(number) for number in np.unique(values[tagged])]
-    if names is None:
-        names = {number: str(number) for number in found}
-    argument = {"cell": "regions", "facet": "facets"}[what]
-    if not isinstance(names, Mapping) or not all(
-        isinstance(number, Integral) and not isinstance(number, bool) and isinstance(name, str)
-        for number, name in names.items()
-    ):
-        raise InputError(f"{argument} is {names!r}; give {{number in {what}_tags: name}}")
     groups: Groups = {}
-    for number, name in names.items():
-        if number not in found:
-            known = ", ".join(map(str, found)) or "none"
-            raise InputError(f"{argument}: no {what} has the tag {number}, named {name!r}; tags: {known}")
-        groups[name] = groups.get(name, np.zeros(len(values), bool)) | (tagged & (values == number))
+    for name, numbers in ({str(number): [number] for number in found} if names is None else names).items():
+        for number in numbers:
+            if number not in found:
+                known = ", ".join(map(str, found)) or "none"
+                raise InputError(f"names: no {what} has the tag {number}, named {name!r}; tags: {known}")
+        groups[name] = tagged & np.isin(values, numbers)
     return groups

@@ -1,4 +1,4 @@
-"""Joints from mesh files of any format that meshio reads."""
+"""Joints from mesh files of any format that meshio reads, and from meshes of DOLFINx."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from contextlib import redirect_stderr, redirect_stdout
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import dolfinx
 import numpy as np
 from mpi4py import MPI
 
-from forms.base import InputError, is_finite, require
+from forms.base import InputError, is_finite
+from geometry.importing.gathering import TagNames, gathered
 from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
 from geometry.joint import Joint
 from geometry.parallel import on_root
@@ -39,36 +40,52 @@ REMEDIES = {
 }
 
 
-def read(path: str | Path, *, scale: float = 1.0, comm: MPI.Intracomm | None = None, **sides: Unpack[SidesOf]) -> Joint:
-    """A joint from a mesh file. Collective.
+def read(
+    mesh: str | Path | dolfinx.mesh.Mesh | Sequence[Any],
+    *,
+    names: TagNames | None = None,
+    scale: float = 1.0,
+    comm: MPI.Intracomm | None = None,
+    **sides: Unpack[SidesOf],
+) -> Joint:
+    """A joint from a mesh file, or from a mesh of DOLFINx with its tags. Collective.
 
-    Names are gmsh's physical names, or the file's cell sets. Without these, names are the numbers, as text, in the cell
-    data "gmsh:physical" or in the file's only array of integers (negative: no name). Named groups of cells are the
-    regions; every cell must be in one of them. Groups of cells of one dimension less are sets of facets. Where groups of
-    cells overlap, those named in `upper` and `lower` are the regions.
+    Names of a file are gmsh's physical names, or its cell sets; without these the numbers, as text, in the cell data
+    "gmsh:physical" or in its only array of integers (negative: no name). Named groups of cells are the regions; every cell
+    must be in one of them. Groups of cells of one dimension less are sets of facets. Where groups of cells overlap, those
+    named in `upper` and `lower` are the regions.
+
+    A mesh of DOLFINx may be distributed in any way, with or without ghosts: the joint's nodes and cells are numbered by
+    their places.
 
     Args:
-        path: a file with triangles, quadrilaterals, tetrahedra or hexahedra, straight or of degree 2; 2D: in a plane
-            z = const.
+        mesh: a file; or a mesh of DOLFINx, or (mesh, cell tags, facet tags), None for tags that there are not. Triangles,
+            quadrilaterals, tetrahedra or hexahedra, straight or of degree 2; 2D: in a plane z = const.
+        names: of tags of DOLFINx, as gmsh's physical groups have them: name -> (dimension, number), or several numbers.
+            Tags of a dimension without names have their numbers, as text; facets with other numbers are left out; without
+            cell tags there is one region, "BODY". The value on rank 0 is used.
         S: name of the group of facets that becomes "S"; None for all facets between the regions `lower` and `upper`. For a
             network, the names of several groups, which keep their names, or {name: its upper side}: a vector that points
-            there, (lower, upper) with names of regions, or None for the later region of the file.
+            there, (lower, upper) with names of regions, or None for the later region.
         upper: name or names of the regions above S (default for S on the outer boundary or with `direction`: all).
         lower: name or names of the regions below S (default: all others; for S on the outer boundary none, a rigid base).
         direction: (d,) vector to the upper side, for S inside one body.
         scale: factor on the coordinates, > 0, e.g. 1e3 from metre to millimetre.
-        comm: communicator whose rank 0 reads (default: the world).
+        comm: communicator whose rank 0 reads the file, or that the mesh is distributed on (default: the world).
 
     Raises:
-        InputError: the file cannot be read or lacks names; a name is unknown or ambiguous; cells of several types or
+        InputError: the file cannot be read or lacks names; tags that are not those of the mesh, a number that nothing has,
+            a mesh on other ranks than those of `comm`; a name is unknown or ambiguous; cells of several types or
             of one that is not allowed; a surface in 3D; duplicate nodes or cells; flat or folded cells; S does not fit
             `Joint`.
     """
-    require(isinstance(path, (str, Path)), "path", path, "it must be the name of a file")
-    chosen = Sides.of(**sides)
     if not is_finite(scale) or scale <= 0:
         raise InputError(f"scale is {scale!r}; it must be a number > 0")
-    return on_root(comm, partial(_read, Path(path), chosen, scale))
+    if not isinstance(mesh, (str, Path)):
+        return gathered(mesh, names, scale, comm, sides)
+    if names is not None:
+        raise InputError("names are those of tags of DOLFINx; a file has its own")
+    return on_root(comm, partial(_read, Path(mesh), Sides.of(**sides), scale))
 
 
 def _read(path: Path, sides: Sides, scale: float) -> Joint:

@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 from forms import IncrementalCoulomb, LinearElastic
 from forms.work import body
-from geometry import from_dolfinx
+from geometry import read
 from thinlayer import BrokenMesh, StepProblem, Structure, Surface, march
 from thinlayer.parts.contact_part import ContactPart
 
@@ -51,8 +51,8 @@ for t in times:
 jump = broken.interface(S).jump(u)
 mine = [comm.allreduce(fem.assemble_scalar(fem.form(jump[k] * broken.dS(S)))) for k in (0, 1)]
 
-names = {S: "S", TOP: "TOP", BOTTOM: "BOTTOM"}
-blocks = from_dolfinx(grid, bodies, facets, regions={LOWER: "LOWER", UPPER: "UPPER"}, facets=names, upper="UPPER")
+names = {"LOWER": (2, LOWER), "UPPER": (2, UPPER), "S": (1, S), "TOP": (1, TOP), "BOTTOM": (1, BOTTOM)}
+blocks = read((grid, bodies, facets), names=names, upper="UPPER")
 top = {"x": lambda x, t: push * t + 0 * x[0], "y": lambda x, t: -0.006 + tilt * t * (1 - x[0])}
 structure = Structure(blocks, body=stone, supports={"BOTTOM": 0.0, "TOP": top}, element="P1")
 history = march(structure.interface(law), times)

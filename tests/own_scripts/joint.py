@@ -5,7 +5,7 @@ from dolfinx import mesh
 from mpi4py import MPI
 
 from forms import LinearElastic
-from geometry import from_dolfinx
+from geometry import read
 from thinlayer import Structure, Surface, ThinLayer, compare, solve
 
 comm, LOWER, UPPER, GLUE, TOP, BOTTOM = MPI.COMM_WORLD, 1, 2, 3, 4, 5
@@ -20,8 +20,8 @@ tagged, values = np.concatenate(list(lines.values())), np.repeat(list(lines), [l
 order = np.argsort(tagged)
 sides = mesh.meshtags(grid, 1, tagged[order], values[order].astype(np.int32))
 
-names = {GLUE: "S", TOP: "TOP", BOTTOM: "BOTTOM"}
-plates = from_dolfinx(grid, bodies, sides, regions={LOWER: "LOWER", UPPER: "UPPER"}, facets=names, upper="UPPER")
+names = {"LOWER": (2, LOWER), "UPPER": (2, UPPER), "S": (1, GLUE), "TOP": (1, TOP), "BOTTOM": (1, BOTTOM)}
+plates = read((grid, bodies, sides), names=names, upper="UPPER")
 
 steel = LinearElastic.young(E=210e3, nu=0.3)  # MPa
 glue = ThinLayer(LinearElastic.young(E=2e3, nu=0.0), 0.2)  # mm

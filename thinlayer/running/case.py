@@ -48,7 +48,8 @@ class Case:
             DescriptionError: thicknesses that are nothing beside the bodies, or larger; reactions of what nothing holds.
             InputError: as `read`, `Structure` and `ThinLayer` raise them.
         """
-        joint = read(**given.mesh)
+        of_file = dict(given.mesh)
+        joint = read(of_file.pop("path"), **of_file)
         size = joint.size
         for name, one in given.layer.items():
             if not LEAST_EPS * size <= one.eps <= size:

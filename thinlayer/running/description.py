@@ -35,7 +35,7 @@ class Description:
 
     Attributes:
         section: the whole table, for words about where entries stand.
-        mesh: arguments of `geometry.read`.
+        mesh: "path" of the file, and arguments of `geometry.read`.
         body: region -> its law; None stands for all.
         layer: seam -> its law and thickness; None stands for all.
         units: of lengths and of stresses, as texts; None: not given.
