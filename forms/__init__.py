@@ -8,7 +8,7 @@ from forms.check import check
 from forms.contact import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, Tresca
 from forms.elastic import Anisotropic, LinearElastic
 from forms.kernel import KernelLaw
-from forms.law import BulkLaw, choice
+from forms.law import BulkLaw
 from forms.non_monotone import NonMonotone, NonMonotoneUnrelaxed
 from forms.plastic import MohrCoulomb, MohrCoulombMonodirectional, VonMises
 from forms.rubber import Incompressible, Rubber

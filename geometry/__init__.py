@@ -3,6 +3,4 @@
 # ruff: noqa: F401
 from geometry.builders import block, bond_cell, disc, faults, fibre, grains, ring, sandwich, wall
 from geometry.importing.reading import read
-from geometry.inflating.inflation import inflate
-from geometry.joint import Joint
 from geometry.periodic import periodic

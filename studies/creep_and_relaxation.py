@@ -12,8 +12,9 @@ import numpy.typing as npt
 
 from forms import BulkLaw, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from geometry import sandwich
-from thinlayer import Adaptive, State, Structure, Surface, Table, ThinLayer, march, plotting
+from thinlayer import Adaptive, Structure, Surface, Table, ThinLayer, march, plotting
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
 from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track

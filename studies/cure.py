@@ -18,8 +18,9 @@ from forms.elastic import lame
 from forms.kinematics import Expr
 from forms.law import Step
 from geometry import sandwich
-from thinlayer import State, Structure, Surface, Table, ThermalExpansion, ThinLayer, plotting, solve
+from thinlayer import Structure, Surface, Table, ThermalExpansion, ThinLayer, plotting, solve
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
 
 Numbers = npt.NDArray[np.floating[Any]]

@@ -46,7 +46,6 @@ from thinlayer import (
     RangeWarning,
     RigidPlate,
     Springs,
-    State,
     Structure,
     ThinLayer,
     ThinlayerError,
@@ -54,6 +53,7 @@ from thinlayer import (
     goals,
     solve,
 )
+from thinlayer.discretisation.state import State
 
 COARSE, FINE = 1 / 16, 1 / 64  # thicknesses
 ALONG, ENDS = 1 / 24, 8  # cell size on S; cells within a thickness at free ends

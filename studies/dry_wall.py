@@ -11,8 +11,9 @@ from forms import HolonomicCoulomb, LinearElastic
 from geometry import wall
 from studies.timing import timed
 from studies.wall import BRICK, CLAY, PRESSURE
-from thinlayer import SolveError, State, Structure, Surface, ThinLayer, plotting, solve
+from thinlayer import SolveError, Structure, Surface, ThinLayer, plotting, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import Contact
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track

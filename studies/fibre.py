@@ -17,7 +17,8 @@ from geometry import fibre, periodic
 from geometry.parallel import on_root
 from studies.problems import of
 from studies.sweeping import Sweep, draw_rates, last, layer_of
-from thinlayer import State, Structure, Table, ThinLayer, homogenised_stiffness, plotting, solve
+from thinlayer import Structure, Table, ThinLayer, homogenised_stiffness, plotting, solve
+from thinlayer.discretisation.state import State
 from thinlayer.output.grid import gather
 from thinlayer.running.record import Record
 from thinlayer.solving.history import Solution

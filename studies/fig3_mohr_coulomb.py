@@ -18,10 +18,12 @@ from typing import Any, Literal
 import numpy as np
 
 from forms import LinearElastic, MohrCoulomb
-from geometry import Joint, block
+from geometry import block
+from geometry.joint import Joint
 from studies.problems import STEEL
-from thinlayer import State, Structure, Surface, Table, ThinLayer, march, plotting, solve
+from thinlayer import Structure, Surface, Table, ThinLayer, march, plotting, solve
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 

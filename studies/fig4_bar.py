@@ -16,11 +16,12 @@ from forms.base import Array
 from forms.non_monotone import Phases
 from geometry import block
 from geometry.topology import BoolArray
-from thinlayer import History, Structure, Surface, Table, ThinLayer, march, piecewise, plotting
+from thinlayer import Structure, Surface, Table, ThinLayer, march, piecewise, plotting
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.supports import Support
 from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
+from thinlayer.solving.history import History
 from thinlayer.system.progress import track
 from thinlayer.time.journal import Observe
 

@@ -10,7 +10,8 @@ import numpy as np
 from forms import LinearElastic, Stack
 from geometry import block
 from studies.problems import BAR
-from thinlayer import State, Structure, Surface, Table, ThinLayer, plotting, solve
+from thinlayer import Structure, Surface, Table, ThinLayer, plotting, solve
+from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 

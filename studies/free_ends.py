@@ -25,9 +25,10 @@ from geometry import block
 from geometry.joint import Joint
 from studies.problems import FOURIER_BODY, free_blocks
 from studies.sweeping import by_reaction, last_order
-from thinlayer import State, Structure, ThinLayer, compare, plotting, solve
+from thinlayer import Structure, ThinLayer, compare, plotting, solve
 from thinlayer.discretisation import reduction
 from thinlayer.discretisation.reduction import LEAST_CONTRAST
+from thinlayer.discretisation.state import State
 from thinlayer.errors import RangeWarning
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track

@@ -14,10 +14,12 @@ from scipy.spatial import cKDTree
 from forms import LinearElastic
 from forms.base import Array
 from forms.kinematics import Expr
-from geometry import Joint, faults, grains, wall
+from geometry import faults, grains, wall
+from geometry.joint import Joint
 from geometry.seam import JUNCTIONS, LAYER
-from thinlayer import State, Structure, Surface, Table, ThinLayer, UflPart, plotting, solve
+from thinlayer import Structure, Surface, Table, ThinLayer, UflPart, plotting, solve
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 

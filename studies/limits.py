@@ -6,7 +6,8 @@ import numpy as np
 
 from forms import Anisotropic
 from studies.problems import fourier
-from thinlayer import State, Structure, Surface, ThinLayer, plotting, solve
+from thinlayer import Structure, Surface, ThinLayer, plotting, solve
+from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
 
 KAPPA = (1e4, 1e5, 1e6)

@@ -32,25 +32,13 @@ from studies.dropped import (
 from studies.problems import free_blocks, of
 from studies.sweeping import last
 from studies.timing import timed
-from thinlayer import (
-    History,
-    Probe,
-    State,
-    Structure,
-    Surface,
-    ThinLayer,
-    estimate,
-    goals,
-    march,
-    plotting,
-    solve,
-    thin_enough,
-)
+from thinlayer import Probe, Structure, Surface, ThinLayer, estimate, goals, march, plotting, solve, thin_enough
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.estimating.result import Estimate
 from thinlayer.pointwise.assembling import values_of
 from thinlayer.running.record import Record
+from thinlayer.solving.history import History
 from thinlayer.system.progress import track
 from thinlayer.system.table import Table
 

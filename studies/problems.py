@@ -15,9 +15,11 @@ from scipy.linalg import expm
 
 from forms import BulkLaw, LinearElastic, MohrCoulomb
 from forms.base import Array
-from geometry import Joint, block, disc, read, ring, sandwich
+from geometry import block, disc, read, ring, sandwich
+from geometry.joint import Joint
 from studies.sweeping import last, layer_of
-from thinlayer import State, Structure, Surface, ThinLayer, piecewise, solve
+from thinlayer import Structure, Surface, ThinLayer, piecewise, solve
+from thinlayer.discretisation.state import State
 from thinlayer.solving.history import Solution
 
 FOURIER_BODY = LinearElastic.young(E=100.0, nu=0.3)

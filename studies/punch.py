@@ -12,12 +12,14 @@ import ufl
 from dolfinx import fem
 
 from forms import LinearElastic, VonMises, limits
-from geometry import Joint, block, ring, sandwich
+from geometry import block, ring, sandwich
+from geometry.joint import Joint
 from studies.problems import FOURIER_BODY, MORTAR, of, sheared
 from studies.sweeping import Sweep, draw_rates
-from thinlayer import History, State, Structure, Surface, Table, ThinLayer, march, plotting
+from thinlayer import Structure, Surface, Table, ThinLayer, march, plotting
+from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
-from thinlayer.solving.history import Solution
+from thinlayer.solving.history import History, Solution
 
 K = 1.0  # yield stress in shear; all stresses of the punch and the cylinder are relative to it
 STRENGTH = math.sqrt(3) * K

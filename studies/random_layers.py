@@ -10,8 +10,9 @@ from forms import LinearElastic
 from geometry import sandwich
 from studies.problems import STEEL
 from studies.timing import resident, seconds, solve_once, timed
-from thinlayer import State, Structure, Surface, ThinLayer, solve
+from thinlayer import Structure, Surface, ThinLayer, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.state import State
 from thinlayer.parts.part import Interval
 from thinlayer.running.record import Record
 from thinlayer.solving.equations import Equations

@@ -11,7 +11,7 @@ import numpy as np
 
 from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulombMonodirectional, Norton, Rubber, Stack
 from forms.base import Array
-from geometry import Joint
+from geometry.joint import Joint
 from studies import fig3_mohr_coulomb as fig3
 from studies import problems
 from studies.problems import FOURIER_BODY, FOURIER_LAYER, MORTAR, fourier, of, pressed, sheared
@@ -27,9 +27,10 @@ from studies.sweeping import (
     middle,
     table_of,
 )
-from thinlayer import History, Surface, Table, ThinLayer
+from thinlayer import Surface, Table, ThinLayer
 from thinlayer.output.plotting.curves import ERRORS
 from thinlayer.running.record import Record
+from thinlayer.solving.history import History
 
 Tables = dict[str, Table]
 squares = partial(fourier, cell="quadrilateral")

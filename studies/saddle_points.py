@@ -14,8 +14,9 @@ import ufl
 from forms import Incompressible, LinearElastic, Rubber
 from geometry import sandwich
 from studies.timing import timed
-from thinlayer import State, Structure, ThinLayer
+from thinlayer import Structure, ThinLayer
 from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import Solver

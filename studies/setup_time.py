@@ -14,8 +14,9 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from forms import LinearElastic
-from geometry import Joint, sandwich
+from geometry import sandwich
 from geometry.domain import create_mesh
+from geometry.joint import Joint
 from studies.timing import in_turn, peak, seconds
 from thinlayer import Structure, ThinLayer
 from thinlayer.running.record import Record

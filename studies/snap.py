@@ -19,14 +19,17 @@ import numpy.typing as npt
 from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed
 from forms.base import Array
 from forms.non_monotone import Phases
-from geometry import Joint, block
+from geometry import block
+from geometry.joint import Joint
 from studies.fig4_bar import BAR, EXACT, meet, straight
 from studies.problems import phases_on_s
-from thinlayer import ArcLength, History, State, Structure, Table, ThinLayer, march, piecewise, plotting
+from thinlayer import ArcLength, Structure, Table, ThinLayer, march, piecewise, plotting
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
 from thinlayer.discretisation.supports import Support
 from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
+from thinlayer.solving.history import History
 from thinlayer.system.progress import track
 from thinlayer.system.table import Row
 

@@ -14,10 +14,11 @@ from forms import HolonomicCoulomb, IncrementalCoulomb, MohrCoulombMonodirection
 from forms.base import Array
 from studies.problems import pressed
 from studies.sweeping import Sweep, draw_rates, last, layer_of, table_of
-from thinlayer import History, State, Structure, Surface, Table, ThinLayer, compare, march, plotting, solve
+from thinlayer import Structure, Surface, Table, ThinLayer, compare, march, plotting, solve
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
-from thinlayer.solving.history import Solution
+from thinlayer.solving.history import History, Solution
 
 MODULI = {"lmbda": 60.0, "mu": 40.0}
 OMEGA = 25.0

@@ -14,12 +14,13 @@ import ufl
 from forms import NonMonotone, NonMonotoneUnrelaxed, TractionLaw
 from forms.kinematics import Expr
 from forms.traction import JumpStep
-from geometry import Joint, sandwich
+from geometry import sandwich
+from geometry.joint import Joint
 from studies.problems import FOURIER_BODY, phases_on_s
 from studies.sweeping import Floors, Sweep, check_floors, draw_rates, last, last_order, layer_of
-from thinlayer import History, RangeWarning, Surface, Table, ThinLayer, plotting
+from thinlayer import RangeWarning, Surface, Table, ThinLayer, plotting
 from thinlayer.running.record import Record
-from thinlayer.solving.history import Solution
+from thinlayer.solving.history import History, Solution
 
 # chi, in the axes t, n of S
 OBLIQUE, SHEARED = np.array([[0.0, 0.3], [0.3, 0.5]]), np.array([[0.0, 0.5], [0.5, 0.0]])

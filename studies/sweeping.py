@@ -10,12 +10,13 @@ from typing import Any
 from forms import BulkLaw
 from forms.kinematics import Expr
 from forms.law import Law
-from geometry import Joint
-from thinlayer import State, Structure, Surface, Table, ThinLayer, compare, plotting, solve
+from geometry.joint import Joint
+from thinlayer import Structure, Surface, Table, ThinLayer, compare, plotting, solve
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import LawOnS
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
 from thinlayer.output.comparison import Where
 from thinlayer.output.plotting.curves import ERRORS
 from thinlayer.running.record import Record

@@ -9,7 +9,7 @@ import numpy as np
 
 from forms import MohrCoulomb, MohrCoulombMonodirectional
 from forms.plastic import Plastic
-from geometry import Joint
+from geometry.joint import Joint
 from geometry.seam import Seam
 from studies.wall import CLAY, EPS, MORTAR
 from thinlayer import LimitLoad, Structure, ThinLayer, march, plotting

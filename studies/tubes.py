@@ -11,7 +11,8 @@ import numpy as np
 
 from forms import LinearElastic
 from forms.base import Array
-from geometry import Joint, sandwich
+from geometry import sandwich
+from geometry.joint import Joint
 from studies.sweeping import Sweep, draw_rates, last, layer_of
 from thinlayer import Surface, ThinLayer, plotting
 from thinlayer.running.record import Record

@@ -11,10 +11,12 @@ import numpy as np
 
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
 from geometry import wall
-from thinlayer import History, LimitLoad, State, Structure, Surface, Table, ThinLayer, march, plotting
+from thinlayer import LimitLoad, Structure, Surface, Table, ThinLayer, march, plotting
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
+from thinlayer.solving.history import History
 
 BRICK = (250.0, 75.0)  # mm, with the mortar
 CLAY = LinearElastic.young(E=12e3, nu=0.2)  # MPa

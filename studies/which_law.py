@@ -16,7 +16,8 @@ from forms import Incompressible, LinearElastic, Rubber
 from forms.base import Array
 from geometry.parallel import world
 from studies.problems import FOURIER_BODY, Wave, fourier, free_blocks
-from thinlayer import RangeWarning, State, Structure, Surface, Table, ThinLayer, plotting, solve
+from thinlayer import RangeWarning, Structure, Surface, Table, ThinLayer, plotting, solve
+from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 

@@ -11,7 +11,8 @@ import numpy as np
 from forms import LinearElastic
 from studies.problems import free_blocks
 from studies.sweeping import last_order
-from thinlayer import RangeWarning, State, Structure, ThinLayer, Zoom, estimate, plotting, solve
+from thinlayer import RangeWarning, Structure, ThinLayer, Zoom, estimate, plotting, solve
+from thinlayer.discretisation.state import State
 from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track

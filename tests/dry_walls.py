@@ -11,10 +11,12 @@ import ufl
 from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic
 from forms.contact import ContactLaw, Status
 from geometry import wall
-from thinlayer import History, State, Structure, march, piecewise
+from thinlayer import Structure, march, piecewise
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
 from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.state import State
 from thinlayer.output.nodal_forces import contact_forces, nodal_forces
+from thinlayer.solving.history import History
 
 PUSHES = [0.2, 0.3, 0.1, -0.2, 0.0]  # shear stress, over the pressure
 DRY = {"BED": (200.0, 80.0, 0.5), "HEAD": (100.0, 40.0, 0.3)}  # K_N, K_T, friction

@@ -6,7 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from forms import LinearElastic
-from geometry import Joint, sandwich
+from geometry import sandwich
+from geometry.joint import Joint
 from tests.meshes import blocks_of, write
 from thinlayer import Structure, ThinLayer
 

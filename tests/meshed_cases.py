@@ -8,7 +8,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from forms import LinearElastic, MohrCoulomb
-from geometry import Joint, wall
+from geometry import wall
+from geometry.joint import Joint
 from geometry.seam import Seam
 from geometry.topology import FacetTable
 from tests.network_cases import cell_of, springs

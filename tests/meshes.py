@@ -10,7 +10,7 @@ import gmsh
 import meshio
 import numpy as np
 
-from geometry import Joint
+from geometry.joint import Joint
 from geometry.seam import Seam
 from geometry.topology import FacetTable, geometry_degree, lagrange, node_jacobians
 

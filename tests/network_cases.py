@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from forms import HolonomicCoulomb, LinearElastic, MohrCoulomb
-from geometry import Joint, faults, grains, wall
+from geometry import faults, grains, wall
+from geometry.joint import Joint
 from geometry.seam import Seam
 from geometry.topology import FacetTable
 from thinlayer import Structure, Surface, ThinLayer, march, solve

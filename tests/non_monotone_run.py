@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed, Tabulated
-from geometry import Joint, sandwich
+from geometry import sandwich
+from geometry.joint import Joint
 from studies.problems import phases_on_s
 from thinlayer import Structure, Surface, ThinLayer, march
 from thinlayer.discretisation.model import Model

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
-from geometry import Joint, bond_cell, periodic, sandwich, wall
+from geometry import bond_cell, periodic, sandwich, wall
+from geometry.joint import Joint
 from tests.network_cases import springs
 from thinlayer import Structure, Surface, ThinLayer, homogenised_stiffness, march, solve
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from forms import LinearElastic
 from geometry import sandwich
 from geometry.joint import Joint
-from thinlayer import Pressure, State, Structure, Surface, ThinLayer, solve
+from thinlayer import Pressure, Structure, Surface, ThinLayer, solve
+from thinlayer.discretisation.state import State
 
 BODY, GLUE = LinearElastic.young(E=70.0, nu=0.2), LinearElastic.shear(3.0, 0.35)
 SIDES = {"LEFT/LAYER": (0.7, -0.4, 0.5), "FRONT/LAYER": Pressure(0.8), "RIGHT/LAYER": lambda x, t: (0.3 * x[2], t, 0.1)}

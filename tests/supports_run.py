@@ -7,7 +7,8 @@ import numpy as np
 from forms import LinearElastic, Maxwell, MohrCoulomb
 from forms.contact import HolonomicCoulomb
 from geometry import block, sandwich
-from thinlayer import LineLoad, PointLoad, Pressure, RigidPlate, Springs, State, Structure, ThinLayer, march, solve
+from thinlayer import LineLoad, PointLoad, Pressure, RigidPlate, Springs, Structure, ThinLayer, march, solve
+from thinlayer.discretisation.state import State
 
 BODY = LinearElastic.young(100.0, 0.2)
 GLUE = LinearElastic(3.0, 2.0)  # per thickness

@@ -11,7 +11,8 @@ import ufl
 from scipy.spatial.transform import Rotation
 
 from forms import Anisotropic, LinearElastic
-from geometry import Joint, block, sandwich
+from geometry import block, sandwich
+from geometry.joint import Joint
 from tests import reference
 from tests.orders import observed_orders
 from tests.refused import refused

@@ -7,7 +7,8 @@ import pytest
 
 from forms import HolonomicCoulomb, LinearElastic
 from forms.base import InputError
-from geometry import Joint, sandwich
+from geometry import sandwich
+from geometry.joint import Joint
 from geometry.seam import Seam
 from geometry.topology import FacetTable
 from tests.on_ranks import on_ranks

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from forms.base import InputError
-from geometry import Joint, block, disc, ring, sandwich
+from geometry import block, disc, ring, sandwich
+from geometry.joint import Joint
 from geometry.shapes.sizing import Grading
 from tests.meshes import check_sound, volumes
 from tests.refused import refused

@@ -11,7 +11,9 @@ from scipy.spatial import cKDTree
 
 from forms import LinearElastic
 from forms.base import InputError
-from geometry import Joint, faults, fibre, grains, inflate, periodic
+from geometry import faults, fibre, grains, periodic
+from geometry.inflating.inflation import inflate
+from geometry.joint import Joint
 from tests.meshes import check_sound, volumes
 from tests.network_cases import shifted, springs
 from tests.refused import refused

@@ -8,8 +8,10 @@ import dolfinx
 import numpy as np
 import pytest
 
-from geometry import Joint, block, disc, inflate, ring, sandwich
+from geometry import block, disc, ring, sandwich
 from geometry.domain import Domain
+from geometry.inflating.inflation import inflate
+from geometry.joint import Joint
 from studies import setup_time
 from tests.meshes import renumbered
 from tests.on_ranks import on_ranks

@@ -12,8 +12,9 @@ from mpi4py import MPI
 
 from forms import LinearElastic
 from forms.base import InputError
-from geometry import Joint, block, disc, read, ring, sandwich
+from geometry import block, disc, read, ring, sandwich
 from geometry.domain import Domain
+from geometry.joint import Joint
 from geometry.seam import Seam
 from tests.meshes import CELLS, drawing, model_to_mesh, rings, stack, volume
 from tests.on_ranks import on_ranks

@@ -10,8 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from forms.base import InputError
-from geometry import Joint, block, inflate, sandwich
+from geometry import block, sandwich
 from geometry.domain import Domain
+from geometry.inflating.inflation import inflate
+from geometry.joint import Joint
 from geometry.topology import FacetTable, node_jacobians
 from tests.refused import refused
 

@@ -39,7 +39,8 @@ from forms import (
     Tresca,
     VonMises,
 )
-from geometry import Joint, block, bond_cell, ring, sandwich, wall
+from geometry import block, bond_cell, ring, sandwich, wall
+from geometry.joint import Joint
 from tests.on_ranks import on_ranks
 from tests.snapping_bars import STEEP
 from thinlayer import (
@@ -52,7 +53,6 @@ from thinlayer import (
     Probe,
     RigidPlate,
     Springs,
-    State,
     Structure,
     Surface,
     ThinLayer,
@@ -68,6 +68,7 @@ from thinlayer import (
     solve,
     thin_enough,
 )
+from thinlayer.discretisation.state import State
 
 NUMBERS = Path(__file__).parent / "golden.json"
 CLOSE, ITERATED = 1e-7, 1e-5

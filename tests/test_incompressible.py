@@ -17,15 +17,17 @@ from scipy.sparse.linalg import splu
 from forms import Anisotropic, Incompressible, LinearElastic, Stack, VonMises
 from forms.base import InputError
 from forms.work import work
-from geometry import Joint, block, ring, sandwich
+from geometry import block, ring, sandwich
+from geometry.joint import Joint
 from studies.problems import FOURIER_BODY, fourier
 from tests import reference
 from tests.orders import observed_orders
 from tests.refused import refused
 from tests.test_marching import StiffeningSolid
 from tests.test_tips import partly
-from thinlayer import SolveError, State, Structure, Surface, ThinLayer, compare, march, solve
+from thinlayer import SolveError, Structure, Surface, ThinLayer, compare, march, solve
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.solvers import Solver
 

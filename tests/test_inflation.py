@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from forms.base import InputError
-from geometry import Joint, block, disc, inflate, ring, sandwich
+from geometry import block, disc, ring, sandwich
+from geometry.inflating.inflation import inflate
+from geometry.joint import Joint
 from tests.meshes import check_sound, grid, in_layer, part_of, upper_cells, volumes
 from tests.refused import refused
 

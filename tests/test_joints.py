@@ -10,7 +10,9 @@ import ufl
 
 from forms import LinearElastic
 from forms.base import InputError
-from geometry import Joint, disc, faults, inflate, ring, sandwich
+from geometry import disc, faults, ring, sandwich
+from geometry.inflating.inflation import inflate
+from geometry.joint import Joint
 from geometry.seam import Seam
 from geometry.topology import lagrange
 from tests.refused import refused

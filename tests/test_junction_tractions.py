@@ -8,12 +8,14 @@ import pytest
 from dolfinx import fem
 
 from forms import LinearElastic
-from geometry import Joint, sandwich, wall
+from geometry import sandwich, wall
+from geometry.joint import Joint
 from geometry.seam import Seam
 from tests.meshes import renumbered
 from tests.network_cases import BED, HEAD, panel, pushed, springs, three_bricks
 from tests.test_networks import cut_at, on
-from thinlayer import State, Structure, Surface, ThinLayer, solve
+from thinlayer import Structure, Surface, ThinLayer, solve
+from thinlayer.discretisation.state import State
 
 pytestmark = pytest.mark.few(5)
 

@@ -8,7 +8,9 @@ import ufl
 
 from forms import Anisotropic, Incompressible, LinearElastic, Stack
 from forms.base import InputError
-from geometry import Joint, inflate, wall
+from geometry import wall
+from geometry.inflating.inflation import inflate
+from geometry.joint import Joint
 from geometry.seam import Seam
 from geometry.topology import node_jacobians
 from tests.meshed_cases import SHARES, jump_errors, mortar, panel, star, yielded, yielding

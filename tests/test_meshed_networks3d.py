@@ -9,8 +9,10 @@ import pytest
 
 from forms import LinearElastic
 from forms.base import InputError
-from geometry import Joint, inflate, wall
+from geometry import wall
 from geometry.inflating import inflation
+from geometry.inflating.inflation import inflate
+from geometry.joint import Joint
 from geometry.seam import Seam
 from geometry.topology import FacetTable
 from tests.meshed_cases import star

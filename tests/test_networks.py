@@ -9,7 +9,8 @@ from dolfinx import fem
 
 from forms import Incompressible, IncrementalCoulomb, LinearElastic
 from forms.base import InputError
-from geometry import Joint, sandwich, wall
+from geometry import sandwich, wall
+from geometry.joint import Joint
 from geometry.seam import Seam
 from geometry.topology import FacetTable, Splitting, facet_normals
 from tests.meshes import renumbered

@@ -9,8 +9,9 @@ from matplotlib.image import imread
 from forms.base import InputError
 from studies.problems import FOURIER_LAYER, fourier
 from tests.refused import refused
-from thinlayer import History, Structure, Surface, Table, ThinLayer, fields, march, plotting, solve, sweep
+from thinlayer import Structure, Surface, Table, ThinLayer, fields, march, plotting, solve, sweep
 from thinlayer.output.grid import gather
+from thinlayer.solving.history import History
 
 pytestmark = pytest.mark.few(5)
 

@@ -31,8 +31,8 @@ from forms.base import InputError
 from forms.elastic import lame
 from forms.kinematics import lift
 from forms.work import body, energy, work
-from geometry import Joint
 from geometry.domain import cell_nodes
+from geometry.joint import Joint
 from geometry.seam import Seam
 from tests.documents import PAGES
 from tests.folders_run import raised

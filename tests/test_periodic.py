@@ -10,7 +10,8 @@ import ufl
 from forms import HolonomicCoulomb, Incompressible, LinearElastic, VonMises
 from forms.base import InputError
 from forms.law import BulkLaw
-from geometry import bond_cell, inflate, periodic, sandwich, wall
+from geometry import bond_cell, periodic, sandwich, wall
+from geometry.inflating.inflation import inflate
 from geometry.seam import Seam
 from studies import homogenised_bond
 from tests.meshes import renumbered
@@ -36,7 +37,6 @@ from thinlayer import (
     PointLoad,
     SolveError,
     Springs,
-    State,
     Structure,
     Surface,
     ThinLayer,
@@ -45,6 +45,7 @@ from thinlayer import (
     piecewise,
     solve,
 )
+from thinlayer.discretisation.state import State
 from thinlayer.output.nodal_forces import nodal_forces
 from thinlayer.running.cli import main
 

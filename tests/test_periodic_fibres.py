@@ -7,7 +7,8 @@ import pytest
 
 from forms import LinearElastic, Maxwell
 from forms.base import InputError
-from geometry import Joint, fibre, periodic
+from geometry import fibre, periodic
+from geometry.joint import Joint
 from thinlayer import Structure, ThinLayer, homogenised_stiffness, march, solve
 
 WIDTH, HEIGHT, RADIUS = 1.2, 1.0, 0.3

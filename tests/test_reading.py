@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from forms.base import InputError
-from geometry import block, inflate, read, sandwich
+from geometry import block, read, sandwich
+from geometry.inflating.inflation import inflate
 from geometry.seam import Seam
 from geometry.topology import lagrange
 from tests.meshes import (

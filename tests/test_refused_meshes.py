@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from forms.base import InputError
-from geometry import inflate, read
+from geometry import read
+from geometry.inflating.inflation import inflate
 from tests.meshes import GRID, LINES, NAMES, SPACE, boxes, drawing, in_layer, save, sides, squares, volume, volumes
 from tests.refused import refused
 

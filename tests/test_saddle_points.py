@@ -13,8 +13,9 @@ from forms.base import InputError
 from geometry import block, sandwich
 from tests.on_ranks import on_ranks
 from tests.refused import refused
-from thinlayer import RigidPlate, SolveError, State, Structure, Surface, ThinLayer, march, solve
+from thinlayer import RigidPlate, SolveError, Structure, Surface, ThinLayer, march, solve
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
 from thinlayer.solving import linear_solvers
 
 BLOCKS, FACTORS = {"pc_type": "fieldsplit"}, {"pc_type": "cholesky"}

@@ -9,7 +9,9 @@ import pytest
 
 from forms import HolonomicCoulomb, LinearElastic
 from forms.base import InputError
-from geometry import Joint, block, inflate, ring, sandwich
+from geometry import block, ring, sandwich
+from geometry.inflating.inflation import inflate
+from geometry.joint import Joint
 from geometry.seam import Seam
 from tests.meshes import volumes
 from tests.refused import refused

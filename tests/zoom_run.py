@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 
 from forms import LinearElastic
-from geometry import Joint, sandwich
-from thinlayer import State, Structure, ThinLayer, Zoom, solve
+from geometry import sandwich
+from geometry.joint import Joint
+from thinlayer import Structure, ThinLayer, Zoom, solve
+from thinlayer.discretisation.state import State
 
 EPS = 0.05
 BODY, GLUE = LinearElastic.young(E=70.0, nu=0.2), LinearElastic.shear(3.0, 0.35)

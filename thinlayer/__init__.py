@@ -20,7 +20,6 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.discretisation.given_strains import Prestress, ThermalExpansion
     from thinlayer.discretisation.layer import Bond, Gap, ThinLayer
     from thinlayer.discretisation.point_loads import LineLoad, PointLoad
-    from thinlayer.discretisation.state import State
     from thinlayer.discretisation.structure import Structure
     from thinlayer.errors import InputError, LimitLoad, RangeWarning, SolveError, ThinlayerError
     from thinlayer.estimating.estimate import estimate
@@ -36,7 +35,6 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.parts.springs import Springs
     from thinlayer.parts.ufl_part import UflPart
     from thinlayer.pointwise.drive import drive
-    from thinlayer.solving.history import History
     from thinlayer.solving.solvers import solve
     from thinlayer.solving.step_problem import StepProblem
     from thinlayer.system.table import Table
@@ -50,7 +48,6 @@ _NAMES = {
     "discretisation.given_strains": "Prestress ThermalExpansion",
     "discretisation.layer": "Bond Gap ThinLayer",
     "discretisation.point_loads": "LineLoad PointLoad",
-    "discretisation.state": "State",
     "discretisation.structure": "Structure",
     "errors": "InputError LimitLoad RangeWarning SolveError ThinlayerError",
     "estimating.estimate": "estimate",
@@ -69,7 +66,6 @@ _NAMES = {
     "solving.solvers": "solve",
     "solving.step_problem": "StepProblem",
     "system.table": "Table",
-    "solving.history": "History",
     "time.marching": "follow march",
     "time.plan": "Adaptive ArcLength",
 }  # module -> its public names
