@@ -137,7 +137,7 @@ def draw(record: Record) -> None:
         stiffnesses = {label: (x, (part[name] / part["closed"])[at]) for name, label in MODELS.items()}
         parts[f"radius {2 * shape:g} eps"] = stiffnesses
     ratio, share, styles = "log10(lmbda/mu); 3.7: nu = 0.4999", "stiffness over closed form", ("o", "-", "^-")
-    plotting.panels(parts, ratio, share, styles=styles, ylim=(0.95, 1.3), save=record.path("stiffness.png"))
+    plotting.curves(parts, ratio, share, styles=styles, ylim=(0.95, 1.3), save=record.path("stiffness.png"))
     along = record.load("tractions.csv")
     columns = {"closed": "closed form, rigid plates", **MODELS}
     lines = {label: (along["radius_mm"], along[name]) for name, label in columns.items()}

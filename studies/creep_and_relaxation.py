@@ -219,4 +219,4 @@ def draw(record: Record) -> None:
         parts[title][CLOSED] = np.tile(fine, 2), np.concatenate([case.exact(pull, fine) for pull in PULLS])
     ylabels = {title: "traction on S" if case.relaxes else "jump across S" for title, case in CASES.items()}
     save = record.path("creep_and_relaxation.png")
-    plotting.panels(parts, "time", ylabels, styles=styles, colours=colours, save=save)
+    plotting.curves(parts, "time", ylabels, styles=styles, colours=colours, save=save)

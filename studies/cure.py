@@ -257,7 +257,7 @@ def draw(record: Record) -> None:
     lines["Timoshenko"] = grid, np.full(len(grid), 1e3 * timoshenko())
     title, save = "two strips of unequal expansion, cooled by 80 K, free to bend", record.path("bending.png")
     modulus, styles = "shear modulus of the layer (MPa)", ("s", "o", "-", ":")
-    plotting.curves(lines, modulus, "curvature (1/m)", title=title, styles=styles, xscale="log", save=save)
+    plotting.curves(lines, modulus, "curvature (1/m)", title=title, styles=styles, log="x", save=save)
     finest, grid = [*record.load("curing.csv").split("steps").values()][-1], np.linspace(0, 4 * TAU, 200)
     lines = {name: (part["t"][::4], part["t_N"][::4]) for name, part in finest.split("model").items()}
     lines["closed form"] = grid, cured(grid)

@@ -253,7 +253,7 @@ def draw(record: Record) -> None:
         lines[f"slope {2 * degree:g}"] = h, 0.6 * error[-1] * (h / h[-1]) ** (2 * degree)
     title, dashes, save = "interface model of a coated fibre", ("o-", ":", "s-", ":"), record.path("refinement.png")
     of_energy = "relative error of the energy"
-    plotting.curves(lines, "cell size h", of_energy, title=title, styles=dashes, logarithmic=True, save=save)
+    plotting.curves(lines, "cell size h", of_energy, title=title, styles=dashes, log="xy", save=save)
     along, lines, styles = record.load("axis.csv").split("model"), {}, {}
     for name, style, marker in (("meshed interphase", "-", "o"), ("interface law", "--", "s")):
         for kind, part in along[name].split("kind").items():

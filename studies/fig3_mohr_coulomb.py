@@ -192,4 +192,4 @@ def draw(record: Record) -> None:
         lines["elastic, mu"] = (np.array([0.0, SIDE]), np.full(2, GLUE.mu / EPS / 1e3))
         parts[title], ranges[title] = lines, READINGS[name].shown
     styles, save = ("-", "--", ":", "-."), record.path("ratio.png")
-    plotting.panels(parts, "x (mm)", "t_T / u_T (10³ N/mm³)", styles=styles, save=save, ylim=ranges)
+    plotting.curves(parts, "x (mm)", "t_T / u_T (10³ N/mm³)", styles=styles, save=save, ylim=ranges)

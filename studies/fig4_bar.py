@@ -205,7 +205,7 @@ def draw(record: Record) -> None:
         boundary |= {f"{name}, closed form": (FINE, 1 - bar.phase(FINE)), name: (rows["delta"], 1 - rows["phase"])}
         styles[name] = marker
     parts = {"elongation of the layer": elongation, "phase boundary: height over the layer's thickness": boundary}
-    plotting.panels(parts, "delta, displacement of the end", styles=styles, save=record.path("elongation.png"))
+    plotting.curves(parts, "delta, displacement of the end", styles=styles, save=record.path("elongation.png"))
 
 
 def draw_energies(record: Record, relaxed: Table) -> None:
@@ -222,7 +222,7 @@ def draw_energies(record: Record, relaxed: Table) -> None:
     of_layer = zip((*phases, "W_min", envelope_of), (first, second, pure, envelope), strict=True)
     energies = {name: (U, y) for name, y in of_layer}
     forces = {"W_min": (U, slope), envelope_of: (U, force), **bodies}
-    plotting.panels(
+    plotting.curves(
         {"energy of the layer": energies, "force": forces | {computed: (relaxed["U"][at], relaxed["sigma"][at])}},
         "U, elongation of the layer",
         styles=dict.fromkeys(phases, "--") | dict.fromkeys(bodies, ":") | {computed: "o"},

@@ -285,4 +285,4 @@ def draw(record: Record) -> None:
     units = {name: "over the thickness" for name in DRAWN if name != "kappa"}
     limits, save = {"c_N": (0.0, 3.0), "rho_N": (0.0, 3.0), "m_N/c_N": (0.0, 4.0)}, record.path("constants.png")
     look = {"styles": {"half strip": "o"}, "colours": {"half strip": "black"}, "ylim": limits}
-    plotting.panels(parts, "Poisson's ratio", units, save=save, **look)
+    plotting.curves(parts, "Poisson's ratio", units, save=save, **look)

@@ -70,4 +70,4 @@ def draw(record: Record) -> None:
     labels, title = ("Young's modulus of the bricks", "1 - A/A of rigid bricks"), "a wall in running bond as a whole"
     styles = dict(zip(ENTRIES, ("o-", "s-", "^-"), strict=True)) | {"slope -1": "--"}
     save = record.path("rigid_bricks.png")
-    plotting.curves(lines, *labels, title=title, styles=styles, logarithmic=True, save=save)
+    plotting.curves(lines, *labels, title=title, styles=styles, log="xy", save=save)

@@ -244,5 +244,5 @@ def draw(record: Record) -> None:
         most = max(line[1].max() for line in lines.values())
         lines["slope 1"] = (eps, 0.7 * least[-1] * eps / eps[-1])
         styles, save = dict(zip(lines, STYLES, strict=False)) | {"slope 1": ":"}, record.path(f"{error}.png")
-        look = {"title": title, "logarithmic": True, "styles": styles, "ylim": (least[-1] / 2, 120 * most)}
+        look = {"title": title, "log": "xy", "styles": styles, "ylim": (least[-1] / 2, 120 * most)}
         plotting.curves(lines, "layer thickness eps", "relative difference, L2", save=save, **look)

@@ -158,7 +158,7 @@ def draw(record: Record) -> None:
     shown = {PATHS: (UNLOADED, HELD_STRESS, HELD_JUMP, PROPORTIONAL), FLOW: (HELD_STRESS, *DILATANT.values(), PLANES)}
     straight = {PATHS: {"tan(Omega)": tan, "sin(Omega)": sin, "first yield": limits.first_yield_ratio(NU, OMEGA)}}
     straight[FLOW] = {"tan(Omega)": tan, "sin(Omega)": sin} | dict(zip(DAVIS, davis, strict=True))
-    plotting.panels(
+    plotting.curves(
         {
             title: {path: (curves[path]["shear"], curves[path]["friction"]) for path in paths}
             | {name: ([0.0, SHEAR], [value, value]) for name, value in straight[title].items()}

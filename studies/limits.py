@@ -79,5 +79,5 @@ def draw(record: Record) -> None:
     }
     title, save = "a stiff interface law tends to bonded bodies", record.path("bonded.png")
     plotting.curves(
-        lines, "K_N = K_T = kappa", "L2 norm on S", title=title, styles=("o-", "s-", "--"), logarithmic=True, save=save
+        lines, "K_N = K_T = kappa", "L2 norm on S", title=title, styles=("o-", "s-", "--"), log="xy", save=save
     )

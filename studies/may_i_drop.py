@@ -29,6 +29,7 @@ from studies.dropped import (
     unwarned,
     young,
 )
+from studies.maps import maps
 from studies.problems import free_blocks, of
 from studies.sweeping import last
 from studies.timing import timed
@@ -389,7 +390,7 @@ def draw(record: Record) -> None:
     cases = record.load("effectivities.csv").split("case")
     values = np.array([np.concatenate([rows[name] for name in FIELDS]) for rows in cases.values()])[::-1]
     title = "estimated over true changes"
-    plotting.maps(
+    maps(
         {title: np.abs(values - 1)},
         x=[f"{name}, eps = 1/{round(1 / eps)}" for name in FIELDS for eps in THICKNESSES],
         y=[*cases][::-1],
@@ -403,7 +404,7 @@ def draw(record: Record) -> None:
     table = record.load("along.csv")
     columns = {f"change of {name}": {which: f"{which}_{on}" for which in LABELS} for name, on in QUANTITIES.items()}
     columns["where the compliance changes"] = {"true": "true_density", "estimated": "density"}
-    plotting.panels(
+    plotting.curves(
         {
             title: {LABELS[which]: (table["x"], table[column]) for which, column in pair.items()}
             for title, pair in columns.items()

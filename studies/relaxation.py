@@ -85,4 +85,4 @@ def draw(record: Record) -> None:
             for n, own in part.split("squares").items()
         }
     save = record.path("sweeps.png")
-    plotting.panels(parts, "omega (1 at the contact nodes)", "sweeps", styles="o-", yscale="log", save=save)
+    plotting.curves(parts, "omega (1 at the contact nodes)", "sweeps", styles="o-", log="y", save=save)

@@ -90,4 +90,4 @@ def draw(record: Record) -> None:
     lines["slope -1"] = (K[1:], 0.3 * table["error_jump"][-1] * K[-1] / K[1:])
     title, styles = "Signorini's and Coulomb's laws as K grows", {"slope -1": "--", "jump": "o-", "traction": "s-"}
     labels, save = ("K_T (N/mm³), K_N = 5 K_T", "relative difference to the limit, L2 on S"), record.path("limit.png")
-    plotting.curves(lines, *labels, title=title, styles=styles, logarithmic=True, save=save)
+    plotting.curves(lines, *labels, title=title, styles=styles, log="xy", save=save)

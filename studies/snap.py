@@ -303,10 +303,10 @@ def draw(record: Record) -> None:
     colours |= dict.fromkeys(others, COLOURS[2]) | {meshed: "black"}
     end, save = "delta, displacement of the upper side", record.path("response.png")
     forces = {TITLES["strip"]: (0.9, 2.5), TITLES["block"]: (2.3, 4.7)}
-    plotting.panels(parts, end, "force", styles=styles, colours=colours, xlim=(0.9, 2.2), ylim=forces, save=save)
+    plotting.curves(parts, end, "force", styles=styles, colours=colours, xlim=(0.9, 2.2), ylim=forces, save=save)
     parts = {
         f"delta = {delta:g}": {curve: (rows["x"], rows["phase"]) for curve, rows in part.split("curve").items()}
         for delta, part in record.load("table_phases.csv").split("delta").items()
     }
     styles, save = {f"{PURE}, down": "--"}, record.path("phases.png")
-    plotting.panels(parts, "x along S", "share of phase 1", styles=styles, ylim=(-0.08, 1.08), save=save)
+    plotting.curves(parts, "x along S", "share of phase 1", styles=styles, ylim=(-0.08, 1.08), save=save)

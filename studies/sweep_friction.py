@@ -239,7 +239,7 @@ def draw(record: Record) -> None:
         shown["status"][CONTACT] = x, _numbers(table, "contact")
     levels = {title: STATUS for title in parts if title.startswith("status")}
     styles, colours, save = {CONTACT: "--"}, {CONTACT: "black"}, record.path("along_S.png")
-    plotting.panels(parts, "x along S", levels=levels, styles=styles, colours=colours, columns=len(ALONG), save=save)
+    plotting.curves(parts, "x along S", levels=levels, styles=styles, colours=colours, columns=len(ALONG), save=save)
 
 
 def _numbers(table: Table, model: str) -> list[int]:

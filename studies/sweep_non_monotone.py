@@ -182,4 +182,4 @@ def draw(record: Record) -> None:
     draw_rates(record, "non-monotone layer", cases | {"lambda + mu on S": "printed"}, apart=True)
     tables = {title: record.load(f"phases_{case}.csv") for title, case in cases.items()}
     parts = {title: {name: (table["x"], table[name]) for name in (MESHED, ON_S)} for title, table in tables.items()}
-    plotting.panels(parts, "x", "phase", styles={ON_S: "o"}, columns=2, save=record.path("phases.png"))
+    plotting.curves(parts, "x", "phase", styles={ON_S: "o"}, columns=2, save=record.path("phases.png"))

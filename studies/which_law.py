@@ -15,8 +15,9 @@ import ufl
 from forms import Incompressible, LinearElastic, Rubber
 from forms.base import Array
 from geometry.parallel import world
+from studies.maps import maps
 from studies.problems import FOURIER_BODY, Wave, fourier, free_blocks
-from thinlayer import RangeWarning, Structure, Surface, Table, ThinLayer, plotting, solve
+from thinlayer import RangeWarning, Structure, Surface, Table, ThinLayer, solve
 from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
@@ -202,7 +203,7 @@ def draw(record: Record) -> None:
                 texts[panel] = np.vectorize(_percent)(errors[panel], _grid(part[f"warned_{law}"], nus) > 0)
         look = {"names": RANGES, "columns": len(drawn), "save": record.path(f"errors_{name}.png"), **axes}
         title = f"errors in per cent, the larger of traction and jump (!: a RangeWarning); {what}"
-        plotting.maps(errors, texts=texts, levels=LEVELS, title=title, **look)
+        maps(errors, texts=texts, levels=LEVELS, title=title, **look)
         _cheapest(record, f"cheapest_{name}.png", what, drawn, errors, axes)
 
 
@@ -230,9 +231,9 @@ def _cheapest(
             good = np.append(stack < wanted, np.ones((1, *stack.shape[1:]), bool), axis=0)
             parts[panel] = good.argmax(axis=0)
             texts[panel] = np.array(list(names))[parts[panel]]
-    levels, legend = np.arange(len(laws)) + 0.5, [f"{letter}: {name}" for letter, name in names.items()]
+    levels, legend = [k + 0.5 for k in range(len(laws))], [f"{letter}: {name}" for letter, name in names.items()]
     look = {"title": f"cheapest law; {what}", "columns": len(WANTED), "save": record.path(picture), **axes}
-    plotting.maps(parts, texts=texts, levels=levels, names=legend, **look)
+    maps(parts, texts=texts, levels=levels, names=legend, **look)
 
 
 def _grid(values: Array, nus: Array) -> Array:

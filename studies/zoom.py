@@ -110,18 +110,18 @@ def draw(record: Record) -> None:
             table = record.load(file)
             parts[f"nu = {nu:g}, E/mu = {ratio:g}"] = {name: (table["eps"], table[name]) for name in names}
     lines = {"order 0": "o:", "order 1, free": "o--", "estimate": "o-"}
-    plotting.panels(
+    plotting.curves(
         parts,
         "eps",
         "relative error",
         styles={name: lines[name.split(" ", 1)[1]] for name in names},
         colours=dict(zip(names, 3 * COLOURS[:3], strict=True)),
-        yscale="log",
+        log="y",
         columns=2,
         save=record.path("errors.png"),
     )
     table = record.load("corners.csv")
-    plotting.panels(
+    plotting.curves(
         {name: {"layer by itself": (table["nu"], table[name])} for name in DRAWN},
         "Poisson's ratio",
         styles={"layer by itself": "o-"},

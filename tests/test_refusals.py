@@ -166,8 +166,8 @@ def test_pictures(states, tmp_path):
     with pytest.raises(InputError, match="rates: a is 1; give what sweep returns"):
         plotting.rates({"a": 1}, save=tmp_path / "a.png")
     for lines in ({"a": ([1, 2], [1])}, {"a": None}, {"a": (["x"], [1])}, {"a": ([1], [1j])}, [1]):
-        with pytest.raises(InputError, match=r"'a' is no pair \(x, y\) of as many numbers|are \{label: \(x, y\)\}"):
-            plotting.curves(lines, xlabel="x", ylabel="y", save=tmp_path / "a.png")
+        words = r"'a' is no pair \(x, y\) of as many numbers|curves is \[1\]; give \{label: \(x, y\)\}"
+        refused(InputError, words, plotting.curves, lines, "x", "y", save=tmp_path / "a.png")
     assert not [*tmp_path.iterdir()]
     plotting.deformed(states[1], save=tmp_path / "amid.png", zoom=np.array([0.01, 0.02, 0.01, 0.02]), scale=0.0)
     assert_drawn(tmp_path / "amid.png")

@@ -40,7 +40,7 @@ def pictures():
         "along": plotting.along(pressed.surface, pressed),
         "rates": plotting.rates(table),
         "curves": plotting.curves(line, xlabel="x", ylabel="y"),
-        "panels": plotting.panels({"t": line}, xlabel="x", ylabel="y"),
+        "panels": plotting.curves({"t": line}, xlabel="x", ylabel="y"),
     }
 
 

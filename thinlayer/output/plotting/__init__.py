@@ -2,8 +2,7 @@
 
 # ruff: noqa: F401
 from thinlayer.output.plotting.along import along
-from thinlayer.output.plotting.curves import curves, panels, rates
-from thinlayer.output.plotting.maps import maps
+from thinlayer.output.plotting.curves import curves, rates
 from thinlayer.output.plotting.movies import movie
 from thinlayer.output.plotting.structures import deformed, on_surface
 from thinlayer.output.plotting.zoomed import zoomed

@@ -16,6 +16,7 @@ from forms.temperature import real
 from thinlayer.output.plotting.picture import Picture, finish
 from thinlayer.system.table import Table
 
+Lines = Mapping[str, tuple[Any, Any]]  # label -> (x, y)
 Range = tuple[float, float] | None
 Chosen = str | Sequence[str] | Mapping[str, str] | None  # for all curves, in turn, or by label
 # Colours and markers of the curves of a picture, in turn.
@@ -57,7 +58,7 @@ def rates(
         if lacking := [name for name in ("eps", *errors.values()) if name not in one.columns]:
             which = f"the table {case!r}" if case else "the table"
             raise InputError(f"rates: {which} has no row, or no column {', '.join(lacking)}; give what sweep returns")
-    figure, axes = _figure(6, 4.5)
+    figure, (axes,) = _panel(6, 4.5)
     lines = []
     for k, (name, column) in enumerate(errors.items()):
         for j, (case, one) in enumerate(data.items()):
@@ -83,105 +84,71 @@ def rates(
 
 
 def curves(
-    lines: Mapping[str, tuple[Any, Any]],
+    lines: Lines | Mapping[str, Lines],
     xlabel: str,
-    ylabel: str,
+    ylabel: str | Mapping[str, str] = "",
     *,
     title: str = "",
     save: str | Path | None = None,
     styles: Chosen = None,
     colours: Chosen = None,
-    logarithmic: bool = False,
-    xscale: str = "linear",
-    ylim: Range = None,
+    log: str = "",
+    xlim: Range | Mapping[str, Range] = None,
+    ylim: Range | Mapping[str, Range] = None,
+    columns: int = 3,
+    levels: Mapping[str, Sequence[str]] | None = None,
 ) -> Picture:
-    """Draw curves in one picture.
+    """Draw curves, in one panel or in several with one legend; those of the same label are of one colour.
 
     Args:
-        lines: label -> (x, y), as many numbers each.
-        xlabel, ylabel: labels of the axes, units included.
+        lines: label -> (x, y), as many numbers each; or title of a panel -> {label: (x, y)}.
+        xlabel: label of the x axes, units included.
+        ylabel: of the y axes, units included, or title of a panel -> label.
         title: title of the picture.
         save: name of a file to save the picture to.
         styles, colours: line styles (default "-") and colours: one for all curves, some for these in turn, or label -> one.
-        logarithmic: whether both axes are logarithmic.
-        xscale: scale of the x axis, "linear" or "log"; has no effect with `logarithmic`.
-        ylim: range of the y axis.
+        log: axes that are logarithmic, "x", "y" or "xy".
+        xlim, ylim: range of the axes, or title of a panel -> range (default: the whole curves).
+        columns: number of panels in a row.
+        levels: title of a panel -> names of the values 0, 1, ... of y, in place of numbers.
 
     Raises:
         InputError: x and y of a line are not as many numbers.
     """
-    figure, axes = _figure(6.5, 4.5)
-    _plot(axes, lines, _by_label(lines, styles), _by_label(lines, colours))
-    axes.set(xscale="log" if logarithmic else xscale, yscale="log" if logarithmic else "linear")
-    axes.set(xlabel=xlabel, ylabel=ylabel, title=title)
-    if ylim:
-        axes.set_ylim(*ylim)
-    axes.legend(frameon=False)
-    return finish(figure, save)
-
-
-def panels(
-    parts: Mapping[str, Mapping[str, tuple[Any, Any]]],
-    xlabel: str,
-    ylabel: str | Mapping[str, str] = "",
-    *,
-    styles: Chosen = None,
-    colours: Chosen = None,
-    save: str | Path | None = None,
-    columns: int = 3,
-    yscale: str = "linear",
-    xlim: Range | Mapping[str, Range] = None,
-    ylim: Range | Mapping[str, Range] = None,
-    levels: Mapping[str, Sequence[str]] | None = None,
-) -> Picture:
-    """Draw curves in several panels with one legend; curves of the same label are of one colour.
-
-    Args:
-        parts: title of a panel -> label of a curve -> (x, y).
-        xlabel: label of the x axes, units included.
-        ylabel: of the y axes, units included, or title -> label.
-        styles, colours: as of `curves`.
-        save: name of a file to save the picture to.
-        columns: number of panels in a row.
-        yscale: scale of the y axes, "linear" or "log".
-        xlim, ylim: range of the axes, or title -> range (default: the whole curves).
-        levels: title -> names of the values 0, 1, ... of y, in place of numbers.
-    """
-    columns = min(columns, len(parts))
-    rows = -(-len(parts) // columns)
-    size = 1.0 if columns > 2 else 1.4
-    figure = Picture(figsize=(3.1 * size * columns, 2.6 * size * rows + 0.6), layout="constrained")
-    labels = list(dict.fromkeys(label for lines in parts.values() for label in lines))
+    require(isinstance(lines, Mapping), "curves", lines, "give {label: (x, y)}, or {title: {label: (x, y)}}")
+    several = bool(lines) and all(isinstance(one, Mapping) for one in lines.values())
+    parts: Any = lines if several else {title: lines}
+    figure, panels = _panels(len(parts), columns) if several else _panel(6.5, 4.5)
+    labels = list(dict.fromkeys(label for part in parts.values() for label in part))
     styles, colours = _by_label(labels, styles), _by_label(labels, COLOURS) | _by_label(labels, colours)
     drawn: dict[str, Any] = {}
-    for k, (title, lines) in enumerate(parts.items()):
-        axes = figure.add_subplot(rows, columns, k + 1)
-        _plot(axes, lines, styles, colours)
-        name = ylabel.get(title, "") if isinstance(ylabel, Mapping) else ylabel
-        axes.set(xlabel=xlabel, ylabel=name, title=title, yscale=yscale)
-        axes.set_xlim(xlim.get(title) if isinstance(xlim, Mapping) else xlim)
-        axes.set_ylim(ylim.get(title) if isinstance(ylim, Mapping) else ylim)
-        if levels and title in levels:
-            axes.set_yticks(range(len(levels[title])), levels[title], rotation=90, va="center")
-        handles, names = axes.get_legend_handles_labels()
-        drawn |= dict(zip(names, handles, strict=True))
-    figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=columns, frameon=False)
+    for axes, (panel, part) in zip(panels, parts.items(), strict=True):
+        for label, line in part.items():
+            x, y = _numbers(label, line)
+            (drawn[label],) = axes.plot(x, y, styles.get(label, "-"), color=colours[label], label=label, ms=4)
+        axes.grid(color="0.9")
+        axes.set(xscale="log" if "x" in log else "linear", yscale="log" if "y" in log else "linear")
+        axes.set(xlabel=xlabel, ylabel=_of(ylabel, panel), title=panel, xlim=_of(xlim, panel), ylim=_of(ylim, panel))
+        if levels and panel in levels:
+            axes.set_yticks(range(len(levels[panel])), levels[panel], rotation=90, va="center")
+    if several:
+        figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=min(columns, len(parts)), frameon=False)
+        if title:
+            figure.suptitle(title)
+    else:
+        panels[0].legend(frameon=False)
     return finish(figure, save)
+
+
+def _of(given: Any, panel: str) -> Any:
+    """What is given for a panel."""
+    return given.get(panel) if isinstance(given, Mapping) else given
 
 
 def _by_label(labels: Iterable[str], chosen: Chosen) -> dict[str, str]:
     if isinstance(chosen, Mapping):
         return dict(chosen)
     return dict(zip(labels, cycle([chosen] if isinstance(chosen, str) else chosen or []), strict=False))
-
-
-def _plot(axes: Axes, lines: Any, styles: Mapping[str, str], colours: Mapping[str, str]) -> None:
-    if not isinstance(lines, Mapping):
-        raise InputError(f"curves are {{label: (x, y)}}, not {lines!r}")
-    for k, (label, line) in enumerate(lines.items()):
-        x, y = _numbers(label, line)
-        axes.plot(x, y, styles.get(label, "-"), color=colours.get(label, COLOURS[k % len(COLOURS)]), label=label, ms=4)
-    axes.grid(color="0.9")
 
 
 def _numbers(label: str, line: Any) -> list[Array]:
@@ -195,10 +162,19 @@ def _numbers(label: str, line: Any) -> list[Array]:
     return [x, y]
 
 
-def _figure(width: float, height: float) -> tuple[Picture, Axes]:
+def _panel(width: float, height: float) -> tuple[Picture, list[Axes]]:
     """A picture with one set of axes."""
     figure = Picture(figsize=(width, height), layout="constrained")
-    return figure, figure.subplots()
+    return figure, [figure.subplots()]
+
+
+def _panels(number: int, columns: int) -> tuple[Picture, list[Axes]]:
+    """A picture with several."""
+    columns = min(columns, number)
+    rows = -(-number // columns)
+    size = 1.0 if columns > 2 else 1.4
+    figure = Picture(figsize=(3.1 * size * columns, 2.6 * size * rows + 0.6), layout="constrained")
+    return figure, [figure.add_subplot(rows, columns, k + 1) for k in range(number)]
 
 
 def logarithmic(axes: Axes, largest: float) -> None:
