@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from mpi4py import MPI
 
-from forms import Anisotropic, LinearElastic, MohrCoulombMonodirectional, Stack
+from forms import Anisotropic, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack
 from geometry import block, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests.on_ranks import on_ranks
 from tests.ranges_told import STIFF, excess, strip_excess, times_too_stiff, told
 from tests.refused import refused
-from thinlayer import SolveError, Structure, ThinLayer, march, solve
+from thinlayer import RangeWarning, SolveError, Structure, ThinLayer, estimate, march, solve
 from thinlayer.solving.ranges import warn_of_model
 from thinlayer.surface.excess import stiffness_of_jumps
 
@@ -137,6 +138,35 @@ def test_bodies_that_overlap():
     assert "overlap: at t = 1 the layer closes by 4 times" in found[0]
     linear = Structure(joint, **setup).interface(ThinLayer(LinearElastic(1.0, 1.0), 0.1, at=1.0))
     assert told(lambda: solve(linear, t=1.0))[1] == []  # as good as a smaller one
+
+
+def test_what_was_said_of_a_state_is_not_said_by_its_estimate():
+    """Of a thick layer that closes too far: once of a model, once of each time; of another thickness, or model, anew."""
+    joint, law = sandwich(2.0, 0.4, 0.7, 0.2), MohrCoulomb(1.0, 1.0, cohesion=100.0, friction_angle=30.0)
+    supports = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": lambda x, t: -t + 0 * x[0]}}
+    structure = Structure(joint, body=STIFF, supports=supports)
+    model, keys = structure.interface(ThinLayer(law, 0.45, at=1.0)), ["thick", "overlap"]
+
+    def said(action):
+        result, found = told(action)
+        return result, [one.partition(":")[0] for one in found]
+
+    state, found = said(lambda: solve(model, 1.0))
+    assert found == keys
+    assert said(lambda: estimate(state))[1] == []
+    history, found = said(lambda: march(model, [0.5, 1.2]))
+    assert found == keys[1:]
+    assert said(lambda: estimate(history))[1] == []
+    for other in (model.with_layer(ThinLayer(law, 0.42, at=1.0)), structure.interface(ThinLayer(law, 0.45, at=1.0))):
+        assert said(lambda other=other: solve(other, 1.0))[1] == keys
+
+
+def test_a_warning_that_was_an_error_is_not_said():
+    joint = sandwich(2.0, 0.4, 0.7, 0.2)
+    model = Structure(joint, body=STIFF, supports={"TOP": 0.0}).interface(ThinLayer(FOURIER_LAYER, 0.41, at=1.0))
+    with warnings.catch_warnings(action="error"):
+        refused(RangeWarning, "is 0.41 thick", lambda: solve(model))
+    assert len(told(lambda: solve(model))[1]) == 1
 
 
 def told_by_ranks() -> list[list[str]]:

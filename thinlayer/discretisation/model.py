@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, ClassVar, Self
@@ -35,6 +35,7 @@ from thinlayer.discretisation.layer import (
     Layers,
     OnSeam,
     SeamLayer,
+    ThinLayer,
     constants,
     layers_of,
     loads_of_layers,
@@ -100,6 +101,7 @@ class Model(ABC):
         centre: (d,) mean place of the mesh's points; of bodies of revolution on the axis.
         broken: whether displacements jump across S.
         mark: hash of the data, equal on all ranks.
+        said: keys of the warnings that were issued, each with what it is of, such as a seam.
         family: what the model has in common with those that were made from it by `with_layer` and `with_loads`.
         made_from: description, as JSON, of the data at the time the model was built.
     """
@@ -111,7 +113,7 @@ class Model(ABC):
     def __init__(self, structure: Setup, layer: Layers, **options: object) -> None:
         self.structure, self.joint, self.plane = structure, structure.joint, structure.plane
         self.element, self.body_laws = structure.element, structure.body_laws
-        self._options, self.family = options, Family()
+        self._options, self.family, self.said = options, Family(), set[tuple[Hashable, ...]]()
         inflated = self._lay(layer, self._checked)
         self.domain = Domain.of(inflated, structure.comm)
         self.comm = self.domain.comm
@@ -142,13 +144,19 @@ class Model(ABC):
         self.constraints = self._constrained()
         for name in self.forces.loaded:
             if self.supports.clamps(self.V, name):
-                warn(
+                self.warn(
                     "held load",
                     f"traction on {name!r}: supports hold all of it: the load changes reactions alone",
-                    self.comm,
+                    name,
                 )
         self.require_supported()
         self.made_from = self._data()
+
+    def warn(self, key: str, message: str, *of: Hashable) -> None:
+        """Issue a RangeWarning, once for what it is of, such as a seam and a time. Collective."""
+        if (key, *of) not in self.said:
+            warn(key, message, self.comm)
+            self.said.add((key, *of))
 
     def require_supported(self) -> None:
         """Raise InputError if the bodies can move as one."""
@@ -276,20 +284,29 @@ class Model(ABC):
             InputError: as there; another shape of a meshed layer.
         """
         new = self._derived()
-        new._lay(layer, partial(new._check_beside, self))
+        new.said = set()
+        return new._laid_beside(self, layer)
+
+    def improved(self, layers: Mapping[str, ThinLayer]) -> Self:
+        """This model with better laws of some layers, as by `with_layer`: what was said of it is not said again."""
+        return self._derived()._laid_beside(self, {**self.on_seams, **layers})
+
+    def _laid_beside(self, other: Self, layer: Layers) -> Self:
+        """This copy of another model, with its layers. Collective."""
+        self._lay(layer, partial(self._check_beside, other))
         with on_all(self.comm):
-            new.given_on = {name: new._given_on(one) for name, one in new.layers.items()}
-        new.layer_terms = new._strained(new._terms_of_layers())
+            self.given_on = {name: self._given_on(one) for name, one in self.layers.items()}
+        self.layer_terms = self._strained(self._terms_of_layers())
         with on_all(self.comm):
-            new.forces = new._forces(new.structure)
-            if new.strain or new.stress:
-                new.require("mean strain")
-            if new.stress and not new.broken:
+            self.forces = self._forces(self.structure)
+            if self.strain or self.stress:
+                self.require("mean strain")
+            if self.stress and not self.broken:
                 raise InputError("with_layer: under a mean stress a meshed layer is a part of the cell; build a model")
-        if new.constraints.ties:  # the thickness is an arm of plates
-            new.constraints = new._constrained()
-        new.made_from = new._data()
-        return new
+        if self.constraints.ties:  # the thickness is an arm of plates
+            self.constraints = self._constrained()
+        self.made_from = self._data()
+        return self
 
     @abstractmethod
     def _check_beside(self, other: Self) -> None:
@@ -331,6 +348,7 @@ class Model(ABC):
             changed["loads"] = None if loads is None else check_loads(loads)
         given = {name: value for name, value in changed.items() if value is not None}
         new = self._derived()
+        new.said = set()
         new.structure = structure = self.structure.with_loads(given)
         new.mark = digest([self.mark, structure.mark])
         with on_all(self.comm):

@@ -39,7 +39,7 @@ from thinlayer.discretisation.layer import SeamLayer, real_law
 from thinlayer.discretisation.mesh_functions import cellwise
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.point_loads import ConcentratedForms, Nodes, along_edges
-from thinlayer.errors import Refused, warn
+from thinlayer.errors import Refused
 
 # 7 zeta(3)/pi^3: mean distance over the thickness of the tractions that balance a load along the end
 ANTIPLANE = 0.2713773
@@ -114,11 +114,11 @@ def add_side_loads(forces: Forces, model: Model, one: SeamLayer, sides: Interfac
         if not known.all():
             refused = reduction.why_not("ends")
             why = f", as {refused.reason}" if refused else " where a support holds the side"
-            warn(
+            model.warn(
                 "halves",
                 f"{load.what}: each face of {one} gets half of the force, and how it reaches the faces makes a difference "
                 f"as large as the force, which is not known{why}; mesh the layer (structure.full) if that matters",
-                model.comm,
+                *(one.name, load.what),
             )
             found += _halves(load.on(~known), model, one, forces.points, at_base)
         for force, place in found:

@@ -18,7 +18,6 @@ from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.state import State
-from thinlayer.errors import warn
 from thinlayer.surface.excess import (
     LEAST_ERROR,
     Faces,
@@ -40,40 +39,44 @@ CAVITATION = 2.5  # mean stress over the shear modulus at which small holes in r
 
 
 def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
-    """Warn of an interface model that lies outside the range of its law, before it is solved. Collective.
+    """Warn, once, of an interface model that lies outside the range of its law, before it is solved. Collective.
 
     Args:
         model: the model.
         lasting: durations > 0 of the loads at the times of interest; () for sudden loads.
     """
-    for key, remark in _of_model(model, lasting) if model.broken else ():
-        warn(key, remark, model.comm)
-
-
-def _of_model(model: Model, lasting: Sequence[float]) -> Iterator[Remark]:
     for one in _thin(model):
-        sublayers = sublayers_of(one)
-        yield from _of_facets(model, one)
-        if not acts_on_jumps(sublayers):
-            yield from _of_thickness(model, one, sublayers)
-        if one.flows or _told_by_states(one, sublayers):
-            continue
-        at_once = [] if lasting and one.law.traits.rate else [sublayers]
-        yield from beyond_free_ends(model, one, [*at_once, *(sublayers_of(one, dt) for dt in lasting)])
-    for known in model.reductions.values():
+        for key, remark in _of_layer(model, one, lasting):
+            model.warn(key, remark, one.name)
+    for name, known in model.reductions.items() if model.broken else ():
         if known.one.flows and known.coarse.any():
             delta, largest = known.falls[known.coarse].min(), known.loose[known.coarse].depth.max()
-            yield (
+            model.warn(
                 "coarse ends",
                 f"the pressure of {known.one} falls to zero at free ends over delta = {delta:.3g}, and cells there are up "
                 f"to {largest:.3g} long: it is not set to zero there, as if they were held; make cells there shorter",
+                name,
             )
         if refused := known.why_not("sides"):
-            yield refused.key, f"{refused.reason}: what it bears is left out; {refused.remedy}"
+            model.warn(refused.key, f"{refused.reason}: what it bears is left out; {refused.remedy}", name)
+
+
+def _of_layer(model: Model, one: SeamLayer, lasting: Sequence[float]) -> Iterator[Remark]:
+    """What a model tells of a layer, before it is solved."""
+    sublayers = sublayers_of(one)
+    yield from _of_facets(model, one)
+    if not acts_on_jumps(sublayers):
+        yield from _of_thickness(model, one, sublayers)
+    if one.flows or _told_by_states(one, sublayers):
+        return
+    at_once = [] if lasting and one.law.traits.rate else [sublayers]
+    yield from beyond_free_ends(model, one, [*at_once, *(sublayers_of(one, dt) for dt in lasting)])
 
 
 def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
     """Warn of results that lie outside the range of small strains or of interface laws, once for all. Collective.
+
+    What was said of the same time is not said again.
 
     Args:
         states: of one model.
@@ -86,16 +89,16 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
     for known in model.reductions.values() if model.broken else ():
         pulls = [_tension(known, state) for state in states]
         if max(pulls) > CAVITATION:
-            warn(
+            model.warn(
                 "cavitation",
                 f"at t = {states[int(np.argmax(pulls))].t:.4g} the pressure of {known.one} is a tension, {max(pulls):.3g} "
                 f"times its shear modulus: from about {CAVITATION:g} times on small holes in rubber grow and tear it "
                 "(cavitation), which its law does not contain; do not use results under such loads",
-                model.comm,
+                *(known.one.name, states[-1].t),
             )
     for one in _thin(model):
         for key, remark in _of_states(states, one, start):
-            warn(key, remark, model.comm)
+            model.warn(key, remark, one.name, states[-1].t)
 
 
 def warn_of_strains(states: Sequence[State]) -> None:
@@ -125,13 +128,13 @@ def warn_of_strains(states: Sequence[State]) -> None:
             continue
         worst = max(beyond, key=found.__getitem__)
         name = term.key.removeprefix(f"{BODY} ")
-        warn(
+        model.warn(
             "strains",
             f"at t = {states[worst].t:.4g} strains of {f'the body {name!r}' if name else 'the bodies'} are "
             f"{found[worst]:.3g} (root mean square over its volume), beyond {LARGEST_STRAIN:g} from "
             f"t = {states[beyond[0]].t:.4g} on: the theory is for small strains; what yields there flows at loads that it "
             "cannot bear: take smaller loads or motions of supports, or check the units of the moduli",
-            model.comm,
+            *(name, states[-1].t),
         )
 
 
@@ -248,23 +251,22 @@ def warn_of_steps(model: Model, start: float, times: Sequence[float], theta: flo
     )
     if (worst := max(steps, default=None)) and worst[0] > ALLOWED_STEP_ERROR:
         error, step, t, own, name = worst
-        warn(
+        model.warn(
             "time step",
             f"the step of {step:.3g} at t = {t:.3g} is not well below a time of {name}, {own:.3g}: such steps leave an "
             f"error of about {error:.0%} of what creeps or relaxes; take steps below {own / 4:.2g} while this lasts, or "
             "times=Adaptive(end=..., first=..., tolerance=...)",
-            model.comm,
+            *(start, *times),
         )
 
 
 def warn_of_no_time(model: Model) -> None:
     """Warn that a solve gives what a law that relaxes answers at once. Collective."""
     for name, own in _own_times(model)[:1]:
-        warn(
+        model.warn(
             "no time",
             f"{name} relaxes with the time {own:.3g}, and a solve knows no time: this is the answer to sudden loads "
             "just after they have come; for a later one march(model, times), or give times",
-            model.comm,
         )
 
 

@@ -16,7 +16,7 @@ from forms.base import InputError, is_number, require
 from geometry.parallel import world
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State, displacements_of
-from thinlayer.errors import LooseBody, SolveError, warn
+from thinlayer.errors import LooseBody, SolveError
 from thinlayer.parts.part import Interval
 from thinlayer.solving.contact.solver import METHODS, check_method, contact_finder, default_method
 from thinlayer.solving.continuation import Restraint, through_eased_laws
@@ -265,12 +265,12 @@ class Solver(AbstractContextManager["Solver"]):
         falling = [] if self._warned else [*filter(None, self.equations.ask("undeclared_softening"))]
         for name, where in falling[:1]:
             self._warned = True
-            warn(
+            self.model.warn(
                 "softens",
                 f"at t = {state.t:g} the stress of {name} falls {where} as jumps or strains grow: this equilibrium "
                 "may be one of several, and steps may pass over others; write softens = True in the class and follow "
                 "them on S with march(model, ArcLength(...))",
-                self.model.comm,
+                state.t,
             )
         return state
 

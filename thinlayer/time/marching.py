@@ -14,7 +14,7 @@ import numpy as np
 from forms.base import InputError, require
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.errors import SolveError, warn
+from thinlayer.errors import SolveError
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.history import History
 from thinlayer.solving.petsc import Options
@@ -266,10 +266,10 @@ def tell_steps(solver: Solver, history: History, plan: Plan, start: float, theta
             other = TimeStepping(solver, journal, Plan(again, None, length), start, theta).run(False).last
     except SolveError as error:
         history.step_errors = dict.fromkeys(QUANTITIES, np.nan)
-        warn(
+        history.model.warn(
             "no step error",
             f"the error of the march's steps is not known: with {len(again)} steps {error.reason}; {remedy}",
-            history.model.comm,
+            *plan.targets,
         )
         return
     order = 2 if theta == 0.5 else 1
@@ -278,11 +278,11 @@ def tell_steps(solver: Solver, history: History, plan: Plan, start: float, theta
     history.step_errors = dict(zip(QUANTITIES, map(float, shares), strict=True))
     if shares.max() > TOLD:
         told = ", ".join(f"{share:.2g} in {name}" for name, share in history.step_errors.items())
-        warn(
+        history.model.warn(
             "step error",
             f"the {len(plan.targets)} steps of this march leave estimated relative errors of {told} at its end (march with "
             f"{len(again)} steps): the law depends on its history; {remedy}",
-            history.model.comm,
+            *plan.targets,
         )
 
 
