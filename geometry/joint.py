@@ -277,6 +277,21 @@ class Joint:
         """The mesh, cut along S."""
         return self.split_along(self.surface_rows)
 
+    def components_at(self, cells: IntArray, vertices: IntArray) -> IntArray:
+        """(n, k) component, around vertices (n, k), of the cells (n,) that have them; -1 for cells < 0."""
+        corner = (self.corners[cells][:, None, :] == vertices[:, :, None]).argmax(axis=2)
+        found = np.take_along_axis(self.splitting.of_nodes[cells], corner, axis=1)
+        return np.where(cells[:, None] < 0, -1, found)
+
+    @cached_property
+    def pairs(self) -> IntArray:
+        """(n_S, k) number of the pair of bodies at each vertex of each facet of S: of vertex, seam and components."""
+        vertices = self.table.vertices[self.surface_rows]
+        below, above = (self.components_at(cells, vertices) for cells in self.surface_cells.T)
+        count = int(max(below.max(), above.max())) + 2
+        codes = (self.seam_numbers[:, None] * count + above) * count + below + 1
+        return np.asarray(self.masters[vertices] * (codes.max() + 1) + codes, np.int64)
+
     def split_along(self, rows: IntArray) -> Splitting:
         """The mesh, cut along facets given by rows of `table`; across periodic sides its cells are neighbours."""
         if self.periods is None:
@@ -289,6 +304,21 @@ class Joint:
     def surface(self) -> IntArray:
         """(n_S, k) nodes of the facets of S, in the order of the facet's own element."""
         return self.table.nodes(self.surface_rows, self.cells, self.cell_type)
+
+    def faces(self, cell_points: FloatArray | None = None) -> FloatArray:
+        """(2, n_S, k, d) places of the nodes of `surface` in the cells below and above; of a rigid base those of S.
+
+        Args:
+            cell_points: (n_cells, k, d) or more: places of the nodes of its cells, if others than its own.
+        """
+        places = self.cell_points if cell_points is None else cell_points
+        below, above = self.surface_cells.T
+        lower, upper = (places[cells[:, None], self.on_surface(cells)] for cells in (np.maximum(below, 0), above))
+        return np.stack([np.where((below >= 0)[:, None, None], lower, self.points[self.surface]), upper])
+
+    def on_surface(self, cells: IntArray) -> IntArray:
+        """(n_S, k) positions of the nodes of `surface` among those of cells (n_S,)."""
+        return np.asarray((self.cells[cells][:, None, :] == self.surface[:, :, None]).argmax(axis=2))
 
     @cached_property
     def meetings(self) -> IntArray:

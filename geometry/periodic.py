@@ -42,16 +42,6 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
     return replace(joint, periods=Periods(before.sides + named, before.pairs + pairs))
 
 
-def require_inside(joint: Joint) -> None:
-    """Raise InputError if S reaches a periodic side: inflated, opposite sides would not match."""
-    for names, pair in zip(joint.periods.sides, joint.periods.pairs, strict=True) if joint.periods else ():
-        sides, both = " and ".join(map(repr, names)), np.unique(pair)
-        reason = "the layer cannot be meshed, as the sides would not match when it opens"
-        remedy = "cut the cell where S is not, use the interface model, or mesh a large piece that is not periodic"
-        message = f"S reaches the periodic sides {sides}, at {{at}}: {reason}; {remedy}"
-        refuse(np.isin(both, joint.surface), joint.points[both], message)
-
-
 def repeated(inflated: Joint, periods: Periods) -> Joint:
     """An inflated joint, whose periodic sides have not moved, with the periods of the one that it came from."""
     pairs = tuple(_matched(inflated, *names) for names in periods.sides)

@@ -13,7 +13,7 @@ from forms import HolonomicCoulomb, Incompressible, LinearElastic, MohrCoulomb, 
 from forms.base import InputError
 from forms.work import energy
 from geometry import block, bond_cell, fibre, periodic, ring, sandwich
-from geometry.inflating.inflation import faces, inflate, parted
+from geometry.inflating.inflation import inflate, parted
 from studies.tubes import lame
 from tests.orders import observed_orders
 from tests.refused import refused
@@ -281,7 +281,7 @@ def test_one_joint_has_the_bodies_of_the_meshed_layer():
     inflated, apart = inflate(joint, 0.1, profile=taper, bodies="extended"), parted(joint, 0.1, profile=taper)
     assert np.array_equal(apart.cell_points, inflated.points[inflated.cells[: len(joint.cells)]])
     assert np.array_equal(apart.points, joint.points)
-    assert np.linalg.norm(faces(apart).mean(axis=0), axis=2) == pytest.approx(1.0, abs=1e-3)  # of curved cells
+    assert np.linalg.norm(apart.faces().mean(axis=0), axis=2) == pytest.approx(1.0, abs=1e-3)  # of curved cells
     assert apart.identity()["coordinates"] != joint.identity()["coordinates"]
     assert parted(joint, 0.1).identity() != apart.identity()
 

@@ -16,7 +16,7 @@ from geometry.inflating.filling import Filled, fill
 from geometry.inflating.kept_bodies import NOT_KEPT, UNIFORM, is_swept, kept_motion, require_apart, require_room
 from geometry.inflating.layering import Layering, check_junctions, check_layering, moved_facets
 from geometry.joint import Band, Joint, Profile
-from geometry.periodic import repeated, require_inside
+from geometry.periodic import repeated
 from geometry.refusals import refuse
 from geometry.seam import JUNCTIONS, LAYER
 from geometry.topology import FacetTable, FloatArray, IntArray, node_jacobians
@@ -77,7 +77,7 @@ def inflate(
         raise InputError(f"inflate takes a joint, not {joint!r}")
     if joint.band is not None:
         raise InputError("this joint is inflated already; inflate the joint it came from")
-    require_inside(joint)
+    _require_inside(joint)
     periods, joint = joint.periods, replace(joint, periods=None)
     fixed = np.unique(np.concatenate(periods.pairs)) if periods else np.empty(0, np.int64)
     layers = Layering.of(joint, eps, profile, cells_through, fractions, junctions, gaps)
@@ -296,37 +296,29 @@ def parted(
     return replace(joint, parted=inflated.points[inflated.cells[: len(joint.cells)]])
 
 
-def faces(joint: Joint, cell_points: FloatArray | None = None) -> FloatArray:
-    """(2, n_S, k, d) places of the nodes of the facets of S in the cells below and above; of a rigid base those of S.
-
-    Args:
-        joint: the joint.
-        cell_points: (n_cells, k, d) or more: places of the nodes of its cells, if others than its own.
-    """
-    places = joint.cell_points if cell_points is None else cell_points
-    below, above = joint.surface_cells.T
-    lower, upper = (places[cells[:, None], _positions(joint, cells)] for cells in (np.maximum(below, 0), above))
-    return np.stack([np.where((below >= 0)[:, None, None], lower, joint.points[joint.surface]), upper])
-
-
 def points_on_middle(joint: Joint) -> FloatArray:
     """(n_points, d) `points`, those of S in the middle between bodies that have parted; seams do not meet."""
     if joint.parted is None:
         return joint.points
     x = joint.points.copy()
-    x[joint.surface] = faces(joint).mean(axis=0)
+    x[joint.surface] = joint.faces().mean(axis=0)
     return x
 
 
 def to_middle(joint: Joint) -> FloatArray:
     """(n_cells, k, d) how far the nodes of each cell on its facets of S are from the middle; zero at other nodes."""
-    out, both = np.zeros_like(joint.cell_points), faces(joint)
+    out, both = np.zeros_like(joint.cell_points), joint.faces()
     for cells, own in zip(joint.surface_cells.T, both, strict=True):
         at = np.flatnonzero(cells >= 0)
-        out[cells[at, None], _positions(joint, cells)[at]] = (both.mean(axis=0) - own)[at]
+        out[cells[at, None], joint.on_surface(cells)[at]] = (both.mean(axis=0) - own)[at]
     return out
 
 
-def _positions(joint: Joint, cells: IntArray) -> IntArray:
-    """(n_S, k) positions of the nodes of the facets of S among those of cells (n_S,)."""
-    return np.asarray((joint.cells[cells][:, None, :] == joint.surface[:, :, None]).argmax(axis=2))
+def _require_inside(joint: Joint) -> None:
+    """Raise InputError if S reaches a periodic side: inflated, opposite sides would not match."""
+    for names, pair in zip(joint.periods.sides, joint.periods.pairs, strict=True) if joint.periods else ():
+        sides, both = " and ".join(map(repr, names)), np.unique(pair)
+        reason = "the layer cannot be meshed, as the sides would not match when it opens"
+        remedy = "cut the cell where S is not, use the interface model, or mesh a large piece that is not periodic"
+        message = f"S reaches the periodic sides {sides}, at {{at}}: {reason}; {remedy}"
+        refuse(np.isin(both, joint.surface), joint.points[both], message)

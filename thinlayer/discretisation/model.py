@@ -76,6 +76,7 @@ class Model(ABC):
         plane, element, body_laws: the structure's.
         on_seams: name of a seam -> what was given for it: a layer, a `Bond`, a `Gap` or None.
         layers: name of a seam -> its layer, in the joint's order.
+        contacts: name of a seam -> its contact law.
         reductions: name of a seam -> which interface law stands for its layer, and why not.
         domain: the distributed mesh.
         comm: the domain's communicator.
@@ -174,6 +175,7 @@ class Model(ABC):
         with on_all(structure.comm):
             self.on_seams: dict[str, OnSeam] = on_seams(self.joint, layer)
             self.layers = {name: SeamLayer(name, one, structure) for name, one in layers_of(self.on_seams).items()}
+            self.contacts = {name: one.contact for name, one in self.layers.items() if one.contact}
             self.reductions = {name: Reduction(one, self._bodies) for name, one in self.layers.items()}
             checked = check()
         what = require_same(structure.comm, model=self.name, layer=layer, options=self._options)
@@ -441,11 +443,6 @@ class Model(ABC):
     def quadratures(self) -> dict[str, Quadrature]:
         """The quadrature points of compiled laws, by the keys of their memory. Collective."""
         return {key: Quadrature(self.V, p, self.origin) for key, p in compiled_terms(self.terms).items()}
-
-    @property
-    def contacts(self) -> dict[str, ContactLaw]:
-        """Name of a seam -> its contact law."""
-        return {name: one.contact for name, one in self.layers.items() if one.contact}
 
     @property
     def contact(self) -> ContactLaw | None:

@@ -40,6 +40,7 @@ class Setup:
         joint: the joint before inflating.
         plane: "strain", "stress" or "axisymmetric".
         element: the finite element of displacements.
+        degree: its polynomial degree.
         body_laws: law of each body.
         supports, tractions, body_force, loads, parts, strain, stress: as given.
         eigenstrains: eigenstrain of each body that has one, as given.
@@ -78,6 +79,7 @@ class Setup:
             self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
             self.loads = check_loads(loads)
             self._check_choices()
+            self.degree = int(self.element[1])
             self.body_laws = self._laws_of(body)
             strains = by_body(eigenstrain, joint, "eigenstrain: ")
             self.eigenstrains = {name: given for name, given in strains.items() if given is not None}
@@ -97,11 +99,6 @@ class Setup:
         given = {name: _ordered(value) if name == "supports" else value for name, value in loads.items()}
         new.mark = digest([self.mark, require_same(self.comm, **given)])
         return new
-
-    @property
-    def degree(self) -> int:
-        """Polynomial degree of the displacements."""
-        return int(self.element[1])
 
     @cached_property
     def kinematics(self) -> Kinematics:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -230,12 +231,12 @@ class State(Configuration):
                 out[i, j] = out[j, i] = value if i == j else value / 2
         return out
 
-    @property
+    @cached_property
     def bodies(self) -> list[Term]:
         """The terms of the bodies' laws, with the strains that are given or found beside those of u. Collective."""
         return self._strained(self.model.bodies)
 
-    @property
+    @cached_property
     def layers(self) -> list[Term]:
         """The terms of the layers' laws, with the strains that are given beside those of u."""
         return self._strained(self.model.layer_terms, on_s=self.model.broken)

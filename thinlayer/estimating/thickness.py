@@ -59,7 +59,9 @@ class ThinEnough:
     bonded: bool = False
 
     def __str__(self) -> str:
-        allowed = f"{100 * self.tolerance:.3g} % in {self.quantity} on this mesh, at the {len(self.table)} thicknesses tried"
+        allowed = (
+            f"{100 * self.tolerance:.3g} % in {self.quantity} on this mesh, at the {len(self.table)} thicknesses tried"
+        )
         allowed += f" ({self.lacks})" if self.lacks else ""
         layer = "the layer may be ignored" if self.bonded else "the layer's mesh may be dropped"
         if self.found:

@@ -10,7 +10,6 @@ import numpy as np
 from petsc4py import PETSc
 
 from forms.base import Array, InputError, is_number, require
-from geometry.parallel import on_root
 from geometry.seam import S
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -77,7 +76,8 @@ def compare(
         if thin and other and thin.eps != other.eps:
             raise InputError(f"compare needs one thickness of {layer}, not {thin.eps} and {other.eps}")
     _require_same_places(meshed, limit)
-    on_root(meshed.comm, lambda: _require_same_structure(meshed, limit))
+    with on_all(meshed.comm):
+        _require_same_structure(meshed, limit)
     surface = Surface(limit, seam)
     part = _part(surface, where)
     row = {"eps": max(float(one.thin.eps) for one in meshed.layers.values() if one.thin)}
@@ -126,7 +126,8 @@ def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
         | {"supports": model.made_from["supports"][: len(model.supports.given)]}
         for model in (full, interface)
     )
-    if found := [*differences(there, here)]:
+    if there != here:
+        found = [*differences(there, here)]
         raise InputError(f"compare needs the same {found[0][0][0]}: {in_words(found)}")
     for name, layer in interface.layers.items():
         both = [one.thin.profile for one in (full.layers[name], layer) if one.thin]

@@ -23,9 +23,8 @@ from forms.law import BulkLaw
 from forms.work import Term, stress
 from geometry.domain import cell_nodes
 from geometry.topology import BoolArray, IntArray, lagrange
-from thinlayer.discretisation.contact_nodes import component_at
 from thinlayer.discretisation.layer import LAYER, PRESSURE, SeamLayer, real_law
-from thinlayer.discretisation.measures import column_numbers, compiled_terms
+from thinlayer.discretisation.measures import column_numbers
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import at_contact
@@ -95,9 +94,8 @@ class LawPoints:
 def law_points(state: State) -> Iterator[LawPoints]:
     """The points of all laws of a state, bodies first, then layers; without contact laws. Collective."""
     model = state.model
-    terms = state.bodies + state.layers
-    keys = {id(term): key for key, term in compiled_terms(model.terms).items()}
-    for own, term, quadrature in zip(model.terms, terms, _quadratures(model), strict=True):
+    keys = {id(one.term): key for key, one in model.quadratures.items()}
+    for own, term, quadrature in zip(model.terms, state.bodies + state.layers, _quadratures(model), strict=True):
         yield LawPoints(state, term, quadrature, keys.get(id(own), ""))
 
 
@@ -136,7 +134,7 @@ def of_layers(surface: SurfaceMesh, state: State) -> Array:
         add(moments, surface, rows, points)
     moments = state.model.comm.allreduce(moments)
     nodal = surface.lumped(moments) if surface.model.contact else surface.projected(moments)
-    if of_contact := at_contact(surface, state):
+    if state.model.contacts and (of_contact := at_contact(surface, state)):
         t = np.column_stack([of_contact["t_T"], -of_contact["p"]])
         nodal += np.einsum("nij,ni->nj", of_contact["frames"], t)
     return nodal
@@ -223,10 +221,10 @@ def _weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float]:
 
     So it is what works in [u]: elastic sublayers share tangential and normal jumps by their compliances. Others have 1.
     """
+    if len(layer.law.sublayers) == 1:
+        return 1.0, 1.0
     model = points.state.model
     sublayers = real_law(layer.layer, model.kinematics).sublayers
-    if len(sublayers) == 1:
-        return 1.0, 1.0
     try:
         moduli = [law.elastic_moduli() for _, law in sublayers]
     except InputError:
@@ -276,7 +274,7 @@ def by_reactions(surface: SurfaceMesh, state: State) -> Array:
 def _side_nodes(surface: SurfaceMesh) -> tuple[IntArray, int]:
     """(2, n, k) numbers from 0 of the bodies' nodes at the corners, below and above; and how many there are."""
     joint = surface.joint
-    of = np.stack([component_at(joint, cells, surface.corners) for cells in surface.cells.T])
+    of = np.stack([joint.components_at(cells, surface.corners) for cells in surface.cells.T])
     numbers = joint.masters[surface.corners] * (of.max() + 2) + of + 1
     known, positions = np.unique(numbers, return_inverse=True)
     return positions.reshape(numbers.shape), len(known)

@@ -14,13 +14,12 @@ from dolfinx import fem
 from scipy.spatial import cKDTree
 
 from forms.base import Array, InputError, require
-from geometry.inflating.inflation import faces
 from geometry.joint import Joint
 from geometry.refusals import place, require_known
 from geometry.seam import BASE, S
 from geometry.sheet import Rim
 from geometry.topology import FACET_TYPES, BoolArray, IntArray, along, by_place, lagrange, sums
-from thinlayer.discretisation.contact_nodes import frames_at, pair_numbers
+from thinlayer.discretisation.contact_nodes import frames_at
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
@@ -114,7 +113,7 @@ class SurfaceMesh:
         self.cells = joint.surface_cells[self.rows]
         self.corners = joint.surface[self.rows, : joint.table.vertices.shape[1]]
         self.seams = np.array(list(joint.seams))[joint.seam_numbers[self.rows]]
-        self.faces = faces(joint)[:, self.rows]
+        self.faces = joint.faces()[:, self.rows]
         self._rules: dict[int, FacetPoints] = {}
         degree = 2 * model.structure.degree + 2 * (joint.degree - 1) + model.kinematics.degree
         self.quadrature = self.rule(degree)
@@ -185,7 +184,7 @@ class SurfaceMesh:
         if not isinstance(self.model, FullModel):
             raise InputError(f"places in a meshed layer need a full model, not {self.model!r:.80}")
         inflated = self.model.inflated
-        nodes = faces(self.joint, inflated.cell_points)[:, self.rows]
+        nodes = self.joint.faces(inflated.cell_points)[:, self.rows]
         if BASE in inflated.facets:
             table, kind = inflated.table, inflated.cell_type
             on_base = np.unique(table.nodes(table.index(inflated.facets[BASE]), inflated.cells, kind))
@@ -311,7 +310,7 @@ class SurfaceMesh:
         """`numbers`, `vertices` and `nodes`."""
         of_table = self.joint.table.vertices[self.joint.surface_rows[self.rows]]
         at = (of_table[:, None] == self.corners[..., None]).argmax(axis=2)
-        codes = np.take_along_axis(pair_numbers(self.joint)[self.rows], at, axis=1)
+        codes = np.take_along_axis(self.joint.pairs[self.rows], at, axis=1)
         numbers, first, nodes = np.unique(codes, return_index=True, return_inverse=True)
         vertices, nodes = self.joint.masters[self.corners].ravel()[first], nodes.reshape(codes.shape)
         x, size = self.joint.points[vertices], self.joint.size
@@ -320,7 +319,7 @@ class SurfaceMesh:
 
     @property
     def numbers(self) -> IntArray:
-        """(m,) numbers of the nodes (`pair_numbers`): where seams meet, one for each pair of bodies at a vertex.
+        """(m,) numbers of the nodes (`Joint.pairs`): where seams meet, one for each pair of bodies at a vertex.
 
         In order along S in 2D, piece after piece, else by the coordinates; each piece of S has one pair at each vertex.
         """
