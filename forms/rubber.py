@@ -1,4 +1,4 @@
-"""Layers with a pressure field: incompressible and nearly incompressible elasticity, and which law has one at order 1."""
+"""Layers with a pressure field: incompressible and nearly incompressible elasticity."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from forms.base import Array
-from forms.elastic import LARGEST_NU, ROUNDING, LinearElastic, LinearLaw, isotropic_stiffness, lame, poisson_ratio
+from forms.elastic import LinearElastic, LinearLaw, isotropic_stiffness, lame, poisson_ratio
 from forms.ends.constants import free_end
 from forms.ends.weights import EndWeights, Strips, of_pressure_at_ends
 from forms.kinematics import Expr
-from forms.law import BulkLaw, Step, positive
+from forms.law import Step, positive
 from forms.stations import Station, of_pressure
 
 
@@ -118,13 +118,3 @@ class Rubber(LinearLaw):
 
     def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
         return of_pressure_at_ends(self, weights)
-
-
-def for_next_order(law: BulkLaw, ends: bool = True) -> BulkLaw:
-    """The law of a layer's material whose interface law of order 1 is the nearest one: the law itself, or `Rubber`.
-
-    Beside free ends (`ends`), whose constants need no fine mesh for nu up to 0.45, it is `Rubber` for larger nu only.
-    """
-    if not isinstance(law, LinearElastic) or law.fields or law.lmbda <= 0:
-        return law
-    return law if ends and poisson_ratio(law) <= LARGEST_NU + ROUNDING else Rubber(law.lmbda, law.mu)

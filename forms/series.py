@@ -116,12 +116,6 @@ def _fraction(a: Any) -> float:
     return float(a)
 
 
-def folded(law: BulkLaw) -> BulkLaw:
-    """The law of the sublayers of a Stack if they are linear and all equal, else the law itself."""
-    first = law.sublayers[0][1]
-    return first if first.traits.linear and all(one == first for _, one in law.sublayers) else law
-
-
 @dataclass(frozen=True)
 class Stack(BulkLaw):
     """Sublayers in series, from the lower to the upper face: common traction and in-plane strain, the jumps add up.

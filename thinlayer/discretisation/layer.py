@@ -17,7 +17,6 @@ from forms.contact import ContactLaw
 from forms.kinematics import Expr
 from forms.law import BulkLaw, Law
 from forms.planes import Kinematics
-from forms.series import folded
 from forms.trace import average_lame, is_checked_at_rest, known_at_rest, require_stable, tangent_over
 from forms.traction import TractionLaw
 from geometry.domain import Domain
@@ -83,7 +82,9 @@ class ThinLayer:
             kind = type(self.law).__name__
             raise InputError(f"{kind} is a law on S without a thickness: give it alone, structure.interface(law)")
         require(isinstance(self.law, BulkLaw), "the layer's law", self.law, "it must be a law of strains")
-        object.__setattr__(self, "law", folded(self.law))
+        first, *others = (law for _, law in self.law.sublayers)
+        if first.traits.linear and all(law == first for law in others):
+            object.__setattr__(self, "law", first)
         _check_thickness("layer's thickness eps", self.eps)
         if self.at is not None:
             _check_thickness("thickness at which the law's parameters hold, at,", self.at)

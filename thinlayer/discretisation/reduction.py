@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.base import InputError
-from forms.elastic import LARGEST_NU, ROUNDING
+from forms.elastic import LARGEST_NU, ROUNDING, LinearElastic, poisson_ratio
 from forms.ends.weights import Strips
 from forms.law import BulkLaw
-from forms.rubber import for_next_order
+from forms.rubber import Rubber
 from forms.trace import average_lame, is_isotropic, known_at_rest
 from geometry.ends import straight_ends
 from geometry.refusals import place
@@ -113,11 +113,17 @@ class Reduction:
 
     # ---------------------------------------------------------------- better laws
     def better(self) -> ThinLayer:
-        """The layer with the law of order 1 that an error is estimated from, if the conditions of "estimate" hold."""
+        """The layer with the law of order 1 that an error is estimated from, if the conditions of "estimate" hold.
+
+        An elastic one has a pressure, but beside free ends for large nu alone: constants of others need no fine mesh.
+        """
         assert self.one.thin
         law, loose = self.one.thin.law, len(self.loose.vertices) > 0
         in_sheet = self.one.structure.plane == "stress"  # no pressure builds up there
-        return replace(self.one.thin, law=law if in_sheet else for_next_order(law, loose), order=1)
+        if isinstance(law, LinearElastic) and not (in_sheet or law.fields) and law.lmbda > 0:
+            known_ends = loose and poisson_ratio(law) <= LARGEST_NU + ROUNDING
+            law = law if known_ends else Rubber(law.lmbda, law.mu)
+        return replace(self.one.thin, law=law, order=1)
 
     # ---------------------------------------------------------------- ends
     @property

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.base import InputError
+from thinlayer.discretisation.full_model import LayerModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.layer_model import LayerModel

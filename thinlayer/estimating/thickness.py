@@ -59,10 +59,8 @@ class ThinEnough:
     bonded: bool = False
 
     def __str__(self) -> str:
-        allowed = (
-            f"{100 * self.tolerance:.3g} % in {self.quantity} on this mesh, at the {len(self.table)} thicknesses tried"
-        )
-        allowed += f" ({self.lacks})" if self.lacks else ""
+        tried = f"at the {len(self.table)} thicknesses tried{f' ({self.lacks})' if self.lacks else ''}"
+        allowed = f"{100 * self.tolerance:.3g} % in {self.quantity} on this mesh, {tried}"
         layer = "the layer may be ignored" if self.bonded else "the layer's mesh may be dropped"
         if self.found:
             return f"thinner than {self.eps:.3g} {layer}: at most {allowed}"

@@ -15,10 +15,9 @@ from forms.temperature import finite
 from geometry.ends import StraightEnd, straight_ends
 from geometry.refusals import place, require_known
 from geometry.seam import S
-from thinlayer.discretisation.full_model import FullModel
+from thinlayer.discretisation.full_model import FullModel, LayerModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import SeamLayer
-from thinlayer.discretisation.layer_model import LayerModel
 from thinlayer.discretisation.side_loads import SideLoad
 from thinlayer.discretisation.state import State
 from thinlayer.errors import Refused, warn

@@ -18,9 +18,9 @@ from scipy.sparse.csgraph import connected_components
 from forms.base import Array
 from geometry.joint import Joint
 from geometry.topology import IntArray
+from thinlayer.discretisation.full_model import LayerModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
-from thinlayer.discretisation.layer_model import LayerModel
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import Configuration, Report, State
 from thinlayer.discretisation.supports import Place
