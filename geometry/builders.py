@@ -11,8 +11,7 @@ from mpi4py import MPI
 from geometry.joint import Joint
 from geometry.parallel import on_root
 from geometry.periodic import periodic
-from geometry.shapes.boxes import Boxes
-from geometry.shapes.bricks import repeated_bond, running_bond
+from geometry.shapes.boxes import Boxes, repeated_bond, running_bond
 from geometry.shapes.cuts import faulted, grained
 from geometry.shapes.rounds import Discs, Fibre, Rings
 from geometry.shapes.sizing import Cells, Curved, Grid, Sizes

@@ -37,7 +37,7 @@ from thinlayer import Probe, Structure, Surface, ThinLayer, estimate, goals, mar
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.estimating.result import Estimate
-from thinlayer.pointwise.assembling import values_of
+from thinlayer.pointwise.integrals import values_of
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History
 from thinlayer.system.progress import track

@@ -20,8 +20,7 @@ from forms.law import Step
 from forms.planes import Kinematics
 from forms.stations import Faces
 from geometry import block, faults, sandwich
-from geometry.ends import share_within, straight_ends
-from geometry.sheet import Sheet
+from geometry.sheet import Sheet, share_within, straight_ends
 from tests.edges_run import structure
 from tests.meshes import grid
 from tests.orders import observed_orders

@@ -12,8 +12,7 @@ from forms import LinearElastic
 from forms.base import InputError
 from forms.ends import free_end
 from forms.ends.weights import Strips
-from geometry.ends import straight_ends
-from geometry.sheet import Sheet
+from geometry.sheet import Sheet, straight_ends
 from studies.free_ends import edge, graded, grid
 from studies.problems import FOURIER_BODY as BODY
 from tests.meshes import part_of

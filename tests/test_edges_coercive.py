@@ -12,7 +12,7 @@ from forms import LinearElastic, Rubber, work
 from forms.ends import free_end
 from forms.ends.weights import Strip, Strips
 from geometry import sandwich
-from geometry.ends import straight_ends
+from geometry.sheet import straight_ends
 from thinlayer import Structure, ThinLayer
 from thinlayer.discretisation.sides import FacetWeights
 

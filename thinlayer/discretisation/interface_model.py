@@ -34,7 +34,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.side_loads import add_side_loads
 from thinlayer.errors import Refused
-from thinlayer.pointwise.quadrature import quadrature_degree
+from thinlayer.pointwise.integrals import quadrature_degree
 from thinlayer.system.ranks import on_all
 
 AT_ENDS = 2  # how much higher the degree of quadrature is where weights of free ends are linear along S

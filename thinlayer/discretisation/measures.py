@@ -28,7 +28,7 @@ from thinlayer.discretisation.clock import readings
 from thinlayer.discretisation.given import Coordinates, has_finite_numbers
 from thinlayer.discretisation.layer import BODY, LAYER, constants
 from thinlayer.discretisation.mesh_functions import cellwise
-from thinlayer.pointwise.quadrature import Origin, Quadrature
+from thinlayer.pointwise.integrals import Origin, Quadrature
 from thinlayer.system.ranks import on_all
 
 TAGS = {

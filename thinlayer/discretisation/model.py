@@ -49,7 +49,7 @@ from thinlayer.discretisation.rigid import free_translations, on_centre, require
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Supports
 from thinlayer.errors import warn
-from thinlayer.pointwise.quadrature import Quadrature, quadrature_degree
+from thinlayer.pointwise.integrals import Quadrature, quadrature_degree
 from thinlayer.system.identity import described, digest
 from thinlayer.system.ranks import on_all, require_same
 

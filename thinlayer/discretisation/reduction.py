@@ -15,9 +15,8 @@ from forms.ends.weights import Strips
 from forms.law import BulkLaw
 from forms.rubber import Rubber
 from forms.trace import average_lame, is_isotropic, known_at_rest
-from geometry.ends import straight_ends
 from geometry.refusals import place
-from geometry.sheet import Rim
+from geometry.sheet import Rim, straight_ends
 from geometry.topology import BoolArray, FloatArray, is_tensor
 from thinlayer.discretisation.boundary import is_across
 from thinlayer.discretisation.layer import LawOnS, SeamLayer, ThinLayer, real_law

@@ -28,10 +28,9 @@ from forms.ends.weights import Strips
 from forms.kinematics import Expr
 from forms.planes import Kinematics
 from forms.work import Interface
-from geometry.ends import StraightEnd, share_within, straight_ends
 from geometry.joint import Joint
 from geometry.seam import LAYER
-from geometry.sheet import Rim, Sheet
+from geometry.sheet import Rim, Sheet, StraightEnd, share_within, straight_ends
 from geometry.topology import BoolArray, FloatArray, IntArray, ridge_keys
 from thinlayer.discretisation.forces import Forces, Weighted
 from thinlayer.discretisation.given import Coordinates, Load, Pressure, vanishes

@@ -13,10 +13,9 @@ from dolfinx import fem
 from forms.ends.weights import EndWeights, Strips
 from forms.work import Interface
 from geometry.domain import Domain
-from geometry.ends import StraightEnd, share_within
 from geometry.joint import Joint
 from geometry.seam import LAYER, S
-from geometry.sheet import Rim, Sheet, continued
+from geometry.sheet import Rim, Sheet, StraightEnd, continued, share_within
 from geometry.topology import FloatArray, facet_normals, ridge_keys
 from thinlayer.discretisation.addition import Addition
 from thinlayer.discretisation.boundary import AXES, on_axis

@@ -29,7 +29,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import at_contact
 from thinlayer.output.nodal_forces import reaction
-from thinlayer.pointwise.quadrature import Quadrature
+from thinlayer.pointwise.integrals import Quadrature
 from thinlayer.surface.surface_mesh import FacetPoints, SurfaceMesh
 
 MEMORY = "memory"  # name of the internal values of a law that does not name them

@@ -12,9 +12,9 @@ from forms.base import Array, InputError, is_finite, require
 from forms.ends.corner import Corner
 from forms.law import BulkLaw
 from forms.temperature import finite
-from geometry.ends import StraightEnd, straight_ends
 from geometry.refusals import place, require_known
 from geometry.seam import S
+from geometry.sheet import StraightEnd, straight_ends
 from thinlayer.discretisation.full_model import FullModel, LayerModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import SeamLayer

@@ -21,7 +21,7 @@ from thinlayer.discretisation.layer import LAYER
 from thinlayer.discretisation.state import Configuration
 from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part, PartTraits
 from thinlayer.pointwise.compiled_term import CompiledTerm, Response
-from thinlayer.pointwise.quadrature import Origin
+from thinlayer.pointwise.integrals import Origin
 
 ASYMMETRY = 1e-8  # skew part of a tangent, relative to its size, that still counts as rounding
 SAME = 1e-12  # relative difference of parameters at several times that counts as rounding

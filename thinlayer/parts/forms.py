@@ -26,8 +26,8 @@ from thinlayer.discretisation.measures import compiled, compiled_summands
 from thinlayer.discretisation.state import Configuration
 from thinlayer.parts.compiled import GivenAtPoints, falls
 from thinlayer.parts.part import Block, Interval, Outcome, Part, PartTraits
-from thinlayer.pointwise.assembling import add_forces_of, add_spread, matrix_of
 from thinlayer.pointwise.compiled_term import CompiledTerm
+from thinlayer.pointwise.integrals import add_forces_of, add_spread, matrix_of
 from thinlayer.system.ranks import communicator
 
 

@@ -19,7 +19,7 @@ from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.given_strains import MEAN_STRAIN, MeanStress, of_components
 from thinlayer.discretisation.mesh_functions import Keys, broken_space
 from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
-from thinlayer.pointwise.assembling import matrix_of, values_of
+from thinlayer.pointwise.integrals import matrix_of, values_of
 
 
 class MeanStressPart(FieldPart):

@@ -22,8 +22,7 @@ from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.discretisation.mesh_functions import Keys, broken_space
 from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
-from thinlayer.pointwise.assembling import add_spread, matrix_of, values_of
-from thinlayer.pointwise.quadrature import Origin, Quadrature, Region
+from thinlayer.pointwise.integrals import Origin, Quadrature, Region, add_spread, matrix_of, values_of
 from thinlayer.system.ranks import communicator
 
 SAME_PLACE = 1e-9  # distance, relative to the size of S, at which two vertices are one

@@ -14,10 +14,9 @@ from forms.base import Array, InputError
 from forms.kinematics import MANDEL, UNITS, Expr, mandel
 from forms.trace import LONG
 from forms.work import Term
-from thinlayer.pointwise.assembling import add_spread, matrix_of
 from thinlayer.pointwise.columns import Switching
+from thinlayer.pointwise.integrals import DIAGONAL, Origin, Quadrature, add_spread, matrix_of
 from thinlayer.pointwise.material import Material
-from thinlayer.pointwise.quadrature import DIAGONAL, Origin, Quadrature
 from thinlayer.system.ranks import on_all
 
 # Size of a tangent below which underflow may have cost digits.

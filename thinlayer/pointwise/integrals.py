@@ -1,18 +1,21 @@
-"""Quadrature points of one law: on the cells or facets where a UFL measure integrates."""
+"""Integrals: the quadrature points of one law, where a UFL measure integrates; assembled matrices and nodal forces."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import basix.ufl
+import dolfinx.fem.petsc
 import dolfinx.mesh
 import numpy as np
 import ufl
 from dolfinx import fem, la
 from dolfinx.mesh import CellType, Mesh
 from mpi4py import MPI
+from petsc4py import PETSc
 from ufl.classes import Zero
 
 from forms.base import Array, InputError
@@ -280,3 +283,48 @@ class Quadrature:
             raise InputError(f"{type(self.term.law).__name__} has phases in columns, which layers of other meshes lack")
         imap = mesh.topology.index_map(dim)
         return np.arange(imap.size_local, dtype=np.int64) + imap.local_range[0], int(imap.size_global)
+
+
+def matrix_of(form: fem.Form) -> PETSc.Mat:
+    """The matrix of a bilinear form, without supports."""
+    A = dolfinx.fem.petsc.assemble_matrix(form)
+    A.assemble()
+    return A
+
+
+def forces_of(first: fem.Form, *others: fem.Form) -> PETSc.Vec:
+    """The sum of linear forms at the nodes; the caller destroys the vector."""
+    b = dolfinx.fem.petsc.assemble_vector(first)
+    for form in others:
+        dolfinx.fem.petsc.assemble_vector(b, form)
+    b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+    return b
+
+
+def add_forces_of(out: PETSc.Vec, *forms: fem.Form) -> float:
+    """Add the sum of linear forms at the nodes to a vector; returns its norm."""
+    b = forces_of(*forms)
+    out.axpy(1.0, b)
+    size = float(b.norm())
+    b.destroy()
+    return size
+
+
+def values_of(form: fem.Form | None, count: int) -> Any:
+    """The values (count,) of a linear form at the nodes of this rank; zeros for None."""
+    if form is None:
+        return np.zeros(count)
+    b = forces_of(form)
+    values = b.array_r.copy()
+    b.destroy()
+    return values
+
+
+def add_spread(density: Expr, V: fem.FunctionSpace, measure: ufl.Measure, out: PETSc.Vec, maps: Any = None) -> None:
+    """Add the integral of a density to the first components of displacements, in shares by shape functions.
+
+    On S they are those of the upper side; shape functions add up to one.
+    """
+    v = ufl.TestFunction(V)
+    v = v("+") if measure.integral_type() == "interior_facet" else v
+    add_forces_of(out, fem.form(density * v[0] * measure, entity_maps=maps))
