@@ -58,7 +58,8 @@ def _largest_at_rest(model: Model, parts: Sequence[Part]) -> float:
     """Largest diagonal entry of the tangents at rest."""
     in_forms, largest = [part for part in parts if isinstance(part, LawForms)], 0.0
     if parts != in_forms:
-        largest = float(diagonal_at_rest(parts, fem.Function(model.V).x.petsc_vec).max()[1])
+        sums = fem.Function(model.V)  # the vector lives as long as it does
+        largest = float(diagonal_at_rest(parts, sums.x.petsc_vec).max()[1])
     return largest or max(part.largest_at_rest() for part in in_forms)
 
 
