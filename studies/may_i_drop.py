@@ -36,6 +36,7 @@ from studies.timing import timed
 from thinlayer import Probe, Structure, Surface, ThinLayer, estimate, goals, march, plotting, solve, thin_enough
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
 from thinlayer.estimating.result import Estimate
 from thinlayer.pointwise.integrals import values_of
 from thinlayer.running.record import Record

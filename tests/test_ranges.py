@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from forms import Anisotropic, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack
+from forms import Anisotropic, LinearElastic, MohrCoulombMonodirectional, Stack, VonMises
 from geometry import block, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests.on_ranks import on_ranks
@@ -142,7 +142,7 @@ def test_bodies_that_overlap():
 
 def test_what_was_said_of_a_state_is_not_said_by_its_estimate():
     """Of a thick layer that closes too far: once of a model, once of each time; of another thickness, or model, anew."""
-    joint, law = sandwich(2.0, 0.4, 0.7, 0.2), MohrCoulomb(1.0, 1.0, cohesion=100.0, friction_angle=30.0)
+    joint, law = sandwich(2.0, 0.4, 0.7, 0.2), VonMises(1.0, 1.0, strength=100.0)
     supports = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": lambda x, t: -t + 0 * x[0]}}
     structure = Structure(joint, body=STIFF, supports=supports)
     model, keys = structure.interface(ThinLayer(law, 0.45, at=1.0)), ["thick", "overlap"]

@@ -14,7 +14,6 @@ from forms.base import InputError
 from thinlayer.discretisation.full_model import LayerModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
-from thinlayer.discretisation.layer_model import LayerModel
 from thinlayer.discretisation.state import State
 from thinlayer.estimating.global_local import NARROW, Bounds, GlobalLocal, Iterate
 from thinlayer.estimating.goals import Goal
@@ -252,7 +251,7 @@ class Estimate:
     @property
     def caveats(self) -> list[str]:
         """What the estimate leaves out, in words."""
-        found = [f"for these cells of the bodies, and {self._meshed.layers.through} cells through the layer"]
+        found = []
         laws = [term.law for term in self.better.model.terms]
         if self.state.sudden and any(law.traits.remembers and not law.traits.bounded for law in laws):
             found.append("at t = 0+, just after sudden loads; for later times march, and give the history")
@@ -274,7 +273,8 @@ class Estimate:
                 found.append(f"the layer{where} bears no traction")
             elif where:
                 found.append(f"{name}: {', '.join(_said_of_fields(one.traction, one.jump))}")
-        return found + self.caveats
+        cells = f"for these cells of the bodies, and {self._meshed.layers.through} cells through the layer"
+        return [*found, cells, *self.caveats]
 
     def __str__(self) -> str:
         return "; ".join(self.sentences)
