@@ -1,4 +1,4 @@
-"""May you drop the layer? What leaving out its mesh changes: estimated, and in truth, in 40 structures."""
+"""May you drop the layer? What leaving out its mesh changes: estimated, and in truth, in 41 structures."""
 
 from __future__ import annotations
 

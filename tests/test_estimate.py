@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import LinearElastic, Maxwell, MohrCoulomb, Norton, Rubber, Stack
+from forms import LinearElastic, Maxwell, Norton, Rubber, Stack
 from forms.base import InputError
 from geometry import sandwich
 from geometry.sheet import Rim
@@ -33,8 +33,6 @@ from thinlayer import (
 from thinlayer.estimating import thickness
 from thinlayer.estimating.result import GoalError, _said
 from thinlayer.estimating.thickness import _search
-
-SLIPS = MohrCoulomb(4.0, 3.0, cohesion=10.0, friction_angle=15.0)
 
 pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
 
@@ -310,7 +308,6 @@ def test_what_has_no_estimate():
         (lambda: estimate(limit, goals=[goals.Functional("mean", 3)]), "must be a function"),
         (lambda: estimate(limit, goals=[goals.Functional("mean", lambda u, model: u[5] * model.dx)]), "fails"),
         (lambda: estimate(limit, goals=[goals.Functional("m", lambda u, model: 1j * u[0] * model.dx)]), "not real"),
-        (lambda: estimate(solve(made.interface(ThinLayer(SLIPS, EPS)))), "MohrCoulomb has .* not symmetric"),
         (lambda: thin_enough(limit.model, layer, 0.1), "takes a Structure"),
         (lambda: thin_enough(made, layer, 0.1, bonded=True, bodies="extended"), "meet on S"),
     ]:

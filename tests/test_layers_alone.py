@@ -8,7 +8,19 @@ from functools import cache, partial
 import numpy as np
 import pytest
 
-from forms import Anisotropic, KelvinVoigt, LinearElastic, Maxwell, Norton, NortonCreep, Rubber, Stack, VonMises
+from forms import (
+    Anisotropic,
+    KelvinVoigt,
+    LinearElastic,
+    Maxwell,
+    MohrCoulomb,
+    MohrCoulombMonodirectional,
+    Norton,
+    NortonCreep,
+    Rubber,
+    Stack,
+    VonMises,
+)
 from forms.base import InputError
 from geometry import block, faults, ring, sandwich, wall
 from studies.dropped import random_case
@@ -397,6 +409,8 @@ STEPS = {  # name -> bodies, the layer's law, ends of time steps; none: one step
     "retards": (None, KelvinVoigt(4.0, 3.0, 0.3, 0.5), [0.3, 1.0]),
     "flows": (None, NortonCreep(4.0, 3.0, 0.5, 3.0), [0.3, 1.0]),
     "yields": (None, HARDENS, [0.5, 1.0]),
+    "slips": (None, MohrCoulomb(4.0, 3.0, cohesion=0.3, friction_angle=20.0, dilatancy_angle=5.0), None),
+    "slips along S": (None, MohrCoulombMonodirectional(4.0, 3.0, 0.2, 20.0), [0.5, 1.0]),
     "as stiff as bodies": (None, Norton(lmbda=28.0, mu=19.0, eta=12.0, p=1.5), [0.01]),
     "bodies stiffen": (STIFFENS, LinearElastic(4.0, 3.0), None),
     "bodies stiffen, in time": (STIFFENS, HARDENS, [0.5, 1.0]),

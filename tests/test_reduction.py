@@ -100,7 +100,7 @@ TABLE = {
         (None, thin(Incompressible(40.0)), {}),
         ("closed", thin(Incompressible(40.0)), {"supports": SIDE | {"RIGHT": {"x": 0.0}}}),
         ("no thickness", CONTACT, {}),
-        ("no energy", thin(MohrCoulomb(4.0, 3.0, cohesion=1.0, friction_angle=30.0), 0), {}),
+        (None, thin(MohrCoulomb(4.0, 3.0, cohesion=1.0, friction_angle=30.0), 0), {}),
         ("rate", thin(KelvinVoigt(4.0, 3.0, 0.2, 0.5), 0), {}),
     ],
     "corners": [
@@ -126,7 +126,7 @@ TABLE = {
         ("no thickness", CONTACT, {}),
         (None, thin(), {}),
         (None, thin(KelvinVoigt(4.0, 3.0, 0.2, 0.5), 0), {}),
-        ("no energy", thin(SOFTENING, 0), {}),
+        ("phases", thin(SOFTENING, 0), {}),
         ("held alone", thin(order=0), {"supports": {"BOTTOM": 0.0, "LEFT/LAYER": 0.0}}),
         (None, thin(order=0), {"supports": {"BOTTOM": 0.0, "LEFT": 0.0, "LEFT/LAYER": 0.0}}),
     ],

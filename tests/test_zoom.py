@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from forms import Incompressible, LinearElastic, MohrCoulomb, Rubber, Stack, VonMises
+from forms import Incompressible, LinearElastic, Rubber, Stack, VonMises
 from forms.base import InputError
 from geometry import block, disc, sandwich, wall
 from studies.problems import FOURIER_LAYER, fourier
@@ -289,8 +289,6 @@ def test_the_layer_is_asked_whether_it_bears_what_the_bodies_do():
 
 def test_layers_that_are_not_known_are_refused():
     refused(InputError, "state of an interface or a full model", lambda: Zoom(state().model))
-    yields = MohrCoulomb(GLUE.lmbda, GLUE.mu, cohesion=1e3, friction_angle=30)
-    refused(InputError, "MohrCoulomb has .* not symmetric", lambda: Zoom(state(ThinLayer(yields, EPS, at=1.0))))
     rollers = {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
     closed = ThinLayer(Incompressible(3.0), EPS, order=1)
     pressed = {"supports": rollers, "tractions": {"TOP": (0.0, -1.0)}}

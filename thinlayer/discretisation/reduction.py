@@ -336,12 +336,13 @@ def _evens_out(r: Reduction) -> Iterator[Refused]:
         yield Refused("no excess", f"lmbda of the layer is {lmbda:.4g}")
 
 
-def _with_energy(r: Reduction) -> Iterator[Refused]:
+def _by_itself(r: Reduction) -> Iterator[Refused]:
     """Of the layer by itself, between faces that are moved."""
     traits, kind = r.one.law.traits, type(r.one.law).__name__
-    if traits.phases or traits.softens or not traits.symmetric:
-        reason = f"{kind} has phases, a stress that falls as strains grow, or a tangent that is not symmetric"
-        yield Refused("no energy", reason, "mesh the layer (structure.full)")
+    if traits.phases or traits.softens:
+        yield Refused(
+            "phases", f"{kind} has phases, or a stress that falls as strains grow", "mesh it (structure.full)"
+        )
     elif traits.constrained and not r.law.volume_compliance and not len(r.loose.vertices):
         reason = f"{kind} between faces, with no side that is free, bears a pressure that these do not tell"
         yield Refused("closed", reason, "take Rubber with Poisson's ratio 0.4999")
@@ -377,8 +378,8 @@ QUESTIONS: dict[str, tuple[Ask, ...]] = {
     "mean strain": (_under_mean_strain,),
     "interface law": (_law, _next_term, _on_all_of_s),
     "ends": (_thickness, _corrected),
-    "estimate": (_thickness, _held_alone, _with_energy),
+    "estimate": (_thickness, _held_alone, _by_itself),
     "excess of pressure": (_thickness, _evens_out),
-    "alone": (_thickness, _at_once, _with_energy),
-    "corners": (_thickness, _at_once, _with_energy, _corners),
+    "alone": (_thickness, _at_once, _by_itself),
+    "corners": (_thickness, _at_once, _by_itself, _corners),
 }

@@ -84,7 +84,10 @@ def estimate(
     values = {name: goal.value(given, model) for name, goal in checked.items()}
     known: dict[str, Bounds] = {}
     theirs: State | None = None
-    bounded, most = model.linear and isinstance(state, State), max(one.order for one in better.values())
+    bounded, most = (
+        model.linear and model.symmetric and isinstance(state, State),
+        max(one.order for one in better.values()),
+    )
     for order in range(most + 1):  # of the law whose tangent leads to the layer
         try:
             path = _path(state, model, better if order else {}, options)
@@ -153,14 +156,12 @@ def _passed(
 def _require_alone(model: InterfaceModel, state: State | History) -> None:
     """Raise InputError unless layers can be meshed by themselves between the bodies of a model. Collective.
 
-    Tangents are symmetric, and nodes on S follow neither plates nor inclined supports. What remembers must have been at
-    rest before, or its history is known.
+    Nodes on S follow neither plates nor inclined supports. What remembers must have been at rest before, or its history is
+    known.
     """
     for name in model.layers:
         model.reductions[name].require("estimate", "estimate: ")
     whole = f"mesh the {'layers' if len(model.layers) > 1 else 'layer'} (structure.full)"
-    if not model.symmetric or model.contacts:
-        raise InputError(f"estimate: a law, or a part, has a tangent that is not symmetric; {whole}")
     if _is_tied(model):
         raise InputError(f"estimate: plates or inclined supports tie nodes on S; {whole}")
     for term in model.terms:

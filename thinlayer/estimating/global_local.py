@@ -27,9 +27,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from dolfinx import fem
+from numpy.linalg import norm
 
 from forms.base import Array, InputError
-from geometry.topology import IntArray
 from thinlayer.discretisation.state import Configuration, State, displacements_of
 from thinlayer.errors import SolveError
 from thinlayer.estimating.goal import Goal
@@ -43,6 +43,7 @@ ROUNDING = 1e-14  # of these forces, over the stiffness times displacements
 UNBALANCED = 1e-9  # resultant of the forces on a layer, over their sum, that counts as rounding
 NEW_AXIS = 0.1  # part of a resultant that is along no axis yet, over all of it
 NEWTON_STEPS, CONJUGATE = 20, 30  # at most; the latter in each of the former
+BALANCED = 1e-3  # residual that may be left, over that of the interface law
 LITTLE = 1e-3  # part of what a step of Newton's has gained, at which conjugate ones end
 SETTLED = 1e-6  # part of what steps have lowered the energy by that may be left
 NARROW = 0.05  # width of bounds over the change, at which steps end
@@ -153,14 +154,9 @@ class GlobalLocal:
         out.destroy()
         return found
 
-    def _back(self, dofs: IntArray, forces: Array) -> Array:
-        """Displacements (m,) of the interface model, linearised, under forces."""
-        q = self.adjoint.of_nodes(dofs, forces)
-        return np.asarray(self.adjoint.weights(q, self.adjoint.nothing()).u.x.array[: self.n].copy())
-
     def _under(self, r: Array) -> tuple[Array, Array]:
         """Displacements under forces on the faces, and forces that the bodies then hand on to the layers."""
-        d = self._back(*self.layers.of_faces(r))
+        d = self.adjoint.displacements(*self.layers.of_faces(r))
         return d, r - self._pulled(self._resisted(d))
 
     def _balanced(self, u: Array, F: Array, load: Array, values: Array) -> Iterate:
@@ -184,8 +180,8 @@ class GlobalLocal:
     def _add_couple(self, along: Array) -> None:
         """Solve for the couple along a new axis of motions, if a resultant has one."""
         new = along - self._axes @ (self._axes.T @ along)
-        if np.linalg.norm(new) > NEW_AXIS * np.linalg.norm(along):  # less is left to the next turn, or rounding
-            axis = new / np.linalg.norm(new)
+        if norm(new) > NEW_AXIS * norm(along):  # less is left to the next turn, or rounding
+            axis = new / norm(new)
             couple = self._shares[:, 0] * (self._R @ axis)
             d, pulled = self._under(couple)
             self._couples.append((d, pulled - couple))
@@ -246,7 +242,7 @@ class GlobalLocal:
         missing, (dofs, _) = self._lack(one.u), self.layers.of_faces(one.F)
         missing[dofs] = 0.0
         missing[self.equations.constraints.held] = 0.0
-        d = self._back(np.arange(self.n), missing)
+        d = self.adjoint.displacements(np.arange(self.n), missing)
         gained = one.gained + self._product(missing, d)
         v, F = one.v + self.layers.at_faces(d), one.F - self._pulled(self._resisted(d))
         return replace(one, u=one.u + d, v=v, F=F, gained=gained)
@@ -282,9 +278,10 @@ class GlobalLocal:
             SolveError: it is not found.
         """
         one = self.first()
+        least = BALANCED * norm(self.residual(one)) + UNBALANCED * norm(one.F)
         for _ in range(NEWTON_STEPS):
             old, one = one, self.newton_step(one)
-            if one.gained - old.gained <= SETTLED * one.gained:
+            if one.gained - old.gained <= SETTLED * one.gained and norm(self.residual(one)) <= least:
                 return one
         raise SolveError(f"estimate: the structure with its layers is not found in {NEWTON_STEPS} of Newton's steps")
 
@@ -308,7 +305,7 @@ class GlobalLocal:
 
         None: the layers cannot bear the forces on their faces, or an energy is not convex.
         """
-        if self._nonlinear:
+        if self._nonlinear or not self.model.symmetric:
             return None
         try:
             return self._energy(displacements_of(given, self.model).x.array[: self.n], one)

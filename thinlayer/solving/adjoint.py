@@ -25,10 +25,10 @@ from thinlayer.solving.petsc import Options, defaults, solve_linear, value_of
 
 
 class Adjoint(AbstractContextManager["Adjoint"]):
-    """Linear responses of an interface model at an equilibrium, to loads of its own or of goals. Tangents are symmetric.
+    """Linear responses of an interface model at an equilibrium, to forces and to goals. Use it in a `with` statement.
 
     A goal is Q(u) = q . u - g . r(u), with nodal weights q, the reactions r of what holds the model, and motions g of it.
-    Its weights z are K z = q, z = g where displacements are held. Use it in a `with` statement.
+    Its weights z are K^t z = q, z = g where displacements are held.
 
     Args:
         state: the equilibrium.
@@ -51,7 +51,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         self._options = {**linear[0], **self._given}
         self._tangent: PETSc.Mat | None = None
         self._of_parts: list[TangentMatrix] = []
-        if not (self.model.linear and equations.factor.of == (0.0, 1.0)):
+        if not (self.model.linear and self.model.symmetric and equations.factor.of == (0.0, 1.0)):
             A = equations.tangent()
             self._tangent = A.copy()
             equations.hold(A)
@@ -119,7 +119,18 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         forces.destroy()
         return found
 
-    # ---------------------------------------------------------------- weights
+    # ---------------------------------------------------------------- displacements and weights
+    def displacements(self, dofs: IntArray, forces: Array) -> Array:
+        """Small displacements (m,) under forces (n,) at displacements, local numbers that one rank gives; supports hold."""
+        q, x = self.of_nodes(dofs, forces), self.equations.vector()
+        q.array[self.equations.held] = 0.0
+        with defaults(self._options):
+            solve_linear(self.equations.factor.ksp, q, x)
+        found = self.equations.configuration(x).u.x.array[: self.equations.n_displacements].copy()
+        for one in (q, x):
+            one.destroy()
+        return np.asarray(found)
+
     def weights(self, q: PETSc.Vec, g: PETSc.Vec) -> Configuration:
         """The weights z, as displacements and the layers' own fields; q and g are destroyed."""
         equations, held = self.equations, self.equations.held
@@ -130,7 +141,10 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             q.axpy(-1.0, out)
         q.array[held] = 0.0
         with defaults(self._options):
-            solve_linear(equations.factor.ksp, q, z)
+            if self.model.symmetric:
+                solve_linear(equations.factor.ksp, q, z)
+            else:
+                equations.factor.ksp.solveTranspose(q, z)
         z.array[held] = g.array_r[held]
         found = equations.configuration(z)
         for thing in (q, g, z, out):
@@ -138,9 +152,9 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return found
 
     def _times(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
-        """K x; by residuals if the matrix of the factor is the tangent, with its held rows replaced."""
+        """K^t x; by residuals if the matrix of the factor is the tangent, with its held rows replaced."""
         if self._tangent is not None:
-            self._tangent.mult(x, out)
+            self._tangent.multTranspose(x, out)
             return
         zero, at_zero = self.equations.vector(), self.equations.vector()
         self.equations.residual(x, out)

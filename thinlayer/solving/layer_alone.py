@@ -103,7 +103,7 @@ class HeldLayers:
 
     @cached_property
     def _dirichlet(self) -> _Factor:
-        return _Factor(self.K, self._inside)
+        return _Factor(self.K, self._inside, symmetric=self.model.symmetric)
 
     def inside(self, v: Array, load: Array, values: Array) -> Array:
         """Displacements of layers whose faces are at v, under forces and with prescribed displacements of their sides.
@@ -196,7 +196,7 @@ class LayerAlone(HeldLayers):
 
     @cached_property
     def _neumann(self) -> _Factor:
-        return _Factor(self.K, (self.free_faces | self._inside) & ~self._pins)
+        return _Factor(self.K, (self.free_faces | self._inside) & ~self._pins, symmetric=self.model.symmetric)
 
     def work(self, w: Array, z: Array) -> Array:
         """Work (k,) of the stresses at w in the strains of z, less that of the loads, spread over displacements."""
@@ -274,18 +274,18 @@ class LayerAlone(HeldLayers):
 
 
 class _Factor:
-    """Rows and columns of a symmetric matrix, factored."""
+    """Rows and columns of a matrix, factored."""
 
-    def __init__(self, K: scipy.sparse.csr_matrix, which: npt.NDArray[np.bool_]) -> None:
+    def __init__(self, K: scipy.sparse.csr_matrix, which: npt.NDArray[np.bool_], *, symmetric: bool) -> None:
         self._which = which
         part = K[which][:, which].sorted_indices()
         csr = part.indptr.astype(PETSc.IntType), part.indices.astype(PETSc.IntType), part.data
         A = PETSc.Mat().createAIJ(part.shape, csr=csr, comm=MPI.COMM_SELF)
-        A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        A.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self._ksp = PETSc.KSP().create(MPI.COMM_SELF)
         self._ksp.setOperators(A)
         self._ksp.setType("preonly")
-        self._ksp.getPC().setType("cholesky")
+        self._ksp.getPC().setType("cholesky" if symmetric else "lu")
         self._ksp.getPC().setFactorSolverType("mumps")
         self._x, self._b = A.createVecs()
 
