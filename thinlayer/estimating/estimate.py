@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from forms.base import InputError
+from forms.base import InputError, is_finite, require
 from geometry.refusals import unknown as no_such
 from geometry.seam import S
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -42,6 +42,7 @@ def estimate(
     goals: Sequence[Goal] = (Compliance(),),
     *,
     seam: str = S,
+    width: float = NARROW,
     options: Mapping[str, OptionValue] | None = None,
 ) -> Estimate:
     """By how much the answer changes if a layer's mesh is dropped, without meshing it between its bodies. Collective.
@@ -56,6 +57,7 @@ def estimate(
         layer: what was left out at the bonds: one layer for all of them, or {name of a seam: its layer}.
         goals: numbers whose change is wanted.
         seam: name of the seam whose layer is dropped; the others stay as they are in the state. "S": all of them.
+        width: of bounds, over the change of their goal, > 0: steps lead on until they are as narrow, at most five times.
         options: PETSc options, as in `solve`.
 
     Raises:
@@ -67,6 +69,7 @@ def estimate(
     if not isinstance(given, State):
         raise InputError(f"estimate takes a state or a history, as solve and march return them, not {given!r:.80}")
     with on_all(given.model.comm):
+        require(is_finite(width) and width > 0, "estimate: width", width, "allowed: > 0, over the change of a goal")
         checked = _checked_goals(goals)
     model = _with_layers(given, layer)
     if not model.layers:
@@ -84,26 +87,26 @@ def estimate(
     values = {name: goal.value(given, model) for name, goal in checked.items()}
     known: dict[str, Bounds] = {}
     theirs: State | None = None
-    bounded, most = (
-        model.linear and model.symmetric and isinstance(state, State),
-        max(one.order for one in better.values()),
-    )
-    for order in range(most + 1):  # of the law whose tangent leads to the layer
+    failed: SolveError | None = None
+    bounded = model.linear and model.symmetric and isinstance(state, State)
+    narrow = width if bounded else None
+    for order, laws in enumerate(_models(model, better)):  # whose tangents lead to the layer
         try:
-            path = _path(state, model, better if order else {}, options)
-            first, before = _passed(path, layers, options)
+            first, before = _passed(_path(state, laws, order > 0, options), layers, options)
             theirs = before if given.model.bonds or not order else theirs
             with Adjoint(first, before, options) as adjoint:
                 iteration = GlobalLocal(adjoint, layers)
-                one, weights = iteration.run(checked, values, known, bounded=bounded)
+                one, weights = iteration.run(checked, values, known, narrow)
                 energy = None if model.linear or before else iteration.energy(given, one)
-                last, inside = iteration.states(one)
-                narrow = all(bounds.narrow(values[name], NARROW) for name, bounds in known.items())
-                if not bounded or (narrow and iteration.is_near(one)):
+                (last, inside), failed = iteration.states(one), None
+                if iteration.is_near(one, values, known, narrow):
                     break
-        except SolveError:
-            if bounded or order == most:
+        except SolveError as error:
+            if bounded:
                 raise
+            failed = error
+    if failed:
+        raise failed
     total, errors = np.zeros(4), {}
     for name in chosen:
         squares = squares_of(given, last, model.layers[name], inside)
@@ -120,14 +123,20 @@ def estimate(
     return Estimate(given, last, errors, found, *errors_of(total), seconds, by_layers, checked, options)
 
 
+def _models(model: InterfaceModel, better: Mapping[str, ThinLayer]) -> Iterator[InterfaceModel]:
+    """The model, and the same with other laws where they are known."""
+    yield model
+    try:
+        yield model.with_layer({**model.on_seams, **better})
+    except InputError:  # as of order 1 at junctions
+        return
+
+
 def _path(
-    state: State | History,
-    model: InterfaceModel,
-    better: Mapping[str, ThinLayer],
-    options: Mapping[str, OptionValue] | None,
+    state: State | History, model: InterfaceModel, anew: bool, options: Mapping[str, OptionValue] | None
 ) -> list[State]:
-    """The states that lead to the given one; or to that of other laws, or of the laws in place of bonds. Collective."""
-    anew, model = bool(better or state.model.bonds), model.with_layer({**model.on_seams, **better})
+    """The states that lead to the given one; or, anew or in place of bonds, those of a model's laws. Collective."""
+    anew = anew or bool(state.model.bonds)
     if isinstance(state, State):
         return [solve(model, state.t, options=options) if anew else state]
     if state.theta != 1:

@@ -1,4 +1,4 @@
-"""Bounds of goals of the meshed layer, by an interface model and the layers by themselves: global-local iteration.
+"""The structure with its layers meshed, from an interface model and the layers by themselves: global-local iteration.
 
 An iterate is a displacement u whose bodies are in equilibrium but for S: forces F on the layers' faces balance them. What
 the meshed layer lacks is r = F - (E u - l), on the layers alone. The interface model's matrix K_1 is a preconditioner of
@@ -46,7 +46,7 @@ NEWTON_STEPS, CONJUGATE = 20, 30  # at most; the latter in each of the former
 BALANCED = 1e-3  # residual that may be left, over that of the interface law
 LITTLE = 1e-3  # part of what a step of Newton's has gained, at which conjugate ones end
 SETTLED = 1e-6  # part of what steps have lowered the energy by that may be left
-NARROW = 0.05  # width of bounds over the change, at which steps end
+NARROW = 0.05  # width of bounds over the change, at which steps end if no other is asked for
 
 
 @dataclass(frozen=True)
@@ -323,9 +323,14 @@ class GlobalLocal:
         lower, upper = (in_bodies + part for part in between)
         return Bounds((lower - gap + upper) / 2, max(lower - gap, 0.0), upper)
 
-    def is_near(self, one: Iterate) -> bool:
-        """Whether what is missing is little beside what steps have gained."""
-        return self.gap(one) <= NARROW**2 * one.gained
+    def is_near(
+        self, one: Iterate, values: Mapping[str, float], known: Mapping[str, Bounds], width: float | None
+    ) -> bool:
+        """Whether bounds are narrow, and what is missing is little beside what steps have gained; as of `run`."""
+        if width is None:
+            return True
+        narrow = all(bounds.narrow(values[name], width) for name, bounds in known.items())
+        return narrow and self.gap(one) <= min(width, NARROW) ** 2 * one.gained
 
     # ---------------------------------------------------------------- goals
     def bounds(self, at_rest: float, q: Array, one: Iterate, z: Iterate) -> Bounds:
@@ -367,25 +372,23 @@ class GlobalLocal:
         return replace(self.state, u=self._function(one.u)), self.layers.state(self.layers.settled(one.v))
 
     def run(
-        self, goals: Mapping[str, Goal], values: Mapping[str, float], known: dict[str, Bounds], *, bounded: bool
+        self, goals: Mapping[str, Goal], values: Mapping[str, float], known: dict[str, Bounds], width: float | None
     ) -> tuple[Iterate, dict[str, Iterate]]:
         """The state and the weights of goals, after steps until bounds are narrow, or `STEPS`. Collective.
-
-        Without bounds the state has the layers meshed, by Newton's steps.
 
         Args:
             goals: by name.
             values: those from which changes count.
             known: bounds that are known before, of goals that are linear; it gets these.
-            bounded: whether goals have bounds: of linear laws in one step.
+            width: of bounds that are narrow, over the change; None: there are none, and Newton's steps lead to the end.
         """
-        one = self.first() if bounded else self.newton()
+        one = self.newton() if width is None else self.first()
         weights = {name: self.weights(goal) for name, goal in goals.items()}
         same = [name for name, (_, z) in weights.items() if one.is_near(z)]  # the compliance is its own weight
         at_rest = {
             name: goal.at_rest(self.state, self.model) for name, goal in goals.items() if goal.is_linear(self.model)
         }
-        if not bounded:
+        if width is None:
             for name, rest in at_rest.items():
                 q, z = weights[name]
                 known[name] = Bounds(self.told(rest, q, one, z), math.nan, math.nan)
@@ -394,8 +397,7 @@ class GlobalLocal:
             for name, rest in at_rest.items():
                 q, z = weights[name]
                 known[name] = self.bounds(rest, q, one, z).within(known.get(name, Bounds()))
-            narrow = all(known[name].narrow(values[name], NARROW) for name in at_rest)
-            if step == STEPS or (narrow and self.is_near(one)):
+            if step == STEPS or self.is_near(one, values, known, width):
                 break
             one = self.step(one)
             weights = {name: (q, one if name in same else self.step(z)) for name, (q, z) in weights.items()}
