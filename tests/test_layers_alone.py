@@ -400,6 +400,12 @@ def test_energy_has_bounds_from_the_first_step_on_and_none_of_what_the_layer_can
             assert early.upper - early.lower > 2 * (last.upper - last.lower)
 
 
+def test_a_layer_that_softens_at_its_ends_without_saying_so_is_refused():
+    """On S its stress still rises."""
+    state = solve(loaded(blocks()).interface(ThinLayer(Cubic(6.0, -75.0), EPS)))
+    refused(SolveError, "by itself softens", estimate, state)
+
+
 def test_an_energy_that_is_not_convex_has_no_bounds():
     layers = LayerAlone(yielding("stiffens")[0].model, {"S": ThinLayer(Cubic(2.0, -50.0), EPS)}, 0.0)
     pressed = layers.on_face * 0.1 * np.random.default_rng(3).normal(size=len(layers.load))

@@ -17,6 +17,7 @@ from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 
 from forms.base import Array, InputError, require
+from forms.declarations import show_warnings
 from forms.kinematics import Expr
 from forms.law import BulkLaw
 from forms.work import Term
@@ -30,6 +31,8 @@ from thinlayer.discretisation.layer import BODY, LAYER, constants
 from thinlayer.discretisation.mesh_functions import cellwise
 from thinlayer.pointwise.integrals import Origin, Quadrature
 from thinlayer.system.ranks import on_all
+
+show_warnings()  # those of users too
 
 TAGS = {
     "dx": "model.domain.cell_values(name)",

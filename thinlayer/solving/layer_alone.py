@@ -131,6 +131,8 @@ class HeldLayers:
             d = np.zeros_like(w)
             slope = factor().solve(forces - self.residual(w), d)
             if slope <= SETTLED**2 * abs(w @ (self.K @ w)):
+                if factor().indefinite:
+                    raise SolveError("the layer by itself softens: its stress falls as strains grow")
                 return w
             w = w + d * share_of_step(partial(self._slope, w, d, forces), slope)
         raise SolveError(f"the layer by itself is not in equilibrium after {NEWTON_STEPS} of Newton's steps")
@@ -277,7 +279,7 @@ class _Factor:
     """Rows and columns of a matrix, factored."""
 
     def __init__(self, K: scipy.sparse.csr_matrix, which: npt.NDArray[np.bool_], *, symmetric: bool) -> None:
-        self._which = which
+        self._which, self._symmetric = which, symmetric
         part = K[which][:, which].sorted_indices()
         csr = part.indptr.astype(PETSc.IntType), part.indices.astype(PETSc.IntType), part.data
         A = PETSc.Mat().createAIJ(part.shape, csr=csr, comm=MPI.COMM_SELF)
@@ -288,6 +290,13 @@ class _Factor:
         self._ksp.getPC().setType("cholesky" if symmetric else "lu")
         self._ksp.getPC().setFactorSolverType("mumps")
         self._x, self._b = A.createVecs()
+
+    @property
+    def indefinite(self) -> bool:
+        """Whether a symmetric matrix has negative eigenvalues."""
+        if not (self._symmetric and self._which.any()):
+            return False
+        return bool(self._ksp.getPC().getFactorMatrix().getMumpsInfog(12) > 0)  # negative pivots
 
     def solve(self, b: Array, out: Array) -> float:
         """Write the solution into `out`; returns its product with b."""
@@ -305,7 +314,7 @@ def share_of_step(slope: Callable[[float], float], start: float) -> float:
     while not (end := slope(share)) >= -start / 2:  # a law that fails has none
         share *= max(start / (start - end), LEAST_SHARE) if end < 0 else LEAST_SHARE
         if share < LEAST_SHARE**SHARES:
-            raise SolveError("the energy of the layer by itself falls along no step")
+            raise SolveError("the energy of the layer by itself falls along no step: its law fails there, or softens")
     return share
 
 
