@@ -395,28 +395,25 @@ OPENING = np.array([[0.0, 0.0], [0.0, 1.0]])
 
 @dataclass(frozen=True)
 class Refused:
-    """A state of which no number can be told, or one that lacks something.
+    """A state of which no number can be told.
 
     Attributes:
         name: of the case.
         state: solves it.
         says: words that must be in what the estimate says.
-        silent: whether no number may be told.
     """
 
     name: str
     state: Callable[[], State]
     says: str
-    silent: bool = True
 
-    def told(self) -> tuple[str, bool]:
-        """What the estimate says, and whether it refuses or has no number of traction and jump."""
+    def told(self) -> str:
+        """What the estimate says."""
         with unwarned():
             try:
-                found = estimate(self.state())
+                return str(estimate(self.state()))
             except ThinlayerError as error:
-                return str(error), True
-        return str(found), bool(np.isnan([found.traction, found.jump]).all())
+                return str(error)
 
 
 def _solved(structure: Callable[[float], Structure], law: BulkLaw, **choices: Any) -> Callable[[], State]:
