@@ -65,17 +65,20 @@ class Situation:
         return respond(law, self.e if e is None else e, self.e_old, self.q, self.n, DT, theta)
 
 
-def situation(law: BulkLaw, theta: float, points: int = 20, steps: int = 3) -> Situation:
+def situation(
+    law: BulkLaw, theta: float, points: int = 20, steps: int = 3, size: float = 0.1, pressed: float = 0.0
+) -> Situation:
     random = np.random.default_rng(7)
     n = random.normal(size=(points, 3))
     n /= np.linalg.norm(n, axis=1)[:, None]
     e, q, stored = np.zeros((points, 6)), at_rest(law, points), np.zeros(points)
+    step = lambda: size * random.normal(size=e.shape) - pressed * np.repeat([1.0, 0.0], 3)
     for _ in range(steps - 1):
-        old, e = e, e + 0.1 * random.normal(size=e.shape)
+        old, e = e, e + step()
         answer = respond(law, e, old, q, n, DT, theta)
         assert answer.failed == 0
         q, stored = answer.q, answer.stored
-    return Situation(e + 0.1 * random.normal(size=e.shape), e, q, n, stored)
+    return Situation(e + step(), e, q, n, stored)
 
 
 def tensor(a: np.ndarray) -> np.ndarray:

@@ -180,8 +180,8 @@ def mohr_coulomb(
 
     With p = (lmbda + mu) w_N: s = s_old + mu (w - w_old), shortened to |s| = R = C cos(Omega) - p sin(Omega) where it is
     longer; t_T = s_T, t_N = p + s_N. It replaces Eqs. (31)-(35), which lack the factor 2 of plastic shear strains and write
-    the plastic strain as a jump, which it is not. It holds in plane strain where yield and s_33 say so
-    (`mohr_coulomb_holds`). All arguments may be arrays (..., 2); from rest s_old = w_old = 0.
+    the plastic strain as a jump, which it is not. It holds in plane strain while s_33 lies between the other two principal
+    stresses. All arguments may be arrays (..., 2); from rest s_old = w_old = 0.
     """
     w, w_old = np.asarray(w, float), np.asarray(w_old, float)
     angle = np.radians(friction_angle)
@@ -190,19 +190,6 @@ def mohr_coulomb(
     R, size = cohesion * np.cos(angle) - p * np.sin(angle), np.linalg.norm(trial, axis=-1)
     s = trial * np.where(size > R, R / np.where(size > 0, size, 1.0), 1.0)[..., None]
     return s + np.stack([0 * p, p], axis=-1), s
-
-
-def mohr_coulomb_holds(
-    lmbda: float, mu: float, cohesion: float, friction_angle: float, w_N: Array
-) -> npt.NDArray[np.bool_]:
-    """Whether s_33 is the intermediate principal stress where the layer yields at a normal jump: |p| (1 - 2 nu) <= R.
-
-    In compression with C = 0 this is nu >= (1 - sin(Omega))/2, in tension p <= C cos(Omega)/(1 - 2 nu + sin(Omega)).
-    Beyond this the stress returns to edges or the apex of the yield surface, and there is no closed form.
-    """
-    angle, p = np.radians(friction_angle), (lmbda + mu) * np.asarray(w_N, float)
-    nu = lmbda / (2 * (lmbda + mu))
-    return np.asarray(np.abs(p) * (1 - 2 * nu) <= cohesion * np.cos(angle) - p * np.sin(angle))
 
 
 def penalised_coulomb(

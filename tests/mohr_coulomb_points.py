@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from forms import MohrCoulomb, MohrCoulombMonodirectional
+from forms import MohrCoulomb, MohrCoulombMonodirectional, VonMises
 from tests.at_points import E2, tensor
 
 LMBDA, MU, C, OMEGA = 60.0, 40.0, 0.1, 30.0  # nu = 0.3
@@ -13,6 +13,22 @@ PLANE = [0, 1, 3]
 THETAS = [1.0, 0.7, 0.5]
 
 
+COHESIVE = {"hardening": 20.0, "saturation": 0.2, "saturation_strain": 0.01}
+Y = 0.3
+METALS = {
+    "ideal": VonMises(LMBDA, MU, Y),
+    "isotropic": VonMises(LMBDA, MU, Y, hardening=25.0),
+    "kinematic": VonMises(LMBDA, MU, Y, kinematic=25.0),
+    "saturating": VonMises(LMBDA, MU, Y, 5.0, 10.0, saturation=0.4, saturation_strain=0.004),
+}
+SOILS = {
+    "hardening": MohrCoulomb(LMBDA, MU, C, OMEGA, **COHESIVE),
+    "hardening, dilatant": MohrCoulomb(LMBDA, MU, C, OMEGA, 0.1, 12.0, **COHESIVE),
+    "hardening, associated": MohrCoulomb(LMBDA, MU, C, OMEGA, dilatancy_angle=OMEGA, **COHESIVE),
+    "hardening, Tresca": MohrCoulomb(LMBDA, MU, C, 0.0, **COHESIVE),
+    "hardening, monodirectional": MohrCoulombMonodirectional(LMBDA, MU, C, OMEGA, **COHESIVE),
+    "hardening, unilateral": MohrCoulombMonodirectional(LMBDA, MU, C, OMEGA, unilateral=True, **COHESIVE),
+}
 LAW = MohrCoulomb(LMBDA, MU, C, OMEGA)
 MONO = MohrCoulombMonodirectional(LMBDA, MU, C, OMEGA)
 LAWS = {
@@ -38,6 +54,13 @@ def compliance(s, lmbda=LMBDA, mu=MU):
 def principal(s):
     """Descending principal stresses (..., 3)."""
     return np.linalg.eigvalsh(tensor(s))[..., ::-1]
+
+
+def reached(law, q):
+    """The cohesion after the plastic strain that points remember."""
+    p = q[:, 6]
+    gained = law.saturation * p / (law.saturation_strain + p) if law.saturation else 0.0
+    return law.cohesion + law.hardening * p + gained
 
 
 def excess(s, C=C, Omega=OMEGA):

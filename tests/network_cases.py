@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from forms import HolonomicCoulomb, LinearElastic, MohrCoulomb
-from geometry import faults, grains, wall
+from geometry import wall
 from geometry.joint import Joint
 from geometry.seam import Seam
 from geometry.topology import FacetTable
@@ -99,28 +99,3 @@ def square(state) -> float:
 
 BED = HolonomicCoulomb(K_N=200.0, K_T=80.0, friction=0.5)
 HEAD = HolonomicCoulomb(K_N=100.0, K_T=40.0, friction=0.3)
-
-
-def shifted(joint: Joint, layer) -> float:
-    """Energy of a body whose top is shifted."""
-    supports = {"BOTTOM": 0.0, "TOP": {"x": 0.1, "y": -0.05}}
-    found = solve(Structure(joint, body=LinearElastic.young(10.0, 0.25), supports=supports).interface(layer)).energies()
-    return found["bodies"] + found["layer"]
-
-
-def numbers() -> dict[str, float | list[float]]:
-    found = {"grains": shifted(grains(3.0, 2.0, 7, 0.2), springs(2.0, 0.7))}
-    given = {"A": ((-1.0, 1.0), (7.0, 4.0)), "B": ((1.0, 5.0), (4.0, 0.0)), "C": ((5.0, 3.25), (5.0, 4.2))}
-    layers = {"A": springs(2.0, 0.7), "B": springs(1.0, 0.4), "C": None}
-    found["faults"] = shifted(faults(6.0, 5.0, given, 0.4), layers)
-    found |= {f"wall {element}": wall_energy(element) for element in ("P1", "Q2")}
-    found["panel"] = panel_energy("Q2")
-    found["yielded"] = yielded("P2")
-    found |= {f"pushed {push}": square(pushed(three_bricks(8, "triangle"), push, BED)) for push in (0.6, -0.6)}
-    state = pushed(three_bricks(4, "quadrilateral"), 0.6, {"BED": BED, "HEAD": HEAD})
-    found["head force"] = Surface(state.model, "HEAD").contact(state).force.tolist()
-    mortar = MohrCoulomb(0.3, 0.45, cohesion=2e-4, friction_angle=30.0)
-    last = march(panel("Q2", 0.25, HEAD=ThinLayer(mortar, 0.007, at=1.0)), [0.5, 1.0]).last
-    found["by name"] = [last.energies()["layer BED"], last.dissipated["HEAD"]]
-    found["sliding heads"] = Surface(last.model, "HEAD").table(last)["sliding"][0]
-    return found

@@ -184,6 +184,52 @@ class Cubic(BulkLaw):
         return 2 * self.k * step.e + self.c * ufl.inner(step.e, step.e) * step.e
 
 
+@dataclass(frozen=True)
+class Stiffening(BulkLaw):
+    """Elastic, stiffer with the size of the strain: C e + a (e:e) e."""
+
+    lmbda: float
+    mu: float
+    a: float
+
+    def stress(self, step):
+        return lame(self.lmbda, self.mu, step.mid) + self.a * ufl.inner(step.mid, step.mid) * step.mid
+
+    def energy(self, step):
+        return isotropic_energy(self.lmbda, self.mu, step.e) + self.a * ufl.inner(step.e, step.e) ** 2 / 4
+
+
+@dataclass(frozen=True)
+class Swelling(BulkLaw):
+    """Elastic about a strain of its own; its tangent is constant, of which it says nothing."""
+
+    lmbda: float
+    mu: float
+    own: float
+    powers: ClassVar = {"lmbda": 1, "mu": 1, "own": -1}
+
+    def _elastic(self, e):
+        return e - self.own * ufl.Identity(3)
+
+    def stress(self, step):
+        return lame(self.lmbda, self.mu, self._elastic(step.mid))
+
+    def energy(self, step):
+        return isotropic_energy(self.lmbda, self.mu, self._elastic(step.e))
+
+
+@dataclass(frozen=True)
+class Springs(TractionLaw):
+    """Along S and across it."""
+
+    K_T: float
+    K_N: float
+    linear: ClassVar = True
+
+    def traction(self, step):
+        return self.K_T * step.mid + (self.K_N - self.K_T) * ufl.dot(step.mid, step.n) * step.n
+
+
 def _aged(value, growth, x, t):
     return value * (1 + growth * t) * np.ones(x.shape[1])
 

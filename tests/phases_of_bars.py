@@ -26,10 +26,6 @@ def density(bar, e, z):
     return bar.eps * bar.kbar / 2 * e**2 - bar.alpha * z * e + bar.cbar / bar.eps * np.abs(z)
 
 
-def lowest_phase(bar, e):
-    return np.array([-1, 0, 1])[np.argmin([density(bar, e, z) for z in (-1, 0, 1)], axis=0)]
-
-
 def equilibrium(bar, delta, z):
     """Strains of equal elements with phases z held, and the energy with these phases."""
     z = np.asarray(z, float)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from forms import LinearElastic
 from geometry import sandwich
 from geometry.joint import Joint
-from thinlayer import Pressure, Structure, Surface, ThinLayer, solve
+from thinlayer import Pressure, Structure, ThinLayer, solve
 from thinlayer.discretisation.state import State
 
 BODY, GLUE = LinearElastic.young(E=70.0, nu=0.2), LinearElastic.shear(3.0, 0.35)
@@ -21,15 +21,3 @@ def loaded(edges: str | None) -> State:
     """Three of the layer's sides are loaded."""
     structure = Structure(box(), body=BODY, supports={"BOTTOM": 0}, tractions=SIDES)
     return solve(structure.interface(ThinLayer(GLUE, EPS, order=1, edges=edges, at=1.0)))
-
-
-def numbers() -> dict[str, float]:
-    """The work of the loads, the norm of the jump, and the force of the loads."""
-    found = {}
-    for edges in ("free", "plain"):
-        state = loaded(edges)
-        surface = Surface(state.model)
-        jump = surface.norm(surface.jump(state)) ** 2
-        values = state.energies()["loads"], jump, *state.applied().force
-        found |= {f"{edges}, {name}": float(value) for name, value in zip("wjxyz", values, strict=True)}
-    return found

@@ -7,7 +7,7 @@ import numpy as np
 from forms import LinearElastic, Maxwell, MohrCoulomb
 from forms.contact import HolonomicCoulomb
 from geometry import block, sandwich
-from thinlayer import LineLoad, PointLoad, Pressure, RigidPlate, Springs, Structure, ThinLayer, march, solve
+from thinlayer import LineLoad, PointLoad, Pressure, RigidPlate, Springs, Structure, ThinLayer
 from thinlayer.discretisation.state import State
 
 BODY = LinearElastic.young(100.0, 0.2)
@@ -82,30 +82,3 @@ def out_of_balance(state: State) -> float:
     every = [*state.reactions_by_place().values(), state.applied()]
     rows = np.array([[*one.force, *np.atleast_1d(one.moment)] for one in every])
     return float(np.abs(rows.sum(axis=0)).max() / np.abs(rows).max())
-
-
-def numbers() -> dict[str, float]:
-    """Reactions, motions of plates, sums."""
-    found: dict[str, float] = {}
-
-    def keep(name: str, state: State) -> None:
-        found[f"{name} out of balance"] = out_of_balance(state)
-        for place, one in state.reactions_by_place().items():
-            for k, value in enumerate([*one.force, *np.atleast_1d(one.moment)]):
-                found[f"{name} {place} {k}"] = float(value)
-
-    for dim in (2, 3):
-        for kind in ("full", "interface"):
-            keep(f"{dim} {kind}", solve(loaded(dim, kind), t=1.5))
-    top, held = plate(2, "interface", angle=ANGLE)
-    state = solve(held)
-    keep("plate", state)
-    motion = top.motion_in(state)
-    found |= {"turned": float(motion.rotation), "moved": float(motion.translation[0])}
-    level = RigidPlate("TOP", force=(0.0, -1.0), motion={"x": 0.0, "rotation": 0.0})
-    rollers = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}}
-    half = Structure(sandwich(1.0, 0.5, 0.6, 0.25), body=BODY, supports=rollers, parts=[level])
-    keep("half", solve(model(half, "interface")))
-    keep("creep", march(on_base(CREEP), [0.1, 0.2], theta=0.5).last)
-    keep("contact", solve(on_base(CONTACT, contact=True)))
-    return found

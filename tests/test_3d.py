@@ -136,7 +136,7 @@ def box(build, eps: float, order: int = 0, bodies: str = "kept"):
     return solve(build(Structure(joint, **setup), layer, **choice))
 
 
-@pytest.mark.few(5)
+@pytest.mark.long
 @pytest.mark.parametrize("bodies", ["kept", "extended"])
 def test_sweep_of_the_fourier_box(bodies):
     """Errors of the interface law as the transfer matrices have them, to 1 %, and of first order in eps."""
@@ -161,18 +161,6 @@ def test_order_1_on_the_fourier_box():
     plane = [reference.next_order_errors(*reference.LAYER, e)[0] for e in eps]  # the plane problem's
     assert errors == pytest.approx(plane, rel=1e-2)
     assert observed_orders(eps, errors)[-1] == pytest.approx(1.87, abs=0.1)
-
-
-def test_frame():
-    """Tangential components, then the normal one, of the same length as the vector."""
-    joint = turned(sandwich(1.0, 0.5, 0.7, 0.5, depth=0.8))
-    model = Structure(joint, body=LOWER, supports={"BOTTOM": 0.0}).interface(ThinLayer(GLUE, 0.1, at=1.0))
-    surface = Surface(model)
-    framed = surface.frame(np.multiply.outer(TURN @ [0.3, -0.7, 0.5], np.ones_like(surface.weights)))
-    area = surface.integral(1.0)
-    assert area == pytest.approx(0.8)
-    assert surface.integral(framed[2]) == pytest.approx(-0.7 * area)
-    assert surface.integral(framed[0] ** 2 + framed[1] ** 2) == pytest.approx((0.3**2 + 0.5**2) * area)
 
 
 def test_profile_is_sorted():

@@ -176,23 +176,6 @@ def test_adaptive_steps_see_bodies_that_creep():
     assert len(fine) > 5
 
 
-def test_a_march_is_resumed_with_the_stresses_of_bodies(tmp_path):
-    whole = march(yielding(), [0.25, 0.5, 0.75, 1.0])
-    march(yielding(), [0.25, 0.5], out=tmp_path)
-    again = march(yielding(), [0.25, 0.5, 0.75, 1.0], out=tmp_path, resume=True)
-    for state in (again.at(0.5), again.last):
-        other = whole.at(state.t)
-        assert state.stresses.keys() == {"body LOWER", "body UPPER"}
-        for key, stress in other.stresses.items():
-            assert np.abs(stress).max() > 0.1
-            assert state.stresses[key] == pytest.approx(stress, abs=1e-9)
-            assert state.memory[key] == pytest.approx(other.memory[key], abs=1e-12)
-        assert state.dissipated["bodies"] == pytest.approx(other.dissipated["bodies"], rel=1e-8)
-        assert state.energies() == pytest.approx(other.energies(), rel=1e-8)
-    with pytest.raises(InputError, match=r"another march .*bodies"):
-        march(yielding(replace(YIELDING, hardening=1.0)), [0.25], out=tmp_path, resume=True)
-
-
 @pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("law", "message"),
@@ -206,8 +189,7 @@ def test_a_march_is_resumed_with_the_stresses_of_bodies(tmp_path):
     ids=["stack", "incompressible", "phases", "director", "jumps"],
 )
 def test_laws_that_are_no_bodies(law, message):
-    with pytest.raises(InputError, match=f"body 'UPPER': .*{message}"):
-        Structure(JOINT, body={"LOWER": GLUE, "UPPER": law}, supports={})
+    refused(InputError, f"body 'UPPER': .*{message}", Structure, JOINT, body={"LOWER": GLUE, "UPPER": law}, supports={})
 
 
 def test_what_does_not_go_with_them_is_refused():

@@ -15,10 +15,10 @@ from geometry import faults, fibre, grains, periodic
 from geometry.inflating.inflation import inflate
 from geometry.joint import Joint
 from tests.meshes import check_sound, volumes
-from tests.network_cases import shifted, springs
+from tests.network_cases import springs
 from tests.refused import refused
 from tests.test_networks import counts, cut_at
-from thinlayer import Structure, homogenised_stiffness
+from thinlayer import Structure, homogenised_stiffness, solve
 
 SIDES = {"BOTTOM", "TOP", "LEFT", "RIGHT"}
 POINTS = [(0.4, 0.3), (1.9, 0.4), (2.6, 1.2), (1.1, 1.4), (0.3, 1.6)]
@@ -29,6 +29,13 @@ def check(joint: Joint, area: float) -> None:
     assert volumes(joint).sum() == pytest.approx(area)
     assert set(joint.facets) == SIDES | set(joint.seams)
     check_sound(joint, SIDES)
+
+
+def shifted(joint: Joint, layer) -> float:
+    """Energy of a body whose top is shifted."""
+    supports = {"BOTTOM": 0.0, "TOP": {"x": 0.1, "y": -0.05}}
+    found = solve(Structure(joint, body=LinearElastic.young(10.0, 0.25), supports=supports).interface(layer)).energies()
+    return found["bodies"] + found["layer"]
 
 
 def ends_on_sides(joint: Joint) -> int:
@@ -258,5 +265,4 @@ def test_refused_fibres():
         (dict(around=(2.0, 2.0), cell="quadrilateral"), "needs a matrix with an outer circle"),
         (dict(around=1.0, degree=3), "degree is 3"),
     ):
-        with pytest.raises(InputError, match=message):
-            fibre(0.4, **given)
+        refused(InputError, message, fibre, 0.4, **given)

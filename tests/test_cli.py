@@ -70,6 +70,7 @@ def test_info():
         )
 
 
+@pytest.mark.long
 def test_fig6(tmp_path):
     done = process("run", "fig6_stratified", "--quick", "--eps", "0.2", "0.1", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr

@@ -8,51 +8,42 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import ufl
-from mpi4py import MPI
 
-from forms import BulkLaw, Stack
+from forms import Stack
 from geometry import sandwich
 from tests import closed_forms
 from tests.columns_in_time import BODY, EXACT, LAWS, LOAD, TIMES, both, check_balance, check_same, column, joint
 from tests.laws_at_points import KELVIN, LMBDA, MAXWELL_2, MU, NORTON_3
 from tests.own_laws import Hardening
-from thinlayer import Structure, Surface, ThinLayer, march
-from thinlayer.pointwise.material import Material
+from thinlayer import Structure, Surface, ThinLayer, drive, march
 
-pytestmark = pytest.mark.few(5)
+pytestmark = pytest.mark.few(10)
 
 
 @pytest.mark.parametrize(
-    ("eps", "theta", "mode"),
+    ("kind", "eps", "theta", "mode"),
     [
-        (0.3, 1.0, "shear"),
-        (0.3, 0.5, "normal"),
-        (1e-2, 1.0, "normal"),
-        (1e-2, 0.5, "shear"),
-        (1e-4, 1.0, "shear"),
-        (1e-4, 0.5, "normal"),
+        ("sandwich", 0.3, 1.0, "shear"),
+        ("sandwich", 0.3, 0.5, "normal"),
+        ("sandwich", 1e-2, 1.0, "normal"),
+        ("sandwich", 1e-2, 0.5, "shear"),
+        ("sandwich", 1e-4, 1.0, "shear"),
+        ("sandwich", 1e-4, 0.5, "normal"),
+        ("block", 0.02, 0.5, "shear"),
+        ("block", 0.02, 0.5, "normal"),
     ],
 )
 @pytest.mark.parametrize("name", LAWS)
-def test_both_models_agree_at_every_step(name, eps, theta, mode):
-    """A load that is sudden and then grows, in steps of several lengths."""
+def test_both_models_agree_at_every_step(name, kind, eps, theta, mode):
+    """Between bodies and on a rigid base: a load that is sudden and then grows, in steps of several lengths."""
     setup = column(mode, load=lambda t: LOAD[mode] * (1 + 3 * t))
-    limit, full = both(joint(), ThinLayer(LAWS[name], eps, at=1.0), setup, TIMES, theta=theta)
+    if kind == "block":
+        del setup["supports"]["BOTTOM"]
+    limit, full = both(joint(kind), ThinLayer(LAWS[name], eps, at=1.0), setup, TIMES, theta=theta)
     check_same(limit, full)
     for history in (limit, full):
         check_balance(history)
         assert np.isfinite(history.table["stored"]).all()
-
-
-@pytest.mark.parametrize("name", LAWS)
-def test_rigid_base(name):
-    mode = "normal" if name in ("Maxwell t1 != t2", "user", "elastic, Norton 1.5") else "shear"
-    setup = column(mode, load=lambda t: LOAD[mode] * (1 + 3 * t))
-    del setup["supports"]["BOTTOM"]
-    limit, full = both(joint("block"), ThinLayer(LAWS[name], 0.02, at=1.0), setup, TIMES, theta=0.5)
-    check_same(limit, full)
-    for history in (limit, full):
-        check_balance(history)
 
 
 @pytest.mark.parametrize(
@@ -78,26 +69,6 @@ ANGLE = 0.4
 TRACTION = np.array([0.3, -0.8])
 
 
-def held_traction(law: BulkLaw, t: np.ndarray, n: np.ndarray, times: list[float]) -> tuple[list, list]:
-    """Jumps and stresses (2, 2) of a layer under a traction that is held, step by step at one point."""
-    material, n3 = Material(MPI.COMM_SELF, law), np.append(n, 0.0)[None]
-    slots, root = [0, 1, 3], 2**0.5
-    contract = np.array([[n[0], 0], [0, n[1]], [n[1] / root, n[0] / root]])  # w -> strain, and its transpose
-    w, e, q = np.zeros(2), np.zeros((1, 3)), np.zeros((1, material.memory))
-    jumps, stresses = [w], [np.zeros((2, 2))]
-    for dt in np.diff(times) if law.traits.rate else [0.0, *np.diff(times)]:
-        old = e
-        for _ in range(50):
-            e = (contract @ w)[None]
-            s, tangent, new, _, failed = material.update(slots, e, old, q, n3, dt, 1.0)
-            assert failed == 0
-            w = w + np.linalg.solve(contract.T @ tangent[0] @ contract, t - contract.T @ s[0, slots])
-        q = new
-        jumps.append(w)
-        stresses.append(np.array([[s[0, 0], s[0, 3] / root], [s[0, 3] / root, s[0, 1]]]))
-    return (jumps, stresses) if law.traits.rate else (jumps[1:], stresses[1:])
-
-
 @pytest.mark.few(5)
 @pytest.mark.parametrize("name", ["Kelvin-Voigt", "Maxwell t1 != t2", "Norton 1.5"])
 def test_any_direction(name):
@@ -105,7 +76,11 @@ def test_any_direction(name):
     turn = np.array([[np.cos(ANGLE), -np.sin(ANGLE)], [np.sin(ANGLE), np.cos(ANGLE)]])
     n, tangent, t = turn @ [0.0, 1.0], turn @ [1.0, 0.0], turn @ TRACTION
     law, times = LAWS[name], [0.0, *TIMES]
-    jumps, stresses = held_traction(law, t, n, times)
+    lengths = np.diff(times) if law.traits.rate else [0.0, *np.diff(times)]
+    point = drive(law, [{"t_T": TRACTION[0], "t_N": TRACTION[1]}] * len(lengths), n, dt=lengths)
+    jumps, stresses = point.jumps @ turn.T, point.stress[:, :2, :2]
+    if law.traits.rate:  # at rest at first
+        jumps, stresses = (np.concatenate([0 * one[:1], one]) for one in (jumps, stresses))
 
     def side(sign):
         """The polynomial in t through the tractions at the ends of the steps."""

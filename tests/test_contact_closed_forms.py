@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-import ufl
 
-from forms import BulkLaw, ContactLaw, HolonomicCoulomb, IncrementalCoulomb, LinearElastic, Tresca
-from forms.elastic import lame
+from forms import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, LinearElastic, Tresca
 from geometry import block, sandwich
 from studies.problems import sliding_bar
 from tests.contact_bars import SOLVERS, bar, coulomb, lift, solved, stacked
 from tests.contact_run import to_and_fro
+from tests.own_laws import Stiffening
 from tests.refused import refused
 from thinlayer import LimitLoad, SolveError, Structure, Surface, ThinLayer, compare, march, piecewise, solve
 
@@ -190,17 +189,6 @@ class Saturating(ContactLaw):
         return self.f / np.cosh(self.f * p / self.largest) ** 2
 
 
-@dataclass(frozen=True)
-class Stiffening(BulkLaw):
-    """A body that stiffens with its strain."""
-
-    E: float
-
-    def stress(self, step):
-        linear = lame(0.5 * self.E, 0.4 * self.E, step.e)
-        return linear * (1 + 1e3 / self.E * ufl.inner(linear, step.e))
-
-
 def test_a_law_of_ones_own():
     report = bar(12, Saturating(4e5, 6e4, 1.0, 25.0))
     assert np.abs(report.t_T).max() == pytest.approx(25.0 * np.tanh(report.p / 25.0)[report.status == "sliding"].max())
@@ -210,7 +198,7 @@ def test_a_law_of_ones_own():
 
 def test_bodies_that_are_not_linear():
     joint, setup = sliding_bar(8)
-    state = solve(Structure(joint, **setup | {"body": Stiffening(1e4)}).interface(coulomb("middle")))
+    state = solve(Structure(joint, **setup | {"body": Stiffening(5e3, 4e3, 1e6)}).interface(coulomb("middle")))
     assert state.report.method == "newton"
     assert Surface(state.model).contact(state).equilibrium < 1e-9
 

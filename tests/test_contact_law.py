@@ -44,13 +44,6 @@ def test_stick_and_sliding_by_hand():
     assert law.traction(w) == pytest.approx(one(F * 0.74 * 0.6, -F * 0.74 * 0.8, -0.74))
 
 
-def test_three_dimensions_are_a_disc_not_a_square():
-    law = HolonomicCoulomb(K_N, K_T, F)
-    t = law.traction(one(0.3, 0.3, -0.02))[0]
-    assert np.hypot(t[0], t[1]) == pytest.approx(F * 0.74)
-    assert np.abs(t[:2]).max() < 0.72 * F * 0.74
-
-
 def test_cohesion_adds():
     law = HolonomicCoulomb(K_N, K_T, F, C)
     assert law.traction(one(5.0, -0.02))[0, 0] == pytest.approx(F * 0.74 + C)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dolfinx import fem
 from scipy.spatial.transform import Rotation
 
 from forms import LinearElastic
@@ -14,7 +13,7 @@ from tests.contact_bars import bar, contact, coulomb, stacked
 from tests.pictures import assert_coloured, assert_drawn
 from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, march, plotting, solve
-from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, frames_at
+from thinlayer.discretisation.contact_nodes import frames_at
 from thinlayer.solving.contact import dense
 
 
@@ -51,19 +50,6 @@ def test_frames_in_three_dimensions():
         turn = Rotation.from_rotvec(axis / np.linalg.norm(axis) * np.arccos(n[1])).as_matrix()
         assert frame == pytest.approx(turn[:, [0, 2, 1]].T, abs=1e-12)
     assert frames_at(np.array([[0.0, -1.0, 0.0]]))[0] == pytest.approx(np.array([(-1, 0, 0), (0, 0, 1), (0, -1, 0)]))
-
-
-def test_nodes_of_two_bodies_see_the_jump():
-    joint, setup = stacked()
-    model = Structure(joint, **setup).interface(coulomb("soft"))
-    nodes = ContactNodes(ContactSurface.of(model, "S"), model.supports.held(model.V))
-    u = fem.Function(model.V)
-    for body, sign in (("LOWER", -1.0), ("UPPER", 2.0)):
-        cells = model.domain.cell_tags.find(model.domain.cell_values(body)[0])
-        u.interpolate(lambda x, sign=sign: np.array([sign * x[0], sign * (1 + 3 * x[0])]), cells0=cells)
-    w = nodes.jump(u.x.petsc_vec)
-    assert w == pytest.approx(np.column_stack([3 * nodes.x[:, 0], 3 + 9 * nodes.x[:, 0]]), abs=1e-12)
-    nodes.destroy()
 
 
 def test_pictures(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic
 from geometry import block, ring, sandwich
 from studies.problems import sliding_bar
-from tests.contact_bars import SOLVERS, bar, coulomb, lift, solved, stacked
+from tests.contact_bars import SOLVERS, lift, solved, stacked
 from thinlayer import Structure, Surface, march
 
 
@@ -28,19 +28,6 @@ def test_one_step_is_ten_proportional_steps(kind):
         assert np.nanmax(np.abs(table["imbalance"])) < 1e-9
         assert (table["dissipated"] > -1e-12).all()
         assert table["dissipated"][-1] > 0
-
-
-def test_mirrored_bar():
-    """x -> 40 - x, with the diagonals and the loads."""
-    left, setup = sliding_bar(12, arrangement="Left")
-    setup |= {
-        "supports": {"LEFT": {"x": 0.0}, (0.0, 0.0): 0.0},
-        "tractions": {"RIGHT": (-100.0, 0.0), "TOP": (0.0, -50.0)},
-    }
-    one, two = bar(12, coulomb("middle")), solved(left, coulomb("middle"), setup)
-    assert two.u_T[::-1] == pytest.approx(-one.u_T, abs=1e-11)
-    assert two.p[::-1] == pytest.approx(one.p, rel=1e-8, abs=1e-8)
-    assert (two.status[::-1] == one.status).all()
 
 
 @pytest.mark.parametrize("method", SOLVERS)

@@ -231,17 +231,6 @@ def test_the_next_order_knows_the_eigenstrain(law, scaled):
 
 
 # ---------------------------------------------------------------- marches, refusals
-def test_a_march_goes_on_where_it_was_cut(tmp_path):
-    def made():
-        return model("full", Maxwell(70.0, 50.0, t1=0.8), ThermalExpansion(-1e-3, lambda x, t: ufl.sin(t)), HELD)
-
-    whole = march(made(), [0.5, 1.0, 1.5])
-    march(made(), [0.5, 1.0], out=tmp_path / "run")
-    again = march(made(), [0.5, 1.0, 1.5], out=tmp_path / "run", resume=True)
-    assert np.abs(again.last.u.x.array - whole.last.u.x.array).max() < 1e-14 * np.abs(whole.last.u.x.array).max()
-    assert again.table["supplied"] == pytest.approx(whole.table["supplied"], rel=1e-10)
-    other = model("full", Maxwell(70.0, 50.0, t1=0.8), ThermalExpansion(-2e-3, lambda x, t: ufl.sin(t)), HELD)
-    refused(InputError, "eigenstrain", lambda: march(other, [0.5, 1.0, 1.5], out=tmp_path / "run", resume=True))
 
 
 def test_adaptive_steps_follow_shrinkage_and_end_at_its_breaks():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import pyvista
 
-from forms import LinearElastic, Maxwell, MohrCoulombMonodirectional, NonMonotoneUnrelaxed, Stack
+from forms import LinearElastic, MohrCoulombMonodirectional, NonMonotoneUnrelaxed, Stack
 from forms.base import InputError
 from geometry import sandwich
 from studies.problems import phases_on_s
@@ -181,29 +181,6 @@ def centres_of(block):
     return block.points[block.cells_dict[4]][:, [0, -1], 0].mean(axis=1)
 
 
-def test_stresses_of_laws_with_memory(written):
-    """A body and a meshed layer that relax, confined: the load across, the same along both axes, von Mises accordingly."""
-    joint = sandwich(2.0, 0.5, 0.7, 0.5)
-    rollers = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-    bodies = {"LOWER": Maxwell(lmbda=60.0, mu=40.0, t1=0.7, t2=0.55), "UPPER": BODY}
-    structure = Structure(joint, body=bodies, supports=rollers, tractions={"TOP": (0.0, -0.3)})
-    slow = Maxwell(lmbda=3.0, mu=2.0, t1=0.4, t2=0.35)
-    found = written(march(structure.full(ThinLayer(slow, EPS, at=1.0)), [0.2, 0.5]))
-    elastic = -0.3 * BODY.lmbda / (BODY.lmbda + 2 * BODY.mu)
-    upper = found["bodies"]["region"] == list(found["bodies"].field_data["regions"]).index("UPPER")
-    for stress, relaxed in (
-        (found["bodies"]["stress"][upper], False),
-        (found["bodies"]["stress"][~upper], True),
-        (found["layer"]["stress"], True),
-    ):
-        assert stress[:, 1] == pytest.approx(-0.3, rel=1e-8)
-        assert stress[:, 0] == pytest.approx(stress[:, 2], rel=1e-8)
-        assert np.abs(stress[:, 3:]).max() < 1e-9
-        assert (np.abs(stress[:, 0] - elastic).min() > 1e-3) == relaxed
-    for block in found:
-        assert block["von Mises"] == pytest.approx(np.abs(block["stress"][:, 1] - block["stress"][:, 0]), rel=1e-7)
-
-
 def test_phases_are_on_facets(written):
     law = NonMonotoneUnrelaxed(3.0, 2.0, alpha=0.1, transformation_energy=0.02, chi=[[0, 0], [0, 1]])
     joint = sandwich(2.0, 0.5, 0.7, 0.5)
@@ -290,13 +267,3 @@ def test_files_on_a_full_disk(tmp_path, monkeypatch):
         with pytest.raises(OSError, match="disk is full"):
             fields.write(state, tmp_path / f"b.{kind}")
     refused(InputError, r"allowed endings: \.pvd", lambda: fields.write(state, tmp_path / "u.xdmf"))
-
-
-def test_surface_agrees_with_the_file(written):
-    """Tractions that are not uniform: the same as `Surface.profile` has at the vertices."""
-    history = slipping()
-    on_s = written(history)["S"]
-    surface = Surface(history.model)
-    x, t = surface.profile(surface.traction(history.last))
-    at = [np.linalg.norm(on_s.points[:, :2] - place, axis=1).argmin() for place in x]
-    assert on_s["traction"][at, :2] == pytest.approx(t, rel=1e-9)

@@ -249,8 +249,7 @@ def test_only_the_same_run_is_resumed(tmp_path, monkeypatch):
     monkeypatch.undo()
     for text in ("[]", "{", '{"study": "s", "options": 3}', "\xff"):
         (tmp_path / "run.json").write_bytes(text.encode("latin-1"))
-        with pytest.raises(InputError, match=r"run\.json cannot be read"):
-            study(tmp_path, {"b": 1.0}, resume=True)
+        refused(InputError, r"run\.json cannot be read", study, tmp_path, {"b": 1.0}, resume=True)
     (tmp_path / "run.json").unlink()
     for resume in (True, False):
         with pytest.raises(InputError, match=r"has tables \(more\.csv, table\.csv\) and no run\.json"):

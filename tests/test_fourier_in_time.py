@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, TractionLaw
+from forms import KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, TractionLaw
 from forms.base import InputError
 from studies.problems import FOURIER_LAYER, fourier
 from tests import reference
 from tests.orders import observed_orders
-from tests.own_laws import layer_of
-from thinlayer import Structure, Surface, ThinLayer, compare, march, solve
+from tests.own_laws import Springs, layer_of
+from thinlayer import Structure, Surface, ThinLayer, compare, march
 
 pytestmark = pytest.mark.few(5)
 
@@ -102,20 +102,6 @@ def test_order_one(law, dt, options):
     assert last_orders(found) == pytest.approx([1.0, 1.0], abs=0.07)
 
 
-@pytest.mark.parametrize("bodies", ["kept", "extended"])
-def test_order_one_of_an_incompressible_layer(bodies):
-    """Its order comes down to 1 later than the others' (the jump's: 1.17, 1.09, 1.05)."""
-    joint, setup = fourier(H, cell="quadrilateral")
-    eps = (1 / 128, 1 / 256)
-    rows = []
-    for e in eps:
-        layer = ThinLayer(Incompressible(MU), e, at=1.0)
-        full = solve(Structure(joint, **setup).full(layer, bodies=bodies))
-        rows.append(compare(full, solve(Structure(joint, **setup).interface(layer))))
-    found = np.array([(row["error_traction"], row["error_jump"]) for row in rows])
-    assert last_orders(found, eps) == pytest.approx([1.0, 1.0], abs=0.07)
-
-
 # ---------------------------------------------------------------- numbers of other codes
 # Norton, p = 1.5, eta = 5, five steps of 0.01, from a code with exact bodies and spectral accuracy on S: L2(S) norms of
 # traction and jump; amplitudes of [u_1], t_1 on sin(pi x) and of [u_2], t_2 on cos(pi x)
@@ -179,36 +165,10 @@ def test_against_transfer_matrices(name):
         assert (row["error_traction"], row["error_jump"]) == pytest.approx(exact, rel=3e-4)
 
 
-def test_reference_in_time():
-    """One step of the series is one elastic problem; after long times a Kelvin-Voigt layer is its spring."""
-    dt = 0.1
-    for eps in (None, 1 / 16):
-        first = reference.marched([(1.0, reference.kelvin_voigt(LMBDA, MU, 0.3, 0.5))], [0.0, 1.0], dt, 1.0, eps)[1]
-        moduli = LMBDA * (1 + 0.3 / dt), MU * (1 + 0.5 / dt)
-        elastic = reference.marched([(1.0, lambda d, moduli=moduli: moduli)], [0.0, 1.0], dt, 1.0, eps)[1]
-        assert first == pytest.approx(elastic, rel=1e-12)
-    slow = reference.marched([(1.0, reference.kelvin_voigt(LMBDA, MU, 0.3, 0.5))], [0.0, *[1.0] * 20], 100.0)[-1]
-    _, below, above, _ = reference.interface_states()
-    assert slow == pytest.approx([*(above - below)[:2], *below[2:]], rel=1e-9)
-
-
 # ---------------------------------------------------------------- wrong laws
 def parts(v, n):
     normal = ufl.dot(v, n)
     return normal, v - normal * n
-
-
-@dataclass(frozen=True)
-class Springs(TractionLaw):
-    """Elastic traction of two stiffnesses."""
-
-    K_T: float
-    K_N: float
-    linear: ClassVar = True
-
-    def traction(self, step):
-        normal, tangential = parts(step.mid, step.n)
-        return self.K_N * normal * step.n + self.K_T * tangential
 
 
 @dataclass(frozen=True)
@@ -340,15 +300,3 @@ def test_norton_viscosity_scaled_as_a_modulus():
 
 
 # ---------------------------------------------------------------- histories
-def test_an_earlier_state_knows_its_loads():
-    """Body forces that grow with time act at S too: the reaction of a kept state is that of its own time."""
-    joint, setup = fourier(H, cell="quadrilateral")
-    setup["body_force"] = lambda x, t: (0.0, 100.0 * t)
-    model = Structure(joint, **setup).interface(ThinLayer(MAXWELL, 0.1, at=1.0))
-    surface = Surface(model)
-    alone = march(model, [0.1]).last
-    traction, loads = surface.norm(surface.traction(alone)), alone.energies()["loads"]
-    early = march(model, [0.1, 0.2]).at(0.1)
-    assert np.abs(early.u.x.array - alone.u.x.array).max() < 1e-12 * np.abs(alone.u.x.array).max()
-    assert surface.norm(surface.traction(early)) == pytest.approx(traction, rel=1e-12)
-    assert early.energies()["loads"] == pytest.approx(loads, rel=1e-12)

@@ -5,81 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms import MohrCoulomb, MohrCoulombMonodirectional, VonMises
+from forms import MohrCoulombMonodirectional, VonMises
 from forms.base import InputError
 from tests import closed_forms
 from tests.at_points import E2, at_rest, respond, tensor, traction
-from tests.mohr_coulomb_points import elastic, excess, normals, strains
+from tests.mohr_coulomb_points import LMBDA, METALS, MU, OMEGA, SOILS, C, Y, elastic, normals, reached, strains
 from tests.refused import refused
 from thinlayer import drive
 
-LMBDA, MU, Y, C, OMEGA = 60.0, 40.0, 0.3, 0.1, 30.0
-COHESIVE = {"hardening": 20.0, "saturation": 0.2, "saturation_strain": 0.01}
-METALS = {
-    "ideal": VonMises(LMBDA, MU, Y),
-    "isotropic": VonMises(LMBDA, MU, Y, hardening=25.0),
-    "kinematic": VonMises(LMBDA, MU, Y, kinematic=25.0),
-    "saturating": VonMises(LMBDA, MU, Y, 5.0, 10.0, saturation=0.4, saturation_strain=0.004),
-}
-SOILS = {
-    "Mohr-Coulomb": MohrCoulomb(LMBDA, MU, C, OMEGA, **COHESIVE),
-    "dilatant": MohrCoulomb(LMBDA, MU, C, OMEGA, 0.1, 12.0, **COHESIVE),
-    "associated": MohrCoulomb(LMBDA, MU, C, OMEGA, dilatancy_angle=OMEGA, **COHESIVE),
-    "Tresca": MohrCoulomb(LMBDA, MU, C, 0.0, **COHESIVE),
-    "monodirectional": MohrCoulombMonodirectional(LMBDA, MU, C, OMEGA, **COHESIVE),
-    "unilateral": MohrCoulombMonodirectional(LMBDA, MU, C, OMEGA, unilateral=True, **COHESIVE),
-}
-LAWS = METALS | SOILS
 POINTS = 300
-
-
-def steps(law, theta=1.0, count=3, size=0.006):
-    """Steps of a random path: strains at its ends, values before, the answer."""
-    random = np.random.default_rng(4)
-    n, q, e = normals(POINTS), at_rest(law, POINTS), np.zeros((POINTS, 6))
-    stored = np.zeros(POINTS)
-    for _ in range(count):
-        old, e = e, e + strains(random, POINTS, size)
-        answer = respond(law, e, old, q, n, 1.0, theta)
-        assert answer.failed == 0
-        yield e, old, q, n, stored, answer
-        q, stored = answer.q, answer.stored
-
-
-@pytest.mark.parametrize("theta", [1.0, 0.6])
-@pytest.mark.parametrize("name", LAWS)
-def test_tangent_is_the_derivative_of_the_stress(name, theta):
-    """Remainder of Taylor's expansion: second order, but where a point passes a kink."""
-    law = LAWS[name]
-    *_, (e, old, q, n, _, now) = steps(law, theta)
-    direction = 1e-3 * np.random.default_rng(1).normal(size=e.shape)
-    left = []
-    for h in (1e-2, 1e-3):
-        moved = respond(law, e + h * direction, old, q, n, 1.0, theta)
-        change = moved.stress - now.stress - h * np.einsum("kij,kj->ki", now.tangent, direction)
-        left.append(np.abs(change).max(axis=1))
-    flows = now.q[:, 6] > q[:, 6]
-    assert flows.mean() > 0.1
-    curved = flows & (left[1] > 1e-13 * np.abs(now.stress).max())
-    assert curved.sum() > 20
-    assert np.mean(np.log10(left[0] / left[1])[curved] > 1.9) > 0.9
-    assert np.median(np.log10(left[0] / left[1])[curved]) == pytest.approx(2, abs=0.05)
-
-
-@pytest.mark.parametrize("theta", [1.0, 0.6, 0.5])
-@pytest.mark.parametrize("name", LAWS)
-def test_energy_of_a_step_is_accounted_for(name, theta):
-    law, largest = LAWS[name], 0.0
-    for e, old, q, _, stored, now in steps(law, theta):
-        work = np.sum(now.stress * (e - old), axis=1)
-        size = np.max(np.abs([work, now.stored, stored, now.dissipated, now.remainder]), axis=0)
-        assert (np.abs(work - (now.stored - stored) - now.dissipated - now.remainder) < 1e-11 * size).all()
-        assert (now.dissipated >= -1e-13 * size).all()
-        assert (now.q[:, 6] >= q[:, 6]).all()
-        if name != "unilateral":
-            assert (now.remainder >= -1e-12 * size).all()
-        largest = max(largest, float((now.dissipated / size).max()))
-    assert largest > 0.2
 
 
 def equivalent(law, stress, plastic):
@@ -90,8 +24,11 @@ def equivalent(law, stress, plastic):
 
 @pytest.mark.parametrize("name", METALS)
 def test_metals_stay_on_their_yield_surface(name):
-    law, flowed = METALS[name], False
-    for e, _, q, _, _, now in steps(law):
+    law, random, flowed = METALS[name], np.random.default_rng(4), False
+    q, e = at_rest(law, POINTS), np.zeros((POINTS, 6))
+    for _ in range(3):
+        old, e = e, e + strains(random, POINTS, 0.006)
+        now = respond(law, e, old, q, normals(POINTS))
         plastic, p = now.q[:, :6], now.q[:, 6]
         bound = Y + law.hardening * p
         if law.saturation:
@@ -103,25 +40,8 @@ def test_metals_stay_on_their_yield_surface(name):
         assert np.abs(plastic[:, :3].sum(axis=1)).max() < 1e-15
         growth = np.sqrt(2 / 3) * np.linalg.norm(plastic - q[:, :6], axis=1)
         assert p - q[:, 6] == pytest.approx(growth, abs=1e-15)
-        flowed = flowed or flows.any()
+        flowed, q = flowed or flows.any(), now.q
     assert flowed
-
-
-@pytest.mark.parametrize("name", [name for name in SOILS if "directional" not in name and name != "unilateral"])
-def test_soils_stay_on_their_yield_surface(name):
-    """With the cohesion that they have reached."""
-    law, flowed = SOILS[name], 0.0
-    for e, _, q, _, _, now in steps(law):
-        plastic = (now.stress - law.elastic_fraction * elastic(e)) / (1 - law.elastic_fraction)
-        p = now.q[:, 6]
-        reached = C + 20.0 * p + 0.2 * p / (0.01 + p)
-        beyond = excess(plastic, reached, law.friction_angle)
-        scale = np.abs(elastic(e)).max()
-        assert beyond.max() <= 1e-12 * scale
-        flows = p > q[:, 6]
-        assert beyond[flows] == pytest.approx(0.0, abs=1e-10 * scale)
-        flowed = max(flowed, float(p.max()))
-    assert flowed > 0.005
 
 
 # ---------------------------------------------------------------- as layers
@@ -161,16 +81,6 @@ def test_a_layer_that_slips_hardens():
     assert apart > 0.05
 
 
-@pytest.mark.parametrize("eps", [0.5, 0.02])
-@pytest.mark.parametrize("name", ["saturating", "Mohr-Coulomb", "monodirectional"])
-def test_thickness_does_not_change_the_interface_law(name, eps):
-    """Real parameters and strains w/eps give the traction of parameters per thickness and w."""
-    law, path = LAWS[name], [(0.004, -0.001), (0.02, -0.002), (-0.01, -0.001)]
-    thin = drive(law, [{"w_T": a, "w_N": b} for a, b in path]).tractions
-    real = drive(law.scaled(eps), [{"w_T": a / eps, "w_N": b / eps} for a, b in path]).tractions
-    assert real == pytest.approx(thin, rel=1e-10)
-
-
 def test_eased_metal_is_elastic_in_the_end():
     law, e = VonMises(LMBDA, MU, Y), strains(np.random.default_rng(2), 5, 0.05)
     zero = np.zeros_like(e)
@@ -182,10 +92,9 @@ def test_eased_metal_is_elastic_in_the_end():
 
 def test_a_torn_point_bears_the_mean_stress_of_the_apex():
     """psi = 0: the deviator is gone, and the cohesion is that of the flow that took it away."""
-    law = SOILS["Mohr-Coulomb"]
+    law = SOILS["hardening"]
     e = np.array([[0.02, 0.011, 0.012, 0.002, 0.0, 0.0]])
     found = respond(law, e, 0 * e, at_rest(law, 1), normals(1))
-    p = found.q[0, 6]
-    reached = C + 20.0 * p + 0.2 * p / (0.01 + p)
-    assert p > 0
-    assert traction(found.stress, E2[None])[0] == pytest.approx([0, reached / np.tan(np.radians(OMEGA)), 0], abs=1e-12)
+    assert found.q[0, 6] > 0
+    apex = reached(law, found.q)[0] / np.tan(np.radians(OMEGA))
+    assert traction(found.stress, E2[None])[0] == pytest.approx([0, apex, 0], abs=1e-12)

@@ -68,6 +68,7 @@ def test_reactions_on_s_contain_the_forces_of_inertia(part, wrong):
     assert difference > 0.1 if wrong else difference < 1e-9
 
 
+@pytest.mark.long
 def test_adaptive_steps():
     model = bar("interface", Inertia(1.0), h=0.1)
     fine = march(model, np.arange(1, 401) / 400, observe={"w": shortening}).table["w"][-1]

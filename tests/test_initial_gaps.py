@@ -8,7 +8,7 @@ import ufl
 
 from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic, Tresca
 from forms.base import InputError
-from geometry import block, ring, sandwich, wall
+from geometry import ring, sandwich, wall
 from tests.contact_bars import contact
 from tests.refused import refused
 from thinlayer import SolveError, Structure, Surface, march, solve
@@ -133,19 +133,6 @@ def test_networks_have_a_gap_for_each_seam():
         assert np.abs(one.u.x.array - other.u.x.array).max() < 1e-7 * np.abs(one.u.x.array).max()
         found.append(Surface(one.model, "HEAD").contact(one).normal_force)
     assert 0 < found[1] < 0.8 * found[0]
-
-
-def test_a_shift_of_the_whole_body_closes_a_gap():
-    """The gap is no more than where displacements count from: the same as without it, from a shifted top."""
-    joint = block(2.0, 1.0, 0.25, structured=True)
-    data = {"body": UPPER, "element": "P1"}
-    states = []
-    for gap, top in ((0.0, -0.05), (0.2, -0.25)):
-        supports = {"TOP": {"x": 0.01, "y": top}}
-        law = HolonomicCoulomb(K_N=K, K_T=150.0, friction=0.3, gap=gap)
-        states.append(solve(Structure(joint, supports=supports, **data).interface(law)))
-    u, v = (state.u.x.array.reshape(-1, 2) for state in states)
-    assert np.add(v, (0.0, 0.2)) == pytest.approx(u, rel=1e-9, abs=1e-10)
 
 
 # ---------------------------------------------------------------- time, files, ranks

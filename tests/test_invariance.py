@@ -11,6 +11,7 @@ from forms import LinearElastic
 from forms.base import InputError
 from geometry import block, disc, ring, sandwich
 from tests.meshes import renumbered
+from tests.refused import refused
 from thinlayer import Structure, ThinLayer, compare, solve
 
 STEEL, GLUE = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
@@ -51,8 +52,7 @@ def test_builders(shape):
     ],
 )
 def test_shapes_too_thin(build, message):
-    with pytest.raises(InputError, match=message):
-        build()
+    refused(InputError, message, build)
 
 
 def answers(joint, eps, load):

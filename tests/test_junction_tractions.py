@@ -8,13 +8,13 @@ import pytest
 from dolfinx import fem
 
 from forms import LinearElastic
-from geometry import sandwich, wall
+from geometry import wall
 from geometry.joint import Joint
 from geometry.seam import Seam
 from tests.meshes import renumbered
 from tests.network_cases import BED, HEAD, panel, pushed, springs, three_bricks
 from tests.test_networks import cut_at, on
-from thinlayer import Structure, Surface, ThinLayer, solve
+from thinlayer import Structure, Surface, solve
 from thinlayer.discretisation.state import State
 
 pytestmark = pytest.mark.few(5)
@@ -188,28 +188,6 @@ def test_bonded_blocks_under_their_weight(cell):
 
 
 # ---------------------------------------------------------------- contact
-@pytest.mark.parametrize("cross", [False, True])
-def test_contact(cross):
-    """Each pair's traction is the law's."""
-    state = pushed(three_bricks(4, "quadrilateral", cross), 0.6, {"BED": BED, "HEAD": HEAD})
-    for name, law in (("BED", BED), ("HEAD", HEAD)):
-        surface, report = Surface(state.model, name), Surface(state.model, name).contact(state)
-        t = surface.traction(state)
-        assert -surface.integral(t) == pytest.approx(report.force, rel=EXACT)
-        _, values = surface.profile(surface.frame(t))
-        assert (abs(values[:, 0]) <= law.friction * abs(values[:, 1]) + EXACT).all()
 
 
 # ---------------------------------------------------------------- where seams do not meet
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
-def test_bodies_of_one_law_under_their_weight(cell):
-    """S carries the upper body, in both models; loads and laws are integrated over unlike sets of regions."""
-    structure = Structure(
-        sandwich(2.0, 1.0, 1.0, 0.25, cell=cell), body=LinearElastic(0.0, 3.0), supports={"BOTTOM": 0.0},
-        body_force=(0.0, -1.0),
-    )  # fmt: skip
-    layer = ThinLayer(LinearElastic(0.0, 1.0), 0.1, at=1.0)
-    for model in (structure.interface(layer), structure.full(layer)):
-        surface = Surface(model)
-        for found in (surface.traction, surface.reaction):
-            assert surface.integral(found(solve(model)))[1] == pytest.approx(-2.0, rel=1e-11)

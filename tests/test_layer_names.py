@@ -74,22 +74,6 @@ def test_sublayers_of_one_of_several_layers():
         assert full.energies()[name] == pytest.approx(limit.energies()[name], rel=1e-10)
 
 
-def test_one_seam_has_the_keys_of_old():
-    joint = sandwich(2.0, 1.0, 1.0, 1.0, cell="quadrilateral")
-    structure = Structure(joint, body=LinearElastic(0.0, 5.0), supports={"BOTTOM": 0.0}, element="Q1")
-    yields = MohrCoulomb(3.0, 2.0, cohesion=0.4, friction_angle=20.0)
-    for model, keys in (
-        (structure.interface(ThinLayer(yields, 0.1, at=1.0)), {"layer"}),
-        (structure.full(ThinLayer(Stack((0.4, yields), (0.6, yields)), 0.1, at=1.0)), {"layer 1", "layer 2"}),
-        (structure.interface(IncrementalCoulomb(2.0, 1.0, 0.3)), {"contact"}),
-    ):
-        history = march(model, [1.0])
-        assert set(history.last.memory) == keys
-        assert list(history.last.energies()) == ["bodies", "layer", "loads"]
-        assert history.last.dissipated == {}
-        assert not [name for name in history.table.columns if " " in name]
-
-
 def test_contact_on_one_of_two_seams():
     structure = Structure(
         three_bricks(2, "quadrilateral"), body=LinearElastic.young(50.0, 0.2), supports={"BOTTOM": 0.0}, element="Q1",

@@ -101,19 +101,6 @@ def test_bricks_lean_where_they_are_kept(cell):
     assert by_brick[up, 0].mean() == pytest.approx(by_brick[low, 0].mean())
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize("bodies", WAYS)
-@pytest.mark.parametrize("cell", CELLS)
-def test_a_crossing_is_a_quadrilateral(cell, bodies):
-    square = grid([np.arange(9.0), np.arange(-4.0, 5.0)], lambda x: x[:, 1] > 0, cell)
-    base = cut_at(square, {"FLAT": (on(1, 0.0), (0, 1)), "STEEP": (on(0, 4.0), (1, 0))})
-    opened = inflate(base, {"FLAT": 0.1, "STEEP": 0.2}, bodies=bodies)
-    found = areas(opened)
-    assert found["LAYER/JUNCTIONS"] == pytest.approx(0.1 * 0.2, rel=1e-10)
-    sign = 1 if bodies == "kept" else -1
-    assert sum(found.values()) == pytest.approx(8 * 0.1 + 8 * 0.2 + sign * 0.1 * 0.2, rel=1e-10)
-
-
 STARS = {
     (0, 90, 180, 270): 1.0,
     (0, 90, 180): 0.5,
@@ -291,22 +278,6 @@ def test_a_stiff_fill_does_not_converge():
     assert (np.abs(np.log2(errors[:-1, 1] / errors[1:, 1])) < 0.3).all()
 
 
-def test_energies_and_comparison():
-    structure = panel("Q2", 0.25)
-    layers = mortar(0.005)
-    full, limit = (solve(model, 1.0) for model in (structure.full(layers), structure.interface(layers)))
-    for name in ("bodies", "layer"):
-        assert full.energies()[name] == pytest.approx(limit.energies()[name], rel=5e-3)
-    row = compare(full, limit)
-    assert row["eps"] == 0.005
-    assert row["error_jump"] < 0.01
-    assert row["error_traction"] < 0.01
-    for seam in ("BED", "HEAD"):
-        surface = Surface(limit.model, seam)
-        assert surface.norm(surface.jump(full) - surface.jump(limit)) < 0.02 * surface.norm(surface.jump(limit))
-    refused(InputError, "compare needs one thickness", lambda: compare(solve(structure.full(mortar(0.01)), 1.0), limit))
-
-
 def test_heads_that_yield():
     """A compiled law with memory in one of two seams, in time: both energies converge to those of the interface model."""
     structure = panel("P2", 0.25)
@@ -351,21 +322,6 @@ def test_loads_add_up():
         assert force == pytest.approx(whole, rel=1e-12)
 
 
-def test_a_gap_over_a_rigid_base():
-    """Nothing stands on the base there; the layers above go on as without it."""
-    free = wall(2, 2, BRICK, 0.25)
-    held = replace(free, seams=free.seams | {"BOTTOM": Seam()})
-    found = []
-    for joint, more in ((free, {}), (held, {"BOTTOM": Gap(0.03)})):
-        structure = Structure(
-            joint, body=LinearElastic.young(1.0, 0.2), supports={"TOP": 0.0}, body_force=(0.1, -0.3), element="Q2"
-        )
-        model = structure.full(mortar(0.01, **more))
-        assert "BASE" not in model.domain.joint.facets
-        found.append(list(solve(model).energies().values()))
-    assert found[1] == pytest.approx(found[0], rel=1e-10)
-
-
 def test_gaps_carry_no_loads(recwarn):
     """Kept bodies keep their loaded faces; what extended ones give up to gaps is told."""
     joint = wall(3, 4, BRICK, 0.25)
@@ -384,20 +340,6 @@ def test_gaps_carry_no_loads(recwarn):
         assert found == pytest.approx(-2.0 * width, rel=1e-12)
 
 
-def test_two_layers_in_series():
-    """Three plates: for a load along their normal the meshed layers stretch as springs in series."""
-    column = cut_at(SQUARE, {"LOW": (on(1, -1.0), (0, 1)), "HIGH": (on(1, 2.0), (0, 1))})
-    held = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-    structure = Structure(column, body=LinearElastic(0.0, 5.0), supports=held, tractions={"TOP": (0.0, 2.0)})
-    high = Stack((0.5, LinearElastic(0.0, 4.0)), (0.5, LinearElastic(0.0, 2.0)))
-    layers = {"LOW": springs(4.0, 2.0, 0.1), "HIGH": ThinLayer(high, 0.2, at=1.0)}
-    state, surface = solve(structure.full(layers)), Surface(structure.interface(layers), "LOW")
-    assert surface.integral(surface.jump(state)[1]) == pytest.approx(8 * 2.0 / 4.0, rel=1e-10)
-    surface = Surface(surface.model, "HIGH")
-    assert surface.integral(surface.jump(state)[1]) == pytest.approx(8 * 2.0 * (0.5 / 8 + 0.5 / 4), rel=1e-10)
-    assert state.energies()["layer"] == pytest.approx(8 * 2.0**2 / 2 * (1 / 4 + 0.5 / 8 + 0.5 / 4), rel=1e-10)
-
-
 # ---------------------------------------------------------------- what is refused
 def test_refused_meshes():
     joint = wall(2, 2, BRICK, 0.25)
@@ -413,8 +355,7 @@ def test_refused_meshes():
         (dict(eps=both, profile={"BED": lambda x: 1 + x[0]}, bodies="extended"), r"S branches at \(.*uniform thicknes"),
         (dict(eps={"BED": 0.3, "HEAD": 1.2}, bodies="extended"), r"turn inside out, the first at \("),
     ):
-        with pytest.raises(InputError, match=message):
-            inflate(joint, **given)
+        refused(InputError, message, inflate, joint, **given)
     with pytest.raises(InputError, match="'JUNCTIONS' cannot be the name of a seam"):
         replace(
             joint, facets=joint.facets | {"JUNCTIONS": joint.facets["BED"]}, seams={"JUNCTIONS": Seam(direction=(0, 1))}
@@ -455,8 +396,7 @@ def test_no_room_beside_a_crossing():
     base = blocks(hook, np.array([0.0, 1.0, 1.5, 2.0, 3.0, 4.0]), np.array([0.0, 1.0, 3.0, 4.0, 4.9, 5.0, 6.0]))
     assert set(base.splitting.pieces) == {0, 1, 2, 3}
     check(base, inflate(base, 0.05))
-    with pytest.raises(InputError, match=r"no room for the layers at \(.*: moved apart, the bodies would overlap"):
-        inflate(base, 0.2)
+    refused(InputError, r"no room for the layers at \(.*: moved apart, the bodies would overlap", inflate, base, 0.2)
 
 
 def test_a_block_with_four_around_it():

@@ -274,9 +274,3 @@ def test_jumps_converge(element):
     errors = jump_errors(element, (0.04, 0.02))
     assert 0.9 < np.log2(errors[0] / errors[1]) < 1.1
     assert errors[1] < 0.025
-
-
-def test_the_fill_makes_no_difference_if_it_scales_as_a_layer():
-    first, other = jump_errors("P2", (0.02,)), jump_errors("P2", (0.02,), junctions="Y")
-    assert first == pytest.approx(other, rel=0.05)
-    assert first != pytest.approx(other, rel=1e-6)

@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 
 from forms import MohrCoulomb
 from tests import closed_forms
-from tests.at_points import E2, at_rest, jump_strain, respond, tensor, traction
+from tests.at_points import E2, at_rest, respond, tensor
 from tests.mohr_coulomb_points import (
     LAW,
-    LAWS,
     LMBDA,
     MU,
     OMEGA,
@@ -35,43 +34,6 @@ SLOW = settings(max_examples=60)
 
 
 # ---------------------------------------------------------------- the closed form
-def pressed_and_sheared(law, w_N, w_T):
-    w = np.array([[w_T, w_N, 0.0]])
-    return respond(law, jump_strain(w, E2[None]), np.zeros((1, 6)), at_rest(law, 1), E2[None])
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize("w_N", [-0.01, -1.0])
-@pytest.mark.parametrize(("nu", "holds"), [(0.2, False), (0.249, False), (0.251, True), (0.3, True)])
-def test_the_limit_in_compression(nu, holds, w_N):
-    """C = 0: s_33 is the intermediate stress at yield for nu > (1 - sin(Omega))/2 = 1/4, at any pressure."""
-    lmbda, mu = 2 * MU * nu / (1 - 2 * nu), MU
-    assert closed_forms.mohr_coulomb_holds(lmbda, mu, 0.0, OMEGA, w_N) == holds
-    answer = pressed_and_sheared(MohrCoulomb(lmbda, mu, 0.0, OMEGA), w_N, -3 * w_N)
-    assert answer.failed == 0
-    assert answer.dissipated > 0
-    w = np.array([-3 * w_N, w_N])
-    t, _ = closed_forms.mohr_coulomb(lmbda, mu, 0.0, OMEGA, w, 0 * w, 0 * w)
-    found = traction(answer.stress, E2[None])[0, :2]
-    assert np.abs(found - t).max() < 1e-12 * abs(t[1]) if holds else np.abs(found - t).max() > 1e-4 * abs(t[1])
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize(("ratio", "holds"), [(0.5, True), (0.999, True), (1.001, False), (1.5, False), (3.0, False)])
-def test_the_limit_in_tension(ratio, holds):
-    """p up to C cos(Omega)/(1 - 2 nu + sin(Omega)); from 1.8 times that on, C cot(Omega), there is only the cut-off."""
-    angle, nu = np.radians(OMEGA), 0.3
-    p = ratio * C * np.cos(angle) / (1 - 2 * nu + np.sin(angle))
-    w_N = p / (LMBDA + MU)
-    assert closed_forms.mohr_coulomb_holds(LMBDA, MU, C, OMEGA, w_N) == holds
-    found = pressed_and_sheared(LAW, w_N, 0.05)
-    assert found.failed == 0
-    w = np.array([0.05, w_N])
-    t, _ = closed_forms.mohr_coulomb(LMBDA, MU, C, OMEGA, w, 0 * w, 0 * w)
-    apart = np.abs(traction(found.stress, E2[None])[0, :2] - t).max()
-    assert apart < 1e-12 * abs(t).max() if holds else apart > 1e-5 * abs(t).max()
-    if ratio == 3.0:
-        assert found.stress[0] == pytest.approx(C / np.tan(angle) * ONE, rel=1e-12)
 
 
 @given(st.lists(st.tuples(st.floats(-0.03, 0.03), st.floats(-0.03, 0.0)), min_size=1, max_size=6))
@@ -165,24 +127,6 @@ def test_another_dilatancy_is_not_the_solution():
         assert np.abs(principal(found.stress[k]) - np.sort(solutions[0])[::-1]).max() > 1e-5
 
 
-def test_associated_return_is_the_closest_stress():
-    """psi = Omega: no admissible stress tensor is closer to the trial one in the norm of the complementary energy."""
-    law, random = LAWS["psi = Omega"], np.random.default_rng(5)
-    e = strains(random, 100, 0.01)
-    returned = respond(law, e, 0 * e, at_rest(law, 100), normals(100)).stress
-    trial = elastic(e)
-    away = compliance(trial - returned)
-    others = elastic(strains(random, 4000, 0.01))
-    others = others[excess(others) <= 0]
-    assert len(others) > 100
-    others = np.concatenate([others, returned])
-    assert (np.einsum("ki,kmi->km", away, others[None] - returned[:, None]) <= 1e-12).all()
-    other = MohrCoulomb(LMBDA, MU, C, OMEGA, dilatancy_angle=12.0)  # which is not associated: some stress is closer
-    returned = respond(other, e, 0 * e, at_rest(other, 100), normals(100)).stress
-    away = compliance(trial - returned)
-    assert (np.einsum("ki,kmi->km", away, others[None] - returned[:, None]) > 1e-6).any()
-
-
 @pytest.mark.parametrize("lmbda", [-18.9, 60.0, 2e4])
 def test_friction_next_to_ninety_degrees(lmbda):
     """Planes of an edge that are next to parallel: yield is kept, and no admissible stress is closer (psi = Omega)."""
@@ -213,14 +157,3 @@ def test_torn_material_closes_only_when_the_volume_is_pressed_out():
         pressures.append(answer.stress[0, 0])
         old, q = now[None], answer.q
     assert pressures == pytest.approx([apex, apex - bulk * 0.001, -apex], rel=1e-12)
-
-
-def test_friction_zero_is_tresca():
-    """|s_1 - s_3| <= 2 C whatever the mean stress, which is elastic."""
-    law = MohrCoulomb(LMBDA, MU, C, 0.0)
-    e = strains(np.random.default_rng(2), 200)
-    stress = respond(law, e, 0 * e, at_rest(law, 200), normals(200)).stress
-    assert stress[:, :3].mean(axis=1) == pytest.approx(elastic(e)[:, :3].mean(axis=1), rel=1e-12, abs=1e-14)
-    p = principal(stress)
-    assert (p[:, 0] - p[:, 2]).max() == pytest.approx(2 * C, rel=1e-12)
-    assert np.mean(p[:, 0] - p[:, 2] > 2 * C * (1 - 1e-9)) > 0.9

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms import Incompressible, LinearElastic, Maxwell, MohrCoulomb, Norton, limits
+from forms import Incompressible, MohrCoulomb, Norton, limits
 from forms.base import InputError
 from tests import closed_forms
 from tests.mohr_coulomb_points import LAW, LAWS, LMBDA, MONO, MU, OMEGA, C
-from tests.own_laws import Slipping
 from tests.refused import refused
 from thinlayer.errors import SolveError
 from thinlayer.pointwise.drive import drive
@@ -115,20 +114,6 @@ def test_drive_in_three_dimensions_and_other_frames():
     assert flat.jumps == pytest.approx(drive(law, [{"w_T": 0.02, "t_N": -1.0}]).jumps, rel=1e-11)
     deep = drive(law, [{"w_T1": 0.02, "w_T2": 0.0, "t_N": -1.0}], n=(0, 1, 0))
     assert deep.jumps[0, [0, 2]] == pytest.approx(flat.jumps[0], rel=1e-9)
-
-
-def test_drive_any_law():
-    """Static, viscous, of tractions, in series: the formulas of `limits`."""
-    elastic_layer = drive(LinearElastic(LMBDA, MU), [{"t_T": 0.5, "t_N": 1.0}])
-    assert elastic_layer.jumps[0] == pytest.approx([0.5 / MU, 1.0 / (LMBDA + 2 * MU)], rel=1e-11)
-    norton = drive(Norton(LMBDA, MU, 5.0, 1.5), [{"t_T": 0.5, "t_N": 0.0}] * 100, dt=0.01, theta=0.5)
-    assert norton.jumps[-1, 0] == pytest.approx(closed_forms.norton_creep(0.5, MU, 5.0, 1.5, 1.0, shear=True), rel=1e-3)
-    assert norton.t[-1] == pytest.approx(1.0)
-    maxwell = drive(Maxwell(LMBDA, MU, 0.7), [{"t_T": 0.5, "t_N": 1.0}] * 11, dt=[0.0] + 10 * [0.1], theta=0.5)
-    assert maxwell.jumps[-1, 1] == pytest.approx(closed_forms.maxwell_creep(1.0, LMBDA + 2 * MU, 0.7, 1.0), rel=1e-9)
-    assert drive(Slipping(70.0, 30.0, 12.0, 90.0), [{"w_T": 0.01, "w_N": -0.01}], dt=1.0).energies == pytest.approx(
-        np.full((1, 3), np.nan), nan_ok=True
-    )
 
 
 def test_traction_beyond_the_limit():

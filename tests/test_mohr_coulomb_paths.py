@@ -1,4 +1,4 @@
-"""Mohr-Coulomb laws along paths keep yield and the balance of energy, and prefer no direction; tangents are derivatives."""
+"""Mohr-Coulomb laws keep yield along paths; their tangents are derivatives in every part of the yield surface."""
 
 from __future__ import annotations
 
@@ -7,68 +7,51 @@ import pytest
 
 from forms import MohrCoulombMonodirectional
 from tests.at_points import at_rest, respond, tensor, traction, vector
-from tests.mohr_coulomb_points import LAW, LAWS, OMEGA, PLANE, THETAS, C, elastic, excess, normals, principal, strains
-from tests.test_hardening import LAWS as HARDENING
+from tests.mohr_coulomb_points import (
+    LAW,
+    LAWS,
+    OMEGA,
+    PLANE,
+    SOILS,
+    THETAS,
+    C,
+    elastic,
+    excess,
+    normals,
+    principal,
+    reached,
+    strains,
+)
 
-TURNED = LAWS | {f"hardening, {name}": law for name, law in HARDENING.items()}
 
-
-# ---------------------------------------------------------------- paths: yield, dissipation, balance, frames
+# ---------------------------------------------------------------- paths: yield, axes
 @pytest.mark.parametrize("plane", [True, False], ids=["2D", "3D"])
 @pytest.mark.parametrize("theta", THETAS)
-@pytest.mark.parametrize("name", LAWS)
-def test_random_paths(name, theta, plane):
-    """Yield is never violated, nothing is gained, and stress : de = stored + dissipated + remainder."""
-    law, random, points = LAWS[name], np.random.default_rng(4), 100
-    n, q, old = normals(points), at_rest(law, points), np.zeros((points, 6))
-    stored, largest = np.zeros(points), 0.0
+@pytest.mark.parametrize("name", LAWS | SOILS)
+def test_yield_is_never_violated(name, theta, plane):
+    """With the cohesion that has been reached; where the full law flows it is just met."""
+    law, random, points = (LAWS | SOILS)[name], np.random.default_rng(4), 100
+    n, q, old, flowed = normals(points), at_rest(law, points), np.zeros((points, 6)), 0
+    angle = np.radians(law.friction_angle)
     for _ in range(8):
         e = old + strains(random, points, 0.005, plane)
         answer = respond(law, e, old, q, n, 1.0, theta)
         assert answer.failed == 0
         mid = theta * e + (1 - theta) * old
         plastic = (answer.stress - law.elastic_fraction * elastic(mid)) / (1 - law.elastic_fraction)
-        scale = np.abs(elastic(mid)).max() + C
+        scale, flows = np.abs(elastic(mid)).max() + C, answer.q[:, 6] > q[:, 6]
+        cohesion = reached(law, theta * answer.q + (1 - theta) * q)
         if isinstance(law, MohrCoulombMonodirectional):
             t = traction(plastic, n)
-            bound = np.maximum(C - np.tan(np.radians(OMEGA)) * t[:, 1], 0)
-            assert (np.hypot(t[:, 0], t[:, 2]) <= bound + 1e-10 * scale).all()
+            beyond = np.hypot(t[:, 0], t[:, 2]) - np.maximum(cohesion - np.tan(angle) * t[:, 1], 0)
             assert not law.unilateral or t[:, 1].max() <= 1e-10 * scale
         else:
-            assert excess(plastic).max() <= 1e-10 * scale
-        work = np.sum(answer.stress * (e - old), axis=1)
-        size = np.max(np.abs([work, answer.stored, stored, answer.dissipated, answer.remainder]), axis=0)
-        assert (answer.dissipated >= -1e-13 * size).all()
-        assert (answer.remainder >= -1e-12 * size).all() or not law_is_quadratic(law)
-        assert (np.abs(work - (answer.stored - stored) - answer.dissipated - answer.remainder) < 1e-11 * size).all()
-        largest = max(largest, (answer.dissipated / size).max())
-        old, q, stored = e, answer.q, answer.stored
-    assert largest > 0.3
-
-
-def law_is_quadratic(law):
-    return not getattr(law, "unilateral", False)
-
-
-@pytest.mark.parametrize("flip", [1, -1], ids=["turned", "mirrored"])
-@pytest.mark.parametrize("name", TURNED)
-def test_no_direction_is_preferred(name, flip):
-    """Strain paths that are turned or mirrored, with the normal, give turned or mirrored stresses."""
-    law, random, points = TURNED[name], np.random.default_rng(6), 50
-    turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
-    turn *= flip * np.sign(np.linalg.det(turn))
-    assert np.linalg.det(turn) == pytest.approx(flip)
-    turned = lambda a: vector(turn @ tensor(a) @ turn.T)
-    n, q, old, q_turned = normals(points), at_rest(law, points), np.zeros((points, 6)), at_rest(law, points)
-    for _ in range(4):
-        e = old + strains(random, points, 0.01)
-        answer = respond(law, e, old, q, n)
-        other = respond(law, turned(e), turned(old), q_turned, n @ turn.T)
-        assert other.stress == pytest.approx(turned(answer.stress), abs=1e-11 * np.abs(answer.stress).max())
-        same = [other.q[:, :6] - turned(answer.q[:, :6]), other.q[:, 6:] - answer.q[:, 6:]]
-        assert max(np.abs(one).max(initial=0.0) for one in same) < 1e-12 * np.abs(e).max()
-        assert other.energies == pytest.approx(answer.energies, abs=1e-10 * np.abs(answer.energies).max())
-        old, q, q_turned = e, answer.q, other.q
+            beyond = excess(plastic, cohesion, law.friction_angle)
+            assert beyond[flows] == pytest.approx(0.0, abs=1e-10 * scale)
+        assert beyond.max() <= 1e-10 * scale
+        flowed += flows.sum()
+        old, q = e, answer.q
+    assert flowed > 50
 
 
 def test_in_the_plane_no_direction_is_preferred_either():

@@ -13,7 +13,7 @@ from geometry import bond_cell
 from geometry.seam import Seam
 from studies import dry_wall as dry_wall_study
 from tests.dry_walls import PUSHES, dry_wall, forth_and_back, imbalance, pair_values
-from tests.network_cases import BED, HEAD, springs, three_bricks
+from tests.network_cases import BED, HEAD, three_bricks
 from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, march, solve
 from thinlayer.errors import LimitLoad, LooseBody
@@ -64,29 +64,6 @@ def test_a_wall_in_space(cell):
     assert imbalance(one) < 1e-11  # where Newton's method may stop
     assert imbalance(other) < 1e-10
     assert {"sliding", "separated"} <= {name for name, n in Surface(one.model, "HEAD").contact(one).counts.items() if n}
-
-
-def test_a_similar_state_to_start_from():
-    model = dry_wall()
-    near, state = solve(model, 0.39), solve(model, 0.4)
-    for other in (model, model.structure.interface(dict(model.contacts))):
-        again = solve(other, 0.4, like=near)
-        assert again.report.iterations < state.report.iterations
-        require_equal(state, again)
-
-
-@pytest.mark.parametrize("head", [None, springs(3.0, 1.0)])
-def test_contact_on_one_seam_alone(head):
-    """Heads are open, or filled with mortar."""
-    bricks = Structure(
-        dry_wall().joint,
-        body=LinearElastic.young(50.0, 0.2),
-        supports={"BOTTOM": 0.0},
-        tractions={"TOP": (0.3, -1.0)},
-        element="Q1",
-    )
-    model = bricks.interface({"BED": BED, "HEAD": head})
-    require_equal(*(solve(model, method=method) for method in ("condensed", "newton")))
 
 
 def test_very_stiff_contact():
@@ -275,21 +252,6 @@ def test_forth_and_back():
     assert all(state.audit.dissipated > 0 for state in one[2:])
     there, back = one[2].u.x.array, one[-1].u.x.array  # under the same pressure without a push at rest
     assert np.abs(back - one[0].u.x.array).max() > 0.02 * np.abs(there).max()
-
-
-def test_up_to_sliding_beds():
-    """To 99 % of what friction carries, 0.5 (1 + weight of a course).
-
-    Bricks have a weight: they slide on their lower face later than on the upper one, and so all have their place.
-    """
-    model = dry_wall(kind=IncrementalCoulomb, weight=0.1)
-    one, other = (list(march(model, [0.2, 0.4, 0.48, 0.52], method=method)) for method in ("condensed", "newton"))
-    for state, again in zip(one, other, strict=True):
-        require_equal(state, again)
-        assert max(imbalance(state), imbalance(again)) < 1e-12
-        assert state.report.iterations <= 10
-    assert len(one) == 5  # no step was shortened
-    assert Surface(one[-1].model, "BED").contact(one[-1]).counts["sliding"] > 40
 
 
 # ---------------------------------------------------------------- what is refused

@@ -1,16 +1,15 @@
 """Networks seen closely: contact reports where bodies branch, rate laws, loads on seams, gaps on a base, cells."""
 
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import replace
 
 import numpy as np
 import pytest
-import ufl
 
-from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, TractionLaw
+from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from forms.base import InputError
 from geometry import bond_cell, periodic, sandwich, wall
 from geometry.seam import Seam
+from tests import own_laws
 from tests.contact_bars import contact
 from tests.dry_walls import dry_wall
 from tests.meshes import renumbered
@@ -195,25 +194,12 @@ def test_stiffness_of_a_cell_with_sublayers():
     assert np.abs(stacked - stiffer).max() > 0.05 * stacked.max()
 
 
-@dataclass(frozen=True)
-class Grout(TractionLaw):
-    """Springs across S and along it."""
-
-    across: float
-    along: float
-    linear: ClassVar = True
-
-    def traction(self, step):
-        opening = ufl.dot(step.w, step.n) * step.n
-        return self.across * opening + self.along * (step.w - opening)
-
-
 def test_stiffness_of_a_cell_with_a_linear_traction_law():
     cell = Structure(bond_cell((2.0, 1.0), h=0.5), body=ROCK, supports={}, element="Q1")
     head = springs(3.0, 1.3)
     given, other = (
         homogenised_stiffness(cell.interface({"BED": bed, "HEAD": head}))
-        for bed in (Grout(5.0, 2.1), springs(5.0, 2.1))
+        for bed in (own_laws.Springs(2.1, 5.0), springs(5.0, 2.1))
     )
     assert given == pytest.approx(other, abs=1e-12 * other.max())
 

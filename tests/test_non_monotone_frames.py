@@ -6,23 +6,8 @@ import numpy as np
 import pytest
 
 from forms import LinearElastic
-from forms.planes import LIFTED
-from tests.at_points import E2, jump_strain, tensor, vector
-from tests.non_monotone_points import (
-    ALPHA,
-    LAWS,
-    LMBDA,
-    MU,
-    THETAS,
-    C,
-    at,
-    branch,
-    jumps_and_normals,
-    lifted,
-    random_strains,
-)
-from thinlayer import ThinLayer
-from thinlayer.discretisation.layer import real_law
+from tests.at_points import E2, tensor, vector
+from tests.non_monotone_points import LAWS, LMBDA, MU, THETAS, at, branch, lifted, random_strains
 
 
 @pytest.mark.parametrize("theta", THETAS)
@@ -53,22 +38,6 @@ def test_tangent_is_the_derivative_of_the_stress(name, theta):
         assert set(kinds) == {-2, -1, 0, 1, 2}
         assert np.abs(change[~mixed]).max() < 1e-12
         assert change[mixed] == pytest.approx(np.tile(np.outer(chi, chi) / (law.mixing * law.G), (mixed.sum(), 1, 1)))
-
-
-@pytest.mark.parametrize("name", LAWS)
-def test_both_signs(name):
-    """e -> -e turns stress and phase round; chi -> -chi calls phase 1 phase -1, and changes nothing else."""
-    law = LAWS[name]
-    e = random_strains(law, 100)
-    other = type(law)(**{**{k: v for k, v in law.parameters().items() if k not in ("T", "G")}, "chi": -law.chi})
-    phase = np.resize([0, 1, -1], 100) if law.traits.switches else None
-    back = -phase if law.traits.switches else None
-    now, mirrored, renamed = at(law, e, phase=phase), at(law, -e, phase=back), at(other, e, phase=back)
-    assert set(np.sign(now.q[:, 0])) == {-1, 0, 1}
-    for answer, sign in ((mirrored, -1), (renamed, 1)):
-        assert answer.stress == pytest.approx(sign * now.stress, rel=1e-14)
-        assert answer.q[:, 0] == pytest.approx(-now.q[:, 0], rel=1e-14)
-        assert answer.energies == pytest.approx(now.energies, rel=1e-13)
 
 
 def turn_to(n):
@@ -102,37 +71,3 @@ def test_axes_turn_with_the_normal(name):
             assert there.energies == pytest.approx(now.energies, abs=1e-11)
     ignored = at(law, vector(R @ tensor(e) @ R.T))  # as if n were e_2
     assert np.abs(ignored.stress - vector(R @ tensor(at(law, e).stress) @ R.T)).max() > 0.1
-
-
-@pytest.mark.parametrize("name", LAWS)
-def test_scaling(name):
-    """Moduli ~ eps, alpha ~ eps^0, C ~ 1/eps: traction and eps times the energy of sym([u] (x) n)/eps do not know eps."""
-    law = LAWS[name]
-    phase = np.resize([0, 1, -1], 50) if law.traits.switches else None
-    w, n = jumps_and_normals(law, 50)
-    E = jump_strain(w, n)
-    there = at(law, E, n=n, phase=phase)
-    for eps in (1e-3, 0.5):
-        real = real_law(ThinLayer(law, eps, at=1.0), LIFTED)
-        numbers = real.parameters()
-        assert (numbers["lmbda"], numbers["mu"], numbers["alpha"], numbers["transformation_energy"]) == pytest.approx(
-            (LMBDA * eps, MU * eps, ALPHA, C / eps), rel=1e-15
-        )
-        built = type(law)(LMBDA * eps, MU * eps, ALPHA, C / eps, law.chi, **extra(law))
-        for one in (real, built):
-            answer = at(one, E / eps, n=n, phase=phase)
-            assert answer.stress == pytest.approx(there.stress, rel=1e-11, abs=1e-12)
-            assert eps * answer.energies == pytest.approx(there.energies, rel=1e-10, abs=1e-14)
-            assert answer.q[:, 0] == pytest.approx(there.q[:, 0], abs=1e-11)
-        limit = built.scaled(1 / eps).parameters()
-        for key, value in law.parameters().items():
-            assert limit[key] == pytest.approx(value, rel=1e-14)
-    wrong = law.with_parameters(
-        {"lmbda": LMBDA * eps, "mu": MU * eps, "transformation_energy": C}
-    )  # "the same power" for alpha and C
-    if not law.traits.switches:
-        assert np.abs(at(wrong, E / eps, n=n).stress - there.stress).max() > 0.1
-
-
-def extra(law):
-    return {} if law.traits.switches else {"mixing": law.mixing}

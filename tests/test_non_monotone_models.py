@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -16,14 +15,15 @@ from geometry import block, sandwich
 from studies.problems import phases_on_s
 from studies.sweep_non_monotone import CASES, Formula, blocks
 from tests.closed_forms import NonMonotoneLimit
-from tests.columns_in_time import BODY, both, check_balance, check_same, joint, jump_of
 from tests.columns_in_time import C as COMPLIANCE
 from tests.columns_in_time import K as STIFFNESS
+from tests.columns_in_time import both, check_balance, check_same, joint, jump_of
 from tests.columns_in_time import column as tall_column
 from tests.non_monotone_run import CHI, END, HEATED, half, models, numbers
 from tests.non_monotone_run import C as OF_T
 from tests.on_ranks import on_ranks
 from tests.phases_of_bars import BAR
+from tests.refused import refused
 from tests.test_mohr_coulomb_models import PATH, PATH_3D, check_path, column
 from thinlayer import Structure, Surface, ThinLayer, march, piecewise, solve
 from thinlayer.discretisation.state import displacements_of
@@ -40,7 +40,6 @@ PURE = NonMonotoneUnrelaxed(LMBDA, MU, ALPHA, 0.05, CHI)
 # jumps (w_T, w_N) whose drives are far from C = 0.05 on either side, so that facets do not hold each other back
 CLEAR = np.array([[0.0, -0.01], [0.2, -0.01], [0.02, -0.02], [-0.2, 0.01], [0.0, 0.15]])
 CLEAR_PHASES = [0, 1, 0, -1, 1]
-FIXED = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": 0.01}}
 
 
 def quads():
@@ -263,8 +262,7 @@ def test_temperature_beyond_its_table(tmp_path):
             InputError, match=r"transformation_energy\(T\): T is 1\d\d\.?\d*; the table knows 20 to 100"
         ):
             march(model, [0.5, 1.0], out=tmp_path / "out", observe={"seen": lambda state: seen.append(1) or 1.0})
-        with pytest.raises(InputError, match="the table knows 20 to 100"):
-            solve(model, t=1.0)
+        refused(InputError, "the table knows 20 to 100", solve, model, t=1.0)
     assert not seen
     assert not (tmp_path / "out").exists()
 
@@ -334,34 +332,3 @@ def test_ranks_and_resumed_marches(tmp_path, there, their_folder):
 
 
 # ---------------------------------------------------------------- what is refused
-@cache
-def solid():
-    return sandwich(1.0, 0.5, 0.5, 0.5, depth=0.5, structured=True)
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize("kind", [NonMonotone, NonMonotoneUnrelaxed])
-def test_refused(kind):
-    law, deep = kind(LMBDA, MU, ALPHA, 0.02, CHI), kind(LMBDA, MU, ALPHA, 0.02, CHI3)
-    setup, layer = {"body": BODY, "supports": FIXED}, ThinLayer(law, 0.1, at=1.0)
-    for make in (Structure.interface, Structure.full):
-        with pytest.raises(InputError, match=r"shape of chi is \(2, 2\); allowed: \(3, 3\) in a model of dimension 3"):
-            make(Structure(solid(), **setup), layer)
-        with pytest.raises(InputError, match=r"shape of chi is \(3, 3\); allowed: \(2, 2\) in a model of dimension 2"):
-            make(Structure(joint(), **setup), ThinLayer(deep, 0.1, at=1.0))
-        with pytest.raises(
-            InputError, match=f"{kind.__name__} is for layers: its phases are those of a layer's columns"
-        ):
-            make(Structure(joint(), **setup | {"body": law}), layer)
-    bonded = solve(Structure(joint(), **setup).bonded())
-    elastic = solve(Structure(joint(), **setup).interface(ThinLayer(BODY, 0.1, at=1.0)))
-    for state in (bonded, elastic):
-        assert np.isnan(Surface(state.model).phase(state)).all()
-        assert "plus" not in Surface(state.model).table(state).columns
-
-
-def test_refused_pure_phases():
-    with pytest.raises(InputError, match="order=1 of NonMonotoneUnrelaxed: its phases are those of jumps alone"):
-        ThinLayer(PURE, 0.1, order=1, at=1.0)
-    with pytest.raises(InputError, match="Stack: a sublayer is NonMonotoneUnrelaxed"):
-        Stack((0.5, PURE), (0.5, BODY))

@@ -6,15 +6,15 @@ import warnings
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 from forms import LinearElastic, Maxwell, Norton
 from forms.base import InputError
-from geometry import block, sandwich
+from geometry import block
 from studies.problems import FOURIER_LAYER, fourier
 from studies.rates import HARD
 from tests import reference
 from tests.orders import observed_orders
+from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, compare, march, solve
 from thinlayer.errors import RangeWarning
 
@@ -63,25 +63,6 @@ def test_layer_that_keeps_its_volume(nu):
         assert errors == pytest.approx(right, rel=0.05)  # cells are as large as the thickest layer is thick
         assert all(wrong > 1.15 * error for wrong, error in zip(locked, errors, strict=True))
         assert observed_orders(eps, errors)[-1] == pytest.approx(2.0, abs=0.2)
-
-
-def test_fourier_states_of_the_next_order():
-    """Amplitudes of jump and traction on S against transfer matrices, nu = 0.499 in an eighth of the width."""
-    joint, setup = fourier(1 / 16, cell="quadrilateral")
-    eps, law = 1 / 8, LinearElastic.shear(40.0, 0.499)
-    with pytest.warns(RangeWarning):
-        state = solve(Structure(joint, **setup).interface(ThinLayer(law, eps, order=1, at=1.0)))
-    body = expm(reference.strip(*reference.BODY) * reference.HEIGHT)
-    found = []
-    for locked in (False, True):
-        layer = reference.next_order(law.lmbda * eps, law.mu * eps, eps, locked)
-        _, below, above, _ = reference.clamped(body, layer, body)
-        found.append((above - below)[:2])
-    (right, wrong), surface = found, Surface(state.model)
-    x = np.pi * surface.x[0]
-    sizes = surface.integral(2 * surface.jump(state) * (np.sin(x), np.cos(x)))
-    assert sizes == pytest.approx(right, rel=1e-4)
-    assert max(abs(a / b - 1) for a, b in zip(sizes, wrong, strict=True)) > 0.2
 
 
 @pytest.mark.few(5)
@@ -135,32 +116,5 @@ def test_memory_and_rate(law):
     assert observed_orders(eps, errors[1])[1] == pytest.approx(2.0, abs=0.1)
 
 
-def test_free_ends():
-    """Without corrections errors are several times smaller than with order 0, but of an order below 1."""
-    joint = sandwich(1.0, 0.5, 0.5, 1 / 16, h_S=1 / 32, h_ends=1 / 400)
-    body = LinearElastic.young(100.0, 0.3)
-    setup = {"body": body, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.3, -1.0)}}
-    eps, errors = (1 / 32, 1 / 64), {0: [], 1: []}
-    for e in eps:
-        full = solve(Structure(joint, **setup).full(ThinLayer(FOURIER_LAYER, e, at=1.0)))
-        for order, found in errors.items():
-            layer = ThinLayer(FOURIER_LAYER, e, order=order, edges="plain", at=1.0)
-            found.append(compare(full, solve(Structure(joint, **setup).interface(layer)))["error_jump"])
-    assert observed_orders(eps, errors[0])[1] == pytest.approx(1.0, abs=0.1)
-    assert 0.5 < observed_orders(eps, errors[1])[1] < 0.95
-    assert all(second < first / 5 for first, second in zip(*errors.values(), strict=True))
-
-
-def test_refused():
-    joint, layer = sandwich(1.0, 0.5, 0.5, 0.25), ThinLayer(FOURIER_LAYER, 0.1, order=1, at=1.0)
-    setup = {"body": FOURIER_LAYER, "supports": {"BOTTOM": 0.0}}
-    full, limit = (Structure(joint, **setup) for _ in range(2))
-    with pytest.raises(
-        InputError, match="order=1: bodies are extended in the full model and kept in the interface model"
-    ):
-        compare(solve(full.full(layer, bodies="extended")), solve(limit.interface(layer)))
-
-
 def test_orders():
-    with pytest.raises(InputError, match="allowed: 0, 1"):
-        ThinLayer(FOURIER_LAYER, 0.1, order=2, at=1.0)
+    refused(InputError, "allowed: 0, 1", ThinLayer, FOURIER_LAYER, 0.1, order=2, at=1.0)

@@ -55,8 +55,7 @@ def test_a_resumed_sweep_keeps_its_rows(tmp_path):
     assert list(table["eps"]) == [0.4, 0.2, 0.1]
     assert table["order_traction"][1:] == pytest.approx([2.0, 2.0])
     for bad in (None, 5, (1, 2)):
-        with pytest.raises(InputError, match=r"returns is .* it needs a mapping"):
-            sweep(lambda e, bad=bad: bad, [0.2])
+        refused(InputError, r"returns is .* it needs a mapping", sweep, lambda e, bad=bad: bad, [0.2])
 
 
 @pytest.mark.few(1)

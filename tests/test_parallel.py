@@ -6,23 +6,20 @@ import functools
 import json
 import math
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import ufl
 from mpi4py import MPI
 
-from forms import KelvinVoigt, LinearElastic, Stack
+from forms import KelvinVoigt, LinearElastic
 from geometry import sandwich
-from geometry.seam import Seam
 from tests.folders_run import raised
 from tests.on_ranks import on_ranks
 from tests.pictures import assert_drawn
 from tests.ranks import mpirun
 from tests.test_cli import thinlayer
-from thinlayer import Structure, Surface, ThinLayer, compare, fields, march, solve, sweep
+from thinlayer import Structure, ThinLayer, compare, fields, march, solve, sweep
 from thinlayer.running.cli import main
 
 JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
@@ -121,61 +118,6 @@ def errors(folder: Path) -> dict[str, str | list[str]]:
     for name, run in cases(COMM.rank, folder).items():
         texts = COMM.allgather(raised(run))
         found[name] = texts[0] if len(set(texts)) == 1 else texts
-    return found
-
-
-def crack() -> dict[str, float]:
-    """S that ends inside."""
-    whole = sandwich(1.0, 0.5, 0.5, 0.125)
-    centres = whole.points[whole.facets["S"]].mean(axis=1)
-    joint = replace(whole, facets={**whole.facets, "S": whole.facets["S"][centres[:, 0] < 0.5]})
-    body, glue = LinearElastic.young(30.0, 0.1), LinearElastic.young(3.0, 0.4)
-    layer = ThinLayer(glue, 0.04, at=1.0)
-    state = solve(Structure(joint, body=body, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.1, 1.0)}).interface(layer))
-    surface = Surface(state.model)
-    return {
-        "crack jump": surface.norm(surface.jump(state)),
-        "crack traction": surface.norm(surface.traction(state)),
-        "crack u": state.integral(ufl.inner(state.u, state.u) * ufl.dx),
-    }
-
-
-def network() -> dict[str, float]:
-    """Blocks that meet at junctions, in the plane and in space; two seams with a layer each."""
-    found = {}
-    body, glue = LinearElastic.young(30.0, 0.1), LinearElastic.young(3.0, 0.3)
-    layers = {
-        "BED": ThinLayer(glue, 0.04, at=1.0),
-        "HEAD": ThinLayer(Stack((0.3, glue), (0.7, LinearElastic(1.0, 2.0))), 0.02, at=1.0),
-    }
-    for depth in (None, 0.8):
-        whole = sandwich(1.0, 0.5, 0.5, 0.25 if depth else 0.125, depth=depth, structured=True)
-        centres = whole.points[whole.table.vertices].mean(axis=1)
-        upright = np.ptp(whole.points[whole.table.vertices][..., 0], axis=1) < 1e-9
-        head = upright & (abs(centres[:, 0] - 0.5) < 1e-9) & (centres[:, 1] > 0)
-        outer = dict(whole.facets)
-        bed = outer.pop("S")
-        joint = replace(
-            whole,
-            region=0 * whole.region,
-            regions=("WALL",),
-            facets={**outer, "BED": bed, "HEAD": whole.table.vertices[head]},
-            seams={
-                "BED": Seam(direction=(0.0, 1.0, 0.0)[: whole.dim]),
-                "HEAD": Seam(direction=(1.0, 0.0, 0.0)[: whole.dim]),
-            },
-        )
-        assert joint.seams_meet
-        load = (0.4, 1.0, 0.2)[: joint.dim]
-        structure = Structure(joint, body=body, supports={"BOTTOM": 0.0}, tractions={"TOP": load, "RIGHT": load})
-        state = solve(structure.interface(layers))
-        for name in ("BED", "HEAD", "S"):
-            surface = Surface(state.model, name)
-            jump = surface.jump(state)
-            found[f"network {joint.dim} {name} jump"] = surface.norm(jump)
-            found[f"network {joint.dim} {name} traction"] = surface.norm(surface.traction(state))
-            found[f"network {joint.dim} {name} profile"] = float(np.linalg.norm(surface.profile(jump)[1]))
-        found[f"network {joint.dim} energy"] = state.energies()["layer"]
     return found
 
 

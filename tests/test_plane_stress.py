@@ -28,6 +28,8 @@ from forms.elastic import lame
 from forms.law import PlaneStress
 from forms.non_monotone import lamination_gain
 from forms.planes import Kinematics
+from tests.own_laws import Stiffening
+from tests.refused import refused
 from thinlayer import SolveError, drive
 from thinlayer.pointwise.material import Material
 
@@ -103,19 +105,6 @@ class Tilted(BulkLaw):
 
 
 @dataclass(frozen=True)
-class Stiffening(BulkLaw):
-    """No memory and no rate: a part of a UFL form in plane strain."""
-
-    a: float
-
-    def stress(self, step):
-        return lame(L, M, step.mid) + self.a * ufl.inner(step.mid, step.mid) * step.mid
-
-    def energy(self, step):
-        return L * ufl.tr(step.e) ** 2 / 2 + M * ufl.inner(step.e, step.e) + self.a * ufl.inner(step.e, step.e) ** 2 / 4
-
-
-@dataclass(frozen=True)
 class Pressed(BulkLaw):
     """The stress out of the plane is > 0 at every strain."""
 
@@ -137,7 +126,7 @@ LAWS = {
     "unilateral": MohrCoulombMonodirectional(L, M, 0.02, 30.0, 0.01, True),
     "series": Stack((0.3, Maxwell(L, M, 0.8)), (0.2, LinearElastic(L, M)), (0.5, MohrCoulomb(L, M, 0.05, 30.0, 0.01))),
     "tilted": Tilted(0.6),
-    "stiffening": Stiffening(400.0),
+    "stiffening": Stiffening(L, M, 400.0),
 }
 
 
@@ -243,8 +232,7 @@ def test_what_has_no_plane_stress():
     with pytest.raises(InputError, match="dimension of the model is 3; allowed: 2"):
         drive(LAWS["Maxwell"].plane_stress(), [{"w_T1": 0.0, "w_T2": 0.0, "w_N": 0.01}], n=(0, 1, 0), dt=0.1)
     assert isinstance(PlaneStress(LAWS["Maxwell"]).plane_stress(), PlaneStress)
-    with pytest.raises(SolveError, match="the law failed"):
-        drive(Pressed(M).plane_stress(), [{"w_T": 0.0, "w_N": 0.01}])
+    refused(SolveError, "the law failed", lambda: drive(Pressed(M).plane_stress(), [{"w_T": 0.0, "w_N": 0.01}]))
 
     @dataclass(frozen=True)
     class Constrained(LinearElastic):

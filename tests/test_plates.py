@@ -160,17 +160,6 @@ def test_the_limit_load_of_a_plate():
     assert limit.value.t == pytest.approx(expected, rel=5e-3)
 
 
-def test_resumed(tmp_path):
-    """The plate's motion is among the unknowns that files keep."""
-    top = RigidPlate("TOP", force=lambda x, t: (0.02 * t, -0.01))
-    structure = Structure(sandwich(2.0, 0.5, 0.6, 0.5), body=BODY, supports={"BOTTOM": 0.0}, parts=[top])
-    made = model(structure, "interface", CREEP)
-    whole = march(made, [0.2, 0.6, 1.0])
-    march(made, [0.2, 0.6], out=tmp_path / "run")
-    rest = march(made, [0.2, 0.6], out=tmp_path / "run", resume=True)
-    assert top.motion_in(rest.last).translation == pytest.approx(top.motion_in(whole.at(0.6)).translation, rel=1e-12)
-
-
 def test_contact_under_a_plate():
     """Pressed by a plate that may turn: S carries the force at its place; the solvers for contact are left out."""
     top = RigidPlate("TOP", force=(0.1, -3.0), moment=0.5)

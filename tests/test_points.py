@@ -1,4 +1,4 @@
-"""Every law with time at points: tangents, energies of a step, rotations and plane strain are consistent."""
+"""Every law with time at points: tangents, energies of a step and rotations are consistent."""
 
 from __future__ import annotations
 
@@ -6,102 +6,91 @@ import numpy as np
 import pytest
 
 from forms import BulkLaw, KernelLaw, Stack
-from tests.at_points import DT, material, respond, situation, tensor, vector
-from tests.laws_at_points import (
-    BALANCED,
-    ELASTIC,
-    EXACT,
-    KELVIN,
-    LAWS,
-    LMBDA,
-    MAXWELL,
-    MAXWELL_2,
-    MISES,
-    MU,
-    NORTON_3,
-    NORTON_15,
-    QUADRATIC,
-    ROUNDING,
-    THETAS,
-)
+from tests.at_points import DT, respond, situation, tensor, vector
+from tests.laws_at_points import BALANCED, EXACT, LAWS, MISES, QUADRATIC, ROUNDING, THETAS
+from tests.mohr_coulomb_points import LAWS as MOHR_COULOMB
+from tests.mohr_coulomb_points import METALS, SOILS
 from thinlayer.pointwise.kernels import SIZES
+
+YIELDING = METALS | SOILS | {f"Mohr-Coulomb, {name}": law for name, law in MOHR_COULOMB.items()}
+ALL = LAWS | YIELDING
+
+
+def begun(name, theta):
+    """Points in the middle of a history; where they yield there are many, as some pass a kink."""
+    small = {"points": 300, "size": 0.006, "pressed": 0.003} if name in YIELDING else {}
+    return ALL[name], situation(ALL[name], theta, **small)
 
 
 def memory_blocks(law: BulkLaw) -> list[int]:
     """Sizes of what is remembered: 1 a number, 3 a vector, 6 a symmetric tensor."""
     if isinstance(law, Stack) and len(law.laws) > 1:
         return [3] * len(law.laws) + [size for one in law.laws for size in memory_blocks(one)]
-    return [6] * (law.memory // 6) if isinstance(law, KernelLaw) else [SIZES[shape] for shape in law.internal.values()]
+    if isinstance(law, KernelLaw):
+        return [6] * (law.memory // 6) + [1] * (law.memory % 6)
+    return [SIZES[shape] for shape in law.internal.values()]
 
 
 @pytest.mark.parametrize("theta", THETAS)
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", ALL)
 def test_tangent_is_the_derivative_of_the_stress(name, theta):
-    """Remainder of Taylor's expansion: second order, or rounding where the law is linear."""
-    law = LAWS[name]
-    start = situation(law, theta)
+    """Remainder of Taylor's expansion at each point: second order, or rounding where the law is linear."""
+    law, start = begun(name, theta)
     now = start.respond(law, theta)
     assert now.failed == 0
-    direction = 0.1 * np.random.default_rng(1).normal(size=start.e.shape)
+    strain = np.abs(start.e - start.e_old).mean()
+    direction = strain * np.random.default_rng(1).normal(size=start.e.shape)
     left = []
     for h in (1e-2, 1e-3):
         moved = start.respond(law, theta, start.e + h * direction)
-        left.append(np.abs(moved.stress - now.stress - h * np.einsum("kij,kj->ki", now.tangent, direction)).max())
+        change = moved.stress - now.stress - h * np.einsum("kij,kj->ki", now.tangent, direction)
+        left.append(np.abs(change).max(axis=1))
     size = np.abs(now.stress).max()
     if law.traits.linear:
-        assert max(left) < EXACT * size
+        assert max(left[0].max(), left[1].max()) < EXACT * size
+    elif name not in YIELDING:
+        assert left[1].max() > 100 * ROUNDING * size  # it is the law's curvature that is seen
+        assert np.log10(left[0].max() / left[1].max()) > 1.95
     else:
-        assert left[1] > 100 * ROUNDING * size  # it is the law's curvature that is seen
-        assert np.log10(left[0] / left[1]) > 1.95
+        curved = left[1] > 1e-13 * size
+        orders = np.log10(left[0] / left[1])[curved]
+        assert curved.sum() > 20
+        assert np.mean(orders > 1.9) > 0.9  # others pass a kink
+        assert np.median(orders) == pytest.approx(2, abs=0.05)
     if law.traits.symmetric:
         assert now.tangent == pytest.approx(np.swapaxes(now.tangent, 1, 2), abs=EXACT * np.abs(now.tangent).max())
 
 
 @pytest.mark.parametrize("theta", THETAS)
-@pytest.mark.parametrize("name", BALANCED)
+@pytest.mark.parametrize("name", [*BALANCED, *YIELDING])
 def test_energy_of_a_step_is_accounted_for(name, theta):
     """stress : (e - e_old) = stored + dissipated + remainder; remainder > 0, or zero for the midpoint rule."""
-    law = LAWS[name]
-    start = situation(law, theta)
+    law, start = begun(name, theta)
     now = start.respond(law, theta)
     work = np.sum(now.stress * (start.e - start.e_old), axis=1)
     size = np.max(np.abs([work, now.stored, start.stored, now.dissipated, now.remainder]), axis=0)
-    assert (np.abs(work - (now.stored - start.stored) - now.dissipated - now.remainder) < EXACT * size).all()
+    exact = 1e-11 if name in YIELDING else EXACT
+    assert (np.abs(work - (now.stored - start.stored) - now.dissipated - now.remainder) < exact * size).all()
     assert (now.stored > 0).all()
-    assert (now.dissipated >= -ROUNDING * size).all()
-    if name in QUADRATIC:
+    assert (now.dissipated >= -1e-13 * size).all()
+    if name in YIELDING:
+        assert (now.q[:, 6] >= start.q[:, 6]).all()
+        assert (now.dissipated / size).max() > 0.2
+        assert (now.remainder >= -1e-12 * size).all() or law.unilateral
+    elif name in QUADRATIC:
         assert now.dissipated.max() > 1e-3 * size.max()
         assert (now.remainder > 0).all() if theta > 0.5 else (np.abs(now.remainder) < EXACT * size).all()
 
 
-@pytest.mark.parametrize(("theta", "share"), [(1.0, 1.0), (0.7, 0.4), (0.5, 0.0)])
-def test_remainder_is_the_energy_of_the_increments(theta, share):
-    """(2 theta - 1) times the elastic energy of what the springs have been strained by in the step."""
-    for law, springs in ((KELVIN, ELASTIC), (NORTON_15, ELASTIC), (NORTON_3, ELASTIC)):
-        start = situation(law, theta)
-        increment = start.e - start.e_old
-        zero = np.zeros_like(increment)
-        energy = respond(springs, increment, zero, np.zeros((len(zero), 0)), start.n).stored
-        assert start.respond(law, theta).remainder == pytest.approx(share * energy, rel=EXACT)
-    for law in (MAXWELL, MAXWELL_2):  # the spring carries the stress: complementary energy of its increment
-        start = situation(law, theta)
-        now = start.respond(law, theta)
-        change = tensor(now.q - start.q)
-        mean = np.trace(change, axis1=1, axis2=2) / 3
-        dev = change - mean[:, None, None] * np.eye(3)
-        energy = np.einsum("kij,kij->k", dev, dev) / (4 * MU) + mean**2 / (2 * (LMBDA + 2 * MU / 3))
-        assert now.remainder == pytest.approx(share * energy, rel=1e-10, abs=ROUNDING)
-
-
+@pytest.mark.parametrize("flip", [1, -1], ids=["turned", "mirrored"])
 @pytest.mark.parametrize("theta", [1.0, 0.5])
-@pytest.mark.parametrize("name", LAWS)
-def test_no_direction_is_preferred(name, theta):
-    """When strains, memory and director turn, so do stress, tangent and memory."""
-    law = LAWS[name]
-    start = situation(law, theta)
-    turn, triangle = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
-    turn = turn * np.sign(np.diag(triangle))
-    turn = turn * np.sign(np.linalg.det(turn))
+@pytest.mark.parametrize("name", ALL)
+def test_no_direction_is_preferred(name, theta, flip):
+    """When strains, memory and director are turned or mirrored, so are stress, tangent and memory."""
+    law, start = begun(name, theta)
+    turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    turn = turn * flip * np.sign(np.linalg.det(turn))
+    assert np.linalg.det(turn) == pytest.approx(flip)
 
     def turned(a):
         if a.shape[-1] == 6:
@@ -121,23 +110,6 @@ def test_no_direction_is_preferred(name, theta):
     assert close(found.q, memory(now.q))
     assert close(found.energies, now.energies)
     assert close(found.tangent, np.swapaxes(turned(np.swapaxes(turned(now.tangent), 1, 2)), 1, 2))
-
-
-@pytest.mark.parametrize("name", ["Maxwell t1 != t2", "Norton 1.5", "user", "point", "three"])
-def test_two_dimensions_are_the_same_law(name):
-    """Plane strain: three components of strain, the others zero; the stress has all of them."""
-    law, plane = LAWS[name], [0, 1, 3]
-    random = np.random.default_rng(2)
-    e, n = np.zeros((8, 6)), np.zeros((8, 3))
-    e[:, plane], n[:, :2] = 0.1 * random.normal(size=(8, 3)), random.normal(size=(8, 2))
-    n /= np.linalg.norm(n, axis=1)[:, None]
-    q = np.zeros((8, material(law).memory))
-    whole = respond(law, e, 0 * e, q, n)
-    part = respond(law, e[:, plane], 0 * e[:, plane], q, n, slots=plane)
-    assert part.stress == pytest.approx(whole.stress, rel=ROUNDING)
-    assert part.tangent == pytest.approx(whole.tangent[:, plane][:, :, plane], rel=ROUNDING)
-    assert part.q == pytest.approx(whole.q, rel=ROUNDING)
-    assert part.energies == pytest.approx(whole.energies, rel=ROUNDING)
 
 
 def test_a_point_law_yields_somewhere_and_not_everywhere():

@@ -6,24 +6,10 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from forms import KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
+from forms import Norton
 from tests import closed_forms
 from tests.at_points import DT, E2, jump_strain, material, respond, tensor, traction, vector
-from tests.laws_at_points import (
-    ELASTIC,
-    EXACT,
-    K_N,
-    K_T,
-    KELVIN,
-    LAWS,
-    LMBDA,
-    MAXWELL,
-    MAXWELL_2,
-    MU,
-    ROUNDING,
-    STIFF,
-    THETAS,
-)
+from tests.laws_at_points import ELASTIC, EXACT, K_N, K_T, KELVIN, LAWS, LMBDA, MAXWELL, MAXWELL_2, MU, THETAS
 
 
 @pytest.fixture(scope="module")
@@ -79,29 +65,6 @@ def test_norton_as_printed_is_another_law(jumps, p):
     assert np.linalg.norm(viscous - bars_around_rate) > 0.1 * size
 
 
-def test_norton_of_exponent_two_is_a_linear_dashpot(jumps):
-    """p = 2: K_th = eta (I + n n)/2, a Kelvin-Voigt law without viscosity of volume."""
-    w_old, w, n = jumps
-    norton, kelvin = Norton(LMBDA, MU, 5.0, 2.0), KelvinVoigt(LMBDA, MU, 0.0, 5.0 / (2 * MU))
-    assert traction_of(norton, jumps) == pytest.approx(traction_of(kelvin, jumps), rel=EXACT)
-    v = (w - w_old) / DT
-    dashpot = 5.0 / 2 * (v + np.einsum("ki,ki->k", v, n)[:, None] * n)
-    assert traction_of(norton, jumps) - traction_of(ELASTIC, jumps) == pytest.approx(dashpot, rel=1e-10)
-
-
-def test_norton_of_exponent_one_is_a_threshold():
-    """p -> 1: a stress of modulus eta along the rate, however fast; a 1000th above 1, within (10^3)^(p - 1) = 0.7 %."""
-    law = Norton(LMBDA, MU, 5.0, 1.001)
-    direction = np.random.default_rng(4).normal(size=6)
-    direction /= np.linalg.norm(direction)
-    rates = np.logspace(-3, 3, 7)[:, None] * direction
-    q, n = np.zeros((7, 0)), np.tile(E2, (7, 1))
-    viscous = respond(law, rates * DT, 0 * rates, q, n).stress - respond(ELASTIC, rates * DT, 0 * rates, q, n).stress
-    assert viscous == pytest.approx(np.tile(5.0 * direction, (7, 1)), rel=8e-3)
-    tangent = respond(law, rates * DT, 0 * rates, q, n).tangent
-    assert (np.diff(tangent[:, 3, 3]) < 0).all()  # the faster, the softer: it is almost rigid near rest
-
-
 def test_maxwell_answers_at_once_with_the_elastic_stiffness(jumps):
     """Sudden load: the coefficients of Eq. (19) corrected. The printed ones are 2 mu and a negative normal stiffness."""
     _, w, n = jumps
@@ -155,19 +118,6 @@ def test_maxwell_with_two_times_is_no_equation_of_first_order():
     assert held.stress == pytest.approx(2 * MU * shear / (1 + DT / 0.7), rel=EXACT)  # shear: t1 alone
 
 
-def test_volumetric_rate_at_the_bound_of_t2():
-    """t2 = 3 nu t1/(1 + nu): the mean stress does not relax."""
-    nu = LMBDA / (2 * (LMBDA + MU))
-    t2 = 3 * nu * 0.7 / (1 + nu)
-    assert closed_forms.volumetric_rate(LMBDA, MU, 0.7, t2) == pytest.approx(0.0, abs=ROUNDING)
-    assert closed_forms.volumetric_rate(LMBDA, MU, 0.7, 0.7) == pytest.approx(1 / 0.7, rel=EXACT)
-    law = Maxwell(LMBDA, MU, 0.7, t2 * (1 + 1e-12))
-    e = vector(0.01 * np.eye(3)[None])
-    q = np.zeros((1, 6))
-    first = respond(law, e, 0 * e, q, E2[None], 0.0)
-    assert respond(law, e, e, first.q, E2[None], 10.0).stress == pytest.approx(first.stress, rel=1e-9, abs=1e-14)
-
-
 def test_traction_law_is_the_traction(jumps):
     """Its stress has the traction on n, and does its work in the strain of every jump."""
     w_old, w, n = jumps
@@ -184,23 +134,3 @@ def test_traction_law_is_the_traction(jumps):
     assert answer.q[:, 3] - q[:, 3] == pytest.approx(np.sum((w - w_old) ** 2, axis=1), rel=EXACT)
     v = np.random.default_rng(9).normal(size=w.shape)
     assert np.sum(answer.stress * jump_strain(v, n), axis=1) == pytest.approx(np.sum(t * v, axis=1), rel=1e-11)
-
-
-def test_elastic_sublayers_have_the_harmonic_means(jumps):
-    """Compliances add: 1/mu and 1/(lmbda + 2 mu); not lmbda, and not the sums that Eq. (52) calls stiffnesses."""
-    _, w, n = jumps
-    soft = LinearElastic.young(12.0, 0.42)
-    law = Stack((0.3, STIFF), (0.45, soft), (0.25, ELASTIC))
-    found = traction_of(law, (0 * w, w, n), dt=0.0)
-    for t, one, normal in zip(found, w, n, strict=True):
-        stiffnesses = [closed_forms.elastic_stiffness(part.lmbda, part.mu, normal) for part in law.laws]
-        assert t == pytest.approx(closed_forms.stratified(law.fractions, stiffnesses) @ one, rel=1e-11)
-    mean = lambda values: 1 / sum(a / value for a, value in zip(law.fractions, values, strict=True))
-    mu, lmbda = (mean([getattr(part, name) for part in law.laws]) for name in ("mu", "lmbda"))
-    normal = traction_of(law, (np.zeros((1, 3)), E2[None], E2[None]), dt=0.0)[0, 1]
-    assert normal == pytest.approx(mean([part.lmbda + 2 * part.mu for part in law.laws]), rel=EXACT)
-    assert abs(normal / (lmbda + 2 * mu) - 1) > 0.02
-    sheared = traction_of(law, (np.zeros((1, 3)), np.array([[1.0, 0, 0]]), E2[None]), dt=0.0)[0, 0]
-    assert sheared == pytest.approx(mu, rel=EXACT)
-    arithmetic = sum(a * part.mu for a, part in law.sublayers)
-    assert abs(sheared / arithmetic - 1) > 0.2

@@ -136,15 +136,6 @@ def test_stress_of_an_incompressible_layer_has_its_pressure():
     assert s == pytest.approx(np.tile(-0.3 * np.eye(3), (2, 1, 1)), rel=1e-6, abs=1e-8)
 
 
-def test_plane_stress_has_no_stress_out_of_the_plane():
-    joint = sandwich(2.0, 0.5, 0.7, 0.5)
-    supports = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-    structure = Structure(joint, body=BODY, supports=supports, tractions={"TOP": (0.0, -0.3)}, plane="stress")
-    s = Probe(solve(structure.interface(ThinLayer(K, EPS, at=1.0)))).stress([0.7, 0.3])
-    nu = BODY.lmbda / (2 * (BODY.lmbda + BODY.mu))
-    assert s == pytest.approx(np.diag([-0.3 * nu, -0.3, 0.0]), rel=1e-9, abs=1e-10)
-
-
 def test_several_bodies_meet():
     joint = wall(2, 3, brick=(2.0, 1.0), h=0.5)
     structure = Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.05, -0.1)})
@@ -174,13 +165,3 @@ def test_places_that_are_none():
         Probe(solve(structure.full(ThinLayer(K, EPS, at=1.0)))).displacement([0.3, 0.2], side="upper")
     refused(InputError, "no law remembers anything", lambda: probe.points("plastic"))
     refused(InputError, "a probe takes a state", lambda: Probe(structure))
-
-
-def numbers() -> list:
-    state = slipping().last
-    probe, x = Probe(state), [[0.31, -0.27], [1.73, 0.4], [0.5, 0.0]]
-    found = [probe.displacement(x, side="upper"), probe.stress(x, side="lower"), probe.points("plastic").values]
-    creep = Probe(creeping())
-    name = creep.names["body LOWER"][0]
-    found += [creep.stress(x[:2]), creep.internal(name, x[:1]), creep.points(name).x, creep.points(name).values]
-    return [one.tolist() for one in found]

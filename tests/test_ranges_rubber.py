@@ -8,7 +8,7 @@ from scipy.special import iv
 
 from forms import KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from geometry import block, disc, ring, sandwich
-from studies.problems import FOURIER_LAYER, fourier
+from studies.problems import fourier
 from tests.ranges_told import STIFF, excess, opened, strip_excess, times_too_stiff, told
 from thinlayer import Structure, Surface, ThinLayer, march, piecewise, solve
 from thinlayer.solving.ranges import warn_of_model
@@ -100,26 +100,6 @@ def test_wave_between_rollers():
         model = Structure(joint, **setup).interface(ThinLayer(law, eps, order=order, at=1.0))
         mode = lambda x: (0.3 * np.sin(np.pi * x[0]), np.cos(np.pi * x[0]))
         assert excess(model, mode) == pytest.approx(np.pi**2 * eps**2 * law.lmbda / law.mu / 12, rel=3e-3)
-
-
-def test_ends():
-    """Free: no support of the layer's whole side holds it, along S or across it. A closed S has no end."""
-    joint = sandwich(1.0, 0.5, 0.5, 0.25)
-    layer, data = ThinLayer(FOURIER_LAYER, 0.1, at=1.0), dict(body=STIFF)
-    rim_of = lambda model: model.reductions["S"].free
-    for supports, ends in (
-        ({}, 2),
-        ({"RIGHT": {"y": 0.0}}, 1),
-        ({"RIGHT/LOWER": 0.0}, 2),
-        ({"RIGHT": {"x": 0.0}}, 1),
-        ({"LEFT": 0.0, "RIGHT/LAYER": 0.0}, 0),
-    ):
-        model = Structure(joint, supports={"BOTTOM": 0.0, "TOP": 0.0, **supports}, **data).interface(layer)
-        assert len(rim_of(model).vertices) == ends
-    turned = Structure(joint.rotated(np.pi / 2), supports={"BOTTOM": 0.0, "RIGHT": {"y": 0.0}}, **data).interface(layer)
-    assert rim_of(turned).outward == pytest.approx(np.array([[0.0, -1.0]]))
-    closed = Structure(ring(1.0, 1.5, 2.0, h=0.4), supports={"INSIDE": 0.0}, **data).interface(layer)
-    assert len(rim_of(closed).vertices) == 0
 
 
 def test_rubber_is_told_once():

@@ -1,4 +1,4 @@
-"""The golden numbers on two ranks are in every run; here are more numbers of each capability, for `.ci/run --long`."""
+"""Golden numbers on two ranks are in every run; all of them, and a few more, on several ranks in `.ci/run --long`."""
 
 from __future__ import annotations
 
@@ -9,19 +9,29 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.on_ranks import Asked
+from tests import test_golden
+from tests.on_ranks import Asked, on_ranks
 
 CASES = {  # a function in a module of the tests: the largest relative difference of its numbers
     "test_junction_tractions:numbers": 1e-10,
     "test_lines:numbers": 1e-9,
-    "test_probe:numbers": 1e-8,
-    "eigenstrain_cases:numbers": 1e-10,
-    "network_cases:numbers": 1e-10,
-    "periodic_cases:numbers": 1e-10,
-    "side_loads_run:numbers": 1e-9,
-    "supports_run:numbers": 1e-8,
-    "zoom_run:numbers": 1e-9,
+    "test_reactions:numbers": 1e-8,
 }
+
+
+ALONE = (*test_golden.ON_RANKS, "contact")  # that are in every run, or for one rank
+
+
+def golden() -> dict[str, list[float]]:
+    return {name: test_golden.numbers(name) for name in test_golden.CASES if name not in ALONE}
+
+
+@pytest.mark.long
+@on_ranks(golden, 2, 3)
+@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
+def test_all_golden_numbers(there: dict[str, list[float]]) -> None:
+    for name, found in there.items():
+        test_golden.assert_golden(name, found)
 
 
 def assert_same(found: Any, expected: Any, tolerance: float, name: str) -> None:

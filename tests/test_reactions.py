@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
-from forms import Incompressible, LinearElastic, Stack
+from forms import Incompressible, LinearElastic, Stack, VonMises
 from forms.base import InputError
 from geometry import block, sandwich, wall
 from tests.arc_length_run import KINKED, PATH, tilted
 from tests.refused import refused
 from tests.supports_run import BODY, CONTACT, CREEP, EPS, GLUE, KINDS, MORTAR, loaded, on_base, out_of_balance
-from thinlayer import RangeWarning, Springs, Structure, ThinLayer, march, solve
+from thinlayer import RangeWarning, RigidPlate, Springs, Structure, ThinLayer, march, solve
 
 BALANCED = 1e-10  # residual at which solvers stop
 
@@ -135,14 +138,42 @@ def test_parts_of_a_side_and_springs():
     assert out_of_balance(state) < BALANCED
 
 
-def test_kept_in_files(tmp_path):
-    """A march that goes on has the reactions of one that was never stopped, and those of its earlier states."""
-    times = [0.1, 0.2, 0.3]
-    whole = march(on_base(CREEP), times, theta=0.5)
-    march(on_base(CREEP), times[:2], theta=0.5, out=tmp_path)
-    rest = march(on_base(CREEP), times[:2], theta=0.5, out=tmp_path, resume=True)
-    assert rest.last.report.method == "resumed"
-    assert rest.last.reactions == pytest.approx(whole.at(0.2).reactions, rel=1e-12)
+def test_a_resumed_march_has_what_all_its_parts_remember(tmp_path):
+    """Bodies that yield and are heated, a layer that creeps and shrinks, springs and a plate: as if it was never cut."""
+    metal = VonMises(60.0, 40.0, strength=0.02, hardening=5.0)
+    parts = [RigidPlate("TOP", force=lambda x, t: (0.02 * t, -0.1)), Springs("BOTTOM", normal=20.0, tangential=7.0)]
+
+    def made(law=metal, heat=1e-3):
+        hot = {"LOWER": lambda x, t: heat * t, "UPPER": 0.0}
+        blocks = Structure(sandwich(2.0, 0.5, 0.6, 0.5), body=law, supports={}, parts=parts, eigenstrain=hot)
+        return blocks.interface(ThinLayer(CREEP, EPS, eigenstrain=lambda x, t: -heat * t, at=1.0))
+
+    times = [0.2, 0.6, 1.0]
+    whole = march(made(), times)
+    march(made(), times[:2], out=tmp_path)
+    again = march(made(), times, out=tmp_path, resume=True)
+    assert again.at(0.6).report.method == "resumed"
+    for state, other in ((again.at(t), whole.at(t)) for t in times[1:]):
+        assert out_of_balance(state) < 1e-8
+        assert state.energies() == pytest.approx(other.energies(), rel=1e-8)
+        assert dict(state.stored) == pytest.approx(dict(other.stored), rel=1e-8)
+        assert state.dissipated == pytest.approx(other.dissipated, rel=1e-8)
+        assert parts[0].motion_in(state).rotation == pytest.approx(parts[0].motion_in(other).rotation, rel=1e-8)
+        assert state.memory.keys() == other.memory.keys() >= {"layer", "body LOWER", "body UPPER"}
+        for kept, expected in ((state.memory, other.memory), (state.stresses, other.stresses)):
+            for key, value in expected.items():
+                assert np.abs(value).max() > 0
+                assert kept[key] == pytest.approx(value, abs=1e-9 * np.abs(value).max())
+        assert state.reactions == pytest.approx(other.reactions, abs=1e-9 * np.abs(other.reactions).max())
+    for changed in (made(replace(metal, hardening=4.0)), made(heat=2e-3)):
+        refused(InputError, "another march", march, changed, times, out=tmp_path, resume=True)
+
+
+# ---------------------------------------------------------------- ranks
+def numbers() -> dict[str, list[float]]:
+    """Reactions in space, to lines, points, springs, pressures and a layer's weight."""
+    state = solve(loaded(3, "interface"), t=1.5)
+    return {str(place): [*one.force, *one.moment] for place, one in state.reactions_by_place().items()}
 
 
 # ---------------------------------------------------------------- refused

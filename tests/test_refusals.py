@@ -12,7 +12,6 @@ import ufl
 from forms import Anisotropic, LinearElastic
 from forms.base import InputError
 from geometry import sandwich
-from tests.meshes import grid
 from tests.pictures import assert_drawn
 from tests.refused import refused
 from thinlayer import (
@@ -76,6 +75,8 @@ def test_states_of_other_joints(states):
     surface = Surface(states[1].model)
     for field in (surface.traction, surface.jump):
         refused(InputError, "another joint", field, other)
+    refused(InputError, "same joint", compare, other, states[1])
+    refused(InputError, "not interface and full", compare, *states[::-1])
 
 
 @pytest.mark.parametrize("where", [lambda x: x[0] > 99.0, lambda x: abs(x[0] - 0.3) < 1e-9])
@@ -178,20 +179,6 @@ def test_numbers_of_numpy_and_texts():
     refused(InputError, "width is '10'; it must be a number", lambda: sandwich("10", 1.0, 1.0))
     with pytest.raises(InputError, match=r"unknown facet tag 'bottom', did you mean 'BOTTOM'"):
         Structure(JOINT, **SETUP | {"supports": {"bottom": 0.0}}).interface(LAYER)
-
-
-def test_crossing_pieces_of_s():
-    """Four pieces, none hinged to another at the crossing: a pull opens one line by t/K."""
-    axis = np.linspace(0.0, 1.0, 5)
-    joint = grid([axis, axis], lambda x: (x[:, 0] < 0.5) == (x[:, 1] > 0.5), "quadrilateral")
-    assert joint.splitting.valence.max() == joint.splitting.pieces.max() + 1 == 4
-    body, layer, t = LinearElastic.young(100.0, 0.2), ThinLayer(LinearElastic(30.0, 20.0), 0.01, at=1.0), 3.0
-    structure = Structure(joint, body=body, supports={"LEFT": {"x": 0}, "BOTTOM": {"y": 0}}, tractions={"TOP": (0, t)})
-    state = solve(structure.interface(layer))
-    assert state.energies()["layer"] == pytest.approx(t**2 / (30 + 2 * 20) / 2, rel=1e-9)
-    assert state.energies()["bodies"] == pytest.approx(t**2 * (1 - 0.2**2) / 100.0 / 2, rel=1e-9)
-    meshed = solve(structure.full(layer))  # the triangles of beds and heads at a crossing add strips to the sides
-    assert meshed.energies()["layer"] == pytest.approx(state.energies()["layer"], rel=0.05)
 
 
 def test_free_sliding_is_no_solution_of_multigrid(monkeypatch):

@@ -11,7 +11,7 @@ import pytest
 import ufl
 from mpi4py import MPI
 
-from forms import BulkLaw, LinearElastic, NonMonotoneUnrelaxed, Stack, Tabulated
+from forms import BulkLaw, LinearElastic, NonMonotoneUnrelaxed, Tabulated
 from forms.base import InputError
 from geometry import sandwich
 from tests.on_ranks import on_ranks
@@ -46,22 +46,6 @@ def refused(law: BulkLaw, message: str, tmp_path: Any) -> None:
 
 
 # ---------------------------------------------------------------- temperatures
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"T": lambda x, t: 20 + 1j * x[0]}, r"T fails .*it gives complex128 values, not real numbers"),
-        ({"T": lambda x, t: x[0] > 1}, r"T fails .*it gives bool values"),
-        ({"alpha": lambda T: 1 + 1j * T, "T": lambda x, t: x[0]}, r"alpha\(T\) fails .*it gives complex128 values"),
-        ({"T": lambda x, t: 20 + 100 * t}, r"alpha\(T\): T is 120; the table knows 0 to 100"),
-        (
-            {"transformation_energy": lambda T: 0.5 - T, "T": lambda x, t: t + 0 * x[0]},
-            r"transformation_energy at x = \(\S+, 0\), t = 0.5 is 0; allowed: > 0",
-        ),
-    ],
-    ids=["complex", "condition", "complex alpha", "later", "place"],
-)
-def test_fields_that_are_no_temperatures(changed, message, tmp_path):
-    refused(pure(**{"alpha": TABLE, **changed}), f"^NonMonotoneUnrelaxed: {message}", tmp_path)
 
 
 @pytest.mark.parametrize("name", ["alpha", "transformation_energy", "T"])
@@ -218,11 +202,6 @@ def test_loads_and_supports_that_are_no_numbers():
         Structure(JOINT, **moved).interface(layer)
     with pytest.raises(InputError, match="cells_through is '4'; the layer needs a whole number"):
         Structure(JOINT, **SETUP).full(layer, cells_through="4")
-
-
-def test_a_stack_of_pure_phases():
-    with pytest.raises(InputError, match=r"(?s)a sublayer is NonMonotoneUnrelaxed.*point by point"):
-        Stack((0.5, pure()), (0.5, LinearElastic(2.0, 5.0)))
 
 
 def test_an_empty_history():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from mpi4py import MPI
 
-from forms import HolonomicCoulomb, Incompressible, LinearElastic, Rubber
+from forms import HolonomicCoulomb, LinearElastic, Rubber
 from forms.base import InputError
 from geometry import faults, sandwich
 from tests.on_ranks import on_ranks
@@ -13,7 +13,7 @@ from tests.refused import refused
 from thinlayer import Pressure, Structure, ThinLayer
 
 BODY = LinearElastic.young(100.0, 0.3)
-RUBBER, INCOMPRESSIBLE = Rubber(90.0, 3.0), Incompressible(3.0)
+RUBBER = Rubber(90.0, 3.0)
 JOINT = sandwich(1.0, 0.5, 0.5, 0.25)
 HELD = {"body": BODY, "supports": {"BOTTOM": 0.0}}
 

@@ -94,6 +94,7 @@ PLATES = sandwich(3.0, 1.0, 1.2, 0.5)
 PRESSED = {"tractions": {"TOP": lambda x, t: (0.2 * t + 0.1, -1.0 - x[0] * t)}}
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(("held", "upper"), [(True, LOWER), (False, LOWER), (False, UPPER)])
 def test_all_ratios_take_the_same_iterations(held, upper):
     """They find what a factorisation finds, and need hardly more iterations than multigrid with an elastic layer."""

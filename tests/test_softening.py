@@ -107,6 +107,7 @@ def test_a_step_over_a_fall_is_told():
     assert len(told(joint, Loop(3.0), Structure.interface, [0.3, 0.5, 1.4])) == 1
 
 
+@pytest.mark.long
 def test_in_three_dimensions():
     joint = disc(1.0, 0.4, 0.4, h=0.6, cell="hexahedron")
     law = WeakInShear(3.0, 0.3)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-import ufl
 from dolfinx import fem
 
 from forms import Anisotropic, Incompressible, LinearElastic, Maxwell
@@ -14,12 +11,9 @@ from forms.base import InputError
 from forms.contact import HolonomicCoulomb
 from geometry import block, sandwich
 from tests.arc_length_run import Trilinear
-from tests.on_ranks import alone, on_ranks
-from tests.orders import taylor_order
 from tests.refused import refused
-from thinlayer import Adaptive, ArcLength, PointLoad, SolveError, Structure, Surface, ThinLayer, UflPart, march, solve
+from thinlayer import Adaptive, ArcLength, PointLoad, SolveError, Structure, Surface, ThinLayer, march, solve
 from thinlayer.parts.springs import Springs
-from thinlayer.solving.solvers import Solver
 
 E, HEIGHT, EPS = 100.0, 0.5, 0.1
 ANGLE = 0.4
@@ -62,22 +56,6 @@ def relaxing(kind: str = "interface", closing: float = 0.02):
     return getattr(Structure(joint, body=BODY, supports=supports, parts=[BED]), kind)(ThinLayer(CREEP, EPS, at=1.0))
 
 
-def numbers(out: Path) -> dict[str, float]:
-    """Energies of turned blocks, and of a march, or of the rest of one that is in the folder."""
-    found = {}
-    for dim in (2, 3):
-        state = solve(turned(dim))
-        found |= {f"{name} {dim}": value for name, value in state.energies().items()}
-    history = march(relaxing(), [0.1, 0.2, 0.3, 0.4], out=out, resume=True)
-    return found | {"at the end": history.last.energies()["springs BOTTOM"], "rows": float(len(history))}
-
-
-def resumed(folder: Path) -> dict[str, float]:
-    """The numbers, where one rank has begun the march that two go on with."""
-    alone(lambda: march(relaxing(), [0.1, 0.2], out=folder / "march"))
-    return numbers(folder / "march")
-
-
 KINDS = ["full", "interface"]
 CASES = [(dim, kind) for dim in (2, 3) for kind in KINDS]
 
@@ -102,28 +80,6 @@ def test_turned_blocks_on_springs(dim, kind):
     assert stored == pytest.approx(energies["loads"] / 2, rel=1e-9)
     assert state.audit.total == pytest.approx(stored, rel=1e-9)
     assert abs(state.audit.imbalance) < 1e-9
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_springs_are_a_foundation_in_ufl(kind):
-    """The same as a form of one's own, whose forces differ in how they are told."""
-
-    def energy(u, model):
-        n = ufl.FacetNormal(model.domain.mesh)
-        across = (BED.normal - BED.tangential) * ufl.dot(u, n) ** 2
-        return (across + BED.tangential * ufl.inner(u, u)) / 2 * model.ds(model.domain.values("BOTTOM"))
-
-    one, other = solve(turned(kind=kind)), solve(turned(kind=kind, parts=[UflPart(energy=energy)]))
-    largest = np.abs(one.u.x.array).max()
-    assert other.u.x.array == pytest.approx(one.u.x.array, abs=3e-12 * largest)  # rounding: 1.3e-12 was found
-    assert other.energies()["own form"] == pytest.approx(one.energies()["springs BOTTOM"], rel=1e-12)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("theta", [1.0, 0.5])
-def test_tangent(kind, theta):
-    with Solver(turned(kind=kind), method="newton") as solver:
-        assert taylor_order(solver, theta=theta) == float("inf")  # all is linear: no error but rounding
 
 
 def test_an_incompressible_layer_on_springs():
@@ -151,32 +107,6 @@ def test_contact_above_springs(method):
     assert report.p == pytest.approx(np.full(len(report.p), P), rel=1e-7)
     assert report.equilibrium < 1e-7
     assert state.energies()["springs BOTTOM"] == pytest.approx(P**2 / BED.normal / 2, rel=1e-7)
-
-
-def test_reactions_of_springs():
-    """What they give is -k u, force and moment; with what presses from above it adds up to zero."""
-    state = solve(turned())
-    found, n = state.reaction("BOTTOM"), axes(2)
-    along, across = n @ found.force
-    assert along == pytest.approx(-PULL[0], rel=1e-9)
-    assert across == pytest.approx(P, rel=1e-9)
-    assert found.force + state.applied().force == pytest.approx([0.0, 0.0], abs=1e-9)
-
-
-FUNCTIONS = {
-    "number": (20.0, 7.0),
-    "ufl": (lambda x: 20.0 + 0 * x[0], lambda x: ufl.as_ufl(7.0)),
-    "numpy": (lambda x: np.full(x.shape[1], 20.0), lambda x: 7.0 * np.ones_like(x[0])),
-}
-
-
-@pytest.mark.parametrize("kind", FUNCTIONS)
-def test_functions_of_the_place(kind):
-    """Constant ones are the numbers."""
-    normal, tangential = FUNCTIONS[kind]
-    bed = Springs("BOTTOM", normal=normal, tangential=tangential)
-    one, other = solve(turned(parts=[bed])), solve(turned())
-    assert one.u.x.array == pytest.approx(other.u.x.array, abs=1e-11 * np.abs(other.u.x.array).max())
 
 
 @pytest.mark.parametrize("given", [lambda x: 3.0 + x[0] ** 2, lambda x: 3.0 + np.square(x[0])], ids=["ufl", "numpy"])
@@ -267,25 +197,6 @@ def test_steps_of_adaptive_length():
     _, first, tau = force(1, 0.1, 0.5)
     found = np.sqrt(2 * BED.normal * history.last.energies()["springs BOTTOM"])
     assert found == pytest.approx(first * np.exp(-0.8 / tau), rel=1e-3)
-
-
-@pytest.mark.long
-@on_ranks(resumed, 2)
-def test_a_march_is_resumed_on_other_ranks(tmp_path, there):
-    """Two steps on one rank, the rest on two: the same as on one, energies by their keys."""
-    assert there == pytest.approx(numbers(tmp_path), rel=1e-9)
-
-
-def test_files_keep_energies_by_key(tmp_path):
-    whole = march(relaxing(), [0.1, 0.2, 0.3], out=tmp_path)
-    again = march(relaxing(), [0.1, 0.2, 0.3], out=tmp_path, resume=True)
-    assert set(again.last.stored) == {"layer", "springs BOTTOM"}
-    assert dict(again.last.stored) == pytest.approx(dict(whole.last.stored), rel=1e-12)
-    other = Structure(
-        whole.model.joint, body=BODY, supports={"TOP": {"x": 0.0, "y": -0.02}}, parts=[Springs("BOTTOM", normal=21.0)]
-    )
-    with pytest.raises(InputError, match="of another march"):
-        march(other.interface(ThinLayer(CREEP, EPS, at=1.0)), [0.1, 0.2, 0.4], out=tmp_path, resume=True)
 
 
 # ---------------------------------------------------------------- a path

@@ -144,17 +144,6 @@ def test_scalars_have_no_frame():
     refused(InputError, "frame needs a vector field", lambda: surface.frame(surface.jump(state())[0]))
 
 
-def test_a_rigid_base_does_not_move():
-    """Strain and traction are uniform: what the layer does not open, the body does, whose modulus is 7."""
-    supports = {"TOP": {"y": 0.1}, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
-    model = Structure(block(1.0, 0.5, 0.25), body=STEEL, supports=supports).interface(
-        ThinLayer(FOURIER_LAYER, 0.1, at=1.0)
-    )
-    lower, upper = Surface(model).displacements(solve(model))
-    assert not lower.any()
-    assert upper[1] == pytest.approx(0.1 / (1 + 140 * 0.5 / 7))
-
-
 def test_loads_of_one_body_in_the_states_of_a_march():
     """Of each state its own: what the upper body weighs at that time goes through S, and does the work."""
     joint = sandwich(1.0, 0.5, 0.7, 0.25)

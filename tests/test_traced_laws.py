@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import ClassVar
@@ -13,9 +14,8 @@ import ufl
 
 from forms import BulkLaw, KernelLaw, LinearElastic, TractionLaw, check
 from forms.base import InputError
-from forms.elastic import lame
 from geometry import sandwich
-from tests.own_laws import Slipping, layer_of
+from tests.own_laws import Slipping, Swelling, layer_of
 from tests.refused import refused
 from thinlayer import SolveError, Structure, ThinLayer, drive, march, solve
 
@@ -151,9 +151,11 @@ DECISIONS = {
 }
 
 
+PARENTS = (Deciding, DecidingJumps, "with memory")
+
+
 @pytest.mark.few(1)
-@pytest.mark.parametrize("decision", DECISIONS)
-@pytest.mark.parametrize("parent", [Deciding, DecidingJumps, "with memory"])
+@pytest.mark.parametrize(("decision", "parent"), zip(DECISIONS, itertools.cycle(PARENTS)))
 def test_laws_that_decide_by_a_number(parent, decision):
     names = {"decision": DECISIONS[decision], "__module__": __name__, "__annotations__": {}}
     if parent == "with memory":
@@ -193,25 +195,12 @@ def test_a_law_at_points_knows_its_numbers_alone():
 
 
 # ---------------------------------------------------------------- eigenstrains
-@dataclass(frozen=True)
-class Swelling(BulkLaw):
-    """Elastic about a strain of its own, `linear` in that its tangent is constant."""
 
-    lmbda: float
-    mu: float
-    own: float
-    powers: ClassVar = {"lmbda": 1, "mu": 1, "own": -1}
-    linear: ClassVar = True
 
-    def _elastic(self, e):
-        return e - self.own * ufl.Identity(3)
+class Affine(Swelling):
+    """`linear`, in that its tangent is constant."""
 
-    def stress(self, step):
-        return lame(self.lmbda, self.mu, self._elastic(step.mid))
-
-    def energy(self, step):
-        e = self._elastic(step.e)
-        return ufl.inner(lame(self.lmbda, self.mu, e), e) / 2
+    linear = True
 
 
 def column(kind: str, law: BulkLaw, body: BulkLaw, **more):
@@ -227,7 +216,7 @@ def column(kind: str, law: BulkLaw, body: BulkLaw, **more):
 @pytest.mark.parametrize("how", [solve, lambda model: march(model, [0.5, 1.0], theta=0.7).last])
 def test_an_affine_law_that_says_linear(kind, how):
     """The layer would open by `free`; t_N = K (w_N - free) presses the bodies, of height 1 in all, together by -w_N."""
-    law, body, own = Swelling(7.0, 4.0, 0.03), LinearElastic(60.0, 40.0), 0.03
+    law, body, own = Affine(7.0, 4.0, 0.03), LinearElastic(60.0, 40.0), 0.03
     K = 7.0 + 2 * 4.0
     free = own * (3 * 7.0 + 2 * 4.0) / K
     state = how(column(kind, law, body))

@@ -10,7 +10,7 @@ import pytest
 
 import forms.law
 import forms.series
-from forms import BulkLaw, KelvinVoigt, LinearElastic, MohrCoulomb, NonMonotone, NonMonotoneUnrelaxed, Stack
+from forms import BulkLaw, KelvinVoigt, LinearElastic, MohrCoulomb, NonMonotone, Stack
 from forms.base import InputError
 from forms.declarations import Traits, trait
 from tests.own_laws import AgeingSpring
@@ -75,11 +75,6 @@ def test_traits_are_those_of_the_law_with_numbers():
     law = NonMonotone(3.0, 1.0, 1.0, 1.0, ACROSS, mixing=0.5)
     assert law.traits.softens
     assert law.with_parameters({"mixing": None}).traits == law.mapped(lambda value, _: None).traits == law.traits
-
-
-def test_pure_phases_are_no_sublayer():
-    with pytest.raises(InputError, match="a sublayer is NonMonotoneUnrelaxed"):
-        halves(NonMonotoneUnrelaxed(3.0, 1.0, 1.0, 1.0, ACROSS), STIFF)
 
 
 @pytest.mark.parametrize("value", [1, "yes", None])

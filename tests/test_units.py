@@ -33,7 +33,7 @@ from thinlayer import Adaptive, ArcLength, Structure, ThinLayer, compare, march,
 
 pytestmark = pytest.mark.few(5)
 
-KEPT = ("micrometre, MPa, s", "km, GPa, year", "Pa, loads 1e-9", "loads 1e9")
+KEPT = ("km, GPa, year", "Pa, loads 1e-9")  # which change all four between them
 CHANGED = {name: u for name, u in (UNITS | SIZES).items() if name in KEPT}
 
 

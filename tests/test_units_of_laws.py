@@ -124,20 +124,25 @@ def followed(name: str, u: Units) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_units(name):
-    same_numbers(name, UNITS)
-
-
-@pytest.mark.parametrize("name", LAWS)
-def test_loads_of_any_size(name):
-    same_numbers(name, SIZES)
-
-
-def same_numbers(name: str, others: dict[str, Units]) -> None:
+def test_units_and_loads_of_any_size(name):
     expected = followed(name, Units())
-    for units, u in others.items():
+    for units, u in (UNITS | SIZES).items():
         for found, right in zip(followed(name, u), expected, strict=True):
             assert found == pytest.approx(right, abs=EQUAL * np.abs(right).max()), units
+
+
+JUMPS = np.array([(0.004, -0.006), (0.02, -0.01), (0.03, 0.02), (-0.03, -0.01)])
+
+
+@pytest.mark.parametrize("name", [name for name in LAWS if name != "user, jumps"])
+def test_thickness_does_not_change_the_interface_law(name):
+    """Real parameters at strains w/eps give the traction and, per volume, 1/eps of the energies of those per thickness."""
+    law = LAWS[name](Units())
+    thin = drive(law, [{"w_T": a, "w_N": b} for a, b in JUMPS], dt=0.1)
+    for eps in (0.5, 0.02):
+        real = drive(law.scaled(eps), [{"w_T": a / eps, "w_N": b / eps} for a, b in JUMPS], dt=0.1)
+        assert real.tractions == pytest.approx(thin.tractions, abs=1e-10 * np.abs(thin.tractions).max())
+        assert eps * real.energies == pytest.approx(thin.energies, abs=1e-10 * np.nanmax(np.abs(thin.energies)))
 
 
 @pytest.mark.parametrize(("p", "eta"), [(1.5, 1e3), (3.0, 5e10)])
@@ -159,7 +164,3 @@ def test_rest_of_the_size_of_the_rates(p):
     expected = np.array([4.0, 15.0]) * w + 5.0 * q ** (p / 2 - 1) * v * [0.5, 1.0]
     found = drive(law, [{"w_T": w[0], "w_N": w[1]}], dt=0.1).tractions[0]
     assert found == pytest.approx(expected, rel=1e-12)
-    for eps in (0.5, 0.02):
-        real = law.mapped(lambda value, power, eps=eps: value * eps**power)
-        strains = drive(real, [{"w_T": w[0] / eps, "w_N": w[1] / eps}], dt=0.1).tractions[0]
-        assert strains == pytest.approx(expected, rel=1e-12)

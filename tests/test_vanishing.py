@@ -9,7 +9,8 @@ from mpi4py import MPI
 from forms import HolonomicCoulomb, IncrementalCoulomb, KelvinVoigt, LinearElastic, Maxwell, VonMises
 from forms.base import InputError
 from geometry import periodic, sandwich
-from tests.periodic_cases import laminate
+from tests.refused import refused
+from tests.test_periodic import laminate
 from thinlayer import Adaptive, Structure, Surface, march, solve
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.pointwise.material import Material
@@ -65,7 +66,7 @@ SHRUNK = {"BOTTOM": {"y": 0.0}, "TOP": {"y": 0.0}, "LEFT": {"x": 0.0}}
 NU = 0.25
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(4)
 @pytest.mark.parametrize("kind", [HolonomicCoulomb, IncrementalCoulomb])
 @pytest.mark.parametrize("method", ["condensed", "multigrid", "newton"])
 @pytest.mark.parametrize("unit", [1.0, 1e9])
@@ -131,8 +132,7 @@ def test_an_error_of_a_law_within_newtons_method_is_told(monkeypatch):
 
     monkeypatch.setattr(CompiledPart, "tangents", failing)
     with Solver(model) as solver:
-        with pytest.raises(InputError, match="told by a law"):
-            solver.step(solver.rest(0.0), 0.0)
+        refused(InputError, "told by a law", lambda: solver.step(solver.rest(0.0), 0.0))
         fails = False
         assert solver.step(solver.rest(0.0), 0.0).report.residual < 1e-8
         assert isinstance(solver._finder, Equilibrium)

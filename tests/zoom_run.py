@@ -9,7 +9,7 @@ import numpy as np
 from forms import LinearElastic
 from geometry import sandwich
 from geometry.joint import Joint
-from thinlayer import Structure, ThinLayer, Zoom, solve
+from thinlayer import Structure, ThinLayer, solve
 from thinlayer.discretisation.state import State
 
 EPS = 0.05
@@ -31,18 +31,3 @@ def state(layer: ThinLayer = FREE, of: Joint | None = None, turn: Any = None, **
     pull = {"TOP": tuple(turn @ [0.3, -1.0]), "RIGHT/UPPER": tuple(turn @ [0.1, 0.2])}
     data: dict[str, Any] = {"body": BODY, "supports": {"BOTTOM": 0}, "tractions": pull} | given
     return solve(Structure(joint() if of is None else of, **data).interface(layer))
-
-
-def numbers() -> dict[str, Any]:
-    """Stresses and strengths in two dimensions, on triangles, and in three."""
-    found: dict[str, Any] = {}
-    for dim, size in ((2, {}), (3, {"depth": 0.4})):
-        blocks = sandwich(1.3, 0.3, 0.4, 0.2 * (dim - 1), **size)
-        load = (0.3, -1.0, 0.2)[:dim]
-        structure = Structure(blocks, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": load})
-        zoom = Zoom(solve(structure.interface(FREE)), cells_through=2, at_ends=1.0)
-        places = np.pad(PLACES, ((0, 0), (0, dim - 2)), constant_values=0.19)
-        found[f"stress {dim}"] = zoom.stress(places, HEIGHTS).ravel().tolist()
-        corners = sorted(zoom.corners, key=lambda one: (*one.m.round(6), one.side))
-        found[f"H {dim}"] = np.concatenate([one.H for one in corners]).tolist()
-    return found
