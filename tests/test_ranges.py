@@ -161,6 +161,18 @@ def test_what_was_said_of_a_state_is_not_said_by_its_estimate():
         assert said(lambda other=other: solve(other, 1.0))[1] == keys
 
 
+def test_an_estimate_by_two_laws_says_a_warning_once():
+    """Bounds as narrow as these need the law of order 1 beside that of order 0, both of a layer that is too thick."""
+    joint, layer = sandwich(10.0, 2.0, 3.0, 0.5), ThinLayer(LinearElastic.young(20.0, 0.3), 2.5)
+    body, loads = LinearElastic.young(200.0, 0.3), {"TOP": (3.0, 6.0)}
+    structure = Structure(joint, body=body, supports={"BOTTOM": 0.0}, tractions=loads)
+    state, found = told(lambda: solve(structure.interface(layer)))
+    assert [one.partition(":")[0] for one in found] == ["thick"]
+    assert told(lambda: estimate(state, width=1e-9))[1] == []
+    bonded = solve(structure.bonded())
+    assert told(lambda: estimate(bonded, layer, width=1e-9))[1] == found
+
+
 def test_a_warning_that_was_an_error_is_not_said():
     joint = sandwich(2.0, 0.4, 0.7, 0.2)
     model = Structure(joint, body=STIFF, supports={"TOP": 0.0}).interface(ThinLayer(FOURIER_LAYER, 0.41, at=1.0))

@@ -127,7 +127,7 @@ def _models(model: InterfaceModel, better: Mapping[str, ThinLayer]) -> Iterator[
     """The model, and the same with other laws where they are known."""
     yield model
     try:
-        yield model.with_layer({**model.on_seams, **better})
+        yield model.improved(better)
     except InputError:  # as of order 1 at junctions
         return
 
