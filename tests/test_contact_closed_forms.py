@@ -113,9 +113,9 @@ def test_more_shear_than_friction_carries_raises(method):
 
 @pytest.mark.few(12)
 @pytest.mark.parametrize(
-    ("load", "limit"), [(lambda x, t: (t, -2.0), 0.9), (lambda x, t: (0.1, 1.5 * t - 2.0), 1.9 / 1.5)]
+    ("load", "limit"), [(lambda x, t: (0.1, 1.5 * t - 2.0), 1.9 / 1.5), (lambda x, t: (t, -2.0), 0.9)]
 )
-@pytest.mark.parametrize("method", [*SOLVERS, "relaxation"])
+@pytest.mark.parametrize("method", ["multigrid", "condensed", "newton", "relaxation"])
 def test_a_march_ends_at_the_limit_of_contact(method, load, limit):
     """Pushed, the block slides at f p + C; pulled off, it tips where the mean pressure is the shear, at half its width."""
     few = {"options": {"relaxation_max_sweeps": 20000}} if method == "relaxation" else {}

@@ -50,7 +50,7 @@ def quarter(cell):
     return Structure(joint, body=METAL, supports=supports, tractions={"INSIDE": inside}).bonded()
 
 
-@pytest.mark.parametrize("element", ["P2", "Q2", "S2", "Q1"])
+@pytest.mark.parametrize("element", ["S2", "P2", "Q2", "Q1"])
 def test_a_tube_of_revolution_has_its_limit_load(element):
     with pytest.raises(LimitLoad) as found:
         march(tube(element), [100.0, 120.0, 124.0, 130.0], keep="last")

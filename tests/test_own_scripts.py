@@ -58,7 +58,7 @@ KINDS = {
 
 
 # ---------------------------------------------------------------- the scripts
-TEXTS = {"glue": SCRIPTS[0], "mortar": SCRIPTS[0] + SCRIPTS[1]} | {
+TEXTS = {"page": SCRIPTS[0] + SCRIPTS[1]} | {
     name: (CLONE / "tests" / "own_scripts" / f"{name}.py").read_text() for name in ("wall", "creep", "contact", "joint")
 }
 
@@ -79,7 +79,7 @@ def printed_by_all() -> dict[str, str]:
 
 
 @on_ranks(printed_by_all, 2)
-@pytest.mark.parametrize("name", ["glue", "mortar", "wall", "creep", "contact"])
+@pytest.mark.parametrize("name", ["page", "wall", "creep", "contact"])
 def test_script_on_one_rank_and_two(there, name):
     """What it prints is the same, to all digits but the last, and what the page says."""
     one, two = printed(name), there[name]
@@ -89,7 +89,7 @@ def test_script_on_one_rank_and_two(there, name):
         mine, march_, status = one.splitlines()
         assert numbers(mine) == pytest.approx(numbers(march_), rel=1e-8)
         assert min(map(int, status.split()[-3:])) > 0
-    if name in ("glue", "mortar"):
+    if name == "page":
         assert all(line.strip() in PAGES["thinlayer/guide/scripts.md"] for line in one.splitlines())
 
 

@@ -88,7 +88,7 @@ def test_view_zoom_and_cut(pulled, tmp_path):
     default = picture(tmp_path / "a.png", law)
     same = picture(tmp_path / "b.png", law, view=2 * np.array(VIEWS[3]))
     np.testing.assert_array_equal(default, same)
-    options = [{"view": (-1, 0.5, 1)}, {"view": (0, 1, 0)}, {"zoom": (0.2, 0.9, -0.4, 0.4)}, {"cut": True}]
+    options = [{"view": (0, 1, 0)}, {"zoom": (0.2, 0.9, -0.4, 0.4)}, {"cut": True}]
     for k, option in enumerate(options):
         other = picture(tmp_path / f"{k}.png", law, **option)
         assert other.shape != default.shape or np.abs(other - default).max() > 0.5
