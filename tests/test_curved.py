@@ -188,6 +188,11 @@ def test_wedge_in_three_dimensions():
         (lambda x: x[0] - 0.5, r"profile is -0.5 at \(0, 0\); it must be > 0"),
         (lambda x: np.full(x.shape[1], np.nan), "profile is nan"),
         (lambda x: np.ones(3), r"returns shape \(3,\) for"),
+        (lambda x: x[0] >= 0, "it returns bool"),
+        (lambda x: 1j * x[0], "is no numpy function"),
+        (lambda x, y: x, "is no numpy function"),
+        (lambda x: ufl.sin(x[0]), "is no numpy function"),
+        (lambda x: "thick", "is no numpy function"),
     ],
 )
 def test_profiles_are_checked(profile, message):

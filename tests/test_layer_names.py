@@ -18,7 +18,7 @@ from tests.meshed_cases import mortar, panel, yielding
 from tests.network_cases import springs, three_bricks
 from tests.refused import refused
 from tests.test_networks import cut_at, on
-from thinlayer import LimitLoad, Structure, Surface, ThinLayer, UflPart, compare, march, solve
+from thinlayer import LimitLoad, Structure, Surface, ThinLayer, compare, march, solve
 
 COLUMN = sandwich(2.0, 4.0, 4.0, 1.0, cell="quadrilateral")  # cut at two heights into three blocks
 BLOCKS = cut_at(COLUMN, {"LOW": (on(1, -1.0), (0, 1)), "HIGH": (on(1, 2.0), (0, 1))})
@@ -91,11 +91,6 @@ def test_contact_on_one_of_two_seams():
     assert str(beds).startswith("BED: ")
     assert beds.counts == whole.counts
     assert set(whole.status) - set(beds.status) == {"no contact law"}
-
-
-def test_a_part_cannot_have_the_name_of_a_layer():
-    part = UflPart(energy=lambda u, model: ufl.inner(u, u) * model.dx, key="layer HIGH")
-    refused(InputError, "two parts are called 'layer HIGH'", lambda: pulled(parts=[part]).interface(springs(4.0, 1.0)))
 
 
 # ---------------------------------------------------------------- order

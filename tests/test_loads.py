@@ -253,11 +253,6 @@ def test_numbers_in_integrals_are_finite():
     refused(InputError, "has a number that is not finite", lambda: state.integral(math.nan * state.u[0] * ufl.dx))
 
 
-def test_a_profile_of_booleans():
-    with pytest.raises(InputError, match="it returns bool"):
-        Structure(JOINT, body=GLUE, supports=SIDES).interface(ThinLayer(GLUE, 0.1, profile=lambda x: x[0] >= 0, at=1.0))
-
-
 def test_places_are_names_or_points():
     with pytest.raises(
         InputError, match=r"traction on \(1\.0, 0\.5\): a place is the name of a facet set.*BOTTOM, LEFT, RIGHT, TOP"
