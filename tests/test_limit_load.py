@@ -1,4 +1,4 @@
-"""Limit loads of layers that yield, and continuation where Newton's method fails."""
+"""Limit loads of layers that yield, and eased laws where Newton's method fails."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import ufl
-from mpi4py import MPI
-from petsc4py import PETSc
 
 from forms import KelvinVoigt, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack
 from forms.traction import TractionLaw
@@ -24,7 +22,7 @@ from thinlayer.parts.compiled import CompiledPart
 from thinlayer.running.cli import main as command
 from thinlayer.running.process import OK, UNFINISHED
 from thinlayer.running.record import Record
-from thinlayer.solving.continuation import through_eased_laws
+from thinlayer.solving.equilibrium import Found
 from thinlayer.solving.solvers import Solver
 
 pytestmark = pytest.mark.few(5)
@@ -218,7 +216,7 @@ def test_steps_that_fail_without_the_sign():
     assert caught.value.history.t[-1] == pytest.approx(0.013 * 70.0, rel=2e-2)
 
 
-# ---------------------------------------------------------------- continuation
+# ---------------------------------------------------------------- eased laws
 @pytest.mark.parametrize("kind", ["S", "band"])
 def test_continuation_finds_what_newton_finds(kind):
     """Newton's method, allowed fewer steps than it needs, is helped by easier laws."""
@@ -267,26 +265,30 @@ def test_eased_laws_leave_no_trace():
         refused(ValueError, "not of the kind that is compiled", part.points.material.take, FULL)
 
 
-def test_the_schedule_of_eases():
-    """Between 0.6 and 0.3 only small decrements lead on."""
-    tried: list[float] = []
-    reached = 1.0
+def test_the_schedule_of_eases(monkeypatch):
+    """Between 0.6 and 0.3 only small decrements lead on; where there are none, or displacements run away, it ends."""
+    tried, hard, grown = [], (0.3, 0.6), lambda ease: 11 - 10 * ease
 
-    def found(ease: float, start: PETSc.Vec | None) -> PETSc.Vec:
-        nonlocal reached
-        tried.append(ease)
+    def found(solver, attempt, start=None):
+        ease, before = solver.equations.eased, min(tried, default=1.0)
         assert (start is None) == (ease == 1)
-        if 0.3 < ease < 0.6 and reached - ease > 0.11:
-            raise SolveError("too far")
-        reached = ease
-        return PETSc.Vec().createWithArray(np.array([1.0 + 10 * (1 - ease)]), comm=MPI.COMM_SELF)
+        if hard[0] < ease < hard[1] and before - ease > 0.11:
+            raise SolveError("too far", residuals=(1.0, 0.5))
+        tried.append(ease)
+        x = solver.equations.vector()
+        x.set(grown(ease))
+        return Found(x, 1, 0.0)
 
-    x, solves = through_eased_laws(found)
-    assert x.array == pytest.approx([11.0])
-    assert (tried[0], tried[-1]) == (1.0, 0.0)
-    assert solves == len(tried) < 20
-    reached = 1.0
-    with pytest.raises(SolveError, match="too far"):
-        through_eased_laws(lambda ease, start: found(ease if ease > 0.6 else 0.31, start))
-    with pytest.raises(SolveError, match="times those of an elastic layer"):
-        through_eased_laws(lambda ease, start: PETSc.Vec().createWithArray([1e-9 ** (ease - 1)], comm=MPI.COMM_SELF))
+    monkeypatch.setattr(Solver, "_try", found)
+    with Solver(sheared("S")) as solver:
+        eased = solver._attempts()[-1]
+        result, solves = solver._through_eased_laws(eased)
+        assert result.x.max()[1] == 11.0
+        assert (tried[0], tried[-1]) == (1.0, 0.0)
+        assert len(tried) < solves < 20
+        assert result.iterations == len(tried) + 2 * (solves - len(tried))
+        tried, hard = [], (-1.0, 0.89)
+        refused(SolveError, "too far", solver._through_eased_laws, eased)
+        tried, hard, grown = [], (0.0, 0.0), lambda ease: 1e-9 ** (ease - 1)
+        refused(SolveError, "times those of an elastic layer", solver._through_eased_laws, eased)
+        assert solver.equations.eased == 0.0

@@ -93,7 +93,7 @@ class TurningPoint(SolveError):
 
 
 class NoEquilibrium(SolveError):
-    """A step without an equilibrium: its displacements run away as weak springs soften (`solving/continuation.py`).
+    """A step without an equilibrium: its displacements run away as weak springs soften (`solving/weak_springs.py`).
 
     Attributes:
         growth: norm of these displacements over that of an elastic layer, or of seams in contact that neither open nor

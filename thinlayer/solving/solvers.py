@@ -19,12 +19,12 @@ from thinlayer.discretisation.state import Report, State, displacements_of
 from thinlayer.errors import LooseBody, SolveError
 from thinlayer.parts.part import Interval
 from thinlayer.solving.contact.solver import METHODS, check_method, contact_finder, default_method
-from thinlayer.solving.continuation import Restraint, through_eased_laws
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import CONTACT, EASED_CONTACT, NEWTON, SINGULAR, YIELDING, Equilibrium, Finder, Found
 from thinlayer.solving.linear_solvers import linear_solvers
 from thinlayer.solving.petsc import PREFIX, Options, OptionValue, chosen, is_set, require_all_read, value_of
 from thinlayer.solving.ranges import warn_of_model, warn_of_no_time, warn_of_states
+from thinlayer.solving.weak_springs import WeakSprings
 from thinlayer.system.progress import logger
 from thinlayer.system.ranks import on_all, require_same
 
@@ -32,6 +32,9 @@ SOFTENS = (
     "the stress of {} falls as jumps grow, and an equilibrium may be one of several; follow them from rest with "
     "march(model, times), or march(model, ArcLength(...))"
 )  # a reason, see `PartSum.refuse`
+FIRST_DECREMENT, LEAST_DECREMENT = 0.5, 1 / 64  # decrements of the ease from one law to the next
+MOST_SOLVES = 30  # number of solves after which eased laws give up
+EASED_RUN_AWAY = 1e5  # displacements, relative to those of an elastic layer, at which no equilibrium is expected
 SEARCHES = ("bt", "l2")  # line searches of PETSc, tried in turn for laws that yield
 
 
@@ -76,13 +79,7 @@ def solve(
         solver.equations.refuse({"softens": f"solve: {SOFTENS}", "rate": late})
         warn_of_model(model)
         warn_of_no_time(model)
-        try:
-            state = solver.step(solver.rest(t), t)
-        except SolveError as error:
-            if not solver.yields:
-                raise
-            advice = "loads on what yields may have a limit: let them grow in time, and march in small steps"
-            raise SolveError(error.reason, residuals=error.residuals, advice=advice) from error
+        state = solver.sudden(t)
     warn_of_states([state])
     return state
 
@@ -190,6 +187,16 @@ class Solver(AbstractContextManager["Solver"]):
         """The state at rest, before the first step."""
         return self.equations.rest(t)
 
+    def sudden(self, t: float) -> State:
+        """State under loads that come suddenly at a time, from rest. Collective; errors as in `solve`."""
+        try:
+            return self.step(self.rest(t), t)
+        except SolveError as error:
+            if not self.yields:
+                raise
+            advice = "loads on what yields may have a limit: let them grow in time from less, and march in small steps"
+            raise SolveError(error.reason, residuals=error.residuals, advice=advice) from error
+
     def step(self, old: State, t: float, theta: float = 1.0, thorough: bool = True, keep_phases: bool = False) -> State:
         """State at a time t >= old.t, with the balance of forces at old.t + theta (t - old.t). Collective.
 
@@ -227,11 +234,11 @@ class Solver(AbstractContextManager["Solver"]):
         near = [attempt for attempt in self._attempts() if not attempt.eased]
         self._log.info("t = %g: weak springs at all nodes are tried", t)
         linear = self._linear[0] or linear_solvers(self.model, self.equations.parts)[0]  # contact alone has none yet
-        restraint = Restraint(self.equations, {**linear, **self._given})
+        springs = WeakSprings(self.equations, {**linear, **self._given})
 
         def follow(end: float) -> Found:
             step = Interval(old, end, end - old.t, theta)
-            return restraint.follow(self.rest(end), step, lambda begin: self._work_through(near, begin))[0]
+            return springs.follow(self.rest(end), step, lambda begin: self._work_through(near, begin))[0]
 
         try:
             found = follow(t)
@@ -242,7 +249,7 @@ class Solver(AbstractContextManager["Solver"]):
                 follow(2 * t - old.t)
                 raise
         finally:
-            restraint.close()
+            springs.close()
 
     def _from_like(self, attempt: Attempt, old: State) -> tuple[Found, int] | None:
         """Result of Newton's method from the displacements of the state that is like this one; None: there is none."""
@@ -326,46 +333,63 @@ class Solver(AbstractContextManager["Solver"]):
         raise first from (None if last is first else last)
 
     def _try(self, attempt: Attempt, start: PETSc.Vec | None = None) -> Found:
-        """Result of an attempt; if it fails with the factor of an earlier step, it is made again with a new one."""
-        began = time.perf_counter()
-        try:
+        """Result of an attempt, with our PETSc options and the user's, all of which must be read.
+
+        If it fails with the factor of an earlier step, it is made again with a new one.
+        """
+        began, ours = time.perf_counter(), {**attempt.linear, **attempt.options}
+        while True:
             try:
-                found = self._with_options(attempt, start)
+                with chosen(ours, self._given):
+                    found = self._finder.find(start)
+                    if not self._finder.reused:
+                        require_all_read(self.method, ours.keys() - self._given.keys())
             except SolveError as error:
+                outcome = attempt.name, len(error.residuals), time.perf_counter() - began, error.reason
+                self._log.debug("%s: failed after %d iterations, %.2g s: %s", *outcome)
                 if not self._finder.forget():
                     raise
-                self._log.debug("%s: again with a new factor, as the old one failed: %s", attempt.name, error.reason)
-                found = self._with_options(attempt, start)
-        except SolveError as error:
-            seconds = time.perf_counter() - began
-            self._finder.forget()
-            self._log.debug("%s: failed after %d iterations, %.2g s", attempt.name, len(error.residuals), seconds)
-            raise
-        seconds = time.perf_counter() - began
-        outcome = attempt.name, found.iterations, found.residual, seconds
-        self._log.debug("%s: %d iterations, residual %.1e of the forces, %.2g s", *outcome)
-        return found
+            else:
+                done = attempt.name, found.iterations, found.residual, time.perf_counter() - began
+                self._log.debug("%s: %d iterations, residual %.1e of the forces, %.2g s", *done)
+                return found
 
     def _through_eased_laws(self, attempt: Attempt) -> tuple[Found, int]:
-        """Result of eased laws, and the number of solves. All of them begin with the strains and memory of the step."""
-        spent, residual = 0, math.nan
-        reached = self.equations.vector()
+        """Lower the ease from 1, an elastic layer, to 0, the law itself; the result, and the number of solves.
 
-        def solve(ease: float, begin: PETSc.Vec | None) -> PETSc.Vec:
-            nonlocal spent, residual
-            self.equations.ease(ease)
-            try:
-                found = self._try(replace(attempt, name=f"{attempt.name}, ease {ease:g}"), begin)
-            except SolveError as error:
-                spent += len(error.residuals)
-                raise
-            spent, residual = spent + found.iterations, found.residual
-            found.x.copy(reached)
-            return found.x
+        The decrement of the ease is doubled after a solve that converges and halved after one that fails. Each solve starts
+        from the unknowns of the last that converged, with the strains and memory of the step.
 
+        Raises:
+            SolveError: the solve of an eased law fails, or displacements run away; LooseBody if a body has been released.
+        """
+        reached, limit = self.equations.vector(), math.inf
+        ease, decrement, solves, spent = 1.0, FIRST_DECREMENT, 0, 0
+        begin: PETSc.Vec | None = None
+        lower = 1.0
         try:
-            x, solves = through_eased_laws(solve)
-            return Found(x, spent, residual), solves
+            while True:
+                solves += 1
+                self.equations.ease(lower)
+                try:
+                    found = self._try(replace(attempt, name=f"{attempt.name}, ease {lower:g}"), begin)
+                except SolveError as error:
+                    spent, decrement = spent + len(error.residuals), decrement / 2
+                    if begin is None or decrement < LEAST_DECREMENT or solves >= MOST_SOLVES:
+                        raise
+                else:
+                    spent, size = spent + found.iterations, float(found.x.norm(PETSc.NormType.INFINITY))
+                    found.x.copy(reached)
+                    if size > limit:
+                        times = f"{EASED_RUN_AWAY:g} times those of an elastic layer"
+                        raise SolveError(f"displacements of an eased law are {times}")
+                    if not lower:
+                        return replace(found, iterations=spent), solves
+                    if begin is None:
+                        begin, limit = reached, EASED_RUN_AWAY * size
+                    else:
+                        ease, decrement = lower, 2 * decrement
+                lower = max(ease - decrement, 0.0)
         except SolveError as error:
             self.equations.ease(0.0)
             if loose := self.equations.loose_body(reached):
@@ -379,12 +403,3 @@ class Solver(AbstractContextManager["Solver"]):
         finally:
             self.equations.ease(0.0)
             reached.destroy()
-
-    def _with_options(self, attempt: Attempt, start: PETSc.Vec | None) -> Found:
-        """Result of the finder with our PETSc options and the user's. All options of the user must be read."""
-        ours = {**attempt.linear, **attempt.options}
-        with chosen(ours, self._given):
-            found = self._finder.find(start)
-            if not self._finder.reused:
-                require_all_read(self.method, ours.keys() - self._given.keys())
-            return found

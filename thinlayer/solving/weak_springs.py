@@ -1,4 +1,4 @@
-"""Ways to an equilibrium on which Newton's method fails: a sequence of eased laws, or weak springs at all nodes.
+"""A way to an equilibrium on which Newton's method fails: weak springs at all nodes.
 
 With springs k between all nodes and their old places, R(u) + k (u - u_0) = 0 has a solution even above the limit load, and
 Newton's method finds it easily while k is large. As k falls, u tends to the nearest equilibrium if there is one; otherwise
@@ -12,8 +12,10 @@ import math
 from collections.abc import Callable
 from typing import TypeVar
 
+import numpy as np
 from petsc4py import PETSc
 
+from forms.base import Array
 from thinlayer.discretisation.state import State
 from thinlayer.errors import NoEquilibrium, SolveError
 from thinlayer.parts.part import Interval
@@ -21,9 +23,6 @@ from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import Factor, mark
 from thinlayer.solving.petsc import Options, chosen, solve_linear
 
-FIRST_DECREMENT, LEAST_DECREMENT = 0.5, 1 / 64  # decrements of the ease from one law to the next
-MOST_SOLVES = 30  # number of solves after which continuation gives up
-EASED_RUN_AWAY = 1e5  # displacements, relative to those of an elastic layer, at which no equilibrium is expected
 Result = TypeVar("Result")
 FIRST_STIFFNESS, LEAST_STIFFNESS = 1.0, 1e-12  # of the springs, relative to the mean diagonal entry of K
 SOFTENING_FACTOR = 10.0  # stiffness of springs divided by that of the next ones
@@ -36,46 +35,8 @@ COMPARED_RESIDUALS = 6  # number of last residuals, the largest of which bounds 
 LEAST_DECREASE = 0.1  # relative decrease of the residual over the length of the step
 
 
-def through_eased_laws(solve: Callable[[float, PETSc.Vec | None], PETSc.Vec]) -> tuple[PETSc.Vec, int]:
-    """Lower the ease from 1, an elastic layer, to 0, the law itself. Collective.
-
-    The decrement of the ease is doubled after a solve that converges and halved after one that fails.
-
-    Args:
-        solve: ease, unknowns to start from (None: those of the old state) -> unknowns. The next solve starts from a copy of
-            them.
-
-    Returns:
-        The unknowns of the law itself, as the last solve returned them, and the number of solves.
-
-    Raises:
-        SolveError: the solve of an eased law fails, or displacements run away.
-    """
-    x = solve(1.0, None)
-    ease, decrement, solves, reached = 1.0, FIRST_DECREMENT, 1, x.copy()
-    limit = EASED_RUN_AWAY * float(x.norm(PETSc.NormType.INFINITY))
-    try:
-        while ease:
-            lower, solves = max(ease - decrement, 0.0), solves + 1
-            try:
-                x = solve(lower, reached)
-            except SolveError:
-                decrement /= 2
-                if decrement < LEAST_DECREMENT or solves >= MOST_SOLVES:
-                    raise
-                continue
-            if x.norm(PETSc.NormType.INFINITY) > limit:
-                times = f"{EASED_RUN_AWAY:g} times those of an elastic layer"
-                raise SolveError(f"displacements of an eased law are {times}")
-            x.copy(reached)
-            ease, decrement = lower, 2 * decrement
-        return x, solves
-    finally:
-        reached.destroy()
-
-
-class Restraint:
-    """Steps of a model with springs at all nodes. Collective.
+class WeakSprings:
+    """Steps of a model with springs at all nodes. Collective. Arrays x (n,) are unknowns of this rank.
 
     Args:
         equations: the equations of the model.
@@ -86,10 +47,9 @@ class Restraint:
         self.equations = equations
         self._options = {name: value for name, value in options.items() if not name.startswith("snes_")}
         self._factor = Factor()
-        self._vectors = [equations.vector() for _ in range(6)]
-        self.x, self._begin, self._r, self._d, self._trial, self._kept = self._vectors
-        self._unit = equations.mean_stiffness
-        self._stiffness = 0.0
+        self._vectors = [equations.vector() for _ in range(3)]
+        self._x, self._r, self._d = self._vectors
+        self._unit, self._stiffness = equations.mean_stiffness, 0.0
 
     def close(self) -> None:
         """Free vectors and factor."""
@@ -111,31 +71,36 @@ class Restraint:
         failed = SolveError("weak springs have not led to an equilibrium")
         if not elastic:
             raise failed
-        self._start(step)
+        self.equations.begin(step)
+        self.equations.put_state(step.old, self._x)
+        self._x.array[self.equations.held] = self.equations.prescribed
+        x = kept = self._start = self._x.array_r.copy()
         distance, softer, settled = 0.0, SOFTENING_FACTOR, False
         self._stiffness = FIRST_STIFFNESS * self._unit
         while self._stiffness > LEAST_STIFFNESS * self._unit and distance < STOP_DISTANCE * elastic:
-            if not self._solve():
+            found = self._solve(x)
+            if found is None:
                 if softer < SOFTENING_FACTOR or not distance:
                     break
                 self._stiffness *= softer
                 softer = math.sqrt(SOFTENING_FACTOR)
                 self._stiffness /= softer
-                self._kept.copy(self.x)
+                x = kept
                 continue
-            before, distance = distance, self._distance(self.x)
-            self.x.copy(self._kept)
+            x = kept = found
+            before, distance = distance, self._distance(x)
             settled = distance < before * (1 + (SETTLED_GROWTH - 1) * math.log10(softer))
             if settled:
+                self._x.array[:] = x
                 try:
-                    return find(self.x)
+                    return find(self._x)
                 except SolveError as error:
                     failed = error
             self._stiffness /= softer
-            if distance > math.sqrt(softer) * before > 0:
-                self._run_on(softer)
+            if distance > math.sqrt(softer) * before > 0:  # as if displacements grew in proportion to 1/k
+                x = min(x, softer * x + (1 - softer) * self._start, key=self._residual)
         if distance >= RUN_AWAY * elastic and not settled:
-            raise NoEquilibrium(distance / elastic, self._shares())
+            raise NoEquilibrium(distance / elastic, self._shares(x))
         raise failed
 
     # ---------------------------------------------------------------- the step
@@ -151,39 +116,29 @@ class Restraint:
         equations.ease(1.0)
         try:
             equations.begin(Interval(rest, step.t, step.dt, 1.0))
-            self.x.set(0.0)
-            equations.residual(self.x, r)
+            self._x.set(0.0)
+            equations.residual(self._x, r)
             A = equations.tangent()
         finally:
             equations.ease(ease)
         A.shift(LEAST_STIFFNESS * self._unit)
         after = equations.given_forces()
-        after.copy(r)
-        r.axpy(-1.0, loads)
+        r.waxpy(-1.0, loads, after)
         for vector in (loads, after):
             vector.destroy()
         d.set(0.0)
         d.array[equations.held] = equations.prescribed - prescribed
         equations.hold(A, d, r)
-        self._solve_linear(A, r, self._trial)
-        return float(self._trial.norm())
+        self._solve_linear(A, r, d)
+        return float(d.norm())
 
-    def _start(self, step: Interval) -> None:
-        equations, x = self.equations, self._begin
-        equations.begin(step)
-        equations.put_state(step.old, x)
-        x.array[equations.held] = equations.prescribed
-        x.copy(self.x)
+    def _distance(self, x: Array) -> float:
+        moved = x - self._start
+        return math.sqrt(self.equations.comm.allreduce(float(moved @ moved)))
 
-    def _distance(self, x: PETSc.Vec) -> float:
-        x.copy(self._d)
-        self._d.axpy(-1.0, self._begin)
-        return float(self._d.norm())
-
-    def _shares(self) -> dict[str, float]:
+    def _shares(self, x: Array) -> dict[str, float]:
         """Shares of the seams in the squares of the jumps since the beginning, of layers that yield and of contact."""
-        self.x.copy(self._d)
-        self._d.axpy(-1.0, self._begin)
+        self._d.array[:] = x - self._start
         model = self.equations.model
         limited = {part.key for part in self.equations.parts if part.traits.bounded or part.traits.releases}
         measured = self.equations.squares_of_strains(self._d)
@@ -191,61 +146,43 @@ class Restraint:
         thin = {name: model.layers[name].thin for name, square in of_seams.items() if square > 0}
         squares = {name: of_seams[name] * (layer.eps if layer else 1.0) for name, layer in thin.items()}  # of jumps
         whole = sum(squares.values())
-        order = sorted(squares, key=lambda name: -squares[name])
-        return {name: squares[name] / whole for name in order} if whole else {}
-
-    def _run_on(self, softer: float) -> None:
-        """Extrapolate x, as if displacements grew in proportion to 1/k, if that reduces the residual."""
-        here = self._residual(self.x)
-        self.x.copy(self._trial)
-        self._trial.scale(softer)
-        self._trial.axpy(1 - softer, self._begin)
-        if self._residual(self._trial) < here:
-            self._trial.copy(self.x)
+        return {name: squares[name] / whole for name in sorted(squares, key=lambda name: -squares[name])}
 
     # ---------------------------------------------------------------- Newton's method
-    def _residual(self, x: PETSc.Vec) -> float:
-        r = self._r
-        self.equations.residual(x, r)
-        r.axpy(self._stiffness, x)
-        r.axpy(-self._stiffness, self._begin)
-        r.array[self.equations.held] = 0.0
-        return float(r.norm())
+    def _residual(self, x: Array) -> float:
+        self._x.array[:] = x
+        self.equations.residual(self._x, self._r)
+        self._r.array[:] += self._stiffness * (x - self._start)
+        self._r.array[self.equations.held] = 0.0
+        return float(self._r.norm())
 
-    def _solve(self) -> bool:
-        """Move x to the equilibrium with springs. True if it was found."""
-        sizes = [self._residual(self.x)]
+    def _solve(self, x: Array) -> Array | None:
+        """The equilibrium with springs, from x on; None: it was not found."""
+        sizes = [self._residual(x)]
         while len(sizes) <= ITERATIONS and math.isfinite(sizes[-1]):
             A = self.equations.tangent()
             A.shift(self._stiffness)
             self.equations.hold(A)
-            self._r.scale(-1.0)
             self._solve_linear(A, self._r, self._d)
-            sizes.append(self._search(max(sizes[-COMPARED_RESIDUALS:])))
-            allowed = max(TOLERANCE * self._stiffness * self._distance(self.x), self.equations.aim(self.x))
-            if sizes[-1] <= allowed:
-                return True
-        return False
+            x, size = self._search(x, -self._d.array_r, max(sizes[-COMPARED_RESIDUALS:]))
+            sizes.append(size)
+            if size <= max(TOLERANCE * self._stiffness * self._distance(x), self.equations.aim(self._x)):
+                return x
+        return None
 
-    def _search(self, most: float) -> float:
-        """Move x along d to a residual below `most`, or else to the smallest one tried; returns the residual."""
+    def _search(self, x: Array, d: Array, most: float) -> tuple[Array, float]:
+        """The unknowns along d whose residual is below `most`, or else the smallest one tried, and the residual."""
         best, at, length = math.inf, 0.0, 1.0
-        for _ in range(HALVINGS):
-            size = self._at(length)
-            if size < (1 - LEAST_DECREASE * length) * most:
+        for length in 0.5 ** np.arange(HALVINGS):
+            size = self._residual(x + length * d)
+            enough = size < (1 - LEAST_DECREASE * length) * most
+            if enough or size < best:
                 best, at = size, length
+            if enough:
                 break
-            if size < best:
-                best, at = size, length
-            length /= 2
         if at != length:
-            best = self._at(at)
-        self._trial.copy(self.x)
-        return best
-
-    def _at(self, length: float) -> float:
-        self._trial.waxpy(length, self._d, self.x)
-        return self._residual(self._trial)
+            best = self._residual(x + at * d)
+        return x + at * d, best
 
     def _solve_linear(self, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> None:
         mark(A, self.equations.model, saddle=True)
