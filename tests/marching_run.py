@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 
 import ufl
 
 from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from geometry import block, sandwich
-from tests.own_laws import Mises
+from tests.own_laws import Mises, layer_of
 from tests.ranks import Ending
-from thinlayer import Adaptive, Structure, ThinLayer, march
+from tests.softening_bars import DAMAGED, KINKED, SHORT, tilted
+from thinlayer import Adaptive, Structure, march
 
 BODY = LinearElastic.young(100.0, 0.3)
 MAXWELL = Maxwell(60.0, 40.0, t1=0.7, t2=0.9)
@@ -25,11 +27,14 @@ LOAD = {"TOP": lambda x, t: (0.5 + t, ufl.cos(ufl.pi * x[0]))}
 LOAD_3 = {"TOP": lambda x, t: (0.3 * x[2], ufl.cos(ufl.pi * x[0]) + t, 0.2)}
 FLAT = Structure(PLANE, body=BODY, supports={"BOTTOM": 0.0, "RIGHT": {"x": 0.0}}, tractions=LOAD)
 SOLID = Structure(SPACE, body=BODY, supports={"RIGHT": {"x": 0.0}}, tractions=LOAD_3)
-# memory in the meshed layer and on S, in 2D and 3D, adaptive steps, pressures: way of modelling, law, times, theta
+softening = partial(tilted, cells=4)  # a block on a law of jumps, which is followed along its path
+# memory in the meshed layer and on S, in 2D and 3D, adaptive steps, pressures, paths: way of modelling, law, times, theta
 MARCHES: dict[str, tuple] = {
     "meshed": (FLAT.full, MAXWELL, TIMES, 0.5),
     "series": (FLAT.interface, SERIES, TIMES, 1.0),
     "space": (SOLID.interface, MAXWELL, TIMES, 1.0),
+    "damaged": (softening, DAMAGED, SHORT, 1.0),
+    "kinked": (softening, KINKED, SHORT, 1.0),
     "plastic": (SOLID.full, Mises(60.0, 40.0, limit=1.5), TIMES, 1.0),
     "adaptive": (FLAT.interface, KelvinVoigt(60.0, 40.0, 0.3, 0.5), Adaptive(0.4, 0.02, 5e-3), 0.5),
     "pressure": (FLAT.full, Incompressible(40.0), TIMES, 1.0),
@@ -47,7 +52,7 @@ def run(out: Path, names: Iterable[str] = MARCHES, *, resume: bool = False, endi
 
     for name in names:
         build, law, times, theta = MARCHES[name]
-        keep, model = "all" if name == "series" else "last", build(ThinLayer(law, 0.1, at=1.0))
+        keep, model = "all" if name in ("series", "damaged") else "last", build(layer_of(law, 0.1))
         march(model, times, theta=theta, observe={"energy": energy}, out=out / name, resume=resume, keep=keep)
 
 

@@ -11,8 +11,22 @@ import pytest
 import ufl
 
 from forms.traction import TractionLaw
-from tests.arc_length_run import KINKED, PATH, Damage, Trilinear, across_and_along, bar, tilted
-from tests.snapping_bars import FAR, SHARP, STEEP, C, Cohesive, openings, sigma
+from tests.softening_bars import (
+    FAR,
+    KINKED,
+    PATH,
+    SHARP,
+    STEEP,
+    C,
+    Cohesive,
+    Damage,
+    Trilinear,
+    across_and_along,
+    bar,
+    openings,
+    sigma,
+    tilted,
+)
 from thinlayer import ArcLength, SolveError, march, piecewise, solve
 
 pytestmark = pytest.mark.few(5)

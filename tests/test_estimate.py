@@ -126,6 +126,8 @@ def test_a_history_is_marched_again():
     assert at_once.goals["compliance"].change / true < 0.6
     with pytest.raises(InputError, match="marched with theta"):
         estimate(march(made.interface(layer), [0.5, 1.0], theta=0.5))
+    with pytest.raises(InputError, match="goes on from a state"):
+        estimate(march(limit, [0.9]))
 
 
 def test_equal_sublayers_are_one_law():

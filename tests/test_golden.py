@@ -42,7 +42,7 @@ from forms import (
 from geometry import block, bond_cell, ring, sandwich, wall
 from geometry.joint import Joint
 from tests.on_ranks import on_ranks
-from tests.snapping_bars import STEEP
+from tests.softening_bars import STEEP
 from thinlayer import (
     ArcLength,
     Gap,

@@ -13,7 +13,7 @@ from forms import BulkLaw, LinearElastic, Norton, Stack
 from forms.base import InputError
 from tests.refused import refused
 from tests.viscous_joints import G_N, JOINT, K_N, PULL, SETUP, SLOW, SUDDEN, interface, opening
-from thinlayer import ArcLength, RangeWarning, Structure, Surface, ThinLayer, compare, march, solve
+from thinlayer import Adaptive, ArcLength, RangeWarning, Structure, Surface, ThinLayer, compare, march, solve
 from thinlayer.discretisation.addition import Addition
 from thinlayer.parts.forms import matrix
 from thinlayer.parts.part import Block, Outcome, Part, PartTraits
@@ -194,6 +194,23 @@ def test_states_know_the_loads_of_their_time():
 
 def mean_displacement(state):
     return state.integral(state.u[1] * ufl.dx)
+
+
+@pytest.mark.parametrize(("law", "theta"), [(SLOW, 1.0), (SUDDEN, 0.5)], ids=["at rest first", "at once"])
+def test_a_march_goes_on_from_a_history_or_a_state(law, theta):
+    """As if it had not ended; with other steps too, which then keep their own tolerance."""
+    model, times = interface(law), [0.1, 0.2, 0.3, 0.4]
+    whole = march(model, times, theta=theta, observe=opening(model))
+    begun = march(model, times[:2], theta=theta)
+    for begin in (begun, begun.last):
+        after = march(begin, times[2:], theta=theta, observe=opening(model), keep="last")
+        assert after.t == pytest.approx(times[1:])
+        assert after.table["opening"] == pytest.approx(whole.table["opening"][-3:], rel=1e-9)
+        assert np.abs(after.table["imbalance"]).max() < 1e-10
+    finer = march(begun, Adaptive(0.4, first=0.01, tolerance=1e-5), theta=theta, observe=opening(model))
+    short = march(begun, 0.2 + np.arange(1, 101) / 500, theta=theta, observe=opening(model), keep="last")
+    end = short.table["opening"][-1]  # errors of order 1 add up: 1e-5 in each of 60 steps
+    assert finer.table["opening"][-1] == pytest.approx(end, rel=1e-3)
 
 
 def test_keep_last():

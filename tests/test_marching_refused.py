@@ -26,7 +26,7 @@ from thinlayer import Adaptive, march
         ([0.1], {"observe": len}, "name of a column"),
         ([0.1], {"observe": {"a": lambda state: None}}, r"observe\['a'\] at t = 0: .* returns a number"),
         ([0.1], {"theta": "half"}, "theta is 'half'"),
-        ([0.1], {"start": None}, "start is None"),
+        ([0.1], {"start": "now"}, "start is 'now'"),
         ("12", {}, "sequence of numbers"),
         ([0.1], {"out": ""}, "name of a folder"),
         ([0.1], {"options": {"ksp_nonsense": 1}}, "not read"),

@@ -33,7 +33,7 @@ from tests.own_laws import (
     StandardSolid,
     layer_of,
 )
-from tests.snapping_bars import Undeclared
+from tests.softening_bars import Undeclared
 from thinlayer import Structure, Surface, ThinLayer, march, piecewise
 
 pytestmark = pytest.mark.few(5)

@@ -8,9 +8,9 @@ import pytest
 from forms import LinearElastic
 from forms.base import InputError
 from geometry import block, sandwich
-from tests.arc_length_run import KINKED
 from tests.orders import taylor_order
 from tests.refused import refused
+from tests.softening_bars import KINKED
 from tests.supports_run import BODY, CONTACT, CREEP, EPS, GLUE, KINDS, MORTAR, model, out_of_balance, plate, turn
 from tests.test_order1 import apart
 from thinlayer import (
@@ -158,6 +158,7 @@ def test_the_limit_load_of_a_plate():
         march(made, [0.05 * k for k in range(1, 12)])
     expected = 2.0 * 0.05 * np.cos(np.pi / 6) + 0.5 * 0.4
     assert limit.value.t == pytest.approx(expected, rel=5e-3)
+    assert limit.value.resultant == pytest.approx((limit.value.t, -0.4), abs=1e-12)
 
 
 def test_contact_under_a_plate():

@@ -88,7 +88,7 @@ def test_all_long_work_tells(monkeypatch, capsys, tmp_path):
     errors = {"error_traction": 0.1, "error_jump": 0.1}
     work = {
         r"march: t = 1 of 2, .*left": lambda: march(model, [1.0, 2.0]),
-        r"path: t = 1 of 1, \d states": lambda: march(model, ArcLength(1.0, 0.5)),
+        r"march: t = 1 of 1, \d states": lambda: march(model, ArcLength(1.0, 0.5)),
         r"ensemble: 2 of 2, run 1, .*march: t = 1 of 1": lambda: ensemble(
             lambda: lambda case: {"u": len(march(model, [1.0]))}, [{"k": 1}, {"k": 2}]
         ),

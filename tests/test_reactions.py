@@ -10,8 +10,8 @@ import pytest
 from forms import Incompressible, LinearElastic, Stack, VonMises
 from forms.base import InputError
 from geometry import block, sandwich, wall
-from tests.arc_length_run import KINKED, PATH, tilted
 from tests.refused import refused
+from tests.softening_bars import KINKED, PATH, tilted
 from tests.supports_run import BODY, CONTACT, CREEP, EPS, GLUE, KINDS, MORTAR, loaded, on_base, out_of_balance
 from thinlayer import RangeWarning, RigidPlate, Springs, Structure, ThinLayer, march, solve
 

@@ -16,10 +16,9 @@ from forms.base import InputError
 from forms.law import BulkLaw
 from geometry import block
 from tests import ranges_told
-from tests.arc_length_run import HEIGHT, WIDTH, bar
 from tests.ranks import CLONE
 from tests.refused import refused
-from tests.snapping_bars import STEEP, C, Cohesive, Undeclared, openings, sigma
+from tests.softening_bars import HEIGHT, STEEP, WIDTH, C, Cohesive, Undeclared, bar, openings, sigma
 from thinlayer import Structure, ThinLayer, march, solve
 
 

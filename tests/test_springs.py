@@ -10,8 +10,8 @@ from forms import Anisotropic, Incompressible, LinearElastic, Maxwell
 from forms.base import InputError
 from forms.contact import HolonomicCoulomb
 from geometry import block, sandwich
-from tests.arc_length_run import Trilinear
 from tests.refused import refused
+from tests.softening_bars import Trilinear
 from thinlayer import Adaptive, ArcLength, PointLoad, SolveError, Structure, Surface, ThinLayer, march, solve
 from thinlayer.parts.springs import Springs
 

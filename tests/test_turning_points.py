@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from forms.base import InputError
-from tests.arc_length_run import Damage, Trilinear, bar
 from tests.refused import refused
-from tests.snapping_bars import FAR, C, openings, sigma
-from thinlayer import Adaptive, ArcLength, follow, march, piecewise, solve
+from tests.softening_bars import FAR, C, Damage, Trilinear, bar, openings, sigma
+from thinlayer import Adaptive, ArcLength, march, piecewise, solve
 from thinlayer.errors import TurningPoint
 
 pytestmark = pytest.mark.few(5)
@@ -31,7 +30,7 @@ def turned(n: int = 4):
     try:
         march(bar(STEEP), [FAR * (k + 1) / n for k in range(n)])
     except TurningPoint as error:
-        return error, follow(error.history, ArcLength(end=FAR, first=0.05))
+        return error, march(error.history, ArcLength(end=FAR, first=0.05))
     raise AssertionError("the march has not ended")
 
 
@@ -44,7 +43,7 @@ GENTLE = replace(STEEP, fall=0.5 / C)  # displacements of the bar's end grow all
 def test_displacement_control_ends_where_the_path_turns_back(n):
     """However long the steps: none leads beyond the loop. Then the path leads back, and on to the end."""
     error, path = turned(n)
-    assert "follow(error.history, ArcLength" in str(error)
+    assert "march(error.history, ArcLength" in str(error)
     before = error.history
     assert before.last.t == error.t
     assert 0 <= TURN - error.t < 2e-3 * FAR / n
@@ -61,7 +60,7 @@ def test_displacement_control_ends_where_the_path_turns_back(n):
 
 def test_a_state_by_itself_is_followed_too():
     error, path = turned()
-    again = follow(error.history.last, ArcLength(end=FAR, first=0.05), keep="last", observe={"w": lambda s: s.t})
+    again = march(error.history.last, ArcLength(end=FAR, first=0.05), keep="last", observe={"w": lambda s: s.t})
     assert len(again) == len(path)
     assert again.table["w"] == pytest.approx(again.t)
     assert np.abs(again.last.u.x.array - path.last.u.x.array).max() < 1e-10
@@ -101,19 +100,24 @@ def test_damage_is_loaded_and_unloaded():
 
 
 def test_a_march_in_time_goes_on_where_it_was_cut(tmp_path):
+    """From its files, and from its history."""
     times = [0.3, 0.6, 0.9, 1.2, FAR]
     whole = march(bar(GENTLE), times)
-    march(bar(GENTLE), times[:3], out=tmp_path / "run")
-    again = march(bar(GENTLE), times, out=tmp_path / "run", resume=True)
+    first = march(bar(GENTLE), times[:3], out=tmp_path / "run")
+    again, after = march(bar(GENTLE), times, out=tmp_path / "run", resume=True), march(first, times[3:])
     assert again.t == pytest.approx(whole.t, abs=1e-9)
-    assert np.abs(again.last.u.x.array - whole.last.u.x.array).max() < 1e-10
+    assert after.t[0] == times[2]
+    for history in (again, after):
+        assert np.abs(history.last.u.x.array - whole.last.u.x.array).max() < 1e-10
 
 
 def test_refused():
     refused(InputError, "march with Adaptive: the stress of", lambda: march(bar(STEEP), Adaptive(end=1.0, first=0.1)))
     refused(InputError, "theta = 1", lambda: march(bar(STEEP), [0.5], theta=0.5))
-    refused(InputError, "follow takes a history or a state", lambda: follow(bar(STEEP), ArcLength(end=1.0, first=0.1)))
-    refused(InputError, "follow takes a history or a state", lambda: follow(turned()[1], [1.0]))
     state = march(bar(GENTLE), [0.3]).last
-    refused(InputError, "it must come after start", lambda: follow(state, ArcLength(end=0.2, first=0.1)))
+    refused(InputError, "it must come after start", lambda: march(state, ArcLength(end=0.2, first=0.1)))
+    refused(InputError, r"times is \[0\.2\] from start = 0\.3", lambda: march(state, [0.2]))
+    refused(InputError, "leave start= and out= away", lambda: march(state, [0.6], start=0.3))
+    refused(InputError, "leave start= and out= away", lambda: march(state, [0.6], out="run"))
+    refused(InputError, "a history or a state", lambda: march([state], [0.6]))
     refused(InputError, "solve: the stress of", lambda: solve(bar(STEEP)))

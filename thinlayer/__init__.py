@@ -38,7 +38,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.solving.solvers import solve
     from thinlayer.solving.step_problem import StepProblem
     from thinlayer.system.table import Table
-    from thinlayer.time.marching import follow, march
+    from thinlayer.time.marching import march
     from thinlayer.time.plan import Adaptive, ArcLength
 
 _NAMES = {
@@ -66,7 +66,7 @@ _NAMES = {
     "solving.solvers": "solve",
     "solving.step_problem": "StepProblem",
     "system.table": "Table",
-    "time.marching": "follow march",
+    "time.marching": "march",
     "time.plan": "Adaptive ArcLength",
 }  # module -> its public names
 _HOME = {name: module for module, names in _NAMES.items() for name in names.split()}

@@ -87,7 +87,7 @@ class TurningPoint(SolveError):
         super().__init__(
             f"the equilibria turn back at t = {t:.10g}: what is prescribed there cannot grow further",
             history,
-            advice="follow them with ArcLength, follow(error.history, ArcLength(end=..., first=...))",
+            advice="follow them by arc length, march(error.history, ArcLength(end=..., first=...))",
         )
         self.t = t
 

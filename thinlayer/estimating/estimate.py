@@ -24,12 +24,12 @@ from thinlayer.estimating.goals import Compliance, nodes_of_sides
 from thinlayer.estimating.on_surface import errors_of, squares_of
 from thinlayer.estimating.result import Estimate, GoalError, LayerError, Meshed
 from thinlayer.solving.adjoint import Adjoint
-from thinlayer.solving.history import History
 from thinlayer.solving.layer_alone import LayerAlone
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import solve
 from thinlayer.system.progress import telling
 from thinlayer.system.ranks import on_all
+from thinlayer.time.history import History
 from thinlayer.time.marching import march
 
 ROUNDING = 3e-8  # of goals, relative: found between steel and rubber 1e6 times as soft; bounds are as much wider
@@ -141,6 +141,10 @@ def _path(
         return [solve(model, state.t, options=options) if anew else state]
     if state.theta != 1:
         raise InputError(f"estimate: the history was marched with theta = {state.theta:g}; it must be 1")
+    if state.begun:
+        raise InputError(
+            "estimate: the history goes on from a state, and what was before it is not known; march from rest"
+        )
     if anew or len(state.states) < len(state):
         times = state.t
         state = march(model, times[times > times[0]].tolist(), start=float(times[0]), options=options)

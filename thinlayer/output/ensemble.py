@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +78,7 @@ def ensemble(
     name = f".{Path(out).name}.{part[0]}-of-{part[1]}{LOCK}" if out is not None else ""
     own: Any = comm.Split(group)
     try:
-        with nullcontext() if files is None else owned(files.path.parent, name=name):
+        with owned(files.path.parent if files else None, name=name):
             there = {} if files is None else on_root(None, files.begin)
             first, step = part[0] * groups + group, part[1] * groups
             rows = _Rows(known, first, step, files if own.rank == 0 else None)

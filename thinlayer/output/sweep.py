@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -55,7 +54,7 @@ def sweep(
             raise InputError(f"eps is {values}; a sweep needs different thicknesses > 0")
     require_same(world(), eps=values, out=out and str(out), resume=resume)
     path = None if out is None else Path(out)
-    with nullcontext() if path is None else owned(path.parent, name=f".{path.name}{LOCK}"):
+    with owned(path and path.parent, name=f".{path and path.name}{LOCK}"):
         file, kept = None if path is None else RowFile(path.with_name(f"{path.name}.json"), run, "sweep"), list[Row]()
         if path is not None and file is not None:
             on_root(None, partial(make_room, path, file.path, resume))

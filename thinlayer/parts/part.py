@@ -130,10 +130,12 @@ class FileOrder:
     Attributes:
         numbers: (cells,) original numbers.
         order: (cells, k) local indices of each cell's values, in an order that does not depend on the distribution.
+        own: number of first cells whose values this rank writes; None: all.
     """
 
     numbers: IntArray
     order: IntArray
+    own: int | None = None
 
     @property
     def width(self) -> int:

@@ -1,10 +1,9 @@
-"""`march`: checks its arguments, and runs a march in time or along a path."""
+"""`march`: checks its arguments, chooses the controller of the steps, and estimates what planned steps leave."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -16,31 +15,37 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.history import History
 from thinlayer.solving.petsc import Options
 from thinlayer.solving.ranges import warn_of_model, warn_of_states, warn_of_steps, warn_of_strains
-from thinlayer.solving.solvers import SOFTENS, Solver, comm_of
+from thinlayer.solving.solvers import Solver, comm_of
 from thinlayer.system.folder import owned
 from thinlayer.system.identity import Resume, require_resume
 from thinlayer.system.progress import telling
 from thinlayer.system.ranks import on_all, require_same
-from thinlayer.time.checkpoint import Pace
-from thinlayer.time.following import PathFollowing, PathInTime
-from thinlayer.time.journal import OBSERVING, Journal, Observe, columns
-from thinlayer.time.plan import HALVINGS, Adaptive, ArcLength, Plan, require_choices, require_ends, require_path
-from thinlayer.time.stepping import QUANTITIES, ErrorEstimate, TimeStepping
+from thinlayer.time.controller import Controller
+from thinlayer.time.following import AlongPath, PathInTime
+from thinlayer.time.history import OBSERVING, History, Journal, Observe, Solution, columns
+from thinlayer.time.plan import (
+    Adaptive,
+    ArcLength,
+    Times,
+    ends_of_steps,
+    lasting,
+    require_in_time,
+    require_path,
+)
+from thinlayer.time.stepping import QUANTITIES, AdaptiveSteps, ErrorEstimate, PlannedSteps, StepsFromSnapToSnap
 
 TOLD = 0.02  # least error of the steps that leads to a warning
 FEWEST = 8  # planned steps whose number can be halved; fewer are made again as this many or more
 IDLE = 1e-12  # dissipation over the work of the loads, that is none
-NO_ERROR = "Adaptive is for laws that depend on time; steps of {} have no error: give the times to stop at"
 
 
 def march(
-    model: Model,
-    times: Sequence[float] | Adaptive | ArcLength,
+    begin: Model | Solution,
+    times: Times,
     *,
-    start: float = 0.0,
+    start: float | None = None,
     theta: float = 1.0,
     observe: Observe | None = None,
     keep: str = "all",
@@ -49,7 +54,7 @@ def march(
     options: Options | None = None,
     method: str | None = None,
 ) -> History:
-    """Follow a model in time, from rest just before `start`. Collective.
+    """Follow a model in time, from rest just before `start`, or on from a state. Collective.
 
     The loads may be sudden at `start`. If every law of the layer answers at once (elastic, Maxwell), the first accepted
     state is this response, at `start`. With a rate (Kelvin-Voigt, Norton, a stack with one of them, own parts such as
@@ -58,7 +63,7 @@ def march(
 
     A layer whose stress falls as jumps grow (`softens`) is followed along its path, in steps that are as short as the path
     needs, as long as the path leads on in time: so displacements of supports take it beyond the largest load. Where it
-    turns back the march ends with a `TurningPoint`, and `follow` goes on.
+    turns back the march ends with a `TurningPoint`, and `march(error.history, ArcLength(...))` goes on.
 
     A layer of pure phases (`forms.NonMonotoneUnrelaxed`) follows a local minimum of the energy until one of its columns has
     a phase that is not the one of lowest energy. The march stops there. It keeps two states at the same t: before and after
@@ -68,10 +73,12 @@ def march(
     one after them. Let loads grow from zero to see these snaps.
 
     Args:
-        model: the model.
+        begin: the model; or a history that keeps its last state, such as `error.history`, or a state that a solve or a
+            march has found: the march goes on from there, and its first row is this state.
         times: ends of the steps, increasing, > start; or `Adaptive`; or `ArcLength`, to follow an equilibrium path, where
-            t is the parameter of loads and supports alone, and may go back. It starts from the sudden load at `start`.
-        start: time of the first state.
+            t is the parameter of loads and supports alone, and may go back. It starts from the sudden load at `start`;
+            from a history in the direction of its last step.
+        start: time of the first state (default: 0; that of a state is its own).
         theta: forces balance at t + theta dt: 1 is backward Euler, order 1; 1/2 is the midpoint rule, order 2 (from rest
             its first step is made of two steps of backward Euler, which damp the oscillation after a sudden load). Values
             below 1 are allowed for laws that creep or relax and whose response to a sudden strain, if there is one, is
@@ -80,7 +87,7 @@ def march(
             accepted state.
         keep: "all": keep all states; "last": keep only the last one.
         out: folder for table.csv and the files from which to resume, written at every accepted step. Only one march at a
-            time may use it.
+            time may use it, and none that goes on from a state.
         resume: True: continue the march in `out`, if there is one; times may be added. Its numbers, names and mesh must be
             the same, and no file of your own may have changed in which functions and laws stand. "anyway": continue it even
             so. False: the files of the same march are replaced; files of another march are an error.
@@ -103,122 +110,76 @@ def march(
         LimitLoad: the same for a layer that yields, or for contact, if loads change and displacements run away as weak
             springs at all nodes are softened; the error has the last loads with an equilibrium.
     """
-    with on_all(comm_of(model)):
-        start, theta = _number("start", start), _number("theta", theta)
+    with on_all(comm_of(getattr(begin, "model", begin))):
+        model, begun = _begun(begin)
+        if begun and (start is not None or out is not None):
+            raise InputError("a march goes on from a state at its time, and without files: leave start= and out= away")
+        start = begun[-1].t if begun else _number("start", 0.0 if start is None else start)
+        theta = _number("theta", theta)
         _check(model, theta, keep, out, resume, observe)
         if isinstance(times, ArcLength):
             times.check(start)
-            require_choices(theta, method)
         elif not isinstance(times, Adaptive):
-            times = Plan.of(times, start, set()).targets
+            times = ends_of_steps(times, start)
     choices = {"start": start, "theta": theta, "keep": keep, "out": out and str(out), "resume": resume}
     require_same(model.comm, times=times, **choices, observe={*(observe or {})})
     folder = Path(out) if out else None
     with Solver(model, options=options, method=method) as solver, owned(folder, model.comm):
         equations, traits = solver.equations, solver.equations.traits
-        keeping = partial(Journal, equations, dict(observe or {}), keep, folder)
-        if isinstance(times, ArcLength):
-            require_path(equations)
-            return _on_path(solver, times, start, keeping, options, resume)
         ends_at_breaks = traits.remembers or traits.rate or traits.softens or isinstance(times, Adaptive)
-        plan = Plan.of(times, start, model.break_times if ends_at_breaks else set())
-        adaptive = plan.adaptive
-        if traits.softens:
-            _require_path(equations, plan, theta, method)
-            return _on_path(solver, plan, start, keeping, options, resume)
-        if adaptive:
-            equations.refuse({"switches": NO_ERROR})
-        choices = {"start": start, "theta": theta, "tolerance": adaptive and adaptive.tolerance}
-        equations.check_times([start, *plan.targets])
-        require_ends(equations, theta, [start, *plan.targets])
-        journal = keeping(Pace(adaptive.first if adaptive else None), choices)
-        warn_of_model(model, plan.lasting(start))
-        if not adaptive:
-            warn_of_steps(model, start, plan.targets, theta)
+        breaks = model.break_times if ends_at_breaks else ()
+        ends = ends_of_steps(times, start, breaks)
+        on_path = isinstance(times, ArcLength) or traits.softens
+        if on_path:
+            require_path(equations, times, theta, method)
+        equations.check_times([start, *ends])
+        if not on_path:
+            require_in_time(equations, times, theta, [start, *ends])
+        identity = {"start": start, "theta": theta, "tolerance": getattr(times, "tolerance", None)}
+        identity |= {"first": getattr(times, "first", ends[0] - start)} if on_path else {}
+        journal = Journal(equations, identity, observe or {}, keep, folder)
+        warn_of_model(model, () if on_path or begun else lasting(times, start, ends))
+        controller: Controller
+        if isinstance(times, ArcLength):
+            controller = AlongPath(solver, journal, start, ends, times, options)
+        elif on_path:
+            path = PathInTime.settings(start, ends)
+            controller = PathInTime(solver, journal, start, ends, path, options)
+        elif isinstance(times, Adaptive):
+            controller = AdaptiveSteps(solver, journal, start, ends, theta, times)
+        else:
+            warn_of_steps(model, start, ends, theta)
+            controller = planned(solver, journal, start, ends, theta)
         try:
-            history = TimeStepping(solver, journal, plan, start, theta).run(resume)
+            history = controller.run(resume, begun)
         except SolveError as error:
             warn_of_strains(list(error.history or ()))
             raise
-        tell_steps(solver, history, plan, start, theta)
-    warn_of_states(list(history), start)
+        finally:
+            controller.close()
+        if not on_path and not isinstance(times, Adaptive) and depends_on_steps(equations):
+            tell_steps(controller, theta, begun)
+    warn_of_states(list(history), None if on_path else start)
     return history
 
 
-def follow(
-    begun: History | State,
-    path: ArcLength,
-    *,
-    observe: Observe | None = None,
-    keep: str = "all",
-    options: Options | None = None,
-) -> History:
-    """Follow the equilibria of a model on by arc length, from the last state of a march, or from a state. Collective.
-
-    Where a march of a softening layer has ended with a `TurningPoint`, the path leads on, back in time at first.
-
-    Args:
-        begun: a history, such as `error.history`, which keeps its last state; or a state that a solve or a march has found.
-        path: the path's end, after the time of the state, and the change of t in its first step.
-        observe, keep, options: as in `march`.
-
-    Returns:
-        The states of the path, and the one that it begins with.
-
-    Raises:
-        InputError: neither a history nor a state; laws whose paths cannot be followed, see `march`; `path` out of range.
-        SolveError: as in `march`.
-    """
-    if not isinstance(begun, (History, State)) or not isinstance(path, ArcLength):
-        raise InputError(f"follow takes a history or a state, and ArcLength(...), not {begun!r:.80} and {path!r:.80}")
-    *earlier, last = [begun] if isinstance(begun, State) else begun
-    before = earlier[-1] if earlier else None
-    model = last.model
-    with on_all(model.comm):
-        _check(model, 1.0, keep, None, False, observe)
-        path.check(last.t)
-    require_same(model.comm, times=path, start=last.t, keep=keep, observe={*(observe or {})})
-    with Solver(model, options=options) as solver:
-        require_path(solver.equations)
-        keeping = partial(Journal, solver.equations, dict(observe or {}), keep, None)
-        return _on_path(solver, path, last.t, keeping, options, begun=(before, last))
+def _begun(begin: Any) -> tuple[Model, list[State]]:
+    """The model, and the states from which a march goes on: the last one, perhaps after the one before it."""
+    if isinstance(begin, History):
+        last = begin.last
+        before = begin.states.get(len(begin) - 2)
+        return begin.model, [last] if before is None else [before, last]
+    if isinstance(begin, State):
+        return begin.model, [begin]
+    allowed = "march takes what Structure.full or Structure.interface returns, a history or a state"
+    require(isinstance(begin, Model), "model", begin, allowed)
+    return begin, []
 
 
-def _on_path(
-    solver: Solver,
-    path: ArcLength | Plan,
-    start: float,
-    keeping: Callable[..., Journal],
-    options: Options | None,
-    resume: Resume = False,
-    begun: tuple[State | None, State] | None = None,
-) -> History:
-    """Run a march along a path, to its end, or to given times."""
-    ends = [path.end] if isinstance(path, ArcLength) else path.targets
-    first = path.first if isinstance(path, ArcLength) else ends[0] - start
-    solver.equations.check_times([start, *ends])
-    choices = {"start": start, "theta": 1.0, "tolerance": None, "first": first}
-    journal = keeping(Pace(None), choices, directed=True)
-    warn_of_model(solver.model)
-    if begun:
-        journal.start(*begun)
-    if isinstance(path, ArcLength):
-        history = PathFollowing(solver, journal, path, start, options).run(resume)
-    else:
-        history = PathInTime(solver, journal, path.targets, start, options).run(resume)
-    warn_of_states(list(history))
-    return history
-
-
-def _require_path(equations: Equations, plan: Plan, theta: float, method: str | None) -> None:
-    """Raise InputError unless a march of a softening layer can go along its path. Collective."""
-    if plan.adaptive:
-        equations.refuse({"softens": f"march with Adaptive: {SOFTENS}"})
-    try:
-        require_choices(theta, method)
-        require_path(equations)
-    except InputError as error:
-        raise InputError(f"the stress of a layer falls, and equilibria in time must be on its path: {error}") from error
+def planned(solver: Solver, journal: Journal, start: float, ends: Sequence[float], theta: float) -> PlannedSteps:
+    """The controller of planned steps; with snaps where columns switch."""
+    kind = StepsFromSnapToSnap if solver.equations.traits.switches else PlannedSteps
+    return kind(solver, journal, start, ends, theta)
 
 
 def _number(name: str, value: Any) -> float:
@@ -226,12 +187,11 @@ def _number(name: str, value: Any) -> float:
     return float(value)
 
 
-def _check(model: Any, theta: float, keep: str, out: Any, resume: Resume, observe: Any) -> None:
-    require(isinstance(model, Model), "model", model, "march takes what Structure.full or Structure.interface returns")
+def _check(model: Model, theta: float, keep: str, out: Any, resume: Resume, observe: Any) -> None:
     require(observe is None or isinstance(observe, Mapping), "observe", observe, "give {name of a column: function}")
     for name, function in (observe or {}).items():
         require(isinstance(name, str) and callable(function), f"observe[{name!r}]", function, OBSERVING)
-        if name in columns(model):
+        if name in {"dt", *columns(model)}:
             raise InputError(f"observe: column {name!r} is there already; give it another name")
     if not 0.5 <= theta <= 1:
         raise InputError(f"theta is {theta}; allowed: 1/2 (midpoint rule) to 1 (backward Euler)")
@@ -243,7 +203,7 @@ def _check(model: Any, theta: float, keep: str, out: Any, resume: Resume, observ
 
 
 # ---------------------------------------------------------------- what planned steps leave undetermined
-def tell_steps(solver: Solver, history: History, plan: Plan, start: float, theta: float) -> None:
+def tell_steps(done: Controller, theta: float, begun: Sequence[State]) -> None:
     """Estimate the errors of planned steps at the end of a march, and warn of large ones. Collective.
 
     Laws that are not linear and have a history, as of yield, friction or damage, are marched again with half as many steps:
@@ -251,38 +211,32 @@ def tell_steps(solver: Solver, history: History, plan: Plan, start: float, theta
     difference gives the error of the whole march to leading order; one halved step would tell what it adds alone. A march
     that has dissipated nothing is not made again.
     """
-    if plan.adaptive or not depends_on_steps(solver.equations):
-        return
+    solver, history, n = done.solver, done.journal.history, len(done.targets)
     dissipated, supplied = (np.array(history.table[name], float) for name in ("dissipated", "supplied"))
     if np.abs(dissipated).sum() <= IDLE * np.abs(supplied).sum():  # not if a law does not declare its energy
         history.step_errors = dict.fromkeys(QUANTITIES, 0.0)
         return
-    again = _other(plan.targets, start, solver.model.break_times)
-    length = float(np.diff([start, *again]).min()) / 2**HALVINGS
-    journal = Journal(solver.equations, {}, "last", None, Pace(None), {"theta": theta})
+    again = _other(done.targets, done.start, solver.model.break_times)
     remedy = "take more steps, or times=Adaptive(end=..., first=..., tolerance=...)"
     try:
         with telling("error of the steps"):
-            other = TimeStepping(solver, journal, Plan(again, None, length), start, theta).run(False).last
+            journal = Journal(solver.equations, {"theta": theta})
+            other = planned(solver, journal, done.start, again, theta).run(begun=begun).last
     except SolveError as error:
         history.step_errors = dict.fromkeys(QUANTITIES, np.nan)
-        history.model.warn(
-            "no step error",
-            f"the error of the march's steps is not known: with {len(again)} steps {error.reason}; {remedy}",
-            *plan.targets,
-        )
+        what = f"the error of the march's steps is not known: with {len(again)} steps {error.reason}; {remedy}"
+        solver.model.warn("no step error", what, *done.targets)
         return
-    order = 2 if theta == 0.5 else 1
-    gain = abs((len(plan.targets) / len(again)) ** order - 1)
+    gain = abs((n / len(again)) ** (2 if theta == 0.5 else 1) - 1)
     shares = ErrorEstimate(solver.equations).shares(other, history.last) / gain
     history.step_errors = dict(zip(QUANTITIES, map(float, shares), strict=True))
     if shares.max() > TOLD:
-        told = ", ".join(f"{share:.2g} in {name}" for name, share in history.step_errors.items())
-        history.model.warn(
+        found = ", ".join(f"{share:.2g} in {name}" for name, share in history.step_errors.items())
+        solver.model.warn(
             "step error",
-            f"the {len(plan.targets)} steps of this march leave estimated relative errors of {told} at its end (march with "
-            f"{len(again)} steps): the law depends on its history; {remedy}",
-            *plan.targets,
+            f"the {n} steps of this march leave estimated relative errors of {found} at its end (march with {len(again)} "
+            f"steps): the law depends on its history; {remedy}",
+            *done.targets,
         )
 
 

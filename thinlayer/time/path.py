@@ -16,9 +16,10 @@ from __future__ import annotations
 import math
 import time
 
+import numpy as np
 from petsc4py import PETSc
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from thinlayer.discretisation.state import Report, State
 from thinlayer.errors import SolveError
 from thinlayer.parts.part import Interval
@@ -40,52 +41,75 @@ QUOTIENT_STEP = 1e-3  # step of difference quotients in t, relative to the unit 
 SMALL = 1e-7  # change of forces in a step, relative to the forces, that counts as zero
 
 
-class PathEquations:
-    """R(u, t), with loads, supports and laws at t, and linear solves with its derivatives. All methods are collective.
+class EquilibriumPath:
+    """Equilibria of a model along a path, one after the other. Collective.
 
-    Laws with memory start from a state `last`, whether t increases or decreases.
+    A point of the path, and a direction, is an array (n + 1,): the unknowns of this rank, then t. Laws with memory start
+    from a state `last`, whether t increases or decreases.
 
     Args:
         equations: the equations of the model.
-        unit: unit of t, > 0.
-        middle: middle of the times at which loads and supports are known; difference quotients step towards it.
+        unit: unit T of t in the arc length, > 0.
         options: PETSc options of the linear solver, which override our defaults; options of SNES are ignored.
 
     Attributes:
-        middle: the argument; it may be changed.
-        x: unknowns; set them before `residual`, which sets the held ones.
-        r: residual R, zero at held displacements.
-        step: after `linearise` the Newton step at fixed t, -K^-1 R.
-        change: after `linearise` the derivative of the unknowns by t in equilibrium, -K^-1 dR/dt, supports included.
+        weight: 1/U^2 of the arc length; 0 until U is known, so that the first step has a length in t only.
+        middle: middle of the times at which loads and supports are known; difference quotients step towards it.
     """
 
-    def __init__(self, equations: Equations, unit: float, middle: float, options: Options | None) -> None:
-        self.equations, self.middle, self._short = equations, middle, QUOTIENT_STEP * unit
+    def __init__(self, equations: Equations, unit: float, options: Options | None) -> None:
+        self.equations, self.unit, self.weight, self.middle = equations, unit, 0.0, 0.0
         self._ours = direct_solver(equations.model)
         self._given = {name: value for name, value in (options or {}).items() if not name.startswith("snes_")}
         self._factor = Factor()
         self._vectors = [equations.vector() for _ in range(5)]
-        self.x, self.r, self.step, self.change, self._dR = self._vectors
+        self._x, self._r, self._dR, self._step, self._change = self._vectors
+        self._direction = np.zeros(self._x.getLocalSize() + 1)  # of length 1, at the last state
+        self._missed = 0.0  # distance of the last equilibrium from its predictor, relative to the step
 
     def close(self) -> None:
         """Free vectors and factor."""
         for thing in (self._factor, *self._vectors):
             thing.destroy()
 
-    def residual(self, last: State, t: float) -> float | None:
-        """Compute the residual at time t; returns its size relative to the forces if x is an equilibrium, else None.
+    @property
+    def leads_on(self) -> bool:
+        """Whether t increases along the direction of the path."""
+        return bool(self._direction[-1] > 0)
+
+    def ahead(self, last: State, length: float) -> float:
+        """Time at the predictor of a step of this length."""
+        return last.t + length * float(self._direction[-1])
+
+    def _point(self, state: State) -> Array:
+        self.equations.put_state(state, self._x)
+        return np.append(self._x.array_r, state.t)
+
+    def _product(self, a: Array, b: Array) -> float:
+        of_u = self.equations.comm.allreduce(float(a[:-1] @ b[:-1]))
+        return self.weight * of_u + float(a[-1] * b[-1]) / self.unit**2
+
+    def _size(self, a: Array) -> float:
+        return math.sqrt(self._product(a, a))
+
+    def _unit_along(self, a: Array) -> Array:
+        return np.asarray(a / self._size(a), float)
+
+    # ---------------------------------------------------------------- the balance of forces
+    def _residual(self, last: State, point: Array) -> float | None:
+        """Compute the residual, zero at held unknowns, which the point gets; its relative size in equilibrium, else None.
 
         Raises:
             SolveError: a law fails, or loads or supports are not finite at t.
         """
-        self._begin(last, t)
         equations, held = self.equations, self.equations.held
-        self.x.array[held] = equations.prescribed
-        equations.residual(self.x, self.r)
-        self._require_law()
-        self.r.array[held] = 0.0
-        size = float(self.r.norm())
-        return equations.scale.relative(size) if size <= equations.aim(self.x) else None
+        self._begin(last, float(point[-1]))
+        point[held] = equations.prescribed
+        self._x.array[:] = point[:-1]
+        self._forces(self._r)
+        self._r.array[held] = 0.0
+        size = float(self._r.norm())
+        return equations.scale.relative(size) if size <= equations.aim(self._x) else None
 
     def _begin(self, last: State, t: float) -> None:
         try:
@@ -93,39 +117,33 @@ class PathEquations:
         except InputError as error:
             raise SolveError(str(error)) from error
 
-    def _require_law(self) -> None:
+    def _forces(self, out: PETSc.Vec) -> None:
+        self.equations.residual(self._x, out)
         if self.equations.failed:
             raise SolveError(self.equations.failure())
 
-    def linearise(self, last: State, t: float) -> None:
-        """Compute `step` and `change` at the unknowns of the last residual. Derivatives by t are difference quotients.
+    def _linearise(self, last: State, t: float) -> tuple[Array, Array]:
+        """Newton's step at fixed t, and the tangent of the path per unit of t, at the point of the last residual.
+
+        Derivatives by t are difference quotients.
 
         Raises:
-            SolveError: as in `residual`; or the matrix cannot be factorised.
+            SolveError: as in `_residual`; or the matrix cannot be factorised.
         """
-        equations, held = self.equations, self.equations.held
-        prescribed, short = equations.prescribed, math.copysign(self._short, self.middle - t)
+        equations, held, dR, change = self.equations, self.equations.held, self._dR, self._change
+        prescribed, short = equations.prescribed, math.copysign(QUOTIENT_STEP * self.unit, self.middle - t)
         self._begin(last, t + short)
-        equations.residual(self.x, self._dR)
-        self._require_law()
-        self._dR.axpy(-1.0, self.r)
-        self._dR.scale(-1 / short)
-        self.change.set(0.0)
-        self.change.array[held] = (equations.prescribed - prescribed) / short
+        self._forces(dR)
+        dR.axpy(-1.0, self._r)
+        dR.scale(-1 / short)
+        change.set(0.0)
+        change.array[held] = (equations.prescribed - prescribed) / short
         self._matrix = equations.tangent()
-        self._matrix.zeroRowsColumns(equations.held_rows, 1.0, self.change, self._dR)
+        self._matrix.zeroRowsColumns(equations.held_rows, 1.0, change, dR)
         mark(self._matrix, equations.model, saddle=True)
-        self._solve(self._dR, self.change)
-        self.r.scale(-1.0)
-        self._solve(self.r, self.step)
-        self.r.scale(-1.0)
-
-    def derivative(self, x: PETSc.Vec, slope: float, out: PETSc.Vec) -> None:
-        """Derivative of R along (x, slope) at the last linearisation; supports move with t."""
-        x.copy(self._dR)
-        self._dR.axpy(-slope, self.change)  # K change + dR/dt = 0
-        self._dR.array[self.equations.held] = 0.0
-        self._matrix.mult(self._dR, out)
+        self._solve(dR, change)
+        self._solve(self._r, self._step)
+        return np.append(-self._step.array_r, 0.0), np.append(change.array_r, 1.0)
 
     def _solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
         with chosen(self._ours, self._given):
@@ -142,47 +160,6 @@ class PathEquations:
         if reason < 0 or not math.isfinite(x.norm()):
             raise SolveError(f"linear solver: {reason_name(PETSc.KSP.ConvergedReason, reason)}")
 
-
-class EquilibriumPath:
-    """Equilibria (u, t) of a model along a path, one after the other. Collective.
-
-    Args:
-        balance: the equations of the model in (u, t).
-        unit: unit T of t in the arc length, > 0.
-
-    Attributes:
-        weight: 1/U^2 of the arc length; 0 until U is known, so that the first step has a length in t only.
-    """
-
-    def __init__(self, balance: PathEquations, unit: float) -> None:
-        self.balance, self.unit, self.weight = balance, unit, 0.0
-        self._vectors = [balance.equations.vector() for _ in range(5)]
-        self._direction, self._target, self._row, self._work, self._more = self._vectors
-        self._put = balance.equations.put_state
-        self._slope = 0.0  # component of the direction in t: (direction, slope) has the length 1
-        self._missed = 0.0  # distance of the last equilibrium from its predictor, relative to the step
-
-    def close(self) -> None:
-        """Free vectors and factor."""
-        for vector in self._vectors:
-            vector.destroy()
-        self.balance.close()
-
-    @property
-    def leads_on(self) -> bool:
-        """Whether t increases along the direction of the path."""
-        return self._slope > 0
-
-    def ahead(self, last: State, length: float) -> float:
-        """Time at the predictor of a step of this length."""
-        return last.t + length * self._slope
-
-    def _product(self, x: PETSc.Vec, t: float, y: PETSc.Vec, s: float) -> float:
-        return self.weight * float(x.dot(y)) + t * s / self.unit**2
-
-    def _size(self, x: PETSc.Vec, t: float) -> float:
-        return math.sqrt(self._product(x, t, x, t))
-
     # ---------------------------------------------------------------- direction
     def aim(self, before: State | None, last: State, *, check: bool = False) -> None:
         """Find the direction of the path at the state `last`.
@@ -198,44 +175,27 @@ class EquilibriumPath:
         Raises:
             SolveError: the path turns between the states, or `last` is on another path; the old direction stays.
         """
-        balance, increment, dt = self.balance, self._target, 0.0
-        self._put(last, balance.x)
-        if before is not None:
-            self._put(before, increment)
-            increment.aypx(-1.0, balance.x)
-            dt = last.t - before.t
-        direction, slope = self._row, 1.0
+        point = self._point(last)
+        increment = None if before is None else point - self._point(before)
         try:
-            balance.residual(before or last, last.t)
-            balance.linearise(before or last, last.t)
+            self._residual(before or last, point)
+            _, direction = self._linearise(before or last, last.t)
         except SolveError:
-            if before is None:
+            if increment is None:
                 raise
-            increment.copy(direction)
-            slope, check = dt, False
+            direction, check = increment, False
         else:
-            balance.change.copy(direction)
-            if before is not None and self._product(direction, 1.0, increment, dt) < 0:
-                direction.scale(-1.0)
-                slope = -1.0
-        size = self._size(direction, slope)
-        direction.scale(1 / size)
-        slope /= size
-        if check and before is not None:
-            self._check(before, direction, slope, self._size(increment, dt))
-        direction.copy(self._direction)
-        self._slope = slope
+            if increment is not None and self._product(direction, increment) < 0:
+                direction = -direction
+        direction = self._unit_along(direction)
+        if check and before is not None and increment is not None:
+            if self._crossing(before, direction, self._size(increment)) < 0:
+                raise SolveError("the path turns within the step")
+            if self._missed > BEND_FACTOR * self._size(direction - self._direction) + BEND_OFFSET:
+                raise SolveError("the equilibrium found is beside the path: its direction is that of the predictor")
+        self._direction = direction
 
-    def _check(self, last: State, direction: PETSc.Vec, slope: float, length: float) -> None:
-        """Raise SolveError unless the direction at a new equilibrium fits the direction at the state `last` before it."""
-        if self._crossing(last, direction, slope, length) < 0:
-            raise SolveError("the path turns within the step")
-        direction.copy(self._work)
-        self._work.axpy(-1.0, self._direction)
-        if self._missed > BEND_FACTOR * self._size(self._work, slope - self._slope) + BEND_OFFSET:
-            raise SolveError("the equilibrium found is beside the path: its direction is that of the predictor")
-
-    def _crossing(self, last: State, direction: PETSc.Vec, slope: float, length: float) -> float:
+    def _crossing(self, last: State, direction: Array, length: float) -> float:
         """Whether a direction is to be reversed beyond a kink of a law: > 0 no, < 0 yes, 0 if there is no kink.
 
         The angle with the last increment, by which Crisfield (1981) chooses between two solutions and `aim` the sign of the
@@ -248,27 +208,27 @@ class EquilibriumPath:
 
         Args:
             last: the state before the kink.
-            direction, slope: d_2, found at the last linearisation.
+            direction: d_2, found at the last linearisation.
             length: length of the step.
         """
-        balance, beyond, across = self.balance, self._work, self._more
-        balance.derivative(self._direction, self._slope, beyond)  # (A_2 - A_1) d_1 = A_2 d_1, as A_1 d_1 = 0
-        self._put(last, balance.x)
-        balance.residual(last, last.t)
-        balance.r.copy(across)
-        short = SHORT_STEP * length
-        balance.x.axpy(short, direction)
-        balance.residual(last, last.t + short * slope)
-        across.axpy(-1.0, balance.r)
-        across.scale(1 / short)  # (A_2 - A_1) d_2 = -A_1 d_2, as A_2 d_2 = 0
-        scale = balance.equations.scale
-        small = SMALL * scale.forces / length
-        rounded = [scale.rounding(float(x.norm(PETSc.NormType.INFINITY))) for x in (self._direction, balance.x)]
-        if beyond.norm() < max(small, rounded[0]):
-            return 0.0
-        if across.norm() < max(small, rounded[1] / short):  # rounding of residuals; forces may be zero
-            return 0.0
-        return float(beyond.dot(across))
+        equations, short = self.equations, SHORT_STEP * length
+        along = self._dR  # (A_2 - A_1) d_1 = A_2 d_1, as A_1 d_1 = 0; and with A_2 (change, 1) = 0
+        along.array[:] = self._direction[:-1] - self._direction[-1] * self._change.array_r
+        along.array[equations.held] = 0.0
+        self._matrix.mult(along, self._r)
+        beyond = self._r.array_r.copy()
+        point = self._point(last)
+        self._residual(last, point)
+        before = self._r.array_r.copy()
+        self._residual(last, point + short * direction)
+        across = (before - self._r.array_r) / short  # (A_2 - A_1) d_2 = -A_1 d_2, as A_2 d_2 = 0
+        moved = [float(np.abs(one[:-1]).max(initial=0.0)) for one in (self._direction, point)]
+        rounded = np.array([equations.scale.rounding(equations.comm.allreduce(most, max)) for most in moved])
+        small = SMALL * equations.scale.forces / length
+        local = [beyond @ beyond, across @ across, beyond @ across]
+        *squares, product = equations.comm.allreduce(np.array(local))
+        # rounding of residuals; forces may be zero
+        return 0.0 if (np.sqrt(squares) < np.maximum(small, rounded / [1.0, short])).any() else float(product)
 
     # ---------------------------------------------------------------- steps
     def step(self, last: State, length: float, *, turn: bool = False) -> State:
@@ -277,77 +237,48 @@ class EquilibriumPath:
         Raises:
             SolveError: there is no equilibrium, or it is too far from the predictor.
         """
-        self._predict(last, length)
-        self._direction.copy(self._row)
-        return self._solve(last, self.ahead(last, length), self._slope, length, turn)
+        return self._find(last, self._point(last) + length * self._direction, self._direction, length, turn)
 
     def land(self, last: State, beyond: State | None, t: float) -> State:
         """The equilibrium at time t, between the states `last` and `beyond` (None: the predictor). Errors as in `step`."""
-        if beyond is None:
-            length = (t - last.t) / self._slope
-            self._predict(last, length)
-        else:
-            share, increment = (t - last.t) / (beyond.t - last.t), self._work
-            self._put(last, self._target)
-            self._put(beyond, increment)
-            increment.axpy(-1.0, self._target)
-            increment.scale(share)
-            self._target.axpy(1.0, increment)
-            length = self._size(increment, t - last.t)
-        self._row.set(0.0)
-        return self._solve(last, t, 1.0, length, False)
+        point, at_t = self._point(last), np.zeros_like(self._direction)
+        at_t[-1] = 1.0
+        onward = self._direction if beyond is None else self._point(beyond) - point
+        increment = (t - last.t) / onward[-1] * onward
+        target = point + increment
+        target[-1] = t
+        return self._find(last, target, at_t, self._size(increment), turn=False)
 
-    def _predict(self, last: State, length: float) -> None:
-        self._put(last, self._target)
-        self._target.axpy(length, self._direction)
-
-    def _solve(self, last: State, target: float, slope: float, length: float, turn: bool) -> State:
-        """The equilibrium in the plane normal to (row, slope) through the target."""
-        begin, balance, x = time.perf_counter(), self.balance, self.balance.x
+    def _find(self, last: State, target: Array, row: Array, length: float, turn: bool) -> State:
+        """The equilibrium in the plane normal to the row through the target."""
+        begin, beyond, iterations, point = time.perf_counter(), 0.0, 0, target.copy()
         most, far = (TURN_ITERATIONS, TURN_MISSED * length) if turn else (ITERATIONS, MOST_MISSED * length)
-        t, beyond, iterations = target, 0.0, 0
-        self._target.copy(x)
-        while (residual := balance.residual(last, t)) is None:
+        while (residual := self._residual(last, point)) is None:
             if iterations == most:
                 raise SolveError(f"Newton's method for the arc length has not converged in {most} steps")
-            balance.linearise(last, t)
+            newton, tangent = self._linearise(last, float(point[-1]))
             if turn and iterations == 0:
-                slope, beyond = self._turn(last, length)
-            missing = beyond - self._product(self._row, slope, self._from_target(), t - target)
-            across = self._product(self._row, slope, balance.change, 1.0)
-            dt = (missing - self.weight * float(self._row.dot(balance.step))) / across if across else math.inf
-            if not math.isfinite(dt):
+                row, beyond = self._turned(last, tangent, length)
+            missing = beyond - self._product(row, point - target) - self._product(row, newton)
+            across = self._product(row, tangent)
+            if not across or not math.isfinite(missing / across):
                 raise SolveError("the tangent is singular along the path")
-            x.axpy(1.0, balance.step)
-            x.axpy(dt, balance.change)
-            t += dt
+            point += newton + missing / across * tangent
             iterations += 1
-            if not self._size(self._from_target(), t - target) <= RUN_AWAY * length:
+            if not self._size(point - target) <= RUN_AWAY * length:
                 raise SolveError("Newton's method for the arc length runs away")
-        missed = self._size(self._from_target(), t - target)
+        missed = self._size(point - target)
         if missed > far:
             raise SolveError("the equilibrium at this arc length is far from the predictor")
         self._missed = 0.0 if turn else missed / length
-        report = Report("newton", iterations, residual, time.perf_counter() - begin)
-        return balance.equations.accept(x, report)
+        return self.equations.accept(self._x, Report("newton", iterations, residual, time.perf_counter() - begin))
 
-    def _from_target(self) -> PETSc.Vec:
-        self.balance.x.copy(self._work)
-        self._work.axpy(-1.0, self._target)
-        return self._work
-
-    def _turn(self, last: State, length: float) -> tuple[float, float]:
-        """Make the plane normal to the direction found at the predictor; returns its slope, and its distance from there."""
-        size = self._size(self.balance.change, 1.0)
-        self.balance.change.copy(self._row)
-        self._row.scale(1 / size)
-        slope = 1 / size
-        crossing = self._crossing(last, self._row, slope, length)
-        self._target.copy(self.balance.x)
+    def _turned(self, last: State, tangent: Array, length: float) -> tuple[Array, float]:
+        """The direction found at the predictor, beyond a corner, and the distance of the plane normal to it from there."""
+        row = self._unit_along(tangent)
+        crossing = self._crossing(last, row, length)
         if crossing == 0:
             raise SolveError("the path has no corner here")
-        if crossing < 0:
-            self._row.scale(-1.0)
-            slope = -slope
-        cosine = self._product(self._row, slope, self._direction, self._slope)
-        return slope, length * (max(-cosine, 0.0) + BEYOND_CORNER)
+        row *= math.copysign(1.0, crossing)
+        cosine = self._product(row, self._direction)
+        return row, length * (max(-cosine, 0.0) + BEYOND_CORNER)

@@ -13,11 +13,19 @@ from forms.base import Array, InputError, is_finite, is_number, require
 from forms.temperature import real
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.history import SAME_TIME
+from thinlayer.solving.solvers import SOFTENS
 
+SAME_TIME = 1e-9  # largest difference of times that count as equal, relative to the span of a march
 HALVINGS = 10  # largest number of times that a planned step is halved
 ALLOWED_THETA = "theta = 1"  # the last words of errors
 MOST_SHORTENED = 1e6  # length of the first adaptive step relative to that of the shortest, by default
+NO_ERROR = "Adaptive is for laws that depend on time; steps of {} have no error: give the times to stop at"
+NO_PATH = {
+    "releases": "{} is a contact law: march in time instead of ArcLength",
+    "bounded": "{} bounds stresses: on a path loads stay at their limit; march in time, which finds the limit",
+    "switches": "{} has pure phases: its equilibria do not form one curve; march in time, which finds the snaps",
+    "rate": "{} depends on rates, and t is no time on a path: march in time",
+}  # reasons, see `PartSum.refuse`
 
 
 @dataclass(frozen=True)
@@ -59,9 +67,9 @@ class Adaptive:
             raise InputError(f"Adaptive: at has t = {max(self.at):g}; times increase to end = {self.end:g}")
 
     @property
-    def targets(self) -> list[float]:
-        """Times at which a step must end."""
-        return sorted({*map(float, self.at), float(self.end)})
+    def least(self) -> float:
+        """Length below which a step is not shortened further."""
+        return self.smallest or self.first / MOST_SHORTENED
 
 
 def _require_numbers(given: Adaptive | ArcLength, *positive: str, signed: tuple[str, ...]) -> None:
@@ -74,119 +82,6 @@ def _require_numbers(given: Adaptive | ArcLength, *positive: str, signed: tuple[
             raise InputError(f"{type(given).__name__}: {name} is {value!r}; allowed: a number{above}")
 
 
-@dataclass(frozen=True)
-class Plan:
-    """The plan of a march.
-
-    Attributes:
-        targets: times at which steps must end.
-        adaptive: settings of adaptive steps; None: each step ends at the next target.
-        smallest: length below which a step is not shortened further.
-    """
-
-    targets: list[float]
-    adaptive: Adaptive | None
-    smallest: float
-
-    @classmethod
-    def of(cls, times: Sequence[float] | Adaptive, start: float, breaks: set[float]) -> Plan:
-        """The plan for `times`; steps must also end at `breaks` between them."""
-        adaptive = times if isinstance(times, Adaptive) else None
-        require(not isinstance(times, str), "times", times, "it must be a sequence of numbers or Adaptive(...)")
-        try:
-            given = real([*(adaptive.targets if adaptive else times)])  # type: ignore[misc]
-            if given.ndim != 1:
-                raise TypeError("it has rows")
-            targets = [float(t) for t in given]
-        except (TypeError, ValueError) as error:
-            raise InputError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)") from error
-        whole = np.array([start, *targets])
-        if not targets or not np.isfinite(whole).all() or (np.diff(whole) <= 0).any():
-            remedy = "they must be finite, increase, and come after start, which is not one of them"
-            raise InputError(f"times is {targets} from start = {start:g}; {remedy}")
-        _require_steps(whole, adaptive)
-        targets = _with_breaks(start, targets, breaks)
-        if adaptive:
-            return cls(targets, adaptive, adaptive.smallest or adaptive.first / MOST_SHORTENED)
-        return cls(targets, None, float(np.diff([start, *targets]).min()) / 2**HALVINGS)
-
-    def lasting(self, start: float) -> list[float]:
-        """Durations, at the first, a middle (logarithmic mean) and the last time, of loads that are sudden at `start`."""
-        last = self.targets[-1] - start
-        first = min(self.adaptive.first if self.adaptive else last, self.targets[0] - start)
-        return list(dict.fromkeys([first, math.sqrt(first * last), last]))
-
-    def after(self, t: float) -> list[float]:
-        """The targets after time t."""
-        near = min(SAME_TIME * max(abs(self.targets[-1]), abs(self.targets[0])), self.smallest)
-        return [target for target in self.targets if target > t + near]
-
-
-def distinct(start: float, end: float) -> bool:
-    """Whether the two halves of a step are not lost in rounding."""
-    return start < (start + end) / 2 < end
-
-
-def _require_steps(times: Array, adaptive: Adaptive | None) -> None:
-    """Raise InputError if steps between times, or the shortest parts of them, are lost in rounding."""
-    tiny = np.finfo(float).tiny  # smaller numbers lose digits
-    if adaptive:
-        start, first = float(times[0]), min(adaptive.first, float(times[-1] - times[0]))
-        if not distinct(start, start + first) or (adaptive.smallest or first / MOST_SHORTENED) < tiny:
-            raise InputError(f"Adaptive: first is {first:g}: a step from t = {start:g} that is lost in rounding")
-        if adaptive.largest < np.spacing(np.abs(times).max()) * 2:
-            rounded = f"such steps to t = {times[-1]:g} are lost in rounding"
-            raise InputError(f"Adaptive: largest is {adaptive.largest:g}: {rounded}")
-    dt = np.diff(times)
-    near = np.maximum(np.spacing(np.maximum(np.abs(times[1:]), np.abs(times[:-1]))), tiny)
-    lost = np.flatnonzero(dt < near * (1 if adaptive else 2**HALVINGS))
-    if len(lost):
-        a, b = times[lost[0]], times[lost[0] + 1]
-        raise InputError(f"times has {b!r} after {a!r}: the step between them, or its parts, are lost in rounding")
-
-
-def _with_breaks(start: float, targets: list[float], breaks: set[float]) -> list[float]:
-    """Targets and the breaks before the last target, without times that differ from others only by rounding."""
-    near = SAME_TIME * max(abs(start), abs(targets[-1]))
-    found = np.array([start, *targets])
-    for t in sorted(t for t in breaks if start < t < targets[-1]):
-        if np.abs(found - t).min() > near:
-            found = np.append(found, t)
-    return [float(t) for t in np.sort(found)[1:]]
-
-
-# ---------------------------------------------------------------- theta
-def require_ends(equations: Equations, theta: float, times: Sequence[float]) -> None:
-    """Raise InputError if theta < 1 and a part does not balance at the ends of steps then. Collective.
-
-    Laws at points that creep or relax may be of any kind; others say `linear`, and their parameters do not change in time.
-
-    Args:
-        equations: the equations of the model.
-        theta: theta of the march.
-        times: start of the march, and the times at which steps end.
-    """
-    if theta == 1:
-        return
-    at_ends = f"theta is {theta}; {{}} holds at the ends of steps: {ALLOWED_THETA}"
-    bounds = (
-        f"theta is {theta}; {{}} bounds stresses: with theta < 1 they are kept within the bound at t + theta dt, "
-        f"where forces balance, and may exceed it at the end of the step; allowed: {ALLOWED_THETA}"
-    )
-    equations.refuse({"releases": at_ends, "switches": at_ends, "bounded": bounds})
-    for part in equations.parts:
-        at_once = [(name, False) for name, has in part.named().items() if has.nonlinear and not has.rate]
-        if hasattr(part, "answers_at_once"):
-            at_once = [*filter(None, [part.answers_at_once(times)])]
-        for name, changes in at_once:
-            how = "with parameters that change in time" if changes else "not linearly (linear = True is not declared)"
-            raise InputError(
-                f"theta is {theta}; {name} answers at once, and {how}: if forces balance within a step, states at the ends "
-                f"of steps oscillate about the solution, and nothing damps them: {ALLOWED_THETA}"
-            )
-
-
-# ---------------------------------------------------------------- paths
 @dataclass(frozen=True)
 class ArcLength:
     """An equilibrium path of a model, followed by arc length; t is the parameter of loads and supports and may decrease.
@@ -242,24 +137,126 @@ class ArcLength:
             raise InputError(f"ArcLength: back is {self.back:g}; it must be less than start = {start:g}")
 
 
-def require_choices(theta: float, method: str | None) -> None:
-    """Raise InputError unless a path is followed by Newton's method, with forces that balance at t itself."""
-    if theta != 1:
-        raise InputError(f"theta is {theta}; forces on a path balance at t itself: theta = 1")
-    require(method in (None, "newton"), "method", method, "a path is followed by Newton's method")
+Times = Sequence[float] | Adaptive | ArcLength
 
 
-def require_path(equations: Equations) -> None:
-    """Raise InputError unless paths of the model can be followed: no part has a rate or bounds. Collective."""
-    refused = {
-        "releases": "{} is a contact law: march in time instead of ArcLength",
-        "bounded": "{} bounds stresses: on a path loads stay at their limit; march in time, which finds the limit",
-        "switches": "{} has pure phases: its equilibria do not form one curve; march in time, which finds the snaps",
-        "rate": "{} depends on rates, and t is no time on a path: march in time",
-    }
-    for part in equations.of_kind(PressurePart):
-        for name in part.named():
-            raise InputError(f"{name} is incompressible: paths have displacements alone, no pressures; march in time")
-    equations.refuse(refused)
-    for name in filter(None, equations.ask("takes_time")):
-        raise InputError(f"{name} creeps or relaxes, and t is no time on a path: march in time")
+# ---------------------------------------------------------------- ends of steps
+def ends_of_steps(times: Times, start: float, breaks: Iterable[float] = ()) -> list[float]:
+    """The times at which steps must end, with the breaks between them.
+
+    Breaks that differ from other times only by rounding are left out.
+
+    Raises:
+        InputError: no times, or such as do not increase from `start`; steps that are lost in rounding.
+    """
+    if isinstance(times, ArcLength):
+        return [times.end]
+    require(not isinstance(times, str), "times", times, "it must be a sequence of numbers or Adaptive(...)")
+    adaptive = times if isinstance(times, Adaptive) else None
+    try:
+        given = real([*({*adaptive.at, adaptive.end} if adaptive else times)])  # type: ignore[misc]
+        if given.ndim != 1:
+            raise TypeError("it has rows")
+    except (TypeError, ValueError) as error:
+        raise InputError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)") from error
+    targets = [float(t) for t in (np.sort(given) if adaptive else given)]
+    whole = np.array([start, *targets])
+    if not targets or not np.isfinite(whole).all() or (np.diff(whole) <= 0).any():
+        remedy = "they must be finite, increase, and come after start, which is not one of them"
+        raise InputError(f"times is {targets} from start = {start:g}; {remedy}")
+    _require_steps(whole, adaptive)
+    near = SAME_TIME * max(abs(start), abs(targets[-1]))
+    for t in sorted(breaks):
+        if start < t < targets[-1] and np.abs(whole - t).min() > near:
+            whole = np.append(whole, t)
+    return [float(t) for t in np.sort(whole)[1:]]
+
+
+def lasting(times: Times, start: float, ends: Sequence[float]) -> list[float]:
+    """Durations, at the first, a middle (logarithmic mean) and the last time, of loads that are sudden at `start`."""
+    first, last = ends[0] - start, ends[-1] - start
+    first = min(first, times.first) if isinstance(times, Adaptive) else first
+    return list(dict.fromkeys([first, math.sqrt(first * last), last]))
+
+
+def distinct(start: float, end: float) -> bool:
+    """Whether the two halves of a step are not lost in rounding."""
+    return start < (start + end) / 2 < end
+
+
+def _require_steps(times: Array, adaptive: Adaptive | None) -> None:
+    """Raise InputError if steps between times, or the shortest parts of them, are lost in rounding."""
+    tiny = np.finfo(float).tiny  # smaller numbers lose digits
+    if adaptive:
+        start, first = float(times[0]), min(adaptive.first, float(times[-1] - times[0]))
+        if not distinct(start, start + first) or (adaptive.smallest or first / MOST_SHORTENED) < tiny:
+            raise InputError(f"Adaptive: first is {first:g}: a step from t = {start:g} that is lost in rounding")
+        if adaptive.largest < np.spacing(np.abs(times).max()) * 2:
+            rounded = f"such steps to t = {times[-1]:g} are lost in rounding"
+            raise InputError(f"Adaptive: largest is {adaptive.largest:g}: {rounded}")
+    near = np.maximum(np.spacing(np.maximum(np.abs(times[1:]), np.abs(times[:-1]))), tiny)
+    lost = np.flatnonzero(np.diff(times) < near * (1 if adaptive else 2**HALVINGS))
+    if len(lost):
+        a, b = times[lost[0]], times[lost[0] + 1]
+        raise InputError(f"times has {b!r} after {a!r}: the step between them, or its parts, are lost in rounding")
+
+
+# ---------------------------------------------------------------- what models allow
+def require_in_time(equations: Equations, times: Times, theta: float, ends: list[float]) -> None:
+    """Raise InputError unless a model can be marched in time. Collective.
+
+    With theta < 1 laws at points that creep or relax may be of any kind; others say `linear`, and their parameters do not
+    change in time.
+
+    Args:
+        equations: the equations of the model.
+        times, theta: as in `march`.
+        ends: start of the march, and the times at which steps end.
+    """
+    if isinstance(times, Adaptive):
+        equations.refuse({"switches": NO_ERROR})
+    if theta == 1:
+        return
+    at_ends = f"theta is {theta}; {{}} holds at the ends of steps: {ALLOWED_THETA}"
+    bounds = (
+        f"theta is {theta}; {{}} bounds stresses: with theta < 1 they are kept within the bound at t + theta dt, "
+        f"where forces balance, and may exceed it at the end of the step; allowed: {ALLOWED_THETA}"
+    )
+    equations.refuse({"releases": at_ends, "switches": at_ends, "bounded": bounds})
+    for part in equations.parts:
+        at_once = [(name, False) for name, has in part.named().items() if has.nonlinear and not has.rate]
+        if hasattr(part, "answers_at_once"):
+            at_once = [*filter(None, [part.answers_at_once(ends)])]
+        for name, changes in at_once:
+            how = "with parameters that change in time" if changes else "not linearly (linear = True is not declared)"
+            raise InputError(
+                f"theta is {theta}; {name} answers at once, and {how}: if forces balance within a step, states at the ends "
+                f"of steps oscillate about the solution, and nothing damps them: {ALLOWED_THETA}"
+            )
+
+
+def require_path(equations: Equations, times: Times, theta: float, method: str | None) -> None:
+    """Raise InputError unless paths of the model can be followed: no part has a rate or bounds. Collective.
+
+    Args:
+        equations: the equations of the model.
+        times, theta, method: as in `march`; a path in time is that of a layer which softens.
+    """
+    if isinstance(times, Adaptive):
+        equations.refuse({"softens": f"march with Adaptive: {SOFTENS}"})
+    try:
+        if theta != 1:
+            raise InputError(f"theta is {theta}; forces on a path balance at t itself: theta = 1")
+        require(method in (None, "newton"), "method", method, "a path is followed by Newton's method")
+        for part in equations.of_kind(PressurePart):
+            for name in part.named():
+                raise InputError(
+                    f"{name} is incompressible: paths have displacements alone, no pressures; march in time"
+                )
+        equations.refuse(NO_PATH)
+        for name in filter(None, equations.ask("takes_time")):
+            raise InputError(f"{name} creeps or relaxes, and t is no time on a path: march in time")
+    except InputError as error:
+        if isinstance(times, ArcLength):
+            raise
+        raise InputError(f"the stress of a layer falls, and equilibria in time must be on its path: {error}") from error

@@ -1,25 +1,23 @@
-"""Marching in time steps that are planned or adaptive, and shortened if they fail."""
+"""Steps in time: planned, adaptive, or from snap to snap; they are shortened if they fail, and seek limits of loads."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from petsc4py import PETSc
 
-from forms.base import Array, InputError
+from forms.base import Array
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import State
-from thinlayer.errors import LimitLoad, NoEquilibrium, SolveError, warn
+from thinlayer.errors import LimitLoad, NoEquilibrium, SolveError
+from thinlayer.pointwise.columns import TIE
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.history import SAME_TIME, History
-from thinlayer.solving.solvers import Solver
-from thinlayer.system.identity import Resume
-from thinlayer.system.progress import logger, telling
-from thinlayer.time.journal import Journal
-from thinlayer.time.plan import HALVINGS, Plan, distinct
-from thinlayer.time.switching import steps
+from thinlayer.time.controller import Attempt, Controller
+from thinlayer.time.plan import HALVINGS, SAME_TIME, Adaptive, distinct
 
 # Least size of jumps to which errors are relative, as a share of the displacements; rounding is smaller.
 LEAST_JUMP = 1e-6
@@ -29,190 +27,71 @@ SAFETY = 0.9  # factor on the length of an adaptive step that its error allows
 LEAST_FACTOR, MOST_FACTOR = 0.2, 3.0  # bounds of the ratio of the lengths of two adaptive steps
 NEARER = 8.0  # ratio of the lengths of two steps by weak springs
 SEEK_STEPS = 16  # longest step by weak springs, in lengths of the adaptive step that failed: it may be far from a limit
+LEFT = 1e-3  # what is left before a target, relative to a step, that the step takes along
+TIME_ROUNDING = 8 * 2.0**-52  # relative tolerance of the time of a snap
+PROBES = 8  # number of equal parts of a step at whose ends the excess is tested if loads are not linear in time
 NO_LIMIT = (
     "no equilibrium was found, which need not be a limit of the loads: displacements did not run away. Try other times, "
     "another mesh, more steps of Newton's method, or in a layer that yields an elastic fraction or other cells through it"
 )
 
 
-class TimeStepping:
-    """A march in time in progress.
+@dataclass(eq=False)
+class PlannedSteps(Controller):
+    """Steps that end at the targets, or are halved on the way.
 
-    Args:
-        solver: solver of the model.
-        journal: journal of the march.
-        plan: ends and lengths of steps.
-        start: time of the first state.
+    Attributes:
         theta: forces balance at t + theta dt.
     """
 
-    def __init__(self, solver: Solver, journal: Journal, plan: Plan, start: float, theta: float) -> None:
-        self.solver, self.plan, self.start, self.theta = solver, plan, start, theta
-        self._journal, self._history = journal, journal.history
-        self._late = solver.equations.traits.rate  # whether a part does not answer to a sudden load at once
-        self._failed_at: float | None = None  # earliest end of a failed step that the march has not reached
+    theta: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.smallest = float(np.diff([self.start, *self.targets]).min()) / 2**HALVINGS * (1 - SAME_TIME)
+        self._failed_at = math.inf  # earliest end of a failed step that the march has not reached
         self._run_away = math.inf  # earliest time at which displacements ran away
-        self._shortest = False  # whether the step cannot be shortened further
-        self._estimate = ErrorEstimate(solver.equations) if plan.adaptive else None
 
-    def run(self, resume: Resume) -> History:
-        """Run the march, or the rest of the march in its folder. Collective; errors as in `march`."""
-        with telling("march") as self._tell:
-            if self._journal.read(resume):
-                last, end = self._history.last.t, self.plan.targets[-1]
-                if last > end + SAME_TIME * max(abs(end), abs(self.start)):
-                    raise InputError(f"the march in {self._journal.out} is at t = {last:g}; times end before")
-                if passed := self._passed():
-                    warn(
-                        "passed time",
-                        f"the march in {self._journal.out} is at t = {last:g} and has no step that ended at t = "
-                        f"{', '.join(f'{t:g}' for t in passed)}, which times ask for: there is no row for it",
-                        self.solver.model.comm,
-                    )
-            else:
-                self._begin()
-            for target in self.plan.after(self._history.last.t):
-                self._reach(target)
-        return self._history
+    def length(self) -> float:
+        return min(self.journal.pace.step or math.inf, self.target - self.last.t)
 
-    def _passed(self) -> list[float]:
-        """Targets that a resumed march has passed without a row for them."""
-        done, end = self._history.t, self.plan.targets[-1]
-        near = SAME_TIME * max(abs(end), abs(self.start))
-        return [t for t in self.plan.targets if t < done[-1] - near and np.abs(done - t).min() > near]
-
-    def _begin(self) -> None:
-        """Find the first state. A state at rest is written later, with the first step."""
-        rest = self.solver.rest(self.start)
-        if self._late:
-            self._journal.note(rest)
-            return
-        try:
-            self._accept([self.solver.step(rest, self.start)])
-        except SolveError as error:
-            advice = "let the loads grow from less, as functions (x, t) or piecewise" if self.solver.yields else ""
-            what = f"the sudden load at t = {self.start:g}: {error.reason if advice else error}"
-            raise SolveError(what, self._history, advice=advice) from error
-
-    def _reach(self, target: float) -> None:
-        """Step to a target, in shorter steps if necessary."""
-        while self._history.last.t != target:
-            old = self._history.last
-            left = target - old.t
-            planned = self._journal.pace.step or left
-            dt = min(planned, left)
-            end = target if left - dt < 1e-3 * dt else old.t + dt
-            if not distinct(old.t, end):
-                raise SolveError(f"a step of {dt:g} from t = {old.t:.16g} is lost in rounding", self._history)
-            try:
-                states, factor = self._try(old, end)
-            except SolveError as error:
-                self._fail(old, end, error)
-                continue
-            if not states:
-                large = SolveError("its estimated error stays above the tolerance")
-                self._shorten((end - old.t) * factor, old, end, large)
-                continue
-            passed = self._failed_at is None or end >= self._failed_at
-            if self.plan.adaptive:
-                step = (end - old.t) * factor
-                if end == target:  # a step that the target cuts short does not limit the next one
-                    step = max(step, planned)
-                self._journal.pace.step = min(step, self.plan.adaptive.largest)
-            elif self._journal.pace.step is not None:
-                self._journal.pace.step = None if end == target else 2 * dt if passed or not self.solver.bounded else dt
-            if passed:
-                self._failed_at = None
-            self._shortest = False
-            self._accept(states)
-
-    def _accept(self, states: list[State]) -> None:
-        """Add states to the journal, and update the norms to which errors are relative."""
-        if self._estimate:
-            pace = self._journal.pace
-            for state in states:
-                pace.largest = [*map(float, np.maximum(pace.largest, self._estimate.sizes(state)))]
-        self._journal.accept(states)
-        t, end = self._history.last.t, self.plan.targets[-1]
-        self._tell((t - self.start) / (end - self.start), f"t = {t:.4g} of {end:.4g}")
+    def _end(self, length: float) -> float:
+        left = self.target - self.last.t - length
+        return self.last.t + length if left >= LEFT * length else self.target
 
     @property
-    def _smallest(self) -> float:
-        return self.plan.smallest * (1 - SAME_TIME)
+    def _whole(self) -> bool:
+        """Whether the next step has not been shortened."""
+        return self._failed_at == math.inf and self.journal.pace.step is None
 
     @property
-    def _thorough(self) -> bool:
-        """Whether to try eased laws, too: for planned and shortest steps, and after a step that has used them."""
-        whole = self._failed_at is None and (self._journal.pace.step is None or self.plan.adaptive is not None)
-        return whole or self._shortest or self._history.last.report.eased > 0
+    def attempts(self) -> list[Attempt]:
+        """Steps that are whole or the shortest, and those after one that has used eased laws, try these too."""
+        thorough = self._whole or self.last.report.eased > 0
+        found = [Attempt("Newton's method", partial(self._step, thorough=thorough))]
+        if self.solver.bounded:
+            more = Attempt("Newton's method, with eased laws,", partial(self._step, thorough=True), self.smallest)
+            found += [*([] if thorough else [more]), Attempt("a way by weak springs", self._seek, self.smallest)]
+        return found
 
-    def _fail(self, old: State, end: float, error: SolveError) -> None:
-        """Shorten a step whose solve failed; the shortest step is tried again with eased laws."""
-        dt, thorough = (end - old.t) / 2, self._thorough
-        self._failed_at = end if self._failed_at is None else min(end, self._failed_at)
-        if self.solver.bounded and not thorough and dt < self._smallest:
-            self._shortest = True
-        else:
-            self._shorten(dt, old, end, error)
-
-    def _shorten(self, dt: float, old: State, end: float, error: SolveError) -> None:
-        if dt >= self._smallest and distinct(old.t, old.t + dt):
-            message = "step from t = %g to %g is shortened to %g: %s"
-            logger("march", self.solver.model.comm).info(message, old.t, end, dt, error)
-            self._journal.pace.step = dt
-            return
-        if self.solver.bounded and self._seek(old, end, error):
-            return
-        raise SolveError(
-            f"step {len(self._history)}, from t = {old.t:g} to {end:g}, failed, and so did longer ones: {error}",
-            self._history,
+    def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
+        old, history, last = self.last, self.journal.history, errors[-1]
+        failed = errors[-2] if self.solver.bounded else last
+        if isinstance(last, NoEquilibrium) and self._loads_change(old.t, self._run_away):
+            return LimitLoad(failed.reason, old.t, self._run_away, self._resultant(old.t), last, history)
+        return SolveError(
+            f"step {len(history)}, from t = {old.t:g} to {self._end(length):g}, failed, and so did longer ones: {failed}",
+            history,
             advice=NO_LIMIT if self.solver.bounded else "",
-        ) from error
-
-    def _farthest(self, t: float, end: float) -> float:
-        """The latest time at which an equilibrium is sought by weak springs."""
-        target, adaptive = self.plan.after(t)[0], self.plan.adaptive
-        return min(target, t + max(SEEK_STEPS * (end - t), adaptive.first / 2**HALVINGS)) if adaptive else target
-
-    def _seek(self, old: State, end: float, error: SolveError) -> bool:
-        """Make a step by weak springs after the shortest step has failed. True if it succeeds.
-
-        Raises:
-            LimitLoad: displacements run away as loads change, at the end of the shortest step or, if adaptive, near it.
-        """
-        t, sign = self._farthest(old.t, end), None
-        if old.t < self._run_away < t:
-            t = self._nearer(old.t, self._run_away, end)
-        while True:
-            try:
-                state = self.solver.seek(old, t, self.theta)
-            except NoEquilibrium as run_away:
-                sign, self._run_away = (t, run_away), t
-            except SolveError:
-                pass  # displacements that ran away at a later time still show a limit before it
-            else:
-                if self.plan.adaptive:
-                    break
-                self._failed_at, self._shortest, self._journal.pace.step = None, False, t - old.t
-                self._accept([state])
-                return True
-            if t <= end:
-                break
-            t = self._nearer(old.t, t, end)
-        if sign and self._loads_change(old.t, sign[0]):
-            raise LimitLoad(error.reason, old.t, sign[0], self._resultant(old.t), sign[1], self._history) from error
-        return False
-
-    def _nearer(self, start: float, t: float, end: float) -> float:
-        return max(start + (t - start) / NEARER, end)
+        )
 
     def _loads_change(self, before: float, after: float) -> bool:
         a, b = (self.solver.equations.given_forces_at(t) for t in (before, after))
         size = b.norm()
         b.axpy(-1.0, a)
         change = b.norm()
-        a.destroy()
-        b.destroy()
+        for vector in (a, b):
+            vector.destroy()
         return bool(change > SAME_LOADS * size)
 
     def _resultant(self, t: float) -> list[float]:
@@ -223,40 +102,191 @@ class TimeStepping:
         loads.destroy()
         return forces
 
-    def _try(self, old: State, end: float) -> tuple[list[State], float]:
-        """States of a step ([] if its error is too large), and the ratio of the next step's length to this one's."""
-        theta = 1.0 if len(self._history) == 1 and self._late else self.theta
-        middle = (old.t + end) / 2
-        adaptive, estimate = self.plan.adaptive, self._estimate
-        if self.solver.equations.traits.switches:
-            return [*steps(self.solver, old, end)], 1.0
-        if adaptive is None or estimate is None:
-            ends = [middle, end] if theta != self.theta else [end]
-            return [*self._chain(old, ends, theta)], 1.0
-        whole = self.solver.step(old, end, theta, self._thorough)
-        halves = [*self._chain(old, [middle, end], theta)]
-        order = 2 if theta == 0.5 else 1
-        self._look_ahead(estimate, halves[-1])
-        error = estimate.error(whole, halves[-1], order, self._journal.pace.largest)
-        ratio = (adaptive.tolerance / error) ** (1 / (order + 1)) if error else MOST_FACTOR
-        factor = float(np.clip(SAFETY * ratio, LEAST_FACTOR, MOST_FACTOR))
-        return (halves if error <= adaptive.tolerance else []), factor
+    # ---------------------------------------------------------------- attempts
+    def _step(self, length: float, *, thorough: bool) -> list[State]:
+        old, end = self.last, self._end(length)
+        if not distinct(old.t, end):
+            raise SolveError(f"a step of {length:g} from t = {old.t:.16g} is lost in rounding")
+        try:
+            states = self._states(old, end, 1.0 if old.at_rest else self.theta, thorough)
+        except SolveError as error:
+            if not isinstance(error, _TooLarge):
+                self._failed_at = min(self._failed_at, end)
+            raise
+        self._set_pace(length, end)
+        return states
 
-    def _look_ahead(self, estimate: ErrorEstimate, end: State) -> None:
-        """After rest, make errors relative to the values at the end of the first step tried, even if it is not accepted.
+    def _states(self, old: State, end: float, theta: float, thorough: bool) -> list[State]:
+        """States of a step; where theta is another one than that of the march, after rest, in two halves."""
+        return self._chain(old, [end] if theta == self.theta else [(old.t + end) / 2, end], theta, thorough)
+
+    def _chain(self, old: State, ends: Sequence[float], theta: float, thorough: bool) -> list[State]:
+        states = [old]
+        for t in ends:
+            states.append(self.solver.step(states[-1], t, theta, thorough))
+        return states[1:]
+
+    def _set_pace(self, length: float, end: float) -> None:
+        """Let the step after one of some length, to its end, be as long as may be."""
+        if end >= self._failed_at:
+            self._failed_at = math.inf
+        grows = self._failed_at == math.inf or not self.solver.bounded
+        self.journal.pace.step = None if end == self.target else length * (2 if grows else 1)
+
+    def _seek(self, length: float) -> list[State]:
+        """A step by weak springs, as far as may be. NoEquilibrium: on the way displacements ran away."""
+        old, end, t = self.last, self._end(length), self._farthest(length)
+        failed = SolveError("weak springs have not led to an equilibrium")
+        if old.t < self._run_away < t:
+            t = max(old.t + (self._run_away - old.t) / NEARER, end)
+        while True:
+            try:
+                return self._sought(self.solver.seek(old, t, self.theta))
+            except NoEquilibrium as error:
+                failed, self._run_away = error, t
+            except SolveError as error:  # displacements that ran away at a later time still show a limit before it
+                failed = failed if isinstance(failed, NoEquilibrium) else error
+            if t <= end:
+                raise failed
+            t = max(old.t + (t - old.t) / NEARER, end)
+
+    def _farthest(self, length: float) -> float:
+        """The latest time at which an equilibrium is sought by weak springs."""
+        return self.target
+
+    def _sought(self, state: State) -> list[State]:
+        """The state that was found by weak springs, as that of a step."""
+        self._set_pace(state.t - self.last.t, state.t)
+        return [state]
+
+
+class _TooLarge(SolveError):
+    """The estimated error of a step is above the tolerance, and below it if the step is shortened by the factor."""
+
+    def __init__(self, factor: float) -> None:
+        super().__init__("its estimated error stays above the tolerance")
+        self.factor = factor
+
+
+@dataclass(eq=False)
+class AdaptiveSteps(PlannedSteps):
+    """Steps as long as their error allows: each is made once as a whole, and once as two halves, which are its states.
+
+    Attributes:
+        settings: tolerance and lengths.
+    """
+
+    settings: Adaptive
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._estimate, self.smallest = ErrorEstimate(self.solver.equations), self.settings.least * (1 - SAME_TIME)
+        self.journal.pace.step, self._factor = self.settings.first, 1.0
+
+    @property
+    def _whole(self) -> bool:
+        return self._failed_at == math.inf
+
+    def shorter(self, length: float, error: SolveError) -> float:
+        return length * error.factor if isinstance(error, _TooLarge) else super().shorter(length, error)
+
+    def _states(self, old: State, end: float, theta: float, thorough: bool) -> list[State]:
+        """The halves; after rest, errors are relative to the values at the end of the first step tried, accepted or not.
 
         A quantity that grows from zero as a power of time has a constant relative error in its first step, however short
         the step. A quantity is at rest if its norm is less than the tolerance times that at the end of the step.
         """
-        assert self.plan.adaptive is not None
-        pace, sizes = self._journal.pace, estimate.sizes(end)
-        at_rest = np.array(pace.largest) < self.plan.adaptive.tolerance * sizes
-        pace.largest = [*map(float, np.where(at_rest, sizes, pace.largest))]
+        whole = self.solver.step(old, end, theta, thorough)
+        halves = self._chain(old, [(old.t + end) / 2, end], theta, thorough)
+        pace, estimate, tolerance = self.journal.pace, self._estimate, self.settings.tolerance
+        before, middle, sizes = map(estimate.sizes, [old, *halves])
+        largest = np.maximum(pace.largest, before)
+        largest = np.where(largest < tolerance * sizes, sizes, largest)
+        order = 2 if theta == 0.5 else 1
+        error = float(estimate.shares(whole, halves[-1], largest).max()) / (2**order - 1)
+        ratio = (tolerance / error) ** (1 / (order + 1)) if error else MOST_FACTOR
+        self._factor = float(np.clip(SAFETY * ratio, LEAST_FACTOR, MOST_FACTOR))
+        accepted = error <= tolerance
+        pace.largest = [*map(float, np.maximum(largest, middle) if accepted else largest)]
+        if not accepted:
+            raise _TooLarge(self._factor)
+        return halves
 
-    def _chain(self, state: State, ends: list[float], theta: float) -> Iterator[State]:
-        for t in ends:
-            state = self.solver.step(state, t, theta, self._thorough)
-            yield state
+    def _set_pace(self, length: float, end: float) -> None:
+        """As the error allows; a step that the target cuts short does not limit the next one."""
+        step, planned = length * self._factor, self.journal.pace.step or 0.0
+        super()._set_pace(length, end)
+        self.journal.pace.step = min(max(step, planned) if end == self.target else step, self.settings.largest)
+
+    def _farthest(self, length: float) -> float:
+        longest = max(SEEK_STEPS * length, self.settings.first / 2**HALVINGS)
+        return min(self.target, self.last.t + longest)
+
+    def _sought(self, state: State) -> list[State]:
+        raise SolveError("the error of a step by weak springs is not known")
+
+
+class StepsFromSnapToSnap(PlannedSteps):
+    """Planned steps of a layer whose columns switch their phases."""
+
+    def _states(self, old: State, end: float, theta: float, thorough: bool) -> list[State]:
+        """States of a step: at every snap the state just before it and the state after it, then the state at the end.
+
+        A snap has no duration: both its states have the same t. The energy that layer and bodies lose in it is
+        `dissipated`. If loads, supports and parameters are linear in time within the step, the first switch is found (steps
+        end at the breaks of piecewise data). Otherwise a column may be missed whose phase is not the one of lowest energy
+        only for a while, see `PROBES`. Collective; errors as in `solve`.
+
+        Raises:
+            SolveError: the methods `excess` and `switched` of a law disagree.
+        """
+        solver, states = self.solver, [old]
+        while True:
+            old = states[-1]
+            # With fixed phases driving forces are linear in time if loads, supports and parameters are (bodies are taken to
+            # be linear). The excess is the largest of their sizes, so it is convex: if positive within the step, also at
+            # its end.
+            convex = old.t == end or solver.equations.linear_in_time(old.t, end)
+            probes = () if convex else (old.t + (end - old.t) * k / PROBES for k in range(1, PROBES))
+            bound = next((t for t in probes if self._kept(old, t)[1] > 0), end)
+            kept, excess = self._kept(old, bound)
+            if excess <= 0:
+                return [*states[1:], kept] if old.t < end else states[1:]
+            t = self._first(old, bound)
+            if t > old.t:
+                old, _ = self._kept(old, t)
+                states.append(old)
+                if self._kept(old, t)[1] <= -TIE:  # Newton's tolerance may make the excess smaller from the new start
+                    continue
+            after = solver.step(old, t)
+            if solver.equations.excess > 2 * TIE:
+                what = "excess() > 0 for a column, but switched() keeps its phase; they disagree"
+                raise SolveError(f"at t = {t:g}: {what}")
+            audit = after.audit
+            lost = replace(audit, dissipated=audit.dissipated + audit.remainder, remainder=0.0)
+            states.append(replace(after, audit=lost))  # in a snap the remainder of the balance is dissipated
+            if t == end:
+                return states[1:]
+
+    def _kept(self, old: State, t: float) -> tuple[State, float]:
+        """The state at a time with the phases of another one, and the excess of its columns."""
+        state = self.solver.step(old, t, keep_phases=True)
+        return state, self.solver.equations.excess - 2 * TIE
+
+    def _first(self, old: State, end: float) -> float:
+        """The first time at which the excess is positive, to rounding; the excess is positive at `end`."""
+        from scipy.optimize import brentq  # not needed by most marches
+
+        def excess(t: float) -> float:
+            return self._kept(old, t)[1]
+
+        if excess(old.t) > 0:
+            return old.t
+        width = TIME_ROUNDING * max(abs(old.t), abs(end))
+        t = float(brentq(excess, old.t, end, xtol=width, rtol=TIME_ROUNDING))
+        while t < end and excess(t) <= 0:
+            t, width = min(t + width, end), 2 * width
+        return t
 
 
 class ErrorEstimate:
@@ -279,18 +309,7 @@ class ErrorEstimate:
         self._equations, self.comm = equations, equations.comm
         self._unit = float(np.sqrt(sum(equations.ask("unit_jump_measure"))))  # norm of strains for a unit jump, about
 
-    def error(self, whole: State, halves: State, order: int, largest: list[float]) -> float:
-        """Estimated error at the end of the two halves: the largest of the three quantities' relative errors.
-
-        Args:
-            whole: state at the end of the step.
-            halves: state at the end of the two halves.
-            order: order of the time scheme.
-            largest: norms of the three quantities to which errors are relative, at least.
-        """
-        return float(self.shares(whole, halves, largest).max()) / (2**order - 1)
-
-    def shares(self, other: State, state: State, largest: Sequence[float] = (0.0, 0.0, 0.0)) -> Array:
+    def shares(self, other: State, state: State, largest: Sequence[float] | Array = (0.0, 0.0, 0.0)) -> Array:
         """Differences of two states in the three quantities, over their norms in the second one, or over `largest`."""
         ends = [self._quantities(one) for one in (other, state)]
         apart = self._norms([b - a for a, b in zip(*ends, strict=True)])

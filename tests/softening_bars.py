@@ -1,20 +1,18 @@
-"""Bodies on softening interfaces along their equilibrium paths; as a program, OUT ROW, killed at a row."""
+"""Bodies on softening interfaces, whose equilibrium paths turn back."""
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
 import ufl
 
 from forms import LinearElastic
 from forms.traction import TractionLaw
 from geometry import block
 from tests.own_laws import layer_of
-from tests.ranks import Ending
-from thinlayer import ArcLength, Structure, march
+from thinlayer import ArcLength, Structure
 
 E, HEIGHT, WIDTH = 2.3, 1.7, 0.85
 
@@ -116,19 +114,38 @@ DAMAGED = Damage(k=70.0, w_0=0.03, k_T=30.0)
 PATH = ArcLength(end=0.2, first=0.02)
 SHORT = ArcLength(end=0.14, first=0.04)
 
-NEVER = Ending()
+
+# ---------------------------------------------------------------- bars that snap back
+C = HEIGHT / E  # compliance of the bar
+STEEP = Trilinear(k=7.0, fall=5.0, w_1=0.11, w_2=0.23, k_T=1.9)
+SHARP = Trilinear(k=40.0, fall=400.0, w_1=0.02, w_2=0.0217, k_T=1.9)  # falls back along its rise, but for 2 degrees
+FAR = 1.5  # beyond the snap-back of both
 
 
-def run(out: Path, *, resume: bool = False, ending: Ending = NEVER) -> None:
-    """March along both paths, or begin to."""
-
-    def size(state):
-        ending.at_row()
-        return state.u.x.petsc_vec.norm()
-
-    for name, law, keep in (("kinked", KINKED, "last"), ("damaged", DAMAGED, "all")):
-        march(tilted(law, cells=4), SHORT, observe={"size": size}, out=out / name, resume=resume, keep=keep)
+def openings(history) -> np.ndarray:
+    """Mean displacement of the bar's lower side, which is its opening."""
+    model = history.model
+    x = model.V.tabulate_dof_coordinates()
+    lower = np.flatnonzero(np.isclose(x[:, 1], 0.0))
+    return np.array([state.u.x.array.reshape(-1, 2)[lower, 1].mean() for state in history])
 
 
-if __name__ == "__main__":
-    run(Path(sys.argv[1]), ending=Ending(int(sys.argv[2])))
+def sigma(law, w):
+    return law.sigma(w, lambda a, b, x, y: np.where(a < b, x, y))
+
+
+@dataclass(frozen=True)
+class Cohesive(TractionLaw):
+    """k [u] exp(-[u]^2/w_0^2): nothing is left of it far beyond w_0."""
+
+    k: float
+    w_0: float
+    softens: ClassVar = True
+
+    def traction(self, step):
+        return self.k * step.mid * ufl.exp(-ufl.inner(step.mid, step.mid) / self.w_0**2)
+
+
+@dataclass(frozen=True)
+class Undeclared(Cohesive):
+    softens: ClassVar = False

@@ -1,0 +1,163 @@
+"""The loop of all marches: a controller says how long the next step is and how it is tried, a journal keeps the states."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from forms.base import InputError
+from thinlayer.discretisation.state import State
+from thinlayer.errors import SolveError, warn
+from thinlayer.solving.solvers import Solver
+from thinlayer.system.identity import Resume
+from thinlayer.system.progress import logger, telling
+from thinlayer.time.history import History, Journal
+from thinlayer.time.plan import SAME_TIME
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """A way to make a step, as data.
+
+    Attributes:
+        name: for the log.
+        make: length -> the states of the step from the last one. It sets the pace of the next step; SolveError: it fails.
+        until: the attempt follows another one that failed if the step would be shortened to this length, or below.
+    """
+
+    name: str
+    make: Callable[[float], list[State]]
+    until: float = math.inf
+
+
+@dataclass(eq=False)
+class Controller(ABC):
+    """Decides the steps of a march.
+
+    Attributes:
+        solver: solver of the model.
+        journal: journal of the march.
+        start: time of the first state.
+        targets: times after it at which steps must end.
+        near: difference of times that count as equal.
+        smallest: length below which a step is not shortened further.
+    """
+
+    solver: Solver
+    journal: Journal
+    start: float
+    targets: Sequence[float]
+    smallest: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        lengths = np.diff([self.start, *self.targets])
+        self.near = min(SAME_TIME * max(abs(self.start), abs(self.targets[-1])), float(lengths.min()) / 2)
+        self._log = logger("march", self.solver.model.comm)
+
+    def close(self) -> None:
+        """Free what the controller keeps."""
+
+    @property
+    def last(self) -> State:
+        """The last accepted state."""
+        return self.journal.history.last
+
+    @property
+    def done(self) -> bool:
+        """Whether the march has come to its end."""
+        return self._passed == len(self.targets)
+
+    @property
+    def target(self) -> float:
+        """The next time at which a step must end."""
+        return self.targets[self._passed]
+
+    @property
+    def _passed(self) -> int:
+        return bisect_right(self.targets, self.last.t + self.near)
+
+    @abstractmethod
+    def length(self) -> float:
+        """Length of the next step, in the controller's own unit."""
+
+    @property
+    @abstractmethod
+    def attempts(self) -> list[Attempt]:
+        """How a step is tried, in turn."""
+
+    def shorter(self, length: float, error: SolveError) -> float:
+        """The length to try after an error."""
+        return length / 2
+
+    @abstractmethod
+    def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
+        """The error of the march if the shortest step fails, from those of its attempts."""
+
+    # ---------------------------------------------------------------- the loop
+    def run(self, resume: Resume = False, begun: Sequence[State] = ()) -> History:
+        """March to the end. Collective; errors as in `march`.
+
+        Args:
+            resume: whether to go on from what is in the journal's folder.
+            begun: the state to go on from, perhaps after the one before it; (): from rest.
+        """
+        with telling("march") as tell:
+            if self.journal.read(resume):
+                self._compare_times()
+            elif begun:
+                self.journal.begin(begun)
+            else:
+                self._begin()
+            while not self.done:
+                self.journal.accept(self._next())
+                t, end = self.last.t, self.targets[-1]
+                share = (t - self.start) / (end - self.start)  # falls where t turns back
+                tell(max(share, 0.0), f"t = {t:.4g} of {end:.4g}, {len(self.journal.history)} states")
+        return self.journal.history
+
+    def _begin(self) -> None:
+        """Find the first state. A state at rest is written later, with the first step."""
+        if self.solver.equations.traits.rate:
+            self.journal.note(self.solver.rest(self.start))
+            return
+        try:
+            self.journal.accept([self.solver.sudden(self.start)])
+        except SolveError as error:
+            what = f"the first state, under the sudden load at t = {self.start:g}: {error}"
+            raise SolveError(what, self.journal.history) from error
+
+    def _compare_times(self) -> None:
+        """Raise InputError if a resumed march has passed its end; warn of times that it has passed without a row."""
+        done, where = self.journal.history.t, f"the march in {self.journal.out} is at t = {self.last.t:g}"
+        if done[-1] > self.targets[-1] + self.near:
+            raise InputError(f"{where}, and is to end before, at t = {self.targets[-1]:g}")
+        passed = [t for t in self.targets if t < done[-1] - self.near and np.abs(done - t).min() > self.near]
+        if passed:
+            ends = ", ".join(f"{t:g}" for t in passed)
+            what = f"{where} and has no step that ended at t = {ends}, which times ask for: there is no row for it"
+            warn("passed time", what, self.solver.model.comm)
+
+    def _next(self) -> list[State]:
+        """The states of the next step, which is tried shorter and shorter until an attempt succeeds."""
+        length, t = self.length(), self.last.t
+        while True:
+            errors: list[SolveError] = []
+            for attempt in self.attempts:
+                if errors and self.shorter(length, errors[0]) > attempt.until:
+                    continue
+                if errors:
+                    self._log.info("t = %g: %s is tried: %s", t, attempt.name, errors[-1].reason)
+                try:
+                    return attempt.make(length)
+                except SolveError as error:
+                    errors.append(error)
+            shorter = self.shorter(length, errors[0])
+            if shorter < self.smallest:
+                raise self.failure(length, errors) from errors[0]
+            self._log.info("t = %g: a step of %g is shortened to %g: %s", t, length, shorter, errors[0].reason)
+            length = shorter

@@ -1,0 +1,313 @@
+"""The accepted steps of a march: its history, and the journal that adds rows to it, observes, writes and reads them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from forms.base import Array, InputError, ThinlayerError, is_number, require
+from forms.law import BulkLaw
+from thinlayer.discretisation.layer import BODIES
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
+from thinlayer.pointwise.kernels import memory_slots
+from thinlayer.solving.equations import Equations
+from thinlayer.system.identity import Resume, code_of, described
+from thinlayer.system.progress import logger
+from thinlayer.system.ranks import collect, on_all
+from thinlayer.system.table import Row, Table
+from thinlayer.time.checkpoint import Checkpoint
+from thinlayer.time.plan import SAME_TIME
+
+Observe = Mapping[str, Callable[[State], float]]
+OBSERVING = "it must be a function of a state that returns a number"
+ENERGIES = ("supplied", "stored", "dissipated", "remainder", "imbalance")
+# Largest relative difference of an observed value between ranks. Rounding is much smaller; values of one rank's part of the
+# mesh differ by more.
+SAME_VALUE = 1e-6
+
+
+@dataclass(frozen=True)
+class Snap:
+    """A jump of a layer and its bodies to another equilibrium at the same loads.
+
+    Attributes:
+        t: time of the snap.
+        row: row of the state after the snap; the row before has the state just before it (if `keep` is "all").
+        lost: energy lost in the snap.
+        seams: names of the seams whose layers have other shares of phases after it.
+    """
+
+    t: float
+    row: int
+    lost: float
+    seams: tuple[str, ...]
+
+
+@dataclass(repr=False)
+class History:
+    """The accepted steps of a march.
+
+    Attributes:
+        model: the model.
+        table: a row for each accepted state: t, dt, iterations, residual, energy balance (`Audit`), observed values.
+        states: row -> state, for the states that are kept.
+        theta: forces balance at t + theta dt of each step.
+        step_errors: "displacements", "jumps", "forces" -> estimated relative error of the last state by the planned steps;
+            0 if nothing was dissipated, NaN if it is not known, empty for laws that are linear or have no history, for
+            adaptive steps and for paths.
+        begun: whether it goes on from a state, its first one, and not from rest.
+    """
+
+    model: Model
+    table: Table = field(default_factory=Table)
+    states: dict[int, State] = field(default_factory=dict)
+    theta: float = 1.0
+    step_errors: dict[str, float] = field(default_factory=dict)
+    begun: bool = False
+
+    def __repr__(self) -> str:
+        span = f", t = {self.t[0]:g} to {self.t[-1]:g}" if self.table.rows else ""
+        return f"History({self.model!r}, {len(self)} steps{span}, {len(self.states)} states)"
+
+    def identity(self) -> dict[str, Any]:
+        """The model's identity and the times."""
+        return {"history of": self.model.identity(), "t": self.t.tolist()}
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    def __iter__(self) -> Iterator[State]:
+        return iter(self.states.values())
+
+    @property
+    def last(self) -> State:
+        """State of the last accepted step. InputError: there is none."""
+        if not self.states:
+            raise InputError("the march has no accepted state: its first one failed")
+        return self.states[max(self.states)]
+
+    @property
+    def t(self) -> Array:
+        """Times of all accepted states."""
+        return self.table["t"] if self.table.rows else np.empty(0)
+
+    @property
+    def snaps(self) -> list[Snap]:
+        """The snaps of a layer whose columns switch phase, in order of time: rows after the first with dt = 0.
+
+        Switches by a sudden load at the start are no snaps; the first row is the state after them.
+        """
+        if not self.table.rows:
+            return []
+        t, dt, lost = (self.table[name] for name in ("t", "dt", "dissipated"))
+        rows = [int(k) for k in np.flatnonzero(dt == 0) if k > 0]
+        return [Snap(float(t[k]), k, float(lost[k]), self._changed(k)) for k in rows]
+
+    def _changed(self, row: int) -> tuple[str, ...]:
+        """The seams whose layers have other shares of phases in a row than in the one before it."""
+        before, after = (self.table.rows[k] for k in (row - 1, row))
+        shares = {seam: phase_columns(self.model, seam) for seam in seams_with_phases(self.model)}
+        moved = {column for column in after if after[column] != before[column]}
+        return tuple(seam for seam, names in shares.items() if moved & {names["plus"], names["minus"]})
+
+    def at(self, t: float) -> State:
+        """The state at a time, the last of several. InputError: no step ended there, or its state was not kept."""
+        require(is_number(t) and math.isfinite(t), "t", t, "it must be a finite number")
+        near = SAME_TIME * max(abs(t), float(np.ptp(self.t)))
+        rows = [row for row in self.states if abs(self.states[row].t - t) <= near]
+        if not rows:
+            kept = ", ".join(f"{state.t:g}" for state in self)
+            raise InputError(f"no state at t = {t:g} is kept; there are states at {kept}")
+        return self.states[rows[-1]]
+
+
+Solution = State | History
+
+
+# ---------------------------------------------------------------- columns
+def columns(model: Model) -> dict[str, Callable[[State], float]]:
+    """Name of a column of a march -> its value in a state, beside dt and what is observed.
+
+    What a layer that remembers dissipates in a step has a column if there are several seams, and so have bodies that
+    remember. What is lost in a snap, by layers and bodies together, is in the column "dissipated" alone.
+    """
+    names = ("t", "report.iterations", "report.residual", *(f"audit.{name}" for name in ENERGIES))
+    found: dict[str, Callable[[State], float]] = {name.rpartition(".")[2]: attrgetter(name) for name in names}
+    remembering = {BODIES, *(name for name, one in model.layers.items() if one.remembers)}
+    for place in (name for name in model.by_place({}) if name in remembering):
+        found[f"dissipated {place}"] = lambda state, place=place: state.dissipated[place]  # type: ignore[misc]
+    for seam in seams_with_phases(model):
+        found["energy"] = attrgetter("audit.total")
+        for name, column in phase_columns(model, seam).items():
+            found[column] = lambda state, seam=seam, name=name: phase_shares(state, seam)[name]  # type: ignore[misc]
+    return found
+
+
+def phase_columns(model: Model, seam: str) -> dict[str, str]:
+    """Name of a share of `phase_shares` of a seam -> its column, which has the seam's name if several have phases."""
+    of_seam = f" {seam}" if len(seams_with_phases(model)) > 1 else ""
+    return {name: name + of_seam for name in ("plus", "minus", "boundary")}
+
+
+# ---------------------------------------------------------------- phases of layers
+def seams_with_phases(model: Model) -> list[str]:
+    """Names of the seams whose layers have phases."""
+    return [name for name, one in model.layers.items() if one.thin and one.law.traits.phases]
+
+
+def phase_slots(law: BulkLaw) -> list[tuple[float, int]]:
+    """Fraction of the thickness, and index among the internal variables, of each phase of a law."""
+    return [(a, k) for a, one, k in memory_slots(law, "phase") if one.traits.phases]
+
+
+def phase_shares(state: State, seam: str) -> dict[str, float]:
+    """Shares of the phases of a layer, in a state of either model. Collective.
+
+    The phase is a number in [-1, 1]. -1, 0 and 1 are pure phases; others are the share of phase 1 (or -1) beside phase 0.
+
+    Returns:
+        "plus", "minus": shares of the layer (of its sublayers with phases) in phases 1 and -1; "boundary": thickness of
+        phase 0 if the other phases lie above it, a length, the mean over S. For the bar of section 6.2 it is the
+        position eps S of the phase boundary, Eq. (47).
+    """
+    layer, sums = state.model.layers[seam], np.zeros(3)
+    assert layer.thin
+    for key, quadrature in state.model.quadratures.items():
+        for a, k in phase_slots(quadrature.term.law) if quadrature.term.key == layer.key else ():
+            phase, weights = state.memory[key][:, k], a * quadrature.weights
+            sums += [weights @ np.maximum(phase, 0), weights @ np.maximum(-phase, 0), weights.sum()]
+    plus, minus, whole = map(float, state.model.comm.allreduce(sums))
+    fraction = sum(a for a, one in layer.thin.law.sublayers if one.traits.phases)
+    boundary = max(1 - (plus + minus) / whole, 0.0) * float(layer.thin.eps) * fraction
+    return {"plus": plus / whole, "minus": minus / whole, "boundary": boundary}
+
+
+# ---------------------------------------------------------------- the journal
+@dataclass
+class Pace:
+    """The values from which the length of the next step follows.
+
+    Attributes:
+        step: largest length of the next step; None: no limit.
+        largest: norms of displacements, jumps and forces to which errors of adaptive steps are relative: the largest ones
+            so far or, after rest, those at the end of the first step that was tried.
+        weight: weight 1/U^2 of displacements in the arc length of a path; 0 before its first step.
+    """
+
+    step: float | None = None
+    largest: Sequence[float] = (0.0, 0.0, 0.0)
+    weight: float = 0.0
+
+
+@dataclass(eq=False)
+class Journal:
+    """Keeps the accepted states of a march. All methods are collective.
+
+    Attributes:
+        equations: the equations of the model.
+        choices: arguments of the march that must be the same to resume it, "theta" among them.
+        observe: name of a column -> function of a state.
+        keep: "all": keep all states; "last": keep only the last one.
+        out: folder for the table and the files from which to resume; None: no files.
+        history: the accepted states.
+        pace: the pace of the next step; written with the states.
+        before: the state before the last, which tells the direction of a path.
+    """
+
+    equations: Equations
+    choices: Mapping[str, Any]
+    observe: Observe = field(default_factory=dict)
+    keep: str = "last"
+    out: Path | None = None
+
+    def __post_init__(self) -> None:
+        self.model = self.equations.model
+        names = self.model.comm.bcast([*self.observe])  # one order of the columns on all ranks
+        self._observe, self._columns = {name: self.observe[name] for name in names}, columns(self.model)
+        self._log = logger("march", self.model.comm)
+        self.history, self.pace = History(self.model, theta=float(self.choices["theta"])), Pace()
+        self.before: State | None = None
+        self._files, self._written = None, 0
+        if self.out:
+            # of observing functions it is known by what stays as they collect values
+            observed = {name: code_of(described(function)) for name, function in self._observe.items()}
+            mark = json.loads(json.dumps({**self.model.identity(), "observe": observed, **self.choices}))
+            self._files = Checkpoint(self.out, self.equations, mark)
+
+    def read(self, resume: Resume) -> bool:
+        """Take over the march in the folder. False: there is no march, or `resume` is False.
+
+        Raises:
+            InputError: the folder has another march, or files that are damaged and to be resumed.
+        """
+        found = self._files.read(resume, 2 if self.keep == "last" else 0) if self._files else None
+        if found is None:
+            return False
+        self.history.table, states, pace = found
+        self.pace, self._written = Pace(**pace), len(self.history)
+        last = len(self.history) - 1
+        self.before = states.get(last - 1)
+        self.history.states = states if self.keep == "all" else {last: states[last]}
+        return True
+
+    def begin(self, states: Sequence[State]) -> None:
+        """Begin with the last of these states, which another march has found; the one before it tells the direction."""
+        self.note(states[-1])
+        self.history.begun = True
+        self.before = states[-2] if len(states) > 1 else None
+
+    def accept(self, states: Sequence[State]) -> None:
+        """Add states to the history and write them."""
+        for state in states:
+            self.note(state)
+        if self._files:
+            last, kept = len(self.history) - 1, dict(self.history.states)
+            if self.before:
+                kept[last - 1] = self.before
+            self._files.write(self.history.table, kept, asdict(self.pace), self._written)
+            self._written = len(self.history)
+        collect(self.equations.comms)
+
+    def note(self, state: State) -> None:
+        """Add a row and a state to the history; the next `accept` writes them."""
+        history, report = self.history, state.report
+        self.before = history.last if history.states else None
+        found = state.t, report.method, report.iterations, report.residual
+        self._log.info("t = %g: %s, %d steps, residual %.1e", *found)
+        values = {name: value(state) for name, value in self._columns.items()}
+        row: Row = {"t": state.t, "dt": state.t - self.before.t if self.before else 0.0}
+        row |= {name: None if math.isnan(value) else value for name, value in values.items()}
+        row |= {name: self._observed(name, state) for name in self._observe}
+        history.table.append({name: row[name] for name in history.table.columns or row})
+        if self.keep == "last":
+            history.states.clear()
+        history.states[len(history) - 1] = state
+
+    def _observed(self, name: str, state: State) -> float:
+        """The value of an observing function on rank 0. InputError: the function fails, or ranks find other values."""
+        comm, place = self.model.comm, f"observe[{name!r}] at t = {state.t:g}"
+        try:
+            with on_all(comm):
+                found = self._observe[name](state)
+                if np.iscomplexobj(found):
+                    raise TypeError(f"it gives {found!r}, no real number")
+                value = float(found)
+        except ThinlayerError as error:  # says already what is allowed
+            raise InputError(f"{place}: {error}") from error
+        except Exception as error:
+            kind = "" if isinstance(error, (TypeError, ValueError)) else f"{type(error).__name__}: "
+            raise InputError(f"{place}: {kind}{error}; {OBSERVING}") from error
+        values = np.array(comm.allgather(value))
+        if not np.allclose(values, values[0], rtol=SAME_VALUE, atol=0.0, equal_nan=True):
+            numbers = ", ".join(f"{value:.6g}" for value in values)
+            advice = "let the function return the sum, or the largest, of the values of all ranks"
+            raise InputError(f"{place}: the ranks find {numbers}; {advice}")
+        return float(values[0])
