@@ -98,6 +98,10 @@ class Controller(ABC):
     def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
         """The error of the march if the shortest step fails, from those of its attempts."""
 
+    def error(self, what: str, advice: str = "") -> SolveError:
+        """An error of the march, with its history."""
+        return SolveError(what, self.journal.history, advice=advice)
+
     # ---------------------------------------------------------------- the loop
     def run(self, resume: Resume = False, begun: Sequence[State] = ()) -> History:
         """March to the end. Collective; errors as in `march`.
@@ -128,8 +132,7 @@ class Controller(ABC):
         try:
             self.journal.accept([self.solver.sudden(self.start)])
         except SolveError as error:
-            what = f"the first state, under the sudden load at t = {self.start:g}: {error}"
-            raise SolveError(what, self.journal.history) from error
+            raise self.error(f"the first state, under the sudden load at t = {self.start:g}: {error}") from error
 
     def _compare_times(self) -> None:
         """Raise InputError if a resumed march has passed its end; warn of times that it has passed without a row."""

@@ -54,10 +54,10 @@ class AlongPath(Controller):
         steps = len(self.journal.history) - 1
         if last.t < path.lowest(self.start):
             what = f"the path has come back to t = {last.t:g} and has not reached end = {path.end:g}"
-            raise self._error(what, "give back=, a time < start at which it may end too")
+            raise self.error(what, "give back=, a time < start at which it may end too")
         if steps >= path.steps:
             what = f"the path is at t = {last.t:g} after {path.steps} steps, not at end = {path.end:g}"
-            raise self._error(what, "give more steps, or a longer first one")
+            raise self.error(what, "give more steps, or a longer first one")
         if steps and before and not pace.weight:
             pace.weight, self._aimed = self._weight(before, last), None
         ends = [self.start, *self.targets]
@@ -80,7 +80,7 @@ class AlongPath(Controller):
         unit = change.norm() * self.path.first / (last.t - before.t)
         change.destroy()
         if not unit:
-            raise self._error(f"nothing moves from t = {before.t:g} to {last.t:g}: the path has no direction")
+            raise self.error(f"nothing moves from t = {before.t:g} to {last.t:g}: the path has no direction")
         return 1 / unit**2
 
     @property
@@ -118,10 +118,7 @@ class AlongPath(Controller):
 
     def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
         step = f"step {len(self.journal.history)} of the path, from t = {self.last.t:g}"
-        return self._error(f"{step}, failed, and so did longer ones: {errors[0]}")
-
-    def _error(self, what: str, advice: str = "") -> SolveError:
-        return SolveError(what, self.journal.history, advice=advice)
+        return self.error(f"{step}, failed, and so did longer ones: {errors[0]}")
 
 
 class PathInTime(AlongPath):

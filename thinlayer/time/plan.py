@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from numbers import Integral
 
 import numpy as np
 
-from forms.base import Array, InputError, is_finite, is_number, require
+from forms.base import InputError, is_finite, is_number, require
 from forms.temperature import real
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.equations import Equations
@@ -164,7 +165,7 @@ def ends_of_steps(times: Times, start: float, breaks: Iterable[float] = ()) -> l
     if not targets or not np.isfinite(whole).all() or (np.diff(whole) <= 0).any():
         remedy = "they must be finite, increase, and come after start, which is not one of them"
         raise InputError(f"times is {targets} from start = {start:g}; {remedy}")
-    _require_steps(whole, adaptive)
+    _require_steps([start, *targets], adaptive)
     near = SAME_TIME * max(abs(start), abs(targets[-1]))
     for t in sorted(breaks):
         if start < t < targets[-1] and np.abs(whole - t).min() > near:
@@ -184,21 +185,18 @@ def distinct(start: float, end: float) -> bool:
     return start < (start + end) / 2 < end
 
 
-def _require_steps(times: Array, adaptive: Adaptive | None) -> None:
+def _require_steps(times: list[float], adaptive: Adaptive | None) -> None:
     """Raise InputError if steps between times, or the shortest parts of them, are lost in rounding."""
-    tiny = np.finfo(float).tiny  # smaller numbers lose digits
+    parts = 1 if adaptive else 2**HALVINGS
+    steps = [(f"times has {b!r} after {a!r}", max(abs(a), abs(b)), (b - a) / parts) for a, b in pairwise(times)]
     if adaptive:
-        start, first = float(times[0]), min(adaptive.first, float(times[-1] - times[0]))
-        if not distinct(start, start + first) or (adaptive.smallest or first / MOST_SHORTENED) < tiny:
-            raise InputError(f"Adaptive: first is {first:g}: a step from t = {start:g} that is lost in rounding")
-        if adaptive.largest < np.spacing(np.abs(times).max()) * 2:
-            rounded = f"such steps to t = {times[-1]:g} are lost in rounding"
-            raise InputError(f"Adaptive: largest is {adaptive.largest:g}: {rounded}")
-    near = np.maximum(np.spacing(np.maximum(np.abs(times[1:]), np.abs(times[:-1]))), tiny)
-    lost = np.flatnonzero(np.diff(times) < near * (1 if adaptive else 2**HALVINGS))
-    if len(lost):
-        a, b = times[lost[0]], times[lost[0] + 1]
-        raise InputError(f"times has {b!r} after {a!r}: the step between them, or its parts, are lost in rounding")
+        first = f"Adaptive: first is {adaptive.first:g} from t = {times[0]:g}"
+        largest = f"Adaptive: largest is {adaptive.largest:g} to t = {times[-1]:g}"
+        steps += [(first, abs(times[0]), min(adaptive.first, times[-1] - times[0]) / 2), (first, 0.0, adaptive.least)]
+        steps.append((largest, max(map(abs, times)), adaptive.largest / 2))
+    for what, t, length in steps:
+        if length < max(np.spacing(t), np.finfo(float).tiny):  # smaller numbers lose digits
+            raise InputError(f"{what}: such a step, or parts of it, are lost in rounding")
 
 
 # ---------------------------------------------------------------- what models allow

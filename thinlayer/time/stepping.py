@@ -79,11 +79,8 @@ class PlannedSteps(Controller):
         failed = errors[-2] if self.solver.bounded else last
         if isinstance(last, NoEquilibrium) and self._loads_change(old.t, self._run_away):
             return LimitLoad(failed.reason, old.t, self._run_away, self._resultant(old.t), last, history)
-        return SolveError(
-            f"step {len(history)}, from t = {old.t:g} to {self._end(length):g}, failed, and so did longer ones: {failed}",
-            history,
-            advice=NO_LIMIT if self.solver.bounded else "",
-        )
+        step = f"step {len(history)}, from t = {old.t:g} to {self._end(length):g}"
+        return self.error(f"{step}, failed, and so did longer ones: {failed}", NO_LIMIT if self.solver.bounded else "")
 
     def _loads_change(self, before: float, after: float) -> bool:
         a, b = (self.solver.equations.given_forces_at(t) for t in (before, after))
