@@ -24,6 +24,7 @@ from thinlayer.system.table import Table
 TABLE = "table.csv"
 REACTIONS = "reactions"
 MEMORY, FIELD, STRESS = "memory ", "field ", "stress "  # prefixes of keys of parts in a state's file
+FORMAT = 2  # of the files: 2 since march.json has the numbers of states
 NUMBERS = ("t", "stored", "sudden", "prescribed_work", "dissipated")  # of a state, in march.json
 
 
@@ -41,7 +42,7 @@ class Checkpoint:
     """
 
     def __init__(self, folder: Path, equations: Equations, mark: dict[str, Any]) -> None:
-        self.mark, self.folder, self.path = mark, folder, folder / "march.json"
+        self.mark, self.folder, self.path = mark | {"format": FORMAT}, folder, folder / "march.json"
         self.model, self.comm, self._equations = equations.model, equations.comm, equations
         self._states: dict[str, dict[str, Any]] = {}  # row -> numbers of the state, hash of its file
         self._orders = {FIELD + part.key: part.own_file_order for part in equations.with_own}

@@ -97,7 +97,7 @@ class AlongPath(Controller):
         """A step, or one to the next target if that comes first."""
         last, target, arc = self.last, self.target, self._arc(length)
         state = None
-        if self._curve.ahead(last, arc) >= target - self.near:
+        if last.t + arc * self._curve.slope >= target - self.near:
             with suppress(SolveError):  # the path may turn back before the target
                 state = self._curve.land(last, None, target)
         if state is None:
@@ -147,7 +147,7 @@ class PathInTime(AlongPath):
     def _checked(self, state: State, length: float) -> list[State]:
         """As in `AlongPath`. SolveError: beyond this state, or between the two, the path leads back in time."""
         states = super()._checked(state, length)
-        self._turned = not (self._curve.leads_on and state.t > self.last.t)
+        self._turned = not (self._curve.slope > 0 and state.t > self.last.t)
         if self._turned:
             self._aim()
             raise SolveError("the path turns back in time")

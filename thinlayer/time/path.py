@@ -73,13 +73,9 @@ class EquilibriumPath:
             thing.destroy()
 
     @property
-    def leads_on(self) -> bool:
-        """Whether t increases along the direction of the path."""
-        return bool(self._direction[-1] > 0)
-
-    def ahead(self, last: State, length: float) -> float:
-        """Time at the predictor of a step of this length."""
-        return last.t + length * float(self._direction[-1])
+    def slope(self) -> float:
+        """Change of t over arc length along the direction of the path."""
+        return float(self._direction[-1])
 
     def _point(self, state: State) -> Array:
         self.equations.put_state(state, self._x)
