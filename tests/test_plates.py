@@ -21,7 +21,6 @@ from thinlayer import (
     Structure,
     Surface,
     ThinLayer,
-    compare,
     estimate,
     march,
     piecewise,
@@ -309,7 +308,7 @@ def test_a_plate_across_s_that_turns_has_the_thickness_for_an_arm():
         first, limit = (solve(beam.interface(ThinLayer(law, eps, order=order, at=1.0))) for order in (0, 1))
         errors.append(apart(full, limit)[0])
         assert limit.load_work() == pytest.approx(full.load_work(), rel=1e-3)
-        assert estimate(first, goals=[]).jump == pytest.approx(compare(full, first)["error_jump"], rel=0.05)  # 28, 18 %
+        refused(InputError, "plates or inclined supports tie nodes on S", estimate, first)
     assert errors[1] < errors[0] / 3
 
 
