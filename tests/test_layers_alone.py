@@ -28,7 +28,19 @@ from studies.may_i_drop import Dropped, effectivities
 from tests.on_ranks import on_ranks
 from tests.own_laws import Cubic
 from tests.refused import refused
-from thinlayer import RigidPlate, SolveError, Structure, Surface, ThinLayer, compare, estimate, goals, march, solve
+from thinlayer import (
+    RangeWarning,
+    RigidPlate,
+    SolveError,
+    Structure,
+    Surface,
+    ThinLayer,
+    compare,
+    estimate,
+    goals,
+    march,
+    solve,
+)
 from thinlayer.discretisation.state import displacements_of
 from thinlayer.estimating import global_local
 from thinlayer.solving.adjoint import Adjoint
@@ -427,7 +439,7 @@ STEPS = {  # name -> bodies, the layer's law, ends of time steps; none: one step
     "yields": (None, HARDENS, [0.5, 1.0]),
     "slips": (None, MohrCoulomb(4.0, 3.0, cohesion=0.3, friction_angle=20.0, dilatancy_angle=5.0), None),
     "slips along S": (None, MohrCoulombMonodirectional(4.0, 3.0, 0.2, 20.0), [0.5, 1.0]),
-    "as stiff as bodies": (None, Norton(lmbda=28.0, mu=19.0, eta=12.0, p=1.5), [0.01]),
+    "as stiff as bodies": (None, Norton(lmbda=28.0, mu=19.0, eta=12.0, p=1.5), [0.005, 0.01]),
     "bodies stiffen": (STIFFENS, LinearElastic(4.0, 3.0), None),
     "bodies stiffen, in time": (STIFFENS, HARDENS, [0.5, 1.0]),
     "bodies yield": (METAL, HARDENS, None),
@@ -449,7 +461,10 @@ def test_layers_in_time_and_bodies_that_are_not_linear(name):
         one, meshed = found.goals[goal.name], goal.value(last, full if goal is WORK else model)
         assert one.change == pytest.approx(meshed - one.value, rel=5e-4), goal.name
         assert one.bounded == (name == "at once")
-    if "stiff as" not in name:  # where the change is small beside the answer
+    if "stiff as" in name:  # the change is not small beside the answer
+        with pytest.warns(RangeWarning, match="adds up to"):
+            assert np.isfinite(found.density()).all()
+    else:
         assert Surface(model).integral(found.density()) == pytest.approx(found.goals["compliance"].change, rel=0.09)
 
 

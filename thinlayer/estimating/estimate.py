@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -92,8 +93,10 @@ def estimate(
     narrow = width if bounded else None
     for order, laws in enumerate(_models(model, better)):  # whose tangents lead to the layer
         try:
-            first, before = _passed(_path(state, laws, order > 0, options), layers, options)
+            *earlier, first = _path(state, laws, order > 0, options)
+            before = earlier[-1] if earlier else None
             theirs = before if given.model.bonds or not order else theirs
+            _pass(earlier, first, layers, options)
             with Adjoint(first, before, options) as adjoint:
                 iteration = GlobalLocal(adjoint, layers)
                 one, weights = iteration.run(checked, values, known, narrow)
@@ -151,19 +154,18 @@ def _path(
     return list(state)
 
 
-def _passed(
-    path: Sequence[State], layers: LayerAlone, options: Mapping[str, OptionValue] | None
-) -> tuple[State, State | None]:
-    """The last state of a path and the one before it; the layers have begun their last step. Collective."""
+def _pass(earlier: Sequence[State], last: State, layers: LayerAlone, options: Mapping[str, OptionValue] | None) -> None:
+    """Lead the layers through earlier states of the interface laws, and begin their step to the last one. Collective."""
+    path, before = [*earlier, last], None
     inside = layers.rest(path[0].t)
     layers.begin(inside, path[0].t)
-    for k in range(1, len(path)):
-        if not path[k - 1].at_rest:
-            with Adjoint(path[k - 1], path[k - 2] if k > 1 else None, options) as adjoint:
+    for now, following in pairwise(path):
+        if not now.at_rest:
+            with Adjoint(now, before, options) as adjoint:
                 iteration = GlobalLocal(adjoint, layers)
                 _, inside = iteration.states(iteration.newton())
-        layers.begin(inside, path[k].t)
-    return path[-1], path[-2] if len(path) > 1 else None
+        before = now
+        layers.begin(inside, following.t)
 
 
 def _require_alone(model: InterfaceModel, state: State | History) -> None:

@@ -15,6 +15,7 @@ from thinlayer.discretisation.full_model import LayerModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.state import State
+from thinlayer.errors import warn
 from thinlayer.estimating.global_local import NARROW, Bounds, GlobalLocal, Iterate
 from thinlayer.estimating.goals import Goal
 from thinlayer.estimating.on_surface import density_of
@@ -25,6 +26,7 @@ from thinlayer.solving.petsc import OptionValue
 from thinlayer.system.table import Table
 
 ROUNDING = 1e-6  # of a goal that is zero but for rounding, over its scale
+FAR_OFF = 0.2  # difference of the integral of a density from its change, relative, from which on there is a warning
 FIXED = 1e-10  # change of a goal, over its scale, that is only rounding: equilibrium gives the goal
 
 
@@ -179,7 +181,8 @@ class Estimate:
 
         It is (m,) at the nodes of `Surface(estimate.better.model)`, a field for its `integral` and `along`.
 
-        For linear models and goals the integral is exact, otherwise it is so to first order in the change. It is large
+        For linear models and goals the integral is exact, otherwise it is so to first order in the change; a warning says
+        where it is off by a fifth. It is large
         where a mesh of the layer is needed.
 
         Raises:
@@ -191,7 +194,13 @@ class Estimate:
         meshed = self._meshed
         of_laws = meshed.first if self.state.model.bonds else self.state
         with Adjoint(of_laws, meshed.old, self._options) as adjoint:
-            return density_of(GlobalLocal(adjoint, meshed.layers), self.state, self.better, meshed.weights[goal])
+            found = density_of(GlobalLocal(adjoint, meshed.layers), self.state, self.better, meshed.weights[goal])
+        total, change = Surface(self.better.model).integral(found), self.goals[goal].change
+        if abs(total - change) > FAR_OFF * abs(change) and not (self.goals[goal].zero or self.goals[goal].fixed):
+            reason = f"the density of the change of {goal} adds up to {total:.3g}, not to {change:.3g}"
+            remedy = "laws are not linear; take it for a picture of where the change comes from"
+            warn("density", f"{reason}, as {remedy}", self.better.model.comm)
+        return found
 
     def by_seam(self, goal: str = "compliance") -> dict[str, float]:
         """Name of a seam -> the part of the change of a goal that its layer causes; errors as of `density`. Collective."""
