@@ -27,7 +27,7 @@ def golden() -> dict[str, list[float]]:
 
 
 @pytest.mark.long
-@on_ranks(golden, 2, 3)
+@on_ranks(golden, 2)
 @pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
 def test_all_golden_numbers(there: dict[str, list[float]]) -> None:
     for name, found in there.items():
