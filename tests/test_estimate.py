@@ -11,13 +11,14 @@ import ufl
 
 from forms import LinearElastic, Maxwell, Norton, Rubber, Stack
 from forms.base import InputError
-from geometry import sandwich
+from geometry import faults, sandwich
 from geometry.sheet import Rim
 from tests.estimate_run import EPS, GLUE, KINDS, LOWER, estimated, several, structure, total
 from tests.on_ranks import on_ranks
 from tests.pictures import assert_drawn
 from tests.refused import refused
 from thinlayer import (
+    Bond,
     RangeWarning,
     Structure,
     Surface,
@@ -33,6 +34,8 @@ from thinlayer import (
 from thinlayer.estimating import thickness
 from thinlayer.estimating.result import GoalError, _said
 from thinlayer.estimating.thickness import _search
+
+TWO = {"A": [(0.0, 0.3), (1.0, 0.4)], "B": [(0.0, 0.7), (1.0, 0.65)]}
 
 pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
 
@@ -296,11 +299,16 @@ def test_thin_enough_refuses(tolerance, goal, message):
 def test_what_has_no_estimate():
     made, layer = structure("between"), ThinLayer(GLUE, EPS, at=1.0)
     limit = solve(made.interface(layer))
+    two = Structure(faults(1.0, 1.0, TWO, 0.3), body=LOWER, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1.0)})
     for given, message in [
         (lambda: estimate(3), "takes a state"),
         (lambda: estimate(limit, layer), "layer= is for"),
         (lambda: estimate(solve(made.bonded())), "give layer="),
         (lambda: estimate(solve(made.full(layer))), "nothing dropped"),
+        (
+            lambda: estimate(solve(two.interface({"A": layer, "B": Bond()})), layer, seam="A"),
+            "'A' has a layer beside bonds",
+        ),
         (lambda: estimate(limit, goals=["traction"]), "is no goal"),
         (lambda: estimate(limit, goals=[goals.Compliance(), goals.Compliance()]), "two goals"),
         (lambda: estimate(limit, goals=[goals.Reaction("BOTTOM", (0, 0))]), "direction"),

@@ -344,7 +344,7 @@ def test_cells_at_ends_and_junctions_are_judged_by_finer_ones():
     assert plain.with_finer_ends() - plain.goals["compliance"].better == pytest.approx(
         0.012 * plain.goals["compliance"].change, rel=0.1
     )
-    refused(InputError, "no goal 'slip' with bounds", found.with_finer_ends, "slip")
+    refused(InputError, r"\('compliance'\), not of 'slip'", found.with_finer_ends, "slip")
 
 
 # ---------------------------------------------------------------- laws that are not linear
@@ -461,11 +461,12 @@ def test_layers_in_time_and_bodies_that_are_not_linear(name):
         one, meshed = found.goals[goal.name], goal.value(last, full if goal is WORK else model)
         assert one.change == pytest.approx(meshed - one.value, rel=5e-4), goal.name
         assert one.bounded == (name == "at once")
+    most = 0.01 if "slips" in name else 0.09  # transposed tangents are those of weights
     if "stiff as" in name:  # the change is not small beside the answer
         with pytest.warns(RangeWarning, match="adds up to"):
             assert np.isfinite(found.density()).all()
     else:
-        assert Surface(model).integral(found.density()) == pytest.approx(found.goals["compliance"].change, rel=0.09)
+        assert Surface(model).integral(found.density()) == pytest.approx(found.goals["compliance"].change, rel=most)
 
 
 def test_histories_of_which_states_are_not_kept_and_of_bonds_are_marched_again():

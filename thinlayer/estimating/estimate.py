@@ -77,6 +77,9 @@ def estimate(
         raise InputError("estimate: there is no layer whose mesh could be dropped")
     if seam not in (S, *model.layers):
         raise InputError(f"estimate: {no_such('layer', seam, model.layers)}")
+    if given.model.bonds and seam not in (S, *given.model.bonds):
+        beside = f"estimate: {seam!r} has a layer beside bonds at {', '.join(given.model.bonds)}"
+        raise InputError(f"{beside}; ask of a bond, or of all, or solve it with layers alone")
     chosen = [name for name in model.layers if seam in (S, name)]
     with on_all(model.comm):
         _require_alone(model, state)

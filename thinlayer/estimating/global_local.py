@@ -35,7 +35,7 @@ from thinlayer.errors import SolveError
 from thinlayer.estimating.goal import Goal
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.balance import PartSum
-from thinlayer.solving.layer_alone import LayerAlone, share_of_step
+from thinlayer.solving.layer_alone import REMEDY, LayerAlone, share_of_step
 
 STEPS = 5
 SAME = 1e-10  # difference of two iterates, relative, that counts as rounding
@@ -255,9 +255,8 @@ class GlobalLocal:
             if aim.gained - before <= LITTLE * (aim.gained - one.gained):
                 break
         else:
-            raise SolveError(
-                f"estimate: the interface law is too far from its layer: {CONJUGATE} steps hardly lead to it"
-            )
+            too_far = f"estimate: the interface law is too far from its layer: {CONJUGATE} steps hardly lead to it"
+            raise SolveError(too_far, advice=REMEDY)
         du, dv, new = aim.u - one.u, aim.v - one.v, one
 
         def slope(share: float) -> float:
@@ -283,7 +282,8 @@ class GlobalLocal:
             old, one = one, self.newton_step(one)
             if one.gained - old.gained <= SETTLED * one.gained and norm(self.residual(one)) <= least:
                 return one
-        raise SolveError(f"estimate: the structure with its layers is not found in {NEWTON_STEPS} of Newton's steps")
+        not_found = f"estimate: the structure with its layers is not found in {NEWTON_STEPS} of Newton's steps"
+        raise SolveError(f"{not_found}, at t = {self.state.t:g}", advice=REMEDY)
 
     def _product(self, a: Array, b: Array) -> float:
         """Of vectors (m,), over all ranks."""

@@ -222,7 +222,10 @@ class Estimate:
             InputError: no such goal, or one that has no bounds.
         """
         if goal not in self.goals or not self.goals[goal].bounded:
-            raise InputError(f"estimate: there is no goal {goal!r} with bounds, whose value with finer ends is known")
+            known = ", ".join(repr(name) for name, one in self.goals.items() if one.bounded) or "none, as of other laws"
+            raise InputError(
+                f"estimate: finer ends are known of linear laws' goals with bounds ({known}), not of {goal!r}"
+            )
         model, alone, z = self.better.model, self._meshed.layers, self._meshed.weights[goal]
         assert isinstance(model, InterfaceModel)
         layers = {name: one.layer for name, one in self.layers.items()}

@@ -30,7 +30,8 @@ from thinlayer.solving.equations import Equations
 from thinlayer.system.compat import interpolation_points
 
 Vertices = tuple[int, ...]
-NEWTON_STEPS = 40  # at most
+NEWTON_STEPS = 100  # at most
+REMEDY = "mesh the layer (structure.full), in smaller steps of time if it slips or opens far"
 SETTLED = 1e-9  # what a step of Newton's changes, in the energy norm and relative, that counts as none
 LEAST_SHARE, SHARES = 0.1, 8  # of a step in the one before, number of them in turn
 PARTS = 32  # of a straight way between two displacements, over which work is summed
@@ -54,7 +55,7 @@ class HeldLayers:
     """
 
     def __init__(self, model: LayerModel, t: float) -> None:
-        self.model = model
+        self.model, self.K = model, scipy.sparse.csr_matrix((0, 0))
         self._equations = equations = Equations(model)  # of this rank alone: freed with the layers
         self._x, self._out = equations.vector(), equations.vector()
         self._displacements, n = equations.n_displacements, self._x.getLocalSize()
@@ -67,6 +68,16 @@ class HeldLayers:
         self.on_face = np.zeros(n, bool)
         self.on_face[np.concatenate(nodes)[:, None] * d + np.arange(d)] = True
         self._inside = ~self.on_face & ~self._at_sides
+
+    def transpose(self) -> None:
+        """Let K be its transpose, until the next call or `linearise`: goals' weights need it."""
+        if not self.model.symmetric:
+            self.K = scipy.sparse.csr_matrix(self.K.T)
+            self._forget()
+
+    def _forget(self) -> None:
+        for factor in ("_dirichlet", "_neumann"):
+            vars(self).pop(factor, None)
 
     def rest(self, t: float) -> State:
         """The layers at a time, before anything has happened."""
@@ -92,8 +103,7 @@ class HeldLayers:
         rows = self._equations.tangent().getValuesCSR()
         self.K = scipy.sparse.csr_matrix(rows[::-1], shape=(len(r),) * 2)
         self.load = self.K @ w - r
-        for factor in ("_dirichlet", "_neumann"):
-            vars(self).pop(factor, None)
+        self._forget()
 
     def state(self, w: Array) -> State:
         """The layers at displacements, and other unknowns, w."""
@@ -132,10 +142,10 @@ class HeldLayers:
             slope = factor().solve(forces - self.residual(w), d)
             if slope <= SETTLED**2 * abs(w @ (self.K @ w)):
                 if factor().indefinite:
-                    raise SolveError("the layer by itself softens: its stress falls as strains grow")
+                    raise SolveError("the layer by itself softens: its stress falls as strains grow", advice=REMEDY)
                 return w
             w = w + d * share_of_step(partial(self._slope, w, d, forces), slope)
-        raise SolveError(f"the layer by itself is not in equilibrium after {NEWTON_STEPS} of Newton's steps")
+        raise SolveError(f"the layer by itself: no equilibrium after {NEWTON_STEPS} of Newton's steps", advice=REMEDY)
 
     def _slope(self, w: Array, d: Array, forces: Array, share: float) -> float:
         """By which the energy falls along d, a share of it beyond w."""
@@ -314,7 +324,9 @@ def share_of_step(slope: Callable[[float], float], start: float) -> float:
     while not (end := slope(share)) >= -start / 2:  # a law that fails has none
         share *= max(start / (start - end), LEAST_SHARE) if end < 0 else LEAST_SHARE
         if share < LEAST_SHARE**SHARES:
-            raise SolveError("the energy of the layer by itself falls along no step: its law fails there, or softens")
+            raise SolveError(
+                "the layer by itself: Newton's steps lead nowhere; its law fails, or softens", advice=REMEDY
+            )
     return share
 
 
