@@ -21,7 +21,7 @@ from thinlayer import Structure, Table, ThinLayer, homogenised_stiffness, plotti
 from thinlayer.discretisation.state import State
 from thinlayer.output.grid import gather
 from thinlayer.running.record import Record
-from thinlayer.time.history import Solution
+from thinlayer.solving.history import Solution
 
 EPS = (0.08, 0.04, 0.02, 0.01)  # over the radius of the matrix
 SIZES = (0.1, 0.05, 0.025)

@@ -21,8 +21,9 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.supports import Support
 from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
+from thinlayer.solving.history import History
 from thinlayer.system.progress import track
-from thinlayer.time.history import History, Observe
+from thinlayer.time.journal import Observe
 
 BAR = limits.Bar(l=1.0, K=2.0, kbar=3.0, alpha=1.2, cbar=0.9, eps=0.1)
 EPS = (BAR.eps, 0.05, 0.01, 0.0)  # thicknesses over the length of the bar; 0: the interface law

@@ -40,9 +40,9 @@ from thinlayer.discretisation.state import State
 from thinlayer.estimating.result import Estimate
 from thinlayer.pointwise.integrals import values_of
 from thinlayer.running.record import Record
+from thinlayer.solving.history import History
 from thinlayer.system.progress import track
 from thinlayer.system.table import Table
-from thinlayer.time.history import History
 
 THICKNESSES = (COARSE, FINE)
 FIELDS = ("traction", "jump")

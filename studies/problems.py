@@ -20,7 +20,7 @@ from geometry.joint import Joint
 from studies.sweeping import last, layer_of
 from thinlayer import Structure, Surface, ThinLayer, piecewise, solve
 from thinlayer.discretisation.state import State
-from thinlayer.time.history import Solution
+from thinlayer.solving.history import Solution
 
 FOURIER_BODY = LinearElastic.young(E=100.0, nu=0.3)
 FOURIER_LAYER = LinearElastic(lmbda=60.0, mu=40.0)

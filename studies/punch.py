@@ -19,7 +19,7 @@ from studies.sweeping import Sweep, draw_rates
 from thinlayer import Structure, Surface, Table, ThinLayer, march, plotting
 from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
-from thinlayer.time.history import History, Solution
+from thinlayer.solving.history import History, Solution
 
 K = 1.0  # yield stress in shear; all stresses of the punch and the cylinder are relative to it
 STRENGTH = math.sqrt(3) * K

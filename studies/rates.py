@@ -30,7 +30,7 @@ from studies.sweeping import (
 from thinlayer import Surface, Table, ThinLayer
 from thinlayer.output.plotting.curves import ERRORS
 from thinlayer.running.record import Record
-from thinlayer.time.history import History
+from thinlayer.solving.history import History
 
 Tables = dict[str, Table]
 squares = partial(fourier, cell="quadrilateral")

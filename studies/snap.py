@@ -29,9 +29,9 @@ from thinlayer.discretisation.state import State
 from thinlayer.discretisation.supports import Support
 from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
+from thinlayer.solving.history import History
 from thinlayer.system.progress import track
 from thinlayer.system.table import Row
-from thinlayer.time.history import History
 
 END = 2.4  # largest prescribed displacement
 LIMIT = replace(BAR, eps=0.0)  # the bar with its interface law

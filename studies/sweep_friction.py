@@ -18,7 +18,7 @@ from thinlayer import Structure, Surface, Table, ThinLayer, compare, march, plot
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
-from thinlayer.time.history import History, Solution
+from thinlayer.solving.history import History, Solution
 
 MODULI = {"lmbda": 60.0, "mu": 40.0}
 OMEGA = 25.0

@@ -20,7 +20,7 @@ from studies.problems import FOURIER_BODY, phases_on_s
 from studies.sweeping import Floors, Sweep, check_floors, draw_rates, last, last_order, layer_of
 from thinlayer import RangeWarning, Surface, Table, ThinLayer, plotting
 from thinlayer.running.record import Record
-from thinlayer.time.history import History, Solution
+from thinlayer.solving.history import History, Solution
 
 # chi, in the axes t, n of S
 OBLIQUE, SHEARED = np.array([[0.0, 0.3], [0.3, 0.5]]), np.array([[0.0, 0.5], [0.5, 0.0]])

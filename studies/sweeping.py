@@ -20,7 +20,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.output.comparison import Where
 from thinlayer.output.plotting.curves import ERRORS
 from thinlayer.running.record import Record
-from thinlayer.time.history import Solution
+from thinlayer.solving.history import Solution
 
 Floors = Mapping[str, tuple[float, float]]  # traction or jump -> range of the relative error that a wrong law leaves
 

@@ -16,7 +16,7 @@ from geometry.joint import Joint
 from studies.sweeping import Sweep, draw_rates, last, layer_of
 from thinlayer import Surface, ThinLayer, plotting
 from thinlayer.running.record import Record
-from thinlayer.time.history import Solution
+from thinlayer.solving.history import Solution
 
 EPS = (0.8, 0.4, 0.2, 0.1)  # mm
 SHAFT, HUB = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=70e3, nu=0.34)  # MPa: steel and aluminium

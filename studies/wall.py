@@ -16,7 +16,7 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
-from thinlayer.time.history import History
+from thinlayer.solving.history import History
 
 BRICK = (250.0, 75.0)  # mm, with the mortar
 CLAY = LinearElastic.young(E=12e3, nu=0.2)  # MPa

@@ -16,7 +16,7 @@ from tests.laws_at_points import LAWS as OF_POINTS
 from tests.laws_at_points import LMBDA, MU, NORTON_15, STIFF
 from thinlayer import Structure, Surface, ThinLayer, march
 from thinlayer.discretisation.state import displacements_of
-from thinlayer.time.history import History
+from thinlayer.solving.history import History
 
 BODY = LinearElastic.young(100.0, 0.3)
 K = {"normal": LMBDA + 2 * MU, "shear": MU}

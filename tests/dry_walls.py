@@ -16,7 +16,7 @@ from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.output.nodal_forces import contact_forces, nodal_forces
-from thinlayer.time.history import History
+from thinlayer.solving.history import History
 
 PUSHES = [0.2, 0.3, 0.1, -0.2, 0.0]  # shear stress, over the pressure
 DRY = {"BED": (200.0, 80.0, 0.5), "HEAD": (100.0, 40.0, 0.3)}  # K_N, K_T, friction

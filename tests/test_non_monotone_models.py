@@ -27,7 +27,7 @@ from tests.refused import refused
 from tests.test_mohr_coulomb_models import PATH, PATH_3D, check_path, column
 from thinlayer import Structure, Surface, ThinLayer, march, piecewise, solve
 from thinlayer.discretisation.state import displacements_of
-from thinlayer.time.history import phase_shares
+from thinlayer.solving.history import phase_shares
 
 # layers whose thickness tends to zero under the same load, and columns of any height
 pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]

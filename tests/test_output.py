@@ -11,7 +11,7 @@ from studies.problems import FOURIER_LAYER, fourier
 from tests.refused import refused
 from thinlayer import Structure, Surface, Table, ThinLayer, fields, march, plotting, solve, sweep
 from thinlayer.output.grid import gather
-from thinlayer.time.history import History
+from thinlayer.solving.history import History
 
 pytestmark = pytest.mark.few(5)
 

@@ -17,7 +17,7 @@ from geometry import sandwich
 from tests.on_ranks import on_ranks
 from thinlayer import Adaptive, ArcLength, Structure, ThinLayer, drive, march, solve
 from thinlayer.discretisation.model import Model
-from thinlayer.time.history import History, phase_shares
+from thinlayer.solving.history import History, phase_shares
 
 JOINT = sandwich(2.0, 1.0, 1.0, 1.0)
 SETUP = {"body": LinearElastic.young(1e4, 0.3), "supports": {"BOTTOM": 0.0, "TOP": {"x": 0.0}}}

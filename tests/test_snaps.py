@@ -15,7 +15,7 @@ from geometry import sandwich
 from studies.problems import phases_on_s
 from thinlayer import SolveError, Structure, ThinLayer, march, piecewise
 from thinlayer.pointwise.columns import TIE
-from thinlayer.time.history import phase_shares
+from thinlayer.solving.history import phase_shares
 
 pytestmark = pytest.mark.few(5)
 

@@ -25,12 +25,12 @@ from thinlayer.estimating.goals import Compliance, nodes_of_sides
 from thinlayer.estimating.on_surface import errors_of, squares_of
 from thinlayer.estimating.result import Estimate, GoalError, LayerError, Meshed
 from thinlayer.solving.adjoint import Adjoint
+from thinlayer.solving.history import History
 from thinlayer.solving.layer_alone import LayerAlone
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import solve
 from thinlayer.system.progress import telling
 from thinlayer.system.ranks import on_all
-from thinlayer.time.history import History
 from thinlayer.time.marching import march
 
 ROUNDING = 3e-8  # of goals, relative: found between steel and rubber 1e6 times as soft; bounds are as much wider

@@ -19,12 +19,12 @@ from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.goal import Goal
 from thinlayer.estimating.goals import Compliance
 from thinlayer.estimating.result import Estimate
+from thinlayer.solving.history import History
 from thinlayer.solving.petsc import OptionValue
 from thinlayer.solving.solvers import solve
 from thinlayer.system.progress import telling
 from thinlayer.system.ranks import on_all
 from thinlayer.system.table import Table
-from thinlayer.time.history import History
 from thinlayer.time.marching import march
 
 FIELDS = ("traction", "jump")

@@ -15,11 +15,10 @@ from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.output.surface import Surface
+from thinlayer.solving.history import SAME_TIME, History, Solution
 from thinlayer.surface.excess import times_too_stiff
 from thinlayer.system.identity import differences, in_words
 from thinlayer.system.ranks import on_all, require_same
-from thinlayer.time.history import History, Solution
-from thinlayer.time.plan import SAME_TIME
 
 Where = Callable[[Array], Any]
 ROUNDING = 1e-12  # a jump up to this share of the displacements is their rounding

@@ -20,8 +20,8 @@ from thinlayer.discretisation.state import State
 from thinlayer.output.blocks import blocks
 from thinlayer.output.grid import nodal_displacement
 from thinlayer.output.surface import Surface
+from thinlayer.solving.history import History, Solution
 from thinlayer.system.ranks import on_all, require_same
-from thinlayer.time.history import History, Solution
 
 # approximate size of a node in a file: its mesh, once; its values, each time
 BYTES = {".bp": (128, 24), ".pvd": (0, 200)}

@@ -15,10 +15,10 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, at_contact, contact_on
 from thinlayer.output.tractions import LawPoints, by_reactions, in_rule, of_layers, points_on
+from thinlayer.solving.history import phase_shares, phase_slots, seams_with_phases
 from thinlayer.surface.excess import sublayers_of, times_too_stiff
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.table import Table
-from thinlayer.time.history import phase_shares, phase_slots, seams_with_phases
 
 NO_LAYER, BONDED, ELASTIC, OPEN = "no layer", "bonded", "elastic", "open"
 SLIDING, CRUSHED, TORN = "sliding", "crushed", "torn"

@@ -22,11 +22,11 @@ from thinlayer.output.surface import Surface
 from thinlayer.running.case import Case
 from thinlayer.running.description import Description
 from thinlayer.running.record import Record
+from thinlayer.solving.history import History
 from thinlayer.solving.solvers import solve
 from thinlayer.system.folder import hash_of
 from thinlayer.system.ranks import on_all
 from thinlayer.system.table import Table
-from thinlayer.time.history import History
 from thinlayer.time.marching import march
 
 LAW, BOND = "law", "bond"  # what is in place of the meshed layer

@@ -19,13 +19,13 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.output.sweep import sweep
 from thinlayer.running.provenance import code, petsc_options, versions
+from thinlayer.solving.history import History
 from thinlayer.solving.petsc import PREFIX
 from thinlayer.system.folder import hash_of, locked, moved_away, moved_back, replaced
 from thinlayer.system.identity import differences, in_words
 from thinlayer.system.progress import logger, track
 from thinlayer.system.table import Table
 from thinlayer.system.words import reason, say
-from thinlayer.time.history import History
 from thinlayer.time.marching import march
 from thinlayer.time.plan import Adaptive
 

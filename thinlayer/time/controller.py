@@ -13,11 +13,11 @@ import numpy as np
 from forms.base import InputError
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError, warn
+from thinlayer.solving.history import SAME_TIME, History
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.identity import Resume
 from thinlayer.system.progress import logger, telling
-from thinlayer.time.history import History, Journal
-from thinlayer.time.plan import SAME_TIME
+from thinlayer.time.journal import Journal
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.solving.equations import Equations
+from thinlayer.solving.history import History, Solution, columns
 from thinlayer.solving.petsc import Options
 from thinlayer.solving.ranges import warn_of_model, warn_of_states, warn_of_steps, warn_of_strains
 from thinlayer.solving.solvers import Solver, comm_of
@@ -24,7 +25,7 @@ from thinlayer.system.progress import telling
 from thinlayer.system.ranks import on_all, require_same
 from thinlayer.time.controller import Controller
 from thinlayer.time.following import AlongPath, PathInTime
-from thinlayer.time.history import OBSERVING, History, Journal, Observe, Solution, columns
+from thinlayer.time.journal import OBSERVING, Journal, Observe
 from thinlayer.time.plan import (
     Adaptive,
     ArcLength,

@@ -14,9 +14,9 @@ from forms.base import InputError, is_finite, is_number, require
 from forms.temperature import real
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.equations import Equations
+from thinlayer.solving.history import SAME_TIME
 from thinlayer.solving.solvers import SOFTENS
 
-SAME_TIME = 1e-9  # largest difference of times that count as equal, relative to the span of a march
 HALVINGS = 10  # largest number of times that a planned step is halved
 ALLOWED_THETA = "theta = 1"  # the last words of errors
 MOST_SHORTENED = 1e6  # length of the first adaptive step relative to that of the shortest, by default

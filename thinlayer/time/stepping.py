@@ -16,8 +16,9 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import LimitLoad, NoEquilibrium, SolveError
 from thinlayer.pointwise.columns import TIE
 from thinlayer.solving.equations import Equations
+from thinlayer.solving.history import SAME_TIME
 from thinlayer.time.controller import Attempt, Controller
-from thinlayer.time.plan import HALVINGS, SAME_TIME, Adaptive, distinct
+from thinlayer.time.plan import HALVINGS, Adaptive, distinct
 
 # Least size of jumps to which errors are relative, as a share of the displacements; rounding is smaller.
 LEAST_JUMP = 1e-6

@@ -15,9 +15,9 @@ from geometry.parallel import on_root
 from thinlayer.discretisation.state import State
 from thinlayer.output.grid import gather
 from thinlayer.output.plotting.scene import Look, Scene
+from thinlayer.solving.history import History
 from thinlayer.system.folder import replaced
 from thinlayer.system.progress import track
-from thinlayer.time.history import History
 
 GIF, MP4 = ".gif", ".mp4"
 DPI = 120

@@ -1,0 +1,150 @@
+"""Journal: adds rows to the history of a march, observes, writes and reads them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from forms.base import InputError, ThinlayerError
+from thinlayer.discretisation.state import State
+from thinlayer.solving.equations import Equations
+from thinlayer.solving.history import History, columns
+from thinlayer.system.identity import Resume, code_of, described
+from thinlayer.system.progress import logger
+from thinlayer.system.ranks import collect, on_all
+from thinlayer.system.table import Row
+from thinlayer.time.checkpoint import Checkpoint
+
+Observe = Mapping[str, Callable[[State], float]]
+OBSERVING = "it must be a function of a state that returns a number"
+# Largest relative difference of an observed value between ranks. Rounding is much smaller; values of one rank's part of the
+# mesh differ by more.
+SAME_VALUE = 1e-6
+
+
+@dataclass
+class Pace:
+    """The values from which the length of the next step follows.
+
+    Attributes:
+        step: largest length of the next step; None: no limit.
+        largest: norms of displacements, jumps and forces to which errors of adaptive steps are relative: the largest ones
+            so far or, after rest, those at the end of the first step that was tried.
+        weight: weight 1/U^2 of displacements in the arc length of a path; 0 before its first step.
+    """
+
+    step: float | None = None
+    largest: Sequence[float] = (0.0, 0.0, 0.0)
+    weight: float = 0.0
+
+
+@dataclass(eq=False)
+class Journal:
+    """Keeps the accepted states of a march. All methods are collective.
+
+    Attributes:
+        equations: the equations of the model.
+        choices: arguments of the march that must be the same to resume it, "theta" among them.
+        observe: name of a column -> function of a state.
+        keep: "all": keep all states; "last": keep only the last one.
+        out: folder for the table and the files from which to resume; None: no files.
+        history: the accepted states.
+        pace: the pace of the next step; written with the states.
+        before: the state before the last, which tells the direction of a path.
+    """
+
+    equations: Equations
+    choices: Mapping[str, Any]
+    observe: Observe = field(default_factory=dict)
+    keep: str = "last"
+    out: Path | None = None
+
+    def __post_init__(self) -> None:
+        self.model = self.equations.model
+        names = self.model.comm.bcast([*self.observe])  # one order of the columns on all ranks
+        self._observe, self._columns = {name: self.observe[name] for name in names}, columns(self.model)
+        self._log = logger("march", self.model.comm)
+        self.history, self.pace = History(self.model, theta=float(self.choices["theta"])), Pace()
+        self.before: State | None = None
+        self._files, self._written = None, 0
+        if self.out:
+            # of observing functions it is known by what stays as they collect values
+            observed = {name: code_of(described(function)) for name, function in self._observe.items()}
+            mark = json.loads(json.dumps({**self.model.identity(), "observe": observed, **self.choices}))
+            self._files = Checkpoint(self.out, self.equations, mark)
+
+    def read(self, resume: Resume) -> bool:
+        """Take over the march in the folder. False: there is no march, or `resume` is False.
+
+        Raises:
+            InputError: the folder has another march, or files that are damaged and to be resumed.
+        """
+        found = self._files.read(resume, 2 if self.keep == "last" else 0) if self._files else None
+        if found is None:
+            return False
+        self.history.table, states, pace = found
+        self.pace, self._written = Pace(**pace), len(self.history)
+        last = len(self.history) - 1
+        self.before = states.get(last - 1)
+        self.history.states = states if self.keep == "all" else {last: states[last]}
+        return True
+
+    def begin(self, states: Sequence[State]) -> None:
+        """Begin with the last of these states, which another march has found; the one before it tells the direction."""
+        self.note(states[-1])
+        self.history.begun = True
+        self.before = states[-2] if len(states) > 1 else None
+
+    def accept(self, states: Sequence[State]) -> None:
+        """Add states to the history and write them."""
+        for state in states:
+            self.note(state)
+        if self._files:
+            last, kept = len(self.history) - 1, dict(self.history.states)
+            if self.before:
+                kept[last - 1] = self.before
+            self._files.write(self.history.table, kept, asdict(self.pace), self._written)
+            self._written = len(self.history)
+        collect(self.equations.comms)
+
+    def note(self, state: State) -> None:
+        """Add a row and a state to the history; the next `accept` writes them."""
+        history, report = self.history, state.report
+        self.before = history.last if history.states else None
+        found = state.t, report.method, report.iterations, report.residual
+        self._log.info("t = %g: %s, %d steps, residual %.1e", *found)
+        values = {name: value(state) for name, value in self._columns.items()}
+        row: Row = {"t": state.t, "dt": state.t - self.before.t if self.before else 0.0}
+        row |= {name: None if math.isnan(value) else value for name, value in values.items()}
+        row |= {name: self._observed(name, state) for name in self._observe}
+        history.table.append({name: row[name] for name in history.table.columns or row})
+        if self.keep == "last":
+            history.states.clear()
+        history.states[len(history) - 1] = state
+
+    def _observed(self, name: str, state: State) -> float:
+        """The value of an observing function on rank 0. InputError: the function fails, or ranks find other values."""
+        comm, place = self.model.comm, f"observe[{name!r}] at t = {state.t:g}"
+        try:
+            with on_all(comm):
+                found = self._observe[name](state)
+                if np.iscomplexobj(found):
+                    raise TypeError(f"it gives {found!r}, no real number")
+                value = float(found)
+        except ThinlayerError as error:  # says already what is allowed
+            raise InputError(f"{place}: {error}") from error
+        except Exception as error:
+            kind = "" if isinstance(error, (TypeError, ValueError)) else f"{type(error).__name__}: "
+            raise InputError(f"{place}: {kind}{error}; {OBSERVING}") from error
+        values = np.array(comm.allgather(value))
+        if not np.allclose(values, values[0], rtol=SAME_VALUE, atol=0.0, equal_nan=True):
+            numbers = ", ".join(f"{value:.6g}" for value in values)
+            advice = "let the function return the sum, or the largest, of the values of all ranks"
+            raise InputError(f"{place}: the ranks find {numbers}; {advice}")
+        return float(values[0])
