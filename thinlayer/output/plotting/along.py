@@ -67,7 +67,7 @@ def along(
         for axes, seam in zip(places, seams, strict=True):
             row.draw(axes, seam)
             if log and not row.names:
-                logarithmic(axes, row.largest)
+                logarithmic(axes, *row.limits)
         places[0].set_ylabel(row.label)
     for axes, seam in zip(panels[0], seams, strict=True):
         axes.set_title(seam if len(seams) > 1 else "", fontsize=11)
@@ -109,7 +109,8 @@ class _Row:
         self.label = label
         self.names, arrays = numbered({case: np.asarray(f) for case, f in cases.items()})
         self.lines = {case: surface.along(f, plane=plane) for case, f in arrays.items()}
-        self.largest = max(float(np.nanmax(np.abs(line.values))) for lines in self.lines.values() for line in lines)
+        values = [line.values for lines in self.lines.values() for line in lines]
+        self.limits = min(map(np.nanmin, values)), max(map(np.nanmax, values))
 
     @property
     def components(self) -> int:

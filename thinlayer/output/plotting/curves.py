@@ -177,12 +177,13 @@ def _panels(number: int, columns: int) -> tuple[Picture, list[Axes]]:
     return figure, [figure.add_subplot(rows, columns, k + 1) for k in range(number)]
 
 
-def logarithmic(axes: Axes, largest: float) -> None:
+def logarithmic(axes: Axes, low: float, high: float) -> None:
     """A logarithmic axis on both sides of zero, with ticks at powers of ten that do not lie on one another."""
-    if not largest:
+    if not (largest := max(-low, high)) > 0:
         return
     top = math.floor(math.log10(largest))
     powers = [10.0**k for k in range(top + int(math.log10(SHOWN)) + 1, top + 1)]
     axes.set_yscale("symlog", linthresh=powers[0], linscale=0.5)
     axes.set_yticks([*(-one for one in reversed(powers)), 0.0, *powers])
+    axes.set_ylim(1.5 * min(low, 0.0), 1.5 * max(high, 0.0))  # ticks alone would leave a half empty
     axes.minorticks_off()
