@@ -377,10 +377,10 @@ def test_layers_that_yield_are_told_as_the_meshed_layer_has_them(name):
     state, found, full = yielding(name)
     for goal in CASES[YIELDS[name][0]][2]:
         change = goal.value(full, full.model if goal is WORK else state.model) - goal.value(state, state.model)
-        assert found.goals[goal.name].change == pytest.approx(change, rel=1e-3), goal.name
+        assert found.goals[goal.name].change == pytest.approx(change, rel=1e-4), goal.name
         assert not found.goals[goal.name].bounded
     true = compare(full, state)
-    assert (found.traction, found.jump) == pytest.approx((true["error_traction"], true["error_jump"]), rel=1e-3)
+    assert (found.traction, found.jump) == pytest.approx((true["error_traction"], true["error_jump"]), rel=1e-4)
 
 
 @pytest.mark.parametrize("name", ["hardens", "perfectly plastic", "between rollers", "plies"])
@@ -461,12 +461,20 @@ def test_layers_in_time_and_bodies_that_are_not_linear(name):
         one, meshed = found.goals[goal.name], goal.value(last, full if goal is WORK else model)
         assert one.change == pytest.approx(meshed - one.value, rel=5e-4), goal.name
         assert one.bounded == (name == "at once")
-    most = 0.01 if "slips" in name else 0.09  # transposed tangents are those of weights
     if "stiff as" in name:  # the change is not small beside the answer
         with pytest.warns(RangeWarning, match="adds up to"):
             assert np.isfinite(found.density()).all()
     else:
-        assert Surface(model).integral(found.density()) == pytest.approx(found.goals["compliance"].change, rel=most)
+        assert Surface(model).integral(found.density()) == pytest.approx(found.goals["compliance"].change, rel=0.09)
+
+
+def test_densities_of_laws_with_unsymmetric_tangents_have_the_transposed_ones():
+    """With the tangent itself the density adds up to 1.23 of the change, which is 13 % of the compliance."""
+    forth = {"BOTTOM": 0, "TOP": {"x": lambda x, t: 0.034 * t, "y": lambda x, t: -0.0136 * t}}
+    layer = ThinLayer(MohrCoulomb(4.0, 3.0, cohesion=0.1, friction_angle=20.0), EPS)
+    found = estimate(march(loaded(blocks(), supports=forth, tractions={}).interface(layer), [1.0]))
+    change = found.goals["compliance"].change
+    assert Surface(found.better.model).integral(found.density()) == pytest.approx(change, rel=0.01)
 
 
 def test_histories_of_which_states_are_not_kept_and_of_bonds_are_marched_again():
