@@ -10,7 +10,7 @@ import pytest
 from hypothesis import settings
 from mpi4py import MPI
 
-from tests.on_ranks import their_folder, there  # noqa: F401  (fixtures)
+from tests.on_ranks import launches, their_folder, there  # noqa: F401  (fixtures)
 
 # -O1: forms compile in half the time, the largest in a third, and small meshes assemble as fast
 os.environ["XDG_CONFIG_HOME"] = str(Path(__file__).parent / "config")

@@ -1,22 +1,27 @@
-"""Functions of the tests that run on several ranks, each in a launch of mpirun of its own.
+"""Functions of the tests that run on several ranks, in one launch of mpirun for each worker of pytest.
 
 `@on_ranks(numbers, 2, 3)` runs a test with what `numbers` gives on two ranks and on three, as `there`. The function is
 collective, is found by its name in a module, gives what JSON knows, and takes a folder if it needs one: `their_folder`.
 
-python3 -m tests.on_ranks FOLDER CASE: run a function, MODULE:NAME; keep what it gives in FOLDER.
+python3 -m tests.on_ranks FOLDER OWN: run functions, MODULE:NAME, that files in OWN name; keep what they give in FOLDER.
 """
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
+import gc
 import importlib
 import inspect
+import itertools
 import json
 import os
 import subprocess
 import sys
+import tempfile
+import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,10 +29,11 @@ import pytest
 from mpi4py import MPI
 
 from geometry.parallel import on_root, within
-from tests.ranks import mpirun
+from tests.ranks import BROKEN, LAUNCHES, launched
 
 FEW = 2  # ranks; more of them on two cores take long
 PATIENCE = 1800  # s for one function, which may compile forms from an empty cache
+POLL = 0.02  # s
 
 
 class Asked(NamedTuple):
@@ -53,15 +59,30 @@ def alone(act: Callable[[], Any]) -> None:
     on_root(MPI.COMM_WORLD, run)
 
 
+@pytest.fixture(scope="session")
+def launches() -> Iterator[dict[int, Waiting]]:
+    """Ranks of this worker that wait for functions, by their number."""
+    waiting: dict[int, Waiting] = {}
+    yield waiting
+    for ranks in waiting.values():
+        ranks.stack.close()
+
+
 @pytest.fixture
-def there(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
+def there(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, launches: dict[int, Waiting]
+) -> Any:
     """What the function of a test gives on several ranks."""
     asked, folder = request.param, _folder(request.param, tmp_path_factory)
     folder.mkdir(exist_ok=True)
     with open(folder / f"{asked.case}.lock", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # pytest has several workers: one runs the function, another one waits
         if not _answer(folder, asked.case).exists():
-            _launch(asked, folder)
+            if asked.ranks not in launches:
+                launches[asked.ranks] = Waiting(asked.ranks, folder)
+            said = launches[asked.ranks].run(asked.case)
+            if not _answer(folder, asked.case).exists():
+                _write(_answer(folder, asked.case), {"error": f"the ranks ended or hung in it:\n{said}"})
     answer = json.loads(_answer(folder, asked.case).read_text())
     if "error" in answer:
         pytest.fail(f"{asked.case} on {asked.ranks} ranks:\n{answer['error']}", pytrace=False)
@@ -89,25 +110,65 @@ def _own(folder: Path, case: str) -> Path:
     return folder / case
 
 
-def _launch(asked: Asked, folder: Path) -> None:
-    """Run a function; where the ranks end or hang in it, what they said is its error."""
-    try:
-        done = mpirun(asked.ranks, "-m", "tests.on_ranks", str(folder), asked.case, timeout=PATIENCE)
-        said = done.stdout + done.stderr
-    except subprocess.TimeoutExpired as error:
-        said = f"{error}\n{error.stdout}\n{error.stderr}"
-    if not _answer(folder, asked.case).exists():
-        _write(_answer(folder, asked.case), {"error": f"the ranks ended or hung in it:\n{said}"})
+class Waiting:
+    """Ranks of one worker of pytest that wait for functions to run, one after the other, until the session ends.
+
+    They read the names of functions in files, since a rank that waits in a call of MPI keeps a core busy.
+    """
+
+    def __init__(self, ranks: int, folder: Path) -> None:
+        self.ranks, self.folder = ranks, folder
+        self.stack = contextlib.ExitStack()
+        self.process: subprocess.Popen | None = None
+
+    def run(self, case: str) -> str:
+        """Let the ranks run a function until they have written its answer; what they said where they end or hang."""
+        for _ in range(LAUNCHES):
+            if self.process is None or self.process.poll() is not None:
+                self._launch()
+            asked, begin = self.own / f"{self.asked}.case", time.monotonic()
+            self.asked += 1
+            _replace(asked, case)
+            while not _answer(self.folder, case).exists() and self.process.poll() is None:
+                if time.monotonic() - begin > PATIENCE:
+                    self.stack.close()
+                    return f"no answer in {PATIENCE} s"
+                time.sleep(POLL)
+            said = (self.own / "output").read_text()
+            if _answer(self.folder, case).exists() or BROKEN not in said:
+                break
+        return said
+
+    def _launch(self) -> None:
+        self.stack.close()
+        self.asked = 0
+        self.own = Path(tempfile.mkdtemp(dir=self.folder))
+        output = self.stack.enter_context((self.own / "output").open("w"))
+        command = "-m", "tests.on_ranks", str(self.folder), str(self.own)
+        self.process = self.stack.enter_context(launched(self.ranks, *command, output=output))
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:
+    _replace(path, json.dumps(content))
+
+
+def _replace(path: Path, text: str) -> None:
     part = path.with_suffix(".part")
-    part.write_text(json.dumps(content))
+    part.write_text(text)
     part.replace(path)
 
 
 # ---------------------------------------------------------------- on the ranks
-def main(folder: Path, case: str) -> None:
+def main(folder: Path, own: Path) -> None:
+    """Run functions as they are asked for, until this process is ended."""
+    for number in itertools.count():
+        asked = own / f"{number}.case"
+        while not asked.exists():
+            time.sleep(POLL)
+        run(asked.read_text(), folder)
+
+
+def run(case: str, folder: Path) -> None:
     """Run a function and write what it gives on rank 0, or the errors of all ranks."""
     found, error = None, ""
     try:
@@ -115,6 +176,7 @@ def main(folder: Path, case: str) -> None:
         json.dumps(found)
     except (Exception, pytest.fail.Exception):
         error = traceback.format_exc()
+    gc.collect()  # on all ranks together, as PETSc frees objects
     errors = MPI.COMM_WORLD.gather(error)
     if errors and any(errors):
         said = "\n".join(f"rank {k}: {one}" for k, one in enumerate(errors))
@@ -135,4 +197,4 @@ def _called(case: str, folder: Path) -> Any:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2])
+    main(Path(sys.argv[1]), Path(sys.argv[2]))

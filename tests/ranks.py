@@ -7,13 +7,17 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from mpi4py import MPI
 
 CLONE, REPLACE = Path(__file__).parent.parent, Path.replace
 LAUNCHES = 5  # of mpirun: two that begin at one time may make the same folder, and one of them ends before its program
+BROKEN = "prte_session_dir failed"  # what it says then
 
 
 def ends_too(by: str) -> list[str]:
@@ -27,23 +31,30 @@ def clean() -> dict[str, str]:
     return {k: v for k, v in os.environ.items() if not k.startswith(outer) or k.startswith("PRTE_MCA")}
 
 
-def mpirun(ranks: int, *command: str, cwd: Path = CLONE, timeout: float = 240) -> subprocess.CompletedProcess:
-    """Run a program, and end it after a time."""
+@contextmanager
+def launched(ranks: int, *command: str, cwd: Path = CLONE, output: Any = subprocess.PIPE) -> Iterator[subprocess.Popen]:
+    """A program on several ranks, ended with the block; in the directory `cwd`, what it prints goes to `output`."""
     # ranks that wait leave the cores to those that compute: there may be fewer cores than ranks
     environment = clean() | {"PYTHONPATH": str(CLONE), "OMP_NUM_THREADS": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
     # mpi4py ends all ranks where one has an error; mpirun ends with pytest, even if that is killed, and ranks with mpirun
     words = [*ends_too("TERM"), "mpirun", "-n", str(ranks), *ends_too("KILL"), sys.executable, "-m", "mpi4py", *command]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    streams = {"stdout": output, "stderr": output, "text": True}
+    with subprocess.Popen(words, env=environment, cwd=cwd, start_new_session=True, **streams) as process:
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGTERM)
+
+
+def mpirun(ranks: int, *command: str, cwd: Path = CLONE, timeout: float = 240) -> subprocess.CompletedProcess:
+    """Run a program, and end it after a time."""
     for _ in range(LAUNCHES):
-        with subprocess.Popen(words, env=environment, cwd=cwd, start_new_session=True, **pipes) as process:
-            try:
-                out, err = process.communicate(timeout=timeout)
-            finally:
-                if process.poll() is None:
-                    os.killpg(process.pid, signal.SIGTERM)
-        if "prte_session_dir failed" not in err:
+        with launched(ranks, *command, cwd=cwd) as process:
+            out, err = process.communicate(timeout=timeout)
+        if BROKEN not in err:
             break
-    return subprocess.CompletedProcess(words, process.returncode, out, err)
+    return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
 
 class Ended(BaseException):
