@@ -152,10 +152,8 @@ def fibre(
     around: float | tuple[float, float],
     h: float | None = None,
     *,
-    h_S: float | None = None,
-    cell: str = "triangle",
-    degree: int = 1,
     comm: MPI.Intracomm | None = None,
+    **cells: Unpack[Curved],
 ) -> Joint:
     """A fibre, the disc r < radius about the origin, in its matrix; S is the circle between them. Collective.
 
@@ -178,7 +176,7 @@ def fibre(
             degree is not 1 or 2.
     """
     lengths = around if isinstance(around, tuple) else (around,)
-    return on_root(comm, lambda: Fibre(Cells(h, h_S, cell=cell, degree=degree), radius, lengths).build())
+    return on_root(comm, lambda: Fibre(Cells.of(h, cells, Curved), radius, lengths).build())
 
 
 def wall(
@@ -281,7 +279,7 @@ def grains(
 
     Raises:
         InputError: a size or number out of range; points outside, or two at one place; a name of a seam that sides have;
-            a side of a grain shorter than half a cell, sides that meet at less than 6 degrees, with the place.
+            a side of a grain shorter than half a cell, with the place.
     """
     return on_root(comm, lambda: grained(Cells.of(h, cells, Sizes), width, height, grains, seed, seams).build())
 
@@ -314,7 +312,7 @@ def faults(
 
     Raises:
         InputError: a size out of range; a fault that is no path, turns back, lies outside, on another one or on a side,
-            or has the name of a side; faults that come nearer to each other or to a side than half a cell without
-            touching, or that meet at less than 6 degrees, with the place.
+            or has the name of a side; faults that end nearer to each other or to a side than half a cell without
+            touching, with the place.
     """
     return on_root(comm, lambda: faulted(Cells.of(h, cells, Sizes), width, height, faults).build())

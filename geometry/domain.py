@@ -89,15 +89,6 @@ def index_map(comm: MPI.Intracomm, n: int, ghosts: IntArray, owners: Indices) ->
     return first_that_fits(lambda: create(*arguments), lambda: create(*arguments, 1801))
 
 
-def facets_of_cells(mesh: dolfinx.mesh.Mesh, cell_type: str) -> Indices:
-    """(n_cells, m) facets of the local cells (ghosts included), in the order of the cells' own facets."""
-    topology = mesh.topology
-    topology.create_entities(topology.dim - 1)
-    for pair in ((topology.dim - 1, topology.dim), (topology.dim, topology.dim - 1)):
-        topology.create_connectivity(*pair)
-    return topology.connectivity(topology.dim, topology.dim - 1).array.reshape(-1, len(local_facets(cell_type)))
-
-
 def vertices_of_facets(mesh: dolfinx.mesh.Mesh, cell_type: str, facets: Indices, corners: IntArray) -> IntArray:
     """(n, k) vertices of local facets, numbered as in `corners`.
 
@@ -107,11 +98,14 @@ def vertices_of_facets(mesh: dolfinx.mesh.Mesh, cell_type: str, facets: Indices,
         facets: (n,) local facets.
         corners: (n_cells, m) vertices of the local cells.
     """
-    of_cells = facets_of_cells(mesh, cell_type)
-    to_cells = mesh.topology.connectivity(mesh.topology.dim - 1, mesh.topology.dim)
+    topology, dim, local = mesh.topology, mesh.topology.dim, local_facets(cell_type)
+    for pair in ((dim - 1, dim), (dim, dim - 1)):
+        topology.create_connectivity(*pair)
+    of_cells = topology.connectivity(dim, dim - 1).array.reshape(-1, len(local))
+    to_cells = topology.connectivity(dim - 1, dim)
     cells = to_cells.array[to_cells.offsets[facets]]
     which = (of_cells[cells] == facets[:, None]).argmax(axis=1)
-    return np.take_along_axis(corners[cells], local_facets(cell_type)[which], axis=1)
+    return np.take_along_axis(corners[cells], local[which], axis=1)
 
 
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -183,11 +177,6 @@ class Domain:
             require_known("region", name, self.joint.regions)
         return tuple(self.joint.regions.index(name) + 1 for name in regions)
 
-    @property
-    def layer_regions(self) -> tuple[str, ...]:
-        """Regions of the meshed layers, of each seam from its lower to its upper face; () while S is a surface."""
-        return self.joint.band.regions if self.joint.band else ()
-
     def values(self, name: str, *, layer_sides: bool = False) -> tuple[int, ...]:
         """Values of `facet_tags` for a name.
 
@@ -234,18 +223,14 @@ def _local_facets(
 ) -> tuple[Indices, IntArray]:
     """Local facets (ghosts included), ascending, of some rows of joint.table, and the position of each in `rows`.
 
-    A cell of the mesh has its vertices in the order of the joint's cell, and so its facets.
+    A cell of the mesh has its vertices in the order of the joint's cell. The rows are in ascending order.
     """
-    table, of_cells = joint.table, facets_of_cells(mesh, joint.cell_type)
-    here = np.full(len(joint.cells), -1, np.int32)
-    here[original] = np.arange(len(original))
-    found = np.full(len(rows), -1, np.int32)
-    for cell, local in zip(table.cells[rows].T, table.local[rows].T, strict=True):
-        there = (cell >= 0) & (here[cell] >= 0)
-        found[there] = of_cells[here[cell[there]], local[there]]
-    which = np.flatnonzero(found >= 0)
-    which = which[np.argsort(found[which])]
-    return found[which], which
+    mesh.topology.create_entities(joint.dim - 1)
+    map_ = mesh.topology.index_map(joint.dim - 1)
+    facets = np.arange(map_.size_local + map_.num_ghosts, dtype=np.int32)
+    own = joint.table.index(vertices_of_facets(mesh, joint.cell_type, facets, joint.corners[original]))
+    kept = np.isin(own, rows)
+    return facets[kept], np.searchsorted(rows, own[kept])
 
 
 def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:

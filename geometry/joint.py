@@ -13,11 +13,10 @@ import numpy as np
 from forms.base import InputError, is_finite, require
 from geometry.periods import Periods
 from geometry.refusals import place, refuse, require_known
-from geometry.seam import JUNCTIONS, RESERVED, S, Seam
+from geometry.seam import RESERVED, S, Seam
 from geometry.topology import (
     CELL_TYPES,
     FACET_TYPES,
-    BoolArray,
     FacetTable,
     FloatArray,
     IntArray,
@@ -114,7 +113,6 @@ class Joint:
     def __post_init__(self) -> None:
         require_known("cell type", self.cell_type, CELL_TYPES)
         geometry_degree(self.cell_type, self.cells.shape[1])
-        self._check_regions()
         for name, facets in self.facets.items():
             if len(facets) == 0:
                 raise InputError(f"the facets named {name!r} are an empty set")
@@ -122,31 +120,29 @@ class Joint:
             refuse(self.table.index(facets) < 0, self.points[facets], missing)
         if self.band is None:
             self._check_seams()
-            self._take_out_seams()
+            kept = {
+                name: facets if name in self.seams else facets[~np.isin(self.table.index(facets), self.surface_rows)]
+                for name, facets in self.facets.items()
+            }
+            object.__setattr__(self, "facets", {name: facets for name, facets in kept.items() if len(facets)})
         if self.periods:
             outer = self.surface_rows[self.surface_cells[:, 0] < 0] if self.band is None else np.empty(0, np.int64)
             self.periods.check(self.points, self.corners, self.cell_type, self.table.vertices[outer])
 
-    def _check_regions(self) -> None:
-        for name in [*self.regions, *self.facets] if self.band is None else []:
+    def _check_seams(self) -> None:
+        for name in (*self.regions, *self.facets):
             if not isinstance(name, str) or name in RESERVED or "/" in name:
                 raise InputError(f"{name!r} cannot be a name; not allowed: {', '.join(RESERVED)} and names with '/'")
         for number, name in enumerate(self.regions):
             if not (self.region == number).any():
                 raise InputError(f"region {name!r} has no cells")
-        for name, seam in self.seams.items() if self.band is None else ():
-            seam.check(name, self.regions, self.dim)
-
-    def _check_seams(self) -> None:
         if not self.seams:
             raise InputError(f"a joint needs a seam, such as {S!r}")
-        if JUNCTIONS in self.seams:
-            raise InputError(f"{JUNCTIONS!r} cannot be the name of a seam: it is a layer's part where layers meet")
+        for name, seam in self.seams.items():
+            seam.check(name, self.regions, self.dim)
+            require_known("set of facets", name, self.facets)
         if len(self.seams) > 1 and S in self.seams:
             raise InputError(f"{S!r} is all seams together and cannot name one of several")
-        for name in self.seams:
-            if name not in self.facets:
-                raise InputError(f"the mesh has no facets named {name!r}; known: {', '.join(sorted(self.facets))}")
         rows = np.concatenate([self.rows_of(name) for name in self.seams])
         rows, counts = np.unique(rows, return_counts=True)
         if (counts > 1).any():
@@ -154,13 +150,6 @@ class Joint:
             both = f"{{bad}} facets are in two seams, {first!r} and {second!r}, the first at {{at}}"
             refuse(counts > 1, self.points[self.table.vertices[rows]], f"{both}; a facet has one layer")
         _ = self.surface_cells
-
-    def _take_out_seams(self) -> None:
-        kept = {
-            name: facets if name in self.seams else facets[~np.isin(self.table.index(facets), self.surface_rows)]
-            for name, facets in self.facets.items()
-        }
-        object.__setattr__(self, "facets", {name: facets for name, facets in kept.items() if len(facets)})
 
     @cached_property
     def masters(self) -> IntArray:
@@ -248,17 +237,15 @@ class Joint:
                 needs = "needs a cell on both sides, or all must stand on a rigid base"
                 refuse(outer, self.points[self.surface[here]], f"{what} {needs}")
             if not outer.any():
-                wrong = here[~self._second_is_upper(name, seam, out[here], self.surface[here])]
-                out[wrong] = out[wrong][:, ::-1]
+                x = self.points[self.surface[here]].mean(axis=1)
+                if seam.direction is None:
+                    right = seam.between_regions(name, x, self.region[out[here]], self.regions)
+                else:
+                    normals = facet_normals(self.points, self.surface[here], self.cell_type).mean(axis=1)
+                    to_second = self.points[self.corners[out[here, 1]]].mean(axis=1) - x
+                    right = seam.along_direction(name, x, normals, to_second)
+                out[here[~right]] = out[here[~right]][:, ::-1]
         return out
-
-    def _second_is_upper(self, name: str, seam: Seam, cells: IntArray, nodes: IntArray) -> BoolArray:
-        """(n,) whether the second of two cells (n, 2) is the upper one, for facets of a seam given by their nodes."""
-        x = self.points[nodes].mean(axis=1)
-        if seam.direction is None:
-            return seam.between_regions(name, x, self.region[cells], self.regions)
-        normals = facet_normals(self.points, nodes, self.cell_type).mean(axis=1)
-        return seam.along_direction(name, x, normals, self.points[self.corners[cells[:, 1]]].mean(axis=1) - x)
 
     @property
     def rigid_base(self) -> bool:
@@ -273,14 +260,19 @@ class Joint:
         return tuple(name for k, name in enumerate(joint.seams) if on_base[joint.seam_numbers == k].all())
 
     @cached_property
+    def outer_rows(self) -> IntArray:
+        """Rows of `table` of the facets on the outer boundary that are not in S, in ascending order."""
+        return np.setdiff1d(np.flatnonzero(self.table.cells[:, 1] < 0), self.surface_rows)
+
+    @cached_property
     def splitting(self) -> Splitting:
         """The mesh, cut along S."""
         return self.split_along(self.surface_rows)
 
-    def components_at(self, cells: IntArray, vertices: IntArray) -> IntArray:
-        """(n, k) component, around vertices (n, k), of the cells (n,) that have them; -1 for cells < 0."""
-        corner = (self.corners[cells][:, None, :] == vertices[:, :, None]).argmax(axis=2)
-        found = np.take_along_axis(self.splitting.of_nodes[cells], corner, axis=1)
+    def components_at(self, cells: IntArray, nodes: IntArray) -> IntArray:
+        """(n, k) component, around nodes (n, k), of the cells (n,) that have them; -1 for cells < 0."""
+        position = (self.cells[cells][:, None, :] == nodes[:, :, None]).argmax(axis=2)
+        found = np.take_along_axis(self.splitting.of_nodes[cells], position, axis=1)
         return np.where(cells[:, None] < 0, -1, found)
 
     @cached_property
@@ -338,8 +330,7 @@ class Joint:
     def tips(self) -> IntArray:
         """(n, d - 1) vertices of the ridges where S ends inside the bodies."""
         found, counts = ridges(self.surface, self.cell_type)
-        outer = np.setdiff1d(np.flatnonzero(self.table.cells[:, 1] < 0), self.surface_rows)
-        at_outer, _ = ridges(self.table.nodes(outer, self.corners, self.cell_type), self.cell_type)
+        at_outer, _ = ridges(self.table.nodes(self.outer_rows, self.corners, self.cell_type), self.cell_type)
         ends = found[counts == 1]
         return np.asarray(ends[~np.isin(ridge_keys(ends), ridge_keys(at_outer))])
 
@@ -417,8 +408,6 @@ class Joint:
 
     def swapped(self) -> Joint:
         """The joint with the two sides of every seam exchanged: n changes its sign, nothing moves."""
-        if (self.surface_cells[:, 0] < 0).any():
-            raise InputError("a joint on a rigid base has no lower body to swap with")
         return replace(self, seams={name: seam.reversed() for name, seam in self.seams.items()})
 
     def identity(self) -> dict[str, Any]:
@@ -444,10 +433,8 @@ class Joint:
     def nearest_point(self, x: Sequence[float]) -> int:
         """Number of the mesh vertex at x; raises InputError, naming the nearest vertex, if there is none."""
         vertices = np.unique(self.corners)
-        if np.ndim(x) != 1 or not all(map(is_finite, x)):
+        if np.shape(x) != (self.dim,) or not all(map(is_finite, x)):
             raise InputError(f"point {x!r} is not a place; give {self.dim} coordinates")
-        if len(x) != self.dim:
-            raise InputError(f"point {tuple(x)} has {len(x)} coordinates, the mesh has {self.dim}")
         distance = np.linalg.norm(self.reference[vertices] - np.asarray(x, float), axis=1)
         nearest = int(vertices[np.argmin(distance)])
         if distance.min() > 1e-6 * np.ptp(self.reference, axis=0).max():

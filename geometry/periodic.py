@@ -30,16 +30,13 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
     """
     if joint.band is not None:
         raise InputError("the joint's layer is meshed; in a periodic joint it is a surface with an interface model")
-    if not sides:
-        raise InputError('periodic needs pairs of sides, such as ("LEFT", "RIGHT")')
     before = joint.periods or Periods((), ())
     names = [*before.names, *(name for pair in sides for name in pair)]
     twice = [name for name in names if names.count(name) > 1]
     if twice:
         raise InputError(f"{twice[0]!r} is in two pairs of periodic sides; a side has one other side")
     pairs = tuple(_matched(joint, *pair) for pair in sides)
-    named = tuple((first, second) for first, second in sides)
-    return replace(joint, periods=Periods(before.sides + named, before.pairs + pairs))
+    return replace(joint, periods=Periods(before.sides + sides, before.pairs + pairs))
 
 
 def repeated(inflated: Joint, periods: Periods) -> Joint:

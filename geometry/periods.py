@@ -62,9 +62,8 @@ class Periods:
         refuse(identified[seams].all(axis=1), points[seams], f"a seam lies on the periodic boundary, at {{at}}: {CUT}")
         nodes = corners[:, np.array(basix.topology(basix.CellType[cell_type])[1])].reshape(-1, 2)
         names = " and ".join(f"{first!r} and {second!r}" for first, second in self.sides)
-        narrow = f"a periodic cell needs three cells or more between its sides ({names})"
-        remedy = "two edges have the same ends; use a finer mesh"
-        refuse(_folded(points, nodes, master), points[nodes], f"{narrow}: near {{at}} {remedy}")
+        narrow = f"a periodic cell needs three cells or more between its sides ({names}); use a finer mesh near {{at}}"
+        refuse(_folded(points, nodes, master), points[nodes], narrow)
 
 
 def _folded(points: FloatArray, nodes: IntArray, master: IntArray) -> BoolArray:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from forms.base import InputError, is_finite, require
+from forms.base import InputError, is_finite
 from geometry.refusals import refuse, require_known
 from geometry.topology import BoolArray, FloatArray, IntArray
 
@@ -15,7 +15,7 @@ S = "S"
 LAYER = "LAYER"
 JUNCTIONS = "JUNCTIONS"  # where three or more layers or bodies meet, the part of the layer
 LOWER_FACE, UPPER_FACE, BASE = "LOWER_FACE", "UPPER_FACE", "BASE"
-RESERVED = (LAYER, LOWER_FACE, UPPER_FACE, BASE)
+RESERVED = (LAYER, LOWER_FACE, UPPER_FACE, BASE, JUNCTIONS)
 LEAST_COSINE = 0.02  # least cosine of the angle between a facet's normal and a direction that tells its upper side
 
 
@@ -51,8 +51,6 @@ class Seam:
 
     def check(self, name: str, regions: Sequence[str], dim: int) -> None:
         """Raise InputError unless the seam of this name can tell its upper side in a mesh of these regions."""
-        for side in (self.lower, self.upper):
-            require(isinstance(side, tuple), f"{name!r}: a side", side, "it must be a tuple of names of regions")
         for region in self.lower + self.upper:
             require_known("region", region, regions)
         shared = sorted(set(self.upper) & set(self.lower))

@@ -5,14 +5,22 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from functools import cached_property
-from itertools import combinations
 
 import numpy as np
 
 from geometry.joint import FLAT, Joint
 from geometry.refusals import refuse
 from geometry.seam import S
-from geometry.topology import BoolArray, FloatArray, IntArray, connected, node_jacobians, ridge_keys, ridges
+from geometry.topology import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    connected,
+    keys_of_ridges,
+    node_jacobians,
+    ridge_keys,
+    ridges,
+)
 
 TRIANGLES = ((0, 1, 2), (1, 3, 2))  # corners of a quadrilateral
 VOLUMES = {"triangle": 1 / 2, "quadrilateral": 1.0, "tetrahedron": 1 / 6, "hexahedron": 1.0}  # of reference cells
@@ -43,9 +51,7 @@ class Rim:
 
     def on(self, facets: IntArray) -> BoolArray:
         """(n,) whether each ridge belongs to one of these facets, given by vertices."""
-        pairs = list(combinations(range(facets.shape[1]), self.vertices.shape[1]))
-        found = [ridge_keys(facets[:, list(pair)]) for pair in pairs]
-        return np.asarray(np.isin(ridge_keys(self.vertices), np.concatenate(found)))
+        return np.asarray(np.isin(ridge_keys(self.vertices), keys_of_ridges(facets, self.vertices.shape[1])))
 
     def distance(self, points: FloatArray, x: FloatArray) -> FloatArray:
         """(n,) distances of places (n, d) from the ridges, whose vertices are some of these points; inf: there are none."""
@@ -63,17 +69,10 @@ def continued(joint: Joint, facets: IntArray) -> IntArray:
     So they are on the bodies at both its faces, or beside layers that meet in the ridge. On a rigid base there is one
     body. The facets of one body of two end where S begins.
     """
-
-    def around(rows: IntArray) -> IntArray:
-        vertices = joint.table.vertices[rows]
-        pairs = combinations(range(vertices.shape[1]), joint.dim - 1)
-        return np.concatenate([ridge_keys(vertices[:, list(pair)]) for pair in pairs])
-
-    outer = np.setdiff1d(np.flatnonzero(joint.table.cells[:, 1] < 0), joint.surface_rows)
-    others = np.setdiff1d(outer, rows := joint.table.index(facets))
+    keys = keys_of_ridges(joint.table.vertices[joint.outer_rows], joint.dim - 1)
+    mine = np.isin(joint.outer_rows, joint.table.index(facets))
     of_s = ridge_keys(ridges(joint.surface, joint.cell_type)[0])
-    found = np.intersect1d(around(np.intersect1d(outer, rows)), of_s)
-    return np.setdiff1d(found, around(others))
+    return np.setdiff1d(np.intersect1d(keys[mine], of_s), keys[~mine])
 
 
 @dataclass(frozen=True)
@@ -149,7 +148,7 @@ class Sheet:
         x = joint.points[ridges[first]]
         length = np.linalg.norm(x[:, -1] - x[:, 0], axis=1) if joint.dim == 3 else np.ones(len(first))
         rim = Rim(ridges[first], simplex, outward / steepness[:, None], 1 / steepness, length)
-        outer = np.setdiff1d(np.flatnonzero(joint.table.cells[:, 1] < 0), joint.surface_rows)
+        outer = joint.outer_rows
         if joint.periods:
             sides = np.concatenate([joint.facets[name] for name in joint.periods.names])
             outer = np.setdiff1d(outer, joint.table.index(sides))
@@ -259,7 +258,10 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
         m, offset = rim.outward[left[0]], offsets[left[0]]
         cosine = rim.outward @ m
         on_line = (cosine > 1 - FLAT) & (np.abs(offsets - offset) <= FLAT * size)
-        same = on_line & _connected(rim.vertices, on_line, left[0])
+        at, n_rim = np.flatnonzero(on_line), len(x)  # those that are connected, by their vertices
+        links = at.repeat(rim.vertices.shape[1]), n_rim + rim.vertices[at].ravel()
+        label = connected(*links, n_rim + int(rim.vertices.max()) + 1)[:n_rim]
+        same = on_line & (label == label[left[0]])
         on_it, others = rim[same], rim[(cosine > CORNER) & (cosine <= 1 - FLAT)]
         refuse(
             np.isin(others.vertices, on_it.vertices).any(axis=1),
@@ -276,14 +278,6 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
         ends.append(StraightEnd(n, level, m, float(offset), along, reach, whole))
         left = left[~same[left]]
     return ends
-
-
-def _connected(vertices: IntArray, chosen: BoolArray, first: int) -> BoolArray:
-    """(n,) ridges that chosen ones connect with the first one, which is chosen, by their vertices (n, d - 1)."""
-    n, at = len(vertices), np.flatnonzero(chosen)
-    ends = vertices[at].ravel()
-    label = connected(at.repeat(vertices.shape[1]), n + ends, n + int(ends.max()) + 1)[:n]
-    return chosen & (label == label[first])
 
 
 def share_within(d: FloatArray, length: float) -> FloatArray:

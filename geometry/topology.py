@@ -6,8 +6,9 @@ other, around this entity. A vertex on a cut has two components, one at its tip,
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache, cached_property
+from itertools import combinations
 
 import basix
 import numpy as np
@@ -78,30 +79,19 @@ class FacetTable:
         vertices: (n_facets, k) sorted vertex numbers, rows unique and in lexicographic order.
         cells: (n_facets, 2) the cells that meet there; -1 in the second column on the outer boundary.
         local: (n_facets, 2) which facet of each of these cells it is; -1 where there is no cell.
-
-    Rows are found vertex by vertex: `_keys[k]` holds the different tuples of the first k + 2 vertices in ascending order,
-    each as one integer: the number of the tuple of the first k + 1 vertices, then the last vertex.
     """
 
     vertices: IntArray
     cells: IntArray
     local: npt.NDArray[np.int8]
-    _keys: tuple[IntArray, ...] = field(repr=False)
 
     @classmethod
     def of(cls, corners: IntArray, cell_type: str) -> FacetTable:
         """The table of a mesh given by its cells' vertices; raises InputError if more than two cells share a facet."""
         rows = np.sort(np.concatenate([corners[:, f] for f in local_facets(cell_type)]), axis=1)
-        beginning, keys = rows[:, 0], []
-        for column in rows.T[1:-1]:
-            key, beginning = np.unique(beginning << BITS | column, return_inverse=True)
-            keys.append(key)
-        whole = beginning << BITS | rows[:, -1]
-        order = np.argsort(whole, kind="stable")
-        whole = whole[order]
-        start = np.flatnonzero(np.diff(whole, prepend=-1))
-        keys.append(whole[start])
-        counts = np.diff(start, append=len(whole))
+        order = np.lexsort(rows.T[::-1])
+        start = np.flatnonzero(np.diff(rows[order], axis=0, prepend=-1).any(axis=1))
+        counts = np.diff(start, append=len(order))
         if counts.max(initial=0) > 2:
             raise InputError(f"{(counts > 2).sum()} facets belong to more than two cells: the mesh is not conforming")
         double = counts == 2
@@ -110,22 +100,27 @@ class FacetTable:
         pairs[double, 1] = order[start[double] + 1]
         local, cells = np.divmod(pairs, max(len(corners), 1))
         cells[~double, 1] = -1
-        return cls(rows[pairs[:, 0]], cells, local.astype(np.int8), tuple(keys))
+        return cls(rows[pairs[:, 0]], cells, local.astype(np.int8))
+
+    @cached_property
+    def _keys(self) -> npt.NDArray[np.void]:
+        return _keys(self.vertices)
 
     def index(self, facets: IntArray) -> IntArray:
         """Rows of this table for facets given by vertices in any order; -1 where the mesh has no such facet."""
-        columns = np.sort(facets, axis=1).T
-        number, found = columns[0], ((columns >= 0) & (columns < 1 << BITS)).all(axis=0)
-        for column, key in zip(columns[1:], self._keys, strict=True):
-            wanted = np.where(found, number << BITS | column, -1)
-            number = np.searchsorted(key, wanted)
-            found &= np.searchsorted(key, wanted, "right") > number
-        return np.where(found, number, -1)
+        wanted = _keys(np.sort(facets, axis=1))
+        at, after = (np.searchsorted(self._keys, wanted, side) for side in ("left", "right"))
+        return np.where(after > at, at, -1)
 
     def nodes(self, rows: IntArray, cells: IntArray, cell_type: str) -> IntArray:
         """Nodes of facets, (n, nodes per facet), in the order of the facet's own element; `cells`: all nodes of cells."""
         local = local_facets(cell_type, geometry_degree(cell_type, cells.shape[1]))[self.local[rows, 0]]
         return np.take_along_axis(cells[self.cells[rows, 0]], local, axis=1)
+
+
+def _keys(rows: IntArray) -> npt.NDArray[np.void]:
+    """(n,) rows of numbers >= 0, (n, k), as bytes whose order is theirs."""
+    return np.ascontiguousarray(rows, ">i8").view(f"V{8 * rows.shape[1]}").ravel()
 
 
 def ridges(facets: IntArray, cell_type: str) -> tuple[IntArray, IntArray]:
@@ -145,6 +140,12 @@ def ridge_keys(rows: IntArray) -> IntArray:
     """(n,) a number for each ridge, given by one vertex or two, (n, k)."""
     ordered = np.sort(rows, axis=1)
     return np.asarray((ordered[:, 0] << BITS) + ordered[:, -1])
+
+
+def keys_of_ridges(facets: IntArray, k: int) -> IntArray:
+    """(n, m) keys of the ridges of facets given by vertices in any order, k a ridge: of a quadrilateral diagonals, too."""
+    pairs = combinations(range(facets.shape[1]), k)
+    return np.stack([ridge_keys(facets[:, list(pair)]) for pair in pairs], axis=1)
 
 
 def node_jacobians(points: FloatArray, cells: IntArray, cell_type: str) -> FloatArray:
@@ -197,21 +198,13 @@ class Splitting:
 
     def entities(self, dim: int) -> IntArray:
         """(n_cells, entities of a cell) number of each of the cell's entities of a dimension, among those of the mesh."""
-        topology = self._topology
-        top = len(topology) - 1
-        if dim == top:
-            return np.arange(len(self.cells))[:, None]
         if dim == 0:
             return self._corners
-        if dim == top - 1:
-            out = np.empty((len(self.cells), len(topology[dim])), np.int64)
-            for cell, local in zip(self.table.cells.T, self.table.local.T, strict=True):
-                there = np.flatnonzero(cell >= 0)
-                out[cell[there], local[there]] = there
-            return out
-        ends = np.sort(self._corners[:, topology[dim]], axis=2)
-        _, number = np.unique((ends[..., 0] << BITS) + ends[..., 1], return_inverse=True)
-        return np.asarray(number.reshape(ends.shape[:2]), np.int64)
+        rows = np.sort(self._corners[:, self._topology[dim]], axis=2)
+        order = np.lexsort(rows.reshape(-1, rows.shape[2]).T[::-1])
+        number = np.empty(len(order), np.int64)
+        number[order] = np.diff(rows.reshape(-1, rows.shape[2])[order], axis=0, prepend=-1).any(axis=1).cumsum() - 1
+        return number.reshape(rows.shape[:2])
 
     @cached_property
     def keys(self) -> list[IntArray]:
@@ -224,47 +217,19 @@ class Splitting:
             start += (int(numbers.max(initial=-1)) + 1) * count
         return out
 
-    @cached_property
-    def _touched(self) -> IntArray:
-        """(n_cells, corners) whether each corner lies on the cut."""
-        on_cut = np.zeros(int(self.cells.max(initial=-1)) + 1, bool)
-        on_cut[self.table.vertices[self.cut]] = True
-        return on_cut[self._corners]
-
     def components(self, dim: int) -> IntArray:
         """(n_cells, entities of a cell) number of the cell's component around each of its entities of a dimension.
 
         The component with the smallest cell has number 0; so have all cells around entities that are not split.
         """
-        topology = self._topology
-        out = np.zeros((len(self.cells), len(topology[dim])), np.int64)
-        top = len(topology) - 1
-        if dim == top - 1:
-            second = self.table.cells[self.cut, 1] >= 0
-            rows = self.cut[second]
-            out[self.table.cells[rows, 1], self.table.local[rows, 1]] = 1
-        elif dim < top - 1:
-            self._around(dim, out)
-        return out
-
-    def _around(self, dim: int, out: IntArray) -> None:
-        """Fill in the components around vertices, or edges of a mesh in 3D."""
-        near = np.flatnonzero(self._touched.any(axis=1))
-        local = self._topology[dim]
-        touched = self._touched[near][:, local].any(axis=2)
-        ends = np.sort(self._corners[near][:, local], axis=2)
-        keys = (ends[..., 0] << BITS) + ends[..., -1]
-        position = np.full(len(self.cells), -1, np.int64)
-        position[near] = np.arange(len(near))
-
-        first, second = self.table.cells.T
-        linked = (second >= 0) & (position[first] >= 0) & (position[second] >= 0)
+        local, keys = self._topology[dim], self.entities(dim)
+        if dim == len(self._topology) - 1 or not len(self.cut):
+            return np.zeros(keys.shape, np.int64)
+        linked = self.table.cells[:, 1] >= 0
         linked[self.cut] = False
-        facets = np.flatnonzero(linked)
-        pairs = position[self.table.cells[facets]]
         inside = np.array([[i for i, one in enumerate(local) if set(one) <= set(each)] for each in self._topology[-2]])
         links: list[IntArray] = []
-        for cell, facet in zip(pairs.T, self.table.local[facets].T, strict=True):
+        for cell, facet in zip(self.table.cells[linked].T, self.table.local[linked].T, strict=True):
             entity = inside[facet]
             order = np.argsort(np.take_along_axis(keys[cell], entity, axis=1), axis=1)
             links.append((cell[:, None] * len(local) + np.take_along_axis(entity, order, axis=1)).ravel())
@@ -275,7 +240,8 @@ class Splitting:
         start = np.flatnonzero(np.diff(keys.ravel()[first_place][order], prepend=-1))
         number = np.empty(len(order), np.int64)
         number[order] = np.arange(len(order)) - np.repeat(start, np.diff(start, append=len(order)))
-        out[near] = np.where(touched, number[label].reshape(keys.shape), 0)
+        touched = np.isin(self._corners, self.table.vertices[self.cut])[:, local].any(axis=2)
+        return np.where(touched, number[label].reshape(keys.shape), 0)
 
     @cached_property
     def of_nodes(self) -> IntArray:
@@ -343,9 +309,8 @@ def along(x: FloatArray, pairs: IntArray, size: float) -> IntArray:
     order = by_place(x, size)
     rank = np.argsort(order)
     neighbours: list[list[int]] = [[] for _ in x]
-    for a, b in zip(*pairs.T, strict=True):
+    for a, b in np.concatenate([pairs, pairs[:, ::-1]]):
         neighbours[int(a)].append(int(b))
-        neighbours[int(b)].append(int(a))
     left, way = set(range(len(x))), list[int]()
     places = [*map(tuple, np.rint(x / (CLOSE * size)).astype(np.int64).tolist())]
     ends: dict[tuple[int, ...], list[int]] = {}

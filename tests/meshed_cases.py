@@ -13,7 +13,7 @@ from geometry.joint import Joint
 from geometry.seam import Seam
 from geometry.topology import FacetTable
 from tests.network_cases import cell_of, springs
-from thinlayer import Gap, Structure, Surface, ThinLayer, march, solve
+from thinlayer import Gap, Structure, Surface, ThinLayer, solve
 
 SHARES = {"BED": 1.0, "HEAD": 0.7}  # thickness of the layers of the panel over eps
 DISTANCE = 0.15  # from junctions and free ends, of the inner part of S
@@ -57,12 +57,6 @@ def jump_errors(element: str, sizes, h: float = 0.125, parts=(), **choices) -> n
         w = surface.jump(solve(meshed.full(mortar(eps), **choices), 1.0))
         rows.append([surface.norm(w - by_law, part) / surface.norm(by_law, part) for part in (1, inner(surface))])
     return np.array(rows)
-
-
-def yielded(model) -> tuple[float, float, float]:
-    """Stored and dissipated energy of a panel whose heads yield, and the largest imbalance of its steps."""
-    audits = [state.audit for state in march(model, [0.25, 0.5, 0.75, 1.0])]
-    return audits[-1].total, sum(one.dissipated for one in audits), max(abs(one.imbalance) for one in audits)
 
 
 def yielding(eps: float) -> dict[str, ThinLayer]:

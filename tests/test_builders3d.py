@@ -21,7 +21,6 @@ SIDES = {"S", "TOP", "LEFT", "RIGHT", "BACK", "FRONT"}
 SOLIDS = ("tetrahedron", "hexahedron")
 BOXES = [("tetrahedron", False), ("tetrahedron", True), ("hexahedron", False)]
 PLANE = [("triangle", False), ("triangle", True), ("quadrilateral", False)]
-SECTORS = [tau, 4.0, 1.0]
 
 
 def region_volumes(joint: Joint) -> dict[str, float]:
@@ -40,14 +39,6 @@ def on(joint: Joint, name: str) -> np.ndarray:
     return joint.points[np.unique(joint.facets[name])]
 
 
-def edge_lengths(joint: Joint, where: np.ndarray) -> np.ndarray:
-    """Lengths of the sides of facets of S all of whose corners are marked."""
-    facets = joint.facets["S"]
-    pairs = np.concatenate([facets[:, [i, j]] for i, j in pairwise([*range(facets.shape[1]), 0])])
-    pairs = pairs[where[pairs].all(axis=1)]
-    return np.linalg.norm(joint.points[pairs[:, 1]] - joint.points[pairs[:, 0]], axis=1)
-
-
 @pytest.mark.parametrize(("cell", "structured"), PLANE + BOXES)
 def test_boxes(cell, structured):
     depth, names = (1.0, SIDES) if cell in SOLIDS else (None, SIDES - {"BACK", "FRONT"})
@@ -64,21 +55,6 @@ def test_boxes(cell, structured):
         assert on(joint, name)[:, axis] == pytest.approx(value, abs=1e-12), name
 
 
-def test_default_cells():
-    assert block(1.0, 1.0).cell_type == "triangle"
-    assert block(1.0, 1.0, depth=1.0).cell_type == disc(1.0, 1.0, 1.0).cell_type == "tetrahedron"
-    assert len(block(1.0, 2.0, depth=3.0, cell="hexahedron").cells) == 5 * 10 * 15
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize("arrangement", ["Left", "Right", "AlternateLeft", "AlternateRight"])
-def test_structured_tetrahedra_split_a_grid(arrangement):
-    joint = sandwich(1.0, 0.6, 1.0, 0.2, depth=0.6, structured=True, arrangement=arrangement)
-    check(joint, SIDES | {"BOTTOM"})
-    assert len(joint.cells) == 6 * 5 * (3 + 5) * 3
-    assert region_volumes(joint) == pytest.approx({"LOWER": 0.36, "UPPER": 0.6})
-
-
 @pytest.mark.parametrize(("cell", "structured"), BOXES)
 def test_grading_of_boxes(cell, structured):
     """Sizes at the edges of S, on it and away from it are what was asked for, to half."""
@@ -87,8 +63,6 @@ def test_grading_of_boxes(cell, structured):
     along_edge = np.diff(np.sort(z[(np.abs(x) < 1e-9) & (np.abs(y) < 1e-9)]))
     if cell == "tetrahedron" and not structured:
         assert along_edge.mean() == pytest.approx(0.05, rel=0.5)
-        inside = (np.abs(x - 1) < 0.5) & (np.abs(z - 1) < 0.5)
-        assert np.median(edge_lengths(joint, inside)) == pytest.approx(0.2, rel=0.5)
     else:  # graded in one direction each
         assert along_edge[[0, -1]] == pytest.approx(0.05, rel=0.5)
         assert along_edge.max() == pytest.approx(0.2, rel=0.5)
@@ -97,9 +71,16 @@ def test_grading_of_boxes(cell, structured):
         assert upwards.min() == pytest.approx(0.2, rel=0.5)
 
 
-@pytest.mark.parametrize("degree", [1, 2])
-@pytest.mark.parametrize("hole", [0.0, 0.3])
-@pytest.mark.parametrize("cell", SOLIDS)
+@pytest.mark.few(1)
+@pytest.mark.parametrize(
+    ("cell", "hole", "degree"),
+    [
+        ("tetrahedron", 0.0, 2),
+        ("tetrahedron", 0.3, 1),
+        ("hexahedron", 0.3, 2),
+        ("hexahedron", 0.0, 1),
+    ],
+)
 def test_disc(cell, hole, degree):
     joint = disc(1.0, 0.5, 0.4, 0.3, hole=hole, h_S=0.2, h_ends=0.1, cell=cell, degree=degree)
     check(joint, {"S", "BOTTOM", "TOP", "SIDE"} | ({"HOLE"} if hole else set()))
@@ -109,27 +90,18 @@ def test_disc(cell, hole, degree):
     assert error < 1e-5 if degree == 2 else 5e-4 < error < 0.01  # polygons of about 30 sides lose 0.7 %
     assert joint.interface_normals == pytest.approx(np.tile([0.0, 1.0, 0.0], (len(joint.facets["S"]), 1)))
     assert np.hypot(*on(joint, "SIDE")[:, [0, 2]].T) == pytest.approx(1.0)
-    assert [np.unique(on(joint, name)[:, 1]) for name in ("BOTTOM", "S", "TOP")] == [
-        pytest.approx(y, abs=1e-12) for y in (-0.5, 0.0, 0.4)
-    ]
+    for name, y in (("BOTTOM", -0.5), ("S", 0.0), ("TOP", 0.4)):
+        assert on(joint, name)[:, 1] == pytest.approx(y, abs=1e-12)
     if hole:
         assert np.hypot(*on(joint, "HOLE")[:, [0, 2]].T) == pytest.approx(hole)
 
 
-@pytest.mark.parametrize("cell", SOLIDS)
-def test_grading_of_discs(cell):
-    joint = disc(1.0, 0.6, 0.6, 0.4, h_S=0.2, h_ends=0.05, cell=cell)
-    radius = np.hypot(*joint.points[:, [0, 2]].T)
-    assert np.median(edge_lengths(joint, radius < 0.5)) == pytest.approx(0.2, rel=0.5)
-    below_rim = np.sort(radius[np.unique(joint.facets["S"])])
-    gap = 1 - below_rim[below_rim < 1 - 1e-9].max()
-    assert 0.025 < gap < 0.1
-
-
 @pytest.mark.few(1)
-@pytest.mark.parametrize("degree", [1, 2])
-@pytest.mark.parametrize("angle", SECTORS)
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral", *SOLIDS])
+@pytest.mark.parametrize(
+    ("cell", "angle", "degree"),
+    [("triangle", tau, 1), ("triangle", 4.0, 2), ("quadrilateral", 1.0, 1), ("quadrilateral", tau, 2),
+     ("tetrahedron", 1.0, 2), ("tetrahedron", tau, 1), ("hexahedron", 4.0, 2), ("hexahedron", 1.0, 1)],
+)  # fmt: skip
 def test_ring(cell, angle, degree):
     depth = 0.5 if cell in SOLIDS else None
     joint = ring(0.5, 1.0, 2.0, 0.4, angle=angle, depth=depth, h_S=0.2, cell=cell, degree=degree)
@@ -188,61 +160,35 @@ def test_thin_curved_cells_do_not_fold(cell):
         check(ring(0.9, 1.0, 1.1, 0.01, h_S=0.3, cell=cell, degree=2), {"S", "INSIDE", "OUTSIDE"})
 
 
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
-def test_small_holes_stay_round(cell):
-    """However large h is, cells are small enough to follow a circle, and not many more than that."""
-    joint = ring(0.02, 0.5, 1.0, 0.3, cell=cell)
-    assert 18 <= len(joint.facets["INSIDE"]) <= 30
-    assert len(joint.cells) < 2000
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize("symmetric", [False, True])
-@pytest.mark.parametrize(("first", "last"), [(0.1, 0.1), (0.01, 0.2), (0.2, 0.01), (0.05, 3.0), (3.0, 3.0)])
-def test_layers(first, last, symmetric):
+def test_layers():
     """Layers fill their length and are as large as asked for where they begin, or half of the length if that is less."""
-    grading = Grading.of(1.0, first, last, symmetric=symmetric)
-    sizes = np.diff([0.0, *grading.layers])
-    assert sizes.min() > 0
-    assert sizes.sum() == pytest.approx(1.0)
-    assert sizes[0] == pytest.approx(min(first, 1.0), rel=0.5)
-    assert sizes[-1] == pytest.approx(sizes[0]) if symmetric else sizes[-1] == pytest.approx(min(last, 0.7), rel=0.5)
+    for first, last, symmetric in ((0.1, 0.1, False), (0.01, 0.2, True), (0.2, 0.01, False), (0.05, 3.0, True)):
+        sizes = np.diff([0.0, *Grading.of(1.0, first, last, symmetric=symmetric).layers])
+        assert sizes.min() > 0
+        assert sizes.sum() == pytest.approx(1.0)
+        assert sizes[0] == pytest.approx(first, rel=0.5)
+        assert sizes[-1] == pytest.approx(sizes[0] if symmetric else min(last, 0.7), rel=0.5)
     assert Grading.of(1.0, 0.01, 0.2, backwards=True).layers[0] == pytest.approx(0.2, rel=0.5)
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("build", "message"),
-    [
+def test_errors():
+    for build, message in (
         (lambda: block(1.0, 1.0, depth=0.0), "depth is 0.0; it must be > 0"),
-        (lambda: block(0.0, 1.0), "width is 0.0"),
         (lambda: block(1.0, float("inf")), "height of BODY is inf"),
         (lambda: block(1.0, 1.0, -1.0), "cell size h is -1.0; allowed"),
-        (lambda: block(1.0, 1.0, h_ends=1e-7), "cell size h_ends"),
         (lambda: block(1.0, 1.0, cell="triangel"), "did you mean 'triangle'"),
         (lambda: block(1.0, 1.0, h_end=0.1), "unknown keyword 'h_end', did you mean 'h_ends'"),
         (lambda: block(1.0, 1.0, structured=True, arrangement="Up"), "known: AlternateLeft"),
-        (lambda: block(1.0, 1.0, cell="hexahedron"), "'hexahedron' does not exist in 2D; allowed: triangle, quadril"),
-        (lambda: sandwich(1.0, 1.0, 1.0, depth=1.0, cell="triangle"), "in 3D; allowed: tetrahedron, hexahedron"),
-        (lambda: block(1.0, 1.0, depth=1.0, cell="hexahedra"), "did you mean 'hexahedron'"),
+        (
+            lambda: sandwich(1.0, 1.0, 1.0, depth=1.0, cell="triangle"),
+            "cell in 3D 'triangle'; known: hexahedron, tetra",
+        ),
         (lambda: block(1.0, 1.0, depth=2.0, h=2.5), "cell size h is 2.5; allowed: 2e-05 to 2"),
-        (lambda: disc(1.0, 0.0, 1.0), "height of LOWER is 0.0"),
-        (lambda: disc(float("nan"), 1.0, 1.0), "radius is nan"),
         (lambda: disc(1.0, 1.0, 1.0, hole=1.0), r"hole is 1.0; it must be 0 \(no hole\) or a radius less than 1.0"),
-        (lambda: disc(1.0, 1.0, 1.0, hole=-0.1), "hole is -0.1"),
         (lambda: disc(1.0, 1.0, 1.0, h_S=1e-6), "cell size h_S"),
-        (lambda: disc(1.0, 1.0, 1.0, cell="quadrilateral"), "allowed: tetrahedron, hexahedron"),
         (lambda: disc(1.0, 1.0, 1.0, degree=3), "degree is 3; allowed: 1"),
-        (lambda: ring(0.0, 1.0, 2.0), "inner is 0.0"),
         (lambda: ring(1.0, 1.0, 2.0), "inner = 1.0, interface = 1.0, outer = 2.0 must grow"),
-        (lambda: ring(0.5, 2.0, 1.0), "must grow"),
         (lambda: ring(0.5, 1.0, 2.0, angle=0.0), "angle is 0.0; it must be > 0 and at most 2 pi"),
         (lambda: ring(0.5, 1.0, 2.0, angle=6.3), "angle is 6.3"),
-        (lambda: ring(0.5, 1.0, 2.0, angle=float("nan")), "angle is nan"),
-        (lambda: ring(0.5, 1.0, 2.0, depth=-1.0), "depth is -1.0"),
-        (lambda: ring(0.5, 1.0, 2.0, cell="tetrahedron"), "allowed: triangle, quadrilateral"),
-        (lambda: ring(0.5, 1.0, 2.0, degree=0), "degree is 0"),
-    ],
-)
-def test_errors(build, message):
-    refused(InputError, message, lambda: build())
+    ):
+        refused(InputError, message, build)

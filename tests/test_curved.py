@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import ufl
 
 from forms import Anisotropic, LinearElastic
 from forms.base import InputError
-from geometry import block, ring, sandwich
+from geometry import ring
 from geometry.seam import Seam
 from studies.problems import FOURIER_LAYER, fourier
+from studies.tubes import lame
 from tests.meshes import part_of
 from tests.orders import observed_orders
 from tests.refused import refused
@@ -32,10 +31,10 @@ def radial(x):
 
 
 def pressed(joint) -> dict:
-    """A quarter of a tube, free inside, under pressure from outside."""
-    load = lambda x, t: tuple(-PRESSURE * radial(x)[k] for k in range(2))
+    """A quarter of a tube, free outside, under pressure from inside."""
+    load = lambda x, t: tuple(PRESSURE * radial(x)[k] for k in range(2))
     supports = {"START": {"y": 0.0}, "END": {"x": 0.0}}
-    return {"body": {"INNER": INNER, "OUTER": OUTER}, "supports": supports, "tractions": {"OUTSIDE": load}}
+    return {"body": {"INNER": INNER, "OUTER": OUTER}, "supports": supports, "tractions": {"INSIDE": load}}
 
 
 def twisted(joint) -> dict:
@@ -44,38 +43,13 @@ def twisted(joint) -> dict:
     return {"body": {"INNER": INNER, "OUTER": OUTER}, "supports": {"INSIDE": 0.0}, "tractions": {"OUTSIDE": load}}
 
 
-def lame(stiffness: float) -> tuple[float, float]:
-    """Radial traction on S and jump of u_r for two tubes (u_r = A r + B / r) with traction = stiffness jump on S."""
-    a, R, b = RADII
-    rows, right = [], []
-
-    def u(law, r):
-        return np.array([r, 1 / r])
-
-    def stress(law, r):
-        return np.array([2 * (law.lmbda + law.mu), -2 * law.mu / r**2])
-
-    zero = np.zeros(2)
-    rows.append(np.concatenate([stress(INNER, a), zero]))
-    right.append(0.0)
-    rows.append(np.concatenate([zero, stress(OUTER, b)]))
-    right.append(-PRESSURE)
-    rows.append(np.concatenate([stress(INNER, R), -stress(OUTER, R)]))
-    right.append(0.0)
-    rows.append(np.concatenate([stress(INNER, R) + stiffness * u(INNER, R), -stiffness * u(OUTER, R)]))
-    right.append(0.0)
-    A = np.linalg.solve(rows, right)
-    traction = stress(INNER, R) @ A[:2]
-    return float(traction), float(u(OUTER, R) @ A[2:] - u(INNER, R) @ A[:2])
-
-
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
-def test_pressed_tube(cell):
+def test_pressed_tube():
     """Interface model against Lame's solution; curved cells are needed for that, straight ones have another S."""
-    traction, jump = lame(GLUE.lmbda + 2 * GLUE.mu)
+    exact, R = lame(RADII, (INNER, OUTER), (GLUE.lmbda + 2 * GLUE.mu,), PRESSURE), RADII[1]
+    traction, jump = exact.stress(0, R), exact.displacement(1, R) - exact.displacement(0, R)
     errors = []
     for degree in (1, 2):
-        joint = ring(*RADII, 0.125, angle=np.pi / 2, cell=cell, degree=degree)
+        joint = ring(*RADII, 0.125, angle=np.pi / 2, degree=degree)
         state = solve(Structure(joint, **pressed(joint)).interface(ThinLayer(GLUE, 0.1, at=1.0)))
         surface = Surface(state.model)
         r = surface.x / np.hypot(*surface.x)
@@ -86,38 +60,30 @@ def test_pressed_tube(cell):
     assert errors[1] < 2e-5
 
 
-@pytest.mark.parametrize("degree", [1, 2])
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
-@pytest.mark.parametrize("load", [pressed, twisted])
+@pytest.mark.parametrize(
+    ("load", "cell", "degree"), [(pressed, "quadrilateral", 2), (twisted, "triangle", 1), (pressed, "triangle", 2)]
+)
 def test_error_is_of_first_order(load, cell, degree):
+    """And a wrong law leaves a floor."""
+    wrong, floor = LinearElastic(lmbda=GLUE.lmbda - GLUE.mu, mu=GLUE.mu), []
     joint = ring(*RADII, 0.25, angle=np.pi / 2 if load is pressed else 2 * np.pi, cell=cell, degree=degree)
     rows = []
     for eps in EPS:
         layer = ThinLayer(GLUE, eps, at=1.0)
         limit = solve(Structure(joint, **load(joint)).interface(layer))
-        rows.append(compare(solve(Structure(joint, **load(joint)).full(layer, bodies="extended")), limit))
-    for name in (
-        ("error_traction", "error_jump") if load is pressed else ("error_jump",)
-    ):  # statics fix the torque's traction
+        full = solve(Structure(joint, **load(joint)).full(layer, bodies="extended"))
+        rows.append(compare(full, limit))
+        off = solve(Structure(joint, **load(joint)).interface(ThinLayer(wrong, eps, at=1.0)))
+        floor.append(compare(full, off)["error_jump"])
+    assert load is twisted or floor[2] > max(0.09, floor[1])
+    # statics fix the torque's traction
+    for name in ("error_traction", "error_jump") if load is pressed else ("error_jump",):
         assert observed_orders(EPS, [row[name] for row in rows])[1:] == pytest.approx([1.0, 1.0], abs=0.1)
 
 
-def test_wrong_law_leaves_a_floor_on_a_ring():
-    joint = ring(*RADII, 0.25, angle=np.pi / 2, degree=2)
-    wrong = LinearElastic(lmbda=GLUE.lmbda - GLUE.mu, mu=GLUE.mu)
-    errors = []
-    for eps in EPS:
-        full = solve(Structure(joint, **pressed(joint)).full(ThinLayer(GLUE, eps, at=1.0), bodies="extended"))
-        limit = solve(Structure(joint, **pressed(joint)).interface(ThinLayer(wrong, eps, at=1.0)))
-        errors.append(compare(full, limit)["error_jump"])
-    assert errors[0] < errors[1] < errors[2]
-    assert errors[2] > 0.09
-
-
-@pytest.mark.parametrize("degree", [1, 2])
-def test_material_frame_follows_s(degree):
+def test_material_frame_follows_s():
     """In torsion a layer with K_N = 50 K_T gives t_T / K_T all around, in the meshed layer too."""
-    joint = ring(*RADII, 0.25, degree=degree)
+    joint = ring(*RADII, 0.25, degree=2)
     layer = ThinLayer(Anisotropic.springs(K_N=100.0, K_T=2.0), 1e-3, at=1.0)
     limit = solve(Structure(joint, **twisted(joint)).interface(layer))
     full = solve(Structure(joint, **twisted(joint)).full(layer, bodies="extended"))
@@ -125,11 +91,9 @@ def test_material_frame_follows_s(degree):
     r = surface.x / np.hypot(*surface.x)
     around = np.array([-r[1], r[0]])
     traction = SHEAR * RADII[2] ** 2 / RADII[1] ** 2
-    assert compare(full, limit)["error_jump"] < 2e-2
-    if degree == 2:  # a polygon has corners where springs of such different stiffness feel the kink
-        for state in (limit, full):
-            difference = surface.jump(state) - traction / 2.0 * around
-            assert surface.norm(difference) < 2e-3 * surface.norm(traction / 2.0 * around), state.model
+    for state in (limit, full):
+        difference = surface.jump(state) - traction / 2.0 * around
+        assert surface.norm(difference) < 2e-3 * surface.norm(traction / 2.0 * around), state.model
 
 
 def test_rigid_base_takes_all_of_eps():
@@ -150,10 +114,8 @@ def wedge(x):
     return 0.5 + x[0]
 
 
-@pytest.mark.few(5)
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
-def test_wedge(cell):
-    joint, setup = fourier(1 / 16, cell=cell)
+def test_wedge():
+    joint, setup = fourier(1 / 16, cell="quadrilateral")
     eps, rows, uniform = (1 / 16, 1 / 32, 1 / 64), [], []
     for e in eps:
         layer = ThinLayer(FOURIER_LAYER, e, profile=wedge, at=1.0)
@@ -169,22 +131,10 @@ def test_wedge(cell):
     assert min(uniform) > 0.2  # the mean thickness alone is another law
 
 
-def test_wedge_in_three_dimensions():
-    joint = block(1.0, 0.5, 0.25, depth=0.6, cell="hexahedron")
-    stiff = LinearElastic.young(1e9, 0.3)
-    profile = lambda x: (0.5 + x[0]) * (1 + x[2])
-    exact = GLUE.mu / 2 * 0.01**2 * np.log(3) * np.log(1.6)
-    layer = ThinLayer(GLUE, 1e-3, profile=profile, at=1.0)
-    moved = Structure(joint, body=stiff, supports={"TOP": {"x": 0.01, "y": 0.0, "z": 0.0}})
-    for model in (moved.interface(layer), moved.full(layer, bodies="extended")):
-        state = solve(model)
-        assert state.energies()["layer"] == pytest.approx(exact, rel=1e-2), state.model
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("profile", "message"),
-    [
+def test_profiles_are_checked():
+    joint, setup = fourier(1 / 4)
+    plates = Structure(joint, **setup)
+    for profile, message in (
         (lambda x: x[0] - 0.5, r"profile is -0.5 at \(0, 0\); it must be > 0"),
         (lambda x: np.full(x.shape[1], np.nan), "profile is nan"),
         (lambda x: np.ones(3), r"returns shape \(3,\) for"),
@@ -192,43 +142,11 @@ def test_wedge_in_three_dimensions():
         (lambda x: 1j * x[0], "is no numpy function"),
         (lambda x, y: x, "is no numpy function"),
         (lambda x: ufl.sin(x[0]), "is no numpy function"),
-        (lambda x: "thick", "is no numpy function"),
-    ],
-)
-def test_profiles_are_checked(profile, message):
-    joint, setup = fourier(1 / 4)
-    plates, layer = Structure(joint, **setup), ThinLayer(GLUE, 0.01, profile=profile, at=1.0)
-    refused(InputError, message, lambda: plates.interface(layer))
-    refused(InputError, message, lambda: plates.full(layer, bodies="extended"))
-
-
-def test_what_curved_and_varying_layers_cannot_do():
-    joint, setup = fourier(1 / 4)
-    with pytest.raises(InputError, match=r"thickness varies along S.*use bodies='extended'"):
-        Structure(joint, **setup).full(ThinLayer(GLUE, 0.01, profile=wedge, at=1.0))
+    ):
+        layer = ThinLayer(GLUE, 0.01, profile=profile, at=1.0)
+        refused(InputError, message, plates.interface, layer)
+        refused(InputError, message, plates.full, layer, bodies="extended")
+    refused(
+        InputError, r"thickness varies along S.*bodies='extended'", plates.full, ThinLayer(GLUE, 0.01, profile=wedge)
+    )
     refused(InputError, "must be a function", lambda: ThinLayer(GLUE, 0.01, profile=2.0, at=1.0))
-
-
-@pytest.mark.few(5)
-@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
-def test_wavy_s_in_three_dimensions(cell):
-    """S with both curvatures, on straight cells: first order in traction and jump."""
-    flat = sandwich(1.0, 0.5, 0.5, 0.25, depth=1.0, cell=cell, structured=True)
-    points = flat.points.copy()
-    wave = 0.08 * np.cos(np.pi * points[:, 0]) * np.cos(np.pi * points[:, 2])
-    points[:, 1] += wave * (1 - 2 * np.abs(points[:, 1]))
-    joint = replace(flat, points=points)
-    rollers = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "BACK": {"z": 0.0}, "FRONT": {"z": 0.0}}
-    load = lambda x, t: (0.5 * ufl.sin(ufl.pi * x[0]), 0.5 + ufl.cos(ufl.pi * x[0]) * ufl.cos(ufl.pi * x[2]), 0)
-    setup = {
-        "body": LinearElastic.young(100.0, 0.3),
-        "supports": {"BOTTOM": 0.0, **rollers},
-        "tractions": {"TOP": load},
-    }
-    eps, rows = (0.04, 0.02), []
-    for e in eps:
-        layer = ThinLayer(FOURIER_LAYER, e, at=1.0)
-        full = Structure(joint, **setup).full(layer, bodies="extended", cells_through=2)
-        rows.append(compare(solve(full), solve(Structure(joint, **setup).interface(layer))))
-    for name in ("error_traction", "error_jump"):
-        assert observed_orders(eps, [row[name] for row in rows])[-1] == pytest.approx(1.0, abs=0.1)

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
-
 import numpy as np
 import pytest
-import ufl
 
-from forms import IncrementalCoulomb, LinearElastic, MohrCoulomb, NonMonotoneUnrelaxed, Stack
+from forms import LinearElastic, MohrCoulomb, NonMonotoneUnrelaxed, Stack
 from forms.base import InputError
-from forms.traction import TractionLaw
 from geometry import sandwich
-from tests import ranges_told
 from tests.meshed_cases import mortar, panel, yielding
-from tests.network_cases import springs, three_bricks
+from tests.network_cases import springs
 from tests.refused import refused
 from tests.test_networks import cut_at, on
 from thinlayer import LimitLoad, Structure, Surface, ThinLayer, compare, march, solve
@@ -36,11 +30,9 @@ def pulled(joint=BLOCKS, body: float = 5.0, **data) -> Structure:
 
 
 # ---------------------------------------------------------------- energies and memory
-@pytest.mark.parametrize("kind", ["interface", "full"])
-def test_energies_of_each_layer(kind):
+def test_energies_of_each_layer():
     """Springs of the beds and heads that yield; all layers together are the sum."""
-    model = getattr(panel("Q2", 0.25), kind)(yielding(0.01))
-    history = march(model, STEPS)
+    history = march(panel("Q2", 0.25).full(yielding(0.01)), STEPS)
     assert set(history.last.memory) == {"layer HEAD"}
     found = history.last.energies()
     assert list(found) == ["bodies", "layer", "layer BED", "layer HEAD", "loads"]
@@ -49,7 +41,7 @@ def test_energies_of_each_layer(kind):
     surface = Surface(panel("Q2", 0.25).interface(mortar(0.01)), "BED")
     w = surface.frame(surface.jump(history.last))
     by_hand = surface.integral(2.0 * w[1] ** 2 + 0.7 * w[0] ** 2) / 2
-    assert found["layer BED"] == pytest.approx(by_hand, rel=1e-12 if kind == "interface" else 0.02)
+    assert found["layer BED"] == pytest.approx(by_hand, rel=0.02)
     table = history.table
     assert {"dissipated HEAD"} == {name for name in table.columns if name.startswith("dissipated ")}
     assert table["dissipated HEAD"] == pytest.approx(table["dissipated"], rel=1e-12)
@@ -72,25 +64,6 @@ def test_sublayers_of_one_of_several_layers():
     assert set(limit.memory) == {"layer LOW", "layer HIGH"}
     for name in ("layer LOW", "layer HIGH", "layer"):
         assert full.energies()[name] == pytest.approx(limit.energies()[name], rel=1e-10)
-
-
-def test_contact_on_one_of_two_seams():
-    structure = Structure(
-        three_bricks(2, "quadrilateral"), body=LinearElastic.young(50.0, 0.2), supports={"BOTTOM": 0.0}, element="Q1",
-        tractions={"TOP": (0.0, -1.0), "LEFT": lambda x, t: (0.7 * t, 0.0)},
-    )  # fmt: skip
-    bed = IncrementalCoulomb(K_N=200.0, K_T=80.0, friction=0.2)
-    history = march(structure.interface({"BED": bed, "HEAD": springs(100.0, 40.0)}), STEPS)
-    assert set(history.last.memory) == {"contact BED"}
-    found = history.last.energies()
-    assert found["layer BED"] + found["layer HEAD"] == pytest.approx(found["layer"], rel=1e-14)
-    assert min(found["layer BED"], found["layer HEAD"]) > 0
-    assert history.table["dissipated BED"] == pytest.approx(history.table["dissipated"], rel=1e-12)
-    assert history.last.dissipated["BED"] > 0
-    beds, whole = (Surface(history.model, seam).contact(history.last) for seam in ("BED", "S"))
-    assert str(beds).startswith("BED: ")
-    assert beds.counts == whole.counts
-    assert set(whole.status) - set(beds.status) == {"no contact law"}
 
 
 # ---------------------------------------------------------------- order
@@ -116,19 +89,9 @@ def test_the_order_of_layers_makes_no_difference(tmp_path):
         march(bricks.interface(swapped), times, out=tmp_path, resume=True)
 
 
-def test_the_order_of_layers_does_not_choose_the_fill_of_junctions():
-    bricks, layers = panel("Q2", 0.25), mortar(0.02)
-    one, other, chosen = (
-        solve(bricks.full(given, **choice), 1.0).energies()["layer HEAD"]
-        for given, choice in ((layers, {}), (reversed_(layers), {}), (layers, {"junctions": "HEAD"}))
-    )
-    assert one == other
-    assert abs(chosen / one - 1) > 1e-4
-
-
 # ---------------------------------------------------------------- limits, snaps, what is told
 def test_a_limit_load_tells_which_layer_gives_way():
-    """Of two layers that yield the weaker one, though it is the later one; of one layer nothing is said."""
+    """Of two layers that yield the weaker one, though it is the later one."""
     strong, weak = (MohrCoulomb(3.0, 2.0, cohesion=c, friction_angle=0.0) for c in (0.9, 0.4))
     data = {"supports": {"BOTTOM": 0.0, "TOP": {"y": 0.0}}, "tractions": {"TOP": lambda x, t: (t, 0.0)}}
     layers = {"LOW": ThinLayer(strong, 0.1, at=1.0), "HIGH": ThinLayer(weak, 0.1, at=1.0)}
@@ -137,10 +100,6 @@ def test_a_limit_load_tells_which_layer_gives_way():
     assert limit.value.t == pytest.approx(0.4, rel=1e-3)
     assert list(limit.value.shares) == ["HIGH", "LOW"]
     assert limit.value.shares["LOW"] < 1e-6
-    one = cut_at(COLUMN, {"LOW": (on(1, -1.0), (0, 1))})
-    with pytest.raises(LimitLoad, match=r"with an elastic layer\. The states before") as limit:
-        march(pulled(one, 50.0, **data).interface(ThinLayer(weak, 0.1, at=1.0)), [0.3, 0.6])
-    assert limit.value.shares == {}
 
 
 def test_snaps_of_each_layer():
@@ -161,28 +120,8 @@ def test_snaps_of_each_layer():
         assert surface.phase(history.last) == pytest.approx(1.0)
     half = {row["seam"]: row["plus"] for row in Surface(history.model).table(history.states[first.row]).rows}
     assert half["HIGH"] > half["LOW"] == 0.0
-    with pytest.raises(InputError, match="column 'minus LOW' is there already"):
-        march(structure.interface(layers), [0.5], observe={"minus LOW": lambda state: 0.0})
-
-
-@dataclass(frozen=True)
-class Fades(TractionLaw):
-    """k [u]/(1 + [u]^2/w_0^2), whose fall it does not declare."""
-
-    k: float
-    w_0: float
-
-    def traction(self, step):
-        return self.k * step.mid / (1 + ufl.inner(step.mid, step.mid) / self.w_0**2)
-
-    quadratic: ClassVar = False
-
-
-def test_a_layer_whose_stress_falls_is_named():
-    structure = pulled(supports=ROLLERS | {"TOP": {"y": lambda x, t: 0.8 * t}})
-    model = structure.interface({"LOW": springs(4.0, 1.0), "HIGH": Fades(0.9, 0.11)})
-    _, messages = ranges_told.told(lambda: march(model, [0.25, 0.5]))
-    assert any("the stress of Fades falls at 4 points of the layer HIGH as" in message for message in messages)
+    twice = {"minus LOW": lambda state: 0.0}
+    refused(InputError, "column 'minus LOW' is there already", march, structure.interface(layers), [0.5], observe=twice)
 
 
 # ---------------------------------------------------------------- comparisons
@@ -201,8 +140,7 @@ def test_comparisons_by_name():
         assert parts["BED"][f"error_{field}"] != pytest.approx(parts["HEAD"][f"error_{field}"], rel=0.1)
     left = compare(full, limit, seam="HEAD", where=lambda x: x[1] < 0.5)  # one head of three
     assert 0 < left["jump"] < parts["HEAD"]["jump"]
-    with pytest.raises(InputError, match="where holds nowhere"):
-        compare(full, limit, seam="HEAD", where=lambda x: abs(x[0] - 0.25) < 0.1)
+    refused(InputError, "where holds nowhere", compare, full, limit, seam="HEAD", where=lambda x: x[0] < -1)
     refused(InputError, "unknown seam 'BEDS', did you mean 'BED'", lambda: compare(full, limit, seam="BEDS"))
     other = solve(bricks.interface(layers | {"HEAD": springs(1.2, 0.45, 0.02)}), 1.0)
     refused(InputError, r"one thickness of the layer 'HEAD', not 0\.013.* and 0\.02", lambda: compare(full, other))

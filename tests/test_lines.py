@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from forms import LinearElastic
 from forms.base import InputError
-from geometry import faults, grains, ring, sandwich, wall
+from geometry import grains, ring, sandwich, wall
 from tests.fields_run import BODY, EPS, K, axes, uniform
 from tests.refused import refused
-from thinlayer import Structure, Surface, ThinLayer, plotting, solve
+from thinlayer import Structure, Surface, ThinLayer, solve
 from thinlayer.surface.lines import Line
-from thinlayer.system.table import Table
 
 LAYER = ThinLayer(K, EPS, at=1.0)
 PULLED = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.05, -0.1)}}
@@ -49,13 +46,6 @@ def test_a_line_as_a_csv_file(tmp_path):
     rows = ["s,x,y,t x,t y", "0.0,1.0,2.0,3.0,-1.0", "0.5,1.5,2.0,4.0,7.0"]
     assert (tmp_path / "along.csv").read_text().splitlines() == rows
     assert replace(line, values=line.values[:, 0]).table("t_N").columns == ["s", "x", "y", "t_N"]
-
-
-def test_a_table_needs_pandas_for_a_frame(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=lambda rows, columns: (rows, columns)))
-    assert Table([{"a": 1.0, "b": None}]).to_pandas() == ([{"a": 1.0, "b": None}], ["a", "b"])
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    refused(InputError, "pandas is not installed", lambda: Table().to_pandas())
 
 
 def test_a_closed_seam():
@@ -92,10 +82,6 @@ def test_beds_and_heads_of_a_wall():
         assert np.trapezoid(line.values, line.s, axis=0) == pytest.approx([0.05 * 4, -0.1 * 4], rel=1e-9)
     assert [line.length for line in lines if line.seam == "HEAD"] == pytest.approx([1.0] * 4)
     assert len(lines) == 2 + 4
-    heads = Surface(surface.model, "HEAD")
-    assert [line.x[0].tolist() for line in heads.along(heads.traction(state))] == [
-        line.x[0].tolist() for line in lines[2:]
-    ]
 
 
 def test_grains_meet_at_the_ends_of_lines():
@@ -112,26 +98,17 @@ def test_grains_meet_at_the_ends_of_lines():
     assert starts == sorted(starts)
 
 
-def test_a_fault_that_another_one_crosses_is_one_line():
-    joint = faults(4.0, 3.0, {"A": ((0, 1.0), (4.0, 2.0)), "B": ((1.0, 3.0), (2.5, 0.0))}, h=0.4)
-    surface = Surface(interface(joint))
-    lines = surface.along(surface.x)
-    assert [line.seam for line in lines] == ["A", "B"]
-    assert lines[0].length == pytest.approx(np.hypot(4.0, 1.0))
-    assert lines[1].length == pytest.approx(np.hypot(1.5, 3.0))
-
-
 @pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
-@pytest.mark.parametrize("z", [0.3, 0.5, 0.0, 1.0])
-def test_cut_of_a_plane(cell, z):
+def test_cut_of_a_plane(cell):
     """Between nodes, along them, along both sides of S."""
-    surface = Surface(interface(sandwich(2.0, 0.5, 0.7, 0.5, depth=1.0, cell=cell, structured=True), supports={"BOTTOM": 0},
-        tractions={"TOP": (0.05, -0.1, 0.02)}))  # fmt: skip
-    (line,) = surface.along(surface.x, plane=((0, 0, z), (0, 0, 2.0)))
-    assert line.s == pytest.approx(line.x[:, 0], abs=1e-12)
-    assert line.length == pytest.approx(2.0)
-    assert line.values == pytest.approx(line.x, abs=1e-9)
-    assert (np.diff(line.s) > 0).all()
+    joint = sandwich(2.0, 0.5, 0.7, 0.5, depth=1.0, cell=cell, structured=True)
+    surface = Surface(interface(joint, supports={"BOTTOM": 0}, tractions={"TOP": (0.05, -0.1, 0.02)}))
+    for z in (0.3, 0.5, 0.0, 1.0):
+        (line,) = surface.along(surface.x, plane=((0, 0, z), (0, 0, 2.0)))
+        assert line.s == pytest.approx(line.x[:, 0], abs=1e-12)
+        assert line.length == pytest.approx(2.0)
+        assert line.values == pytest.approx(line.x, abs=1e-9)
+        assert (np.diff(line.s) > 0).all()
     (tilted,) = surface.along(surface.x[0], plane=((0.5, 0, 0), (1.0, 0.3, 0.5)))
     assert tilted.length == pytest.approx(np.hypot(1.0, 0.5))
     assert tilted.values == pytest.approx(tilted.x[:, 0], abs=1e-9)
@@ -139,9 +116,7 @@ def test_cut_of_a_plane(cell, z):
 
 
 def test_cut_of_a_cylinder():
-    joint = ring(1.0, 1.5, 2.0, h=0.6, depth=1.0)
-    supports = {"INSIDE": 0.0}
-    surface = Surface(interface(joint, supports=supports, tractions={"OUTSIDE": (0.0, 0.1, 0.0)}))
+    surface = Surface(interface(ring(1.0, 1.5, 2.0, h=0.6, depth=1.0), supports={"INSIDE": 0.0}, tractions={}))
     (line,) = surface.along(surface.x, plane=((0, 0, 0.4), (0, 0, 1)))
     assert line.closed
     assert line.x[:, 2] == pytest.approx(0.4)
@@ -157,22 +132,9 @@ def test_what_is_no_line():
     refused(InputError, "'traction' is no field on S", lambda: plane.along("traction"))
     solid = Surface(uniform(3)[0].interface(LAYER))
     refused(InputError, "cuts by a plane", lambda: solid.along(solid.x))
-    for wrong in ((0, 0, 1), ((0, 0), (1, 0)), ((0, 0, 0), (0, 0, 0)), "z"):
+    for wrong in (((0, 0), (1, 0)), ((0, 0, 0), (0, 0, 0)), "z"):
         refused(InputError, r"it needs \(point, normal\)", solid.along, solid.x, plane=wrong)
     refused(InputError, "does not cut S", lambda: solid.along(solid.x, plane=((0, 0, 5), (0, 0, 1))))
-
-
-def test_lines_are_drawn():
-    surface = Surface(interface(wall(2, 3, brick=(2.0, 1.0), h=0.5)))
-    state = solve(surface.model)
-    picture = plotting.along(surface, {"law": state, "again": state}, length="m", stress="MPa")
-    assert len(picture.axes) == 4  # traction and jump of two seams
-    t_N = surface.along(surface.frame(surface.traction(state))[1])[0]
-    drawn = [line.get_xydata() for line in picture.axes[0].lines]
-    solid = Surface(uniform(3)[0].interface(LAYER))
-    cut = plotting.along(solid, solve(solid.model), plane=((1.0, 0, 0.3), (0.2, 0.1, 1.0)))
-    assert [len(axes.lines) for axes in cut.axes] == [3, 3]  # a normal and two tangential components
-    assert any(len(xy) == len(t_N.s) and np.allclose(xy, np.column_stack([t_N.s, t_N.values])) for xy in drawn)
 
 
 def numbers() -> dict[str, list]:

@@ -7,17 +7,14 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import HolonomicCoulomb, Incompressible, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, VonMises
+from forms import Incompressible, LinearElastic
 from forms.base import InputError
 from geometry import bond_cell, periodic, sandwich, wall
 from geometry.inflating.inflation import inflate
 from geometry.joint import Joint
-from geometry.seam import Seam
-from studies import homogenised_bond
 from tests.meshes import renumbered
 from tests.network_cases import springs
 from tests.own_laws import Stiffening
-from tests.pictures import assert_drawn
 from tests.refused import refused
 from thinlayer import (
     PointLoad,
@@ -33,7 +30,6 @@ from thinlayer import (
 )
 from thinlayer.discretisation.state import State
 from thinlayer.output.nodal_forces import nodal_forces
-from thinlayer.running.cli import main
 
 pytestmark = pytest.mark.few(5)
 
@@ -47,10 +43,8 @@ MORTAR = {"BED": springs(5.0, 2.1), "HEAD": springs(3.0, 1.3)}
 BOND = {  # Young's modulus of bricks -> A_1111, A_2222, A_1212, A_1122
     1e2: (7.472714907, 4.771972123, 1.56705223, 8.56e-2),
     1e3: (8.032298032, 4.976126106, 1.637118965, 9.59e-3),
-    1e4: (8.093175598, 4.997601268, 1.644532268, 9.71e-4),
     1e6: (8.0999317, 4.999976, 1.6453525, 9.7e-6),
 }
-FREE = {"BED": springs(0.7, 0.3), "HEAD": springs(0.4, 0.2)}  # beside bricks of E = 1
 
 
 def bond(E: float = 1e3, *, cell: str = "quadrilateral", element: str | None = None, **options) -> Structure:
@@ -74,25 +68,18 @@ def laminate(cell: str = "quadrilateral", h: float = 0.25, **options) -> Joint:
 
 
 # ---------------------------------------------------------------- which places are one
-@pytest.mark.parametrize("cell", ["quadrilateral", "triangle"])
-def test_components_on_the_torus(cell):
+def test_components_on_the_torus():
     """A bond has one T at each end of a head, and no free ends: 2 x 2 of three components."""
-    joint = bond_cell(BRICK, 0.25, cell=cell)
+    joint = bond_cell(BRICK, 0.25)
+    assert bond(element="Q2").bonded().V.dofmap.index_map.size_global == 256
     number, times = np.unique(joint.splitting.valence, return_counts=True)
     counted = dict(zip(number.tolist(), times.tolist(), strict=True))
     assert {k: v for k, v in counted.items() if k} == {1: 42, 2: 18, 3: 4}
     assert joint.splitting.pieces.max() + 1 == 2  # bricks
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize(("element", "nodes"), [("Q1", 64), ("Q2", 256), ("P1", 64), ("P2", 256)])
-def test_unknowns_of_a_bonded_cell_are_those_of_a_torus(element, nodes):
-    cell = "triangle" if element[0] == "P" else "quadrilateral"
-    dofmap = bond(cell=cell, element=element).bonded().V.dofmap
-    assert dofmap.index_map.size_global == nodes
-
-
 # ---------------------------------------------------------------- homogenised stiffness
+@pytest.mark.few(1)
 @pytest.mark.parametrize("E", BOND)
 def test_stiffness_of_a_running_bond(E):
     """The numbers of an independent program, to the digits that are known."""
@@ -103,13 +90,10 @@ def test_stiffness_of_a_running_bond(E):
     assert np.abs(A[2, :2]).max() < 1e-13 * E
 
 
-@pytest.mark.parametrize("cut", [(0.125, 0.25), (0.375, 0.75), (0.875, 0.5)])
-def test_a_cell_cut_elsewhere_is_the_same(cut):
+def test_a_cell_cut_elsewhere_or_with_other_numbers_is_the_same():
     A = stiffness(bond_cell(BRICK, 0.25), 1e3)
-    assert stiffness(bond_cell(BRICK, 0.25, cut=cut), 1e3) == pytest.approx(A, rel=1e-9, abs=1e-11)
-
-
-def test_a_cell_with_other_numbers_is_the_same():
+    for cut in ((0.125, 0.25), (0.875, 0.5)):
+        assert stiffness(bond_cell(BRICK, 0.25, cut=cut), 1e3) == pytest.approx(A, rel=1e-9, abs=1e-11)
     joint = bond_cell(BRICK, 0.25, cell="triangle")
     other = periodic(renumbered(replace(joint, periods=None)), *SIDES)
     A = stiffness(joint, 1e2)
@@ -131,10 +115,10 @@ def layered(body: LinearElastic, K_N: float, K_T: float, d: int) -> np.ndarray:
     return out
 
 
-@pytest.mark.parametrize("cell", ["quadrilateral", "triangle", "hexahedron", "tetrahedron"])
-def test_a_laminate_is_in_series(cell):
-    flat = cell in ("quadrilateral", "triangle")
-    joint = laminate(cell, 0.25, **({} if flat else {"depth": 1.0}))
+@pytest.mark.few(1)
+@pytest.mark.parametrize(("cell", "depth"), [("triangle", None), ("hexahedron", 1.0)])
+def test_a_laminate_is_in_series(cell, depth):
+    joint = laminate(cell, 0.25, depth=depth)
     structure = Structure(joint, body=ROCK, supports={})
     A = homogenised_stiffness(structure.interface(springs(4.0, 1.5)))
     assert pytest.approx(layered(ROCK, 4.0, 1.5, joint.dim), rel=1e-11, abs=1e-11) == A
@@ -146,8 +130,8 @@ def test_a_stiffness_that_is_not_symmetric_is_told(monkeypatch):
     """As of a wrong law; by a hundred millionth of it."""
     whole = State.mean_stress
     monkeypatch.setattr(State, "mean_stress", lambda self: (found := whole(self)) + 1e-7 * np.diag([found[1, 1], 0.0]))
-    with pytest.raises(SolveError, match=r"not symmetric: entries of 8\.0e\+00 differ by 5\.0e-07"):
-        stiffness(bond_cell(BRICK, 0.25), 1e3)
+    words = r"not symmetric: entries of 8\.0e\+00 differ by 5\.0e-07"
+    refused(SolveError, words, stiffness, bond_cell(BRICK, 0.25), 1e3)
 
 
 def test_a_load_at_a_periodic_place_may_be_named_by_either_of_its_copies():
@@ -159,16 +143,6 @@ def test_a_load_at_a_periodic_place_may_be_named_by_either_of_its_copies():
         found.append(nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V), 0.0)).x.array)
     assert np.sort(found[0])[[0, 1, -2, -1]] == pytest.approx([-1.0, 0.0, 0.0, 0.3], abs=1e-12)
     np.testing.assert_allclose(found, found[:1] * 4, atol=1e-12)
-
-
-def test_a_wall_of_some_depth_is_free_in_front():
-    """A cell in 3D with free sides has no stress across them, and is softer than in plane strain."""
-    joint = bond_cell(BRICK, 0.5, depth=1.0)
-    A = stiffness(joint, 1e2, "Q1")
-    assert np.abs(A[2:5]).max() < 1e-11 * np.abs(A).max()
-    flat = stiffness(bond_cell(BRICK, 0.5), 1e2, "Q1")
-    assert (np.diag(A)[[0, 1]] < np.diag(flat)[[0, 1]]).all()
-    assert np.diag(A)[[0, 1, 5]] == pytest.approx(np.diag(flat), rel=0.05)
 
 
 # ---------------------------------------------------------------- loads
@@ -183,17 +157,18 @@ def test_energy_is_that_of_the_homogenised_cell():
     assert energies["loads"] == 0.0
     stress = state.mean_stress()
     assert [stress[0, 0], stress[1, 1], stress[0, 1]] == pytest.approx(A @ e, rel=1e-10)
+    bed = Surface(state.model, "BED")  # each bed runs across the whole cell
+    assert bed.integral(bed.traction(state)) / 4.0 == pytest.approx(stress[:, 1], rel=1e-9)
     table = piecewise({0: 0.0, 1: 0.7, 2: 1.0})
     growing = bond(strain=lambda x, t: [[c * table(x, t) for c in row] for row in E]).interface(MORTAR)
     assert growing.break_times == {0.0, 1.0, 2.0}
     found = np.array([s.mean_stress() for s in march(growing, [1.0, 2.0])][1:])
     assert found == pytest.approx(np.array([0.7 * stress, stress]), rel=1e-9)
-    for theta in (0.5, 1.0):
-        audits = [s.audit for s in march(growing, [1.0, 2.0], theta=theta)]
-        assert max(abs(one.imbalance) for one in audits) < 1e-11
-        assert audits[-1].total == pytest.approx(4.0 * e @ A @ e / 2, rel=1e-10)
-        remainder = (2 * theta - 1) * sum(4.0 * s**2 * e @ A @ e / 2 for s in (0.7, 0.3))
-        assert sum(one.remainder for one in audits) == pytest.approx(remainder, rel=1e-9, abs=1e-15)
+    audits = [s.audit for s in march(growing, [1.0, 2.0])]
+    assert max(abs(one.imbalance) for one in audits) < 1e-11
+    assert audits[-1].total == pytest.approx(4.0 * e @ A @ e / 2, rel=1e-10)
+    remainder = sum(4.0 * s**2 * e @ A @ e / 2 for s in (0.7, 0.3))
+    assert sum(one.remainder for one in audits) == pytest.approx(remainder, rel=1e-9)
 
 
 def test_mean_stress_as_a_load():
@@ -206,14 +181,11 @@ def test_mean_stress_as_a_load():
     assert state.mean_stress() == pytest.approx(S, rel=1e-10)
     energies, stored = state.energies(), 4.0 * (S * E).sum() / 2
     assert energies["bodies"] + energies["layer"] == pytest.approx(stored, rel=1e-10)
-    for theta in (0.5, 1.0):
-        growing = bond(stress=lambda x, t: [[c * t for c in row] for row in S]).interface(MORTAR)
-        audits = [s.audit for s in march(growing, [0.7, 1.0], theta=theta)]
-        assert max(abs(one.imbalance) for one in audits) < 1e-11
-        assert audits[-1].total == pytest.approx(stored, rel=1e-10)
-        assert sum(one.supplied for one in audits) == pytest.approx(
-            stored * (1 + (2 * theta - 1) * (0.7**2 + 0.3**2)), rel=1e-9
-        )
+    growing = bond(stress=lambda x, t: [[c * t for c in row] for row in S]).interface(MORTAR)
+    audits = [s.audit for s in march(growing, [0.7, 1.0])]
+    assert max(abs(one.imbalance) for one in audits) < 1e-11
+    assert audits[-1].total == pytest.approx(stored, rel=1e-10)
+    assert sum(one.supplied for one in audits) == pytest.approx(stored * (1 + 0.7**2 + 0.3**2), rel=1e-9)
 
 
 def test_mean_stress_in_space():
@@ -224,38 +196,6 @@ def test_mean_stress_in_space():
     e = np.linalg.solve(layered(ROCK, 4.0, 1.5, 3), [0.4, 1.3, 0.5, 0.3, 0.3, 0.3])
     assert np.diag(state.mean_strain()) == pytest.approx(e[:3], rel=1e-10)
     assert 2 * state.mean_strain()[[1, 0, 0], [2, 2, 1]] == pytest.approx(e[3:], rel=1e-10)
-
-
-def test_mean_stress_beside_laws_that_remember():
-    heads = {"HEAD": ThinLayer(MohrCoulomb(0.2, 0.2, cohesion=2e-4, friction_angle=30.0), 0.01, at=1.0)}
-    model = bond(1.0, stress=lambda x, t: [[1e-3 * c * t for c in row] for row in STRESS]).interface(FREE | heads)
-    last = march(model, [0.5, 1.0]).last
-    assert last.mean_stress() == pytest.approx(1e-3 * STRESS, rel=1e-7)
-    elastic = homogenised_stiffness(bond(1.0).interface(FREE | {"HEAD": springs(0.6, 0.2)}))
-    assert abs(last.audit.imbalance) < 1e-9
-    assert last.mean_strain()[0, 0] > 1.02e-3 * np.linalg.solve(elastic, [0.3, -1.0, 0.2])[0]  # heads yield
-
-
-def test_tractions_on_beds_carry_the_mean_stress():
-    """Each bed runs across the whole cell: its mean traction is the mean stress times its normal."""
-    state = solve(bond(strain=((1e-3, 2e-3), (2e-3, -1e-3))).interface(MORTAR))
-    bed = Surface(state.model, "BED")
-    t, jump, stress = bed.traction(state), bed.jump(state), state.mean_stress()
-    assert bed.integral(t) / 4.0 == pytest.approx(stress[:, 1], rel=1e-9)
-    assert bed.integral(jump) * (2.1, 5.0) / 4.0 == pytest.approx(stress[:, 1], rel=1e-9)
-
-
-def test_a_laminate_slides_at_its_strength():
-    """C + tan(Omega) p under a shear that goes on, with the pressure that the mean strain makes."""
-    law = MohrCoulombMonodirectional(8.0, 4.0, cohesion=0.02, friction_angle=30.0)
-    sheared = Structure(laminate(), body=ROCK, supports={}, strain=lambda x, t: ((0.0, 0.05 * t), (0.05 * t, -0.04)))
-    model = sheared.interface(ThinLayer(law, 0.01, at=1.0))
-    history, surface = march(model, [0.25, 0.5, 1.0, 2.0]), Surface(model)
-    last = history.last.mean_stress()
-    assert last[0, 1] == pytest.approx(0.02 - np.tan(np.pi / 6) * last[1, 1], rel=1e-9)
-    assert last[1, 1] == pytest.approx(-0.04 * layered(ROCK, 16.0, 4.0, 2)[1, 1], rel=1e-9)
-    for state in history:
-        assert surface.integral(surface.traction(state)) == pytest.approx(state.mean_stress()[:, 1], rel=1e-9)
 
 
 def test_bodies_that_are_not_linear():
@@ -280,21 +220,6 @@ def test_bodies_that_are_not_linear():
     found = history.last.energies()
     assert found["layer"] == pytest.approx(stress**2 / 1.5 / 2, rel=1e-9)
     assert max(abs(state.audit.imbalance) for state in history) < 1e-9
-
-
-def test_contact_in_a_laminate():
-    """Pressed and sheared, S slides: shear stress is friction times pressure."""
-    strain = ((0.0, 0.05), (0.05, -0.04))
-    structure = Structure(laminate(), body=ROCK, supports={}, element="Q1", strain=strain)
-    state = solve(structure.interface(HolonomicCoulomb(K_N=16.0, K_T=4.0, friction=0.3)))
-    stress, M = state.mean_stress(), ROCK.lmbda + 2 * ROCK.mu
-    assert stress[1, 1] == pytest.approx(-0.04 / (1 / M + 1 / 16.0), rel=1e-9)
-    assert stress[0, 1] == pytest.approx(-0.3 * stress[1, 1], rel=1e-9)
-    stuck = Structure(laminate(), body=ROCK, supports={}, element="Q1", stress=((0.0, 0.2), (0.2, -1.0)))
-    found = solve(stuck.interface(HolonomicCoulomb(K_N=16.0, K_T=4.0, friction=0.3))).mean_strain()
-    assert 2 * found[0, 1] == pytest.approx(0.2 * (1 / ROCK.mu + 1 / 4.0), rel=1e-9)
-    assert found[1, 1] == pytest.approx(-M / (M**2 - ROCK.lmbda**2) - 1 / 16.0, rel=1e-9)
-    refused(InputError, "not periodic", lambda: solve(state.model, method="condensed"))
 
 
 @pytest.mark.filterwarnings("error")  # S has no free ends: it goes on at the other side
@@ -328,46 +253,12 @@ def test_only_free_translations_are_held():
     on_springs = Structure(strip, body=ROCK, supports={}, parts=[Springs("BOTTOM", normal=1.0, tangential=2.0)])
     assert on_springs.interface(springs(4.0, 1.5)).supports.anchored == ()
     pushed = Structure(strip, body=ROCK, supports={"BOTTOM": {"y": 0.0}}, tractions={"TOP": (0.1, -1.0)})
-    with pytest.raises(InputError, match=r"add up to 0\.1 along x at t = 0, and nothing balances them"):
-        solve(pushed.interface(springs(4.0, 1.5)))
-
-
-def test_a_vertex_of_a_periodic_side_may_be_held():
-    """Along the strip it stretches to plane strain's modulus; across it contracts freely, from the vertex up."""
-    strip = periodic(sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral"), ("LEFT", "RIGHT"))
-    held = Structure(strip, body=ROCK, supports={(1.0, -0.5): {"x": 0.1, "y": 0.2}}, strain=((1e-3, 0), (0, 0)))
-    state, M = solve(held.interface(springs(4.0, 1.5))), ROCK.lmbda + 2 * ROCK.mu
-    mean = [state.integral(state.u[k] * state.model.dx) for k in range(2)]
-    assert mean == pytest.approx([0.1, 0.2 - 1e-3 * ROCK.lmbda / M / 2], rel=1e-11)
-    along, *others = state.mean_stress().ravel()
-    assert along == pytest.approx(1e-3 * 4 * ROCK.mu * (ROCK.lmbda + ROCK.mu) / M, rel=1e-11)
-    assert np.abs(others).max() < 1e-13
-
-
-def test_a_box_that_repeats_in_one_direction_may_turn_about_it():
+    words = r"add up to 0\.1 along x at t = 0, and nothing balances them"
+    refused(InputError, words, solve, pushed.interface(springs(4.0, 1.5)))
     box = periodic(sandwich(1.0, 0.5, 0.5, 0.25, depth=1.0, cell="hexahedron"), ("LEFT", "RIGHT"))
-    with pytest.raises(InputError, match=r"rigid motion of the structure \(rotation about \(1, 0, 0\)\)"):
-        Structure(box, body=ROCK, supports={}, element="Q1").interface(springs(4.0, 1.5))
-
-
-def test_profiles_and_runs_of_periodic_cells(tmp_path):
-    model = bond(strain=lambda x, t: ((1e-3 * t, 0.0), (0.0, -1e-3 * t))).interface(MORTAR)
-    march(model, [0.5], out=tmp_path / "run")
-    history = march(model, [0.5, 1.0], out=tmp_path / "run", resume=True)
-    assert history.last.mean_stress() == pytest.approx(2 * history.at(0.5).mean_stress(), rel=1e-9, abs=1e-15)
-    bed = Surface(model, "BED")
-    x, jump = bed.profile(bed.jump(history.last))
-    assert len(x) == len(jump) == 2 * (8 + 2)  # a bed is a circle of 8 edges, with a junction above and one below
-    assert {0.5, 1.5} == set(np.round(x[:, 1], 9))
-    assert x[:, 0].max() < 2.0
-
-
-@pytest.mark.long
-def test_the_study_holds_and_can_fail(tmp_path, monkeypatch):
-    assert main(["run", "homogenised_bond", "--quick", "--out", str(tmp_path / "right")]) == 0
-    assert_drawn(tmp_path / "right" / "rigid_bricks.png")
-    monkeypatch.setattr(homogenised_bond, "NU", 0.25)
-    assert main(["run", "homogenised_bond", "--quick", "--out", str(tmp_path / "wrong")]) == 1
+    turns = Structure(box, body=ROCK, supports={}, element="Q1")
+    words = r"rigid motion of the structure \(rotation about \(1, 0, 0\)\)"
+    refused(InputError, words, turns.interface, springs(4.0, 1.5))
 
 
 # ---------------------------------------------------------------- what is refused
@@ -378,26 +269,18 @@ def test_refused_joints():
     refused(InputError, r"'LEFT' and 'TOP' do not match: 'LEFT' has a node at \(", periodic, joint, ("LEFT", "TOP"))
     moved = joint.points.copy()
     moved[np.isclose(joint.points, (1.0, 0.25)).all(axis=1), 1] += 0.01
-    with pytest.raises(InputError, match=r"has a node at \(0, 0.25\), and 'RIGHT' has none at \(1, 0.25\)"):
-        periodic(replace(joint, points=moved), ("LEFT", "RIGHT"))
+    words = r"has a node at \(0, 0.25\), and 'RIGHT' has none at \(1, 0.25\)"
+    refused(InputError, words, periodic, replace(joint, points=moved), ("LEFT", "RIGHT"))
     refused(InputError, "do not match any more", lambda: replace(periodic(joint, ("LEFT", "RIGHT")), points=moved))
-    for n, wide in ((1, False), (2, False), (3, True)):
-        narrow = sandwich(0.25 * n, 0.5, 0.5, 0.25, cell="quadrilateral")
-        if wide:
-            periodic(narrow, ("LEFT", "RIGHT"))
-            continue
-        with pytest.raises(InputError, match=r"needs three cells or more between its sides \('LEFT' and 'RIGHT'\)"):
-            periodic(narrow, ("LEFT", "RIGHT"))
-    with pytest.raises(InputError, match=r"the seam 'S' cannot be a periodic side.*cut the periodic cell through"):
-        periodic(joint, ("S", "TOP"))
-    based = replace(wall(2, 2, (1.0, 0.5), 0.125), periods=None)
-    left = based.facets["LEFT"]
-    both = {"BED": based.facets["BED"], "EDGE": left, "LEFT": left, "RIGHT": based.facets["RIGHT"]}
-    seams = {"BED": Seam(direction=(0.0, 1.0)), "EDGE": Seam()}
-    with pytest.raises(InputError, match=r"unknown side 'LEFT'|lies on the periodic boundary"):
-        periodic(replace(based, facets=both, seams=seams), ("LEFT", "RIGHT"))
+    words = r"needs three cells or more between its sides \('LEFT' and 'RIGHT'\)"
+    one, two, three = (sandwich(0.25 * n, 0.5, 0.5, 0.25, cell="quadrilateral") for n in (1, 2, 3))
+    refused(InputError, words, periodic, one, ("LEFT", "RIGHT"))
+    refused(InputError, words, periodic, two, ("LEFT", "RIGHT"))
+    periodic(three, ("LEFT", "RIGHT"))
+    words = "the seam 'S' cannot be a periodic side.*cut the periodic cell through"
+    refused(InputError, words, periodic, joint, ("S", "TOP"))
     cell = periodic(joint, *SIDES)
-    refused(InputError, "S reaches the periodic sides", lambda: inflate(cell, 0.01))
+    refused(InputError, "S reaches one of the periodic sides", lambda: inflate(cell, 0.01))
     for cut in ((0.5, 0.5), (0.25, 0.0), (0.25, 0.99)):
         refused(InputError, r"along a joint|between 0 and 1", bond_cell, BRICK, 0.25, cut=cut)
 
@@ -408,52 +291,27 @@ def test_refused_structures():
     def model(**options):
         return Structure(laminate(), **({"body": ROCK, "supports": {}} | options)).interface(layer)
 
-    refused(InputError, "support on 'LEFT': this side is identified with another one", model, supports={"LEFT": 0.0})
-    with pytest.raises(InputError, match="traction on 'TOP/COURSE 2': this side is identified"):
-        model(tractions={"TOP/COURSE 2": (0.0, 1.0)})
-    refused(InputError, "needs 2 x 2 finite components", lambda: model(strain=(1e-3, 0.0, 0.0)))
-    refused(InputError, "a mean strain or a mean stress, not both", lambda: model(strain=np.eye(2), stress=np.eye(2)))
-    with pytest.raises(InputError, match="mean stress needs linear bodies"):
-        model(stress=np.eye(2), body=Stiffening(0.0, 3.0, 6e3))
+    for given, message in (
+        (dict(supports={"LEFT": 0.0}), "support on 'LEFT': this side is identified with another one"),
+        (dict(tractions={"TOP/COURSE 2": (0.0, 1.0)}), "traction on 'TOP/COURSE 2': this side is identified"),
+        (dict(strain=(1e-3, 0.0, 0.0)), "needs 2 x 2 finite components"),
+        (dict(strain=np.eye(2), stress=np.eye(2)), "a mean strain or a mean stress, not both"),
+        (dict(stress=np.eye(2), body=Stiffening(0.0, 3.0, 6e3)), "mean stress needs linear bodies"),
+        (dict(strain=((0.0, 1e-3), (0.0, 0.0))), "at t = 0 is not symmetric"),
+        (dict(strain=lambda x, t: ((x[0], 0.0), (0.0, 0.0))), "depends on the place"),
+    ):
+        refused(InputError, message, model, **given)
     strip = Structure(
         periodic(sandwich(1.0, 0.5, 0.5, 0.25), ("LEFT", "RIGHT")), body=ROCK, supports={}, stress=np.eye(2)
     )
     refused(InputError, "needs a joint periodic in 2 directions", lambda: strip.interface(layer))
-    refused(InputError, "at t = 0 is not symmetric", lambda: model(strain=((0.0, 1e-3), (0.0, 0.0))))
-    refused(InputError, "depends on the place", lambda: model(strain=lambda x, t: ((x[0], 0.0), (0.0, 0.0))))
-    table = piecewise({0: 0.0, 1: 1e-3})
-    with pytest.raises(InputError, match="the mean strain is not finite at t = 3"):
-        solve(model(strain=lambda x, t: ((table(x, t), 0.0), (0.0, 0.0))), 3.0)
     refused(InputError, "the loads of the periodic joint add up to", lambda: solve(model(body_force=(0.0, -1.0))))
     plain = Structure(laminate(), body=ROCK, supports={}, strain=np.eye(2))
-    with pytest.raises(InputError, match="order=1, whose strains along S"):
-        plain.interface(ThinLayer(LinearElastic(1.0, 1.0), 0.01, order=1, at=1.0))
+    of_order_1 = ThinLayer(LinearElastic(1.0, 1.0), 0.01, order=1, at=1.0)
+    refused(InputError, "order=1, whose strains along S", plain.interface, of_order_1)
     alone = Structure(sandwich(1.0, 0.5, 0.5, 0.25), body=ROCK, supports={"BOTTOM": 0.0}, strain=np.eye(2))
     refused(InputError, "the mean strain is for a periodic cell, and this joint is none", alone.interface, layer)
-    with pytest.raises(InputError, match="needs a model of a periodic joint"):
-        homogenised_stiffness(Structure(alone.joint, body=ROCK, supports={"BOTTOM": 0.0}).interface(layer))
-    curved = Structure(laminate(), body=Stiffening(0.0, 3.0, 6e3), supports={})
-    with pytest.raises(InputError, match="is not linear, or has stresses without strains"):
-        homogenised_stiffness(curved.interface(layer))
-
-
-@pytest.mark.few(5)
-@pytest.mark.parametrize("kind", ["bonded", "interface"])
-def test_a_cell_of_bodies_that_yield_under_a_mean_strain(kind):
-    """A uniform cell has the stress of one whose boundary is moved as the mean strain says, with the same dissipation."""
-    plates = sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral")
-    cell = periodic(plates, ("LEFT", "RIGHT"), ("BOTTOM", "TOP"))
-    law, rows = VonMises(60.0, 40.0, 0.5, hardening=7.0), ((0.01, 0.004), (0.004, -0.003))
-    moved = {axis: lambda x, t, k=k: t * (rows[k][0] * x[0] + rows[k][1] * x[1]) for k, axis in enumerate("xy")}
-    strain = lambda x, t: tuple(tuple(t * c for c in row) for row in rows)
-    free = Structure(cell, body=law, supports={}, strain=strain)
-    held = Structure(plates, body=law, supports=dict.fromkeys(("LEFT", "RIGHT", "TOP", "BOTTOM"), moved)).bonded()
-    stiff = ThinLayer(LinearElastic(6e7, 4e7), 1e-6, at=1.0)
-    history = march(free.bonded() if kind == "bonded" else free.interface(stiff), [0.5, 1.0, 2.0])
-    other = march(held, [0.5, 1.0, 2.0])
-    tolerance = 1e-12 if kind == "bonded" else 1e-5  # what the stiff layer gives
-    np.testing.assert_allclose(history.last.mean_stress(), other.last.mean_stress(), rtol=tolerance)
-    for name in ("supplied", "stored", "dissipated"):
-        assert history.table[name] == pytest.approx(other.table[name], rel=tolerance, abs=1e-12)
-    assert history.table["dissipated"].sum() > 0
-    assert abs(history.last.audit.imbalance) < 1e-12
+    plain = Structure(alone.joint, body=ROCK, supports={"BOTTOM": 0.0}).interface(layer)
+    refused(InputError, "needs a model of a periodic joint", homogenised_stiffness, plain)
+    stiffens = Structure(laminate(), body=Stiffening(0.0, 3.0, 6e3), supports={}).interface(layer)
+    refused(InputError, "is not linear, or has stresses without strains", homogenised_stiffness, stiffens)

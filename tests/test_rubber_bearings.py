@@ -64,7 +64,8 @@ def stiffness(bearing, state):
 
 
 # ---------------------------------------------------------------- the interface law
-@pytest.mark.parametrize("nu", [0.3, 0.45, 0.49, 0.499, 0.4999, HALF])
+@pytest.mark.few(8)
+@pytest.mark.parametrize("nu", [0.3, 0.45, 0.499, HALF])
 @pytest.mark.parametrize("bearing", SPANS)
 def test_stiffness_of_bearings(bearing, nu):
     """To 0.1 %, of cells of degree 1 for the pressure and plates that are not rigid."""
@@ -76,7 +77,7 @@ def test_stiffness_of_bearings(bearing, nu):
     assert force / opening == pytest.approx(wanted, rel=1e-3)
 
 
-@pytest.mark.parametrize("nu", [0.3, 0.45, 0.49, 0.499, 0.4999, HALF])
+@pytest.mark.parametrize("nu", [0.45, HALF])
 def test_moment_of_a_tilted_strip(nu):
     rotation = 1e-3
     # about a point eps/2 below the upper face, in the middle of the layer, so that there is no shear
@@ -90,29 +91,30 @@ def test_moment_of_a_tilted_strip(nu):
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("order", [0, 1])
-@pytest.mark.parametrize(("nu", "factor"), [(0.3, 1.01), (0.45, 1.07), (0.49, 1.2)])
-@pytest.mark.parametrize("bearing", SPANS)
+@pytest.mark.parametrize(
+    ("bearing", "nu", "factor", "order"), [("strip", 0.3, 1.01, 0), ("disc", 0.45, 1.07, 1), ("annulus", 0.49, 1.2, 0)]
+)
 def test_without_a_pressure_that_flows_bearings_are_too_stiff(bearing, nu, factor, order):
     law = LinearElastic(modulus(nu), MU)
     found = stiffness(bearing, solve(structure(bearing).interface(layer(law, order))))
     assert found > factor * closed_form(bearing, modulus(nu))
 
 
-# K eps/mu of layers between rigid plates, from elements of degree 4 and more in graded grids, by another program
-BETWEEN_RIGID = {
-    ("strip", 0.45): 10.277722,
-    ("strip", 0.49): 41.130942,
-    ("strip", 0.499): 205.854698,
-    ("disc", 0.45): 3.8418105 * EPS / MU,
-    ("annulus", 0.45): 3.7839791 * EPS / MU,
+# stiffness of layers between rigid plates, from elements of degree 4 and more in graded grids, by another program
+EXACT = {  # nu: strip, disc, annulus: from elements graded into the corners of the layer
+    0.3: (3.463930 * MU / EPS, None, None),
+    0.45: (10.277722 * MU / EPS, 3.8418105, 3.7839791),
+    0.49: (41.130942 * MU / EPS, 13.337616, 12.197906),
+    0.499: (205.854698 * MU / EPS, 43.421577, 30.239282),
+    0.4999: (364.064818 * MU / EPS, 57.913672, 35.838211),
 }
+BETWEEN_RIGID = [("strip", 0.45), ("strip", 0.49), ("strip", 0.499), ("disc", 0.45), ("annulus", 0.45)]
 
 
 @pytest.mark.parametrize(("bearing", "nu"), BETWEEN_RIGID)
 def test_bearings_whose_ends_are_known(bearing, nu):
     """Closer to the layer itself than closed forms are, where these are off by more than the curvature of ends leaves."""
-    wanted = BETWEEN_RIGID[bearing, nu] * MU / EPS
+    wanted = EXACT[nu][list(SPANS).index(bearing)]
     state = solve(structure(bearing).interface(layer(rubber(nu), edges="free")))
     assert stiffness(bearing, state) == pytest.approx(wanted, rel=1.5e-3)
     if nu in (0.45, 0.499):
@@ -142,27 +144,7 @@ def test_narrow_or_soft_bearings_have_the_flow_of_an_infinite_layer():
         assert (wide.reductions["S"].weights.strips.resistance.c < 0) == known
 
 
-def test_pressure_along_the_radius():
-    """Of the traction t_N = p + 2 mu w_N/eps at the vertices of S, relative to the largest one."""
-    for nu in (0.49, HALF):
-        state = solve(structure("disc").interface(layer(rubber(nu))))
-        surface = Surface(state.model)
-        x, t = surface.profile(surface.traction(state))
-        wanted = OPENING * (limits.rubber_disc_pressure(modulus(nu), MU, EPS, RADIUS, x[:, 0]) + 2 * MU / EPS)
-        inside = x[:, 0] < 0.95 * RADIUS
-        assert np.abs(t[:, 1] - wanted)[inside].max() < 5e-3 * wanted.max()
-
-
 # ---------------------------------------------------------------- the meshed layer
-EXACT = {  # nu: strip, disc, annulus: from elements graded into the corners of the layer
-    0.3: (3.463930 * MU / EPS, None, None),
-    0.45: (10.277722 * MU / EPS, 3.8418105, 3.7839791),
-    0.49: (41.130942 * MU / EPS, 13.337616, 12.197906),
-    0.499: (205.854698 * MU / EPS, 43.421577, 30.239282),
-    0.4999: (364.064818 * MU / EPS, 57.913672, 35.838211),
-}
-
-
 @pytest.mark.parametrize("nu", EXACT)
 @pytest.mark.parametrize("bearing", SPANS)
 def test_meshed_rubber(bearing, nu):
@@ -173,24 +155,3 @@ def test_meshed_rubber(bearing, nu):
     if exact:
         assert found == pytest.approx(exact, rel=2e-3)
     assert found == pytest.approx(closed_form(bearing, modulus(nu)), rel=0.016 if bearing == "annulus" else 0.012)
-
-
-@pytest.mark.few(5)
-@pytest.mark.parametrize("bearing", SPANS)
-def test_meshed_incompressible_layers(bearing):
-    """MUMPS puts off so many pivots here that it needs more memory than it foresees."""
-    state = solve(structure(bearing, h_ends=0.1).full(layer(rubber(HALF), 0), cells_through=8))
-    assert stiffness(bearing, state) == pytest.approx(closed_form(bearing, math.inf), rel=0.012)
-
-
-@pytest.mark.few(5)
-@pytest.mark.parametrize(("slenderness", "exact"), [(5, 82.427496), (20, 339.973969)])
-def test_meshed_strips_of_other_widths(slenderness, exact):
-    """Of nu = 0.499; half-widths are counted in thicknesses."""
-    a = slenderness * EPS
-    strip = sandwich(2 * a, 1.0, 1.0, 2.0, h_S=1.0, h_ends=0.1, cell="quadrilateral").moved((-a, 0.0))
-    whole = Structure(strip, body=PLATES, supports={"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": OPENING}})
-    state = solve(whole.full(layer(rubber(0.499), 0), cells_through=8))
-    found = state.reaction("TOP").force[1] / (2 * a * OPENING)
-    assert found == pytest.approx(exact * MU / EPS, rel=2e-3)
-    assert found == pytest.approx(limits.rubber_strip(modulus(0.499), MU, EPS, a), rel=0.012)

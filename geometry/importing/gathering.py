@@ -32,8 +32,7 @@ def gathered(mesh: Any, names: TagNames | None, scale: float, comm: MPI.Intracom
     except Exception as error:
         mine = error  # the other ranks must not wait
     parts = comm.gather(mine) or []
-    whole = {WHOLE: [0]} if cell_tags is None else None
-    return on_root(comm, partial(_joined, parts, names, whole, scale, sides))
+    return on_root(comm, partial(_joined, parts, names, None if cell_tags is not None else {WHOLE: [0]}, scale, sides))
 
 
 class _Part(NamedTuple):

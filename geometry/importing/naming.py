@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from forms.base import InputError, is_finite
 from geometry.joint import Joint
-from geometry.refusals import place, refuse, unknown
+from geometry.refusals import place, refuse, require_known
 from geometry.seam import S, Seam
 from geometry.topology import (
     FACET_TYPES,
@@ -102,11 +102,6 @@ class Cells:
         smallest = (jacobian * np.sign(jacobian.sum(axis=1))[:, None]).min(axis=1)
         folded = "are folded (their Jacobian vanishes or changes sign within the cell)"
         self.refuse(smallest <= FOLDED * largest, folded)
-        _, first = np.unique(np.sort(self.corners, axis=1), axis=0, return_index=True)
-        self.refuse(
-            ~np.isin(np.arange(len(self.nodes)), first),
-            "have the vertices of another cell; each needs to be there once, in one group",
-        )
         pairs = cKDTree(self.points).query_pairs(CLOSE * np.ptp(self.points, axis=0).max(), output_type="ndarray")
         if len(pairs):
             x = self.points[pairs[pairs[:, 0].argmin(), 0]]
@@ -129,23 +124,21 @@ class Sides:
 
     Attributes:
         S: name of the set of facets of the only seam; None for all facets between the regions `lower` and `upper`.
-        upper, lower: names of the regions above and below S; () if not given.
-        direction: (d,) vector to the upper side; None if not given.
+        single: its sides, as far as they are given.
         seams: instead of these, the seams with their names; {} if there is only one.
     """
 
     S: str | None
-    upper: Names = ()
-    lower: Names = ()
-    direction: tuple[float, ...] | None = None
+    single: Seam
     seams: Mapping[str, Seam] = field(default_factory=dict)
 
     @classmethod
     def of(cls, S: Any = S, upper: Any = None, lower: Any = None, direction: Any = None) -> Sides:
         """The choice from arguments as in `read`; raises InputError for wrong types."""
-        above, below, way = _names_of(upper, "upper"), _names_of(lower, "lower"), _direction(direction)
+        above, below = _names_of(upper, "upper"), _names_of(lower, "lower")
+        way: Any = None if direction is None else tuple(np.ravel(direction).tolist())  # checked by the seam
         if S is None or isinstance(S, str):
-            return cls(S, above, below, way)
+            return cls(S, Seam(below, above, way))
         rules = dict(S) if isinstance(S, Mapping) else dict.fromkeys(S)
         if not rules or not all(isinstance(name, str) for name in rules):
             raise InputError(
@@ -154,7 +147,7 @@ class Sides:
             )
         if above or below or way:
             raise InputError("S names several seams: give the sides of each there, as {name: (lower, upper)}")
-        return cls(None, seams={name: _seam(name, rule) for name, rule in rules.items()})
+        return cls(None, Seam(), {name: _seam(name, rule) for name, rule in rules.items()})
 
 
 def _seam(name: str, rule: Any) -> Seam:
@@ -164,18 +157,12 @@ def _seam(name: str, rule: Any) -> Seam:
     if isinstance(rule, Seam):
         return rule
     if np.ndim(rule) == 1 and all(map(is_finite, rule)):
-        return Seam(direction=_direction(rule))
+        return Seam(direction=tuple(map(float, rule)))
     if not isinstance(rule, tuple | list) or len(rule) != 2:
         remedy = "give a vector, (lower, upper) with names of regions, or None for the order of the regions"
         raise InputError(f"S: the upper side of {name!r} is {rule!r}; {remedy}")
     lower, upper = (_names_of(side, f"side of {name!r}") for side in rule)
     return Seam(lower, upper)
-
-
-def _direction(given: Any) -> tuple[float, ...] | None:
-    if given is not None and not (np.ndim(given) == 1 and all(map(is_finite, given))):
-        raise InputError(f"direction is {given!r}; it needs 2 components, in 3D 3, not all zero")
-    return None if given is None else tuple(float(c) for c in given)
 
 
 def _names_of(regions: Any, what: str) -> Names:
@@ -212,8 +199,8 @@ class Named:
         """
         named = replace(self, regions=self._disjoint())
         self.cells.require_sound()
-        for name in self.sides.seams:
-            self._require_facets(name)
+        for name in self.sides.seams or filter(None, [self.sides.S]):
+            require_known("set of facets", name, self.facets, self.source)
         seams, facets = dict(self.sides.seams), self.facets
         if not seams:
             surface, seams[S] = named._single()
@@ -224,13 +211,13 @@ class Named:
     def _disjoint(self) -> Groups:
         """The regions, each cell in one of them."""
         regions, cells, sides = self.regions, self.cells, self.sides
-        chosen = sides.upper + sides.lower + tuple(n for seam in sides.seams.values() for n in seam.lower + seam.upper)
+        chosen = sides.single.upper + sides.single.lower
+        chosen += tuple(name for seam in sides.seams.values() for name in seam.lower + seam.upper)
         both = [name for name in regions if name in self.facets and not name.isdigit()]
         if both:
             raise InputError(f"{both[0]!r} names both cells and facets; each needs its own name")
         for name in chosen:
-            if name not in regions:
-                raise InputError(f"{unknown('region', name, regions)} ({self.source})")
+            require_known("region", name, regions, self.source)
         count = np.sum(list(regions.values()), axis=0)
         cells.refuse(count == 0, f"are in no named group ({self.source}: {', '.join(regions)})")
         if chosen and (count > 1).any():
@@ -241,19 +228,11 @@ class Named:
         cells.refuse(count > 1, several)
         return regions
 
-    def _require_facets(self, name: str) -> None:
-        """Raise InputError unless a set of facets of the mesh has this name."""
-        if not self.facets:
-            raise InputError(f"no facets are named {name!r} or anything else; name some, or give S=None and sides")
-        if name not in self.facets:
-            raise InputError(f"{unknown('set of facets', name, self.facets)} ({self.source})")
-
     def _single(self) -> tuple[IntArray, Seam]:
         """Facets (n, k) of the only seam, and its sides."""
-        name, upper, lower, way = self.sides.S, self.sides.upper, self.sides.lower, self.sides.direction
+        name, lower, upper = self.sides.S, self.sides.single.lower, self.sides.single.upper
+        way = self.sides.single.direction
         regions, whole = f"regions: {', '.join(self.regions)}", tuple(self.regions)
-        if name is not None:
-            self._require_facets(name)
         if name != S and S in self.facets:
             raise InputError(f"other facets are named {S!r}; rename them, or give S={S!r}")
         if name is None:
@@ -261,18 +240,11 @@ class Named:
                 raise InputError(f"S=None is all that is between two bodies; give upper and lower; {regions}")
             return self._boundary(upper, lower), Seam(lower, upper)
         facets = self.facets[name]
-        table, x = self.cells.facets_among(np.unique(facets)), self.cells.points[facets]
-        rows, what = table.index(facets), f"{{bad}} of {{all}} facets named {name!r}"
-        refuse(rows < 0, x, f"{what} are not facets of the mesh's cells; the first is at {{at}}")
-        outer = table.cells[rows, 1] < 0
-        around = table.cells[rows][table.cells[rows] >= 0]
-        touched = [region for region, member in self.regions.items() if member[around].any()]
-        if not outer.all():
-            what += " lie on the outer boundary, the others inside: S is one or the other"
-            refuse(outer, x, f"{what}; the first is at {{at}}")
-        elif not lower:
-            if way is not None:
-                raise InputError(f"direction is for S inside one body; {name!r} lies on the outer boundary")
+        table = self.cells.facets_among(np.unique(facets))
+        rows = table.index(facets)
+        beside = table.cells[rows[rows >= 0]]
+        touched = [region for region, member in self.regions.items() if member[beside[beside >= 0]].any()]
+        if (beside[:, 1] < 0).all() and not lower:
             other = [region for region in touched if region not in (upper or whole)]
             if other:
                 raise InputError(
@@ -287,10 +259,7 @@ class Named:
                 f"{name!r} lies inside {' and '.join(touched)}; name the regions above it in upper, or give the "
                 f"direction of the upper side if the same body is on both; {regions}"
             )
-        lower = lower or tuple(region for region in whole if region not in upper)
-        if not lower:
-            raise InputError(f"{name!r} lies inside {'+'.join(upper)}, nothing is left below it; give the direction")
-        return facets, Seam(lower, upper)
+        return facets, Seam(lower or tuple(region for region in whole if region not in upper), upper)
 
     def _boundary(self, upper: Names, lower: Names) -> IntArray:
         """All facets between the bodies."""

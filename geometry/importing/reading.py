@@ -22,7 +22,7 @@ from geometry.importing.gathering import TagNames, gathered
 from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
 from geometry.joint import Joint
 from geometry.parallel import on_root
-from geometry.refusals import refuse, unknown
+from geometry.refusals import refuse
 from geometry.topology import CELL_TYPES, FACET_TYPES, IntArray, corner_count
 
 if TYPE_CHECKING:
@@ -108,26 +108,20 @@ def _load(path: Path, scale: float) -> meshio.Mesh:
     """The file as meshio reads it, coordinates times a factor; messages that meshio prints are suppressed.
 
     Raises:
-        InputError: no such file, not readable, or two groups with one physical name.
+        InputError: not readable, or two groups with one physical name.
     """
     import meshio  # not needed by joints that are built
 
-    if not path.is_file():
-        raise InputError("this is a folder, not a file" if path.is_dir() else "there is no such file")
-    if not {path.suffix.lower(), "".join(path.suffixes[-2:]).lower()} & meshio.extension_to_filetypes.keys():
-        raise InputError(unknown("suffix", path.suffix, meshio.extension_to_filetypes))
-    if path.suffix.lower() == ".msh":
-        _require_single_names(path)
     said = io.StringIO()
     try:
         with redirect_stdout(said), redirect_stderr(said), warnings.catch_warnings(action="ignore"):
             mesh = meshio.read(path)
-    except ImportError as error:
-        raise InputError(f"{path.suffix} files need the Python package {error.name}") from None
     except (Exception, SystemExit) as error:  # meshio exits Python when no reader succeeds
         why = " ".join(said.getvalue().split()) if isinstance(error, SystemExit) else f"{type(error).__name__}: {error}"
         hint = "; in gmsh save with Mesh.SaveAll = 0, Mesh.SaveParametric = 0" if path.suffix.lower() == ".msh" else ""
         raise InputError(f"meshio cannot read this {path.suffix} file ({why}){hint}") from None
+    if path.suffix.lower() == ".msh":
+        _require_single_names(path)
     mesh.points = np.asarray(mesh.points, float) * scale
     return mesh
 

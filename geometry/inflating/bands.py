@@ -44,11 +44,8 @@ class Copies:
         on_base = int(split.max(initial=0)) + 1
         sides = []
         for cells in joint.surface_cells.T:
-            there, component = cells >= 0, np.full(surface.shape, on_base)
-            own = joint.cells[cells[there]]
-            local = (own[:, None] == surface[there][:, :, None]).argmax(axis=2)
-            component[there] = np.take_along_axis(split[cells[there]], local, axis=1)
-            sides.append(surface * (on_base + 1) + component)
+            component = joint.components_at(cells, surface)
+            sides.append(surface * (on_base + 1) + np.where(component < 0, on_base, component))
         nodes, first = np.unique(surface, return_index=True)
         on_s = np.zeros(n, bool)
         on_s[nodes] = True
@@ -81,8 +78,8 @@ class Posts:
         first_new: number of the first node between copies.
         ends: (n, 2) the two copies of each post.
         nodes: (n,) the node of S that they are copies of.
-        kind: (n,) position of the post's heights in `heights`.
-        heights: heights of the levels, in units of the thickness, from 0 to 1.
+        kind: (n,) number of the seam of a facet at the post, whose heights it has.
+        heights: for each seam the heights of the levels, in units of the thickness, from 0 to 1.
     """
 
     first_new: int
@@ -97,15 +94,9 @@ class Posts:
         return np.array([len(one) - 1 for one in self.heights])[self.kind]
 
     @cached_property
-    def _places(self) -> tuple[IntArray, IntArray]:
-        """(n,) number of the node at level 1 of each post, and the step of numbers from level to level."""
-        count = np.bincount(self.kind, minlength=len(self.heights))
-        sizes = count * (np.array([len(one) for one in self.heights]) - 2)
-        start = self.first_new + np.cumsum(sizes) - sizes
-        rank = np.empty(len(self.kind), np.int64)
-        for kind, n in enumerate(count):
-            rank[self.kind == kind] = np.arange(n)
-        return start[self.kind] + rank, count[self.kind]
+    def start(self) -> IntArray:
+        """(n,) number of the node at level 1 of each post; the next levels follow."""
+        return self.first_new + np.cumsum(self.top - 1) - (self.top - 1)
 
     @property
     def size(self) -> int:
@@ -114,21 +105,16 @@ class Posts:
 
     def number(self, posts: IntArray, level: IntArray | int) -> IntArray:
         """Nodes of posts at levels."""
-        start, step = self._places
-        between = start[posts] + (np.asarray(level) - 1) * step[posts]
-        second = np.where(level == self.top[posts], self.ends[posts, 1], between)
+        second = np.where(level == self.top[posts], self.ends[posts, 1], self.start[posts] + np.asarray(level) - 1)
         return np.where(np.asarray(level) == 0, self.ends[posts, 0], second)
 
-    def between(self, values: FloatArray) -> tuple[IntArray, FloatArray, IntArray]:
-        """Nodes between copies, values there, linear between those (n_nodes, d) at the copies, and their nodes of S."""
-        posts = [np.flatnonzero(self.kind == kind) for kind in range(len(self.heights))]
-        every = [(p, level, z) for p, h in zip(posts, self.heights, strict=True) for level, z in enumerate(h[1:-1], 1)]
-        nodes = [self.number(some, level) for some, level, _ in every]
-        low, high = (values[self.ends[:, k]] for k in (0, 1))
-        at = [(1 - z) * low[some] + z * high[some] for some, _, z in every]
-        below = [self.nodes[some] for some, _, _ in every]
-        none = np.empty(0, np.int64)
-        return np.concatenate([none, *nodes]), np.concatenate([values[:0], *at]), np.concatenate([none, *below])
+    def between(self, values: FloatArray) -> tuple[FloatArray, IntArray]:
+        """At the nodes between copies, in their order: values, linear between those (n_nodes, d) at copies; nodes of S."""
+        post = np.repeat(np.arange(len(self.top)), self.top - 1)
+        first = np.cumsum([0, *map(len, self.heights)])[self.kind[post]]
+        level = np.arange(self.first_new, self.first_new + self.size) - self.start[post] + 1
+        z = np.concatenate(self.heights)[first + level][:, None]
+        return (1 - z) * values[self.ends[post, 0]] + z * values[self.ends[post, 1]], self.nodes[post]
 
     def joined(self, ends: IntArray, nodes: IntArray, kind: int) -> Posts:
         """These posts and more of them."""
@@ -144,12 +130,10 @@ class Footing:
     Attributes:
         posts: (n_S, k) the post at each node of each facet.
         turned: (n_S, k) whether the post leads from the upper side of this facet to the lower one.
-        seam: (n posts,) number of the seam of a facet at the post.
     """
 
     posts: IntArray
     turned: BoolArray
-    seam: IntArray
 
 
 def posts_of(joint: Joint, copies: Copies, heights: Sequence[FloatArray]) -> tuple[Posts, Footing]:
@@ -173,12 +157,11 @@ def posts_of(joint: Joint, copies: Copies, heights: Sequence[FloatArray]) -> tup
     refuse(ends[:, 0] == ends[:, 1], joint.points[joint.surface.ravel()[first]], f"at {{at}} {closed}")
     turned = below != ends[at, 0]
     seam = np.repeat(joint.seam_numbers, joint.surface.shape[1])
-    kinds: list[FloatArray] = []
-    kind_of_seam = np.array([_kind(one, kinds) for one in heights])
     cases, example = np.unique(np.column_stack([seam[first][at], seam, turned]), axis=0, return_index=True)
     names, places = list(joint.seams), joint.points[joint.surface.ravel()[example]]
     for (one, other, way), x in zip(cases, places, strict=True):
-        if not _same(heights[one], 1 - heights[other][::-1] if way else heights[other]):
+        own, beside = heights[one], 1 - heights[other][::-1] if way else heights[other]
+        if len(own) != len(beside) or np.abs(own - beside).max() > SAME_HEIGHT:
             continues = f"{names[one]!r} and {names[other]!r} continue one another"
             raise InputError(
                 f"at {place(x)} {continues if one != other else 'the upper side changes'}, and their sublayers do not "
@@ -187,21 +170,8 @@ def posts_of(joint: Joint, copies: Copies, heights: Sequence[FloatArray]) -> tup
         if way and joint.dim == 3:
             raise InputError(f"the upper side of S changes at {place(x)}: in 3D each layer needs one on one side there")
     shape, nodes = joint.surface.shape, joint.surface.ravel()[first]
-    posts = Posts(len(joint.points) + len(copies.new), ends, nodes, kind_of_seam[seam[first]], tuple(kinds))
-    return posts, Footing(at.reshape(shape), turned.reshape(shape), seam[first])
-
-
-def _same(one: FloatArray, other: FloatArray) -> bool:
-    return len(one) == len(other) and bool(np.abs(one - other).max() <= SAME_HEIGHT)
-
-
-def _kind(heights: FloatArray, known: list[FloatArray]) -> int:
-    """Position of heights among the known ones, added there if they are new."""
-    for number, one in enumerate(known):
-        if _same(one, heights):
-            return number
-    known.append(heights)
-    return len(known) - 1
+    posts = Posts(len(joint.points) + len(copies.new), ends, nodes, seam[first], tuple(heights))
+    return posts, Footing(at.reshape(shape), turned.reshape(shape))
 
 
 def level_heights(degree: int, cells_through: int, fractions: Sequence[float]) -> FloatArray:

@@ -79,7 +79,9 @@ def _conforming(kind: str, edges: IntArray, far: FloatArray, wanted: BoolArray) 
         far: (m,) how far they reach; of simplices the farthest come first.
         wanted: (m,).
     """
-    parallel, none = _parallel(kind), len(far)
+    first, last = np.array(basix.topology(basix.CellType[kind])[1]).T
+    direction = last - first if is_tensor(kind) else np.arange(len(first))  # parallel edges have one
+    parallel, none = [np.flatnonzero(direction == one) for one in np.unique(direction)], len(far)
     if is_tensor(kind):
         links = np.concatenate([edges[:, [some[0], one]] for some in parallel for one in some[1:]])
         group = connected(links[:, 0], links[:, 1], none)
@@ -92,13 +94,6 @@ def _conforming(kind: str, edges: IntArray, far: FloatArray, wanted: BoolArray) 
     alone = (in_cell == first).sum(axis=1, keepdims=True) == 1  # else parallel edges meet in a cell: they stay whole
     halved[in_cell[(in_cell != first) | ~alone]] = False
     return np.asarray(halved[group])
-
-
-def _parallel(kind: str) -> list[IntArray]:
-    """Edges of the reference cell that are parallel, for each direction; of simplices each by itself."""
-    first, last = np.array(basix.topology(basix.CellType[kind])[1]).T
-    direction = last - first if is_tensor(kind) else np.arange(len(first))
-    return [np.flatnonzero(direction == one) for one in np.unique(direction)]
 
 
 def _shapes(kind: str, degree: int, X: FloatArray) -> FloatArray:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse
-from mpi4py import MPI
-from petsc4py import PETSc
+import scipy.sparse.linalg
 
 from forms.base import InputError
 from geometry.inflating.bands import Copies
@@ -85,8 +84,7 @@ def _outer_moments(joint: Joint, cells: IntArray) -> tuple[FloatArray, IntArray]
         joint: the joint before inflating.
         cells: (n_cells, k) nodes of its cells; where bodies have parted, each copy counts the faces of its own body.
     """
-    table = joint.table
-    outer = np.setdiff1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
+    table, outer = joint.table, joint.outer_rows
     normals = facet_normals(joint.points, table.nodes(outer, joint.cells, joint.cell_type), joint.cell_type)
     nodes, size = table.nodes(outer, cells, joint.cell_type), int(cells.max()) + 1
     return sums(nodes, normals[..., :, None] * normals[..., None, :], size), np.bincount(nodes.ravel(), minlength=size)
@@ -114,9 +112,11 @@ def extended_motion(
     moments, count = _outer_moments(joint, body_cells)
     eigenvalues, vectors = np.linalg.eigh(moments[free] / np.maximum(count[free], 1)[:, None, None])
     node, way = np.nonzero(eigenvalues < EXACT)
-    unknown = np.arange(len(node))
     directions = scipy.sparse.csr_matrix(
-        (vectors[node, :, way].ravel(), ((node[:, None] * d + np.arange(d)).ravel(), np.repeat(unknown, d))),
+        (
+            vectors[node, :, way].ravel(),
+            ((node[:, None] * d + np.arange(d)).ravel(), np.repeat(np.arange(len(node)), d)),
+        ),
         shape=(len(free) * d, len(node)),
     )
     if len(node):
@@ -146,24 +146,8 @@ def _laplacian(x: FloatArray, corners: IntArray, cell_type: str, n: int) -> scip
 
 def _solve(matrix: scipy.sparse.csr_matrix, b: FloatArray) -> FloatArray:
     """Conjugate gradients; the same on every rank, each for itself."""
-    if not np.any(b):
-        return np.zeros_like(b)
-    A = PETSc.Mat().createAIJ(
-        matrix.shape,
-        csr=(matrix.indptr.astype(PETSc.IntType), matrix.indices.astype(PETSc.IntType), matrix.data),
-        comm=MPI.COMM_SELF,
-    )
-    ksp = PETSc.KSP().create(MPI.COMM_SELF)
-    ksp.setOperators(A)
-    ksp.setType("cg")
-    ksp.getPC().setType("icc")
-    ksp.setTolerances(rtol=TOLERANCE, atol=0.0, max_it=5000)
-    solution = np.zeros_like(b)
-    right, x = (PETSc.Vec().createWithArray(values, comm=MPI.COMM_SELF) for values in (b, solution))
-    ksp.solve(right, x)
-    reason = ksp.getConvergedReason()
-    for thing in (A, ksp, right, x):
-        thing.destroy()
-    if reason < 0:
+    scaled = scipy.sparse.diags(1 / matrix.diagonal())
+    solution, failed = scipy.sparse.linalg.cg(matrix, b, rtol=TOLERANCE, atol=0.0, maxiter=50_000, M=scaled)
+    if failed:
         raise InputError("the harmonic motion of the bodies' nodes was not found: the mesh has nearly flat cells")
-    return solution
+    return np.asarray(solution)

@@ -10,10 +10,10 @@ import numpy as np
 
 from forms.base import InputError
 from geometry.inflating.bands import Copies, Footing, Posts, band_cells, posts_of
-from geometry.inflating.corners import Corners, are_filled, common_normals, junction_posts, junctions_of, polyhedra_of
+from geometry.inflating.corners import Corners, common_normals, junctions_of
 from geometry.inflating.extended_bodies import extended_motion, face_motion
 from geometry.inflating.filling import Filled, fill
-from geometry.inflating.kept_bodies import NOT_KEPT, UNIFORM, is_swept, kept_motion, require_apart, require_room
+from geometry.inflating.kept_bodies import NOT_KEPT, UNIFORM, kept_motion, require_room
 from geometry.inflating.layering import Layering, check_junctions, check_layering, moved_facets
 from geometry.joint import Band, Joint, Profile
 from geometry.periodic import repeated
@@ -69,42 +69,44 @@ def inflate(
             or is folded; the thickness varying, or bodies that cannot move apart in one piece (kept); outer faces that
             touch S and are nearly parallel to it, layers of different thickness that meet in line (extended); cells
             turned inside out, layers that overlap the bodies; junctions of sublayers, of a varying thickness, of curved
-            cells, of an odd number of cells; hexahedra where junctions meet at a vertex and one of the bodies has other
-            than three layers there; bodies that touch at a vertex, or along an edge, only; gaps alone.
+            cells, of an odd number of cells; in 3D, junctions that meet at a vertex; bodies that touch at a vertex, or
+            along an edge, only; gaps alone.
     """
     check_layering(cells_through, bodies)
     if not isinstance(joint, Joint):
         raise InputError(f"inflate takes a joint, not {joint!r}")
     if joint.band is not None:
         raise InputError("this joint is inflated already; inflate the joint it came from")
-    _require_inside(joint)
     periods, joint = joint.periods, replace(joint, periods=None)
-    fixed = np.unique(np.concatenate(periods.pairs)) if periods else np.empty(0, np.int64)
+    fixed: IntArray = np.empty(0, np.int64)
+    if periods:
+        fixed, sides = np.unique(np.concatenate(periods.pairs)), " and ".join(map(repr, periods.names))
+        reason = "the layer cannot be meshed, as the sides would not match when it opens"
+        remedy = "cut the cell where S is not, use the interface model, or mesh a large piece that is not periodic"
+        message = f"S reaches one of the periodic sides {sides}, at {{at}}: {reason}; {remedy}"
+        refuse(np.isin(fixed, joint.surface), joint.points[fixed], message)
     layers = Layering.of(joint, eps, profile, cells_through, fractions, junctions, gaps)
     copies = Copies.of(joint)
     posts, footing = posts_of(joint, copies, layers.heights)
-    meeting = junction_posts(posts)
-    check_junctions(joint, posts, footing.seam[meeting], meeting, layers)
+    check_junctions(joint, posts, layers)
     posts, meetings = junctions_of(joint, posts, footing)
-    around = polyhedra_of(joint, posts, meetings)
 
-    translation = _translation(joint, layers.thickness) if bodies == "kept" else None
-    copied = _motion(joint, copies, layers.thickness, translation, fixed)
-    nodes, moved, below = posts.between(copied)
-    motion = np.concatenate([copied, np.empty((posts.size, joint.dim))])
-    footprint = np.concatenate([np.arange(len(joint.points)), copies.new, np.empty(posts.size, np.int64)])
-    motion[nodes], footprint[nodes] = moved, below
+    copied = _motion(joint, copies, layers.thickness, bodies, fixed)
+    moved, below = posts.between(copied)
+    motion = np.concatenate([copied, moved])
+    footprint = np.concatenate([np.arange(len(joint.points)), copies.new, below])
 
     bands, names = _bands(joint, posts, footing, layers)
     between = _Cells(joint.cells[:0], joint.region[:0], bands.director[:0])
-    if len(meetings.of):
-        filled = fill(joint, posts, meetings, around, copied, footprint[: len(copied)])
+    if meetings:
+        filled = fill(joint, posts, meetings, copied, footprint[: len(copied)])
         motion, footprint = np.concatenate([motion, filled.values]), np.concatenate([footprint, filled.nodes])
-        between = _junctions(joint, posts, footing, (meetings, around), layers.claims, filled)
+        between = _junctions(joint, posts, footing, meetings, layers.claims, filled)
     owners = np.unique(between.region)
     seams, prefix = list(joint.seams), f"{LAYER}/{JUNCTIONS}"
     shared = {prefix if len(owners) == 1 else f"{prefix}/{seams[k]}": seams[k] for k in owners}
-    askew = np.unique(between.region[(between.director == 0).all(axis=(1, 2))])
+    askew_cells = (between.director == 0).all(axis=(1, 2), keepdims=True)
+    askew = between.region[askew_cells[:, 0, 0]]
     first = len(joint.regions) + sum(map(len, names.values()))
 
     used = np.zeros(len(footprint), bool)
@@ -137,11 +139,9 @@ def inflate(
             faces,
             joint,
             joint.points[footprint],
-            np.concatenate([bands.director, _unit(between.director)]),
+            np.concatenate([bands.director, np.where(askew_cells, np.eye(joint.dim)[1], between.director)]),
         ),
     )
-    if translation is not None and not is_swept(joint, translation):
-        require_apart(opened)
     return repeated(opened, periods) if periods else opened
 
 
@@ -185,7 +185,7 @@ class _Cells(NamedTuple):
 
 
 def _junctions(
-    joint: Joint, posts: Posts, footing: Footing, corners: tuple[Corners, Corners], claims: list[str], filled: Filled
+    joint: Joint, posts: Posts, footing: Footing, corners: Corners, claims: list[str], filled: Filled
 ) -> _Cells:
     """The cells of junctions; `region` is the number of the seam that they belong to, one for each junction.
 
@@ -193,31 +193,24 @@ def _junctions(
         joint: the joint before inflating.
         posts: all posts.
         footing: where the facets of S have theirs.
-        corners: of junctions, and of the polygons around polyhedra.
+        corners: of junctions.
         claims: names of the seams with cells, the first one first.
         filled: cells in all junctions.
     """
     seams, last = list(joint.seams), len(claims)
     rank = np.array([claims.index(name) if name in claims else last for name in seams])
     of_posts = np.full(len(posts.nodes), last)  # the sides that close a polygon have no seam
-    of_posts[: len(footing.seam)] = rank[footing.seam]
-    owners = []
-    for some in corners:
-        first = np.full(int(some.of.max(initial=-1)) + 1, last)
-        np.minimum.at(first, some.of, of_posts[some.sides].min(axis=(1, 2)))
-        owners.append(np.array([*map(seams.index, claims), -1])[first[some.of]])
+    of_posts[: footing.posts.max() + 1] = rank[posts.kind[: footing.posts.max() + 1]]
+    first = np.full(int(corners.of.max()) + 1, last)
+    np.minimum.at(first, corners.of, of_posts[corners.sides].min(axis=(1, 2)))
+    owners = np.array([*map(seams.index, claims), -1])[first[corners.of]]
     gap = of_posts == last
-    kept = are_filled(*corners, gap)[filled.corners]
+    # where a body has a corner between two gaps there are no cells: it would touch them at that corner only
+    empty = np.bincount(corners.of, gap[corners.sides[:, 0]].all(axis=1)) > 0
+    kept = ~empty[corners.of][filled.corners]
     cells, corner = filled.cells[kept], filled.corners[kept]
-    normals = np.concatenate([common_normals(joint, footing, some, gap) for some in corners])[corner]
-    director = np.broadcast_to(normals[:, None], (*cells.shape, joint.dim))
-    return _Cells(cells, np.concatenate(owners)[corner], director)
-
-
-def _unit(directors: FloatArray) -> FloatArray:
-    """Directors, and a fixed unit vector in place of zeros."""
-    fixed = np.eye(directors.shape[-1])[1]
-    return np.where((directors == 0).all(axis=-1, keepdims=True), fixed, directors)
+    normals = common_normals(joint, footing, corners, gap)[corner]
+    return _Cells(cells, owners[corner], np.broadcast_to(normals[:, None], (*cells.shape, joint.dim)))
 
 
 def _bands(joint: Joint, posts: Posts, footing: Footing, layers: Layering) -> tuple[_Cells, dict[str, tuple[str, ...]]]:
@@ -237,32 +230,23 @@ def _bands(joint: Joint, posts: Posts, footing: Footing, layers: Layering) -> tu
     return _Cells(*map(np.concatenate, zip(*found, strict=True))), names
 
 
-def _motion(
-    joint: Joint, copies: Copies, thickness: FloatArray, translation: FloatArray | None, fixed: IntArray
-) -> FloatArray:
+def _motion(joint: Joint, copies: Copies, thickness: FloatArray, bodies: str, fixed: IntArray) -> FloatArray:
     """(n, d) motion of each node of the parted bodies, and of the copies on a rigid base; some are fixed if they extend."""
     n_nodes = len(joint.points) + len(copies.new)
-    if translation is None:
+    if bodies == "extended":
         on_base = (joint.surface_cells[:, 0] < 0)[:, None]
         up, down = np.where(on_base, thickness, thickness / 2), np.where(on_base, 0.0, thickness / 2)
         known, values = face_motion(joint, copies, (down, up))
         return extended_motion(joint, copies.cells, n_nodes, known, values, fixed)
-    motion = np.zeros((n_nodes, joint.dim))
-    motion[copies.cells] = translation[joint.splitting.pieces][:, None]
-    motion[len(joint.points) :][copies.base] = translation[-1]
-    return motion
-
-
-def _translation(joint: Joint, thickness: FloatArray) -> FloatArray:
-    """Translations of the pieces of kept bodies, and of the rigid base if there is one, last."""
     for number, name in enumerate(joint.seams):
         own = thickness[joint.seam_numbers == number]
         if np.ptp(own) > UNIFORM * own.max():
             raise InputError(f"the thickness varies along {name}: {NOT_KEPT}")
-    translation = kept_motion(joint, thickness[:, 0])
-    if is_swept(joint, translation):
-        require_room(joint, translation)
-    return translation
+    translation, motion = kept_motion(joint, thickness[:, 0]), np.zeros((n_nodes, joint.dim))
+    require_room(joint, translation)
+    motion[copies.cells] = translation[joint.splitting.pieces][:, None]
+    motion[len(joint.points) :][copies.base] = translation[-1]
+    return motion
 
 
 def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int) -> None:
@@ -312,13 +296,3 @@ def to_middle(joint: Joint) -> FloatArray:
         at = np.flatnonzero(cells >= 0)
         out[cells[at, None], joint.on_surface(cells)[at]] = (both.mean(axis=0) - own)[at]
     return out
-
-
-def _require_inside(joint: Joint) -> None:
-    """Raise InputError if S reaches a periodic side: inflated, opposite sides would not match."""
-    for names, pair in zip(joint.periods.sides, joint.periods.pairs, strict=True) if joint.periods else ():
-        sides, both = " and ".join(map(repr, names)), np.unique(pair)
-        reason = "the layer cannot be meshed, as the sides would not match when it opens"
-        remedy = "cut the cell where S is not, use the interface model, or mesh a large piece that is not periodic"
-        message = f"S reaches the periodic sides {sides}, at {{at}}: {reason}; {remedy}"
-        refuse(np.isin(both, joint.surface), joint.points[both], message)

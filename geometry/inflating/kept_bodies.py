@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
-from scipy.spatial import cKDTree
 
 from forms.base import InputError
 from geometry.joint import FLAT, Joint
 from geometry.refusals import place, refuse
+from geometry.sheet import Sheet
 from geometry.topology import FloatArray, IntArray, connected, is_tensor, sums
 
 UNIFORM = 1e-12  # relative difference of thicknesses that counts as none
@@ -19,7 +17,6 @@ SAME_GAP = 1e-9  # relative error of the thickness between bodies that are kept
 STIFF = 1e3  # stiffness across the layers relative to that along them, in the least squares for kept bodies
 STEPS = 200  # of its multiplier, at most
 NOT_KEPT = "the bodies cannot be moved apart in one piece; use bodies='extended'"
-MANY = 3  # number of different motions of bodies in 2D up to which their ways are checked, pair by pair
 # weights of a facet's vertices: their mean lies above no edge of an aligned grid
 ASKEW = np.array([1.0, 1.3, 1.7, 2.3])
 
@@ -43,7 +40,8 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
     count += bool((cells < 0).any())
     around = f"one body, as at {{at}}, lies below S and above it: {NOT_KEPT}"
     refuse(ends[:, 0] == ends[:, 1], joint.points[joint.corners[cells[:, 1]]], around)
-    area = _areas(joint)
+    sheet = Sheet(joint)
+    area = np.bincount(sheet.parts[0], sheet.areas)
     pairs, at = np.unique(ends, axis=0, return_inverse=True)
     at = at.ravel()
     weight: FloatArray = np.bincount(at, area).astype(float)
@@ -103,20 +101,6 @@ def _translations(pair: IntArray, part: IntArray, jump: FloatArray, across: Floa
     return T
 
 
-def _areas(joint: Joint) -> FloatArray:
-    """(n_S,) areas of the straight facets between the vertices of S, lengths in 2D."""
-    x = joint.points[joint.surface]
-    if joint.dim == 2:
-        return np.asarray(np.linalg.norm(x[:, 1] - x[:, 0], axis=1))
-    a, b, c, d = (0, 3, 1, 2) if is_tensor(joint.cell_type) else (0, 1, 0, 2)  # diagonals, or two sides
-    return np.asarray(np.linalg.norm(np.cross(x[:, b] - x[:, a], x[:, d] - x[:, c]), axis=1) / 2)
-
-
-def is_swept(joint: Joint, translation: FloatArray) -> bool:
-    """Whether the bodies' ways are checked; in 2D, of many different ones, it is the result instead."""
-    return joint.dim == 3 or len(ways_of(translation)[0]) <= MANY
-
-
 def require_room(joint: Joint, translation: FloatArray) -> None:
     """Raise InputError if bodies that are kept, or a layer on a rigid base, hit one another on their way.
 
@@ -125,41 +109,27 @@ def require_room(joint: Joint, translation: FloatArray) -> None:
         translation: of its pieces, and of the rigid base if there is one, see `kept_motion`.
     """
     table, cells = joint.table, joint.surface_cells
-    first, alike = ways_of(translation)
     outer = np.union1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
     piece = joint.splitting.pieces[table.cells[outer, 0]]
     below = np.where(cells[:, 0] >= 0, joint.splitting.pieces[cells[:, 0]], len(translation) - 1)
     piece[np.searchsorted(outer, joint.surface_rows)] = below
-    group, translation = alike[piece], translation[first]
-    for one, other in _near(joint.points[table.vertices[outer]], group, translation):
-        way = translation[one] - translation[other]
-        eps = float(np.linalg.norm(way))
-        for moving, fixed, sign in ((one, other, 1.0), (other, one, -1.0)):
-            corners = table.vertices[outer[group == moving]]
-            weights = ASKEW[: corners.shape[1]] / ASKEW[: corners.shape[1]].sum()
-            probes = np.concatenate([joint.points[np.unique(corners)], weights @ joint.points[corners]])
-            x = _first_hit(joint, probes, outer[group == fixed], sign * way / eps, eps)
-            if x is not None:
-                raise InputError(f"no room for a layer of thickness {eps:g} at {place(x)}: bodies would overlap")
-
-
-def _near(x: FloatArray, group: IntArray, translation: FloatArray) -> Iterator[tuple[int, int]]:
-    """Pairs of groups of facets x (n, k, d) whose boxes meet on their ways."""
+    x = joint.points[table.vertices[outer]]
     low, high = np.full_like(translation, np.inf), np.full_like(translation, -np.inf)
-    np.minimum.at(low, group, x.min(axis=1))
-    np.maximum.at(high, group, x.max(axis=1))
+    np.minimum.at(low, piece, x.min(axis=1))
+    np.maximum.at(high, piece, x.max(axis=1))
+    least = SAME_GAP * np.abs(translation).max()  # motion of bodies that move together, at most
     for one in range(len(translation) - 1):
-        way = translation[one] - translation[one + 1 :]
-        apart = np.maximum(low[one + 1 :] - high[one], low[one] - high[one + 1 :]).max(axis=1)
-        for other in np.flatnonzero(apart <= np.linalg.norm(way, axis=1)):
-            yield one, one + 1 + int(other)
-
-
-def ways_of(translation: FloatArray) -> tuple[IntArray, IntArray]:
-    """The first pieces with each translation, but for rounding errors; and (n_pieces,) which of these each piece has."""
-    scale = SAME_GAP * max(float(np.abs(translation).max()), np.finfo(float).tiny)
-    _, first, alike = np.unique(np.round(translation / scale), axis=0, return_index=True, return_inverse=True)
-    return first, alike.ravel()
+        lengths = np.linalg.norm(translation[one] - translation[one + 1 :], axis=1)
+        apart = np.maximum(low[one + 1 :] - high[one], low[one] - high[one + 1 :]).max(axis=1)  # of their boxes
+        for other in one + 1 + np.flatnonzero((apart <= lengths) & (lengths > least)):
+            way, eps = translation[one] - translation[other], float(lengths[other - one - 1])
+            for moving, fixed, sign in ((one, other, 1.0), (other, one, -1.0)):
+                corners = table.vertices[outer[piece == moving]]
+                weights = ASKEW[: corners.shape[1]] / ASKEW[: corners.shape[1]].sum()
+                probes = np.concatenate([joint.points[np.unique(corners)], weights @ joint.points[corners]])
+                hit = _first_hit(joint, probes, outer[piece == fixed], sign * way / eps, eps)
+                if hit is not None:
+                    raise InputError(f"no room for a layer of thickness {eps:g} at {place(hit)}: bodies would overlap")
 
 
 def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, way: FloatArray, eps: float) -> FloatArray | None:
@@ -184,26 +154,3 @@ def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, way: FloatArray, eps
         if len(hit):
             return np.asarray(x[hit[0]], float)
     return None
-
-
-def require_apart(opened: Joint) -> None:
-    """Raise InputError if parts of the outer boundary of a joint in 2D cross each other: bodies overlap."""
-    outer = opened.table.vertices[opened.table.cells[:, 1] < 0]
-    x = opened.points[outer]
-    length = float(np.linalg.norm(x[:, 1] - x[:, 0], axis=1).max())
-    pairs = cKDTree(x.mean(axis=1)).query_pairs(length, output_type="ndarray")
-    one, other = outer[pairs].swapaxes(0, 1) if len(pairs) else (outer[:0], outer[:0])
-    apart = ~(one[:, :, None] == other[:, None, :]).any(axis=(1, 2))
-    a, b = opened.points[one[apart]], opened.points[other[apart]]
-
-    def beside(of: FloatArray, points: FloatArray) -> FloatArray:
-        """Twice the areas of the triangles over a segment, with signs."""
-        edge, to = (of[:, 1] - of[:, 0])[:, None], points - of[:, :1]
-        return np.asarray(edge[..., 0] * to[..., 1] - edge[..., 1] * to[..., 0])
-
-    tolerance = 1e-12 * length**2
-    crossed = np.ones(len(a), bool)
-    for of, points in ((a, b), (b, a)):
-        left = beside(of, points) > -tolerance  # a vertex on the line counts as left: a chain is crossed there once
-        crossed &= left[:, 0] != left[:, 1]
-    refuse(crossed, a, "no room for the layers at {at}: moved apart, the bodies would overlap")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,19 +14,11 @@ from geometry.joint import Joint, Profile
 from geometry.refusals import place, refuse, require_known
 from geometry.seam import BASE, LAYER, LOWER_FACE, UPPER_FACE
 from geometry.sheet import continued
-from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, ridge_keys
+from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, keys_of_ridges
 
 WAYS = ("kept", "extended")
 THINNEST = 1e-11  # thickness of a meshed layer over the size of its joint
 Given = TypeVar("Given")
-
-
-def _with_cells(joint: Joint, gaps: Sequence[str]) -> BoolArray:
-    """(n_S,) which facets of S get cells: those that are in no gap."""
-    in_gaps = np.isin(np.array([*joint.seams])[joint.seam_numbers], list(gaps))
-    if in_gaps.all():
-        raise InputError("all seams are gaps: there is no layer to mesh; use the interface model")
-    return np.asarray(~in_gaps)
 
 
 def by_seam(joint: Joint, given: Given | Mapping[str, Given], what: str, *default: Given) -> dict[str, Given]:
@@ -83,7 +74,9 @@ class Layering:
         for what, names in (("junctions", junctions), ("gaps", gaps)):
             for name in names:
                 require_known("seam", name, joint.seams, what)
-        with_cells = _with_cells(joint, gaps)
+        in_gaps = np.isin(np.array([*joint.seams])[joint.seam_numbers], list(gaps))
+        if in_gaps.all():
+            raise InputError("all seams are gaps: there is no layer to mesh; use the interface model")
         sizes: dict[str, float] = by_seam(joint, eps, "eps")
         shares: dict[str, Sequence[float]] = by_seam(joint, fractions, "fractions", ())
         profiles: dict[str, Profile | None] = by_seam(joint, profile, "profile", None)
@@ -107,21 +100,20 @@ class Layering:
             relative[joint.seam_numbers[:, None], joint.surface],
             tuple(name for name in joint.seams if profiles[name] is not None),
             [name for name in dict.fromkeys([*junctions, *joint.seams]) if name not in gaps],
-            with_cells,
+            ~in_gaps,
         )
 
 
-def check_junctions(joint: Joint, posts: Posts, seams: IntArray, meeting: IntArray, layers: Layering) -> None:
+def check_junctions(joint: Joint, posts: Posts, layers: Layering) -> None:
     """Raise InputError where layers meet that cannot be meshed there.
 
     Args:
         joint: the joint before inflating.
         posts: all posts at the nodes of S.
-        seams: numbers of the seams of the posts at junctions.
-        meeting: these posts.
         layers: the layers.
     """
-    names, x = np.array([*joint.seams])[seams], joint.points[posts.nodes[meeting]]
+    meeting = np.flatnonzero(np.bincount(posts.nodes)[posts.nodes] > 1)
+    names, x = np.array([*joint.seams])[posts.kind[meeting]], joint.points[posts.nodes[meeting]]
     layered = [name for name, some in layers.fractions.items() if len(some)]
     for reason, of_seams in (
         ("the sublayers of one layer have no place in the others", layered),
@@ -130,9 +122,7 @@ def check_junctions(joint: Joint, posts: Posts, seams: IntArray, meeting: IntArr
     ):
         where = "S branches at {at}, where three or more bodies meet"
         refuse(np.isin(names, of_seams), x, f"{where}: {reason}; use the interface model")
-    odd = posts.top[meeting] % 2 > 0
-    through = f"cells_through is {posts.top[meeting][odd.argmax()]}" if odd.any() else ""
-    refuse(odd, x, f"{through}: layers meet at {{at}} and need an even number of cells there")
+    refuse(posts.top[meeting] % 2 > 0, x, "layers meet at {at} and need an even number of cells (cells_through) there")
 
 
 def moved_facets(
@@ -161,32 +151,20 @@ def moved_facets(
         faces += named if filled[of_seam].any() else ()
     if (on_base & filled).any():
         out[BASE] = below[on_base & filled]
-    sides, of_band = _side_faces(cells, n_bands, joint.cell_type, np.concatenate([above[filled], below[filled]]))
+    table = FacetTable.of(cells, joint.cell_type)
+    outer = table.cells[:, 1] < 0
+    outer[table.index(np.concatenate([above[filled], below[filled]]))] = False
+    sides, of_band = table.vertices[outer], table.cells[outer, 0] < n_bands
     stands = footprint[sides]
-    below_sides, upright = _ridges(stands, joint.dim), (stands == stands[:, :1]).all(axis=1)
+    below_sides, upright = keys_of_ridges(stands, joint.dim - 1), (stands == stands[:, :1]).all(axis=1)
     for name, facets in joint.facets.items():
         if name in joint.seams:
             continue
         rows = joint.table.index(facets)
         out[name] = joint.table.nodes(rows, copies.cells[:, : joint.corners.shape[1]], joint.cell_type)
-        outer = facets[joint.table.cells[rows, 1] < 0]
-        on = np.isin(below_sides, continued(joint, outer)).any(axis=1)
+        on = np.isin(below_sides, continued(joint, facets)).any(axis=1)
         around = stands[on & of_band]  # the end of a junction in 3D continues what the layers around it do
         on |= upright & np.isin(stands[:, 0], around)
         if on.any():
             out[f"{name}/{LAYER}"] = sides[on]
     return out, tuple(faces)
-
-
-def _side_faces(layers: IntArray, n_bands: int, cell_type: str, faces: IntArray) -> tuple[IntArray, BoolArray]:
-    """Outer facets of the layers other than their lower and upper faces, and whether they are those of bands."""
-    table = FacetTable.of(layers, cell_type)
-    outer = table.cells[:, 1] < 0
-    outer[table.index(faces)] = False
-    return table.vertices[outer], table.cells[outer, 0] < n_bands
-
-
-def _ridges(rows: IntArray, dim: int) -> IntArray:
-    """Keys of the ridges of facets given by vertices: vertices in 2D, edges (and a quadrilateral's diagonals) in 3D."""
-    pairs = combinations(range(rows.shape[1]), dim - 1)
-    return np.stack([ridge_keys(rows[:, list(pair)]) for pair in pairs], axis=1)

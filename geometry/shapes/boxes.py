@@ -33,9 +33,9 @@ class Boxes(Prism):
     bodies: tuple[tuple[str, float], ...]
 
     @property
-    def plane_lengths(self) -> dict[str, float]:
-        """Width and heights."""
-        return {"width": self.width} | {f"height of {name}": height for name, height in self.bodies}
+    def lengths(self) -> dict[str, float]:
+        """Width, heights and depth."""
+        return {"width": self.width, **{f"height of {name}": height for name, height in self.bodies}, **super().lengths}
 
     @property
     def extent(self) -> Extent:
@@ -80,8 +80,6 @@ def running_bond(cells: Cells, size: Sequence[float], bricks: int, courses: int)
     half, height, *others = _counts(cells, size, 1)
     for what, number in (("bricks", bricks), ("courses", courses)):
         require(is_finite(number) and number == int(number) and number >= 1, what, number, "give a whole number >= 1")
-    if bricks * courses == 1:
-        raise InputError("one brick is no wall: there is no joint in it")
     lengths = [size[0] * bricks, size[1] * courses, *size[2:]]
     return _joint(cells, lengths, [2 * half * int(bricks), height * int(courses), *others], (half, height))
 

@@ -17,7 +17,7 @@ from forms.base import InputError, is_number
 from geometry.joint import Joint
 from geometry.seam import S, Seam
 from geometry.shapes.sizing import CELLS, PARTS, RANGE, Cells, Grading, gmsh, require_wide, times
-from geometry.topology import FACET_TYPES, FloatArray, IntArray, corner_count, is_tensor
+from geometry.topology import FACET_TYPES, FloatArray, IntArray, corner_count, is_tensor, weights_between
 
 FAMILIES = {"interval": "line", "quadrilateral": "quadrangle"}  # gmsh's names, where they differ from ours
 GROWTH = 0.3  # growth of the cell size per unit of distance from a refined place
@@ -34,6 +34,7 @@ class Drawing:
         floor: tags of the four-sided surfaces for a grid; in 3D the surfaces that were swept.
         gradings: tag of each curve around them -> its grading.
         seams: name of a seam -> which of its sides is up; {}: "S" between the last body and those below.
+        circles: of a polar grid the two axes in the circles' plane, and the radius up to which it is straight, a length.
     """
 
     bodies: dict[str, list[int]]
@@ -41,11 +42,7 @@ class Drawing:
     floor: list[int]
     gradings: dict[int, Grading]
     seams: Mapping[str, Seam] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if not self.seams:
-            *below, above = self.bodies
-            object.__setattr__(self, "seams", {S: Seam(tuple(below), (above,))})
+    circles: tuple[list[int], float] | None = None
 
 
 class Extent(NamedTuple):
@@ -98,10 +95,6 @@ class Shape(ABC):
     def draw(self) -> Drawing:
         """Draw with gmsh's built-in kernel."""
 
-    def settle(self, points: FloatArray, cells: IntArray) -> FloatArray:
-        """The final places (n_points, d) of the points of a grid of degree 2; vertices do not move."""
-        return points
-
     @property
     def kind(self) -> str:
         """Type of the cells."""
@@ -139,6 +132,8 @@ class Shape(ABC):
             gmsh.option.setNumber("General.Terminal", 0)
             gmsh.model.add("joint")
             drawing = self.draw()
+            *below, above = drawing.bodies
+            drawing = replace(drawing, seams=drawing.seams or {S: Seam(tuple(below), (above,))})
             if self.gridded:
                 self._set_grid(drawing)
             else:
@@ -209,8 +204,8 @@ class Shape(ABC):
         place, new = np.empty((len(used), self.dim)), np.cumsum(used) - 1
         place[nodes] = x.reshape(-1, 3)[:, : self.dim]
         points, cells = place[used], new[np.concatenate(bodies)[:, order]]
-        if is_tensor(self.kind) and self.cells.degree == 2:
-            points = self.settle(points, cells)
+        if is_tensor(self.kind) and self.cells.degree == 2 and drawing.circles:
+            points = curve_grid(points, cells, self.kind, *drawing.circles)
         region = np.repeat(np.arange(len(bodies)), [len(body) for body in bodies])
         facets = {name: new[rows[:, : corner_count(facet_type)]] for name, rows in facets.items()}
         return partial(Joint, points * unit, cells, self.kind, region, tuple(drawing.bodies), facets, drawing.seams)
@@ -239,14 +234,9 @@ class Prism(Shape):
         return 2 if self.depth is None else 3
 
     @property
-    @abstractmethod
-    def plane_lengths(self) -> dict[str, float]:
-        """Name in messages -> length in the plane; each must be > 0."""
-
-    @property
     def lengths(self) -> dict[str, float]:
-        """The lengths in the plane and the depth."""
-        return self.plane_lengths | ({} if self.depth is None else {"depth": self.depth})
+        """The depth, if there is one."""
+        return {} if self.depth is None else {"depth": self.depth}
 
     @abstractmethod
     def draw_plane(self) -> Drawing:
@@ -266,14 +256,39 @@ class Prism(Shape):
 
 
 def _scaled(value: Any, factor: float) -> Any:
-    """A number, or the numbers and cells in a tuple, times a factor; anything else as it is."""
+    """A number or coordinates, what is in a tuple, cells or lines, times a factor; anything else as it is."""
     if isinstance(value, tuple):
         return tuple(_scaled(part, factor) for part in value)
-    if isinstance(value, Cells):
+    if hasattr(value, "scaled"):
         return value.scaled(factor)
+    if isinstance(value, np.ndarray):
+        return value * factor
     return times(value, factor) if is_number(value) else value
 
 
 def walls(curves: Sequence[int], surfaces: Sequence[int]) -> list[int]:
     """The surfaces that sweeping `surfaces` has made of some of their curves."""
     return [int(tag) for curve in curves for tag in gmsh.model.getAdjacencies(1, curve)[0] if tag not in surfaces]
+
+
+def curve_grid(points: FloatArray, cells: IntArray, kind: str, axes: list[int], core: float) -> FloatArray:
+    """Points of a polar grid of degree 2 whose circles are all curved, less and less towards a straight core.
+
+    gmsh itself curves only cells that touch a circle of the drawing, and would fold thin ones.
+
+    Args:
+        points: (n_points, d) coordinates, lengths.
+        cells: (n_cells, n_nodes) nodes of degree 2, vertices first.
+        kind: "quadrilateral" or "hexahedron".
+        axes: the two coordinates in the circles' plane.
+        core: radius up to which nodes stay, a length; 0: all circles are curved in full.
+    """
+    corners = corner_count(kind)
+    radius = np.hypot(*points[:, axes].T)
+    goal = radius.copy()
+    goal[cells[:, corners:]] = radius[cells[:, :corners]] @ weights_between(kind).T
+    share = np.clip((radius - core) / (radius.max() - core), 0.0, 1.0) if core else 1.0
+    scale = 1 + share * (goal / np.where(radius > 0, radius, 1.0) - 1)
+    points = points.copy()
+    points[:, axes] *= scale[:, None]
+    return points

@@ -8,13 +8,10 @@ from itertools import chain, pairwise
 from math import cos, isclose, pi, sin, tau
 from typing import ClassVar
 
-import numpy as np
-
 from forms.base import InputError
 from geometry.seam import S
 from geometry.shapes.drawing import Drawing, Extent, Prism, Shape, walls
 from geometry.shapes.sizing import Grading, gmsh, require_wide
-from geometry.topology import FloatArray, IntArray, corner_count, weights_between
 
 TURN = 0.3  # largest angle of a cell about the axis, in radians
 CORE = 0.65  # half the diagonal of the square grid in the middle of a disc, over the radius
@@ -92,9 +89,9 @@ class Rings(Prism):
             raise InputError(f"angle is {self.angle}; it must be > 0 and at most 2 pi, the full circle")
 
     @property
-    def plane_lengths(self) -> dict[str, float]:
-        """The radii."""
-        return {"inner": self.inner, "interface": self.interface, "outer": self.outer}
+    def lengths(self) -> dict[str, float]:
+        """The radii and the depth."""
+        return {"inner": self.inner, "interface": self.interface, "outer": self.outer, **super().lengths}
 
     @property
     def extent(self) -> Extent:
@@ -105,18 +102,16 @@ class Rings(Prism):
         return Extent(thinnest, max(self.angle * self.interface, self.depth or 0.0), distance, f"{TURN!r} * {radius}")
 
     def draw_plane(self) -> Drawing:
-        """Rings between spokes; INNER's spokes end at S, where OUTER's begin."""
+        """Rings between spokes; INNER's spokes end at S, where OUTER's begin.
+
+        A polar grid has cells from h_S at S to h away from it, from h_ends at the ends of S to h_S between them.
+        """
         web = Web.drawn((self.inner, self.interface, self.outer), self.angle, "xy")
         gmsh.model.geo.synchronize()
+        h, h_S, h_ends = self.sizes
         curves = dict(zip(("INSIDE", S, "OUTSIDE"), web.arcs, strict=True))
         if not is_circle(self.angle):
             curves |= {"START": [ring[0] for ring in web.spokes], "END": [ring[-1] for ring in web.spokes]}
-        bodies = dict(zip(("INNER", "OUTER"), web.patches, strict=True))
-        return Drawing(bodies, curves, list(chain.from_iterable(web.patches)), self._gradings(web))
-
-    def _gradings(self, web: Web) -> dict[int, Grading]:
-        """A polar grid: cells from h_S at S to h away from it, from h_ends at the ends of S to h_S between them."""
-        h, h_S, h_ends = self.sizes
         inner, outer = web.spokes
         gradings = dict.fromkeys(inner, Grading.of(self.interface - self.inner, h_S, h, backwards=True))
         gradings |= dict.fromkeys(outer, Grading.of(self.outer - self.interface, h_S, h))
@@ -127,11 +122,8 @@ class Rings(Prism):
             at_end = k in (0, last) and not is_circle(self.angle)
             first = min(h_ends, along) if at_end else along
             gradings |= dict.fromkeys(arcs, Grading.of(length, first, along, backwards=k == last))
-        return gradings
-
-    def settle(self, points: FloatArray, cells: IntArray) -> FloatArray:
-        """Nodes of a curved polar grid on circles."""
-        return curve_grid(points, cells, self.kind, [0, 1])
+        bodies = dict(zip(("INNER", "OUTER"), web.patches, strict=True))
+        return Drawing(bodies, curves, list(chain.from_iterable(web.patches)), gradings, circles=([0, 1], 0.0))
 
 
 @dataclass(frozen=True)
@@ -174,11 +166,14 @@ class Discs(Shape):
         return Extent(thinnest, tau * self.radius, "abs(y)", f"{TURN!r} * {radius}")
 
     def draw(self) -> Drawing:
-        """A disc in the plane of S, swept to both sides."""
-        h, h_S, _ = self.sizes
-        core = self.gridded and not self.hole
-        radii = (self.hole or CORE * self.radius, self.radius) if self.hole or core else (self.radius,)
-        web = Web.drawn(radii, tau, "xz", chords=core)
+        """A disc in the plane of S, swept to both sides.
+
+        A grid is polar, around a square one if there is no hole, with cells from h_ends at circles to h_S between them.
+        """
+        h, h_S, h_ends = self.sizes
+        core = CORE * self.radius if self.gridded and not self.hole else 0.0
+        start = self.hole or core
+        web = Web.drawn((start, self.radius) if start else (self.radius,), tau, "xz", chords=core > 0)
         disc = list(chain.from_iterable(web.patches)) + ([] if self.hole else [surface(web.arcs[0])])
         gmsh.model.geo.synchronize()
         low = self.sweep(disc, (0.0, -self.lower, 0.0), Grading.of(self.lower, h_S, h))
@@ -188,23 +183,12 @@ class Discs(Shape):
         for name, swept in (("BOTTOM", low), ("TOP", high)):
             facets[name] = [far for _, far in swept.values()]
         bodies = {name: [volume for volume, _ in swept.values()] for name, swept in (("LOWER", low), ("UPPER", high))}
-        return Drawing(bodies, facets, disc, self._gradings(web))
-
-    def _gradings(self, web: Web) -> dict[int, Grading]:
-        """A polar grid, around a square one if there is no hole: cells from h_ends at circles to h_S between them."""
-        _, h_S, h_ends = self.sizes
         along = min(h_S, TURN * self.radius)
         gradings = dict.fromkeys(chain.from_iterable(web.arcs), Grading.of(self.radius * pi / 2, along, along))
-        if self.hole:
-            radial = Grading.of(self.radius - self.hole, h_ends, h_S, symmetric=True)
-        else:
-            radial = Grading.of(self.radius * (1 - CORE), h_ends, h_S, backwards=True)
-        return gradings | dict.fromkeys(chain.from_iterable(web.spokes), radial)
-
-    def settle(self, points: FloatArray, cells: IntArray) -> FloatArray:
-        """Nodes of a curved polar grid on circles, those of the square grid on its straight lines."""
-        core = 0.0 if self.hole else CORE * self.radius
-        return curve_grid(points, cells, self.kind, [0, 2], core)
+        both = bool(self.hole)  # circles at both ends of the spokes
+        radial = Grading.of(self.radius - start, h_ends, h_S, symmetric=both, backwards=not both)
+        gradings |= dict.fromkeys(chain.from_iterable(web.spokes), radial)
+        return Drawing(bodies, facets, disc, gradings, circles=([0, 2], core))
 
 
 @dataclass(frozen=True)
@@ -225,7 +209,7 @@ class Fibre(Shape):
         super().__post_init__()
         if self.gap <= 0:
             what = "radius" if self.round else "smaller half side"
-            raise InputError(f"radius is {self.radius}; it must be less than the {what} of the matrix, {self.reach}")
+            raise InputError(f"radius is {self.radius}; it must be less than the {what} of the matrix")
         if self.gridded and not self.round:
             raise InputError(f"{self.kind!r} needs a matrix with an outer circle; in a rectangle use 'triangle'")
 
@@ -235,14 +219,9 @@ class Fibre(Shape):
         return len(self.around) == 1
 
     @property
-    def reach(self) -> float:
-        """Distance of the matrix's outer side from the origin."""
-        return self.around[0] if self.round else min(self.around) / 2
-
-    @property
     def gap(self) -> float:
         """The least width of the matrix."""
-        return self.reach - self.radius
+        return (self.around[0] if self.round else min(self.around) / 2) - self.radius
 
     @property
     def lengths(self) -> dict[str, float]:
@@ -258,19 +237,26 @@ class Fibre(Shape):
         return Extent(min(self.radius, self.gap), tau * self.radius, limit=limit)
 
     def draw(self) -> Drawing:
-        """A disc in a ring or in a rectangle with a hole; for a grid around a square one."""
-        core = [CORE * self.radius] if self.gridded else []
-        radii = (*core, self.radius, *(self.around if self.round else ()))
+        """A disc in a ring or in a rectangle with a hole; a polar grid around a square one, from h_S at S to h."""
+        h, h_S, _ = self.sizes
+        core = CORE * self.radius
+        radii = (*([core] if self.gridded else []), self.radius, *(self.around if self.round else ()))
         web = Web.drawn(radii, tau, "xy", chords=self.gridded)
-        fibre = [*(web.patches[0] if core else ()), surface(web.arcs[0])]
-        circle = web.arcs[len(core)]
+        fibre = [*(web.patches[0] if self.gridded else ()), surface(web.arcs[0])]
+        circle = web.arcs[int(self.gridded)]
         if self.round:
             sides, matrix = {"OUTSIDE": web.arcs[-1]}, web.patches[-1]
         else:
             sides, matrix = self._rectangle(circle)
         gmsh.model.geo.synchronize()
-        gradings = self._gradings(web) if self.gridded else {}
-        return Drawing({"FIBRE": fibre, "MATRIX": matrix}, {S: circle} | sides, fibre + matrix, gradings)
+        gradings: dict[int, Grading] = {}
+        if self.gridded:
+            along = min(h_S, TURN * self.radius)
+            gradings = dict.fromkeys(chain.from_iterable(web.arcs), Grading.of(self.radius * pi / 2, along, along))
+            gradings |= dict.fromkeys(web.spokes[0], Grading.of(self.radius - core, h_S, h_S))
+            gradings |= dict.fromkeys(web.spokes[1], Grading.of(self.gap, h_S, h))
+        bodies, circles = {"FIBRE": fibre, "MATRIX": matrix}, ([0, 1], core)
+        return Drawing(bodies, {S: circle} | sides, fibre + matrix, gradings, circles=circles)
 
     def _rectangle(self, hole: Sequence[int]) -> tuple[dict[str, list[int]], list[int]]:
         """The sides of the matrix, and its surface around a hole."""
@@ -282,19 +268,6 @@ class Fibre(Shape):
         sides = {name: [line] for name, line in zip(("LEFT", "BOTTOM", "RIGHT", "TOP"), lines, strict=True)}
         return sides, [kernel.addPlaneSurface(loops)]
 
-    def _gradings(self, web: Web) -> dict[int, Grading]:
-        """A polar grid around a square one: cells from h_S at S to h away from it."""
-        h, h_S, _ = self.sizes
-        along = Grading.of(self.radius * pi / 2, min(h_S, TURN * self.radius), min(h_S, TURN * self.radius))
-        gradings = dict.fromkeys([arc for arcs in web.arcs for arc in arcs], along)
-        inner, outer = web.spokes
-        gradings |= dict.fromkeys(inner, Grading.of(self.radius * (1 - CORE), h_S, h_S))
-        return gradings | dict.fromkeys(outer, Grading.of(self.gap, h_S, h))
-
-    def settle(self, points: FloatArray, cells: IntArray) -> FloatArray:
-        """Nodes of a curved polar grid on circles, those of the square grid on its straight lines."""
-        return curve_grid(points, cells, self.kind, [0, 1], CORE * self.radius)
-
 
 def is_circle(angle: float) -> bool:
     """Whether an angle, in radians, is the full circle."""
@@ -305,26 +278,3 @@ def surface(sides: Sequence[int]) -> int:
     """A plane surface bounded by curves, negative where they run backwards, in gmsh's built-in kernel."""
     kernel = gmsh.model.geo
     return int(kernel.addPlaneSurface([kernel.addCurveLoop(sides)]))
-
-
-def curve_grid(points: FloatArray, cells: IntArray, kind: str, axes: list[int], core: float = 0.0) -> FloatArray:
-    """Points of a polar grid of degree 2 whose circles are all curved, less and less towards a straight core.
-
-    gmsh itself curves only cells that touch a circle of the drawing, and would fold thin ones.
-
-    Args:
-        points: (n_points, d) coordinates, lengths.
-        cells: (n_cells, n_nodes) nodes of degree 2, vertices first.
-        kind: "quadrilateral" or "hexahedron".
-        axes: the two coordinates in the circles' plane.
-        core: radius up to which nodes stay, a length; 0: all circles are curved in full.
-    """
-    corners = corner_count(kind)
-    radius = np.hypot(*points[:, axes].T)
-    goal = radius.copy()
-    goal[cells[:, corners:]] = radius[cells[:, :corners]] @ weights_between(kind).T
-    share = np.clip((radius - core) / (radius.max() - core), 0.0, 1.0) if core else 1.0
-    scale = 1 + share * (goal / np.where(radius > 0, radius, 1.0) - 1)
-    points = points.copy()
-    points[:, axes] *= scale[:, None]
-    return points

@@ -9,7 +9,7 @@ from typing import Any, Self, TypedDict, get_type_hints
 
 import numpy as np
 
-from forms.base import InputError, is_finite, is_number, require
+from forms.base import InputError, is_finite, require
 from geometry.refusals import require_known, unknown
 
 CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
@@ -93,25 +93,19 @@ class Cells:
 
     def check(self, lengths: Mapping[str, float], dim: int) -> None:
         """Raise InputError if a length of the shape is not > 0 or the cells do not suit its size or dimension."""
-        given = {**lengths, "h": self.h, "h_S": self.h_S, "h_ends": self.h_ends}
-        for what, value in given.items():
-            require(value is None or is_number(value), what, value, "it must be a number")
         for what, value in lengths.items():
-            if not np.isfinite(value) or value <= 0:
-                raise InputError(f"{what} is {value}; it must be > 0")
+            require(is_finite(value) and value > 0, what, value, "it must be > 0")
         largest = max(lengths.values())
         for what, value in lengths.items():
             require_wide(what, value, largest)
         smallest = RANGE * largest
         for what, size in {"h": self.h, "h_S": self.h_S, "h_ends": self.h_ends}.items():
-            if size is not None and not (np.isfinite(size) and smallest <= size <= largest):
-                raise InputError(f"cell size {what} is {size}; allowed: {smallest:g} to {largest:g}")
-        if self.cell in CELLS[5 - dim]:
-            raise InputError(f"cell {self.cell!r} does not exist in {dim}D; allowed: {', '.join(CELLS[dim])}")
-        if self.cell is not None and self.cell not in CELLS[dim]:
-            raise InputError(unknown("cell", self.cell, CELLS[dim]))
-        if self.degree not in (1, 2) or not is_finite(self.degree):
-            raise InputError(f"degree is {self.degree!r}; allowed: 1 (straight cells), 2 (curved cells)")
+            allowed = size is None or (is_finite(size) and smallest <= size <= largest)
+            require(allowed, f"cell size {what}", size, f"allowed: {smallest:g} to {largest:g}")
+        if self.cell is not None:
+            require_known(f"cell in {dim}D", self.cell, CELLS[dim])
+        good = is_finite(self.degree) and self.degree in (1, 2)
+        require(good, "degree", self.degree, "allowed: 1 (straight cells), 2 (curved cells)")
         require_known("arrangement", self.arrangement, ARRANGEMENTS)
 
     def scaled(self, factor: float) -> Cells:

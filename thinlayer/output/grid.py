@@ -106,7 +106,7 @@ def gather(state: State) -> Grid | None:
     if joint.cell_type == "tetrahedron":
         _orient(points, rows)
     cells = np.column_stack([np.full(len(rows), rows.shape[1]), rows]).ravel()
-    first_layer = len(joint.regions) - len(model.domain.layer_regions)
+    first_layer = len(joint.regions) - len(joint.band.regions if joint.band else ())
     region = np.where(joint.region >= first_layer, first_layer - joint.region - 1, joint.region)
     types = np.full(len(rows), vtk_type(joint.cell_type, rows.shape[1]), np.uint8)
     return Grid(d, points, moved, cells, types, region, *_base(joint))

@@ -118,49 +118,36 @@ def lines_on(joint: Joint, seam: str, rows: IntArray, values: Array, plane: Plan
     Args:
         joint: the joint.
         seam: name of the seam.
-        rows: (n,) rows of its facets in the joint's table.
-        values: (n, k) or (n, k, components) at the vertices of the table's rows.
+        rows: (n,) positions of its facets among those of S.
+        values: (n, k) or (n, k, components) at their corners.
         plane: in 3D the plane that cuts S.
+
+    Raises:
+        InputError: a plane in 2D, none in 3D, or one that is none.
     """
-    of_corners = values.reshape(*values.shape[:2], -1)
-    cut = seam_segments(joint, rows, of_corners) if plane is None else cut_segments(joint, rows, of_corners, plane)
+    if (plane is None) != (joint.dim == 2):
+        hint = "in 2D S is a line" if joint.dim == 2 else "in 3D lines on S are cuts by a plane: plane=(point, normal)"
+        raise InputError(f"plane is {plane!r}; {hint}")
+    of_corners, nodes = values.reshape(*values.shape[:2], -1), joint.surface[rows]
+    if plane is None:
+        points, weights = basix.make_quadrature(basix.CellType.interval, ARC_DEGREE)
+        slopes = lagrange("interval", joint.degree).tabulate(1, points)[1, :, :, 0]
+        lengths = np.linalg.norm(np.einsum("qn,fnd->fqd", slopes, joint.points[nodes]), axis=2) @ weights
+        cut = Segments(nodes[:, :2], joint.points[nodes[:, :2]], of_corners, lengths)
+    else:
+        cut = cut_segments(joint, nodes, of_corners, plane)
     lines = cut.lines(seam, joint.size)
     return lines if values.ndim == 3 else [replace(one, values=one.values[:, 0]) for one in lines]
 
 
-def require_plane(plane: Plane | None, dim: int) -> None:
-    """Raise InputError for a plane in 2D, or none in 3D."""
-    if (plane is None) != (dim == 2):
-        hint = "in 2D S is a line" if dim == 2 else "in 3D lines on S are cuts by a plane: plane=(point, normal)"
-        raise InputError(f"plane is {plane!r}; {hint}")
-
-
-def seam_segments(joint: Joint, rows: IntArray, values: Array) -> Segments:
-    """The facets of S in 2D.
-
-    Args:
-        joint: the joint.
-        rows: (m,) rows of the joint's table of facets.
-        values: (m, 2, components) at the vertices of the table's rows.
-    """
-    vertices = joint.table.vertices[rows]
-    nodes = joint.table.nodes(rows, joint.cells, joint.cell_type)
-    points, weights = basix.make_quadrature(basix.CellType.interval, ARC_DEGREE)
-    slopes = lagrange("interval", joint.degree).tabulate(1, points)[1, :, :, 0]
-    lengths = np.linalg.norm(np.einsum("qn,fnd->fqd", slopes, joint.points[nodes]), axis=2) @ weights
-    return Segments(vertices, joint.points[vertices], values, lengths)
-
-
-def cut_segments(joint: Joint, rows: IntArray, values: Array, plane: Plane) -> Segments:
-    """Where a plane cuts facets of S in 3D, taken as straight between vertices; arguments as in `seam_segments`."""
-    point, normal = _plane(plane)
-    vertices = joint.table.vertices[rows]
-    corners = joint.table.nodes(rows, joint.corners, joint.cell_type)
-    ring = corners[:, [0, 1, 3, 2] if is_tensor(joint.cell_type) else [0, 1, 2]]
-    column = (vertices[:, None] == ring[:, :, None]).argmax(axis=2)
-    values = np.take_along_axis(values, column[..., None], axis=1)
+def cut_segments(joint: Joint, nodes: IntArray, values: Array, plane: Plane) -> Segments:
+    """Where a plane cuts facets in 3D, given by their nodes (n, k) and taken as straight; arguments as in `lines_on`."""
+    if (both := finite(plane, (2, 3))) is None or not both[1].any():
+        raise InputError(f"plane is {plane!r}; it needs (point, normal), three finite numbers each, not all zero")
+    around = [0, 1, 3, 2] if is_tensor(joint.cell_type) else [0, 1, 2]
+    ring, values = nodes[:, around], values[:, around]
     x = joint.points[ring]
-    height = (x - point) @ normal
+    height = (x - both[0]) @ both[1] / np.linalg.norm(both[1])
     height[np.abs(height) <= SAME * joint.size] = 0.0
     for above in (height >= 0, height > 0):  # a plane along facets: those on one side of it are cut, at their edges
         found = _crossed(ring, x, values, height, above)
@@ -176,17 +163,7 @@ def _crossed(ring: IntArray, x: Array, values: Array, height: Array, above: Bool
     edge = np.argsort(~crossed[facets], axis=1, kind="stable")[:, :2]
     row, ends = facets[:, None], np.stack([edge, after[edge]])
     share = height[row, ends[0]] / (height[row, ends[0]] - height[row, ends[1]])
-
-    def between(nodal: Array) -> Array:
-        return nodal[row, ends[0]] + share[..., None] * (nodal[row, ends[1]] - nodal[row, ends[0]])
-
+    first, last = (np.concatenate([x, values], axis=2)[row, end] for end in ends)
+    places, at = np.split(first + share[..., None] * (last - first), [x.shape[2]], axis=2)
     _, keys = np.unique(np.sort(ring[row, ends], axis=0).reshape(2, -1), axis=1, return_inverse=True)
-    places = between(x)
-    return Segments(keys.reshape(-1, 2), places, between(values), np.linalg.norm(places[:, 1] - places[:, 0], axis=1))
-
-
-def _plane(plane: object) -> tuple[Array, Array]:
-    """Point and unit normal of a plane; raises InputError."""
-    if (both := finite(plane, (2, 3))) is None or not both[1].any():
-        raise InputError(f"plane is {plane!r}; it needs (point, normal), three finite numbers each, not all zero")
-    return both[0], both[1] / np.linalg.norm(both[1])
+    return Segments(keys.reshape(-1, 2), places, at, np.linalg.norm(places[:, 1] - places[:, 0], axis=1))

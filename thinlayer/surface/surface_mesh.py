@@ -24,7 +24,7 @@ from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, cell_values
-from thinlayer.surface.lines import Line, Plane, lines_on, require_plane
+from thinlayer.surface.lines import Line, Plane, lines_on
 from thinlayer.surface.locating import Located
 
 Where = Array | BoolArray | Callable[[Array], Any]
@@ -220,27 +220,12 @@ class SurfaceMesh:
 
     def sides(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:
         """(2, m, n, q) values of a function of a model, below and above; zero of a rigid base. Collective."""
-        element, values = f.function_space.ufl_element().basix_element, self._beside(f, model, at)
+        element = f.function_space.ufl_element().basix_element
+        values = cell_values(f, model, self.cells[at.rows].clip(0))  # without meaning at a rigid base
         out = np.zeros((2, f.function_space.dofmap.bs, *at.weights.shape))
         for side, here, _, X in self._in_cells(at):
             out[side][:, here] = np.moveaxis(tabulated(element, X, len(here))[0] @ values[here, side], -1, 0)
         return out
-
-    def gradients(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:
-        """(2, m, d, n, q) gradients of a function of a model, below and above, [:, :, j] along x_j. Collective."""
-        element, values = f.function_space.ufl_element().basix_element, self._beside(f, model, at)
-        joint = model.domain.joint
-        out = np.zeros((2, f.function_space.dofmap.bs, joint.dim, *at.weights.shape))
-        for side, here, cells, X in self._in_cells(at):
-            slopes = tabulated(lagrange(joint.cell_type, joint.degree), X, len(here), 1)[1:]
-            to_x = np.linalg.inv(np.einsum("kfqa,fai->fqik", slopes, joint.cell_points[cells]))
-            along = tabulated(element, X, len(here), 1)[1:]
-            out[side][:, :, here] = np.einsum("kfqa,fam,fqkj->mjfq", along, values[here, side], to_x)
-        return out
-
-    def _beside(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:
-        """(n, 2, a, m) values at the nodes of the cells below, without meaning at a rigid base, and above. Collective."""
-        return cell_values(f, model, self.cells[at.rows].clip(0))
 
     def _in_cells(self, at: FacetPoints) -> Iterator[tuple[int, IntArray, IntArray, Array]]:
         """Sides, numbers of facets, cells, and points in the reference cell, for each way a facet lies in its cell."""
@@ -267,8 +252,9 @@ class SurfaceMesh:
                 raise ValueError
             return np.broadcast_to(values, (*values.shape[:-2], *self.weights.shape))
         except (TypeError, ValueError):
+            what = f"an array {f.shape}" if isinstance(f, np.ndarray) and f.ndim else f"{f!r:.80}"
             raise InputError(
-                f"{_named(f)} is no field on S; give an array (..., n, q) = (..., {str(self.weights.shape)[1:]}, "
+                f"{what} is no field on S; give an array (..., n, q) = (..., {str(self.weights.shape)[1:]}, "
                 "as surface.jump(state) or surface.x[0] is, (n, 1) of facets, or values at the nodes"
             ) from None
 
@@ -417,14 +403,10 @@ class SurfaceMesh:
         Raises:
             InputError: no field; a plane in 2D, none in 3D, one that does not cut S.
         """
-        joint, values, found = self.joint, self.at_corners(f), list[Line]()
-        require_plane(plane, joint.dim)
-        rows = joint.surface_rows[self.rows]
-        at = (self.corners[:, None] == joint.table.vertices[rows][..., None]).argmax(axis=2)
-        values = np.take_along_axis(values, at.reshape(*at.shape, *[1] * (values.ndim - 2)), axis=1)
+        values, found = self.at_corners(f), list[Line]()
         for name in dict.fromkeys(self.seams.tolist()):
             mine = self.seams == name
-            found += lines_on(joint, name, rows[mine], values[mine], plane)
+            found += lines_on(self.joint, name, self.rows[mine], values[mine], plane)
         if not found:
             raise InputError(f"the plane {plane!r} does not cut S")
         return found
@@ -447,11 +429,6 @@ class SurfaceMesh:
     def length(self, rim: Rim) -> float:
         """Length of a part of the rim; in a plane the number of its points, in axisymmetry that of their circles."""
         return float(rim.length @ self.model.kinematics.factor_at(self.joint.points[rim.vertices].mean(axis=1)))
-
-
-def _named(f: Any) -> str:
-    """What was given for a field, in a few words."""
-    return f"an array {f.shape}" if isinstance(f, np.ndarray) and f.ndim else f"{f!r:.80}"
 
 
 def surface_of(model: Model, seam: str) -> SurfaceMesh:
