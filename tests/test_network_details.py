@@ -38,8 +38,7 @@ def on_a_base():
 # ---------------------------------------------------------------- contact reports
 def test_zones_of_contact_go_on_where_bodies_branch():
     """A bed that sticks everywhere is one zone, also under the head that ends on it, and its two pieces are curves."""
-    cell = "triangle"
-    state = pushed(three_bricks(4, cell), 0.6, {"BED": BED, "HEAD": HEAD})
+    state = pushed(three_bricks(4, "triangle"), 0.6, {"BED": BED, "HEAD": HEAD})
     bed = Surface(state.model, "BED").contact(state)
     assert bed.counts["stick"] == 18
     assert [(zone.status, zone.nodes) for zone in bed.zones] == [("stick", 18)]
@@ -48,7 +47,7 @@ def test_zones_of_contact_go_on_where_bodies_branch():
     assert [len(line.s) for line in lines] == [18]  # where the head ends there are two
     assert sum(line.length for line in lines) == pytest.approx(2.0, rel=1e-12)
     assert np.diff(bed.x[:, 0]).min() > -1e-12
-    other = contact(pushed(renumbered(three_bricks(4, cell)), 0.6, {"BED": BED, "HEAD": HEAD}), "BED")
+    other = contact(pushed(renumbered(three_bricks(4, "triangle")), 0.6, {"BED": BED, "HEAD": HEAD}), "BED")
     assert [zone.nodes for zone in other.zones] == [18]
     assert other.p == pytest.approx(bed.p, rel=1e-9)
 
@@ -95,17 +94,16 @@ def test_loads_on_a_seam_are_refused():
 # ---------------------------------------------------------------- gaps
 def test_a_gap_on_a_rigid_base():
     """It is empty: the meshed model has the energies of one that does not know the base."""
-    bodies = "extended"
     joint, glue = on_a_base(), springs(5.0, 2.1, 0.001)
     held = Structure(joint, body=ROCK, supports={"LEFT/LOWER": 0.0}, tractions={"TOP": (0.1, -0.2)})
     layers = {"GLUE": glue, "BOTTOM": Gap(1e-6)}
-    full, limit = (solve(model).energies() for model in (held.full(layers, bodies=bodies), held.interface(layers)))
+    full, limit = (solve(model).energies() for model in (held.full(layers, bodies="extended"), held.interface(layers)))
     alone = Structure(
         sandwich(8.0, 4.0, 4.0, 1.0, cell="quadrilateral"), body=ROCK, supports={"LEFT/LOWER": 0.0},
         tractions={"TOP": (0.1, -0.2)},
     )  # fmt: skip
     assert full["layer"] == pytest.approx(limit["layer"], rel=1e-3)  # the glue has a thickness
-    assert full["bodies"] == pytest.approx(solve(alone.full(glue, bodies=bodies)).energies()["bodies"], rel=1e-5)
+    assert full["bodies"] == pytest.approx(solve(alone.full(glue, bodies="extended")).energies()["bodies"], rel=1e-5)
 
 
 # ---------------------------------------------------------------- cells

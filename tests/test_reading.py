@@ -140,10 +140,9 @@ def test_whole_boundary_between_bodies(draw, tmp_path):
 
 
 def test_rigid_base(draw, tmp_path):
-    dim = 3
-    one, two = boxes(draw, (0, 0, 1, 1), (1, 0, 1, 1), dim=dim)
-    groups = {(dim, "ONE"): [one], (dim, "TWO"): [two], (dim - 1, "FOOT"): sides(0, 0, 2, 0, dim)}
-    path = save(tmp_path / "a.msh", dim, groups)
+    one, two = boxes(draw, (0, 0, 1, 1), (1, 0, 1, 1), dim=3)
+    groups = {(3, "ONE"): [one], (3, "TWO"): [two], (2, "FOOT"): sides(0, 0, 2, 0, 3)}
+    path = save(tmp_path / "a.msh", 3, groups)
     joint = read(path, S="FOOT")
     assert joint.rigid_base
     assert (joint.seams["S"].upper, set(joint.facets)) == (("ONE", "TWO"), {"S"})
@@ -155,14 +154,13 @@ def test_rigid_base(draw, tmp_path):
 
 def test_s_inside_one_body(draw, tmp_path):
     """S cuts a body in two, or ends inside it."""
-    dim = 2
-    parts = boxes(draw, (0, -1, 1, 1), (0, 0, 1, 1), (1, -1, 1, 1), (1, 0, 1, 1), dim=dim)
+    parts = boxes(draw, (0, -1, 1, 1), (0, 0, 1, 1), (1, -1, 1, 1), (1, 0, 1, 1))
     groups = {
-        (dim, "BODY"): parts,
-        (dim - 1, "CUT"): sides(0, 0, 2, 0, dim),
-        (dim - 1, "CRACK"): sides(0, 0, 1, 0, dim),
+        (2, "BODY"): parts,
+        (1, "CUT"): sides(0, 0, 2, 0),
+        (1, "CRACK"): sides(0, 0, 1, 0),
     }
-    path, up = save(tmp_path / "a.msh", dim, groups), np.eye(dim)[1]
+    path, up = save(tmp_path / "a.msh", 2, groups), np.eye(2)[1]
     joint = read(path, S="CUT", direction=up)
     assert joint.bodies == ("BODY",)
     assert joint.interface_normals @ up == pytest.approx(1.0)
