@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import Any
 
-import numpy as np
 from petsc4py import PETSc
 
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
 from studies.timing import in_turn, peak, solve_once, timed
 from thinlayer import SolveError, Structure
+from thinlayer.parts.contact_part import ContactPart
 from thinlayer.parts.part import Interval
 from thinlayer.running.record import Record
 from thinlayer.solving.contact.contact_tangent import faster_products
-from thinlayer.solving.contact.problem import ContactProblem
-from thinlayer.solving.contact.solver import SCHEMES
+from thinlayer.solving.contact.finder import ContactFinder
+from thinlayer.solving.contact.solver import FINDERS
 from thinlayer.solving.equations import Equations
+from thinlayer.solving.equilibrium import Found
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
 from thinlayer.solving.petsc import defaults, require_all_read
 from thinlayer.solving.solvers import Solver
@@ -67,7 +67,7 @@ class Bench:
     """A discretised bar, ready to be solved again and again.
 
     Attributes:
-        problem: its contact problem.
+        equations: its equations.
         bonded: its stiffness with bonded springs at S, which the reference solves.
     """
 
@@ -77,41 +77,41 @@ class Bench:
         self.n, self.model = n, Structure(joint, **setup).interface(law)
         self.solver = Solver(self.model, method="newton")
         self.equations: Equations = self.solver.equations
-        self.problem = ContactProblem(self.equations)
-        nodes = self.problem.nodes
-        self.dim, self.dofs = joint.dim, self.problem.A.getSize()[0]
+        (part,) = self.equations.of_kind(ContactPart)
+        self.dim, self.dofs = joint.dim, self.equations.K.getSize()[0]
         self.load(1.0)
-        springs = nodes.stiffness(law.bonded(len(nodes.upper), self.dim))
-        self.bonded = self.problem.A.copy()
+        springs = part.nodes.stiffness(law.bonded(len(part.nodes.upper), self.dim))
+        self.bonded = self.equations.K.copy()
         self.bonded.axpy(1.0, springs, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-        self.bonded.zeroRowsColumns(self.equations.held_rows, self.problem.diagonal)
+        self.equations.hold(self.bonded)
         for option in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.SPD):
             self.bonded.setOption(option, True)
-        self.bonded.setNearNullSpace(self.problem.near)
+        near = self.equations.near_null()
+        self.bonded.setNearNullSpace(PETSc.NullSpace().create(vectors=near, comm=self.bonded.comm))
         springs.destroy()
 
     def load(self, sideways: float) -> None:
         """Set the loads, the one that pushes along x times a factor."""
         self.equations.begin(Interval(self.solver.rest(0.0), 0.0, 0.0, 1.0))
+        self.equations.external.array[:: self.dim] *= sideways
         self.equations.loads.array[:: self.dim] *= sideways
-        self.problem.begin()
 
     @property
     def method(self) -> str:
         """The solver of choice."""
         return "condensed" if self.dim == 2 else "multigrid"
 
-    def ours(self, start: np.ndarray | None = None) -> tuple[float, np.ndarray, int]:
-        """Processor time, jumps at the nodes and Newton steps of our solver."""
+    def ours(self, start: PETSc.Vec | None = None) -> tuple[float, PETSc.Vec, int]:
+        """Processor time, displacements and Newton steps of our solver."""
 
-        def work() -> tuple[Any, np.ndarray, int]:
-            solver = SCHEMES[self.method](self.problem)
-            return solver, *solver.solve(start)[:2]
+        def work() -> tuple[ContactFinder, Found]:
+            finder = FINDERS[self.method](self.equations, None)
+            return finder, finder.find(start)
 
-        seconds, (solver, u, steps) = timed(work)
-        jumps = self.problem.nodes.jump(u)
-        solver.close()
-        return seconds, jumps, steps
+        seconds, (finder, found) = timed(work)
+        u = found.x.copy()
+        finder.close()
+        return seconds, u, found.iterations
 
     def linear(self, kind: str) -> float:
         """Processor time of one linear solve; infinite where it does not converge."""
@@ -120,14 +120,14 @@ class Bench:
         if kind == "multigrid":
             options |= {"ksp_norm_type": "unpreconditioned"}
         with faster_products(serial=True):
-            return solve_once(self.bonded, self.problem.b, options)
+            return solve_once(self.bonded, self.equations.external, options)
 
     def compare(self, name: str, repeats: int) -> list[Row]:
-        """Rows of the table: cold, and in 3D from the jumps under 0.9 of the load along x, whose status is another one."""
+        """Rows of the table: cold, and in 3D from the state under 0.9 of the load along x, whose status is another one."""
         kinds: tuple[str, ...] = ("cholesky", "multigrid")
         if self.dim == 3 and self.n > 32:
             kinds = ("multigrid",)  # factorising falls further behind the larger the cube
-        starts: dict[str, np.ndarray | None] = {f"friction {name}": None}
+        starts: dict[str, PETSc.Vec | None] = {f"friction {name}": None}
         if self.dim == 3:
             self.load(0.9)
             starts[f"friction {name}, status predicted"] = self.ours()[1]
@@ -159,14 +159,14 @@ class Bench:
         """Row of the paper's relaxation."""
 
         def solve() -> int:
-            solver = SCHEMES["relaxation"](self.problem)
+            finder = FINDERS["relaxation"](self.equations, None)
             try:
                 with defaults({"relaxation_tolerance": 1e-10, "relaxation_omega": 1.7}):
-                    return int(solver.solve(None)[1])
+                    return finder.find().iterations
             except SolveError as error:
                 return len(error.residuals)
             finally:
-                solver.close()
+                finder.close()
 
         found: list[tuple[float, int]] = []
         memory = peak(lambda: found.append(timed(solve)))
@@ -176,5 +176,4 @@ class Bench:
     def close(self) -> None:
         """Free the matrices."""
         self.bonded.destroy()
-        self.problem.destroy()
         self.solver.close()

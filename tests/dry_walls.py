@@ -8,17 +8,14 @@ from typing import Any
 import numpy as np
 import ufl
 
-from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic
-from forms.contact import ContactLaw, Status
+from forms import HolonomicCoulomb, LinearElastic
+from forms.contact import ContactLaw
 from geometry import wall
-from thinlayer import Structure, march, piecewise
-from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
+from thinlayer import Structure
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.output.nodal_forces import contact_forces, nodal_forces
-from thinlayer.solving.history import History
 
-PUSHES = [0.2, 0.3, 0.1, -0.2, 0.0]  # shear stress, over the pressure
 DRY = {"BED": (200.0, 80.0, 0.5), "HEAD": (100.0, 40.0, 0.3)}  # K_N, K_T, friction
 
 
@@ -31,7 +28,6 @@ def dry_wall(
     weight: float = 0.0,
     kind: type[ContactLaw] = HolonomicCoulomb,
     cell: str = "quadrilateral",
-    eigenstrain: Any = None,
     **sizes,
 ) -> InterfaceModel:
     """A wall under a pressure of 1, and the shear stress push(x, t) on its top; 14 bricks if not told.
@@ -46,7 +42,6 @@ def dry_wall(
         tractions={"TOP": lambda x, t: (push(x, t), -1.0, *([0.0] * (joint.dim - 2)))},
         body_force=(0.0, -weight, 0.0)[: joint.dim],
         element="P1" if cell in ("triangle", "tetrahedron") else "Q1",
-        eigenstrain=eigenstrain,
     )
     laws = {name: kind(K_N=stiffer * K_N, K_T=stiffer * K_T, friction=f) for name, (K_N, K_T, f) in DRY.items()}
     return structure.interface(laws)
@@ -67,24 +62,3 @@ def imbalance(state: State) -> float:
     sums = np.array([np.bincount(of, part) for part in (*forces.T, *moments)])
     held = np.unique(of[model.supports.held(model.V) // d])
     return float(np.abs(np.delete(sums, held, axis=1)).max()) / size
-
-
-def pair_values(state: State, seam: str) -> tuple[np.ndarray, np.ndarray]:
-    """Status (n,) and nodal forces (n, d), on the lower side, of the pairs of a seam."""
-    model, law = state.model, state.model.contacts[seam]
-    nodes = ContactNodes(ContactSurface.of(model, seam))
-    slip = state.memory.get(model.layers[seam].key)
-    w = nodes.jump(state.u.x.petsc_vec)
-    t, bound = law.traction(w, slip), law.threshold(law.pressure(w))
-    forces = t * nodes.weights[:, None]
-    status = law.status(w, slip)
-    status[(status > 0) & (np.linalg.norm(t[:, :-1], axis=1) > (1 - 1e-7) * bound)] = Status.SLIDING  # ties
-    nodes.destroy()
-    return status, forces
-
-
-def forth_and_back(method: str) -> History:
-    """A wall with friction that remembers, pushed to the right, to the left, and released."""
-    times = list(map(float, range(1, len(PUSHES) + 1)))
-    push = piecewise({0.0: 0.0, **dict(zip(times, PUSHES, strict=True))})
-    return march(dry_wall(push, kind=IncrementalCoulomb), times, method=method)

@@ -14,7 +14,6 @@ from tests.pictures import assert_coloured, assert_drawn
 from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, march, plotting, solve
 from thinlayer.discretisation.contact_nodes import frames_at
-from thinlayer.solving.contact import dense
 
 
 # ------------------------------------------------------------------------ reports and pictures
@@ -59,15 +58,11 @@ def test_pictures(tmp_path):
     )
     joint, setup = sliding_bar(4, depth=True)
     solid = solve(Structure(joint, **setup).interface(coulomb("middle")))
-    names = {*contact(solid).status.tolist()}
-    picture = plotting.on_surface(
-        solid, lambda surface, state: surface.contact(state).status, save=tmp_path / "solid.png"
-    )
-    assert_coloured(picture, names)
-    pressed = {"p": lambda surface, state: surface.contact(state).p, "u_N": contact(solid).u_N}
-    for name, field in pressed.items():
-        plotting.on_surface({name: solid}, field, save=tmp_path / f"{name}.png", quantity=name)
-    assert_drawn(tmp_path / "two.png", tmp_path / "solid.png", tmp_path / "p.png", tmp_path / "u_N.png")
+    report = contact(solid)
+    picture = plotting.on_surface(solid, lambda surface, state: report.status, save=tmp_path / "solid.png")
+    assert_coloured(picture, {*report.status.tolist()})
+    plotting.on_surface({"p": solid}, report.p, save=tmp_path / "p.png", quantity="p")
+    assert_drawn(tmp_path / "two.png", tmp_path / "solid.png", tmp_path / "p.png")
     refused(InputError, "nothing to draw", lambda: plotting.along(one.surface, {}))
     refused(InputError, "3 components", lambda: plotting.on_surface(solid, Surface.jump))
     refused(InputError, "is no field on S", lambda: plotting.on_surface(solid, np.array(["a"])))
@@ -75,16 +70,6 @@ def test_pictures(tmp_path):
 
 
 # ------------------------------------------------------------------------ status known before
-def test_an_error_within_newtons_method_is_no_lack_of_equilibrium(monkeypatch):
-    """Such as a compiled source that cannot be loaded."""
-
-    def broken(*_, **__):
-        raise ImportError("no such library")
-
-    monkeypatch.setattr(dense, "sweep_nodes", broken)
-    refused(ImportError, "no such library", lambda: bar(4, coulomb("middle"), method="condensed"))
-
-
 @pytest.mark.parametrize("method", ["condensed", "multigrid"])
 def test_a_similar_state_saves_steps(method):
     joint, setup = sliding_bar(31)
@@ -112,21 +97,28 @@ def test_refused_solves():
     joint, setup = sliding_bar(4)
     model = Structure(joint, **setup).interface(coulomb("middle"))
     elastic = Structure(joint, **setup).interface(ThinLayer(LinearElastic(1.0, 1.0), 0.1, at=1.0))
-    refused(ValueError, "condensed", lambda: solve(model, method="linear"))
-    refused(ValueError, "has none", lambda: solve(elastic, method="condensed"))
-    for name, value in {"relaxation_omega": 2.5, "relaxation_tolerance": 0.0, "relaxation_max_sweeps": 0}.items():
-        refused(InputError, "allowed", solve, model, method="relaxation", options={name: value})
     askew = Structure(joint.rotated(0.3), **setup | {"supports": {"RIGHT": {"x": 0.0}}}).interface(coulomb("middle"))
-    refused(InputError, "supports along the axes of S at its nodes", solve, askew, method="relaxation")
-    for options in ({"snes_type": "nonsense"}, {"snes_max_it": "many"}, {"relaxation_omga": 1.5}, {"ksp_type": "cg"}):
-        with pytest.raises(InputError):
-            solve(model, method="condensed", options=options)
-    refused(InputError, "theta", lambda: march(model, [1.0], theta=0.5))
-    refused(InputError, "like", lambda: solve(model, like=3))
-    refused(InputError, "for another one", lambda: solve(elastic.structure.bonded(), like=solve(elastic)))
     squared = Structure(joint, **setup | {"element": "P2"}).interface(elastic.on_seams)
-    refused(InputError, "for another one, with the same element", lambda: solve(elastic, like=solve(squared)))
-    refused(InputError, "unknown seam 'BED'", lambda: contact(solve(model), "BED"))
     other, data = sliding_bar(5)
-    with pytest.raises(InputError, match="same joint"):
-        solve(model, like=solve(Structure(other, **data).interface(coulomb("middle"))))
+    another = Structure(other, **data).interface(coulomb("middle"))
+    rows = [
+        (ValueError, "condensed", model, {"method": "linear"}),
+        (ValueError, "has none", elastic, {"method": "condensed"}),
+        (InputError, "supports along the axes of S at its nodes", askew, {"method": "relaxation"}),
+        (InputError, "like", model, {"like": 3}),
+        (InputError, "for another one", elastic.structure.bonded(), {"like": solve(elastic)}),
+        (InputError, "for another one, with the same element", elastic, {"like": solve(squared)}),
+        (InputError, "same joint", model, {"like": solve(another)}),
+    ]
+    rows += [
+        (InputError, "allowed", model, {"method": "relaxation", "options": {f"relaxation_{name}": value}})
+        for name, value in {"omega": 2.5, "tolerance": 0.0, "max_sweeps": 0}.items()
+    ]
+    rows += [
+        (InputError, "not read", model, {"method": "condensed", "options": {name: "many"}})
+        for name in ("snes_max_it", "relaxation_omga", "ksp_type")
+    ]
+    for kind, words, one, choices in rows:
+        refused(kind, words, solve, one, **choices)
+    refused(InputError, "theta", lambda: march(model, [1.0], theta=0.5))
+    refused(InputError, "unknown seam 'BED'", lambda: contact(solve(model), "BED"))

@@ -11,7 +11,7 @@ from geometry import sandwich
 from tests.own_laws import Swelling
 from tests.refused import refused
 from thinlayer import SolveError, Structure, Surface, ThinLayer, march, solve
-from thinlayer.solving.contact.solver import ContactFinder
+from thinlayer.solving.contact.finder import ContactFinder
 from thinlayer.solving.equilibrium import Equilibrium
 from thinlayer.solving.petsc import chosen, solve_linear
 

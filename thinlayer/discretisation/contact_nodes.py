@@ -84,8 +84,7 @@ class ContactNodes:
     Attributes:
         surface: the facets.
         upper: (n,) local number of the node of V on the upper side.
-        numbers: (n,) number of its vertex in the joint, or in the file or arrays that the mesh was made from.
-        file_numbers: (n,) another number for each, also where several share a vertex; the same on any number of ranks.
+        file_numbers: (n,) a number for each, also where several share a vertex; the same on any number of ranks.
         x: (n, d) places.
         weights: (n,) areas (lengths in 2D).
         frames: (n, d, d) rows are the axes of the node's frame: tangents as in `Surface.frame`, then the normal.
@@ -100,7 +99,6 @@ class ContactNodes:
         held: Indices = NONE,
         *,
         gap: Callable[[Array], Array] | None = None,
-        turned: bool = False,
     ) -> None:
         """Make the nodes of a surface.
 
@@ -108,9 +106,7 @@ class ContactNodes:
             surface: the facets.
             held: displacements of this rank that supports prescribe (local, unrolled).
             gap: initial gaps (n,) at places (d, n); None: there are none.
-            turned: swap the two sides and reverse the frames, so that components of jumps stay the same.
         """
-        self._turned = turned
         self.surface, self.comm, self.dim = surface, surface.comm, surface.V.mesh.topology.dim
         V, d = surface.V, self.dim
         imap = V.dofmap.index_map
@@ -119,22 +115,21 @@ class ContactNodes:
         owners = np.concatenate([np.full(imap.size_local, self.comm.rank), imap.owners])
         sent = np.column_stack([self._global(rows[:, 0]), rows[:, 1:]])
         corners = send(self.comm, owners[rows[:, 0].astype(int)], sent)
-        pairs, first, at = np.unique(corners[:, :2], axis=0, return_index=True, return_inverse=True)
+        pairs, at = np.unique(corners[:, :2], axis=0, return_inverse=True)
         upper, at = pairs[:, 0], at.ravel()
         total = sums(at, corners[:, 2 : 3 + d], len(upper))
         self.weights, vectors = total[:, 0].copy(), total[:, 1:]  # C reads them
         self.upper = (upper - self._first).astype(np.int32)
         self._lower = pairs[:, 1].astype(np.int64)  # global
-        self.numbers = corners[first, 3 + d].astype(np.int64)
         self.file_numbers = np.full(len(upper), np.iinfo(np.int64).max)
-        np.minimum.at(self.file_numbers, at, corners[:, 4 + d].astype(np.int64))
+        np.minimum.at(self.file_numbers, at, corners[:, 3 + d].astype(np.int64))
         self.x = V.tabulate_dof_coordinates()[self.upper, :d]
         if not self.comm.allreduce(len(upper)):
             raise InputError("contact: S has no node where the bodies can part; it is one cell long, or has no facets")
         size = np.linalg.norm(vectors, axis=1)
         if self.comm.allreduce(int((size <= 0).any())):
             raise InputError("contact: a node of S has no normal, its facets fold back; use a finer mesh there")
-        self.frames = np.ascontiguousarray((-1.0 if turned else 1.0) * frames_at(vectors / size[:, None]))
+        self.frames = np.ascontiguousarray(frames_at(vectors / size[:, None]))
         self._note_held(held)
         with on_all(self.comm):
             self.gap = np.zeros(len(upper)) if gap is None else gap(np.ascontiguousarray(self.x.T))
@@ -152,7 +147,7 @@ class ContactNodes:
         """A row for each vertex of each facet of S that this rank owns.
 
         Columns: node on the upper side (local), node on the lower side (global; -1 on a rigid base), area, area times
-        normal (d), number of the vertex, number of this vertex of this facet.
+        normal (d), number of this vertex of this facet.
         """
         V, facets, d = self.surface.V, self.surface.facets, self.dim
         upper, lower = self.surface.upper, self.surface.lower
@@ -170,9 +165,6 @@ class ContactNodes:
         nodes = V.tabulate_dof_coordinates()[np.asarray(V.dofmap.list)[upper]]
         inside = nodes[..., :d].mean(axis=1) - corners.mean(axis=1)
         normals[np.einsum("fk,fk->f", normals, inside) < 0] *= -1  # n points from the lower to the upper side
-        if self._turned:
-            assert lower is not None
-            upper, lower = lower, upper
         above = self._nodes(upper, vertices).ravel()
         below = np.full(above.size, -1.0) if lower is None else self._global(self._nodes(lower, vertices).ravel())
         numbers = np.asarray(mesh.geometry.input_global_indices, np.int64)[places.ravel()]
@@ -180,7 +172,7 @@ class ContactNodes:
         of_facet = numbers.reshape(vertices.shape).argsort(axis=1).argsort(axis=1)
         if len(self.surface.rows):
             of_facet += self.surface.rows[:, None] * vertices.shape[1]
-        rows = np.column_stack([above, below, areas.ravel(), vectors, numbers, of_facet.ravel()])
+        rows = np.column_stack([above, below, areas.ravel(), vectors, of_facet.ravel()])
         return np.asarray(rows[below != self._global(above)])  # at a tip of S there is no jump
 
     def _nodes(self, cells: Indices, vertices: Indices) -> Indices:
@@ -195,13 +187,12 @@ class ContactNodes:
 
     # ---------------------------------------------------------------- supports
     def _note_held(self, held: Indices) -> None:
-        """Set `held`, `held_upper` and `held_lower` from the held displacements of this rank (local, unrolled)."""
+        """Set `held` and `held_upper` from the held displacements of this rank (local, unrolled)."""
         mark = self.zero()
         mark.array[held] = 1.0
         d = self.dim
         self.held_upper = mark.array_r.reshape(-1, d)[self.upper] > 0
-        self.held_lower = np.ones_like(self.held_upper) if self.lower is None else self.lower_side(mark) > 0
-        self.held = self.held_upper & self.held_lower
+        self.held = self.held_upper & (self.lower is None or self.lower_side(mark) > 0)
         mark.destroy()
 
     # ---------------------------------------------------------------- displacements, jumps and forces
@@ -258,17 +249,14 @@ class ContactNodes:
             sent.destroy()
             there.destroy()
 
-    def blocks(self, tangent: Array) -> Array:
-        """Nodal stiffness (n, d, d) in global axes for tangents (n, d, d) of the law."""
-        return np.einsum("nki,nkl,nlj->nij", self.frames, tangent, self.frames) * self.weights[:, None, None]
-
     def stiffness(self, tangent: Array) -> PETSc.Mat:
         """Stiffness matrix over all displacements for tangents (n, d, d) of the law."""
         d, size = self.dim, self._size * self.dim
         sides = self.pairs[:, :1] if self.lower is None else self.pairs
         dofs = (sides[:, :, None] * d + np.arange(d)).reshape(len(sides), -1).astype(PETSc.IntType)
         signs = np.array([1.0, -1.0])[: sides.shape[1]].repeat(d)
-        values = np.tile(self.blocks(tangent), (1, sides.shape[1], sides.shape[1])) * np.outer(signs, signs)
+        blocks = np.einsum("n,nki,nkl,nlj->nij", self.weights, self.frames, tangent, self.frames)
+        values = np.tile(blocks, (1, sides.shape[1], sides.shape[1])) * np.outer(signs, signs)
         begins = np.arange(0, values.size + 1, dofs.shape[1], dtype=PETSc.IntType)
         columns = dofs.repeat(dofs.shape[1], axis=0).ravel()
         out = PETSc.Mat().create(self.comm)

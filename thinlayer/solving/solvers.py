@@ -18,7 +18,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State, displacements_of
 from thinlayer.errors import LooseBody, SolveError
 from thinlayer.parts.part import Interval
-from thinlayer.solving.contact.solver import METHODS, check_method, contact_finder, default_method
+from thinlayer.solving.contact.solver import FINDERS, METHODS, check_method, default_method
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import CONTACT, EASED_CONTACT, NEWTON, SINGULAR, YIELDING, Equilibrium, Finder, Found
 from thinlayer.solving.linear_solvers import linear_solvers
@@ -52,10 +52,10 @@ def solve(
         model: the model.
         t: the time of loads and supports.
         options: PETSc options without prefix; they override our defaults. -thinlayer_NAME given to PETSc overrides both.
-        method: "linear" (default if every law is linear) or "newton". For contact laws "condensed" (to the jumps on S, in
-            networks to the displacements there; default on one rank while S is narrow), "multigrid" (default otherwise, not
-            for networks), "newton" (default if a body is not linear, for a law of one's own, and for networks on several
-            ranks) or "relaxation" (the paper's, for comparison, not for networks).
+        method: "linear" (default if every law is linear) or "newton". For contact laws "condensed" (to the displacements of
+            nodes on S; default on one rank while S is narrow), "multigrid" (default otherwise, not for networks), "newton"
+            (default if a body is not linear, for a law of one's own, and for networks on several ranks) or "relaxation"
+            (the paper's, for comparison, not for networks).
         like: a state of an interface model of the same joint, such as that of another load, thickness or law. Newton's
             method begins at its displacements; under a contact law "condensed" and "multigrid" begin with its contact
             status. Where that fails they begin at rest.
@@ -149,7 +149,7 @@ class Solver(AbstractContextManager["Solver"]):
         self._linear: list[dict[str, OptionValue]] = [{}]  # without those that have failed
         self._finder: Finder
         if self.method in METHODS:
-            self._finder = contact_finder(self.equations, self.method, like)
+            self._finder = FINDERS[self.method](self.equations, like)
         else:
             self._linear = linear_solvers(model, self.equations.parts, value_of("pc_type", self._given))
             if is_set("ksp_type", self._given) or is_set("pc_type", self._given):

@@ -3,28 +3,33 @@
 from __future__ import annotations
 
 import math
-from copy import copy
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from petsc4py import PETSc
 
 from forms.base import Array, InputError
-from thinlayer.discretisation.contact_nodes import ContactNodes
+from forms.contact import ContactLaw, Status
+from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
-from thinlayer.solving.contact.contact_tangent import SurfaceStiffness, Tangent
-from thinlayer.solving.contact.gauss_seidel import Sliding, load, sliding, turned
-from thinlayer.solving.contact.problem import ContactProblem
+from thinlayer.solving.balance import AIM, TINY
+from thinlayer.solving.contact.contact_tangent import Tangent
+from thinlayer.solving.contact.finder import ContactFinder
+from thinlayer.solving.contact.pairs import SOURCE, Pairs
+from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
 from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, is_set, options_set, reason_name, solve_nonlinear
-from thinlayer.system.ranks import carry
+from thinlayer.system.compilation import library
 
 Reductions = tuple[float, float]  # factors by which the first and the later linear solves reduce the residual
+Sliding = tuple[npt.NDArray[np.int8], Array]  # status of nodes (n,), and their tangential jumps less slip (n, d - 1)
 
 TOLERANCE = 1e-10  # residual of the law at which Newton's method stops, relative to the forces
 LOOSE: Reductions = (0.3, 0.2)  # for a start whose status is wrong at many nodes
 STRICT: Reductions = (0.02, 0.05)  # for a prediction, and in the last attempt
 EXPECTED = 3.0  # largest residual after a Newton step without sweeps, relative to the target of its linear solve
+LARGE = 3e-5  # residual, relative to given forces, above which the rounding of a body far away is no force
 FINISH = 0.7  # target of the last linear solve, relative to the tolerance
 
 HIERARCHY: dict[str, OptionValue] = {k: v for k, v in MULTIGRID.items() if k not in (*DIRECT, "ksp_max_it")}
@@ -40,63 +45,58 @@ NEWTON: dict[str, OptionValue] = {
 }
 
 
-class MultigridContact:
-    """Solves contact problems, one load after the other: SNES, FGMRES and one algebraic multigrid hierarchy. Collective.
+class MultigridContact(ContactFinder):
+    """Newton's method by SNES, FGMRES and one algebraic multigrid hierarchy, for one seam. Collective.
 
     The hierarchy is built for the bodies with symmetric, clipped springs on S, in the first solve, and kept until `close`.
     FGMRES uses the exact tangent, which is not symmetric where S slides. Its preconditioner is a cycle of multigrid, then
     an exact solve for the nodes of S on each rank. If the status of a node has changed, Gauss-Seidel sweeps over the nodes
-    of S, on each rank alone, precede a Newton step.
+    of S, on each rank alone, precede a Newton step. If the jumps to start from mislead it, it starts from bonded nodes.
 
     PETSc options under our prefix: snes_ and ksp_ for Newton's method, pc_ and mg_ for the hierarchy. Tolerances of linear
     solves are chosen here unless ksp_rtol is set.
-
-    Args:
-        problem: the contact problem; its matrix is read here, its loads and slip at every `solve`.
     """
 
-    def __init__(self, problem: ContactProblem) -> None:
-        load(problem.comm)
-        self.given = problem
-        self.problem = _from_softer_side(problem)
-        self._surface = SurfaceStiffness(self.problem)
+    eases = False
+
+    def __init__(self, equations: Equations, like: State | None) -> None:
+        super().__init__(equations, like)
+        library(SOURCE, self.comm)
+        (self.part,) = self.parts
+        held = np.zeros(self.x.getLocalSize(), bool)
+        held[equations.held] = True
+        self.pairs = Pairs(self.parts, held, self.x.getOwnershipRange()[0] // self.part.nodes.dim)
         self._tangent: Tangent | None = None
-        self._u = problem.A.createVecRight()
-        self._solved = False
+        self._forces = equations.vector()
 
-    def solve(self, start: Array | None = None) -> tuple[PETSc.Vec, int, list[float]]:
-        """Displacements that balance the loads.
-
-        Args:
-            start: (n, d) expected jumps in the nodes' frames, lengths, as those of the last load or of a similar model;
-                Newton's method then starts from the last solution. None: it starts from zero with bonded nodes.
-
-        Returns:
-            Displacements, valid until the next `solve` or `close`; number of Newton steps; residuals relative to the
-            forces, before the first and after each step.
-
-        Raises:
-            SolveError: no convergence, for instance without an equilibrium.
-        """
+    def solve(self, known: bool) -> tuple[int, float]:
+        """As in `ContactFinder`. SolveError: no convergence, for instance without an equilibrium."""
         history: list[float] = []
-        start = self._take_load(start)
+        nodes, old = self.part.nodes, self.equations.interval.old.u.x.petsc_vec
+        start = nodes.apart(self.x) if known else None
+        closed = self.equations.vector()
+        closed.array[nodes.dofs] = nodes.frames[:, -1] * nodes.gap[:, None]
+        self._largest = float(self.b.norm())
+        for u in (old, closed):
+            self.equations.K.mult(u, self._forces)
+            self._largest = max(self._largest, float(self._forces.norm()))
+        closed.destroy()
         with defaults({**HIERARCHY, **NEWTON}):
             if self._tangent is None:
-                self._tangent = Tangent(self._surface, start)
+                self._tangent = Tangent(self.A, self.part, self.pairs, self.equations, start)
             else:
                 _count_as_read(("pc_", "mg_"))
             attempts = [(None, LOOSE), (None, STRICT)] if start is None else [(start, STRICT), (None, LOOSE)]
             for guess, reductions in attempts:
-                newton = _Newton(self._tangent, reductions)
-                if guess is None or not self._solved:
-                    self._u.set(0.0)
-                reason = newton.run(self._u, guess)
+                newton = _Newton(self, self._tangent, reductions)
+                if guess is None:
+                    self.x.set(0.0)
+                reason = newton.run(self.x, guess)
                 history += newton.residuals
                 if not newton.residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN
                     raise InputError(f"-{PREFIX}snes_type ksponly ignores the residual; contact needs Newton's method")
-                self._solved = reason > 0
-                if self._solved:
-                    return self._u, len(newton.residuals) - 1, history
+                if reason > 0:
+                    return len(newton.residuals) - 1, history[-1]
         last = history[-1] if history else math.nan
         raise SolveError(
             f"Newton's method for contact failed after {max(len(history) - 2, 0)} steps: "
@@ -106,42 +106,25 @@ class MultigridContact:
             f"steps of the load, or -{PREFIX}snes_monitor to watch it",
         )
 
-    def _take_load(self, start: Array | None) -> Array | None:
-        """Take over load and slip of the given problem; returns the jumps to start from, at the nodes used here."""
-        given, here = self.given, self.problem
-        if here is given:
-            return start
-        here.largest = given.largest
-        places = given.nodes.numbers, here.nodes.numbers
-        here.slip = carry(given.comm, places[0], given.slip, places[1])
-        return None if start is None else carry(given.comm, places[0], start, places[1])
+    def residual(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
+        """Write the residual at u, zero at held displacements; returns its norm relative to the forces.
+
+        It is scaled so that AIM is the residual at which `ForceScale` lets solvers stop.
+        """
+        equations = self.equations
+        equations.residual(u, out)
+        out.array[equations.held] = 0.0
+        norm, forces = float(out.norm()), max(equations.aim(u) / AIM, TINY)
+        if norm > LARGE * self._largest:  # the large forces of a body far away are only rounding
+            forces = min(forces, max(self._largest, TINY))
+        return norm / forces
 
     def close(self) -> None:
         """Free vectors, matrices and the hierarchy."""
-        if self.problem is not self.given:
-            self.problem.nodes.destroy()
+        super().close()
+        self._forces.destroy()
         if self._tangent is not None:
             self._tangent.close()
-            self._tangent = None
-        self._surface.close()
-        self._u.destroy()
-
-
-def _from_softer_side(problem: ContactProblem) -> ContactProblem:
-    """Swap the two sides of S if the lower bodies are softer: the preconditioner moves the upper side only."""
-    nodes = problem.nodes
-    if nodes.lower is None:
-        return problem
-    diagonal = problem.A.getDiagonal()
-    above, below = diagonal.array_r.reshape(-1, nodes.dim)[nodes.upper], nodes.lower_side(diagonal)
-    diagonal.destroy()
-    sums = [float(((~held) * side).sum()) for held, side in ((nodes.held_upper, above), (nodes.held_lower, below))]
-    upper, lower = problem.comm.allreduce(np.array(sums))
-    if not 0 < lower < upper:
-        return problem
-    turned = copy(problem)
-    turned.nodes = ContactNodes(nodes.surface, problem.held, gap=problem.law.gaps, turned=True)
-    return turned
 
 
 class _Newton:
@@ -151,9 +134,10 @@ class _Newton:
         residuals: relative to the forces, before the first and after each step.
     """
 
-    def __init__(self, tangent: Tangent, reductions: Reductions) -> None:
-        self.tangent, self.surface, self.problem = tangent, tangent.surface, tangent.problem
-        self.nodes, self.reductions = self.problem.nodes, reductions
+    def __init__(self, finder: MultigridContact, tangent: Tangent, reductions: Reductions) -> None:
+        self.finder, self.tangent, self.reductions = finder, tangent, reductions
+        self.nodes, self.law, self.slip = finder.part.nodes, finder.part.law, finder.part.slip
+        self.held = finder.equations.held
         self.residuals: list[float] = []
         self._target = reductions[0]
         self._known = False  # whether the next call of `_residual` repeats the last one
@@ -162,12 +146,12 @@ class _Newton:
 
     def run(self, u: PETSc.Vec, start: Array | None) -> int:
         """Solve from u, in place, first with the tangent at the jumps `start` (None: bonded); returns PETSc's reason."""
-        problem, self._start = self.problem, start
-        u.array[problem.held] = problem.prescribed.array_r[problem.held]
+        finder, self._start = self.finder, start
+        u.array[self.held] = finder.equations.prescribed
         f = self._f = u.duplicate()
-        J = PETSc.Mat().createPython(problem.A.getSizes(), self.tangent, comm=problem.comm)
+        J = PETSc.Mat().createPython(finder.A.getSizes(), self.tangent, comm=finder.comm)
         J.setUp()
-        snes = PETSc.SNES().create(problem.comm)
+        snes = PETSc.SNES().create(finder.comm)
         try:
             snes.setOptionsPrefix(PREFIX)
             snes.setFunction(self._residual, f)
@@ -196,7 +180,7 @@ class _Newton:
             self._known = False
             self._f.copy(f)
             return
-        self._h = self.problem.residual(u, f)
+        self._h = self.finder.residual(u, f)
 
     def _test(self, snes: PETSc.SNES, step: int, norms: tuple[float, float, float]) -> Any:
         reason = PETSc.SNES.ConvergedReason
@@ -209,8 +193,8 @@ class _Newton:
         """Before a Newton step: sweep if the last step has changed the status or not reduced the residual as expected."""
         self._swept = False
         if step:
-            w = self.nodes.jump(snes.getSolution())
-            self._turn = turned(self.problem.law, w, self.problem.slip, self._at)
+            w = self.nodes.apart(snes.getSolution())
+            self._turn = turned(self.law, w, self.slip, self._at)
             self._swept = self._is_new(w, self._turn) or self._h > EXPECTED * self._target
             ksp = snes.getKSP()
             self._left = ksp.getResidualNorm() / snes.getFunctionNorm()
@@ -219,7 +203,7 @@ class _Newton:
         """Gauss-Seidel sweeps over the nodes of S, on each rank alone, if they are due. `_f` is the residual at u."""
         self._known = not self._swept
         if self._swept:
-            self.surface.sweep(u, self._f, self._turn)
+            self.tangent.sweep(u, self._f, self._turn)
 
     def _linearise(self, snes: PETSc.SNES, u: PETSc.Vec, _: PETSc.Mat, __: PETSc.Mat) -> None:
         """Set the tangents of a step, and the tolerance of its linear solve."""
@@ -233,7 +217,7 @@ class _Newton:
 
     def _begin(self, u: PETSc.Vec, f: PETSc.Vec) -> Array:
         """Tangents of the first step; f becomes the residual of the law linearised at the jumps to start from."""
-        law, slip, w, s = self.problem.law, self.problem.slip, self.nodes.jump(u), self._start
+        law, slip, w, s = self.law, self.slip, self.nodes.apart(u), self._start
         if s is None:
             tangents = law.bonded(len(w), self.nodes.dim)
             t = np.einsum("nij,nj->ni", tangents, w - np.column_stack([slip, np.zeros(len(slip))]))
@@ -242,7 +226,7 @@ class _Newton:
             t = law.traction(s, slip) + np.einsum("nij,nj->ni", tangents, w - s)
             self._at = sliding(law, s, slip)
         self.nodes.add_forces(t - law.traction(w, slip), f)
-        f.array[self.problem.held] = 0.0
+        f.array[self.held] = 0.0
         return tangents
 
     def _go_on(self, u: PETSc.Vec) -> Array:
@@ -254,15 +238,37 @@ class _Newton:
             nonlinear = self._h * math.sqrt(abs(1 - self._left**2)) * (self._h / self._before) ** 2
             self._target = min(self.reductions[1] * self._h, nonlinear)
         self._target = max(self._target, FINISH * TOLERANCE)
-        w = self.nodes.jump(u)
-        law, slip = self.problem.law, self.problem.slip
-        self._at = sliding(law, w, slip)
-        return law.tangent(w, slip)
+        w = self.nodes.apart(u)
+        self._at = sliding(self.law, w, self.slip)
+        return self.law.tangent(w, self.slip)
 
     def _is_new(self, w: Array, turn: Array) -> bool:
         """Whether the status of a node on any rank has changed since the last tangents."""
-        other = self._at is None or bool((self.problem.law.status(w, self.problem.slip) != self._at[0]).any())
-        return bool(self.problem.comm.allreduce(int(other or bool(turn.any()))))
+        other = self._at is None or bool((self.law.status(w, self.slip) != self._at[0]).any())
+        return bool(self.finder.comm.allreduce(int(other or bool(turn.any()))))
+
+
+# ---------------------------------------------------------------- nodes whose slip has reversed
+def sliding(law: ContactLaw, w: Array, slip: Array) -> Sliding:
+    """Sliding state at jumps (n, d), for a later `turned`."""
+    return law.status(w, slip), w[:, :-1] - slip
+
+
+def turned(law: ContactLaw, w: Array, slip: Array, at: Sliding | None) -> Array:
+    """Changes (n, d) of the jumps that make nodes stick whose slip direction has reversed since the last tangents.
+
+    A sliding node has no stiffness of its own along its slip. If it should stick, Newton's method can move it to and fro
+    for ever, and sweeps do not stop that.
+    """
+    out = np.zeros_like(w)
+    if at is None:
+        return out
+    (status, old), (new_status, now) = at, sliding(law, w, slip)
+    back = (status == Status.SLIDING) & (new_status == Status.SLIDING) & ((old * now).sum(axis=1) < 0)
+    way = old[back] - now[back]
+    part = -(now[back] * way).sum(axis=1) / (way**2).sum(axis=1)
+    out[back, :-1] = part[:, None] * way
+    return out
 
 
 def _count_as_read(beginnings: tuple[str, ...]) -> None:

@@ -1,25 +1,22 @@
-"""The finder for contact problems with linear bodies, and its schemes: condensed, multigrid, the paper's relaxation."""
+"""Which finder of equilibria under contact laws is for which model."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from petsc4py import PETSc
 
 from forms.base import InputError
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.solving.contact.condensed import Condensed
+from thinlayer.solving.contact.finder import ContactFinder
 from thinlayer.solving.contact.multigrid import MultigridContact
-from thinlayer.solving.contact.network import NetworkFinder
-from thinlayer.solving.contact.problem import ContactProblem
-from thinlayer.solving.contact.relaxation_scheme import ContactRelaxation
-from thinlayer.solving.equations import Equations
-from thinlayer.solving.equilibrium import Finder, Found
+from thinlayer.solving.contact.paper_relaxation import ContactRelaxation
 
-SCHEMES: dict[str, Any] = {"condensed": Condensed, "multigrid": MultigridContact, "relaxation": ContactRelaxation}
-METHODS = tuple(SCHEMES)
+FINDERS: dict[str, type[ContactFinder]] = {
+    "condensed": Condensed,
+    "multigrid": MultigridContact,
+    "relaxation": ContactRelaxation,
+}
+METHODS = tuple(FINDERS)
 CONDENSED_UP_TO = {2: 4000, 3: 1200}  # dimension -> largest number of displacements at S for which it is the default
 
 
@@ -65,57 +62,6 @@ def _is_linear(model: Model) -> bool:
         and len(traits) == len(model.terms)
         and all(one.symmetric and not (one.constrained or one.compiled) for one in traits)
     )
-
-
-class ContactFinder(Finder):
-    """Steps of a contact model with linear bodies: a `Finder`. Collective.
-
-    A scheme is made for a `ContactProblem`. `solve(start)` takes the expected jumps (n, d) in the nodes' frames, or None,
-    and returns displacements, valid until the next call, the number of steps, and residuals. `close` frees it.
-
-    Args:
-        equations: the equations of the model.
-        method: one of METHODS.
-        like: a state of a model of the same joint with a similar contact status.
-    """
-
-    eases = False
-
-    def __init__(self, equations: Equations, method: str, like: State | None) -> None:
-        self.problem = ContactProblem(equations)
-        self._scheme = SCHEMES[method](self.problem)
-        self._like = None
-        if like:
-            u = displacements_of(like, equations.model)  # owns the vector
-            self._like = self.problem.nodes.jump(u.x.petsc_vec)
-        self._has_solved = False
-
-    def find(self, start: PETSc.Vec | None = None) -> Found:
-        """Displacements at the end of the step; only the jumps of `start` are used."""
-        problem = self.problem
-        problem.begin()
-        if start is not None:
-            expected = problem.nodes.jump(start)
-        elif self._like is not None:
-            expected = self._like
-        else:
-            expected = problem.nodes.jump(problem.equations.interval.old.u.x.petsc_vec)
-        known = problem.comm.allreduce(int(expected.any()))
-        expected[:, -1] += problem.nodes.gap
-        self.reused = self._has_solved
-        u, steps, residuals = self._scheme.solve(expected if known else None)
-        self._like, self._has_solved = None, True
-        return Found(problem.displacements(u), steps, residuals[-1])
-
-    def close(self) -> None:
-        """Free matrices and factors."""
-        self._scheme.close()
-        self.problem.destroy()
-
-
-def contact_finder(equations: Equations, method: str, like: State | None) -> Finder:
-    """The finder of one of METHODS; arguments as in `ContactFinder`."""
-    return NetworkFinder(equations, like) if _is_network(equations.model) else ContactFinder(equations, method, like)
 
 
 def check_method(model: Model, method: str) -> None:

@@ -1,178 +1,220 @@
-/* Gauss-Seidel sweeps over the nodes of S, for normal compliance and Coulomb friction.
+/* Gauss-Seidel sweeps over nodes in contact, and the relaxation of the paper, for normal compliance and Coulomb friction.
  *
- * Jumps w and tractions t have d = 2 or 3 components: d - 1 tangential ones, then the normal one, which is positive where S
- * opens. The law is p = K_N max(-w_N, 0), t_N = -p, t_T = K_T (w_T - slip). If t_T is longer than the threshold, cohesion +
- * friction p, it is shortened to it. */
-#include <float.h>
+ * A pair joins an upper node with a lower one, or with a rigid base. Its jump w has d = 2 or 3 components: d - 1 tangential
+ * ones, less the slip, then the normal one, which is positive where the pair is open. */
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 
-typedef struct {
-    double K_N, K_T, friction, cohesion;
-} law_numbers;
+#define STEPS 24 /* most Newton steps at a node */
+#define TRIALS 12 /* most trials of a step's length */
+#define LEAST 1e-3 /* least share of springs of a node that is eased, but for none */
+#define LESS 0.5 /* each share over the one before */
+#define FLAT 0.1 /* work along a step at its end, relative to that at its beginning, that ends the search of its length */
+#define SMALL 1e-13 /* residual of a node, relative to its forces, that counts as zero */
+#define ROUNDING 1e-15 /* rounding of a jump, relative to the displacements in it */
 
-/* The law of node i. A given threshold replaces that of the law. */
-static law_numbers law_of(const double *numbers, const double *threshold, int i)
+enum { K_N, K_T, FRICTION, COHESION, SHARE, NUMBERS }; /* a pair's law: SHARE is that of springs that neither open nor slide */
+
+/* The threshold: the largest tangential traction at a normal jump. */
+static double threshold(const double *law, double w_N)
 {
-    law_numbers law = {numbers[0], numbers[1], numbers[2], numbers[3]};
-    if (threshold) law.friction = 0, law.cohesion = threshold[i];
-    return law;
+    return law[COHESION] + law[FRICTION] * law[K_N] * fmax(-w_N, 0);
 }
 
-/* The threshold: the largest tangential traction at a pressure p. */
-static double largest(const law_numbers *law, double p) { return law->cohesion + law->friction * p; }
-
-/* The equation D w + b t(w) = q of one node, in the axes of S, where b is the node's area. The unknowns are y = w_T - slip
- * and w_N. */
-typedef struct {
-    int m; /* number of tangential components, d - 1 */
-    double T[2][2], TN[2], NT[2], N; /* tangential, mixed and normal blocks of D */
-    double c[2], c_N; /* q less the forces of D on the slip */
-    double b;
-    law_numbers law;
-    double y[2], w_N; /* the unknowns that `excess` was called for last */
-} node;
-
-/* Solves the node for a tangential force b t_T = k y; returns by how much this force exceeds the threshold times b.
+/* Traction t on the lower side and its derivative D at the jump w.
  *
- * For each k >= 0 there is one solution: with y eliminated, w_N is that of a spring that resists closing alone. If the
- * traction is shortened, the solution of the node has a k between 0 and b K_T, at which the excess is zero. */
-static double excess(node *a, double k)
-{
-    double z[2], x[2]; /* (T + k)^-1 applied to c and to TN */
-    if (a->m == 1) {
-        z[0] = a->c[0] / (a->T[0][0] + k);
-        x[0] = a->TN[0] / (a->T[0][0] + k);
-    } else {
-        const double A = a->T[0][0] + k, B = a->T[0][1], C = a->T[1][0], D = a->T[1][1] + k, det = A * D - B * C;
-        z[0] = (D * a->c[0] - B * a->c[1]) / det, z[1] = (A * a->c[1] - C * a->c[0]) / det;
-        x[0] = (D * a->TN[0] - B * a->TN[1]) / det, x[1] = (A * a->TN[1] - C * a->TN[0]) / det;
-    }
-    double pull = a->c_N, stiffness = a->N, size = 0;
-    for (int i = 0; i < a->m; i++) pull -= a->NT[i] * z[i], stiffness -= a->NT[i] * x[i];
-    a->w_N = pull / (pull < 0 ? stiffness + a->b * a->law.K_N : stiffness);
-    for (int i = 0; i < a->m; i++) a->y[i] = z[i] - x[i] * a->w_N, size += a->y[i] * a->y[i];
-    return k * sqrt(size) - a->b * largest(&a->law, a->law.K_N * fmax(-a->w_N, 0));
-}
-
-/* Solves a node: leaves y and w_N in it, and returns whether this succeeded. It does if D is positive definite and all
- * numbers are finite.
- *
- * Strong friction allows several solutions. One without tangential traction is preferred to one that sticks, and that to
- * one that slides. For a node that slides the excess is negative at k = 0, positive at k = b K_T, and its zero between them
- * is found. As a function of f = s / (s + k), where s is the tangential stiffness of the node, it is piecewise linear in
- * two dimensions and nearly so in three. So regula falsi (in Anderson and Bjorck's form) takes a few steps; every fourth
- * step is a bisection, which bounds their number. */
-static int solve_node(node *a)
-{
-    const double most = a->b * a->law.K_T, normal = a->N + a->b * a->law.K_N;
-    double s = 0, below = excess(a, 0);
-    if (!(below < 0)) return isfinite(below) && isfinite(a->w_N);
-    double above = excess(a, most);
-    if (!(above > 0)) return isfinite(above) && isfinite(a->w_N);
-    for (int i = 0; i < a->m; i++) s += 1 / (a->T[i][i] - a->TN[i] * a->NT[i] / normal);
-    s = a->m / s; /* harmonic mean: that of the other component, if the stiffness of one is infinite */
-    double old = s / (s + most), old_excess = above, last = 1, last_excess = below;
-    for (int step = 1; step < 300; step++) {
-        double f = last - last_excess * (last - old) / (last_excess - old_excess);
-        if (step % 4 == 0 || !((f - old) * (last - f) > 0)) f = (old + last) / 2;
-        const double now = excess(a, s * (1 - f) / f), pressing = a->b * a->law.K_N * fmax(-a->w_N, 0);
-        const double pulling = now + a->b * largest(&a->law, pressing / a->b);
-        if (!isfinite(now)) return 0;
-        if (fabs(now) <= 2 * DBL_EPSILON * (pressing + pulling) || fabs(f - last) <= DBL_EPSILON * f) break;
-        if ((now > 0) != (last_excess > 0)) {
-            old = last, old_excess = last_excess;
-        } else {
-            const double less = 1 - now / last_excess;
-            old_excess *= less > 0 ? less : 0.5;
-        }
-        last = f, last_excess = now;
-    }
-    return 1;
-}
-
-static double dot(const double *a, const double *x, int n)
-{
-    double s0 = 0, s1 = 0, s2 = 0, s3 = 0; /* independent sums, added in parallel */
-    int j = 0;
-    for (; j + 3 < n; j += 4)
-        s0 += a[j] * x[j], s1 += a[j + 1] * x[j + 1], s2 += a[j + 2] * x[j + 2], s3 += a[j + 3] * x[j + 3];
-    for (; j < n; j++) s0 += a[j] * x[j];
-    return (s0 + s1) + (s2 + s3);
-}
-
-/* Sweeps over the nodes; returns the largest change of a component of u in the last sweep, NaN if a node was not solved.
- *
- * The matrix has n x n blocks of d x d. It is dense, row by row, or, if indptr is given, sparse in blocks.
- * g: (n, d) forces; u: (n, d) displacements; base: (n, d) displacements of the other side, so that u - base is the jump;
- * frames: (n, d, d) axes of S as rows; weights: (n,) areas; numbers: K_N, K_T, friction, cohesion; slip: (n, d - 1) or
- * NULL; threshold: (n,) or NULL; moves: (n,) whether a node is solved. */
-double sweep_nodes(int n, int d, const double *matrix, const int32_t *indptr, const int32_t *indices, const double *g,
-                   double *u, const double *base, const double *frames, const double *weights, const double *numbers,
-                   const double *slip, const double *threshold, const uint8_t *moves, int sweeps)
+ * p = K_N max(-w_N, 0), t_N = -p, and t_T = K_T w_T, shortened to the threshold where it is longer. */
+static void traction(int d, const double *law, const double *w, double *t, double D[3][3])
 {
     const int m = d - 1;
-    double change = 0;
-    for (int sweep = 0; sweep < sweeps; sweep++) {
-        change = 0;
-        for (int i = 0; i < n; i++) {
-            if (!moves[i]) continue;
-            const double *F = frames + (size_t)i * d * d, *x = base + (size_t)i * d;
-            double A[3][3] = {{0}}, r[3], D[3][3], q[3] = {0}, w[3], *ui = u + (size_t)i * d;
-            for (int k = 0; k < d; k++) r[k] = g[(size_t)i * d + k];
-            if (indptr) {
-                for (int p = indptr[i]; p < indptr[i + 1]; p++) {
-                    const double *block = matrix + (size_t)p * d * d, *uj = u + (size_t)indices[p] * d;
-                    for (int k = 0; k < d; k++)
-                        for (int l = 0; l < d; l++) {
-                            if (indices[p] == i)
-                                A[k][l] += block[k * d + l];
-                            else
-                                r[k] -= block[k * d + l] * uj[l];
-                        }
-                }
-            } else {
-                for (int k = 0; k < d; k++) {
-                    const double *row = matrix + ((size_t)i * d + k) * n * d, *after = row + (size_t)(i + 1) * d;
-                    r[k] -= dot(row, u, i * d) + dot(after, u + (size_t)(i + 1) * d, (n - 1 - i) * d);
-                    for (int l = 0; l < d; l++) A[k][l] = row[(size_t)i * d + l];
-                }
-            }
-            for (int k = 0; k < d; k++)
-                for (int l = 0; l < d; l++) r[k] -= A[k][l] * x[l];
-            for (int k = 0; k < d; k++)
-                for (int l = 0; l < d; l++) {
-                    q[k] += F[k * d + l] * r[l];
-                    D[k][l] = 0;
-                    for (int e = 0; e < d; e++)
-                        for (int f = 0; f < d; f++) D[k][l] += F[k * d + e] * A[e][f] * F[l * d + f];
-                }
-            node a = {.m = m, .N = D[m][m], .c_N = q[m], .b = weights[i], .law = law_of(numbers, threshold, i)};
-            for (int k = 0; k < m; k++) {
-                a.c[k] = q[k], a.TN[k] = D[k][m], a.NT[k] = D[m][k];
-                for (int l = 0; l < m; l++) a.T[k][l] = D[k][l];
-            }
-            for (int l = 0; slip && l < m; l++) {
-                const double s = slip[(size_t)i * m + l];
-                for (int k = 0; k < m; k++) a.c[k] -= D[k][l] * s;
-                a.c_N -= D[m][l] * s;
-            }
-            if (!solve_node(&a)) {
-                change = NAN;
-                continue;
-            }
-            for (int k = 0; k < m; k++) w[k] = a.y[k] + (slip ? slip[(size_t)i * m + k] : 0);
-            w[m] = a.w_N;
-            for (int k = 0; k < d; k++) {
-                double now = x[k];
-                for (int l = 0; l < d; l++) now += F[l * d + k] * w[l];
-                if (fabs(now - ui[k]) > change) change = fabs(now - ui[k]);
-                ui[k] = now;
-            }
+    const double bound = threshold(law, w[m]), own = 1 - law[SHARE], normal = law[SHARE] * law[K_N];
+    double size = 0, K = law[SHARE] * law[K_T];
+    for (int k = 0; k < m; k++) size += w[k] * w[k];
+    size = law[K_T] * sqrt(size);
+    const int slides = size > bound;
+    K += own * law[K_T] * (slides ? bound / size : 1);
+    for (int k = 0; k < d; k++)
+        for (int l = 0; l < d; l++) D[k][l] = 0;
+    t[m] = (normal + (w[m] < 0 ? own * law[K_N] : 0)) * w[m];
+    D[m][m] = normal + (w[m] < 0 ? own * law[K_N] : 0);
+    for (int k = 0; k < m; k++) {
+        t[k] = K * w[k];
+        D[k][k] = K;
+        if (!slides) continue;
+        const double along = law[K_T] * w[k] / size;
+        for (int l = 0; l < m; l++) D[k][l] -= own * law[K_T] * bound / size * along * law[K_T] * w[l] / size;
+        if (w[m] < 0) D[k][m] = -own * along * law[FRICTION] * law[K_N];
+    }
+}
+
+/* Solves A x = b of size d <= 3 by elimination with pivots; b becomes x. Returns 0 if A is singular. */
+static int solve(int d, double A[3][3], double *b)
+{
+    for (int k = 0; k < d; k++) {
+        int at = k;
+        for (int i = k + 1; i < d; i++)
+            if (fabs(A[i][k]) > fabs(A[at][k])) at = i;
+        if (!(fabs(A[at][k]) > 0)) return 0;
+        for (int l = 0; l < d; l++) {
+            const double kept = A[k][l];
+            A[k][l] = A[at][l], A[at][l] = kept;
+        }
+        const double kept = b[k];
+        b[k] = b[at], b[at] = kept;
+        for (int i = k + 1; i < d; i++) {
+            const double f = A[i][k] / A[k][k];
+            for (int l = k; l < d; l++) A[i][l] -= f * A[k][l];
+            b[i] -= f * b[k];
         }
     }
-    return change;
+    for (int k = d - 1; k >= 0; k--) {
+        for (int l = k + 1; l < d; l++) b[k] -= A[k][l] * b[l];
+        b[k] /= A[k][k];
+    }
+    return isfinite(b[0] + b[d - 1]);
+}
+
+/* A node: A x + forces of its pairs = r. Its pairs have the numbers `pair`; sign is 1 if it is the upper node of a pair, -1
+ * if it is the lower one; other is the other node, -1 where there is none that moves. Jumps are those of u, plus offsets.
+ * Components that are not free rest. */
+typedef struct {
+    int d, count;
+    double A[3][3], r[3];
+    const int32_t *pair, *other, *sign;
+    const double *u, *frames, *weights, *laws, *offsets;
+    const uint8_t *free;
+    double eased; /* least share of springs that neither open nor slide */
+} node;
+
+/* Residual F and its derivative T at the displacement x of the node; returns the norm of F, and in `zero` what counts as
+ * zero. */
+static double residual(const node *a, const double *x, double *F, double T[3][3], double *zero)
+{
+    const int d = a->d;
+    double norm = 0, terms = 0, rounding = 0;
+    for (int k = 0; k < d; k++) {
+        F[k] = -a->r[k], terms += fabs(a->r[k]);
+        for (int l = 0; l < d; l++) F[k] += a->A[k][l] * x[l], T[k][l] = a->A[k][l];
+    }
+    for (int q = 0; q < a->count; q++) {
+        const int i = a->pair[q], sign = a->sign[q];
+        const double *frame = a->frames + (size_t)i * d * d, base[3] = {0};
+        const double *there = a->other[q] < 0 ? base : a->u + (size_t)a->other[q] * d;
+        double w[3], t[3], D[3][3], law[NUMBERS];
+        for (int k = 0; k < d; k++) {
+            w[k] = a->offsets[(size_t)i * d + k];
+            rounding += a->weights[i] * a->laws[(size_t)i * NUMBERS + K_N] * (fabs(w[k]) + fabs(x[k]));
+            for (int l = 0; l < d; l++) w[k] += frame[k * d + l] * sign * (x[l] - there[l]);
+        }
+        for (int k = 0; k < NUMBERS; k++) law[k] = a->laws[(size_t)i * NUMBERS + k];
+        law[SHARE] = fmax(law[SHARE], a->eased);
+        traction(d, law, w, t, D);
+        for (int k = 0; k < d; k++) {
+            double force = 0;
+            for (int l = 0; l < d; l++) force += frame[l * d + k] * t[l];
+            F[k] += sign * a->weights[i] * force, terms += a->weights[i] * fabs(force);
+            for (int l = 0; l < d; l++)
+                for (int e = 0; e < d; e++)
+                    for (int f = 0; f < d; f++) T[k][l] += a->weights[i] * frame[e * d + k] * D[e][f] * frame[f * d + l];
+        }
+    }
+    for (int k = 0; k < d; k++) {
+        if (!a->free[k]) {
+            for (int l = 0; l < d; l++) T[k][l] = T[l][k] = 0;
+            F[k] = 0, T[k][k] = 1;
+        }
+        norm += F[k] * F[k];
+    }
+    *zero = SMALL * terms + ROUNDING * rounding;
+    return sqrt(norm);
+}
+
+/* Work of the forces at x - length step along the step, less that which balances. */
+static double work(const node *a, const double *x, const double *step, double length)
+{
+    double at[3] = {0}, F[3], T[3][3], zero, sum = 0;
+    for (int k = 0; k < a->d; k++) at[k] = x[k] - length * step[k];
+    residual(a, at, F, T, &zero);
+    for (int k = 0; k < a->d; k++) sum -= step[k] * F[k];
+    return sum;
+}
+
+/* Newton's method for the displacement x of a node; returns whether it is solved.
+ *
+ * The length of a step is at most 1, and such that the forces do no more work along it; it is found by regula falsi. */
+static int newton(const node *a, double *x)
+{
+    double F[3], T[3][3], zero;
+    for (int step = 0; step < STEPS; step++) {
+        double length = 1, low = 0, high = 1;
+        if (residual(a, x, F, T, &zero) <= zero) return 1;
+        if (!solve(a->d, T, F)) return 0;
+        double first = work(a, x, F, 0), below = first, above = work(a, x, F, 1);
+        for (int trial = 0; trial < TRIALS && first < 0 && above > FLAT * -first; trial++) {
+            length = trial % 3 == 2 ? (low + high) / 2 : low - below * (high - low) / (above - below);
+            const double now = work(a, x, F, length);
+            if (fabs(now) <= FLAT * -first) break;
+            if (now < 0)
+                low = length, below = now;
+            else
+                high = length, above = now;
+        }
+        for (int k = 0; k < a->d; k++) x[k] -= length * F[k];
+    }
+    return 0;
+}
+
+/* Finds the displacement x of a node from x or, if this fails, from springs that neither open nor slide, which are made
+ * less and less. Returns whether it is found; otherwise x stays. */
+static int solve_node(node *a, double *x)
+{
+    double at[3];
+    for (int way = 0; way < 2; way++) {
+        for (int k = 0; k < a->d; k++) at[k] = x[k];
+        for (a->eased = way; a->eased > LEAST; a->eased *= LESS) newton(a, at);
+        a->eased = 0;
+        if (!newton(a, at)) continue;
+        for (int k = 0; k < a->d; k++) x[k] = at[k];
+        return 1;
+    }
+    return 0;
+}
+
+/* Sweeps over n nodes, in place: each finds its balance while the others rest. Returns how often one was not solved.
+ *
+ * The matrix has blocks of d x d, row by row (indptr, indices, blocks). g, u: (n, d) forces and displacements. Node i is in
+ * the pairs begins[i] to begins[i + 1] of pair, other and sign. frames: (pairs, d, d) axes as rows; weights: (pairs,) areas;
+ * laws: (pairs, NUMBERS); offsets: (pairs, d). free: (n, d) components that move. */
+int sweep_pairs(int n, int d, const int32_t *indptr, const int32_t *indices, const double *blocks, const double *g,
+                double *u, const int32_t *begins, const int32_t *pair, const int32_t *other, const int32_t *sign,
+                const double *frames, const double *weights, const double *laws, const double *offsets,
+                const uint8_t *free, int sweeps)
+{
+    int failed = 0;
+    for (int sweep = 0; sweep < sweeps; sweep++)
+        for (int i = 0; i < n; i++) {
+            const int first = begins[i];
+            node a = {.d = d, .count = begins[i + 1] - first, .pair = pair + first, .other = other + first,
+                      .sign = sign + first, .u = u, .frames = frames, .weights = weights, .laws = laws, .offsets = offsets,
+                      .free = free + (size_t)i * d};
+            double r[3] = {0}, x[3];
+            for (int k = 0; k < d; k++) x[k] = u[(size_t)i * d + k];
+            for (int p = indptr[i]; p < indptr[i + 1]; p++) {
+                const double *block = blocks + (size_t)p * d * d, *uj = u + (size_t)indices[p] * d;
+                if (indices[p] == i) {
+                    for (int k = 0; k < d; k++)
+                        for (int l = 0; l < d; l++) a.A[k][l] = block[k * d + l];
+                    continue;
+                }
+                for (int k = 0; k < d; k++)
+                    for (int l = 0; l < d; l++) r[k] += block[k * d + l] * uj[l];
+            }
+            for (int k = 0; k < d; k++) a.r[k] = g[(size_t)i * d + k] - r[k];
+            failed += !solve_node(&a, x);
+            for (int k = 0; k < d; k++) u[(size_t)i * d + k] = x[k];
+        }
+    return failed;
 }
 
 /* Returns b_i - sum a_ij u_j over all j other than i, and puts a_ii in `own`. */
@@ -196,20 +238,22 @@ static void move(double *u, double target, double omega, double *squares)
     *u += step, *squares += step * step;
 }
 
-/* Relaxation over all degrees of freedom, one after the other. Ends when the Euclidean norm of the change of u in a sweep
- * is at most `tolerance` times that of u, or is not finite. Returns the number of sweeps; `changes` and `norms` have the
- * norms of the change and of u after each of them.
+/* Relaxation over all degrees of freedom, one after the other, in place. Ends when the Euclidean norm of the change of u in
+ * a sweep is at most `tolerance` times that of u, or is not finite. Returns the number of sweeps; `changes` and `norms` have
+ * the norms of the change and of u after each of them.
  *
  * steps: the order within a sweep. An entry >= 0 is a degree of freedom; -1 - 2 i is the normal component of contact node
  * i, and -2 - 2 i are its tangential components, which are solved together. contact: (n, d) degrees of freedom of the
- * nodes, the normal one last; slip: (n, d - 1) or NULL; threshold: (n,) or NULL; omega: relaxation factor of degrees of
- * freedom off S, omega_contact: of those of contact nodes. */
+ * nodes, the normal one last; slip: (n, d - 1); omega: relaxation factors of degrees of freedom off S, and of those of
+ * contact nodes. */
 int relax_sweeps(int count, const int32_t *steps, int dofs, const int32_t *indptr, const int32_t *indices,
                  const double *data, const double *b, double *u, int d, const int32_t *contact, const double *weights,
-                 const double *numbers, const double *slip, const double *threshold, double omega, double omega_contact,
-                 int sweeps, double tolerance, double *changes, double *norms)
+                 const double *law, const double *slip, const double *omega, int sweeps, double tolerance, double *changes,
+                 double *norms)
 {
     const int m = d - 1;
+    const int32_t first = 0, none = -1, upper = 1;
+    const uint8_t free[3] = {1, m == 2, 0};
     double own;
     int sweep = 0;
     while (sweep < sweeps) {
@@ -218,30 +262,30 @@ int relax_sweeps(int count, const int32_t *steps, int dofs, const int32_t *indpt
             if (steps[step] >= 0) {
                 const int j = steps[step];
                 const double r = remainder_of_row(j, indptr, indices, data, b, u, &own);
-                move(u + j, r / own, omega, &squares);
+                move(u + j, r / own, omega[0], &squares);
                 continue;
             }
             const int i = (-1 - steps[step]) / 2;
             const int32_t *here = contact + (size_t)i * d, normal = here[m];
-            law_numbers law = law_of(numbers, threshold, i);
             if (steps[step] % 2) {
                 const double r = remainder_of_row(normal, indptr, indices, data, b, u, &own);
-                move(u + normal, r / (r < 0 ? own + weights[i] * law.K_N : own), omega_contact, &squares);
+                move(u + normal, r / (r < 0 ? own + weights[i] * law[K_N] : own), omega[1], &squares);
                 continue;
             }
-            law.cohesion = largest(&law, law.K_N * fmax(-u[normal], 0)), law.friction = 0;
-            node a = {.m = m, .N = 1, .b = weights[i], .law = law}; /* the normal block has no effect */
+            /* the tangential components under the pressure of now, as a node whose normal component rests */
+            const double of_now[NUMBERS] = {0, law[K_T], 0, threshold(law, u[normal]), 0};
+            double frame[9] = {0}, offset[3] = {0}, x[3] = {0};
+            node a = {.d = d, .count = 1, .pair = &first, .other = &none, .sign = &upper, .u = u, .frames = frame,
+                      .weights = weights + i, .laws = of_now, .offsets = offset, .free = free};
+            for (int k = 0; k < d; k++) frame[k * d + k] = 1;
             for (int k = 0; k < m; k++) {
-                a.c[k] = remainder_of_row(here[k], indptr, indices, data, b, u, &a.T[k][k]);
+                a.r[k] = remainder_of_row(here[k], indptr, indices, data, b, u, &a.A[k][k]);
                 for (int p = indptr[here[k]]; m == 2 && p < indptr[here[k] + 1]; p++)
-                    if (indices[p] == here[1 - k]) a.T[k][1 - k] += data[p], a.c[k] += data[p] * u[here[1 - k]];
-                for (int l = 0; slip && l < m; l++) a.c[k] -= a.T[k][l] * slip[(size_t)i * m + l];
+                    if (indices[p] == here[1 - k]) a.A[k][1 - k] += data[p], a.r[k] += data[p] * u[here[1 - k]];
+                x[k] = u[here[k]], offset[k] = -slip[(size_t)i * m + k];
             }
-            const int solved = solve_node(&a);
-            for (int k = 0; k < m; k++) {
-                const double target = a.y[k] + (slip ? slip[(size_t)i * m + k] : 0);
-                move(u + here[k], solved ? target : NAN, omega_contact, &squares);
-            }
+            const int solved = solve_node(&a, x);
+            for (int k = 0; k < m; k++) move(u + here[k], solved ? x[k] : NAN, omega[1], &squares);
         }
         for (int j = 0; j < dofs; j++) norm += u[j] * u[j];
         changes[sweep] = sqrt(squares), norms[sweep] = sqrt(norm);

@@ -1,0 +1,200 @@
+"""Bodies condensed to their displacements in contact, one by one, by MUMPS's Schur complements. On one rank."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse
+from petsc4py import PETSc
+from scipy import linalg
+from scipy.sparse.csgraph import connected_components
+
+from forms.base import Array, ThinlayerError
+from geometry.topology import IntArray
+from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, keep_unknowns, schur_of
+
+TOGETHER = 100  # number of kept unknowns from which pieces are factorised apart from the next ones
+SLOPE = 1.2  # slope, relative to S, of the front along which nodes are numbered
+SAMPLE = 64  # number of nodes whose edges show the diagonals of the cells
+SPARSE = 0.05  # largest share of non-zeros of a right-hand side that is treated as sparse
+OPTIONS: dict[str, OptionValue] = {
+    "mat_mumps_icntl_7": 0,  # minimum degree: with a Schur complement MUMPS offers only this and METIS
+    "mat_mumps_icntl_8": 0,  # no scaling: it takes time and changes nothing here
+    "mat_mumps_icntl_14": 100,  # percentage of workspace more than estimated, which small bodies need
+}
+
+
+class FactorError(ThinlayerError, RuntimeError):
+    """MUMPS could not factorise a matrix, for instance because it is not positive definite."""
+
+
+class Condensation:
+    """A stiffness condensed to some unknowns, a few connected pieces at a time.
+
+    PETSc options mat_mumps_NAME are read under our prefix.
+
+    Args:
+        A: stiffness with supports, symmetric, in blocks of d x d, each row with its diagonal block.
+        kept: (c,) the unknowns that stay, ascending.
+        x: (n, d) places of the nodes.
+        normal: (d,) mean normal of S.
+
+    Attributes:
+        stiffness: (c, c) condensed stiffness, dense if all pieces are factorised at once.
+
+    Raises:
+        FactorError: MUMPS failed.
+    """
+
+    stiffness: Array | scipy.sparse.csr_matrix
+
+    def __init__(self, A: scipy.sparse.bsr_matrix, kept: IntArray, x: Array, normal: Array) -> None:
+        numbers = scipy.sparse.csr_matrix((np.arange(len(A.indices)), A.indices, A.indptr))
+        count, piece = connected_components(numbers, directed=False)
+        order = oblique_order(x - x[kept // A.blocksize[0]].mean(axis=0), normal, numbers)
+        of_kept = piece[kept // A.blocksize[0]]
+        group = np.cumsum(np.bincount(of_kept, minlength=count)) // TOGETHER  # of pieces
+        self._kept, self._own, self._factors = kept, list[IntArray](), list[SchurFactor]()
+        for k in np.unique(group):
+            self._own.append(np.flatnonzero(group[of_kept] == k))
+            self._factors.append(SchurFactor(A, numbers, order[group[piece[order]] == k], kept[self._own[-1]]))
+        if len(self._own) == 1:
+            self.stiffness = self._factors[0].complement
+        else:
+            complements = scipy.sparse.block_diag([one.complement for one in self._factors], format="csr")
+            complements.eliminate_zeros()  # between pieces
+            back = np.argsort(np.concatenate(self._own))
+            self.stiffness = complements[back][:, back]
+
+    def condense(self, b: Array) -> Array:
+        """Forces (c,) on the kept unknowns, for forces b on all."""
+        out = np.empty(len(self._kept))
+        for own, one in zip(self._own, self._factors, strict=True):
+            out[own] = one.condense(b)
+        return out
+
+    def expand(self, b: Array, kept: Array, out: Array) -> None:
+        """Write all unknowns into `out`, under forces b on all, from the kept ones (c,)."""
+        out[self._kept] = kept
+        for one in self._factors:
+            one.expand(b, out)
+
+    def close(self) -> None:
+        """Free the factors."""
+        for one in self._factors:
+            one.close()
+
+
+def oblique_order(x: Array, normal: Array, pattern: scipy.sparse.csr_matrix) -> IntArray:
+    """Nodes in the order of a front that is oblique to S and moves away from it; x are places relative to S.
+
+    With a Schur complement MUMPS orders by minimum degree and decides ties by the numbers. On grids bad numbers cost twice
+    the work; these come close to the best ordering without a complement. The front follows the diagonals of the cells.
+    """
+    some = np.linspace(0, len(x) - 1, min(len(x), SAMPLE)).astype(int)
+    edges = pattern[some].tocoo()
+    edges = x[edges.col] - x[some[edges.row]]
+    size, up = np.linalg.norm(normal), np.eye(len(normal))[-1]
+    normal = normal / size if size > 0 else up
+    height = x @ normal
+    key = SLOPE * np.abs(height)
+    for tangent in linalg.null_space(normal[None]).T:
+        lean = np.sign((edges @ tangent) @ (edges @ normal)) or 1.0
+        key += lean * np.sign(height) * (x @ tangent)
+    return np.argsort(key, kind="stable")
+
+
+class SchurFactor:
+    """Factor of pieces of a stiffness, with springs at the kept unknowns, so that it is definite whatever holds it.
+
+    Args:
+        A: as in `Condensation`.
+        numbers: the numbers of its blocks, as a matrix.
+        nodes: the nodes of the pieces, in the order in which MUMPS gets them.
+        kept: (c,) their unknowns that stay.
+
+    Attributes:
+        complement: (c, c) Schur complement, without the springs.
+    """
+
+    def __init__(
+        self, A: scipy.sparse.bsr_matrix, numbers: scipy.sparse.csr_matrix, nodes: IntArray, kept: IntArray
+    ) -> None:
+        d, comm = A.blocksize[0], PETSc.COMM_SELF
+        self._unknowns = (nodes[:, None] * d + np.arange(d)).ravel()
+        place = np.zeros(A.shape[0], np.int32)
+        place[self._unknowns] = np.arange(len(self._unknowns))
+        self._all_kept, self._kept = kept, place[kept]
+        chosen = scipy.sparse.triu(numbers[nodes][:, nodes], format="csr")
+        chosen.sort_indices()
+        blocks = A.data[chosen.data]
+        diagonal = blocks[chosen.indptr[self._kept // d], self._kept % d, self._kept % d]
+        self._springs = diagonal / max(len(kept), 1)
+        blocks[chosen.indptr[self._kept // d], self._kept % d, self._kept % d] += self._springs
+        csr = chosen.indptr.astype(PETSc.IntType), chosen.indices.astype(PETSc.IntType), blocks
+        upper = PETSc.Mat().createSBAIJ((len(self._unknowns),) * 2, d, csr=csr, comm=comm)
+        for option in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.SPD):
+            upper.setOption(option, True)
+        self._pc = pc = PETSc.PC().create(comm)
+        pc.setOptionsPrefix(PREFIX)
+        pc.setOperators(upper)
+        pc.setType("cholesky")
+        pc.setFactorSolverType("mumps")
+        with defaults(OPTIONS):
+            pc.setFactorSetUpSolverType()
+            self._factor = pc.getFactorMatrix()
+            self._factor.setOptionsPrefix(PREFIX)
+            if len(kept):
+                keep_unknowns(self._factor, self._kept)
+            pc.setUp()
+        upper.destroy()
+        code = self._factor.getMumpsInfog(1)
+        if code < 0 or pc.getFailedReason():
+            self.close()
+            raise FactorError(f"MUMPS could not factorise the stiffness matrix: INFOG(1) = {code}")
+        found = schur_of(self._factor, len(kept)) if len(kept) else np.empty((0, 0))
+        self.complement = np.triu(found) + np.triu(found, 1).T - np.diag(self._springs)
+
+    def _forces(self, kept: Array) -> Array:
+        """Forces (c,) of the complement, springs included, for values of the kept unknowns."""
+        return np.asarray(self.complement @ kept + self._springs * kept)
+
+    def condense(self, b: Array) -> Array:
+        """Forces (c,) on the kept unknowns, for forces b on all of the whole."""
+        if not len(self._kept):
+            return np.empty(0)
+        self._factor.setMumpsIcntl(26, 1)  # solve for the kept unknowns only
+        self._condensed = self._forces(self._solve(b[self._unknowns])[self._kept])
+        self._factor.setMumpsIcntl(26, -1)
+        return self._condensed
+
+    def expand(self, b: Array, out: Array) -> None:
+        """Write the pieces' unknowns into `out`, which has the kept ones; b is that of the last `condense`."""
+        moved, kept = b[self._unknowns], out[self._all_kept]
+        if len(kept):
+            moved[self._kept] += self._forces(kept) - self._condensed
+        out[self._unknowns] = self._solve(moved)
+        out[self._all_kept] = kept  # a stiff layer would magnify their rounding
+
+    def _solve(self, b: Array) -> Array:
+        """MUMPS's solution in its order; a sparse right-hand side is declared as such, which is faster."""
+        places = np.flatnonzero(b)
+        if not len(places):  # MUMPS fails for an empty sparse right-hand side
+            return np.zeros_like(b)
+        found = np.empty((len(b), 1), order="F")
+        X = PETSc.Mat().createDense(found.shape, array=found, comm=PETSc.COMM_SELF)
+        if len(places) > SPARSE * len(b):
+            B = PETSc.Mat().createDense(found.shape, array=b[:, None], comm=PETSc.COMM_SELF)
+            self._factor.matSolve(B, X)
+        else:
+            csr = np.array([0, len(places)], PETSc.IntType), places.astype(PETSc.IntType), b[places]
+            row = PETSc.Mat().createAIJ((1, len(b)), csr=csr, comm=PETSc.COMM_SELF)
+            B = PETSc.Mat().createTranspose(row)
+            self._factor.matSolve(B, X)
+            row.destroy()
+        B.destroy()
+        X.destroy()
+        return found[:, 0]
+
+    def close(self) -> None:
+        """Free the factor."""
+        self._pc.destroy()

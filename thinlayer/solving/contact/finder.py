@@ -1,0 +1,93 @@
+"""What all finders of equilibria under contact laws have in common."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from functools import cached_property
+
+from petsc4py import PETSc
+
+from thinlayer.discretisation.state import State, displacements_of
+from thinlayer.parts.contact_part import ContactPart
+from thinlayer.solving.equations import Equations
+from thinlayer.solving.equilibrium import Finder, Found
+
+
+class ContactFinder(Finder):
+    """Steps of a model of linear bodies in contact. Collective.
+
+    A method finds u with A u + (nodal forces of the contact laws) = b, where A and b hold the displacements of supports.
+
+    Args:
+        equations: the equations of the model.
+        like: a state of a model of the same joint, from which the first step begins; None: that before the step.
+
+    Attributes:
+        equations, comm: the equations and their communicator.
+        parts: the contact laws with their pairs of nodes.
+        x: displacements: what a step begins with, then its result.
+    """
+
+    def __init__(self, equations: Equations, like: State | None) -> None:
+        self.equations, self.comm, self._like = equations, equations.comm, like
+        self.parts = equations.of_kind(ContactPart)
+        self.x, self.b, self._r = (equations.vector() for _ in range(3))
+        self._has_solved = False
+
+    @cached_property
+    def A(self) -> PETSc.Mat:
+        """The bodies' stiffness with supports."""
+        A = self.equations.K.copy()
+        A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        self.equations.hold(A)
+        A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        A.setBlockSize(self.parts[0].nodes.dim)
+        A.setNearNullSpace(PETSc.NullSpace().create(vectors=self.equations.near_null(), comm=self.comm))
+        return A
+
+    def find(self, start: PETSc.Vec | None = None) -> Found:
+        """Displacements at the end of the step, from those of `start`, of the state that is like it, or before the step.
+
+        Raises:
+            SolveError: no convergence.
+        """
+        equations, x = self.equations, self.x
+        self.reused = self._has_solved
+        if start is not None:
+            start.copy(x)
+        elif self._like is not None:
+            u = displacements_of(self._like, equations.model)  # owns the vector
+            u.x.petsc_vec.copy(x)
+        else:
+            equations.put_state(equations.interval.old, x)
+        known = any(part.nodes.jump(x).any() for part in self.parts)
+        known = bool(self.comm.allreduce(int(known)))
+        moved = equations.vector()
+        moved.array[equations.held] = x.array[equations.held] = equations.prescribed
+        equations.K.mult(moved, self.b)
+        moved.destroy()
+        self.b.aypx(-1.0, equations.external)
+        self.b.array[equations.held] = (equations.mean_stiffness or 1.0) * equations.prescribed
+        self._like, self._has_solved = None, True
+        steps, residual = self.solve(known)
+        return Found(x, steps, residual)
+
+    @abstractmethod
+    def solve(self, known: bool) -> tuple[int, float]:
+        """Change x, which has the supports' displacements, to those of the equilibrium; steps, and the relative residual.
+
+        Args:
+            known: whether the jumps of x are a guess; otherwise nothing has moved.
+        """
+
+    def relative_residual(self) -> float:
+        """Norm of the residual of the whole problem at x, relative to the forces."""
+        self.equations.residual(self.x, self._r)
+        return self.equations.scale.relative(self.equations.free_norm(self._r))
+
+    def close(self) -> None:
+        """Free matrices and vectors."""
+        for vector in (self.x, self.b, self._r):
+            vector.destroy()
+        if "A" in vars(self):
+            self.A.destroy()

@@ -1,0 +1,157 @@
+"""The nodes in contact of one rank and all their pairs, whatever their seams: tractions, tangents and sweeps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+
+from forms.base import Array
+from forms.contact import ContactLaw, EasedContact
+from geometry.topology import BoolArray
+from thinlayer.parts.contact_part import ContactPart
+from thinlayer.system.compilation import own_library
+
+SOURCE = Path(__file__).with_name("sweeps.c")
+KINDS = {"i": "int32_t[]", "?": "uint8_t[]", "d": "double[]"}  # dtype.name would take 5 times as long
+Law = ContactLaw | EasedContact
+
+
+def pointers(*arrays: npt.NDArray[Any]) -> list[Any]:
+    """Pointers to contiguous arrays for C, which reads them unchecked."""
+    ffi = own_library(SOURCE).ffi
+    return [ffi.from_buffer(KINDS[a.dtype.char], a) for a in map(np.ascontiguousarray, arrays)]
+
+
+class Pairs:
+    """Pairs of nodes in contact. A node may be in several, as their upper or lower one.
+
+    Args:
+        parts: the contact laws, each with its pairs.
+        held: (N,) displacements of this rank that supports prescribe.
+        first: global number of this rank's first node.
+
+    Attributes:
+        nodes: (n,) local numbers of this rank's nodes that are in a pair, ascending.
+        dofs: (n d,) their displacements.
+        free: (n, d) components that are not held.
+        ends: (pairs, 2) upper and lower node, as numbers in `nodes`; -1: the rigid base, or a node of another rank.
+        d: dimension.
+    """
+
+    def __init__(self, parts: Sequence[ContactPart], held: BoolArray, first: int = 0) -> None:
+        self._parts, self.d = parts, parts[0].nodes.dim
+        pairs = np.concatenate([part.nodes.pairs for part in parts]) - first
+        pairs[(pairs < 0) | (pairs >= len(held) // self.d)] = -1
+        self.nodes, place = np.unique(np.concatenate([[-1], pairs.ravel()]), return_inverse=True)
+        self.nodes = self.nodes[1:]
+        self.ends = place[1:].reshape(-1, 2) - 1
+        self.frames = np.concatenate([part.nodes.frames for part in parts])
+        self.weights = np.concatenate([part.nodes.weights for part in parts])
+        self.gaps = np.zeros((len(pairs), self.d))
+        self.gaps[:, -1] = np.concatenate([part.nodes.gap for part in parts])
+        self._of_part = np.split(np.arange(len(pairs)), np.cumsum([len(part.nodes.weights) for part in parts])[:-1])
+        self.dofs = (self.nodes[:, None] * self.d + np.arange(self.d)).ravel()
+        self.free = ~held[self.dofs].reshape(-1, self.d)
+        self.jumps = self._jump_matrix()
+        self._by_node = self._sorted_by_node()
+
+    def _jump_matrix(self) -> scipy.sparse.csr_matrix:
+        """(pairs d, n d) from displacements to jumps in the pairs' frames."""
+        pair, side = np.nonzero(self.ends >= 0)
+        blocks = self.frames[pair] * np.where(side, -1.0, 1.0)[:, None, None]
+        begins = np.searchsorted(pair, np.arange(len(self.ends) + 1))
+        shape = (len(self.ends) * self.d, len(self.dofs))
+        return scipy.sparse.bsr_matrix((blocks, self.ends[pair, side], begins), shape=shape).tocsr()
+
+    def _sorted_by_node(self) -> tuple[npt.NDArray[np.int32], ...]:
+        """The pairs of each node, one node after the other, as the sweeps read them."""
+        pair, side = np.nonzero(self.ends >= 0)
+        node = self.ends[pair, side]
+        order = np.lexsort((pair, node))
+        begins = np.searchsorted(node[order], np.arange(len(self.nodes) + 1))
+        columns = pair, self.ends[pair, 1 - side], np.where(side, -1, 1)
+        return begins.astype(np.int32), *(column[order].astype(np.int32) for column in columns)
+
+    def _gathered(self, of_part: Callable[[Law, Array, Array], Array], w: Array) -> Array:
+        """(pairs, ...) values of each part's law at the jumps (pairs, d)."""
+        parts = zip(self._parts, self._of_part, strict=True)
+        return np.concatenate([of_part(part.now, w[own], part.slip) for part, own in parts])
+
+    def apart(self, u: Array) -> Array:
+        """(pairs, d) jumps, and initial gaps along the normal, in the pairs' frames at displacements (n d,)."""
+        return np.asarray((self.jumps @ u).reshape(-1, self.d) + self.gaps)
+
+    def forces(self, w: Array) -> Array:
+        """(n d,) forces of the pairs at jumps (pairs, d), to be added to those of the bodies; zero at held components."""
+        return self.on_nodes(self._gathered(lambda law, w, slip: law.traction(w, slip), w))
+
+    def on_nodes(self, t: Array) -> Array:
+        """(n d,) forces of tractions (pairs, d) on the nodes, zero at held components."""
+        return np.where(self.free.ravel(), self.jumps.T @ (t * self.weights[:, None]).ravel(), 0.0)
+
+    def tangent(self, w: Array) -> scipy.sparse.csr_matrix:
+        """(n d, n d) derivative of `forces` by the displacements."""
+        return self.stiffness(self._gathered(lambda law, w, slip: law.tangent(w, slip), w))
+
+    def bonded(self) -> tuple[scipy.sparse.csr_matrix, Array]:
+        """Stiffness of springs that neither open nor slide, and their forces on nodes at rest, by slip and gaps."""
+        rest = self._offsets(self.gaps)
+        D = self._gathered(lambda law, w, _: law.bonded(*w.shape), rest)
+        return self.stiffness(D), self.on_nodes(np.einsum("nij,nj->ni", D, rest))
+
+    def stiffness(self, D: Array) -> scipy.sparse.csr_matrix:
+        """(n d, n d) stiffness of springs D (pairs, d, d) between the free displacements."""
+        count = len(self.weights)
+        places = np.arange(count), np.arange(count + 1)
+        blocks = scipy.sparse.bsr_matrix((D * self.weights[:, None, None], *places), shape=(count * self.d,) * 2)
+        jumps = self.jumps @ scipy.sparse.diags(self.free.ravel().astype(float))
+        return (jumps.T @ (blocks @ jumps)).tocsr()
+
+    def _offsets(self, w: Array) -> Array:
+        """Jumps (pairs, d) less the slip."""
+        slip = np.concatenate([part.slip for part in self._parts])
+        return np.column_stack([w[:, :-1] - slip, w[:, -1]])
+
+    def sweep(
+        self,
+        stiffness: scipy.sparse.bsr_matrix,
+        g: Array,
+        u: Array,
+        sweeps: int,
+        rest: Array | None = None,
+        moves: BoolArray | None = None,
+    ) -> int:
+        """Gauss-Seidel sweeps, in place: each node finds the balance of its forces while all others rest.
+
+        Held components rest too.
+
+        Args:
+            stiffness: (n, n) blocks of the bodies' stiffness.
+            g: (n d,) forces.
+            u: (n d,) displacements.
+            sweeps: number of sweeps.
+            rest: (pairs, d) jumps where all u are zero; None: initial gaps.
+            moves: (n,) nodes that move; None: all.
+
+        Returns:
+            How often a node was not solved; it keeps the best u that was found.
+        """
+        rest = self.gaps if rest is None else rest
+        laws = self._gathered(lambda law, w, _: np.tile(numbers_of(law), (len(w), 1)), rest)
+        arrays = (
+            stiffness.indptr, stiffness.indices, stiffness.data, g, u, *self._by_node, self.frames, self.weights, laws,
+            self._offsets(rest), self.free if moves is None else self.free & moves[:, None],
+        )  # fmt: skip
+        return int(own_library(SOURCE).lib.sweep_pairs(len(self.nodes), self.d, *pointers(*arrays), sweeps))
+
+
+def numbers_of(law: Law) -> tuple[float, ...]:
+    """Parameters of a law for the sweeps: K_N, K_T, friction, cohesion, and the share of bonded springs."""
+    law, share = (law.law, law.share) if isinstance(law, EasedContact) else (law, 0.0)
+    assert law.numbers is not None
+    return *law.numbers, share

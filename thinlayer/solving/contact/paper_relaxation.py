@@ -1,0 +1,245 @@
+"""The relaxation of section 8 of the paper: over-relaxed Gauss-Seidel, component by component. On one rank."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse
+from petsc4py import PETSc
+
+from forms.base import Array, InputError
+from forms.contact import ContactLaw
+from geometry.topology import BoolArray, Indices
+from thinlayer.discretisation.state import State
+from thinlayer.errors import SolveError
+from thinlayer.solving.balance import ALLOWED
+from thinlayer.solving.contact.finder import ContactFinder
+from thinlayer.solving.contact.pairs import SOURCE, numbers_of, pointers
+from thinlayer.solving.equations import Equations
+from thinlayer.solving.petsc import PREFIX
+from thinlayer.system.compilation import own_library
+
+CHUNK = 256  # number of sweeps between two tests of the increments
+PATIENCE = 2048  # least number of sweeps of a relaxation that stagnates
+GROWTH = 1e8  # growth of the changes, relative to the largest of the first sweeps, that means divergence
+NO_PROGRESS = 0.999  # ratio of the least increments of the later and the earlier half of all sweeps: stagnation
+SLOW = 1e5  # largest residual, relative to the tolerance of the increments: slow convergence has small increments
+FIXED = 1e20  # diagonal entry of held components of contact nodes, relative to the mean stiffness
+ALIGNED = 1e-9  # largest difference of the axes of S from coordinate axes
+OPTIONS = {  # name -> default and bound
+    "omega": (1.7, 2),
+    "omega_contact": (1.0, 2),
+    "tolerance": (1e-12, 1e-3),
+    "max_sweeps": (200_000, np.inf),
+}
+
+
+@dataclass(frozen=True)
+class SeamSystem:
+    """A u + (contact forces) = b, where the dofs of contact nodes are jumps in the axes of S.
+
+    Attributes:
+        A: stiffness; rows of held dofs are those of the identity.
+        b: (N,) forces.
+        contact: (n, d) dofs of the contact nodes: tangential ones, then the normal one, positive if S opens.
+        weights: (n,) areas (lengths in two dimensions) of the nodes.
+        law: the law.
+        slip: (n, d - 1) slip at the beginning of the step.
+    """
+
+    A: scipy.sparse.csr_matrix
+    b: Array
+    contact: Indices
+    weights: Array
+    law: ContactLaw
+    slip: Array
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """The result of `relax`.
+
+    Attributes:
+        u: (N,) the last iterate.
+        converged: whether the increments met their tolerance.
+        increments: (sweeps,) Euclidean norm of the change of u in each sweep, relative to that of u.
+    """
+
+    u: Array
+    converged: bool
+    increments: Array
+
+
+def relax(
+    system: SeamSystem,
+    *,
+    u: Array | None = None,
+    order: Indices | None = None,
+    omega: float = 1.0,
+    omega_contact: float = 1.0,
+    tolerance: float = 1e-8,
+    max_sweeps: int = 100_000,
+) -> Relaxation:
+    """The relaxation of section 8 of the paper: over-relaxed Gauss-Seidel, component by component over all N dofs.
+
+    With the diagonal a, the remainder r of the row, the weight b and the threshold rho of a node, its normal component
+    becomes r / a if that opens S, else r / (a + b K_N). Its tangential component becomes r / (a + b K_T) if it sticks, else
+    (r -+ b rho) / a; in three dimensions both tangential components are found together, on a disc. Unlike in the paper
+    thresholds follow the pressure within the sweeps, and omega is 1 at contact nodes: the same omega everywhere fails for
+    many meshes and stiffnesses.
+
+    Args:
+        system: the equations.
+        u: (N,) first iterate, not changed; None: zero.
+        order: (N,) dofs in the order of a sweep; both tangential dofs of a node are swept at the place of the first of
+            them. None: in the order of the numbers, but at contact nodes the normal component first.
+        omega: relaxation factor of the other dofs.
+        omega_contact: relaxation factor of the contact dofs.
+        tolerance: of the increment of a sweep, as in `Relaxation.increments`.
+        max_sweeps: largest number of sweeps.
+
+    Returns:
+        The last iterate, also without convergence: if increments are not finite, grow or stagnate, or at `max_sweeps`.
+    """
+    A, count, d = system.A, len(system.b), system.contact.shape[1]
+    now, steps = np.zeros(count) if u is None else u.copy(), _steps(system.contact, order, count)
+    rows = pointers(A.indptr.astype(np.int32), A.indices.astype(np.int32), A.data, system.b, now)
+    law, factors = np.array(numbers_of(system.law)), np.array([omega, omega_contact])
+    nodes = pointers(system.contact.astype(np.int32), system.weights, law, system.slip, factors)
+    changes: Array = np.empty(0)
+    increments: Array = np.empty(0)
+    converged = False
+    while not converged and len(increments) < max_sweeps:
+        chunk = min(CHUNK, max_sweeps - len(increments))
+        change, size = np.empty(chunk), np.empty(chunk)
+        made = own_library(SOURCE).lib.relax_sweeps(
+            len(steps), *pointers(steps), count, *rows, d, *nodes, chunk, tolerance, *pointers(change, size)
+        )
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            relative = np.where(change > 0, change / size, change)
+        changes, increments = np.append(changes, change[:made]), np.append(increments, relative[:made])
+        converged = bool(increments[-1] <= tolerance)
+        diverges = not changes[-1] <= GROWTH * changes[:10].max()
+        half = len(increments) // 2
+        slow = half >= PATIENCE // 2 and increments[half:].min() > NO_PROGRESS * increments[:half].min()
+        if diverges or slow:
+            break
+    return Relaxation(now, converged, increments)
+
+
+def _steps(contact: Indices, order: Indices | None, count: int) -> Indices:
+    """The steps of a sweep, coded as sweeps.c reads them."""
+    place = np.arange(count) if order is None else np.argsort(order)
+    normal, tangential = place[contact[:, -1]].astype(float), place[contact[:, :-1]].min(axis=1).astype(float)
+    if order is None:
+        normal, tangential = (np.minimum(normal, tangential) + shift for shift in (0.0, 0.5))
+    others = np.setdiff1d(np.arange(count), contact)
+    nodes = np.arange(len(contact))
+    codes = np.concatenate([others, -1 - 2 * nodes, -2 - 2 * nodes]).astype(np.int32)
+    return codes[np.argsort(np.concatenate([place[others], normal, tangential]), kind="stable")]
+
+
+class ContactRelaxation(ContactFinder):
+    """The paper's relaxation over all displacements, for one seam; it begins at rest.
+
+    At contact nodes the unknowns are the jumps in the axes of S, gaps included, instead of the upper side's displacements.
+
+    PETSc options thinlayer_relaxation_NAME: omega (1.7), omega_contact (1), tolerance of the increments (1e-12), max_sweeps
+    (200000).
+    """
+
+    eases = False
+
+    def __init__(self, equations: Equations, like: State | None) -> None:
+        super().__init__(equations, like)
+        (self.part,) = self.parts
+        nodes, n = self.part.nodes, self.x.getLocalSize()
+        self._held_jumps = _held_components(nodes.frames, nodes.held)
+        if (nodes.held_upper & ~nodes.held).any():
+            raise InputError("method='relaxation' needs supports on both sides of S or on the lower; use 'condensed'")
+        self._held = np.zeros(n, bool)
+        self._held[equations.held] = True
+        self._held[nodes.dofs] = self._held_jumps
+        self._T = self._change()
+        indptr, indices, values = equations.K.getValuesCSR()
+        self._K = scipy.sparse.csr_matrix((values, indices, indptr))
+        self._A = self._T.T @ self._K @ self._T
+
+    def _order(self) -> Indices:
+        """Unknowns in the order of the nodes' places, along x first: convergence depends on the order of sweeps."""
+        nodes = self.part.nodes
+        d, x = nodes.dim, nodes.surface.V.tabulate_dof_coordinates()
+        close = 1e-9 * self.equations.model.joint.size
+        rows = np.lexsort(np.rint(x[:, :d] / close).T)
+        return (rows[:, None] * d + np.arange(d)).ravel().astype(np.int32)
+
+    def _change(self) -> scipy.sparse.csr_matrix:
+        """Matrix from the unknowns (jumps and other displacements) to all displacements, where there are no gaps."""
+        nodes, n = self.part.nodes, self.x.getLocalSize()
+        upper, others = nodes.dofs, np.setdiff1d(np.arange(n), nodes.dofs)
+        rows = [others, np.repeat(upper, nodes.dim, axis=1).ravel()]
+        columns = [others, np.tile(upper, nodes.dim).ravel()]
+        values = [np.ones(len(others)), nodes.frames.transpose(0, 2, 1).ravel()]
+        if nodes.lower is not None:
+            lower = nodes.pairs[:, 1:] * nodes.dim + np.arange(nodes.dim)
+            rows, columns = [*rows, upper.ravel()], [*columns, lower.ravel()]
+            values.append(np.ones(upper.size))
+        places = np.concatenate(rows), np.concatenate(columns)
+        return scipy.sparse.csr_matrix((np.concatenate(values), places), shape=(n, n))
+
+    def solve(self, known: bool) -> tuple[int, float]:
+        """As in `ContactFinder`. SolveError: no convergence; its residuals are the increments of the sweeps."""
+        equations, nodes, x = self.equations, self.part.nodes, self.x
+        chosen, moving = _options(), ~self._held_jumps.all(axis=1)
+        x.set(0.0)
+        x.array[equations.held] = equations.prescribed
+        given = x.array_r.copy()
+        given[nodes.dofs] = np.where(self._held_jumps, nodes.apart(x), 0.0)
+        over = np.zeros(len(given))  # displacements of the upper side that close the gaps
+        over[nodes.dofs] = nodes.frames[:, -1] * nodes.gap[:, None]
+        diagonal = np.where(self._held, equations.mean_stiffness, 0.0)
+        diagonal[nodes.dofs[moving][self._held_jumps[moving]]] *= FIXED
+        b = self._T.T @ (equations.external.array_r + self._K @ over) - self._A @ given
+        free = scipy.sparse.diags((~self._held).astype(float))
+        system = SeamSystem(
+            (free @ self._A @ free + scipy.sparse.diags(diagonal)).tocsr(),
+            np.where(self._held, diagonal * given, b),
+            nodes.dofs[moving],
+            nodes.weights[moving],
+            self.part.law,
+            self.part.slip[moving],
+        )
+        found = relax(system, order=self._order(), **chosen)
+        x.array[:] = self._T @ found.u - over
+        x.array[equations.held] = equations.prescribed
+        residual, sweeps = self.relative_residual(), len(found.increments)
+        if not (found.converged and residual <= max(ALLOWED, min(SLOW * chosen["tolerance"], 1e-2))):
+            raise SolveError(
+                f"the relaxation does not converge: after {sweeps} sweeps the increment is {found.increments[-1]:.1e} and "
+                f"the residual {residual:.1e} of the forces",
+                residuals=tuple(map(float, found.increments)),
+                advice=f"try -{PREFIX}relaxation_omega nearer to 1, -{PREFIX}relaxation_omega_contact 1, another solver, "
+                "or smaller loads",
+            )
+        return sweeps, residual
+
+
+def _options() -> dict[str, Any]:
+    """The options of the relaxation in PETSc's database. InputError: a value is out of range."""
+    options, chosen = PETSc.Options(PREFIX + "relaxation_"), dict[str, Any]()
+    for name, (default, bound) in OPTIONS.items():
+        chosen[name] = (options.getInt if isinstance(default, int) else options.getReal)(name, default)
+        if not 0 < chosen[name] < bound:
+            raise InputError(f"-{PREFIX}relaxation_{name} is {chosen[name]:g}; allowed: > 0 and < {bound:g}")
+    return chosen
+
+
+def _held_components(frames: Array, held: BoolArray) -> BoolArray:
+    """Held components (n, d) of jumps in the axes of S."""
+    along = np.abs(frames)
+    aligned = (np.abs(along - np.rint(along)) < ALIGNED).all(axis=(1, 2))
+    if (~aligned & held.any(axis=1) & ~held.all(axis=1)).any():
+        raise InputError("method='relaxation' needs supports along the axes of S at its nodes; use 'condensed'")
+    return np.asarray(np.einsum("nij,nj->ni", along > 0.5, held) > 0)
