@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import resource
-import time
 from math import radians, tan
 from typing import Any
 
@@ -27,7 +25,6 @@ COHESION = {"BED": 0.1, "HEAD": 0.03}  # MPa
 PRESSURE = 0.5  # MPa, on the top
 STRENGTH = COHESION["BED"] + tan(radians(ANGLE)) * PRESSURE  # of a bed along which all bricks above slide
 WALLS = ("heads with mortar", "open heads")
-LARGE = (14, 15)  # bricks and courses
 NEAR = 0.9  # of the strength of a bed, where walls are compared and drawn
 PANEL = (2, 3)  # bricks and courses of the panel that is meshed
 SHIFTS = (0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3)  # mm, of its top
@@ -36,7 +33,7 @@ ELASTIC_FRACTION = 0.002  # of the mortar of the panel: ideal plasticity leaves 
 SHARES = ("seam", "size", "elastic", "sliding", "crushed", "torn", "open")  # columns of joints.csv
 
 
-def run(record: Record, *, large: bool = False, quick: bool = False) -> None:
+def run(record: Record, *, quick: bool = False) -> None:
     """Push the top along, harder and harder, until no equilibrium is left.
 
     The limit is at most that of a bed along which all bricks above slide: C + tan(Omega) p, per length of the wall.
@@ -46,12 +43,8 @@ def run(record: Record, *, large: bool = False, quick: bool = False) -> None:
 
     Args:
         record: where to write.
-        large: 217 bricks and 1e5 unknowns in 20 steps instead, with its time and memory.
         quick: fewer bricks, longer steps, one thickness of the panel's joints.
     """
-    if large:
-        push_large(record)
-        return
     push_panel(record, THICKNESSES[:1] if quick else THICKNESSES)
     push_walls(record, *((3, 3, 2, 0.08) if quick else (4, 5, 3, 0.03)))
 
@@ -120,24 +113,6 @@ def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
         record.check("observed order of these", float(np.log2(errors[0] / errors[-1])) / (len(errors) - 1), low=0.8)
 
 
-def push_large(record: Record) -> None:
-    """A wall of 217 bricks in 20 steps to 0.8 of the strength of a bed."""
-    begin = time.perf_counter()
-    model = sheared(*LARGE, BRICK[1] / 4, heads=True)
-    built = time.perf_counter() - begin
-    history = march(model, [0.8 * STRENGTH * k / 20 for k in range(1, 21)], keep="last")
-    row = {
-        "bricks": int(model.splitting.pieces.max()) + 1,
-        "unknowns": model.unknowns,
-        "built_s": built,
-        "marched_s": time.perf_counter() - begin - built,
-        "iterations": sum(int(one["iterations"] or 0) for one in history.table.rows),
-        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-        "shift_mm": shift(history.last),
-    }
-    record.table("large.csv").append(row)
-
-
 def sheared(bricks: int, courses: int, h: float, *, heads: bool) -> InterfaceModel:
     """The interface model of a wall on a rigid foot, pressed at t = 0 and pushed along by a shear stress t, MPa."""
     layers = {
@@ -166,13 +141,11 @@ def shift(state: State) -> float:
 
 
 def draw(record: Record) -> None:
-    """Draw load against displacement from table.csv and panel.csv, which a large wall has not."""
+    """Draw load against displacement from table.csv and panel.csv."""
     for file, column, picture, title in (
         ("table.csv", "wall", "shear.png", "a wall, pushed"),
         ("panel.csv", "model", "panel.png", "a panel, its top moved along"),
     ):
-        if not record.has(file):
-            continue
         parts = record.load(file).split(column)
         columns = "shift_mm", "shear_MPa"
         lines = {name: tuple(np.insert(part[one], 0, 0) for one in columns) for name, part in parts.items()}

@@ -49,16 +49,14 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 
 def test_list_is_light_and_matches_the_readme():
-    probe = "import sys; from thinlayer.running.cli import main; main(['list']); "
+    probe = "import sys; from thinlayer.running.cli import main; main(['list', '--markdown']); "
     probe += "print([m for m in sys.modules if '.' not in m])"
     done = subprocess.run([sys.executable, "-c", probe], cwd=CLONE, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
     *listed, modules = done.stdout.splitlines()
     assert not {"dolfinx", "petsc4py", "numpy", "gmsh", "pyvista"} & set(eval(modules))
-    names = [line.split()[0] for line in listed]
-    assert names == sorted(studies()) != []
-    readme = (CLONE / "README.md").read_text()
-    assert all(f"`{name}`" in readme for name in names)
+    assert listed
+    assert "\n".join(listed) in (CLONE / "README.md").read_text()
 
 
 def test_info():

@@ -82,8 +82,11 @@ def test_components_on_the_torus():
 @pytest.mark.few(1)
 @pytest.mark.parametrize("E", BOND)
 def test_stiffness_of_a_running_bond(E):
-    """The numbers of an independent program, to the digits that are known."""
+    """The numbers of an independent program; they tend to those of bricks that move rigidly and turn under a shear."""
     A, (A11, A22, A66, A12) = stiffness(bond_cell(BRICK, 0.25), E), BOND[E]
+    (b, a), (X, Y) = BRICK, (1.3 * BRICK[0] + 5.0 * BRICK[0] ** 2 / (4 * BRICK[1]), 2.1 * BRICK[1])
+    rigid = (3.0 * b + 2.1 * b**2 / (4 * a), 5.0 * a, X * Y / (X + Y))
+    assert (A[0, 0], A[1, 1], A[2, 2]) == pytest.approx(rigid, rel=10 / E)
     assert (A[0, 0], A[1, 1], A[2, 2]) == pytest.approx((A11, A22, A66), rel=4e-8 if E == 1e6 else 1e-9)
     assert A[0, 1] == pytest.approx(A12, rel=6e-3)
     assert pytest.approx(A.T, abs=1e-13 * E) == A

@@ -106,7 +106,9 @@ def command_line() -> argparse.ArgumentParser:
     about = "Thin soft layers, meshed or replaced by their interface law."
     parser = argparse.ArgumentParser(prog="python3 -m thinlayer", description=about)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    commands.add_parser("list", help="list the studies").set_defaults(work=_list)
+    shown = commands.add_parser("list", help="list the studies; benchmarks, which draw nothing, are not among them")
+    shown.add_argument("--markdown", action="store_true", help="as the table of the README")
+    shown.set_defaults(work=_list)
     info = commands.add_parser("info", help="print the versions of the packages that results depend on")
     info.set_defaults(work=_info)
     what = "draw the pictures of a study again, from the tables of an earlier run"
@@ -155,8 +157,12 @@ def _petsc_options(parser: argparse.ArgumentParser, rest: Sequence[str]) -> dict
     return options
 
 
-def _list(*_: object) -> int:
-    return _told({study.name: study.summary for study in studies().values()})
+def _list(_: argparse.ArgumentParser, chosen: argparse.Namespace, __: Petsc) -> int:
+    texts = {study.name: study.summary for study in studies().values() if study.drawn}
+    if chosen.markdown:
+        say("\n".join(f"| [`{name}`](studies/{name}.py) | {text} |" for name, text in texts.items()))
+        return OK
+    return _told(texts)
 
 
 def _info(*_: object) -> int:
