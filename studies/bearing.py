@@ -1,4 +1,4 @@
-"""Rubber bearings, one disc or three between stiff plates: meshed, by a law with a pressure on S, and by one without."""
+"""Rubber bearings, a disc between stiff plates: meshed, by a law with a pressure on S, and by one without."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from functools import partial
 import numpy as np
 
 from forms import Incompressible, LinearElastic, Rubber, limits
-from geometry import faults, sandwich
-from geometry.joint import Joint
-from thinlayer import Structure, Surface, Table, ThinLayer, plotting, solve
+from geometry import sandwich
+from thinlayer import Structure, Surface, ThinLayer, plotting, solve
 from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
 
@@ -22,7 +21,6 @@ SHAPES = (2.5, 5.0, 10.0)  # shape factors: loaded over free area, radius/(2 eps
 RATIOS = (0.3, 0.4, 0.45, 0.48, 0.49, 0.495, 0.499, 0.4995, 0.4999, 0.5)  # Poisson's
 OPENING = 0.01  # mm
 MODELS = {"meshed": "meshed layer", "rubber": "law Rubber, order 1", "order_0": "LinearElastic, order 0"}
-DRAWN = {"nu": 0.499, "shape": 5.0}  # whose tractions are drawn along the radius
 
 
 def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) -> None:
@@ -49,29 +47,11 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
     pressures = lmbda / (closed[below] * eps - 2 * MU)  # of order 0 over that of the closed form
     distance = np.abs(table["too_stiff"][below] / pressures - 1).max()
     record.check("largest distance of what is told of order 0 from closed forms", distance, high=0.01)
-    _laminated(record, quick=quick)
-    _tractions(record, quick=quick)
-
-
-def _laminated(record: Record, *, quick: bool) -> None:
-    """Three layers between shims, which are springs in series."""
-    shape = DRAWN["shape"]
-    cuts = {name: ((-1.0, PLATE * k), (RADIUS + 1.0, PLATE * k)) for k, name in enumerate(("LOW", "MIDDLE", "HIGH"), 1)}
-    eps, fine = RADIUS / (2 * shape), 1 if quick else 2
-    joint = faults(RADIUS, 4 * PLATE, cuts, RADIUS / 8, h_S=RADIUS / (20 * fine), h_ends=eps / (15 * fine))
-    row, ratios = partial(_row, record, _held(joint), shape), (0.499,) if quick else (0.49, 0.499, 0.4999, 0.5)
-    table = record.rows("laminated.csv", ratios, row, "three layers, nu = {:g}")
-    for name, high in (("rubber", 2e-3), ("meshed", 0.015)):
-        error = float(np.abs(table[name] / table["closed"] - 1).max())
-        record.check(f"three layers: largest distance from springs in series, {MODELS[name]}", error, high=high)
-    excess = (table["order_0"] / table["closed"]).min() - 1
-    record.check("three layers: least excess of the law of order 0", excess, low=0.1)
 
 
 def _row(record: Record, structure: Structure, shape: float, nu: float) -> dict[str, float]:
     eps = RADIUS / (2 * shape)
-    seams = structure.joint.seams
-    row = {"shape": shape, "nu": nu, "closed": limits.rubber_disc(_modulus(nu), MU, eps, RADIUS) / len(seams)}
+    row = {"shape": shape, "nu": nu, "closed": limits.rubber_disc(_modulus(nu), MU, eps, RADIUS)}
     area = math.pi * RADIUS**2
     for name in MODELS:
         if nu == 0.5 and name == "order_0":
@@ -91,10 +71,6 @@ def _modulus(nu: float) -> float:
 def _structure(shape: float, *, quick: bool) -> Structure:
     cells, eps = 30 if quick else 60, RADIUS / (2 * shape)
     joint = sandwich(RADIUS, PLATE, PLATE, RADIUS / 8, h_S=RADIUS / cells, h_ends=eps / 15, cell="quadrilateral")
-    return _held(joint)
-
-
-def _held(joint: Joint) -> Structure:
     supports = {"BOTTOM": {"x": 0.0, "y": 0.0}, "TOP": {"x": 0.0, "y": OPENING}}
     return Structure(joint, body=PLATES, supports=supports, plane="axisymmetric")
 
@@ -108,28 +84,8 @@ def _model(structure: Structure, name: str, eps: float, nu: float) -> Model:
     return structure.full(ThinLayer(law, eps), cells_through=6)
 
 
-def _tractions(record: Record, *, quick: bool) -> None:
-    """Write the normal tractions of one bearing along the radius, over the largest one in closed form."""
-    shape, nu = DRAWN["shape"], DRAWN["nu"]
-    eps, lmbda = RADIUS / (2 * shape), _modulus(nu)
-    structure = _structure(shape, quick=quick)
-    states = {name: record.solved(solve(_model(structure, name, eps, nu))) for name in MODELS}
-    surface = Surface(states["rubber"].model)
-    found = {name: surface.profile(surface.traction(state)) for name, state in states.items()}
-    r = found["rubber"][0][:, 0]
-    closed = OPENING * (limits.rubber_disc_pressure(lmbda, MU, eps, RADIUS, r) + 2 * MU / eps)
-    order = np.argsort(r)
-    tractions = {name: profile[order, 1] / closed.max() for name, (_, profile) in found.items()}
-    table = Table.of({"radius_mm": r[order], "closed": closed[order] / closed.max(), **tractions})
-    record.write("tractions.csv", table)
-    inside = table["radius_mm"] < RADIUS - eps
-    for name, high in (("rubber", 0.005), ("meshed", 0.03)):
-        error = float(np.abs(table[name] - table["closed"])[inside].max())
-        record.check(f"largest error of the traction, further than eps from the end, {MODELS[name]}", error, high=high)
-
-
 def draw(record: Record) -> None:
-    """Draw stiffnesses over those in closed form against nu, and tractions along the radius, from the tables."""
+    """Draw stiffnesses over those in closed form against nu from table.csv."""
     parts = {}
     for shape, part in record.load("table.csv").split("shape").items():
         at = part["nu"] < 0.5
@@ -138,9 +94,3 @@ def draw(record: Record) -> None:
         parts[f"radius {2 * shape:g} eps"] = stiffnesses
     ratio, share, styles = "log10(lmbda/mu); 3.7: nu = 0.4999", "stiffness over closed form", ("o", "-", "^-")
     plotting.curves(parts, ratio, share, styles=styles, ylim=(0.95, 1.3), save=record.path("stiffness.png"))
-    along = record.load("tractions.csv")
-    columns = {"closed": "closed form, rigid plates", **MODELS}
-    lines = {label: (along["radius_mm"], along[name]) for name, label in columns.items()}
-    title, save = f"rubber of nu = {DRAWN['nu']:g}, radius {2 * DRAWN['shape']:g} eps", record.path("tractions.png")
-    share, dashes = "normal traction over the largest in closed form", ("-", ".", "--", ":")
-    plotting.curves(lines, "radius (mm)", share, title=title, styles=dashes, ylim=(0.0, 2.8), save=save)

@@ -21,16 +21,10 @@ from dolfinx import fem
 from forms import (
     Anisotropic,
     BulkLaw,
-    ContactLaw,
-    HolonomicCoulomb,
-    Incompressible,
-    IncrementalCoulomb,
     KelvinVoigt,
     LinearElastic,
     Maxwell,
     MohrCoulomb,
-    NonMonotone,
-    NonMonotoneUnrelaxed,
     Norton,
     Rubber,
     Stack,
@@ -48,12 +42,8 @@ from thinlayer import (
     Springs,
     Structure,
     ThinLayer,
-    ThinlayerError,
-    estimate,
     goals,
-    solve,
 )
-from thinlayer.discretisation.state import State
 
 COARSE, FINE = 1 / 16, 1 / 64  # thicknesses
 ALONG, ENDS = 1 / 24, 8  # cell size on S; cells within a thickness at free ends
@@ -388,72 +378,4 @@ def _random_ply(rng: np.random.Generator) -> LinearElastic | Anisotropic:
     return Anisotropic(C, "layer")
 
 
-# ---------------------------------------------------------------- no number
-ELASTIC, SOFTER = shear(30.0, 0.3), shear(20.0, 0.3)
-OPENING = np.array([[0.0, 0.0], [0.0, 1.0]])
-
-
-@dataclass(frozen=True)
-class Refused:
-    """A state of which no number can be told.
-
-    Attributes:
-        name: of the case.
-        state: solves it.
-        says: words that must be in what the estimate says.
-    """
-
-    name: str
-    state: Callable[[], State]
-    says: str
-
-    def told(self) -> str:
-        """What the estimate says."""
-        with unwarned():
-            try:
-                return str(estimate(self.state()))
-            except ThinlayerError as error:
-                return str(error)
-
-
-def _solved(structure: Callable[[float], Structure], law: BulkLaw, **choices: Any) -> Callable[[], State]:
-    return lambda: solve(structure(COARSE).interface(ThinLayer(law, COARSE, at=1.0, **choices)))
-
-
-def _contact(law: ContactLaw) -> Callable[[], State]:
-    """A block pushed along a rigid base."""
-    joint = block(1.0, 1.0, 1 / 8, structured=True)
-    loads = {"TOP": (0.0, -1.0), "LEFT": (0.2, 0.0)}
-    pushed = Structure(joint, body=FOURIER_BODY, supports={"RIGHT": {"x": 0.0}}, tractions=loads, element="P1")
-    return lambda: solve(pushed.interface(law))
-
-
-def _tip() -> State:
-    """A fault that ends inside a block."""
-    joint = faults(1.0, 1.0, {"CUT": ((-0.1, 0.5), (0.6, 0.5))}, 1 / 8)
-    return _solved(lambda eps: loaded(joint, (0.3, -1.0)), ELASTIC)()
-
-
-def _plate_on_s() -> State:
-    """A rigid plate beside both bodies, at an end of S."""
-    plate = RigidPlate("LEFT", force=(0.3, 0.1))
-    blocks = free_blocks(ALONG, supports={"RIGHT": 0.0}, tractions={}, parts=[plate])
-    return solve(blocks.interface(soft(30.0, 0.3)(COARSE)))
-
-
-def refused_cases() -> list[Refused]:
-    """The cases."""
-    meshed = lambda: solve(rollers(COARSE).full(of(ELASTIC)(COARSE)))  # noqa: E731
-    switching: dict[str, Any] = {"lmbda": 60.0, "mu": 40.0, "alpha": 0.3, "transformation_energy": 1e-3, "chi": OPENING}
-    return [
-        Refused("contact", _contact(HolonomicCoulomb(100.0, 40.0, friction=0.0)), "without a thickness"),
-        Refused("friction", _contact(IncrementalCoulomb(100.0, 40.0, friction=0.5)), "without a thickness"),
-        Refused("non-monotone, relaxed", _solved(rollers, NonMonotone(**switching)), "falls"),
-        Refused("non-monotone, pure phases", _solved(rollers, NonMonotoneUnrelaxed(**switching)), "falls"),
-        Refused("a tip inside a body", _tip, "tip"),
-        Refused("thickness that varies", _solved(free, ELASTIC, profile=lambda x: 1 + 0.3 * x[0]), "extended"),
-        Refused("plates on S", _plate_on_s, "tie nodes on S"),
-        Refused("an incompressible layer between walls", _solved(rollers, Incompressible(40.0)), "no side that is free"),
-        Refused("a meshed layer is given", meshed, "nothing dropped"),
-    ]
 # fmt: on

@@ -18,9 +18,7 @@ from forms.base import Array
 from forms.ends import FreeEnd, free_end
 from forms.ends.constants import COLUMNS, nodes, shipped
 from forms.ends.half_strip import half_strip
-from forms.ends.weights import Strip, Strips
 from forms.kinematics import Expr
-from forms.law import choice
 from geometry import block
 from geometry.joint import Joint
 from studies.problems import FOURIER_BODY, free_blocks
@@ -39,10 +37,8 @@ ROWS = 17  # of the package's table
 EPS = (1 / 16, 1 / 32, 1 / 64, 1 / 128)
 CELLS = 24  # through the thickness, and so near the ends: with 12 the mesh's own error is of order 1.5 at nu = 0.45
 CELLS_3D, CELLS_RUBBER = 8, 12
-KNOWN, IGNORED = "known", "ignored"  # ends, by their first moments; laws that take the layer for an infinite one
-LENGTHS = ("1", "2")  # known ends with strips of these lengths over the thickness
-# strips of one thickness have no right moments: small terms of several orders, and the mesh's own error, mix at 1/128
-LOWEST = {"1": 1.6}
+KNOWN, IGNORED = "known", "ignored"  # ends; laws that ignore them take the layer for an infinite one
+KINDS = {KNOWN: "free", IGNORED: "plain"}
 WHAT = ("traction", "jump", "work")
 DRAWN = ("c_N", "rho_N", "m_N/c_N", "c_T", "m_T/c_T", "kappa")
 H, H_S = 1 / 8, 1 / 32  # cell sizes
@@ -51,25 +47,6 @@ SOFT_RATIOS, SOFT_EPS = (0.0, 0.3, 0.45), (1 / 16, 1 / 64)  # Poisson's ratios o
 
 
 # ---------------------------------------------------------------- structures
-@dataclass(frozen=True)
-class OfLength(LinearElastic):
-    """A law whose strips along free ends have one length, instead of the lengths of their first moments.
-
-    Attributes:
-        length: over the thickness.
-    """
-
-    length: float = choice(1.0)
-
-    def end_strips(self) -> Strips | None:
-        """As of `LinearElastic`, but for the lengths."""
-        strips = super().end_strips()
-        if strips is None:
-            return None
-        opening, shear = (Strip(strip.c, self.length) for strip in (strips.opening, strips.shear))
-        return replace(strips, opening=opening, shear=shear)
-
-
 @dataclass(frozen=True)
 class EndCase:
     """A structure with free ends.
@@ -170,11 +147,11 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
     record.check("largest difference from the package's table", np.nanmax(table["from_table"]), high=1e-8)
     if not quick:
         _nodes(record)
-        _rates(record, CASES, (KNOWN, *LENGTHS, IGNORED), EPS, CELLS)
-        _rates(record, [EDGE], (KNOWN, IGNORED), EPS[:2], CELLS_3D)
+        _rates(record, CASES, EPS, CELLS)
+        _rates(record, [EDGE], EPS[:2], CELLS_3D)
     else:
-        _rates(record, CASES[:1], (KNOWN, IGNORED), EPS[:2], CELLS // 2)
-    _rates(record, RUBBER, (KNOWN, IGNORED), EPS[:2] if quick else EPS, CELLS_RUBBER)
+        _rates(record, CASES[:1], EPS[:2], CELLS // 2)
+    _rates(record, RUBBER, EPS[:2] if quick else EPS, CELLS_RUBBER)
     _contrasts(record, SOFT_RATIOS[::2] if quick else SOFT_RATIOS, SOFT_EPS[:1] if quick else SOFT_EPS)
 
 
@@ -204,15 +181,13 @@ def _nodes(record: Record) -> None:
     record.check("largest difference of a row from the package's table", error, high=1e-9)
 
 
-def _errors(record: Record, case: EndCase, kinds: Sequence[str], cells: int, eps: float) -> dict[str, float]:
+def _errors(record: Record, case: EndCase, cells: int, eps: float) -> dict[str, float]:
     """Errors of laws of order 1 on the inner part of S, and of the work of loads on top, by kind of ends."""
     structure, found, law = case.structure(eps, cells), {"eps": eps}, case.law
     full = record.solved(solve(structure.full(ThinLayer(law, eps, at=1.0), cells_through=cells)))
-    for kind in kinds:
-        edges = "plain" if kind == IGNORED else "free"
-        known = OfLength(*law.elastic_moduli(), float(kind)) if kind in LENGTHS else law
+    for kind, edges in KINDS.items():
         with warnings.catch_warnings(action="ignore", category=RangeWarning):  # that ends are ignored
-            limit = record.solved(solve(structure.interface(ThinLayer(known, eps, order=1, edges=edges, at=1.0))))
+            limit = record.solved(solve(structure.interface(ThinLayer(law, eps, order=1, edges=edges, at=1.0))))
         traction = by_reaction(full, limit, case.inner)["error_reaction"]
         jump, work = compare(full, limit, where=case.inner)["error_jump"], _work_on_top(limit) / _work_on_top(full)
         found |= dict(zip((_column(what, kind) for what in WHAT), (traction, jump, abs(work - 1)), strict=True))
@@ -231,17 +206,17 @@ def _column(what: str, kind: str) -> str:
     return f"error_{what}" + ("" if kind == KNOWN else f", {kind}")
 
 
-def _rates(record: Record, cases: Sequence[EndCase], kinds: Sequence[str], sizes: Sequence[float], cells: int) -> None:
+def _rates(record: Record, cases: Sequence[EndCase], sizes: Sequence[float], cells: int) -> None:
     """Write the last errors and orders of structures with free ends, and check the orders."""
     rows = Table()
     for case in cases:
-        table = record.sweep(partial(_errors, record, case, kinds, cells), sizes, case.file)
-        for kind in kinds:
+        table = record.sweep(partial(_errors, record, case, cells), sizes, case.file)
+        for kind in KINDS:
             row: dict[str, float | str] = {"structure": case.name, "ends": kind, "eps": sizes[-1]}
             row |= {what: float(table[_column(what, kind)][-1]) for what in WHAT}
             for what in WHAT:
                 row[f"order of {what}"] = order = last_order(table, _column(what, kind))
-                bounds = {"high": 1.3} if kind == IGNORED else {"low": LOWEST.get(kind, case.lowest)}
+                bounds = {"high": 1.3} if kind == IGNORED else {"low": case.lowest}
                 if kind != IGNORED or what in case.low:
                     record.check(f"{case.name}, ends {kind}: last order of the {what}", order, **bounds)
             rows.append(row)
@@ -257,8 +232,8 @@ def _contrasts(record: Record, ratios: Sequence[float], thicknesses: Sequence[fl
 
     def row(nu: float, eps: float, contrast: float) -> dict[str, float]:
         soft = EndCase("", _blocks, LinearElastic.shear(100.0 / contrast, nu).scaled(1 / eps))  # E of the blocks is 100
-        errors = _errors(record, soft, (KNOWN, IGNORED), CELLS_RUBBER, eps)
-        known, ignored = ({what: errors[_column(what, kind)] for what in WHAT} for kind in (KNOWN, IGNORED))
+        errors = _errors(record, soft, CELLS_RUBBER, eps)
+        known, ignored = ({what: errors[_column(what, kind)] for what in WHAT} for kind in KINDS)
         factors = {f"{what}_factor": known[what] / ignored[what] for what in WHAT}
         return {"nu": nu, "eps": eps, "E_over_mu": contrast, **known, **factors}
 
@@ -274,7 +249,7 @@ def draw(record: Record) -> None:
     """Draw errors against the thickness. Then the constants against nu; lines are the package's table."""
     for case in (CASES[0], *RUBBER):
         table, shown = record.load(case.file), {}
-        for kind in (KNOWN, IGNORED):
+        for kind in KINDS:
             columns = {f"error_{what}": table[_column(what, kind)] for what in WHAT[:2]}
             shown[f"ends {kind}"] = Table.of({"eps": table["eps"], **columns})
         title, save = f"{case.name}, order 1, inner half of S", record.path(case.file.replace(".csv", ".png"))

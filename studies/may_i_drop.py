@@ -5,35 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 import ufl
 from dolfinx import fem
-from scipy.optimize import brentq
 
-from forms import LinearElastic, Rubber
 from forms.base import Array
 from studies.dropped import (
     COARSE,
     FINE,
     Case,
-    corner,
-    displaced,
-    free,
     further_cases,
     known_cases,
     random_case,
-    refused_cases,
     unwarned,
-    young,
 )
 from studies.maps import maps
-from studies.problems import free_blocks, of
 from studies.sweeping import last
-from studies.timing import timed
-from thinlayer import Probe, Structure, Surface, ThinLayer, estimate, goals, march, plotting, solve, thin_enough
+from thinlayer import Probe, Surface, estimate, march, plotting, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
@@ -49,7 +39,6 @@ FIELDS = ("traction", "jump")
 INNER = 0.25  # from the middle of S, where another program measured
 CLOSE = 0.01  # of effectivities about 1
 ROUNDING = 1e-8  # of goals
-THIN = 0.05  # of the thickness from which on a layer may be dropped
 DRAWN = "two stiffnesses"
 
 
@@ -57,18 +46,14 @@ def run(record: Record, *, quick: bool = False) -> None:
     """Estimate what changes from the law of order 0 to the layer itself, and mesh the layer to see it.
 
     effectivities.csv has the true changes, relative, and estimated over true ones, of tractions and jumps on S; goals.csv
-    other numbers; refused.csv what is said where there is no number; random.csv goals of structures made at random;
-    thin_enough.csv the thickness from which on the layer may be dropped; costs.csv times.
+    other numbers; random.csv goals of structures made at random; along.csv changes along S of one structure.
 
     Args:
         record: where to write.
-        quick: without structures in three dimensions, fewer ones at random, one question of thickness, fewer times.
+        quick: without structures in three dimensions, fewer ones at random.
     """
     _effectivities(record, quick=quick)
-    _refusals(record)
     _at_random(record, count=12 if quick else 100)
-    _thin_enough(record, quick=quick)
-    _costs(record, quick=quick)
 
 
 def _effectivities(record: Record, *, quick: bool) -> None:
@@ -98,16 +83,6 @@ def _check(record: Record, table: Table, goals: Table) -> None:
     record.check("goals that are not between their bounds", np.sum(goals["outside"]), high=0)
 
 
-def _refusals(record: Record) -> None:
-    table = record.table("refused.csv")
-    missing = 0
-    for case in track(refused_cases(), "may_i_drop", "{0.name}"):
-        words = case.told()
-        missing += case.says not in words
-        table.append({"case": case.name, "says": words})
-    record.check("cases that do not say what they have to", missing, high=0)
-
-
 def _at_random(record: Record, *, count: int) -> None:
     """Two goals of structures with layers whose laws are linear."""
     table = record.table("random.csv")
@@ -118,24 +93,6 @@ def _at_random(record: Record, *, count: int) -> None:
     off = np.abs(table["effectivity"] - 1)
     record.check("random: goals that are not between their bounds", np.sum(table["outside"]), high=0)
     record.check("random: largest distance of a goal's effectivity from 1", off.max(), high=CLOSE)
-
-
-def _thin_enough(record: Record, *, quick: bool) -> None:
-    def row(question: Question) -> dict[str, float | str]:
-        told = question.told()
-        meshed = question.by_meshing(told, record)
-        return {"case": question.name, "tolerance": question.tolerance, "told": told, "meshed": meshed}
-
-    table = record.rows("thin_enough.csv", questions()[: 1 if quick else None], row, "{0.name}")
-    apart = np.abs(table["told"] / table["meshed"] - 1).max()
-    record.check("largest distance of thin_enough from meshing", apart, high=THIN)
-
-
-def _costs(record: Record, *, quick: bool) -> None:
-    table = record.rows("costs.csv", [*PLACES][: 1 if quick else None], cost, "costs, {}")
-    if not quick:
-        (large,) = table.split("case")[LARGE]["over_solve"]
-        record.check(f"time of an estimate over that of a solve, {LARGE}", large, high=CHEAP)
 
 
 # ---------------------------------------------------------------- what is measured
@@ -277,113 +234,13 @@ def _of_layer(one: Dropped, at: Array) -> Array:
     return np.asarray(comm.allreduce(near @ values_of(fem.form(work), mine)))
 
 
-# ---------------------------------------------------------------- how thin
-FINEST = 1 / 64  # for which the mesh is fine enough
-ACROSS = 2.0  # by which the thickness found by meshing may differ from what is told
-SAME = 2e-3  # of thicknesses found by meshing
-
-
-@dataclass(frozen=True)
-class Question:
-    """How thin must a layer be to be dropped?
-
-    Attributes:
-        name: of the question.
-        structure: makes the structure; its mesh does for all thicknesses.
-        law: with real moduli, which stay.
-        tolerance: of the relative change.
-        goal: "traction", "jump" or a goal.
-    """
-
-    name: str
-    structure: Callable[[], Structure]
-    law: LinearElastic | Rubber
-    tolerance: float
-    goal: Any
-
-    def told(self) -> float:
-        """The thickness without meshing the layer."""
-        with unwarned():
-            layer = ThinLayer(self.law, FINEST)
-            return float(thin_enough(self.structure(), layer, self.tolerance, goal=self.goal).eps)
-
-    def by_meshing(self, near: float, record: Record | None = None) -> float:
-        """The thickness at which the true change is the tolerance; `near` is close to it."""
-        asked = () if isinstance(self.goal, str) else (self.goal,)
-
-        def excess(log: float) -> float:
-            case = Case(self.name, lambda _: self.structure(), of(self.law, None), asked=asked)
-            one = Dropped.of(case, math.exp(log), record)
-            if isinstance(self.goal, str):
-                return math.log(one.truth[self.goal] / self.tolerance)
-            whole = self.goal.value(one.full, one.found.better.model)
-            return math.log(abs(one.truth[self.goal.name] / whole) / self.tolerance)
-
-        return math.exp(brentq(excess, math.log(near / ACROSS), math.log(near * ACROSS), xtol=SAME))
-
-
-def questions() -> list[Question]:
-    """The questions."""
-    polymer, compliance, pull = young(E=3.0, nu=0.35), goals.Compliance(), goals.Reaction("TOP", (0.0, 1.0))
-    blocks = partial(free, FINEST)
-    return [
-        Question("traction, free ends", blocks, polymer, 0.02, "traction"),
-        Question("jump, free ends", blocks, polymer, 0.08, "jump"),
-        Question("compliance, free ends", partial(free, FINEST, (1.0, 0.0)), polymer, 0.03, compliance),
-        Question("reaction, rubber bearing", partial(displaced, FINEST), Rubber.shear(1.0, 0.49), 0.1, pull),
-    ]
-
-
-# ---------------------------------------------------------------- costs
-EPS = 1 / 32
-LARGE, CHEAP = "2D, large", 1.6  # a case, and time over that of a solve
-ELASTIC = ThinLayer(LinearElastic.shear(30.0, 0.3), EPS, at=1.0)
-RUBBER = ThinLayer(Rubber.shear(30.0, 0.49), EPS, at=1.0)
-
-
-def _fine(h: float) -> Callable[[], Structure]:
-    return partial(free_blocks, EPS / 8, h=h, h_S=h)
-
-
-PLACES: dict[str, tuple[Callable[[], Structure], ThinLayer, int]] = {
-    "small": (partial(free, EPS), ELASTIC, 5),
-    "fine": (_fine(1 / 60), ELASTIC, 5),
-    "fine, rubber": (_fine(1 / 60), RUBBER, 5),
-    LARGE: (_fine(1 / 95), ELASTIC, 3),
-    "3D": (partial(corner, EPS), ELASTIC, 3),
-    "3D, large": (partial(corner, EPS, 0.22), ELASTIC, 1),
-}
-
-
-def cost(name: str) -> dict[str, float | str]:
-    """Times of one of `PLACES`: the least of several runs after a first one, processor time.
-
-    Returns:
-        seconds: of building the interface model and solving it.
-        further_solves: what the package says, solves alone.
-        over_solve: all of the estimate, over the solve of the interface model.
-        over_model: over building this model and solving it.
-        over_meshing: over meshing the layer, building that model and solving it.
-    """
-    make, layer, repeats = PLACES[name]
-    structure, rows = make(), []
-    for _ in range(repeats + 1):
-        with unwarned():
-            building, model = timed(partial(structure.interface, layer))
-            solving, state = timed(partial(solve, model))
-            telling, found = timed(partial(estimate, state))
-            meshing, _ = timed(lambda: solve(structure.full(layer)))
-        rows.append((building, solving, telling, meshing, found.cost))
-    building, solving, telling, meshing, further = np.min(rows[1:], axis=0)
-    row: dict[str, float | str] = {"case": name, "unknowns": model.unknowns, "seconds": building + solving}
-    row |= {"further_solves": further, "over_solve": telling / solving, "over_model": telling / (building + solving)}
-    return row | {"over_meshing": telling / meshing}
-
-
 # ---------------------------------------------------------------- pictures
-LEVELS = (0.01, 0.02, 0.05, 0.1)  # distances of effectivities from 1
-QUANTITIES = {"t . n": "traction", "[u] . n": "jump"}
-LABELS = {"true": "meshed layer", "estimated": "estimate"}
+RANGES = {"within 1 %": 0.01, "2 %": 0.02, "5 %": 0.05, "10 %": 0.1, "further": math.inf}  # of effectivities from 1
+PANELS = {
+    "change of t . n": ("traction", "estimated_traction"),
+    "change of [u] . n": ("jump", "estimated_jump"),
+    "where the compliance changes": ("density", "density"),
+}
 
 
 def draw(record: Record) -> None:
@@ -391,26 +248,14 @@ def draw(record: Record) -> None:
     cases = record.load("effectivities.csv").split("case")
     values = np.array([np.concatenate([rows[name] for name in FIELDS]) for rows in cases.values()])[::-1]
     title = "estimated over true changes"
-    maps(
-        {title: np.abs(values - 1)},
-        x=[f"{name}, eps = 1/{round(1 / eps)}" for name in FIELDS for eps in THICKNESSES],
-        y=[*cases][::-1],
-        texts={title: np.vectorize(lambda one: "-" if np.isnan(one) else f"{one:.2f}")(values)},
-        levels=LEVELS,
-        names=["within 1 %", "2 %", "5 %", "10 %", "further"],
-        xlabel="",
-        ylabel="",
-        save=record.path("effectivities.png"),
-    )
+    texts = np.vectorize(lambda one: "-" if np.isnan(one) else f"{one:.2f}")(values)
+    columns = [f"{name}, eps = 1/{round(1 / eps)}" for name in FIELDS for eps in THICKNESSES]
+    parts, save = {title: (np.abs(values - 1), texts)}, record.path("effectivities.png")
+    maps(parts, ("", columns), ("", [*cases][::-1]), RANGES, save=save)
     table = record.load("along.csv")
-    columns = {f"change of {name}": {which: f"{which}_{on}" for which in LABELS} for name, on in QUANTITIES.items()}
-    columns["where the compliance changes"] = {"true": "true_density", "estimated": "density"}
-    plotting.curves(
-        {
-            title: {LABELS[which]: (table["x"], table[column]) for which, column in pair.items()}
-            for title, pair in columns.items()
-        },
-        f"x along S; {DRAWN}, eps = 1/16",
-        styles={LABELS["estimated"]: "--"},
-        save=record.path("along.png"),
-    )
+    lines = {
+        title: {"meshed layer": (table["x"], table[f"true_{column}"]), "estimate": (table["x"], table[estimated])}
+        for title, (column, estimated) in PANELS.items()
+    }
+    xlabel, save = f"x along S; {DRAWN}, eps = 1/16", record.path("along.png")
+    plotting.curves(lines, xlabel, styles={"estimate": "--"}, save=save)

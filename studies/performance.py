@@ -10,7 +10,7 @@ from petsc4py import PETSc
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
 from studies.timing import in_turn, peak, solve_once, timed
-from thinlayer import SolveError, Structure
+from thinlayer import Structure
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.parts.part import Interval
 from thinlayer.running.record import Record
@@ -20,7 +20,7 @@ from thinlayer.solving.contact.solver import FINDERS
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Found
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
-from thinlayer.solving.petsc import defaults, require_all_read
+from thinlayer.solving.petsc import require_all_read
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.progress import track
 from thinlayer.system.table import Row
@@ -30,7 +30,6 @@ FRICTION = 1.0
 TOLERANCE = 1e-10  # relative residual of the iterative reference, as of the contact solver
 LIMITS = {"2D": {128: 1.40, 256: 1.25, 512: 1.25, 724: 1.25}, "3D": {24: 1.7, 32: 1.7, 46: 1.7}}
 PREDICTED_LIMIT = 1.5  # largest ratio in 3D if the contact status is predicted
-RELAXED = (32, 64)  # squares along each side for the paper's relaxation
 
 
 def run(record: Record, *, quick: bool = False) -> None:
@@ -52,15 +51,10 @@ def run(record: Record, *, quick: bool = False) -> None:
         table.extend(bench.compare(name, repeats if n < 46 else 3))
         bench.close()
         require_all_read("contact", ())
-    for n in RELAXED[:1] if quick else RELAXED:
-        bench = Bench(n, depth=False)
-        table.append(bench.relaxed())
-        bench.close()
     for row in () if quick else table.rows:
         work, size = str(row["work"]), int(float(row["cells_along"] or 0))
-        if work.startswith("friction"):
-            high = PREDICTED_LIMIT if "predicted" in work else LIMITS[f"{row['dim']}D"][size]
-            record.check(f"{work}, {size} cells along: ratio", float(row["ratio"] or math.nan), high=high)
+        high = PREDICTED_LIMIT if "predicted" in work else LIMITS[f"{row['dim']}D"][size]
+        record.check(f"{work}, {size} cells along: ratio", float(row["ratio"] or math.nan), high=high)
 
 
 class Bench:
@@ -142,36 +136,16 @@ class Bench:
         peaks = {kind: peak(works[kind]) for kind in (*kinds, f"friction {name}")}  # which also warms up
         times = in_turn(works, repeats)
         best = min(kinds, key=times.__getitem__)
+        row = {"dim": self.dim, "dofs": self.dofs, "cells_along": self.n, "reference": best}
+        row |= {
+            "reference_seconds": times[best],
+            "reference_peak_mb": peaks[best],
+            "peak_mb": peaks[f"friction {name}"],
+        }
         return [
-            self._row(work, times[work], times[best], best, steps[work])
-            | {"peak_mb": peaks[f"friction {name}"], "reference_peak_mb": peaks[best]}
+            {"work": work, **row, "seconds": times[work], "ratio": times[work] / times[best], "steps": steps[work]}
             for work in starts
         ]
-
-    def _row(self, work: str, seconds: float, reference: float, kind: str, steps: int) -> Row:
-        return {
-            "work": work, "dim": self.dim, "dofs": self.dofs, "cells_along": self.n, "seconds": seconds,
-            "reference_seconds": reference, "ratio": seconds / reference, "peak_mb": None, "reference_peak_mb": None,
-            "reference": kind, "steps": steps,
-        }  # fmt: skip
-
-    def relaxed(self) -> Row:
-        """Row of the paper's relaxation."""
-
-        def solve() -> int:
-            finder = FINDERS["relaxation"](self.equations, None)
-            try:
-                with defaults({"relaxation_tolerance": 1e-10, "relaxation_omega": 1.7}):
-                    return finder.find().iterations
-            except SolveError as error:
-                return len(error.residuals)
-            finally:
-                finder.close()
-
-        found: list[tuple[float, int]] = []
-        memory = peak(lambda: found.append(timed(solve)))
-        (seconds, sweeps), reference = found[0], min(self.linear("cholesky") for _ in range(3))
-        return self._row("the paper's relaxation 2D", seconds, reference, "cholesky", sweeps) | {"peak_mb": memory}
 
     def close(self) -> None:
         """Free the matrices."""

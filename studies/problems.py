@@ -15,12 +15,10 @@ from scipy.linalg import expm
 
 from forms import BulkLaw, LinearElastic, MohrCoulomb
 from forms.base import Array
-from geometry import block, disc, read, ring, sandwich
+from geometry import block, read, ring, sandwich
 from geometry.joint import Joint
-from studies.sweeping import last, layer_of
-from thinlayer import Structure, Surface, ThinLayer, piecewise, solve
+from thinlayer import Structure, Surface, ThinLayer, piecewise
 from thinlayer.discretisation.state import State
-from thinlayer.solving.history import Solution
 
 FOURIER_BODY = LinearElastic.young(E=100.0, nu=0.3)
 FOURIER_LAYER = LinearElastic(lmbda=60.0, mu=40.0)
@@ -172,8 +170,6 @@ RADII = (10.0, 15.0, 20.0)  # mm: inside of the shaft, S, outside of the hub
 MESH = Path(__file__).parent / "data" / "arch.msh"  # curved cells; arch.geo is its drawing
 WEIGHT = (0.0, -0.025)  # MN/m^3
 ARCH_RADIUS, MIDDLE = 1.15, 0.1  # m: joints are measured over the middle two thirds of their length
-ROD_RADIUS, ROD_HEIGHT = 12.0, 10.0  # mm: of each cylinder
-STRESS, BENDING = 20.0, 30.0  # MPa: mean, and at the edge
 
 
 def glued_hub(h: float) -> tuple[Joint, dict[str, Any]]:
@@ -199,56 +195,6 @@ def arch(element: str) -> tuple[Joint, dict[str, Any]]:
 def inside_joints(x: Any) -> Any:
     """Away from the ends of the arch's joints."""
     return abs(np.sqrt(x[0] ** 2 + x[1] ** 2) - ARCH_RADIUS) < MIDDLE
-
-
-def rods(sizes: tuple[float, float]) -> tuple[Joint, dict[str, Any]]:
-    """Two cylinders, glued end to end, under tension and bending; sizes of cells inside and on S.
-
-    Bending opens one half of S as much as it closes the other: means over S and over the top are those of tension, which
-    the section through the axis has too.
-    """
-    return disc(ROD_RADIUS, ROD_HEIGHT, ROD_HEIGHT, sizes[0], h_S=sizes[1], cell="hexahedron", degree=2), {
-        "body": STEEL,
-        "supports": {"BOTTOM": 0.0},
-        "tractions": {"TOP": lambda x, t: (0.0, STRESS + BENDING * x[0] / ROD_RADIUS, 0.0)},
-    }
-
-
-def inside_rods(x: Any) -> Any:
-    """Away from the edge, where the layer's free side disturbs."""
-    return _radius(x) < 0.75 * ROD_RADIUS
-
-
-def _radius(x: Any) -> Any:
-    return np.sqrt(sum(x[k] ** 2 for k in (0, 2)[: len(x) - 1]))
-
-
-def against_section(full: Solution, limit: Solution) -> dict[str, float]:
-    """Mean rise of the top (mm) and mean normal traction (MPa), in 3D and in the section through the axis.
-
-    The mean is weighted with 1 - r^2/R^2, because equilibrium gives the plain one. In the section x = r, y is the axis.
-    """
-    layer = layer_of(limit)
-    section = sandwich(ROD_RADIUS, ROD_HEIGHT, ROD_HEIGHT, 2.0, h_S=0.8, h_ends=0.3)
-    load = {"TOP": (0.0, STRESS)}
-    tension = Structure(section, body=STEEL, supports={"BOTTOM": 0.0}, tractions=load, plane="axisymmetric")
-    limit_there = solve(tension.interface(layer))
-    found = {}
-    for name, state, there in (("meshed", full, solve(tension.full(layer))), ("law", limit, limit_there)):
-        for where, one, surface in (
-            ("", last(state), Surface(last(limit).model)),
-            ("_axisymmetric", there, Surface(limit_there.model)),
-        ):
-            found[f"rise_{name}{where}"] = _rise(one)
-            part = 1 - _radius(surface.x) ** 2 / ROD_RADIUS**2
-            normal = surface.frame(surface.traction(one))[-1]
-            found[f"traction_{name}{where}"] = surface.integral(part * normal) / surface.integral(part)
-    return found
-
-
-def _rise(state: State) -> float:
-    top = state.model.ds(state.model.domain.values("TOP"))
-    return state.integral(state.u[1] * top) / (math.pi * ROD_RADIUS**2)
 
 
 def phases_on_s(state: State) -> tuple[Array, Array]:

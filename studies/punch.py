@@ -1,4 +1,4 @@
-"""Bodies that yield: Prandtl's punch, a thick-walled cylinder, and a joint of mortar between bodies of metal."""
+"""Bodies that yield: Prandtl's punch and a thick-walled cylinder, against closed forms."""
 
 from __future__ import annotations
 
@@ -14,12 +14,9 @@ from dolfinx import fem
 from forms import LinearElastic, VonMises, limits
 from geometry import block, ring, sandwich
 from geometry.joint import Joint
-from studies.problems import FOURIER_BODY, MORTAR, of, sheared
-from studies.sweeping import Sweep, draw_rates
 from thinlayer import Structure, Surface, Table, ThinLayer, march, plotting
 from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
-from thinlayer.solving.history import History, Solution
 
 K = 1.0  # yield stress in shear; all stresses of the punch and the cylinder are relative to it
 STRENGTH = math.sqrt(3) * K
@@ -31,34 +28,22 @@ CUT = 1.4  # radius of S
 BOND = 2e5  # moduli of the bond on S, over its thickness
 PRESSURES = (0.7, 1.0, 1.2, 1.3, 1.35)  # over K; elastic up to 0.75, the limit is 2 ln 2 = 1.386
 
-METAL = VonMises(FOURIER_BODY.lmbda, FOURIER_BODY.mu, strength=3.0, hardening=20.0)
 
-
-def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 128), quick: bool = False) -> None:
-    """Three problems.
+def run(record: Record, *, quick: bool = False) -> None:
+    """Two problems.
 
     punch.csv: a rough, rigid punch, half of it, is pushed into a block of ideally plastic metal: its mean pressure against
     (2 + pi) k, by mesh refinement.
     cylinder.csv: an incompressible (nu = 0.499) cylinder under pressure from inside, partly plastic, in plane strain and
     axisymmetric, against the closed form: displacements inside and outside, and the radial stress on S, a bond that is
     next to rigid.
-    table.csv: the blocks and the layer of `rates --law mohr_coulomb`, the blocks of hardening metal, sheared forth:
-    interface law against meshed layer, error O(eps), where bodies and joint yield; and the energy that they dissipate.
 
     Args:
         record: where to write.
-        eps: thicknesses of the joint; the blocks are 0.5 high.
         quick: coarser meshes.
     """
-    cells, h = ((5, 10), 1 / 8) if quick else ((5, 10, 16), 1 / 16)
-    punched(record, cells)
+    punched(record, (5, 10) if quick else (5, 10, 16))
     inflated(record, 0.15 if quick else 0.08)
-    joint, setup = sheared(h)
-    setup |= {"body": METAL}
-    sweep = Sweep(record, joint, setup, of(MORTAR), times=(0.25, 0.5, 0.75, 1.0), more=dissipated)
-    found = sweep.run(eps, (0.9, 1.3), title="Mohr-Coulomb joint between bodies that yield")
-    for name in ("bodies", "joint"):
-        record.check(f"energy dissipated in the {name}, over the stored energy", found[name][-1], low=0.01)
 
 
 # ---------------------------------------------------------------- punch
@@ -152,17 +137,8 @@ def moved(state: State, name: str, r: float) -> float:
     return state.integral(outward * there) / state.integral(fem.Constant(model.domain.mesh, 1.0) * there)
 
 
-# ---------------------------------------------------------------- joint
-def dissipated(full: Solution, limit: Solution) -> dict[str, float]:
-    """Energies that bodies and joint dissipate in a march of the interface model, over what is stored in the end."""
-    assert isinstance(limit, History)
-    whole, bodies = (float(limit.table[name].sum()) for name in ("dissipated", "dissipated bodies"))
-    stored = limit.last.audit.total
-    return {"bodies": bodies / stored, "joint": (whole - bodies) / stored}
-
-
 def draw(record: Record) -> None:
-    """Draw the pressure under the punch, the cylinder, and the rates."""
+    """Draw the pressure under the punch, and the cylinder."""
     limit, sunk = limits.prandtl_pressure(K), np.array([0.0, max(SUNK)])
     curves: dict[str, tuple[Any, Any]] = {
         f"{n:.0f} cells under the punch": (part["sunk"], part["over"])
@@ -182,4 +158,3 @@ def draw(record: Record) -> None:
             styles[f"{kind}, r = {r:g}"] = "o" if "strain" in kind else "x"
     title, save = "thick-walled cylinder, b = 2 a", record.path("cylinder.png")
     plotting.curves(curves, "radial displacement", "pressure / k", save=save, title=title, styles=styles)
-    draw_rates(record, "Mohr-Coulomb joint between bodies that yield")

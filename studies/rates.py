@@ -2,87 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, Literal
 
-import numpy as np
-
-from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulombMonodirectional, Norton, Rubber, Stack
+from forms import (
+    Incompressible,
+    KelvinVoigt,
+    LinearElastic,
+    Maxwell,
+    MohrCoulombMonodirectional,
+    Norton,
+    Rubber,
+    Stack,
+    VonMises,
+)
 from forms.base import Array
 from geometry.joint import Joint
+from studies import bands, cylinders, phases, problems, rods
 from studies import fig3_mohr_coulomb as fig3
-from studies import problems
 from studies.problems import FOURIER_BODY, FOURIER_LAYER, MORTAR, fourier, of, pressed, sheared
 from studies.sweeping import (
-    Floors,
-    Solution,
-    Sweep,
+    Row,
+    Tables,
     by_reaction,
     check_floors,
-    draw_rates,
+    draw_along,
+    halves,
     last,
     last_order,
     middle,
     table_of,
 )
-from thinlayer import Surface, Table, ThinLayer
-from thinlayer.output.plotting.curves import ERRORS
+from thinlayer import Surface, plotting
+from thinlayer.output.plotting.curves import COLOURS, ERRORS
 from thinlayer.running.record import Record
-from thinlayer.solving.history import History
-
-Tables = dict[str, Table]
-squares = partial(fourier, cell="quadrilateral")
-
-
-def halves(k: int, n: int = 4) -> tuple[float, ...]:
-    """n thicknesses, 2^-k and half of it again and again; blocks are 0.5 high."""
-    return tuple(2.0**-one for one in range(k, k + n))
-
-
-@dataclass(frozen=True)
-class Row:
-    """A layer whose thickness is swept.
-
-    Attributes:
-        layer: thickness -> the layer.
-        label: tells it from the other rows of its law.
-        problem: size of cells, or what else makes the mesh -> the joint, and data of its models.
-        h: that size, and the one with --quick.
-        eps: thicknesses.
-        orders: range of the last observed orders of traction and jump; None for no such check.
-        times: ends of the steps; none: a static solve.
-        steps: those that are taken with --quick.
-        choices: further attributes of `Sweep`.
-        floors: what a wrong law leaves, see `check_floors`; the right law is that of its law's first row.
-        check: what else must hold, of the tables of its law's rows up to this one.
-        pictured: chooses the thickness of the deformed structures that are drawn; None for no picture.
-        unit: of lengths.
-        long: whether the row is left out with --quick.
-    """
-
-    layer: Callable[[float], ThinLayer]
-    label: str = ""
-    problem: Callable[[Any], tuple[Joint, dict[str, Any]]] = squares
-    h: tuple[Any, Any] = (1 / 32, 1 / 8)
-    eps: Sequence[float] = halves(3)
-    orders: tuple[float, float | None] | None = (0.93, 1.07)
-    times: Sequence[float] | None = None
-    steps: slice = slice(None)
-    choices: Mapping[str, Any] = field(default_factory=dict)
-    floors: Floors = field(default_factory=dict)
-    check: Callable[[Record, Tables], None] | None = None
-    pictured: Callable[[Sequence[float]], float] | None = max
-    unit: str = ""
-    long: bool = False
-
+from thinlayer.solving.history import History, Solution
 
 # ---------------------------------------------------------------- what must hold beside the orders
 EARLY, SPECTRAL = 0.05, {"traction": 0.56140781698, "jump": 7.0602412711e-4}  # norms on S, p = 1.5, with the same steps
 FRACTION, LESS = 0.01, 1e-4  # elastic fractions: pulled layers have no strength in shear, open ones none along n
 FLOOR = {"traction": (0.14, 0.18), "jump": (0.26, 0.31)}  # relative errors that Coulomb's law with tan(Omega) leaves
-SAME = 0.01  # relative difference of means in three dimensions and in the axisymmetric section
 
 
 def early(_: Solution, limit: Solution) -> dict[str, float]:
@@ -141,11 +102,19 @@ def third_order(record: Record, tables: Tables) -> None:
             record.check(f"last observed order of the traction, {name}", order, low=low)
 
 
-def in_section(record: Record, tables: Tables) -> None:
-    """Means in three dimensions are those in the section through the axis."""
-    for name in (f"{what}_{model}" for what in ("rise", "traction") for model in ("meshed", "law")):
-        apart = np.abs(tables["butt_joint"][name] / tables["butt_joint"][f"{name}_axisymmetric"] - 1).max()
-        record.check(f"{name} in 3D against the axisymmetric section", apart, high=SAME)
+def dissipated(_: Solution, limit: Solution) -> dict[str, float]:
+    """Energies that bodies and joint dissipate in a march of the interface model, over what is stored in the end."""
+    assert isinstance(limit, History)
+    whole, bodies = (float(limit.table[name].sum()) for name in ("dissipated", "dissipated bodies"))
+    stored = limit.last.audit.total
+    return {"bodies": bodies / stored, "joint": (whole - bodies) / stored}
+
+
+def both_yield(record: Record, tables: Tables) -> None:
+    """Bodies and joint."""
+    for name in ("bodies", "joint"):
+        dissipation = tables["mohr_coulomb metal"][name][-1]
+        record.check(f"energy dissipated in the {name}, over the stored energy", dissipation, low=0.01)
 
 
 # ---------------------------------------------------------------- problems
@@ -159,6 +128,12 @@ def bar(sizes: tuple[float, float, float]) -> tuple[Joint, dict[str, Any]]:
 def inside_bar(x: Any) -> Any:
     """5 mm off the ends of S."""
     return abs(x[0] - fig3.SIDE / 2) < 0.45 * fig3.SIDE
+
+
+def of_metal(h: float) -> tuple[Joint, dict[str, Any]]:
+    """The blocks of `sheared`, of hardening metal; joint, data of its models."""
+    joint, setup = sheared(h)
+    return joint, setup | {"body": VonMises(FOURIER_BODY.lmbda, FOURIER_BODY.mu, strength=3.0, hardening=20.0)}
 
 
 def wedge(x: Array) -> Array:
@@ -190,29 +165,40 @@ SUBLAYERS = Stack((0.3, LinearElastic(400.0, 20.0)), (0.3, LinearElastic(20.0, 6
 # fmt: off
 MM = (0.8, 0.4, 0.2, 0.1)
 FIFTHS, TENTHS, TWENTIETHS = (0.2, 0.4, 0.6, 0.8, 1.0), (0.1, 0.2, 0.3, 0.4, 0.5), (0.05, 0.1, 0.15, 0.2, 0.25)
-EXTENDED = {"bodies": "extended"}
 BESIDE = {"_order0": of(SUBLAYERS), "_mirrored": of(Stack(*SUBLAYERS.sublayers[::-1]), order=1)}  # which is not theirs
 
 still = partial(Row, problem=fourier, orders=(0.95, 1.05), pictured=middle)
 order_1 = partial(Row, h=(1 / 32, 1 / 16), eps=halves(3, 5), orders=(1.9, 2.1), pictured=None)
-hard = partial(order_1, eps=halves(4, 5), orders=None, choices={"more": by_reaction})
-rubber = partial(order_1, eps=halves(3), orders=(1.9, 2.3), choices={"cells_through": 2, "more": by_reaction})
-glued = partial(Row, problem=problems.glued_hub, h=(1.0, 2.0), eps=MM, choices=EXTENDED, unit="mm")
-norton = partial(Row, h=(1 / 16, 1 / 8), times=(0.01, 0.02, 0.03, 0.04, *TWENTIETHS), choices={"more": early})
-fine = partial(Row, h=(1 / 16, 1 / 8), eps=halves(4), steps=slice(1, None, 2))
-slips = partial(fine, problem=pushed, orders=(0.9, 1.1), times=PATH, choices={"cells_through": 2})
+hard = partial(order_1, eps=halves(4, 5), orders=None, more=by_reaction)
+rubber = partial(order_1, eps=halves(3), orders=(1.9, 2.3), cells_through=2, more=by_reaction)
+glued = partial(Row, problem=problems.glued_hub, h=(1.0, 2.0), eps=MM, bodies="extended", unit="mm")
+tubes = partial(Row, h=(1.0, 2.0), eps=MM, bodies="extended", unit="mm")
+norton = partial(Row, h=(1 / 16, 1 / 8), times=(0.01, 0.02, 0.03, 0.04, *TWENTIETHS), more=early)
+fine = partial(Row, h=(1 / 16, 1 / 8), eps=halves(4), orders=(0.9, 1.1), steps=slice(1, None, 2))
+slips = partial(fine, problem=pushed, times=PATH, cells_through=2)
 yields = partial(fine, problem=sheared, orders=(0.9, 1.3), times=SHEARED)
+rubs = partial(fine, of(bands.BAND), h=(1 / 128, 1 / 64), cells_through=1, more=bands.zones, along=bands.along_s)
 in_bar = partial(
     Row, problem=bar, h=((6.0, 3.0, 0.2), (8.0, 4.0, 0.4)), eps=(2.0, 1.0, 0.5, 0.25), orders=(0.9, 1.3), unit="mm",
-    choices={"where": inside_bar},
+    where=inside_bar,
 )
+at_once, to_and_fro = (partial(bands.blocks, path=path) for path in (bands.ONCE, bands.TO_AND_FRO))
+
+
+def switches(case: str, label: str, **changed: Any) -> Row:
+    """A row of layers with two phases, by a name of `phases.CASES`."""
+    law, shear, pull = phases.CASES[case]
+    problem = partial(phases.blocks, shear=shear, pull=pull)
+    measured = {"orders": None} if "instead" in changed else {"more": phases.shares, "along": phases.along_s}
+    return fine(of(law), label, problem, cells_through=2, pictured=None, **measured, **changed)
+
 
 ROWS: dict[str, Row] = {
     "elastic": still(of(FOURIER_LAYER)),
-    "extended": still(of(FOURIER_LAYER), choices=EXTENDED),
-    "tapered": still(of(FOURIER_LAYER, profile=wedge), choices=EXTENDED, orders=(0.9, 1.1)),
-    "order1": order_1(of(FOURIER_LAYER, order=1), choices={"beside": {"_order0": of(FOURIER_LAYER)}, "more": by_reaction}),
-    "order1_stack": order_1(of(SUBLAYERS, order=1), choices={"beside": BESIDE}),
+    "extended": still(of(FOURIER_LAYER), bodies="extended"),
+    "tapered": still(of(FOURIER_LAYER, profile=wedge), bodies="extended", orders=(0.9, 1.1)),
+    "order1": order_1(of(FOURIER_LAYER, order=1), beside={"_order0": of(FOURIER_LAYER)}, more=by_reaction),
+    "order1_stack": order_1(of(SUBLAYERS, order=1), beside=BESIDE),
     "hard_layer": hard(of(HARD["hard_layer"], None, order=1), "harder than the bodies"),
     "hard_layer softer": hard(of(HARD["hard_layer softer"], None, order=1), "softer than the bodies", check=third_order),
     "rubber": rubber(of(Rubber.shear(40.0, 0.3), order=1), "nu = 0.3"),
@@ -221,13 +207,25 @@ ROWS: dict[str, Row] = {
     "rubber incompressible": rubber(of(Incompressible(40.0), order=1), "nu = 0.5"),
     "ring": glued(of(problems.GLUE, problems.GLUE_EPS), "order 0", orders=(0.9, 1.1)),
     "ring order1": glued(of(problems.GLUE, problems.GLUE_EPS, order=1), "order 1", orders=(1.8, 2.2), pictured=None),
+    "fibre": glued(
+        of(cylinders.COATING), problem=cylinders.coated_fibre, h=(0.05, 0.1), eps=(0.08, 0.04, 0.02, 0.01),
+        orders=(0.9, 1.1), unit="", more=cylinders.against_cylinders, check=cylinders.as_cylinders,
+    ),
+    "tubes": tubes(
+        of(cylinders.GLUE, cylinders.GLUE_EPS), "inner pressure", partial(cylinders.tubes, loads=cylinders.PRESSED),
+        orders=(0.93, 1.1), more=cylinders.against_lame, check=cylinders.as_lame,
+    ),
+    "tubes push": tubes(
+        of(cylinders.GLUE, cylinders.GLUE_EPS), "shaft pushed", partial(cylinders.tubes, loads=cylinders.PUSHED),
+        orders=(0.9, 1.25), where=cylinders.inside_tubes,
+    ),
     "own_mesh": Row(
         of(problems.JOINT, problems.JOINT_EPS), "", problems.arch, ("P2", "P1"), (0.04, 0.02, 0.01, 0.005), (0.9, 1.1),
-        choices=EXTENDED | {"where": problems.inside_joints}, pictured=middle, unit="m",
+        bodies="extended", where=problems.inside_joints, pictured=middle, unit="m",
     ),
     "butt_joint": Row(
-        of(problems.GLUE, problems.GLUE_EPS), "", problems.rods, ((4.0, 2.5), (6.0, 4.0)), MM, (0.9, None), unit="mm",
-        choices={"where": problems.inside_rods, "more": problems.against_section}, check=in_section,
+        of(problems.GLUE, problems.GLUE_EPS), "", rods.rods, ((4.0, 2.5), (6.0, 4.0)), MM, (0.9, None), unit="mm",
+        where=rods.inside_rods, more=rods.against_section, check=rods.in_section,
     ),
     "kelvin_voigt": Row(of(KELVIN_VOIGT), times=TENTHS),
     "maxwell": Row(of(MAXWELL), "t2 = 1.0", times=FIFTHS),
@@ -237,7 +235,7 @@ ROWS: dict[str, Row] = {
     "stack": Row(of(Stack((0.5, MAXWELL), (0.5, KELVIN_VOIGT))), "Maxwell, Kelvin-Voigt", eps=halves(4), times=FIFTHS),
     "stack norton": Row(of(Stack((0.5, FOURIER_LAYER), (0.5, NORTON))), "elastic, Norton", eps=halves(4), times=TWENTIETHS),
     # thicker than 1/32 the next term still shows in the orders
-    "incompressible": Row(of(Incompressible(mu=40.0)), eps=halves(5), choices={"more": normal_jumps}, check=no_normal_jump),
+    "incompressible": Row(of(Incompressible(mu=40.0)), eps=halves(5), more=normal_jumps, check=no_normal_jump),
     "monodirectional": slips(of(SLIPPING), "bilateral"),
     "monodirectional unilateral": slips(of(OPENING), "unilateral, h = 0.01", problem=pulled),
     "monodirectional stack": slips(of(Stack((0.4, LinearElastic(90.0, 30.0)), (0.6, SLIPPING))), "elastic, bilateral"),
@@ -247,8 +245,37 @@ ROWS: dict[str, Row] = {
     ),
     "mohr_coulomb": yields(of(MORTAR), "psi = 0"),
     "mohr_coulomb dilatant": yields(of(replace(MORTAR, dilatancy_angle=10.0)), "psi = 10°"),
-    "mohr_coulomb coulomb": yields(
-        of(MORTAR), "tan(Omega) on S", orders=None, choices={"instead": COULOMB}, floors=FLOOR
+    "mohr_coulomb coulomb": yields(of(MORTAR), "tan(Omega) on S", orders=None, instead=COULOMB, floors=FLOOR),
+    "mohr_coulomb metal": yields(
+        of(MORTAR), "bodies yield", problem=of_metal, times=SHEARED[:4], steps=slice(None), more=dissipated,
+        check=both_yield,
+    ),
+    "friction": rubs("at once", at_once, instead=bands.AT_ONCE),
+    "friction history": rubs("to and fro", to_and_fro, times=PATH, instead=bands.IN_TIME, check=bands.same_zones),
+    "friction cells": fine(
+        of(bands.IN_CELLS), "4 cells, h = 1e-5", at_once, h=(1 / 64, 1 / 64), orders=(0.7, 1.3), instead=bands.AT_ONCE,
+        long=True,
+    ),
+    "friction sine": fine(
+        of(bands.BAND), "f = sin(Omega)", at_once, h=(1 / 64, 1 / 32), orders=None, cells_through=1, instead=bands.SINE,
+        check=bands.sine_leaves_an_error,
+    ),
+    "non_monotone": switches("", "oblique chi"),
+    "non_monotone across": switches("across", "n (x) n"),
+    "non_monotone along": switches("along", "sym(t (x) n)", check=phases.all_there),
+    "non_monotone unrelaxed": fine(
+        of(phases.PURE), "oblique chi, pure phases", partial(phases.blocks, shear=0.04, pull=0.03, moved=True),
+        h=(1 / 8, 1 / 8), cells_through=2, times=(0.25, 0.5, 0.75, 1.0), steps=slice(None), more=phases.snaps,
+        along=phases.along_s, check=phases.same_snaps,
+    ),
+    "non_monotone printed": switches(
+        "", "lambda + mu on S", instead=phases.PRINTED, floors={"traction": (0.13, 0.16), "jump": (0.22, 0.26)}
+    ),
+    "non_monotone one_branch": switches(
+        "", "no phase -1 on S", instead=phases.ONE_BRANCH, floors={"traction": (0.12, 0.16), "jump": (0.29, 0.35)}
+    ),
+    "non_monotone across small_gain": switches(
+        "across", "n (x) n, G across", instead=phases.SMALL_GAIN, floors={"traction": (0.018, 0.026)}
     ),
     "bar": in_bar(of(fig3.glue(0.02)), "h = 0.02"),
     "bar less_elastic": in_bar(of(fig3.glue(0.01)), "h = 0.01", long=True),
@@ -262,15 +289,15 @@ DRAWN: dict[str, dict[str, Any]] = {
     "hard_layer": {"errors": {"traction": "error_reaction"}, "reference": 3.0},
     "rubber": {"errors": {"jump": "error_jump"}, "reference": 2.0},
     "incompressible": {"errors": ERRORS | {"[u_N]/[u] of the meshed layer": "normal_jump_full"}},
-    "monodirectional": {"apart": True},
 }
+APART = ("monodirectional", "friction", "non_monotone")  # whose tractions and jumps have a picture each
 
 
 def run(
     record: Record, *, law: Literal[
-        "all", "elastic", "extended", "tapered", "order1", "order1_stack", "hard_layer", "rubber", "ring", "own_mesh",
-        "butt_joint", "kelvin_voigt", "maxwell", "norton", "stack", "incompressible", "monodirectional", "mohr_coulomb",
-        "bar",
+        "all", "elastic", "extended", "tapered", "order1", "order1_stack", "hard_layer", "rubber", "ring", "fibre", "tubes",
+        "own_mesh", "butt_joint", "kelvin_voigt", "maxwell", "norton", "stack", "incompressible", "monodirectional",
+        "mohr_coulomb", "friction", "non_monotone", "bar",
     ] = "all", eps: Sequence[float] = (), quick: bool = False,
 ) -> None:
     """Sweep the thickness of layers, meshed and as interface laws; parameters of their families are held.
@@ -286,14 +313,8 @@ def run(
         first = name.split()[0]
         if law not in ("all", first) or (quick and row.long):
             continue
-        times = row.times[row.steps] if row.times and quick else row.times
-        joint, setup = row.problem(row.h[quick])
-        sweep = Sweep(record, joint, setup, row.layer, times=times, case=name.replace(" ", "_"), **row.choices)
-        record.parameters[name] = {"layer": str(row.layer(1.0).law), "h": row.h[quick], "times": times}
-        pictured = row.pictured if name == first or not quick else None
-        title = " ".join(filter(None, (first, row.label)))
-        tables[name] = sweep.run(eps or row.eps, row.orders, pictured=pictured, title=title, unit=row.unit)
-        check_floors(record, name, tables[name], tables[first], row.floors)
+        tables[name] = row.sweep(record, name, eps or row.eps, quick=quick, pictured=name == first or not quick)
+        check_floors(record, name, tables[name], tables[name.rpartition(" ")[0] or name], row.floors)
         if row.check:
             row.check(record, tables)
 # fmt: on
@@ -304,5 +325,13 @@ def draw(record: Record) -> None:
     for law in LAWS:
         rows = {row.label: name for name, row in ROWS.items() if name.split()[0] == law and record.has(table_of(name))}
         title = f"rates --law {law}" + (f", eps in {ROWS[law].unit}" if ROWS[law].unit else "")
-        if rows:
-            draw_rates(record, title, rows, name=f"rates_{law}", **DRAWN.get(law, {}))
+        if not rows:
+            continue
+        tables = {label: record.path(table_of(name)) for label, name in [*rows.items()][: len(COLOURS)]}
+        if law not in APART:
+            plotting.rates(tables, save=record.path(f"rates_{law}.png"), title=title, **DRAWN.get(law, {}))
+        for error, end in (("traction", ""), ("jump", "_jump")) if law in APART else ():
+            look = {"title": f"{title}: {error}", "errors": {error: f"error_{error}"}}
+            plotting.rates(tables, save=record.path(f"rates_{law}{end}.png"), **look)
+        if along := {label: name for label, name in rows.items() if ROWS[name].along}:
+            draw_along(record, along, f"along_{law}")

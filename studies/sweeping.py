@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from forms import BulkLaw
-from forms.kinematics import Expr
+from forms.base import Array
 from forms.law import Law
 from geometry.joint import Joint
+from studies.problems import fourier
 from thinlayer import Structure, Surface, Table, ThinLayer, compare, plotting, solve
-from thinlayer.discretisation.full_model import FullModel
-from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import LawOnS
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
@@ -23,111 +23,110 @@ from thinlayer.running.record import Record
 from thinlayer.solving.history import Solution
 
 Floors = Mapping[str, tuple[float, float]]  # traction or jump -> range of the relative error that a wrong law leaves
+Tables = dict[str, Table]
+Problem = Callable[[Any], tuple[Joint, dict[str, Any]]]
+ON_S = "interface law"
+
+
+def halves(k: int, n: int = 4) -> tuple[float, ...]:
+    """n thicknesses, 2^-k and half of it again and again; blocks are 0.5 high."""
+    return tuple(2.0**-one for one in range(k, k + n))
+
+
+SQUARES, EIGHTHS = partial(fourier, cell="quadrilateral"), halves(3)
 
 
 @dataclass(frozen=True)
-class Sweep:
-    """One structure, solved with its layer meshed and with the interface law.
+class Row:
+    """A layer whose thickness is swept: one structure, solved with the layer meshed and with its interface law.
 
     Attributes:
-        record: where to write.
-        joint: the joint.
-        setup: data of the structure besides the joint, see `thinlayer.Structure`.
         layer: thickness -> the layer.
+        label: tells it from the other rows of its law.
+        problem: size of cells, or what else makes the mesh -> the joint, and data of its models.
+        h: that size, and the one with --quick.
+        eps: thicknesses.
+        orders: range of the last observed orders of traction and jump; None for an open end, or for no such check.
+        times: ends of the steps to march, from rest under loads that are there from t = 0 on; the last states are
+            compared. None: a static solve.
+        steps: those that are taken with --quick.
         instead: a law in place of the layer's in the interface model alone, to show the error of a wrong law.
         bodies, cells_through: of the meshed layer, see `Structure.full`; `bodies` also of interface models of order 1.
         where: part of S to measure on, see `thinlayer.compare`.
-        times: ends of the steps to march, from rest under loads that are there from t = 0 on; the last states are
-            compared. None: a static solve.
         beside: end of a column's name -> thickness -> the layer of a further law, whose errors are columns of the table.
         more: full and interface model's solutions -> further columns of the table.
-        case: name of the sweep among those of the study, in names of files and checks.
+        along: state and S -> places x along S, and what is drawn of both models there.
+        floors: what a wrong law leaves, see `check_floors`; the right law is that of the row with a word less.
+        check: what else must hold, of the tables of its law's rows up to this one.
+        pictured: chooses the thickness of the deformed structures that are drawn; None for no picture.
+        unit: of lengths.
+        long: whether the row is left out with --quick.
     """
 
-    record: Record
-    joint: Joint
-    setup: dict[str, Any]
     layer: Callable[[float], ThinLayer]
+    label: str = ""
+    problem: Problem = SQUARES
+    h: tuple[Any, Any] = (1 / 32, 1 / 8)
+    eps: Sequence[float] = EIGHTHS
+    orders: tuple[float, float | None] | None = (0.93, 1.07)
+    times: Sequence[float] | None = None
+    steps: slice = slice(None)
+    instead: BulkLaw | LawOnS | None = None
     bodies: str = "kept"
     cells_through: int = 4
-    where: Callable[[Expr], Expr] | None = None
-    times: Sequence[float] | None = None
+    where: Where | None = None
     beside: Mapping[str, Callable[[float], ThinLayer]] = field(default_factory=dict)
     more: Callable[[Solution, Solution], dict[str, Any]] | None = None
-    case: str = ""
-    instead: BulkLaw | LawOnS | None = None
+    along: Callable[[State, Surface], dict[str, Array]] | None = None
+    floors: Floors = field(default_factory=dict)
+    check: Callable[[Record, Tables], None] | None = None
+    pictured: Callable[[Sequence[float]], float] | None = max
+    unit: str = ""
+    long: bool = False
 
-    @property
-    def structure(self) -> Structure:
-        """The structure without its layer."""
-        return Structure(self.joint, **self.setup)
+    def sweep(self, record: Record, name: str, eps: Sequence[float], *, quick: bool, pictured: bool) -> Table:
+        """Sweep, print the laws, draw one thickness, check the last observed orders."""
+        joint, setup = self.problem(self.h[quick])
+        structure, case = Structure(joint, **setup), name.replace(" ", "_")
+        times = self.times[self.steps] if self.times and quick else self.times
+        shown = self.pictured(eps) if self.pictured and pictured else None
+        law = self.layer(eps[0]).law
+        record.parameters[name] = {"layer": str(law), "h": self.h[quick], "times": times}
 
-    def solved(self, eps: float) -> tuple[Solution, Solution]:
-        """The full and the interface model's state, or history, for a thickness."""
-        full, limit = self.models(eps)
-        return self._solved(full, f"full_{eps:g}"), self._solved(limit, f"interface_{eps:g}")
+        def solved(model: Model, what: str) -> Solution:
+            return record.march(model, times, f"{what}_{case}") if times else record.solved(solve(model))
 
-    def models(self, eps: float) -> tuple[FullModel, InterfaceModel]:
-        """The full and the interface model for a thickness."""
-        structure, layer, other = self.structure, self.layer(eps), self.instead
-        full = structure.full(layer, bodies=self.bodies, cells_through=self.cells_through)
-        if isinstance(other, LawOnS):
-            return full, structure.interface(other)
-        return full, self._interface(structure, layer if other is None else ThinLayer(other, eps, at=1.0))
-
-    def _interface(self, structure: Structure, layer: ThinLayer) -> InterfaceModel:
-        return structure.interface(layer, bodies=self.bodies if layer.order else "kept")
-
-    def _solved(self, model: Model, name: str) -> Solution:
-        if self.times is None:
-            return self.record.solved(solve(model))
-        return self.record.march(model, self.times, self._named(name))
-
-    def _named(self, name: str) -> str:
-        stem, dot, kind = name.partition(".")
-        return f"{stem}_{self.case}{dot}{kind}" if self.case else name
-
-    def run(
-        self,
-        eps: Sequence[float],
-        order: tuple[float, float | None] | None,
-        *,
-        pictured: Callable[[Sequence[float]], float] | None = max,
-        title: str = "",
-        unit: str = "",
-    ) -> Table:
-        """Sweep, print the laws, draw one thickness, check the last observed orders.
-
-        Args:
-            eps: thicknesses, lengths.
-            order: range that the last observed orders of traction and jump must lie in; None for an open end, or for no
-                such check.
-            pictured: chooses the thickness to draw the deformed structures of; None for no picture.
-            title, unit: of that picture.
-        """
-        shown = pictured(eps) if pictured else None
+        def by_law(layer: ThinLayer | LawOnS, what: str) -> Solution:
+            bodies = self.bodies if isinstance(layer, ThinLayer) and layer.order else "kept"
+            return solved(structure.interface(layer, bodies=bodies), what)
 
         def compare_at(e: float) -> dict[str, float]:
-            full, limit = self.solved(e)
+            layer, other = self.layer(e), self.instead
+            full = solved(structure.full(layer, bodies=self.bodies, cells_through=self.cells_through), f"full_{e:g}")
+            on_s = ThinLayer(other, e, at=1.0) if isinstance(other, BulkLaw) else other or layer
+            limit = by_law(on_s, f"interface_{e:g}")
+            states = {f"meshed layer, eps = {e:.4g} {self.unit}".rstrip(): last(full), ON_S: last(limit)}
+            if self.along:
+                surface, rows = Surface(last(limit).model), Table()
+                for model, state in states.items():
+                    rows.extend(Table.of({"model": model, **self.along(state, surface)}))
+                record.write(along_of(name, e), rows)
             if e == shown:
-                states = {f"meshed layer, eps = {e:g} {unit}".rstrip(): last(full), "interface law": last(limit)}
-                plotting.deformed(states, save=self.record.path(self._named("deformed.png")), title=title, unit=unit)
-            row = compare(full, limit, where=self.where) | elastic_fraction(self.layer(e).law)
-            for end, layer in self.beside.items():
-                other = self._solved(self._interface(self.structure, layer(e)), f"interface{end}_{e:g}")
-                found = compare(full, other, where=self.where)
-                row |= {f"{name}{end}": found[name] for name in ERRORS.values()}
+                look = {"title": " ".join(filter(None, (name.split()[0], self.label))), "unit": self.unit}
+                plotting.deformed(states, save=record.path(f"deformed_{case}.png"), **look)
+            row = compare(full, limit, where=self.where) | elastic_fraction(layer.law)
+            for end, further in self.beside.items():
+                errors = compare(full, by_law(further(e), f"interface{end}_{e:g}"), where=self.where)
+                row |= {f"{column}{end}": errors[column] for column in ERRORS.values()}
             return row | (self.more(full, limit) if self.more else {})
 
-        law = self.layer(eps[0]).law
-        self.record.say(f"meshed layer {law}, on S {self.instead}" if self.instead else law)
-        table = self.record.sweep(compare_at, eps, self._named("table.csv"))
-        low, high = order or (None, None)
-        for name in ("traction", "jump") if order and len(eps) > 1 else ():
-            reaction = name == "traction" and "error_reaction" in table.columns
-            what = f"last observed order of the {name}" + (f", {self.case}" if self.case else "")
-            value = last_order(table, "error_reaction" if reaction else f"error_{name}")
-            self.record.check(what, value, low=low, high=high)
+        record.say(f"meshed layer {law}, on S {self.instead}" if self.instead else law)
+        table = record.sweep(compare_at, eps, table_of(name))
+        low, high = self.orders or (None, None)
+        for what in ("traction", "jump") if self.orders and len(eps) > 1 else ():
+            reaction = what == "traction" and "error_reaction" in table.columns
+            order = last_order(table, "error_reaction" if reaction else f"error_{what}")
+            record.check(f"last observed order of the {what}, {name}", order, low=low, high=high)
         return table
 
 
@@ -182,28 +181,21 @@ def table_of(case: str) -> str:
     return f"table_{case.replace(' ', '_')}.csv" if case else "table.csv"
 
 
-def draw_rates(
-    record: Record,
-    title: str,
-    cases: Mapping[str, str] = {"": ""},
-    *,
-    apart: bool = False,
-    name: str = "rates",
-    **drawn: Any,
-) -> None:
-    """Draw rates.png from the tables of the study's sweeps.
+def along_of(case: str, eps: float) -> str:
+    """Name of the table along S for one thickness of a sweep."""
+    return f"along_{case.replace(' ', '_')}_{eps:g}.csv"
 
-    Args:
-        record: the run.
-        title: of the picture.
-        cases: label -> case of a sweep.
-        apart: whether the jump gets a picture of its own, rates_jump.png: for many cases.
-        name: of the picture, without .png.
-        drawn: of `plotting.rates`.
-    """
-    tables = {label: record.path(table_of(case)) for label, case in cases.items()}
-    if not apart:
-        plotting.rates(tables, save=record.path(f"{name}.png"), title=title, **drawn)
-    for one, end in (("traction", ""), ("jump", "_jump")) if apart else ():
-        save, errors = record.path(f"{name}{end}.png"), {one: f"error_{one}"}
-        plotting.rates(tables, save=save, title=f"{title}: {one}", errors=errors)
+
+def draw_along(record: Record, cases: Mapping[str, str], name: str) -> None:
+    """Draw what the sweeps of some cases, label -> case, have along S, for all thicknesses and by the interface law."""
+    parts: dict[str, dict[str, tuple[Any, Any]]] = {}
+    for label, case in cases.items():
+        for eps in record.load(table_of(case))["eps"]:
+            table = record.load(along_of(case, eps))
+            for model, part in table.split("model").items():
+                for what in (shown := table.columns[2:]):
+                    lines = parts.setdefault(f"{what}, {label}", {})
+                    lines.pop(model, None)  # the interface law comes last
+                    lines[model] = part["x"], part[what]
+    look = {"styles": {ON_S: "--"}, "colours": {ON_S: "black"}, "columns": max(2, len(shown))}
+    plotting.curves(parts, "x along S", save=record.path(f"{name}.png"), **look)

@@ -36,16 +36,11 @@ def in_turn(works: Mapping[str, Callable[[], float]], repeats: int) -> dict[str,
 
 def peak(work: Callable[[], object]) -> float:
     """Largest memory that this process takes during some work, on top of what it had, MB; Linux only."""
-    before = resident()
+    ctypes.CDLL(None).malloc_trim(0)  # what was freed goes back to the system
+    before = _status("VmRSS")
     Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")  # forget the largest so far
     work()
     return max(_status("VmHWM") - before, 0.0)
-
-
-def resident() -> float:
-    """Memory that this process has, MB; Linux only."""
-    ctypes.CDLL(None).malloc_trim(0)  # what was freed goes back to the system
-    return _status("VmRSS")
 
 
 def _status(name: str) -> float:

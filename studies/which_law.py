@@ -37,8 +37,7 @@ LAWS = {
 LETTERS = {"order_0": "0", "order_1": "1", "rubber": "R"}
 CORRECTED = {"edges": "order_1", "rubber_edges": "rubber"}  # at free ends -> not corrected
 QUANTITIES = ("traction", "jump", "compliance")
-LEVELS = (0.001, 0.01, 0.05, 0.2)  # errors at which cells of the maps change their colour
-RANGES = ("< 0.1 %", "0.1 to 1 %", "1 to 5 %", "5 to 20 %", "> 20 %")  # between them
+RANGES = {"< 0.1 %": 0.001, "0.1 to 1 %": 0.01, "1 to 5 %": 0.05, "5 to 20 %": 0.2, "> 20 %": math.inf}  # of errors
 WANTED = (0.01, 0.05)  # errors for which the cheapest law is drawn
 TOLD = 0.1  # error of order 1 from which on there has to be a warning
 LOAD = 1e-6  # stress: far below the moduli of the layers, so that warnings are of the laws and not of the loads
@@ -192,19 +191,19 @@ def draw(record: Record) -> None:
     for name, what in SET_UPS.items():
         table, drawn = tables[name], _drawn(tables[name])
         nus, eps = np.unique(table["nu"]), np.unique(table["eps"])
-        axes: dict[str, Any] = {"x": [f"{nu:g}" for nu in nus], "y": [f"1/{round(1 / e)}" for e in eps]}
-        axes |= {"xlabel": "Poisson's ratio nu", "ylabel": "eps/l"}
-        errors: dict[str, Array] = {}
-        texts: dict[str, Any] = {}
+        axes = ("Poisson's ratio nu", [f"{nu:g}" for nu in nus]), ("eps/l", [f"1/{round(1 / e)}" for e in eps])
+        errors = {}
         for contrast, part in table.split("E/mu").items():
             for law in drawn:
-                panel = f"{LAWS[law]}; E/mu = {contrast:,.0f}"
-                errors[panel] = _grid(_worst(part, law), nus)
-                texts[panel] = np.vectorize(_percent)(errors[panel], _grid(part[f"warned_{law}"], nus) > 0)
-        look = {"names": RANGES, "columns": len(drawn), "save": record.path(f"errors_{name}.png"), **axes}
+                worst, warned = (_grid(column, nus) for column in (_worst(part, law), part[f"warned_{law}"]))
+                errors[f"{LAWS[law]}; E/mu = {contrast:,.0f}"] = worst, np.vectorize(_percent)(worst, warned > 0)
         title = f"errors in per cent, the larger of traction and jump (!: a RangeWarning); {what}"
-        maps(errors, texts=texts, levels=LEVELS, title=title, **look)
-        _cheapest(record, f"cheapest_{name}.png", what, drawn, errors, axes)
+        save = record.path(f"errors_{name}.png")
+        maps(errors, *axes, RANGES, title=title, columns=len(drawn), save=save)
+        parts, names = _cheapest(drawn, {panel: worst for panel, (worst, _) in errors.items()})
+        ranges = {f"{letter}: {law}": k + 0.5 for k, (letter, law) in enumerate(names.items())}
+        title, save = f"cheapest law; {what}", record.path(f"cheapest_{name}.png")
+        maps(parts, *axes, ranges, title=title, columns=len(WANTED), save=save)
 
 
 def _drawn(table: Table) -> list[str]:
@@ -212,14 +211,16 @@ def _drawn(table: Table) -> list[str]:
     return [law for law in LAWS if np.isfinite(_worst(table, law)).any()]
 
 
-def _cheapest(
-    record: Record, picture: str, what: str, laws: list[str], errors: Mapping[str, Array], axes: Mapping[str, Any]
-) -> None:
-    """Draw the first law whose error is below each of `WANTED`, with known ends if it can; none: the meshed layer."""
+def _cheapest(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, tuple[Array, Any]], dict[str, str]]:
+    """The first law whose error is below each of `WANTED`, with known ends if it can; none: the meshed layer.
+
+    Returns:
+        Panels, see `maps`, of numbers and letters of laws; letter -> law.
+    """
     corrected = {law: name for name, law in CORRECTED.items() if name in laws}
     laws = [law for law in laws if law in LETTERS]
     names = {LETTERS[law]: LAWS[law] for law in laws} | {"m": "meshed layer"}
-    parts, texts = {}, {}
+    parts = {}
     for contrast in CONTRASTS:
         plain, known = (
             np.array([errors[f"{LAWS[name.get(law, law)]}; E/mu = {contrast:,}"] for law in laws])
@@ -227,13 +228,9 @@ def _cheapest(
         )
         stack = np.where(np.isfinite(known), known, plain)
         for wanted in WANTED:
-            panel = f"error < {100 * wanted:.0f} %; E/mu = {contrast:,}"
-            good = np.append(stack < wanted, np.ones((1, *stack.shape[1:]), bool), axis=0)
-            parts[panel] = good.argmax(axis=0)
-            texts[panel] = np.array(list(names))[parts[panel]]
-    levels, legend = [k + 0.5 for k in range(len(laws))], [f"{letter}: {name}" for letter, name in names.items()]
-    look = {"title": f"cheapest law; {what}", "columns": len(WANTED), "save": record.path(picture), **axes}
-    maps(parts, texts=texts, levels=levels, names=legend, **look)
+            good = np.append(stack < wanted, np.ones((1, *stack.shape[1:]), bool), axis=0).argmax(axis=0)
+            parts[f"error < {100 * wanted:.0f} %; E/mu = {contrast:,}"] = good, np.array(list(names))[good]
+    return parts, names
 
 
 def _grid(values: Array, nus: Array) -> Array:

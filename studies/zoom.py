@@ -1,8 +1,7 @@
-"""Inside a layer that is not meshed: stresses at its free ends from the layer by itself, corners' exponent and strength."""
+"""Inside a layer that is not meshed: stresses at free ends and strengths of corners, against meshed ends."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 from forms import LinearElastic
 from studies.problems import free_blocks
 from studies.sweeping import last_order
-from thinlayer import RangeWarning, Structure, ThinLayer, Zoom, estimate, plotting, solve
+from thinlayer import Structure, ThinLayer, Zoom, estimate, plotting, solve
 from thinlayer.discretisation.state import State
 from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
@@ -25,9 +24,6 @@ LONG = 2.0  # length of cells of S where it is not meshed, over eps
 DISTANCES = np.array([0.05, 0.1, 0.2, 0.5, 1, 1.5, 2, 3, 5, 10])  # of the places compared from an end, over eps
 HEIGHTS = np.array([-0.3, -0.15, 0.0, 0.15, 0.3])  # not nearer to corners, where the mesh is too coarse
 AT_END = 3.0  # distance up to which places count as at the end
-RATIOS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.475, 0.49)
-RIGID = 1e7  # E of bodies that count as rigid, over mu
-DRAWN = ("exponent", "H_N", "H_T", "shear")
 STATES: dict[str, Callable[[Structure, LinearElastic, float], State]] = {
     "order 0": lambda blocks, law, eps: solve(blocks.interface(ThinLayer(law, eps, at=EPS[0]))),
     "order 1, free": lambda blocks, law, eps: solve(
@@ -42,26 +38,10 @@ def run(record: Record, *, quick: bool = False) -> None:
 
     Args:
         record: where to write.
-        quick: two thicknesses, one ratio of moduli for each of Poisson's, and fewer ratios in the table of corners.
+        quick: two thicknesses, one ratio of moduli for each of Poisson's.
     """
-    record.rows("corners.csv", RATIOS[3::3] if quick else RATIOS, _corner, "corner, nu = {:g}")
     for nu, ratio in CASES[::3] if quick else CASES:
         _errors(record, nu, ratio, EPS[:2] if quick else EPS)
-
-
-def _corner(nu: float) -> dict[str, float]:
-    """Exponent and strengths of a corner, eps = 1, for a stress along S (N) or across it (T) of 1 without the end."""
-    law, eps, row = LinearElastic.shear(1.0, nu), 1 / 16, {"nu": nu}
-    for name, motion, stress in (("H_N", {"y": eps}, law.lmbda), ("H_T", {"x": eps, "y": 0.0}, law.mu)):
-        bodies, supports = LinearElastic.young(RIGID, 0.3), {"BOTTOM": 0.0, "TOP": {"x": 0.0} | motion}
-        blocks = free_blocks(2 * eps, h=1 / 4, h_S=2 * eps, body=bodies, supports=supports, tractions={})
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RangeWarning)  # of pressures that fall over a part of S
-            zoom = Zoom(estimate(solve(blocks.interface(ThinLayer(law, eps)))).better)
-        corner = next(one for one in zoom.corners if one.m[0] < 0 and one.side == "lower")
-        size = eps ** (1 - corner.exponent) * stress
-        row |= {name: float(corner.H[0]) / size, "exponent": corner.exponent, "shear": corner.shear}
-    return row
 
 
 def _errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float]) -> None:
@@ -102,7 +82,7 @@ def _compared(zoom: Zoom, full: Zoom) -> dict[str, float]:
 
 
 def draw(record: Record) -> None:
-    """Draw errors against the thickness, and exponents and strengths of corners against nu."""
+    """Draw errors against the thickness."""
     parts = {}
     names = [f"{key} {state}" for state in STATES for key in ("end", "inside", "H")]
     for nu, ratio in CASES:
@@ -119,13 +99,4 @@ def draw(record: Record) -> None:
         log="y",
         columns=2,
         save=record.path("errors.png"),
-    )
-    table = record.load("corners.csv")
-    plotting.curves(
-        {name: {"layer by itself": (table["nu"], table[name])} for name in DRAWN},
-        "Poisson's ratio",
-        styles={"layer by itself": "o-"},
-        ylim={"H_N": (0.0, 4.0), "H_T": (0.0, 2.5)},
-        columns=2,
-        save=record.path("corners.png"),
     )

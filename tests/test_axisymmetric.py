@@ -11,7 +11,7 @@ import ufl
 from forms import Anisotropic, Incompressible, LinearElastic, Maxwell, MohrCoulomb, Stack
 from forms.base import InputError
 from geometry import block, periodic, sandwich
-from studies.tubes import lame
+from studies.cylinders import lame
 from tests.refused import refused
 from thinlayer import Springs, Structure, Surface, ThinLayer, UflPart, compare, goals, march, solve
 from thinlayer.errors import LooseBody

@@ -9,7 +9,7 @@ import pytest
 
 from forms import LinearElastic
 from geometry import fibre
-from studies.fibre import Cylinders
+from studies.cylinders import Cylinders
 from tests.network_cases import springs
 from thinlayer import Structure, solve
 

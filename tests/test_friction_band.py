@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from forms import HolonomicCoulomb, IncrementalCoulomb, MohrCoulombMonodirectional
-from studies import sweep_friction
+from studies.bands import ONCE
 from studies.problems import pressed
 from tests.orders import observed_orders
 from tests.own_laws import layer_of
@@ -58,7 +58,7 @@ def test_the_band_is_contact_on_columns(moves, eps, angle):
 
 # ------------------------------------------------------------------------ error O(eps)
 def errors(eps, band=BAND, on_s=None, cells=32):
-    where, setup = pressed(1 / cells, sweep_friction.ONCE)
+    where, setup = pressed(1 / cells, ONCE)
     setup |= {"element": "Q1"}
     on_s = on_s or HolonomicCoulomb.of_layer(LMBDA, MU, friction=FRICTION)
     plates = Structure(where, **setup)

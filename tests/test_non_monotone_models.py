@@ -12,8 +12,8 @@ from scipy.optimize import brentq
 from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed, Stack, Tabulated
 from forms.base import InputError
 from geometry import block, sandwich
+from studies.phases import CASES, Formula, blocks
 from studies.problems import phases_on_s
-from studies.sweep_non_monotone import CASES, Formula, blocks
 from tests.closed_forms import NonMonotoneLimit
 from tests.columns_in_time import C as COMPLIANCE
 from tests.columns_in_time import K as STIFFNESS

@@ -1,0 +1,81 @@
+"""Frictional bands in `rates`: layers that open and slip, without cohesion, against Coulomb contact on S."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from forms import HolonomicCoulomb, IncrementalCoulomb, MohrCoulombMonodirectional
+from forms.base import Array
+from geometry.joint import Joint
+from studies.problems import pressed
+from studies.sweeping import Tables, last
+from thinlayer import Surface
+from thinlayer.discretisation.state import State
+from thinlayer.running.record import Record
+from thinlayer.solving.history import Solution
+
+MODULI = {"lmbda": 60.0, "mu": 40.0}
+OMEGA = 25.0
+FRICTION = math.tan(math.radians(OMEGA))
+# One cell through the band needs no elastic fraction: its nodes are those of the bodies, which hold it where it is open.
+# Inner nodes need one, which adds an error in proportion to it that does not vanish with eps.
+BAND = MohrCoulombMonodirectional(**MODULI, cohesion=0.0, friction_angle=OMEGA, unilateral=True)
+IN_CELLS = replace(BAND, elastic_fraction=1e-5)
+AT_ONCE = HolonomicCoulomb.of_layer(**MODULI, friction=FRICTION)
+IN_TIME = IncrementalCoulomb.of_layer(**MODULI, friction=FRICTION)
+SINE = replace(AT_ONCE, friction=math.sin(math.radians(OMEGA)))  # which is wrong
+ONCE = {0: (0.28, 1.0, 1.5), 1: (0.28, 1.0, 1.5)}
+TO_AND_FRO = {0: (0.0, 0.0, 0.0), 1: (0.28, 1.0, 0.0), 2: (0.28, 1.0, 1.5), 3: (0.28, 0.0, -1.0)}
+NO_PRESSURE = 1e-3  # pressure, relative to the largest one, below which a node counts as separated
+AT_LIMIT = 1e-2  # relative distance from the threshold at which a node counts as sliding
+
+
+def blocks(h: float, path: dict[Any, tuple[float, float, float]]) -> tuple[Joint, dict[str, Any]]:
+    """The blocks of `pressed`, of elements Q1: contact acts at the nodes of S, the band at its quadrature points."""
+    joint, setup = pressed(h, path)
+    return joint, setup | {"element": "Q1"}
+
+
+def along_s(state: State, surface: Surface) -> dict[str, Array]:
+    """Pressure and shear traction at the nodes of S."""
+    x, t = surface.profile(surface.frame(surface.traction(state)))
+    return {"x": x[:, 0], "pressure": -t[:, 1], "shear traction": t[:, 0]}
+
+
+def zones(full: Solution, limit: Solution) -> dict[str, float]:
+    """Lengths of S that are separated, and that slide, by the tractions at its nodes, in both models."""
+    surface, row = Surface(last(limit).model), dict[str, float]()
+    for name, solution in (("band", full), ("contact", limit)):
+        x, p, shear = along_s(last(solution), surface).values()
+        weights = np.diff(np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]]))
+        apart = p <= NO_PRESSURE * p.max()
+        slides = ~apart & (abs(shear) >= (1 - AT_LIMIT) * FRICTION * p)
+        row |= {f"separated_{name}": float(weights @ apart), f"sliding_{name}": float(weights @ slides)}
+    return row
+
+
+def same_zones(record: Record, tables: Tables) -> None:
+    """Stick, sliding and separation at once; their ends in the thinnest band within two cells of the contact's."""
+    for name in ("friction", "friction history"):
+        table, h = tables[name], record.parameters[name]["h"]
+        sizes = {zone: table[f"{zone}_contact"][-1] for zone in ("separated", "sliding")}
+        for zone, size in {**sizes, "stick": 2.0 - sum(sizes.values())}.items():
+            record.check(f"length of S, {name}: {zone}", size, low=0.2)
+        for zone, size in sizes.items():
+            away = abs(table[f"{zone}_band"][-1] - size)
+            record.check(
+                f"{zone} zone, {name}: thinnest band and contact differ by", away, high=2 * h + table["eps"][-1]
+            )
+
+
+def sine_leaves_an_error(record: Record, tables: Tables) -> None:
+    """Friction sin(Omega) on S, as of the full law under lasting shear, is not this band's."""
+    errors: Sequence[float] = [tables[name]["error_jump"][-1] for name in ("friction sine", "friction")]
+    record.check(
+        "friction sin(Omega) on S: last error of the jump over that with tan(Omega)", errors[0] / errors[1], low=2
+    )

@@ -1,0 +1,249 @@
+"""Cylinders in one another, in plane strain: a coated fibre and bonded tubes in `rates`, and their closed forms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import pi
+from typing import Any, Self
+
+import numpy as np
+
+from forms import LinearElastic
+from forms.base import Array
+from geometry import fibre, sandwich
+from geometry.joint import Joint
+from studies.sweeping import Tables, last, layer_of
+from thinlayer import Surface
+from thinlayer.discretisation.state import State
+from thinlayer.running.record import Record
+from thinlayer.solving.history import Solution
+
+young = LinearElastic.young
+MODES = (0, 2)  # fields are proportional to cos(mode theta), those along the circles to sin(mode theta)
+Springs = Sequence[tuple[float, float] | None]  # between neighbours: normal and tangential stiffness, or bonded
+
+
+@dataclass(frozen=True)
+class Cylinders:
+    """Elastic cylinders in one another, the innermost one solid, with u = (a x, b y) on the outermost radius R.
+
+    u_r = u_0 + u_2 cos(2 theta), u_theta = v_2 sin(2 theta), and so are the stresses on circles. In each cylinder mode 0 is
+    u_0 = A r + B / r, and mode 2 follows from the complex potentials a z^3 + b / z and c z + d / z^3.
+
+    Attributes:
+        laws: from the innermost one.
+        radii: their outer radii, growing lengths.
+        coefficients: mode -> (cylinders, 2 or 4) of its solutions.
+    """
+
+    laws: tuple[LinearElastic, ...]
+    radii: tuple[float, ...]
+    coefficients: dict[int, Array]
+
+    @classmethod
+    def stretched(
+        cls, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs, stretch: tuple[float, float]
+    ) -> Self:
+        """Solve.
+
+        Args:
+            laws, radii: see above.
+            springs: between neighbours, stress per length.
+            stretch: a and b.
+        """
+        a, b = stretch
+        rim = {0: ((a + b) / 2, 0.0), 2: ((a - b) / 2, (b - a) / 2)}
+        solved = {mode: _solved(mode, laws, radii, springs, radii[-1] * np.array(rim[mode])) for mode in MODES}
+        return cls(tuple(laws), tuple(radii), solved)
+
+    def fields(self, mode: int, k: int, r: float) -> Array:
+        """Amplitudes of u_r, u_theta, s_rr and s_rtheta of a mode in cylinder k, at a radius."""
+        return np.asarray(_solutions(mode, self.laws[k], r) @ self.coefficients[mode][k])
+
+    def displacement(self, k: int, r: float, theta: float) -> Array:
+        """u_r and u_theta in cylinder k."""
+        zero, two = (self.fields(mode, k, r)[:2] for mode in MODES)
+        return zero + two * [np.cos(2 * theta), np.sin(2 * theta)]
+
+    def jumps(self, k: int) -> Array:
+        """(2, 2) amplitudes of [u_r] and [u_theta] of both modes, from cylinder k to the next one."""
+        r = self.radii[k]
+        return np.array([(self.fields(mode, k + 1, r) - self.fields(mode, k, r))[:2] for mode in MODES])
+
+    @property
+    def energy(self) -> float:
+        """Half the work of the rim, per length of the cylinders."""
+        last, R = len(self.laws) - 1, self.radii[-1]
+        zero, two = (self.fields(mode, last, R) for mode in MODES)
+        return float(pi * R * zero[:2] @ zero[2:] + pi * R / 2 * two[:2] @ two[2:])
+
+
+def _solutions(mode: int, law: LinearElastic, r: float) -> Array:
+    """(4, n) amplitudes of u_r, u_theta, s_rr and s_rtheta of the solutions of a mode at a radius, regular ones first."""
+    mu, kappa = law.mu, (law.lmbda + 3 * law.mu) / (law.lmbda + law.mu)
+    if mode == 0:
+        return np.array([[r, 1 / r], [0.0, 0.0], [2 * (law.lmbda + mu), -2 * mu / r**2], [0.0, 0.0]])
+    u = [[(kappa - 3) * r**3, -r, (kappa + 1) / r, -(r**-3)], [(kappa + 3) * r**3, r, (1 - kappa) / r, -(r**-3)]]
+    s = [[0.0, -1.0, -4 / r**2, 3 / r**4], [6 * r**2, 1.0, -2 / r**2, 3 / r**4]]
+    return np.concatenate([np.array(u) / (2 * mu), s])
+
+
+def _solved(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs, rim: Array) -> Array:
+    """Coefficients of a mode: regular in the innermost cylinder, continuous stresses, jumps as of springs."""
+    n = _solutions(mode, laws[0], 1.0).shape[1]
+    rows, right = [], []
+    for k, (spring, r) in enumerate(zip(springs, radii[:-1], strict=True)):
+        inside, outside = (_solutions(mode, law, r) for law in laws[k : k + 2])
+        compliance = np.zeros(2) if spring is None else 1 / np.array(spring)
+        block = np.zeros((4, n * len(laws)))
+        block[:2, n * k : n * (k + 1)] = -inside[:2]
+        block[:2, n * (k + 1) : n * (k + 2)] = outside[:2] - compliance[:, None] * outside[2:]
+        block[2:, n * k : n * (k + 1)] = -inside[2:]
+        block[2:, n * (k + 1) : n * (k + 2)] = outside[2:]
+        rows.append(block)
+        right.append(np.zeros(4))
+    at_rim = np.zeros((2, n * len(laws)))
+    at_rim[:, -n:] = _solutions(mode, laws[-1], radii[-1])[:2]
+    matrix = np.concatenate([*rows, at_rim])
+    unknown = np.setdiff1d(np.arange(n * len(laws)), np.arange(n // 2, n))
+    found = np.zeros(n * len(laws))
+    found[unknown] = np.linalg.lstsq(matrix[:, unknown], np.concatenate([*right, rim]), rcond=None)[0]
+    return found.reshape(len(laws), n)
+
+
+@dataclass(frozen=True)
+class Lame:
+    """Tubes in one another under inner pressure, without strain along the axis: u = A r + B/r in each.
+
+    Attributes:
+        radii: bore, interfaces and rim, growing lengths.
+        laws: of the tubes, from the innermost one.
+        coefficients: (tubes, 2) A and B.
+    """
+
+    radii: tuple[float, ...]
+    laws: tuple[LinearElastic, ...]
+    coefficients: Array
+
+    def displacement(self, k: int, r: float) -> float:
+        """Radial displacement of tube k at a radius."""
+        return float(self.coefficients[k] @ _solutions(0, self.laws[k], r)[0])
+
+    def stress(self, k: int, r: float) -> float:
+        """Radial stress in tube k at a radius."""
+        return float(self.coefficients[k] @ _solutions(0, self.laws[k], r)[2])
+
+
+def lame(radii: Sequence[float], laws: Sequence[LinearElastic], springs: Sequence[float | None], p: float) -> Lame:
+    """Solve.
+
+    Args:
+        radii, laws: see `Lame`.
+        springs: normal stiffness between neighbours, stress per length; None: bonded.
+        p: pressure in the bore; the rim is free.
+    """
+    n = len(laws)
+    A, b = np.zeros((2 * n, 2 * n)), np.zeros(2 * n)
+    A[0, :2], b[0] = _solutions(0, laws[0], radii[0])[2], -p
+    for k, spring in enumerate(springs):
+        r, row, inside, outside = radii[k + 1], 1 + 2 * k, slice(2 * k, 2 * k + 2), slice(2 * k + 2, 2 * k + 4)
+        inner, outer = (_solutions(0, law, r) for law in laws[k : k + 2])
+        A[row, inside], A[row, outside] = inner[2], -outer[2]
+        A[row + 1, inside], A[row + 1, outside] = -inner[0], outer[0]
+        if spring is not None:
+            A[row + 1, inside] -= inner[2] / spring
+    A[-1, -2:] = _solutions(0, laws[-1], radii[-1])[2]
+    return Lame(tuple(radii), tuple(laws), np.asarray(np.linalg.solve(A, b).reshape(n, 2), float))
+
+
+# ---------------------------------------------------------------- a coated fibre
+RADIUS, RIM, STRETCH = 0.4, 1.0, 0.1  # the rim is stretched along x
+GLASS, RESIN = young(E=5.0, nu=0.3), young(E=1.0, nu=0.2)
+COATING = LinearElastic(lmbda=0.6, mu=0.7)  # at the thickness 1
+
+
+def coated_fibre(h: float) -> tuple[Joint, dict[str, Any]]:
+    """A fibre in a disc of resin whose rim is stretched; joint, data of its models. Without units."""
+    rim = {"x": lambda x, t: STRETCH * x[0], "y": 0.0}
+    setup = {"body": {"FIBRE": GLASS, "MATRIX": RESIN}, "supports": {"OUTSIDE": rim}}
+    return fibre(RADIUS, RIM, h, cell="quadrilateral", degree=2), setup
+
+
+def against_cylinders(full: Solution, limit: Solution) -> dict[str, float]:
+    """Relative L2 difference of both models' jumps in closed form; relative error of the full model's energy."""
+    eps = float(layer_of(full).eps)
+    springs = (COATING.lmbda + 2 * COATING.mu, COATING.mu)
+    jumps = Cylinders.stretched((GLASS, RESIN), (RADIUS, RIM), [springs], (STRETCH, 0.0)).jumps(0)
+    radii, laws = (RADIUS - eps / 2, RADIUS + eps / 2, RIM), (GLASS, COATING.scaled(eps), RESIN)
+    layer = Cylinders.stretched(laws, radii, [None, None], (STRETCH, 0.0))
+    inner, outer = (
+        np.array([layer.fields(mode, k, r)[:2] for mode in MODES]) for k, r in ((0, radii[0]), (2, radii[1]))
+    )
+    weights = np.array([[2.0], [1.0]])  # of the squares of both modes in integrals over the circle
+    error = (weights * (outer - inner - jumps) ** 2).sum() / (weights * jumps**2).sum()
+    return {"closed_form": float(np.sqrt(error)), "energy": abs(_stored(last(full)) / layer.energy - 1)}
+
+
+def _stored(state: State) -> float:
+    energies = state.energies()
+    return float(energies["bodies"] + energies["layer"])
+
+
+def as_cylinders(record: Record, tables: Tables) -> None:
+    """The difference of both models is that of their closed forms."""
+    ratio = tables["fibre"]["error_jump"] / tables["fibre"]["closed_form"]
+    record.check("error of the jump over that of the closed forms, less 1", abs(ratio - 1).max(), high=2e-3)
+    record.check("energy of the meshed model, relative error", max(tables["fibre"]["energy"]), high=5e-5)
+
+
+# ---------------------------------------------------------------- bonded tubes
+SHAFT, HUB = young(E=210e3, nu=0.3), young(E=70e3, nu=0.34)  # MPa: steel and aluminium
+GLUE, GLUE_EPS = young(E=2e3, nu=0.3), 0.2  # 2 GPa where the layer is 0.2 mm thick
+RADII = (6.0, 12.0, 18.0)  # mm: bore, S, rim
+HEIGHT = 8.0  # mm
+PRESSURE, PUSH = 50.0, 40.0  # MPa: in the bore; on the end of the shaft
+LAME = 5e-5  # relative error of displacements and tractions by Q2 cells of 1 mm; of 2 mm: 16 times as large
+PRESSED: dict[str, Any] = {
+    "supports": {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}, "tractions": {"BOTTOM": (PRESSURE, 0.0)}
+}  # fmt: skip
+PUSHED: dict[str, Any] = {"supports": {"RIGHT/UPPER": 0.0}, "tractions": {"LEFT/LOWER": (0.0, -PUSH)}}
+
+
+def tubes(h: float, loads: dict[str, Any]) -> tuple[Joint, dict[str, Any]]:
+    """The section of both tubes: x is the radius; "BOTTOM" is the bore, "LEFT" the upper end; joint, data of its models."""
+    bore, on_S, rim = RADII
+    flat = sandwich(HEIGHT, on_S - bore, rim - on_S, h, cell="quadrilateral", structured=True)
+    bodies = {"body": {"LOWER": SHAFT, "UPPER": HUB}, "plane": "axisymmetric"}
+    return flat.rotated(-np.pi / 2).moved((on_S, 0.0)), bodies | loads
+
+
+def inside_tubes(x: Any) -> Any:
+    """Away from the ends of the tubes."""
+    return abs(x[1] + HEIGHT / 2) < 0.3 * HEIGHT
+
+
+def against_lame(full: Solution, limit: Solution) -> dict[str, float]:
+    """Relative differences from the closed form: of the bore's displacement, and of the mean traction on S."""
+    eps, (bore, on_S, rim) = float(layer_of(limit).eps), RADII
+    layer = lame(
+        (bore, on_S - eps / 2, on_S + eps / 2, rim), (SHAFT, GLUE.scaled(eps / GLUE_EPS), HUB), (None, None), PRESSURE
+    )
+    springs = lame(RADII, (SHAFT, HUB), ((GLUE.lmbda + 2 * GLUE.mu) / GLUE_EPS,), PRESSURE)
+    surface, row = Surface(last(limit).model), {}
+    work = 2 * np.pi * bore * HEIGHT * PRESSURE
+    for name, state, exact in (("law", last(limit), springs), ("meshed", last(full), layer)):
+        row[f"{name}_bore"] = abs(state.energies()["loads"] / (work * exact.displacement(0, bore)) - 1)
+        force = surface.integral(surface.frame(surface.traction(state))[1]) / (2 * np.pi * HEIGHT)
+        sides = [exact.radii[1], exact.radii[-2]]  # forces on both faces of a meshed layer, over the area of S
+        forces = [exact.stress(k, r) * r for k, r in zip((0, len(exact.laws) - 1), sides, strict=True)]
+        row[f"{name}_traction"] = abs(force / float(np.mean(forces)) - 1)
+    return row
+
+
+def as_lame(record: Record, tables: Tables) -> None:
+    """Both models under inner pressure are those in closed form."""
+    high = 16 * LAME if record.options.get("quick") else LAME
+    for name in ("meshed", "law"):
+        worst = max(max(tables["tubes"][f"{name}_{what}"]) for what in ("bore", "traction"))
+        record.check(f"relative difference from Lame, {name}", worst, high=high)

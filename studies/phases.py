@@ -1,0 +1,138 @@
+"""Layers of two phases in `rates`: their laws, wrong laws beside them, shares of S in each phase, and snaps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import ufl
+
+from forms import NonMonotone, NonMonotoneUnrelaxed, TractionLaw
+from forms.base import Array
+from forms.kinematics import Expr
+from forms.traction import JumpStep
+from geometry import sandwich
+from geometry.joint import Joint
+from studies.problems import FOURIER_BODY, phases_on_s
+from studies.sweeping import Tables, last, last_order
+from thinlayer import Surface
+from thinlayer.discretisation.state import State
+from thinlayer.running.record import Record
+from thinlayer.solving.history import History, Solution
+
+# chi, in the axes t, n of S
+OBLIQUE, SHEARED = np.array([[0.0, 0.3], [0.3, 0.5]]), np.array([[0.0, 0.5], [0.5, 0.0]])
+# law; amplitudes of shear and pull on the upper side
+CASES: dict[str, tuple[NonMonotone, float, float]] = {
+    "": (NonMonotone(60.0, 40.0, alpha=1.0, transformation_energy=0.0031, chi=OBLIQUE), 4.0, 1.0),
+    "across": (NonMonotone(60.0, 40.0, alpha=0.7, transformation_energy=0.003, chi=np.diag([0.0, 1.0])), 1.0, 1.2),
+    "along": (NonMonotone(60.0, 40.0, alpha=0.3, transformation_energy=0.0004, chi=SHEARED), 4.0, 0.4),
+}
+PURE = NonMonotoneUnrelaxed(60.0, 40.0, alpha=0.6, transformation_energy=0.0025, chi=OBLIQUE)
+CLOSE = 1e-9  # distance of a phase fraction from a pure phase that counts as rounding
+SHARE = 0.15  # least share of S that each phase, and mixtures, must have
+
+
+@dataclass(frozen=True)
+class Formula(TractionLaw):
+    """Interface law of `NonMonotone` in 2D, mu w_T + K_N w_N n - phase alpha chi n, with coefficients of one's own.
+
+    Attributes:
+        mu, K_N: stiffness along and across S, stress per length.
+        alpha, C, G: as of `NonMonotone`, per thickness.
+        chi_12, chi_22: chi n in the layer's axes.
+        minus: 1, or 0 for Eq. (43) as printed, which has no phase -1.
+    """
+
+    mu: float
+    K_N: float
+    alpha: float
+    C: float
+    G: float
+    chi_12: float
+    chi_22: float
+    minus: float = 1.0
+
+    @classmethod
+    def of(cls, layer: NonMonotone, **changed: float) -> Formula:
+        """The interface law of a layer, with some coefficients changed."""
+        given = layer.parameters()
+        same = {name: given[name] for name in ("mu", "alpha", "G")} | {"C": given["transformation_energy"]}
+        same |= {"K_N": layer.lmbda + 2 * layer.mu, "chi_12": layer.chi[0, 1], "chi_22": layer.chi[1, 1]}
+        return cls(**same | changed)
+
+    def traction(self, step: JumpStep) -> Expr:
+        """Traction, as of any `TractionLaw`."""
+        w, n = step.mid, step.n
+        w_N, tangent = ufl.dot(w, n), ufl.as_vector([n[1], -n[0], 0])
+        stress = self.alpha * (self.chi_12 * tangent + self.chi_22 * n)
+        m = ufl.dot(stress, w)
+        fraction = ufl.min_value(ufl.max_value((abs(m) - self.C) / (self.alpha**2 * self.G) + 0.5, 0), 1)
+        phase = fraction * ufl.conditional(ufl.lt(m, 0), -self.minus, 1)
+        return self.mu * (w - w_N * n) + self.K_N * w_N * n - phase * stress
+
+
+# lambda + mu of Eqs. (41)-(42); no phase -1, Eq. (43); laminates across n alone, 1/(lambda + 2 mu)
+PRINTED, ONE_BRANCH = Formula.of(CASES[""][0], K_N=100.0), Formula.of(CASES[""][0], minus=0.0)
+SMALL_GAIN = Formula.of(CASES["across"][0], G=1 / 140)
+
+
+def blocks(h: float, shear: float, pull: float, *, moved: bool = False) -> tuple[Joint, dict[str, Any]]:
+    """Two blocks, 2 wide and 0.5 high, under (shear sin(pi x), pull cos(pi x/2)) on top; joint, data of its models.
+
+    That is a traction, or, times t, a displacement. The lower side is clamped, the lateral sides are on rollers.
+    """
+    joint = sandwich(2.0, 0.5, 0.5, h, cell="quadrilateral", structured=True)
+
+    def top(x: Any, t: Any) -> tuple[Any, Any]:
+        share = t if moved else 1
+        return share * shear * ufl.sin(ufl.pi * x[0]), share * pull * ufl.cos(ufl.pi * x[0] / 2)
+
+    supports: dict[str, Any] = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    moves = {"TOP": {"x": lambda x, t: top(x, t)[0], "y": lambda x, t: top(x, t)[1]}}
+    data = {"supports": supports | (moves if moved else {}), "tractions": {} if moved else {"TOP": top}}
+    return joint, {"body": FOURIER_BODY} | data
+
+
+def along_s(state: State, _: Surface) -> dict[str, Array]:
+    """The phase of the layer at the facets of S."""
+    return dict(zip(("x", "phase"), phases_on_s(state), strict=True))
+
+
+def shares(full: Solution, limit: Solution) -> dict[str, float]:
+    """Shares of S in phase 1, in -1, and where they are mixed; columns whose phase in the meshed layer is another one."""
+    state = last(limit)
+    (_, on_s), (_, meshed) = (phases_on_s(last(one)) for one in (limit, full))
+    mixed = (abs(on_s) > CLOSE) & (abs(on_s) < 1 - CLOSE)
+    (row,), differ = Surface(state.model).table(state).rows, abs(meshed - on_s) > 0.5
+    pure = {name: float(row[name] or 0.0) for name in ("plus", "minus")}
+    return pure | {"mixed": float(mixed.mean()), "differ": float(differ.sum())}
+
+
+def all_there(record: Record, tables: Tables) -> None:
+    """Both phases and mixtures have a part of S."""
+    for name in ("non_monotone", "non_monotone across", "non_monotone along"):
+        for share in ("plus", "minus", "mixed"):
+            record.check(f"share of S, {share}, {name}", tables[name][share][-1], low=SHARE)
+
+
+def snaps(full: Solution, limit: Solution) -> dict[str, float]:
+    """Shares, and snaps on S: relative differences of their times, the largest, and of the energy lost in all."""
+    assert isinstance(full, History)
+    assert isinstance(limit, History)
+    row = shares(full, limit) | {"snaps": len(limit.snaps), "error_times": np.nan, "error_lost": np.nan}
+    meshed, on_s = (np.array([(snap.t, snap.lost) for snap in one.snaps]).reshape(-1, 2) for one in (full, limit))
+    if len(meshed) == len(on_s) > 0:
+        row["error_times"] = float(abs(meshed - on_s)[:, 0].max() / on_s[-1, 0])
+        row["error_lost"] = float(abs(meshed[:, 1].sum() / on_s[:, 1].sum() - 1))
+    return row
+
+
+def same_snaps(record: Record, tables: Tables) -> None:
+    """Columns of the meshed layer switch as facets of S do, at times that differ by O(eps)."""
+    table = tables["non_monotone unrelaxed"]
+    record.check("columns in another phase than on S, unrelaxed, any eps", table["differ"].max(), high=0.0)
+    record.check("snaps, unrelaxed", table["snaps"].min(), low=5.0)
+    for what, high in {"times": 1.3, "lost": 1.6}.items() if len(table) > 1 else ():
+        record.check(f"last observed order, {what}, of snaps", last_order(table, f"error_{what}"), low=0.85, high=high)

@@ -1,0 +1,78 @@
+"""Two cylinders, glued end to end, in `rates`: in 3D and by their section through the axis."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from geometry import disc, sandwich
+from geometry.joint import Joint
+from studies.problems import STEEL
+from studies.sweeping import Tables, last, layer_of
+from thinlayer import Structure, Surface, solve
+from thinlayer.discretisation.state import State
+from thinlayer.running.record import Record
+from thinlayer.solving.history import Solution
+
+RADIUS, HEIGHT = 12.0, 10.0  # mm: of each cylinder
+STRESS, BENDING = 20.0, 30.0  # MPa: mean, and at the edge
+SAME = 0.01  # relative difference of means in three dimensions and in the axisymmetric section
+
+
+def rods(sizes: tuple[float, float]) -> tuple[Joint, dict[str, Any]]:
+    """Two cylinders, glued end to end, under tension and bending; sizes of cells inside and on S.
+
+    Bending opens one half of S as much as it closes the other: means over S and over the top are those of tension, which
+    the section through the axis has too.
+    """
+    return disc(RADIUS, HEIGHT, HEIGHT, sizes[0], h_S=sizes[1], cell="hexahedron", degree=2), {
+        "body": STEEL,
+        "supports": {"BOTTOM": 0.0},
+        "tractions": {"TOP": lambda x, t: (0.0, STRESS + BENDING * x[0] / RADIUS, 0.0)},
+    }
+
+
+def inside_rods(x: Any) -> Any:
+    """Away from the edge, where the layer's free side disturbs."""
+    return _radius(x) < 0.75 * RADIUS
+
+
+def _radius(x: Any) -> Any:
+    return np.sqrt(sum(x[k] ** 2 for k in (0, 2)[: len(x) - 1]))
+
+
+def against_section(full: Solution, limit: Solution) -> dict[str, float]:
+    """Mean rise of the top (mm) and mean normal traction (MPa), in 3D and in the section through the axis.
+
+    The mean is weighted with 1 - r^2/R^2, because equilibrium gives the plain one. In the section x = r, y is the axis.
+    """
+    layer = layer_of(limit)
+    section = sandwich(RADIUS, HEIGHT, HEIGHT, 2.0, h_S=0.8, h_ends=0.3)
+    load = {"TOP": (0.0, STRESS)}
+    tension = Structure(section, body=STEEL, supports={"BOTTOM": 0.0}, tractions=load, plane="axisymmetric")
+    limit_there = solve(tension.interface(layer))
+    found = {}
+    for name, state, there in (("meshed", full, solve(tension.full(layer))), ("law", limit, limit_there)):
+        for where, one, surface in (
+            ("", last(state), Surface(last(limit).model)),
+            ("_axisymmetric", there, Surface(limit_there.model)),
+        ):
+            found[f"rise_{name}{where}"] = _rise(one)
+            part = 1 - _radius(surface.x) ** 2 / RADIUS**2
+            normal = surface.frame(surface.traction(one))[-1]
+            found[f"traction_{name}{where}"] = surface.integral(part * normal) / surface.integral(part)
+    return found
+
+
+def _rise(state: State) -> float:
+    top = state.model.ds(state.model.domain.values("TOP"))
+    return state.integral(state.u[1] * top) / (math.pi * RADIUS**2)
+
+
+def in_section(record: Record, tables: Tables) -> None:
+    """Means in three dimensions are those in the section through the axis."""
+    for name in (f"{what}_{model}" for what in ("rise", "traction") for model in ("meshed", "law")):
+        apart = np.abs(tables["butt_joint"][name] / tables["butt_joint"][f"{name}_axisymmetric"] - 1).max()
+        record.check(f"{name} in 3D against the axisymmetric section", apart, high=SAME)
