@@ -11,6 +11,7 @@ import ufl
 
 from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from geometry import block, sandwich
+from tests.non_monotone_run import HEATED
 from tests.own_laws import Mises, layer_of
 from tests.ranks import Ending
 from tests.softening_bars import DAMAGED, KINKED, SHORT, tilted
@@ -37,6 +38,7 @@ MARCHES: dict[str, tuple] = {
     "kinked": (softening, KINKED, SHORT, 1.0),
     "plastic": (SOLID.full, Mises(60.0, 40.0, limit=1.5), TIMES, 1.0),
     "adaptive": (FLAT.interface, KelvinVoigt(60.0, 40.0, 0.3, 0.5), Adaptive(0.4, 0.02, 5e-3), 0.5),
+    "switching": (FLAT.interface, HEATED, TIMES, 1.0),
     "pressure": (FLAT.full, Incompressible(40.0), TIMES, 1.0),
 }
 

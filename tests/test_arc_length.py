@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
-import ufl
 
-from forms.traction import TractionLaw
 from tests.softening_bars import (
     FAR,
     KINKED,
@@ -19,8 +17,6 @@ from tests.softening_bars import (
     C,
     Cohesive,
     Damage,
-    Trilinear,
-    across_and_along,
     bar,
     openings,
     sigma,
@@ -40,8 +36,9 @@ def turning_points(t, w, law) -> list[tuple[float, float]]:
 
 
 # ---------------------------------------------------------------- the bar
-@pytest.mark.parametrize("backwards", [False, True])
-@pytest.mark.parametrize(("law", "first"), [(STEEP, 0.05), (STEEP, 0.13), (SHARP, 0.07)])
+@pytest.mark.parametrize(
+    ("law", "first", "backwards"), [(STEEP, 0.05, False), (STEEP, 0.13, True), (SHARP, 0.07, False)]
+)
 def test_a_bar_that_snaps_back(law, first, backwards):
     """Rows are on the straight branches of t = w + sigma(w) H/E, in their order, for any step and in both directions."""
     support = (lambda x, t: FAR - t) if backwards else (lambda x, t: t)
@@ -50,7 +47,7 @@ def test_a_bar_that_snaps_back(law, first, backwards):
     w = openings(history)
     assert t == pytest.approx(w + C * sigma(law, w), abs=1e-11)
     assert (np.diff(w) < 0).all() if backwards else (np.diff(w) > 0).all()
-    assert history.last.t == FAR
+    assert history.at(FAR) is history.last
     turns = [(law.w_1, law.w_1 + C * sigma(law, law.w_1)), (law.w_2, law.w_2 + C * sigma(law, law.w_2))]
     assert turns[0][1] > turns[1][1] + 0.2  # it snaps back
     assert np.array(turning_points(t, w, law)) == pytest.approx(np.array(turns), abs=1e-9)
@@ -61,30 +58,10 @@ def test_a_bar_that_snaps_back(law, first, backwards):
     assert (table["dt"] < 0).any()
 
 
-def test_a_march_in_time_ends_where_a_path_turns():
-    """From both ends: it is the path outside the loop, and has nothing on the falling branch."""
-    path = march(bar(STEEP), ArcLength(end=FAR, first=0.05))
-    w = openings(path)
-    assert ((w > STEEP.w_1) & (w < STEEP.w_2)).sum() > 5
-    ends = [x + C * sigma(STEEP, x) for x in (STEEP.w_1, STEEP.w_2)]
-    for backwards, end, before in ((False, ends[0], w < STEEP.w_1), (True, ends[1], w > STEEP.w_2)):
-        support = (lambda x, t: FAR - t) if backwards else (lambda x, t: t)
-        with pytest.raises(SolveError, match="failed, and so did longer ones: Newton's method failed") as caught:
-            march(bar(STEEP, support), [0.3, 0.6, 0.9, 1.2, FAR])
-        history = caught.value.history
-        t = FAR - history.t if backwards else history.t
-        assert abs(t[-1] - end) < 1e-3
-        order = np.argsort(t)
-        inside = before & (path.t >= t.min()) & (path.t <= t.max())
-        assert inside.sum() > 5
-        in_time = np.interp(path.t[inside], t[order], openings(history)[order])
-        assert w[inside] == pytest.approx(in_time, abs=1e-10)
-
-
 @pytest.mark.few(5)
-@pytest.mark.parametrize("change", [lambda t: t, lambda t: t + 0.3 * t**2])
-def test_a_load_that_has_a_limit(change):
+def test_a_load_that_has_a_limit():
     """The bar under a traction: it rises to the peak of the law, falls, and rises again; t as a load need not be linear."""
+    change = lambda t: t + 0.3 * t**2
     history = march(bar(STEEP, traction=lambda x, t: (0.0, change(t))), ArcLength(end=1.0, first=0.04))
     w = openings(history)
     assert change(history.t) == pytest.approx(sigma(STEEP, w), abs=1e-9)
@@ -107,42 +84,17 @@ def test_piecewise_supports():
         march(bar(STEEP, late), ArcLength(end=FAR, first=0.05), start=0.4)
 
 
-# ---------------------------------------------------------------- smooth laws
-@dataclass(frozen=True)
-class Exponential(TractionLaw):
-    """k w exp(-w/w_0) across S."""
-
-    k: float
-    w_0: float
-    k_T: float
-
-    def traction(self, step):
-        w = ufl.dot(step.mid, step.n)
-        return across_and_along(w, self.k * w * ufl.exp(-w / self.w_0), self.k_T, step)
-
-
-SMOOTH = Exponential(k=30.0, w_0=0.06, k_T=1.9)
-
-
-@pytest.mark.parametrize("first", [0.08, 0.04, 0.02])
-def test_a_smooth_law(first):
-    """Rows are on the closed form for any step, beyond both turning points, where 1 + C sigma'(w) = 0."""
-    history = march(bar(SMOOTH), ArcLength(end=1.0, first=first))
+# ---------------------------------------------------------------- a smooth law
+@pytest.mark.parametrize("first", [0.08, 0.02])
+def test_a_law_with_memory(first):
+    """Damage: as the bar unloads, S goes on opening, and remembers; the path is that of its envelope, for any step."""
+    law = Damage(k=30.0, w_0=0.06, k_T=1.9)
+    history = march(bar(law), ArcLength(end=1.0, first=first))
     w, t = openings(history), history.t
-    assert t == pytest.approx(w + C * SMOOTH.k * w * np.exp(-w / SMOOTH.w_0), abs=1e-9)
+    assert t == pytest.approx(w + C * law.k * w * np.exp(-w / law.w_0), abs=1e-9)
     assert (np.diff(w) > 0).all()
-    slope = 1 + C * SMOOTH.k * (1 - w / SMOOTH.w_0) * np.exp(-w / SMOOTH.w_0)
-    assert np.flatnonzero(np.diff(np.sign(slope))).size == 2
-    assert (slope < 0).sum() > 5
-
-
-def test_a_law_with_memory():
-    """Damage: as the bar unloads, S goes on opening, and remembers; the path is that of its envelope."""
-    history = march(bar(Damage(SMOOTH.k, SMOOTH.w_0, SMOOTH.k_T)), ArcLength(end=1.0, first=0.05))
-    w, t = openings(history), history.t
-    assert t == pytest.approx(w + C * SMOOTH.k * w * np.exp(-w / SMOOTH.w_0), abs=1e-9)
-    assert (np.diff(t) < 0).any()
-    assert (np.diff(w) > 0).all()
+    slope = 1 + C * law.k * (1 - w / law.w_0) * np.exp(-w / law.w_0)
+    assert np.flatnonzero(np.diff(np.sign(slope))).size == 2  # beyond both turning points
     assert np.array([state.memory["layer"].max() for state in history]) == pytest.approx(w, abs=1e-12)
     assert np.abs(history.table["imbalance"]).max() < 1e-9
 
@@ -161,29 +113,8 @@ def test_a_block_that_softens_from_one_side():
     assert np.abs(history.table["imbalance"]).max() < 1e-9
 
 
-@pytest.mark.long
-def test_rows_of_long_steps_are_on_the_path_of_short_ones():
-    """Distances in (t, nodal displacements of S); the second path turns often, and never goes back."""
-    law = Trilinear(k=70.0, fall=15.0, w_1=0.011, w_2=0.033, k_T=30.0)
-    fine, coarse = (points(march(tilted(law), ArcLength(end=0.15, first=first))) for first in (0.0015, 0.006))
-    assert np.count_nonzero(np.diff(np.sign(np.diff(fine[:, 0])))) >= 4
-    assert max(distance(p, fine) for p in coarse) < 1e-3
-
-
-def points(history) -> np.ndarray:
-    x = history.model.V.tabulate_dof_coordinates()
-    lower = np.flatnonzero(np.isclose(x[:, 1], 0.0))
-    return np.array([[state.t, *state.u.x.array.reshape(-1, 2)[lower, 1]] for state in history])
-
-
-def distance(p, line) -> float:
-    a, v = line[:-1], np.diff(line, axis=0)
-    share = np.clip(((p - a) * v).sum(axis=1) / (v * v).sum(axis=1), 0, 1)
-    return float(np.linalg.norm(a + share[:, None] * v - p, axis=1).min())
-
-
 @pytest.mark.few(5)
-@pytest.mark.parametrize(("k", "w_0", "first"), [(5.4, 0.17, 0.22), (0.9, 0.07, 0.05), (31.0, 0.017, 0.1)])
+@pytest.mark.parametrize(("k", "w_0", "first"), [(5.4, 0.17, 0.22), (31.0, 0.017, 0.1)])
 def test_a_path_goes_on_without_force(k, w_0, first):
     """Forces vanish, on one side first: a path that turned round there would go back along itself."""
     history = march(tilted(Cohesive(k, w_0)), ArcLength(end=1.0, first=first))

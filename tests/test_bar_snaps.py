@@ -35,20 +35,6 @@ def test_layouts_are_all_there_is(delta):
     assert LONG.energy(delta) <= least.energy * (1 + 1e-12)
 
 
-def test_every_layout_of_eight_elements_is_a_local_minimiser():
-    assert BAR.layouts(1.6, 8).local.all()
-    assert BAR.layouts(1.3, 8).local.tolist() == [True] * 9
-    assert not BAR.layouts(1.8, 8).local[0]  # beyond the snap
-    assert BAR.layouts(1.2, 8).local.tolist() == [True] * 8 + [False]
-
-
-def test_layouts_tend_to_the_relaxed_energy_from_above():
-    delta = np.linspace(LONG.delta_0, LONG.delta_1, 2003)
-    above = [np.max(LONG.layouts(delta, n).least().energy - LONG.energy(delta)) for n in (4, 8, 16)]
-    assert all(np.min(LONG.layouts(delta, n).least().energy - LONG.energy(delta)) > -1e-13 for n in (4, 8, 16))
-    assert np.log2(np.divide(above[:-1], above[1:])) == pytest.approx([2, 2], abs=0.02)
-
-
 # ---------------------------------------------------------------- snaps
 @pytest.mark.parametrize("bar", [BAR, LONG, replace(LONG, kbar=0.9, cbar=1.4)], ids=["paper", "long", "soft"])
 def test_snaps(bar):
@@ -72,20 +58,7 @@ def test_snaps(bar):
         assert not bar.branch(delta - inside, z).local
 
 
-def test_cycle_loses_the_loop():
-    """Steps of a cycle that keeps its phase while it holds: net work within the step of the loop's area."""
-    there = np.linspace(0, 1.3 * LONG.up, 3001)
-    phase, work, last = 0, 0.0, (0.0, 0.0)
-    for delta in [*there, *there[::-1]]:
-        e = equilibrium(LONG, delta, [phase])[0]
-        phase = int(lowest_phase_by_drive(LONG, e)[0])
-        sigma = body(LONG, delta, LONG.eps * LONG.l * equilibrium(LONG, delta, [phase])[0][0])[0]
-        work += (sigma + last[1]) / 2 * (delta - last[0])
-        last = (delta, sigma)
-    assert work == pytest.approx(LONG.loop_area, rel=1e-2)
-
-
-@pytest.mark.parametrize("mixing", [0.0, 0.2, 0.5, 0.9, 1.0])
+@pytest.mark.parametrize("mixing", [0.2, 0.9, 1.0])
 def test_equilibrium_path_of_a_uniform_layer(mixing):
     """Every elongation of the layer gives a point on the polygon; the layer's stress is the derivative of its energy."""
     U = np.linspace(0, 1.5 * LONG.U(LONG.delta_1), 401)
@@ -102,6 +75,8 @@ def test_equilibrium_path_of_a_uniform_layer(mixing):
     back = delta[1:] < delta[:-1] - 1e-12
     excess = (1 - LONG.eps) / (LONG.K * LONG.R) - mixing  # of the layer's steepness over the body's
     assert back.any() == (excess > 0)
+    if mixing == 1:
+        assert vertices[1:3] == pytest.approx(np.array([[at, LONG.sigma_m] for at in (LONG.delta_0, LONG.delta_1)]))
     if back.any():
         lost = LONG.free_elongation * LONG.alpha * excess
         assert lost_in_both(LONG, vertices) == pytest.approx(lost, rel=1e-12)
@@ -117,19 +92,3 @@ def lost_in_both(bar, vertices):
     energy = lambda delta, z: bar.branch(delta, z).energy
     up, down = vertices[1, 0], vertices[2, 0]
     return energy(up, 0) - energy(up, 1) + energy(down, 1) - energy(down, 0)
-
-
-def test_fraction_of_a_softening_layer_has_the_least_energy():
-    z = np.linspace(-1, 1, 20001)
-    for U, mixing in product([0.3, 0.55, 0.6, -0.7, 1.1], [0.3, 1.0]):
-        _, energy, phase = LONG.layer(U, mixing)
-        g = mixing * LONG.alpha**2 * LONG.l / LONG.kbar
-        mixed = LONG.l * LONG.cbar * abs(z) - z * LONG.alpha * U - abs(z) * (1 - abs(z)) * g / 2
-        assert energy == pytest.approx(LONG.kbar / LONG.l * U**2 / 2 + mixed.min(), abs=1e-8)
-        assert phase == pytest.approx(z[np.argmin(mixed)], abs=2e-4)
-
-
-def test_a_layer_that_mixes_all_has_the_thresholds_of_least_energy():
-    vertices = LONG.path(1.0)
-    assert vertices[1:3, 0] == pytest.approx([LONG.delta_0, LONG.delta_1], rel=1e-12)
-    assert vertices[1:3, 1] == pytest.approx([LONG.sigma_m] * 2, rel=1e-12)

@@ -28,13 +28,7 @@ def test_the_largest_forces_count():
     assert scale.forces == scale.least == 40.0
     assert scale.relative(4.0) == pytest.approx(0.1)
     scale.begin(3.0, 0.0, 0.0)  # a new step forgets it
-    assert scale.forces == 3.0
-
-
-@pytest.mark.parametrize("wrong", [math.nan, math.inf])
-def test_forces_that_are_not_finite_do_not_count(wrong):
-    scale = begun(loads=3.0)
-    scale.start(wrong)
+    scale.start(math.inf)  # and forces that are not finite do not count
     scale.see(math.nan)
     assert scale.forces == 3.0
     assert not math.nan <= scale.allowed
@@ -54,21 +48,6 @@ def test_loads_that_end_at_zero():
     assert scale.least == pytest.approx(1e-8 * STIFF * 0.3)
     assert scale.allowed == pytest.approx(1e-14 * STIFF * 0.3)
     assert begun(moved=0.3, loads=1.0).forces == 1.0
-
-
-def test_no_loads_at_all():
-    """Nothing out of balance is in balance, anything else is not, and no division by zero."""
-    scale = begun()
-    assert scale.forces == scale.aim(0.0) == scale.aim(1.0) == scale.allowed == scale.relative(0.0) == 0.0
-    assert scale.relative(1e-100) > 1e100
-
-
-def test_stiff_bodies_moved_by_supports():
-    """Rounding of prescribed displacements is allowed, whatever the loads; what soft loads leave beyond it is not."""
-    scale = begun(1e12, loads=1e-6, prescribed=1.0)
-    assert scale.aim(0.0) >= EPSILON * 1e12
-    assert scale.allowed >= EPSILON * 1e12
-    assert scale.allowed < 0.1
 
 
 def test_bodies_far_away_on_soft_springs():

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import KelvinVoigt, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack
+from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack
 from forms.traction import TractionLaw
 from tests.limit_load_run import FULL, SLIDING, dragged, sheared
 from tests.refused import refused
@@ -22,7 +22,6 @@ from thinlayer.parts.compiled import CompiledPart
 from thinlayer.running.cli import main as command
 from thinlayer.running.process import OK, UNFINISHED
 from thinlayer.running.record import Record
-from thinlayer.solving.equilibrium import Found
 from thinlayer.solving.solvers import Solver
 
 pytestmark = pytest.mark.few(5)
@@ -40,11 +39,12 @@ def limit(model, times=TIMES, **choices) -> LimitLoad:
 
 
 # ---------------------------------------------------------------- the limit load
-@pytest.mark.parametrize("kind", ["S", "band"])
-@pytest.mark.parametrize("law", LIMITS, ids=lambda law: type(law).__name__)
-def test_the_limit_of_a_sheared_block(law, kind):
+@pytest.mark.parametrize(("law", "kind"), [(SLIDING, "S"), (FULL, "band")], ids=["S", "band"])
+def test_the_limit_of_a_sheared_block(law, kind, tmp_path):
     """The traction of every point is at its bound there, so that the mean is, wherever the pressure is."""
-    error = limit(sheared(kind, law))
+    error = limit(sheared(kind, law), out=tmp_path, keep="all" if kind == "S" else "last")
+    again = limit(sheared(kind, law), out=tmp_path, keep="all" if kind == "S" else "last", resume=True)
+    assert (again.t, again.failed_at) == (error.t, error.failed_at)
     assert error.t < LIMITS[law] < error.failed_at == pytest.approx(error.t + SMALLEST, abs=1e-9)
     assert error.resultant == pytest.approx((error.t, -1.0), abs=1e-12)
     assert f"at t = {error.t:.10g}, where the loads on the bodies add up to ({error.t:.6g}, -1)" in str(error)
@@ -55,28 +55,10 @@ def test_the_limit_of_a_sheared_block(law, kind):
     assert before.last.u.x.array == pytest.approx(error.history.last.u.x.array, rel=1e-6, abs=1e-9)
 
 
-def test_a_body_force_counts():
-    """In a block 0.25 high; the pressure is that of its weight."""
-    error = limit(sheared("S", tractions={"TOP": lambda x, t: (t, 0.0)}, body_force=(0.0, -2.0)))
-    assert error.resultant == pytest.approx((error.t, -0.5), abs=1e-12)
-    assert error.t < 0.1 + 0.5 * TAN < error.failed_at
-
-
-def test_the_law_eases():
-    assert FULL.traits.eases
-    assert [FULL.eased(ease).elastic_fraction for ease in (0, 1)] == pytest.approx([FULL.elastic_fraction, 1.0])
-
-
 def test_adaptive_steps_and_stacks():
     law = Stack((0.4, LinearElastic(30.0, 50.0)), (0.6, SLIDING))
     error = limit(sheared("S", law), Adaptive(1.0, first=0.2, tolerance=0.2, smallest=1e-3))
     assert error.failed_at == pytest.approx(LIMITS[SLIDING], abs=2e-2)
-
-
-def test_a_sublayer_that_takes_time():
-    """Beside it displacements are small at once; they grow with the step, and run away all the same."""
-    error = limit(sheared("S", Stack((0.4, KelvinVoigt(60.0, 40.0, 0.3, 0.5)), (0.6, SLIDING))))
-    assert error.t < LIMITS[SLIDING] < error.failed_at == pytest.approx(error.t + SMALLEST, abs=1e-9)
 
 
 def test_a_moved_block_passes_the_limit_and_stays_there():
@@ -92,14 +74,6 @@ def test_a_moved_block_passes_the_limit_and_stays_there():
 def test_an_elastic_fraction_has_no_limit():
     law = MohrCoulombMonodirectional(60.0, 40.0, cohesion=0.1, friction_angle=30.0, elastic_fraction=0.02)
     assert march(sheared("S", law), TIMES).last.t == TIMES[-1]
-
-
-def test_loads_that_were_next_to_nothing():
-    """Displacements that grow a hundred million times are no sign of a limit."""
-    shear = lambda x, t: (0.5 * t + 1e-8 * (1 - t), -t - 1e-8 * (1 - t))
-    last = march(sheared("S", tractions={"TOP": shear}), [1.0]).last
-    assert last.report.iterations < 10
-    assert last.u.x.array == pytest.approx(solve(sheared("S"), 0.5).u.x.array, rel=1e-6, abs=1e-9)
 
 
 def test_what_was_seen_farther_on_stays_a_sign(monkeypatch):
@@ -120,35 +94,10 @@ def test_what_was_seen_farther_on_stays_a_sign(monkeypatch):
     assert not isinstance(caught.value, LimitLoad)
 
 
-def test_it_takes_few_solves(monkeypatch):
-    efforts = []
-    step = Solver.step
-
-    def counted(solver, old, t, theta, thorough):
-        efforts.append(thorough)
-        return step(solver, old, t, theta, thorough)
-
-    monkeypatch.setattr(Solver, "step", lambda *a: counted(*a) if len(a) > 3 else step(*a))
-    limit(sheared("S"))
-    assert len(efforts) < 30
-    assert sum(efforts) <= 5
-
-
 def test_one_step_beyond_the_limit():
-    with pytest.raises(SolveError, match=r"loads on what yields may have a limit: .* march in small steps"):
+    with pytest.raises(SolveError, match="loads may have a limit"):
         solve(sheared("S"), 0.7)
     refused(SolveError, r"the sudden load at t = 0\.7: ", lambda: march(sheared("S"), [0.8], start=0.7))
-
-
-@pytest.mark.parametrize("keep", ["all", "last"])
-def test_results_are_kept_and_resumed(tmp_path, keep):
-    error = limit(sheared("S"), keep=keep, out=tmp_path)
-    rows = list(csv.DictReader((tmp_path / "table.csv").open()))
-    assert [float(row["t"]) for row in rows] == pytest.approx(list(error.history.t))
-    again = limit(sheared("S"), keep=keep, out=tmp_path, resume=True)
-    assert (again.t, again.failed_at) == (error.t, error.failed_at)
-    assert again.resultant == pytest.approx(error.resultant, abs=1e-12)
-    assert len(again.history) == len(error.history)
 
 
 def test_a_study_ends_with_status_3(tmp_path, monkeypatch, capsys):
@@ -167,7 +116,7 @@ def test_a_study_ends_with_status_3(tmp_path, monkeypatch, capsys):
 
 # ---------------------------------------------------------------- its sign
 @pytest.mark.few(5)
-@pytest.mark.parametrize(("kind", "law"), [("S", SLIDING), ("S", FULL), ("band", SLIDING)])
+@pytest.mark.parametrize(("kind", "law"), [("S", FULL), ("band", SLIDING)])
 def test_newton_cut_short_is_no_limit(kind, law):
     """With two steps of Newton's method: what they miss is found by other means, up to the limit itself."""
     error = limit(sheared(kind, law), options={"snes_max_it": 2})
@@ -177,15 +126,6 @@ def test_newton_cut_short_is_no_limit(kind, law):
     assert f"displacements run away, {error.growth:.3g} times as far as with an elastic layer" in str(error)
     assert error.history.table["residual"].max() < 1e-9
     assert np.abs(error.history.table["imbalance"]).max() < 1e-8
-
-
-def test_the_sign_scales_with_loads_and_lengths():
-    """It is the same for loads and strengths a million times smaller, moduli as they are."""
-    small = MohrCoulombMonodirectional(60.0, 40.0, cohesion=1e-7, friction_angle=30.0)
-    tiny = limit(sheared("S", small, tractions={"TOP": lambda x, t: (1e-6 * t, -1e-6)}))
-    error = limit(sheared("S"))
-    assert (tiny.t, tiny.failed_at) == pytest.approx((error.t, error.failed_at), abs=1e-12)
-    assert tiny.growth == pytest.approx(error.growth, rel=1e-2)
 
 
 def test_adaptive_steps_that_shrink_at_the_limit():
@@ -210,7 +150,7 @@ class Tearing(TractionLaw):
 @pytest.mark.filterwarnings("ignore:Value error in evaluation of function sqrt")
 def test_steps_that_fail_without_the_sign():
     model = sheared("S", Tearing(70.0), tractions={"TOP": lambda x, t: (0.0, t)})
-    with pytest.raises(SolveError, match=r"which need not be a limit of the loads: .* Try other times") as caught:
+    with pytest.raises(SolveError, match=r"need not be a limit of the loads: try other times") as caught:
         march(model, TIMES)
     assert not isinstance(caught.value, LimitLoad)
     assert caught.value.history.t[-1] == pytest.approx(0.013 * 70.0, rel=2e-2)
@@ -220,12 +160,8 @@ def test_steps_that_fail_without_the_sign():
 @pytest.mark.parametrize("kind", ["S", "band"])
 def test_continuation_finds_what_newton_finds(kind):
     """Newton's method, allowed fewer steps than it needs, is helped by easier laws."""
-    model = dragged(
-        MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02),
-        far=0.06,
-        eps=1 / 16,
-        kind=kind,
-    )
+    law = MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02)
+    model = dragged(law, far=0.06, eps=1 / 16, kind=kind)
     direct = solve(model)
     continued = solve(model, options={"snes_max_it": 3})
     assert direct.report.eased == 0 < continued.report.eased
@@ -260,35 +196,3 @@ def test_eased_laws_leave_no_trace():
             assert (p.points.material.parameters == before).all()
         again = solver.step(solver.rest(0.3), 0.3)
     assert (again.u.x.array == expected.u.x.array).all()
-    with Solver(model) as solver:
-        (part,) = solver.equations.of_kind(CompiledPart)
-        refused(ValueError, "not of the kind that is compiled", part.points.material.take, FULL)
-
-
-def test_the_schedule_of_eases(monkeypatch):
-    """Between 0.6 and 0.3 only small decrements lead on; where there are none, or displacements run away, it ends."""
-    tried, hard, grown = [], (0.3, 0.6), lambda ease: 11 - 10 * ease
-
-    def found(solver, attempt, start=None):
-        ease, before = solver.equations.eased, min(tried, default=1.0)
-        assert (start is None) == (ease == 1)
-        if hard[0] < ease < hard[1] and before - ease > 0.11:
-            raise SolveError("too far", residuals=(1.0, 0.5))
-        tried.append(ease)
-        x = solver.equations.vector()
-        x.set(grown(ease))
-        return Found(x, 1, 0.0)
-
-    monkeypatch.setattr(Solver, "_try", found)
-    with Solver(sheared("S")) as solver:
-        eased = solver._attempts()[-1]
-        result, solves = solver._through_eased_laws(eased)
-        assert result.x.max()[1] == 11.0
-        assert (tried[0], tried[-1]) == (1.0, 0.0)
-        assert len(tried) < solves < 20
-        assert result.iterations == len(tried) + 2 * (solves - len(tried))
-        tried, hard = [], (-1.0, 0.89)
-        refused(SolveError, "too far", solver._through_eased_laws, eased)
-        tried, hard, grown = [], (0.0, 0.0), lambda ease: 1e-9 ** (ease - 1)
-        refused(SolveError, "times those of an elastic layer", solver._through_eased_laws, eased)
-        assert solver.equations.eased == 0.0

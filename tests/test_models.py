@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
-from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms import Anisotropic, LinearElastic, MohrCoulomb
+from forms import Anisotropic, LinearElastic
 from forms.base import InputError
 from forms.work import work
-from geometry import block, sandwich
+from geometry import sandwich
 from geometry.seam import Seam
-from tests.limit_load_run import dragged
 from tests.own_laws import Cubic
 from tests.refused import refused
-from thinlayer import SolveError, Structure, Surface, ThinLayer, compare, piecewise, solve
-from thinlayer.discretisation.state import displacements_of
+from thinlayer import SolveError, Structure, Surface, ThinLayer, piecewise, solve
 from thinlayer.errors import RangeWarning
 from thinlayer.output.nodal_forces import nodal_forces
-from thinlayer.solving.solvers import Solver
 
 pytestmark = pytest.mark.few(5)
 
@@ -58,12 +53,11 @@ def test_point_support_holds_both_sides_of_s():
     assert np.abs(values[:, 1]).min() > 0
 
 
-@pytest.mark.parametrize("eps", [0.2, 1e-3])
-def test_newton_on_a_users_law(eps):
+def test_newton_on_a_users_law():
     """Uniform opening w of a hardening layer: 2 k w + c w^3 = pull, in both models, with quadratic convergence."""
     k, c, pull = 5.0, 4e5, 0.6
     rollers = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-    pulled, layer = structure(supports=rollers, tractions={"TOP": (0.0, pull)}), ThinLayer(Cubic(k, c), eps, at=1.0)
+    pulled, layer = structure(supports=rollers, tractions={"TOP": (0.0, pull)}), ThinLayer(Cubic(k, c), 0.2, at=1.0)
     opening = np.roots([c, 0.0, 2 * k, -pull])
     opening = float(opening[np.abs(opening.imag) < 1e-12].real[0])
     limit = solve(pulled.interface(layer))
@@ -74,14 +68,6 @@ def test_newton_on_a_users_law(eps):
         assert 3 <= state.report.iterations <= 12
 
 
-def test_newton_and_linear_agree():
-    for build in (Structure.full, Structure.interface):
-        model = build(structure(), LAYER)
-        linear, newton = solve(model), solve(model, method="newton")
-        assert newton.report.iterations == 1
-        assert np.abs(linear.u.x.array - newton.u.x.array).max() < 1e-11 * np.abs(linear.u.x.array).max()
-
-
 def test_petsc_options():
     model = structure().interface(LAYER)
     direct = solve(model)
@@ -89,29 +75,13 @@ def test_petsc_options():
     assert iterative.report.iterations > 3
     assert np.abs(direct.u.x.array - iterative.u.x.array).max() < 1e-8 * np.abs(direct.u.x.array).max()
     refused(InputError, "-thinlayer_ksp_rtoll", lambda: solve(model, options={"ksp_rtoll": 1e-3}))
-    for options in ({"pc_factor_mat_solver_type": "nosuch"}, {"pc_type": "ilu"}, {"pc_type": "shell"}, {3: 1}):
-        refused(InputError, r"does not take|it must be", solve, model, options=options)
+    for options in ({"pc_type": "nosuch"}, {"pc_type": "ilu"}, {3: 1}):
+        refused((SolveError, InputError), "PETSc: .*error|it must be", solve, model, options=options)
     PETSc.Options().setValue("thinlayer_snes_max_it", 7)
     try:
         refused(InputError, "linear solver: -thinlayer_snes_max_it", lambda: solve(model))
     finally:
         PETSc.Options().delValue("thinlayer_snes_max_it")
-
-
-def test_a_looser_tolerance_takes_fewer_steps():
-    """Options given in a script are heeded: Newton's residuals fall as 1e-4, 1e-8, 1e-16, and the last is not needed."""
-    hard = structure().interface(ThinLayer(Cubic(5.0, 4e5), 0.1, at=1.0))
-    usual, loose = solve(hard), solve(hard, options={"snes_rtol": 1e-5})
-    assert loose.report.iterations < usual.report.iterations
-    assert usual.report.residual < 1e-10 < loose.report.residual < 1e-5
-
-
-def test_a_line_search_that_is_given_is_the_only_one():
-    model = dragged(MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0))
-    for options, number in (({}, 2), ({"snes_linesearch_type": "bt"}, 1)):
-        with Solver(model, options=options) as solver:
-            tried = {one.options["snes_linesearch_type"] for one in solver._attempts() if not one.eased}
-        assert len(tried) == number
 
 
 def test_failed_solves_say_why():
@@ -125,95 +95,33 @@ def test_failed_solves_say_why():
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("build", [Structure.full, Structure.interface])
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
         (dict(supports={"BOTOM": 0.0}), InputError, "did you mean 'BOTTOM'.*known.*TOP"),
         (dict(supports={"BOTTOM": {"z": 0.0}}), InputError, "unknown component 'z'; known: n, x, y"),
-        (dict(supports={"BOTTOM": "fixed"}), InputError, "it needs a finite number"),
         (dict(supports={"BOTTOM": {"x": float("nan")}}), InputError, "it needs a finite number"),
         (dict(supports={}), InputError, "no support against rigid motion"),
-        (dict(supports={"BOTTOM": {"y": 0.0}}), InputError, "rigid motion of the structure .translation x"),
         (dict(supports={(0.0, -0.5): 0.0}), InputError, "rigid motion of the structure .rotation"),
         (dict(supports={(0.1, -0.5): 0.0}), InputError, "the nearest is"),
         (dict(supports={(0.0, -0.5, 0.0): 0.0}), InputError, "2 coordinates of a vertex"),
         (dict(supports={"S": 0.0}), InputError, "below a layer"),
         (dict(supports={"BOTTOM/UPPER": 0.0}), InputError, "empty"),
         (dict(tractions={"TOP": (1.0, 2.0, 3.0)}), InputError, "needs 2 finite components"),
-        (dict(tractions={"TOP": lambda x, t: (1.0,)}), InputError, "needs 2 finite components"),
         (dict(tractions={"TOP": lambda x, t: (np.sin(x[0]), 0.0)}), InputError, "use ufl.sin"),
         (dict(tractions={"UP": (1.0, 2.0)}), InputError, "unknown facet tag 'UP'"),
-        (dict(tractions={"TOP/LOWER": (1.0, 2.0)}), InputError, "this facet set is empty"),
         (dict(body_force={"MIDDLE": (0.0, 1.0)}), InputError, "unknown body 'MIDDLE'"),
         (dict(body={"LOWER": BODY}), InputError, "body 'UPPER' has no law"),
-        (dict(body={"LOWER": BODY, "UPER": BODY}), InputError, "did you mean 'UPPER'"),
         (dict(body=Anisotropic.springs(1.0, 1.0)), InputError, "in a body use frame='global'"),
         (dict(plane="stres"), InputError, "did you mean 'stress'"),
         (dict(element="Q2"), InputError, "does not exist on triangle cells; allowed: P1, P2"),
         (dict(layer=GLUE), InputError, r"give ThinLayer\(law, eps\)"),
     ],
 )
-def test_models_that_cannot_be_built(build, change, error, message):
+def test_models_that_cannot_be_built(change, error, message):
     layer = change.get("layer", LAYER)
     with pytest.raises(error, match=message):
-        solve(build(structure(**{name: value for name, value in change.items() if name != "layer"}), layer))
-
-
-def test_meshed_layers_that_cannot_be_built():
-    refused(InputError, "did you mean 'kept'", lambda: structure().full(LAYER, bodies="keep"))
-    refused(InputError, r"cells_through is 0; .* whole number >= 1", lambda: structure().full(LAYER, cells_through=0))
-
-
-def test_options_are_in_the_signatures():
-    """Python itself, editors and type checkers know them."""
-    known = set(inspect.signature(Structure).parameters)
-    loads = {"supports", "tractions", "body_force", "loads", "strain", "stress", "eigenstrain"}
-    assert known == {"joint", "body", "parts", "plane", "element", "comm"} | loads
-    refused(TypeError, "unexpected keyword argument 'traction'", lambda: Structure(JOINT, **SETUP, traction={}))
-    refused(TypeError, "required keyword-only argument: 'supports'", lambda: Structure(JOINT, body=BODY))
-    with pytest.raises(TypeError, match="unexpected keyword argument 'cells_through'"):
-        structure().interface(LAYER, cells_through=2)
-
-
-def test_bonded_bodies_are_the_stiff_limit():
-    """Two bodies, and a body on a rigid base, which then does not move on S."""
-    for joint, name in ((JOINT, "BOTTOM"), (block(1.0, 0.7, 0.25), "RIGHT")):
-        setup = SETUP | {"supports": {name: 0.0}}
-        bonded = solve(Structure(joint, **setup).bonded())
-        stiff = solve(Structure(joint, **setup).interface(ThinLayer(Anisotropic.springs(1e9, 1e9), 1.0)))
-        surface = Surface(stiff.model)
-        difference = displacements_of(bonded, stiff.model).x.array - stiff.u.x.array
-        assert np.abs(difference).max() < 1e-6 * np.abs(stiff.u.x.array).max()
-        assert surface.norm(surface.jump(bonded)) < 1e-12
-        t = surface.reaction(stiff)
-        assert surface.norm(surface.traction(bonded) - t) < 1e-6 * surface.norm(t)
-
-
-LOCKS = getattr(MPI, "_comm_lock_table", None) or getattr(MPI, "_lock_table", None)
-
-
-@pytest.mark.skipif(LOCKS is None, reason="this mpi4py does not show its locks")
-def test_meshes_communicators_are_not_used_for_pickled_collectives():
-    """If they were, freeing a mesh amid another pickled collective could deadlock mpi4py 4.0 (`Domain.comm`)."""
-    full, limit = solve(structure().full(LAYER)), solve(structure().interface(LAYER))
-    compare(full, limit)
-    Surface(limit.model).profile(Surface(limit.model).jump(full))
-    for state in (full, limit):
-        assert LOCKS(state.model.domain.mesh.comm) == {}
-    assert LOCKS(MPI.COMM_WORLD)  # that is where they leave their locks
-
-
-def test_compare_on_a_part_of_s():
-    full, limit = solve(structure().full(LAYER)), solve(structure().interface(LAYER))
-    inner = compare(full, limit, where=lambda x: abs(x[0] - 0.5) < 0.25)
-    outer = compare(full, limit, where=lambda x: abs(x[0] - 0.5) > 0.25)
-    whole = compare(full, limit)
-    assert inner["jump"] ** 2 + outer["jump"] ** 2 == pytest.approx(whole["jump"] ** 2, rel=1e-9)
-    assert inner["error_jump"] != pytest.approx(outer["error_jump"], rel=1e-3)
-    for name in ("jump", "traction"):  # squares of differences add up
-        sizes = [(one[f"error_{name}"] * one[name]) ** 2 for one in (inner, outer, whole)]
-        assert sizes[0] + sizes[1] == pytest.approx(sizes[2], rel=1e-9)
+        solve(structure(**{name: value for name, value in change.items() if name != "layer"}).interface(layer))
 
 
 # ---------------------------------------------------------------- terms of one's own
@@ -288,30 +196,19 @@ def total(model):
     return forces.x.array[:own].reshape(-1, model.joint.dim).sum(axis=0)
 
 
-@pytest.mark.parametrize("name", ["LEFT", "LEFT/UPPER", "LEFT/LOWER"])
-@pytest.mark.parametrize("depth", [None, 0.6])
+@pytest.mark.parametrize(("name", "depth"), [("LEFT", None), ("LEFT/LOWER", 0.6)])
 def test_a_load_on_a_side_is_the_same_in_all_models(name, depth):
     """Where the bodies gave up room, the layer carries what acted there, but for a load of its own."""
     joint = sandwich(1.0, 0.2, 0.5, 0.5, depth=depth)
     load, area = np.array([0.7, -0.2, 0.4])[: joint.dim], depth or 1.0
     data, layer = {"body": BODY, "supports": {"BOTTOM": 0.0}}, ThinLayer(GLUE, 0.1, at=1.0)
-    height = {"LEFT": 0.7, "LEFT/UPPER": 0.5, "LEFT/LOWER": 0.2}[name]
+    height = {"LEFT": 0.7, "LEFT/LOWER": 0.2}[name]
     loaded = Structure(joint, tractions={name: load}, **data)
     for model in (loaded.interface(layer), loaded.full(layer), loaded.full(layer, bodies="extended")):
         assert total(model) == pytest.approx(load * height * area, rel=1e-10)
     alone = Structure(joint, tractions={name: load, "LEFT/LAYER": 3 * load}, **data).full(layer, bodies="extended")
     given_up = 0.1 if name == "LEFT" else 0.05
     assert total(alone) == pytest.approx(load * (height - given_up + 3 * 0.1) * area, rel=1e-10)
-
-
-def test_a_load_on_a_side_of_a_base_or_under_a_profile():
-    pillar = block(1.0, 0.5, 0.25)
-    data = {"body": BODY, "supports": {"TOP": 0.0}}
-    column = Structure(pillar, tractions={"LEFT": (2.0, 0.5)}, **data)
-    assert total(column.full(ThinLayer(GLUE, 0.1, at=1.0), bodies="extended")) == pytest.approx([1.0, 0.25])
-    blocks = Structure(sandwich(1.0, 0.5, 0.5, 0.25), tractions={"RIGHT/UPPER": (2.0, 0.5)}, **data)
-    wedge = ThinLayer(GLUE, 0.1, profile=lambda x: 1 + x[0], at=1.0)
-    assert total(blocks.full(wedge, bodies="extended")) == pytest.approx([1.0, 0.25])
 
 
 def test_a_load_that_the_layer_cannot_share():

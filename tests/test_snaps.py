@@ -13,7 +13,7 @@ from forms import BulkLaw, LinearElastic, NonMonotoneUnrelaxed
 from forms.elastic import lame
 from geometry import sandwich
 from studies.problems import phases_on_s
-from thinlayer import SolveError, Structure, ThinLayer, march, piecewise
+from thinlayer import SolveError, Structure, ThinLayer, march
 from thinlayer.pointwise.columns import TIE
 from thinlayer.solving.history import phase_shares
 
@@ -41,10 +41,8 @@ def blocks(of_t=lambda t: t, *, body=SOFT, law=LAW, top=None, kind=Structure.int
     """Eight columns, sheared and pulled, more at the right end; they switch in four snaps as of_t goes from 0 to 1."""
     joint = sandwich(1.0, 0.5, 0.5, 0.125, cell="quadrilateral", structured=True)
     top = top or {"x": lambda x, t: 0.03 * of_t(t), "y": lambda x, t: of_t(t) * (0.05 * x[0] - 0.01)}
-    plates, layer = (
-        Structure(joint, body=body, supports={"BOTTOM": 0.0, "TOP": top}, element="Q1"),
-        ThinLayer(law, 0.05, at=1.0),
-    )
+    plates = Structure(joint, body=body, supports={"BOTTOM": 0.0, "TOP": top}, element="Q1")
+    layer = ThinLayer(law, 0.05, at=1.0)
     return plates.full(layer, cells_through=2) if kind is Structure.full else kind(plates, layer)
 
 
@@ -80,17 +78,16 @@ def reference():
     return np.array([snap.t for snap in history.snaps]), np.array([snap.lost for snap in history.snaps])
 
 
-@pytest.mark.parametrize("near", [0.0, -5e-12, -1e-11, -3e-11, 1e-9])
+@pytest.mark.parametrize("near", [0.0, -1e-11, 1e-9])
 def test_a_step_that_ends_at_a_snap(near):
     """The snap comes at the end of the first step or just after it, once."""
     t, lost = reference()
     check(march(blocks(), [t[0] * (1 + near), 1.0]), t, lost)
 
 
-@pytest.mark.parametrize(("start", "near"), [(1e6, 1e-8), (1e9, 1e-5)])
-def test_times_that_are_coarse(start, near):
-    """Seconds of a million, or of a clock: times are found to 2e-9, or 2e-6, excesses to more than `TIE`."""
-    t, lost = reference()
+def test_times_that_are_coarse():
+    """Seconds of a clock: times are found to 2e-6, excesses to more than `TIE`."""
+    (t, lost), start, near = reference(), 1e9, 1e-5
     history = march(blocks(lambda t: t - start), [start + 0.5, start + 1], start=start)
     check(history)
     assert [snap.t - start for snap in history.snaps] == pytest.approx(t, abs=near)
@@ -98,30 +95,21 @@ def test_times_that_are_coarse(start, near):
 
 
 def test_loads_that_come_back_within_a_step():
-    """A half wave in one step is that in eight: up, through all snaps, and back, through others."""
+    """A half wave in one step is that in four: up, through all snaps, and back, through others."""
     wave = lambda t: ufl.sin(np.pi * t)
     t = np.arcsin(reference()[0]) / np.pi
-    one, eight = (march(blocks(wave), np.arange(1, n + 1) / n) for n in (1, 8))
+    one, eight = (march(blocks(wave), np.arange(1, n + 1) / n) for n in (1, 4))
     assert [snap.t for snap in one.snaps[:4]] == pytest.approx(t, rel=1e-9)
     assert len(one.snaps) > 8
     assert phase_shares(one.last, "S")["plus"] == 0
     check(one, [snap.t for snap in eight.snaps], [snap.lost for snap in eight.snaps])
 
 
-def test_piecewise_loads_that_come_back_within_a_step():
-    """The march stops where they break."""
-    top = {"x": 0.0, "y": piecewise({0: 0.0, 0.3: 0.05, 0.7: 0.0, 1: -0.04})}
-    one, three = (march(blocks(top=top), times) for times in ([1.0], [0.3, 0.7, 1.0]))
-    assert len(one.snaps) == 3
-    check(one, [snap.t for snap in three.snaps], [snap.lost for snap in three.snaps])
-    assert {0.3, 0.7} <= set(one.t)
-    assert phase_shares(one.last, "S")["minus"] == 1
-
-
 def test_a_temperature_that_comes_back_within_a_step():
+    """As many snaps in one step as in two."""
     cold = lambda T: 0.03 * np.exp(-T / 50)
     law = NonMonotoneUnrelaxed(60.0, 40.0, 1.2, cold, CHI, T=lambda x, t: 40 * x[0] + 50 * np.sin(3 * t))
-    one, five = (march(blocks(law=law, top={"x": 0.03, "y": 0.02}), 2 * np.arange(1, n + 1) / n) for n in (1, 5))
+    one, five = (march(blocks(law=law, top={"x": 0.03, "y": 0.02}), 2 * np.arange(1, n + 1) / n) for n in (1, 2))
     assert len(one.snaps) == 11
     check(one, [snap.t for snap in five.snaps], [snap.lost for snap in five.snaps])
 

@@ -13,7 +13,7 @@ import ufl
 from forms import BulkLaw, LinearElastic
 from forms.elastic import lame
 from forms.kinematics import lift
-from geometry import disc, sandwich
+from geometry import sandwich
 from tests import ranges_told
 from thinlayer import Structure, ThinLayer, march, solve
 
@@ -46,15 +46,6 @@ class WeakInShear(BulkLaw):
         e_N = ufl.dot(e * n, n)
         slip = ufl.inner(e * n, e * n) - e_N**2
         return ufl.sym(ufl.diff(self.k * (e_N**2 + e_N**4 + (1 - e_N / self.c) * slip), e))
-
-
-@dataclass(frozen=True)
-class Rising(BulkLaw):
-    k: float
-    powers: ClassVar = {"k": 1}
-
-    def stress(self, step):
-        return self.k * (1 + ufl.inner(step.e, step.e)) * step.e
 
 
 @dataclass(frozen=True)
@@ -94,22 +85,8 @@ def test_where_stresses_fall(law, onset, kind):
     assert len(told(joint, law, kind, after)) == 1
 
 
-def test_rising_stresses_are_not_told():
-    joint = sandwich(2.0, 1.0, 1.0, 1.0, cell="quadrilateral")
-    for kind in (Structure.interface, Structure.full):
-        assert told(joint, Rising(3.0), kind, [0.3, 0.8]) == []
-
-
 def test_a_step_over_a_fall_is_told():
     """Both states rise, on branches that a fall parts."""
     joint = sandwich(2.0, 1.0, 1.0, 1.0, cell="quadrilateral")
     assert told(joint, Loop(3.0), Structure.interface, [0.3, 0.5]) == []
     assert len(told(joint, Loop(3.0), Structure.interface, [0.3, 0.5, 1.4])) == 1
-
-
-@pytest.mark.long
-def test_in_three_dimensions():
-    joint = disc(1.0, 0.4, 0.4, h=0.6, cell="hexahedron")
-    law = WeakInShear(3.0, 0.3)
-    assert told(joint, law, Structure.interface, 0.2) == []
-    assert len(told(joint, law, Structure.interface, 0.4)) == 1

@@ -7,7 +7,7 @@ import pytest
 
 from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic, Maxwell, MohrCoulomb, Stack
 from geometry import sandwich
-from tests.limit_load_run import FULL, SLIDING, sheared
+from tests.limit_load_run import SLIDING, sheared
 from tests.own_laws import Mises, StandardSolid
 from tests.test_limit_load import LIMITS
 from tests.viscous_joints import JOINT, SETUP, SLOW, SUDDEN, interface
@@ -23,10 +23,9 @@ PEAK = piecewise({0.0: 0.0, 1.5: 3.0, 3.0: 0.3})
 
 
 @pytest.mark.few(5)
-@pytest.mark.parametrize("law", [SLIDING, FULL], ids=lambda law: type(law).__name__)
-def test_a_peak_between_two_times_is_met(law):
+def test_a_peak_between_two_times_is_met():
     """Loads pass their limit on the way to a peak, and are below it at the times that were given."""
-    model = sheared("S", law, tractions={"TOP": lambda x, t: (PEAK(x, t), -1.0)})
+    law, model = SLIDING, sheared("S", SLIDING, tractions={"TOP": lambda x, t: (PEAK(x, t), -1.0)})
     with pytest.raises(LimitLoad) as caught:
         march(model, [0.1, 3.0])
     assert PEAK(None, caught.value.t) < LIMITS[law] < PEAK(None, caught.value.failed_at)
@@ -39,6 +38,7 @@ REMEMBERING = {
     "plastic": MohrCoulomb(60.0, 40.0, cohesion=9.0, friction_angle=30.0),
     "of one's own": Mises(60.0, 40.0, 9.0),
     "stacked": Stack((0.5, LinearElastic(60.0, 40.0)), (0.5, SUDDEN)),
+    "elastic": LinearElastic(60.0, 40.0),
 }
 
 
@@ -48,7 +48,7 @@ def test_steps_of_a_layer_with_memory_end_where_loads_break(name):
     break_ = 0.1 + 0.2
     load = piecewise({0.0: 0.0, break_: 1.0, 0.5: 1.5, 1.0: 0.0})
     history = march(interface(REMEMBERING[name], {"TOP": lambda x, t: (0.0, load(x, t))}), [0.3, 1.0])
-    assert history.t.tolist() == [0.0, 0.3, 0.5, 1.0]
+    assert history.t.tolist() == ([0.0, 0.3, 1.0] if name == "elastic" else [0.0, 0.3, 0.5, 1.0])
 
 
 @pytest.mark.parametrize(("law", "stops"), [(HolonomicCoulomb, False), (IncrementalCoulomb, True)])
@@ -56,12 +56,6 @@ def test_contact_that_remembers_its_slip(law, stops):
     supports = {"BOTTOM": 0.0, "TOP": {"x": piecewise({0: 0.0, 2: 0.06, 4: -0.06}), "y": -0.02}}
     model = Structure(JOINT, body=SETUP["body"], supports=supports, element="P1").interface(law(100.0, 80.0, 0.3))
     assert (2.0 in march(model, [1.0, 4.0]).t) is stops
-
-
-def test_elastic_layers_forget():
-    load = piecewise({0.0: 0.0, 0.5: 1.5, 1.0: 0.0})
-    history = march(interface(LinearElastic(60.0, 40.0), {"TOP": lambda x, t: (0.0, load(x, t))}), [0.3, 1.0])
-    assert history.t.tolist() == [0.0, 0.3, 1.0]
 
 
 # ---------------------------------------------------------------- adaptive steps
@@ -77,8 +71,7 @@ def pull(model):
     return {"pull": lambda state: surface.integral(surface.frame(surface.traction(state))[1])}
 
 
-@pytest.mark.parametrize("theta", [0.5, 1.0])
-@pytest.mark.parametrize("soft", [1.0, 1e-2, 1e-5])
+@pytest.mark.parametrize(("soft", "theta"), [(1.0, 1.0), (1e-2, 0.5), (1e-5, 1.0)])
 def test_a_layer_that_relaxes_under_bodies_that_hardly_move(soft, theta):
     """The traction's error is that of the tolerance, however soft the layer; errors of steps add up."""
     model, tolerance = column(Maxwell(60.0 * soft, 40.0 * soft, t1=0.7)), 2e-3
@@ -118,11 +111,3 @@ def test_the_estimate_is_the_error(theta, length):
     for factor, taken in ((1.15, True), (0.85, False)):
         history = march(one, Adaptive(length, first=length, tolerance=factor * error), theta=theta)
         assert (history.t.tolist() == [0.0, length / 2, length]) is taken
-
-
-def test_adaptive_steps_go_on_where_they_were(tmp_path):
-    """With the largest displacements, jumps and forces so far, which later steps are measured against."""
-    model, steps = column(Maxwell(0.6, 0.4, t1=0.7)), Adaptive(2.0, first=0.1, tolerance=2e-3, at=[1.0])
-    whole = march(model, steps)
-    march(model, Adaptive(1.0, first=0.1, tolerance=2e-3), out=tmp_path)
-    assert march(model, steps, out=tmp_path, resume=True).t == pytest.approx(whole.t, rel=1e-12)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 
-from forms import HolonomicCoulomb, IncrementalCoulomb, KelvinVoigt, LinearElastic, Maxwell, VonMises
+from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic, Maxwell, VonMises
 from forms.base import InputError
 from geometry import periodic, sandwich
 from tests.refused import refused
 from tests.test_periodic import laminate
 from thinlayer import Adaptive, Structure, Surface, march, solve
 from thinlayer.parts.compiled import CompiledPart
-from thinlayer.pointwise.material import Material
 from thinlayer.solving.equilibrium import Equilibrium
 from thinlayer.solving.solvers import Solver
 
@@ -28,9 +26,7 @@ LMBDA, MU, TAU = 60.0, 40.0, 2.0
 
 
 # ---------------------------------------------------------------- displacements vanish
-@pytest.mark.parametrize("d", CELLS)
-@pytest.mark.parametrize("unit", [1.0, 1e6])
-@pytest.mark.parametrize("dt", [1e-3, 0.5, 20.0])
+@pytest.mark.parametrize(("d", "unit", "dt"), [(2, 1.0, 1e-3), (3, 1e6, 0.5), (2, 1e6, 20.0)])
 def test_a_uniform_cell_that_relaxes(d, unit, dt):
     """u is zero, the stress that of the implicit Euler scheme: G falls by 1/(1 + dt/tau) in each step."""
     strain = np.zeros((d, d))
@@ -41,16 +37,6 @@ def test_a_uniform_cell_that_relaxes(d, unit, dt):
     found = last.mean_stress()[0, 1]
     assert found == pytest.approx(2 * MU * unit * 1.5e-3 / (1 + dt / TAU) ** 2, rel=ROUNDED)
     assert np.abs(last.u.x.array).max() < 1e-12 * 1.5e-3
-
-
-@pytest.mark.parametrize("d", CELLS)
-def test_a_uniform_cell_of_a_solid_with_rate(d):
-    """sigma = lambda (tr e + theta_l tr e') I + 2 mu (e + theta_m e'), e growing by 1e-3 in a unit of time."""
-    strain = [[1e-3 if i == j == 0 else 0.0 for j in range(d)] for i in range(d)]
-    law = KelvinVoigt(LMBDA, MU, 2.0, 1.0)
-    grows = Structure(CELLS[d], body=law, supports={}, strain=lambda x, t: [[c * t for c in row] for row in strain])
-    stress = march(grows.bonded(), [0.25, 0.5]).last.mean_stress()[0, 0]
-    assert stress == pytest.approx(1e-3 * (LMBDA * (0.5 + 2.0) + 2 * MU * (0.5 + 1.0)), rel=ROUNDED)
 
 
 @pytest.mark.parametrize("law", [LinearElastic(LMBDA, MU), Maxwell(LMBDA, MU, TAU)], ids=lambda law: type(law).__name__)
@@ -66,11 +52,15 @@ SHRUNK = {"BOTTOM": {"y": 0.0}, "TOP": {"y": 0.0}, "LEFT": {"x": 0.0}}
 NU = 0.25
 
 
-@pytest.mark.few(4)
-@pytest.mark.parametrize("kind", [HolonomicCoulomb, IncrementalCoulomb])
-@pytest.mark.parametrize("method", ["condensed", "multigrid", "newton"])
-@pytest.mark.parametrize("unit", [1.0, 1e9])
-@pytest.mark.parametrize("initial", [0.0, 0.01])
+@pytest.mark.parametrize(
+    ("kind", "method", "unit", "initial"),
+    [
+        (HolonomicCoulomb, "condensed", 1.0, 0.0),
+        (IncrementalCoulomb, "multigrid", 1e9, 0.01),
+        (HolonomicCoulomb, "newton", 1e9, 0.0),
+        (IncrementalCoulomb, "newton", 1.0, 0.01),
+    ],
+)
 def test_bodies_that_shrink_away_from_each_other(kind, method, unit, initial):
     """The gap opens by (1 + nu) e h in plane strain, beside an initial one, and all forces vanish."""
     bodies = LinearElastic.young(1e4 * unit, NU)
@@ -81,16 +71,6 @@ def test_bodies_that_shrink_away_from_each_other(kind, method, unit, initial):
     largest = np.abs(state.u.x.array.reshape(-1, 2)[:, 1]).max()
     assert largest == pytest.approx((1 + NU) * 1e-3 * 6.0, rel=1e-8)  # of the upper side of S, from TOP
     assert np.abs(Surface(state.model).contact(state).normal_force) < 1e-9 * 1e4 * unit * 1e-3 * 10.0
-
-
-@pytest.mark.parametrize("method", ["condensed", "multigrid", "newton"])
-def test_contact_that_is_pressed_and_then_shrinks_away(method):
-    """The march ends without forces; the upper body does not know of the lower one then."""
-    supports = {"BOTTOM": {"y": 0.0}, "TOP": {"y": 0.0}, "LEFT": {"x": 0.0}}
-    structure = Structure(sandwich(10.0, 4.0, 6.0, 2.0), body=LinearElastic.young(1e4, NU), supports=supports,
-                          eigenstrain=lambda x, t: 1e-3 * (1 - t), element="P1")  # fmt: skip
-    last = march(structure.interface(IncrementalCoulomb(1e5, 8e4, friction=0.3)), [1.0, 2.0], method=method).last
-    assert np.abs(last.u.x.array.reshape(-1, 2)[:, 1]).max() == pytest.approx((1 + NU) * 1e-3 * 6.0, rel=1e-8)
 
 
 # ---------------------------------------------------------------- far beyond yield, and errors within Newton's method
@@ -105,8 +85,9 @@ def sheet(supports, law=IDEAL, grows=False):
     return Structure(SHEET, body=law, supports=supports, eigenstrain=eigenstrain, plane="stress").bonded()
 
 
-@pytest.mark.parametrize("grows", [False, True])
-@pytest.mark.parametrize("supports", [{"BOTTOM": 0}, {"BOTTOM": {"y": 0}, "LEFT": {"x": 0.0}}], ids=["clamped", "free"])
+@pytest.mark.parametrize(
+    ("supports", "grows"), [({"BOTTOM": 0}, True), ({"BOTTOM": {"y": 0}, "LEFT": {"x": 0.0}}, False)]
+)
 def test_a_first_step_far_beyond_yield(supports, grows):
     """In one step or in short ones: the loads are far from a limit, and the answer is nearly the same."""
     model = sheet(supports, grows=grows)
@@ -120,32 +101,15 @@ def test_a_first_step_far_beyond_yield(supports, grows):
 
 def test_an_error_of_a_law_within_newtons_method_is_told(monkeypatch):
     """As it was raised, not as an error of PETSc's; the same solver then finds the equilibrium."""
-    model, tangents, fails = sheet({"BOTTOM": 0.0}), CompiledPart.tangents, True
-    count = 0
+    model, tangents, calls = sheet({"BOTTOM": 0.0}), CompiledPart.tangents, iter(range(99))
 
     def failing(self, relative_residual):
-        nonlocal count
-        count += 1
-        if fails and count == 3:
+        if next(calls, 0) == 2:
             raise InputError("told by a law")
         return tangents(self, relative_residual)
 
     monkeypatch.setattr(CompiledPart, "tangents", failing)
     with Solver(model) as solver:
         refused(InputError, "told by a law", lambda: solver.step(solver.rest(0.0), 0.0))
-        fails = False
         assert solver.step(solver.rest(0.0), 0.0).report.residual < 1e-8
         assert isinstance(solver._finder, Equilibrium)
-
-
-def test_tangents_far_beyond_yield_are_symmetric():
-    """What condensing leaves of the stiffness is symmetric to rounding of its own size, up to strains of 1e6."""
-    material = Material(MPI.COMM_SELF, IDEAL.plane_stress())
-    random = np.random.default_rng(3)
-    e = random.normal(size=(200, 3)) * 10.0 ** random.uniform(-4, 6, (200, 1))
-    zero, n = np.zeros((200, 3)), np.tile([0.0, 1.0, 0.0], (200, 1))
-    s, C, _, _, failed = material.update([0, 1, 3], e, zero, np.zeros((200, material.memory)), n, 0.0, 1.0)
-    assert failed == 0
-    assert np.abs(C - C.swapaxes(1, 2)).max() == 0.0
-    q = np.sqrt(s[:, 0] ** 2 - s[:, 0] * s[:, 1] + s[:, 1] ** 2 + 1.5 * s[:, 3] ** 2)
-    assert q.max() <= Y * (1 + 1e-6)

@@ -260,15 +260,14 @@ class FieldPart(Part):
         field: the own unknowns, in the solver's units.
         unit: values in states over unknowns.
         load: given forces (own_size,) of the step in `own_residual`: that residual is what balances them, less these.
-        own_mass: matrix of the integral of squares of the own unknowns over S. A multiple of it stands in block
-            preconditioners for what displacements add to the own equations. None: these do not suit the own unknowns.
+        on_S: whether the own unknowns are on S: then block preconditioners suit them.
         hint: a clause for errors: how this part may make a linear solve fail; "" if it does not.
     """
 
     field: fem.Function
     unit: float = 1.0
     load: Array
-    own_mass: PETSc.Mat | None = None
+    on_S: bool = False
     hint: str = ""
 
     def begin(self, interval: Interval) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import cached_property
 
 import basix.ufl
 import numpy as np
@@ -62,12 +61,13 @@ class PressurePart(FieldPart):
         self, V: fem.FunctionSpace, term: Term, stiffness: float, origin: Origin | None = None,
         free: Array | None = None, masters: IntArray | None = None,
     ) -> None:  # fmt: skip
-        self.key, self._origin, self._kinematics = PRESSURE + term.key.removeprefix(LAYER), origin, term.kinematics
+        self.key, self._origin = PRESSURE + term.key.removeprefix(LAYER), origin
         self._term = term
         points = Quadrature(V, term, origin) if term.law.fields else None
         self.region = region = points.region if points else Region(V.mesh, term.measure)
         if has_flow(term) and origin and origin.middle is not None:
             region.move(origin.middle)
+        self.on_S = region.dim < region.parent_mesh.topology.dim
         self._whole = fem.functionspace(region.mesh, ("Lagrange", 1))
         space = self._whole if masters is None else identified(region, masters)
         self.field = self._p = fem.Function(space)
@@ -123,15 +123,6 @@ class PressurePart(FieldPart):
         found.x.array[:own] = of_f / sizes
         found.x.scatter_forward()
         return found
-
-    @cached_property
-    def own_mass(self) -> PETSc.Mat | None:  # type: ignore[override]
-        """Of pressures on S. None in a meshed layer: what displacements add is a flow along it, no multiple of the mass."""
-        region, space = self.region, self._p.function_space
-        if region.dim == region.parent_mesh.topology.dim:
-            return None
-        p, q, factor = ufl.TrialFunction(space), ufl.TestFunction(space), self._kinematics.on(region.mesh).factor
-        return matrix_of(fem.form(factor * ufl.inner(p, q) * ufl.dx(region.mesh)))
 
     def _end(self) -> Array:
         """Pressures of this rank at the end of the step, in the units of `field`."""
@@ -222,8 +213,7 @@ class PressurePart(FieldPart):
         return FileOrder(ordered.numbers, number[ordered.order])
 
     def destroy(self) -> None:
-        mass = vars(self).get("own_mass")
-        for thing in (self.G, self.C, mass, self._turned, self._volume, self._forces, self._squeezed):
+        for thing in (self.G, self.C, self._turned, self._volume, self._forces, self._squeezed):
             if thing is not None:
                 thing.destroy()
 

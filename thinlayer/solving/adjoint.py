@@ -50,7 +50,6 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         linear = linear_solvers(self.model, equations.parts, value_of("pc_type", self._given))
         self._options = {**linear[0], **self._given}
         self._tangent: PETSc.Mat | None = None
-        self._of_parts: list[TangentMatrix] = []
         if not (self.model.linear and self.model.symmetric and equations.factor.of == (0.0, 1.0)):
             A = equations.tangent()
             self._tangent = A.copy()
@@ -60,12 +59,9 @@ class Adjoint(AbstractContextManager["Adjoint"]):
                 equations.factor.renew(A, None, equations.tell)
 
     def __exit__(self, *_: object) -> None:
-        for thing in (self._x, self._r, self._tangent, *self._of_parts):
-            if thing is not None:
-                thing.destroy()
         self.equations.destroy()
 
-    # ---------------------------------------------------------------- goals, as vectors of unknowns to be destroyed
+    # ---------------------------------------------------------------- goals, as vectors of unknowns
     def nothing(self) -> PETSc.Vec:
         """Zero."""
         return self.equations.vector()
@@ -74,7 +70,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         """The values q of a UFL form that is linear in a test function of the model's displacements."""
         forces = dolfinx.fem.petsc.assemble_vector(compiled(form))
         forces.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        return self._on_unknowns(forces)
+        return self.equations.on_unknowns(forces)
 
     def of_nodes(self, dofs: IntArray, values: Array) -> PETSc.Vec:
         """Weights q (n,) at displacements (n,), local numbers that one rank gives, ghosts included."""
@@ -82,25 +78,18 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         np.add.at(f.x.array, dofs, values)
         f.x.scatter_reverse(la.InsertMode.add)
         forces.array[:] = f.x.array[: self.equations.n_displacements]
-        return self._on_unknowns(forces)
+        return self.equations.on_unknowns(forces)
 
     def of_loads(self) -> PETSc.Vec:
         """The loads as weights q, those of plates included, without those on the layers, which bear these themselves."""
-        q = self.equations.on_unknowns(self.equations.loads, [part.load for part in self.equations.with_own])
-        of_layers = self.equations.u.x.petsc_vec.duplicate()
-        of_layers.array[:] = self.of_layers
-        on_them = self._on_unknowns(of_layers)
-        q.axpy(-1.0, on_them)
-        on_them.destroy()
-        return q
+        loads = self.equations.loads.copy()
+        loads.array[:] -= self.of_layers
+        return self.equations.on_unknowns(loads, [part.load for part in self.equations.with_own])
 
     @cached_property
     def of_layers(self) -> Array:
         """Nodal forces (m,) that the interface model has for loads on its layers. Collective."""
-        b = self.model.forces.nodal_at(self.model.V, self.state.t, layers=True)
-        found = b.array_r.copy()
-        b.destroy()
-        return np.asarray(found)
+        return np.asarray(self.model.forces.nodal_at(self.model.V, self.state.t, layers=True).array_r.copy())
 
     def of_prescribed(self) -> PETSc.Vec:
         """Motions g: the displacements that supports prescribe."""
@@ -114,11 +103,6 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         g.array[: self.equations.n_displacements] = -self.model.constraints.dual_to_resultant(entries, direction)
         return g
 
-    def _on_unknowns(self, forces: PETSc.Vec) -> PETSc.Vec:
-        found = self.equations.on_unknowns(forces)
-        forces.destroy()
-        return found
-
     # ---------------------------------------------------------------- displacements and weights
     def displacements(self, dofs: IntArray, forces: Array) -> Array:
         """Small displacements (m,) under forces (n,) at displacements, local numbers that one rank gives; supports hold."""
@@ -126,13 +110,10 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         q.array[self.equations.held] = 0.0
         with defaults(self._options):
             solve_linear(self.equations.factor.ksp, q, x)
-        found = self.equations.configuration(x).u.x.array[: self.equations.n_displacements].copy()
-        for one in (q, x):
-            one.destroy()
-        return np.asarray(found)
+        return np.asarray(self.equations.configuration(x).u.x.array[: self.equations.n_displacements])
 
     def weights(self, q: PETSc.Vec, g: PETSc.Vec) -> Configuration:
-        """The weights z, as displacements and the layers' own fields; q and g are destroyed."""
+        """The weights z, as displacements and the layers' own fields; q and g are overwritten."""
         equations, held = self.equations, self.equations.held
         z, out = equations.vector(), equations.vector()
         g.array[np.setdiff1d(np.arange(g.getLocalSize()), held)] = 0.0
@@ -146,28 +127,22 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             else:
                 equations.factor.ksp.solveTranspose(q, z)
         z.array[held] = g.array_r[held]
-        found = equations.configuration(z)
-        for thing in (q, g, z, out):
-            thing.destroy()
-        return found
+        return equations.configuration(z)
 
     def _times(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """K^t x; by residuals if the matrix of the factor is the tangent, with its held rows replaced."""
         if self._tangent is not None:
             self._tangent.multTranspose(x, out)
             return
-        zero, at_zero = self.equations.vector(), self.equations.vector()
+        at_zero = self.equations.vector()
         self.equations.residual(x, out)
-        self.equations.residual(zero, at_zero)
+        self.equations.residual(self.equations.vector(), at_zero)
         out.axpy(-1.0, at_zero)
-        zero.destroy()
-        at_zero.destroy()
 
     # ---------------------------------------------------------------- parts of the balance
     def tangent_of(self, parts: PartSum) -> PETSc.Mat:
-        """Tangent of some parts in their last evaluation, after the constructor's the state; destroyed with the adjoint."""
-        self._of_parts.append(TangentMatrix(self.model.comm, {DISPLACEMENTS: self.equations.n_displacements}))
-        return self._of_parts[-1].fill(parts.blocks())
+        """Tangent of some parts in their last evaluation, after the constructor's the state."""
+        return TangentMatrix(self.model.comm, {DISPLACEMENTS: self.equations.n_displacements}).fill(parts.blocks())
 
     def forces(self, parts: Sequence[Part], state: Configuration, u: fem.Function, interval: Interval) -> Array:
         """Nodal forces (m,) of layers at displacements u, with their own fields in a state."""
@@ -180,9 +155,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
                 part.field.x.array[: part.own_size] = part.own_start(state)
                 part.field.x.scatter_forward()
             layers.forces(u, u, out)
-        found = out.array_r.copy()
-        out.destroy()
-        return np.asarray(found)
+        return np.asarray(out.array_r.copy())
 
     def work(self, parts: Sequence[Part], z: Configuration) -> Array:
         """Work (m,) of the layers' stresses of the last evaluation in displacements z, spread over nodes."""
@@ -197,7 +170,4 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             part.add_forces(forces)
             forces.pointwiseMult(forces, z.u.x.petsc_vec)
             out.axpy(1.0, forces)
-        forces.destroy()
-        found = out.array_r.copy()
-        out.destroy()
-        return np.asarray(found)
+        return np.asarray(out.array_r.copy())

@@ -26,11 +26,9 @@ EPSILON = float(np.finfo(float).eps)
 ROUNDING_SHARE = 1e-14  # rounding of summed forces, relative to stiffness times displacement
 TINY = 1e-300  # divisor instead of zero if there are no forces
 Kind = TypeVar("Kind", bound=Part)
-SAME, SUBSET, DIFFERENT = (
-    PETSc.Mat.Structure.SAME_NONZERO_PATTERN,
-    PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN,
-    PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN,
-)
+SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
+SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
+DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 
 
 class ForceScale:
@@ -245,12 +243,9 @@ class PartSum:
         if size <= scale.allowed:
             return
         failed = f"; {self.failure()}" if self.failed else ""
-        raise SolveError(
-            f"what the solver returned is no equilibrium: {scale.relative(size):.1e} of the forces of loads and stresses "
-            f"is out of balance, allowed: {ALLOWED:g}{failed}",
-            advice="do PETSc options (in the script, on the command line, in PETSC_OPTIONS or a file petscrc) end the "
-            "solve early?",
-        )
+        what = f"{scale.relative(size):.1e} of the forces of loads and stresses is out of balance, allowed: {ALLOWED:g}"
+        advice = "do PETSc options (of a script, a command line, PETSC_OPTIONS or a file petscrc) end the solve early?"
+        raise SolveError(f"what the solver returned is no equilibrium: {what}{failed}", advice=advice)
 
 
 # ---------------------------------------------------------------- unknowns and tangent
@@ -285,13 +280,11 @@ class Layout:
             f.x.scatter_forward()
 
     def widened(self, T: PETSc.Mat | None) -> PETSc.Mat | None:
-        """A matrix of displacements on all unknowns, the others as they are; None of None. The caller destroys it."""
+        """A matrix of displacements on all unknowns, the others as they are; None of None."""
         if T is None or len(self.sizes) == 1:
-            return T and T.copy()
+            return T
         others = _diagonal(self.comm, int(self._ends[-1]) - self.sizes[DISPLACEMENTS], 1.0)
-        whole = side_by_side([[T, None], [None, others]], self.comm)
-        others.destroy()
-        return whole
+        return side_by_side([[T, None], [None, others]], self.comm)
 
     def rows(self, local: Indices) -> npt.NDArray[PETSc.IntType]:
         """Global numbers of unknowns of this rank."""
@@ -342,19 +335,15 @@ class TangentMatrix:
         for block in blocks[1:]:
             A.axpy(block.factor, block.matrix, DIFFERENT)
         if len(blocks) > 1:  # PETSc's own LU finds zero pivots in what axpy has merged, none in a copy
-            merged, A = A, A.copy()
-            merged.destroy()
+            A = A.copy()
         A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         self._sums[place] = A
 
     def _side_by_side(self) -> PETSc.Mat:
         rows = [[self._sums.get((row, column)) for column in self.sizes] for row in self.sizes]
-        empty = {k: _diagonal(self.comm, n, 0.0) for k, n in enumerate(self.sizes.values()) if rows[k][k] is None}
-        for k, zero in empty.items():
-            rows[k][k] = zero
+        for k, n in enumerate(self.sizes.values()):
+            rows[k][k] = rows[k][k] or _diagonal(self.comm, n, 0.0)
         whole = side_by_side(rows, self.comm)
-        for zero in empty.values():
-            zero.destroy()
         if self._whole is None:
             whole.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
             self._whole = whole
@@ -372,10 +361,7 @@ class TangentMatrix:
 
 def side_by_side(blocks: Sequence[Sequence[PETSc.Mat | None]], comm: MPI.Intracomm) -> PETSc.Mat:
     """One matrix of blocks; on each rank rows and columns of the first block come first, then those of the next."""
-    nest = PETSc.Mat().createNest(blocks, comm=comm)
-    whole = nest.convert("aij", PETSc.Mat())
-    nest.destroy()
-    return whole
+    return PETSc.Mat().createNest(blocks, comm=comm).convert("aij", PETSc.Mat())
 
 
 def _diagonal(comm: MPI.Intracomm, n: int, value: float) -> PETSc.Mat:

@@ -20,7 +20,6 @@ from thinlayer.discretisation.given_strains import VaryingStrains
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import Audit, Configuration, Report, State
-from thinlayer.errors import LooseBody
 from thinlayer.parts.making import body_parts, diagonal_at_rest, layer_parts
 from thinlayer.parts.part import DISPLACEMENTS, Interval
 from thinlayer.solving.balance import DIFFERENT, ForceScale, Layout, PartSum, TangentMatrix
@@ -76,7 +75,6 @@ class Equations(PartSum):
         diagonal = diagonal_at_rest(self.parts, self.u.x.petsc_vec.duplicate())
         self.scale = ForceScale(float(diagonal.norm()), max([0.0, *self.ask("cancelling")]))
         self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
-        diagonal.destroy()
         self._reactions, self._rigid = ReactionSums(model, self.parts), RigidMotions(model, self.scale.stiffness)
         self._tangent: PETSc.Mat | None = None
         self._forces, self.loads, self.external = (self.u.x.petsc_vec.duplicate() for _ in range(3))
@@ -105,15 +103,14 @@ class Equations(PartSum):
 
     def _prescribed(self, t: float | None) -> tuple[IntArray, Array]:
         """Numbers of the held unknowns, increasing, and their values at time t."""
-        of_supports = np.zeros(len(self.constraints.held)) if t is None else self.constraints.values(t)
-        numbers: list[npt.NDArray[Any]] = [self.constraints.held]
-        values, first = [of_supports], self.n_displacements
+        held: npt.NDArray[Any] = self.constraints.held
+        values = np.zeros(len(held)) if t is None else self.constraints.values(t)
+        first = self.n_displacements
         for part in self.with_own:
-            own, held = part.own_held(t)
-            numbers.append(first + own)
-            values.append(held)
+            own, own_values = part.own_held(t)
+            held, values = np.append(held, first + own), np.append(values, own_values)
             first += self._layout.sizes[part.key]
-        return np.concatenate(numbers).astype(np.int64), np.concatenate(values)
+        return held.astype(np.int64), values
 
     @property
     def held_rows(self) -> npt.NDArray[PETSc.IntType]:
@@ -138,13 +135,11 @@ class Equations(PartSum):
 
     def near_null(self) -> list[PETSc.Vec]:
         """The unknowns of rigid motions of the whole structure, orthonormal."""
-        found = []
-        for motion in rigid_motions(self.model.V, self.model.joint, self.model.kinematics).values():
-            x = self.vector()
-            values = self._layout.split(x.array)[DISPLACEMENTS]
-            values[:] = self.constraints.unknowns(motion.x.array[: self.n_displacements])
-            found.append(x)
-        return orthonormal(found)
+        motions = rigid_motions(self.model.V, self.model.joint, self.model.kinematics).values()
+        vectors = [self.vector() for _ in motions]
+        for x, motion in zip(vectors, motions, strict=True):
+            x.array[: self.n_displacements] = self.constraints.unknowns(motion.x.array[: self.n_displacements])
+        return orthonormal(vectors)
 
     def tell(self, ksp: PETSc.KSP, A: PETSc.Mat) -> None:
         """Tell the preconditioner of a tangent, with supports, what it can use: rigid motions, blocks of the unknowns."""
@@ -152,16 +147,14 @@ class Equations(PartSum):
         if kind in MULTIGRIDS:
             A.setNearNullSpace(PETSc.NullSpace().create(vectors=self.near_null(), comm=A.comm))
         elif kind == "fieldsplit" and self.with_own:
-            masses = {part.key: part.own_mass for part in self.with_own}
-            split(ksp.getPC(), A, self._layout, self.held, masses, self.near_null())
+            split(ksp.getPC(), A, self._layout, self.near_null())
 
     # ---------------------------------------------------------------- uniqueness
-    def require_unique(self, unbalanced: PETSc.Vec | None = None) -> None:
+    def require_unique(self) -> None:
         """Raise LooseBody if a connected piece of the bodies can move freely.
 
         The test uses the last tangent or, if parts can release bodies, the tangent at the last u of the parts that resist
-        rigid motions. There is no test if a part may resist less than its tangent does. The error tells where `unbalanced`
-        forces lead.
+        rigid motions. There is no test if a part may resist less than its tangent does.
         """
         if self.traits.weakens:
             return
@@ -170,23 +163,7 @@ class Equations(PartSum):
                 self._rigid.require_resisted(self._tangent)
             return
         resisting = TangentMatrix(self.comm, {DISPLACEMENTS: self.n_displacements})
-        self._rigid.require_resisted(resisting.fill(self.blocks(self._relative_residual, rigid=True)), unbalanced)
-        resisting.destroy()
-
-    def loose_body(self, x: PETSc.Vec) -> LooseBody | None:
-        """Which body parts have released at the unknowns x, of which the search for an equilibrium knows no better ones."""
-        if not self.traits.releases:
-            return None
-        out = self.vector()
-        self.residual(x, out)
-        out.scale(-1.0)
-        try:
-            self.require_unique(out)
-        except LooseBody as loose:
-            return loose
-        finally:
-            out.destroy()
-        return None
+        self._rigid.require_resisted(resisting.fill(self.blocks(self._relative_residual, rigid=True)))
 
     # ---------------------------------------------------------------- a step
     def rest(self, t: float) -> State:
@@ -206,9 +183,7 @@ class Equations(PartSum):
         self.loads.set(0.0)
         for t, share in ((interval.t, interval.theta), (old.t, 1 - interval.theta)):
             if share:
-                b = self.loads_at(t)
-                self.loads.axpy(share, b)
-                b.destroy()
+                self.loads.axpy(share, self.loads_at(t))
         self.prescribed = self._prescribed(interval.t)[1]
         self._strains_at(interval.t)
         largest_displacement = self.comm.allreduce(float(np.abs(self.prescribed).max(initial=0.0)), max)
@@ -224,7 +199,7 @@ class Equations(PartSum):
         self.external.aypx(-1.0, self.loads)
 
     def loads_at(self, t: float) -> PETSc.Vec:
-        """Nodal forces of the loads at a time, those of ties included; the caller destroys the vector.
+        """Nodal forces of the loads at a time, those of ties included, a new vector.
 
         Raises:
             InputError: loads that are not finite, or that nothing balances in a periodic joint.
@@ -235,7 +210,7 @@ class Equations(PartSum):
         return b
 
     def given_forces(self) -> PETSc.Vec:
-        """The forces of the present step that are given, as those on the unknowns; the caller destroys the vector."""
+        """The forces of the present step that are given, as those on the unknowns."""
         return self.on_unknowns(self.external, [part.load for part in self.with_own])
 
     def configuration(self, x: PETSc.Vec) -> Configuration:
@@ -245,14 +220,11 @@ class Equations(PartSum):
         return Configuration(self.u.copy(), self.interval.t, fields=fields)
 
     def given_forces_at(self, t: float) -> PETSc.Vec:
-        """Loads and given forces of parts at a time, as those on the unknowns; the caller destroys the vector."""
-        loads = self.loads_at(t)
-        out = self.on_unknowns(loads, [part.load_at(t) for part in self.with_own])
-        loads.destroy()
-        return out
+        """Loads and given forces of parts at a time, as those on the unknowns."""
+        return self.on_unknowns(self.loads_at(t), [part.load_at(t) for part in self.with_own])
 
     def on_unknowns(self, forces: PETSc.Vec, own: Sequence[Array] = ()) -> PETSc.Vec:
-        """Nodal forces, and forces in own equations, as those on the unknowns; the caller destroys the vector."""
+        """Nodal forces, and forces in own equations, as those on the unknowns, a new vector."""
         out = self.vector()
         rows = self._layout.split(out.array)
         rows[DISPLACEMENTS][:] = forces.array_r
@@ -296,11 +268,8 @@ class Equations(PartSum):
         self._tangent = self._matrix.fill(self.blocks(self._relative_residual))
         if self._T is None:
             return self._tangent
-        if self._product is None:
-            self._product = self._tangent.ptap(self._T)
-            self._product.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        else:
-            self._tangent.ptap(self._T, result=self._product)
+        self._product = self._tangent.ptap(self._T, result=self._product)
+        self._product.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         return self._product
 
     def ease(self, ease: float) -> None:
@@ -324,8 +293,6 @@ class Equations(PartSum):
         moved, change = x.array_r[self.held] - old.array_r[self.held], (self.u.x.array - before)[: self.n_displacements]
         works = held @ x.array_r[self.held], held @ moved + self.loads.array_r @ change
         prescribed_work, supplied = map(float, self.comm.allreduce(np.array(works)))
-        old.destroy()
-        out.destroy()
         found, end = self.end_parts(self.u, self.interval.t)
         end = replace(end, reactions=self._reactions.at_end(self._forces, self.interval, self.loads_at))
         names = ("supplied", "before", "dissipated", "remainder", "after")
@@ -335,13 +302,6 @@ class Equations(PartSum):
         sudden = self.interval.dt == 0 and self.interval.old.at_rest
         known: dict[str, Any] = {"sudden": sudden, "prescribed_work": prescribed_work, "dissipated": dissipated}
         return State(**vars(end), model=self.model, report=report, audit=audit, **known)
-
-    def squares_of_strains(self, x: PETSc.Vec) -> dict[str, float]:
-        """Integrals of the squares of strains or jumps that unknowns x cause, by the keys of parts that measure them."""
-        self._put(x)
-        measuring = [part for part in self.parts if hasattr(part, "error_measure")]
-        local = {part.key: float((part.error_measure(self.u) ** 2).sum()) for part in measuring}
-        return {key: self.comm.allreduce(value) for key, value in local.items()}
 
     # ---------------------------------------------------------------- time
     def check_times(self, times: list[float]) -> None:
@@ -364,10 +324,12 @@ class Equations(PartSum):
     def _given_at(self, t: float) -> list[Array]:
         """Loads, prescribed displacements, given strains and varying parameters at time t, on this rank."""
         self.ask("at_time", t)
-        b = self.loads_at(t)
-        loads = b.array_r.copy()
-        b.destroy()
-        return [loads, self.constraints.values(t), *self._strains_at(t), *chain(*self.ask("parameters"))]
+        return [
+            self.loads_at(t).array_r.copy(),
+            self.constraints.values(t),
+            *self._strains_at(t),
+            *chain(*self.ask("parameters")),
+        ]
 
     def _strains_at(self, t: float) -> list[Array]:
         if self.model.strain:  # has words of its own for values that are not finite
@@ -377,11 +339,8 @@ class Equations(PartSum):
     # ---------------------------------------------------------------- end
     def destroy(self) -> None:
         """Free the matrices."""
-        for thing in (*self._own_parts, self._T, self._product, self._forces, self.loads, self.external):
-            if thing is not None:
-                thing.destroy()
-        if "K" in vars(self):
-            self.K.destroy()
+        for part in self._own_parts:
+            part.destroy()
         self._kept.give_back(self.model)
 
     @property

@@ -32,28 +32,19 @@ NEWTON: dict[str, OptionValue] = {
     "snes_max_it": 100,
 }
 YIELDING: dict[str, OptionValue] = {"snes_max_it": 50}
-SINGULAR: dict[str, OptionValue] = {  # for singular tangents: the search is for the least energy, residuals may grow
+LONGEST = "snes_linesearch_maxlambda" if PETSc.Sys.getVersion() >= (3, 24) else "snes_linesearch_maxstep"  # one option
+CRITICAL: dict[str, OptionValue] = {  # steps end where the forces do no work along them, though residuals may grow
     "snes_linesearch_type": "cp",
     "snes_linesearch_max_it": 40,
     "snes_linesearch_atol": 0,  # a work along the step: an absolute tolerance would depend on the units
-    "snes_max_it": 300,
 }
-CONTACT: dict[str, OptionValue] = {  # residuals grow on good steps, as springs of S are stiff
-    "snes_linesearch_type": "basic",
-    "snes_max_it": 40,
-}
-LONGEST = "snes_linesearch_maxlambda" if PETSc.Sys.getVersion() >= (3, 24) else "snes_linesearch_maxstep"  # one option
-EASED_CONTACT: dict[str, OptionValue] = {  # full steps at most, shortened where the forces do no work along them
-    **CONTACT,
-    "snes_linesearch_type": "cp",
-    "snes_linesearch_max_it": 20,
-    "snes_linesearch_rtol": 0.01,
-    "snes_linesearch_atol": 0,  # a work along the step: an absolute tolerance would depend on the units
-    LONGEST: 1,
-}
+SINGULAR: dict[str, OptionValue] = {**CRITICAL, "snes_max_it": 300}  # for singular tangents: of the least energy
+CONTACT: dict[str, OptionValue] = {"snes_linesearch_type": "basic", "snes_max_it": 40}  # residuals grow on good steps
+EASED_CONTACT: dict[str, OptionValue] = {**CRITICAL, "snes_max_it": 40, "snes_linesearch_rtol": 0.01, LONGEST: 1}
 STAGNATION_STEPS = 16  # number of steps in which the residual must fall by a tenth, for laws that yield
 RUN_AWAY = 1e6  # largest displacements, relative to those of the first step, for laws that yield
 Reason = PETSc.SNES.ConvergedReason
+RESISTS = "does something resist every motion of the bodies, and every strain of the layer?"
 UNRESISTED = 1e4  # linear step, relative to the old displacements, that shows a layer that yields everywhere
 
 
@@ -98,9 +89,8 @@ class Finder(ABC):
         """Drop what depends on the last step. True if this step used it: then another try may succeed."""
         return False
 
-    @abstractmethod
-    def close(self) -> None:
-        """Free matrices, vectors and factors."""
+    def close(self) -> None:  # noqa: B027  some finders have nothing to free
+        """Free matrices and factors."""
 
 
 class Equilibrium(Finder):
@@ -122,11 +112,6 @@ class Equilibrium(Finder):
         self._factor.destroy()
         was_reused, self.reused = self.reused, False
         return was_reused
-
-    def close(self) -> None:
-        """Free the vectors."""
-        for vector in self._vectors:
-            vector.destroy()
 
     def find(self, start: PETSc.Vec | None = None) -> Found:
         """Unknowns at the end of the step; if `start` is given, Newton's method begins there without a linear step.
@@ -172,11 +157,8 @@ class Equilibrium(Finder):
         if self._yields and x.norm() > 0 and not d.norm() <= UNRESISTED * x.norm():
             self._elastic_step(x, r, d, move)
         if not math.isfinite(d.norm()):
-            raise SolveError(
-                "the tangent at the start of the step is singular",
-                advice="does something resist every motion of the bodies, and every strain at rest? "
-                "A stress without a linear part, as e^3, needs a small one",
-            )
+            advice = f"{RESISTS[:-1]} at rest? A stress without a linear part, as e^3, needs a small one"
+            raise SolveError("the tangent at the start of the step is singular", advice=advice)
         d.array[equations.held] = move.array_r[equations.held]
         x.axpy(1.0, d)
         equations.residual(x, r)
@@ -226,12 +208,9 @@ class Equilibrium(Finder):
     def _require_finite(self, quantity: str, size: float) -> None:
         """Raise SolveError if `size`, the norm of a quantity at the start of the step, is NaN or infinite."""
         if not math.isfinite(size):
-            names = sorted({*self.equations.having("unchecked")})
-            raise SolveError(
-                f"the {quantity} of {' or '.join(names)} is not finite at the start of the step",
-                advice="at rest the strain e is zero: write ufl.sqrt(ufl.inner(e, e) + small) for a root, small a square "
-                "of strains, or a ufl.conditional",
-            )
+            names = " or ".join(sorted({*self.equations.having("unchecked")}))
+            advice = "at rest the strain e is zero: write ufl.sqrt(ufl.inner(e, e) + small), or a ufl.conditional"
+            raise SolveError(f"the {quantity} of {names} is not finite at the start of the step", advice=advice)
 
     def _solve_linear(self, b: PETSc.Vec, x: PETSc.Vec) -> int:
         solve_linear(self._factor.ksp, b, x)
@@ -258,18 +237,15 @@ class Equilibrium(Finder):
             iterations += ksp.getIterationNumber()
             size, change = self._displacements_at_play(x), _largest(d)
             if first and direct and change > UNDETERMINED * size:
-                share = f"by a share of {change / size:.1e}" if size else f"by {change:.1e}"
-                raise SolveError(
-                    f"no unique solution: rounding of the forces changes the displacements {share}",
-                    advice="does something resist every motion of the bodies, and every strain of the layer?",
-                )
+                what = f"rounding of the forces changes the displacements {size:.1e} by {change:.1e}"
+                raise SolveError(f"no unique solution: {what}", advice=RESISTS)
             first = False
             x.axpy(1.0, d)
             equations.residual(x, r)
             refined = self._relative(r)
+            if refined > residual:
+                x.axpy(-1.0, d)
             if refined >= residual / 2:
-                if refined > residual:
-                    x.axpy(-1.0, d)
                 break
             residual = refined
         if not residual < ALLOWED:
@@ -280,18 +256,15 @@ class Equilibrium(Finder):
         if not residual < ALLOWED:
             rounding = equations.scale.relative(equations.scale.rounding(_largest(x)))
             if residual < ROUNDED * rounding:
-                less = LESS_STIFF * residual / ALLOWED
-                raise SolveError(
-                    f"linear solve failed: {residual:.1e} of the forces is out of balance, allowed: {ALLOWED:g}: the "
-                    "bodies are so much stiffer than what holds them that their strains are lost in rounding",
-                    advice=f"take moduli of the bodies that are {less:.0e} times smaller, or larger cells",
-                )
+                what = f"{residual:.1e} of the forces is out of balance, allowed: {ALLOWED:g}"
+                why = "the bodies are so much stiffer than what holds them that their strains are lost in rounding"
+                advice = f"take their moduli {LESS_STIFF * residual / ALLOWED:.0e} times smaller, or larger cells"
+                raise SolveError(f"linear solve failed: {what}: {why}", advice=advice)
             hints = "".join(f", or {part.hint}" for part in equations.with_own if part.hint)
-            raise SolveError(
-                f"linear solve failed: {reason_name(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}; "
-                "a body without supports and without a stiff enough layer can move freely, or a law is not as linear as it "
-                f"says{hints}; with an iterative solver try -{PREFIX}ksp_max_it or -{PREFIX}pc_type cholesky"
-            )
+            what = f"{reason_name(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}"
+            why = f"a body can move freely, or a law is not as linear as it says{hints}"
+            advice = f"with an iterative solver try -{PREFIX}ksp_max_it or -{PREFIX}pc_type cholesky"
+            raise SolveError(f"linear solve failed: {what}; {why}", advice=advice)
         return residual, 0 if direct else iterations
 
     def _displacements_at_play(self, x: PETSc.Vec) -> float:
@@ -354,32 +327,29 @@ class Equilibrium(Finder):
         equations.hold(A)
         snes = PETSc.SNES().create(equations.comm)
         snes.setOptionsPrefix(PREFIX)
-        r = x.duplicate()
-        snes.setFunction(function, r)
+        snes.setFunction(function, x.duplicate())
         snes.setJacobian(jacobian, A)
         if self._own_test:
             snes.setConvergenceTest(converged)
         snes.setFromOptions()
         equations.tell(snes.getKSP(), A)
-        solve_nonlinear(snes, x, r)
+        solve_nonlinear(snes, x)
         reason, steps = snes.getConvergedReason(), snes.getIterationNumber()
         if self._own_test and not residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN
             raise InputError(f"-{PREFIX}snes_type {snes.getType()} does not look at the residual; use another one")
         last = equations.scale.relative(float(snes.getFunctionNorm()))
         ksp_reason = snes.getKSP().getConvergedReason()
         snes.destroy()
-        r.destroy()
         stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < ALLOWED  # rounding stops the line search
         stopped = self._own_test and reason >= 0 and not last < ALLOWED  # another test than ours ended the solve
         if stopped or (reason < 0 and not stalled):
             failed = f"; {equations.failure()}" if equations.failed else ""
-            raise SolveError(
-                f"Newton's method failed after {steps} steps: {given_up or reason_name(Reason, reason)}"
-                + (f" (linear solver: {reason_name(PETSc.KSP.ConvergedReason, ksp_reason)})" if ksp_reason < 0 else "")
-                + f", residual {last:.1e} of the forces{failed}",
-                residuals=tuple(residuals),
-                advice=f"try {self._advice}, or -{PREFIX}snes_monitor to watch it",
-            )
+            why = f"{given_up or reason_name(Reason, reason)}, residual {last:.1e} of the forces"
+            if ksp_reason < 0:
+                why += f", linear solver: {reason_name(PETSc.KSP.ConvergedReason, ksp_reason)}"
+            advice = f"try {self._advice}, or -{PREFIX}snes_monitor to watch it"
+            what = f"Newton's method failed after {steps} steps: {why}{failed}"
+            raise SolveError(what, residuals=tuple(residuals), advice=advice)
         if not equations.traits.releases:
             equations.require_unique()
         return Found(x, steps + 1, last)

@@ -110,11 +110,11 @@ class History:
         """The state at a time, the last of several. InputError: no step ended there, or its state was not kept."""
         require(is_number(t) and math.isfinite(t), "t", t, "it must be a finite number")
         near = SAME_TIME * max(abs(t), float(np.ptp(self.t)))
-        rows = [row for row in self.states if abs(self.states[row].t - t) <= near]
-        if not rows:
-            kept = ", ".join(f"{state.t:g}" for state in self)
-            raise InputError(f"no state at t = {t:g} is kept; there are states at {kept}")
-        return self.states[rows[-1]]
+        for state in reversed(self.states.values()):
+            if abs(state.t - t) <= near:
+                return state
+        kept = ", ".join(f"{state.t:g}" for state in self)
+        raise InputError(f"no state at t = {t:g} is kept; there are states at {kept}")
 
 
 Solution = State | History

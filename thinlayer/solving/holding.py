@@ -51,7 +51,7 @@ class ReactionSums:
         Args:
             r: nodal forces of the last evaluation of the parts, less loads.
             interval: the step.
-            loads_at: nodal forces of the loads at a time, a vector to destroy.
+            loads_at: nodal forces of the loads at a time, a new vector.
         """
         theta, old = interval.theta, interval.old
         of_ties = self._of_ties(interval.t, old.t, theta)
@@ -60,10 +60,7 @@ class ReactionSums:
             return now
         before = old.reactions
         if before is None:  # at rest there are no stresses
-            loads = loads_at(old.t)
-            loads.scale(-1.0)
-            before = self._resultants(loads, self._of_ties(old.t, old.t, 1.0), layers=False)
-            loads.destroy()
+            before = self._resultants(-loads_at(old.t), self._of_ties(old.t, old.t, 1.0), layers=False)
         return np.asarray((now - (1 - theta) * before) / theta)
 
     def _of_ties(self, new: float, old: float, theta: float) -> Array:
@@ -82,26 +79,18 @@ class ReactionSums:
             rows.append((rest[tied] @ self._motions[tied])[None])
         first = len(model.supports.entries) + len(rows) - 1
         for name in model.holders[first:]:
-            keys = self._keys_of(model.layers[str(name)].key) if layers else set()
-            rows.append(-self._of_parts(keys, r)[None])
+            rows.append(-self._of_layer(model.layers[str(name)].key, r)[None] * layers)
         return np.asarray(model.comm.allreduce(np.concatenate(rows)))
 
-    def _of_parts(self, keys: set[str], like: PETSc.Vec) -> Array:
-        """Force and moment (k,) on this rank of the layers' forces in the last evaluation that have one of these keys."""
+    def _of_layer(self, key: str, like: PETSc.Vec) -> Array:
+        """Force and moment (k,) on this rank of a layer in the last evaluation, its sublayers and pressure included."""
+        starts = (f"{key}/", f"{key} ") if len(self.model.joint.seams) == 1 else (f"{key}/",)
         forces = like.duplicate()
         forces.set(0.0)
         for part in self.parts:
-            if part.key in keys:
+            if part.key in (key, PRESSURE + key.removeprefix(LAYER)) or part.key.startswith(starts):
                 part.add_forces(forces)
-        found = forces.array_r @ self._motions
-        forces.destroy()
-        return np.asarray(found)
-
-    def _keys_of(self, key: str) -> set[str]:
-        """Keys of the terms and parts of a layer, sublayers and pressure included."""
-        keys = [*(part.key for part in self.parts), *(p.key for p in self.model.layer_terms)]
-        starts = (f"{key}/", f"{key} ") if len(self.model.joint.seams) == 1 else (f"{key}/",)
-        return {key, PRESSURE + key.removeprefix(LAYER), *(one for one in keys if one.startswith(starts))}
+        return np.asarray(forces.array_r @ self._motions)
 
 
 class RigidMotions:
@@ -145,13 +134,8 @@ class RigidMotions:
         self._per = len(rigid)
         return np.column_stack(rigid), of[:owned].repeat(bs)
 
-    def require_resisted(self, A: PETSc.Mat, unbalanced: PETSc.Vec | None = None) -> None:
-        """Raise LooseBody if a tangent, with or without supports, does not resist a motion that supports allow.
-
-        Args:
-            A: the tangent.
-            unbalanced: forces that nothing balances, whose direction the error tells; None: any motion that is free.
-        """
+    def require_resisted(self, A: PETSc.Mat) -> None:
+        """Raise LooseBody if a tangent A, with or without supports, does not resist a motion that supports allow."""
         motions, allowed = self._free
         if not allowed.shape[1]:
             return
@@ -164,43 +148,24 @@ class RigidMotions:
         begins, columns, values = product.getValuesCSR()
         stiffness = np.zeros(product.getSize())
         stiffness[np.repeat(np.arange(first, last), np.diff(begins)), columns] = values
-        product.destroy()
-        rigid.destroy()
         _, sizes, ways = np.linalg.svd(allowed.T @ self.model.comm.allreduce(stiffness) @ allowed)
         if sizes[-1] > RESISTED_MOTION * self._stiffness or not np.isfinite(sizes[-1]):
             return
         least = np.flatnonzero(sizes <= max(RESISTED_MOTION * self._stiffness, sizes[-1]))
-        free = allowed @ ways[least].T
-        if unbalanced is not None:
-            free = self._led(free, unbalanced)
-        motion = self._described(free)
-        raise LooseBody(
-            f"no unique solution: {motion}, and neither supports nor the layer resist it (to rounding)",
-            motion,
-            advice="add supports, or give the layer's law a stiffness in this direction",
-        )
-
-    def _led(self, free: Array, forces: PETSc.Vec) -> Array:
-        """Free motions (pieces times per, k), and as a further one that to which forces on the displacements lead."""
-        motions, _ = self._free
-        along = motions.T @ forces.array_r[: motions.shape[0]]
-        led = free @ (free.T @ self.model.comm.allreduce(along))
-        size = float(np.linalg.norm(led))
-        return np.column_stack([free, led / size]) if size else free
+        motion = self._described(allowed @ ways[least].T)
+        reason = f"no unique solution: {motion}, and neither supports nor the layer resist it (to rounding)"
+        raise LooseBody(reason, motion, advice="add supports, or give the layer's law a stiffness in this direction")
 
     def _described(self, motions: Array) -> str:
         """Words for the motions (pieces times per, k) of the piece that moves most in the last one."""
-        d = self.model.joint.dim
-        of_plates = len(motions) - len(self._names) * (self._per)
-        motions = motions[: len(motions) - of_plates]
-        each = motions.reshape(len(self._names), -1, motions.shape[1])
-        of_pieces = each[..., -1]
-        k = int(np.abs(of_pieces).max(axis=1).argmax())
+        d, pieces = self.model.joint.dim, len(self._names)
+        each = motions[: pieces * self._per].reshape(pieces, self._per, -1)  # those of plates come last
+        k = int(np.abs(each[..., -1]).max(axis=1).argmax())
         axes, shift = [*self.model.kinematics.translations(d)], np.zeros(d)
-        shift[axes], turn = of_pieces[k, : len(axes)], of_pieces[k, len(axes) :]
+        shift[axes], turn = np.split(each[k, :, -1], [len(axes)])
         where = f" at {place(self._places[k])}" if self._names.count(self._names[k]) > 1 else ""
         body = f"body {self._names[k]!r}{where}"
-        if self.model.kinematics.turns and np.linalg.matrix_rank(each[k], tol=SEVERAL) == len(each[k]):
+        if self.model.kinematics.turns and np.linalg.matrix_rank(each[k], tol=SEVERAL) == self._per:
             return f"{body} can move and turn freely"
         if np.abs(turn).max(initial=0.0) > np.abs(shift).max():
             if self.model.joint.periods:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from functools import cached_property, partial
+from functools import cached_property
 
 import basix
 import numpy as np
@@ -136,20 +136,21 @@ class HeldLayers:
         """Displacements, from w on, under forces on the unknowns of a factor, by Newton's method."""
         if self.model.linear:
             return w
+
+        def slope(share: float) -> float:
+            """By which the energy falls along d, a share of it beyond w."""
+            return float(d @ (forces - self.residual(w + share * d)))
+
         for _ in range(NEWTON_STEPS):
             self.linearise(w)
             d = np.zeros_like(w)
-            slope = factor().solve(forces - self.residual(w), d)
-            if slope <= SETTLED**2 * abs(w @ (self.K @ w)):
+            first = factor().solve(forces - self.residual(w), d)
+            if first <= SETTLED**2 * abs(w @ (self.K @ w)):
                 if factor().indefinite:
                     raise SolveError("the layer by itself softens: its stress falls as strains grow", advice=REMEDY)
                 return w
-            w = w + d * share_of_step(partial(self._slope, w, d, forces), slope)
+            w = w + d * share_of_step(slope, first)
         raise SolveError(f"the layer by itself: no equilibrium after {NEWTON_STEPS} of Newton's steps", advice=REMEDY)
-
-    def _slope(self, w: Array, d: Array, forces: Array, share: float) -> float:
-        """By which the energy falls along d, a share of it beyond w."""
-        return float(d @ (forces - self.residual(w + share * d)))
 
     def motion_of(self, place: Place, direction: Array) -> Array:
         """(n,) motion of the layers' sides for which -g . r is the force of a support along a direction (d,)."""
@@ -168,9 +169,8 @@ class HeldLayers:
         X = divided.in_parents(interpolation_points(V))
         shapes = element.tabulate(0, X.reshape(-1, d))[0, :, :, 0].reshape(*X.shape[:2], -1)
         own = self.model.V.dofmap.list[_cells_of(self.model, self.model.domain.joint)[divided.parent]]
-        values = np.einsum(
-            "iq,nqk,nkd->nid", element.interpolation_matrix, shapes, w[: self._displacements].reshape(-1, d)[own]
-        )
+        nodal = w[: self._displacements].reshape(-1, d)[own]
+        values = np.einsum("iq,nqk,nkd->nid", element.interpolation_matrix, shapes, nodal)
         out = np.zeros(len(fine.load))
         out[: fine._displacements].reshape(-1, d)[V.dofmap.list] = values[fine.model.domain.original_cells]
         return out
@@ -324,9 +324,7 @@ def share_of_step(slope: Callable[[float], float], start: float) -> float:
     while not (end := slope(share)) >= -start / 2:  # a law that fails has none
         share *= max(start / (start - end), LEAST_SHARE) if end < 0 else LEAST_SHARE
         if share < LEAST_SHARE**SHARES:
-            raise SolveError(
-                "the layer by itself: Newton's steps lead nowhere; its law fails, or softens", advice=REMEDY
-            )
+            raise SolveError("the layer by itself: Newton's steps lead nowhere; it fails, or softens", advice=REMEDY)
     return share
 
 
@@ -342,9 +340,8 @@ def _pairs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntArray, Int
             faces = band.facets.get(prefix + name, np.empty((0, d), np.int64))
             for facet, face, row in zip(facets, faces, band.table.index(faces), strict=False):
                 below = dict(zip(face, facet, strict=True))
-                for node, vertices in _nodes(
-                    layers, theirs_of, band, band.table.cells[row, 0], band.table.local[row, 0]
-                ):
+                cell, local = band.table.cells[row, 0], band.table.local[row, 0]
+                for node, vertices in _nodes(layers, theirs_of, band, cell, local):
                     of_key[tuple(facet), side, tuple(sorted(below[v] for v in vertices))] = node
     owned, pairs = interface.V.dofmap.index_map.size_local, {}
     for row, cells in zip(base.surface_rows, base.surface_cells, strict=True):
@@ -356,10 +353,9 @@ def _pairs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntArray, Int
                     key = facet, side, tuple(sorted(vertices))
                     if node < owned and key in of_key:
                         pairs[node] = of_key[key]
-    ours, theirs = (
-        np.array(some, np.int64)[:, None] * d + np.arange(d) for some in (list(pairs), list(pairs.values()))
-    )
-    return ours.ravel(), theirs.ravel()
+    nodes = np.array([*pairs.items()], np.int64).reshape(-1, 2)
+    ours, theirs = (nodes.T[..., None] * d + np.arange(d)).reshape(2, -1)
+    return ours, theirs
 
 
 def _cells_of(model: InterfaceModel | LayerModel, joint: Joint) -> IntArray:

@@ -2,28 +2,23 @@
 
 With pressures on S the tangent is [A B'; B -C], and PETSc's PCFIELDSPLIT takes it block by block.
 The Schur complement of the pressures is -(C + B A^-1 B'). C has the compliance and the flow of the layer, and is assembled.
-B A^-1 B' is what the sides of S yield to pressures: for waves of length l about l/E, with Young's modulus E of the bodies.
-It is replaced by a multiple of the mass matrix of S: the compliance under waves as long as cells, 1'B D^-1 B'1 over 1'M 1
-with the diagonal D of A, times the square root of the number of cells along S. That is the geometric mean of the
-compliances from the shortest waves to the longest. Where bodies are stiff, or waves short, C is the larger one.
+B A^-1 B' is what the sides of S yield to pressures. PETSc replaces A by its diagonal there ("selfp"): the compliance under
+waves as long as cells. Where bodies are stiff, or waves short, C is the larger one.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
-import numpy as np
 from petsc4py import PETSc
 
 from forms.base import InputError
 from forms.work import Term
-from geometry.topology import Indices
 from thinlayer.discretisation.model import Model
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Part
 from thinlayer.parts.pressure_part import PressurePart
-from thinlayer.solving.balance import DIFFERENT, Layout, TangentMatrix, side_by_side
+from thinlayer.solving.balance import Layout, TangentMatrix
 from thinlayer.solving.petsc import PREFIX, OptionValue, options_set
 
 DIRECT: dict[str, OptionValue] = {
@@ -33,9 +28,8 @@ DIRECT: dict[str, OptionValue] = {
     "mat_mumps_icntl_7": 2,
     "mat_mumps_icntl_14": 100,  # spare memory in per cent: with its default of 20, MUMPS sometimes fails on several ranks
 }
-# for saddle points at which MUMPS puts off pivots again and again: more memory, then smaller pivots, too
-SPACIOUS: dict[str, OptionValue] = {"mat_mumps_icntl_14": 1000}
-LENIENT: dict[str, OptionValue] = {**SPACIOUS, "mat_mumps_cntl_1": 1e-4}
+# for saddle points at which MUMPS puts off pivots again and again: more memory and smaller pivots
+LENIENT: dict[str, OptionValue] = {"mat_mumps_icntl_14": 1000, "mat_mumps_cntl_1": 1e-4}
 MULTIGRID: dict[str, OptionValue] = {
     **DIRECT,
     "ksp_max_it": 200,
@@ -59,11 +53,8 @@ BLOCKS: dict[str, OptionValue] = {
     "pc_type": "fieldsplit",
     "pc_fieldsplit_type": "schur",
     "pc_fieldsplit_schur_fact_type": "upper",
-    **{
-        f"fieldsplit_u_{name}": value
-        for name, value in MULTIGRID.items()
-        if name not in DIRECT and name != "ksp_max_it"
-    },
+    "pc_fieldsplit_schur_precondition": "selfp",
+    **{f"fieldsplit_u_{name}": MULTIGRID[name] for name in MULTIGRID if name.startswith(("pc_gamg", "pc_type", "mg_"))},
     "fieldsplit_u_ksp_type": "preonly",
     **{f"fieldsplit_p_{name}": value for name, value in DIRECT.items() if name != "ksp_rtol"},
     "fieldsplit_p_pc_type": "cholesky",
@@ -77,7 +68,7 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
     The direct solver is MUMPS with AMF ordering: Cholesky for symmetric tangents, else LU. Large models try conjugate
     gradients (GMRES without symmetry) with algebraic multigrid first; it knows the rigid motions. Very stiff layers slow
     multigrid down so much that factorising is faster. Layers with a pressure lead to saddle points: if the pressures are on
-    S, large models try GMRES with blocks first; if MUMPS fails, it is tried with more memory, then with smaller pivots too.
+    S, large models try GMRES with blocks first; if MUMPS fails, it is tried with more memory and smaller pivots.
 
     Args:
         model: the model.
@@ -92,14 +83,13 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
     if any(isinstance(part, PressurePart) for part in parts):
         if chosen in MULTIGRIDS:
             raise InputError(f"pc_type {chosen} cannot solve for the pressures of a layer, too; use pc_type fieldsplit")
-        factorising = [direct, {**direct, **SPACIOUS}, {**direct, **LENIENT}]
-        if chosen != "fieldsplit" and not large:
-            return factorising
-        unsuited = [part.key for part in parts if isinstance(part, FieldPart) and part.own_mass is None]
+        factorising = [direct, {**direct, **LENIENT}]
+        unsuited = [part.key for part in parts if isinstance(part, FieldPart) and not part.on_S]
         if chosen == "fieldsplit" and unsuited:
             others = f"the unknowns {unsuited[0]!r} are others (of a meshed layer, a plate or a mean stress)"
             raise InputError(f"pc_type fieldsplit is for displacements and pressures on S; {others}")
-        return factorising if unsuited else [BLOCKS, *factorising]
+        suited = chosen == "fieldsplit" or (large and not unsuited)
+        return [BLOCKS, *factorising] if suited else factorising
     iterative = {**MULTIGRID, "ksp_type": "cg" if model.symmetric else "gmres"}
     if chosen in MULTIGRIDS:
         return [iterative]
@@ -187,7 +177,7 @@ class Kept:
             [(name, type(one.law), one.thin and one.thin.order) for name, one in model.layers.items()],
         )
         if pattern != kept._pattern:
-            kept._free_matrix()
+            kept.free()
         if model.layer_terms is not kept._terms:
             kept.factor.of = None
         kept._terms, kept._pattern = model.layer_terms, pattern
@@ -196,24 +186,16 @@ class Kept:
     def give_back(self, model: Model) -> None:
         """Leave all to the family if it has other models, else free it."""
         if model.family.several:
-            if model.family.kept is not None:  # by another solver at the same time
-                model.family.kept.destroy()
             model.family.kept = self
         else:
-            self.destroy()
+            self.free()
 
-    def _free_matrix(self) -> None:
+    def free(self) -> None:
+        """Free the tangent and its factor."""
         self.factor.destroy()
         if self.matrix is not None:
             self.matrix.destroy()
         self.matrix = None
-
-    def destroy(self) -> None:
-        """Free all matrices."""
-        self._free_matrix()
-        for part in self.bodies:
-            part.destroy()
-        self.bodies = ()
 
 
 # ---------------------------------------------------------------- blocks with pressures
@@ -226,17 +208,13 @@ def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
     return vectors
 
 
-def split(
-    pc: PETSc.PC, A: PETSc.Mat, layout: Layout, held: Indices, masses: dict[str, PETSc.Mat], motions: list[PETSc.Vec]
-) -> None:
-    """Tell a PCFIELDSPLIT its blocks "u", displacements, and "p", pressures, and the Schur complement. Collective.
+def split(pc: PETSc.PC, A: PETSc.Mat, layout: Layout, motions: list[PETSc.Vec]) -> None:
+    """Tell a PCFIELDSPLIT its blocks "u", displacements, and "p", pressures. Collective.
 
     Args:
         pc: the preconditioner, which has read its options.
         A: the tangent, with supports, see `Equations.hold`.
         layout: of the unknowns: displacements and fields on S.
-        held: held unknowns of this rank.
-        masses: key of a field on S -> its mass matrix.
         motions: rigid motions: their displacements, or also further unknowns.
     """
     first, last = A.getOwnershipRange()
@@ -247,41 +225,3 @@ def split(
     modes = [PETSc.Vec().createWithArray(v.array_r[:n].copy(), (n, None), bsize=bs, comm=A.comm) for v in motions]
     of_u.compose("nearnullspace", PETSc.NullSpace().create(vectors=orthonormal(modes), comm=A.comm))
     pc.setFieldSplitIS(("u", of_u), ("p", of_p))
-    schur = A.createSubMatrix(of_p, of_p)
-    added = _compliance(A, layout, held, masses)
-    schur.axpy(-1.0, added, DIFFERENT)
-    pc.setFieldSplitSchurPreType(PETSc.PC.FieldSplitSchurPreType.USER, schur)
-    for thing in (added, schur, of_u, of_p):
-        thing.destroy()
-
-
-def _compliance(A: PETSc.Mat, layout: Layout, held: Indices, masses: Mapping[str, PETSc.Mat]) -> PETSc.Mat:
-    """Multiples of the mass matrices that stand for B A^-1 B', without rows and columns of held unknowns."""
-    diagonal, ones, forces, free = A.getDiagonal(), layout.vector(), layout.vector(), layout.vector()
-    free.set(1.0)
-    free.array[held] = 0.0
-    scaled = []
-    for key, M in masses.items():
-        ones.set(0.0)
-        layout.split(ones.array)[key][:] = layout.split(free.array_r)[key]
-        A.mult(ones, forces)
-        f, d = (layout.split(v.array_r)[DISPLACEMENTS] for v in (forces, diagonal))
-        yielding = layout.comm.allreduce(float((f**2 / np.abs(d)).sum()))
-        mine = M.copy()
-        mask = M.createVecRight()
-        mask.array[:] = layout.split(free.array_r)[key]
-        mine.diagonalScale(mask, mask)
-        mask.array[:] = layout.split(ones.array_r)[key]
-        image = M.createVecLeft()
-        M.mult(mask, image)
-        space = layout.fields[key].function_space
-        along = M.getSize()[0] ** (1 / space.mesh.topology.dim)
-        mine.scale(math.sqrt(along) * yielding / image.dot(mask))
-        scaled.append(mine)
-        mask.destroy()
-        image.destroy()
-    rows = [[one if k == i else None for k, one in enumerate(scaled)] for i in range(len(scaled))]
-    whole = side_by_side(rows, A.comm)
-    for thing in (*scaled, diagonal, ones, forces, free):
-        thing.destroy()
-    return whole

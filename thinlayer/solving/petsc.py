@@ -20,9 +20,6 @@ from forms.base import Array, InputError
 from thinlayer.errors import SolveError
 
 PREFIX = "thinlayer_"
-# PETSc's error codes that a wrong value of an option can cause: not supported, wrong, out of range, wrong state, user's
-# function missing, unknown type, no such factorisation
-OPTION_ERRORS = (56, 62, 63, 73, 83, 86, 92)
 OptionValue = str | int | float | bool | None
 Options = Mapping[str, OptionValue]  # names without the prefix -> values
 _PLACED: set[str] = set()  # names, without the prefix, of the options that `defaults` has put into PETSc's database
@@ -89,19 +86,13 @@ def chosen(ours: Options, given: Options | None = None) -> Iterator[None]:
     """Within a `with` block, PETSc's database has our options, and those of a script, which override them.
 
     Raises:
-        InputError: PETSc does not take the value of one of the user's options.
-        SolveError: PETSc, or a library that it calls, has failed, so that a march can try a shorter step.
+        SolveError: PETSc, or a library that it calls, has failed, so that a march can try a shorter step; or it does not
+            take the value of an option.
     """
-    given = given or {}
-    with defaults({**ours, **given}):
+    with defaults({**ours, **(given or {})}):
         try:
             yield
         except PETSc.Error as error:
-            found = options_set()
-            theirs = sorted(found.keys() - _PLACED.intersection(ours.keys() - given.keys()))
-            if error.ierr in OPTION_ERRORS and theirs:
-                listed = ", ".join(f"-{PREFIX}{name} {found[name]}" for name in theirs)
-                raise InputError(f"PETSc does not take the value of one of these options: {listed}") from error
             said = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines()]
             raise SolveError(f"PETSc: {said[-1] if said else ''} (error {error.ierr})") from error
 
@@ -116,11 +107,8 @@ def function(name: str) -> Any:
     try:
         found = getattr(ctypes.CDLL(PETSc.__file__), name)
     except (OSError, AttributeError) as error:
-        version = ".".join(map(str, PETSc.Sys.getVersion()))
-        raise ImportError(
-            f"PETSc {version}, which petsc4py loads from {PETSc.__file__}, does not export its function {name}, which "
-            "petsc4py lacks; use a petsc4py that is linked to a shared library of PETSc 3.22 or newer"
-        ) from error
+        remedy = "use a petsc4py that is linked to a shared library of PETSc 3.22 or newer"
+        raise ImportError(f"PETSc, from {PETSc.__file__}, does not export its function {name}; {remedy}") from error
     found.argtypes = ARGUMENTS[name]
     return found
 
@@ -141,7 +129,6 @@ def keep_unknowns(factor: PETSc.Mat, unknowns: npt.NDArray[Any]) -> None:
     """Tell a factor, before the factorisation, which unknowns (c,) to keep: it then computes their Schur complement."""
     places = PETSc.IS().createGeneral(unknowns.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
     _call("MatFactorSetSchurIS", factor.handle, places.handle)
-    places.destroy()
 
 
 def schur_of(factor: PETSc.Mat, c: int) -> Array:
@@ -152,7 +139,6 @@ def schur_of(factor: PETSc.Mat, c: int) -> Array:
     _call("MatFactorCreateSchurComplement", factor.handle, ctypes.byref(inside), ctypes.byref(status))
     _call("MatCopy", inside, dense.handle, 0)
     _call("MatDestroy", ctypes.byref(inside))
-    dense.destroy()
     return out
 
 
@@ -163,23 +149,18 @@ def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         PETSc.Error: PETSc, or a library that it calls, has failed. Do not use the solver again: its vectors stay locked. b
             is unchanged.
     """
-    right = b.copy()  # PETSc leaves the right-hand side locked after an error
-    try:
-        ksp.solve(right, x)
-    finally:
-        right.destroy()
+    ksp.solve(b.copy(), x)  # PETSc leaves the right-hand side locked after an error
 
 
-def solve_nonlinear(snes: PETSc.SNES, x: PETSc.Vec, *own: PETSc.Vec) -> None:
+def solve_nonlinear(snes: PETSc.SNES, x: PETSc.Vec) -> None:
     """Solve from x, in place, by an SNES. Collective.
 
     After an error PETSc leaves vectors locked for ever: the solution's after one in a function that it has called, the
-    residual's after one in a linear solve. Therefore it gets a copy of x, and after an error the SNES and its vectors go.
+    residual's after one in a linear solve. Therefore it gets a copy of x, and after an error the SNES goes.
 
     Args:
         snes: the solver.
         x: unknowns; unchanged after an error.
-        own: vectors that only this SNES uses, as that of its function; destroyed after an error.
 
     Raises:
         Exception: what a function that PETSc has called raises. PETSc.Error: PETSc itself has failed.
@@ -188,15 +169,11 @@ def solve_nonlinear(snes: PETSc.SNES, x: PETSc.Vec, *own: PETSc.Vec) -> None:
     try:
         snes.solve(None, inside)
     except PETSc.Error as error:
-        for thing in (snes, *own):
-            thing.destroy()
+        snes.destroy()
         if error.__cause__ is not None:
             raise error.__cause__ from None
         raise
-    else:
-        inside.copy(x)
-    finally:
-        inside.destroy()
+    inside.copy(x)
 
 
 def reason_name(kind: Any, value: int) -> str:

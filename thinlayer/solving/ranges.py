@@ -51,12 +51,9 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
     for name, known in model.reductions.items() if model.broken else ():
         if known.one.flows and known.coarse.any():
             delta, largest = known.falls[known.coarse].min(), known.loose[known.coarse].depth.max()
-            model.warn(
-                "coarse ends",
-                f"the pressure of {known.one} falls to zero at free ends over delta = {delta:.3g}, and cells there are up "
-                f"to {largest:.3g} long: it is not set to zero there, as if they were held; make cells there shorter",
-                name,
-            )
+            what = f"the pressure of {known.one} falls to zero at free ends over delta = {delta:.3g}"
+            remedy = "it is not set to zero there, as if they were held; make cells there shorter"
+            model.warn("coarse ends", f"{what}, and cells there are up to {largest:.3g} long: {remedy}", name)
         if refused := known.why_not("sides"):
             model.warn(refused.key, f"{refused.reason}: what it bears is left out; {refused.remedy}", name)
 
@@ -89,13 +86,11 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
     for known in model.reductions.values() if model.broken else ():
         pulls = [_tension(known, state) for state in states]
         if max(pulls) > CAVITATION:
-            model.warn(
-                "cavitation",
-                f"at t = {states[int(np.argmax(pulls))].t:.4g} the pressure of {known.one} is a tension, {max(pulls):.3g} "
-                f"times its shear modulus: from about {CAVITATION:g} times on small holes in rubber grow and tear it "
-                "(cavitation), which its law does not contain; do not use results under such loads",
-                *(known.one.name, states[-1].t),
-            )
+            t, times = states[int(np.argmax(pulls))].t, max(pulls)
+            what = f"at t = {t:.4g} the pressure of {known.one} is a tension, {times:.3g} times its shear modulus"
+            why = f"from about {CAVITATION:g} times on small holes in rubber grow and tear it (cavitation)"
+            remedy = "which its law does not contain; do not use results under such loads"
+            model.warn("cavitation", f"{what}: {why}, {remedy}", known.one.name, states[-1].t)
     for one in _thin(model):
         for key, remark in _of_states(states, one, start):
             model.warn(key, remark, one.name, states[-1].t)
@@ -118,24 +113,19 @@ def warn_of_strains(states: Sequence[State]) -> None:
         e, one = term.strain(u), fem.Constant(model.domain.mesh, 1.0)
         squares = compiled(ufl.inner(e, e) * term.weight * term.measure)
         volume = model.comm.allreduce(fem.assemble_scalar(compiled(one * term.weight * term.measure)))
-        found = []
+        strains = {}
         for state in states:
             u.x.array[:] = state.u.x.array
-            whole = model.comm.allreduce(fem.assemble_scalar(squares))
-            found.append(math.sqrt(whole / volume))
-        beyond = [k for k, strain in enumerate(found) if strain > LARGEST_STRAIN]
-        if not beyond:
+            strains[state.t] = math.sqrt(model.comm.allreduce(fem.assemble_scalar(squares)) / volume)
+        if not (beyond := [t for t, strain in strains.items() if strain > LARGEST_STRAIN]):
             continue
-        worst = max(beyond, key=found.__getitem__)
-        name = term.key.removeprefix(f"{BODY} ")
-        model.warn(
-            "strains",
-            f"at t = {states[worst].t:.4g} strains of {f'the body {name!r}' if name else 'the bodies'} are "
-            f"{found[worst]:.3g} (root mean square over its volume), beyond {LARGEST_STRAIN:g} from "
-            f"t = {states[beyond[0]].t:.4g} on: the theory is for small strains; what yields there flows at loads that it "
-            "cannot bear: take smaller loads or motions of supports, or check the units of the moduli",
-            *(name, states[-1].t),
-        )
+        worst, name = max(beyond, key=strains.__getitem__), term.key.removeprefix(f"{BODY} ")
+        body = f"the body {name!r}" if name else "the bodies"
+        what = f"at t = {worst:.4g} strains of {body} are {strains[worst]:.3g} (root mean square over its volume)"
+        why = "the theory is for small strains; what yields there flows at loads that it cannot bear"
+        remedy = "take smaller loads or motions of supports, or check the units of the moduli"
+        since = f"beyond {LARGEST_STRAIN:g} from t = {beyond[0]:.4g} on"
+        model.warn("strains", f"{what}, {since}: {why}: {remedy}", name, states[-1].t)
 
 
 def _of_states(states: Sequence[State], one: SeamLayer, start: float | None) -> Iterator[Remark]:
@@ -149,12 +139,11 @@ def _of_states(states: Sequence[State], one: SeamLayer, start: float | None) -> 
             faces = Faces(surface, states[int(np.argmax(closings))], one)
             facet, corner = np.unravel_index(faces.closing.argmax(), faces.closing.shape)
             x = place(surface.corner_points.x[:, facet, corner])
-            yield (
-                "overlap",
-                f"at t = {faces.state.t:.4g} {one} closes by {max(closings):.3g} times its thickness, on average over S "
-                f"(most near {x}, by {faces.closing.max():.3g} times): bodies overlap, and the law is for small strains; "
-                "check loads, thickness and parameters",
-            )
+            t, times = faces.state.t, max(closings)
+            what = f"at t = {t:.4g} {one} closes by {times:.3g} times its thickness, on average over S"
+            most = f"most near {x}, by {faces.closing.max():.3g} times"
+            remedy = "bodies overlap, and the law is for small strains; check loads, thickness and parameters"
+            yield "overlap", f"{what} ({most}): {remedy}"
     if one.law.traits.linear and not one.flows:
         told = [*too_stiff(one, surface, states, start)]
         yield from told or (beyond_free_ends(model, one, [sublayers]) if _told_by_states(one, sublayers) else ())
@@ -190,11 +179,9 @@ def _of_facets(model: Model, one: SeamLayer) -> Iterator[Remark]:
     if normal * angle**2 > LEAST_ERROR * tangential:
         share = normal * angle**2 / tangential if tangential else math.inf
         effect = f"is about {1 + share:.3g} times too stiff against it," if tangential else "resists"
-        yield (
-            "facets",
-            f"S is curved and its facets are straight, {math.degrees(angle):.2g} degrees off its normal on average: a slip "
-            f"along S opens the layer there, which {effect} by the mesh alone; use curved cells (degree 2) or a finer mesh",
-        )
+        what = f"S is curved and its facets are straight, {math.degrees(angle):.2g} degrees off its normal on average"
+        remedy = "use curved cells (degree 2) or a finer mesh"
+        yield "facets", f"{what}: a slip along S opens the layer there, which {effect} by the mesh alone; {remedy}"
 
 
 def _of_thickness(model: Model, one: SeamLayer, sublayers: list[Sublayer]) -> Iterator[Remark]:
@@ -205,21 +192,17 @@ def _of_thickness(model: Model, one: SeamLayer, sublayers: list[Sublayer]) -> It
     height, layer = min(one.sheet.heights), one.thin
     assert layer
     if layer.eps > height:
-        yield (
-            "thick",
-            f"{one} is {layer.eps:.4g} thick, the thinner body {height:.4g} high: the interface law is for thicknesses "
-            "well below that of the bodies; mesh the layer (structure.full), or check eps",
-        )
+        what = f"{one} is {layer.eps:.4g} thick, the thinner body {height:.4g} high"
+        remedy = "mesh the layer (structure.full), or check eps"
+        yield "thick", f"{what}: the interface law is for thicknesses well below that of the bodies; {remedy}"
     if layer.order == 1 or not sublayers or any(C is None for C in model.structure.bodies_at_rest):
         return
     softest = min(in_plane_modulus(C, one.at_rest.n) for C in model.structure.bodies_at_rest if C is not None)
     hardest = max(one.along for one in sublayers)
     if hardest > softest > 0:
-        yield (
-            "hard",
-            f"{one} is {hardest / softest:.3g} times as hard as the softer body (moduli in the plane of S): its jump is "
-            "less than what order 0 leaves out; use order=1, mesh the layer (structure.full), or check its parameters",
-        )
+        what = f"{one} is {hardest / softest:.3g} times as hard as the softer body (moduli in the plane of S)"
+        remedy = "use order=1, mesh the layer (structure.full), or check its parameters"
+        yield "hard", f"{what}: its jump is less than what order 0 leaves out; {remedy}"
 
 
 def _tension(known: Reduction, state: State) -> float:
@@ -251,23 +234,17 @@ def warn_of_steps(model: Model, start: float, times: Sequence[float], theta: flo
     )
     if (worst := max(steps, default=None)) and worst[0] > ALLOWED_STEP_ERROR:
         error, step, t, own, name = worst
-        model.warn(
-            "time step",
-            f"the step of {step:.3g} at t = {t:.3g} is not well below a time of {name}, {own:.3g}: such steps leave an "
-            f"error of about {error:.0%} of what creeps or relaxes; take steps below {own / 4:.2g} while this lasts, or "
-            "times=Adaptive(end=..., first=..., tolerance=...)",
-            *(start, *times),
-        )
+        what = f"the step of {step:.3g} at t = {t:.3g} is not well below a time of {name}, {own:.3g}"
+        effect = f"such steps leave an error of about {error:.0%} of what creeps or relaxes"
+        remedy = f"take steps below {own / 4:.2g} while this lasts, or Adaptive(end=..., first=..., tolerance=...)"
+        model.warn("time step", f"{what}: {effect}; {remedy}", start, *times)
 
 
 def warn_of_no_time(model: Model) -> None:
     """Warn that a solve gives what a law that relaxes answers at once. Collective."""
     for name, own in _own_times(model)[:1]:
-        model.warn(
-            "no time",
-            f"{name} relaxes with the time {own:.3g}, and a solve knows no time: this is the answer to sudden loads "
-            "just after they have come; for a later one march(model, times), or give times",
-        )
+        what = f"{name} relaxes with the time {own:.3g}, and a solve knows no time: this is the answer to sudden loads"
+        model.warn("no time", f"{what} just after they have come; for a later one march(model, times), or give times")
 
 
 def _own_times(model: Model) -> list[tuple[str, float]]:

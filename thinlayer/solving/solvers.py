@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypedDict
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -26,16 +26,15 @@ from thinlayer.solving.petsc import PREFIX, Options, OptionValue, chosen, is_set
 from thinlayer.solving.ranges import warn_of_model, warn_of_no_time, warn_of_states
 from thinlayer.solving.weak_springs import WeakSprings
 from thinlayer.system.progress import logger
-from thinlayer.system.ranks import on_all, require_same
+from thinlayer.system.ranks import collect, on_all, require_same
 
+# a reason, see `PartSum.refuse`
 SOFTENS = (
-    "the stress of {} falls as jumps grow, and an equilibrium may be one of several; follow them from rest with "
-    "march(model, times), or march(model, ArcLength(...))"
-)  # a reason, see `PartSum.refuse`
+    "the stress of {} falls as jumps grow, with several equilibria; follow them from rest with march(model, times)"
+)
 FIRST_DECREMENT, LEAST_DECREMENT = 0.5, 1 / 64  # decrements of the ease from one law to the next
 MOST_SOLVES = 30  # number of solves after which eased laws give up
 EASED_RUN_AWAY = 1e5  # displacements, relative to those of an elastic layer, at which no equilibrium is expected
-SEARCHES = ("bt", "l2")  # line searches of PETSc, tried in turn for laws that yield
 
 
 def solve(
@@ -82,6 +81,13 @@ def solve(
         state = solver.sudden(t)
     warn_of_states([state])
     return state
+
+
+class Choices(TypedDict, total=False):
+    """What a march is told of its solver, by keyword: PETSc options and the method, see `solve`."""
+
+    options: Options | None
+    method: str | None
 
 
 def comm_of(model: Any) -> MPI.Intracomm:
@@ -135,7 +141,7 @@ class Solver(AbstractContextManager["Solver"]):
             self._check()
             if like is not None:
                 _check_like(model, like)
-            named = options is None or (isinstance(options, Mapping) and all(isinstance(name, str) for name in options))
+            named = isinstance(options or {}, Mapping) and all(isinstance(name, str) for name in options or {})
             require(named, "options", options, "it must be {name without prefix: value}")
         self._given, self._like = dict(options or {}), like
         marks = {"models": model.mark, "like": like and [like.model.mark, like.t]}
@@ -155,24 +161,25 @@ class Solver(AbstractContextManager["Solver"]):
             if is_set("ksp_type", self._given) or is_set("pc_type", self._given):
                 self._linear = self._linear[:1]
             self._finder = self._equilibrium()
-        self._warned = False  # whether the user was warned of a law that softens
 
     def _check(self) -> None:
         """Raise an error unless the method suits the model."""
-        model, allowed = self.model, ("newton", *METHODS) if self.model.contact else ("linear", "newton")
+        allowed = ("newton", *METHODS) if self.model.contact else ("linear", "newton")
         if self.method in METHODS:
-            check_method(model, self.method)
+            check_method(self.model, self.method)
         elif self.method not in allowed:
             raise InputError(f"unknown method {self.method!r}; allowed: {', '.join(allowed)}")
-        if self.method == "linear" and not model.linear:
+        if self.method == "linear" and not self.model.linear:
             raise InputError("method='linear' cannot solve a non-linear law; use method='newton'")
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:  # an error may be that of one rank
+            collect(self.equations.comms)
         self.close()
 
     def _equilibrium(self) -> Equilibrium:
         own_test = not (is_set("snes_atol", self._given) or is_set("snes_rtol", self._given))
-        advice = "a larger elastic fraction" if self.yields else f"-{PREFIX}snes_linesearch_type basic"
+        advice = "a march from less (loads may have a limit)" if self.yields else f"-{PREFIX}snes_linesearch_type basic"
         if self.model.contact:
             advice = "another method, supports (is a body pulled off, or pushed harder than friction holds?)"
         nonlinear, advice = self.method == "newton", f"a smaller step or load, {advice}"
@@ -189,13 +196,7 @@ class Solver(AbstractContextManager["Solver"]):
 
     def sudden(self, t: float) -> State:
         """State under loads that come suddenly at a time, from rest. Collective; errors as in `solve`."""
-        try:
-            return self.step(self.rest(t), t)
-        except SolveError as error:
-            if not self.yields:
-                raise
-            advice = "loads on what yields may have a limit: let them grow in time from less, and march in small steps"
-            raise SolveError(error.reason, residuals=error.residuals, advice=advice) from error
+        return self.step(self.rest(t), t)
 
     def step(self, old: State, t: float, theta: float = 1.0, thorough: bool = True, keep_phases: bool = False) -> State:
         """State at a time t >= old.t, with the balance of forces at old.t + theta (t - old.t). Collective.
@@ -206,22 +207,19 @@ class Solver(AbstractContextManager["Solver"]):
             old: the state before the step.
             t: time at the end of the step.
             theta: forces balance at old.t + theta (t - old.t).
-            thorough: whether further line searches and then eased laws are tried if Newton's method fails.
+            thorough: whether eased laws are tried if Newton's method fails.
             keep_phases: whether columns keep the phases of `old`; otherwise they switch and the equilibrium is found again
                 until all columns are in the phase of lowest energy.
         """
         start = time.perf_counter()
         self.equations.begin(Interval(old, t, t - old.t, theta))
-        attempts = self._attempts()
-        if not thorough:
-            attempts = [one for one in attempts if one.options == attempts[0].options and not one.eased]
-        found, eased = self._from_like(attempts[0], old) or self._work_through(attempts)
-        iterations = found.iterations
+        attempts = [one for one in self._attempts() if thorough or not one.eased]
+        solves = [self._from_like(attempts[0], old) or self._work_through(attempts)]
         while not keep_phases and self.equations.switch():
             self._log.info("t = %g: columns change their phase; the equilibrium is found again", t)
-            found, again = self._work_through(attempts)
-            iterations, eased = iterations + found.iterations, eased + again
-        seconds = time.perf_counter() - start
+            solves.append(self._work_through(attempts))
+        found, iterations = solves[-1][0], sum(one.iterations for one, _ in solves)
+        seconds, eased = time.perf_counter() - start, sum(eased for _, eased in solves)
         return self._accept(found.x, Report(self.method, iterations, found.residual, seconds, eased))
 
     def seek(self, old: State, t: float, theta: float = 1.0) -> State:
@@ -240,16 +238,13 @@ class Solver(AbstractContextManager["Solver"]):
             step = Interval(old, end, end - old.t, theta)
             return springs.follow(self.rest(end), step, lambda begin: self._work_through(near, begin))[0]
 
+        found = follow(t)
+        seconds = time.perf_counter() - start
         try:
-            found = follow(t)
-            seconds = time.perf_counter() - start
-            try:
-                return self._accept(found.x, Report(self.method, found.iterations, found.residual, seconds))
-            except LooseBody:  # the loads may be at their limit itself: then displacements run away a little beyond it
-                follow(2 * t - old.t)
-                raise
-        finally:
-            springs.close()
+            return self._accept(found.x, Report(self.method, found.iterations, found.residual, seconds))
+        except LooseBody:  # the loads may be at their limit itself: then displacements run away a little beyond it
+            follow(2 * t - old.t)
+            raise
 
     def _from_like(self, attempt: Attempt, old: State) -> tuple[Found, int] | None:
         """Result of Newton's method from the displacements of the state that is like this one; None: there is none."""
@@ -264,40 +259,31 @@ class Solver(AbstractContextManager["Solver"]):
         except SolveError as error:
             self._log.info("t = %g: Newton's method from like failed: %s", equations.interval.t, error.reason)
             return None
-        finally:
-            start.destroy()
 
     def _accept(self, x: PETSc.Vec, report: Report) -> State:
-        """The state; warns, once, if the stress of a law falls that does not declare `softens`."""
+        """The state; warns, once for the model, if the stress of a law falls that does not declare `softens`."""
         state = self.equations.accept(x, report)
-        falling = [] if self._warned else [*filter(None, self.equations.ask("undeclared_softening"))]
-        for name, where in falling[:1]:
-            self._warned = True
-            self.model.warn(
-                "softens",
-                f"at t = {state.t:g} the stress of {name} falls {where} as jumps or strains grow: this equilibrium "
-                "may be one of several, and steps may pass over others; write softens = True in the class and follow "
-                "them on S with march(model, ArcLength(...))",
-                state.t,
-            )
+        for name, where in filter(None, self.equations.ask("undeclared_softening")):
+            what = f"at t = {state.t:g} the stress of {name} falls {where} as jumps or strains grow"
+            why = "this equilibrium may be one of several, and steps may pass over others"
+            remedy = "write softens = True in the class and follow them on S with march(model, ArcLength(...))"
+            self.model.warn("softens", f"{what}: {why}; {remedy}")
         return state
 
     # ---------------------------------------------------------------- attempts
     def _attempts(self) -> list[Attempt]:
-        """The attempts in turn: every line search with every linear solver, then eased laws."""
-        attempts = []
-        several = self.yields and not is_set("snes_linesearch_type", self._given)
-        for search in SEARCHES if several else (None,):
-            options: dict[str, OptionValue] = {}
-            if self.method == "newton":
-                singular = SINGULAR if self.equations.traits.singular else {}
-                named: dict[str, OptionValue] = {"snes_linesearch_type": search} if search else {}
-                options = NEWTON | (YIELDING if self.yields else singular) | (CONTACT if self.model.contact else named)
-            for linear in self._linear:
-                words = [self.method, f"line search {search}" if search else "", str(linear.get("pc_type", ""))]
-                attempts.append(Attempt(", ".join(filter(None, words)), linear, options))
-        if self.equations.traits.eases and self._finder.eases:
-            options = {**attempts[-1].options, **(EASED_CONTACT if self.model.contact else {})}
+        """The attempts in turn: every linear solver, then eased laws."""
+        traits = self.equations.traits
+        options: dict[str, OptionValue] = {}
+        if self.method == "newton":
+            kind = YIELDING if self.yields else SINGULAR if traits.singular else {}
+            options = NEWTON | kind | (CONTACT if self.model.contact else {})
+        attempts = [
+            Attempt(", ".join(filter(None, (self.method, str(linear.get("pc_type", ""))))), linear, options)
+            for linear in self._linear
+        ]
+        if traits.eases and self._finder.eases:
+            options = {**options, **(EASED_CONTACT if self.model.contact else {})}
             attempts.append(Attempt("eased laws", self._linear[-1], options, eased=True))
         return attempts
 
@@ -345,8 +331,7 @@ class Solver(AbstractContextManager["Solver"]):
                     if not self._finder.reused:
                         require_all_read(self.method, ours.keys() - self._given.keys())
             except SolveError as error:
-                outcome = attempt.name, len(error.residuals), time.perf_counter() - began, error.reason
-                self._log.debug("%s: failed after %d iterations, %.2g s: %s", *outcome)
+                self._log.debug("%s: failed after %d iterations: %s", attempt.name, len(error.residuals), error.reason)
                 if not self._finder.forget():
                     raise
             else:
@@ -364,9 +349,8 @@ class Solver(AbstractContextManager["Solver"]):
             SolveError: the solve of an eased law fails, or displacements run away; LooseBody if a body has been released.
         """
         reached, limit = self.equations.vector(), math.inf
-        ease, decrement, solves, spent = 1.0, FIRST_DECREMENT, 0, 0
+        ease, lower, decrement, solves, spent = 1.0, 1.0, FIRST_DECREMENT, 0, 0
         begin: PETSc.Vec | None = None
-        lower = 1.0
         try:
             while True:
                 solves += 1
@@ -381,8 +365,7 @@ class Solver(AbstractContextManager["Solver"]):
                     spent, size = spent + found.iterations, float(found.x.norm(PETSc.NormType.INFINITY))
                     found.x.copy(reached)
                     if size > limit:
-                        times = f"{EASED_RUN_AWAY:g} times those of an elastic layer"
-                        raise SolveError(f"displacements of an eased law are {times}")
+                        raise SolveError(f"displacements are {EASED_RUN_AWAY:g} times those of an elastic layer")
                     if not lower:
                         return replace(found, iterations=spent), solves
                     if begin is None:
@@ -391,15 +374,16 @@ class Solver(AbstractContextManager["Solver"]):
                         ease, decrement = lower, 2 * decrement
                 lower = max(ease - decrement, 0.0)
         except SolveError as error:
+            if not self.equations.traits.releases:
+                raise
             self.equations.ease(0.0)
-            if loose := self.equations.loose_body(reached):
-                raise LooseBody(
-                    f"no equilibrium found ({error.reason}): where the search ended, {loose.motion}",
-                    loose.motion,
-                    "is a body pulled off, or pushed harder than friction holds? Give it supports or a smaller load",
-                    error.residuals,
-                ) from error
+            self.equations.residual(reached, self.equations.vector())
+            try:
+                self.equations.require_unique()
+            except LooseBody as loose:
+                reason = f"no equilibrium found ({error.reason}): where the search ended, {loose.motion}"
+                advice = "is it pulled off, or pushed harder than friction holds? Give it supports or a smaller load"
+                raise LooseBody(reason, loose.motion, advice, error.residuals) from error
             raise
         finally:
             self.equations.ease(0.0)
-            reached.destroy()

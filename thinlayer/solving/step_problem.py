@@ -10,7 +10,7 @@ import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
-from forms.base import Array, InputError, require
+from forms.base import Array, InputError
 from forms.kinematics import Expr
 from forms.work import Term, work
 from geometry.topology import Indices
@@ -23,7 +23,7 @@ from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Interval, Part
 from thinlayer.parts.ufl_part import has_arity
 from thinlayer.pointwise.columns import TIE
 from thinlayer.pointwise.compiled_term import CompiledTerm
-from thinlayer.solving.balance import ForceScale, PartSum, TangentMatrix
+from thinlayer.solving.balance import ForceScale, Layout, PartSum, TangentMatrix
 from thinlayer.system.compat import belongs_to
 from thinlayer.system.ranks import communicator, on_all
 
@@ -95,12 +95,12 @@ class StepProblem(PartSum):
                 part.law.check_at(part.points.joint_x)
         self.state = Configuration(u.copy(), 0.0, self.memory_at_rest, stresses=self.stresses_at_rest, at_rest=True)
         self.energies = {part.key: np.zeros(3) for part in self.parts[1:]}
-        size = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
+        layout = Layout(self.comm, {DISPLACEMENTS: u})
         held = np.unique(np.concatenate([np.empty(0, np.int32), *(bc.dof_indices()[0] for bc in self._bcs)]))
-        self._held = held[held < size]
-        self._held_rows = (self._held + V.dofmap.index_map.local_range[0] * V.dofmap.index_map_bs).astype(PETSc.IntType)
-        self._forces, self._each = (PETSc.Vec().createMPI((size, None), comm=V.mesh.comm) for _ in range(2))
-        self._matrix = TangentMatrix(self.comm, {DISPLACEMENTS: size})
+        self._held = held[held < layout.sizes[DISPLACEMENTS]]
+        self._held_rows = layout.rows(self._held)
+        self._forces, self._each = layout.vector(), layout.vector()
+        self._matrix = TangentMatrix(self.comm, layout.sizes)
         self.begin(0.0)
         self.forces(u, u, self._forces)
         self._tangent, self.scale, self._stiffness = self._first_tangent()
@@ -109,16 +109,10 @@ class StepProblem(PartSum):
     def _first_tangent(self) -> tuple[PETSc.Mat, ForceScale, float]:
         """The tangent at the first state, and the form's stiffness as a scale of forces and at prescribed displacements."""
         of_parts = [part.tangents(0.0) for part in self.parts]
-        of_form = TangentMatrix(self.comm, self._matrix.sizes)
-        diagonals = [of_form.fill(of_parts[0]).getDiagonal()]
-        of_form.destroy()
+        of_form = TangentMatrix(self.comm, self._matrix.sizes).fill(of_parts[0]).getDiagonal()
         tangent = self._matrix.fill([block for blocks in of_parts for block in blocks])
-        diagonals.append(tangent.getDiagonal())
-        scale = ForceScale(float(diagonals[0].norm()))
-        form, all_parts = (float(one.norm(PETSc.NormType.INFINITY)) for one in diagonals)
-        for one in diagonals:
-            one.destroy()
-        return tangent, scale, form or all_parts
+        form, all_parts = (float(one.norm(PETSc.NormType.INFINITY)) for one in (of_form, tangent.getDiagonal()))
+        return tangent, ForceScale(float(of_form.norm())), form or all_parts
 
     @property
     def t(self) -> float:
@@ -197,10 +191,8 @@ class StepProblem(PartSum):
 
     def _self_balanced(self) -> float:
         """Forces of the form's stresses where they balance each other, as those of heat: its tangent times u."""
-        of_form = TangentMatrix(self.comm, self._matrix.sizes)
-        of_form.fill(self.parts[0].tangents(0.0)).mult(self._u.x.petsc_vec, self._each)
-        of_form.destroy()
-        return float(self._each.norm())
+        of_form = TangentMatrix(self.comm, self._matrix.sizes).fill(self.parts[0].tangents(0.0))
+        return float((of_form * self._u.x.petsc_vec).norm())
 
     def switch(self) -> bool:
         """Change columns of laws with phases to the phase of lowest energy. True if any changes: solve the step again."""
@@ -209,8 +201,9 @@ class StepProblem(PartSum):
 
     def destroy(self) -> None:
         """Free the matrices."""
-        for thing in (*self.parts, self._matrix, self._forces, self._each):
-            thing.destroy()
+        for part in self.parts:
+            part.destroy()
+        self._matrix.destroy()
 
     # ---------------------------------------------------------------- within a step
     def _evaluate(self, out: PETSc.Vec) -> None:
@@ -244,7 +237,6 @@ def _require_jumps(V: fem.FunctionSpace, term: Term) -> None:
 def _check(parts: Sequence[Part], keys: set[str]) -> None:
     """Raise InputError unless these are parts without unknowns of their own, with keys other than `keys`."""
     for part in parts:
-        require(isinstance(part, Part), "one of parts", part, "allowed: what derives from thinlayer.parts.part.Part")
         if isinstance(part, FieldPart):
             raise InputError(f"the part {part.key!r} has unknowns of its own; use it in a Model")
         if part.key in keys:

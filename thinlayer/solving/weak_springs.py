@@ -47,14 +47,8 @@ class WeakSprings:
         self.equations = equations
         self._options = {name: value for name, value in options.items() if not name.startswith("snes_")}
         self._factor = Factor()
-        self._vectors = [equations.vector() for _ in range(3)]
-        self._x, self._r, self._d = self._vectors
+        self._x, self._r, self._d = (equations.vector() for _ in range(3))
         self._unit, self._stiffness = equations.mean_stiffness, 0.0
-
-    def close(self) -> None:
-        """Free vectors and factor."""
-        for thing in (self._factor, *self._vectors):
-            thing.destroy()
 
     def follow(self, rest: State, step: Interval, find: Callable[[PETSc.Vec], Result]) -> Result:
         """Soften the springs until `find` succeeds without them; returns its result.
@@ -122,10 +116,7 @@ class WeakSprings:
         finally:
             equations.ease(ease)
         A.shift(LEAST_STIFFNESS * self._unit)
-        after = equations.given_forces()
-        r.waxpy(-1.0, loads, after)
-        for vector in (loads, after):
-            vector.destroy()
+        r.waxpy(-1.0, loads, equations.given_forces())
         d.set(0.0)
         d.array[equations.held] = equations.prescribed - prescribed
         equations.hold(A, d, r)
@@ -139,10 +130,11 @@ class WeakSprings:
     def _shares(self, x: Array) -> dict[str, float]:
         """Shares of the seams in the squares of the jumps since the beginning, of layers that yield and of contact."""
         self._d.array[:] = x - self._start
-        model = self.equations.model
-        limited = {part.key for part in self.equations.parts if part.traits.bounded or part.traits.releases}
-        measured = self.equations.squares_of_strains(self._d)
-        of_seams = model.by_seam({key: square for key, square in measured.items() if key in limited})
+        model, u, sums = self.equations.model, self.equations.configuration(self._d).u, {}
+        for part in self.equations.parts:
+            if (part.traits.bounded or part.traits.releases) and hasattr(part, "error_measure"):
+                sums[part.key] = self.equations.comm.allreduce(float((part.error_measure(u) ** 2).sum()))
+        of_seams = model.by_seam(sums)
         thin = {name: model.layers[name].thin for name, square in of_seams.items() if square > 0}
         squares = {name: of_seams[name] * (layer.eps if layer else 1.0) for name, layer in thin.items()}  # of jumps
         whole = sum(squares.values())

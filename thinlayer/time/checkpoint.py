@@ -55,10 +55,8 @@ class Checkpoint:
             dofs = np.asarray(f.function_space.dofmap.list)
             self._orders[name] = FileOrder(self.model.domain.original_cells[: len(dofs)], dofs, own)
         for name in _values(rest).keys() - self._orders.keys():
-            raise InputError(
-                f"the part {name.removeprefix(MEMORY)!r} remembers values that have no order in files: march without out=, "
-                "or give its class file_order, a FileOrder of the rows of its memory, or a memory of functions"
-            )
+            what = f"the part {name.removeprefix(MEMORY)!r} remembers values that have no order in files"
+            raise InputError(f"{what}: march without out=, or give its class file_order, of the rows of its memory")
 
     def _file(self, row: int) -> Path:
         return self.folder / "states" / f"{row:06d}.npz"
@@ -141,23 +139,16 @@ class Checkpoint:
         """The content of march.json; on rank 0."""
         if not self.path.exists():
             if (self.folder / TABLE).exists():
-                what = f"{self.folder} has a {TABLE} of something else"
-                raise InputError(f"{what}, as there is no {self.path.name}; give another folder, or remove it")
+                raise InputError(f"{self.folder} has a {TABLE} of something else; give another folder, or remove it")
             return None
-        try:
-            content = read_sealed(self.path)
-        except InputError:
-            if resume:
-                raise
-            return None
+        content = read_sealed(self.path)
         there = content["mark"]
         if there != self.mark and resume != "anyway":
             other = in_words([*differences(there, self.mark)])
             remedy = "give another folder, remove it, or resume='anyway'"
             raise InputError(f"{self.path} is of another march ({other}); {remedy}")
-        observed = [[*mark["observe"]] for mark in (there, self.mark)]
-        if {*observed[0]} != {*observed[1]}:
-            raise InputError(f"{self.path}: the march observes {observed[0]}, not {observed[1]}")
+        if there["observe"].keys() != self.mark["observe"].keys():
+            raise InputError(f"{self.path}: the march observes {[*there['observe']]}, not {[*self.mark['observe']]}")
         return content if resume else None
 
     def _read_state(self, row: int) -> State:

@@ -12,7 +12,7 @@ import numpy as np
 
 from forms.base import InputError
 from thinlayer.discretisation.state import State
-from thinlayer.errors import SolveError, warn
+from thinlayer.errors import SolveError
 from thinlayer.solving.history import SAME_TIME, History
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.identity import Resume
@@ -58,9 +58,6 @@ class Controller(ABC):
         lengths = np.diff([self.start, *self.targets])
         self.near = min(SAME_TIME * max(abs(self.start), abs(self.targets[-1])), float(lengths.min()) / 2)
         self._log = logger("march", self.solver.model.comm)
-
-    def close(self) -> None:
-        """Free what the controller keeps."""
 
     @property
     def last(self) -> State:
@@ -117,11 +114,11 @@ class Controller(ABC):
                 self.journal.begin(begun)
             else:
                 self._begin()
+            end = self.targets[-1]
             while not self.done:
                 self.journal.accept(self._next())
-                t, end = self.last.t, self.targets[-1]
-                share = (t - self.start) / (end - self.start)  # falls where t turns back
-                tell(max(share, 0.0), f"t = {t:.4g} of {end:.4g}, {len(self.journal.history)} states")
+                share = (self.last.t - self.start) / (end - self.start)  # falls where t turns back
+                tell(max(share, 0.0), f"t = {self.last.t:.4g} of {end:.4g}, {len(self.journal.history)} states")
         return self.journal.history
 
     def _begin(self) -> None:
@@ -135,15 +132,10 @@ class Controller(ABC):
             raise self.error(f"the first state, under the sudden load at t = {self.start:g}: {error}") from error
 
     def _compare_times(self) -> None:
-        """Raise InputError if a resumed march has passed its end; warn of times that it has passed without a row."""
-        done, where = self.journal.history.t, f"the march in {self.journal.out} is at t = {self.last.t:g}"
-        if done[-1] > self.targets[-1] + self.near:
+        """Raise InputError if a resumed march has passed its end."""
+        if self.last.t > self.targets[-1] + self.near:
+            where = f"the march in {self.journal.out} is at t = {self.last.t:g}"
             raise InputError(f"{where}, and is to end before, at t = {self.targets[-1]:g}")
-        passed = [t for t in self.targets if t < done[-1] - self.near and np.abs(done - t).min() > self.near]
-        if passed:
-            ends = ", ".join(f"{t:g}" for t in passed)
-            what = f"{where} and has no step that ended at t = {ends}, which times ask for: there is no row for it"
-            warn("passed time", what, self.solver.model.comm)
 
     def _next(self) -> list[State]:
         """The states of the next step, which is tried shorter and shorter until an attempt succeeds."""

@@ -41,9 +41,6 @@ class AlongPath(Controller):
         self._curve = EquilibriumPath(self.solver.equations, self.path.first, self.options)
         self._aimed: State | None = None  # the state at which the path knows its direction
 
-    def close(self) -> None:
-        self._curve.close()
-
     @property
     def done(self) -> bool:
         back = self.path.back
@@ -76,9 +73,7 @@ class AlongPath(Controller):
 
     def _weight(self, before: State, last: State) -> float:
         """Weight 1/U^2, with the change U of nodal displacements in a first step of full length."""
-        change = last.u.x.petsc_vec - before.u.x.petsc_vec
-        unit = change.norm() * self.path.first / (last.t - before.t)
-        change.destroy()
+        unit = (last.u.x.petsc_vec - before.u.x.petsc_vec).norm() * self.path.first / (last.t - before.t)
         if not unit:
             raise self.error(f"nothing moves from t = {before.t:g} to {last.t:g}: the path has no direction")
         return 1 / unit**2

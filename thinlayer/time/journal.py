@@ -22,7 +22,7 @@ from thinlayer.system.table import Row
 from thinlayer.time.checkpoint import Checkpoint
 
 Observe = Mapping[str, Callable[[State], float]]
-OBSERVING = "it must be a function of a state that returns a number"
+OBSERVING = "it must be a function of a state that returns a real number"
 # Largest relative difference of an observed value between ranks. Rounding is much smaller; values of one rank's part of the
 # mesh differ by more.
 SAME_VALUE = 1e-6
@@ -130,21 +130,15 @@ class Journal:
 
     def _observed(self, name: str, state: State) -> float:
         """The value of an observing function on rank 0. InputError: the function fails, or ranks find other values."""
-        comm, place = self.model.comm, f"observe[{name!r}] at t = {state.t:g}"
+        place = f"observe[{name!r}] at t = {state.t:g}"
         try:
-            with on_all(comm):
-                found = self._observe[name](state)
-                if np.iscomplexobj(found):
-                    raise TypeError(f"it gives {found!r}, no real number")
-                value = float(found)
-        except ThinlayerError as error:  # says already what is allowed
-            raise InputError(f"{place}: {error}") from error
+            with on_all(self.model.comm):
+                value = float(np.asarray(self._observe[name](state)).astype(float, casting="same_kind"))
         except Exception as error:
-            kind = "" if isinstance(error, (TypeError, ValueError)) else f"{type(error).__name__}: "
+            kind = "" if isinstance(error, (ThinlayerError, TypeError, ValueError)) else f"{type(error).__name__}: "
             raise InputError(f"{place}: {kind}{error}; {OBSERVING}") from error
-        values = np.array(comm.allgather(value))
+        values = np.array(self.model.comm.allgather(value))
         if not np.allclose(values, values[0], rtol=SAME_VALUE, atol=0.0, equal_nan=True):
             numbers = ", ".join(f"{value:.6g}" for value in values)
-            advice = "let the function return the sum, or the largest, of the values of all ranks"
-            raise InputError(f"{place}: the ranks find {numbers}; {advice}")
+            raise InputError(f"{place}: the ranks find {numbers}; let it return the sum, or the largest, of all ranks")
         return float(values[0])

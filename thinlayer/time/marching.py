@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -14,11 +14,9 @@ from forms.base import InputError, require
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
-from thinlayer.solving.equations import Equations
 from thinlayer.solving.history import History, Solution, columns
-from thinlayer.solving.petsc import Options
 from thinlayer.solving.ranges import warn_of_model, warn_of_states, warn_of_steps, warn_of_strains
-from thinlayer.solving.solvers import Solver, comm_of
+from thinlayer.solving.solvers import Choices, Solver, comm_of
 from thinlayer.system.folder import owned
 from thinlayer.system.identity import Resume, require_resume
 from thinlayer.system.progress import telling
@@ -52,8 +50,7 @@ def march(
     keep: str = "all",
     out: str | Path | None = None,
     resume: Resume = False,
-    options: Options | None = None,
-    method: str | None = None,
+    **solver: Unpack[Choices],
 ) -> History:
     """Follow a model in time, from rest just before `start`, or on from a state. Collective.
 
@@ -92,14 +89,14 @@ def march(
         resume: True: continue the march in `out`, if there is one; times may be added. Its numbers, names and mesh must be
             the same, and no file of your own may have changed in which functions and laws stand. "anyway": continue it even
             so. False: the files of the same march are replaced; files of another march are an error.
-        options, method: of the solver, see `solve`.
+        **solver: options and method of the solver, see `solve`.
 
     Warns:
         RangeWarning: as in `solve`; for the states that are kept, once, at the end, of strains of bodies also where the
-            march fails. A resumed march has passed one of the times without a step that ended there. Planned steps leave an
-            estimated error above 2 % (`History.step_errors`) under a law that is not linear and has a history (yield,
-            friction, damage): such marches are made again with half as many steps, of less than eight as 8 to 14.
-            Before the march: planned steps are not well below a relaxation or retardation time of a law.
+            march fails. Planned steps leave an estimated error above 2 % (`History.step_errors`) under a law that is not
+            linear and has a history (yield, friction, damage): such marches are made again with half as many steps, of
+            less than eight as 8 to 14. Before the march: planned steps are not well below a relaxation or retardation
+            time of a law.
 
     Raises:
         InputError: times, theta, names or loads out of range, before the first solve; theta < 1 with a contact law, or a
@@ -115,7 +112,7 @@ def march(
         model, begun = _begun(begin)
         if begun and (start is not None or out is not None):
             raise InputError("a march goes on from a state at its time, and without files: leave start= and out= away")
-        start = begun[-1].t if begun else _number("start", 0.0 if start is None else start)
+        start = begun[-1].t if begun else _number("start", start or 0.0)
         theta = _number("theta", theta)
         _check(model, theta, keep, out, resume, observe)
         if isinstance(times, ArcLength):
@@ -125,14 +122,14 @@ def march(
     choices = {"start": start, "theta": theta, "keep": keep, "out": out and str(out), "resume": resume}
     require_same(model.comm, times=times, **choices, observe={*(observe or {})})
     folder = Path(out) if out else None
-    with Solver(model, options=options, method=method) as solver, owned(folder, model.comm):
-        equations, traits = solver.equations, solver.equations.traits
+    with Solver(model, **solver) as finder, owned(folder, model.comm):
+        equations, traits = finder.equations, finder.equations.traits
         ends_at_breaks = traits.remembers or traits.rate or traits.softens or isinstance(times, Adaptive)
         breaks = model.break_times if ends_at_breaks else ()
         ends = ends_of_steps(times, start, breaks)
         on_path = isinstance(times, ArcLength) or traits.softens
         if on_path:
-            require_path(equations, times, theta, method)
+            require_path(equations, times, theta, solver.get("method"))
         equations.check_times([start, *ends])
         if not on_path:
             require_in_time(equations, times, theta, [start, *ends])
@@ -140,25 +137,25 @@ def march(
         identity |= {"first": getattr(times, "first", ends[0] - start)} if on_path else {}
         journal = Journal(equations, identity, observe or {}, keep, folder)
         warn_of_model(model, () if on_path or begun else lasting(times, start, ends))
+        begin_at: tuple[Solver, Journal, float, list[float]] = finder, journal, start, ends
         controller: Controller
         if isinstance(times, ArcLength):
-            controller = AlongPath(solver, journal, start, ends, times, options)
+            controller = AlongPath(*begin_at, times, solver.get("options"))
         elif on_path:
-            path = PathInTime.settings(start, ends)
-            controller = PathInTime(solver, journal, start, ends, path, options)
+            controller = PathInTime(*begin_at, PathInTime.settings(start, ends), solver.get("options"))
         elif isinstance(times, Adaptive):
-            controller = AdaptiveSteps(solver, journal, start, ends, theta, times)
+            controller = AdaptiveSteps(*begin_at, theta, times)
         else:
             warn_of_steps(model, start, ends, theta)
-            controller = planned(solver, journal, start, ends, theta)
+            controller = planned(*begin_at, theta)
         try:
             history = controller.run(resume, begun)
         except SolveError as error:
             warn_of_strains(list(error.history or ()))
             raise
-        finally:
-            controller.close()
-        if not on_path and not isinstance(times, Adaptive) and depends_on_steps(equations):
+        each = [part.traits for part in equations.parts]  # phases that switch have steps of their own
+        timed = any((has.remembers or has.rate) and has.nonlinear and not has.switches for has in each)
+        if timed and not on_path and not isinstance(times, Adaptive):
             tell_steps(controller, theta, begun)
     warn_of_states(list(history), None if on_path else start)
     return history
@@ -167,9 +164,8 @@ def march(
 def _begun(begin: Any) -> tuple[Model, list[State]]:
     """The model, and the states from which a march goes on: the last one, perhaps after the one before it."""
     if isinstance(begin, History):
-        last = begin.last
         before = begin.states.get(len(begin) - 2)
-        return begin.model, [last] if before is None else [before, last]
+        return begin.model, [*filter(None, [before]), begin.last]
     if isinstance(begin, State):
         return begin.model, [begin]
     allowed = "march takes what Structure.full or Structure.interface returns, a history or a state"
@@ -198,9 +194,8 @@ def _check(model: Model, theta: float, keep: str, out: Any, resume: Resume, obse
         raise InputError(f"theta is {theta}; allowed: 1/2 (midpoint rule) to 1 (backward Euler)")
     require(keep in ("all", "last"), "keep", keep, "allowed: 'all', 'last'")
     require_resume(resume)
-    if resume and out is None:
-        raise InputError(f"resume={resume!r} needs out=, the folder of the march")
-    require(out is None or (isinstance(out, (str, Path)) and str(out)), "out", out, "it must be the name of a folder")
+    named = isinstance(out, (str, Path)) and str(out)
+    require(named or (out is None and not resume), "out", out, "it must be the name of a folder, and resume needs one")
 
 
 # ---------------------------------------------------------------- what planned steps leave undetermined
@@ -213,8 +208,8 @@ def tell_steps(done: Controller, theta: float, begun: Sequence[State]) -> None:
     that has dissipated nothing is not made again.
     """
     solver, history, n = done.solver, done.journal.history, len(done.targets)
-    dissipated, supplied = (np.array(history.table[name], float) for name in ("dissipated", "supplied"))
-    if np.abs(dissipated).sum() <= IDLE * np.abs(supplied).sum():  # not if a law does not declare its energy
+    dissipated, supplied = (np.abs(np.array(history.table[name], float)).sum() for name in ("dissipated", "supplied"))
+    if dissipated <= IDLE * supplied:  # not if a law does not declare its energy
         history.step_errors = dict.fromkeys(QUANTITIES, 0.0)
         return
     again = _other(done.targets, done.start, solver.model.break_times)
@@ -233,18 +228,8 @@ def tell_steps(done: Controller, theta: float, begun: Sequence[State]) -> None:
     history.step_errors = dict(zip(QUANTITIES, map(float, shares), strict=True))
     if shares.max() > TOLD:
         found = ", ".join(f"{share:.2g} in {name}" for name, share in history.step_errors.items())
-        solver.model.warn(
-            "step error",
-            f"the {n} steps of this march leave estimated relative errors of {found} at its end (march with {len(again)} "
-            f"steps): the law depends on its history; {remedy}",
-            *done.targets,
-        )
-
-
-def depends_on_steps(equations: Equations) -> bool:
-    """Whether a part is not linear and has a history; phases that switch have steps of their own."""
-    each = [part.traits for part in equations.parts]
-    return any((has.remembers or has.rate) and has.nonlinear and not has.switches for has in each)
+        what = f"the {n} steps of this march leave estimated relative errors of {found} at its end"
+        solver.model.warn("step error", f"{what} (march with {len(again)} steps); {remedy}", *done.targets)
 
 
 def _other(targets: Sequence[float], start: float, breaks: set[float]) -> list[float]:

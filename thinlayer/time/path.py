@@ -25,7 +25,7 @@ from thinlayer.errors import SolveError
 from thinlayer.parts.part import Interval
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import Factor, direct_solver, mark
-from thinlayer.solving.petsc import Options, chosen, options_set, reason_name, require_all_read, solve_linear
+from thinlayer.solving.petsc import Options, chosen, reason_name, solve_linear
 
 ITERATIONS = 12  # largest number of Newton steps
 TURN_ITERATIONS = 2  # the same for a step that turns: the branch beyond a corner is nearly straight
@@ -59,18 +59,12 @@ class EquilibriumPath:
 
     def __init__(self, equations: Equations, unit: float, options: Options | None) -> None:
         self.equations, self.unit, self.weight, self.middle = equations, unit, 0.0, 0.0
-        self._ours = direct_solver(equations.model)
-        self._given = {name: value for name, value in (options or {}).items() if not name.startswith("snes_")}
+        given = {name: value for name, value in (options or {}).items() if not name.startswith("snes_")}
+        self._options = {**direct_solver(equations.model), **given}
         self._factor = Factor()
-        self._vectors = [equations.vector() for _ in range(5)]
-        self._x, self._r, self._dR, self._step, self._change = self._vectors
+        self._x, self._r, self._dR, self._step, self._change = (equations.vector() for _ in range(5))
         self._direction = np.zeros(self._x.getLocalSize() + 1)  # of length 1, at the last state
         self._missed = 0.0  # distance of the last equilibrium from its predictor, relative to the step
-
-    def close(self) -> None:
-        """Free vectors and factor."""
-        for thing in (self._factor, *self._vectors):
-            thing.destroy()
 
     @property
     def slope(self) -> float:
@@ -142,16 +136,13 @@ class EquilibriumPath:
         return np.append(-self._step.array_r, 0.0), np.append(change.array_r, 1.0)
 
     def _solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        with chosen(self._ours, self._given):
+        with chosen(self._options):
             try:
-                kept = self._factor.renew(self._matrix, None, self.equations.tell)
+                self._factor.renew(self._matrix, None, self.equations.tell)
                 solve_linear(self._factor.ksp, b, x)
             except PETSc.Error:
                 self._factor.destroy()
                 raise
-            if not kept:
-                newton = {name for name in options_set() if "snes_" in name}
-                require_all_read("arc-length", (self._ours.keys() - self._given.keys()) | newton)
         reason = self._factor.ksp.getConvergedReason()
         if reason < 0 or not math.isfinite(x.norm()):
             raise SolveError(f"linear solver: {reason_name(PETSc.KSP.ConvergedReason, reason)}")

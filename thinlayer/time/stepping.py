@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import accumulate
 
 import numpy as np
 from petsc4py import PETSc
@@ -18,7 +19,7 @@ from thinlayer.pointwise.columns import TIE
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.history import SAME_TIME
 from thinlayer.time.controller import Attempt, Controller
-from thinlayer.time.plan import HALVINGS, Adaptive, distinct
+from thinlayer.time.plan import HALVINGS, MOST_SHORTENED, Adaptive, distinct
 
 # Least size of jumps to which errors are relative, as a share of the displacements; rounding is smaller.
 LEAST_JUMP = 1e-6
@@ -31,10 +32,7 @@ SEEK_STEPS = 16  # longest step by weak springs, in lengths of the adaptive step
 LEFT = 1e-3  # what is left before a target, relative to a step, that the step takes along
 TIME_ROUNDING = 8 * 2.0**-52  # relative tolerance of the time of a snap
 PROBES = 8  # number of equal parts of a step at whose ends the excess is tested if loads are not linear in time
-NO_LIMIT = (
-    "no equilibrium was found, which need not be a limit of the loads: displacements did not run away. Try other times, "
-    "another mesh, more steps of Newton's method, or in a layer that yields an elastic fraction or other cells through it"
-)
+NO_LIMIT = "no equilibrium was found, which need not be a limit of the loads: try other times, or an elastic fraction"
 
 
 @dataclass(eq=False)
@@ -61,19 +59,13 @@ class PlannedSteps(Controller):
         return self.last.t + length if left >= LEFT * length else self.target
 
     @property
-    def _whole(self) -> bool:
-        """Whether the next step has not been shortened."""
-        return self._failed_at == math.inf and self.journal.pace.step is None
-
-    @property
     def attempts(self) -> list[Attempt]:
-        """Steps that are whole or the shortest, and those after one that has used eased laws, try these too."""
-        thorough = self._whole or self.last.report.eased > 0
-        found = [Attempt("Newton's method", partial(self._step, thorough=thorough))]
-        if self.solver.bounded:
-            more = Attempt("Newton's method, with eased laws,", partial(self._step, thorough=True), self.smallest)
-            found += [*([] if thorough else [more]), Attempt("a way by weak springs", self._seek, self.smallest)]
-        return found
+        """Eased laws are tried if no step has failed, after a step that has used them, and in the shortest step."""
+        thorough = self._failed_at == math.inf or self.last.report.eased > 0
+        first = Attempt("Newton's method", partial(self._step, thorough=thorough))
+        more = Attempt("Newton's method, with eased laws,", partial(self._step, thorough=True), self.smallest)
+        seek = Attempt("a way by weak springs", self._seek, self.smallest)
+        return [first, *([] if thorough else [more]), seek] if self.solver.bounded else [first]
 
     def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
         old, history, last = self.last, self.journal.history, errors[-1]
@@ -85,20 +77,13 @@ class PlannedSteps(Controller):
 
     def _loads_change(self, before: float, after: float) -> bool:
         a, b = (self.solver.equations.given_forces_at(t) for t in (before, after))
-        size = b.norm()
-        b.axpy(-1.0, a)
-        change = b.norm()
-        for vector in (a, b):
-            vector.destroy()
-        return bool(change > SAME_LOADS * size)
+        return bool((b - a).norm() > SAME_LOADS * b.norm())
 
     def _resultant(self, t: float) -> list[float]:
         """Sum of the loads on the bodies at time t, those of rigid plates included, (d,)."""
         model, loads = self.solver.model, self.solver.equations.loads_at(t)
         translations = [*rigid_motions(model.V, model.joint).values()][: model.joint.dim]
-        forces = [float(loads.dot(motion.x.petsc_vec)) for motion in translations]
-        loads.destroy()
-        return forces
+        return [float(loads.dot(motion.x.petsc_vec)) for motion in translations]
 
     # ---------------------------------------------------------------- attempts
     def _step(self, length: float, *, thorough: bool) -> list[State]:
@@ -119,10 +104,8 @@ class PlannedSteps(Controller):
         return self._chain(old, [end] if theta == self.theta else [(old.t + end) / 2, end], theta, thorough)
 
     def _chain(self, old: State, ends: Sequence[float], theta: float, thorough: bool) -> list[State]:
-        states = [old]
-        for t in ends:
-            states.append(self.solver.step(states[-1], t, theta, thorough))
-        return states[1:]
+        states = accumulate(ends, lambda state, t: self.solver.step(state, t, theta, thorough), initial=old)
+        return [*states][1:]
 
     def _set_pace(self, length: float, end: float) -> None:
         """Let the step after one of some length, to its end, be as long as may be."""
@@ -178,12 +161,9 @@ class AdaptiveSteps(PlannedSteps):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._estimate, self.smallest = ErrorEstimate(self.solver.equations), self.settings.least * (1 - SAME_TIME)
+        self._estimate = ErrorEstimate(self.solver.equations)
+        self.smallest = (self.settings.smallest or self.settings.first / MOST_SHORTENED) * (1 - SAME_TIME)
         self.journal.pace.step, self._factor = self.settings.first, 1.0
-
-    @property
-    def _whole(self) -> bool:
-        return self._failed_at == math.inf
 
     def shorter(self, length: float, error: SolveError) -> float:
         return length * error.factor if isinstance(error, _TooLarge) else super().shorter(length, error)
@@ -258,11 +238,10 @@ class StepsFromSnapToSnap(PlannedSteps):
                     continue
             after = solver.step(old, t)
             if solver.equations.excess > 2 * TIE:
-                what = "excess() > 0 for a column, but switched() keeps its phase; they disagree"
-                raise SolveError(f"at t = {t:g}: {what}")
-            audit = after.audit
-            lost = replace(audit, dissipated=audit.dissipated + audit.remainder, remainder=0.0)
-            states.append(replace(after, audit=lost))  # in a snap the remainder of the balance is dissipated
+                raise SolveError(f"at t = {t:g} excess() > 0 for a column, but switched() keeps its phase")
+            # in a snap the remainder of the balance is dissipated
+            lost = after.audit.dissipated + after.audit.remainder
+            states.append(replace(after, audit=replace(after.audit, dissipated=lost, remainder=0.0)))
             if t == end:
                 return states[1:]
 
@@ -328,9 +307,7 @@ class ErrorEstimate:
         forces.set(0.0)
         jumps = self._equations.ask("error_measure", u)
         self._equations.ask("add_forces_in", state, forces)
-        of_forces = forces.array_r.copy()
-        forces.destroy()
-        return [u.x.petsc_vec.array_r.copy(), np.concatenate([np.empty(0), *jumps]), of_forces]
+        return [u.x.petsc_vec.array_r.copy(), np.concatenate([np.empty(0), *jumps]), forces.array_r.copy()]
 
     def _norms(self, parts: list[Array]) -> Array:
         return np.sqrt(self.comm.allreduce(np.array([part @ part for part in parts])))
