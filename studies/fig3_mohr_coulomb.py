@@ -97,7 +97,7 @@ def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: 
         ends = dict([*shown.items()][1:])
         title = f"left end of a Mohr-Coulomb layer, loads {name}"
         window, picture = (-2.0, 6.0, -1.6, 4.0), record.path(f"layer_end_{name}.png")
-        plotting.deformed(ends, save=picture, scale=reading.scale, unit="mm", title=title, zoom=window)
+        plotting.deformed(ends, plotting.View(scale=reading.scale, unit="mm", zoom=window), save=picture, title=title)
     if "R1" in readings:
         bar = YieldingBar(record, "R1", READINGS["R1"], coarsest if quick else coarse)
         refine(record, bar, STEPS[: 3 if quick else None])

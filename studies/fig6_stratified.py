@@ -39,9 +39,9 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
     _, ratio_band = bar.stiffness(full)
     record.write("table.csv", Table.of({"x_mm": x, "ratio_band": ratio_band, "ratio_interface": ratio_interface}))
     states, title = {f"meshed layer, eps = {EPS:g} mm": full, "interface law": bar.limit}, "bar on a stratified layer"
-    plotting.deformed(states, save=record.path("deformed.png"), unit="mm", title=title)
-    end: dict[str, Any] = {"title": f"{title}: its free end", "scale": 100, "zoom": (-0.15, 0.65, -0.15, 0.45)}
-    plotting.deformed(states, save=record.path("layer_end.png"), unit="mm", **end)
+    plotting.deformed(states, plotting.View(unit="mm"), save=record.path("deformed.png"), title=title)
+    end = plotting.View(unit="mm", scale=100, zoom=(-0.15, 0.65, -0.15, 0.45))
+    plotting.deformed(states, end, save=record.path("layer_end.png"), title=f"{title}: its free end")
 
     deviation = _deviation(record, bar, sorted(eps, reverse=True))
     inner = (x >= INNER[0]) & (x <= INNER[1])

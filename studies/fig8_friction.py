@@ -43,10 +43,10 @@ def run(record: Record) -> None:
     plotting.along(surface, shown, save=save, length="mm", stress="MPa", title=title)
     pushed = {label(*pair): states[N, pair] for pair in STIFFNESS[::2]}
     title = "bar pushed to the right and onto its base"
-    plotting.deformed(pushed, save=record.path("deformed.png"), unit="mm", title=title)
+    plotting.deformed(pushed, plotting.View(unit="mm"), save=record.path("deformed.png"), title=title)
     save, window = record.path("gap.png"), (9, 21, -0.8, 3)
     stiff = states[N, STIFFNESS[0]]
-    plotting.deformed(stiff, save=save, unit="mm", title="the separated end", scale=800, zoom=window)
+    plotting.deformed(stiff, plotting.View(unit="mm", scale=800, zoom=window), save=save, title="the separated end")
     for (lmbda, mu), expected, u_a in zip(STIFFNESS, COUNTS, U_A, strict=True):
         report, stiffness = reports[N, (lmbda, mu)], label(lmbda, mu)
         for name, count in zip(("separated", "sliding", "stick"), expected, strict=True):

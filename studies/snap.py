@@ -131,7 +131,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     largest = max(pure.snaps, key=lambda snap: snap.lost)
     states = {"just before": pure.states[largest.row - 1], "just after": pure.states[largest.row]}
     title = f"largest snap, delta = {moved(largest.t):.4f}, energy lost: {largest.lost:.4f}"
-    plotting.deformed(states, save=record.path("largest_snap.png"), scale=0.2, title=title)
+    plotting.deformed(states, plotting.View(scale=0.2), save=record.path("largest_snap.png"), title=title)
 
 
 def follow(record: Record, joint: Joint, relaxed: History, r: float, step: float, *, quick: bool) -> Table:

@@ -112,8 +112,8 @@ class Row:
                     rows.extend(Table.of({"model": model, **self.along(state, surface)}))
                 record.write(along_of(name, e), rows)
             if e == shown:
-                look = {"title": " ".join(filter(None, (name.split()[0], self.label))), "unit": self.unit}
-                plotting.deformed(states, save=record.path(f"deformed_{case}.png"), **look)
+                title, save = " ".join(filter(None, (name.split()[0], self.label))), record.path(f"deformed_{case}.png")
+                plotting.deformed(states, plotting.View(unit=self.unit), save=save, title=title)
             row = compare(full, limit, where=self.where) | elastic_fraction(layer.law)
             for end, further in self.beside.items():
                 errors = compare(full, by_law(further(e), f"interface{end}_{e:g}"), where=self.where)

@@ -159,8 +159,10 @@ def test_status_along_a_seam(tmp_path):
     assert surface.integral(open_) == pytest.approx(1.0)
     assert surface.table(state).rows == [{"seam": "S", "size": pytest.approx(4.0), "elastic": pytest.approx(0.75),
                                           "open": pytest.approx(0.25), "sliding": 0, "crushed": 0, "torn": 0}]  # fmt: skip
-    picture = plotting.on_surface({"tilted": state, "again": state}, Surface.status, save=tmp_path / "a.png", scale=1.0)
+    picture = plotting.on_surface(
+        {"tilted": state, "again": state}, Surface.status, plotting.View(scale=1.0), save=tmp_path / "a.png"
+    )
     assert_coloured(picture, {"elastic", "open"})
     assert_drawn(tmp_path / "a.png")
-    refused(InputError, "scale is 'x'", lambda: plotting.on_surface(state, Surface.status, scale="x"))
+    refused(InputError, "scale is 'x'", lambda: plotting.View(scale="x"))
     assert set(surface.status(solve(structure.bonded(), 1.0)).ravel()) == {"bonded"}

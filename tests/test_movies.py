@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
-import shutil
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -14,9 +9,8 @@ from PIL import Image
 from forms import LinearElastic
 from forms.base import InputError
 from geometry import sandwich
-from tests.on_ranks import on_ranks
 from tests.refused import refused
-from thinlayer import Structure, ThinLayer, march, plotting, solve
+from thinlayer import Structure, ThinLayer, march, plotting
 
 
 def pulled(times=(0.5, 1.0, 2.0)):
@@ -42,7 +36,9 @@ def frames(path):
 
 
 def test_a_gif_has_a_frame_for_each_state(history, tmp_path):
-    path = plotting.movie(history, save=tmp_path / "a.gif", per_second=5, title="strip", unit="mm", time_unit="h")
+    path = plotting.movie(
+        history, plotting.View(unit="mm"), save=tmp_path / "a.gif", per_second=5, title="strip", time_unit="h"
+    )
     found, duration = frames(path)
     assert len(found) == 4 == len(list(history))
     assert duration == 200
@@ -63,7 +59,7 @@ def test_a_gif_has_a_frame_for_each_state(history, tmp_path):
 
 def test_an_mp4_has_as_many(history, tmp_path):
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    path = plotting.movie(history, save=str(tmp_path / "deep" / "a.mp4"), per_second=4, component="y")
+    path = plotting.movie(history, plotting.View("y"), save=str(tmp_path / "deep" / "a.mp4"), per_second=4)
     count, seconds = imageio_ffmpeg.count_frames_and_secs(str(path))
     assert (count, seconds) == (4, pytest.approx(1.0, abs=0.05))
     reader = imageio_ffmpeg.read_frames(str(path))
@@ -73,49 +69,15 @@ def test_an_mp4_has_as_many(history, tmp_path):
     assert np.abs(pixels[-1].astype(float) - pixels[0]).max() > 100
 
 
-def test_ffmpeg_is_missing(history, tmp_path, monkeypatch):
-    real = builtins.__import__
-
-    def without(name, *args, **kwargs):
-        if name == "imageio_ffmpeg":
-            raise ImportError(name)
-        return real(name, *args, **kwargs)
-
-    monkeypatch.delitem(sys.modules, "imageio_ffmpeg", raising=False)
-    monkeypatch.setattr(builtins, "__import__", without)
-    monkeypatch.setattr(shutil, "which", lambda _: None)
-    with pytest.raises(InputError, match=r"pip install 'thinlayer\[movie\]'.*save a \.gif"):
-        plotting.movie(history, save=tmp_path / "a.mp4")
-    assert not [*tmp_path.iterdir()]
-
-
 def test_what_is_no_movie(history, tmp_path):
-    for nothing in (history.last, [], None, [1, 2]):
-        with pytest.raises(InputError, match="give a history that keeps them, or several states"):
-            plotting.movie(nothing, save=tmp_path / "a.gif")
-    with pytest.raises(InputError, match="of several models"):
-        plotting.movie([history.last, pulled([1.0]).last], save=tmp_path / "a.gif")
-    for name in ("a.avi", None, 3):
-        refused(InputError, r"ends in \.gif or \.mp4", plotting.movie, history, save=name)
-    for pace in (0, 2.5, "x", 1000):
-        with pytest.raises(InputError, match="whole numbers from 1 to 50"):
-            plotting.movie(history, save=tmp_path / "a.gif", per_second=pace)
-    refused(InputError, "scale is 'x'", lambda: plotting.movie(history, save=tmp_path / "a.gif", scale="x"))
-    refused(InputError, "unknown component", lambda: plotting.movie(history, save=tmp_path / "a.gif", component="z"))
+    gif, two = {"save": tmp_path / "a.gif"}, [history.last, pulled([1.0]).last]
+    for words, solution, given in (
+        ("give a history that keeps them, or several states", history.last, gif),
+        ("give a history that keeps them, or several states", [], gif),
+        ("of several models", two, gif),
+        (r"ends in \.gif or \.mp4", history, {"save": "a.avi"}),
+        ("whole numbers from 1 to 50", history, gif | {"per_second": 2.5}),
+        ("unknown component", history, gif | {"view": plotting.View("z")}),
+    ):
+        refused(InputError, words, plotting.movie, solution, **given)
     assert not [*tmp_path.iterdir()]
-
-
-def test_states_of_a_solve_make_a_movie_too(tmp_path):
-    state = solve(pulled([1.0]).model)
-    found, _ = frames(plotting.movie([state], save=tmp_path / "one.gif", zoom=(0.5, 1.5, -0.3, 0.3)))
-    assert len(found) == 1
-
-
-def shown(folder: Path) -> None:
-    plotting.movie(pulled(), save=folder / "a.gif")
-
-
-@pytest.mark.long
-@on_ranks(shown, 2)
-def test_on_two_ranks(there, their_folder):
-    assert len(frames(their_folder / "a.gif")[0]) == 4

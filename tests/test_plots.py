@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
 
 from tests.contact_bars import bar, coulomb
 from thinlayer import Table, plotting
-from thinlayer.output.plotting.structures import NAMED
 
 
 def test_rates_have_the_slope_they_say():
@@ -23,9 +21,9 @@ def test_rates_have_the_slope_they_say():
 
 
 def test_contact_along_s():
-    """Status, pressure, friction, slip and opening by arc length; openings are upwards; status cells meet half-way."""
+    """Pressure, friction, slip and opening by arc length; openings are upwards."""
     report = bar(8, coulomb("soft"))
-    strip, p, t_T, u_T, opening = plotting.along(report.surface, report).axes
+    p, t_T, u_T, opening = plotting.along(report.surface, report).axes
     (line,) = report.surface.along(report.p)
     wanted = ((p, report.p), (t_T, report.t_T[:, 0]), (u_T, report.u_T[:, 0]), (opening, -report.u_N))
     for axes, values in wanted:
@@ -34,9 +32,3 @@ def test_contact_along_s():
         assert x == pytest.approx(line.s)
         assert y[known] == pytest.approx(values[known])
         assert known.sum() >= len(y) - 1
-    s = line.s
-    edges = np.concatenate([s[:1], (s[1:] + s[:-1]) / 2, s[-1:]])
-    assert [patch.get_x() for patch in strip.patches] == pytest.approx(edges[:-1])
-    assert [patch.get_width() for patch in strip.patches] == pytest.approx(np.diff(edges))
-    colours = [to_hex(patch.get_facecolor()) for patch in strip.patches]
-    assert colours == [NAMED[status] for status in report.status]

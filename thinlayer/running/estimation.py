@@ -116,4 +116,4 @@ def _draw(record: Record, case: Case, name: str, found: Estimate) -> None:
         if surface.joint.dim == 2:
             plotting.along(surface, {quantity: density}, save=path, length=length, log=True)
         else:
-            plotting.on_surface(found.better, density, save=path, quantity=quantity, scale=0.0, log=True)
+            plotting.on_surface(found.better, density, plotting.View(scale=0.0), save=path, quantity=quantity, log=True)

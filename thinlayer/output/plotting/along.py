@@ -1,4 +1,4 @@
-"""Pictures of fields along S, by arc length: curves of numbers, strips of names."""
+"""Pictures of fields along S, by arc length."""
 
 from __future__ import annotations
 
@@ -9,21 +9,18 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from forms.base import InputError, require
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import PINNED, Contact
 from thinlayer.output.plotting.curves import COLOURS, logarithmic
 from thinlayer.output.plotting.picture import Picture, finish
-from thinlayer.output.plotting.structures import colour_of, numbered
 from thinlayer.output.surface import Surface
-from thinlayer.surface.lines import Line, Plane
+from thinlayer.surface.lines import Plane
 
 STYLES = ("-", "--", ":")  # of the normal component and of the tangential ones
 PANEL = (5.2, 2.5)  # width and height of a panel, inches; the first is shared by all seams
 LOW = 1.7  # height of a panel where there are three or more, inches
-STRIP = 0.35  # height of a strip of names, inches
 
 
 def along(
@@ -43,9 +40,9 @@ def along(
 
     Args:
         surface: S, or a seam.
-        fields: label of a row -> field, or -> {label of a case: field}: numbers, vectors in the frame of S, or names of
-            facets or nodes. Or states, label -> state, or one state: their traction and jump. Or contact, as
-            `Surface.contact` returns it, one or several in the same way: status, p, t_T, u_T and opening.
+        fields: label of a row -> field, or -> {label of a case: field}: numbers, or vectors in the frame of S; names, as
+            of statuses, are drawn by `on_surface`. Or states, label -> state, or one state: their traction and jump. Or
+            contact, as `Surface.contact` returns it, one or several in the same way: p, t_T, u_T and opening.
         plane: in 3D a point and the normal of the plane that cuts S (`Surface.along`).
         save: PNG file.
         title: text over the picture.
@@ -59,14 +56,12 @@ def along(
     units = [f" ({unit})" if unit else "" for unit in (stress, length)]
     rows = [_Row(surface, label, cases, plane) for label, cases in _rows(surface, fields, *units).items()]
     seams, curve = list(dict.fromkeys(surface.seams.tolist())), PANEL[1] if len(rows) < 3 else LOW
-    heights = [STRIP * len(row.lines) if row.names else curve for row in rows]
-    figure = Picture(figsize=(PANEL[0] + 2.2 * (len(seams) - 1), sum(heights) + 0.8), layout="constrained")
-    shape = len(rows), len(seams)
-    panels = figure.subplots(*shape, sharex="col", sharey="row", squeeze=False, height_ratios=heights)
+    figure = Picture(figsize=(PANEL[0] + 2.2 * (len(seams) - 1), len(rows) * curve + 0.8), layout="constrained")
+    panels = figure.subplots(len(rows), len(seams), sharex="col", sharey="row", squeeze=False)
     for row, places in zip(rows, panels, strict=True):
         for axes, seam in zip(places, seams, strict=True):
             row.draw(axes, seam)
-            if log and not row.names:
+            if log:
                 logarithmic(axes, *row.limits)
         places[0].set_ylabel(row.label)
     for axes, seam in zip(panels[0], seams, strict=True):
@@ -95,7 +90,7 @@ def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, 
         else:
             pinned = np.where(one.status == PINNED, np.nan, 1.0)
             t_T, u_T = (v[:, 0] if v.shape[1] == 1 else np.linalg.norm(v, axis=1) for v in (one.t_T, one.u_T))
-            of_case = {"": one.status, f"p{stress}": pinned * one.p, f"t_T{stress}": pinned * t_T}
+            of_case = {f"p{stress}": pinned * one.p, f"t_T{stress}": pinned * t_T}
             of_case |= {f"u_T{length}": u_T, f"opening{length}": -one.u_N}
         for name, f in of_case.items():
             rows.setdefault(name, {})[label] = f
@@ -103,12 +98,11 @@ def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, 
 
 
 class _Row:
-    """One row of the picture: the lines of each case, and the names that their values number, if they are names."""
+    """One row of the picture: the lines of each case."""
 
     def __init__(self, surface: Surface, label: str, cases: Mapping[str, np.ndarray], plane: Plane | None) -> None:
         self.label = label
-        self.names, arrays = numbered({case: np.asarray(f) for case, f in cases.items()})
-        self.lines = {case: surface.along(f, plane=plane) for case, f in arrays.items()}
+        self.lines = {case: surface.along(f, plane=plane) for case, f in cases.items()}
         values = [line.values for lines in self.lines.values() for line in lines]
         self.limits = min(map(np.nanmin, values)), max(map(np.nanmax, values))
 
@@ -124,37 +118,20 @@ class _Row:
                 if line.seam == seam:
                     if start and not number:
                         axes.axvline(start, color="0.7", linewidth=0.8)
-                    (self._strip if self.names else self._curve)(axes, number, start, line)
+                    components = np.roll(np.atleast_2d(line.values.T), 1, axis=0)  # the normal one is the last
+                    for style, component in zip(STYLES, components, strict=False):
+                        axes.plot(start + line.s, component, style, color=COLOURS[number % len(COLOURS)])
                     start += line.length
-        if not self.names:
-            axes.grid(color="0.9")
-            return
-        axes.set_yticks(-np.arange(len(self.lines)), [*self.lines])
-        axes.tick_params(left=False)
-        for spine in axes.spines.values():
-            spine.set_visible(False)
-
-    def _curve(self, axes: Axes, number: int, start: float, line: Line) -> None:
-        for k, component in enumerate(np.roll(np.atleast_2d(line.values.T), 1, axis=0)):  # the normal one is the last
-            axes.plot(start + line.s, component, STYLES[k], color=COLOURS[number % len(COLOURS)])
-
-    def _strip(self, axes: Axes, number: int, start: float, line: Line) -> None:
-        """Each value reaches to half-way to the next one."""
-        s, middle = line.s, (line.s[1:] + line.s[:-1]) / 2
-        for left, right, code in zip([s[0], *middle], [*middle, s[-1]], line.values.astype(int), strict=True):
-            colour = colour_of(self.names[code], self.names)
-            axes.barh(-number, right - left, left=start + left, height=0.8, color=colour, linewidth=0)
+        axes.grid(color="0.9")
 
 
 def _legend(figure: Picture, rows: list[_Row], dim: int) -> None:
-    """Names of strips, components of vectors, and cases of curves."""
-    patches = {name: Patch(color=colour_of(name, row.names), label=name) for row in rows for name in row.names}
-    handles: list[Any] = [*patches.values()]
-    curves = [row for row in rows if not row.names]
-    if any(row.components > 1 for row in curves):
+    """Components of vectors, and cases."""
+    handles: list[Any] = []
+    if any(row.components > 1 for row in rows):
         names = ["normal", "tangential"] if dim == 2 else ["normal", "tangential 1", "tangential 2"]
         handles += [Line2D([], [], color="0.3", linestyle=STYLES[k], label=name) for k, name in enumerate(names)]
-    cases = list(dict.fromkeys(case for row in curves for case in row.lines))
+    cases = list(dict.fromkeys(case for row in rows for case in row.lines))
     if len(cases) > 1:
         handles += [Line2D([], [], color=COLOURS[k % len(COLOURS)], label=case) for k, case in enumerate(cases)]
     if handles:

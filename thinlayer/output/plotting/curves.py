@@ -51,35 +51,32 @@ def rates(
     tables = table if isinstance(table, Mapping) else {"": table}
     if not tables:
         raise InputError("rates: there is no table to draw")
-    for case, one in tables.items():
+    lines: dict[str, tuple[Any, Any]] = {}
+    styles, colours = {}, {}
+    for j, (case, one) in enumerate(tables.items()):
         require(isinstance(one, (Table, str, Path)), f"rates: {case or 'table'}", one, "give what sweep returns")
-    data = {case: one if isinstance(one, Table) else Table.load(one) for case, one in tables.items()}
-    for case, one in data.items():
-        if lacking := [name for name in ("eps", *errors.values()) if name not in one.columns]:
+        data = one if isinstance(one, Table) else Table.load(one)
+        if lacking := [name for name in ("eps", *errors.values()) if name not in data.columns]:
             which = f"the table {case!r}" if case else "the table"
             raise InputError(f"rates: {which} has no row, or no column {', '.join(lacking)}; give what sweep returns")
-    figure, (axes,) = _panel(6, 4.5)
-    lines = []
-    for k, (name, column) in enumerate(errors.items()):
-        for j, (case, one) in enumerate(data.items()):
-            lines.append((one["eps"], one[column]))
-            colour, marker = (j, k) if len(data) > 1 else (k, k)  # a colour for each case
-            style = {"marker": MARKERS[marker % len(MARKERS)], "color": COLOURS[colour % len(COLOURS)]}
-            style |= {"linestyle": "--", "markerfacecolor": "white"} if len(data) > 1 and k else {}
-            axes.loglog(*lines[-1], label=f"{case}: {name}" if case else name, **style)
-    eps, lowest = min(lines, key=lambda line: float(line[1][-1]))
-    line = 0.6 * lowest[-1] * (eps / eps[-1]) ** reference
-    axes.loglog(eps, line, color="0.5", linestyle=":", label=f"slope {reference:g}")
-    axes.set(xlabel="layer thickness eps", ylabel="relative difference on S, L2", title=title)
+        for k, (name, column) in enumerate(errors.items()):
+            label = f"{case}: {name}" if case else name
+            lines[label] = data["eps"], data[column]
+            dashes = "--" if len(tables) > 1 and k else "-"
+            styles[label] = MARKERS[(k if len(tables) > 1 else len(lines) - 1) % len(MARKERS)] + dashes
+            colours[label] = COLOURS[(j if len(tables) > 1 else k) % len(COLOURS)]  # one for each case
+    eps, lowest = min(lines.values(), key=lambda line: float(line[1][-1]))
+    slope = f"slope {reference:g}"
+    lines[slope] = eps, 0.6 * lowest[-1] * (eps / eps[-1]) ** reference
+    figure = curves(
+        lines, "layer thickness eps", "relative difference on S, L2",
+        title=title, styles=styles | {slope: ":"}, colours=colours | {slope: "0.5"}, log="xy",
+    )  # fmt: skip
+    (axes,) = figure.axes
     axes.set_xticks(eps, [f"{e:.4g}" for e in eps])
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.minorticks_off()
-    axes.grid(color="0.9")
-    if len(lines) <= 4:
-        axes.legend(frameon=False)
-    else:
-        figure.legend(loc="outside lower center", ncols=2, frameon=False)
     return finish(figure, save)
 
 
@@ -118,7 +115,9 @@ def curves(
     require(isinstance(lines, Mapping), "curves", lines, "give {label: (x, y)}, or {title: {label: (x, y)}}")
     several = bool(lines) and all(isinstance(one, Mapping) for one in lines.values())
     parts: Any = lines if several else {title: lines}
-    figure, panels = _panels(len(parts), columns) if several else _panel(6.5, 4.5)
+    figure, panels = _panels(len(parts), columns)
+    if not several:
+        figure.set_size_inches(6.5, 4.5)
     labels = list(dict.fromkeys(label for part in parts.values() for label in part))
     styles, colours = _by_label(labels, styles), _by_label(labels, COLOURS) | _by_label(labels, colours)
     drawn: dict[str, Any] = {}
@@ -162,14 +161,8 @@ def _numbers(label: str, line: Any) -> list[Array]:
     return [x, y]
 
 
-def _panel(width: float, height: float) -> tuple[Picture, list[Axes]]:
-    """A picture with one set of axes."""
-    figure = Picture(figsize=(width, height), layout="constrained")
-    return figure, [figure.subplots()]
-
-
 def _panels(number: int, columns: int) -> tuple[Picture, list[Axes]]:
-    """A picture with several."""
+    """A picture with so many sets of axes."""
     columns = min(columns, number)
     rows = -(-number // columns)
     size = 1.0 if columns > 2 else 1.4

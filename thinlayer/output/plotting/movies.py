@@ -14,7 +14,8 @@ from forms.base import InputError, is_number
 from geometry.parallel import on_root
 from thinlayer.discretisation.state import State
 from thinlayer.output.grid import gather
-from thinlayer.output.plotting.scene import Look, Scene
+from thinlayer.output.plotting.scene import Scene, View
+from thinlayer.output.plotting.structures import DEFAULT
 from thinlayer.solving.history import History
 from thinlayer.system.folder import replaced
 from thinlayer.system.progress import track
@@ -26,17 +27,12 @@ FASTEST = 50  # frames per second: a gif counts hundredths of a second
 
 def movie(
     solution: History | Sequence[State],
+    view: View = DEFAULT,
     *,
     save: str | Path,
     per_second: int = 10,
-    component: str = "size",
-    scale: float | None = None,
     title: str = "",
-    unit: str = "",
     time_unit: str = "",
-    zoom: Sequence[float] | None = None,
-    view: Sequence[float] | None = None,
-    cut: bool = False,
 ) -> Path:
     """Write a movie of a march: a frame for each state that the history keeps, with its time. Collective.
 
@@ -45,9 +41,9 @@ def movie(
 
     Args:
         solution: a history, or states of one model, in order.
+        view: how it is seen.
         save: file, .gif or .mp4. An mp4 needs ffmpeg, from the package imageio-ffmpeg or on the PATH.
         per_second: number of frames per second.
-        component, scale, unit, zoom, view, cut: as in `deformed`.
         title, time_unit: text over the frames; unit of the time there.
 
     Returns:
@@ -58,7 +54,6 @@ def movie(
         OSError: the movie could not be written; on all ranks.
     """
     states = _states(solution)
-    look = Look(component, scale, unit, zoom, view, cut)
     if not isinstance(save, (str, Path)) or Path(save).suffix not in (GIF, MP4):
         raise InputError(f"save is {save!r}; it must be the name of a movie, which ends in .gif or .mp4")
     if not (is_number(per_second) and per_second == int(per_second) and 1 <= per_second <= FASTEST):
@@ -68,7 +63,7 @@ def movie(
     grids = [grid for state in track(states, "movie", "{0.t:.4g}") if (grid := gather(state))]
 
     def draw() -> None:
-        scene = Scene.of(grids, look)
+        scene = Scene.of(grids, view)
         figure, (axes,) = scene.panels(1)
         scene.bar(figure, [axes])
         shown = axes.imshow(scene.image(grids[0]), extent=scene.window)

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from matplotlib.figure import Figure
 from mpi4py import MPI
 
-from forms.base import InputError
+from forms.base import InputError, require
 from geometry.parallel import on_root
 from thinlayer.system.folder import replaced
 
@@ -31,20 +31,12 @@ class Picture(Figure):
         return buffer.getvalue()
 
     def show(self, warn: bool = True) -> None:
-        """Open the picture in a window and wait until it is closed; for scripts where there is a screen.
-
-        Raises:
-            InputError: matplotlib's backend has no windows, as where there is no screen.
-        """
+        """Open the picture in a window and wait until it is closed; for scripts where there is a screen."""
         from matplotlib import pyplot
 
         manager = pyplot.figure().canvas.manager
         assert manager is not None, "made by pyplot"
         canvas = manager.canvas
-        if type(canvas).required_interactive_framework is None:
-            pyplot.close(canvas.figure)
-            remedy = "save the picture, or in a notebook let it be the last value of a cell"
-            raise InputError(f"matplotlib's backend {pyplot.get_backend()!r} opens no windows; {remedy}")
         canvas.figure = self
         self.set_canvas(canvas)
         pyplot.show()
@@ -56,8 +48,7 @@ F = TypeVar("F", bound=Figure)
 def finish(figure: F, save: str | Path | None) -> F:
     """Save a picture, if asked to. Collective: rank 0 writes."""
     if save is not None:
-        require_name(save)
-        on_root(None, lambda: put(figure, Path(save)))
+        on_root(None, lambda: put(figure, save))
     return figure
 
 
@@ -68,27 +59,22 @@ def drawn_on_root(comm: MPI.Intracomm, draw: Callable[[], Picture], save: str | 
     def on_rank_0() -> None:
         pictures.append(draw())
         if save is not None:
-            put(pictures[0], Path(save))
+            put(pictures[0], save)
 
     on_root(comm, on_rank_0)
     return pictures[0] if pictures else None
 
 
-def require_name(save: Any) -> None:
-    """Raise InputError unless `save` is None or the name of a file."""
-    if not (save is None or isinstance(save, Path) or (isinstance(save, str) and save)):
-        raise InputError(f"save is {save!r}; it must be the name of a picture, or None")
-
-
-def put(figure: Figure, path: Path) -> None:
+def put(figure: Figure, save: str | Path) -> None:
     """Save a picture on this rank. A file of this name is replaced only when the new one is complete.
 
     Raises:
         InputError: the name is that of a folder, or has an ending that matplotlib does not know.
         OSError: the file could not be written.
     """
-    if path.is_dir():
-        raise InputError(f"{str(path)!r} is a folder; give the name of a picture")
+    require(isinstance(save, (str, Path)), "save", save, "it must be the name of a picture, or None")
+    path = Path(save)
+    require(not path.is_dir(), "save", save, "it is a folder; give the name of a picture")
     kind = path.suffix.removeprefix(".") or "png"
     if kind not in (known := figure.canvas.get_supported_filetypes()):
         allowed = ", ".join(f".{one}" for one in sorted(known))

@@ -47,8 +47,18 @@ PANEL = 4.6  # width of a structure in a picture, inches
 
 
 @dataclass(frozen=True)
-class Look:
-    """What the caller of a picture asks for, checked on every rank; see `deformed`.
+class View:
+    """How structures are seen in pictures; checked on every rank.
+
+    Attributes:
+        component: of the displacement that colours show: "size", "x", "y" or "z".
+        scale: factor of the displacements (default: the largest is a twentieth of the structure).
+        unit: of the displacements, for the colour bar.
+        zoom: (left, right, bottom, top) part to show, in deformed coordinates: in 2D (x_min, x_max, y_min, y_max), in 3D
+            lengths to the right and up on the picture, from where the origin is.
+        towards: in 3D the direction from the structure to the viewer, (3,) (default: the viewer stands in front, z > 0, to
+            the right and above). y points up on the picture; from right above, -z does.
+        cut: in 3D whether to leave out the half in front of the middle in z, to see S inside.
 
     Raises:
         InputError: a scale that is no finite number, a window that is none.
@@ -58,7 +68,7 @@ class Look:
     scale: float | None = None
     unit: str = ""
     zoom: Sequence[float] | None = None
-    view: Sequence[float] | None = None
+    towards: Sequence[float] | None = None
     cut: bool = False
 
     def __post_init__(self) -> None:
@@ -131,13 +141,13 @@ def edges(surface: pyvista.PolyData) -> pyvista.PolyData:
     return lines
 
 
-def _axes(dim: int, view: Sequence[float] | None, cut: bool) -> Array:
+def _axes(dim: int, view: View) -> Array:
     """(3, 3) unit vectors to the right, upwards and towards the viewer; raises InputError for a view in 2D, or none."""
-    if dim == 2 and (view is not None or cut):
-        raise InputError("view and cut are for three-dimensional structures")
-    towards = finite(VIEWS[dim] if view is None else view, (3,))
+    if dim == 2 and (view.towards is not None or view.cut):
+        raise InputError("towards and cut are for three-dimensional structures")
+    towards = finite(VIEWS[dim] if view.towards is None else view.towards, (3,))
     if towards is None or not towards.any():
-        raise InputError(f"view is {view}; it needs three components, not all zero")
+        raise InputError(f"towards is {view.towards}; it needs three components, not all zero")
     towards /= np.linalg.norm(towards)
     right = np.cross((0.0, 1.0, 0.0) if np.hypot(*towards[::2]) > 1e-6 else (0.0, 0.0, -towards[1]), towards)
     right /= np.linalg.norm(right)
@@ -149,33 +159,33 @@ class Scene:
     """One view of several grids: of structures side by side, or of one in time.
 
     Attributes:
-        look: what was asked for.
+        view: what was asked for.
         axes: (3, 3) unit vectors to the right, upwards and towards the viewer.
         factor: of the displacements.
         window: left, right, bottom, top on the screen.
         limits: of the colours.
     """
 
-    look: Look
+    view: View
     axes: Array
     factor: float
     window: Window = (0.0, 0.0, 0.0, 0.0)
     limits: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
-    def of(cls, grids: Sequence[Grid], look: Look) -> Scene:
+    def of(cls, grids: Sequence[Grid], view: View) -> Scene:
         """The view in which all grids can be seen.
 
         Raises:
             InputError: unknown component, no direction, view or cut in 2D, nothing in the window.
         """
-        axes = _axes(grids[0].dim, look.view, look.cut)
+        axes = _axes(grids[0].dim, view)
         largest = max(np.linalg.norm(grid.u, axis=1).max() for grid in grids)
         fitting = LARGEST * np.ptp(grids[0].points, axis=0).max() / largest if largest > 0 else 1.0
-        scene = cls(look, axes, float(fitting if look.scale is None else look.scale))
+        scene = cls(view, axes, float(fitting if view.scale is None else view.scale))
         shapes = [scene.shape(grid) for grid in grids]
         x, y, _ = axes @ np.concatenate([shape.points for shape in shapes]).T
-        x0, x1, y0, y1 = window = (*_range(x), *_range(y)) if look.zoom is None else _window(look.zoom)
+        x0, x1, y0, y1 = window = (*_range(x), *_range(y)) if view.zoom is None else _window(view.zoom)
         inside = (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
         values = np.concatenate([shape.values for shape in shapes])
         if x.max() < x0 or x.min() > x1 or y.max() < y0 or y.min() > y1:
@@ -185,8 +195,8 @@ class Scene:
 
     def shape(self, grid: Grid) -> Shape:
         """The deformed structure of a grid."""
-        front = (0.0, 0.0, float(np.copysign(1.0, self.axes[2, 2]))) if self.look.cut else None
-        return Shape.of(grid, self.look.component, self.factor, front)
+        front = (0.0, 0.0, float(np.copysign(1.0, self.axes[2, 2]))) if self.view.cut else None
+        return Shape.of(grid, self.view.component, self.factor, front)
 
     def panels(self, count: int) -> tuple[Picture, list[Axes]]:
         """A picture with places for so many structures side by side."""
@@ -199,8 +209,8 @@ class Scene:
 
     def bar(self, figure: Picture, axes: list[Axes]) -> None:
         """Draw the colour bar of all displacements."""
-        look = self.look
-        name = ("|u|" if look.component == "size" else f"u_{look.component}") + (f" ({look.unit})" if look.unit else "")
+        view = self.view
+        name = ("|u|" if view.component == "size" else f"u_{view.component}") + (f" ({view.unit})" if view.unit else "")
         colours = ScalarMappable(Normalize(*self.limits), "viridis")
         bar = figure.colorbar(colours, ax=axes, **BAR, label=f"{name}; {self.scaled}")
         bar.ax.ticklabel_format(axis="x", style="sci", scilimits=(-3, 4))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,8 @@ from forms.base import Array, InputError
 from thinlayer.discretisation.state import State
 from thinlayer.output.grid import Grid, gather
 from thinlayer.output.plotting.curves import COLOURS, SHOWN
-from thinlayer.output.plotting.picture import Picture, drawn_on_root, require_name
-from thinlayer.output.plotting.scene import BAR, Look, Scene
+from thinlayer.output.plotting.picture import Picture, drawn_on_root
+from thinlayer.output.plotting.scene import BAR, Scene, View
 from thinlayer.output.surface import Surface
 
 Field = np.ndarray | Callable[[Surface, State], np.ndarray]
@@ -28,19 +29,11 @@ NAMED = {
     "no layer": "#111111", "no contact law": "#c9c9c9",
 }  # fmt: skip
 UNKNOWN = "#c9c9c9"  # colour of what is no number
+DEFAULT = View()
 
 
 def deformed(
-    states: Mapping[str, State] | State,
-    *,
-    save: str | Path | None = None,
-    component: str = "size",
-    scale: float | None = None,
-    title: str = "",
-    unit: str = "",
-    zoom: Sequence[float] | None = None,
-    view: Sequence[float] | None = None,
-    cut: bool = False,
+    states: Mapping[str, State] | State, view: View = DEFAULT, *, save: str | Path | None = None, title: str = ""
 ) -> Picture | None:
     """Deformed structures side by side, coloured by displacement, with the layer (or the jump across S) visible.
 
@@ -48,42 +41,32 @@ def deformed(
 
     Args:
         states: label -> state, or one state. Collective.
+        view: how it is seen, `View(zoom=..., unit="mm")`.
         save: PNG file; None: it is not saved.
-        component: "size", "x", "y" or "z".
-        scale: factor of the displacements (default: the largest is a twentieth of the structure).
-        title, unit: text over the picture; unit of the displacements, for the colour bar.
-        zoom: (left, right, bottom, top) part to show, in deformed coordinates: in 2D (x_min, x_max, y_min, y_max), in 3D
-            lengths to the right and up on the picture, from where the origin is.
-        view: in 3D the direction from the structure to the viewer, (3,) (default: the viewer stands in front, z > 0, to
-            the right and above). y points up on the picture; from right above, -z does.
-        cut: in 3D whether to leave out the half in front of the middle in z, to see S inside.
+        title: text over the picture.
 
     Returns:
         The picture on rank 0, which has the fields; None on other ranks.
 
     Raises:
-        InputError: what is no state, a scale or a window that is no number, no name of a file.
+        InputError: what is no state, no name of a file, unknown component, no direction, a direction or cut in 2D,
+            nothing in the window.
         OSError: the picture could not be written; on all ranks.
-        InputError: unknown component, no direction, view or cut in 2D, nothing in the window.
     """
-    look = Look(component, scale, unit, zoom, view, cut)
-    panels = _panels(states, "deformed", save)
-    return _side_by_side(panels, look, lambda scene, _, grid: scene.image(grid), Scene.bar, title, save)
+    panels = _panels(states, "deformed")
+    return _side_by_side(panels, view, lambda scene, _, grid: scene.image(grid), Scene.bar, title, save)
 
 
 def on_surface(
     states: Mapping[str, State] | State,
     field: Field,
+    view: View = DEFAULT,
     *,
     seam: str = "S",
     save: str | Path | None = None,
     title: str = "",
     quantity: str = "",
-    scale: float | None = None,
     log: bool = False,
-    zoom: Sequence[float] | None = None,
-    view: Sequence[float] | None = None,
-    cut: bool = False,
 ) -> Picture | None:
     """Deformed structures side by side, with the colours of a field on S. Collective.
 
@@ -91,13 +74,12 @@ def on_surface(
         states: label -> state, or one state.
         field: numbers or names, at points (n, q), facets (n, 1) or nodes (m,) of `Surface(state.model, seam)`; or a
             function that returns them, such as `Surface.status` or `lambda surface, state: surface.contact(state).p`.
+        view: how it is seen; no component, no unit.
         seam: name of a seam; "S": all of them.
         save: PNG file; None: it is not saved.
         title: text over the picture.
         quantity: name of the field, for the legend.
-        scale: factor of the displacements (default: the largest is a twentieth of the structure).
         log: whether colours of numbers are logarithmic, on both sides of zero.
-        zoom, view, cut: as of `deformed`.
 
     Returns:
         The picture on rank 0, None on other ranks.
@@ -105,7 +87,7 @@ def on_surface(
     Raises:
         InputError: no state, no scalar field on S; what `deformed` refuses. OSError: the picture could not be written.
     """
-    look, panels = Look("size", scale, "", zoom, view, cut), _panels(states, "on_surface", save)
+    panels = _panels(states, "on_surface")
     surfaces, fields, sides = dict[str, Surface](), dict[str, np.ndarray](), dict[str, tuple[Array, Array]]()
     for label, state in panels.items():
         surface = Surface(state.model, seam)
@@ -133,10 +115,10 @@ def on_surface(
         columns = min(len(patches), 4 * len(panels))
         figure.legend(handles=patches, loc="outside lower center", ncols=columns, frameon=False, title=text)
 
-    return _side_by_side(panels, look, image, legend, title, save)
+    return _side_by_side(panels, replace(view, component="size"), image, legend, title, save)
 
 
-def _panels(states: Mapping[str, State] | State, what: str, save: str | Path | None) -> dict[str, State]:
+def _panels(states: Mapping[str, State] | State, what: str) -> dict[str, State]:
     """Label -> state; raises InputError."""
     panels = dict(states) if isinstance(states, Mapping) else {"": states}
     if not panels:
@@ -145,13 +127,12 @@ def _panels(states: Mapping[str, State] | State, what: str, save: str | Path | N
         if not isinstance(one, State):
             given = f"{label!r} is {one!r}" if label else f"states is {one!r}"
             raise InputError(f"{what}: {given}; give states, of a history its last one or history.at(t)")
-    require_name(save)
     return panels
 
 
 def _side_by_side(
     panels: Mapping[str, State],
-    look: Look,
+    view: View,
     image: Callable[[Scene, str, Grid], npt.NDArray[np.uint8]],
     legend: Callable[[Scene, Picture, list[Axes]], None],
     title: str,
@@ -161,7 +142,7 @@ def _side_by_side(
     grids = {label: grid for label, state in panels.items() if (grid := gather(state))}
 
     def draw() -> Picture:
-        scene = Scene.of(list(grids.values()), look)
+        scene = Scene.of(list(grids.values()), view)
         figure, places = scene.panels(len(grids))
         legend(scene, figure, places)
         for axes, (label, grid) in zip(places, grids.items(), strict=True):

@@ -8,7 +8,7 @@ import numpy as np
 
 from forms.base import Array, InputError, is_number, require
 from geometry.refusals import require_known
-from thinlayer.output.plotting.picture import Picture, drawn_on_root, require_name
+from thinlayer.output.plotting.picture import Picture, drawn_on_root
 from thinlayer.output.zooming import AT_CORNER, Zoom
 
 COMPONENTS = {"N": (1, 1), "T": (0, 1), "S": (0, 0)}  # of stresses in the axes of an end: inward, n
@@ -49,7 +49,6 @@ def zoomed(
     require_known("component", component, COMPONENTS)
     allowed = f"allowed: > {AT_CORNER:g}, over the thickness"
     require(is_number(width) and AT_CORNER < width < np.inf, "zoomed: width", width, allowed)
-    require_name(save)
     if zoom.state.model.joint.dim != 2:
         raise InputError("zoomed: pictures of ends are for two dimensions; in 3D take zoom.stress")
     require(end in range(len(zoom.ends)), "zoomed: end", end, f"S has {len(zoom.ends)} free ends")
