@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +44,9 @@ def ensemble(
         make: called once in each group; it builds what the runs share, such as a joint and a model, and returns the
             function case -> row, a mapping of names to numbers or texts.
         cases: the inputs of each run, name -> number or text, the same names in all.
-        out: csv file. Each row is on the disk, in the folder out.parts, before the next one is computed; `out` has all rows
-            that are there. What rows were made from (`make`, and what it refers to) is kept beside them.
+        out: csv file, written at the end, also after an error, with all rows that are there. Each row is on the disk, in
+            the folder out.parts, before the next one is computed. What rows were made from (`make`, and what it refers
+            to) is kept beside them.
         resume: True: keep the rows that are there, and compute the others, on any number of ranks, groups and parts. Rows
             drawn from a generator or iterator that goes on from run to run are refused: make one in each run, from a seed
             in the case. Those that `random` and `numpy.random` share with all are, unless code of the runs seeds them.
@@ -71,67 +71,54 @@ def ensemble(
         require_csv(out, resume)
         known = _known(cases)
         ranks = comm.size if ranks is None else ranks
-        _check_groups(ranks, comm.size, part, out, resume)
+        dividing = [n for n in range(1, comm.size + 1) if comm.size % n == 0]
+        require(ranks in dividing, "ranks", ranks, f"allowed: a number that divides the number of ranks, {comm.size}")
+        good = isinstance(part, tuple) and [*map(type, part)] == [int, int] and 0 <= part[0] < part[1]
+        require(good, "part", part, "allowed: (k, n), the k-th of n parts, 0 <= k < n")
+        shared = part[1] == 1 or (out is not None and resume)
+        require(shared, "part", part, "parts of an ensemble share a table: give out=... and resume=True")
     require_same(None, cases=known, out=out and str(out), resume=resume, ranks=ranks, part=list(part))
     group, groups = comm.rank // ranks, comm.size // ranks
-    files = None if out is None else _Files(Path(out), make, known, resume)
-    name = f".{Path(out).name}.{part[0]}-of-{part[1]}{LOCK}" if out is not None else ""
+    first, step = part[0] * groups + group, part[1] * groups
+    path = None if out is None else Path(out)
     own: Any = comm.Split(group)
     try:
-        with owned(files.path.parent if files else None, name=name):
-            there = {} if files is None else on_root(None, files.begin)
-            first, step = part[0] * groups + group, part[1] * groups
-            rows = _Rows(known, first, step, files if own.rank == 0 else None)
-            error: Exception | None = None
+        with owned(path and path.parent, name=f".{path and path.name}.{part[0]}-of-{part[1]}{LOCK}"):
+            there = {} if path is None else on_root(None, lambda: _there(path, make, known, resume))
+            left = [k for k in range(first, len(known), step) if k not in there]
+            file = _file(path, f"{first}-of-{step}", make) if path and own.rank == 0 else None
+            rows, error = dict[int, Row](), None
             try:
-                rows.compute(make, own, there, keep_failures=keep_failures)
+                if left:
+                    if file:
+                        file.read(resume)
+                    with within(own):
+                        _compute(own, make, known, left, rows, file, alone=step == 1, keep_failures=keep_failures)
             except Exception as problem:  # the other groups go on
                 error = problem
+            done = there | {k: row for some in comm.allgather(rows) for k, row in some.items()}
+            if path is not None:
+                done |= on_root(None, lambda: _merged(path, known))
             _raise_together(comm, group, error)
-            done = there | {k: row for some in comm.allgather(rows.own) for k, row in some.items()}
-            if files is not None:
-                done |= on_root(None, lambda: files.merge(WAIT))
             return _table(known, done)
     finally:
         own.Free()
 
 
-class _Rows:
-    """The rows of a group: of the runs first, first + step, first + 2 step, ..."""
-
-    def __init__(self, cases: list[Row], first: int, step: int, files: _Files | None) -> None:
-        self._cases, self._first, self._step = cases, first, step
-        self._files, self.own = files, dict[int, Row]()
-
-    def compute(
-        self, make: Callable[[], Run], comm: MPI.Intracomm, there: Collection[int], *, keep_failures: bool
-    ) -> None:
-        """Compute the rows that are not there yet. Collective over the group."""
-        left = [k for k in range(self._first, len(self._cases), self._step) if k not in there]
-        if not left:
-            return
-        file = self._files.of(f"{self._first}-of-{self._step}") if self._files else None
-        kept = self._files.rows_in(file) if file and self._files else {}
-        with within(comm):
-            with on_all(comm):
-                run = make()
-                if not callable(run):
-                    raise InputError(f"make returns {run!r}; it must return a function of a case")
-                if file:
-                    file.watch((make, run))
-            states = random_states((make, run))
-            for k in track(left, "ensemble", "run {}"):
-                self.own[k] = self._row(run, k, comm, keep_failures)
-                with on_all(comm):
-                    if self._step > 1 and random_states((make, run)) != states:
-                        raise InputError(f"groups and parts of an ensemble draw the same numbers, as from {GENERATOR}")
-                if file and self._files:
-                    file.write((kept | self.own).values())
-                    self._files.merge(0.0)
-
-    def _row(self, run: Run, k: int, comm: MPI.Intracomm, keep_failures: bool) -> Row:
-        case, failure = self._cases[k], None
-        found: Row = {}
+def _compute(
+    comm: MPI.Intracomm, make: Callable[[], Run], cases: list[Row], left: Sequence[int], rows: dict[int, Row],
+    file: RowFile | None, *, alone: bool, keep_failures: bool,
+) -> None:  # fmt: skip
+    """Compute the rows of the runs that are left, into `rows` and into a file. Collective over the group."""
+    with on_all(comm):
+        run = make()
+        if not callable(run):
+            raise InputError(f"make returns {run!r}; it must return a function of a case")
+        if file:
+            file.watch((make, run))
+    states = random_states((make, run))
+    for k in track(left, "ensemble", "run {}"):
+        case, found, failure = cases[k], Row(), None
         try:
             with on_all(comm):
                 given: Any = {**case}
@@ -140,56 +127,46 @@ class _Rows:
             if not keep_failures:
                 raise
             failure = str(error)
-        return {RUN: float(k), **case, **found} | ({FAILURE: failure} if keep_failures else {})
+        rows[k] = {RUN: float(k), **case, **found} | ({FAILURE: failure} if keep_failures else {})
+        with on_all(comm):
+            if not alone and random_states((make, run)) != states:
+                raise InputError(f"groups and parts of an ensemble draw the same numbers, as from {GENERATOR}")
+        if file:
+            file.add(rows[k])
 
 
-class _Files:
-    """The files of an ensemble, on one rank: one of each group's rows, and all rows in one."""
+# ---------------------------------------------------------------- files, on one rank
+def _parts(path: Path) -> Path:
+    return path.with_name(f"{path.name}.parts")
 
-    def __init__(self, path: Path, make: Callable[[], Run], cases: list[Row], resume: Resume) -> None:
-        self.path, self._make, self._cases, self._resume = path, make, cases, resume
-        self._folder = path.with_name(f"{path.name}.parts")
 
-    def of(self, name: str) -> RowFile:
-        """The file of a group."""
-        return RowFile(self._folder / f"{name}.json", self._make, "ensemble")
+def _file(path: Path, name: str, make: Callable[[], Run]) -> RowFile:
+    """The file of a group."""
+    return RowFile(_parts(path) / f"{name}.json", make, "ensemble")
 
-    def rows_in(self, file: RowFile) -> dict[int, Row]:
-        """The rows of a file, of this ensemble, or with "anyway" of any."""
-        return _by_run(file.read(anyway=self._resume == "anyway"))
 
-    def begin(self) -> dict[int, Row]:
-        """The rows of all files; those of an earlier ensemble are moved away first unless it is resumed."""
-        make_room(self.path, self._folder, self._resume)
-        rows: dict[int, Row] = {}
-        for path in sorted(self._folder.glob("*-of-*.json")):
-            rows |= self.rows_in(self.of(path.stem))
-        for k, row in rows.items():
-            case = self._cases[k] if k < len(self._cases) else {}
-            changed = [name for name, value in case.items() if row.get(name) != value]
-            if not case or changed:
-                what = f"{changed[0]} = {row.get(changed[0])!r} there" if changed else "no such run here"
-                remedy = f"give another name, or remove it and {str(self._folder)!r}"
-                raise InputError(f"{str(self.path)!r} is the table of other cases (run {k}: {what}); {remedy}")
-        return rows
+def _there(path: Path, make: Callable[[], Run], cases: list[Row], resume: Resume) -> dict[int, Row]:
+    """The rows of all files; those of an earlier ensemble are moved away first unless it is resumed."""
+    make_room(path, _parts(path), resume)
+    files = [_file(path, one.stem, make) for one in sorted(_parts(path).glob("*-of-*.json"))]
+    rows = _by_run([row for file in files for row in file.read(resume)])
+    for k, row in rows.items():
+        case = cases[k] if k < len(cases) else {}
+        changed = [name for name, value in case.items() if row.get(name) != value]
+        if not case or changed:
+            what = f"{changed[0]} = {row.get(changed[0])!r} there" if changed else "no such run here"
+            remedy = f"give another name, or remove it and {str(_parts(path))!r}"
+            raise InputError(f"{str(path)!r} is the table of other cases (run {k}: {what}); {remedy}")
+    return rows
 
-    def merge(self, wait: float) -> dict[int, Row]:
-        """Write all rows of all files into one table; returns them.
 
-        Args:
-            wait: s to wait for another job that writes it; 0: leave it to that job.
-        """
-        with ExitStack() as stack:
-            try:
-                stack.enter_context(locked(self._folder, f".merge{LOCK}", wait))
-            except InputError:
-                if wait:
-                    raise
-                return {}
-            files = self._folder.glob("*-of-*.json")
-            rows = _by_run([row for path in files for row in read_sealed(path)["rows"]])
-            _table(self._cases, rows).put(self.path)
-        return rows
+def _merged(path: Path, cases: list[Row]) -> dict[int, Row]:
+    """Write all rows of all files into one table, one job after the other; returns them."""
+    with locked(_parts(path), f".merge{LOCK}", WAIT):
+        rows = _by_run([row for one in _parts(path).glob("*-of-*.json") for row in read_sealed(one)["rows"]])
+        if rows:
+            _table(cases, rows).put(path)
+    return rows
 
 
 def _by_run(rows: Sequence[Row]) -> dict[int, Row]:
@@ -214,16 +191,6 @@ def _known(cases: Any) -> list[Row]:
         if [*row] != [*rows[0]] or None in row.values():
             raise InputError(f"case {k} has {', '.join(row)}, the first one {', '.join(rows[0])}; all need the same")
     return rows
-
-
-def _check_groups(ranks: Any, size: int, part: Any, out: Any, resume: Resume) -> None:
-    """Raise InputError unless the ranks and the part of the cases are in range."""
-    if ranks not in [n for n in range(1, size + 1) if size % n == 0]:
-        raise InputError(f"ranks is {ranks!r}; allowed: a number that divides the number of ranks, {size}")
-    if not (isinstance(part, tuple) and [*map(type, part)] == [int, int] and 0 <= part[0] < part[1]):
-        raise InputError(f"part is {part!r}; allowed: (k, n), the k-th of n parts, 0 <= k < n")
-    if part[1] > 1 and (out is None or not resume):
-        raise InputError("parts of an ensemble share a table: give out=... and resume=True")
 
 
 def _raise_together(comm: MPI.Intracomm, group: int, error: Exception | None) -> None:

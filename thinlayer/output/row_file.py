@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
@@ -44,7 +44,7 @@ class RowFile:
 
     def __init__(self, path: Path, run: Callable[..., Any], kind: str) -> None:
         self.path, self._run, self._kind = path, run, kind
-        self._made_from = described(run)
+        self._made_from, self._rows = described(run), list[Row]()
         self._changing: set[tuple[str, ...]] = set()
         self._drawn = False  # whether rows have moved a generator of random numbers
         self.watch(run)
@@ -53,32 +53,33 @@ class RowFile:
         """Look at the generators of this function from now on, or of several."""
         self._watched, self._states = run, random_states(run, shared=True)
 
-    def read(self, *, anyway: bool) -> list[Row]:
-        """The rows in the file.
+    def read(self, resume: Resume) -> list[Row]:
+        """The rows in the file, to which others are added; with "anyway" those of any function.
 
         Raises:
-            InputError: the file is damaged; or its rows are not those of this function, unless `anyway`.
+            InputError: the file is damaged; or its rows are not those of this function.
         """
         if not self.path.exists():
             return []
         content, name = read_sealed(self.path), str(self.path)
         self._changing, self._drawn = {*map(tuple, content["changing"])}, content["drawn"]
-        if self._drawn and not anyway:
-            raise InputError(f"{name!r} cannot be resumed: its rows were drawn from {GENERATOR}; {ADVICE}")
         found = differences(content["made from"], self._made_from)
         other = [one for one in found if _changed(*one) not in self._changing]
-        if other and not anyway:
+        if self._drawn and resume != "anyway":
+            raise InputError(f"{name!r} cannot be resumed: its rows were drawn from {GENERATOR}; {ADVICE}")
+        if other and resume != "anyway":
             raise InputError(f"{name!r} is the table of another {self._kind} ({in_words(other)}); {ADVICE}")
-        rows: list[Row] = content["rows"]
-        return rows
+        self._rows = content["rows"]
+        return [*self._rows]
 
-    def write(self, rows: Iterable[Row]) -> None:
-        """Replace the file."""
+    def add(self, row: Row) -> None:
+        """Add a row, on the disk before this returns."""
+        self._rows.append(row)
         changed = (_changed(*one) for one in differences(self._made_from, described(self._run)))
         self._changing |= {path for path in changed if path}
         self._drawn |= random_states(self._watched, shared=True) != self._states
         about = {"made from": self._made_from, "changing": sorted(self._changing), "drawn": self._drawn}
-        write_sealed(self.path, {**about, "rows": [*rows]})
+        write_sealed(self.path, {**about, "rows": self._rows})
 
 
 def require_csv(out: Any, resume: Any) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from forms.base import InputError, is_number
+from forms.base import InputError, is_number, require
 from geometry.parallel import on_root, world
 from thinlayer.output.row_file import RowFile, checked, make_room, require_csv
 from thinlayer.system.folder import LOCK, owned
@@ -45,26 +45,23 @@ def sweep(
         require_csv(out, resume)
         try:
             given = () if isinstance(eps, str) else tuple(eps)
-            if not given or not all(map(is_number, given)):
-                raise TypeError("thicknesses are numbers")
-            values = sorted(map(float, given), reverse=True)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"eps is {eps!r}; a sweep needs different thicknesses > 0") from error
-        if values[-1] <= 0 or not np.isfinite(values).all() or len(set(values)) != len(values):
-            raise InputError(f"eps is {values}; a sweep needs different thicknesses > 0")
+        except TypeError:
+            given = ()
+        values = sorted({float(e) for e in given if is_number(e) and 0 < e < np.inf}, reverse=True)
+        require(0 < len(given) == len(values), "eps", eps, "a sweep needs different thicknesses > 0")
     require_same(world(), eps=values, out=out and str(out), resume=resume)
-    path = None if out is None else Path(out)
+    path, rows, file = None if out is None else Path(out), dict[float, Row](), None
     with owned(path and path.parent, name=f".{path and path.name}{LOCK}"):
-        file, kept = None if path is None else RowFile(path.with_name(f"{path.name}.json"), run, "sweep"), list[Row]()
-        if path is not None and file is not None:
+        if path is not None:
+            file = RowFile(path.with_name(f"{path.name}.json"), run, "sweep")
             on_root(None, partial(make_room, path, file.path, resume))
-            kept = on_root(None, partial(file.read, anyway=resume == "anyway"))
-        rows: dict[float, Row] = {float(row["eps"]): row for row in kept}  # type: ignore[arg-type]
+            kept = on_root(None, partial(file.read, resume))
+            rows = {float(row["eps"]): row for row in kept}  # type: ignore[arg-type]
         for e in track(values, "sweep", "eps = {:g}"):
             if e not in rows:
                 rows[e] = _row(run, e, next(iter(rows.values()), None))
                 if file is not None:
-                    on_root(None, lambda: file.write(rows.values()))
+                    on_root(None, partial(file.add, rows[e]))
             if path is not None:  # also where a killed run has left the last row in the file beside it alone
                 _with_orders(rows).write(path)
         return _with_orders(rows)

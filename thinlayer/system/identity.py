@@ -7,21 +7,16 @@ from __future__ import annotations
 
 import copyreg
 import dataclasses
-import dis
 import functools
 import hashlib
-import importlib.util
-import itertools
 import json
 import math
-import os
 import random
 import re
 import sys
 import sysconfig
 import types
 import uuid
-import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from numbers import Integral, Real
@@ -38,20 +33,16 @@ from forms.base import PACKAGES, InputError
 Resume = bool | Literal["anyway"]
 CODE, FILE, CLASS, SAME = "(code)", "(file)", "(class)", "(same as)"
 MISSING = object()  # in place of what only one of two descriptions has
-FEW, MANY = 24, 1000  # longest array that is shown, largest container; longer ones are hashed
+FEW = 24  # longest array that is shown; longer ones are hashed
 SHOWN = 4  # number of differences that a message names
 LIBRARIES = [Path(sysconfig.get_path("stdlib")), *(Path(__file__).parents[2] / name for name in PACKAGES)]
 OPAQUE = ("basix", "dolfinx", "petsc4py", "ufl")  # packages whose objects differ from one process to the next
-_COUNT = itertools.count(1)
 ALONE = f", known to process {uuid.uuid4().hex[:8]} alone"
 EXPANDED = (dict, types.MappingProxyType, list, tuple, set, frozenset, np.ndarray, types.ModuleType)
-GENERATED = {*vars(dataclasses.make_dataclass("C", ["x"], order=True, frozen=True))}  # methods, by dataclass itself
 GOES_ON = (  # what gives other numbers each time
     np.random.Generator, np.random.BitGenerator, np.random.RandomState, np.random.SeedSequence, random.Random, Iterator,
 )  # fmt: skip
 NAMED = re.compile(rb'^[ \t]*#[^"<\n]*["<]([^">\n]+)[">]', re.MULTILINE)  # a file in a preprocessor line
-SEARCHED = ("CPATH", "C_INCLUDE_PATH")  # folders in which compilers look for files, besides the system's
-_NUMBERS: dict[int, tuple[Any, int]] = {}  # id -> reference to an object that only this process knows, and its number
 
 
 def described(value: Any) -> Any:
@@ -59,9 +50,10 @@ def described(value: Any) -> Any:
 
     Numbers, texts, arrays and containers stand for themselves, whatever the order of a dict; dataclasses and other objects
     for the data of a copy. Functions of the user stand for their bytecode, the hash of their file, and for what they close
-    over, have as defaults or attributes, and read elsewhere; own classes for their functions and values; those of libraries
-    for their names. Anything else, such as an open file or a function on a mesh, differs from the same object in another
-    process. Files that a run reads, `sys.argv` and `os.environ` are not described.
+    over, have as defaults or attributes, and read elsewhere; own classes for their functions and files, own modules for
+    their files; those of libraries for their names. Anything else, such as an open file or a function on a mesh, differs
+    from all of another process. Files that a run reads, what a function imports itself, `sys.argv` and `os.environ` are
+    not described.
     """
     return _Describer().of(value)
 
@@ -90,12 +82,11 @@ def random_states(value: Any, *, shared: bool = False) -> list[Any]:
 
 def differences(one: Any, other: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
     """Differences of two descriptions: path of names, and both values there, or `MISSING`."""
+    if isinstance(one, list) and isinstance(other, list):
+        one, other = ({f"{k}": entry for k, entry in enumerate(values)} for values in (one, other))
     if isinstance(one, dict) and isinstance(other, dict):
         for key in sorted(one.keys() | other.keys()):
             yield from differences(one.get(key, MISSING), other.get(key, MISSING), (*path, key))
-    elif isinstance(one, list) and isinstance(other, list):
-        for k, pair in enumerate(itertools.zip_longest(one, other, fillvalue=MISSING)):
-            yield from differences(*pair, (*path, str(k)))
     elif one != other:
         yield path, one, other
 
@@ -105,6 +96,11 @@ def in_words(found: list[tuple[tuple[str, ...], Any, Any]]) -> str:
     pairs = {(_short(one), _short(other)): ".".join(path) for path, one, other in reversed(found)}
     words = [f"{path}: {one} there, {other} here" for (one, other), path in reversed(pairs.items())]
     return "; ".join(words[:SHOWN]) + f"; and {len(words) - SHOWN} more" * (len(words) > SHOWN)
+
+
+def _short(value: Any) -> str:
+    text = "nothing" if value is MISSING else value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= 200 else f"{text[:200]} ..."
 
 
 def require_resume(resume: Any) -> None:
@@ -130,15 +126,12 @@ class _Describer:
     def __init__(self) -> None:
         self.random: list[Any] = []
         self.names: set[str] = set()
-        self._read: set[str] = set()  # names that the function reads which is being described
         self._places: dict[int, tuple[str, Any]] = {}  # id -> where it was met; the value is kept, and so its id
 
     def of(self, value: Any, at: str = "") -> Any:
         """A value that is met at this place; an object that is met again stands for the first place."""
-        if value is None or isinstance(value, bool):
-            return value
         found = None if _is_own(type(value).__module__) else _plain(value)
-        if found is not None:
+        if found is not None or value is None:
             return found
         if id(value) in self._places:
             return {SAME: self._places[id(value)][0]}
@@ -147,9 +140,7 @@ class _Describer:
         frozen = getattr(getattr(type(value), "__dataclass_params__", None), "frozen", False)
         if frozen or type(value) in EXPANDED:  # two that are equal count as one that is there twice
             del self._places[id(value)]
-        numbers = isinstance(found, list) and len(found) > FEW and all(isinstance(one, float) for one in found)
-        long = numbers or (isinstance(found, (dict, list)) and len(found) > MANY)
-        return f"{len(found)} parts, {digest(found)}" if long else found
+        return found
 
     def _composed(self, value: Any, at: str) -> Any:
         kind, function = type(value), _function_of(value)
@@ -158,20 +149,19 @@ class _Describer:
         if isinstance(value, types.MethodType):
             return self._named({CODE: "method", "(function)": value.__func__, "self": value.__self__}, at)
         if isinstance(value, functools.partial):
-            given = {f"(argument {k})": one for k, one in enumerate(value.args)} | value.keywords
-            return self._named({CODE: "partial", "(function)": value.func, **given}, at)
-        if isinstance(value, types.ModuleType):  # of the user's own ones what a function reads counts
-            names = self._read & vars(value).keys() if _is_own(value.__name__) else ()
-            return {CODE: f"module {value.__name__}"} | self._named({name: vars(value)[name] for name in names}, at)
+            return self._named(
+                {CODE: "partial", "(function)": value.func, "(arguments)": value.args, **value.keywords}, at
+            )
+        if isinstance(value, types.ModuleType):
+            return {CODE: f"module {value.__name__}"} | _file_of(getattr(value, "__file__", None))
         if isinstance(value, type):
-            own = [one for one in value.__mro__ if _is_own(one.__module__)]
-            members = {f"{one.__qualname__}{k or ''}": _members(one) for k, one in enumerate(own)}
-            return self._named(members, at) if value in own else _name(value)
+            bases = [one for one in value.__mro__ if _is_own(one.__module__)]
+            members = {f"{one.__qualname__}{k or ''}": _members(one) for k, one in enumerate(bases)}
+            return self._named(members, at) if value in bases else _name(value)
         if kind is np.ndarray:
-            if value.dtype.kind in "biuf":
-                hashed = f"{value.dtype.name} {value.shape}, {digest(np.ascontiguousarray(value).tobytes())}"
-                return hashed if value.size > FEW else self.of(value.tolist(), at)
-            return [[*(value.dtype.names or ())], [*value.shape], self.of(value.ravel().tolist(), at)]
+            if value.dtype.kind in "biuf" and value.size > FEW:
+                return f"{value.dtype.name} {value.shape}, {digest(np.ascontiguousarray(value).tobytes())}"
+            return self.of(value.tolist(), at)
         if kind in (dict, types.MappingProxyType):
             return self._named(value, at)
         if kind in (list, tuple):
@@ -197,73 +187,52 @@ class _Describer:
         kind, top = type(value), type(value).__module__.partition(".")[0]
         if isinstance(value, ufl.core.expr.Expr) and not extract_domains(value):
             return f"{_name(kind)}, {compute_expression_signature(value, {})[:12]}"
-        shared = value is np.random.mtrand._rand or value is random._inst
-        if shared or top == "mpi4py":  # their states are no part of what refers to them
-            return _name(kind)
-        if _name(kind).startswith("scipy.spatial.") and kind.__name__ in ("cKDTree", "KDTree"):  # copied with what is
-            return [_name(kind), self.of(np.asarray(value.data), at), value.leafsize]  # in memory by chance
-        nameless = isinstance(value, np.ufunc) and "(" in value.__name__
+        if value is np.random.mtrand._rand or value is random._inst or top == "mpi4py":
+            return _name(kind)  # their states are no part of what refers to them
         try:
-            reduce = copyreg.dispatch_table.get(kind, lambda one: one.__reduce_ex__(4))
-            parts: Any = None if nameless or top in OPAQUE else reduce(value)
+            parts = copyreg.dispatch_table.get(kind, lambda one: one.__reduce_ex__(4))(value)
         except Exception:  # it cannot be copied
             parts = None
-        if parts is None:
-            return f"{_name(kind)}{ALONE} ({_number(value)})"
+        if parts is None or top in OPAQUE:
+            return _name(kind) + ALONE
         if isinstance(parts, str):
             return f"{_name(kind)} {parts}"
         make, given, state, *items = (*parts, None)[: max(len(parts), 3)]
-        plain = make is copyreg.__newobj__ and given == (kind,)  # type: ignore[attr-defined]
-        lists = [[*one] for one in items if isinstance(one, Iterator)]
-        found = {CLASS: kind} | ({} if plain else {"(made of)": [make, *given]}) | ({"(items)": lists} if lists else {})
+        found = {CLASS: kind, "(made of)": [make, *given], "(items)": [[*one] for one in items if one is not None]}
         for one in state if isinstance(state, tuple) else (state,):  # attributes, and those in slots
-            found |= one if isinstance(one, dict) else {} if one is None else {f"(state {len(found)})": one}
-        derived = {name for name in found if isinstance(getattr(kind, str(name), None), functools.cached_property)}
-        return self._named({name: found[name] for name in found.keys() - derived - {"__doc__", "_ufunc"}}, at)
+            found |= one if isinstance(one, dict) else {f"(state {len(found)})": one}
+        return self._named(found, at)
 
     def _function(self, function: types.FunctionType, at: str) -> Any:
         code, cells = function.__code__, zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-        read = {name: cell.cell_contents for name, cell in cells if cell != types.CellType()}  # those with a value
+        read: dict[str, Any] = {name: cell.cell_contents for name, cell in cells if cell != types.CellType()}
         if not _is_own_file(code.co_filename):
             return {CODE: _name(function), **self._named(read, at)} if read else _name(function)
-        codes, outer = _codes(code), self._read
-        self._read = {name for one in codes for name in one.co_names}
-        self.names |= self._read
-        read = {name: function.__globals__[name] for name in self._read & function.__globals__.keys()} | read
-        read |= {f"import {one.__name__}": one for one in _imported(codes, function.__globals__.get("__package__"))}
-        read |= {f"(default {k})": one for k, one in enumerate(function.__defaults__ or ())}
-        read |= (function.__kwdefaults__ or {}) | vars(function)
+        names = {name for one in _codes(code) for name in one.co_names}
+        self.names |= names
+        read = {name: function.__globals__[name] for name in names & function.__globals__.keys()} | read
+        read |= {"(defaults)": function.__defaults__, "(keywords)": function.__kwdefaults__} | vars(function)
         read.pop("__wrapped__", None)
-        found = self._named(read, at)
-        self._read = outer
-        file = Path(code.co_filename)
-        found |= {FILE: f"{file.name} {digest(file.read_bytes())}"} if file.is_file() else {}
-        return found | {CODE: f"{function.__qualname__} {digest(_bytecode(code))}"}
-
-
-def _number(value: Any) -> int:
-    """Number of an object in this process; objects are not kept alive for it, where they allow that."""
-    known = _NUMBERS.get(id(value))
-    if known is None or known[0]() is not value:
-        reference = weakref.ref(value) if type(value).__weakrefoffset__ else lambda: value
-        known = _NUMBERS[id(value)] = reference, next(_COUNT)
-    return known[1]
+        found = self._named({name: one for name, one in read.items() if one is not None}, at)
+        return found | _file_of(code.co_filename) | {CODE: f"{function.__qualname__} {digest(_bytecode(code))}"}
 
 
 def _members(kind: type) -> dict[str, Any]:
-    """What counts of an own class: its functions and values, and the content of a C source."""
-    found: dict[str, Any] = {}
-    for name, value in vars(kind).items():
-        function = _function_of(value)
-        if function is not None:
-            file = function.__code__.co_filename
-            generated = name in GENERATED and (file == "<string>" or not _is_own_file(file))
-            found |= {} if generated else {name: function}
-        elif name == "source" and isinstance(value, (str, Path)) and Path(value).is_file():
-            found[name] = content(Path(value))
-        elif not (name.startswith("__") or name == "_abc_impl" or hasattr(value, "__get__")):
-            found[name] = value
-    return found
+    """What counts of an own class: its functions, its file, and the content of a C source."""
+    functions = {name: _function_of(value) for name, value in vars(kind).items()}
+    made = {name for name, f in functions.items() if f and name[:2] == "__" and f.__code__.co_filename == "<string>"}
+    found: dict[str, Any] = {name: f for name, f in functions.items() if f and name not in made}  # not by dataclass
+    source = vars(kind).get("source")
+    if isinstance(source, (str, Path)) and Path(source).is_file():
+        found["source"] = content(Path(source))
+    return found | _file_of(getattr(sys.modules.get(kind.__module__), "__file__", None))
+
+
+def _file_of(name: str | None) -> dict[str, str]:
+    """The name of a file of one's own, with the hash of its content, if there is one."""
+    file = Path(name or "")
+    own = file.is_file() and _is_own_file(str(file))
+    return {FILE: f"{file.name} {digest(file.read_bytes())}"} if own else {}
 
 
 def _function_of(value: Any) -> types.FunctionType | None:
@@ -289,17 +258,6 @@ def _bytecode(code: Any) -> Any:
     return repr(sorted(code, key=repr) if isinstance(code, frozenset) else code)
 
 
-def _imported(codes: list[types.CodeType], package: str | None) -> Iterator[types.ModuleType]:
-    """The user's own modules that functions import themselves."""
-    steps = (step for code in codes for step in dis.get_instructions(code) if step.opname == "IMPORT_NAME")
-    for name in sorted({step.argval for step in steps}):
-        for one in (name, f"{package}.{name}"):
-            with suppress(Exception):  # the function itself will raise the error
-                found = importlib.util.find_spec(one)
-                if found is not None and found.origin and _is_own_file(found.origin):
-                    yield importlib.import_module(one)
-
-
 def _is_own(module: str) -> bool:
     """Whether a module, by its name, is the user's own."""
     top = module.partition(".")[0]
@@ -318,8 +276,8 @@ def _is_own_file(file: str) -> bool:
 
 def _plain(value: Any) -> Any:
     """A number or text as JSON; None for anything else."""
-    if isinstance(value, str):
-        return str(value)
+    if isinstance(value, (str, bool)):
+        return value if isinstance(value, bool) else str(value)
     if isinstance(value, Integral) and abs(int(value)) > 1 / sys.float_info.epsilon:
         return str(int(value))
     if isinstance(value, Real):
@@ -331,29 +289,22 @@ def _name(kind: Any) -> str:
     return f"{kind.__module__}.{kind.__qualname__}"
 
 
-def _short(value: Any) -> str:
-    text = "nothing" if value is MISSING else value if isinstance(value, str) else json.dumps(value)
-    return text if len(text) <= 200 else f"{text[:200]} ..."
-
-
 # ---------------------------------------------------------------- C sources
 def content(source: Path) -> bytes:
-    """Content of a C source, and recursively of the files that its preprocessor lines name, without system headers.
+    """Content of a C source, and recursively of the files beside it that its preprocessor lines name.
 
     Nothing is preprocessed: a file counts even where a condition leaves it out.
 
     Raises:
         OSError: the source cannot be read. The compiler reports included files that cannot be read.
     """
-    searched = [Path(folder) for name in SEARCHED for folder in os.environ.get(name, "").split(os.pathsep) if folder]
     found, todo = {source: source.read_bytes()}, [source]
     while todo:
         file = todo.pop()
         for name in NAMED.findall(found[file]):
-            for folder in (file.parent, *searched):
-                with suppress(OSError, ValueError):
-                    included = (folder / os.fsdecode(name)).resolve()
-                    if included not in found:
-                        found[included] = included.read_bytes()
-                        todo.append(included)
+            with suppress(OSError, ValueError):
+                included = (file.parent / name.decode()).resolve()
+                if included not in found:
+                    found[included] = included.read_bytes()
+                    todo.append(included)
     return b"\0".join(found.values())

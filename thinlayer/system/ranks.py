@@ -6,7 +6,6 @@ DOLFINx and PETSc are not imported here: this comes first, so that ranks end wha
 from __future__ import annotations
 
 import json
-import re
 import sys
 import time
 import traceback
@@ -103,7 +102,7 @@ def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
     if comm.size == 1:
         return ""
     with on_all(comm):
-        texts = {name: _known_by_all(value) for name, value in given.items()}
+        texts = {name: json.dumps(described(one), sort_keys=True).replace(ALONE, "") for name, one in given.items()}
     found = comm.allgather({name: digest(text) for name, text in texts.items()})
     for name, first in found[0].items():
         for rank, theirs in enumerate(found):
@@ -116,10 +115,6 @@ def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
                 what = f"the ranks were given different {name}: {at}{here} on rank 0, {there} on rank {rank}"
                 raise _for_all(InputError(f"{what}; give all ranks the same"))
     return digest(found[0])
-
-
-def _known_by_all(value: Any) -> str:
-    return re.sub(rf"{ALONE} \(\d+\)", "", json.dumps(described(value), sort_keys=True))
 
 
 def _text(error: Exception) -> str:
