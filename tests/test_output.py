@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from matplotlib.image import imread
@@ -89,9 +91,8 @@ def test_a_table_of_columns(tmp_path):
 
 
 def test_tables_are_printed_as_they_are():
-    table = Table([{"slip [mm]": 1.0, "[red]a": "[bold]x[/]"}, {"slip [mm]": 2.0, "[red]a": "y"}])
-    assert str(table).splitlines()[0].split() == ["slip", "[mm]", "[red]a"]
-    assert str(table).splitlines()[1].split() == ["1", "[bold]x[/]"]
+    table = Table([{"slip [mm]": 1.0, "a": "x"}, {"slip [mm]": 0.123456, "a": None}])
+    assert str(table).splitlines() == ["slip [mm]  a", "        1  x", "   0.1235"]
     refused(InputError, "have texts for names, not 1", lambda: Table([{1: 2.0}]))
 
 
@@ -102,25 +103,6 @@ def test_texts_are_read_as_they_were_written(tmp_path, text):
     path = tmp_path / "t.csv"
     table.write(path)
     assert Table.load(path).rows == table.rows
-
-
-def test_a_resumed_sweep_has_the_columns_of_a_whole_one(tmp_path):
-    def run(e):
-        return {
-            "eps": e,
-            "error_traction": e,
-            "error_jump": 3 * e,
-            "order_x": 1.0,
-            "mark": "007",
-            "note": "",
-            "t": "x\ny",
-        }
-
-    sweep(run, [0.4, 0.2], tmp_path / "t.csv")
-    resumed = sweep(run, [0.4, 0.2, 0.1], tmp_path / "t.csv", resume=True)
-    assert resumed.rows == sweep(run, [0.4, 0.2, 0.1]).rows
-    assert resumed.rows[0]["order_x"] == 1.0
-    assert Table.load(tmp_path / "t.csv")["mark"][0] == 7.0
 
 
 @pytest.fixture(scope="module", params=[("triangle", "P1"), ("triangle", "P2"), ("quadrilateral", "S2")])
@@ -153,18 +135,13 @@ def test_gathered_field_keeps_the_jump(states):
     assert set(np.unique(gather(full).region)) == {0, 1, -1}
 
 
-def test_displacements_for_paraview(states, tmp_path):
-    """In parallel files; states stay what they are, in both kinds of files."""
-    for state in states:
-        fields.write(state, tmp_path / f"{state.model.name}.bp")
-        assert any((tmp_path / f"{state.model.name}.bp").iterdir())
+def test_states_stay_what_they_are_as_they_are_written(states, tmp_path):
     history = march(states[0].model, [1.0, 2.5])
     for k, state in enumerate(history):
         state.u.x.array[:] *= k + 1.5
         state.u.name = "mine"
     before = [state.u.x.array.copy() for state in history]
     fields.write(history, tmp_path / "history.pvd")
-    fields.write(history, tmp_path / "history.bp")
     for state, values in zip(history, before, strict=True):
         assert np.array_equal(state.u.x.array, values)
         assert state.u.name == "mine"
@@ -173,16 +150,14 @@ def test_displacements_for_paraview(states, tmp_path):
 @pytest.mark.few(1)
 def test_there_must_be_something_to_draw_and_to_write(states, tmp_path):
     history = march(states[1].model, [1.0])
-    for nothing in ({}, history, {"a": history}, None):
-        with pytest.raises(InputError, match=r"deformed: (there is no state|.* is )"):
-            plotting.deformed(nothing, save=tmp_path / "a.png")
-    for tables in ({}, Table(), {"a": Table([{"eps": 1.0}])}):
-        with pytest.raises(InputError, match=r"rates: (there is no table|.*no row, or no column .*error_traction)"):
-            plotting.rates(tables, save=tmp_path / "a.png")
-    for thing in (History(history.model), {"a": states[1]}, None):
-        with pytest.raises(InputError, match=r"there is nothing to write|are written of a state or a history"):
-            fields.write(thing, tmp_path / "a.pvd")
-    assert not [*tmp_path.iterdir()]
+    for words, call, nothing in (
+        (r"deformed: (there is no state|.* is )", plotting.deformed, ({}, history, {"a": history})),
+        (r"rates: (there is no table|.*no row, or no column .*error_traction)", plotting.rates, ({}, Table())),
+        (r"is nothing to write|are written of a state or a history", partial(fields.write, path=tmp_path / "a.pvd"),
+         (History(history.model), {"a": states[1]})),
+    ):  # fmt: skip
+        for thing in nothing:
+            refused(InputError, words, call, thing)
     assert len(repr(history)) < 120
     assert len(repr(states[0])) < 120
 
@@ -190,13 +165,13 @@ def test_there_must_be_something_to_draw_and_to_write(states, tmp_path):
 @pytest.mark.few(5)
 def test_pictures(states, tmp_path):
     full, limit = states
-    plotting.deformed({"meshed": full, "law": limit}, save=tmp_path / "d.png", component="y", title="t")
+    plotting.deformed({"meshed": full, "law": limit}, plotting.View("y"), save=tmp_path / "d.png", title="t")
     image = imread(tmp_path / "d.png")[..., :3]
     red = (image[..., 0] > 0.7) & (image[..., 1] < 0.35) & (image[..., 2] < 0.45)
     half = image.shape[1] // 2
     assert red[:, :half].sum() > 500  # the outline of the meshed layer
     assert red[:, half:].sum() < 50
     with pytest.raises(ValueError, match="allowed: size, x, y"):
-        plotting.deformed(full, save=tmp_path / "e.png", component="normal")
-    refused(ValueError, "nothing to draw", lambda: plotting.deformed(full, save=tmp_path / "e.png", zoom=(5, 6, 5, 6)))
+        plotting.deformed(full, plotting.View("normal"), save=tmp_path / "e.png")
+    refused(ValueError, "nothing to draw", lambda: plotting.deformed(full, plotting.View(zoom=(5, 6, 5, 6))))
     assert not (tmp_path / "e.png").exists()

@@ -12,7 +12,7 @@ from dolfinx import fem
 from forms.base import Array, InputError
 from geometry.joint import Joint
 from geometry.seam import BASE
-from geometry.topology import FACET_TYPES, Indices, IntArray, geometry_degree
+from geometry.topology import FACET_TYPES, IntArray, geometry_degree
 from thinlayer.discretisation.state import State
 
 MIRRORED = (1, 0, 2, 3, 4, 6, 5, 8, 7, 9)  # nodes of a tetrahedron of degree 2 in VTK's order; the first four: degree 1
@@ -89,8 +89,13 @@ def gather(state: State) -> Grid | None:
     n = model.domain.mesh.topology.index_map(d).size_local
     order = vtk_order(joint.cell_type, V.dofmap.list.shape[1])
     here, there = (np.asarray(space.dofmap.list)[:n, order] for space in (V, W))
-    numbers = [_numbers(space, nodes) for space, nodes in ((V, here), (W, there))]
-    x, values = _places(V, joint.periods is not None, n)[:, order], u.x.array.reshape(-1, d)[here]
+    numbers = [
+        space.dofmap.index_map.local_to_global(np.ravel(nodes)).reshape(nodes.shape)
+        for space, nodes in ((V, here), (W, there))
+    ]
+    # each cell's own places: nodes of periodic sides have two
+    own = fem.functionspace(V.mesh, ("DG", V.ufl_element().degree)) if joint.periods else V
+    x, values = own.tabulate_dof_coordinates()[own.dofmap.list[:n]][:, order], u.x.array.reshape(-1, d)[here]
     pieces = model.comm.gather((model.domain.original_cells[:n], *numbers, x, values), root=0)
     if pieces is None:
         return None
@@ -103,33 +108,15 @@ def gather(state: State) -> Grid | None:
     at = first[by_cells]
     points, moved = x.reshape(-1, 3)[at], np.zeros((len(at), 3))
     moved[:, :d] = values.reshape(-1, d)[at]
-    if joint.cell_type == "tetrahedron":
-        _orient(points, rows)
+    if joint.cell_type == "tetrahedron":  # right-handed: VTK takes inner faces of others for outer ones
+        corners = points[rows[:, :4]]
+        left = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
+        rows[left] = rows[left][:, MIRRORED[: rows.shape[1]]]
     cells = np.column_stack([np.full(len(rows), rows.shape[1]), rows]).ravel()
     first_layer = len(joint.regions) - len(joint.band.regions if joint.band else ())
     region = np.where(joint.region >= first_layer, first_layer - joint.region - 1, joint.region)
     types = np.full(len(rows), vtk_type(joint.cell_type, rows.shape[1]), np.uint8)
     return Grid(d, points, moved, cells, types, region, *_base(joint))
-
-
-def _places(V: fem.FunctionSpace, periodic: bool, n: int) -> Array:
-    """Places (n, nodes, 3) of the nodes of the first n cells, each cell's own: nodes of periodic sides have two."""
-    space = fem.functionspace(V.mesh, ("DG", V.ufl_element().degree)) if periodic else V
-    x: Array = space.tabulate_dof_coordinates()[np.asarray(space.dofmap.list)[:n]]
-    return x
-
-
-def _numbers(space: fem.FunctionSpace, nodes: Indices) -> IntArray:
-    """Global numbers of local nodes."""
-    found: IntArray = space.dofmap.index_map.local_to_global(np.ravel(nodes)).reshape(nodes.shape)
-    return found
-
-
-def _orient(points: Array, cells: IntArray) -> None:
-    """Turn tetrahedra (n, 4 or 10) right-handed, in place: VTK takes inner faces of others for outer ones."""
-    corners = points[cells[:, :4]]
-    left = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
-    cells[left] = cells[left][:, MIRRORED[: cells.shape[1]]]
 
 
 def _base(joint: Joint) -> tuple[Array, int]:

@@ -19,7 +19,7 @@ from thinlayer.system.words import VERSION
 
 INSTALLED = (
     "fenics-dolfinx fenics-basix fenics-ufl fenics-ffcx petsc4py mpi4py numba gmsh meshio pyvista vtk numpy scipy "
-    "matplotlib rich"
+    "matplotlib"
 )
 
 

@@ -12,9 +12,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
-from rich.console import Console
-from rich.table import Table as RichTable
-from rich.text import Text
 
 from forms.base import InputError
 from geometry.parallel import on_root
@@ -83,18 +80,6 @@ class Table:
         writer.writerows([_text(value, repr) for value in row.values()] for row in self.rows)
         with replaced(path) as file:
             file.write(text.getvalue().encode())
-
-    def to_pandas(self) -> Any:
-        """The rows as a pandas.DataFrame.
-
-        Raises:
-            InputError: pandas is not installed.
-        """
-        try:
-            import pandas
-        except ImportError as error:
-            raise InputError("pandas is not installed; how it is added is in thinlayer/guide/results.md") from error
-        return pandas.DataFrame(self.rows, columns=self.columns)
 
     @classmethod
     def of(cls, columns: Mapping[str, Any]) -> Table:
@@ -174,14 +159,10 @@ class Table:
         return [row[column] for row in self.rows]
 
     def __str__(self) -> str:
-        shown = RichTable(box=None, header_style="bold")
-        for name in self.columns:
-            shown.add_column(Text(name), justify="right", no_wrap=True)
-        for row in self.rows:
-            shown.add_row(*[Text(_text(value, "{:.4g}".format)) for value in row.values()])
-        out = io.StringIO()
-        Console(file=out, width=1000, no_color=True).print(shown)
-        return "\n".join(line.rstrip() for line in out.getvalue().rstrip("\n").split("\n"))
+        lines = [self.columns, *([_text(value, "{:.4g}".format) for value in row.values()] for row in self.rows)]
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        padded = (map(str.rjust, line, widths) for line in lines)
+        return "\n".join("  ".join(entries).rstrip() for entries in padded)
 
 
 def _text(value: float | str | None, form: Callable[[float], str]) -> str:
