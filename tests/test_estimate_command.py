@@ -105,14 +105,6 @@ def test_tolerance(lap, tmp_path):
     assert "the layer's mesh may be dropped: at most 5 % in traction" in done.stdout
 
 
-def test_times(lap, tmp_path):
-    """A layer that creeps under constant loads: marched, not solved."""
-    law = ("--set", "layer={law = 'KelvinVoigt', E = 3e3, nu = 0.35, eps = 0.4, theta_lmbda = 1, theta_mu = 2}")
-    done = thinlayer("estimate", lap, *law, "--set", "times=[1, 4]", "--out", tmp_path / "out")
-    assert done.returncode == 0, done.stderr
-    assert len(json.loads((tmp_path / "out" / "run.json").read_text())["solves"]) == 4
-
-
 def test_loads_that_grow(lap, tmp_path):
     """A layer with a memory that stays elastic: at the end of a history the numbers are those of the elastic layer."""
     law = "layer={law = 'VonMises', E = 9e3, nu = 0.35, eps = 0.4, strength = 1e4}"
@@ -134,19 +126,9 @@ def test_loads_that_grow(lap, tmp_path):
     [
         ("supports.LFT=0", "unknown facet tag 'LFT', did you mean 'LEFT'?; known: LEFT, LEFT/LAYER, "),
         ("loads=[{place = [0, 0], force = [0, 1], body = 'UP'}]", "unknown body 'UP'"),
-        ("body_force.LOW=[0, 1]", "unknown body 'LOW', did you mean 'LOWER'?"),
-        ("layer={BED = {E = 1, nu = 0, eps = 1}}", "unknown seam 'BED'; known: S"),
         ("goals.pull.place=BACK", "goals.pull.place: unknown support 'BACK'; known: LEFT, LEFT/UPPER, RIGHT"),
-        ("goals.pull.direction=[1, 0, 0]", "pull: the direction is (1.0, 0.0, 0.0); give 2 numbers"),
-        ("goals={mean_traction = {direction = [1, 0], seam = 'T'}}", "unknown layer 'T'; known: S"),
-        (
-            "goals={displacement = {x = [1, 2, 3], direction = [1, 0]}}",
-            "places are [(1.0, 2.0, 3.0)]; they need 2 finite",
-        ),
-        ("element=P2", "P2"),
         ("mesh.S=GLEU", "unknown set of facets 'GLEU', did you mean 'GLUE'?"),
         ("mesh.path=other.msh", "other.msh: there is no such file"),
-        ("mesh.path=tests", "tests: this is a folder, not a file"),
         ("layer.eps=1e-300", "layer.eps: 1e-300; allowed beside bodies of "),
     ],
 )
@@ -163,39 +145,22 @@ def test_a_layer_that_relaxes_without_times_is_told_at_once(lap, tmp_path):
     assert "at t = 0+" in at_once.stdout
 
 
-def test_solve_that_fails(lap, tmp_path):
-    """Of a linear solver that may take five steps."""
-    options = ("-thinlayer_ksp_type", "cg", "-thinlayer_pc_type", "jacobi", "-thinlayer_ksp_max_it", "5")
-    done = thinlayer("estimate", lap, "--out", tmp_path, *options)
-    assert done.returncode == 3
-    assert "DIVERGED_MAX_IT" in done.stderr
-    assert "DIVERGED_MAX_IT" in json.loads((tmp_path / "run.json").read_text())["error"]
-
-
-def commands(folder: Path) -> list[list[list]]:
-    """Status, output and errors of the command on each rank: as it should be, with a load and with a law that are wrong."""
+def commands(folder: Path) -> list[list]:
+    """Status, output and errors of the command on each rank: as it should be, and with a load that is wrong."""
     alone(lambda: lap_files.save(folder))
-    lap, found = folder / "lap.toml", []
-    for out, words in {"right": (), "load": ("--set", "tractions.TOP=[1, 0]"), "law": ("--set", "layer.nuu=1")}.items():
-        done = thinlayer("estimate", lap, *words, "--out", folder / out)
-        found.append(COMM.allgather([done.returncode, done.stdout, done.stderr]))
-    return found
+    asked = {"right": (), "load": ("--set", "tractions.TOP=[1, 0]")}
+    done = [thinlayer("estimate", folder / "lap.toml", *words, "--out", folder / out) for out, words in asked.items()]
+    return [COMM.allgather([one.returncode, one.stdout, one.stderr]) for one in done]
 
 
 @pytest.mark.long
 @on_ranks(commands, 2)
 def test_two_ranks(wanted, there, their_folder):
-    for ranks, expected, stream, text in zip(
-        there,
-        (0, 2, 2),
-        (1, 2, 2),
-        ("May you drop", "unknown facet tag 'TOP'", "unknown key of LinearElastic 'nuu'"),
-        strict=True,
-    ):
+    said = ((0, 1, "May you drop"), (2, 2, "unknown facet tag 'TOP'"))
+    for ranks, (expected, stream, text) in zip(there, said, strict=True):
         assert [one[0] for one in ranks] == [expected] * 2, ranks
         assert "".join(one[stream] for one in ranks).count(text) == 1  # told by one rank
     assert not (their_folder / "load").exists()
-    assert not (their_folder / "law").exists()
     found = numbers(their_folder / "right" / "estimate.csv")
     assert found["law", "traction"][2] == pytest.approx(wanted.traction, rel=1e-8)
     for name, one in zip(("compliance", "pull"), wanted.goals.values(), strict=True):

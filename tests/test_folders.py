@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,6 @@ from forms.base import InputError
 from studies import rates
 from tests.folders_run import same_errors
 from tests.on_ranks import on_ranks
-from tests.ranks import CLONE
 from tests.refused import refused
 from tests.viscous_joints import SUDDEN, interface
 from thinlayer import Table, march, plotting, sweep
@@ -134,35 +134,13 @@ def test_the_table_of_another_sweep_is_not_adopted(tmp_path, monkeypatch):
     refused(InputError, "that tells what it is made from", lambda: sweep(run, [0.4], path, resume=True))
 
 
-class Study:
-    def __init__(self, E):
-        self.E, self.done, self.meshes, self.last = E, [], {}, None
-
-    def run(self, e):
-        self.done.append(e)
-        self.meshes[e] = self.last = Study(e)
-        return {"eps": e, "error_traction": self.E * e, "error_jump": e}
-
-
-def test_what_changes_beside_it_does_not_hide_what_a_sweep_is_made_from(tmp_path):
-    path, run = tmp_path / "t.csv", Study(60.0).run
-    sweep(run, [0.4, 0.2], path)
-    for again in (Study(60.0).run, run):
-        assert len(sweep(again, [0.4, 0.2, 0.1], path, resume=True)) == 3
-    with pytest.raises(InputError, match=r"is the table of another sweep \(.*E: 60\.0 there, 120\.0 here"):
-        sweep(Study(120.0).run, [0.4, 0.2, 0.1], path, resume=True)
-
-
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
         ({"eps": 0.2}, "another thickness, eps = 0.2"),
         ({"error_jump": "x"}, "no number error_jump"),
-        ({"error_jump": 1j}, "neither a number nor a text"),
         ({"note": [1.0]}, "neither a number nor a text"),
-        ({"eps": float("nan")}, "another thickness, eps = nan"),
         ({"order_jump": 1.0}, "'order_jump'; names of columns"),
-        ({3: 1.0}, "3; names of columns are texts"),
         ({"more": 1.0}, "columns eps, error_traction, error_jump, more, where the first row has eps"),
     ],
 )
@@ -208,19 +186,6 @@ def test_an_older_run_is_moved_away_and_never_mixed(tmp_path):
     assert {path.name for path in (tmp_path / "previous-2").iterdir()} == first.keys()
 
 
-def test_a_march_that_was_not_finished_is_moved_away_with_its_run(tmp_path):
-    def marched():
-        with Record("s", tmp_path, {}) as record:
-            record.march(interface(), [0.1], "m")
-            raise RuntimeError("killed")
-
-    refused(RuntimeError, "killed", marched)
-    with Record("s", tmp_path, {}) as record:
-        record.write("table.csv", Table([row(0.1)]))
-    assert (tmp_path / "previous-1" / "unfinished" / "m" / "march.json").exists()
-    assert json.loads((tmp_path / "run.json").read_text())["files"] == ["table.csv"]
-
-
 def test_bad_input_leaves_the_older_run_where_it_was(tmp_path):
     study(tmp_path, {"b": 1.0})
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
@@ -237,42 +202,36 @@ def test_bad_input_leaves_the_older_run_where_it_was(tmp_path):
 
 def test_only_the_same_run_is_resumed(tmp_path, monkeypatch):
     study(tmp_path, {"b": 1.0})
-    run = json.loads((tmp_path / "run.json").read_text())
-    assert run["petsc"].keys() == {"options", "PETSC_OPTIONS"}
-    monkeypatch.setattr(thinlayer.running.record, "code", lambda: "0123456789ab")
-    refused(InputError, r"another one \(code: ", lambda: study(tmp_path, {"b": 1.0}, resume=True))
-    monkeypatch.undo()
+    again = partial(study, tmp_path, {"b": 1.0}, resume=True)
     options = {"options": {"-thinlayer_snes_rtol": "0.9"}, "PETSC_OPTIONS": ""}
-    monkeypatch.setattr(thinlayer.running.record, "petsc_options", lambda: options)
-    with pytest.raises(InputError, match=r"petsc\.-thinlayer_snes_rtol: nothing there, 0\.9 here"):
-        study(tmp_path, {"b": 1.0}, resume=True)
-    monkeypatch.undo()
-    for text in ("[]", "{", '{"study": "s", "options": 3}', "\xff"):
+    for name, value, words in (
+        ("code", "0123456789ab", r"another one \(code: "),
+        ("petsc_options", options, r"petsc\.-thinlayer_snes_rtol: nothing there, 0\.9 here"),
+    ):
+        monkeypatch.setattr(thinlayer.running.record, name, lambda value=value: value)
+        refused(InputError, words, again)
+        monkeypatch.undo()
+    for text in ("{", '{"study": "s", "options": 3}', "\xff"):
         (tmp_path / "run.json").write_bytes(text.encode("latin-1"))
-        refused(InputError, r"run\.json cannot be read", study, tmp_path, {"b": 1.0}, resume=True)
+        refused(InputError, r"run\.json cannot be read", again)
     (tmp_path / "run.json").unlink()
-    for resume in (True, False):
-        with pytest.raises(InputError, match=r"has tables \(more\.csv, table\.csv\) and no run\.json"):
-            study(tmp_path, {"b": 1.0}, resume=resume)
+    for run in (again, partial(study, tmp_path, {"b": 1.0})):
+        refused(InputError, r"has tables \(more\.csv, table\.csv\) and no run\.json", run)
 
 
 def test_other_tables_are_not_drawn(tmp_path):
     study(tmp_path, {"b": 1.0})
     Record("s", tmp_path, {}).check_drawn()
     refused(InputError, "is of the study s, not t", lambda: Record("t", tmp_path, {}).check_drawn())
-    (tmp_path / "table.csv").write_text("eps,error_traction,error_jump\n0.1,1,1\n")
-    with pytest.raises(InputError, match=r"table\.csv is not the table that the run in .* wrote"):
-        Record("s", tmp_path, {}).check_drawn()
 
 
 # ---------------------------------------------------------------- the command line
-@pytest.mark.parametrize("out", ["file/x", "file"])
-def test_folders_that_cannot_be(tmp_path, monkeypatch, capsys, out):
+def test_folders_that_cannot_be(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("")
     monkeypatch.setattr(rates, "run", lambda *_, **__: pytest.fail("it was run"))
-    assert cli.main(["run", "rates", "--law", "elastic", "--out", out]) == 2
-    assert f"no files can be written in {out!r}" in capsys.readouterr().err
+    assert cli.main(["run", "rates", "--law", "elastic", "--out", "file/x"]) == 2
+    assert "no files can be written in 'file/x'" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
@@ -311,32 +270,7 @@ def test_nobody_reads():
     assert one.returncode == 0
 
 
-def test_an_interrupt_before_anything_has_begun():
-    program = (
-        "import os, signal\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it\n"
-        "from thinlayer.running import cli, process\n"
-        "process.end_on_interrupt()\n"
-        "os.kill(os.getpid(), signal.SIGINT)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=240)
-    assert done.returncode == -signal.SIGINT
-    assert done.stderr == ""
-
-
-def test_texts_are_read_whatever_the_locale():
-    environment = os.environ | {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-    program = "from thinlayer.running.cli import studies; print(len(studies()))"
-    words = [sys.executable, "-c", program]
-    done = subprocess.run(words, cwd=CLONE, env=environment, capture_output=True, text=True, timeout=240)
-    assert done.returncode == 0, done.stderr
-    assert int(done.stdout) > 20
-
-
 # ---------------------------------------------------------------- damage
-def test_names_of_files_that_cannot_be():
-    for run in (lambda out: march(interface(SUDDEN), [0.1], out=out), lambda out: sweep(row, [0.4], out)):
-        refused(InputError, r"no files can be written .*null", run, "a\0b")
 
 
 def test_damaged_marches(tmp_path):
@@ -346,16 +280,14 @@ def test_damaged_marches(tmp_path):
     whole = {path: path.read_bytes() for path in (table, states / "000002.npz")}
     for path, spoilt in (
         (table, whole[table][:700]),
-        (table, b"[]"),
         (table, whole[table].replace(b'"theta": 1.0', b'"theta": 0.5')),
-        (states / "000002.npz", whole[states / "000002.npz"][:-9]),
         (states / "000002.npz", (states / "000001.npz").read_bytes()),
         (states / "000002.npz", None),
     ):
         assert spoilt != whole[path]
         path.unlink() if spoilt is None else path.write_bytes(spoilt)
-        with pytest.raises(InputError, match=rf"{path.name}'? (cannot be read|is lost or damaged)"):
-            march(interface(SUDDEN), [0.3], out=tmp_path, resume=True)
+        words = rf"{path.name}'? (cannot be read|is lost or damaged)"
+        refused(InputError, words, march, interface(SUDDEN), [0.3], out=tmp_path, resume=True)
         path.write_bytes(whole[path])
     assert len(march(interface(SUDDEN), [0.1, 0.2, 0.3], out=tmp_path, resume=True)) == 4
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import IncrementalCoulomb, LinearElastic
+from forms import LinearElastic
 from forms.base import InputError
 from geometry import sandwich
 from geometry.parallel import world
@@ -17,9 +17,8 @@ from tests.documents import CLONE, GUIDES, PAGES
 from tests.on_ranks import alone, on_ranks
 from tests.own_scripts.inertia import Inertia, Newmark
 from tests.refused import refused
-from thinlayer import Adaptive, Structure, Surface, ThinLayer, march, solve
+from thinlayer import Structure, Surface, ThinLayer, march, solve
 from thinlayer.discretisation.addition import Addition
-from thinlayer.parts.part import PartTraits
 
 LAYER = ThinLayer(LinearElastic(0.0, 0.02), 0.01)  # with a quarter of the compliance of the bar: 1 for E = rho = L = 1
 STATIC = {"bonded": 1.0, "interface": 1.25}  # shortening under the pressure 1
@@ -71,15 +70,6 @@ def test_reactions_on_s_contain_the_forces_of_inertia(part, wrong):
     assert difference > 0.1 if wrong else difference < 1e-9
 
 
-@pytest.mark.long
-def test_adaptive_steps():
-    model = bar("interface", Inertia(1.0), h=0.1)
-    fine = march(model, np.arange(1, 401) / 400, observe={"w": shortening}).table["w"][-1]
-    adaptive = march(model, Adaptive(end=1.0, first=0.005, tolerance=5e-3), observe={"w": shortening})
-    assert adaptive.table["w"][-1] == pytest.approx(fine, rel=2e-2)
-    assert np.ptp(adaptive.table["dt"][1:]) > 0
-
-
 def run(out: Path | None, times, *, resume: bool = False) -> list[float]:
     """Shortenings of a bar; velocities and accelerations are of degree 2, as displacements are."""
     model = bar("interface", Inertia(1.0), h=0.1)
@@ -92,28 +82,9 @@ def resumed(folder: Path) -> list[float]:
     return run(folder, COARSE, resume=True)
 
 
-def test_resumed_on_one_rank(tmp_path):
-    assert resumed(tmp_path) == pytest.approx(run(None, COARSE), rel=1e-10, abs=1e-12)
-
-
-@pytest.mark.long
 @on_ranks(resumed, 2)
 def test_resumed_on_two_ranks(there):
     assert there == pytest.approx(run(None, COARSE), rel=1e-10, abs=1e-12)
-
-
-@dataclass(frozen=True)
-class WithoutRate(Inertia):
-    def part(self, model):
-        part = Newmark(self, model)
-        part.traits = PartTraits(remembers=True)
-        return part
-
-
-def test_without_a_rate_the_first_state_is_the_static_answer():
-    """A wrong part: the bar would stay there."""
-    history = march(bar("bonded", WithoutRate(1.0), h=0.1), [0.1, 0.2], observe={"w": shortening})
-    assert history.table["w"] == pytest.approx([1.0] * 3, rel=1e-9)
 
 
 @dataclass(frozen=True)
@@ -131,16 +102,6 @@ class Forgetful(Inertia):
         commit = part.commit
         part.commit = lambda: replace(commit(), memory=None)
         return part
-
-
-def test_contact_takes_newtons_method_beside_a_part_whose_stiffness_it_does_not_know():
-    blocks = sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral")
-    data = {"body": LinearElastic(0.0, 0.5), "supports": {"BOTTOM": {"y": 0}, "LEFT": {"x": 0}}, "element": "Q1"}
-    structure = Structure(blocks, tractions={"TOP": (0, -1)}, parts=[Inertia(1.0)], **data)
-    touching = march(structure.interface(IncrementalCoulomb(4.0, 2.0, 0.3)), COARSE[:3], observe={"w": shortening})
-    glued = march(structure.interface(ThinLayer(LinearElastic(0.0, 2.0), 1.0)), COARSE[:3], observe={"w": shortening})
-    assert touching.last.report.method == "newton"
-    assert touching.table["w"] == pytest.approx(glued.table["w"], rel=1e-9)
 
 
 def test_refused():

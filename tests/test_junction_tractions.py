@@ -1,6 +1,5 @@
 """Tractions where seams meet: of laws and of the bodies' reactions, in 2D and 3D, on several ranks."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,8 +9,6 @@ from dolfinx import fem
 from forms import LinearElastic
 from geometry import wall
 from geometry.joint import Joint
-from geometry.seam import Seam
-from tests.meshes import renumbered
 from tests.network_cases import BED, HEAD, panel, pushed, springs, three_bricks
 from tests.test_networks import cut_at, on
 from thinlayer import Structure, Surface, solve
@@ -124,52 +121,7 @@ def test_balance_of_blocks(element, cross):
     assert differences(state)[:, 0].max() < EXACT
 
 
-def test_balance_of_a_wall_on_a_base():
-    """Bricks of several regions under their weight; the lowest stand on a seam with a rigid base, where heads end."""
-    joint = wall(2, 3, (1.0, 0.5), 0.25)
-    facets = {"FOOTING" if name == "BOTTOM" else name: rows for name, rows in joint.facets.items()}
-    joint = replace(joint, facets=facets, seams=dict(joint.seams) | {"FOOTING": Seam()})
-    check_balance(sheared(joint, "Q2", supports={}, FOOTING=springs(4.0, 2.0)), [])
-
-
-def test_a_brick_cut_out():
-    """A corner of two seams where no third one meets: each has its traction up to the corner."""
-    grid = wall(1, 2, (2.0, 0.5), 0.125)
-    bed = lambda x, n: on(1, 0.5)(x, n) & (x[:, 0] > 1)
-    head = lambda x, n: on(0, 1.0)(x, n) & (x[:, 1] > 0.5)
-    state = sheared(cut_at(grid, {"BED": (bed, (0, 1)), "HEAD": (head, (1, 0))}), "Q2")
-    check_balance(state, [0])
-    assert (differences(state) < [EXACT, 0.09]).all()
-
-
-def test_open_heads_and_tips():
-    state = sheared(blocks("quadrilateral"), "Q2", HEAD=None)
-    check_balance(state, [0])
-    heads = Surface(state.model, "HEAD")
-    assert heads.norm(heads.traction(state)) == 0.0
-    grid = wall(1, 2, (2.0, 0.5), 0.125)
-    head = lambda x, n: on(0, 1.0)(x, n) & (x[:, 1] > 0.5)
-    bed = lambda x, n: on(1, 0.5)(x, n) & (x[:, 0] < 1.5)
-    state = sheared(cut_at(grid, {"BED": (bed, (0, 1)), "HEAD": (head, (1, 0))}), "Q1")
-    x, t = (beds := Surface(state.model, "BED")).profile(beds.traction(state))
-    assert x[-1] == pytest.approx([1.5, 0.5])
-    assert np.abs(t[-1]).max() < EXACT * np.abs(t).max()
-    assert (differences(state) < [EXACT, 0.05]).all()
-
-
 # ---------------------------------------------------------------- functions on S
-def test_one_name_for_a_network():
-    """One seam that branches and has corners, and other numbers of cells: the same tractions."""
-    two = blocks("quadrilateral")
-    rows = np.concatenate([two.facets["BED"], two.facets["HEAD"]])
-    facets = {name: rows for name, rows in two.facets.items() if name not in two.seams} | {"S": rows}
-    one = replace(two, facets=facets, seams={"S": Seam(direction=(0.6, 1.0))})
-    norms = []
-    for joint in (two, one, renumbered(one)):
-        state = solve(Structure(joint, body=LinearElastic.young(5.0, 0.2), supports=SHIFTED).interface(LAYERS["BED"]))
-        surface = Surface(state.model)
-        norms.append([surface.norm(surface.traction(state)), surface.norm(surface.reaction(state))])
-    assert norms == pytest.approx(np.array([norms[0]] * 3), rel=EXACT)
 
 
 @pytest.mark.parametrize("cell", ["quadrilateral", "triangle", "hexahedron"])

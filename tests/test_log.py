@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import logging
-import subprocess
-import sys
-from types import SimpleNamespace
 
 from forms import LinearElastic, Maxwell
 from geometry import sandwich
 from thinlayer import Structure, ThinLayer, march
-from thinlayer.system.progress import logger
 
 
 def test_steps_of_a_march(caplog):
@@ -20,23 +16,3 @@ def test_steps_of_a_march(caplog):
         march(column.interface(ThinLayer(Maxwell(60.0, 40.0, t1=0.7), 0.1, at=1.0)), [0.1, 0.2])
     told = [record.getMessage() for record in caplog.records if record.name == "thinlayer.march"]
     assert [text.partition(":")[0] for text in told] == ["t = 0", "t = 0.1", "t = 0.2"]
-
-
-def test_one_rank_speaks(caplog):
-    with caplog.at_level(logging.DEBUG, "thinlayer"):
-        for rank in range(3):
-            logger("solve", SimpleNamespace(rank=rank)).error("rank %d", rank)
-    assert [record.getMessage() for record in caplog.records] == ["rank 0"]
-
-
-def test_quiet_unless_asked():
-    """Python itself shows warnings and errors where nobody listens."""
-    script = (
-        "import logging, thinlayer\n"
-        "from thinlayer.system.progress import logger\n"
-        "logger('solve').error('nobody listens')\n"
-        "logging.basicConfig(format='%(message)s')\n"
-        "logger('solve').error('told')\n"
-    )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=240)
-    assert (done.returncode, done.stderr) == (0, "told\n")

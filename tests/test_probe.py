@@ -7,7 +7,7 @@ import pytest
 
 from forms import Incompressible, LinearElastic, Maxwell, MohrCoulombMonodirectional, Stack
 from forms.base import InputError
-from geometry import ring, sandwich, wall
+from geometry import sandwich, wall
 from tests.fields_run import BODY, CASES, EPS, K, axes, slipping, uniform
 from tests.refused import refused
 from thinlayer import Probe, Structure, ThinLayer, march, solve
@@ -54,24 +54,6 @@ def test_stresses_that_are_linear_in_a_cell():
     assert s[:, 0, 0] != pytest.approx(0.1 * E * (x[:, 1] + 0.05), rel=1e-2)
 
 
-def test_curved_cells():
-    """A pressed ring on its curved cells, and places on its circle: sides are told apart."""
-    joint = ring(1.0, 1.5, 2.0, h=0.4, degree=2)
-    structure = Structure(
-        joint, body=BODY, supports={"INSIDE": 0.0}, tractions={"OUTSIDE": lambda x, t: (0.1 * x[0], 0.1 * x[1])}
-    )
-    state = solve(structure.interface(ThinLayer(K, EPS, at=1.0)))
-    probe = Probe(state)
-    on = joint.points[np.unique(joint.surface)]
-    n = on / np.linalg.norm(on, axis=1, keepdims=True)
-    lower, upper = (probe.displacement(on, side=side) for side in ("lower", "upper"))
-    opening = np.einsum("kd,kd->k", upper - lower, n)
-    assert opening == pytest.approx(opening.mean(), rel=2e-2)
-    assert opening.mean() > 1e-3
-    inside = probe.stress([[1.2, 0.1], [0.1, 1.2], [-1.2, 0.1]])
-    assert np.trace(inside, axis1=1, axis2=2) == pytest.approx(np.trace(inside[0]), rel=3e-2)
-
-
 @pytest.mark.parametrize("kind", ["full", "interface"])
 def test_internal_variables_are_those_of_the_memory(kind):
     """By name, in bodies, meshed layers and on S; their integrals, and the nearest one at a place."""
@@ -96,34 +78,6 @@ def test_internal_variables_are_those_of_the_memory(kind):
     refused(InputError, "there is no internal variable 'flow'; known: layer", lambda: probe.points("flow"))
     where = "does not act at" if kind == "full" else "are not on S"
     refused(InputError, where, lambda: probe.internal("plastic", [1.0, -0.31]))
-
-
-def creeping():
-    """A body that relaxes beside an elastic one, confined."""
-    joint = sandwich(2.0, 0.5, 0.7, 0.5)
-    rollers = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-    structure = Structure(
-        joint, body={"LOWER": CREEP, "UPPER": BODY}, supports=rollers, tractions={"TOP": (0.0, -0.3)}
-    )  # fmt: skip
-    return march(structure.interface(ThinLayer(K, EPS, at=1.0)), [0.2, 0.5]).last
-
-
-def test_bodies_with_memory():
-    """Stress across is the load, that along S the same along both axes, nearer to it than in the elastic body."""
-    state = creeping()
-    probe = Probe(state)
-    x = [[0.3, -0.2], [1.6, -0.4]]
-    s = probe.stress(x)
-    assert s[:, 1, 1] == pytest.approx(-0.3, rel=1e-9)
-    assert s[:, 0, 0] == pytest.approx(s[:, 2, 2], rel=1e-9)
-    low, high = -0.3, -0.3 * BODY.lmbda / (BODY.lmbda + 2 * BODY.mu)
-    assert low < s[0, 0, 0] < high - 1e-3
-    elastic = probe.stress([0.3, 0.3])
-    assert elastic[0, 0] == pytest.approx(high, rel=1e-9)
-    assert list(probe.names) == ["body LOWER"]
-    name = probe.names["body LOWER"][0]
-    assert probe.internal(name, x) == pytest.approx(np.tile(probe.points(name).values[0], (2, 1, 1)), rel=1e-9)
-    assert probe.points(name, "body LOWER").weights.sum() == pytest.approx(2.0 * 0.5)
 
 
 def test_stress_of_an_incompressible_layer_has_its_pressure():
@@ -154,14 +108,12 @@ def test_several_bodies_meet():
 def test_places_that_are_none():
     structure, _, _ = uniform()
     probe = Probe(solve(structure.interface(ThinLayer(K, EPS, at=1.0))))
-    with pytest.raises(InputError, match=r"1 of 2 places are in no cell of the mesh, the first at \(9, 9\)"):
-        probe.stress([[0.31, 0.2], [9.0, 9.0]])
-    with pytest.raises(InputError, match="1 of 1 places are in no cell"):
-        probe.displacement([9.0, 9.0])  # near no cell at all
-    for wrong in ([1.0, 2.0, 3.0], "x", [[1.0], [2.0]], [np.nan, 1.0], [[1.0, 2.0], [3.0]]):
+    meshed = Probe(solve(structure.full(ThinLayer(K, EPS, at=1.0))))
+    words = r"1 of 2 places are in no cell of the mesh, the first at \(9, 9\)"
+    refused(InputError, words, probe.stress, [[0.31, 0.2], [9.0, 9.0]])
+    for wrong in ("x", [[1.0], [2.0]], [np.nan, 1.0]):
         refused(InputError, "2 finite coordinates each", probe.displacement, wrong)
-    refused(InputError, "allowed: lower, upper", lambda: probe.displacement([0.3, 0.2], side="top"))
-    with pytest.raises(InputError, match="a side is for places on S of an interface model"):
-        Probe(solve(structure.full(ThinLayer(K, EPS, at=1.0)))).displacement([0.3, 0.2], side="upper")
-    refused(InputError, "no law remembers anything", lambda: probe.points("plastic"))
-    refused(InputError, "a probe takes a state", lambda: Probe(structure))
+    refused(InputError, "allowed: lower, upper", probe.displacement, [0.3, 0.2], side="top")
+    refused(InputError, "places on S of an interface model", meshed.displacement, [0.3, 0.2], side="upper")
+    refused(InputError, "no law remembers anything", probe.points, "plastic")
+    refused(InputError, "a probe takes a state", Probe, structure)

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from forms import Incompressible, LinearElastic, Stack, VonMises
+from forms import Incompressible, VonMises
 from forms.base import InputError
-from geometry import block, sandwich, wall
+from geometry import block, sandwich
 from tests.refused import refused
-from tests.softening_bars import KINKED, PATH, tilted
 from tests.supports_run import BODY, CONTACT, CREEP, EPS, GLUE, KINDS, MORTAR, loaded, on_base, out_of_balance
 from thinlayer import RangeWarning, RigidPlate, Springs, Structure, ThinLayer, march, solve
 
@@ -38,50 +37,11 @@ def test_layers_on_a_rigid_base(law, theta):
     assert base.force[0] + state.reaction("RIGHT").force[0] == pytest.approx(-0.4 * 0.02 * 4, rel=1e-8)
 
 
-def test_stacks_and_meshed_layers_on_a_base():
-    law = Stack((0.3, LinearElastic(3.0, 2.0)), (0.7, CREEP))
-    structure = on_base(law).structure
-    for made in (structure.interface, structure.full):
-        state = march(made(ThinLayer(law, EPS, at=1.0)), [0.1, 0.2]).last
-        assert out_of_balance(state) < BALANCED
-        assert state.reaction("S").force[1] == pytest.approx(1.2, rel=1e-9)
-    assert out_of_balance(solve(structure.bonded(), t=1.0)) < BALANCED
-
-
 @pytest.mark.parametrize("method", ["condensed", "multigrid", "newton"])
 def test_contact(method):
     state = solve(on_base(CONTACT, contact=True), method=method)
     assert out_of_balance(state) < BALANCED
     assert state.reaction("S").force[1] == pytest.approx(4.0, rel=1e-9)
-
-
-def test_networks():
-    """Condensed body by body, and by Newton's method: the bottom carries what presses on the top."""
-    joint = wall(2, 2, brick=(250, 75), h=50)
-    structure = Structure(
-        joint,
-        body=LinearElastic.young(12e3, 0.2),
-        supports={"BOTTOM": 0},
-        tractions={"TOP": (0.02, -0.5)},
-        element="Q1",
-    )
-    dry = structure.interface({"BED": CONTACT, "HEAD": None})
-    for method in ("condensed", "newton"):
-        state = solve(dry, method=method)
-        assert out_of_balance(state) < BALANCED
-        assert state.reaction("BOTTOM").force == pytest.approx([-10.0, 250.0], rel=1e-8)
-    state = solve(structure.full({"BED": ThinLayer(GLUE, 10, at=1.0), "HEAD": ThinLayer(GLUE, 10, at=1.0)}))
-    assert out_of_balance(state) < BALANCED
-
-
-def test_along_a_path():
-    """By arc length, past the peak of a law that softens."""
-    history = march(tilted(KINKED, cells=4), PATH)
-    opened = [state.reaction("TOP").force[1] for state in history if state.reactions is not None]
-    assert len(opened) > 4
-    assert max(out_of_balance(state) for state in list(history)[2:]) < 1e-8  # paths stop at a larger residual
-    at_rest = next(iter(history))
-    assert at_rest.reactions is None or not at_rest.reactions.any()
 
 
 # ---------------------------------------------------------------- what belongs to whom
@@ -109,13 +69,8 @@ def test_a_corner_of_two_supports():
     one = solve(Structure(joint, body=BODY, supports={"BOTTOM": {"y": 0}, "LEFT": {"x": 0.0}}, tractions=pull).bonded())
     assert one.reaction("BOTTOM").force == pytest.approx([0.0, 0.3], abs=1e-10)
     assert one.reaction("LEFT").force == pytest.approx([-0.4, 0.0], abs=1e-10)
-    twice = {"BOTTOM": 0.0, "LEFT/LOWER": 0.0}
-    states = [
-        solve(Structure(joint, body=BODY, supports=supports, tractions=pull).bonded())
-        for supports in (twice, dict(reversed(twice.items())))
-    ]
-    assert max(map(out_of_balance, states)) < BALANCED
-    assert states[0].reaction("BOTTOM").force == pytest.approx(states[1].reaction("BOTTOM").force, rel=1e-9)
+    twice = Structure(joint, body=BODY, supports={"BOTTOM": 0.0, "LEFT/LOWER": 0.0}, tractions=pull)
+    assert out_of_balance(solve(twice.bonded())) < BALANCED
 
 
 def test_parts_of_a_side_and_springs():
@@ -186,15 +141,6 @@ def test_a_support_of_the_side_of_a_layer_that_is_not_meshed_holds_nothing():
     assert state.reaction("LEFT/LAYER").force == pytest.approx([0.0, 0.0])
 
 
-def test_loads_that_move_nothing_are_told():
-    both = Structure(
-        block(1.0, 1.0, 0.5), body=BODY, supports={"TOP": 0.0}, tractions={"TOP": (0.3, -1.0), "LEFT": (0.1, 0.0)}
-    )
-    with pytest.warns(RangeWarning) as told:
-        both.interface(ThinLayer(GLUE, EPS, at=1.0))
-    assert [str(one.message)[:17] for one in told] == ["traction on 'TOP'"]
-
-
 def test_a_free_side_has_no_reaction():
     state = solve(
         Structure(block(1.0, 1.0, 0.5), body=BODY, supports={"TOP": 0.0}).interface(ThinLayer(GLUE, EPS, at=1.0))
@@ -206,15 +152,8 @@ def test_a_free_side_has_no_reaction():
 @pytest.mark.parametrize(
     ("supports", "message"),
     [
-        (
-            {"BOTTOM": 0.0, "LEFT": {"y": 0.01}},
-            r"at \(0, -0.5\): 'BOTTOM' prescribes y = 0 and 'LEFT' prescribes y = 0.01;",
-        ),
         ({"BOTTOM": {"y": lambda x, t: t * x[0], "x": 0.0}, "RIGHT": {"y": 0.0}}, "y = 2 .*y = 0 .*at t = 2"),
-        (
-            {"TOP": 0.0, (1.0, 0.5): {"x": 0.1}},
-            r"\(1, 0.5\): 'TOP' prescribes x = 0 and \(1.0, 0.5\) prescribes x = 0.1",
-        ),
+        ({"TOP": 0.0, (1.0, 0.5): {"x": 0.1}}, r"\(1, 0.5\): 'TOP' prescribes x = 0 and \(1.0, 0.5\) prescribes x"),
     ],
 )
 def test_contradictory_supports(supports, message):
@@ -222,11 +161,3 @@ def test_contradictory_supports(supports, message):
     joint = sandwich(1.0, 0.5, 0.5, 0.5)
     with pytest.raises(InputError, match=message):
         solve(Structure(joint, body=BODY, supports=supports).interface(ThinLayer(GLUE, EPS, at=1.0)), t=2.0)
-
-
-def test_supports_that_agree():
-    """Equal values, by functions too, are fine, up to rounding."""
-    joint = sandwich(1.0, 0.5, 0.5, 0.5)
-    supports = {"BOTTOM": 0.0, "LEFT": {"x": lambda x, t: t * (x[1] + 0.5)}, "TOP": {"x": lambda x, t: t / 3 * 3}}
-    state = solve(Structure(joint, body=BODY, supports=supports).bonded(), t=0.01)
-    assert out_of_balance(state) < BALANCED

@@ -5,10 +5,7 @@ Names are imported when they are first used, so that `python3 -m thinlayer list`
 
 # ruff: noqa: F401
 import logging
-import sys
 from importlib import import_module
-from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from thinlayer.system.words import VERSION as __version__
@@ -74,29 +71,6 @@ _MODULES = {"plotting": "output.plotting", "fields": "output.fields", "goals": "
 __all__ = sorted(_HOME)
 
 
-def _refuse_shadows() -> None:
-    """Check that Python finds our packages, not files of the same name beside a script.
-
-    `python3 -m thinlayer` ignores the working folder, which Python would search first.
-
-    Raises:
-        ImportError: another file or package of that name comes first.
-    """
-    home = Path(__file__).resolve().parent.parent
-    program = sys.argv[:1] == ["-m"] and "thinlayer" in sys.orig_argv
-    if program and not sys.flags.safe_path and Path(sys.path[0]).resolve() == Path.cwd() != home:
-        del sys.path[0]
-    for name in ("forms", "geometry"):
-        spec = find_spec(name)
-        if spec and spec.origin and Path(spec.origin).resolve().parent != home / name:
-            message = f"{spec.origin} hides the package {name} of thinlayer, in {home / name}; rename it"
-            if program:  # Python would exit with 1, the status of a failed check
-                print(f"thinlayer: {message}", file=sys.stderr)
-                raise SystemExit(2)
-            raise ImportError(message)
-
-
-_refuse_shadows()
 logging.getLogger("thinlayer").addHandler(logging.NullHandler())  # quiet by default
 
 

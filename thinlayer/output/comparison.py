@@ -54,19 +54,16 @@ def compare(
             unknown seam.
     """
     for one in (full, interface):
-        if not isinstance(one, (State, History)):
-            raise InputError(f"compare takes states or histories, as solve and march return them, not {one!r}")
+        require(isinstance(one, (State, History)), "compare: a state", one, "give what solve or march returns")
     require(at is None or (is_number(at) and math.isfinite(at)), "compare: at", at, "give a time, a finite number")
     full, interface = (_state(one, at) for one in (full, interface))
     meshed, limit = full.model, interface.model
     if not (isinstance(meshed, FullModel) and isinstance(limit, InterfaceModel)):
         raise InputError(f"compare needs a full and an interface model, not {meshed.name} and {limit.name}")
-    if full.model.joint is not interface.model.joint:
-        raise InputError("compare needs two models of the same joint")
+    if meshed.joint is not limit.joint or meshed.element != limit.element:
+        raise InputError(f"compare needs two models of the same joint and element, not {meshed} and {limit}")
     if abs(full.t - interface.t) > SAME_TIME * max(abs(full.t), abs(interface.t)):
         raise InputError(f"compare needs states of the same time, not t = {full.t:g} and {interface.t:g}")
-    if full.model.element != interface.model.element:
-        raise InputError(f"compare needs one element, not {full.model.element} and {interface.model.element}")
     opened = ([name for name in one.joint.seams if name not in one.layers] for one in (meshed, limit))
     is_open = [", ".join(names) or "none" for names in opened]
     if is_open[0] != is_open[1]:

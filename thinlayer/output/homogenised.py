@@ -55,8 +55,8 @@ def homogenised_stiffness(model: Model) -> Array:
     strained.forces = Forces(model.domain, model.kinematics, points)
     with Solver(strained) as solver:
         times = map(float, range(len(PAIRS[model.joint.dim])))
-        columns = [_components(solver.step(solver.rest(t), t).mean_stress()) for t in times]
-    found = np.column_stack(columns)
+        stresses = [solver.step(solver.rest(t), t).mean_stress() for t in times]
+    found = np.column_stack([[stress[pair] for pair in PAIRS[len(stress)]] for stress in stresses])
     apart, size = float(np.abs(found - found.T).max()), float(np.abs(found).max())
     stiffest = max(np.abs(C).max() for C in model.structure.bodies_at_rest if C is not None)
     if model.symmetric and apart > ASYMMETRY * size + ROUNDING * stiffest:
@@ -79,11 +79,6 @@ def _check(model: Model) -> None:
         raise InputError("the model is not linear; homogenised_stiffness needs linear laws and parts")
     if moving := model.supports.moving:
         raise InputError(f"the support on {moving[0]!r} moves; homogenised_stiffness needs supports at rest")
-
-
-def _components(stress: Array) -> Array:
-    """Components (k,) of a stress (d, d) in Voigt's order."""
-    return np.array([stress[pair] for pair in PAIRS[len(stress)]])
 
 
 def _unit_strains(d: int) -> Strain:

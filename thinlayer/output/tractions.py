@@ -95,16 +95,11 @@ def law_points(state: State) -> Iterator[LawPoints]:
     """The points of all laws of a state, bodies first, then layers; without contact laws. Collective."""
     model = state.model
     keys = {id(one.term): key for key, one in model.quadratures.items()}
-    for own, term, quadrature in zip(model.terms, state.bodies + state.layers, _quadratures(model), strict=True):
-        yield LawPoints(state, term, quadrature, keys.get(id(own), ""))
-
-
-def _quadratures(model: Model) -> list[Quadrature]:
-    """The quadrature points of all terms of a model, made once. Collective."""
-    if model not in _FOUND:
+    if model not in _FOUND:  # made once
         compiled = {id(one.term): one for one in model.quadratures.values()}
         _FOUND[model] = [compiled.get(id(term)) or Quadrature(model.V, term, model.origin) for term in model.terms]
-    return _FOUND[model]
+    for own, term, quadrature in zip(model.terms, state.bodies + state.layers, _FOUND[model], strict=True):
+        yield LawPoints(state, term, quadrature, keys.get(id(own), ""))
 
 
 def unpacked(law: BulkLaw, memory: Array) -> dict[str, Array]:

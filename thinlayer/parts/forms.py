@@ -190,7 +190,11 @@ class LawForms(FormPart):
         u, v = fem.Function(V), ufl.TestFunction(V)
         stored = None
         if (others or strained) and all(p.law.traits.has_energy for p in others + strained):
-            stored = energy(_given(others, over.now), u) + sum(_beyond(p, u) for p in _given(strained, over.now))
+            beyond = [  # what a given strain adds to the energy of the displacements, of a linear law
+                _of_given(p, u) + p.law.energy(Step(p.given, p.n)) * p.weight * p.measure
+                for p in _given(strained, over.now)
+            ]
+            stored = energy(_given(others, over.now), u) + sum(beyond)
         super().__init__(
             key,
             u,
@@ -315,11 +319,6 @@ def _given(terms: Iterable[Term], change: Callable[[Expr], Expr]) -> list[Term]:
 def _of_given(p: Term, v: Expr) -> Expr:
     """Virtual work of the stress of a given strain alone in the strains of v."""
     return ufl.inner(p.law.stress(Step(p.given, p.n)), p.strain(v)) * p.weight * p.measure
-
-
-def _beyond(p: Term, u: Expr) -> Expr:
-    """What a given strain adds to the energy of the displacements, of a linear law."""
-    return _of_given(p, u) + p.law.energy(Step(p.given, p.n)) * p.weight * p.measure
 
 
 def _opposing(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:

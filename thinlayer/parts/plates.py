@@ -81,12 +81,11 @@ class RigidPlate(Addition):
         """Its nodes, which follow its motions. Collective."""
         d, size = model.joint.dim, model.domain.joint.size
         scale = np.where(np.arange(count(d)) < d, 1.0, size)
-        held = {k: partial(self._prescribed_at, model, k, scale[k]) for k in self.motions_held(model)}
+        held = {
+            k: partial(lambda k, t: float(self.motions(model, t)[k] * scale[k]), k) for k in self.motions_held(model)
+        }
         R = self._tie(model, self.point(model), size)
         return Tied(self.key, motion_names(d), R, held, lambda t: self.resultants(model, t) / scale)
-
-    def _prescribed_at(self, model: Host, k: int, scale: float, t: float) -> float:
-        return self.motions(model, t)[k] * scale
 
     def motion_in(self, state: State) -> PlateMotion:
         """The plate's motion in a state. Collective."""

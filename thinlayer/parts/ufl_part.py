@@ -8,7 +8,6 @@ from typing import Any
 
 import ufl
 from dolfinx import fem
-from petsc4py import PETSc
 from ufl.algorithms import expand_derivatives
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
@@ -107,7 +106,7 @@ class _OwnForms(FormPart):
         K = self.K
         if K is not None and model.comm.allreduce(float(K.getDiagonal().array_r.min(initial=0.0)), min) < 0:
             raise InputError(f"the part {given.key!r} has a negative stiffness: no equilibrium need be stable with it")
-        self._has_energy = K is None or _is_symmetric(K)
+        self._has_energy = K is None or K.isSymmetric(ASYMMETRY * K.norm())
         self.traits = PartTraits(saddle=True, weakens=not (self._has_energy and linear), nonlinear=not linear)
 
     def commit(self) -> Outcome:
@@ -122,12 +121,3 @@ def has_arity(form: Any) -> bool:
     except (ArityMismatch, ValueError):  # UFL raises ValueError for sums whose terms differ
         return False
     return True
-
-
-def _is_symmetric(K: PETSc.Mat) -> bool:
-    turned = PETSc.Mat()
-    K.transpose(turned)
-    turned.axpy(-1.0, K, PETSc.Mat.Structure.UNKNOWN_NONZERO_PATTERN)
-    apart = float(turned.norm())
-    turned.destroy()
-    return apart <= ASYMMETRY * float(K.norm())

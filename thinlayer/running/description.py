@@ -79,24 +79,17 @@ class Description:
         law = "the parameters of a law, such as E and nu, in a table"
         needed = {"mesh": MESH, "body": f"{law} [body]", "layer": f"{law} [layer]"}
         found = cls(section, **section.entries(READERS, needed))
-        found._require_loads()
+        moves = [v for one in found.supports.values() for v in (one.values() if isinstance(one, Mapping) else [one])]
+        strained = any(one.eigenstrain for one in (*found.body.values(), *found.layer.values()))
+        if not (found.tractions or found.body_force or found.loads or any(moves) or strained):
+            section.refuse("nothing loads the structure; give tractions, body_force, loads, or supports that move")
         found._require_times()
         if found.tolerance and None not in found.layer:
             section.refuse("a thickness is sought of one layer for all seams; give [layer] without names", "tolerance")
         return found
 
-    def _require_loads(self) -> None:
-        supports = [v for one in self.supports.values() for v in (one.values() if isinstance(one, Mapping) else [one])]
-        strained = any(one.eigenstrain for one in (*self.body.values(), *self.layer.values()))
-        if not (self.tractions or self.body_force or self.loads or any(supports) or strained):
-            self.section.refuse("nothing loads the structure; give tractions, body_force, loads, or supports that move")
-
     def _require_times(self) -> None:
-        """Raise DescriptionError unless times are there if they are needed, and histories reach from 0 to the last one."""
-        slow = [one.law for one in (*self.layer.values(), *self.body.values()) if one.law.traits.rate]
-        if slow and not self.times:
-            law = type(slow[0]).__name__
-            self.section.refuse(f"times is missing: {law} depends on the rate of strains; give ends of time steps")
+        """Raise DescriptionError unless histories have times, and reach from 0 to the last one."""
         for one in self.section.histories:
             first, last = min(one.values), max(one.values)
             if not self.times:

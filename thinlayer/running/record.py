@@ -21,7 +21,7 @@ from thinlayer.output.sweep import sweep
 from thinlayer.running.provenance import code, petsc_options, versions
 from thinlayer.solving.history import History
 from thinlayer.solving.petsc import PREFIX
-from thinlayer.system.folder import hash_of, locked, moved_away, moved_back, replaced
+from thinlayer.system.folder import locked, moved_away, moved_back, replaced
 from thinlayer.system.identity import differences, in_words
 from thinlayer.system.progress import logger, track
 from thinlayer.system.table import Table
@@ -141,19 +141,15 @@ class Record:
 
     def _earlier(self) -> list[str]:
         """Files of the run whose run.json is in the folder."""
-        try:
-            names = self._read()["files"]
-        except InputError:
-            names = [MARCHES, *(path.name for path in self.out.iterdir() if path.suffix in (".csv", ".png"))]
         # run.json last: it is still there if the process is killed while files are moved
-        return [*(name for name in names if Path(name).name == name), RUN]
+        return [*(name for name in self._read()["files"] if Path(name).name == name), RUN]
 
     def _read(self) -> dict[str, Any]:
         """The content of run.json; on rank 0. InputError: the file cannot be read, or has other content."""
         path = self.out / RUN
         try:
             run = json.loads(path.read_text(encoding="utf-8"))
-            return {name: run[name] for name in ("study", "options", "code", "petsc", "files", "tables")}
+            return {name: run[name] for name in ("study", "options", "code", "petsc", "files")}
         except (OSError, ValueError, LookupError, TypeError) as error:
             raise InputError(f"{path} cannot be read ({error})") from error
 
@@ -166,13 +162,11 @@ class Record:
 
     def _resumed(self) -> dict[str, Any]:
         """The same; InputError: the run had other options or source code."""
-
-        def settings(petsc: Mapping[str, Any]) -> dict[str, Any]:
-            return {name: value for name, value in petsc["options"].items() if name.startswith(f"-{PREFIX}")}
-
         run = self._of_study()
-        there = {"options": run["options"], "code": run["code"], "petsc": settings(run["petsc"])}
-        here = {"options": self.identity()[1], "code": code(), "petsc": settings(petsc_options())}
+        here = {"options": self.identity()[1], "code": code(), "petsc": petsc_options()}
+        there = {name: run[name] for name in here}
+        for one in (there, here):
+            one["petsc"] = {k: value for k, value in one["petsc"]["options"].items() if k.startswith(f"-{PREFIX}")}
         if found := [*differences(there, here)]:
             raise InputError(f"--resume: the run in {self.out} was another one ({in_words(found)}); run the study anew")
         return run
@@ -182,26 +176,18 @@ class Record:
         return [self.study, json.loads(json.dumps(self.options, default=str))]
 
     def check_drawn(self) -> None:
-        """Raise InputError if the tables in the folder are not those of a run of the study. Collective."""
-
-        def check() -> None:
-            for name, found in self._of_study()["tables"].items():
-                if hash_of(self.out / name) not in (None, found):
-                    raise InputError(f"{self.out / name} is not the table that the run in {self.out} wrote")
-
-        on_root(world(), check)
+        """Raise InputError if the folder has no run of the study. Collective."""
+        on_root(world(), self._of_study)
 
     def close(self) -> None:
         """Write run.json. Collective; raises OSError on all ranks."""
         on_root(world(), lambda: self._write(None))
 
     def _write(self, error: str | None) -> None:
-        tables = sorted(name for name in self._files if error is None and name.endswith(".csv"))
         content = {name: getattr(self, name) for name in ("study", "options", "parameters", "results", "solves")}
         content |= {"code": code(), "petsc": petsc_options(), "versions": versions(), "ranks": world().size}
         content |= {"seconds": round(time.perf_counter() - self._start, 3), "checks": [*map(asdict, self.checks)]}
         content |= {"error": error, "files": sorted(self._files)}
-        content["tables"] = {name: hash_of(self.out / name) for name in tables}
         with replaced(self.out / RUN) as file:
             file.write((json.dumps(content, indent=1, default=str) + "\n").encode())
         if error is None:

@@ -38,17 +38,13 @@ def read(path: Path, settings: Iterable[str] = ()) -> Section:
     Raises:
         DescriptionError: the file cannot be read, or is no TOML, with the line; a setting cannot be read.
     """
-    if path.suffix.lower() != ".toml":
-        raise DescriptionError(
-            f"{path} is no description: give a file in TOML that names the mesh, mesh = 'joint.msh'; what TOML cannot say, "
-            "as loads that are functions, a script says: see thinlayer/guide/estimate.md, In a script"
-        )
     try:
         values: Any = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise DescriptionError(f"{path} cannot be read: {error.strerror}") from None
     except ValueError as error:
-        raise DescriptionError(f"{path} is no TOML: {error}") from None
+        what = "what TOML cannot say, as loads that are functions, a script says: see thinlayer/guide/estimate.md"
+        raise DescriptionError(f"{path} is no TOML: {error}; {what}") from None
     mesh = values.get("mesh")
     mesh = {"path": mesh} if isinstance(mesh, str) else mesh
     if isinstance(mesh, dict) and isinstance(mesh.get("path"), str):

@@ -50,13 +50,12 @@ def show(level: int) -> None:
 
 @dataclass(eq=False)
 class _Work:
-    """Some work: its share that is done, None if that is not known, the share of what is being done, and pieces done."""
+    """Some work: its share that is done, the share of what is being done, and words for that."""
 
     what: str
-    share: float | None = None
+    share: float = 0.0
     piece: float = 0.0
     now: str = ""
-    pieces: int = 0
 
 
 class Teller:
@@ -87,9 +86,7 @@ class Teller:
         finally:
             if work in self._open:  # else a generator that was left alone, after the work around it
                 del self._open[self._open.index(work) :]
-            if self._open:
-                self._open[-1].pieces += 1
-            elif self._shown and self._stream().isatty():
+            if not self._open and self._shown and self._stream().isatty():
                 self._stream().write("\r\x1b[K")
 
     def track(self, items: Sequence[T], what: str, label: str = "{}") -> Iterator[T]:
@@ -104,27 +101,19 @@ class Teller:
         if now < self._due or MPI.COMM_WORLD.rank or not logging.getLogger("thinlayer").isEnabledFor(logging.WARNING):
             return
         self._due, self._shown = now + AGAIN[stream.isatty()], True
-        words = (*map(_words, self._open), f"{_time(now - self._begun)} so far", self._left(now))
-        line = ", ".join(filter(None, words))
-        stream.write(f"\r\x1b[K{line[:120]}" if stream.isatty() else f"{line}\n")
-        stream.flush()
-
-    def _left(self, now: float) -> str:
-        """The time left, if the work goes on as it did: the share of the whole, with those of the work within it."""
+        words = [f"{work.what}: {work.now}" if work.now else work.what for work in self._open]
+        # the share of the whole, with those of the work within it; the work goes on as it did
         share, width = 0.0, 1.0
         for work in self._open:
-            share += width * (work.share or 0.0)
+            share += width * work.share
             width *= work.piece
-        return f"about {_time((now - self._begun) * (1 - share) / share)} left" if share > LEAST else ""
-
-
-def _words(work: _Work) -> str:
-    done = f"{work.pieces} done" if work.share is None and work.pieces else work.now
-    return f"{work.what}: {done}" if done else work.what
-
-
-def _time(seconds: float) -> str:
-    return str(timedelta(seconds=round(seconds)))
+        spent = now - self._begun
+        words.append(f"{timedelta(seconds=round(spent))} so far")
+        if share > LEAST:
+            words.append(f"about {timedelta(seconds=round(spent * (1 - share) / share))} left")
+        line = ", ".join(words)
+        stream.write(f"\r\x1b[K{line[:120]}" if stream.isatty() else f"{line}\n")
+        stream.flush()
 
 
 _teller = Teller(lambda: sys.stderr, time.monotonic)
