@@ -15,7 +15,6 @@ from petsc4py import PETSc
 
 from tests.pictures import assert_drawn
 from thinlayer.running import cli
-from thinlayer.running.cli import studies
 
 CLONE = Path(__file__).parent.parent
 ELASTIC = ("run", "rates", "--law", "elastic")
