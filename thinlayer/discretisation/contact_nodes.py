@@ -253,7 +253,7 @@ class ContactNodes:
         """Stiffness matrix over all displacements for tangents (n, d, d) of the law."""
         d, size = self.dim, self._size * self.dim
         sides = self.pairs[:, :1] if self.lower is None else self.pairs
-        dofs = (sides[:, :, None] * d + np.arange(d)).reshape(len(sides), -1).astype(PETSc.IntType)
+        dofs = (sides[:, :, None] * d + np.arange(d)).reshape(-1, sides.shape[1] * d).astype(PETSc.IntType)
         signs = np.array([1.0, -1.0])[: sides.shape[1]].repeat(d)
         blocks = np.einsum("n,nki,nkl,nlj->nij", self.weights, self.frames, tangent, self.frames)
         values = np.tile(blocks, (1, sides.shape[1], sides.shape[1])) * np.outer(signs, signs)

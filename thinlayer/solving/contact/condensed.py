@@ -111,8 +111,9 @@ class Condensed(ContactFinder):
         """Displacements, from u, and the residuals before each Newton step and after the last, relative to the forces."""
         residuals, pairs = list[float](), self.pairs
         while True:
-            forces = float(np.linalg.norm(pairs.forces(pairs.apart(u))))
-            residuals.append(float(np.linalg.norm(self._residual(u, g))) / max(size, forces))
+            forces = pairs.forces(pairs.apart(u))
+            r = self._condensation.stiffness @ u + forces - g
+            residuals.append(float(np.linalg.norm(r)) / max(size, float(np.linalg.norm(forces))))
             if self._ends(residuals, u, size):
                 return u, tuple(residuals)
             if len(residuals) > MOST_STEPS or not math.isfinite(residuals[-1]):

@@ -41,8 +41,6 @@ class ContactFinder(Finder):
         A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         self.equations.hold(A)
         A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        A.setBlockSize(self.parts[0].nodes.dim)
-        A.setNearNullSpace(PETSc.NullSpace().create(vectors=self.equations.near_null(), comm=self.comm))
         return A
 
     def find(self, start: PETSc.Vec | None = None) -> Found:

@@ -58,6 +58,7 @@ class Pairs:
         self.dofs = (self.nodes[:, None] * self.d + np.arange(self.d)).ravel()
         self.free = ~held[self.dofs].reshape(-1, self.d)
         self.jumps = self._jump_matrix()
+        self._to_nodes = self.jumps.T.tocsr()
         self._by_node = self._sorted_by_node()
 
     def _jump_matrix(self) -> scipy.sparse.csr_matrix:
@@ -92,7 +93,7 @@ class Pairs:
 
     def on_nodes(self, t: Array) -> Array:
         """(n d,) forces of tractions (pairs, d) on the nodes, zero at held components."""
-        return np.where(self.free.ravel(), self.jumps.T @ (t * self.weights[:, None]).ravel(), 0.0)
+        return np.where(self.free.ravel(), self._to_nodes @ (t * self.weights[:, None]).ravel(), 0.0)
 
     def tangent(self, w: Array) -> scipy.sparse.csr_matrix:
         """(n d, n d) derivative of `forces` by the displacements."""
@@ -106,11 +107,17 @@ class Pairs:
 
     def stiffness(self, D: Array) -> scipy.sparse.csr_matrix:
         """(n d, n d) stiffness of springs D (pairs, d, d) between the free displacements."""
-        count = len(self.weights)
-        places = np.arange(count), np.arange(count + 1)
-        blocks = scipy.sparse.bsr_matrix((D * self.weights[:, None, None], *places), shape=(count * self.d,) * 2)
-        jumps = self.jumps @ scipy.sparse.diags(self.free.ravel().astype(float))
-        return (jumps.T @ (blocks @ jumps)).tocsr()
+        d, frames = self.d, self.frames
+        ends = self.ends[:, [0, 1, 0, 1]], self.ends[:, [0, 1, 1, 0]]
+        pair, which = np.nonzero((ends[0] >= 0) & (ends[1] >= 0))
+        row, column = (end[pair, which] for end in ends)
+        own = (frames.transpose(0, 2, 1) * self.weights[:, None, None]) @ D @ frames
+        blocks = own[pair] * np.where(which < 2, 1.0, -1.0)[:, None, None]
+        blocks = blocks * self.free[row][:, :, None] * self.free[column][:, None, :]
+        rows = (row[:, None, None] * d + np.arange(d)[:, None]).repeat(d, axis=2)
+        columns = (column[:, None, None] * d + np.arange(d)).repeat(d, axis=1)
+        places = rows.ravel(), columns.ravel()
+        return scipy.sparse.csr_matrix((blocks.ravel(), places), shape=(len(self.dofs),) * 2)
 
     def _offsets(self, w: Array) -> Array:
         """Jumps (pairs, d) less the slip."""
