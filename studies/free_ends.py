@@ -84,13 +84,11 @@ def _based(eps: float, cells: float) -> Structure:
 
 UNEQUAL = {"LOWER": LinearElastic.young(E=20.0, nu=0.2), "UPPER": FOURIER_BODY}
 _unequal = partial(_blocks, load=lambda x, t: (-0.6, 1 + x[0]), heights=(0.3, 0.6), body=UNEQUAL)
-_loaded = partial(_blocks, tractions={"TOP": (0.3, -1.0), "LEFT/LAYER": (0.7, -0.4)})
 CASES = (
     EndCase("equal blocks", _blocks, LinearElastic.shear(40.0, 0.3)),
     EndCase("equal blocks, nu = 0.45", _blocks, LinearElastic.shear(8.0, 0.45)),
     EndCase("unequal blocks, nu = 0.45", _unequal, LinearElastic.shear(1.6, 0.45)),
     EndCase("rigid base, sheared", _based, LinearElastic.shear(8.0, 0.3)),
-    EndCase("loaded side", _loaded, LinearElastic.shear(40.0, 0.3)),
 )
 RUBBER = (
     EndCase("rubber, nu = 0.45", _blocks, Rubber.shear(40.0, 0.45), lowest=1.6, low=("jump",)),

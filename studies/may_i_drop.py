@@ -217,7 +217,7 @@ def along(one: Dropped) -> Table:
 
 def _of_layer(one: Dropped, at: Array) -> Array:
     """Work of the meshed layer's stress in what it does if its faces are at u_0, spread over the places x of columns."""
-    model, state, layers = one.full.model, one.full, one.found._meshed.layers
+    model, state, layers = one.full.model, one.full, one.found._layers
     V, Q, comm = model.V, fem.functionspace(model.domain.mesh, ("Lagrange", 1)), model.comm
     v, q = fem.Function(V), ufl.TestFunction(Q)
     x = V.tabulate_dof_coordinates()[:, :2]

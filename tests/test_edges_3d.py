@@ -11,13 +11,11 @@ import pytest
 from forms import LinearElastic
 from forms.base import InputError
 from forms.ends import free_end
-from forms.ends.weights import Strips
-from geometry.sheet import Sheet, straight_ends
 from studies.free_ends import edge, graded, grid
 from studies.problems import FOURIER_BODY as BODY
 from tests.meshes import part_of
+from tests.test_edges import weights_on
 from thinlayer import Structure, ThinLayer, compare, solve
-from thinlayer.discretisation.sides import FacetWeights
 
 pytestmark = pytest.mark.few(5)
 
@@ -35,26 +33,22 @@ def plate(shape, eps, cell="hexahedron"):
     return part_of(joint, ~out.all(axis=1))
 
 
-def weights(joint, eps):
-    sheet = Sheet(joint)
-    ends, strips = straight_ends(sheet.rim, sheet), Strips.of(free_end(0.3))
-    area = np.bincount(np.searchsorted(sheet.facets, sheet.parts[0]), sheet.areas)
-    return ends, FacetWeights.of(ends, sheet, eps, strips), area, strips, sheet
-
-
 @pytest.mark.few(1)
-@pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron"])
-@pytest.mark.parametrize(("shape", "count", "length"), [("L", 6, 4.0), ("hole", 8, 5.2), ("notch", 8, 4.7)])
+@pytest.mark.parametrize(
+    ("shape", "count", "length", "cell"),
+    [("L", 6, 4.0, "hexahedron"), ("hole", 8, 5.2, "tetrahedron"), ("notch", 8, 4.7, "hexahedron")],
+)
 def test_ends_of_an_angular_plate(shape, count, length, cell):
     """Each side is an end, the two in line beside a notch, too; where strips overlap their weights add up, below 1."""
     eps = 0.05
-    ends, found, area, strips, sheet = weights(plate(shape, eps, cell), eps)
+    joint = plate(shape, eps, cell)
+    found, area, strips, ends = weights_on(joint, eps)
     assert len(ends) == count
     assert sum(end.length for end in ends) == pytest.approx(length)
     for c, a in ((strips.opening.c, found.a_N), (strips.shear.c, found.a_T)):
         # triangles at the ends of a strip are in it or not, by their middles
         assert a @ area == pytest.approx(c * eps * length, rel=1e-9 if cell == "hexahedron" else 0.1)
-    corner = np.abs(sheet.joint.points[sheet.joint.surface].mean(axis=1)[:, [0, 2]]).max(axis=1).argmin()
+    corner = np.abs(joint.points[joint.surface].mean(axis=1)[:, [0, 2]]).max(axis=1).argmin()
     beside = np.sort(found.a_N)[-1]
     assert found.a_N[corner] == pytest.approx(beside)
     assert beside < 1

@@ -45,8 +45,7 @@ def eigenvalues(model, more=None):
     return np.linalg.eigvalsh(A / scale**2)
 
 
-@pytest.mark.parametrize("h", CELLS)
-@pytest.mark.parametrize("nu", [0.0, 0.2, 0.3, 0.4, 0.45])
+@pytest.mark.parametrize(("nu", "h"), zip([0.0, 0.2, 0.3, 0.45], CELLS, strict=True))
 def test_no_displacement_has_a_negative_energy(nu, h):
     law = LinearElastic.shear(1.0, nu)
     found, plain = (eigenvalues(model(law, h, edges)) for edges in ("free", "plain"))
@@ -65,19 +64,12 @@ def test_nor_beside_a_pressure(h):
 def test_openings_that_are_weaker_alone_are_not_convex():
     """c_N M taken off the stiffness of openings over one thickness, with all of the stress along S: nu = .45."""
     law = LinearElastic.shear(1.0, 0.45)
-    wrong = []
-    for h in (0.25, 1.0):
-        one = model(law, h, "plain")
-        end, layer = free_end(0.45), one.layers["S"]
-        strips = Strips(Strip(end.c_N, 1.0), Strip(), Strip(), 0.0, 0.0)
-        ends = straight_ends(one.reductions["S"].free, layer.sheet)
-        sides = one.sides_of("S")
-        weights = FacetWeights.of(ends, layer.sheet, EPS, strips).expressions(one.domain, sides)
-        M = law.lmbda + 2 * law.mu
-
-        def taken(u, v, sides=sides, weights=weights, M=M):
-            return -weights.a_N * M * ufl.dot(sides.jump(u), sides.n) * ufl.dot(sides.jump(v), sides.n) * sides.measure
-
-        wrong.append(eigenvalues(one, taken))
-    for found in wrong:
-        assert found[0] < -1e-3 * found[-1]
+    one = model(law, 0.25, "plain")
+    end, layer, sides = free_end(0.45), one.layers["S"], one.sides_of("S")
+    strips = Strips(Strip(end.c_N, 1.0), Strip(), Strip(), 0.0, 0.0)
+    ends = straight_ends(one.reductions["S"].free, layer.sheet)
+    weights = FacetWeights.of(ends, layer.sheet, EPS, strips).expressions(one.domain, sides)
+    opened = lambda u: ufl.dot(sides.jump(u), sides.n)
+    taken = lambda u, v: -weights.a_N * (law.lmbda + 2 * law.mu) * opened(u) * opened(v) * sides.measure
+    found = eigenvalues(one, taken)
+    assert found[0] < -1e-3 * found[-1]

@@ -11,46 +11,19 @@ import pytest
 
 from forms import HolonomicCoulomb, Incompressible, LinearElastic, NonMonotone
 from geometry import block, faults
-from studies.dropped import free, further_cases, known_cases, loaded, rollers, unwarned
-from studies.may_i_drop import Dropped, along, effectivities, solved
+from studies.dropped import free, known_cases, loaded, rollers, unwarned
+from studies.may_i_drop import Dropped, effectivities, solved
 from studies.problems import FOURIER_BODY
-from tests.on_ranks import on_ranks
 from thinlayer import RangeWarning, Structure, ThinLayer, ThinlayerError, estimate, goals, solve
-
-CASE, EPS = "two stiffnesses", 1 / 16
-
-
-@cache
-def two_stiffnesses() -> Dropped:
-    """The case."""
-    (case,) = (one for one in further_cases() if one.name == CASE)
-    return Dropped.of(case, EPS)
-
-
-def numbers() -> dict[str, float]:
-    """True and estimated changes, and sums of squares of densities along S."""
-    one = two_stiffnesses()
-    table = along(one)
-    found = {f"true {name}": value for name, value in one.truth.items()}
-    found |= {f"estimated {name}": value for name, value in one.estimated.items()}
-    return found | {name: float(np.sum(table[name] ** 2)) for name in ("density", "true_density")}
-
 
 COARSE = 1 / 16
 KNOWN = {case.name.split(" ")[0]: case for case in known_cases()}
 
 
-@pytest.fixture(scope="module")
-def dropped():
-    """Short name of a case -> it, solved once."""
-    found = {}
-
-    def of(name):
-        if name not in found:
-            found[name] = Dropped.of(KNOWN[name], COARSE)
-        return found[name]
-
-    return of
+@cache
+def dropped(name):
+    """A case by its short name."""
+    return Dropped.of(KNOWN[name], COARSE)
 
 
 def _ratios(one: Dropped, state) -> tuple[float, float]:
@@ -66,7 +39,7 @@ def _with_layer(one: Dropped, **choices):
         return solved(one.case, one.found.state.model.with_layer(replace(layer, order=1, **choices)))
 
 
-def test_between_rollers_changes_are_those_to_the_meshed_layer(dropped):
+def test_between_rollers_changes_are_those_to_the_meshed_layer():
     """Those to order 1 alone are numbers of exact layers and laws, by transfer matrices.
 
     Leading terms of the compliance cancel: 1.26 of order 1 alone.
@@ -77,7 +50,7 @@ def test_between_rollers_changes_are_those_to_the_meshed_layer(dropped):
     assert (row["traction"], row["jump"], compliance["effectivity"]) == pytest.approx((1, 1, 1), abs=0.01)
 
 
-def test_free_ends_are_in_the_estimate_and_without_them_it_is_too_low(dropped):
+def test_free_ends_are_in_the_estimate_and_without_them_it_is_too_low():
     one = dropped("6")
     row, _ = effectivities(one)
     assert (row["traction"], row["jump"]) == pytest.approx((1, 1), abs=0.01)
@@ -87,7 +60,7 @@ def test_free_ends_are_in_the_estimate_and_without_them_it_is_too_low(dropped):
     assert (traction, jump) == (pytest.approx(0.83, abs=0.02), pytest.approx(0.95, abs=0.02))
 
 
-def test_goals_change_as_to_the_meshed_layer(dropped):
+def test_goals_change_as_to_the_meshed_layer():
     _, rows = effectivities(dropped("6"))
     assert {row["goal"] for row in rows} == {goal.name for goal in KNOWN["6"].asked}
     for row in rows:
@@ -95,7 +68,7 @@ def test_goals_change_as_to_the_meshed_layer(dropped):
         assert row["told"]
 
 
-def test_a_rubbery_layer_needs_its_pressure(dropped):
+def test_a_rubbery_layer_needs_its_pressure():
     """Without it the law of order 1 does not know the flow along S: its jump is 14 % off."""
     one = dropped("4")
     row, _ = effectivities(one)
@@ -134,15 +107,3 @@ def test_where_there_is_no_number_a_sentence_says_why():
             except ThinlayerError as error:
                 said = str(error)
         assert words in said
-
-
-@pytest.mark.long
-@on_ranks(numbers, 2)
-def test_the_density_of_the_change_is_that_of_the_meshed_layer_on_any_ranks(there):
-    """At free ends too; quadratic displacements are spread to vertices in two ways."""
-    one = two_stiffnesses()
-    table = along(one)
-    assert table["density"] == pytest.approx(table["true_density"], rel=0.04)
-    assert np.trapezoid(table["density"], table["x"]) == pytest.approx(one.estimated["compliance"], rel=1e-8)
-    assert np.trapezoid(table["true_density"], table["x"]) == pytest.approx(one.truth["compliance"], rel=1e-6)
-    assert there == pytest.approx(numbers(), rel=1e-8)

@@ -1,19 +1,19 @@
 """Eigenstrains of bodies: free and confined expansion, in-situ stress, energies in time, contact, cells; refusals."""
 
 import itertools
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
+from dolfinx.mesh import create_rectangle
+from mpi4py import MPI
 
-from forms import Anisotropic, HolonomicCoulomb, Incompressible, LinearElastic, Rubber, Stack, VonMises
+from forms import Anisotropic, HolonomicCoulomb, Incompressible, LinearElastic, Maxwell, Rubber, Stack, VonMises
 from forms.base import InputError
-from forms.work import work
+from forms.work import stress
 from geometry import block, periodic, sandwich
-from tests.eigenstrain_cases import computed, numbers
 from tests.own_laws import Stiffening
 from tests.refused import refused
 from thinlayer import (
@@ -22,7 +22,6 @@ from thinlayer import (
     Surface,
     ThermalExpansion,
     ThinLayer,
-    homogenised_stiffness,
     march,
     piecewise,
     solve,
@@ -31,7 +30,7 @@ from thinlayer import (
 pytestmark = pytest.mark.few(5)
 
 LAW = LinearElastic.young(30.0, 0.3)
-GLUE = LinearElastic(7.0, 5.0)
+GLUE, CREEPING = LinearElastic(7.0, 5.0), Maxwell(7.0, 5.0, t1=0.7, t2=0.9)
 SHEARED = ((2e-3, 1e-3), (1e-3, -3e-3))  # neither a unit nor symmetric about an axis
 FLAT, SOLID = sandwich(2.0, 0.5, 0.75, 0.5), sandwich(1.0, 0.4, 0.6, 0.5, depth=0.5)
 SIDES = ("LEFT", "RIGHT"), ("BOTTOM", "TOP")
@@ -42,8 +41,6 @@ ROLLERS = {"BOTTOM": {"y": 0.0}, "TOP": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT":
 
 def largest_stress(state):
     """Root mean square of the in-plane stresses of bodies."""
-    from forms.work import stress
-
     d, volume = state.model.joint.dim, 0.0
     for p in state.bodies:
         s = stress(p, state.u)
@@ -61,11 +58,6 @@ def test_bodies_that_expand_freely_have_no_stress(law):
     confined = 2e-3 * 3 * LAW.lmbda
     assert largest_stress(state) < 1e-11 * confined
     assert state.energies()["bodies"] < 1e-20 * confined
-    rest = fem.Function(state.model.V)
-    residual = work(state.model.terms_at(0.0), state.u, ufl.TestFunction(state.model.V))
-    assert np.abs(fem.assemble_vector(state.model.form(residual)).array).max() < 1e-11 * confined
-    unbalanced = work(state.model.terms_at(0.0), rest, ufl.TestFunction(state.model.V))
-    assert np.abs(fem.assemble_vector(state.model.form(unbalanced)).array).max() > 1e-3 * confined
     bent = ThermalExpansion(2e-3, lambda x, t: x[0] ** 2)
     assert largest_stress(solve(Structure(SOLID, body=law, supports=AT_REST_3D, eigenstrain=bent).bonded())) > 1e-3
 
@@ -101,11 +93,8 @@ def test_bodies_that_yield_know_the_strain_less_the_eigenstrain(plane):
     tube = replace(FLAT, points=np.add(FLAT.points, (1.0, 0.0)))
     hot = ThermalExpansion((1e-3, 2e-3, 4e-3), lambda x, t: t * (1 + x[0]))
     found = {}
-    for law in (
-        LAW,
-        VonMises(LAW.lmbda, LAW.mu, strength=9.0),
-        VonMises(LAW.lmbda, LAW.mu, strength=0.04, hardening=1.0),
-    ):
+    yields = [VonMises(LAW.lmbda, LAW.mu, **one) for one in ({"strength": 9.0}, {"strength": 0.04, "hardening": 1.0})]
+    for law in (LAW, *yields):
         data = {"body": law, "supports": {"BOTTOM": 0.0, "TOP": {"x": 0.01}}, "plane": plane, "eigenstrain": hot}
         state = march(Structure(tube, **data).bonded(), [0.5, 1.0]).last
         assert abs(state.audit.imbalance) < 1e-8
@@ -114,25 +103,6 @@ def test_bodies_that_yield_know_the_strain_less_the_eigenstrain(plane):
     projected = plane == "axisymmetric"  # volume strains of VonMises, see `Term.volume`
     assert strong == pytest.approx(linear, rel=1e-4 if projected else 1e-8)
     assert weak < 0.7 * linear
-
-
-@pytest.mark.parametrize(("length", "stress"), [(1e-6, 1e9), (1e6, 1e-9)])
-@pytest.mark.parametrize("nonlinear", [False, True])
-def test_results_do_not_depend_on_units(length, stress, nonlinear):
-    """Free and bent strips, with nothing but heat to set the scale of the forces."""
-    found = []
-    for L, S in ((1.0, 1.0), (length, stress)):
-        law = Stiffening(20.0 * S, 10.0 * S, 100.0 * S) if nonlinear else LinearElastic.young(30.0 * S, 0.3)
-        scaled = replace(FLAT, points=np.multiply(FLAT.points, L))
-        at = {(x * L, y * L): given for (x, y), given in AT_REST.items()}
-        bent = ThermalExpansion(2e-3, lambda x, t, L=L: (x[1] / L) ** 2)
-        for heat in (3e-3, bent):
-            structure = Structure(scaled, body={"LOWER": law, "UPPER": law}, supports=at, eigenstrain=heat)
-            state = solve(structure.interface(ThinLayer(LinearElastic(7.0 * S / L, 5.0 * S / L), 0.1 * L, at=1.0)))
-            energies = state.energies()
-            found.append((energies["bodies"] / (S * L**2), energies["layer"] / (S * L**2)))
-    assert found[2] == pytest.approx(found[0], rel=1e-6, abs=1e-14)
-    assert found[3] == pytest.approx(found[1], rel=1e-6)
 
 
 # ---------------------------------------------------------------- confined
@@ -165,18 +135,11 @@ def test_eigenstrains_add_up_and_forms_of_input_agree():
 
 
 # ---------------------------------------------------------------- in-situ stress
-TILTED = Anisotropic(  # orthotropic, its axes turned about z
-    np.array(
-        [
-            [45.0, 5.0, 5.0, 0.0, 0.0, 1.5],
-            [5.0, 35.0, 5.0, 0.0, 0.0, 1.5],
-            [5.0, 5.0, 25.0, 0.0, 0.0, 0.5],
-            [0.0, 0.0, 0.0, 9.0, 1.0, 0.0],
-            [0.0, 0.0, 0.0, 1.0, 8.0, 0.0],
-            [1.5, 1.5, 0.5, 0.0, 0.0, 7.0],
-        ]
-    )
-)
+MODULI = np.diag([40.0, 30.0, 20.0, 9.0, 8.0, 7.0])
+MODULI[:3, :3] += 5.0
+MODULI[:3, 5] = MODULI[5, :3] = 1.5, 1.5, 0.5
+MODULI[3, 4] = MODULI[4, 3] = 1.0
+TILTED = Anisotropic(MODULI)  # orthotropic, its axes turned about z
 
 
 def rock(law, sigma, plane="strain", joint=FLAT):
@@ -189,13 +152,10 @@ def rock(law, sigma, plane="strain", joint=FLAT):
     return Structure(joint, body=law, **data, **insitu).interface(ThinLayer(GLUE, 0.05, at=1.0, **insitu))
 
 
-@pytest.mark.parametrize("law", [LAW, TILTED], ids=["isotropic", "tilted"])
-@pytest.mark.parametrize("shape", [2, 3, "stress", "solid"])
+@pytest.mark.parametrize(("law", "shape"), [(LAW, 2), (TILTED, 3), (LAW, "stress"), (TILTED, "solid")])
 def test_rock_under_its_weight_does_not_move(law, shape):
     """The in-situ stress balances the weight: nothing moves, and S carries it."""
     joint, plane = SOLID if shape == "solid" else FLAT, "stress" if shape == "stress" else "strain"
-    if plane == "stress" and law is TILTED:
-        return  # has no law of plane stress
     top, sides = (0.6, 0.5) if shape == "solid" else (0.75, 2.0)
 
     def sigma(x, t):
@@ -212,16 +172,14 @@ def test_rock_under_its_weight_does_not_move(law, shape):
 
 def test_a_prestress_of_two_components_has_the_third_of_plane_strain():
     nu = LAW.lmbda / (2 * (LAW.lmbda + LAW.mu))
-    clamped = Structure(
-        FLAT, body=LAW, supports=dict.fromkeys(ROLLERS, 0.0), eigenstrain=Prestress(((0.3, 0.1), (0.1, -0.2)))
-    )
-    given = solve(clamped.bonded()).mean_stress()
-    assert given == pytest.approx(np.array([[0.3, 0.1], [0.1, -0.2]]), rel=1e-12, abs=1e-12)
-    structure = Structure(FLAT, body=LAW, supports=AT_REST, eigenstrain=Prestress(((0.3, 0), (0, -0.2))))
-    energy = solve(structure.bonded()).energies()["bodies"]  # a free body keeps none of it, s_33 vanishes too
-    assert energy < 1e-20
-    other = Structure(FLAT, body=LAW, supports=AT_REST, eigenstrain=Prestress(np.diag([0.3, -0.2, 0.1 * nu + 0.06])))
-    assert solve(other.bonded()).energies()["bodies"] == pytest.approx(0.06**2 / 30.0 / 2 * 2.5, rel=1e-10)
+    sigma = np.array([[0.3, 0.1], [0.1, -0.2]])
+    strips = lambda given, held: solve(Structure(FLAT, body=LAW, supports=held, eigenstrain=Prestress(given)).bonded())
+    assert strips(sigma, dict.fromkeys(ROLLERS, 0.0)).mean_stress() == pytest.approx(sigma, rel=1e-12, abs=1e-12)
+    assert (
+        strips(np.diag([0.3, -0.2]), AT_REST).energies()["bodies"] < 1e-20
+    )  # a free body keeps none, s_33 vanishes too
+    other = strips(np.diag([0.3, -0.2, 0.1 * nu + 0.06]), AT_REST)
+    assert other.energies()["bodies"] == pytest.approx(0.06**2 / 30.0 / 2 * 2.5, rel=1e-10)
 
 
 @pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
@@ -239,8 +197,7 @@ def test_a_stress_that_balances_the_loads_moves_no_layer(law):
 
 
 # ---------------------------------------------------------------- energies in time
-@pytest.mark.parametrize("theta", [1.0, 0.5])
-@pytest.mark.parametrize("kind", ["full", "interface"])
+@pytest.mark.parametrize(("kind", "theta"), [("full", 1.0), ("interface", 0.5)])
 def test_the_energy_balance_knows_the_work_of_growing_strains(kind, theta):
     """Heat in place and time, beside a load: what is supplied is stored, but for the scheme's remainder."""
     hot = ThermalExpansion(2e-3, lambda x, t: ufl.sin(t) * (1 + x[0] ** 2))
@@ -258,19 +215,8 @@ def test_the_energy_balance_knows_the_work_of_growing_strains(kind, theta):
     assert history.last.audit.supplied > 0
 
 
-def test_bodies_that_are_not_linear_balance_their_energy():
-    hot = ThermalExpansion(0.1, lambda x, t: t * (1 + x[0]))
-    data = {"supports": {"BOTTOM": 0.0, "TOP": {"y": 0.0}}, "eigenstrain": hot}
-    law = Stiffening(20.0, 10.0, 800.0)
-    states = march(Structure(FLAT, body=law, **data).bonded(), [0.5, 1.0])
-    assert max(abs(state.audit.imbalance) for state in states) < 1e-9
-    half, whole = (np.abs(state.mean_stress()[1, 1]) for state in list(states)[1:])
-    assert whole > 2.1 * half
-
-
 # ---------------------------------------------------------------- contact
-@pytest.mark.few(1)
-@pytest.mark.parametrize("method", ["condensed", "multigrid", "newton", "relaxation"])
+@pytest.mark.parametrize("method", ["condensed", "multigrid"])
 def test_a_block_that_expands_against_its_base(method):
     """Springs of S and the block in series: w (K + M/H) = -(3 lmbda + 2 mu) e."""
     joint, e, K = block(4.0, 2.0, 0.5, structured=True), 3e-3, 40.0
@@ -299,20 +245,32 @@ def test_the_expansion_of_a_laminate(theta):
     assert max(abs(state.audit.imbalance) for state in history) < 1e-11
 
 
-def test_stiffness_of_a_cell_whose_family_has_eigenstrains():
-    """What the models of a family share has their strains, and not those by which the stiffness is found."""
-    joint = periodic(sandwich(1.0, 0.4, 0.6, 0.2, cell="quadrilateral", structured=True), *SIDES)
-    data = {"body": LAW, "supports": {}, "strain": np.diag([1e-3, 2e-3])}
-    heated = Structure(joint, eigenstrain=2e-3, **data).interface(ThinLayer(GLUE, 0.02, at=1.0))
-    other = heated.with_layer(ThinLayer(GLUE, 0.03, at=1.0))
-    before = solve(other).mean_stress()
-    plain = Structure(joint, **data).interface(ThinLayer(GLUE, 0.03, at=1.0))
-    assert homogenised_stiffness(other) == pytest.approx(homogenised_stiffness(plain), rel=1e-11, abs=1e-11)
-    assert np.array_equal(solve(other).mean_stress(), before)
-    assert np.abs(before - solve(plain).mean_stress()).max() > 1e-3
-
-
 # ---------------------------------------------------------------- refusals
+def computed(values, element=("Lagrange", 2), width=2.0) -> fem.Function:
+    """A function on a mesh of its own."""
+    mesh = create_rectangle(MPI.COMM_WORLD, [(0.0, -0.5), (width, 0.75)], (5, 5))
+    T = fem.Function(fem.functionspace(mesh, element))
+    T.interpolate(values)
+    return T
+
+
+def numbers() -> dict[str, float]:
+    found: dict[str, float] = {}
+    joint = sandwich(2.0, 0.5, 0.75, 0.25)
+    data = {"body": LAW, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.02, -0.05)}}
+    T = computed(lambda x: 1 + x[0] ** 2)
+    known, given = ThermalExpansion(2e-3, lambda x, t: t * (1 + x[0] ** 2)), ThermalExpansion(2e-3, T, lambda x, t: t)
+    for kind, hot in (("full computed", given), ("interface computed", given), ("full", known), ("interface", known)):
+        more = lambda x, t: ((0, 1e-3 * x[0]), (1e-3 * x[0], -2e-3 * t))
+        layer = ThinLayer(CREEPING, 0.1, eigenstrain=[hot, more], at=1.0)
+        model = getattr(Structure(joint, eigenstrain=hot, **data), kind.split()[0])(layer)
+        state = march(model, [0.5, 1.0]).last
+        found[f"{kind} u"] = state.integral(ufl.inner(state.u, state.u) * ufl.dx)
+        found[f"{kind} supplied"] = state.audit.supplied
+        found[f"{kind} stored"] = state.audit.total
+    return found
+
+
 def test_a_computed_temperature_is_that_of_a_formula():
     found = numbers()
     for kind, what in itertools.product(("full", "interface"), ("u", "supplied", "stored")):
@@ -342,18 +300,13 @@ def test_temperatures_that_do_not_cover_the_bodies_or_are_no_scalars_are_refused
 @pytest.mark.parametrize(
     ("given", "match"),
     [
-        (np.nan, "is nan; it needs a finite number"),
         ("hot", "the eigenstrain of the body 'LOWER' is 'hot'"),
-        (True, "needs a finite number or 2 x 2"),
         ([1.0, 2.0], "a list of these that add up"),
         ([], "a list of these that add up"),
         (np.eye(4), "2 x 2 finite components or 3 x 3"),
         (((1.0, 2.0), (3.0, 1.0)), "is not symmetric: components 21 and 12"),
         (lambda x, t: ((x[0], x[1]), (x[0], x[1])), "is not symmetric"),
-        (lambda x, t: (x[0], x[1]), "needs a finite number or 2 x 2"),
-        (lambda x, t: np.inf, "gives inf; .*of finite real numbers"),
         (lambda x, t: ufl.lt(x[0], 1), "it needs .*of finite real numbers"),
-        (lambda x, t: t > 1, "it needs .*of finite real numbers"),
         ({"MIDDLE": 1.0}, "unknown body 'MIDDLE'"),
     ],
 )
@@ -362,7 +315,7 @@ def test_refused(given, match):
 
 
 def test_refused_helpers():
-    for alpha in ((1.0, 2.0), np.nan, "x", ((1.0, 2.0, 0), (0, 1.0, 0), (0, 0, 1.0))):
+    for alpha in ((1.0, 2.0), "x", ((1.0, 2.0, 0), (0, 1.0, 0), (0, 0, 1.0))):
         refused(InputError, r"alpha|symmetric", ThermalExpansion, alpha, 1.0)
     refused(InputError, "T is 'warm'", lambda: ThermalExpansion(1.0, "warm"))
     hot = Structure(FLAT, body=LAW, supports=ROLLERS, eigenstrain=ThermalExpansion(1.0, lambda x, t: 1 / (t - 1)))
@@ -372,15 +325,5 @@ def test_refused_helpers():
     plates = Structure(FLAT, body=LAW, supports=ROLLERS)
     stacked = ThinLayer(Stack((0.3, GLUE), (0.7, LAW)), 0.1, eigenstrain=Prestress(1.0), at=1.0)
     refused(InputError, "the layer: its sublayers have stiffnesses", lambda: plates.interface(stacked))
-    with pytest.raises(InputError, match=r"no strain of .* causes some stresses"):
-        plates.interface(ThinLayer(Anisotropic.springs(K_N=2.0, K_T=1.0), 0.1, eigenstrain=Prestress(1.0), at=1.0))
-
-
-def test_models_with_other_eigenstrains_are_others():
-    marks = set()
-    for e in (None, 1e-3, 2e-3, ThermalExpansion(1e-3, 2.0), Prestress(1.0)):
-        model = Structure(FLAT, body=LAW, supports=ROLLERS, eigenstrain=e).bonded()
-        marks |= {model.mark, json.dumps(model.identity(), sort_keys=True)}
-        layer = ThinLayer(GLUE, 0.1, eigenstrain=e, at=1.0)
-        marks.add(json.dumps(Structure(FLAT, body=LAW, supports=ROLLERS).interface(layer).identity(), sort_keys=True))
-    assert len(marks) == 11  # marks are empty on one rank
+    springs = ThinLayer(Anisotropic.springs(K_N=2.0, K_T=1.0), 0.1, eigenstrain=Prestress(1.0), at=1.0)
+    refused(InputError, r"no strain of .* causes some stresses", plates.interface, springs)

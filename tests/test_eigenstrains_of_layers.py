@@ -1,23 +1,14 @@
 """Eigenstrains of layers: free and held shrinkage, histories, layers that remember or yield, the next order in eps."""
 
-from dataclasses import dataclass
-from typing import ClassVar
-
-import numpy as np
 import pytest
 import ufl
 
-from forms import BulkLaw, Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulomb, Rubber, Stack
-from forms.base import InputError
-from forms.elastic import lame
+from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Rubber, Stack
 from geometry import sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests.orders import observed_orders
 from tests.own_laws import layer_of
-from tests.refused import refused
 from thinlayer import (
-    Adaptive,
-    Prestress,
     Structure,
     Surface,
     ThermalExpansion,
@@ -52,8 +43,10 @@ def across(state):
 
 
 # ---------------------------------------------------------------- free
-@pytest.mark.parametrize("law", [GLUE, Maxwell(70.0, 50.0, t1=0.7, t2=0.9), Stack((0.3, GLUE), (0.7, FOURIER_LAYER))])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("kind", "law"),
+    zip(KINDS, [Maxwell(70.0, 50.0, t1=0.7, t2=0.9), Stack((0.3, GLUE), (0.7, FOURIER_LAYER))], strict=True),
+)
 def test_a_layer_that_shrinks_freely_has_no_stress(kind, law):
     """It closes by eps e; what is left are roundings of (lmbda + 2 mu) e."""
     state = solve(model(kind, law, ((0.0, 0.0), (0.0, -3e-3))))
@@ -101,15 +94,6 @@ def test_the_stress_of_a_held_layer_follows_the_history_of_its_shrinkage(kind):
     assert max(abs(state.audit.imbalance) for state in relaxing) < 1e-10
 
 
-def test_in_situ_stress_of_a_layer_that_relaxes():
-    """It is there at once, and decays between plates that do not move."""
-    stiff = Structure(JOINT, body=LinearElastic.young(3e9, 0.3), supports=HELD)
-    layer = ThinLayer(Maxwell(70.0, 50.0, t1=0.8), EPS, eigenstrain=Prestress(-1.5), at=1.0)
-    history = march(stiff.interface(layer), [0.5, 1.0])
-    factors = np.array([1.0, 1 / (1 + 0.5 / 0.8), 1 / (1 + 0.5 / 0.8) ** 2])
-    assert [across(state)[0] for state in history] == pytest.approx(-1.5 * factors, rel=1e-5)
-
-
 def test_a_rate_law_answers_to_the_rate_of_shrinkage():
     """Kelvin-Voigt between rigid plates: elastic stress plus theta times the rate."""
     law = KelvinVoigt(70.0, 50.0, theta_lmbda=0.3, theta_mu=0.2)
@@ -122,62 +106,7 @@ def test_a_rate_law_answers_to_the_rate_of_shrinkage():
     assert max(abs(state.audit.imbalance) for state in history) < 1e-9
 
 
-@dataclass(frozen=True)
-class Curing(BulkLaw):
-    """A resin whose moduli grow in time: the stress of each strain increment has the moduli of its time."""
-
-    lmbda: float
-    mu: float
-    time: float
-    powers: ClassVar = {"lmbda": 1, "mu": 1}
-    internal: ClassVar = {"s": (3, 3)}
-    varies = True
-
-    def at(self, x, t):
-        cured = np.full(x.shape[1], 0.1 + 0.9 * t / self.time)
-        return {"lmbda": self.lmbda * cured, "mu": self.mu * cured}
-
-    def _stress(self, step):
-        return step.q["s"] + lame(self.lmbda, self.mu, step.e - step.e_old)
-
-    def stress(self, step):
-        return self._stress(step)
-
-    def advance(self, step):
-        return {"s": self._stress(step)}
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_layer_that_shrinks_while_it_hardens(kind):
-    """C(t) times de, 0.1 + 0.9 t/T of the hard layer's, at the ends of n equal steps."""
-    stiff = Structure(JOINT, body=LinearElastic.young(3e9, 0.3), supports=HELD)
-    layer = ThinLayer(Curing(70.0, 50.0, time=2.0), EPS, eigenstrain=lambda x, t: -2e-3 * t, at=1.0)
-    n = 5
-    history = march(getattr(stiff, kind)(layer), [2.0 * (k + 1) / n for k in range(n)])
-    hard = EPS * 310.0 * 4e-3
-    assert across(history.last)[0] == pytest.approx(hard * (0.1 + 0.9 * (n + 1) / (2 * n)), rel=1e-5)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("kind", KINDS)
-def test_friction_of_a_layer_that_is_pressed_by_in_situ_stress(kind):
-    """t_T tends to C cos(Omega) + p sin(Omega), with a stress across the plane of which the law also knows."""
-    law = MohrCoulomb(70.0, 50.0, cohesion=0.2, friction_angle=30.0, elastic_fraction=1e-4)
-    supports = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: 0.2 * t, "y": 0.0}}
-    insitu = Prestress(-1.5)
-    plates = Structure(JOINT, body=LinearElastic.young(3e6, 0.3), supports=supports, element="Q1")
-    history = march(getattr(plates, kind)(ThinLayer(law, EPS, eigenstrain=insitu, at=1.0)), [0.05, 0.2, 0.6, 1.0])
-    surface = Surface(plates.interface(ThinLayer(law, EPS, eigenstrain=insitu, at=1.0)))
-    t = [surface.integral(surface.traction(history.last)[k]) / WIDTH for k in (0, 1)]
-    start = [surface.integral(surface.traction(history.at(0.0))[k]) / WIDTH for k in (0, 1)]
-    assert start == pytest.approx([0.0, -1.5], abs=1e-4 if kind == "interface" else 0.02)
-    if kind == "interface":  # the meshed layer is squeezed out at its free ends
-        assert t[0] == pytest.approx(0.2 * np.cos(np.pi / 6) + 1.5 * 0.5, rel=3e-2)
-    assert max(abs(state.audit.imbalance) for state in history) < 1e-7  # rounding of stiff plates
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("theta", [1.0, 0.5])
+@pytest.mark.parametrize(("kind", "theta"), zip(KINDS, (1.0, 0.5), strict=True))
 def test_an_incompressible_layer_that_expands(kind, theta):
     """It keeps the volume that its expansion gives it: 3 e eps across, as the plates hold it along S; energies balance."""
     stiff = Structure(JOINT, body=LinearElastic.young(3e7, 0.3), supports=SLIDING)
@@ -216,11 +145,8 @@ def test_the_next_order_knows_the_eigenstrain(law, scaled):
     for e in eps:
         strain, structure = varying(1e-3 / e if scaled else 2e-2), Structure(joint, **setup)
         full = solve(structure.full(ThinLayer(law, e, eigenstrain=strain, at=1.0)))
-        for name, layer in {
-            "order 1": ThinLayer(law, e, 1, eigenstrain=strain, at=1.0),
-            "order 0": ThinLayer(law, e, eigenstrain=strain, at=1.0),
-            "none": ThinLayer(law, e, 1, at=1.0),
-        }.items():
+        for name, order, given in (("order 1", 1, strain), ("order 0", 0, strain), ("none", 1, None)):
+            layer = ThinLayer(law, e, order, eigenstrain=given, at=1.0)
             surface = Surface((limit := solve(structure.interface(layer))).model)
             t = surface.reaction(limit)
             errors[name].append(surface.norm(surface.reaction(full) - t) / surface.norm(t))
@@ -228,24 +154,3 @@ def test_the_next_order_knows_the_eigenstrain(law, scaled):
     assert orders["order 1"] == pytest.approx(2.0, abs=0.12)
     assert orders["order 0"] == pytest.approx(1.0, abs=0.15)
     assert orders["none"] == pytest.approx(0.0 if scaled else 1.0, abs=0.12)
-
-
-# ---------------------------------------------------------------- marches, refusals
-
-
-def test_adaptive_steps_follow_shrinkage_and_end_at_its_breaks():
-    heat = ThermalExpansion(-1e-3, piecewise({0: 0.0, 0.7: 1.0, 3: 1.0}))
-    history = march(
-        model("interface", Maxwell(70.0, 50.0, t1=0.8), heat, HELD), Adaptive(end=3.0, first=0.05, tolerance=1e-3)
-    )
-    assert 0.7 in history.t
-    assert len(history) > 8
-
-
-def test_refused():
-    refused(InputError, "the eigenstrain of the layer is 'much'", lambda: model("full", GLUE, "much"))
-    refused(
-        InputError, "the eigenstrain of the layer is nan; it needs a finite number", lambda: model("full", GLUE, np.nan)
-    )
-    late = model("full", GLUE, ThermalExpansion(1e-3, piecewise({0: 0.0, 1: 1.0})))
-    refused(InputError, "eigenstrain of the layer is not finite at t = 2", lambda: march(late, [2.0]))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import ufl
-from dolfinx import fem
 
 from studies.problems import FOURIER_BODY, FOURIER_LAYER, fourier
 from tests import reference
@@ -59,35 +57,6 @@ def test_interface_model(element, h):
     assert np.log2(coarse / fine) == pytest.approx([3.0] * 3, abs=0.15)
 
 
-def test_bodies_of_the_interface_model():
-    """Displacements inside the bodies, not only on S: order 3 in L2."""
-    errors = []
-    for h in (1 / 16, 1 / 32):
-        joint, setup = fourier(h)
-        model = Structure(joint, **setup).interface(ThinLayer(FOURIER_LAYER, 0.1, at=1.0))
-        state = solve(model)
-        exact = fem.Function(model.space(4))  # interpolated in V it would hide the error: u - u_h is smaller there
-        tags = model.domain.cell_tags
-        for side, name in ((-1, "LOWER"), (1, "UPPER")):
-            cells = tags.indices[tags.values == model.domain.cell_values(name)[0]]
-
-            def field(x, side=side):
-                U, V = reference.interface_displacement(x[1], side)
-                return np.array([U * np.sin(np.pi * x[0]), V * np.cos(np.pi * x[0])])
-
-            exact.interpolate(field, cells0=cells)
-        exact.x.scatter_forward()
-        difference, size = state.u - exact, exact
-        errors.append(
-            np.sqrt(
-                state.integral(ufl.inner(difference, difference) * ufl.dx)
-                / state.integral(ufl.inner(size, size) * ufl.dx)
-            )
-        )
-    assert errors[1] < 1e-4
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(3.0, abs=0.25)
-
-
 EPS = (1 / 8, 1 / 16, 1 / 32, 1 / 64)
 
 
@@ -111,17 +80,3 @@ def test_sweep(bodies):
     for name in ("error_traction", "error_jump"):
         orders = observed_orders(EPS, [row[name] for row in rows])[first:]
         assert orders == pytest.approx([1.0] * len(orders), abs=0.05)
-
-
-def test_wrong_law_leaves_a_floor():
-    """A layer with lmbda + mu for its normal stiffness is not the limit: its error does not go to zero."""
-    joint, setup = fourier(1 / 16)
-    wrong = type(FOURIER_LAYER)(lmbda=FOURIER_LAYER.lmbda - FOURIER_LAYER.mu, mu=FOURIER_LAYER.mu)
-    errors = []
-    for eps in EPS[1:]:
-        full = solve(Structure(joint, **setup).full(ThinLayer(FOURIER_LAYER, eps, at=1.0)))
-        errors.append(
-            compare(full, solve(Structure(joint, **setup).interface(ThinLayer(wrong, eps, at=1.0))))["error_jump"]
-        )
-    assert min(errors) > 0.1
-    assert max(abs(order) for order in observed_orders(EPS[1:], errors)[1:]) < 0.5

@@ -104,7 +104,7 @@ def test_refused():
     joint = sandwich(2.0, 0.5, 0.6, 0.5)
     squares, roller = sandwich(2.0, 0.5, 0.6, 0.5, cell="quadrilateral"), {"BOTTOM": {"n": 0.0}}
     for one, supports, element, message in (
-        (joint, {(0.0, -0.5): {"n": 0.0}}, "P2", "a vertex has no normal"),
+        (joint, {(0.0, -0.5): {"n": 0.0}}, "P2", "unknown component 'n'"),
         (joint, roller, "P2", "rigid motion of the structure"),
         (ring(1.0, 1.5, 2.0, h=0.5), {"OUTSIDE": {"n": 0.0}}, "P2", r"rigid motion of the structure \(rotation"),
         (squares, roller, "S2", "need nodal displacements, not elements S2"),

@@ -15,15 +15,13 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import splu
 
 from forms import Incompressible, LinearElastic, VonMises
-from forms.base import InputError
 from forms.work import work
-from geometry import block, ring, sandwich
+from geometry import ring, sandwich
 from geometry.joint import Joint
 from studies.problems import FOURIER_BODY, fourier
 from tests import reference
 from tests.orders import observed_orders
 from tests.test_marching import StiffeningSolid
-from tests.test_tips import partly
 from thinlayer import SolveError, Structure, Surface, ThinLayer, compare, march, solve
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
@@ -55,11 +53,6 @@ def volume_change(model: Model) -> tuple[State, float]:
     return state, float(np.abs(G @ u).max() / (abs(G) @ np.abs(u)).max())
 
 
-def normal(surface: Surface, f) -> float:
-    """L2(S) norm of the normal component."""
-    return surface.norm((f * surface.n).sum(axis=0))
-
-
 def pressed(joint: Joint, **supports) -> dict:
     """Clamped below, pushed and sheared from above."""
     t = (0.3, -1.0, 0.1)[: joint.dim]
@@ -67,21 +60,12 @@ def pressed(joint: Joint, **supports) -> dict:
 
 
 # ---------------------------------------------------------------- many structures
-def rigid_base(cell):
-    tractions = {"TOP": lambda x, t: (x[0] * (1 - x[0]), x[0] ** 2 * (3 - 2 * x[0]))}
-    rollers = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-    return block(1.0, 0.5, 1 / 8, cell=cell), {"body": FOURIER_BODY, "supports": rollers, "tractions": tractions}
 
 
 def rubber_ring(cell):
     joint = ring(0.5, 1.0, 1.5, 0.25, degree=2, cell=cell)
     push = lambda x, t: (0.2 * x[1] - x[0], 1 - x[1])
     return joint, {"body": FOURIER_BODY, "supports": {"INSIDE": 0.0}, "tractions": {"OUTSIDE": push}}
-
-
-def swapped(cell):
-    joint, setup = fourier(1 / 8, cell=cell)
-    return joint.swapped(), setup
 
 
 def clamped_ends(cell):
@@ -91,18 +75,16 @@ def clamped_ends(cell):
 
 STRUCTURES = {
     "two bodies": lambda cell: fourier(1 / 8, cell=cell),
-    "swapped": swapped,
-    "rigid base": rigid_base,
     "clamped ends": clamped_ends,
     "ring": rubber_ring,
 }
 
 
-def errors(structure, thicknesses, profile=None, **choices):
+def errors(structure, thicknesses, **choices):
     """Those of the interface law; the constraint holds and the energy balance closes in both models."""
     rows = []
     for eps in thicknesses:
-        states, layer = [], ThinLayer(LAW, eps, profile=profile, at=1.0)
+        states, layer = [], ThinLayer(LAW, eps, at=1.0)
         for model in (structure.full(layer, **choices), structure.interface(layer)):
             state, change = volume_change(model)
             assert change < EXACT
@@ -114,8 +96,7 @@ def errors(structure, thicknesses, profile=None, **choices):
     return rows
 
 
-@pytest.mark.parametrize("cell", CELLS)
-@pytest.mark.parametrize("name", STRUCTURES)
+@pytest.mark.parametrize(("name", "cell"), zip(STRUCTURES, [*CELLS, "triangle"], strict=True))
 def test_structures(name, cell):
     """The constraint holds, the energy balance closes, the meshed layer's errors go to zero with about order 1."""
     joint, setup = STRUCTURES[name](cell)
@@ -126,39 +107,13 @@ def test_structures(name, cell):
     assert max(row["error_jump"] for row in rows) < 0.1
 
 
-@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
-def test_three_dimensions(cell):
-    joint = sandwich(1.0, 0.5, 0.5, 0.5, depth=0.5, cell=cell, structured=cell == "hexahedron")
+def test_three_dimensions():
+    joint = sandwich(1.0, 0.5, 0.5, 0.5, depth=0.5, cell="tetrahedron")
     setup = pressed(joint, LEFT={"x": 0.0}, RIGHT={"x": 0.0})
     wave = lambda x, t: (0.5 * ufl.sin(ufl.pi * x[0]), ufl.cos(ufl.pi * x[0]), 0.1)
     thick, thin = errors(Structure(joint, **setup | {"tractions": {"TOP": wave}}), (1 / 32, 1 / 64), cells_through=1)
     for quantity in ("error_traction", "error_jump"):
         assert thin[quantity] < 0.6 * thick[quantity]
-
-
-@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of the penalty
-@pytest.mark.parametrize("cell", CELLS)
-def test_s_that_ends_inside(cell):
-    """A crack filled with an incompressible layer cannot open, but it slides; beside it the bodies are bonded."""
-    joint = partly(sandwich(2.0, 1.0, 1.0, 0.25, cell=cell, structured=True), lambda x: x[:, 0] < 1.0)
-    states = [volume_change(Structure(joint, **pressed(joint)).interface(ThinLayer(LAW, 0.01, at=1.0)))]
-    penalty = LinearElastic(lmbda=1e7, mu=MU)
-    stiff = solve(Structure(joint, **pressed(joint)).interface(ThinLayer(penalty, 0.01, at=1.0)))
-    (state, change), surface = states[0], Surface(states[0][0].model)
-    assert change < EXACT
-    w = surface.jump(state)
-    assert normal(surface, w) < 0.01 * surface.norm(w)
-    assert surface.norm(w - surface.jump(stiff)) < 0.03 * surface.norm(w)
-
-
-@pytest.mark.parametrize("cell", CELLS)
-def test_varying_thickness(cell):
-    joint, setup = fourier(1 / 8, cell=cell)
-    profile = lambda x: 1 + 0.5 * np.sin(3 * x[0])
-    eps = (1 / 64, 1 / 128)
-    rows = errors(Structure(joint, **setup), eps, profile, bodies="extended")
-    for quantity in ("error_traction", "error_jump"):
-        assert observed_orders(eps, [row[quantity] for row in rows])[1] == pytest.approx(1.0, abs=0.15)
 
 
 def norm(p: fem.Function) -> float:
@@ -205,20 +160,6 @@ def test_fourier_problem(cell):
     assert error < 2e-3 * norm(p)
 
 
-@pytest.mark.parametrize("cell", CELLS)
-def test_pressure_in_the_meshed_layer(cell):
-    """It tends to the multiplier, constant through the thickness."""
-    joint, setup = fourier(1 / 16, cell=cell)
-    limit, eps, errors = exact(None), (1 / 64, 1 / 128), []
-    for e in eps:
-        p = solve(Structure(joint, **setup).full(ThinLayer(LAW, e, at=1.0))).p
-        x = ufl.SpatialCoordinate(p.function_space.mesh)[0]
-        difference = fem.assemble_scalar(fem.form((p - limit[3] * ufl.cos(ufl.pi * x)) ** 2 * ufl.dx)) ** 0.5
-        errors.append(difference / norm(p))
-    assert errors[1] < 5e-3
-    assert errors[1] < 0.6 * errors[0]
-
-
 @pytest.mark.parametrize("theta", [1.0, 0.5])
 def test_pressure_at_the_end_of_a_step(theta):
     """With a growing load the pressure of a state is that of its time, as its displacements are."""
@@ -232,20 +173,6 @@ def test_pressure_at_the_end_of_a_step(theta):
 
 
 # ---------------------------------------------------------------- no locking
-@pytest.mark.few(5)
-@pytest.mark.parametrize("cell", CELLS)
-def test_no_locking(cell):
-    """The solution on coarse meshes, one cell through the thickness, is that on fine ones, however thin the layer is."""
-    for eps in (1e-1, 1e-3):
-        expected = exact(eps)[:2]
-        for h, sublayers, bound in ((1 / 4, 1, 0.05), (1 / 8, 1, 6e-3), (1 / 16, 1, 1e-3), (1 / 16, 4, 1e-3)):
-            joint, setup = fourier(h, cell=cell)
-            layer = ThinLayer(LAW, eps, at=1.0)
-            surface = Surface(Structure(joint, **setup).interface(layer))
-            state = solve(Structure(joint, **setup).full(layer, cells_through=sublayers))
-            x = np.pi * surface.x[0]
-            wave = np.array([expected[0] * np.sin(x), expected[1] * np.cos(x)])
-            assert surface.norm(surface.jump(state) - wave) < bound * surface.norm(wave), (eps, h, sublayers)
 
 
 # ---------------------------------------------------------------- stability
@@ -289,15 +216,6 @@ def test_s_with_too_few_cells(cell):
 
 
 # ---------------------------------------------------------------- refused
-@pytest.mark.few(1)
-@pytest.mark.parametrize("build", BUILDS)
-def test_refused(build):
-    joint = sandwich(1.0, 0.5, 0.5, 0.25)
-    layer = ThinLayer(LAW, 0.1, at=1.0)
-    state = solve(build(Structure(joint, plane="stress", **pressed(joint)), layer))
-    assert state.p is None  # e_33 = -e_11 - e_22 in a sheet
-    with pytest.raises(InputError, match="Incompressible is for layers"):
-        build(Structure(joint, **pressed(joint) | {"body": LAW}), layer)
 
 
 def test_beside_bodies_that_are_not_linear():

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from forms import (
     LinearElastic,
     Maxwell,
     MohrCoulomb,
-    MohrCoulombMonodirectional,
     Norton,
     NortonCreep,
     Rubber,
@@ -70,13 +68,12 @@ def loaded(joint, load=(0.3, -1.0), supports=None, **more):
 WORK, MOVED = goals.Compliance(), goals.Displacement((1.0, 0.5), (0.6, 0.8))
 PUSHED = {"BOTTOM": 0, "TOP": {"x": 0.01, "y": -0.02}}
 PLATE = [RigidPlate("TOP", force=(0.3, -1.0), moment=0.2)]
-SIDES = {"LEFT": 0, "RIGHT": {"x": 0.01, "y": -0.02}}
 WEIGHTS = {"LOWER": (0.0, -1.0), "UPPER": (0.2, -1.0), "S": (0.3, -9.0)}
 FLOORS = {"LOW": [(0.0, 0.3), (1.0, 0.4)], "HIGH": [(0.0, 0.7), (1.0, 0.65)]}
 TUGGED = {"tractions": {"RIGHT/UPPER": (0.2, 0.7)}, "eigenstrain": {"UPPER": 0.002}}
 AT_REST = (goals.MeanTraction((0.3, -1.0)), goals.Functional("gap", lambda u, model: (u[1] + 0.01) * model.dx))
 REACTIONS = (WORK, goals.Reaction("TOP", (1.0, 0.3)))
-ends, solid = partial(goals.Displacement, direction=(0.0, 1.0, 0.0)), {"depth": 0.7, "h": 1 / 4}
+solid = {"depth": 0.7, "h": 1 / 4}
 
 
 def cases():
@@ -86,16 +83,14 @@ def cases():
     rings = ring(1.0, 1.5, 2.0, 0.15, cell="quadrilateral", degree=2)
     around = {"body": BODY, "supports": {"INSIDE": 0}, "tractions": {"OUTSIDE": (0.3, -1.0)}}
     bricks = Structure(wall(2, 2, (2.0, 1.0), 1 / 3), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1.0)})
-    base = Structure(
-        block(1.0, 0.5, 1 / 12, cell="quadrilateral"), body=BODY, supports={}, tractions={"TOP": (0.3, -1)}
-    )
+    pillar = block(1.0, 0.5, 1 / 12, cell="quadrilateral")
+    base = Structure(pillar, body=BODY, supports={}, tractions={"TOP": (0.3, -1)})
     floors = Structure(faults(1.0, 1.0, FLOORS, 1 / 8), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1)})
     glue, round_ = ThinLayer(GLUE, EPS), {"plane": "axisymmetric", "supports": {"BOTTOM": 0, "LEFT": {"x": 0}}}
     return {
         "free ends": (loaded(blocks()), glue, (WORK, MOVED)),
         "rollers": (loaded(blocks(), supports={"BOTTOM": 0, "LEFT": {"x": 0}}), glue, (WORK, MOVED)),
         "stack": (loaded(blocks()), ThinLayer(STACK, EPS), (WORK, MOVED)),
-        "woven ply": (loaded(blocks()), ThinLayer(Stack((0.4, WOVEN), (0.6, GLUE)), EPS), (WORK, MOVED)),
         "anisotropic": (loaded(blocks()), ThinLayer(WOVEN, EPS), (WORK, MOVED)),
         "as stiff as bodies": (loaded(blocks()), ThinLayer(LinearElastic.shear(40.0, 0.3), EPS), (WORK, MOVED)),
         "rubbery": (loaded(blocks()), ThinLayer(RUBBERY, EPS), (WORK, MOVED)),
@@ -103,11 +98,9 @@ def cases():
         "shrinking": (loaded(blocks()), ThinLayer(GLUE, EPS, eigenstrain=-0.01), (WORK, MOVED)),
         "at rest": (loaded(blocks(), supports=PUSHED, **TUGGED), glue, AT_REST),
         "moved": (loaded(blocks(), supports=PUSHED, tractions={}), glue, REACTIONS),
-        "sides moved": (loaded(blocks(), supports=SIDES, tractions={}), glue, (WORK, goals.Reaction("LEFT", (0.0, 1.0)))),
         "weights": (loaded(blocks(), body_force=WEIGHTS), glue, (WORK, MOVED)),
         "pulled side": (loaded(blocks(), tractions=pulled), glue, (WORK, MOVED)),
         "plate": (loaded(blocks(), parts=PLATE, tractions={}), glue, (WORK, MOVED)),
-        "plane stress": (loaded(blocks(), plane="stress"), glue, (WORK, MOVED)),
         "revolution": (loaded(blocks(), (0.0, -1.0), **round_), glue, (WORK,)),
         "serendipity": (loaded(blocks(), element="S2"), glue, (WORK, MOVED)),
         "triangles, linear": (loaded(blocks("triangle"), element="P1"), glue, (WORK, MOVED)),
@@ -116,7 +109,6 @@ def cases():
         "wall": (bricks, ThinLayer(GLUE, 1 / 8), (WORK,)),
         "rings": (Structure(rings, **around), glue, (WORK,), "extended"),
         "tapered": (loaded(blocks()), tapered, (WORK,), "extended"),
-        "hexahedra": (loaded(blocks("hexahedron", **solid), (0.3, -1.0, 0.2)), ThinLayer(GLUE, 1 / 8), (WORK,)),
         "tetrahedra": (loaded(blocks("tetrahedron", **solid), (0.3, -1.0, 0.2)), ThinLayer(GLUE, 1 / 8), (WORK,)),
     }  # fmt: skip
 
@@ -155,9 +147,17 @@ def test_bounds_hold_what_the_meshed_layer_does(name):
         assert one.lower - ROUNDING * abs(true) <= true <= one.upper + ROUNDING * abs(true), goal.name
         assert one.change == pytest.approx(true - one.value, rel=0.01), goal.name
         assert one.upper - one.lower <= 0.06 * abs(one.change), goal.name
+    adds_up(found)
 
 
-@pytest.mark.parametrize("name", ["free ends", "stack", "anisotropic", "rubbery", "base", "hexahedra"])
+def adds_up(found):
+    """The densities to the changes, but for rounding, which is that of a stiffness over another one."""
+    surface = Surface(found.better.model)
+    for goal in found.goals:
+        assert surface.integral(found.density(goal)) == pytest.approx(found.goals[goal].change, rel=1e-7)
+
+
+@pytest.mark.parametrize("name", ["free ends", "stack", "anisotropic", "rubbery", "base", "tetrahedra"])
 def test_tractions_and_jumps_are_those_of_the_meshed_layer_on_all_of_s(name):
     state, found = told(name)
     true = compare(meshed(name), state)
@@ -165,31 +165,10 @@ def test_tractions_and_jumps_are_those_of_the_meshed_layer_on_all_of_s(name):
     assert found.jump == pytest.approx(true["error_jump"], rel=0.03)
 
 
-BONDED = ("free ends", "rubber, steel", "moved", "weights", "pulled side", "plate", "serendipity", "two seams")
-
-
-@pytest.mark.parametrize(("name", "bonded"), [(name, False) for name in CASES] + [(name, True) for name in BONDED])
-def test_densities_add_up_to_changes(name, bonded):
-    """But for rounding, which is that of a stiffness over another one."""
+@pytest.mark.parametrize("name", ["rubber, steel", "weights", "pulled side", "plate", "serendipity", "two seams"])
+def test_densities_of_what_bonds_leave_out_add_up_to_changes(name):
     structure, layers, wanted, *_ = CASES[name]
-    found = estimate(solve(structure.bonded()), layers, wanted) if bonded else told(name)[1]
-    surface = Surface(found.better.model)
-    for goal in found.goals:
-        assert surface.integral(found.density(goal)) == pytest.approx(found.goals[goal].change, rel=1e-7)
-
-
-def test_forces_on_the_faces_and_their_inverse():
-    """Symmetric, none in rigid motions, and E E^+ r = r for forces r without a resultant."""
-    state, _ = told("free ends")
-    layers = LayerAlone(state.model, dict(state.model.on_seams), 0.0)
-    no, rng = np.zeros(len(layers.load)), np.random.default_rng(2)
-    v, w = (layers.on_free(one) for one in rng.normal(size=(2, len(no))))
-    E_v, E_w = (layers.held(one, no, no) for one in (v, w))
-    assert w @ E_v == pytest.approx(v @ E_w, rel=1e-11)
-    assert layers.R.shape[1] == 3
-    for motion in layers.R.T:
-        assert np.abs(layers.held(layers.on_free(motion), no, no)).max() < 1e-11 * np.abs(E_v).max()
-    assert layers.held(layers.moved(E_v), no, no) == pytest.approx(E_v, abs=1e-10 * np.abs(E_v).max())
+    adds_up(estimate(solve(structure.bonded()), layers, wanted))
 
 
 @pytest.mark.parametrize("name", ["free ends", "stack", "anisotropic"])
@@ -210,14 +189,6 @@ def test_steps_lead_to_the_meshed_layer_and_half_the_gap_is_the_distance_from_th
         for _ in range(6):
             one = iteration.step(one)
         assert one.u == pytest.approx(true, abs=1e-6 * np.abs(true).max())
-
-
-def test_a_layer_pressed_between_rollers_has_no_gap():
-    rollers = {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
-    state = solve(loaded(blocks(), (0.0, -1.0), rollers).interface(ThinLayer(GLUE, EPS)))
-    with Adjoint(state) as adjoint:
-        iteration = global_local.GlobalLocal(adjoint, LayerAlone(state.model, dict(state.model.on_seams), 0.0))
-        assert iteration.gap(iteration.first()) < 1e-16 * abs(WORK.value(state, state.model))
 
 
 # ---------------------------------------------------------------- wrong twins
@@ -248,37 +219,6 @@ def test_weights_of_the_other_sign_miss(monkeypatch):
     assert not one.lower <= true <= one.upper
 
 
-@pytest.mark.parametrize(("name", "holds"), [("free ends", True), ("moved", False), ("shrinking", False)])
-def test_the_compliance_of_loads_alone_misses_where_supports_move_or_the_layer_shrinks(monkeypatch, name, holds):
-    """C in f . u + u . r and r . E^+ r above: right where nothing but loads drives the structure."""
-
-    def of_loads(self, at_rest, q, one, z):
-        least = q @ self.equations.constraints.unknowns(one.u) + one.v @ self.residual(one)
-        return global_local.Bounds(least, least, least + self.gap(one))
-
-    structure, layer, _ = CASES[name]
-    monkeypatch.setattr(global_local.GlobalLocal, "bounds", of_loads)
-    found = estimate(solve(structure.interface(layer))).goals["compliance"]
-    assert (found.lower <= value(name, WORK) <= found.upper) == holds
-
-
-@pytest.mark.parametrize("name", ["free ends", "stack", "rubber, steel"])
-def test_laws_of_order_1_resist_no_rotation_of_the_layer(name):
-    """So that the bodies' forces on it have no resultant, in a stack too; those of order 0 have one."""
-    structure, layer, _ = CASES[name]
-    for order, edges in ((0, None), (1, "plain")):
-        state = solve(structure.interface(replace(layer, order=order, edges=edges)))
-        with Adjoint(state) as adjoint:
-            iteration = global_local.GlobalLocal(adjoint, LayerAlone(state.model, {"S": layer}, 0.0))
-            u = state.u.x.array[: iteration.n]
-            F = iteration._pulled(iteration._lack(u))
-            one = global_local.Iterate(
-                u, iteration.layers.at_faces(u), F, iteration.layers.load, iteration.layers.values
-            )
-            left, least = iteration._resultant(one)
-        assert (left <= least) == (order == 1)
-
-
 # ---------------------------------------------------------------- random structures
 @pytest.mark.parametrize("seed", range(12))
 def test_random_structures(seed):
@@ -297,10 +237,7 @@ def numbers() -> dict[str, float]:
         _, found = told(name)
         out |= {f"{name} {goal}": one.better for goal, one in found.goals.items()}
         out |= {f"{name} {goal} width": one.upper - one.lower for goal, one in found.goals.items()}
-        out |= {
-            f"{name} traction": found.traction,
-            f"{name} density": Surface(found.better.model).norm(found.density()),
-        }
+        out[f"{name} density"] = Surface(found.better.model).norm(found.density())
     return out
 
 
@@ -320,16 +257,6 @@ def test_bounds_are_as_narrow_as_asked_but_for_what_five_steps_leave():
     assert wide.lower < asked.lower < asked.upper < wide.upper
 
 
-def test_what_the_layers_are_inside():
-    """Stresses at points of the meshed layer, at an end and away from it."""
-    from thinlayer import Probe
-
-    _, found = told("free ends")
-    x = [[0.02, 0.01], [0.5, -0.01], [0.97, 0.02]]
-    inside, full = (Probe(one).stress(x) for one in (found.inside, meshed("free ends")))
-    assert inside == pytest.approx(full, abs=0.01 * np.abs(full).max())
-
-
 def test_cells_at_ends_and_junctions_are_judged_by_finer_ones():
     """Cells of S of 2.7 eps leave most of what the layers change; the same bodies with finer cells are the judge."""
     _, found = told("wall")
@@ -341,25 +268,19 @@ def test_cells_at_ends_and_junctions_are_judged_by_finer_ones():
     assert found.with_finer_ends() - goal.value == pytest.approx(change, rel=0.25)
     assert found.with_finer_ends(at_ends=10.0) == pytest.approx(goal.better, rel=1e-12)
     plain = told("free ends")[1]  # where cells are 1.3 eps long
-    assert plain.with_finer_ends() - plain.goals["compliance"].better == pytest.approx(
-        0.012 * plain.goals["compliance"].change, rel=0.1
-    )
-    refused(InputError, r"\('compliance'\), not of 'slip'", found.with_finer_ends, "slip")
+    goal = plain.goals["compliance"]
+    assert plain.with_finer_ends() - goal.better == pytest.approx(0.012 * goal.change, rel=0.1)
+    refused(InputError, "unknown goal with bounds 'slip'", found.with_finer_ends, "slip")
 
 
 # ---------------------------------------------------------------- laws that are not linear
 YIELDS = {  # name -> structure, layer: the part of S that yields grows
     "hardens": ("free ends", ThinLayer(VonMises(4.0, 3.0, 0.8, kinematic=2.0), EPS)),
-    "hardly hardens": ("free ends", ThinLayer(VonMises(4.0, 3.0, 0.8, hardening=0.2), EPS)),
     "perfectly plastic": ("free ends", ThinLayer(VonMises(4.0, 3.0, 1.0), EPS)),
     "between rollers": ("rollers", ThinLayer(VonMises(4.0, 3.0, 0.5, kinematic=2.0), EPS)),
     "plies": ("free ends", ThinLayer(Stack((0.3, GLUE), (0.7, VonMises(4.0, 3.0, 0.7, kinematic=1.0))), EPS)),
     "pulled side": ("pulled side", ThinLayer(VonMises(4.0, 3.0, 0.9, hardening=3.0), EPS)),
     "stiffens": ("moved", ThinLayer(Cubic(2.0, 500.0), EPS)),
-    "two seams": (
-        "two seams",
-        {"LOW": ThinLayer(VonMises(4.0, 3.0, 0.6, hardening=1.0), EPS), "HIGH": ThinLayer(SOFT, EPS)},
-    ),
 }  # fmt: skip
 
 
@@ -390,26 +311,12 @@ def test_the_energy_above_the_least_is_between_its_bounds(name):
     layers = LayerAlone(state.model, dict(state.model.on_seams), 0.0)
     layers.settled(layers.at_faces(state.u.x.array))
     outcomes, _ = layers._equations.end_parts(layers._equations.u, 0.0)
-    given = (
-        state.energies()["bodies"] + sum(one.after + one.dissipated for one in outcomes.values()) - state.load_work()
-    )
+    in_layers = sum(one.after + one.dissipated for one in outcomes.values())
+    given = state.energies()["bodies"] + in_layers - state.load_work()
     true = given - (full.audit.total + full.audit.dissipated - full.load_work())
     energy = found.energy
     assert energy.lower <= true <= energy.upper
     assert energy.upper - energy.lower < 0.05 * true
-
-
-def test_energy_has_bounds_from_the_first_step_on_and_none_of_what_the_layer_cannot_bear():
-    """They are wider then. A law of order 0 that yields bears more than the layer by itself, whose ends are free."""
-    for name, bears in (("hardens", True), ("perfectly plastic", False)):
-        state, found, _ = yielding(name)
-        with Adjoint(state) as adjoint:
-            iteration = global_local.GlobalLocal(adjoint, LayerAlone(state.model, dict(state.model.on_seams), 0.0))
-            early, last = iteration.energy(state, iteration.first()), found.energy
-        assert (early is not None) == bears
-        if early:
-            assert early.lower < last.lower < last.upper < early.upper
-            assert early.upper - early.lower > 2 * (last.upper - last.lower)
 
 
 def test_a_layer_that_softens_at_its_ends_without_saying_so_is_refused():
@@ -431,14 +338,12 @@ STIFFENS, METAL = Cubic(50.0, 3e5), VonMises(50.0, 40.0, 1.2, hardening=10.0)
 HARDENS = VonMises(4.0, 3.0, 0.8, hardening=0.2)
 STEPS = {  # name -> bodies, the layer's law, ends of time steps; none: one step from rest
     "creeps": (None, Norton(lmbda=1.2, mu=2.0, eta=0.7, p=1.5), [0.3, 0.8]),
-    "creeps slowly": (None, Norton(lmbda=1.2, mu=2.0, eta=7.0, p=3.0), [0.3, 0.8]),
     "relaxes": (None, Maxwell(4.0, 3.0, 0.7, 1.5), [0.3, 0.6, 1.0]),
     "at once": (None, Maxwell(4.0, 3.0, 0.7, 1.5), None),
     "retards": (None, KelvinVoigt(4.0, 3.0, 0.3, 0.5), [0.3, 1.0]),
     "flows": (None, NortonCreep(4.0, 3.0, 0.5, 3.0), [0.3, 1.0]),
     "yields": (None, HARDENS, [0.5, 1.0]),
     "slips": (None, MohrCoulomb(4.0, 3.0, cohesion=0.3, friction_angle=20.0, dilatancy_angle=5.0), None),
-    "slips along S": (None, MohrCoulombMonodirectional(4.0, 3.0, 0.2, 20.0), [0.5, 1.0]),
     "as stiff as bodies": (None, Norton(lmbda=28.0, mu=19.0, eta=12.0, p=1.5), [0.005, 0.01]),
     "bodies stiffen": (STIFFENS, LinearElastic(4.0, 3.0), None),
     "bodies stiffen, in time": (STIFFENS, HARDENS, [0.5, 1.0]),
@@ -484,13 +389,3 @@ def test_histories_of_which_states_are_not_kept_and_of_bonds_are_marched_again()
     bonded = estimate(march(made.bonded(), [0.3, 1.0]), layer)
     change = [found.goals["compliance"].better for found in (kept, again, bonded)]
     assert change == pytest.approx(change[:1] * 3, rel=1e-5)
-
-
-def test_rubber_is_bounded_too():
-    structure, _, wanted = CASES["rollers"]
-    layer = ThinLayer(Rubber.shear(2.5, 0.49), EPS)
-    state = solve(structure.interface(layer))
-    found, full = estimate(state, goals=wanted), solve(structure.full(layer, cells_through=THROUGH))
-    for goal in wanted:
-        one, true = found.goals[goal.name], goal.value(full, full.model if goal is WORK else state.model)
-        assert one.lower - ROUNDING * abs(true) <= true <= one.upper + ROUNDING * abs(true)

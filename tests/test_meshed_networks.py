@@ -312,7 +312,7 @@ def test_refused_models():
     stacked = ThinLayer(Stack((0.5, elastic.law), (0.5, springs(1.0, 0.7, eps).law)), eps, at=1.0)
     for head, bed, chosen, message in (
         (None, elastic, None, r"the seam 'HEAD' is open, and its width is not known: give it a Gap\(eps\)"),
-        (Gap(eps), elastic, "HEAD", "junctions: the seam 'HEAD' is a gap and has no law"),
+        (Gap(eps), elastic, "HEAD", "junctions: unknown seam 'HEAD'"),
         (Gap(eps), Gap(eps), None, "all seams are gaps"),
         (elastic, tilted, None, "Anisotropic.* of the seam 'BED' depends on the normal of S.*give junctions="),
         (elastic, stacked, None, r"S branches at \(.*sublayers"),

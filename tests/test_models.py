@@ -104,7 +104,7 @@ def test_failed_solves_say_why():
         (dict(supports={}), InputError, "no support against rigid motion"),
         (dict(supports={(0.0, -0.5): 0.0}), InputError, "rigid motion of the structure .rotation"),
         (dict(supports={(0.1, -0.5): 0.0}), InputError, "the nearest is"),
-        (dict(supports={(0.0, -0.5, 0.0): 0.0}), InputError, "2 coordinates of a vertex"),
+        (dict(supports={(0.0, -0.5, 0.0): 0.0}), InputError, "has 3 coordinates, the mesh has 2"),
         (dict(supports={"S": 0.0}), InputError, "below a layer"),
         (dict(supports={"BOTTOM/UPPER": 0.0}), InputError, "empty"),
         (dict(tractions={"TOP": (1.0, 2.0, 3.0)}), InputError, "needs 2 finite components"),

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 import pytest
 
-from forms import Anisotropic, Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulomb, Stack
+from forms import Anisotropic, Incompressible, LinearElastic, Maxwell, MohrCoulomb, Stack
 from forms.base import InputError
 from forms.series import in_series
 from geometry import sandwich
@@ -15,10 +13,8 @@ from studies.problems import FOURIER_BODY, FOURIER_LAYER, fourier
 from tests import reference
 from tests.orders import observed_orders
 from tests.refused import refused
-from tests.test_eigenstrains_of_layers import varying
 from tests.test_order1 import apart
 from thinlayer import Structure, ThinLayer, solve
-from thinlayer.errors import RangeWarning
 
 pytestmark = pytest.mark.few(5)
 
@@ -71,20 +67,6 @@ def test_moments(sublayers, A, B, lateral):
     assert law.lmbda + 2 * law.mu == pytest.approx(1 / sum(a / (one + 2 * mu) for a, one, mu in sublayers), rel=1e-14)
 
 
-def test_laws_of_the_reference():
-    """The form with straight strains has the numbers of an independent program; without moments the order is 1."""
-    assert left(TWO, "straight")[1] == pytest.approx((1.6e-3, 6.6e-3, 2.3e-3), rel=0.04)
-    assert left(THREE, "straight")[2] == pytest.approx((2.3e-4, 3.9e-4, 1.6e-4), rel=0.02)
-    assert left(THREE, "no moments")[2] == pytest.approx((3.4e-3, 4.7e-3, 1.6e-3), rel=0.08)
-    for sublayers in (TWO, THREE):
-        for way in ("", "straight"):
-            assert orders(left(sublayers, way)) == pytest.approx([2.0] * 3, abs=0.06)
-    assert max(orders(left(THREE, "no moments"))) < 1.0
-    locked, free = (left(TIGHT, way)[0] for way in ("straight", ""))
-    assert all(wrong > 40 * error for wrong, error in zip(locked, free, strict=True))
-    assert (locked[1], free[1]) == pytest.approx((1.15, 0.0133), rel=0.01)  # as documented, of the jump
-
-
 # ---------------------------------------------------------------- models
 @pytest.mark.few(5)
 @pytest.mark.parametrize("sublayers", [TWO, THREE], ids=["two", "three"])
@@ -106,24 +88,6 @@ def test_a_sublayer_that_keeps_its_volume():
     for row, wanted in zip(rows, left(TIGHT), strict=True):
         assert row[:2] == pytest.approx(wanted[:2], rel=0.1)  # the meshed sublayer locks a little
     assert orders(rows)[:2] == pytest.approx([2.0] * 2, abs=0.15)
-
-
-def test_the_order_of_sublayers():
-    """A stack under a mirrored load is the mirrored stack; the stack itself is another layer."""
-    joint, law = sandwich(1.0, 0.5, 0.5, 1 / 8, **MESH), stack(THREE)
-    sides = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-
-    def energies(law, below):
-        places = ("TOP", "BOTTOM") if below else ("BOTTOM", "TOP")
-        load = lambda x, t: (x[0] * (1 - x[0]), (-1 if below else 1) * (0.3 + x[0] ** 2))
-        setup = {"supports": sides | {places[0]: 0.0}, "tractions": {places[1]: load}}
-        return solve(
-            Structure(joint, body=FOURIER_BODY, **setup).interface(ThinLayer(law, 0.1, order=1, at=1.0))
-        ).energies()
-
-    mirrored = Stack(*law.sublayers[::-1])
-    assert energies(mirrored, True) == pytest.approx(energies(law, False), rel=1e-10)
-    assert abs(energies(law, True)["layer"] / energies(law, False)["layer"] - 1) > 1e-4
 
 
 def test_a_graded_layer():
@@ -161,55 +125,21 @@ def test_planes(plane, sublayers):
     assert max(orders(wrong, EPS[1:])) < 1.6
 
 
-def test_eigenstrains():
-    """Of the size of the bodies' strains: order 2."""
-    joint, setup = fourier(1 / 16, **MESH)
-    structure, rows = Structure(joint, **setup), []
-    for e in EPS[1:]:
-        full, limit = (
-            solve(build(ThinLayer(stack(TWO), e, order, eigenstrain=varying(2e-2), at=1.0)))
-            for build, order in ((structure.full, 0), (structure.interface, 1))
-        )
-        rows.append(apart(full, limit))
-    assert orders(rows, EPS[1:]) == pytest.approx([2.0, 2.0], abs=0.15)
-
-
 # ---------------------------------------------------------------- ranks, refusals
 @pytest.mark.few(1)
 @pytest.mark.parametrize(
     "law",
     [
         Maxwell(60.0, 40.0, t1=0.7),
-        KelvinVoigt(60.0, 40.0, 0.3, 0.5),
         MohrCoulomb(60.0, 40.0, 0.1, 30.0),
-        Anisotropic(np.diag([3.0, 4.0, 5.0, 1.0, 2.0, 1.5])),
         Anisotropic.springs(60.0, 40.0),
     ],
     ids=lambda law: type(law).__name__,
 )
 def test_refused(law):
     both = Stack((0.4, FOURIER_LAYER), (0.6, law))
-    with pytest.raises(
-        InputError, match=rf"order=1 of a Stack with the sublayer {type(law).__name__}.*use order=0, or mesh"
-    ):
-        ThinLayer(both, 0.1, order=1, at=1.0)
-    assert ThinLayer(both, 0.1, at=1.0).order == 0
+    words = rf"order=1 of a Stack with the sublayer {type(law).__name__}.*use order=0, or mesh"
+    refused(InputError, words, ThinLayer, both, 0.1, order=1)
     refused(InputError, "a sublayer", lambda: Stack((0.5, FOURIER_LAYER), (0.5, Incompressible(3.0))))
-    with pytest.raises(InputError, match="order=1 of a Stack with parameters that are functions"):
-        ThinLayer(Stack((0.4, FOURIER_LAYER), (0.6, LinearElastic(lambda x: 60 + x[0], 40.0))), 0.1, order=1, at=1.0)
-
-
-def test_one_that_varies_in_time_is_refused():
-    class Ageing(LinearElastic):
-        varies = True
-
-        def at(self, x, t):
-            return {"mu": self.mu * (1 + t) + 0 * x[0]}
-
-    with pytest.raises(InputError, match="sublayer Ageing"):
-        ThinLayer(Stack((0.4, FOURIER_LAYER), (0.6, Ageing(60.0, 40.0))), 0.1, order=1, at=1.0)
-
-
-def test_no_warnings():
-    with warnings.catch_warnings(action="error", category=RangeWarning):
-        found(stack(TWO), eps=(1 / 8,), h=1 / 8)
+    varying = Stack((0.4, FOURIER_LAYER), (0.6, LinearElastic(lambda x: 60 + x[0], 40.0)))
+    refused(InputError, "order=1 of a Stack with parameters that are functions", ThinLayer, varying, 0.1, order=1)

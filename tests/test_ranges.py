@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import warnings
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from mpi4py import MPI
 
 from forms import Anisotropic, LinearElastic, MohrCoulombMonodirectional, Stack, VonMises
 from geometry import block, ring, sandwich
-from studies.problems import FOURIER_LAYER, fourier
-from tests.on_ranks import on_ranks
+from studies.problems import FOURIER_LAYER
 from tests.ranges_told import STIFF, excess, strip_excess, times_too_stiff, told
 from tests.refused import refused
-from thinlayer import RangeWarning, SolveError, Structure, ThinLayer, estimate, march, solve
-from thinlayer.solving.ranges import warn_of_model
+from thinlayer import SolveError, Structure, ThinLayer, estimate, march, solve
 from thinlayer.surface.excess import stiffness_of_jumps
 
 
@@ -71,17 +65,6 @@ def test_slip_that_nothing_resists_but_facets(degree):
     assert told(lambda: solve(stuck))[1] == []
 
 
-def test_corners_are_no_facets_of_a_curve():
-    """S in the shape of a roof: facets 0.26 rad off the mean normal meet at a corner, those 0.24 rad off it on a curve."""
-    flat = sandwich(1.0, 0.5, 0.5, 0.25, structured=True)
-    for slope, messages in ((0.7, 0), (0.266, 0), (0.007, 0), (0.245, 1)):
-        shift = slope * np.abs(flat.points[:, :1] - 0.5) * np.array([0.0, 1.0])
-        joint = replace(flat, points=flat.points - shift)
-        layer = ThinLayer(Anisotropic.springs(700.0, 2.0), 0.05, at=1.0)
-        model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}).interface(layer)
-        assert len(told(lambda model=model: warn_of_model(model))[1]) == messages, slope
-
-
 @pytest.mark.parametrize("slip", [0.0, 2e-3])
 def test_slip_beside_opening(slip):
     """The work of shear, mu/eps |w_T|^2, is asked for by both, the law and the layer."""
@@ -107,17 +90,6 @@ def test_thicker_than_a_body(rigid):
     assert told(lambda: solve(Structure(joint, body=STIFF, supports={"TOP": 0.0}).interface(springs)))[1] == []
 
 
-def test_harder_than_a_body():
-    joint, setup = fourier(1 / 8, cell="quadrilateral")
-    bodies = {"LOWER": LinearElastic.young(70.0, 0.3), "UPPER": LinearElastic.young(100.0, 0.3)}
-    for factor, order, messages in ((0.99, 0, 0), (1.01, 0, 1), (1.01, 1, 0)):
-        layer = ThinLayer(LinearElastic.young(70.0 * factor, 0.3), 0.01, order=order)
-        _, found = told(lambda layer=layer: solve(Structure(joint, **setup | {"body": bodies}).interface(layer)))
-        assert len(found) == messages
-        assert not found or "hard: the layer is 1.01 times as hard as the softer body" in found[0]
-        assert not found or "order=1" in found[0]
-
-
 def test_bodies_that_overlap():
     """A layer pressed to more than twice its thickness, on average; in a march at a time in between."""
     joint = sandwich(2.0, 0.5, 0.5, 0.25)
@@ -127,17 +99,12 @@ def test_bodies_that_overlap():
     assert told(lambda: solve(model, t=0.1325))[1] == []  # 1.99 times
     _, found = told(lambda: solve(model, t=0.134))
     assert len(found) == 1
-    assert (
-        "at t = 0.134 the layer closes by 2.01 times its thickness, on average over S (most near (2, 0), by 2.68"
-        in found[0]
-    )
+    assert "at t = 0.134 the layer closes by 2.01 times its thickness, on average over S (most near (2, 0)" in found[0]
     there_and_back = setup["supports"] | {"TOP": {"x": 0.0, "y": lambda x, t: -0.4 * t * (2 - t)}}
     model = Structure(joint, **setup | {"supports": there_and_back}).interface(ThinLayer(law, 0.1, at=1.0))
     _, found = told(lambda: march(model, [0.5, 1.0, 2.0]))
     assert len(found) == 1
     assert "overlap: at t = 1 the layer closes by 4 times" in found[0]
-    linear = Structure(joint, **setup).interface(ThinLayer(LinearElastic(1.0, 1.0), 0.1, at=1.0))
-    assert told(lambda: solve(linear, t=1.0))[1] == []  # as good as a smaller one
 
 
 def test_what_was_said_of_a_state_is_not_said_by_its_estimate():
@@ -159,39 +126,3 @@ def test_what_was_said_of_a_state_is_not_said_by_its_estimate():
     assert said(lambda: estimate(history))[1] == []
     for other in (model.with_layer(ThinLayer(law, 0.42, at=1.0)), structure.interface(ThinLayer(law, 0.45, at=1.0))):
         assert said(lambda other=other: solve(other, 1.0))[1] == keys
-
-
-def test_an_estimate_by_two_laws_says_a_warning_once():
-    """Bounds as narrow as these need the law of order 1 beside that of order 0, both of a layer that is too thick."""
-    joint, layer = sandwich(10.0, 2.0, 3.0, 0.5), ThinLayer(LinearElastic.young(20.0, 0.3), 2.5)
-    body, loads = LinearElastic.young(200.0, 0.3), {"TOP": (3.0, 6.0)}
-    structure = Structure(joint, body=body, supports={"BOTTOM": 0.0}, tractions=loads)
-    state, found = told(lambda: solve(structure.interface(layer)))
-    assert [one.partition(":")[0] for one in found] == ["thick"]
-    assert told(lambda: estimate(state, width=1e-9))[1] == []
-    bonded = solve(structure.bonded())
-    assert told(lambda: estimate(bonded, layer, width=1e-9))[1] == found
-
-
-def test_a_warning_that_was_an_error_is_not_said():
-    joint = sandwich(2.0, 0.4, 0.7, 0.2)
-    model = Structure(joint, body=STIFF, supports={"TOP": 0.0}).interface(ThinLayer(FOURIER_LAYER, 0.41, at=1.0))
-    with warnings.catch_warnings(action="error"):
-        refused(RangeWarning, "is 0.41 thick", lambda: solve(model))
-    assert len(told(lambda: solve(model))[1]) == 1
-
-
-def told_by_ranks() -> list[list[str]]:
-    """Messages of each rank; some of three have no part of S."""
-    joint = sandwich(1.0, 0.5, 0.5, 0.25, h_S=0.125)
-    layer = ThinLayer(LinearElastic.shear(16.0, 0.499), 1 / 16, at=1.0)
-    setup = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
-    _, found = told(lambda: solve(Structure(joint, body=LinearElastic.young(1e5, 0.3), **setup).interface(layer)))
-    return MPI.COMM_WORLD.allgather(found)
-
-
-@on_ranks(told_by_ranks, 3)
-def test_told_once_on_all_ranks(there):
-    (alone,) = told_by_ranks()
-    assert [one for some in there for one in some] == alone
-    assert [one.startswith("too stiff: the layer is nearly incompressible (") for one in alone].count(True) == 1

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from scipy.special import iv
 
-from forms import KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
-from geometry import block, disc, ring, sandwich
-from studies.problems import fourier
+from forms import KelvinVoigt, LinearElastic, Maxwell, Stack
+from geometry import block, sandwich
 from tests.ranges_told import STIFF, excess, opened, strip_excess, times_too_stiff, told
-from thinlayer import Structure, Surface, ThinLayer, march, piecewise, solve
+from thinlayer import Structure, Surface, ThinLayer, march, solve
 from thinlayer.solving.ranges import warn_of_model
 from thinlayer.surface.excess import Sublayer, pressure_length
 
@@ -51,16 +50,6 @@ def test_strip_on_a_rigid_base_under_a_profile():
     assert found == pytest.approx(np.sum(lmbda * w**2 / e) / np.sum(p * w) - 1, rel=5e-3)
 
 
-@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
-def test_disc(cell):
-    joint = disc(1.0, 0.4, 0.4, h=0.2, cell=cell)
-    law, eps = LinearElastic.shear(3.0, 0.499), 0.08
-    model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}).interface(ThinLayer(law, eps, at=1.0))
-    x = 1 / (eps * np.sqrt(law.lmbda / law.mu / 12))
-    wanted = 1 / disc_share(x) - 1
-    assert excess(model, lambda x: (0 * x[0], 1e-3 + 0 * x[0], 0 * x[0])) == pytest.approx(wanted, rel=0.1)
-
-
 def disc_share(x):
     """Share of the law's load that a disc carries, its radius x lengths of the pressure."""
     return 1 - 2 * iv(1, x) / (x * iv(0, x))
@@ -92,16 +81,6 @@ def test_overlap_of_a_disc_is_weighted():
         assert opened(model, lambda x: (0 * x[0], -0.05 * x[0] / 0.8)).mean_closing == pytest.approx(mean, rel=1e-12)
 
 
-def test_wave_between_rollers():
-    """(k delta)^2, of the jump and of what the faces stretch; order 1 has the same."""
-    joint, setup = fourier(1 / 32, cell="quadrilateral")
-    law, eps = LinearElastic.shear(40.0, 0.499), 1 / 16
-    for order in (0, 1):
-        model = Structure(joint, **setup).interface(ThinLayer(law, eps, order=order, at=1.0))
-        mode = lambda x: (0.3 * np.sin(np.pi * x[0]), np.cos(np.pi * x[0]))
-        assert excess(model, mode) == pytest.approx(np.pi**2 * eps**2 * law.lmbda / law.mu / 12, rel=3e-3)
-
-
 def test_rubber_is_told_once():
     """The measured factors of a layer 8 times as long as thick to either side, between bodies that are nearly rigid."""
     joint = sandwich(1.0, 0.5, 0.5, 1 / 16, h_S=1 / 64, h_ends=1 / 200)
@@ -115,17 +94,6 @@ def test_rubber_is_told_once():
         assert not found or f"the layer alone is {factor} times too stiff" in found[0]
     _, found = told(lambda: march(model, [1.0, 2.0, 3.0]))
     assert len(found) == 1
-
-
-def test_rubber_in_series():
-    """Between shims a rubber sublayer is as long as the pressure in it; beside foam it matters to nothing."""
-    joint = sandwich(1.0, 0.5, 0.5, 1 / 8)
-    setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}}
-    soft, shim, foam = LinearElastic.shear(1.0, 0.4999), LinearElastic.young(1e6, 0.3), LinearElastic.young(0.1, 0.0)
-    for other, messages in ((shim, 1), (foam, 0)):
-        model = Structure(joint, **setup).interface(ThinLayer(Stack((0.8, soft), (0.2, other)), 0.05, at=1.0))
-        _, found = told(lambda model=model: solve(model))
-        assert sum("nearly incompressible" in message for message in found) == messages
 
 
 def test_length_of_the_pressure_in_series():
@@ -142,24 +110,6 @@ def test_length_of_the_pressure_in_series():
     assert pressure_length(halves, 10.0) == pytest.approx(rubber.length)
     shim = Sublayer(0.3, 1e8, 1e8, 3e8)  # does not stretch: each half flows by itself
     assert pressure_length([halves[0], shim, halves[1]], 10.0) == pytest.approx(rubber.length / 2, rel=1e-3)
-
-
-def test_rubber_beside_a_soft_sublayer():
-    """It lets the rubber flow: told is what the meshed layer shows, and nothing where the rubber is thin."""
-    joint = sandwich(1.0, 0.3, 0.3, 1 / 16, cell="quadrilateral")
-    setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
-    rubber, soft = LinearElastic.shear(16.0, 0.499), LinearElastic.shear(16.0, 0.3)
-    for share, told_once in ((0.9, True), (0.1, False)):
-        plates, layer = Structure(joint, **setup), ThinLayer(Stack((share, rubber), (1 - share, soft)), 1 / 16, at=1.0)
-        model = plates.interface(layer)
-        state, found = told(lambda model=model: solve(model))
-        surface = Surface(model)
-        meshed, law = (surface.integral(surface.jump(s)[1]) for s in (solve(plates.full(layer)), state))
-        assert len(found) == told_once
-        if told_once:
-            assert times_too_stiff(found[0]) == pytest.approx(meshed / law, rel=0.03)  # 1.25 of rigid bodies, 1.228
-        else:
-            assert meshed / law < 1.02
 
 
 BULK = 3 * 0.28 / 1.28  # t2/t1 of a Maxwell law with nu = 0.28 whose mean stress does not relax
@@ -193,26 +143,6 @@ def test_becomes_nearly_incompressible(law, end, lasting, ratio):
     assert times_too_stiff(found[1]) == pytest.approx(ratios[-1], rel=0.1)
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize(
-    "law",
-    [
-        Maxwell(28.0, 22.0, 0.05),
-        KelvinVoigt(28.0, 22.0, 0.7, 0.7),
-        KelvinVoigt(28.0, 22.0, 0.6, 0.2),
-        Norton(28.0, 22.0, 3.0, 1.5),
-    ],
-    ids=["Maxwell", "alike", "unlike", "Norton"],
-)
-def test_ordinary_viscous_layers(law):
-    """Both parts relax alike, or nearly so; Norton's dashpot resists changes of volume, too."""
-    joint, eps = sandwich(1.0, 0.3, 0.3, 1 / 8, cell="quadrilateral"), 1 / 32
-    layer = ThinLayer(law, eps)
-    model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.0, -1.0)}).interface(layer)
-    for end in (1e-3, 1e3):
-        assert told(lambda end=end: march(model, [end / 3, end]))[1] == []
-
-
 def test_a_viscous_layer_is_not_yet_what_it_is_at_rest():
     """A rubbery spring beside a dashpot that resists shear alone: told in long marches, not in short ones."""
     joint, eps = sandwich(1.0, 0.3, 0.3, 1 / 8, cell="quadrilateral"), 1 / 32
@@ -224,18 +154,3 @@ def test_a_viscous_layer_is_not_yet_what_it_is_at_rest():
     assert sum("incompressible" in one for one in long) == 2
     (at_rest,) = told(lambda: warn_of_model(model.with_layer(layer)))[1]  # loads of no times
     assert "incompressible" in at_rest
-
-
-def test_relaxing_behind_a_closed_surface():
-    """No free end: told after the march is a bush that is pushed aside, not one that is turned."""
-    joint = ring(1.0, 1.5, 2.0, h=0.3, degree=2)
-    layer = ThinLayer(Maxwell(28.0, 22.0, 0.05, 0.05 * BULK * (1 + 1e-12)), 0.1)
-    aside = piecewise({0: 0.0, 100: 0.01, 200: 0.006})  # the last opening is not the largest one
-    for held, load, messages in (
-        ({"INSIDE": {"x": aside, "y": 0.0}}, {}, 1),
-        ({}, {"INSIDE": lambda x, t: (-x[1], x[0])}, 0),
-    ):
-        model = Structure(joint, body=STIFF, supports={"OUTSIDE": 0.0} | held, tractions=load).interface(layer)
-        _, found = told(lambda model=model: march(model, [100.0, 200.0]))
-        assert len(found) == messages
-        assert not found or "under loads that last 200 (lmbda/mu" in found[0]

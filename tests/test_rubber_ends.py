@@ -8,12 +8,12 @@ import ufl
 from dolfinx import fem
 
 from forms import LinearElastic, Rubber
-from geometry import fibre, periodic, ring, sandwich
+from geometry import periodic, ring, sandwich
 from studies.problems import FOURIER_BODY
 from tests.orders import observed_orders
 from tests.test_order1 import apart
 from tests.test_rubber import NUS, K, found, law_of, of, of_law
-from thinlayer import Structure, ThinLayer, march, solve
+from thinlayer import Structure, ThinLayer, solve
 from thinlayer.parts import pressure_part as pressure
 
 pytestmark = pytest.mark.few(5)
@@ -82,19 +82,3 @@ def test_closed_s(nu):
     assert orders[0] == pytest.approx(2.06, abs=0.1)
     assert orders[1] > 1.75
     assert errors[1][1] < 2.5e-3
-
-
-def test_march_on_a_periodic_s_is_resumed(tmp_path):
-    model = wave(0.3, n=8).interface(rubber(0.499))
-    march(model, [0.5, 1.0], out=tmp_path)
-    resumed = march(model, [0.5, 1.0, 2.0], out=tmp_path, resume=True).last
-    assert resumed.energies() == pytest.approx(march(model, [0.5, 1.0, 2.0]).last.energies(), rel=1e-9)
-
-
-def test_meshed_layer_in_a_periodic_cell():
-    """Vertices of the pressure are those of the inflated mesh; at this ratio elastic cells do not lock yet."""
-    cell, found = periodic(fibre(0.3, (1.2, 1.0), 0.15), ("LEFT", "RIGHT"), ("BOTTOM", "TOP")), []
-    structure = Structure(cell, body=FOURIER_BODY, supports={}, strain=[[0.01, 0.002], [0.002, -0.004]])
-    for law in (Rubber.shear(14.0, 0.35), LinearElastic.shear(14.0, 0.35)):
-        found.append(solve(structure.full(ThinLayer(law, 0.05, at=1.0), bodies="extended")).energies()["layer"])
-    assert found[0] == pytest.approx(found[1], rel=5e-3)

@@ -16,7 +16,6 @@ from tests.orders import observed_orders
 from tests.pictures import assert_drawn
 from tests.ranges_told import opened
 from tests.refused import refused
-from tests.zoom_run import BODY, EPS, FREE, GLUE, HEIGHTS, PLACES, joint, state
 from thinlayer import (
     Probe,
     RangeWarning,
@@ -33,9 +32,28 @@ from thinlayer import (
 pytestmark = pytest.mark.few(5)
 FACES = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # they move as no equilibrium has it
 
+EPS = 0.05
+BODY, GLUE = LinearElastic.young(E=70.0, nu=0.2), LinearElastic.shear(3.0, 0.35)
+FREE = ThinLayer(GLUE, EPS, order=1, edges="free", at=1.0)
+D, Y = (one.ravel() for one in np.meshgrid([0.0, 0.1, 0.6, 2.0, 7.0], [-0.4, -0.1, 0.3]))
+PLACES = np.concatenate([np.stack([D * EPS, 0 * D], axis=1), np.stack([1.3 - D * EPS, 0 * D], axis=1)])
+HEIGHTS = np.concatenate([Y, Y])
 STACK = Stack((0.3, LinearElastic(400.0, 20.0)), (0.3, LinearElastic(20.0, 60.0)), (0.4, LinearElastic(60.0, 5.0)))
 THIN = (1 / 16, 1 / 32)
 STIFF = LinearElastic.young(E=100.0, nu=0.3)
+
+
+def joint():
+    """Two blocks on one another."""
+    return sandwich(1.3, 0.3, 0.4, 0.1, cell="quadrilateral", structured=True)
+
+
+def state(layer=FREE, of=None, turn=None, **given):
+    """The blocks sheared and pulled more on one side."""
+    turn = np.eye(2) if turn is None else turn
+    pull = {"TOP": tuple(turn @ [0.3, -1.0]), "RIGHT/UPPER": tuple(turn @ [0.1, 0.2])}
+    data = {"body": BODY, "supports": {"BOTTOM": 0}, "tractions": pull} | given
+    return solve(Structure(of or joint(), **data).interface(layer))
 
 
 def relative(found, known):
@@ -54,8 +72,6 @@ def places(distances, heights, end=1.0):
     ("law", "order", "rate", "most"),
     [
         (FOURIER_LAYER, 0, 1.0, 0.08),
-        (FOURIER_LAYER, 1, 2.0, 0.008),
-        (STACK, 0, 1.0, 0.08),
         (STACK, 1, 2.0, 0.008),
         (Rubber.shear(40.0, 0.499), 1, 1.8, 0.01),
     ],
@@ -76,62 +92,56 @@ def test_stresses_have_the_order_of_the_law(law, order, rate, most):
 
 
 # ---------------------------------------------------------------- free ends
+def beside_fine(joint_at, layer, x, y, **given):
+    """A structure, and stresses at places in the layer as they are with cells of a twelfth of the thickness at its ends."""
+    load = {"body": STIFF, "supports": {"BOTTOM": 0}, "tractions": {"TOP": (0.3, -1)}} | given
+    coarse, fine = (Structure(joint_at(end), **load) for end in (None, layer.eps / 12))
+    full = solve(fine.full(layer, cells_through=12))
+    return coarse, Probe(full).stress(Surface(full.model).in_layer(x, y))
+
+
 @cache
 def ended(nu: float, cells: int):
     """Blocks with free ends, S's cells a multiple of eps long; places, and stresses of the layer meshed finely there."""
     eps = 1 / 16
     law = Incompressible(2.0) if nu == 0.5 else (Rubber if nu > 0.49 else LinearElastic).shear(2.0, nu)
-    load = {"body": STIFF, "supports": {"BOTTOM": 0}, "tractions": {"TOP": (0.3, -1)}}
-    coarse, fine = (
-        Structure(sandwich(1.0, 0.5, 0.5, h=1 / 4, h_S=h, h_ends=end, cell="quadrilateral"), **load)
-        for h, end in ((cells * eps, None), (1 / 16, eps / 12))
-    )
-    full = solve(fine.full(ThinLayer(law, eps, at=1.0), cells_through=12))
+    layer = ThinLayer(law, eps, at=1.0)
     x, y = places(eps * np.array([0.1, 0.3, 0.6, 1.0, 1.7, 2.9]), [-0.3, 0.0, 0.3])
-    return (
-        solve(coarse.interface(ThinLayer(law, eps, at=1.0))),
-        x,
-        y,
-        Probe(full).stress(Surface(full.model).in_layer(x, y)),
-    )
+
+    def joint_at(end):
+        return sandwich(1.0, 0.5, 0.5, h=1 / 4, h_S=1 / 16 if end else cells * eps, h_ends=end, cell="quadrilateral")
+
+    coarse, known = beside_fine(joint_at, layer, x, y)
+    return solve(coarse.interface(layer)), x, y, known
 
 
 @FACES
-@pytest.mark.parametrize(
-    ("nu", "cells", "most"), [(0.3, 1, 0.01), (0.3, 2, 0.02), (0.45, 1, 0.02), (0.499, 1, 0.04), (0.5, 1, 0.04)]
-)
+@pytest.mark.parametrize(("nu", "cells", "most"), [(0.3, 2, 0.02), (0.45, 1, 0.02), (0.499, 1, 0.04), (0.5, 1, 0.04)])
 def test_stresses_at_free_ends_are_those_of_a_meshed_layer_though_cells_of_s_are_long(nu, cells, most):
     zero, x, y, known = ended(nu, cells)
-    better = relative(Zoom(estimate(zero).better).stress(x, y), known)
+    yielded = estimate(zero).better
+    better = relative(Zoom(yielded).stress(x, y), known)
     assert better < most
     assert better < relative(Zoom(zero).stress(x, y), known)
+    if cells == 2:  # cells that are not divided at ends are too long
+        assert relative(Zoom(yielded, at_ends=10.0).stress(x, y), known) > 0.05
 
 
 @FACES
 def test_stresses_of_a_layer_that_yields_at_its_ends():
     """Of one step from rest; corners have no exponent then, and steps in time are not known to a zoom."""
-    yields, load = (
-        VonMises(4.0, 3.0, 0.8, hardening=2.0),
-        {"supports": {"BOTTOM": 0}, "tractions": {"TOP": (0.3, -1.0)}},
-    )
-    coarse, fine = (
-        Structure(sandwich(1.0, 0.5, 0.5, 1 / 8, h_ends=end, cell="quadrilateral"), body=STIFF, **load)
-        for end in (None, 1 / 64)
-    )
-    zero = solve(coarse.interface(ThinLayer(yields, 1 / 16)))
-    full = solve(fine.full(ThinLayer(yields, 1 / 16), cells_through=8))
+    layer = ThinLayer(VonMises(4.0, 3.0, 0.8, hardening=2.0), 1 / 16)
     x, y = places(np.array([0.01, 0.06, 0.2, 0.45]), [-0.3, 0.1])
-    zoom, known = Zoom(estimate(zero).better), Probe(full).stress(Surface(full.model).in_layer(x, y))
+    coarse, known = beside_fine(
+        lambda end: sandwich(1.0, 0.5, 0.5, 1 / 8, h_ends=end, cell="quadrilateral"), layer, x, y
+    )
+    zero = solve(coarse.interface(layer))
+    zoom = Zoom(estimate(zero).better)
     assert relative(zoom.stress(x, y), known) < 0.03  # cells of S are twice as long as the layer is thick
     assert relative(Zoom(zero).stress(x, y), known) > 0.04
     refused(InputError, "exponents are known of linear laws", lambda: zoom.corners)
-    in_time = march(coarse.interface(ThinLayer(yields, 1 / 16)), [0.5, 1.0]).last
+    in_time = march(coarse.interface(layer), [0.5, 1.0]).last
     refused(InputError, "remembers earlier steps", lambda: Zoom(in_time))
-
-
-def test_cells_that_are_not_divided_at_ends_are_too_long():
-    zero, x, y, known = ended(0.3, 2)
-    assert relative(Zoom(estimate(zero).better, at_ends=10.0).stress(x, y), known) > 0.05
 
 
 # H at the lower corner of a layer between rigid faces over eps^(1 - lambda) times the stress along S (N), or across it (T),
@@ -143,9 +153,8 @@ STRENGTHS = {0.2: (2.231, 1.277), 0.3: (1.0753, 0.9809), 0.45: (0.3003, 0.7236)}
 @pytest.mark.parametrize("nu", STRENGTHS)
 def test_strengths_of_corners_between_rigid_faces(nu):
     law, w = LinearElastic.shear(3.0, nu), np.array([0.02, 0.01])
-    model = Structure(joint(), body=LinearElastic.young(E=1e4, nu=0.2), supports={"BOTTOM": 0}).interface(
-        ThinLayer(law, EPS)
-    )
+    rigid = LinearElastic.young(E=1e4, nu=0.2)
+    model = Structure(joint(), body=rigid, supports={"BOTTOM": 0}).interface(ThinLayer(law, EPS))
     H_N, H_T = STRENGTHS[nu]
     for jump, known in (([0.0, w[1]], H_N * law.lmbda * w[1]), ([w[0], 0.0], H_T * law.mu * w[0])):
         zoom = Zoom(opened(model, lambda x, jump=jump: (jump[0] + 0 * x[0], jump[1] + 0 * x[0])).state)
@@ -154,17 +163,6 @@ def test_strengths_of_corners_between_rigid_faces(nu):
         sign = -1 if jump[0] else 1  # axes point away from the end
         assert lower == pytest.approx(sign * known / EPS, rel=0.01)
         assert pytest.approx(sign * right["lower"].H, rel=1e-3) == right["upper"].H
-
-
-def test_a_stack_of_one_law_has_its_corners_and_a_stack_of_two_has_two_exponents():
-    other = LinearElastic.shear(2.0, 0.2)
-    plain, same, two = (
-        Zoom(state(ThinLayer(law, EPS, at=1.0))).corners
-        for law in (GLUE, Stack((0.4, GLUE), (0.6, GLUE)), Stack((0.4, GLUE), (0.6, other)))
-    )
-    for one, again in zip(plain, same, strict=True):
-        assert pytest.approx(one.H, rel=0.02) == again.H  # on a smaller arc
-    assert [one.exponent for one in two[:2]] == pytest.approx([plain[0].exponent, 0.78110], abs=1e-4)
 
 
 # ---------------------------------------------------------------- frames, units, kinematics
@@ -180,30 +178,6 @@ def test_stresses_turn_with_the_structure(angle):
     for one in plain.corners:
         (same,) = [other for other in turned.corners if other.m @ (turn @ one.m) > 0.99 and other.side == one.side]
         np.testing.assert_allclose(same.H, one.H, rtol=1e-7)
-
-
-def test_stresses_do_not_depend_on_units():
-    L, E = 25.4, 7.0
-    plain = Zoom(state())
-    body, glue = (law.with_parameters({k: E * v for k, v in law.parameters().items()}) for law in (BODY, GLUE))
-    glue = glue.with_parameters({k: v / L for k, v in glue.parameters().items()})  # per thickness
-    pulls = {"TOP": (0.3 * E, -E), "RIGHT/UPPER": (0.1 * E, 0.2 * E)}
-    base = sandwich(1.3 * L, 0.3 * L, 0.4 * L, 0.1 * L, cell="quadrilateral", structured=True)
-    other = Zoom(state(ThinLayer(glue, EPS * L, order=1, edges="free", at=1.0), base, body=body, tractions=pulls))
-    known = plain.stress(PLACES, HEIGHTS)
-    np.testing.assert_allclose(other.stress(PLACES * L, HEIGHTS), E * known, atol=1e-8 * E * np.abs(known).max())
-    for one, same in zip(plain.corners, other.corners, strict=True):
-        assert pytest.approx(one.H * E * L ** (1 - one.exponent), rel=1e-7) == same.H
-
-
-def test_plane_stress_is_plane_strain_of_another_ratio():
-    sheet = Zoom(state(plane="stress"))
-    strain = Zoom(state(ThinLayer(GLUE.plane_stress(), EPS, order=1, edges="free", at=1.0), body=BODY.plane_stress()))
-    found, known = sheet.stress(PLACES, HEIGHTS), strain.stress(PLACES, HEIGHTS)
-    np.testing.assert_allclose(found[:, :2, :2], known[:, :2, :2], atol=1e-8 * np.abs(known).max())
-    assert not found[:, 2].any()
-    assert np.abs(known[:, 2, 2]).max() > 0.1
-    assert sheet.corners[0].exponent == pytest.approx(strain.corners[0].exponent) != Zoom(state()).corners[0].exponent
 
 
 def test_three_dimensions_between_rollers_are_plane_strain():
@@ -248,18 +222,10 @@ def test_a_rigid_base_is_a_very_stiff_body():
 # ---------------------------------------------------------------- what has no closed form
 def test_layers_with_a_weight_a_strain_and_loads_on_their_sides():
     given = {"body_force": {"S": (0.3, -9.0)}, "tractions": {"TOP": (0.3, -1.0), "RIGHT/LAYER": (5.0, 0.7)}}
-    layer, x, y = (
-        ThinLayer(GLUE, EPS, eigenstrain=-0.01, at=1.0),
-        *places(EPS * np.array([0.4, 1.3, 8.0]), [-0.3, 0.2], 1.3),
-    )
-    blocks, fine = (
-        Structure(
-            sandwich(1.3, 0.3, 0.4, 0.1, h_ends=end, cell="quadrilateral"), body=BODY, supports={"BOTTOM": 0}, **given
-        )
-        for end in (None, EPS / 8)
-    )
-    full = solve(fine.full(layer, cells_through=8))
-    known = Probe(full).stress(Surface(full.model).in_layer(x, y))
+    layer = ThinLayer(GLUE, EPS, eigenstrain=-0.01, at=1.0)
+    x, y = places(EPS * np.array([0.4, 1.3, 8.0]), [-0.3, 0.2], 1.3)
+    joint_at = lambda end: sandwich(1.3, 0.3, 0.4, 0.1, h_ends=end, cell="quadrilateral")
+    blocks, known = beside_fine(joint_at, layer, x, y, body=BODY, **given)
     assert relative(Zoom(estimate(solve(blocks.interface(layer))).better).stress(x, y), known) < 0.04
 
 
@@ -295,7 +261,6 @@ def test_layers_that_are_not_known_are_refused():
     refused(InputError, "no side that is free", lambda: Zoom(state(closed, **pressed)))
     refused(InputError, "at_ends is 0", lambda: Zoom(state(), at_ends=0))
     refused(InputError, "seam", lambda: Zoom(state(), "BED"))
-    refused(InputError, "cells_through is 0", lambda: Zoom(state(), cells_through=0))
 
 
 def test_places_and_heights_out_of_range_are_refused():
@@ -303,8 +268,6 @@ def test_places_and_heights_out_of_range_are_refused():
     for x, y, words in (
         ([[0.5, 0.01]], 0.0, "not on S"),
         ([[0.5, 0.0]], 0.6, "from -1/2 to 1/2"),
-        ([[0.5, 0.0]], [0.1, 0.2], "one number or 1"),
-        ([[0.5, np.nan]], 0.0, "finite coordinates"),
         (np.empty((0, 2)), 0.0, "finite coordinates"),
         ([[1.3 - EPS / 20, 0.0]], -0.49, r"corner at \(1.2975, 0\), height -0.49, is nearer than cells can tell"),
     ):
@@ -327,17 +290,12 @@ def test_corners_that_are_not_known_are_refused_and_stresses_are_not(layer, give
         _ = zoom.corners
 
 
-def test_curved_ends_have_no_corners_and_others_meet():
+def test_curved_ends_have_no_corners():
     round_, pull = disc(1.0, lower=0.3, upper=0.3, h=0.5), {"TOP": (0.0, 0.0, 1.0)}
     curved = Structure(round_, body=BODY, supports={"BOTTOM": 0}, tractions=pull)
     zoom = Zoom(solve(curved.interface(ThinLayer(GLUE, EPS, at=1.0))), cells_through=2, at_ends=1.0)
     assert np.isfinite(zoom.stress(round_.points[np.unique(round_.surface)][:3])).all()
     refused(InputError, "straight", lambda: zoom.corners)
-    base, load = sandwich(1.3, 0.3, 0.4, 0.2, depth=0.4), {"TOP": (0, 1, 0)}
-    deep = Structure(base, body=BODY, supports={"BOTTOM": 0}, tractions=load)
-    for end, x in Zoom(solve(deep.interface(FREE)), cells_through=2, at_ends=1.0).ends:
-        along = np.abs(end.m[::2]).argmin() * 2  # axis of the edge
-        assert np.all((x[:, along] > 3 * EPS) & (x[:, along] < (1.3, 0, 0.4)[along] - 3 * EPS))
 
 
 @pytest.mark.long

@@ -76,10 +76,8 @@ class Addition:
             InputError: the part has neither method, so that its forces would be missing in tractions.
         """
         if not self.has_work:
-            raise InputError(
-                f"tractions on S contain the forces of the part {self.key!r}, which has neither work nor work_in; write "
-                "work_in(model, state, v), a UFL form (ufl.Form([]) if it has no forces)"
-            )
+            remedy = "write work_in(model, state, v), a UFL form, ufl.Form([]) if it has no forces"
+            raise InputError(f"tractions on S contain the forces of the part {self.key!r}: {remedy}")
         return self.work(model, state.u, v)
 
     def resistance(self, model: Host, motions: Sequence[fem.Function]) -> Array:
@@ -144,13 +142,13 @@ class Addition:
 def check_additions(parts: Sequence[Any], model: Host) -> None:
     """Raise InputError unless a model's parts are additions that fit it, with keys of their own. Collective."""
     of_seams = {f"{kind} {name}" for kind in (LAYER, CONTACT, "pressure") for name in model.joint.seams}
-    of_bodies = {f"{BODY} {name}" for name in model.joint.bodies}
-    keys, sublayer = {*TAKEN, *of_seams, *of_bodies}, re.compile(rf"{LAYER} \d+")
+    keys = {*TAKEN, *of_seams, *(f"{BODY} {name}" for name in model.joint.bodies)}
     for part in parts:
         require(isinstance(part, Addition), "one of parts", part, "allowed: Springs, UflPart, or an Addition")
         if not part.ties_nodes and type(part).part is Addition.part:
             raise InputError(f"the addition {part.key!r} does nothing: it has neither part(model) nor tied(model)")
-        if part.key in keys or part.key.split("/")[0] in {LAYER, *of_seams} or sublayer.fullmatch(part.key):
+        sublayer = re.fullmatch(rf"{LAYER} \d+", part.key) or part.key.split("/")[0] in {LAYER, *of_seams}
+        if sublayer or part.key in keys:
             raise InputError(f"two parts are called {part.key!r}; give one of them another name")
         keys.add(part.key)
         part.check(model)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import basix
 import numpy as np
 import ufl
 from dolfinx import fem
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, require
 from forms.planes import Kinematics
 from geometry.domain import Domain, cell_nodes
 from geometry.joint import Joint
-from geometry.refusals import place
+from geometry.refusals import refuse
 from geometry.seam import LAYER, S
 from geometry.topology import BoolArray, Indices, IntArray, connected, sums
 from thinlayer.system.compat import interpolation_points
@@ -32,12 +34,8 @@ def on_axis(kinematics: Kinematics, joint: Joint) -> BoolArray:
 def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
     """Raise InputError unless a joint may be turned about the axis: r >= 0, no seam on the axis, no period across it."""
     r, on = kinematics.radius(joint.points), on_axis(kinematics, joint)
-    behind = np.flatnonzero((r < 0) & ~on)
-    if len(behind):
-        raise InputError(
-            f"plane={kinematics.name!r}: x is the distance from the axis of revolution, and {len(behind)} points have "
-            f"x < 0, the first at {place(joint.points[behind[0]])}; allowed: x >= 0"
-        )
+    message = f"plane={kinematics.name!r}: x is the distance from the axis of revolution, and {{bad}} points have x < 0"
+    refuse((r < 0) & ~on, joint.points, f"{message}, the first at {{at}}; allowed: x >= 0")
     for name in joint.seams if joint.band is None else ():
         facets = joint.table.vertices[joint.rows_of(name)]
         if on[facets].all(axis=1).any():
@@ -57,14 +55,12 @@ def is_across(kinematics: Kinematics, normals: Array) -> bool:
 def require_shifts(kinematics: Kinematics, joint: Joint) -> None:
     """Raise InputError unless bodies can be moved apart along the normals of S without a strain (bodies="kept")."""
     if not is_across(kinematics, joint.interface_normals.reshape(-1, joint.dim)):
-        raise InputError(
-            f"plane={kinematics.name!r}: bodies='kept' moves the bodies apart along the normal of S, and a body of "
-            "revolution cannot move away from its axis; use bodies='extended', or an S across the axis (normal along y)"
-        )
+        reason = "bodies='kept' moves them along the normal of S; a body of revolution cannot move away from its axis"
+        raise InputError(f"plane={kinematics.name!r}: {reason}; use bodies='extended', or an S across the axis")
 
 
 def on_boundary(
-    domain: Domain, kinematics: Kinematics, name: object, what: str, *, inside: bool = False, side: bool = False
+    domain: Domain, kinematics: Kinematics, name: Any, what: str, *, inside: bool = False, side: bool = False
 ) -> tuple[int, ...]:
     """Facet values of a place of the outer boundary, given by its name.
 
@@ -81,10 +77,9 @@ def on_boundary(
     """
     joint = domain.joint
     base = joint.band.base if joint.band else joint
-    if not isinstance(name, str):
-        known = ", ".join(sorted(base.facets.keys() - {S}))
-        raise InputError(f"{what}: a place is the name of a facet set; known: {known}")
-    whole = name.split("/")[0]
+    known = ", ".join(sorted(base.facets.keys() - {S}))
+    require(isinstance(name, str), f"{what}: a place", name, f"it must be the name of a facet set; known: {known}")
+    whole = str(name).split("/")[0]
     refuse_periodic(joint, name, what)
     if name in base.seams or whole == S or not (inside or domain.is_outer(name)):
         raise InputError(f"{what}: its facets lie inside, or below a layer; take a facet set on the outer boundary")

@@ -15,12 +15,11 @@ from dolfinx import cpp, fem, la
 from dolfinx.mesh import Mesh, MeshTags
 from mpi4py import MPI
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, require
 from forms.law import BulkLaw
 from forms.planes import PLANES, Kinematics
 from forms.traction import TractionLaw
 from forms.work import Interface, Term, surface
-from geometry.joint import Profile
 from geometry.refusals import unknown
 from geometry.topology import BoolArray, Indices
 from thinlayer.discretisation.boundary import ON_AXIS
@@ -83,7 +82,6 @@ class BrokenMesh:
         self._outer = np.asarray(dolfinx.mesh.exterior_facet_indices(mesh.topology))
         self._body = self._bodies()
         self._check_cuts(np.concatenate([np.empty(0, np.int32), *(self._owned(tag) for tag in rules)]))
-        self._bases: set[int] = set()
         self._sides: dict[int, Indices] = {}
         for tag, upper in rules.items():
             facets = self._owned(tag)
@@ -92,10 +90,9 @@ class BrokenMesh:
                 raise InputError(f"S: no facet has the tag {tag}; there are {self._known()}")
             if outer not in (0, total):
                 raise InputError(f"S: {outer} of {total} facets with tag {tag} lie on the boundary; all or none may")
-            if outer:
-                self._bases.add(tag)
-            else:
+            if not outer:
                 self._sides[tag] = self._oriented(tag, facets, upper)
+        self._bases = rules.keys() - self._sides.keys()
         data = [(tag, rows.ravel()) for tag, rows in self._sides.items()]
         self.dS = ufl.Measure("dS", domain=mesh, subdomain_data=data)
         self._tags = tuple(rules)
@@ -148,8 +145,8 @@ class BrokenMesh:
                 thickness that varies; an eigenstrain, or corrected ends.
             InputError: order 1 of a law that would lock.
         """
-        if not isinstance(layer, ThinLayer | TractionLaw):
-            raise InputError(f"layer is {layer!r}; allowed: ThinLayer, TractionLaw; a ContactLaw is for ContactPart")
+        good = isinstance(layer, ThinLayer | TractionLaw)
+        require(good, "layer", layer, "allowed: ThinLayer, TractionLaw; a ContactLaw is for ContactPart")
         law, thin = real_law(layer, self.kinematics), layer if isinstance(layer, ThinLayer) else None
         if law.traits.constrained:
             raise InputError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")
@@ -158,17 +155,18 @@ class BrokenMesh:
         if thin and (thin.edges == "free" or thin.eigenstrain is not None):
             given = "edges='free'" if thin.edges == "free" else "eigenstrain=..."
             raise InputError(f"{given} of a layer on a mesh of one's own is not known here; use it in a Model")
+        if order and profile is not None:
+            need = "bodies at their true places: Structure.interface(layer, bodies='extended')"
+            raise InputError(f"order=1 of a thickness that varies needs {need}")
         if order:
             self._require_no_locking(tag, law)
-        if order and profile is not None:
-            raise InputError(
-                "order=1 of a thickness that varies needs bodies at their true places, and those of this mesh meet on S; "
-                "use order=0, or Structure.interface(layer, bodies='extended')"
-            )
         sides = replace(self.interface(tag), known=partial(self._law_on, tag))
         thickness = fem.Constant(self.mesh, float(eps))
         if profile is not None:
-            thickness = thickness * sides.upper(self._relative_thickness(profile))
+            shape = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1)))  # linear between vertices
+            with on_all(self.comm):
+                shape.interpolate(lambda x: profile(x[: self._dim]))
+            thickness = thickness * sides.upper(shape)
         terms = surface(law, sides, thickness, order)
         return [replace(term, law=for_terms(term.law, self.mesh)) for term in terms]
 
@@ -183,10 +181,9 @@ class BrokenMesh:
             InputError: a tag that is not in S, another mesh or element.
         """
         self._require(tag)
-        element = V.ufl_element()
-        if V.mesh is not self.mesh or element.reference_value_shape != (self._dim,) or element.degree != 1:
-            wanted = f"space(('Lagrange', 1, ({self._dim},))) of this mesh"
-            raise InputError(f"contact laws act at vertices: V must be {wanted}, not {V}")
+        element, wanted = V.ufl_element(), f"contact laws act at vertices: space(('Lagrange', 1, ({self._dim},)))"
+        good = V.mesh is self.mesh and element.reference_value_shape == (self._dim,) and element.degree == 1
+        require(good, "V", V, f"{wanted} of this mesh")
         facets = self._owned(tag)
         based = tag in self._bases
         upper, lower = (first_cells(self.mesh, facets), None) if based else self._sides[tag][:, [0, 2]].T
@@ -198,36 +195,28 @@ class BrokenMesh:
 
     def _require_no_locking(self, tag: int, law: BulkLaw) -> None:
         """Raise InputError if a law of order 1 would lock somewhere."""
-        _, _, x = self._vertices(tag)
+        _, _, x = self._at_vertices(tag)
         with on_all(self.comm):
             for one in law.at_places(x) if law.fields else [law]:
                 if refused := AtRest(one, np.eye(self._dim)[-1]).locks():
                     raise refused.error()
 
-    def _vertices(self, tag: int) -> tuple[fem.FunctionSpace, Indices, Array]:
-        """Functions of degree 1, their unknowns on the facets with a tag, and the places (d, n) of these."""
-        P1 = fem.functionspace(self.mesh, ("Lagrange", 1))
-        dofs = fem.locate_dofs_topological(P1, self._dim - 1, self.facet_tags.find(tag))
-        return P1, dofs, P1.tabulate_dof_coordinates()[dofs, : self._dim].T
+    def _at_vertices(self, tag: int) -> tuple[fem.Function, Indices, Array]:
+        """A function of degree 1, its unknowns on the facets with a tag, and the places (d, n) of these."""
+        f = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1)))
+        dofs = fem.locate_dofs_topological(f.function_space, self._dim - 1, self.facet_tags.find(tag))
+        return f, dofs, f.function_space.tabulate_dof_coordinates()[dofs, : self._dim].T
 
     def _law_on(self, tag: int, law: BulkLaw) -> BulkLaw:
         """The law with parameters that are functions as expressions on S, linear between vertices; others as Constants."""
-        (P1, dofs, x), upper, on_s = self._vertices(tag), self.interface(tag).upper, {}
-        with on_all(self.comm):
-            found = law.fields_at(x)
-        for name, values in found.items():
-            f = fem.Function(P1)
-            f.x.array[dofs] = values
+        on_s = {}
+        for name in law.fields:
+            f, dofs, x = self._at_vertices(tag)
+            with on_all(self.comm):
+                f.x.array[dofs] = law.fields_at(x)[name]
             f.x.scatter_forward()
-            on_s[name] = upper(f)
+            on_s[name] = self.interface(tag).upper(f)
         return known_at(law, self.mesh, on_s)
-
-    def _relative_thickness(self, profile: Profile) -> fem.Function:
-        """A profile at the vertices, linear in between."""
-        shape = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1)))
-        with on_all(self.comm):
-            shape.interpolate(lambda x: profile(x[: self._dim]))
-        return shape
 
     # ---------------------------------------------------------------- the tags
     def _sum(self, *counts: int) -> list[int]:
@@ -261,10 +250,8 @@ class BrokenMesh:
         cells_of = np.diff(topology.connectivity(self._dim - 1, self._dim).offsets)
         (lost,) = self._sum(np.count_nonzero(cells_of[inner] < 2))
         if lost:
-            raise InputError(
-                f"the mesh has no ghost cells across {lost} facets between ranks; create it with "
-                "ghost_mode=dolfinx.mesh.GhostMode.shared_facet (of gmsh and XDMF files: a partitioner with this mode)"
-            )
+            remedy = "create it, or a partitioner, with ghost_mode=dolfinx.mesh.GhostMode.shared_facet"
+            raise InputError(f"the mesh has no ghost cells across {lost} facets between ranks; {remedy}")
         pairs, to_facets = interior_facet_entities(self.mesh, inner), topology.connectivity(self._dim, self._dim - 1)
         number = to_facets.array[to_facets.offsets[pairs[:, 0]] + pairs[:, 1]]
         apart = self._body[pairs[:, 0]] != self._body[pairs[:, 2]]

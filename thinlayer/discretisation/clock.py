@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 from weakref import WeakSet
 
@@ -215,16 +216,11 @@ class Table:
 
     def _lines(self, column: Array, t: Expr) -> Expr:
         """One column at an expression that depends on the place too, UFL."""
-        times, column = [*map(float, self.times)], [*map(float, column)]  # type: ignore[assignment]
-
-        def between(a: int, b: int) -> Expr:
-            if b - a == 1:
-                return column[a] + (t - times[a]) * ((column[b] - column[a]) / (times[b] - times[a]))
-            middle = (a + b) // 2
-            return ufl.conditional(ufl.le(t, times[middle]), between(a, middle), between(middle, b))
-
+        times, steps = [*map(float, self.times)], map(float, np.diff(column) / np.diff(self.times))
         inside = ufl.And(ufl.ge(t, times[0]), ufl.le(t, times[-1]))
-        return ufl.conditional(inside, between(0, len(times) - 1), ufl.sqrt(-1 - t * t))
+        within = (ufl.max_value(0, ufl.min_value(t, b) - a) for a, b in pairwise(times))
+        value = sum((slope * way for slope, way in zip(steps, within, strict=True)), float(column[0]))
+        return ufl.conditional(inside, value, ufl.sqrt(-1 - t * t))
 
 
 def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr, Expr], Any]:
@@ -244,16 +240,13 @@ def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr
         InputError: less than two times, values that are no numbers or of different lengths.
     """
     try:
-        if not all(is_number(t) for t in values):
-            raise TypeError("times are numbers")
-        times = sorted(values)
-        rows = real([values[t] for t in times])
-        whole = np.isfinite(rows).all() and np.isfinite(np.array(times, float)).all()
+        times = real(sorted(values))
+        rows = real([values[t] for t in sorted(values)])
     except (TypeError, ValueError, LookupError) as error:
         raise InputError(f"piecewise needs {{time: number or components}}: {error}") from error
-    if len(times) < 2 or rows.ndim > 2 or not whole:
+    if len(times) < 2 or rows.ndim > 2 or not (np.isfinite(times).all() and np.isfinite(rows).all()):
         raise InputError(f"piecewise needs two times or more, each with a number or components, not {values!r}")
-    table = Table(np.array(times, float), rows)
+    table = Table(times, rows)
 
     def at(_: Any, t: Any) -> Any:
         return table(t)

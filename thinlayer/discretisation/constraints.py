@@ -114,10 +114,8 @@ class Constraints:
         self._rows = self._conditions()
         self._resolve()
         self.Q = self._frames()
-        if self.Q is None or self._T0 is None:
-            self.T = self._T0 if self.Q is None else self.Q
-        else:
-            self.T = self._T0.matMult(self.Q)
+        T, Q = self._T0, self.Q
+        self.T = Q or T if T is None or Q is None else T.matMult(Q)
         if not self.comm.allreduce(int(prescribed.varies.any()) + len(self._motions)):
             self._require_agreement(self._values_of_rows(0.0))
 
@@ -166,13 +164,11 @@ class Constraints:
     def _conditions(self) -> Sparse:
         """(r, all) rows of this rank on y: of supports, then of prescribed motions, which the first rank has."""
         rows, total = self.prescribed.conditions.tocoo(), int(self.comm.allreduce(self.n))
-        found = scipy.sparse.csr_matrix((rows.data, (rows.row, self.first + rows.col)), (rows.shape[0], total))
-        if self._T0 is not None:
-            A = self._matrix(rows.row, self.first + rows.col, rows.data, rows.shape[0])
-            on_y = A.matMult(self._T0)
-            found = csr_of(on_y)
-            A.destroy()
-            on_y.destroy()
+        A = self._matrix(rows.row, self.first + rows.col, rows.data, rows.shape[0])
+        on_y = A if self._T0 is None else A.matMult(self._T0)
+        found = csr_of(on_y)
+        A.destroy()
+        on_y.destroy()
         self._motions = [(one, k, value) for one in self.ties for k, value in one.motion.items() if self.comm.rank == 0]
         columns = [self.slots[one.key][k] for one, k, _ in self._motions]
         k = len(columns)
@@ -197,9 +193,9 @@ class Constraints:
 
         A condition on one unknown that no other condition has is none of a group. Groups are known on all ranks.
         """
-        A, lo, hi = self._rows, self.first, self.first + self.n
-        counts = np.diff(A.indptr)
-        foreign = (A.indices < lo) | (A.indices >= hi)
+        A, counts = self._rows, np.diff(self._rows.indptr)
+        foreign = np.ones(len(A.indices), bool)
+        foreign[self._mine(A.indices)[0]] = False
         columns, uses = np.unique(A.indices, return_counts=True)
         shared = np.concatenate([A.indices[foreign | (counts > 1).repeat(counts)], columns[uses > 1]])
         everywhere = self.comm.allgather(np.unique(np.concatenate([shared, *self.slots.values()])))
@@ -207,30 +203,31 @@ class Constraints:
         single[single] = ~np.isin(A.indices[A.indptr[:-1][single]], np.concatenate(everywhere))
         self._single, self._grouped = np.flatnonzero(single), np.flatnonzero(~single & (counts > 0))
         at = A.indptr[self._single]
-        self._columns, self._coefficient = A.indices[at] - lo, A.data[at]
+        self._columns, self._coefficient = A.indices[at] - self.first, A.data[at]
         self._groups = _groups(scipy.sparse.vstack(self.comm.allgather(A[self._grouped]), format="csr"))
-        held = np.concatenate([self._columns, *(one.columns[: one.rank] - lo for one in self._groups)])
-        mine = held[(held >= 0) & (held < self.n)]
-        slots = np.concatenate([*self.slots.values(), np.empty(0, np.int64)]) - lo
-        self.held = np.union1d(mine, np.setdiff1d(self.tied, slots)).astype(np.int32)
+        held = np.concatenate([self._columns, *(self._mine(one.columns[: one.rank])[1] for one in self._groups)])
+        slots = np.concatenate([*self.slots.values(), np.empty(0, np.int64)]) - self.first
+        self.held = np.union1d(held, np.setdiff1d(self.tied, slots)).astype(np.int32)
 
     def _frames(self) -> PETSc.Mat | None:
         """Q; None: the identity."""
         turned = [one for one in self._groups if one.turned]
         if not turned:
             return None
-        lo, same = self.first, np.ones(self.n, bool)
-        i, j, v = [], [], []
+        same = np.arange(self.n)
+        i, j, v = [same], [self.first + same], [np.ones(self.n)]
         for one in turned:
-            own = (one.columns >= lo) & (one.columns < lo + self.n)
-            same[one.columns[own] - lo] = False
-            rows, columns = np.meshgrid(one.columns[own] - lo, one.columns, indexing="ij")
+            own, places = self._mine(one.columns)
+            rows, columns = np.meshgrid(places, one.columns, indexing="ij")
             i.append(rows.ravel())
             j.append(columns.ravel())
-            v.append(one.frame[own].ravel())
-        rest = np.flatnonzero(same)
-        rows, columns = np.concatenate([rest, *i]), np.concatenate([lo + rest, *j])
-        return self._matrix(rows, columns, np.concatenate([np.ones(len(rest)), *v]))
+            v.append((one.frame - np.eye(len(one.columns)))[own].ravel())  # beside the identity
+        return self._matrix(np.concatenate(i), np.concatenate(j), np.concatenate(v))
+
+    def _mine(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which global numbers of displacements are of this rank, and their local numbers."""
+        own = np.flatnonzero((columns >= self.first) & (columns < self.first + self.n))
+        return own, columns[own] - self.first
 
     # ---------------------------------------------------------------- values
     def values(self, t: float) -> Array:
@@ -243,12 +240,11 @@ class Constraints:
         if self.comm.allreduce(int(not np.isfinite(c).all())):
             raise InputError(f"a prescribed displacement is not finite at t = {t:g}")
         self._require_agreement(c, when=f" at t = {t:g}")
-        y, lo = np.zeros(self.n), self.first
+        y = np.zeros(self.n)
         y[self._columns] = c[self._single] / self._coefficient
         for one, values in self._with_values(c):
-            columns = one.columns[: one.rank]
-            own = (columns >= lo) & (columns < lo + self.n)
-            y[columns[own] - lo] = one.held(values)[own]
+            own, places = self._mine(one.columns[: one.rank])
+            y[places] = one.held(values)[own]
         return y[self.held]
 
     def _with_values(self, c: Array) -> list[tuple[_Group, Array]]:
@@ -302,8 +298,8 @@ class Constraints:
         y = u.copy()
         y[self.tied] = 0.0
         for one in self.ties:
-            own, columns = self._own(one)
-            y[columns] = self.motion(one, u)[own]
+            own, places = self._mine(self.slots[one.key])
+            y[places] = self.motion(one, u)[own]
         return self._times(self.Q, y, transposed=True)
 
     def forces(self, f: Array) -> Array:
@@ -322,12 +318,6 @@ class Constraints:
         b.destroy()
         return np.asarray(found)
 
-    def _own(self, tie: Tied) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers of the motions of a tie that stand on this rank, and the local numbers of their places."""
-        slots = self.slots[tie.key] - self.first
-        own = np.flatnonzero((slots >= 0) & (slots < self.n))
-        return own, slots[own]
-
     def motion(self, tie: Tied, u: Array) -> Array:
         """Motions (m,) of a tie, on every rank, that are nearest to displacements u (n,)."""
         return self._solved(tie, self.comm.allreduce(tie.R.T @ u))
@@ -344,13 +334,12 @@ class Constraints:
     def support_forces(self, r: Array) -> Array:
         """(k,) the least forces of the supports' conditions, along their directions, that balance nodal forces r (n,)."""
         f = self._times(self._T0, r, transposed=True)
-
-        ends = np.cumsum([0, *(len(one.columns) for one in self._groups)])
-        columns = np.concatenate([np.empty(0, np.int64), *(one.columns for one in self._groups)]) - self.first
-        own, parts = (columns >= 0) & (columns < self.n), np.zeros(len(columns))
-        parts[own] = f[columns[own]]
-        parts = self.comm.allreduce(parts)
-        out = self._by_rows([one.shares @ parts[a:b] for one, a, b in zip(self._groups, ends, ends[1:], strict=False)])
+        columns = np.concatenate([np.empty(0, np.int64), *(one.columns for one in self._groups)])
+        own, places = self._mine(columns)
+        every = np.zeros(len(columns))
+        every[own] = f[places]
+        parts = np.split(self.comm.allreduce(every), np.cumsum([len(one.columns) for one in self._groups]))
+        out = self._by_rows([one.shares @ part for one, part in zip(self._groups, parts, strict=False)])
         out[self._single] = f[self._columns] / self._coefficient
         return out[: len(self.prescribed.entry)]
 
@@ -359,11 +348,11 @@ class Constraints:
         prescribed = self.prescribed
         along = np.isin(prescribed.entry, entries) * (prescribed.directions @ direction)
         along = np.append(along, np.zeros(len(self._motions)))
-        g, lo = np.zeros(self.n), self.first
+        g = np.zeros(self.n)
         g[self._columns] = along[self._single] / self._coefficient
         for one, values in self._with_values(along):
-            own = (one.columns >= lo) & (one.columns < lo + self.n)
-            g[one.columns[own] - lo] = (one.shares.T @ values)[own]
+            own, places = self._mine(one.columns)
+            g[places] = (one.shares.T @ values)[own]
         return self._times(self.Q, g, transposed=True)
 
     # ---------------------------------------------------------------- motions
@@ -384,7 +373,7 @@ class Constraints:
         gram = np.zeros((c + m, c + m))
         first = dict(zip(self.slots, np.cumsum([0, *(one.count for one in self.ties)]).tolist(), strict=False))
         for one in self.ties:
-            own, places = self._own(one)
+            own, places = self._mine(self.slots[one.key])
             of_ties[places, first[one.key] + own] = 1.0
         y = scipy.sparse.hstack([scipy.sparse.diags(free) @ motions, of_ties], format="csr")
         wide = scipy.sparse.hstack([motions, scipy.sparse.csr_matrix((self.n, m))], format="csr")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,7 @@ from geometry.sheet import Sheet
 from thinlayer.discretisation.boundary import on_boundary
 from thinlayer.discretisation.given import Coordinates, Load, Pressure, by_body
 from thinlayer.discretisation.measures import compiled
-from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms
+from thinlayer.discretisation.point_loads import ConcentratedForms
 from thinlayer.errors import warn
 
 BodyForce = Load | Mapping[str, Load]
@@ -55,73 +55,57 @@ class Forces:
         domain: the domain.
         kinematics: of the mesh; all measures have their factor.
         points: makes forms of loads at points and along lines.
-        tractions: facet name -> traction on the outer boundary.
-        body_force: force per volume in the bodies, or region name -> force.
-        loads: loads at points and along lines.
+        setup: the `Setup`, which imports this module: its tractions, body force, and loads at points and along lines.
 
     Attributes:
-        points: the argument.
         at: coordinates for loads that are functions.
         given: description of kind and place -> the load as given.
-        loaded: names of the facet sets with tractions.
 
     Raises:
         InputError: unknown names, a traction on S or inside, loads that are no vectors.
     """
 
-    def __init__(
-        self,
-        domain: Domain,
-        kinematics: Kinematics,
-        points: ConcentratedForms,
-        tractions: Mapping[str, Load | Pressure] | None = None,
-        body_force: BodyForce | None = None,
-        loads: Sequence[Concentrated] = (),
-    ) -> None:
-        self.domain, self.at, self.points, self._kinematics = domain, points.at, points, kinematics
+    def __init__(self, domain: Domain, kinematics: Kinematics, points: ConcentratedForms, setup: Any) -> None:
+        self.domain, self.at, self._kinematics = domain, points.at, kinematics
         self.given: dict[str, Any] = {}
-        self.loaded: list[str] = []
         self._loads: list[tuple[str, Expr, Weighted, str]] = []  # words, force, its place, the seam if it is a layer's
         self._form: tuple[fem.FunctionSpace, fem.Form] | None = None  # of the work in a space
         ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
         dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
-        require(tractions is None or isinstance(tractions, Mapping), "tractions", tractions, "give {name: traction}")
-        tractions = tractions or {}
+        tractions, body_force = ({} if one is None else one for one in (setup.tractions, setup.body_force))
+        require(isinstance(tractions, Mapping), "tractions", tractions, "give {name: traction}")
         for name in sorted(tractions, key=str):  # in the same order on all ranks
             load = tractions[name]
             values = on_boundary(domain, kinematics, name, f"traction on {name!r}", side=True)
             self._add(f"traction on {name!r}", load, ds(values) if values else None)
-            self.loaded += [name] if values else []
             self._warn_of_gaps(name)
             side = f"{name.split('/')[0]}/{LAYER}"
-            if side not in tractions:
-                self._refuse_end(name, side)
             if side not in tractions and (share := self._share(name)):
                 what, loaded, *_ = self._loads[-1]
                 self.add_weighted("", what, share * loaded, Weighted(ds(domain.values(side)), 1))
         seams = (*(domain.joint.band.base if domain.joint.band else domain.joint).seams, S)
-        for name, load in by_body({} if body_force is None else body_force, domain.joint, "", seams).items():
-            self._add(f"body force in {name!r}", load, dx(domain.cell_values(name)))
-        for one in loads:
+        for name, load in by_body(body_force, domain.joint, "", seams).items():
+            what = f"body force in {name!r}"
+            require(not isinstance(load, Pressure), what, load, "there is no normal inside a body; give a vector")
+            self._add(what, load, dx(domain.cell_values(name)))
+        for one in setup.loads:
             self.given[f"{one.what}, {len(self.given)}"] = one
             for density, measure in points.terms(one):  # whole forces: their measures have no factor
                 self.add_weighted("", one.what, density, Weighted(measure, 1))
         self._everywhere = dx
 
-    def add_layer(self, name: str, load: Load, places: Sequence[Weighted], at: Coordinates) -> None:
+    def add_layer(self, name: str, load: Load, place: Weighted, at: Coordinates) -> None:
         """Add a force per volume of a layer.
 
         Args:
             name: of its seam.
             load: the force.
-            places: where the layer is: its weight, and how the work of displacements there is told, see `Weighted`.
+            place: where the layer is: its weight, and how the work of displacements there is told, see `Weighted`.
             at: coordinates there, with the time of the other loads.
         """
         what = WEIGHT.format(name)
         self.given[what] = load
-        force = at.given(load, what, (self.domain.joint.dim,)).expression
-        for one in places:
-            self.add_weighted(name, what, force, one)
+        self.add_weighted(name, what, at.given(load, what, (self.domain.joint.dim,)).expression, place)
 
     def add_weighted(self, name: str, what: str, force: Expr, place: Weighted) -> None:
         """Add a force, a UFL vector, at a place: of the layer of a seam, or of the bodies ("")."""
@@ -129,8 +113,6 @@ class Forces:
 
     def _add(self, what: str, load: Load | Pressure, measure: ufl.Measure | None) -> None:
         self.given[what] = load
-        if isinstance(load, Pressure) and what.startswith("body force"):
-            raise InputError(f"{what} is {load!r}: there is no normal inside a body; give a vector")
         checked = self.at.traction(load, what, ufl.FacetNormal(self.domain.mesh))
         if measure is not None:
             self.add_weighted("", what, checked, Weighted(measure, self._kinematics.factor))
@@ -142,50 +124,38 @@ class Forces:
             return
         for seam in band.eps.keys() - band.of_seam.keys():
             if Sheet(band.base, seam).rim.on(band.base.facets[whole]).any():
-                warn(
-                    "end of a gap",
-                    f"traction on {name!r}: the gap {seam!r} ends there, and bodies gave up a part of their faces to it; "
-                    "the load is smaller than the interface model's. Use bodies='kept'",
-                    self.domain.comm,
-                )
-
-    def _refuse_end(self, name: str, side: str) -> None:
-        """Raise InputError if bodies gave up a part of a loaded face to the side of a layer without cells."""
-        joint, whole = self.domain.joint, name.split("/")[0]
-        if joint.parted is not None and whole in joint.facets and Sheet(joint).rim.on(joint.facets[whole]).any():
-            raise InputError(
-                f"traction on {name!r}: S ends there, and bodies='extended' gave a part of this face to the side of the "
-                f"layer, which has no facets to carry it; give {side!r} a traction of its own, zero if that side is free"
-            )
+                less = "bodies gave up a part of their faces to it; the load is smaller than the interface model's"
+                what = f"traction on {name!r}: the gap {seam!r} ends there, and {less}. Use bodies='kept'"
+                warn("end of a gap", what, self.domain.comm)
 
     def _share(self, name: str) -> float:
         """Share of a traction on bodies that also acts on the layer's side: the room that these bodies gave up.
 
         It is 0 for kept bodies. With it the full and the interface model have the same total load.
+
+        Raises:
+            InputError: the layer has no cells, and so no facets on its side.
         """
-        band = self.domain.joint.band
+        band, parted = self.domain.joint.band, self.domain.joint.parted is not None
         whole, _, region = name.partition("/")
+        facets = self.domain.joint.facets.get(whole)
+        if parted and facets is not None and Sheet(self.domain.joint).rim.on(facets).any():
+            reason = "S ends there, and bodies='extended' gave a part of this face to the layer's side"
+            remedy = f"give '{whole}/{LAYER}', which has no facets, a traction, zero if that side is free"
+            raise InputError(f"traction on {name!r}: {reason}; {remedy}")
         if band is None or band.bodies == "kept" or region == LAYER:
             return 0.0
         if f"{whole}/{LAYER}" not in self.domain.facet_values:
             return 0.0
-        joint = band.base
-        facets = joint.facets[whole]
-        cells = joint.table.cells[joint.table.index(facets), 0]
-        loaded = joint.region[cells] == joint.regions.index(region) if region else np.ones(len(cells), bool)
-        rim = Sheet(joint).rim
-        ends = rim[rim.on(facets)]
-        splitting = joint.splitting
-        around = splitting.copies[1][cells]
-        beside = [splitting.copies[1][side] for side in joint.surface_cells.T if (side >= 0).all()]
-        covered = [ends.on(facets[loaded & np.isin(around, nodes).any(axis=1)]) for nodes in beside]
+        joint, sheet = band.base, Sheet(band.base)
+        ends = sheet.rim[sheet.rim.on(joint.facets[whole])]
+        beside = [side for side in joint.surface_cells[sheet.parts[0][ends.simplex]].T if (side >= 0).all()]
+        loaded = [joint.regions.index(one) for one in ([region] if region else joint.bodies)]
+        covered = [np.isin(joint.region[side], loaded) for side in beside]
         if any(some.any() and not some.all() for some in covered):
-            warn(
-                "other bodies",
-                f"traction on {name!r}: other bodies than {region!r} end at the layer's side too, which carries no part of "
-                f"it; the load is smaller than the interface model's. Load {whole!r}, or {whole + '/' + LAYER!r} as well",
-                self.domain.comm,
-            )
+            less = "which carries no part of it; the load is smaller than the interface model's"
+            what = f"traction on {name!r}: other bodies than {region!r} end at the layer's side too, {less}"
+            warn("other bodies", f"{what}. Load {whole!r}, or '{whole}/{LAYER}' as well", self.domain.comm)
         return sum(bool(some.all()) for some in covered) / len(covered)
 
     def work(self, v: Expr, *, layers: bool = False) -> Expr:

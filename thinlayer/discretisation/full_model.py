@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from mpi4py import MPI
@@ -18,7 +18,7 @@ from geometry.inflating.dividing import Divided, divided
 from geometry.inflating.inflation import inflate, without_bodies
 from geometry.inflating.layering import check_layering
 from geometry.joint import Joint
-from geometry.refusals import unknown
+from geometry.refusals import require_known
 from geometry.seam import BASE, LAYER, S
 from thinlayer.discretisation.boundary import require_revolution, require_shifts
 from thinlayer.discretisation.forces import Weighted
@@ -55,57 +55,43 @@ class FullModel(Model):
         if self._bodies == "kept":
             require_shifts(self.structure.kinematics, self.joint)
         self._check_layers()
-        gaps = self.gaps
-        if self._junctions is not None and self._junctions not in [*self.joint.seams]:
-            raise InputError(f"junctions: {unknown('seam', self._junctions, self.joint.seams)}")
-        if self._junctions in gaps:
-            raise InputError(f"junctions: the seam {self._junctions!r} is a gap and has no law")
-        first = () if self._junctions is None else (self._junctions,)
-        thin = {name: one.thin for name, one in self.layers.items() if one.thin}
-        eps = {name: layer.eps for given in (thin, gaps) for name, layer in given.items()}
+        gaps, first = self.gaps, () if self._junctions is None else (self._junctions,)
+        for name in first:
+            require_known("seam", name, self.layers, "junctions")
+        thin = {name: one.thin for name, one in self.layers.items()}
+        eps = {name: layer.eps for name, layer in (thin | gaps).items()}
         if (thickest := max(eps.values(), default=0.0)) > LARGEST_EPS * self.joint.size:
-            raise InputError(
-                f"the layer's thickness eps is {thickest:g}, the bodies measure {self.joint.size:g}: next to such a "
-                "layer their shape is lost in rounding; is eps in the unit of the mesh?"
-            )
-        inflated = inflate(
-            self.joint,
-            eps,
-            profile={name: layer.profile for name, layer in thin.items()},
-            cells_through=self._cells_through,
-            fractions={name: layer.fractions for name, layer in thin.items()},
-            bodies=self._bodies,
-            junctions=(*first, *thin),
-            gaps=tuple(gaps),
-        )
-        self._check_junctions(inflated)
+            sizes = f"the layer's thickness eps is {thickest:g}, the bodies measure {self.joint.size:g}"
+            raise InputError(f"{sizes}: their shape is lost in rounding; is eps in the unit of the mesh?")
+        profile, fractions = ({name: getattr(one, of) for name, one in thin.items()} for of in ("profile", "fractions"))
+        shapes: dict[str, Any] = {"profile": profile, "fractions": fractions, "cells_through": self._cells_through}
+        inflated = inflate(self.joint, eps, bodies=self._bodies, junctions=(*first, *thin), gaps=tuple(gaps), **shapes)
+        self._check_junctions(inflated.band)
         require_revolution(self.structure.kinematics, inflated)
         self.inflated = inflated
         return inflated
 
     def _check_layers(self) -> None:
         """Check each layer by itself."""
-        if self.bonds:
-            raise InputError(f"the seam {self.bonds[0]!r} has a Bond, for interface models: make a joint without it")
-        for name, given in self.on_seams.items():
-            if given is None:
-                remedy = "give it a Gap(eps), or use structure.interface"
-                raise InputError(f"the seam {name!r} is open, and its width is not known: {remedy}")
+        for name in self.bonds:
+            raise InputError(f"the seam {name!r} has a Bond, for interface models: make a joint without it")
+        for name in (name for name, given in self.on_seams.items() if given is None):
+            remedy = "give it a Gap(eps), or use structure.interface"
+            raise InputError(f"the seam {name!r} is open, and its width is not known: {remedy}")
         self.require("mesh")
 
     def _check_beside(self, other: Self) -> None:
         self._check_layers()
         self._require_shapes(other)
-        self._check_junctions(self.domain.joint)
+        self._check_junctions(self._band)
 
-    def _check_junctions(self, inflated: Joint) -> None:
+    def _check_junctions(self, band: Any) -> None:
         """Raise InputError if a law cannot be that of cells where layers meet, which are in no column of a layer."""
-        assert inflated.band is not None
-        for region, name in inflated.band.junctions.items():
+        for region, name in band.junctions.items():
             law = self.reductions[name].law
             if law.traits.switches:
                 why = "has one phase for each column of a layer, and cells where layers meet are in none"
-            elif region not in inflated.band.aligned and needs_director(law):
+            elif region not in band.aligned and needs_director(law):
                 why = "depends on the normal of S, which is not defined where layers meet"
             else:
                 continue
@@ -113,11 +99,10 @@ class FullModel(Model):
             raise InputError(f"{law_of} {why}; give junctions=... the name of a seam with another law")
 
     def _layer_terms(self) -> list[forms.Term]:
-        mesh, band, n = self.domain.mesh, self.domain.joint.band, director(self.domain)
-        assert band is not None
+        mesh, band, n = self.domain.mesh, self._band, director(self.domain)
         terms = []
         for name, one in self.layers.items():
-            shared = [region for region, seam in band.junctions.items() if seam == name]
+            shared = self._shared(name)
             sublayers = real_law(one.layer, self.kinematics).sublayers
             for (_, law), region in zip(sublayers, band.of_seam[name], strict=True):
                 law = law if law.traits.compiled else constants(law, mesh)
@@ -126,12 +111,17 @@ class FullModel(Model):
                 terms.append(replace(term, key=one.key, given=self.given_on[name]))
         return terms
 
-    def _places_of(self, one: SeamLayer) -> list[Weighted]:
-        band = self.domain.joint.band
-        assert band is not None
-        shared = [region for region, seam in band.junctions.items() if seam == one.name]
-        cells = self.dx(self.domain.cell_values(*band.of_seam[one.name], *shared))
-        return [Weighted(cells, self.kinematics.factor)]
+    def _place_of(self, one: SeamLayer) -> Weighted:
+        cells = self.dx(self.domain.cell_values(*self._band.of_seam[one.name], *self._shared(one.name)))
+        return Weighted(cells, self.kinematics.factor)
+
+    @property
+    def _band(self) -> Any:
+        return self.domain.joint.band
+
+    def _shared(self, name: str) -> list[str]:
+        """Regions of junctions that have the law of a seam."""
+        return [region for region, seam in self._band.junctions.items() if seam == name]
 
 
 class LayerModel(FullModel):

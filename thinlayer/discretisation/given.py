@@ -6,7 +6,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from dataclasses import replace as changed
-from functools import cached_property
+from functools import cached_property, reduce
+from itertools import product
+from operator import getitem
 from typing import Any, Self
 
 import numpy as np
@@ -25,7 +27,7 @@ from forms.kinematics import Expr
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place as at_place
-from geometry.refusals import unknown
+from geometry.refusals import require_known
 from thinlayer.discretisation.clock import Clock, Reading, readings
 from thinlayer.discretisation.mesh_functions import places_in_cells, sampled, shift
 from thinlayer.system.compat import interpolation_points
@@ -93,10 +95,8 @@ class Coordinates:
         if key not in self.known:
             self.known[key] = given = Given(value, what, shapes, self, of_place=of_place)
             if self.planned and (late := sorted(given.breaks - self.planned[0])):
-                raise InputError(
-                    f"{what} is given after a march has begun, and changes its slope at t = {late[0]:g}, where no step "
-                    "ends; a part gives it in check(model)"
-                )
+                why = f"given after a march has begun, and changes its slope at t = {late[0]:g}, where no step ends"
+                raise InputError(f"{what} is {why}; a part gives it in check(model)")
         return self.known[key]
 
     def traction(self, load: Load | Pressure, what: str, n: Expr) -> Expr:
@@ -173,18 +173,14 @@ class Given:
         f.x.array[np.asarray(f.function_space.dofmap.list).ravel()] = values
         return f
 
-    @property
-    def _kind(self) -> str:
-        return "function x" if self._of_place else "function (x, t)"
-
     def _no_function(self, why: str) -> InputError:
-        return InputError(f"{self.what} is no {self._kind} of UFL coordinates: {why}; {HINT}")
+        return InputError(f"{self.what} is no function (x, t) of UFL coordinates: {why}; {HINT}")
 
     def _refusal(self, content: Any, more: str = "") -> InputError:
         need = " or ".join(map(_in_words, self._shapes))
         if callable(self.value):
             return InputError(f"{self.what} gives {content!s:.90}; it needs {need}{more}")
-        return InputError(f"{self.what} is {self.value!r:.90}; it needs {need}, or a {self._kind} that gives that")
+        return InputError(f"{self.what} is {self.value!r:.90}; it needs {need}, or a function (x, t) that gives that")
 
     def _read(self, content: Any) -> npt.NDArray[Any]:
         """The components of numbers and UFL expressions."""
@@ -196,10 +192,7 @@ class Given:
             raise self._refusal(content)
         components = np.empty(shape, object)
         for index in np.ndindex(*shape):
-            component = content
-            for i in index:
-                component = component[i]
-            components[index] = self._component(component)
+            components[index] = self._component(reduce(getitem, index, content))
         return components
 
     def _component(self, component: Any) -> Any:
@@ -218,8 +211,8 @@ class Given:
         fields = {f for c in components.flat for f in _fields(c) if isinstance(f, fem.Function)}
         others = sorted((f for f in fields if f.function_space.mesh is not self.at.mesh), key=lambda f: f.count())
         own = {f: sampled(f, self.at.mesh, self.at.x, self.what) for f in others}
-        for index in np.ndindex(*components.shape) if own else ():
-            if isinstance(components[index], ufl.core.expr.Expr):
+        for index in np.ndindex(*components.shape):
+            if _fields(components[index]):
                 components[index] = ufl.replace(components[index], own)
         return components
 
@@ -227,17 +220,15 @@ class Given:
         """Raise InputError if the function says another thing of plain numbers than of symbols."""
         if any(map(_fields, components.flat)):
             return
-        for place, t in [*((x, TIMES[0]) for x in self.at.places), *((self.at.places[0], t) for t in TIMES[1:])]:
+        for place, t in [*product(self.at.places, TIMES[:1]), *product(self.at.places[:1], TIMES[1:])]:
             try:
                 plain = self._read(self._called(ufl.as_vector([*map(float, place)]), ufl.as_ufl(t)))
             except Exception:  # a function of symbols alone, such as ufl.grad
                 continue
             a, b = (np.array([evaluated(c, t, place) for c in some.flat]) for some in (components, plain))
             if a.shape == b.shape and np.isfinite([a, b]).all() and np.abs(a - b).max() > SAME * np.abs([a, b]).max():
-                raise self._no_function(
-                    f"at {at_place(place)}, t = {t:g} it gives {a.tolist()} for symbols and {b.tolist()} for numbers, as "
-                    "functions with ==, != and `in` do"
-                )
+                both = f"{a.tolist()} for symbols and {b.tolist()} for numbers, as functions with ==, != and `in` do"
+                raise self._no_function(f"at {at_place(place)}, t = {t:g} it gives {both}")
 
     # ---------------------------------------------------------------- what it is
     @cached_property
@@ -288,12 +279,6 @@ class Pressure:
     p: Value
 
 
-def vanishes(load: Load | Pressure) -> bool:
-    """Whether a load is zero at all places and times: numbers."""
-    value: Any = load.p if isinstance(load, Pressure) else load
-    return not callable(value) and not np.any(np.asarray(value, float))
-
-
 def by_body(given: Any, joint: Joint, what: str = "", others: Sequence[str] = ()) -> dict[str, Any]:
     """What is given for bodies, one for all or by name, in the same order on all ranks.
 
@@ -301,9 +286,8 @@ def by_body(given: Any, joint: Joint, what: str = "", others: Sequence[str] = ()
         InputError: a name, after some words, that is none of a body nor one of others.
     """
     each = given if isinstance(given, Mapping) else dict.fromkeys(joint.bodies, given)
-    for name in each:
-        if name not in joint.bodies and name not in others:
-            raise InputError(what + unknown("body", name, joint.bodies))
+    for name in (name for name in each if name not in others):
+        require_known("body", name, joint.bodies, what)
     return {name: each[name] for name in joint.bodies if name in each}
 
 
@@ -326,10 +310,9 @@ def _shape_of(content: Any) -> Shape:
 
 def has_finite_numbers(expression: Expr) -> bool:
     """Whether all numbers in a UFL expression are finite and real, so that it can be compiled."""
-    for node in unique_pre_traversal(expression):
-        if isinstance(node, ComplexValue) or (isinstance(node, RealValue) and not math.isfinite(float(node))):
-            return False
-    return True
+    nodes = unique_pre_traversal(expression)
+    numbers = (node for node in nodes if isinstance(node, ComplexValue | RealValue))
+    return all(isinstance(number, RealValue) and math.isfinite(float(number)) for number in numbers)
 
 
 def of_place(expression: Expr) -> bool:

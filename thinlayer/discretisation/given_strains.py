@@ -5,13 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any, ClassVar
 
 import numpy as np
 import ufl
 from dolfinx import fem
 
-from forms.base import Array, InputError, is_finite, is_number
+from forms.base import Array, InputError, is_finite, is_number, require
 from forms.kinematics import MANDEL, ROOT2, Expr, lift
 from forms.law import BulkLaw
 from forms.planes import Kinematics
@@ -51,17 +52,15 @@ class MeanStrain:
     def __init__(self, given: Strain, at: Coordinates, joint: Joint) -> None:
         if joint.periods is None:
             raise InputError(f"{self.what} is for a periodic cell, and this joint is none; see geometry.periodic")
-        self._dim, d = joint.dim, joint.dim
-        self._given = at.given(given, self.what, (d, d)).once("the whole cell")
-        self.size = joint.size
+        self._dim = d = joint.dim
+        self._given, self.size = at.given(given, self.what, (d, d)).once("the whole cell"), joint.size
         if not self._given.varies:
             self.at(0.0)
 
     def at(self, t: float) -> Array:
         """The strain (d, d) at a time; raises InputError if it is not finite or not symmetric."""
         strain = self._given.at_time(t)
-        rows: Any = strain.tolist()
-        require_symmetric(rows, f"{self.what} at t = {t:g}")
+        require_symmetric(strain.tolist(), f"{self.what} at t = {t:g}")  # type: ignore[arg-type]
         return strain
 
     @property
@@ -79,10 +78,9 @@ class MeanStress(MeanStrain):
 
     what = "the mean stress"
 
-    def __init__(self, given: Strain, at: Coordinates, joint: Joint, bodies: Sequence[Term]) -> None:
+    def __init__(self, given: Strain, at: Coordinates, joint: Any, bodies: Sequence[Term]) -> None:
         super().__init__(given, at, joint)
         d = joint.dim
-        assert joint.periods is not None
         if np.linalg.matrix_rank(joint.periods.vectors(joint.points)) < d:
             raise InputError(f"a mean stress needs a joint periodic in {d} directions; load free sides by tractions")
         for p in bodies:
@@ -146,13 +144,11 @@ class Matter:
 def require_symmetric(rows: Rows, what: str) -> None:
     """Raise InputError if a table is not symmetric; UFL expressions are compared as they are written."""
     numbers = [abs(c) for row in rows for c in row if isinstance(c, float)]
-    for i in range(len(rows)):
-        for j in range(i):
-            a, b = rows[i][j], rows[j][i]
-            both = isinstance(a, float) and isinstance(b, float)
-            same = abs(a - b) <= SYMMETRY * max(numbers) if both else ufl.as_ufl(a) == ufl.as_ufl(b)
-            if not same:
-                raise InputError(f"{what} is not symmetric: components {i + 1}{j + 1} and {j + 1}{i + 1} are {a}, {b}")
+    for i, j in combinations(range(len(rows)), 2):
+        a, b = rows[j][i], rows[i][j]
+        both = isinstance(a, float) and isinstance(b, float)
+        if not (abs(a - b) <= SYMMETRY * max(numbers) if both else ufl.as_ufl(a) == ufl.as_ufl(b)):
+            raise InputError(f"{what} is not symmetric: components {j + 1}{i + 1} and {i + 1}{j + 1} are {a}, {b}")
 
 
 class Eigenstrain(ABC):
@@ -196,13 +192,13 @@ class ThermalExpansion(Eigenstrain):
     factor: float | Callable[[Expr, Any], Any] = 1.0
 
     def __post_init__(self) -> None:
-        if (alpha := finite(self.alpha, (), (3,), (3, 3))) is None:
-            raise InputError(f"alpha is {self.alpha!r}; allowed: a finite number, three, or a symmetric (3, 3)")
-        if alpha.ndim == 2:
-            require_symmetric([[*map(float, row)] for row in alpha], "alpha")
-        for name, given, meant in (("T", self.T, ", the change of temperature"), ("factor", self.factor, "")):
-            if not (callable(given) or is_finite(given)):
-                raise InputError(f"{name} is {given!r}; allowed: a finite number or a function (x, t){meant}")
+        alpha = finite(self.alpha, (), (3,), (3, 3))
+        require(alpha is not None, "alpha", self.alpha, "allowed: a finite number, three, or a symmetric (3, 3)")
+        if np.ndim(self.alpha) == 2:
+            require_symmetric(np.array(self.alpha, float).tolist(), "alpha")
+        for name, given in (("the change of temperature T", self.T), ("factor", self.factor)):
+            good = callable(given) or is_finite(given)
+            require(good, name, given, "allowed: a finite number or a function (x, t)")
 
     def components(self, matter: Matter) -> Rows:
         """As in `Eigenstrain`."""
@@ -283,11 +279,10 @@ def eigenstrains(given: Any) -> list[Eigenstrain]:
     if isinstance(given, Eigenstrain):
         return [given]
     if isinstance(given, (list, tuple)) and not _is_table(given):
-        if all(is_number(one) for one in given):
-            raise InputError(
-                f"the eigenstrain is {given!r}; allowed: a number, a symmetric table, a function (x, t), ThermalExpansion, "
-                "Prestress, or a list of these that add up"
-            )
+        allowed = (
+            "allowed: a number, a table, a function (x, t), ThermalExpansion, Prestress, a list of these that add up"
+        )
+        require(not all(map(is_number, given)), "the eigenstrain", given, allowed)
         return [found for one in given for found in eigenstrains(one)]
     return [PlainStrain(given)]
 

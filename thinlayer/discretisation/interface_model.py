@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any, Self
@@ -27,7 +26,7 @@ from geometry.topology import FloatArray, Splitting
 from thinlayer.discretisation.boundary import require_revolution
 from thinlayer.discretisation.forces import Forces, Weighted
 from thinlayer.discretisation.given import Coordinates
-from thinlayer.discretisation.layer import Layers, SeamLayer, ThinLayer, for_terms, real_law, seam_entities
+from thinlayer.discretisation.layer import Layers, SeamLayer, for_terms, real_law, seam_entities
 from thinlayer.discretisation.measures import known_at
 from thinlayer.discretisation.mesh_functions import Middle, cellwise, relative_thickness
 from thinlayer.discretisation.model import Model
@@ -55,7 +54,14 @@ class InterfaceModel(Model):
         self.require("interface law")
         if self._bodies == "kept":
             return self.joint
-        joint = apart(self.joint, self.layers)
+        if self.joint.seams_meet:
+            raise InputError("bodies='extended': seams meet or branch, where S has no middle; use bodies='kept'")
+        thin = {name: one.thin for name, one in self.layers.items() if one.thin}
+        for name in (name for name in self.joint.seams if name not in thin):
+            reason = f"{name!r} has no ThinLayer, so that no thickness tells where bodies are; use bodies='kept'"
+            raise InputError(f"bodies='extended' of an interface model: {reason}")
+        eps, profiles = ({name: getattr(one, of) for name, one in thin.items()} for of in ("eps", "profile"))
+        joint = parted(self.joint, eps, profile=profiles)
         require_revolution(self.structure.kinematics, joint)
         return joint
 
@@ -63,12 +69,8 @@ class InterfaceModel(Model):
         forces = super()._forces(structure)  # raises errors of bad data
         for one in self.layers.values():
             if one.thin and one.thin.order == 1:
-                add_side_loads(forces, self, one, self.sides_of(one.name), self._at_base)
+                add_side_loads(forces, self, one, self.sides_of(one.name))
         return forces
-
-    def _at_base(self, v: Expr) -> Expr:
-        """Motions of a rigid base, from those at the facets of the body above it."""
-        return v + ufl.dot(ufl.grad(v), 2 * self._middle.to_s) if self._middle else v
 
     @property
     def _clamped(self) -> tuple[str, ...]:
@@ -78,10 +80,8 @@ class InterfaceModel(Model):
     def splitting(self) -> Splitting:
         """As in `Model`: cut along the seams without a bond."""
         joint = self.domain.joint
-        if not self.bonds:
-            return joint.splitting
         cut = [joint.rows_of(name) for name in joint.seams if name not in self.bonds]
-        return joint.split_along(np.concatenate([np.empty(0, np.int64), *cut]))
+        return joint.split_along(np.concatenate([np.empty(0, np.int64), *cut])) if self.bonds else joint.splitting
 
     def _check_beside(self, other: Self) -> None:
         self.require("interface law")
@@ -104,19 +104,14 @@ class InterfaceModel(Model):
         if given is None or not (self._middle or extract_coefficients(given)):
             return given
         sides = self.sides_of(one.name)
-        if self._middle or one.name in self.joint.base_seams:
-            return sides.upper(given)
-        return (sides.upper(given) + sides.lower(given)) / 2
+        both = not (self._middle or one.name in self.joint.base_seams)
+        return (sides.upper(given) + sides.lower(given)) / 2 if both else sides.upper(given)
 
     @cached_property
     def dS(self) -> ufl.Measure:
         """The measure of the seams between bodies; dS(k + 1) is the k-th of `joint.seams`, "+" its upper side."""
-        joint = self.joint
-        entities = [
-            (k + 1, seam_entities(self.domain, name).ravel())
-            for k, name in enumerate(joint.seams)
-            if name not in joint.base_seams
-        ]
+        between = [(k, name) for k, name in enumerate(self.joint.seams, 1) if name not in self.joint.base_seams]
+        entities = [(k, seam_entities(self.domain, name).ravel()) for k, name in between]
         return ufl.Measure("dS", domain=self.domain.mesh, subdomain_data=entities)
 
     def sides_of(self, name: str = S) -> Interface:
@@ -189,7 +184,7 @@ class InterfaceModel(Model):
         if one.thin is None:
             terms = [forms.of_jumps(law, sides)]
         else:
-            eps = self._thickness(one.name, one.thin, sides)
+            eps = self._thickness(one, sides)
             slope = self._middle.slope(sides) if self._middle and one.thin.profile else None
             weights = self.reductions[one.name].weights
             ends = weights.expressions(self.domain, sides) if weights else None
@@ -199,33 +194,31 @@ class InterfaceModel(Model):
             terms = forms.surface(law, sides, eps, one.thin.order, self.given_on[one.name], slope, ends)
         return [replace(term, key=one.key, law=for_terms(term.law, mesh)) for term in terms]
 
-    def _thickness(self, name: str, layer: ThinLayer, sides: Interface) -> Expr:
+    def _thickness(self, one: SeamLayer, sides: Interface) -> Expr:
         if self._middle:
             return self._middle.thickness(sides)
-        eps: Expr = fem.Constant(self.domain.mesh, float(layer.eps))
-        if layer.profile is not None:
-            eps = eps * sides.upper(relative_thickness(self.domain, layer.profile, name))
-        return eps
+        eps: Expr = fem.Constant(self.domain.mesh, float(one.thin.eps))
+        if one.thin.profile is None:
+            return eps
+        return eps * sides.upper(relative_thickness(self.domain, one.thin.profile, one.name))
 
     def _data(self) -> dict[str, Any]:
         known = [name for name, reduction in self.reductions.items() if reduction.weights]
         return super()._data() | ({"free ends": known} if known else {})
 
-    def _places_of(self, one: SeamLayer) -> list[Weighted]:
+    def _place_of(self, one: SeamLayer) -> Weighted:
         """S, where both sides have half of the layer's weight; on a rigid base the other half goes to the base."""
         sides = self.sides_of(one.name)
-        assert one.thin is not None
-        eps = self._thickness(one.name, one.thin, sides)
+        eps = self._thickness(one, sides)
 
-        def on_base(v: Expr) -> Expr:
-            return sides.upper(self._at_base(v)) / 2
+        def on_base(v: Expr) -> Expr:  # which moves as at the facets of the body above it, and as these turn
+            return sides.upper(v + ufl.dot(ufl.grad(v), 2 * self._middle.to_s) if self._middle else v) / 2
 
         def on_either(v: Expr) -> Expr:
             return (sides.upper(v) + sides.lower(v)) / 2
 
-        based = one.name in self.joint.base_seams
-        weight = eps * sides.factor
-        return [Weighted(sides.measure, weight, sides.upper, on_either, on_base if based else None)]
+        based = on_base if one.name in self.joint.base_seams else None
+        return Weighted(sides.measure, eps * sides.factor, sides.upper, on_either, based)
 
     def _known(self, one: SeamLayer, law: BulkLaw) -> BulkLaw:
         """The law with parameters that are functions as expressions on S, linear between vertices; others as Constants."""
@@ -236,24 +229,3 @@ class InterfaceModel(Model):
             values[vertices] = found
             on_s[name] = upper(cellwise(self.domain, ("Lagrange", 1), values[joint.corners][..., None]))
         return known_at(law, self.domain.mesh, on_s)
-
-
-def apart(joint: Joint, layers: Mapping[str, SeamLayer]) -> Joint:
-    """The joint whose bodies have made room for layers, which have no cells.
-
-    Args:
-        joint: the joint.
-        layers: name of a seam -> its layer.
-
-    Raises:
-        InputError: seams that meet, or one without a thickness; as of `geometry.inflate`.
-    """
-    if joint.seams_meet:
-        raise InputError("bodies='extended': seams meet or branch, where S has no middle; use bodies='kept'")
-    thin = {name: one.thin for name, one in layers.items() if one.thin}
-    for name in joint.seams:
-        if name not in thin:
-            reason = f"{name!r} has no ThinLayer, so that no thickness tells where bodies are; use bodies='kept'"
-            raise InputError(f"bodies='extended' of an interface model: {reason}")
-    eps, profiles = ({name: getattr(one, of) for name, one in thin.items()} for of in ("eps", "profile"))
-    return parted(joint, eps, profile=profiles)

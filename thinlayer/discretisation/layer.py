@@ -20,7 +20,6 @@ from forms.planes import Kinematics
 from forms.trace import average_lame, is_checked_at_rest, known_at_rest, require_stable, tangent_over
 from forms.traction import TractionLaw
 from geometry.domain import Domain
-from geometry.inflating.layering import by_seam
 from geometry.joint import Joint, Profile
 from geometry.seam import S
 from geometry.sheet import Sheet
@@ -78,26 +77,21 @@ class ThinLayer:
     at: float | None = None
 
     def __post_init__(self) -> None:
-        if isinstance(self.law, LawOnS):
-            kind = type(self.law).__name__
-            raise InputError(f"{kind} is a law on S without a thickness: give it alone, structure.interface(law)")
-        require(isinstance(self.law, BulkLaw), "the layer's law", self.law, "it must be a law of strains")
+        of_strains = "it must be a law of strains; a law on S, without a thickness, stands alone: interface(law)"
+        require(isinstance(self.law, BulkLaw), "the layer's law", self.law, of_strains)
         first, *others = (law for _, law in self.law.sublayers)
         if first.traits.linear and all(law == first for law in others):
             object.__setattr__(self, "law", first)
         _check_thickness("layer's thickness eps", self.eps)
         if self.at is not None:
             _check_thickness("thickness at which the law's parameters hold, at,", self.at)
-        if self.order not in (0, 1) or not is_number(self.order):
-            raise InputError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
+        known = is_number(self.order) and self.order in (0, 1)
+        require(known, "the order of the interface law", self.order, "allowed: 0, 1")
         if self.order == 1:
             self.law.stations()  # raises errors of laws without one of order 1
-        require(
-            self.profile is None or callable(self.profile), "the profile", self.profile, "it must be a function of x"
-        )
+        callable_ = self.profile is None or callable(self.profile)
+        require(callable_, "the profile", self.profile, "it must be a function of x")
         require(self.edges in EDGES, "edges", self.edges, f"allowed: {', '.join(map(repr, EDGES))}")
-        if self.edges == "free" and self.order != 1:
-            raise InputError("edges='free' corrects the interface law of order 1; use order=1")
 
     @property
     def material(self) -> BulkLaw:
@@ -107,8 +101,7 @@ class ThinLayer:
     @property
     def fractions(self) -> tuple[float, ...]:
         """Thickness fractions of the sublayers, from the lower to the upper face; () for a single layer."""
-        fractions = tuple(a for a, _ in self.law.sublayers)
-        return fractions if len(fractions) > 1 else ()
+        return tuple(a for a, _ in self.law.sublayers if a != 1)
 
 
 @dataclass(frozen=True)
@@ -145,22 +138,6 @@ Layers = Layer | Bond | Mapping[str, OnSeam]
 
 def _check_thickness(what: str, eps: Any) -> None:
     require(is_number(eps) and math.isfinite(eps) and eps > 0, f"the {what}", eps, "allowed: > 0")
-
-
-def on_seams(joint: Joint, given: Any) -> dict[str, Any]:
-    """What is on each seam: one layer or bond for all, or {name of a seam: it; None or a `Gap` for an open joint}.
-
-    They are in the order of the joint's seams, so that the order in which they are given makes no difference.
-
-    Raises:
-        InputError: a seam has no layer, or a layer no seam.
-    """
-    return by_seam(joint, given, "layer")
-
-
-def layers_of(given: Mapping[str, Any]) -> dict[str, Any]:
-    """The layer of each seam that has one."""
-    return {name: layer for name, layer in given.items() if not isinstance(layer, Gap | Bond | None)}
 
 
 def real_law(layer: Layer, kinematics: Kinematics) -> BulkLaw:
@@ -264,8 +241,8 @@ class SeamLayer:
         return self.thin is not None and self.thin.order == 1 and self.thin.law.traits.constrained
 
     @property
-    def thin(self) -> ThinLayer | None:
-        """The layer, if it has a law of strains."""
+    def thin(self) -> Any:
+        """The layer, a `ThinLayer`, if it has a law of strains; else None."""
         return None if isinstance(self.layer, LawOnS) else self.layer
 
     @property
@@ -277,6 +254,11 @@ class SeamLayer:
     def law(self) -> Law:
         """The law, as given."""
         return self.layer if isinstance(self.layer, LawOnS) else self.layer.law
+
+    @property
+    def kind(self) -> str:
+        """Name of the law's class."""
+        return type(self.law).__name__
 
     @property
     def remembers(self) -> bool:
@@ -358,9 +340,6 @@ def seam_entities(domain: Domain, name: str) -> Indices:
     facets = domain.facets(name)
     facets = np.sort(facets[facets < mesh.topology.index_map(joint.dim - 1).size_local])
     entities = interior_facet_entities(mesh, facets)
-    lost = domain.comm.allreduce(len(facets) - len(entities))
-    if lost:
-        raise InputError(f"{lost} facets of {name!r} have one cell on their rank: the mesh lacks ghost cells")
     rows = np.searchsorted(joint.surface_rows, domain.numbers(joint.dim - 1, facets))
     swap = domain.original_cells[entities[:, 0]] != joint.surface_cells[rows, 1]
     entities[swap] = entities[swap][:, [2, 3, 0, 1]]

@@ -45,10 +45,9 @@ def relative_thickness(domain: Domain, profile: Profile, name: str = S) -> fem.F
 
 def director(domain: Domain) -> Expr:
     """Unit normal of S in the cells of the meshed layer, (d,), from the lower to the upper body; zero in bodies."""
-    joint, band = domain.joint, domain.joint.band
-    assert band is not None
+    joint: Any = domain.joint
     values = np.zeros((*joint.corners.shape, joint.dim))
-    values[-len(band.director) :] = band.director
+    values[-len(joint.band.director) :] = joint.band.director
     n = cellwise(domain, ("DG", 1, (joint.dim,)), values)
     return n / ufl.sqrt(ufl.dot(n, n))
 

@@ -19,6 +19,7 @@ from forms.contact import ContactLaw
 from forms.kinematics import Expr
 from forms.law import BulkLaw
 from geometry.domain import Domain
+from geometry.inflating.layering import by_seam
 from geometry.joint import Joint
 from geometry.topology import FloatArray, Indices, Splitting, is_tensor
 from thinlayer.discretisation.addition import check_additions
@@ -37,9 +38,7 @@ from thinlayer.discretisation.layer import (
     SeamLayer,
     ThinLayer,
     constants,
-    layers_of,
     loads_of_layers,
-    on_seams,
 )
 from thinlayer.discretisation.measures import compiled, compiled_terms, origin_of, placed
 from thinlayer.discretisation.mesh_functions import cut_at_faces, vector_space
@@ -130,26 +129,20 @@ class Model(ABC):
             self.supports = self._supports(structure.supports)
             self.given = {name: self._given(name) for name in self.body_laws}
             self.given_on = {name: self._given_on(one) for name, one in self.layers.items()}
-        self.bodies = [term for names in self._alike() for term in self._body_terms(names)]
+            if not (structure.strain is None and structure.stress is None):
+                self.require("mean strain")
+            strain, stress = structure.strain, structure.stress
+            self.strain = None if strain is None else MeanStrain(strain, self.coordinates, self.joint)
+        self.bodies = self._strained([term for names in self._alike() for term in self._body_terms(names)])
         self.layer_terms = self._terms_of_layers()
         with on_all(self.comm):
             self.forces = self._forces(structure)
         with on_all(self.comm):
-            self.strain, self.stress = self._mean_loads()
-        if self.strain:
-            self.bodies = forms.added(self.bodies, self.strain.expression)
-            self.layer_terms = self._strained(self.layer_terms)
+            self.stress = None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.solids)
         self.parts = structure.parts
         with on_all(self.comm):
             check_additions(self.parts, self)
         self.constraints = self._constrained()
-        for name in self.forces.loaded:
-            if self.supports.clamps(self.V, name):
-                self.warn(
-                    "held load",
-                    f"traction on {name!r}: supports hold all of it: the load changes reactions alone",
-                    name,
-                )
         self.require_supported()
         self.made_from = self._data()
 
@@ -173,8 +166,9 @@ class Model(ABC):
         """Take the layers of the seams and return the result of a check of them. Collective."""
         structure = self.structure
         with on_all(structure.comm):
-            self.on_seams: dict[str, OnSeam] = on_seams(self.joint, layer)
-            self.layers = {name: SeamLayer(name, one, structure) for name, one in layers_of(self.on_seams).items()}
+            self.on_seams: dict[str, OnSeam] = by_seam(self.joint, layer, "layer")
+            layers = {name: one for name, one in self.on_seams.items() if not isinstance(one, Gap | Bond | None)}
+            self.layers = {name: SeamLayer(name, one, structure) for name, one in layers.items()}
             self.contacts = {name: one.contact for name, one in self.layers.items() if one.contact}
             self.reductions = {name: Reduction(one, self._bodies) for name, one in self.layers.items()}
             checked = check()
@@ -212,7 +206,8 @@ class Model(ABC):
         return [placed(replace(term, key=key, given=given), self.V, self.origin) for key, term in each.items()]
 
     def _terms_of_layers(self) -> list[forms.Term]:
-        return [placed(term, self.V, self.origin) for term in self._layer_terms()]
+        terms = [placed(term, self.V, self.origin) for term in self._layer_terms()]
+        return terms if self.broken else self._strained(terms)
 
     def _supports(self, given: ByPlace) -> Supports:
         return Supports(self.domain, given, self.coordinates.apart, self._clamped, self.kinematics)
@@ -221,10 +216,9 @@ class Model(ABC):
     def _forces(self, structure: Setup) -> Forces:
         at = self.coordinates.apart
         points = ConcentratedForms(self.domain, self.joint, structure.degree, at)
-        given = structure.tractions, structure.body_force, structure.loads
-        forces = Forces(self.domain, self.kinematics, points, *given)
+        forces = Forces(self.domain, self.kinematics, points, structure)
         for name, load in loads_of_layers(structure.body_force, self.joint, self.layers, self.bonds).items():
-            forces.add_layer(name, load, self._places_of(self.layers[name]), self._coordinates_on(at))
+            forces.add_layer(name, load, self._place_of(self.layers[name]), self._coordinates_on(at))
         return forces
 
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
@@ -232,24 +226,13 @@ class Model(ABC):
         return at
 
     @abstractmethod
-    def _places_of(self, one: SeamLayer) -> list[Weighted]:
+    def _place_of(self, one: SeamLayer) -> Weighted:
         """Where a layer's volume is."""
 
     @property
     def _clamped(self) -> tuple[str, ...]:
         """Names of the facets that a rigid base holds."""
         return ()
-
-    def _mean_loads(self) -> tuple[MeanStrain | None, MeanStress | None]:
-        strain, stress = self.structure.strain, self.structure.stress
-        if strain is not None and stress is not None:
-            raise InputError("give a mean strain or a mean stress, not both")
-        if not (strain is None and stress is None):
-            self.require("mean strain")
-        return (
-            None if strain is None else MeanStrain(strain, self.coordinates, self.joint),
-            None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.solids),
-        )
 
     def require(self, question: str, what: str = "") -> None:
         """Raise InputError, after some words, if a layer does not meet a condition of a question (`Reduction.why_not`)."""
@@ -298,7 +281,7 @@ class Model(ABC):
         self._lay(layer, partial(self._check_beside, other))
         with on_all(self.comm):
             self.given_on = {name: self._given_on(one) for name, one in self.layers.items()}
-        self.layer_terms = self._strained(self._terms_of_layers())
+        self.layer_terms = self._terms_of_layers()
         with on_all(self.comm):
             self.forces = self._forces(self.structure)
             if self.strain or self.stress:
@@ -323,10 +306,8 @@ class Model(ABC):
             for model in (self, other)
         )
         for name in (name for name in needed if needed[name] != made.get(name)):
-            raise InputError(
-                f"bodies have made room for a layer {name!r} of (thickness, profile, fractions) {made.get(name)}, not "
-                f"{needed[name]}; make a model of its own"
-            )
+            room = f"{name!r} of (thickness, profile, fractions) {made.get(name)}, not {needed[name]}"
+            raise InputError(f"bodies have made room for a layer {room}; make a model of its own")
 
     def with_loads(
         self,
@@ -422,8 +403,8 @@ class Model(ABC):
         return self.structure.degree - 1 if law.traits.isochoric and not straight else None
 
     def _strained(self, terms: list[forms.Term]) -> list[forms.Term]:
-        """The terms of layers, of meshed ones with the mean strain of a periodic cell."""
-        return forms.added(terms, self.strain.expression) if self.strain and not self.broken else terms
+        """The terms with the mean strain of a periodic cell."""
+        return forms.added(terms, self.strain.expression) if self.strain else terms
 
     @property
     def solids(self) -> list[forms.Term]:
@@ -460,7 +441,7 @@ class Model(ABC):
         Without those that a rigid base holds.
         """
         found = [part.held(self, V) for part in self.parts]
-        return np.unique(np.concatenate([self.supports.held(V, self.supports.given), *found]))
+        return np.unique(np.concatenate([self.supports.held(V, clamped=False), *found]))
 
     @property
     def holders(self) -> list[Place]:
@@ -469,15 +450,11 @@ class Model(ABC):
         plates = [part.place for part in self.parts if part.ties_nodes]
         return [*(place for place, _ in self.supports.entries), *plates, *based]
 
-    @property
-    def bodies_remember(self) -> bool:
-        """Whether the law of a body depends on its history, and may dissipate energy."""
-        return any(law.traits.rate or law.traits.remembers for law in self.body_laws.values())
-
     def by_place(self, values: Mapping[str, float]) -> dict[str, float]:
         """`by_seam`, and under "bodies" the sum of the values of bodies, by their keys, if they remember."""
         of_bodies = sum(values.get(p.key, 0.0) for p in self.bodies if p.key)
-        return self.by_seam(values) | ({BODIES: of_bodies} if self.bodies_remember else {})
+        remember = any(law.traits.rate or law.traits.remembers for law in self.body_laws.values())
+        return self.by_seam(values) | ({BODIES: of_bodies} if remember else {})
 
     @cached_property
     def linear(self) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import basix
@@ -132,15 +131,9 @@ class LineLoad:
             k = here[_in_one_body(joint, every[here], components[every[here], columns[here]], self.body, self.what)]
             chosen.append((every[k], columns[k]))
         cells, columns = np.array(chosen).T
-        return along_edges(kind, cells, np.array(edges)[columns])
-
-
-def along_edges(kind: basix.CellType, cells: IntArray, ends: IntArray, count: int = EDGE_POINTS) -> Nodes:
-    """Gauss points on edges of cells (n,) between these corners (n, 2)."""
-    s, w = basix.make_quadrature(basix.CellType.interval, 2 * count - 1)
-    X = np.asarray(basix.geometry(kind))[ends]  # (n, 2, d)
-    points = X[:, None, 0] + s[None, :, :1] * (X[:, None, 1] - X[:, None, 0])
-    return Nodes(cells, points, w[None, :, None] * (X[:, None, 1] - X[:, None, 0]))
+        s, w = basix.make_quadrature(basix.CellType.interval, 2 * EDGE_POINTS - 1)
+        X = np.asarray(basix.geometry(kind))[np.array(edges)[columns]][:, :, None]  # (n, 2, 1, d)
+        return Nodes(cells, X[:, 0] + s[:, :1] * (X[:, 1] - X[:, 0]), w[:, None] * (X[:, 1] - X[:, 0]))
 
 
 def _in_one_body(joint: Joint, cells: IntArray, components: IntArray, body: str | None, what: str) -> int:
@@ -186,7 +179,8 @@ class ConcentratedForms:
     """
 
     def __init__(self, domain: Domain, joint: Joint, degree: int, at: Coordinates) -> None:
-        self.domain, self.joint, self.at, self._degree = domain, joint, at, degree
+        self.domain, self.joint, self.at, rule = domain, joint, at, {"quadrature_degree": 2 * degree}
+        self._dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags, metadata=rule)
         kind = basix.CellType[joint.cell_type]
         self._ufl = basix.ufl.element("DG", domain.mesh.basix_cell(), degree)
         self._element = self._ufl.basix_element
@@ -195,55 +189,31 @@ class ConcentratedForms:
         self._inverse = np.linalg.inv(phi.T @ (w[:, None] * phi))
         self._jacobian = abs(ufl.JacobianDeterminant(domain.mesh))
 
-    @cached_property
-    def _dx(self) -> ufl.Measure:
-        """Of the bodies."""
-        domain, rule = self.domain, {"quadrature_degree": 2 * self._degree}
-        dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags, metadata=rule)
-        return dx(domain.cell_values(*self.joint.bodies))
-
     def terms(self, load: Concentrated) -> list[tuple[Expr, ufl.Measure]]:
         """Pairs of a load per volume (d,) and a measure. Collective."""
-        nodes, d = load.nodes(self.joint), self.joint.dim
-        lengths = np.ones((*nodes.points.shape[:2], 1))
+        nodes, d, joint, found = load.nodes(self.joint), self.joint.dim, self.domain.joint, []
+        lengths = np.ones(nodes.points.shape[:2])
         if nodes.along is not None:
-            along = nodes.in_space(self.joint, self.domain.joint.cell_points)[1]
-            lengths = np.linalg.norm(along, axis=2, keepdims=True)
-        given = self.at.given(load.force, load.what, (d,))
-        return [
-            (at.given(load.force, load.what, (d,)).expression * g[0], measure)
-            for at, g, measure in self.at_nodes(nodes, lengths, given.varies)
-        ]
-
-    def at_nodes(self, nodes: Nodes, weights: Array, split: bool) -> list[tuple[Coordinates, Expr, ufl.Measure]]:
-        """Places, densities g (c,) and measures: the sum over them of int g f dX is that over nodes of weights times f.
-
-        Args:
-            nodes: the nodes, without `along`.
-            weights: (n, k, c).
-            split: whether nodes in one cell are parted, so that each has its place as the argument of loads; else the
-                places have no meaning.
-        """
-        n, k, c = weights.shape
-        d, joint, found = self.joint.dim, self.domain.joint, []
+            lengths = np.linalg.norm(nodes.in_space(self.joint, joint.cell_points)[1], axis=2)
         kept = joint.band is not None and joint.band.bodies == "kept"
         x = nodes.in_space(joint, joint.reference[joint.cells] if kept else joint.cell_points)[0]
-        wholes = [(np.arange(n), slice(None))]
-        for some, column in [(r, slice(j, j + 1)) for r in _rounds(nodes.cells) for j in range(k)] if split else wholes:
+        split = self.at.given(load.force, load.what, (d,)).varies  # nodes in one cell are parted: each has its place
+        bodies = self._dx(self.domain.cell_values(*self.joint.bodies))
+        parts = [(r, slice(j, j + 1)) for r in _rounds(nodes.cells) for j in range(lengths.shape[1])]
+        for some, column in parts if split else [(np.arange(len(nodes.cells)), slice(None))]:
             one = Nodes(nodes.cells[some], nodes.points[some, column])
-            element = basix.ufl.blocked_element(self._ufl, shape=(c,))
-            g = cellwise(self.domain, element, self._densities(one, weights[some, column])) / self._jacobian
-            places = np.zeros((len(self.domain.joint.cells), 1, d))
+            g = cellwise(self.domain, self._ufl, self._densities(one, lengths[some, column])) / self._jacobian
+            places = np.zeros((len(joint.cells), 1, d))
             places[one.cells] = x[some, column][:, :1]
             at = self.at.moved(cellwise(self.domain, ("DG", 0, (d,)), places)) if split else self.at
-            found.append((at, g, self._dx))
+            found.append((at.given(load.force, load.what, (d,)).expression * g, bodies))
         return found
 
     def _densities(self, nodes: Nodes, weights: Array) -> Array:
-        """(n_cells, m, ...) degrees of freedom of g times weights (n, k, ...), summed over the nodes of each cell."""
+        """(n_cells, m, 1) degrees of freedom of g times weights (n, k), summed over the nodes of each cell."""
         phi = self._element.tabulate(0, nodes.points.reshape(-1, self.joint.dim))[0, :, :, 0]
         g = (phi @ self._inverse.T).reshape(*nodes.points.shape[:2], -1)
-        return sums(nodes.cells, np.einsum("nk...,nkm->nm...", weights, g), len(self.domain.joint.cells))
+        return sums(nodes.cells, np.einsum("nk,nkm->nm", weights, g), len(self.domain.joint.cells))[..., None]
 
 
 def _rounds(cells: IntArray) -> Iterable[IntArray]:

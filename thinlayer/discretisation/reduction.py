@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from forms.base import InputError
 from forms.elastic import LARGEST_NU, ROUNDING, LinearElastic, poisson_ratio
-from forms.ends.weights import Strips
 from forms.law import BulkLaw
 from forms.rubber import Rubber
 from forms.trace import average_lame, is_isotropic, known_at_rest
@@ -25,6 +25,7 @@ from thinlayer.errors import Refused
 
 LEAST_CONTRAST = 40.0  # Young's modulus of the bodies over the layer's mu
 LEAST_RADIUS = 4.0  # of curved ends, over the thickness; what constants leave out there is of the order of its inverse
+MESH = "use order=0, or mesh the layer (structure.full)"
 BENDING = 44.0  # 48 (1 - nu^2): (eps k)^3 E/mu where half-spaces yield to a pressure of wave number k as the layer does
 
 
@@ -95,7 +96,6 @@ class Reduction:
     def falls(self) -> FloatArray:
         """(n,) eps sqrt(lmbda/(12 mu)) at the loose sides, over which a pressure of order 1 falls to zero; may be inf."""
         thin, joint, at = self.one.thin, self.one.sheet.joint, self.loose.vertices
-        assert thin
         laws = self.law.at_places(joint.points[at].mean(axis=1).T) if self.law.fields else [self.law] * len(at)
         squares = np.array([12 * law.parameters()["mu"] * law.volume_compliance for law in laws])
         relative = joint.relative_thickness(thin.profile, self.one.name)[at].mean(axis=1)
@@ -116,7 +116,6 @@ class Reduction:
 
         An elastic one has a pressure, but beside free ends for large nu alone: constants of others need no fine mesh.
         """
-        assert self.one.thin
         law, loose = self.one.thin.law, len(self.loose.vertices) > 0
         in_sheet = self.one.structure.plane == "stress"  # no pressure builds up there
         if isinstance(law, LinearElastic) and not (in_sheet or law.fields) and law.lmbda > 0:
@@ -132,8 +131,8 @@ class Reduction:
         return f"not corrected, as {refused.reason}" if refused else "corrected" if self.weights else "none"
 
     @cached_property
-    def strips(self) -> Strips | None:
-        """The strips along free ends; None: they are not known for the law."""
+    def strips(self) -> Any:
+        """The `Strips` along free ends; None: they are not known for the law."""
         return self.law.end_strips()
 
     @cached_property
@@ -144,14 +143,11 @@ class Reduction:
     @property
     def width(self) -> float:
         """Area of the seam over the length of its free ends, over the thickness."""
-        assert self.one.thin
         return float(self.one.sheet.areas.sum() / self.free.length.sum()) / float(self.one.thin.eps)
 
     @cached_property
     def all_weights(self) -> FacetWeights:
         """Weights of the free ends on the facets, if conditions before `overlap` hold."""
-        assert self.one.thin
-        assert self.strips
         strips = self.strips.of_spread(min(self.width, (self.contrast / BENDING) ** (1 / 3)))
         sheet, eps = self.one.sheet, float(self.one.thin.eps)
         return FacetWeights.of(straight_ends(self.free, sheet), sheet, eps, strips)
@@ -205,16 +201,14 @@ def _next_term(r: Reduction) -> Iterator[Refused]:
     if thin is None or thin.order == 0:
         return
     if thin.law.traits.constrained and setup.plane == "stress":
-        reason = f"order=1 of {type(thin.law).__name__} in plane stress: no pressure builds up in a sheet"
-        yield Refused("pressure in a sheet", reason, "use LinearElastic or order=0")
+        yield Refused("pressure in a sheet", "no pressure builds up in plane stress", "use LinearElastic or order=0")
     if setup.degree != 2:
         yield Refused("element", f"order=1 has gradients on S, elements are {setup.element}", "use degree 2")
     if r.bent and r.bodies == "kept":
-        reason = f"order=1 {r.bent} needs bodies at their true places: where they meet on S the next term is wrong"
-        yield Refused("bent", reason, "use bodies='extended', for the interface and the full model alike")
+        remedy = "use bodies='extended', for the interface and the full model alike"
+        yield Refused("bent", f"order=1 {r.bent} needs bodies at their true places", remedy)
     if r.bent and len(thin.law.sublayers) > 1:
-        reason = f"order=1 of a Stack {r.bent}: the sublayers' shares of the jump turn along S"
-        yield Refused("bent stack", reason, "use order=0, or mesh the layer (structure.full)")
+        yield Refused("bent stack", f"order=1 of a Stack {r.bent}: shares of the jump turn along S", MESH)
     yield from filter(None, (sample.at_rest.locks() for sample in r.one.samples))
 
 
@@ -228,7 +222,7 @@ def _on_all_of_s(r: Reduction) -> Iterator[Refused]:
         yield Refused("tip", reason, "use order=0")
     if sheet.junction is not None:
         reason = f"order=1 leaves out what junctions add, and {r.one} meets another one, or branches, at "
-        yield Refused("junction", reason + place(sheet.junction), "use order=0, or mesh the layer (structure.full)")
+        yield Refused("junction", reason + place(sheet.junction), MESH)
 
 
 def _meshed(r: Reduction) -> Iterator[Refused]:
@@ -246,21 +240,18 @@ def _held_alone(r: Reduction) -> Iterator[Refused]:
     """Of supports that hold the layer's own side, NAME/LAYER: they hold the bodies beside it, too."""
     rim, alone = r.one.sheet.rim, held_directions(r.one) - held_directions(r.one, of_layer=False)
     if len(at := rim.vertices[np.abs(alone).max(axis=(1, 2)) > SLIGHT]):
-        where = place(r.one.sheet.joint.points[at[0, 0]])
-        reason = f"a support holds the side of {r.one} alone, at {where}, of which no law on S knows"
+        reason = f"a support holds the side of {r.one} alone, at {place(r.one.sheet.joint.points[at[0, 0]])}"
         yield Refused("held alone", reason, "support the bodies too, or mesh the layer")
 
 
 def _thickness(r: Reduction) -> Iterator[Refused]:
     if r.one.thin is None:
-        law = type(r.one.law).__name__
-        yield Refused("no thickness", f"{law} is a law on S, without a thickness", "give a ThinLayer")
+        yield Refused("no thickness", f"{r.one.kind} is a law on S, without a thickness", "give a ThinLayer")
 
 
 def _corrected(r: Reduction) -> Iterator[Refused]:
     """Of an interface law that knows its free ends, or has none."""
     one, thin = r.one, r.one.thin
-    assert thin
     if thin.order == 0:
         yield Refused("order 0", "the interface law is of order 0", "use order=1")
     if not len(r.free.vertices):
@@ -274,13 +265,11 @@ def _corrected(r: Reduction) -> Iterator[Refused]:
     if one.structure.plane == "axisymmetric":
         radius = float(one.structure.joint.points[r.free.vertices, 0].min()) / float(thin.eps)
         if radius < LEAST_RADIUS * (1 - ROUNDING):
-            reason = f"free ends are curved: their radius is {radius:.3g} thicknesses; allowed: {LEAST_RADIUS:g}"
-            yield Refused("radius", reason)
+            yield Refused("radius", f"free ends have a radius of {radius:.3g} thicknesses; allowed: {LEAST_RADIUS:g}")
     yield from _ends(r)
-    assert r.strips
     if r.width < r.strips.longest:
-        reason = f"S is short: its area over the length of free ends is {r.width:.3g} thicknesses; allowed: "
-        yield Refused("short", f"{reason}{r.strips.longest:.3g}")
+        reason = f"its area over the length of free ends is {r.width:.3g} thicknesses"
+        yield Refused("short", f"S is short: {reason}; allowed: {r.strips.longest:.3g}")
     if r.all_weights.overlap:
         yield Refused("overlap", f"strips of {r.strips.longest * thin.eps:.3g} along free ends lie on one another")
 
@@ -289,8 +278,8 @@ def _ends(r: Reduction) -> Iterator[Refused]:
     """Of fields and constants of free ends, which are those of straight ones between rigid faces."""
     one, sheet = r.one, r.one.sheet
     if r.strips is None:
-        known = f"LinearElastic with Poisson's ratio from 0 to {LARGEST_NU:g}, Rubber and Incompressible, by numbers"
-        yield Refused("no constants", f"free ends are not known of this {type(one.law).__name__}: they are of {known}")
+        known = f"LinearElastic with nu from 0 to {LARGEST_NU:g}, Rubber and Incompressible, by numbers"
+        yield Refused("no constants", f"free ends are not known of this {one.kind}: they are of {known}")
     yield from _straight(r, r.contrast)
     if one.flows and r.coarse.any():
         at, fall = place(sheet.joint.points[r.loose[r.coarse].vertices[0, 0]]), r.falls.min()
@@ -303,12 +292,12 @@ def _straight(r: Reduction, contrast: float) -> Iterator[Refused]:
     sheet = r.one.sheet
     if r.bent:
         yield Refused("bent", f"free ends are not known of a layer {r.bent}")
-    if len(oblique := r.rim("oblique").vertices):
-        at = place(sheet.joint.points[oblique[0, 0]])
+    for oblique in r.rim("oblique").vertices[:1]:
+        at = place(sheet.joint.points[oblique[0]])
         yield Refused("oblique", f"something holds the layer's side at {at} neither along S nor across it")
     if contrast < LEAST_CONTRAST * (1 - ROUNDING):
-        reason = f"faces must be rigid beside free ends: E of a body is {contrast:.4g} times mu of the layer; allowed: "
-        yield Refused("contrast", f"{reason}at least {LEAST_CONTRAST:g}")
+        reason = f"E of a body is {contrast:.4g} times mu of the layer; allowed: at least {LEAST_CONTRAST:g}"
+        yield Refused("contrast", f"faces must be rigid beside free ends: {reason}")
     try:
         straight_ends(r.free, sheet)
     except InputError as error:
@@ -338,11 +327,9 @@ def _evens_out(r: Reduction) -> Iterator[Refused]:
 
 def _by_itself(r: Reduction) -> Iterator[Refused]:
     """Of the layer by itself, between faces that are moved."""
-    traits, kind = r.one.law.traits, type(r.one.law).__name__
+    traits, kind = r.one.law.traits, r.one.kind
     if traits.phases or traits.softens:
-        yield Refused(
-            "phases", f"{kind} has phases, or a stress that falls as strains grow", "mesh it (structure.full)"
-        )
+        yield Refused("phases", f"{kind} has phases, or a stress that falls as strains grow", "mesh the layer")
     elif traits.constrained and not r.law.volume_compliance and not len(r.loose.vertices):
         reason = f"{kind} between faces, with no side that is free, bears a pressure that these do not tell"
         yield Refused("closed", reason, "take Rubber with Poisson's ratio 0.4999")
@@ -351,14 +338,13 @@ def _by_itself(r: Reduction) -> Iterator[Refused]:
 def _at_once(r: Reduction) -> Iterator[Refused]:
     """Of a state that knows no rates."""
     if r.one.law.traits.rate:
-        reason = f"{type(r.one.law).__name__} has a rate, of which a state does not know"
-        yield Refused("rate", reason, "mesh the layer (structure.full)")
+        yield Refused("rate", f"{r.one.kind} has a rate, of which a state does not know", "mesh the layer")
 
 
 def _corners(r: Reduction) -> Iterator[Refused]:
     """Of the singular stresses at corners of free ends: a wedge of 90 degrees on a rigid face, in plane strain."""
     if not r.one.law.traits.linear:
-        yield Refused("not linear", f"exponents are known of linear laws, not of {type(r.one.law).__name__}")
+        yield Refused("not linear", f"exponents are known of linear laws, not of {r.one.kind}")
     sublayers, n = r.law.sublayers, r.one.sheet.mean_normal
     outer = [] if r.law.fields else [known_at_rest(law, n) for _, law in (sublayers[0], sublayers[-1])]
     isotropic = [average_lame(C)[1] for C in outer if C is not None and is_isotropic(C)]

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
-from operator import add
 from typing import Any
 
 import numpy as np
@@ -21,7 +19,6 @@ from forms.temperature import finite
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place as at_place
-from geometry.seam import BASE, S
 from thinlayer.discretisation.boundary import AXES
 from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.constraints import Constraints
@@ -30,6 +27,8 @@ from thinlayer.discretisation.supports import Place
 
 Resistance = Callable[[Sequence[fem.Function]], Array]
 AXIAL = {2: ((0, 1, 1.0),), 3: ((1, 2, 1.0), (0, 2, -1.0), (0, 1, 1.0))}  # planes (i, j) that rotations turn, and sense
+# (k, d, d) velocities of unit rotations over the place: W x, as e_k x x
+TURNS = {2: np.array([[[0.0, -1.0], [1.0, 0.0]]]), 3: np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)}
 SMALLEST = 1e-10  # least eigenvalue of the supports' Gram matrix of rigid motions, over its largest one
 ROUNDING = 1e-12  # coordinates over the size of the structure, components over a force, that are told as zero
 
@@ -42,11 +41,7 @@ def count(dim: int) -> int:
 def rigid(x: npt.NDArray[Any], about: Array) -> Array:
     """Unit translations and rotations about a point, at places x (n, d): (n, d, k)."""
     n, d = x.shape
-    out: Array = np.zeros((n, d, count(d)))
-    out[:, np.arange(d), np.arange(d)] = 1.0
-    for k, (i, j, sense) in enumerate(AXIAL[d]):
-        out[:, i, d + k], out[:, j, d + k] = -sense * (x[:, j] - about[j]), sense * (x[:, i] - about[i])
-    return out
+    return np.concatenate([np.tile(np.eye(d), (n, 1, 1)), np.einsum("kij,nj->nik", TURNS[d], x - about)], axis=2)
 
 
 def balanced_motions(kinematics: Kinematics, dim: int) -> Array:
@@ -69,26 +64,20 @@ def rigid_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
     """A constant (k,), and the sum of the motions of `rigid` with these factors as a UFL vector (d,)."""
     x, d = ufl.SpatialCoordinate(mesh), len(about)
     motion = fem.Constant(mesh, np.zeros(count(d)))
-    parts = [motion[i] for i in range(d)]
-    for k, (i, j, sense) in enumerate(AXIAL[d]):
-        parts[i] += -sense * motion[d + k] * (x[j] - float(about[j]))
-        parts[j] += sense * motion[d + k] * (x[i] - float(about[i]))
-    return motion, ufl.as_vector(parts)
+    arm, turns = x - ufl.as_vector(about.tolist()), enumerate(TURNS[d].tolist())
+    turned = (motion[d + k] * ufl.dot(ufl.as_matrix(turn), arm) for k, turn in turns)
+    return motion, sum(turned, ufl.as_vector([motion[i] for i in range(d)]))
 
 
 def rigid_values(V: fem.FunctionSpace, about: Array) -> Array:
     """The motions of `rigid` in a space: (n, k) at the displacements of this rank, those of ghosts last. Collective."""
-    d = V.dofmap.bs
-    try:
-        return rigid(V.tabulate_dof_coordinates()[:, :d], about).reshape(-1, count(d))
-    except RuntimeError:  # the unknowns are no nodal displacements
-        columns = []
-        for k in range(count(d)):
-            f = fem.Function(V)
-            f.interpolate(lambda x, k=k: rigid(x[:d].T, about)[:, :, k].T)
-            f.x.scatter_forward()
-            columns.append(f.x.array.copy())
-        return np.column_stack(columns)
+    d, columns = V.dofmap.bs, []
+    for k in range(count(d)):
+        f = fem.Function(V)
+        f.interpolate(lambda x, k=k: rigid(x[:d].T, about)[:, :, k].T)
+        f.x.scatter_forward()
+        columns.append(f.x.array.copy())
+    return np.column_stack(columns)
 
 
 def rigid_motions(V: fem.FunctionSpace, joint: Joint, kinematics: Kinematics = LIFTED) -> dict[str, fem.Function]:
@@ -160,7 +149,8 @@ class Resultant:
     def at(self, about: Sequence[float] | Array) -> Resultant:
         """The same forces, with their moment about another point (d,)."""
         point = require_point(about, len(self.force))
-        return Resultant(self.force, self.moment + _moment(self.about - point, self.force), point)
+        moment = self.force @ TURNS[len(point)] @ (self.about - point)
+        return Resultant(self.force, self.moment + (moment if len(moment) > 1 else moment[0]), point)
 
     def __add__(self, other: Resultant) -> Resultant:
         there = other.at(self.about)
@@ -190,11 +180,6 @@ def require_point(about: Sequence[float] | Array, dim: int) -> Array:
     return point
 
 
-def _moment(arm: Array, force: Array) -> Array:
-    turned = [sense * (arm[i] * force[j] - arm[j] * force[i]) for i, j, sense in AXIAL[len(arm)]]
-    return np.array(turned if len(turned) > 1 else turned[0])
-
-
 def centroid(domain: Domain, name: str) -> Array:
     """Centroid (d,) of the facets of a name, the sides of the layer that continue it included. Collective."""
     mesh = domain.mesh
@@ -205,57 +190,19 @@ def centroid(domain: Domain, name: str) -> Array:
     return np.asarray(np.where(np.abs(found) > ROUNDING * domain.joint.size, found, 0.0))
 
 
-def applied_to(state: Any, about: Sequence[float] | None) -> Resultant:
-    """See `State.applied`."""
-    forces = state.model.forces
-    found = _of_loads(state, lambda v: {"": forces.work(v), **forces.work_on_bases(v)})
-    return reduce(add, found.values()).at(state.model.centre if about is None else about)
-
-
-def _of_loads(state: Any, work: Callable[[Expr], Mapping[str, Expr]]) -> dict[str, Resultant]:
+def resultants_of_loads(state: Any, work: Callable[[Expr], Mapping[str, Expr]]) -> dict[str, Resultant]:
     """Resultants, about the centre, of loads by name, from their work in motions v. Collective."""
     model, hand = state.model, Hand(state.t)
     motion, v = rigid_expression(model.domain.mesh, model.centre)
-    return {name: _resultant(model, per_unit(model.comm, hand.of(form), motion)) for name, form in work(v).items()}
+    return {name: resultant(model, per_unit(model.comm, hand.of(form), motion)) for name, form in work(v).items()}
 
 
-def _resultant(model: Any, values: Array) -> Resultant:
+def resultant(model: Any, values: Array) -> Resultant:
     """From the work (k,) in the motions about the centre, without what revolution cancels."""
     return Resultant.of(np.asarray(values) * balanced_motions(model.kinematics, model.joint.dim), model.centre)
 
 
-def all_reactions(state: Any, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
-    """See `State.reactions_by_place`."""
-    model = state.model
-    if state.reactions is None:
-        raise InputError("this state has no reactions: it is no equilibrium that was solved for")
-    of_parts = [row for part in model.parts for row in part.reaction(model, state.u)]
-    rows = [
-        (place, _resultant(model, values))
-        for place, values in [*zip(model.holders, state.reactions, strict=True), *of_parts]
-    ]
-    rows += [(name, -load) for name, load in _of_loads(state, model.forces.work_on_bases).items()]
-    found: dict[Place, Resultant] = {}
-    for place, one in rows:
-        found[place] = found[place] + one if place in found else one
-    return {place: one.at(model.centre if about is None else about) for place, one in found.items()}
-
-
-def reaction_of(state: Any, place: Place, about: Sequence[float] | None) -> Resultant:
-    """See `State.reaction`."""
-    model, every = state.model, all_reactions(state)
-    bases = {BASE, *model.joint.base_seams}
-    chosen = [name for name in every if name == place or str(name).split("/")[0] == place]
-    if place == S or (place in bases and not chosen):
-        chosen = [name for name in every if name in bases]
-    if not chosen:
-        held = ", ".join(map(repr, every)) or "nothing"
-        raise InputError(f"nothing holds {place!r}: it is free of supports and springs; held are: {held}")
-    total = reduce(add, (every[name] for name in chosen))
-    return total.at(on_centre(model.kinematics, _middle(model, place, chosen)) if about is None else about)
-
-
-def _middle(model: Any, place: Place, chosen: Sequence[Place]) -> Array:
+def middle_of(model: Any, place: Place, chosen: Sequence[Place]) -> Array:
     """The default point of moments: the centroid of a facet set, the vertex itself."""
     domain = model.domain
     if isinstance(place, str) and place in domain.facet_values and domain.values(place, layer_sides=True):

@@ -81,7 +81,7 @@ class Setup:
             self._check_choices()
             self.degree = int(self.element[1])
             self.body_laws = self._laws_of(body)
-            strains = by_body(eigenstrain, joint, "eigenstrain: ")
+            strains = by_body(eigenstrain, joint, "eigenstrain")
             self.eigenstrains = {name: given for name, given in strains.items() if given is not None}
             for law, C in zip(self._bodies_with_numbers, self.bodies_at_rest, strict=True):
                 require_stable(law, C, slots=self.kinematics.slots(joint.dim))
@@ -132,6 +132,8 @@ class Setup:
         if joint.dim == 3 and self.plane != "strain":
             raise InputError(f"plane={self.plane!r} needs a two-dimensional joint")
         require_revolution(self.kinematics, joint)
+        if self.strain is not None and self.stress is not None:
+            raise InputError("give a mean strain or a mean stress, not both")
         if not (self.kinematics.turns or (self.strain is None and self.stress is None)):
             raise InputError(f"plane={self.plane!r}: a mean strain or stress is for periodic cells without an axis")
         if self.element not in elements:
@@ -161,20 +163,16 @@ def require_body_law(name: str, law: Law) -> None:
         reason = "its pressure is a field of its own; take a nearly incompressible law, with nu = 0.4999, say"
     elif traits.phases:
         reason = "its phases are those of a layer's columns"
-    elif traits.compiled and _reads_director(law):  # others have none in a body, and say so
-        reason = "its stress depends on the normal of S, which a body has not"
-        if isinstance(law, KernelLaw):
-            reason += ", or its class does not say isotropic = True"
+    elif traits.compiled:  # others have none in a body, and say so
+        with explained(law, law.methods[0]):
+            if needs_director(law):
+                reason = "its stress depends on the normal of S, which a body has not"
+                reason += ", or its class does not say isotropic = True" * isinstance(law, KernelLaw)
     if reason:
         raise InputError(f"body {name!r}: {kind} is for layers: {reason}")
     if traits.softens:
         reason = "all strain would gather in one row of cells; let a layer soften, on S"
         raise InputError(f"body {name!r}: the stress of {kind} falls as strains grow: {reason}")
-
-
-def _reads_director(law: BulkLaw) -> bool:
-    with explained(law, law.methods[0]):
-        return needs_director(law)
 
 
 def _ordered(given: Any) -> Any:

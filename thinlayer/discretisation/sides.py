@@ -79,6 +79,18 @@ def _normals(joint: Joint, rim: Rim, name: str) -> FloatArray:
     return out
 
 
+def mean_on_facets(sheet: Sheet, values: FloatArray) -> FloatArray:
+    """(n,) means on the facets of S of values on its simplices."""
+    facet, count = np.searchsorted(sheet.facets, sheet.parts[0]), len(sheet.facets)
+    return np.asarray(np.bincount(facet, sheet.areas * values, count) / np.bincount(facet, sheet.areas, count))
+
+
+def shares_within(end: StraightEnd, sheet: Sheet, reach: float) -> FloatArray:
+    """(n,) share of each facet of S that an end faces, nearer than a length."""
+    x = sheet.joint.points[sheet.vertices]
+    return mean_on_facets(sheet, share_within(end.distance(x), reach) * end.faces(x.mean(axis=1)))
+
+
 @dataclass(frozen=True)
 class FacetWeights:
     """Weights of the free ends on the facets of a seam.
@@ -103,18 +115,14 @@ class FacetWeights:
     @classmethod
     def of(cls, ends: list[StraightEnd], sheet: Sheet, eps: float, strips: Strips) -> FacetWeights:
         """The weights of these ends, for a layer of this thickness."""
-        joint, x = sheet.joint, sheet.joint.points[sheet.vertices]
-        facet = np.searchsorted(sheet.facets, sheet.parts[0])
-        count, d = len(sheet.facets), joint.dim
-        size, area = joint.size, np.bincount(facet, sheet.areas, count)
+        joint, count = sheet.joint, len(sheet.facets)
         weights = np.zeros((3, count))
-        nearest, m, offset = np.full(count, np.inf), np.zeros((count, d)), np.full(count, FAR * size)
-        centre = np.stack([np.bincount(facet, sheet.areas * c, count) / area for c in x.mean(axis=1).T], axis=1)
+        nearest, m, offset = np.full(count, np.inf), np.zeros((count, joint.dim)), np.full(count, FAR * joint.size)
+        middles = joint.points[sheet.vertices].mean(axis=1)
+        centre = np.stack([mean_on_facets(sheet, c) for c in middles.T], axis=1)
         for end in ends:
-            here, distance = end.faces(x.mean(axis=1)), end.distance(x)
             for k, strip in enumerate((strips.opening, strips.shear, strips.resistance)):
-                part = share_within(distance, strip.length * eps) * here * sheet.areas
-                weights[k] += strip.c / strip.length * np.bincount(facet, part, count) / area
+                weights[k] += strip.c / strip.length * shares_within(end, sheet, strip.length * eps)
             closer = end.faces(centre) & (end.distance(centre) < nearest)
             nearest[closer], m[closer], offset[closer] = end.distance(centre)[closer], end.m, end.offset
         return cls(weights[0], weights[1], weights[2], m, offset, sheet, eps, strips)

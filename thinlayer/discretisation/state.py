@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import add
 from typing import Any
 
 import numpy as np
@@ -15,13 +16,14 @@ from dolfinx import fem
 from forms.base import Array, InputError
 from forms.kinematics import MANDEL, Expr, from_mandel, lift
 from forms.work import Term, added, energy, stress
+from geometry.seam import BASE, S
 from geometry.topology import IntArray
 from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.given_strains import MEAN_STRAIN, PAIRS, of_components
 from thinlayer.discretisation.layer import BODIES, LAYER, PRESSURE
 from thinlayer.discretisation.measures import compiled_scalars, per_unit, whole
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.rigid import Resultant, all_reactions, applied_to, reaction_of
+from thinlayer.discretisation.rigid import Resultant, middle_of, on_centre, resultant, resultants_of_loads
 from thinlayer.discretisation.supports import Place
 from thinlayer.system.ranks import carry
 
@@ -204,11 +206,30 @@ class State(Configuration):
         Raises:
             InputError: nothing holds this place: it is free.
         """
-        return reaction_of(self, place, about)
+        model, every = self.model, self.reactions_by_place()
+        bases = {BASE, *model.joint.base_seams}
+        chosen = [name for name in every if name == place or str(name).split("/")[0] == place]
+        if place == S or (place in bases and not chosen):
+            chosen = [name for name in every if name in bases]
+        if not chosen:
+            held = ", ".join(map(repr, every)) or "nothing"
+            raise InputError(f"nothing holds {place!r}: it is free of supports and springs; held are: {held}")
+        total = reduce(add, (every[name] for name in chosen))
+        return total.at(on_centre(model.kinematics, middle_of(model, place, chosen)) if about is None else about)
 
     def reactions_by_place(self, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
         """Reaction of each place that holds the structure, their moments about one point (default: `Model.centre`)."""
-        return all_reactions(self, about)
+        model = self.model
+        if self.reactions is None:
+            raise InputError("this state has no reactions: it is no equilibrium that was solved for")
+        of_parts = [row for part in model.parts for row in part.reaction(model, self.u)]
+        rows = [*zip(model.holders, self.reactions, strict=True), *of_parts]
+        given = [(place, resultant(model, values)) for place, values in rows]
+        given += [(name, -load) for name, load in resultants_of_loads(self, model.forces.work_on_bases).items()]
+        total: dict[Place, Resultant] = {}
+        for place, one in given:
+            total[place] = total[place] + one if place in total else one
+        return {place: one.at(model.centre if about is None else about) for place, one in total.items()}
 
     def applied(self, about: Sequence[float] | None = None) -> Resultant:
         """Resultant of all loads at the time of the state. Collective.
@@ -216,7 +237,9 @@ class State(Configuration):
         Args:
             about: the point (d,) of the moment; by default `Model.centre`.
         """
-        return applied_to(self, about)
+        forces = self.model.forces
+        loads = resultants_of_loads(self, lambda v: {"": forces.work(v), **forces.work_on_bases(v)})
+        return reduce(add, loads.values()).at(self.model.centre if about is None else about)
 
     def mean_strain(self) -> Array:
         """Mean strain (d, d) of a periodic cell, prescribed or found under a mean stress; else zero. Collective."""

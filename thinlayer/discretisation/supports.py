@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.sparse
@@ -13,13 +12,13 @@ from dolfinx import fem, la
 from dolfinx.mesh import entities_to_geometry
 from petsc4py import PETSc
 
-from forms.base import Array, InputError, is_number, require
+from forms.base import Array, InputError, require
 from forms.planes import Kinematics
 from geometry.domain import Domain
 from geometry.refusals import require_known
 from geometry.topology import BoolArray, Indices
 from thinlayer.discretisation.boundary import AXES, node_normals, on_axis, on_boundary, smooth
-from thinlayer.discretisation.given import Coordinates, Value
+from thinlayer.discretisation.given import Coordinates, Given, Value
 from thinlayer.system.compat import interpolation_points
 
 BALANCE = 1e-10  # sum of the loads along an axis, over the sum of their sizes, that still counts as rounding
@@ -68,16 +67,14 @@ class Supports:
             if isinstance(place, str):
                 on_boundary(domain, kinematics, place, f"support on {place!r}", inside=True, side=True)
             else:
-                self._require_point(place)
                 domain.joint.nearest_point(place)
             entries.append((place, self._components(place, support)))
         self.given = tuple(entries)
-        self.values = {
-            (number, axis): at.given(value, f"support on {place!r}: component {axis}", ())
-            for number, (place, components) in enumerate(entries)
-            for axis, value in components.items()
-        }
-        self.moving = [entries[k][0] for (k, _), given in self.values.items() if given.varies or given.value != 0]
+        self.values, self.moving = dict[tuple[int, str], Given](), list[Place]()
+        for number, (place, components) in enumerate(entries):
+            for axis, value in components.items():
+                self.values[number, axis] = one = at.given(value, f"support on {place!r}: component {axis}", ())
+                self.moving += [place] if one.varies or one.value != 0 else []
         self.anchored: tuple[str, ...] = ()
         self.on_axis = on_axis(kinematics, domain.joint)
 
@@ -87,21 +84,11 @@ class Supports:
         nothing: Components = dict.fromkeys(self.axes, 0.0)
         return (*self.given, *((place, nothing) for place in self.clamped))
 
-    def _require_point(self, place: Any) -> None:
-        d = len(self.axes)
-        if not isinstance(place, tuple) or len(place) != d or not all(is_number(c) for c in place):
-            raise InputError(f"support on {place!r}; a place is a facet set's name, or {d} coordinates of a vertex")
-
     def _components(self, place: Place, support: Support) -> Components:
         require(not callable(support) and support is not None, f"support on {place!r}", support, "give {axis: value}")
-        given = support if isinstance(support, Mapping) else dict.fromkeys(self.axes, support)
-        components: Components = dict(given)
-        for axis, value in components.items():
-            if axis == NORMAL and isinstance(place, tuple):
-                raise InputError(f"support on {place!r}: a vertex has no normal; name a facet set, or give components")
-            require_known("component", axis, (*self.axes, NORMAL), f"support on {place!r}")
-            if isinstance(value, (bool, np.bool_)):
-                raise InputError(f"support on {place!r}: component {axis} is {value!r}; give 0 where it is held")
+        components: Components = dict(support if isinstance(support, Mapping) else dict.fromkeys(self.axes, support))
+        for axis in components:  # a vertex has no normal
+            require_known("component", axis, (*self.axes, *[NORMAL] * isinstance(place, str)), f"support on {place!r}")
         return components
 
     def dofs(self, V: fem.FunctionSpace, place: Place, axis: str) -> Indices:
@@ -118,23 +105,16 @@ class Supports:
         vertices = self.domain.vertices(self.domain.joint.nearest_point(place))
         return vertex_dofs(V, vertices, self.axes.index(axis))
 
-    def clamps(self, V: fem.FunctionSpace, name: str) -> bool:
-        """Whether every displacement of a facet set is prescribed, so that no load on it moves anything. Collective."""
-        along_axes = [(place, {a: g for a, g in given.items() if a != NORMAL}) for place, given in self.entries]
-        held = self.held(V, along_axes)
-        free = sum(len(np.setdiff1d(self.dofs(V, name, axis), held)) for axis in self.axes)
-        return self.domain.comm.allreduce(free) == 0
+    def held(self, V: fem.FunctionSpace, *, clamped: bool = True) -> Indices:
+        """All degrees of freedom of a space that supports act on (local, unrolled, ghosts included). Collective.
 
-    def held(self, V: fem.FunctionSpace, entries: Sequence[tuple[Place, Mapping[str, Value]]] | None = None) -> Indices:
-        """All degrees of freedom of a space that supports act on, or some entries (local, unrolled, ghosts included).
-
-        Collective.
+        Args:
+            V: the space.
+            clamped: whether those of clamped facets count, and of an anchored vertex.
         """
-        anchors = self.anchors(V) if entries is None else np.empty(0, np.int32)
-        entries = self.entries if entries is None else entries
+        entries, anchors = (self.entries, [self.anchors(V)]) if clamped else (self.given, [])
         found = [self.dofs(V, place, axis) for place, components in entries for axis in components]
-        found += [anchors, self.axis(V)]
-        return np.unique(np.concatenate([np.empty(0, np.int32), *found]))
+        return np.unique(np.concatenate([*found, *anchors, self.axis(V)]))
 
     def anchors(self, V: fem.FunctionSpace) -> Indices:
         """Local degrees of freedom (unrolled, ghosts included) of the anchored components, at one corner. Collective."""
@@ -158,10 +138,8 @@ class Supports:
         total = self.domain.comm.allreduce(b.array_r.reshape(-1, len(self.axes)).sum(axis=0))
         for axis in self.anchored:
             if abs(force := float(total[self.axes.index(axis)])) > BALANCE * size:
-                raise InputError(
-                    f"the loads of the periodic joint add up to {force:g} along {axis} at t = {t:g}, and nothing balances "
-                    "them; add supports, or loads whose sum is zero"
-                )
+                what = f"the loads of the periodic joint add up to {force:g} along {axis} at t = {t:g}"
+                raise InputError(f"{what}, and nothing balances them; add supports, or loads whose sum is zero")
 
     def axis(self, V: fem.FunctionSpace) -> Indices:
         """Local degrees of freedom (unrolled, ghosts included) of the component x on an axis of revolution. Collective."""
@@ -318,8 +296,4 @@ class Prescribed:
 
     @property
     def _nodal(self) -> bool:
-        try:
-            self.V.tabulate_dof_coordinates()
-        except RuntimeError:
-            return False
-        return True
+        return bool(self.V.ufl_element().basix_element.interpolation_is_identity)

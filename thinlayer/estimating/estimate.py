@@ -10,20 +10,21 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import scipy.sparse
 
 from forms.base import InputError, is_finite, require
-from geometry.refusals import unknown as no_such
+from geometry.refusals import require_known
 from geometry.seam import S
+from thinlayer.discretisation.constraints import csr_of
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Layers, ThinLayer
 from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.estimating.global_local import NARROW, Bounds, GlobalLocal
-from thinlayer.estimating.goal import Goal
-from thinlayer.estimating.goals import Compliance, nodes_of_sides
+from thinlayer.estimating.goals import Compliance, Goal, nodes_of_sides
 from thinlayer.estimating.on_surface import errors_of, squares_of
-from thinlayer.estimating.result import Estimate, GoalError, LayerError, Meshed
+from thinlayer.estimating.result import Estimate, GoalError, LayerError
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.history import History
 from thinlayer.solving.layer_alone import LayerAlone
@@ -67,16 +68,14 @@ def estimate(
     """
     start = time.perf_counter()
     given = state.last if isinstance(state, History) else state
-    if not isinstance(given, State):
-        raise InputError(f"estimate takes a state or a history, as solve and march return them, not {given!r:.80}")
+    require(isinstance(given, State), "estimate: the state", given, "it takes what solve or march returns")
     with on_all(given.model.comm):
         require(is_finite(width) and width > 0, "estimate: width", width, "allowed: > 0, over the change of a goal")
         checked = _checked_goals(goals)
     model = _with_layers(given, layer)
     if not model.layers:
         raise InputError("estimate: there is no layer whose mesh could be dropped")
-    if seam not in (S, *model.layers):
-        raise InputError(f"estimate: {no_such('layer', seam, model.layers)}")
+    require_known("layer", seam, (S, *model.layers), "estimate")
     if given.model.bonds and seam not in (S, *given.model.bonds):
         beside = f"estimate: {seam!r} has a layer beside bonds at {', '.join(given.model.bonds)}"
         raise InputError(f"{beside}; ask of a bond, or of all, or solve it with layers alone")
@@ -124,9 +123,9 @@ def estimate(
         at = known.get(name, Bounds(goal.value(last, model), math.nan, math.nan))
         slack = ROUNDING * max(abs(values[name]), abs(at.told)) if bounded else math.nan
         found[name] = GoalError(values[name], at.told, scale, at.lower - slack, at.upper + slack)
-    by_layers = Meshed(inside, layers, first, theirs, weights, energy)
-    seconds = time.perf_counter() - start
-    return Estimate(given, last, errors, found, *errors_of(total), seconds, by_layers, checked, options)
+    traction, jump = errors_of(total)
+    seconds, by = time.perf_counter() - start, (first, theirs, weights)
+    return Estimate(given, last, errors, found, traction, jump, seconds, inside, energy, layers, *by, checked, options)
 
 
 def _models(model: InterfaceModel, better: Mapping[str, ThinLayer]) -> Iterator[InterfaceModel]:
@@ -148,9 +147,7 @@ def _path(
     if state.theta != 1:
         raise InputError(f"estimate: the history was marched with theta = {state.theta:g}; it must be 1")
     if state.begun:
-        raise InputError(
-            "estimate: the history goes on from a state, and what was before it is not known; march from rest"
-        )
+        raise InputError("estimate: the history goes on from a state, whose past is not known; march from rest")
     if anew or len(state.states) < len(state):
         times = state.t
         state = march(model, times[times > times[0]].tolist(), start=float(times[0]), options=options)
@@ -193,8 +190,7 @@ def _require_alone(model: InterfaceModel, state: State | History) -> None:
 def _checked_goals(goals: Any) -> dict[str, Goal]:
     given = list(goals) if isinstance(goals, Sequence) else [goals]
     for goal in given:
-        if not isinstance(goal, Goal):
-            raise InputError(f"estimate: {goal!r:.80} is no goal; give those of thinlayer.goals")
+        require(isinstance(goal, Goal), "estimate: a goal", goal, "give those of thinlayer.goals")
     names = [goal.name for goal in given]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"estimate: two goals have the name {twice[0]!r}")
@@ -203,20 +199,18 @@ def _checked_goals(goals: Any) -> dict[str, Goal]:
 
 def _is_tied(model: InterfaceModel) -> bool:
     """Whether displacements on S follow others, or are turned. Collective."""
-    if (T := model.constraints.T) is None:
+    constraints, d = model.constraints, model.joint.dim
+    if constraints.T is None:
         return False
-    starts, columns, shares = T.getValuesCSR()
-    own = np.diff(starts) == 1
-    first, count = T.getOwnershipRange()[0], len(own)
-    own[own] = (columns[starts[:-1][own]] == first + np.flatnonzero(own)) & (shares[starts[:-1][own]] == 1.0)
+    rows = csr_of(constraints.T)
+    turned = abs(rows - scipy.sparse.eye(*rows.shape, k=constraints.first)).sum(axis=1) > 0
     nodes = np.concatenate([side for name in model.layers for side in nodes_of_sides(model, name)])
-    dofs = (nodes[:, None] * model.joint.dim + np.arange(model.joint.dim)).ravel()
-    return bool(model.comm.allreduce(int(not own[dofs[dofs < count]].all()), max))
+    dofs = (nodes[:, None] * d + np.arange(d)).ravel()
+    return bool(model.comm.allreduce(int(np.asarray(turned)[dofs[dofs < constraints.n]].any()), max))
 
 
 def _of_order_1(reduction: Reduction) -> ThinLayer:
     """The layer with its plain law of order 1; as it is where none is known, as of sublayers that are anisotropic."""
-    assert reduction.one.thin
     try:
         return replace(reduction.better(), edges="plain")
     except InputError:
@@ -228,13 +222,8 @@ def _with_layers(state: State, layer: Layers | None) -> InterfaceModel:
     model = state.model
     if not isinstance(model, InterfaceModel):
         raise InputError(f"estimate: a {model.name} model has nothing dropped; give a state of an interface model")
-    if not model.bonds:
-        if layer is not None:
-            raise InputError("estimate: layer= is for seams with a Bond, of which this model has none")
-        return model
-    if layer is None:
-        raise InputError(f"estimate: bodies are bonded at {', '.join(model.bonds)}; give layer=, what was left out")
-    left_out = layer if isinstance(layer, Mapping) else dict.fromkeys(model.bonds, layer)
-    if set(left_out) != set(model.bonds):
-        raise InputError(f"estimate: layer= has the seams {', '.join(left_out)}; bonded are {', '.join(model.bonds)}")
-    return InterfaceModel(model.structure, {**model.on_seams, **left_out})
+    left_out = layer if isinstance(layer, Mapping) else dict.fromkeys(model.bonds, layer) if layer else {}
+    bonded = ", ".join(model.bonds) or "no seam"
+    if set(left_out) != set(model.bonds) or (layer is not None and not model.bonds):
+        raise InputError(f"estimate: give layer=, what was left out at bonds, for these and no others: {bonded}")
+    return InterfaceModel(model.structure, {**model.on_seams, **left_out}) if left_out else model

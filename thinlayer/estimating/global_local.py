@@ -32,7 +32,7 @@ from numpy.linalg import norm
 from forms.base import Array, InputError
 from thinlayer.discretisation.state import Configuration, State, displacements_of
 from thinlayer.errors import SolveError
-from thinlayer.estimating.goal import Goal
+from thinlayer.estimating.goals import Goal
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.balance import PartSum
 from thinlayer.solving.layer_alone import REMEDY, LayerAlone, share_of_step
@@ -113,9 +113,8 @@ class GlobalLocal:
         self._laws = [part for part in self.equations.layers if any(one.owns(part.key) for one in dropped)]
         others = PartSum(part for part in self.equations.parts if part not in self._laws)
         if others.with_own:
-            raise InputError(
-                f"estimate: {others.with_own[0].key!r} has unknowns of its own; mesh the layer (structure.full)"
-            )
+            reason = f"{others.with_own[0].key!r} has unknowns of its own"
+            raise InputError(f"estimate: {reason}; mesh the layer (structure.full)")
         self._others, self._nonlinear = others.parts, others.traits.nonlinear
         self._K_b = adjoint.tangent_of(others)
         self._x = self.equations.u.x.petsc_vec.duplicate()
@@ -307,18 +306,16 @@ class GlobalLocal:
         """
         if self._nonlinear or not self.model.symmetric:
             return None
+        u = displacements_of(given, self.model).x.array[: self.n]
+        layers, du = self.layers, one.u - u
         try:
-            return self._energy(displacements_of(given, self.model).x.array[: self.n], one)
+            self._require_balance(one)
+            w = layers.settled(one.v)
+            borne = layers.pulled(w, one.F)
+            gap = layers.divergence(w, borne)[1]
+            between = layers.divergence(layers.settled(layers.at_faces(u)), borne)
         except SolveError:
             return None
-
-    def _energy(self, u: Array, one: Iterate) -> Bounds:
-        self._require_balance(one)
-        layers, du = self.layers, one.u - u
-        w = layers.settled(one.v)
-        borne = layers.pulled(w, one.F)
-        gap = layers.divergence(w, borne)[1]
-        between = layers.divergence(layers.settled(layers.at_faces(u)), borne)
         in_bodies = self._product(du, self._resisted(du)) / 2
         lower, upper = (in_bodies + part for part in between)
         return Bounds((lower - gap + upper) / 2, max(lower - gap, 0.0), upper)
@@ -385,18 +382,15 @@ class GlobalLocal:
         one = self.newton() if width is None else self.first()
         weights = {name: self.weights(goal) for name, goal in goals.items()}
         same = [name for name, (_, z) in weights.items() if one.is_near(z)]  # the compliance is its own weight
-        at_rest = {
-            name: goal.at_rest(self.state, self.model) for name, goal in goals.items() if goal.is_linear(self.model)
-        }
-        if width is None:
-            for name, rest in at_rest.items():
-                q, z = weights[name]
-                known[name] = Bounds(self.told(rest, q, one, z), math.nan, math.nan)
-            return one, {name: z for name, (_, z) in weights.items()}
+        linear = {name: goal for name, goal in goals.items() if goal.is_linear(self.model)}
+        at_rest = {name: goal.at_rest(self.state, self.model) for name, goal in linear.items()}
         for step in range(STEPS + 1):
             for name, rest in at_rest.items():
                 q, z = weights[name]
-                known[name] = self.bounds(rest, q, one, z).within(known.get(name, Bounds()))
+                if width is None:
+                    known[name] = Bounds(self.told(rest, q, one, z), math.nan, math.nan)
+                else:
+                    known[name] = self.bounds(rest, q, one, z).within(known.get(name, Bounds()))
             if step == STEPS or self.is_near(one, values, known, width):
                 break
             one = self.step(one)

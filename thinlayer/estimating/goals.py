@@ -1,8 +1,9 @@
-"""Goals: numbers that a user wants of a structure, whose change with the layer's law is estimated."""
+"""Goals: numbers that a user wants of a structure, whose change with the layer's law is estimated; their base `Goal`."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -16,22 +17,89 @@ from scipy.spatial import cKDTree
 from ufl.algorithms import expand_derivatives
 
 from forms import work as forms
-from forms.base import Array, InputError
+from forms.base import Array, InputError, require
 from forms.kinematics import Expr
-from geometry.refusals import unknown
+from forms.temperature import finite
+from geometry.refusals import require_known
 from geometry.seam import S
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import seam_entities
 from thinlayer.discretisation.measures import compiled, whole
+from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.discretisation.supports import Place
-from thinlayer.estimating.goal import Goal, unit, written
 from thinlayer.output.probe import Probe, cells_at
 from thinlayer.output.surface import Surface
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.layer_alone import HeldLayers
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.compat import exterior_facet_entities
+
+
+class Goal(ABC):
+    """A number Q of the displacements of a structure, the same for all of its models.
+
+    Attributes:
+        name: of the goal, in tables and sentences.
+    """
+
+    name: str
+
+    def check(self, model: InterfaceModel) -> None:
+        """Raise InputError unless the goal suits the model. Not collective."""
+
+    def is_linear(self, model: InterfaceModel) -> bool:
+        """Whether Q is linear in the displacements and reactions."""
+        return True
+
+    @abstractmethod
+    def value(self, state: State, model: InterfaceModel) -> float:
+        """Q in a state; of another model its displacements are taken to the interface model. Collective."""
+
+    @abstractmethod
+    def scale(self, state: State, model: InterfaceModel) -> float:
+        """What Q is zero beside where it is only rounding, >= 0. Collective."""
+
+    def at_rest(self, state: State, model: InterfaceModel) -> float:
+        """Q without displacements, where it is linear: what given strains and loads do. Collective."""
+        return self.value(replace(state, u=fem.Function(model.V)), model)
+
+    def in_layers(self, layers: HeldLayers) -> tuple[Array, Array]:
+        """The same of the meshed layers: weights at their unknowns, and motions of their sides; by default none."""
+        return np.zeros_like(layers.load), np.zeros_like(layers.load)
+
+    @abstractmethod
+    def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
+        """Nodal weights q and motions g of supports for which Q = q . u - g . r + `at_rest`, see `Adjoint`. Collective.
+
+        Raises:
+            InputError: there are none.
+        """
+
+
+class Directed(Goal):
+    """A goal along a direction (d,), not zero."""
+
+    direction: Sequence[float]
+
+    def check(self, model: InterfaceModel) -> None:
+        self.unit(model)
+
+    def unit(self, model: Model) -> Array:
+        """The direction of unit length; raises InputError if it is none."""
+        d = model.joint.dim
+        found: Any = finite(self.direction, (d,))
+        good = found is not None and found.any()
+        require(good, f"{self.name}: the direction", self.direction, f"give {d} numbers, not all zero")
+        return np.asarray(found / np.linalg.norm(found))
+
+
+def written(vector: Any) -> str:
+    """A vector in the name of a goal; as it is if it is none, which `check` refuses."""
+    try:
+        return f"({', '.join(f'{c:.4g}' for c in vector)})"
+    except (TypeError, ValueError):
+        return repr(vector)
 
 
 @dataclass(frozen=True)
@@ -75,7 +143,7 @@ def _moves(model: InterfaceModel, t: float) -> bool:
 
 
 @dataclass(frozen=True)
-class Reaction(Goal):
+class Reaction(Directed):
     """The force that a place gives to the structure along a direction, see `State.reaction`.
 
     Attributes:
@@ -91,11 +159,8 @@ class Reaction(Goal):
         """Of the goal."""
         return f"reaction {self.place} along {written(self.direction)}"
 
-    def check(self, model: InterfaceModel) -> None:
-        unit(self.direction, model.joint.dim, self.name)
-
     def value(self, state: State, model: InterfaceModel) -> float:
-        return float(state.reaction(self.place).force @ unit(self.direction, model.joint.dim, self.name))
+        return float(state.reaction(self.place).force @ self.unit(model))
 
     def scale(self, state: State, model: InterfaceModel) -> float:
         forces = [one.force for one in state.reactions_by_place().values()]
@@ -109,18 +174,17 @@ class Reaction(Goal):
         entries = [k for k, one in enumerate(places) if one == self.place or str(one).split("/")[0] == self.place]
         if not entries:
             raise InputError(f"{self.name}: no support holds it, but a plate, springs or a base; there is no map of it")
-        return adjoint.nothing(), adjoint.of_reaction(entries, unit(self.direction, model.joint.dim, self.name))
+        return adjoint.nothing(), adjoint.of_reaction(entries, self.unit(model))
 
     def at_rest(self, state: State, model: InterfaceModel) -> float:
         return 0.0  # as of the compliance
 
     def in_layers(self, layers: HeldLayers) -> tuple[Array, Array]:
-        d = layers.model.joint.dim
-        return np.zeros_like(layers.load), layers.motion_of(self.place, unit(self.direction, d, self.name))
+        return np.zeros_like(layers.load), layers.motion_of(self.place, self.unit(layers.model))
 
 
 @dataclass(frozen=True)
-class MeanTraction(Goal):
+class MeanTraction(Directed):
     """The mean over a seam of the traction along a direction: the bodies' reactions on S over its area.
 
     Reactions at nodes that supports or plates hold, which contain theirs, are left out.
@@ -140,9 +204,8 @@ class MeanTraction(Goal):
         return f"mean traction{of} along {written(self.direction)}"
 
     def check(self, model: InterfaceModel) -> None:
-        unit(self.direction, model.joint.dim, self.name)
-        if self.seam not in (S, *model.layers):
-            raise InputError(f"{self.name}: {unknown('layer', self.seam, model.layers)}")
+        self.unit(model)
+        require_known("layer", self.seam, (S, *model.layers), self.name)
 
     def value(self, state: State, model: InterfaceModel) -> float:
         if any(term.law.traits.compiled for term in model.bodies) and state.model is not model:
@@ -174,7 +237,7 @@ class MeanTraction(Goal):
         Those of both sides are halves of it. Where supports or plates hold one side, its reaction contains theirs, and the
         other side's is taken; where they hold both, nothing jumps but what they prescribe.
         """
-        e, d = unit(self.direction, model.joint.dim, self.name), model.joint.dim
+        e, d = self.unit(model), model.joint.dim
         names = [self.seam] if self.seam in model.layers else [*model.layers]
         area = sum(SurfaceMesh(model, name).integral(1.0) for name in names)
         v, count = fem.Function(model.V), fem.Function(model.V)
@@ -195,7 +258,7 @@ class MeanTraction(Goal):
 
 
 @dataclass(frozen=True)
-class Displacement(Goal):
+class Displacement(Directed):
     """The displacement of a place along a direction.
 
     Attributes:
@@ -217,13 +280,13 @@ class Displacement(Goal):
         return f"displacement at {written(self.x)}{side} along {written(self.direction)}"
 
     def check(self, model: InterfaceModel) -> None:
-        unit(self.direction, model.joint.dim, self.name)
+        self.unit(model)
         cells_at(model, [self.x], self.side, self.seam)
 
     def value(self, state: State, model: InterfaceModel) -> float:
         shown = replace(state, model=model, u=displacements_of(state, model))  # full models have their bodies elsewhere
         u = Probe(shown).displacement(self.x, side=self.side, seam=self.seam)
-        return float(u @ unit(self.direction, model.joint.dim, self.name))
+        return float(u @ self.unit(model))
 
     def scale(self, state: State, model: InterfaceModel) -> float:
         return float(state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
@@ -231,7 +294,7 @@ class Displacement(Goal):
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         model, d = adjoint.model, adjoint.model.joint.dim
         located = cells_at(model, [self.x], self.side, self.seam)
-        e, V = unit(self.direction, d, self.name), model.V
+        e, V = self.unit(model), model.V
         original = model.domain.original_cells[: model.domain.mesh.topology.index_map(d).size_local]
         mine = np.flatnonzero(original == located.entity[0])
         dofs, values = np.empty(0, np.int64), np.empty(0)
@@ -260,14 +323,13 @@ class Functional(Goal):
         self._form(fem.Function(model.V), model)
 
     def _form(self, u: fem.Function, model: InterfaceModel) -> Expr:
-        if not callable(self.of):
-            raise InputError(f"the goal {self.name!r} is {self.of!r:.80}; it must be a function (u, model) -> UFL form")
+        require(callable(self.of), f"the goal {self.name!r}", self.of, "it must be a function (u, model) -> UFL form")
         try:
             form = self.of(u, model)
         except Exception as error:
             raise InputError(f"the goal {self.name!r}: its function (u, model) fails: {error}") from error
-        if not isinstance(form, ufl.Form) or form.arguments():
-            raise InputError(f"the goal {self.name!r} is {form!r:.80}; it must be a UFL form without test functions")
+        good = isinstance(form, ufl.Form) and not form.arguments()
+        require(good, f"the goal {self.name!r}", form, "it must be a UFL form without test functions")
         return whole(form, model, f"the goal {self.name!r}")
 
     def value(self, state: State, model: InterfaceModel) -> float:
@@ -306,9 +368,8 @@ def nodes_of_sides(model: InterfaceModel, name: str) -> tuple[npt.NDArray[np.int
         entities = exterior_facet_entities(domain.mesh, np.sort(domain.facets(name))).astype(np.int64)
     else:
         entities = seam_entities(domain, name).astype(np.int64)
-    sides = np.split(entities, entities.shape[1] // 2, axis=1)
-    found = [
+    upper, lower = (
         np.unique([dofmap.cell_dofs(cell)[dofmap.dof_layout.entity_closure_dofs(d - 1, facet)] for cell, facet in side])
-        for side in sides
-    ]
-    return found[0].astype(np.int64), (found[1] if len(found) > 1 else np.empty(0)).astype(np.int64)
+        for side in (entities[:, :2], entities[:, 2:].reshape(-1, 2))
+    )
+    return upper.astype(np.int64), lower.astype(np.int64)

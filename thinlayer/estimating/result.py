@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from forms.base import InputError
+from geometry.refusals import require_known
 from thinlayer.discretisation.full_model import LayerModel
-from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
@@ -102,27 +102,6 @@ class LayerError:
     jump: float
 
 
-@dataclass(frozen=True, eq=False)
-class Meshed:
-    """The layers by themselves, meshed.
-
-    Attributes:
-        inside: a state of them, as they are between bodies.
-        layers: they themselves.
-        first: the state from which steps led to it.
-        old: the state before that of the laws, given or in place of bonds; None: rest.
-        weights: of goals.
-        energy: as of `Estimate`.
-    """
-
-    inside: State
-    layers: LayerAlone
-    first: State
-    old: State | None
-    weights: Mapping[str, Iterate]
-    energy: Bounds | None
-
-
 @dataclass(frozen=True, repr=False)
 class Estimate:
     """What dropping the mesh of a layer costs, see `estimate`.
@@ -134,6 +113,10 @@ class Estimate:
         goals: name of a goal -> its error.
         traction, jump: as of `LayerError`, over all layers.
         seconds: wall time of the estimate.
+        inside: the layers by themselves, meshed, as they are between bodies: for `Probe`, pictures, files.
+        energy: bounds of the potential energy of the given displacements, with the layers meshed, above the least one.
+            Half of what the bodies' part of the error has in the energy norm, squared, is at most that. None: of linear
+            laws goals have bounds; or it is not known.
     """
 
     state: State
@@ -143,23 +126,14 @@ class Estimate:
     traction: float
     jump: float
     seconds: float
-    _meshed: Meshed
-    _goals: Mapping[str, Goal] = field(default_factory=dict)
-    _options: Mapping[str, OptionValue] | None = None
-
-    @property
-    def inside(self) -> State:
-        """The layers by themselves, meshed, as they are between bodies: for `Probe`, pictures, files."""
-        return self._meshed.inside
-
-    @property
-    def energy(self) -> Bounds | None:
-        """Bounds of the potential energy of the given displacements, with the layers meshed, above the least one.
-
-        Half of what the bodies' part of the error has in the energy norm, squared, is at most that. None: of linear laws
-        goals have bounds; or it is not known.
-        """
-        return self._meshed.energy
+    inside: State
+    energy: Bounds | None
+    _layers: LayerAlone
+    _first: State  # from which steps led to it
+    _old: State | None  # before that of the laws, given or in place of bonds; None: rest
+    _weights: Mapping[str, Iterate]  # of goals
+    _goals: Mapping[str, Goal]
+    _options: Mapping[str, OptionValue] | None
 
     @property
     def cost(self) -> float:
@@ -188,13 +162,10 @@ class Estimate:
         Raises:
             InputError: no such goal.
         """
-        if goal not in self._goals:
-            known = ", ".join(map(repr, self._goals)) or "none"
-            raise InputError(f"estimate: there is no goal {goal!r}; there are: {known}")
-        meshed = self._meshed
-        of_laws = meshed.first if self.state.model.bonds else self.state
-        with Adjoint(of_laws, meshed.old, self._options) as adjoint:
-            found = density_of(GlobalLocal(adjoint, meshed.layers), self.state, self.better, meshed.weights[goal])
+        require_known("goal", goal, self._goals, "estimate")
+        of_laws = self._first if self.state.model.bonds else self.state
+        with Adjoint(of_laws, self._old, self._options) as adjoint:
+            found = density_of(GlobalLocal(adjoint, self._layers), self.state, self.better, self._weights[goal])
         total, change = Surface(self.better.model).integral(found), self.goals[goal].change
         if abs(total - change) > FAR_OFF * abs(change) and not (self.goals[goal].zero or self.goals[goal].fixed):
             reason = f"the density of the change of {goal} adds up to {total:.3g}, not to {change:.3g}"
@@ -221,13 +192,10 @@ class Estimate:
         Raises:
             InputError: no such goal, or one that has no bounds.
         """
-        if goal not in self.goals or not self.goals[goal].bounded:
-            known = ", ".join(repr(name) for name, one in self.goals.items() if one.bounded) or "none, as of other laws"
-            raise InputError(
-                f"estimate: finer ends are known of linear laws' goals with bounds ({known}), not of {goal!r}"
-            )
-        model, alone, z = self.better.model, self._meshed.layers, self._meshed.weights[goal]
-        assert isinstance(model, InterfaceModel)
+        bounded = [name for name, one in self.goals.items() if one.bounded]
+        require_known("goal with bounds", goal, bounded, "estimate, of linear laws")
+        model: Any = self.better.model
+        alone, z = self._layers, self._weights[goal]
         layers = {name: one.layer for name, one in self.layers.items()}
         reach = at_ends * min(float(layer.eps) for layer in layers.values())
         fine = HeldLayers(LayerModel(model, layers, alone.through, reach), self.state.t)
@@ -249,16 +217,13 @@ class Estimate:
         nan, rows = math.nan, []
         for name, one in self.layers.items():
             of = f" {name}" if len(self.layers) > 1 else ""
-            for which, error in (("traction", one.traction), ("jump", one.jump)):
-                row = {"quantity": f"{which}{of}", "value": nan, "better": nan, "error": error}
-                rows.append(row | {"lower": nan, "upper": nan})
+            rows += [(f"traction{of}", nan, nan, one.traction, nan, nan), (f"jump{of}", nan, nan, one.jump, nan, nan)]
         for name, goal in self.goals.items():
-            row = {"quantity": name, "value": goal.value, "better": goal.better, "error": goal.relative}
-            rows.append(row | {"lower": goal.lower, "upper": goal.upper})
+            rows.append((name, goal.value, goal.better, goal.relative, goal.lower, goal.upper))
         if energy := self.energy:
-            row = {"quantity": "energy above the least", "value": energy.told, "better": 0.0, "error": nan}
-            rows.append(row | {"lower": energy.lower, "upper": energy.upper})
-        return Table(rows)
+            rows.append(("energy above the least", energy.told, 0.0, nan, energy.lower, energy.upper))
+        columns = ("quantity", "value", "better", "error", "lower", "upper")
+        return Table([dict(zip(columns, row, strict=True)) for row in rows])
 
     @property
     def caveats(self) -> list[str]:
@@ -285,7 +250,7 @@ class Estimate:
                 found.append(f"the layer{where} bears no traction")
             elif where:
                 found.append(f"{name}: {', '.join(_said_of_fields(one.traction, one.jump))}")
-        cells = f"for these cells of the bodies, and {self._meshed.layers.through} cells through the layer"
+        cells = f"for these cells of the bodies, and {self._layers.through} cells through the layer"
         return [*found, cells, *self.caveats]
 
     def __str__(self) -> str:

@@ -6,18 +6,20 @@ import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
-from forms.base import InputError, is_number
+from forms.base import InputError, is_number, require
+from geometry.inflating.layering import by_seam
+from geometry.refusals import require_known
 from geometry.seam import S
-from thinlayer.discretisation.layer import Bond, Layers, ThinLayer, on_seams
+from thinlayer.discretisation.layer import Bond, Layers, ThinLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.discretisation.structure import Structure
 from thinlayer.errors import RangeWarning
 from thinlayer.estimating.estimate import estimate
-from thinlayer.estimating.goal import Goal
-from thinlayer.estimating.goals import Compliance
+from thinlayer.estimating.goals import Compliance, Goal
 from thinlayer.estimating.result import Estimate
 from thinlayer.solving.history import History
 from thinlayer.solving.petsc import OptionValue
@@ -104,7 +106,7 @@ def thin_enough(
         InputError: arguments out of range; a layer of which nothing can be estimated; no thickness is thin enough.
         SolveError: as in `solve`.
     """
-    given = _checked(structure, layer, tolerance, goal, seam, bonded, bodies)
+    given = _checked(structure, layer, tolerance, goal, seam, bonded)
     thin: Any = layer if isinstance(layer, ThinLayer) else given[seam]
     chosen = list(given) if seam == S else [seam]
 
@@ -118,20 +120,18 @@ def thin_enough(
         return dict.fromkeys(chosen, replace(thin, eps=eps, law=thin.material, at=None))
 
     begun = structure.interface(given, bodies=bodies)
-    alone = solved(structure.interface({**given, **dict.fromkeys(chosen, Bond())})) if bonded else None
-
+    made = begun.with_layer if bodies == "kept" else partial(structure.interface, bodies=bodies)
+    bonds = {**given, **dict.fromkeys(chosen, Bond())}
+    alone = solved(structure.interface(bonds, bodies=bodies)) if bonded else None
     heard: dict[float, list[warnings.WarningMessage]] = {}
     caveats: dict[float, list[str]] = {}
 
     def error(eps: float) -> float:
         with warnings.catch_warnings(record=True) as heard[eps]:  # those of the answer are passed on
             warnings.simplefilter("always", RangeWarning)
-            if alone is not None:
-                found = estimate(alone, of_material(eps), goals, seam=seam, options=options)
-            else:
-                layers = {**given, **of_material(eps)}
-                model = begun.with_layer(layers) if bodies == "kept" else structure.interface(layers, bodies=bodies)
-                found = estimate(solved(model), goals=goals, seam=seam, options=options)
+            layers = of_material(eps)
+            state = alone or solved(made({**given, **layers}))
+            found = estimate(state, layers if bonded else None, goals, seam=seam, options=options)
         caveats[eps] = found.caveats
         return _error(found, quantity)
 
@@ -144,27 +144,19 @@ def thin_enough(
 
 
 def _checked(
-    structure: Structure, layer: Layers, tolerance: float, goal: str | Goal, seam: str, bonded: bool, bodies: str
+    structure: Structure, layer: Layers, tolerance: float, goal: str | Goal, seam: str, bonded: bool
 ) -> dict[str, Any]:
     """What is on each seam; raises InputError for arguments out of range."""
-    if not isinstance(structure, Structure):
-        raise InputError(f"thin_enough takes a Structure, of which it makes models, not {structure!r:.80}")
+    require(isinstance(structure, Structure), "thin_enough: the structure", structure, "it takes a Structure")
     with on_all(structure.comm):
-        if bonded and bodies != "kept":
-            raise InputError("thin_enough: bonded bodies meet on S; bodies='extended' is for the interface law alone")
-        given = on_seams(structure.joint, layer)
-        if seam not in given and not (seam == S and isinstance(layer, ThinLayer)):
-            raise InputError(
-                f"thin_enough: name the seam of the layer that becomes thinner: {', '.join(given)}, not {seam!r}"
-            )
-        if not isinstance(sought := given.get(seam, layer), ThinLayer):
-            raise InputError(f"thin_enough: the layer is {sought!r:.80}; give a ThinLayer")
-        if not (is_number(tolerance) and 0 < tolerance < 1):
-            raise InputError(f"thin_enough: the tolerance is {tolerance!r}; allowed: between 0 and 1")
-        if not (isinstance(goal, Goal) or goal in FIELDS):
-            raise InputError(
-                f"thin_enough: the goal is {goal!r}; allowed: {', '.join(FIELDS)}, or one of thinlayer.goals"
-            )
+        given = by_seam(structure.joint, layer, "layer")
+        if not (seam == S and isinstance(layer, ThinLayer)):
+            require_known("seam", seam, given, "thin_enough: the layer that becomes thinner")
+        sought, known = given.get(seam, layer), isinstance(goal, Goal) or goal in FIELDS
+        require(isinstance(sought, ThinLayer), "thin_enough: the layer", sought, "give a ThinLayer")
+        in_range = is_number(tolerance) and 0 < tolerance < 1
+        require(in_range, "thin_enough: the tolerance", tolerance, "allowed: between 0 and 1")
+        require(known, "thin_enough: the goal", goal, f"allowed: {', '.join(FIELDS)}, or one of thinlayer.goals")
         if bonded and goal == "jump":
             raise InputError("thin_enough: bonded bodies have no jump; take the traction, or a goal")
     return given
@@ -218,10 +210,7 @@ def _require_falling(errors: Sequence[float], low: float, passed: int) -> None:
     """Raise InputError if errors do not fall with the thickness any more, and are not allowed."""
     if passed or len(errors) <= FEW:
         return
-    if math.isinf(errors[-1]):
-        raise InputError(f"thin_enough: even at {low:.3g} the layer bears nothing; are there loads at this time?")
+    at = f"the error is {errors[-1]:.3g} at {low:.3g}"
     if errors[-1] > STALLED * max(errors[-1 - FEW : -1]) or len(errors) > STEPS:
-        raise InputError(
-            f"thin_enough: no thickness is thin enough: the error is {errors[-1]:.3g} at {low:.3g}, and hardly falls with "
-            "the thickness; is the layer much softer than the bodies?"
-        )
+        advice = "is the layer much softer than the bodies, and are there loads at this time?"
+        raise InputError(f"thin_enough: no thickness is thin enough: {at}, and hardly falls with it; {advice}")

@@ -52,7 +52,8 @@ def homogenised_stiffness(model: Model) -> Array:
     if not model.broken:
         strained.layer_terms = added(strained.layer_terms, strained.strain.expression)
     points = ConcentratedForms(model.domain, model.joint, model.structure.degree, at)
-    strained.forces = Forces(model.domain, model.kinematics, points)
+    unloaded = model.structure.with_loads({"tractions": None, "body_force": None, "loads": ()})
+    strained.forces = Forces(model.domain, model.kinematics, points, unloaded)
     with Solver(strained) as solver:
         times = map(float, range(len(PAIRS[model.joint.dim])))
         stresses = [solver.step(solver.rest(t), t).mean_stress() for t in times]
