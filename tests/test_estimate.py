@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import LinearElastic, Maxwell, Norton, Stack
+from forms import LinearElastic, Maxwell, Norton
 from forms.base import InputError
 from geometry import block, faults, sandwich
 from tests.pictures import assert_drawn
@@ -293,11 +293,6 @@ def test_sides_that_are_held_and_layers_that_bear_nothing():
     assert dropped(both).traction > 0  # the bodies are held there, too
     alike = structure(supports={"BOTTOM": {"y": 0}, (0.0, -0.3): {"x": 0}}, tractions={}, eigenstrain=0.01)
     assert math.isnan(dropped(alike, goals=[]).traction)  # both bodies expand, and the layer bears nothing
-
-
-def test_equal_sublayers_are_one_law():
-    layer = ThinLayer(Stack((0.4, GLUE), (0.6, LinearElastic.shear(3.0, 0.35))), EPS, at=1.0)
-    assert layer.law == GLUE
 
 
 # ---------------------------------------------------------------- pictures, units

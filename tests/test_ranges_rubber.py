@@ -8,7 +8,7 @@ from scipy.special import iv
 
 from forms import KelvinVoigt, LinearElastic, Maxwell, Stack
 from geometry import block, sandwich
-from tests.ranges_told import STIFF, excess, opened, strip_excess, times_too_stiff, told
+from tests.ranges_told import STIFF, excess, strip_excess, times_too_stiff, told
 from thinlayer import Structure, Surface, ThinLayer, march, solve
 from thinlayer.solving.ranges import warn_of_model
 from thinlayer.surface.excess import Sublayer, pressure_length
@@ -70,15 +70,6 @@ def test_disc_of_revolution():
         ThinLayer(Stack((0.5, law), (0.5, LinearElastic.shear(3.1, 0.499))), eps, at=1.0)
     )
     assert "free ends (0.4)" in told(lambda: solve(halves))[1][0]
-
-
-def test_overlap_of_a_disc_is_weighted():
-    """Closed by r/R thicknesses: on average 2/3 of one, over the section 1/2."""
-    joint = sandwich(0.8, 0.3, 0.3, 0.2)
-    for plane, mean in (("axisymmetric", 2 / 3), ("strain", 1 / 2)):
-        structure = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0, "LEFT": {"x": 0.0}}, plane=plane)
-        model = structure.interface(ThinLayer(LinearElastic(3.0, 2.0), 0.05, at=1.0))
-        assert opened(model, lambda x: (0 * x[0], -0.05 * x[0] / 0.8)).mean_closing == pytest.approx(mean, rel=1e-12)
 
 
 def test_rubber_is_told_once():
