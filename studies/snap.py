@@ -168,10 +168,9 @@ def check_energies(record: Record, pure: History, relaxed: History) -> None:
 def draw(record: Record) -> None:
     """Draw force over displacement."""
     response = record.load("table_response.csv").split("curve")
-    curves = {curve: (part["delta"], part["force"]) for curve, part in response.items()}
-    meshed, *finer = [curve for curve in curves if "meshed" in curve]
-    for curve in finer:  # they hide one another
-        del curves[curve]
+    meshed = f"{PURE}, layer meshed, eps = {EPS[0]:g}"  # finer ones hide one another
+    shown = [curve for curve in response if curve == meshed or "meshed" not in curve]
+    curves = {curve: (response[curve]["delta"], response[curve]["force"]) for curve in shown}
     look = {"styles": {meshed: ":"}, "colours": dict(zip(curves, COLOURS, strict=False)) | {meshed: "black"}}
     end, save = "delta, displacement of the upper side", record.path("response.png")
     plotting.curves(curves, end, "force", xlim=(0.9, 2.2), ylim=(2.3, 4.7), save=save, **look)
