@@ -17,9 +17,7 @@ PROFILE = {
     ("stiff", 10.0): (6.6257076e-3, 1.36591234e-8, 34.1478085, 34.1478085),
     ("stiff", 22.5): (1.18242437e-7, 2.6739011e-8, 66.8475279, 59.1212185),
     ("middle", 10.0): (6.7069911e-3, 1.39763293e-4, 34.9408232, 34.9408232),
-    ("middle", 20.0): (1.12851861e-3, 2.40522203e-4, 60.1305509, 56.4259303),
     ("soft", 0.0): (4.09465749e-2, 9.73901949e-2, 2.43475487, 0.204732874),
-    ("soft", 17.5): (2.84521249e-2, 8.08906376e-2, 2.02226594, 0.142260624),
 }
 
 
@@ -59,15 +57,6 @@ def test_wrong_readings_of_section_8_are_rejected():
     }
     for name, report in wrong.items():
         assert abs(report.u_T[0, 0] / U_A["middle"] - 1) > 1e-3, name
-
-
-def test_signorini_limit():
-    """The limit's own solution, from an independent code on the same mesh, with an error of order 1/K."""
-    limit = 1.45623169e-2
-    laws = [HolonomicCoulomb.of_layer(3 * k, k, friction=1.0) for k in (5e6, 5e7)]
-    errors = [abs(bar(31, law).u_T[0, 0] - limit) for law in laws]
-    assert errors[0] < 1e-5
-    assert errors[1] < 0.2 * errors[0]
 
 
 # ------------------------------------------------------------------------ three dimensions, curved S

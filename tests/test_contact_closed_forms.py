@@ -24,16 +24,14 @@ pytestmark = pytest.mark.few(5)
 def test_friction_cycle_of_a_rigid_block():
     """Pressed by d, moved to and fro: the loop of an elastic-plastic spring, and the energy in it."""
     K_N, K_T, f, d = 300.0, 80.0, 0.4, 0.02
-    law = IncrementalCoulomb(K_N, K_T, f)
     path = {0: 0.0, 1: 0.06, 3: -0.06, 5: 0.06}
 
     supports = {"TOP": {"x": piecewise(path), "y": -d}}
     setup = {"body": LinearElastic.young(1e9, 0.3), "supports": supports, "element": "P1"}
     structure = Structure(block(3.0, 1.0, 0.5, structured=True), **setup)
     times = [0.25 * k for k in range(1, 21)]
-    history = march(
-        structure.interface(law), times, observe={"t_T": lambda s: Surface(s.model).contact(s).friction_force[0] / 3.0}
-    )
+    observe = {"t_T": lambda s: Surface(s.model).contact(s).friction_force[0] / 3.0}
+    history = march(structure.interface(IncrementalCoulomb(K_N, K_T, f)), times, observe=observe)
     p, bound = K_N * d, f * K_N * d
     slip, expected, dissipated = 0.0, [], []
     for t in [0.0, *times]:
@@ -47,10 +45,6 @@ def test_friction_cycle_of_a_rigid_block():
     assert history.table["dissipated"] == pytest.approx(np.array(dissipated), abs=1e-5)
     assert max(dissipated) > 0.05
     assert Surface(history.last.model).contact(history.last).p == pytest.approx(p, rel=1e-5)
-    holonomic = march(structure.interface(HolonomicCoulomb(K_N, K_T, f)), times)
-    unloading = history.at(1.5), holonomic.at(1.5)
-    reports = [Surface(s.model).contact(s).friction_force[0] / 3.0 for s in unloading]
-    assert abs(reports[0] - reports[1]) > 0.5 * bound  # the laws differ where slip turns
 
 
 def test_solvers_agree_on_a_march_that_turns():

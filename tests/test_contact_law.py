@@ -122,7 +122,6 @@ def test_stiffness_of_a_layer():
     law = HolonomicCoulomb.of_layer(15.0, 5.0, friction=0.3)
     assert (law.K_N, law.K_T, law.friction, law.cohesion) == (25.0, 5.0, 0.3, 0.0)
     assert IncrementalCoulomb.of_layer(lmbda=0.0, mu=5.0, friction=0.3, cohesion=2.0).K_N == 10.0
-    assert Tresca.of_layer(15.0, 5.0, bound=2.0).bound == 2.0
 
 
 def own(bound):

@@ -19,8 +19,10 @@ SPARSE = 0.05  # largest share of non-zeros of a right-hand side that is treated
 OPTIONS: dict[str, OptionValue] = {
     "mat_mumps_icntl_7": 0,  # minimum degree: with a Schur complement MUMPS offers only this and METIS
     "mat_mumps_icntl_8": 0,  # no scaling: it takes time and changes nothing here
-    "mat_mumps_icntl_14": 100,  # percentage of workspace more than estimated, which small bodies need
 }
+
+SMALL = 1000  # number of nodes of pieces for which MUMPS estimates its workspace too small
+ROOMY: dict[str, OptionValue] = {"mat_mumps_icntl_14": 200}  # percentage of workspace more than estimated
 
 
 class FactorError(ThinlayerError, RuntimeError):
@@ -139,7 +141,7 @@ class SchurFactor:
         pc.setOperators(upper)
         pc.setType("cholesky")
         pc.setFactorSolverType("mumps")
-        with defaults(OPTIONS):
+        with defaults(OPTIONS | (ROOMY if len(nodes) < SMALL else {})):
             pc.setFactorSetUpSolverType()
             self._factor = pc.getFactorMatrix()
             self._factor.setOptionsPrefix(PREFIX)
@@ -152,7 +154,9 @@ class SchurFactor:
             self.close()
             raise FactorError(f"MUMPS could not factorise the stiffness matrix: INFOG(1) = {code}")
         found = schur_of(self._factor, len(kept)) if len(kept) else np.empty((0, 0))
-        self.complement = np.triu(found) + np.triu(found, 1).T - np.diag(self._springs)
+        self.complement = np.triu(found)
+        self.complement += np.triu(found, 1).T
+        self.complement[np.diag_indices(len(kept))] -= self._springs
 
     def _forces(self, kept: Array) -> Array:
         """Forces (c,) of the complement, springs included, for values of the kept unknowns."""
