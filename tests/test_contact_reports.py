@@ -85,7 +85,7 @@ def test_a_similar_state_saves_steps(method):
 def test_refused_models():
     joint, setup = sliding_bar(4)
     law = coulomb("middle")
-    refused(InputError, "give it alone", lambda: ThinLayer(law, 0.1, profile=lambda x: 1 + x[0], at=1.0))
+    refused(InputError, "alone", lambda: ThinLayer(law, 0.1, profile=lambda x: 1 + x[0], at=1.0))
     refused(InputError, "without a thickness", lambda: Structure(joint, **setup).full(law))
     refused(InputError, "contact law", lambda: contact(solve(Structure(joint, **setup).bonded())))
     two, data = stacked()
