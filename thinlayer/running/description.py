@@ -6,14 +6,12 @@ and of `goals`. All moduli are real ones; a layer's are divided by its thickness
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from forms.base import is_finite
 from thinlayer.running.materials import Material, materials
 from thinlayer.running.section import Reader, Section, choice, history, is_growing, positive, read
 
@@ -132,7 +130,7 @@ def _supports(section: Section, key: str) -> dict[Place, Any]:
     """Place -> a number, or components."""
     places, found = section.table(key, "places with what they prescribe, such as LEFT = 0"), dict[Place, Any]()
     for name, value in places.values.items():
-        place = _place(name, places)
+        place = _place(name)
         if isinstance(value, Mapping):
             readers = dict.fromkeys("xyzn" if isinstance(place, str) else "xyz", history(Section.number))
             found[place] = places.table(name, "components").entries(readers, kind="component")
@@ -143,17 +141,14 @@ def _supports(section: Section, key: str) -> dict[Place, Any]:
     return found
 
 
-def _place(text: str, section: Section) -> Place:
-    """A place in the form of a key: the name of a facet set, or "(x, y)" for a vertex."""
+def _place(text: str) -> Place:
+    """A place in the form of a key: "(x, y)" for a vertex, else the name of a facet set."""
     if not text.startswith("("):
         return text
     try:
-        point = tuple(float(c) for c in text.strip("() ").split(","))
+        return tuple(float(c) for c in text[1:].removesuffix(")").split(","))
     except ValueError:
-        point = ()
-    if not re.fullmatch(r"\(.*\)", text) or len(point) not in (2, 3) or not all(map(is_finite, point)):
-        section.refuse("a place is the name of a facet set, or the coordinates of a vertex, such as (40, 0)", text)
-    return point
+        return text
 
 
 def _tractions(section: Section, key: str) -> dict[str, Any]:
@@ -167,8 +162,6 @@ def _traction(section: Section, key: str) -> Any:
     if isinstance(value, Mapping):
         what = {"pressure": "a stress, > 0 where it presses"}
         return section.table(key, "pressure").entries({"pressure": history(Section.number)}, what)
-    if is_finite(value):
-        section.refuse(f"{value:g} is no vector; give its components, or {{pressure = {value:g}}}", key)
     return section.vector(key)
 
 
