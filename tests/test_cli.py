@@ -132,3 +132,12 @@ def test_failed_check(tmp_path, capsys):
     assert cli.main([*ELASTIC, "--quick", "--eps", "2", "4", "--out", str(tmp_path)]) == 1
     assert "checks failed: last observed order" in capsys.readouterr().err
     assert len(rows(tmp_path / "table_elastic.csv")) == 2
+
+
+@pytest.mark.long
+def test_verbose(tmp_path):
+    """What solves do is told on standard error, and only there."""
+    told = process(*ELASTIC, "--quick", "--eps", "0.1", "--out", tmp_path, "-v")
+    assert told.returncode == 0
+    assert "eps = 0.1, t = 0: linear, " in told.stderr
+    assert "thinlayer." not in told.stdout

@@ -195,5 +195,5 @@ def test_a_long_compilation_of_another_process_is_waited_for(tmp_path, compiled)
 
 def test_a_folder_that_cannot_be_written(tmp_path, compiled):
     (tmp_path / "file").touch()
-    with pytest.raises(OSError, match=r"cannot be kept in .*file/cache: .*; set XDG_CACHE_HOME"):
+    with pytest.raises(OSError, match="file/cache"):
         compiled(tmp_path / "file" / "cache")

@@ -19,7 +19,6 @@ from thinlayer.system.ranks import on_all, require_same
 from thinlayer.system.table import Row, Table
 
 RUN, FAILURE = "run", "failure"  # columns that an ensemble adds
-WAIT = 60.0  # s that a job waits for another one that writes the common table
 
 Case = Mapping[str, float | str]
 Run = Callable[[Case], Mapping[str, Any]]
@@ -162,7 +161,7 @@ def _there(path: Path, make: Callable[[], Run], cases: list[Row], resume: Resume
 
 def _merged(path: Path, cases: list[Row]) -> dict[int, Row]:
     """Write all rows of all files into one table, one job after the other; returns them."""
-    with locked(_parts(path), f".merge{LOCK}", WAIT):
+    with locked(_parts(path), f".merge{LOCK}", wait=True):
         rows = _by_run([row for one in _parts(path).glob("*-of-*.json") for row in read_sealed(one)["rows"]])
         if rows:
             _table(cases, rows).put(path)

@@ -134,8 +134,6 @@ class RigidPlate(Addition):
         on_boundary(model.domain, model.kinematics, self.place, self.what)
         d = model.joint.dim
         names = motion_names(d)
-        if not isinstance(self.motion, Mapping):
-            raise InputError(f"{self.what}: motion is {self.motion!r}; it must be {{{names[0]!r}: value, ...}}")
         for name in self.motion:
             require_known("motion", name, names, self.what)
             if names.index(name) in self._prevented(model):

@@ -10,7 +10,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from forms.base import Array, InputError, is_finite
+from forms.base import Array, InputError
 from forms.kinematics import Expr
 from geometry.refusals import place as at_place
 from thinlayer.discretisation.addition import Addition, Host
@@ -41,8 +41,8 @@ class Springs(Addition):
         key: name of their energy, "springs NAME".
 
     Raises:
-        InputError: a stiffness out of range. When a model is made: an unknown or empty facet set, or inner facets, a
-            function that is no function of the place or is negative.
+        InputError: no stiffness. When a model is made: an unknown or empty facet set, or inner facets, a stiffness that is
+            no number, no function of the place, or negative.
     """
 
     place: str
@@ -51,31 +51,21 @@ class Springs(Addition):
     key: str = field(init=False)
 
     def __post_init__(self) -> None:
-        for name in ("normal", "tangential"):
-            value = getattr(self, name)
-            if not callable(value) and not (is_finite(value) and value >= 0):
-                allowed = "a finite number >= 0, or a function of x"
-                raise InputError(f"springs on {self.place!r}: {name} is {value!r}; allowed: {allowed}")
         if self.normal == self.tangential == 0:
             raise InputError(f"springs on {self.place!r} have no stiffness; give normal=... or tangential=...")
         object.__setattr__(self, "key", f"springs {self.place}")
 
     def check(self, model: Host) -> None:
-        """Raise InputError or InputError unless the facet set exists and lies on the outer boundary."""
+        """Raise InputError unless the facets lie on the outer boundary, and the stiffnesses are finite and >= 0 there."""
         on_boundary(model.domain, model.kinematics, self.place, f"springs on {self.place!r}")
-        self._check_functions(model)
-
-    def _check_functions(self, model: Host) -> None:
-        """Raise InputError if a function is not finite or negative at nodes of the facets."""
         facets, V = model.domain.facets(self.place), fem.functionspace(model.domain.mesh, ("Lagrange", DEGREE))
         for stiffness in self._stiffnesses(model):
-            if stiffness.varies:
-                nodes = fem.locate_dofs_topological(V, model.joint.dim - 1, facets)
-                values, x = stiffness.in_space(V).x.array[nodes], V.tabulate_dof_coordinates()[nodes, : model.joint.dim]
-                values = np.where(np.isfinite(values), values, -np.inf)
-                if len(values) and values.min() < -ROUNDING * values.max():
-                    k = int(values.argmin())
-                    raise InputError(f"{stiffness.what} is {values[k]:.6g} at {at_place(x[k])}; allowed: finite, >= 0")
+            nodes = fem.locate_dofs_topological(V, model.joint.dim - 1, facets)
+            values, x = stiffness.in_space(V).x.array[nodes], V.tabulate_dof_coordinates()[nodes, : model.joint.dim]
+            values = np.where(np.isfinite(values), values, -np.inf)
+            if len(values) and values.min() < -ROUNDING * values.max():
+                k = int(values.argmin())
+                raise InputError(f"{stiffness.what} is {values[k]:.6g} at {at_place(x[k])}; allowed: finite, >= 0")
 
     def _stiffnesses(self, model: Host) -> list[Given]:
         """The stiffnesses, normal and tangential. Collective."""

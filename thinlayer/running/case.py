@@ -6,10 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from forms.base import unknown
 from geometry.importing.reading import read
 from geometry.joint import Joint
-from geometry.seam import S
 from thinlayer.discretisation.clock import piecewise
 from thinlayer.discretisation.given import Pressure
 from thinlayer.discretisation.layer import Layers, ThinLayer
@@ -45,7 +43,7 @@ class Case:
         """The case that is described. Collective.
 
         Raises:
-            DescriptionError: thicknesses that are nothing beside the bodies, or larger; reactions of what nothing holds.
+            DescriptionError: thicknesses that are nothing beside the bodies, or larger.
             InputError: as `read`, `Structure` and `ThinLayer` raise them.
         """
         of_file = dict(given.mesh)
@@ -55,12 +53,6 @@ class Case:
             if not LEAST_EPS * size <= one.eps <= size:
                 what = f"{one.eps:g}; allowed beside bodies of {size:.4g}: {LEAST_EPS * size:.2g} to {size:.4g}"
                 given.section.refuse(what, "layer", *([name] if name else []), "eps")
-        places = [place for place in given.supports if isinstance(place, str)]
-        bases = [S, *joint.base_seams] if joint.base_seams else []
-        held = {*places, *(place.partition("/")[0] for place in places), *bases}
-        for goal, arguments in given.goals.items():
-            if arguments["kind"] == "reaction" and arguments["place"] not in held:
-                given.section.refuse(unknown("support", arguments["place"], held), "goals", goal, "place")
         return cls(
             given,
             _structure(given, joint),

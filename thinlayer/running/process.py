@@ -76,12 +76,13 @@ def recorded(
     from thinlayer.errors import InputError, SolveError
     from thinlayer.running.record import Record
     from thinlayer.solving.petsc import given_elsewhere
-    from thinlayer.system import progress, ranks
+    from thinlayer.system import ranks
 
     set_signals()
     ranks.STATUS = UNFINISHED
     if verbose:
-        progress.show(logging.INFO if verbose == 1 else logging.DEBUG)
+        logging.basicConfig(format="%(name)s: %(message)s")
+        logging.getLogger("thinlayer").setLevel(logging.INFO if verbose == 1 else logging.DEBUG)
     comm = MPI.COMM_WORLD
     root = comm.rank == 0
     if root and (elsewhere := given_elsewhere()):

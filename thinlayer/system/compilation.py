@@ -41,27 +41,13 @@ _LOCKS: dict[Path, int] = {}
 EXPORTED = re.compile(r"^(?:int|double) \w+\([^{;]*\)(?=\s*\{)", re.MULTILINE)
 
 
-class CacheError(ThinlayerError, OSError):
-    """A folder of compiled forms that cannot be written."""
-
-
 class SourceError(ThinlayerError, RuntimeError):
     """A C source cannot be read or compiled; the compiler prints its messages to standard error."""
 
 
 def acquire(folder: Path, name: str) -> None:
-    """Make the folder, and wait until no other process compiles the library of this name.
-
-    Raises:
-        CacheError: the folder cannot be made or written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if not os.access(folder, os.W_OK | os.X_OK):
-            raise PermissionError("it is not writable")
-    except OSError as error:
-        remedy = "set XDG_CACHE_HOME to a folder that you own"
-        raise CacheError(f"compiled forms cannot be kept in {folder}: {error.strerror or error}; {remedy}") from None
+    """Make the folder, and wait until no other process compiles the library of this name."""
+    folder.mkdir(parents=True, exist_ok=True)
     _lock(folder, name, fcntl.LOCK_EX)
 
 

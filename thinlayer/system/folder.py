@@ -9,7 +9,6 @@ import json
 import os
 import re
 import socket
-import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -98,14 +97,14 @@ def owned(folder: Path | None, comm: MPI.Intracomm | None = None, name: str = LO
 
 
 @contextmanager
-def locked(folder: Path, name: str = LOCK, wait: float = 0.0) -> Iterator[None]:
-    """The same on one rank, which waits for another run for some seconds."""
+def locked(folder: Path, name: str = LOCK, *, wait: bool = False) -> Iterator[None]:
+    """The same on one rank, which may wait for another run."""
     made, file = [], -1
     try:
         try:
             made = [one for one in (folder, *folder.parents) if not one.is_dir()]
             folder.mkdir(parents=True, exist_ok=True)
-            file = _lock(folder / name, time.monotonic() + wait)
+            file = _lock(folder / name, wait)
         except InputError:  # a ValueError with a complete message
             raise
         except (OSError, ValueError) as error:  # a name with a null character is no OSError
@@ -120,18 +119,15 @@ def locked(folder: Path, name: str = LOCK, wait: float = 0.0) -> Iterator[None]:
                 one.rmdir()
 
 
-def _lock(path: Path, end: float) -> int:
+def _lock(path: Path, wait: bool) -> int:
     """Open and lock a file; if a run that ends has removed it meanwhile, the one that is there then."""
     while True:
         with ExitStack() as stack:
             file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
             stack.callback(os.close, file)
             try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
             except BlockingIOError:
-                if time.monotonic() < end:
-                    time.sleep(0.05)
-                    continue
                 who = os.pread(file, 200, 0).decode(errors="replace").strip() or "another process"
                 busy = f"another run ({who}) is writing into {str(path.parent)!r}"
                 raise InputError(f"{busy}; wait for it, or give another folder") from None

@@ -38,16 +38,6 @@ def logger(part: str, comm: MPI.Intracomm | None = None) -> logging.Logger:
     return _SILENT if (comm or world()).rank else logging.getLogger(f"thinlayer.{part}")
 
 
-def show(level: int) -> None:
-    """Show what is logged from this level on, on standard error."""
-    handler = logging.StreamHandler()
-    handler.setFormatter(logging.Formatter("%(name)s: %(message)s"))
-    ours = logging.getLogger("thinlayer")
-    ours.addHandler(handler)
-    ours.setLevel(level)
-    ours.propagate = False
-
-
 @dataclass(eq=False)
 class _Work:
     """Some work: its share that is done, the share of what is being done, and words for that."""

@@ -11,8 +11,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator
 
-from forms.base import Array, InputError, require
-from forms.temperature import real
+from forms.base import InputError, require
 from thinlayer.output.plotting.picture import Picture, finish
 from thinlayer.system.table import Table
 
@@ -110,7 +109,7 @@ def curves(
         levels: title of a panel -> names of the values 0, 1, ... of y, in place of numbers.
 
     Raises:
-        InputError: x and y of a line are not as many numbers.
+        InputError: no mapping. ValueError: x and y of a line are not as many numbers.
     """
     require(isinstance(lines, Mapping), "curves", lines, "give {label: (x, y)}, or {title: {label: (x, y)}}")
     several = bool(lines) and all(isinstance(one, Mapping) for one in lines.values())
@@ -123,8 +122,7 @@ def curves(
     drawn: dict[str, Any] = {}
     for axes, (panel, part) in zip(panels, parts.items(), strict=True):
         for label, line in part.items():
-            x, y = _numbers(label, line)
-            (drawn[label],) = axes.plot(x, y, styles.get(label, "-"), color=colours[label], label=label, ms=4)
+            (drawn[label],) = axes.plot(*line, styles.get(label, "-"), color=colours[label], label=label, ms=4)
         axes.grid(color="0.9")
         axes.set(xscale="log" if "x" in log else "linear", yscale="log" if "y" in log else "linear")
         axes.set(xlabel=xlabel, ylabel=_of(ylabel, panel), title=panel, xlim=_of(xlim, panel), ylim=_of(ylim, panel))
@@ -148,17 +146,6 @@ def _by_label(labels: Iterable[str], chosen: Chosen) -> dict[str, str]:
     if isinstance(chosen, Mapping):
         return dict(chosen)
     return dict(zip(labels, cycle([chosen] if isinstance(chosen, str) else chosen or []), strict=False))
-
-
-def _numbers(label: str, line: Any) -> list[Array]:
-    """x and y of a line, (n,) each."""
-    try:
-        x, y = (real(one).astype(float) for one in line)
-        if x.ndim != 1 or x.shape != y.shape:
-            raise TypeError(f"x has the shape {x.shape}, y {y.shape}")
-    except (TypeError, ValueError) as error:
-        raise InputError(f"the curve {label!r} is no pair (x, y) of as many numbers: {error}") from error
-    return [x, y]
 
 
 def _panels(number: int, columns: int) -> tuple[Picture, list[Axes]]:
