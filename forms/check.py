@@ -13,7 +13,6 @@ from ufl.classes import Zero
 from ufl.indexed import Indexed
 
 from forms.base import Array, InputError
-from forms.kernel import KernelLaw
 from forms.kinematics import Expr, mandel
 from forms.law import BulkLaw, Law, Step, explained, shaped
 from forms.parameter_fields import is_field
@@ -38,7 +37,7 @@ def check(law: Law, d: int | None = 3) -> None:
     - has one tangent for all strains if it says `linear`, and a symmetric one unless it says `symmetric = False`;
     - has the slope of its energy for a stress, if it is symmetric and has neither memory nor rate.
 
-    A `kernel` in Python is called once. What compiled kernels read is found out where they are compiled.
+    What a `KernelLaw` reads is found out where it is compiled.
 
     Args:
         law: the law.
@@ -59,8 +58,7 @@ def check(law: Law, d: int | None = 3) -> None:
 
 def require_computed(law: BulkLaw, d: int | None = 3) -> None:
     """As `check`, whatever has been asked before."""
-    if isinstance(law, KernelLaw):
-        _rehearse(law)
+    if not law.traits.in_ufl:
         return
     given, name, method = law.mapped(lambda value, _: _number(value)), type(law).__name__, law.methods[0]
     d = 3 if law.traits.compiled else d
@@ -82,7 +80,12 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
         e, sample = _sample(given, size, d or 3)
         _require_no_decisions(law, d, sample, values)
         for key in found:
-            _require_symmetric(law, key, values(key, sample))
+            tensor = values(key, sample)
+            if tensor is not None and tensor.ndim == 2 and (skew := _apart(tensor, tensor.T)):
+                raise InputError(
+                    f"{name}.{key} is not symmetric: it differs from its transpose by {skew:.1e} of its size; "
+                    "use ufl.sym, or vectors (3,) as internal variables"
+                )
         turned = [np.concatenate([change, sample[6:]]) for change in (e, -e, 3 * e[::-1])]
         tangents = [C for one in turned if (C := values("tangent", one)) is not None]
         for C in tangents:
@@ -91,8 +94,13 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
                 raise InputError(f"{name} declares linear = True, but its stress is not affine in the strain; {remedy}")
             if law.traits.symmetric and (skew := _apart(C, C.T)):
                 raise InputError(NOT_SYMMETRIC.format(name, skew))
-        if "slope" in asked:
-            _require_slope(name, values("slope", sample), values(method, sample))
+        slope, stress = (values(key, sample) if "slope" in asked else None for key in ("slope", method))
+        if slope is not None and stress is not None and np.abs(slope).max() > TOLERANCE * np.abs(stress).max():
+            raise InputError(
+                f"{name}: the derivative of the energy by the strain is not the stress, it is "
+                f"{np.abs(slope).max() / (np.abs(stress).max() or 1.0):.1e} of the stress away; correct one of them, or "
+                "write symmetric = False in the class if the stress has no energy"
+            )
 
 
 def _computed(law: BulkLaw, step: Step) -> dict[str, Expr]:
@@ -149,23 +157,6 @@ def _require_no_decisions(law: BulkLaw, d: int | None, sample: Array, values: Ca
                 )
 
 
-def _require_symmetric(law: BulkLaw, key: str, tensor: Array | None) -> None:
-    if tensor is not None and tensor.ndim == 2 and (skew := _apart(tensor, tensor.T)):
-        raise InputError(
-            f"{type(law).__name__}.{key} is not symmetric: it differs from its transpose by {skew:.1e} of its size; "
-            "use ufl.sym, or vectors (3,) as internal variables"
-        )
-
-
-def _require_slope(name: str, apart: Array | None, stress: Array | None) -> None:
-    if apart is not None and stress is not None and np.abs(apart).max() > TOLERANCE * np.abs(stress).max():
-        raise InputError(
-            f"{name}: the derivative of the energy by the strain is not the stress, it is "
-            f"{np.abs(apart).max() / (np.abs(stress).max() or 1.0):.1e} of the stress away; correct one of them, or write "
-            "symmetric = False in the class if the stress has no energy"
-        )
-
-
 def _apart(a: Array, b: Array, least: float = 0.0) -> float:
     """Largest difference of two arrays over their largest number, or over `least`; 0 if it is rounding."""
     apart, largest = np.abs(a - b).max(), max(np.abs(a).max(), np.abs(b).max(), least)
@@ -191,23 +182,3 @@ def _number(value: Any, of_place: float = 1.0) -> Any:
     except (TypeError, ValueError):
         return value
     return array if array.ndim else float(array) if np.isfinite(array) else of_place
-
-
-def _rehearse(law: KernelLaw) -> None:
-    """Call a kernel once, uncompiled, at rest: Python has clear messages, and checks indices."""
-    name, memory = type(law).__name__, law.memory
-    if law.source is not None:
-        return
-    if getattr(law, "kernel", None) is None:
-        raise InputError(f"{name} needs a static method kernel(...), or source, a file's name; see forms.KernelLaw")
-    outputs = np.zeros(6), np.zeros((6, 6)), np.zeros(memory), np.zeros(3)
-    rest = np.zeros(6), np.zeros(6), np.zeros(memory), 1.0, 1.0, np.array([0.0, 1.0, 0.0])
-    try:
-        with np.errstate(all="ignore"):
-            done = type(law).kernel(*rest, law.parameter_values(), *outputs)
-    except ArithmeticError:
-        return
-    except Exception as error:
-        raise InputError(f"{name}.kernel: {type(error).__name__}: {error}; arguments: see forms.KernelLaw") from error
-    if not isinstance(done, (bool, np.bool_)):
-        raise InputError(f"{name}.kernel returns {done!r}; it must return whether it succeeded")

@@ -4,30 +4,24 @@ from __future__ import annotations
 
 import inspect
 import logging
-import math
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
-from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
 
-from forms.base import PACKAGES, InputError, is_number
+from forms.base import PACKAGES, InputError, is_finite
 
 # modules of base classes
 DEFAULTS = tuple(f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series"))
-RESPONSES = ("stress", "traction", "kernel", "source")  # attributes that give the stress or traction of a law
+RESPONSES = ("stress", "traction", "source")  # attributes that give the stress or traction of a law
 UPDATES = ("advance", "evolve")  # methods that give new internal variables
-OF_ONE_STRESS = (
-    *("stiffness", "stations", "elastic_moduli", "end_strips", "stations_at_ends"),
-    *("plane_stress", "energetic"),
-)  # attributes valid for one stress only
+OF_NEXT_ORDER = ("stations", "stations_at_ends", "end_strips", "elastic_moduli")
+OF_ONE_STRESS = (*OF_NEXT_ORDER, "stiffness", "plane_stress", "energetic")  # attributes valid for one stress only
 ENERGIES = ("energy", "dissipation", "dissipated")
 SIZES = {(): 1, (3,): 3, (3, 3): 6}  # shape of an internal variable -> its number of components
-LIKENESS = 0.8  # of two names, 1 if they are the same, from which on one may be the other misspelt
-SWITCHED = ("phase", "drive", "bound")  # internal variables of a law whose phases switch
 
 
 class RangeWarning(UserWarning):
@@ -56,13 +50,6 @@ def show_warnings() -> None:
     handlers = [*logging.getLogger("py.warnings").handlers, *logging.getLogger().handlers]
     if all(isinstance(handler, logging.NullHandler) for handler in handlers):
         logging.captureWarnings(False)
-
-
-def require_dataclass(kind: type) -> None:
-    """Raise InputError if a class declares parameters but is not a dataclass: its constructor does not take them."""
-    own = [n for n, note in inspect.get_annotations(kind).items() if "ClassVar" not in str(note)]
-    if own and "__dataclass_params__" not in vars(kind):
-        raise InputError(f"{kind.__name__} is not a dataclass: write @dataclass(frozen=True) above the class")
 
 
 def reset_inherited(kind: Any) -> None:
@@ -116,46 +103,34 @@ def _reset(kind: Any, name: str) -> None:
 def require_declarations(law: Any) -> None:
     """Raise InputError unless the declarations of a law's class fit its parameters and methods."""
     kind, known = type(law), law.parameters()
-    require_dataclass(kind)
-    if not isinstance(law.powers, Mapping) or not isinstance(law.internal, Mapping):
-        raise InputError(f"{kind.__name__}: powers is {{parameter: power}}, internal is {{name: shape}}")
+    own = [n for n, note in inspect.get_annotations(kind).items() if "ClassVar" not in str(note)]
+    if own and "__dataclass_params__" not in vars(kind):  # its constructor does not take them
+        raise InputError(f"{kind.__name__} is not a dataclass: write @dataclass(frozen=True) above the class")
     for name, power in law.powers.items():
         if name not in known:
             raise InputError(f"{kind.__name__}: powers has {name!r}; parameters: {', '.join(known) or 'none'}")
-        if not is_number(power) or not math.isfinite(power):
+        if not is_finite(power):
             raise InputError(f"{kind.__name__}: the power of {name} is {power!r}; allowed: a finite number")
-    for name in law.functions:
-        if callable(known.get(name)):
-            needed = "it must give a number, NaN where it varies"
-            raise InputError(f"{kind.__name__}: parameters() gives a function for {name}; {needed}")
     for name, shape in law.internal.items():
         if shape not in SIZES:
             allowed = ", ".join(map(str, SIZES))
             raise InputError(f"{kind.__name__}: internal variable {name!r} has the shape {shape!r}; allowed: {allowed}")
-    _require_phases(law)
     _require_used(law)
 
 
 def _require_used(law: Any) -> None:
     """Raise InputError for methods and attributes that would be silently ignored."""
     kind, name = type(law), type(law).__name__
-    defining = min(_place(kind, one) for one in ("kernel", "source", "ignored"))
+    defining = min(_place(kind, one) for one in ("source", "ignored"))
     for one in kind.ignored:
         if _own(kind, one) and _place(kind, one) < defining:
             raise InputError(
-                f"{name} has a method {one} that is never called: the stress comes from the kernel, source, sublayers or "
+                f"{name} has a method {one} that is never called: the stress comes from the source, sublayers or "
                 f"the traction of {kind.__mro__[defining].__name__}; change those, or write a BulkLaw"
             )
-    if getattr(kind, "source", None) is not None and _place(kind, "kernel") < _place(kind, "source"):
-        raise InputError(f"{name} has a kernel but inherits a source, which would be used instead; write source = None")
     advancing = [one for one in ("advance", "evolve") if _own(kind, one)]
     if advancing and not law.internal:
         raise InputError(f"{name} has a method {advancing[0]} but no internal variables: internal = {{name: shape}}")
-    known = [f.name for f in fields(Traits)]
-    for attribute in (one for one in dir(kind) if _own(kind, one) and isinstance(getattr(kind, one), bool)):
-        if attribute not in known and (meant := get_close_matches(attribute, known, 1, LIKENESS)):
-            value = getattr(kind, attribute)
-            raise InputError(f"{name} has {attribute} = {value}, which is no trait; is {meant[0]} meant?")
     if (_own(kind, "dissipation") or _own(kind, "dissipated")) and not law.traits.has_energy:
         raise InputError(f"{name} declares a dissipation but no energy; write a method energy(step) too")
     if _own(kind, "at") and (not _own(kind, "varies") or inspect.getattr_static(kind, "varies") is False):
@@ -168,24 +143,6 @@ def _own(kind: Any, name: str) -> bool:
     if defining is None or defining.__module__ in DEFAULTS:
         return False
     return getattr(vars(defining)[name], "__module__", None) not in DEFAULTS  # as restored by `_reset`
-
-
-def _require_phases(law: Any) -> None:
-    kind, name = type(law), type(law).__name__
-    if getattr(kind, "phases", False) is True and law.internal.get("phase") != ():
-        raise InputError(f"{name} has phases = True; it needs an internal variable 'phase' of shape (), a UFL law")
-    if getattr(kind, "switches", False) is not True:
-        return
-    if getattr(kind, "phases", False) is not True or any(law.internal.get(one) != () for one in SWITCHED):
-        raise InputError(f"{name} has switches = True; it needs phases = True and the scalars {SWITCHED} in internal")
-    for method in ("excess", "switched"):
-        if not callable(getattr(law, method, None)):
-            raise InputError(f"{name} has switches = True; it needs a method {method}, see NonMonotoneUnrelaxed")
-
-
-def always(_: Iterable[bool]) -> bool:
-    """Fold of a trait that every Stack has, whatever its sublayers."""
-    return True
 
 
 def trait(fold: Callable[[Iterable[bool]], bool], default: bool = False) -> Any:
@@ -246,7 +203,7 @@ class Traits:
     in_ufl: bool = trait(all)
     of_jumps: bool = trait(any)
     nodal: bool = trait(any)
-    compiled: bool = trait(always)
+    compiled: bool = trait(lambda _: True)  # of every Stack
 
     @property
     def may_soften(self) -> bool:

@@ -11,12 +11,12 @@ import numpy as np
 import ufl
 from scipy.spatial.transform import Rotation
 
-from forms.base import Array, InputError, is_number, require
+from forms.base import Array, InputError, require
 from forms.ends.constants import free_end
 from forms.ends.weights import EndWeights, Strips
 from forms.kinematics import MANDEL, ROOT2, Expr, layer_frame
 from forms.law import BulkLaw, Step, choice
-from forms.parameter_fields import Field, OutOfRange, Parameter, field_of
+from forms.parameter_fields import Field, OutOfRange, Parameter, field_of, is_field
 from forms.stations import Faces, Station, at_gauss_points
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
@@ -90,12 +90,10 @@ class LinearElastic(LinearLaw):
 
         Both may be numpy functions of places (d, n) in the joint that give n values.
         """
-        if callable(E) or callable(nu):
-            given = field_of(E), field_of(nu)
-            return cls(Field(_lmbda_of_young, given), Field(_mu_of_young, given))  # type: ignore[arg-type]
-        require(is_number(E) and math.isfinite(E) and E > 0, "LinearElastic: E", E, "allowed: > 0")
-        require(is_number(nu) and -1 < nu < 0.5, "LinearElastic: nu", nu, "allowed: -1 < nu < 0.5")
-        return cls(E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu)))
+        values = field_of(E), field_of(nu)
+        if any(map(is_field, values)):
+            return cls(Field(_lmbda_of_young, values), Field(_mu_of_young, values))  # type: ignore[arg-type]
+        return cls(_lmbda_of_young(*values), _mu_of_young(*values))
 
     @classmethod
     def shear(cls, mu: Parameter, nu: Parameter) -> LinearElastic:
@@ -103,10 +101,8 @@ class LinearElastic(LinearLaw):
 
         Both may be functions, as in `young`.
         """
-        if callable(mu) or callable(nu):
-            return cls.young(2 * field_of(mu) * (1 + field_of(nu)), nu)
-        require(is_number(mu) and is_number(nu), f"LinearElastic: mu is {mu!r}, nu", nu, "allowed: numbers")
-        return cls.young(2 * mu * (1 + nu), nu)
+        mu, nu = field_of(mu), field_of(nu)
+        return cls.young(2 * mu * (1 + nu), nu)  # type: ignore[operator]
 
     def stress(self, step: Step) -> Expr:
         return lame(self.lmbda, self.mu, step.mid)
@@ -164,8 +160,10 @@ def _mu_of_young(E: Any, nu: Any) -> Any:
 
 
 def _require_young(E: Any, nu: Any) -> None:
-    """Raise OutOfRange unless E > 0 and -1 < nu < 1/2 at all places."""
-    for name, values, good, allowed in (("E", E, E > 0, "> 0"), ("nu", nu, (nu > -1) & (nu < 0.5), "-1 < nu < 0.5")):
+    """Raise OutOfRange unless E > 0 and -1 < nu < 1/2 at all places; InputError unless they are numbers."""
+    for name, values, least, most, allowed in (("E", E, 0.0, math.inf, "> 0"), ("nu", nu, -1.0, 0.5, "-1 < nu < 0.5")):
+        require(np.asarray(values).dtype.kind in "iuf", f"LinearElastic: {name}", values, f"allowed: {allowed}")
+        good = (np.asarray(values) > least) & (np.asarray(values) < most)
         if not np.all(good):
             k = int(np.argmin(good))
             raise OutOfRange(f"{name} is {np.ravel(values)[k]:g}; allowed: {allowed}", k)
@@ -207,9 +205,7 @@ class Anisotropic(LinearLaw):
 
         K_T = 0 is a bearing without friction: supports must hold bodies that may slide.
         """
-        for name, value, allowed in (("K_N", K_N, "> 0"), ("K_T", K_T, ">= 0")):
-            if not (math.isfinite(value) and (value > 0 or (value == 0 and name == "K_T"))):
-                raise InputError(f"Anisotropic.springs: {name} is {value}; allowed: {allowed}")
+        require(K_N > 0, "Anisotropic.springs: K_N", K_N, "allowed: > 0")
         return cls(np.diag([0, K_N, 0, K_T, 0, K_T]), "layer")
 
     def stress(self, step: Step) -> Expr:

@@ -59,6 +59,13 @@ def from_mandel(a: Expr) -> Expr:
     return ufl.as_tensor([[entries[min(i, j), max(i, j)] for j in range(3)] for i in range(3)])
 
 
+def average_lame(C: Array) -> tuple[float, float]:
+    """Moduli lmbda, mu of the isotropic tensor nearest to C (6, 6): its averages over all directions."""
+    bulk = C[:3, :3].sum() / 9
+    mu = (np.trace(C) - 3 * bulk) / 10
+    return float(bulk - 2 * mu / 3), float(mu)
+
+
 def layer_frame(n: Expr) -> Expr:
     """Rotation (3, 3) whose columns are the layer's axes: second axis n; in 2D the first is the tangent (n_2, -n_1).
 

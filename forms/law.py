@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import copy
-import inspect
 import math
-import sys
-import typing
+import re
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, cached_property
-from types import SimpleNamespace, UnionType
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, get_args, get_origin
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 import ufl
 
 from forms.base import Array, InputError
-from forms.declarations import SIZES, Traits, require_dataclass, require_declarations, reset_inherited
-from forms.kinematics import Expr
-from forms.parameter_fields import Field, OfPlaces, field_of, is_field, number_of
+from forms.declarations import SIZES, Traits, require_declarations, reset_inherited
+from forms.kinematics import Expr, average_lame
+from forms.parameter_fields import MANY, Field, OutOfRange, extremes, field_of, is_field, number_of, place_of
 from forms.stations import Station, at_gauss_points
 
 if TYPE_CHECKING:
@@ -28,6 +25,7 @@ if TYPE_CHECKING:
 
 
 UNKNOWN = object()
+OF_NUMBER, OF_MANY = re.compile(r"\b(float|int)\b"), re.compile("array|list|tuple|sequence|callable", re.IGNORECASE)
 
 
 class Step(NamedTuple):
@@ -77,7 +75,7 @@ def choice(default: Any) -> Any:
 
 
 @dataclass(frozen=True, eq=False)  # compared by identity, unless a law defines ==
-class Law(OfPlaces):
+class Law:
     """Base of the three contracts of laws: a frozen dataclass whose fields are its parameters.
 
     Laws derive from `BulkLaw` (of strains), `TractionLaw` (of jumps) or `ContactLaw` (of nodes). A class declares its
@@ -101,19 +99,9 @@ class Law(OfPlaces):
         super().__init_subclass__(**options)
         reset_inherited(cls)
 
-    def __new__(cls, *_: Any, **named: Any) -> Self:
-        require_dataclass(cls)
-        known = [name for name in inspect.signature(cls.__init__).parameters if name != "self"]
-        for name in named:
-            if name not in known:
-                hint = "" if known else " (is it a @dataclass(frozen=True)?)"
-                raise InputError(f"{cls.__name__} has no parameter {name!r}; known: {', '.join(known) or 'none'}{hint}")
-        return super().__new__(cls)
-
     def __post_init__(self) -> None:
         for f in fields(self):
-            bases = [one for one in type(self).__mro__ if one.__module__ in (__name__, OfPlaces.__module__)]
-            own = any(f.name in vars(one) for one in bases)
+            own = any(f.name in vars(one) for one in type(self).__mro__ if one.__module__ == __name__)
             self.require(not own, f"the parameter {f.name!r}", "another one", "a name that all laws use")
             allowed = "a number" + (", a function in numpy" if f.name in self.functions else "")
             self.require(not isinstance(getattr(self, f.name), ufl.core.expr.Expr), f.name, allowed, "a UFL expression")
@@ -185,7 +173,7 @@ class Law(OfPlaces):
         return ()
 
     @property
-    def sublayers(self) -> tuple[tuple[float, Law], ...]:
+    def sublayers(self) -> tuple[tuple[float, Any], ...]:
         """(fraction of the thickness, law) from the lower to the upper face; a law that is no Stack is its only one."""
         return ((1.0, self),)
 
@@ -229,6 +217,62 @@ class Law(OfPlaces):
         changed = {name: change(value, self.powers.get(name, 0)) for name, value in self.parameters().items()}
         return self.with_parameters(changed)
 
+    # ---------------------------------------------------------------- parameters that are functions of the place
+    @property
+    def fields(self) -> dict[str, Field]:
+        """The parameters that are functions of the place, by name."""
+        return {name: value for name, value in vars(self).items() if is_field(value)}
+
+    def fields_at(self, x: Array) -> dict[str, Array]:
+        """The values (n,) of these parameters at places x (d, n) in the joint before inflating, by name.
+
+        Raises:
+            InputError: a function fails, does not give n finite real numbers, or is out of its range; with the place.
+        """
+        return {name: self._field_at(name, one, x) for name, one in self.fields.items()}
+
+    def _field_at(self, name: str, one: Field, x: Array) -> Array:
+        try:
+            return one(x)
+        except OutOfRange as error:
+            said = str(error) if str(error)[:1].isalpha() and " is " in str(error) else f"{name} is {error}"
+            raise InputError(f"{type(self).__name__}: {said}, at {place_of(x, error.k)}") from None
+        except Exception as error:
+            raise InputError(
+                f"{type(self).__name__}: {name}(x) fails for x of shape {x.shape}: {type(error).__name__}: {error}; "
+                "it must be a numpy function of places (d, n) in the joint that gives n numbers"
+            ) from error
+
+    def at_places(self, x: Array) -> Iterator[Self]:
+        """The law with numbers, unchecked, at each of the places x (d, n)."""
+        values = self.fields_at(x)
+        for k in range(x.shape[1]):
+            yield self.with_parameters({name: float(value[k]) for name, value in values.items()})
+
+    def check_at(self, x: Array) -> None:
+        """Raise InputError if a parameter is out of its range at one of the places x (d, n).
+
+        Of many places those are checked at which a parameter, or a difference or a ratio of two, is smallest or largest,
+        and some thousand others.
+        """
+        if not self.fields:
+            return
+        values, n = list(self.fields_at(x).values()), x.shape[1]
+        at = sorted({*extremes(values, differences=True), *range(0, n, max(n // MANY, 1))})
+        for k, one in zip(at, self.at_places(x[:, at]), strict=True):
+            try:
+                one.check()
+            except InputError as error:
+                raise InputError(f"{error}, at {place_of(x, k)}") from None
+
+    def samples(self, x: Array) -> list[Self]:
+        """The law with numbers, at those of the places x (d, n) where a parameter or a ratio of two is extreme."""
+        if not self.fields:
+            return [self]
+        extreme = x[:, extremes(list(self.fields_at(x).values()))]
+        self.check_at(extreme)
+        return list(self.at_places(extreme))
+
 
 class BulkLaw(Law):
     """A law of strains, for the material of a layer or of a body.
@@ -261,10 +305,6 @@ class BulkLaw(Law):
 
     def of_strains(self) -> BulkLaw:
         return self
-
-    @property
-    def sublayers(self) -> tuple[tuple[float, BulkLaw], ...]:
-        return ((1.0, self),)
 
     # ---------------------------------------------------------------- equations, UFL
     def stress(self, step: Step) -> Expr:
@@ -485,15 +525,9 @@ class PlaneStress(OfLaw):
     def eased(self, ease: float) -> Self:
         return self._of(self.law.eased(ease))
 
-    def check_dimension(self, d: int) -> None:
-        self.require(d == 2, "dimension of the model", "2", d)
-        super().check_dimension(d)
-
     def condensed(self, C: Array) -> Array:
         """C (6, 6) condensed; the rows out of the plane are those of the isotropic tensor nearest to it in plane stress."""
-        bulk = C[:3, :3].sum() / 9
-        mu = (np.trace(C) - 3 * bulk) / 10
-        lmbda = bulk - 2 * mu / 3
+        lmbda, mu = average_lame(C)
         lmbda *= 2 * mu / (lmbda + 2 * mu) if lmbda + 2 * mu > 0 else 0.0
         volume = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
         out = lmbda * np.outer(volume, volume) + 2 * mu * np.eye(6)
@@ -508,19 +542,10 @@ class PlaneStress(OfLaw):
 def scalars(kind: Any) -> frozenset[str]:
     """Names of a dataclass's fields annotated as one number: float or int, or a union of these with None or functions.
 
-    An annotation written as text is evaluated in the class's module, and ignored if it fails there.
+    It is the text of an annotation that counts.
     """
-    found = set()
-    for f in fields(kind):
-        with suppress(NameError, AttributeError, TypeError, SyntaxError):
-            module = next(one.__module__ for one in kind.__mro__ if f.name in inspect.get_annotations(one))
-            holder = SimpleNamespace(__annotations__={f.name: f.type})
-            hint = typing.get_type_hints(holder, vars(typing) | vars(sys.modules[module]))[f.name]
-            one_of = get_args(hint) if get_origin(hint) in (typing.Union, UnionType) else (hint,)
-            kinds = [get_origin(one) or one for one in one_of]
-            if {float, int}.intersection(kinds) and not {np.ndarray, list, tuple}.intersection(kinds):
-                found.add(f.name)
-    return frozenset(found)
+    texts = {f.name: str(f.type) for f in fields(kind)}
+    return frozenset(name for name, text in texts.items() if OF_NUMBER.search(text) and not OF_MANY.search(text))
 
 
 @contextmanager
@@ -531,9 +556,8 @@ def explained(law: Law, method: str) -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:
-        text = str(error) if len(str(error)) < 200 else f"{str(error)[:200]} ..."
         raise InputError(
-            f"{type(law).__name__}.{method}: {type(error).__name__}: {text}. Laws are UFL: ufl.exp, "
+            f"{type(law).__name__}.{method}: {type(error).__name__}: {error!s:.200}. Laws are UFL: ufl.exp, "
             "ufl.conditional(ufl.lt(a, b), c, d), tensors of shape (3, 3); step.dt, step.e_old, step.rate need rate = True "
             "or internal variables; step.n has 2 components in 2D unless the law is compiled, "
             f"forms.kinematics.lift(step.n) has 3; step.q has {sorted(law.internal) or 'nothing'}"

@@ -10,11 +10,11 @@ from typing import Any, ClassVar
 import numpy as np
 import ufl
 
-from forms.base import Array, InputError, is_number
+from forms.base import Array, InputError, is_finite
 from forms.elastic import isotropic_stiffness, lame, require_moduli
 from forms.kinematics import Expr, layer_frame, lift
 from forms.law import BulkLaw, Step
-from forms.temperature import Field, OfTemperature, evaluated, place, real, temperatures
+from forms.temperature import Field, OfTemperature, evaluated, place, real, values_of
 from forms.viscous import isotropic_energy
 
 
@@ -83,15 +83,18 @@ class Phases(BulkLaw):
         object.__setattr__(self, "chi", (chi + chi.T) / 2)
 
     def _check_temperature(self) -> None:
-        for name in ("alpha", "transformation_energy"):
-            if callable(getattr(self, name)) and self.T is None:
-                remedy = "give T, a number or a function (x, t)"
-                raise InputError(f"{type(self).__name__}: {name} is a function of T; {remedy}")
-        if not (self.T is None or callable(self.T)):
-            self.require(is_number(self.T) and math.isfinite(self.T), "T", "a number, a function", repr(self.T))
-        if not self.varies:
-            numbers = self.parameters()
-            self._check_phases(numbers["alpha"], numbers["transformation_energy"], lambda k: "")
+        """Check what depends on the temperature; where this is a number, functions of it become numbers."""
+        functions = [name for name in ("alpha", "transformation_energy") if callable(getattr(self, name))]
+        if functions and self.T is None:
+            remedy = "give T, a number or a function (x, t)"
+            raise InputError(f"{type(self).__name__}: {functions[0]} is a function of T; {remedy}")
+        if self.varies:
+            return
+        self.require(self.T is None or is_finite(self.T), "T", "a number, a function", repr(self.T))
+        for name in functions:
+            value = evaluated(self, name, getattr(self, name), np.array([self.T], float))
+            object.__setattr__(self, name, float(value[0]))
+        self._check_phases(self.alpha, self.transformation_energy, lambda k: "")
 
     def plane_stress(self) -> Phases:
         """The law with the modulus lmbda of plane stress: chi acts in the plane, and every phase has the same moduli."""
@@ -117,20 +120,14 @@ class Phases(BulkLaw):
         values = super().parameters()
         if self.varies:
             return values | dict.fromkeys(("alpha", "transformation_energy", "T"), math.nan)
-        if self.T is None:
-            return values | {"T": 0.0}
-        if not is_number(self.T):
-            return values
-        functions, T = (
-            [name for name in ("alpha", "transformation_energy") if callable(values[name])],
-            np.array([self.T], float),
-        )
-        return values | {name: float(evaluated(self, name, values[name], T)[0]) for name in functions}
+        return values | {"T": 0.0} if self.T is None else values
 
     def at(self, x: Array, t: float) -> dict[str, Array]:
         if not self.varies:
             return {}
-        T = temperatures(self, self.T, x, t)  # type: ignore[arg-type]
+        it = "T(x, t) must be a numpy function of places (d, n) and a time that gives n temperatures"
+        T: Any = self.T
+        T = values_of(f"{type(self).__name__}: T", T, x, t, it=it, where=lambda k: place(x, t, k))
         values = {name: evaluated(self, name, getattr(self, name), T) for name in ("alpha", "transformation_energy")}
         self._check_phases(values["alpha"], values["transformation_energy"], lambda k: place(x, t, k))
         return values | {"T": T}
@@ -273,11 +270,8 @@ class NonMonotoneUnrelaxed(Phases):
 
     def energy(self, step: Step) -> Expr:
         z = step.q["phase"]
-        return (
-            isotropic_energy(self.lmbda, self.mu, step.e)
-            - z * self._drive(step.e, step.n)
-            + abs(z) * self.transformation_energy
-        )
+        of_phase = abs(z) * self.transformation_energy - z * self._drive(step.e, step.n)
+        return isotropic_energy(self.lmbda, self.mu, step.e) + of_phase
 
     def excess(self, phase: Array, drive: Array, bound: Array) -> Array:
         """Energy of the phase less that of the best other phase, over C; (n,). A column switches if it is > 0."""

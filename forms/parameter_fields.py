@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -76,72 +76,6 @@ class Field:
     __sub__, __rsub__ = _operators(operator.sub)
     __mul__, __rmul__ = _operators(operator.mul)
     __truediv__, __rtruediv__ = _operators(operator.truediv)
-
-
-class OfPlaces:
-    """What a law knows of its parameters that are functions of the place."""
-
-    def with_parameters(self, values: Mapping[str, Any]) -> Self:
-        """The same law with other values."""
-        raise NotImplementedError
-
-    def check(self) -> None:
-        """Raise InputError if a parameter is out of its range."""
-
-    @property
-    def fields(self) -> dict[str, Field]:
-        """The parameters that are functions of the place, by name."""
-        return {name: value for name, value in vars(self).items() if is_field(value)}
-
-    def fields_at(self, x: Array) -> dict[str, Array]:
-        """The values (n,) of these parameters at places x (d, n) in the joint before inflating, by name.
-
-        Raises:
-            InputError: a function fails, does not give n finite real numbers, or is out of its range; with the place.
-        """
-        return {name: self._field_at(name, one, x) for name, one in self.fields.items()}
-
-    def _field_at(self, name: str, one: Field, x: Array) -> Array:
-        try:
-            return one(x)
-        except OutOfRange as error:
-            said = str(error) if str(error)[:1].isalpha() and " is " in str(error) else f"{name} is {error}"
-            raise InputError(f"{type(self).__name__}: {said}, at {place_of(x, error.k)}") from None
-        except Exception as error:
-            raise InputError(
-                f"{type(self).__name__}: {name}(x) fails for x of shape {x.shape}: {type(error).__name__}: {error}; "
-                "it must be a numpy function of places (d, n) in the joint that gives n numbers"
-            ) from error
-
-    def at_places(self, x: Array) -> Iterator[Self]:
-        """The law with numbers, unchecked, at each of the places x (d, n)."""
-        values = self.fields_at(x)
-        for k in range(x.shape[1]):
-            yield self.with_parameters({name: float(value[k]) for name, value in values.items()})
-
-    def check_at(self, x: Array) -> None:
-        """Raise InputError if a parameter is out of its range at one of the places x (d, n).
-
-        Of many places those are checked at which a parameter, or a difference or a ratio of two, is smallest or largest,
-        and some thousand others.
-        """
-        if not self.fields:
-            return
-        values, n = list(self.fields_at(x).values()), x.shape[1]
-        at = sorted({*extremes(values, differences=True), *range(0, n, max(n // MANY, 1))})
-        for k, one in zip(at, self.at_places(x[:, at]), strict=True):
-            try:
-                one.check()
-            except InputError as error:
-                raise InputError(f"{error}, at {place_of(x, k)}") from None
-
-    def samples(self, x: Array) -> list[Self]:
-        """The law with numbers, at those of the places x (d, n) where a parameter or a ratio of two is extreme."""
-        if not self.fields:
-            return [self]
-        extreme = x[:, extremes(list(self.fields_at(x).values()))]
-        self.check_at(extreme)
-        return list(self.at_places(extreme))
 
 
 def is_field(value: Any) -> bool:

@@ -9,17 +9,16 @@ from typing import Any, ClassVar
 
 import ufl
 
-from forms.base import is_number, require
 from forms.declarations import warn_of_range
 from forms.elastic import LinearElastic, isotropic_stiffness, lame, require_moduli
 from forms.kernel import KernelLaw
 from forms.kinematics import Expr, lift
 from forms.law import BulkLaw, Step, choice, positive
-from forms.parameter_fields import Parameter, is_field
+from forms.parameter_fields import Parameter
 from forms.viscous import isotropic_energy
 
 LIKELY_RADIANS = 1.6  # degrees; smaller friction angles were probably meant in radians (pi/2 = 1.57)
-LEAST_FRACTION = 1e-6  # elastic fraction from which continuation starts if the law itself has none
+LEAST_FRACTION = 1e-6  # of the stiffness that stays elastic, from which continuation starts
 
 
 def require_hardening(law: BulkLaw, *names: str) -> None:
@@ -90,12 +89,8 @@ class Plastic(BulkLaw):
 
     def eased(self, ease: float) -> Plastic:
         """The law with an elastic fraction between its own (ease = 0) and that of an elastic layer (1)."""
-        require(is_number(ease) and 0 <= ease <= 1, f"{type(self).__name__}: ease", ease, "allowed: 0 to 1")
-        h = self.elastic_fraction
-        if is_field(h):
-            share = LEAST_FRACTION ** (1 - ease) if ease else 0.0
-            return self.with_parameters({"elastic_fraction": h + share * (1 - h)})
-        return self.with_parameters({"elastic_fraction": max(h, LEAST_FRACTION) ** (1 - ease) if ease else h})
+        h, share = self.elastic_fraction, LEAST_FRACTION ** (1 - ease) if ease else 0.0
+        return self.with_parameters({"elastic_fraction": h + share * (1 - h)})
 
 
 @dataclass(frozen=True)
@@ -196,7 +191,8 @@ class MohrCoulombMonodirectional(Plastic):
         e_N = ufl.dot(n, ufl.dot(e, n))
         t_N, t_T = self.lmbda * ufl.tr(e) + 2 * self.mu * e_N, 2 * self.mu * (ufl.dot(e, n) - e_N * n)
         t_N = ufl.min_value(t_N, 0) if self.unilateral else t_N
-        bound = self._hardened(p) - ufl.tan(ufl.pi / 180 * self.friction_angle) * t_N
+        cohesion = self.cohesion + self.hardening * p + self.saturation * p / (self._half + p)
+        bound = cohesion - ufl.tan(ufl.pi / 180 * self.friction_angle) * t_N
         size2 = ufl.inner(t_T, t_T)
         beyond = ufl.gt(size2, ufl.max_value(bound, 0) ** 2)
         size = ufl.sqrt(ufl.conditional(beyond, size2, 1))
@@ -204,10 +200,6 @@ class MohrCoulombMonodirectional(Plastic):
         slip = ufl.min_value(self._size(p, excess), size / self.mu)  # no shear is left where t_N pulls
         slip = ufl.conditional(beyond, slip, 0)
         return slip / size * ufl.sym(ufl.outer(t_T, n)), slip
-
-    def _hardened(self, p: Expr) -> Expr:
-        """Cohesion at the accumulated plastic strain p."""
-        return self.cohesion + self.hardening * p + self.saturation * p / (self._half + p)
 
     @property
     def _half(self) -> Expr:
@@ -238,7 +230,7 @@ class MohrCoulombMonodirectional(Plastic):
         return (1 - self.elastic_fraction) * ufl.inner(stress, flow) / step.theta
 
 
-LEAST_FRACTION, MOST_FRACTION = 1e-6, 1 - 1e-9  # of the stiffness that hardening leaves, in continuation
+MOST_FRACTION = 1 - 1e-9  # of the stiffness that hardening leaves, in continuation
 
 
 @dataclass(frozen=True)
@@ -297,7 +289,6 @@ class VonMises(KernelLaw):
 
     def eased(self, ease: float) -> VonMises:
         """The law with kinematic hardening between its own (ease = 0) and that of an almost elastic material (1)."""
-        require(is_number(ease) and 0 <= ease <= 1, f"{type(self).__name__}: ease", ease, "allowed: 0 to 1")
         if not ease:
             return self
         share = min(LEAST_FRACTION ** (1 - ease), MOST_FRACTION)

@@ -17,8 +17,30 @@ from forms.law import Step, positive
 from forms.stations import Station, of_pressure
 
 
+class WithPressure(LinearLaw):
+    """Isotropic elasticity with a pressure field, stress = 2 mu e + p I."""
+
+    mu: float
+    constrained = True
+    _nu = 0.5  # Poisson's ratio
+
+    def stress(self, step: Step) -> Expr:
+        """The stress without p I."""
+        return lame(0, self.mu, step.mid)
+
+    def stations(self) -> list[Station[Any]]:
+        """The pressure is a field on S, which flows along S."""
+        return of_pressure(self)
+
+    def end_strips(self) -> Strips | None:
+        return None if self.fields else Strips.with_pressure(free_end(self._nu))
+
+    def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
+        return of_pressure_at_ends(self, weights)
+
+
 @dataclass(frozen=True)
-class Incompressible(LinearLaw):
+class Incompressible(WithPressure):
     """Incompressible elasticity, stress = 2 mu e + p I with tr e = 0; the pressure p is an unknown field.
 
     As a layer's law: [u_N] = 0, t_N = p free, t_T = mu [u_T]. The paper gives only the constraint, Eqs. (25)-(29). It is
@@ -34,36 +56,21 @@ class Incompressible(LinearLaw):
 
     mu: float
     powers: ClassVar = {"mu": 1}
-    constrained: ClassVar = True
     volume_compliance: ClassVar = 0.0
 
     def check(self) -> None:
         positive(self, "mu")
 
-    def stress(self, step: Step) -> Expr:
-        """The stress without p I."""
-        return lame(0, self.mu, step.mid)
-
     def plane_stress(self) -> LinearElastic:
         """Not constrained in the plane: e_33 = -(e_11 + e_22), and sigma_33 = 0 gives p = 2 mu (e_11 + e_22)."""
         return LinearElastic(1.0, 1.0).with_parameters({"lmbda": 2 * self.mu, "mu": self.mu})
-
-    def stations(self) -> list[Station[Any]]:
-        """The pressure is a field on S, which flows along S."""
-        return of_pressure(self)
-
-    def end_strips(self) -> Strips | None:
-        return None if self.fields else Strips.with_pressure(free_end(0.5))
-
-    def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
-        return of_pressure_at_ends(self, weights)
 
     def stiffness(self, n: Array) -> Array:
         return 2 * float(self.mu) * np.eye(6)
 
 
 @dataclass(frozen=True)
-class Rubber(LinearLaw):
+class Rubber(WithPressure):
     """Isotropic elasticity with a pressure field: stress = 2 mu e + p I with p = lmbda tr e, for any lmbda/mu > 0.
 
     The same material as `LinearElastic`. Here a pressure of degree 1 controls the volume, in the meshed layer and on S, so
@@ -85,7 +92,6 @@ class Rubber(LinearLaw):
     lmbda: float
     mu: float
     powers: ClassVar = {"lmbda": 1, "mu": 1}
-    constrained: ClassVar = True
     stiffness = isotropic_stiffness
 
     @classmethod
@@ -98,9 +104,9 @@ class Rubber(LinearLaw):
         self.require(math.isfinite(self.lmbda) and self.lmbda > 0, "lmbda", hint)
         positive(self, "mu")
 
-    def stress(self, step: Step) -> Expr:
-        """The stress without p I."""
-        return lame(0, self.mu, step.mid)
+    @property
+    def _nu(self) -> float:  # type: ignore[override]
+        return poisson_ratio(self)
 
     @property
     def volume_compliance(self) -> Expr:
@@ -108,13 +114,3 @@ class Rubber(LinearLaw):
 
     def plane_stress(self) -> LinearElastic:
         return LinearElastic(1.0, 1.0).with_parameters(self.parameters()).plane_stress()
-
-    def stations(self) -> list[Station[Any]]:
-        """The pressure is a field on S, which flows along S."""
-        return of_pressure(self)
-
-    def end_strips(self) -> Strips | None:
-        return None if self.fields else Strips.with_pressure(free_end(poisson_ratio(self)))
-
-    def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
-        return of_pressure_at_ends(self, weights)

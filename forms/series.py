@@ -110,12 +110,6 @@ def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[Station[Any]
     ]
 
 
-def _fraction(a: Any) -> float:
-    if not is_number(a):
-        raise TypeError(f"a fraction is {a!r}; it must be a number")
-    return float(a)
-
-
 @dataclass(frozen=True)
 class Stack(BulkLaw):
     """Sublayers in series, from the lower to the upper face: common traction and in-plane strain, the jumps add up.
@@ -141,10 +135,10 @@ class Stack(BulkLaw):
 
     def __init__(self, *sublayers: tuple[float, BulkLaw]) -> None:
         try:
-            given = [(_fraction(a), law) for a, law in sublayers]
+            pairs = [(float(a), getattr(law, "sublayers", ((1.0, law),))) for a, law in sublayers]
         except (TypeError, ValueError) as error:
             raise InputError(f"Stack needs pairs (fraction, law): {error}") from error
-        one_by_one = [(a * b, one) for a, law in given for b, one in getattr(law, "sublayers", ((1.0, law),))]
+        one_by_one = [(a * b, one) for a, parts in pairs for b, one in parts]
         object.__setattr__(self, "fractions", tuple(a for a, _ in one_by_one))
         object.__setattr__(self, "laws", tuple(law for _, law in one_by_one))
         self.check()

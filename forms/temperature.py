@@ -106,9 +106,3 @@ def evaluated(law: object, name: str, given: float | OfTemperature, T: Array) ->
         return np.full(len(T), float(given))
     it = "it must be a numpy function of temperatures, or Tabulated([(T, value), ...])"
     return values_of(f"{type(law).__name__}: {name}(T)", given, T, it=it, where=lambda k: f" at T = {T[k]:g}")
-
-
-def temperatures(law: object, T: Field, x: Array, t: float) -> Array:
-    """A temperature field at places x (d, n) and a time, (n,)."""
-    it = "T(x, t) must be a numpy function of places (d, n) and a time that gives n temperatures"
-    return values_of(f"{type(law).__name__}: T", T, x, t, it=it, where=lambda k: place(x, t, k))

@@ -1,9 +1,8 @@
-"""Traced laws, called once with symbols in place of all numbers: keys of compiled code, their numbers, and tangents.
+"""Traced laws, called once with symbols in place of all numbers: names, their numbers, and tangents.
 
 Tangents at rest, and after a time, tell soft, hard and nearly incompressible layers.
 
-The class of a law would not do as a key, because its methods may read globals, attributes and other functions, which may
-change. Numbers of expressions are computed once for each of their parts; UFL's own evaluation does that again at each
+Numbers of expressions are computed once for each of their parts; UFL's own evaluation does that again at each
 occurrence and component, which takes seconds for turned tensors.
 """
 
@@ -25,7 +24,6 @@ from ufl.classes import (
     AndCondition,
     ComponentTensor,
     Conditional,
-    Constant,
     ConstantValue,
     Division,
     Index,
@@ -47,13 +45,11 @@ from ufl.core.expr import Expr as Node
 from ufl.corealg.traversal import traverse_unique_terminals, unique_post_traversal
 
 from forms.base import Array, InputError
-from forms.declarations import SIZES
-from forms.kinematics import MANDEL, ROOT2, Expr, from_mandel
+from forms.kinematics import Expr, average_lame, from_mandel, vectors
 from forms.kinematics import mandel as in_mandel
 from forms.law import BulkLaw, Step
 
 _DOMAIN = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))  # symbols need a mesh
-_KNOWN: dict[tuple[Any, ...], int] = {}  # known parts of expressions -> their numbers
 
 
 @dataclass(frozen=True)
@@ -96,7 +92,7 @@ def symbolic(law: BulkLaw, values: Array | None = None, d: int | None = 3) -> Sy
         return ufl.as_tensor([take(shape[1:]) for _ in range(shape[0])])
 
     end, old = variable(take((6,))), take((6,))
-    q = {name: _unpacked(take((SIZES[shape],)), shape) for name, shape in law.internal.items()}
+    q = {name: from_mandel(take((6,))) if shape == (3, 3) else take(shape) for name, shape in law.internal.items()}
     normal, dt, theta = take((3,)), take(()), take(())
     n = None if d is None else normal if d == 3 else ufl.as_vector([normal[0], normal[1]])
     step = Step(from_mandel(end), n, from_mandel(old), q, dt, theta, law.traits.rate)
@@ -122,36 +118,6 @@ def reads(law: BulkLaw, name: str) -> bool:
     step = point.step._replace(**{name: symbol})
     found = [point.law.stress(point.law.own_step(step)), *point.law.advance(step).values()]
     return any(symbol is part for one in found for part in traverse_unique_terminals(ufl.as_ufl(one)))
-
-
-def _unpacked(values: Expr, shape: tuple[int, ...]) -> Expr:
-    return {(): lambda: values[0], (3,): lambda: values, (3, 3): lambda: from_mandel(values)}[shape]()
-
-
-# ---------------------------------------------------------------- keys
-def key(expressions: Iterable[Expr]) -> int:
-    """A number that identifies expressions: equal for expressions of the same structure, whatever their symbols' names."""
-    names: dict[tuple[type, int], int] = {}  # symbols and free indices -> order of appearance
-    found: dict[Node, int] = {}
-    whole = list(expressions)
-    for node in (node for expression in whole for node in unique_post_traversal(expression)):
-        if node not in found:
-            own = _terminal(node, names) if node._ufl_is_terminal_ else tuple(found[part] for part in node.ufl_operands)
-            found[node] = _KNOWN.setdefault((type(node), *own), len(_KNOWN))
-    return _KNOWN.setdefault(("all", *(found[expression] for expression in whole)), len(_KNOWN))
-
-
-def _terminal(node: Any, names: dict[tuple[type, int], int]) -> tuple[Any, ...]:
-    def number(counted: Any) -> int:
-        return names.setdefault((type(counted), counted.count()), len(names))
-
-    if isinstance(node, MultiIndex):
-        return tuple(("free", number(i)) if isinstance(i, Index) else int(i) for i in node.indices())
-    if isinstance(node, Label):
-        return (number(node),)
-    if isinstance(node, Constant):
-        return (number(node), node.ufl_shape)
-    return (repr(node.value()) if isinstance(node, ScalarValue) else repr(node),)
 
 
 def require_numbers_alone(law: BulkLaw, numbers: Expr, expressions: Iterable[Expr]) -> None:
@@ -270,13 +236,10 @@ def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
         law: the law, with numbers for parameters.
         n: director, (d,).
     """
-    if law.in_space is not law:
-        C = tangent_at_rest(law.in_space, n)
-        return None if C is None else law.condensed(C)
-    declared = law.stiffness(n)
-    if declared is not None:
-        return declared
-    return _computed(law, n, LONG if law.traits.rate else 0.0)
+    C = law.in_space.stiffness(n)
+    if C is None:
+        C = _computed(law.in_space, n, LONG if law.traits.rate else 0.0)
+    return None if C is None else law.condensed(C)
 
 
 def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
@@ -290,19 +253,15 @@ def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
         n: director, (d,).
         dt: time > 0.
     """
-    if not law.traits.linear:
-        return None
-    if law.in_space is not law:
-        C = tangent_over(law.in_space, n, dt)
-        return None if C is None else law.condensed(C)
-    return _computed(law, n, dt)
+    C = _computed(law.in_space, n, dt) if law.traits.linear else None
+    return None if C is None else law.condensed(C)
 
 
 def _computed(law: BulkLaw, n: Array, dt: float) -> Array | None:
     """The tangent at the end of a step from rest, the mean of those of two small opposite strains; None without numbers."""
-    n3 = np.pad(n, (0, 3 - len(n)))
     if not law.traits.in_ufl:
-        return _of_kernel(law, n3, dt)
+        return None
+    n3 = np.pad(n, (0, 3 - len(n)))
     rest = np.zeros(6 + law.memory)
     try:
         given = law.mapped(lambda value, _: np.asarray(getattr(value, "value", value), float))
@@ -330,20 +289,6 @@ def takes_time(law: BulkLaw) -> bool:
     """Whether a law creeps or relaxes: its response depends on the length of the step. A kernel says so itself."""
     one: Any = law.in_space
     return bool(one.traits.rate or (reads(one, "dt") if one.traits.in_ufl else one.relaxes))
-
-
-def _of_kernel(law: Any, n: Array, dt: float) -> Array | None:
-    """Tangent from the uncompiled kernel of a law in a step from rest; None if the kernel is written in C or fails."""
-    if law.source is not None:
-        return None
-    tangent, zero, memory = np.zeros((6, 6)), np.zeros(6), np.zeros(law.memory)
-    given = zero, zero.copy(), memory, dt, 1.0, n, law.parameter_values()
-    try:
-        with np.errstate(all="ignore"):
-            type(law).kernel(*given, np.zeros(6), tangent, memory.copy(), np.zeros(3))
-    except Exception:  # the model will report the error
-        return None
-    return tangent if np.isfinite(tangent).all() else None
 
 
 def is_checked_at_rest(law: BulkLaw) -> bool:
@@ -391,15 +336,7 @@ def require_stable(law: BulkLaw, C: Array | None, n: Array | None = None, slots:
 
 def mandel(a: Array) -> Array:
     """A symmetric tensor of numbers, (2, 2) or (3, 3), as a vector (6,) in Mandel's order."""
-    a = np.pad(a, (0, 3 - len(a)))
-    return np.array([a[i, j] if i == j else ROOT2 * a[i, j] for i, j in MANDEL])
-
-
-def average_lame(C: Array) -> tuple[float, float]:
-    """Moduli lmbda, mu of the isotropic tensor nearest to C (6, 6): its averages over all directions."""
-    bulk = C[:3, :3].sum() / 9
-    mu = (np.trace(C) - 3 * bulk) / 10
-    return float(bulk - 2 * mu / 3), float(mu)
+    return vectors(np.pad(a, (0, 3 - len(a))))
 
 
 def is_isotropic(C: Array) -> bool:

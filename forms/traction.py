@@ -2,40 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import cache, cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import ufl
 
 from forms.base import InputError
-from forms.declarations import Traits
+from forms.declarations import OF_ONE_STRESS, Traits
 from forms.kinematics import Expr
 from forms.law import BulkLaw, Law, OfLaw, Step, shaped
 
 
-class JumpStep(NamedTuple):
-    """Input of a traction law at one point of S: a `Step` with jumps (3,) in place of strains; n is (3,) in 2D too."""
+class JumpStep(Step):
+    """Input of a traction law at one point of S: a `Step` with jumps (3,) in place of strains; n is (3,) in 2D too.
 
-    w: Expr
-    w_old: Expr | None
-    n: Expr
-    q: Mapping[str, Expr]
-    dt: Expr | None
-    theta: Expr
-    rates: bool
+    Attributes:
+        w, w_old: jump at the end and at the beginning of the step.
+    """
 
-    @property
-    def mid(self) -> Expr:
-        """Jump at t + theta dt."""
-        return self.w if self.w_old is None else self.theta * self.w + (1 - self.theta) * self.w_old
-
-    @property
-    def rate(self) -> Expr:
-        """Rate of the jump over the step."""
-        if not self.rates:
-            raise InputError("a law that uses step.rate must declare rate = True")
-        return (self.w - self.w_old) / self.dt
+    w: Expr = Step.e
+    w_old: Expr = Step.e_old
+    n: Expr = Step.n
 
     @classmethod
     def of(cls, step: Step) -> JumpStep:
@@ -45,8 +32,7 @@ class JumpStep(NamedTuple):
         def jump(e: Expr) -> Expr:
             return 2 * ufl.dot(e, n) - ufl.dot(ufl.dot(e, n), n) * n
 
-        w_old = None if step.e_old is None else jump(step.e_old)
-        return cls(jump(step.e), w_old, n, step.q, step.dt, step.theta, step.rates)
+        return cls(*step._replace(e=jump(step.e), e_old=None if step.e_old is None else jump(step.e_old)))
 
 
 class TractionLaw(Law):
@@ -57,10 +43,7 @@ class TractionLaw(Law):
     Optional: `energy(step)`, and `dissipation(step)` with it. If the tangent is not symmetric, write `symmetric = False`.
     """
 
-    ignored: ClassVar = (
-        *("stress", "advance", "dissipated", "eased", "stiffness", "plane_stress"),
-        *("stations", "elastic_moduli"),
-    )
+    ignored: ClassVar = (*OF_ONE_STRESS, "stress", "advance", "dissipated", "eased")
 
     def __post_init__(self) -> None:
         if self.powers:

@@ -17,10 +17,10 @@ from forms import BulkLaw, Incompressible, LinearElastic, Rubber
 from forms.base import Array
 from forms.ends import FreeEnd, free_end
 from forms.ends.constants import COLUMNS, nodes, shipped
-from forms.ends.half_strip import half_strip
 from forms.kinematics import Expr
 from geometry import block
 from geometry.joint import Joint
+from studies.half_strip import half_strip
 from studies.problems import FOURIER_BODY, free_blocks
 from studies.sweeping import by_reaction, last_order
 from thinlayer import Structure, ThinLayer, compare, plotting, solve

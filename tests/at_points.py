@@ -9,7 +9,8 @@ import numpy as np
 from mpi4py import MPI
 
 from forms import BulkLaw
-from forms.kinematics import MANDEL, ROOT2
+from forms.kinematics import tensors as tensor
+from forms.kinematics import vectors as vector
 from thinlayer.pointwise.material import Material
 
 DT = 0.1
@@ -79,19 +80,6 @@ def situation(
         assert answer.failed == 0
         q, stored = answer.q, answer.stored
     return Situation(e + step(), e, q, n, stored)
-
-
-def tensor(a: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) of Mandel vectors (..., 6)."""
-    out = np.empty((*a.shape[:-1], 3, 3))
-    for k, (i, j) in enumerate(MANDEL):
-        out[..., i, j] = out[..., j, i] = a[..., k] / (1 if i == j else ROOT2)
-    return out
-
-
-def vector(a: np.ndarray) -> np.ndarray:
-    """Mandel vectors (..., 6) of symmetric tensors (..., 3, 3)."""
-    return np.stack([a[..., i, j] * (1 if i == j else ROOT2) for i, j in MANDEL], axis=-1)
 
 
 def jump_strain(w: np.ndarray, n: np.ndarray) -> np.ndarray:

@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ive, kve
 
-from forms.base import InputError
 from forms.limits import fraction, phase_energy
 from forms.non_monotone import lamination_gain
 
@@ -100,16 +99,6 @@ def maxwell_creep(traction: float, K: float, t1: float, t: Array) -> Array:
 def maxwell_relaxation(d: float, K: float, c: float, t1: float, t: Array) -> Array:
     """Traction when the end of a body of compliance c >= 0 is moved by d at t = 0 and held; Eq. (19) corrected."""
     return d / (c + 1 / K) * np.exp(-np.asarray(t) / (t1 * (1 + K * c)))
-
-
-def maxwell_normal_relaxation(lmbda: float, mu: float, t1: float, t2: float, w: float, t: Array) -> Array:
-    """Normal traction of a jump w held from t = 0 on, t1 != t2 in Eq. (18).
-
-    The deviatoric part, of stiffness 4 mu/3, relaxes with t1, the spherical one, of stiffness lmbda + 2 mu/3, with t_v
-    (`volumetric_rate`): no differential equation of first order holds for their sum.
-    """
-    t = np.asarray(t, float)
-    return w * (4 / 3 * mu * np.exp(-t / t1) + (lmbda + 2 / 3 * mu) * np.exp(-t * volumetric_rate(lmbda, mu, t1, t2)))
 
 
 def maxwell_normal_creep(lmbda: float, mu: float, t1: float, t2: float, traction: float, t: Array) -> Array:
@@ -245,26 +234,6 @@ def _coulomb(
         bound = (bound * mu + size * H) / (mu + H)
     t_T = shear * min(1.0, max(bound, 0.0) / size) if size else shear
     return t_N * n + t_T, slip + np.linalg.solve(K, shear - t_T)
-
-
-def von_mises_fixed_opening(lmbda: float, mu: float, strength: float, w_N: float, w_T: Array) -> Array:
-    """Tractions (..., 2), t_T and t_N, of an ideally plastic layer that is sheared, w_T >= 0, at a held w_N. Exact in time.
-
-    In the plane of sqrt(3) t_T and 3/2 s_N the yield surface is a circle; s_N is the normal component of the deviator. From
-    first yield at w_y on, t_T = Y/sqrt(3) tanh(sqrt(3) mu (w_T - w_y)/Y + artanh(sqrt(3) t_y/Y)): s_N fades.
-
-    Raises:
-        InputError: the opening alone makes the layer yield.
-    """
-    x, s_N = np.asarray(w_T, float), 2 * mu * w_N  # 3/2 of the deviator's component
-    if not abs(s_N) < strength:
-        raise InputError(f"2 mu |w_N| = {abs(s_N):g} at the start is not below Y = {strength:g}")
-    first = math.sqrt(strength**2 - s_N**2) / math.sqrt(3)  # t_T at first yield
-    angle = math.sqrt(3) * (mu * x - first) / strength + math.atanh(math.sqrt(3) * first / strength)
-    yields = mu * x > first
-    t_T = np.where(yields, strength / math.sqrt(3) * np.tanh(angle), mu * x)
-    fading = np.where(yields, np.sign(s_N) * strength / np.cosh(np.minimum(angle, 300)), s_N)
-    return np.stack([t_T, (lmbda + 2 * mu / 3) * w_N + 2 / 3 * fading], axis=-1)
 
 
 def von_mises_shear(mu: float, strength: float, hardening: float, w: Array) -> Array:

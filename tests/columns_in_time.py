@@ -25,7 +25,7 @@ G = {"normal": LMBDA * 0.3 + 2 * MU * 0.5, "shear": MU * 0.5}
 T1, T2 = 0.7, 1.5
 AXIS, LOAD, MOVE = {"normal": 1, "shear": 0}, {"normal": 1.0, "shear": 0.5}, {"normal": 0.02, "shear": 0.05}
 
-TAKEN = ("Norton's creep", "Kelvin-Voigt", "Maxwell", "Maxwell t1 != t2", "Norton 1.5", "Norton 3", "user")
+TAKEN = ("Norton's creep", "Kelvin-Voigt", "Maxwell t1 != t2", "Norton 1.5", "Norton 3", "user", "user, not quadratic")
 LAWS = {name: OF_POINTS[name] for name in (*TAKEN, "Maxwell, Kelvin-Voigt")} | {
     "elastic, Norton 1.5": Stack((0.4, STIFF), (0.6, NORTON_15)),
     "incompressible": Incompressible(MU),

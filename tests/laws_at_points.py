@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from forms import BulkLaw, KelvinVoigt, LinearElastic, Maxwell, Norton, NortonCreep, Stack, TractionLaw
-from tests.own_laws import Hardening, Mises, Slipping, StandardSolid
+from tests.own_laws import Hardening, Mises, Slipping, StandardSolid, Stiffening
 
 EXACT = 1e-12  # relative: a few operations, and of a stack the last Newton step of its local problem
 ROUNDING = 1e-14
@@ -18,7 +18,7 @@ MAXWELL, MAXWELL_2 = Maxwell(LMBDA, MU, 0.7), Maxwell(LMBDA, MU, 0.7, 1.5)
 NORTON_15, NORTON_3 = Norton(LMBDA, MU, 5.0, 1.5), Norton(LMBDA, MU, 5.0, 3.0)
 CREEP = NortonCreep(LMBDA, MU, A=0.02, n=3.5)
 SOLID = StandardSolid(LMBDA, MU, 25.0, 0.4)
-MISES = Mises(LMBDA, MU, 6.0)
+MISES = Mises(LMBDA, MU, 7.0)
 STIFF = LinearElastic(20.0, 90.0)
 STACKS = {
     "Maxwell, Norton 1.5": Stack((0.3, MAXWELL), (0.7, NORTON_15)),
@@ -37,9 +37,9 @@ LAWS: dict[str, BulkLaw] = {
     "Norton's creep": CREEP,
     "user": SOLID,
     "user, not quadratic": Hardening(LMBDA, MU),
-    "point": MISES,
+    "user, elastic": Stiffening(LMBDA, MU, 90.0),
     "traction": Slipping(70.0, 30.0, 12.0, 90.0),
     **STACKS,
 }
 BALANCED = [name for name, law in LAWS.items() if not isinstance(law, TractionLaw)]  # those that declare an energy
-QUADRATIC = [name for name in BALANCED if name not in ("user, not quadratic", "user, Norton 1.5")]
+QUADRATIC = [name for name in BALANCED if LAWS[name].traits.quadratic]

@@ -36,7 +36,7 @@ MARCHES: dict[str, tuple] = {
     "space": (SOLID.interface, MAXWELL, TIMES, 1.0),
     "damaged": (softening, DAMAGED, SHORT, 1.0),
     "kinked": (softening, KINKED, SHORT, 1.0),
-    "plastic": (SOLID.full, Mises(60.0, 40.0, limit=1.5), TIMES, 1.0),
+    "plastic": (SOLID.full, Mises(60.0, 40.0, 1.5), TIMES, 1.0),
     "adaptive": (FLAT.interface, KelvinVoigt(60.0, 40.0, 0.3, 0.5), Adaptive(0.4, 0.02, 5e-3), 0.5),
     "switching": (FLAT.interface, HEATED, TIMES, 1.0),
     "pressure": (FLAT.full, Incompressible(40.0), TIMES, 1.0),

@@ -9,7 +9,6 @@ from tests.at_points import E2, tensor
 
 LMBDA, MU, C, OMEGA = 60.0, 40.0, 0.1, 30.0  # nu = 0.3
 ONE = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-PLANE = [0, 1, 3]
 THETAS = [1.0, 0.7, 0.5]
 
 

@@ -109,4 +109,4 @@ PATHS = {
 TABLE = Tabulated([(0.0, 2.0), (10.0, 1.0), (40.0, 4.0)])
 
 
-STIFF, SHARE = LinearElastic(20.0, 90.0), 0.4
+STIFF = LinearElastic(20.0, 90.0)

@@ -9,8 +9,8 @@ import numpy as np
 import ufl
 
 from forms.elastic import lame
-from forms.kernel import KernelLaw
 from forms.law import BulkLaw, Law
+from forms.plastic import VonMises
 from forms.traction import TractionLaw
 from forms.viscous import KelvinVoigt, isotropic_energy
 from thinlayer.discretisation.layer import LawOnS, Layer, ThinLayer
@@ -82,66 +82,22 @@ class Hardening(BulkLaw):
         return (1 + step.q["path"]) * isotropic_energy(self.lmbda, self.mu, step.e)
 
 
-@dataclass(frozen=True)
-class Mises(KernelLaw):
-    """Elastic, ideally plastic: |dev stress| <= limit, a return along the deviator at t + theta dt."""
+class Mises(VonMises):
+    """A user's law in C, which says of itself no more than it must."""
 
-    lmbda: float
-    mu: float
-    limit: float
-    powers: ClassVar = {"lmbda": 1, "mu": 1}
-    quadratic: ClassVar = True
-    memory: ClassVar = 6  # plastic strain
-    energetic: ClassVar = True
-    isotropic: ClassVar = True
-
-    @staticmethod
-    def kernel(e, e_old, q, dt, theta, n, parameters, stress, tangent, q_new, energies):
-        lmbda, mu, limit = parameters
-        mean = (lmbda + 2 * mu / 3) * (theta * (e[0] + e[1] + e[2]) + (1 - theta) * (e_old[0] + e_old[1] + e_old[2]))
-        trial, size = np.zeros(6), 0.0
-        for i in range(6):
-            mid, hydrostatic = theta * e[i] + (1 - theta) * e_old[i], 0.0
-            if i < 3:
-                hydrostatic = (theta * (e[0] + e[1] + e[2]) + (1 - theta) * (e_old[0] + e_old[1] + e_old[2])) / 3
-            trial[i] = 2 * mu * (mid - hydrostatic - q[i])
-            size += trial[i] ** 2
-        size = np.sqrt(size)
-        k = min(1.0, limit / size) if size > 0 else 1.0
-        dissipated, stored, change, tr, tr_change = 0.0, 0.0, 0.0, 0.0, 0.0
-        for i in range(6):
-            stress[i] = k * trial[i] + (mean if i < 3 else 0.0)
-            flow = (1 - k) * trial[i] / (2 * mu * theta)
-            q_new[i] = q[i] + flow
-            dissipated += stress[i] * flow
-            elastic, elastic_old = e[i] - q_new[i], e_old[i] - q[i]
-            stored += mu * elastic**2
-            change += mu * (elastic - elastic_old) ** 2
-            if i < 3:
-                tr += elastic
-                tr_change += elastic - elastic_old
-            for j in range(6):
-                projector = (1.0 if i == j else 0.0) - (1 / 3 if i < 3 and j < 3 else 0.0)
-                slip = trial[i] * trial[j] / size**2 if k < 1 else 0.0
-                bulk = lmbda + 2 * mu / 3 if i < 3 and j < 3 else 0.0
-                tangent[i, j] = theta * (bulk + 2 * mu * k * (projector - slip))
-        energies[0] = stored + lmbda * tr**2 / 2
-        energies[1] = dissipated
-        energies[2] = (2 * theta - 1) * (change + lmbda * tr_change**2 / 2)
-        return True
+    bounded = isochoric = False
+    eased = BulkLaw.eased
 
 
 @dataclass(frozen=True)
-class Fragile(Mises):
+class Fragile(BulkLaw):
     """A law that is not defined for every strain."""
 
-    @staticmethod
-    def kernel(e, e_old, q, dt, theta, n, parameters, stress, tangent, q_new, energies):
-        for i in range(6):
-            stress[i] = parameters[1] * e[i]
-            tangent[i, i] = parameters[1]
-            q_new[i] = 0.0
-        return e[0] < 0.5
+    mu: float
+
+    def stress(self, step):
+        left = 0.5 - step.e[0, 0]
+        return self.mu * ufl.sqrt(left) ** 2 / left * step.e
 
 
 @dataclass(frozen=True)
@@ -298,13 +254,3 @@ class AgeingKelvinVoigt(KelvinVoigt):
 
     def at(self, x, t):
         return {"mu": _aged(self.mu, self.growth, x, t), "theta_mu": _aged(self.theta_mu, 1.0, x, t)}
-
-
-@dataclass(frozen=True)
-class AgeingSlip(Slipping):
-    """Its dashpot becomes more viscous with time."""
-
-    varies: ClassVar = True
-
-    def at(self, x, t):
-        return {"viscosity": _aged(self.viscosity, 1.0, x, t)}

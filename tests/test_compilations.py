@@ -11,12 +11,13 @@ import dolfinx.jit
 import pytest
 import ufl
 
-from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
+from forms import Incompressible, LinearElastic, Maxwell, Norton, Stack
 from studies.problems import fourier
-from thinlayer import Structure, ThinLayer, compare, drive, march, solve
+from thinlayer import Structure, ThinLayer, compare, drive, march
 from thinlayer.pointwise import kernels
 
 CLONE = Path(__file__).parent.parent
+NORTON = Norton(60.0, 40.0, 5.0, 1.5)
 
 
 @pytest.fixture
@@ -48,30 +49,11 @@ def run(law, eps: float, times, h: float = 1 / 4, theta: float = 1.0, factor: fl
     )
 
 
-def test_stacks_of_order_1_are_compiled_once(modules):
-    """Whatever their numbers, and the number of their sublayers."""
-    joint, setup = fourier(1 / 4, cell="quadrilateral")
-    structure, first = Structure(joint, **setup), set()
-    for n, eps in ((2, 0.1), (3, 0.1), (7, 0.05)):
-        law = Stack.graded(lambda y: LinearElastic(60.0 + 30 * y, 40.0 - 20 * y), n)
-        solve(structure.interface(ThinLayer(law, eps, order=1, at=1.0)))
-        first = first or set(modules)
-        assert set(modules) == first
-
-
-@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("law", "other"),
     [
-        (LinearElastic(60.0, 40.0), LinearElastic(50.0, 30.0)),
-        (KelvinVoigt(60.0, 40.0, 0.3, 0.5), KelvinVoigt(50.0, 30.0, 0.2, 0.4)),
         (Maxwell(60.0, 40.0, 0.7), Maxwell(50.0, 30.0, 0.5, 2.0)),
-        (Norton(60.0, 40.0, 5.0, 1.5), Norton(50.0, 30.0, 7.0, 3.0)),
         (Incompressible(40.0), Incompressible(30.0)),
-        (
-            Stack((0.4, Maxwell(60.0, 40.0, 0.7)), (0.6, KelvinVoigt(60.0, 40.0, 0.3, 0.5))),
-            Stack((0.3, Maxwell(50.0, 30.0, 0.5)), (0.7, KelvinVoigt(50.0, 30.0, 0.2, 0.4))),
-        ),
         (
             Stack((0.5, LinearElastic(60.0, 40.0)), (0.5, LinearElastic(30.0, 20.0))),
             Stack((0.2, LinearElastic(50.0, 40.0)), (0.8, LinearElastic(30.0, 10.0))),
@@ -91,42 +73,25 @@ def test_compiled_once(law, other, modules):
         assert set(modules) == first, change
 
 
-@pytest.mark.parametrize("law", [Maxwell(60.0, 40.0, 0.7), Norton(60.0, 40.0, 5.0, 1.5), Incompressible(40.0)], ids=str)
-@pytest.mark.parametrize("build", [Structure.full, Structure.interface])
+@pytest.mark.parametrize(("build", "law"), [(Structure.full, Incompressible(40.0)), (Structure.interface, NORTON)])
 def test_steps_ask_for_nothing(build, law, modules):
     """After the first state of a march nothing is asked of the compiler, not even what it has on the disk."""
     joint, setup = fourier(1 / 4, cell="quadrilateral")
     asked = []
     observe = {"asked": lambda state: asked.append(len(modules)) or 0.0}
-    march(build(Structure(joint, **setup), ThinLayer(law, 0.1, at=1.0)), [0.1, 0.2, 0.3, 0.4], observe=observe)
-    assert len(asked) == 5
+    march(build(Structure(joint, **setup), ThinLayer(law, 0.1, at=1.0)), [0.1, 0.2, 0.3], observe=observe)
+    assert [len(asked), len(set(asked))] == [4, 1]
     assert asked[0] > 0
-    assert len(set(asked)) == 1
 
 
 def test_what_was_made_before_does_not_matter(modules, monkeypatch):
     """UFL counts variables in a process; a law has the same name in the cache under any count."""
     for _ in range(2):
         monkeypatch.setattr(kernels, "_COMPILED", {})
-        drive(Norton(60.0, 40.0, 5.0, 1.5), [{"w_T": 0.01, "w_N": 0.02}], dt=0.1)
+        drive(NORTON, [{"w_T": 0.01, "w_N": 0.02}], dt=0.1)
         ufl.variable(ufl.as_ufl(1.0))
     assert len(modules) == 2
     assert len(set(modules)) == 1
-
-
-def test_a_stack_shares_the_kernels_of_its_laws(modules):
-    """A stack of laws that were used alone asks for no new kernel on S."""
-    joint, setup = fourier(1 / 4, cell="quadrilateral")
-
-    def interface(law):
-        march(Structure(joint, **setup).interface(ThinLayer(law, 0.1, at=1.0)), [0.1])
-
-    one, two = Maxwell(60.0, 40.0, 0.7), KelvinVoigt(60.0, 40.0, 0.3, 0.5)
-    interface(one)
-    interface(two)
-    alone = set(modules)
-    interface(Stack((0.4, one), (0.6, two)))
-    assert set(modules) == alone
 
 
 # ---------------------------------------------------------------- the folder of compiled forms
@@ -191,9 +156,3 @@ def test_a_long_compilation_of_another_process_is_waited_for(tmp_path, compiled)
         assert kept(tmp_path)
         assert form.code == (None, None)  # nothing was compiled here
         assert other.wait(240) == 0
-
-
-def test_a_folder_that_cannot_be_written(tmp_path, compiled):
-    (tmp_path / "file").touch()
-    with pytest.raises(OSError, match="file/cache"):
-        compiled(tmp_path / "file" / "cache")

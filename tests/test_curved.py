@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import ufl
+from studies.tubes import lame
 
 from forms import Anisotropic, LinearElastic
 from forms.base import InputError
 from geometry import ring
 from geometry.seam import Seam
 from studies.problems import FOURIER_LAYER, fourier
-from studies.tubes import lame
 from tests.meshes import part_of
 from tests.orders import observed_orders
 from tests.refused import refused

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from forms import MohrCoulombMonodirectional, VonMises
-from forms.base import InputError
 from tests import closed_forms
 from tests.at_points import E2, at_rest, respond, tensor, traction
 from tests.mohr_coulomb_points import LMBDA, METALS, MU, OMEGA, SOILS, C, Y, elastic, normals, reached, strains
-from tests.refused import refused
 from thinlayer import drive
 
 POINTS = 300
@@ -53,19 +51,6 @@ def test_a_layer_of_metal_under_shear():
     assert np.abs(found - closed_forms.von_mises_shear(MU, Y, 20.0, w)).max() > 0.05 * found.max()
 
 
-def test_a_layer_of_metal_under_shear_at_a_held_opening():
-    """Backward Euler to first order in the step."""
-    law, w_N, errors = VonMises(LMBDA, MU, Y), -0.003, []
-    for count in (40, 80):
-        w = np.linspace(0, 0.03, count + 1)[1:]
-        found = drive(law, [{"w_T": 0.0, "w_N": w_N}] + [{"w_T": one, "w_N": w_N} for one in w]).tractions[1:]
-        exact = closed_forms.von_mises_fixed_opening(LMBDA, MU, Y, w_N, w)
-        errors.append(np.abs(found - exact).max() / Y)
-    assert errors[1] < 0.01
-    assert errors[0] / errors[1] == pytest.approx(2, rel=0.1)
-    refused(InputError, "not below Y", closed_forms.von_mises_fixed_opening, LMBDA, MU, Y, 0.01, w)
-
-
 def test_a_layer_that_slips_hardens():
     """Forth and back, with the closed form of one step after the other."""
     law, H = MohrCoulombMonodirectional(LMBDA, MU, C, OMEGA, hardening=12.0), 12.0
@@ -79,15 +64,6 @@ def test_a_layer_that_slips_hardens():
         apart = max(apart, np.abs(found - wrong).max() / np.abs(t).max())
         gone, slip = gone + float(np.linalg.norm(new - slip)), new
     assert apart > 0.05
-
-
-def test_eased_metal_is_elastic_in_the_end():
-    law, e = VonMises(LMBDA, MU, Y), strains(np.random.default_rng(2), 5, 0.05)
-    zero = np.zeros_like(e)
-    found = [respond(law.eased(ease), e, zero, at_rest(law, 5), normals(5)).stress for ease in (0.0, 0.5, 1.0)]
-    assert found[0] == pytest.approx(respond(law, e, zero, at_rest(law, 5), normals(5)).stress)
-    assert found[2] == pytest.approx(elastic(e), rel=1e-6)
-    assert np.linalg.norm(found[1]) > np.linalg.norm(found[0])
 
 
 def test_a_torn_point_bears_the_mean_stress_of_the_apex():

@@ -16,30 +16,6 @@ from thinlayer import Structure, ThinLayer, compare, solve
 
 STEEL, GLUE = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
 
-FACTORS = [1e-9, 1e-6, 1e-3, 1e3, 1e6]
-SHAPES = {
-    "sandwich": lambda s: sandwich(4 * s, 0.8 * s, 1.1 * s, 0.5 * s, h_S=0.3 * s, h_ends=0.1 * s),
-    "graded grid": lambda s: sandwich(4 * s, 0.8 * s, 1.1 * s, 0.5 * s, h_S=0.3 * s, cell="quadrilateral"),
-    "box": lambda s: block(2 * s, 0.8 * s, 0.5 * s, depth=1.2 * s),
-    "box of hexahedra": lambda s: sandwich(2 * s, 0.8 * s, 1.1 * s, 0.5 * s, depth=1.2 * s, cell="hexahedron"),
-    "sector": lambda s: ring(0.9 * s, 1.3 * s, 2 * s, 0.3 * s, angle=1.0, degree=2),
-    "tube": lambda s: ring(0.9 * s, 1.3 * s, 2 * s, 0.4 * s, depth=0.7 * s, cell="hexahedron", degree=2),
-    "disc": lambda s: disc(1.1 * s, 0.4 * s, 0.6 * s, 0.4 * s),
-    "annulus": lambda s: disc(1.1 * s, 0.4 * s, 0.6 * s, 0.4 * s, hole=0.5 * s, cell="hexahedron"),  # 1.5 cells high
-    "default sizes": lambda s: sandwich(1.7 * s, 0.7 * s, 0.9 * s, depth=0.9 * s, structured=True),
-}
-
-
-@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
-def test_builders(shape):
-    """The same cells and points; between two joints of one shape no more than rounding."""
-    joint = shape(1.0)
-    for factor in FACTORS:
-        other = shape(factor)
-        assert np.array_equal(other.cells, joint.cells)
-        assert other.points / factor == pytest.approx(joint.points, abs=1e-14 * np.ptp(joint.points))
-        assert other.facets.keys() == joint.facets.keys()
-
 
 @pytest.mark.parametrize(
     ("build", "message"),

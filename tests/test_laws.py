@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dolfinx import fem, mesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mpi4py import MPI
 
-from forms import Anisotropic, LinearElastic, Stack
+from forms import LinearElastic, Stack
 from forms.base import InputError
-from forms.kinematics import layer_frame
 from tests import closed_forms
 from tests.at_points import at_rest, jump_strain, respond, traction
 from tests.refused import refused
 from thinlayer import ThinLayer
-
-CELL = mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
 
 
 def traction_and_energy(law, w, n):
@@ -68,30 +63,12 @@ def test_stratified(dim, m, w, a, b):
     assert energy == pytest.approx(w[:dim] @ K @ w[:dim] / 2, rel=1e-8, abs=1e-12 * size)
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-@settings(max_examples=25)
-@given(k_n=moduli, k_t=moduli, w=jumps, a=angles, b=angles)
-def test_springs(dim, k_n, k_t, w, a, b):
-    n = direction(a, b, dim)
-    t, _ = traction_and_energy(Anisotropic.springs(k_n, k_t), w[:dim], n)
-    w = w[:dim]
-    expected = k_t * w + (k_n - k_t) * (w @ n) * n
-    assert t[:dim] == pytest.approx(expected, abs=1e-9 * (k_n + k_t) * max(np.linalg.norm(w), 1e-300))
-
-
-@pytest.mark.parametrize("n", [(0, 1, 0), (0, -1, 0), (1, 0, 0), (0.6, -0.48, 0.64), (0, 1), (0, -1), (0.8, -0.6)])
-def test_layer_frame_is_a_rotation_with_second_axis_n(n):
-    constant = fem.Constant(CELL, np.array(n, float))
-    turn = fem.Expression(layer_frame(constant), np.zeros((1, 2))).eval(CELL, np.array([0], np.int32)).reshape(3, 3)
-    assert turn.T @ turn == pytest.approx(np.eye(3), abs=1e-14)
-    assert np.linalg.det(turn) == pytest.approx(1.0)
-    assert turn[:, 1] == pytest.approx([*n, 0][:3])
-
-
-@given(lmbda=moduli, mu=moduli, eps=st.floats(1e-6, 10.0))
-def test_a_layer_has_the_parameters_of_its_material(lmbda, mu, eps):
-    real = ThinLayer(LinearElastic(lmbda, mu).scaled(1 / eps), eps, at=1.0).material
-    assert (float(real.lmbda), float(real.mu)) == pytest.approx((lmbda, mu), rel=1e-12)
+def test_stratified_as_printed_is_another_law():
+    """Eq. (52): the harmonic mean of lmbda; it is 1/(lmbda + 2 mu) that averages."""
+    fractions, moduli = (0.3, 0.7), ((3.4, 13.6), (22.2, 4.2))
+    K = closed_forms.stratified(fractions, [closed_forms.elastic_stiffness(*one, [0, 1]) for one in moduli])
+    lmbda = 1 / sum(a / one for a, (one, _) in zip(fractions, moduli, strict=True))
+    assert abs((lmbda + 2 * K[0, 0]) / K[1, 1] - 1) > 0.02
 
 
 @given(E=moduli, nu=st.floats(-0.9, 0.49))
@@ -102,14 +79,8 @@ def test_moduli(E, nu):
     assert LinearElastic.shear(law.mu, nu).lmbda == pytest.approx(law.lmbda, rel=1e-9, abs=1e-12 * E)
 
 
-@pytest.mark.parametrize(
-    ("build", "message"),
-    [
-        (lambda: ThinLayer(LinearElastic(1.0, 1.0), 0.0, at=1.0), "eps is 0.0; allowed: > 0"),
-        (lambda: ThinLayer(LinearElastic(1.0, 1.0), np.ones(3)), "eps is .*must be > 0|allowed"),
-        (lambda: ThinLayer("glue", 1.0), "must be a law"),
-        (lambda: ThinLayer(LinearElastic(1.0, 1.0), 1.0, at=0.0), "at, is 0.0"),
-    ],
-)
-def test_layers_out_of_range(build, message):
-    refused(InputError, message, build)
+def test_layers_out_of_range():
+    glue = LinearElastic(1.0, 1.0)
+    refused(InputError, "eps is 0.0; allowed: > 0", ThinLayer, glue, 0.0, at=1.0)
+    refused(InputError, "must be a law", ThinLayer, "glue", 1.0)
+    refused(InputError, "at, is 0.0", ThinLayer, glue, 1.0, at=0.0)

@@ -30,28 +30,6 @@ def test_opening_held():
     assert 2 * ends[2] - ends[1] == pytest.approx(exact, abs=5e-6)
     for law in (MONO, MohrCoulomb(LMBDA, MU, C, OMEGA, dilatancy_angle=10.0), MohrCoulomb(LMBDA, MU, C, 29.9)):
         assert np.abs(closing_and_shearing(law, 400).tractions[-1] - exact).max() > 5e-4
-    mono = closing_and_shearing(MONO, 10).tractions[-1]  # any number of steps: it is penalised Coulomb
-    assert mono == pytest.approx([C + np.tan(np.radians(OMEGA)) * 1.4, -1.4], rel=1e-12)
-
-
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_any_start_of_shear_under_a_held_opening(sign):
-    """From a state beside the axis: elastic until first yield, then the arc; the midpoint rule is of order 2 there."""
-    start = [{"w_T": 0.004, "w_N": -0.004}, {"w_T": 0.0045, "w_N": -0.006}]
-    before = drive(LAW, start)
-    s = before.tractions[-1] - [0, (LMBDA + MU) * -0.006]
-    exact = limits.mohr_coulomb_fixed_opening(LMBDA, MU, C, OMEGA, -0.006, sign * np.array([1e-4, 0.02]), tuple(s))
-    errors = []
-    for steps in (400, 800):
-        path = [{"w_T": 0.0045 + sign * w, "w_N": -0.006} for w in np.linspace(0, 0.02, steps + 1)[1:]]
-        errors.append(np.abs(drive(LAW, [*start, *path]).tractions[-1] - exact[1]).max())
-    assert errors[1] < 2e-4
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(1, abs=0.03)
-    one = drive(LAW, [*start, {"w_T": 0.0045 + sign * 1e-4, "w_N": -0.006}]).tractions[-1]
-    if sign < 0:
-        assert one == pytest.approx(exact[0], rel=1e-12)  # unloading is elastic
-    with pytest.raises(ValueError, match="at the start exceeds R"):
-        limits.mohr_coulomb_fixed_opening(LMBDA, MU, C, OMEGA, -0.006, 0.1, (1.0, 0.0))
 
 
 def test_friction_of_the_layer():
@@ -92,28 +70,7 @@ def test_drive_under_a_constant_normal_stress():
     assert work == pytest.approx(np.diff(stored, prepend=0) + dissipated + remainder, rel=1e-10)
     assert found.stress[:, 1, 1] == pytest.approx(found.tractions[:, 1], rel=1e-12)
     assert found.stress[:, 2, 2] == pytest.approx(LMBDA * found.jumps[:, 1], rel=1e-10)
-    table = found.table
-    assert table.columns == ["t", "w_T", "w_N", "t_T", "t_N", "stored", "dissipated", "remainder"]
-    assert table["w_T"] == pytest.approx(found.jumps[:, 0])
-
-
-def test_drive_in_three_dimensions_and_other_frames():
-    """The layer's axes do not matter: the law is isotropic. With theta the traction asked for is that inside the step."""
-    steps = [{"w_T1": 0.02, "t_T2": 0.1, "t_N": -1.0}, {"t_T1": 0.3, "w_T2": 0.01, "w_N": -0.02}]
-    law = LAWS["psi = 12"]
-    first = drive(law, steps, n=(0, 1, 0), theta=0.7)
-    assert first.tractions[0, 1:] == pytest.approx([0.1, -1.0], rel=1e-11)
-    assert first.tractions[1, 0] == pytest.approx(0.3, rel=1e-11)
-    for n in [(1.0, 2.0, -2.0), (0, -3, 0), (0, 0, 1), (1e-9, -1, 0)]:
-        other = drive(law, steps, n=n, theta=0.7)
-        assert other.jumps == pytest.approx(first.jumps, rel=1e-9)
-        assert other.tractions == pytest.approx(first.tractions, rel=1e-9)
-        unit = np.array(n) / np.linalg.norm(n)
-        assert np.einsum("kij,i,j->k", other.stress, unit, unit) == pytest.approx(first.tractions[:, 2], rel=1e-9)
-    flat = drive(law, [{"w_T": 0.02, "t_N": -1.0}], n=(0.6, 0.8))
-    assert flat.jumps == pytest.approx(drive(law, [{"w_T": 0.02, "t_N": -1.0}]).jumps, rel=1e-11)
-    deep = drive(law, [{"w_T1": 0.02, "w_T2": 0.0, "t_N": -1.0}], n=(0, 1, 0))
-    assert deep.jumps[0, [0, 2]] == pytest.approx(flat.jumps[0], rel=1e-9)
+    assert found.table["w_T"] == pytest.approx(found.jumps[:, 0])
 
 
 def test_traction_beyond_the_limit():
@@ -133,40 +90,18 @@ def test_traction_beyond_the_limit():
         drive(LAWS["unilateral"], [{"w_T": 0.0, "t_N": 0.01}])
 
 
-def test_an_open_layer_closes_under_pressure():
-    """Where the tangent vanishes there is a way back."""
-    for law, pressed in ((LAWS["unilateral"], -1 / (LMBDA + 2 * MU)), (LAW, None)):
-        found = drive(law, [{"w_T": 0.1, "w_N": 1.0}, {"w_T": 0.1, "t_N": -1.0}])
-        assert found.tractions[-1, 1] == pytest.approx(-1.0, rel=1e-11)
-        if pressed:
-            assert found.jumps[-1, 1] == pytest.approx(pressed, rel=1e-9)
-        else:
-            assert found.jumps[-1, 1] > 0.9  # the volume gained is still there
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"steps": []}, "at least one step"),
-        ({"steps": None}, "steps is None; it must be a sequence of dictionaries"),
-        ({"steps": {"w_T": 0.0, "w_N": 0.0}}, "steps is {'w_T': 0.0, 'w_N': 0.0}; it must be a sequence"),
-        ({"law": [{"w_T": 0.0}], "steps": LAW}, "a point's law is "),
         ({"steps": [(0.0, 1.0)]}, r"step 1 is \(0.0, 1.0\); it must be a dictionary with w_T or t_T, w_N or t_N"),
-        ({"steps": [{"w_T": 0.0}]}, r"step 1 has neither of w_N \(jump\) and t_N \(traction\)"),
         ({"steps": [{"w_T": 0.0, "w_N": 0.0, "t_N": 1.0}]}, "step 1 has both of w_N"),
         ({"steps": [{"w_T": 0.0, "w_n": 0.0}]}, "step 1 has 'w_n'; allowed in 2D: w_T or t_T, w_N or t_N"),
         ({"steps": [{"w_T": 0.0, "w_N": float("nan")}]}, "step 1: w_N is nan; it must be a finite number"),
-        ({"steps": [{"w_T": 0.0, "w_N": "1"}]}, "w_N is '1'"),
         ({"n": (0, 1, 0)}, "allowed in 3D: w_T1 or t_T1, w_T2 or t_T2, w_N or t_N"),
         ({"n": (0, 0)}, r"the normal n is \(0, 0\)"),
-        ({"n": 1.0}, "the normal n is 1.0"),
-        ({"n": (0, "up")}, "the normal n is"),
         ({"dt": -1.0}, "dt is -1.0"),
-        ({"dt": [1.0, 2.0]}, "one for each of the 1 steps"),
-        ({"dt": None}, "dt is None"),
         ({"theta": 0.4}, "theta is 0.4; allowed: 0.5 to 1"),
-        ({"theta": "half"}, "theta is 'half'"),
-        ({"law": "glue"}, "a point's law is 'glue'"),
         ({"law": Incompressible(1.0)}, r"a point's law is Incompressible\(mu=1.0\)"),
         ({"law": Norton(LMBDA, MU, 5.0, 1.5), "dt": 0}, "dt is 0 in step 1; Norton lets no jump change at once"),
     ],

@@ -25,7 +25,7 @@ def test_monodirectional_is_penalised_coulomb(unilateral):
         before = slip
         t, slip = closed_forms.penalised_coulomb(LMBDA, MU, 1.0, OMEGA, w[0], slip, n, unilateral=unilateral)
         assert traction(answer.stress, n[None])[0] == pytest.approx(t, abs=1e-12)
-        assert tensor(answer.q[0]) @ n == pytest.approx(slip / 2, abs=1e-15)
+        assert tensor(answer.q[0, :6]) @ n == pytest.approx(slip / 2, abs=1e-15)
         seen.add((bool(np.abs(slip - before).max() > 1e-9), bool(w[0] @ n > 0)))
         old, q = w, answer.q
     assert len(seen) == (4 if unilateral else 3)  # bilateral, nothing sticks in tension
@@ -48,39 +48,12 @@ def test_elastic_and_monodirectional_sublayers():
     found = drive(law, path, n=n)
     assert 3 < slips < 20
     assert found.tractions == pytest.approx(np.array(expected), rel=1e-8, abs=1e-10)
-    mean = [np.sum(law.fractions * np.array([k[0, 0] for k in stiffnesses]))]  # the arithmetic mean is another law
-    assert abs(mean[0] - closed_forms.stratified(law.fractions, stiffnesses)[0, 0]) > 0.05 * mean[0]
-
-
-@pytest.mark.parametrize("name", ["psi = 0", "monodirectional", "unilateral"])
-def test_sublayers_that_all_yield(name):
-    """Equal ones are the law itself, whatever the split; of others, under pressure, the order does not matter."""
-    law, random = LAWS[name], np.random.default_rng(9)
-    w = np.cumsum(0.01 * random.normal(size=(40, 3)), axis=0) * [1.0, 0.3, 0.0] - [0.0, 0.005, 0.0]
-    path = [{"w_T": x, "w_N": y} for x, y, _ in w]
-    alone, stack = drive(law, path), drive(Stack((0.2, law), (0.5, law), (0.3, law)), path)
-    size = np.abs(alone.tractions).max()
-    assert (alone.energies[:, 1] > 0).any()
-    assert stack.tractions == pytest.approx(alone.tractions, abs=1e-9 * size)
-    assert stack.energies == pytest.approx(alone.energies, abs=1e-8 * np.abs(alone.energies).max())
-    mixed = Stack((0.2, law), (0.5, LinearElastic(30.0, 50.0)), (0.3, law.with_parameters({"cohesion": 0.3})))
-    reverse = Stack(*mixed.sublayers[::-1])
-    pressed = [step | {"w_N": -0.002 - abs(step["w_N"])} for step in path]
-    one, other = drive(mixed, pressed), drive(reverse, pressed)
-    assert other.tractions == pytest.approx(one.tractions, abs=1e-7 * size)
-    assert one.energies[:, 1].min() > -1e-12
 
 
 PAIRS = {
-    "full, unilateral": (
-        MohrCoulomb(113.0, 75.0, 0.1, 10.0),
-        MohrCoulombMonodirectional(52.0, 34.0, 0.1, 30.0, unilateral=True),
-    ),
-    "full, full": (MohrCoulomb(86.0, 58.0, 0.0, 30.0), MohrCoulomb(120.0, 80.0, 0.1, 45.0)),
-    "bilateral, bilateral": (
-        MohrCoulombMonodirectional(90.0, 60.0, 0.2, 45.0),
-        MohrCoulombMonodirectional(60.0, 40.0, 0.1, 30.0),
-    ),
+    "full, unilateral": (LAW, LAWS["unilateral"]),
+    "full, full": (LAW, MohrCoulomb(120.0, 80.0, 0.1, 45.0)),
+    "equal": (LAWS["psi = 12"], LAWS["psi = 12"]),
 }
 
 
@@ -106,31 +79,8 @@ def test_shares_of_sublayers_that_yield(name):
             tractions.append(traction(respond(one, *ends, memory, n).stress, n)[done])
         tractions = np.array(tractions)
         assert np.abs(tractions - tractions[0]).max() < 1e-7 * np.abs(tractions).max()
+        if name == "equal":  # the law itself
+            alone = respond(laws[0], new, e, q[:, 6:13], n).stress[done]
+            assert answer.stress[done] == pytest.approx(alone, abs=1e-9 * np.abs(alone).max())
         q, e = np.where(done[:, None], answer.q, q), np.where(done[:, None], new, e)
     assert failed < 0.1 * 8 * points
-
-
-def test_elastic_and_full_sublayers():
-    """Against a Newton method of its own: the sublayers' jumps, with the closed formula for the plastic one."""
-    a, above = 0.6, LinearElastic(100.0, 15.0)
-    law = Stack((1 - a, above), (a, LAW))
-    K = np.diag([above.mu, above.lmbda + 2 * above.mu])
-    share_old, s, path, expected, yielded = np.zeros(2), np.zeros(2), [], [], 0
-    for w_T, w_N in [(0, -0.01), (0.01, -0.01), (0.03, -0.012), (0.02, -0.02), (-0.03, -0.02), (-0.03, -0.005)]:
-        w, share = np.array([w_T, w_N], float), share_old
-
-        def lack(share, w=w, share_old=share_old, s=s):
-            t, _ = closed_forms.mohr_coulomb(LMBDA, MU, C, OMEGA, share, share_old, s)
-            return t - K @ (w - a * share) / (1 - a)
-
-        for _ in range(50):
-            J = np.column_stack([(lack(share + d) - lack(share - d)) / 2e-7 for d in 1e-7 * np.eye(2)])
-            share = share - np.linalg.solve(J, lack(share))
-        assert np.abs(lack(share)).max() < 1e-10
-        t, s = closed_forms.mohr_coulomb(LMBDA, MU, C, OMEGA, share, share_old, s)
-        yielded += np.linalg.norm(s) > C * np.cos(np.pi / 6) - (LMBDA + MU) * share[1] / 2 - 1e-12
-        share_old = share
-        path.append({"w_T": w_T, "w_N": w_N})
-        expected.append(t)
-    assert 2 <= yielded < 6
-    assert drive(law, path).tractions == pytest.approx(np.array(expected), rel=1e-8, abs=1e-10)

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms import NonMonotone, NonMonotoneUnrelaxed, Stack
+from forms import NonMonotone
 from tests.closed_forms import NonMonotoneLimit
 from tests.non_monotone_points import (
-    ACROSS,
-    ALONG,
     ALPHA,
     CHI2,
     CHI3,
@@ -17,16 +15,12 @@ from tests.non_monotone_points import (
     MU,
     PATHS,
     PURE,
-    RELAXED,
-    SHARE,
-    STIFF,
     C,
     from_layer_axes,
     in_layer_axes,
     pulled,
 )
 from thinlayer import drive
-from thinlayer.pointwise.columns import TIE
 
 
 @pytest.mark.parametrize("n", [(0, 1), (0, -1), (3, -4), (0, 1, 0), (0, -1, 0), (1, 2, -2)], ids=str)
@@ -67,21 +61,7 @@ def test_as_printed_it_is_another_law():
     crossed = (LMBDA + 2 * MU) * path[:, 0] - z * ALPHA * CHI2[1, 1]
     for printed in (softer, crossed):
         assert np.abs(printed - t[:, 1]).max() > 0.1 * np.abs(t[:, 1]).max()
-    by_shear = [ALPHA * CHI2[0, 1] * path[:, i] >= C for i in (0, 1)]
-    assert all((switched != (z == 1)).any() for switched in by_shear)
-    assert (z == -1).any()  # which (43) does not have
-
-
-@pytest.mark.parametrize("lmbda", [LMBDA, 0.0, -20.0])
-@pytest.mark.parametrize("chi", [ACROSS, ALONG], ids=["n (x) n", "sym(tangent (x) n)"])
-def test_tractions_beyond_the_plateau_are_found(chi, lmbda):
-    """Where the tangent is singular in the mixture, from below and from above, and through both plateaus at once."""
-    law = NonMonotone(lmbda, MU, ALPHA, C, chi)
-    path = np.array([(0.1, 0.1), (1.2, 2.9), (-1.2, -2.9), (3.0, 4.0), (0.1, 0.1)])
-    found = drive(law, pulled("t", path))
-    assert found.tractions == pytest.approx(path, rel=1e-10)
-    assert found.memory[:, 0].tolist() == [0, 1, -1, 1, 0]
-    assert found.jumps[-1] == pytest.approx(found.jumps[0], rel=1e-10)
+    assert ((ALPHA * CHI2[0, 1] * path[:, 0] >= C) != (z == 1)).any()
 
 
 def test_pure_phases_switch_at_the_jump_where_their_energies_are_equal():
@@ -92,23 +72,8 @@ def test_pure_phases_switch_at_the_jump_where_their_energies_are_equal():
     phases = [0, 0, 1, 1, 0, 0, 0, -1, -1, 1, 0, -1, 0]
     found = drive(law, pulled("w", threshold * sizes[:, None] * direction))
     assert found.memory[:, 0].tolist() == phases
-    assert TIE < 1e-9
-    for n in [(0, -1), (-0.6, 0.8)]:
-        assert drive(law, pulled("w", threshold * sizes[:, None] * direction), n).memory[:, 0].tolist() == phases
-    stored, dissipated, remainder = found.energies.T
-    work = np.sum(found.tractions * np.diff(found.jumps, axis=0, prepend=0), axis=1)
-    assert work == pytest.approx(np.diff(stored, prepend=0) + dissipated + remainder, abs=1e-13)
-
-
-@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
-def test_thresholds_at_any_size_of_chi(size):
-    """alpha chi is what counts; ties are relative to C."""
-    for kind in (NonMonotone, NonMonotoneUnrelaxed):
-        one = kind(LMBDA, MU, ALPHA, C, CHI2)
-        law = kind(LMBDA, MU, ALPHA / size, C, CHI2 * size)
-        found, expected = (drive(x, pulled("w", PATHS[2])) for x in (law, one))
-        assert found.tractions == pytest.approx(expected.tractions, rel=1e-12, abs=1e-13)
-        assert found.memory[:, 0] == pytest.approx(expected.memory[:, 0], abs=1e-12)
+    turned = drive(law, pulled("w", threshold * sizes[:, None] * direction), (-0.6, 0.8))
+    assert turned.memory[:, 0].tolist() == phases
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -140,44 +105,3 @@ def test_hysteresis_under_prescribed_traction(name, sign):
     assert remainder[[1, 5]] == pytest.approx(g_n / 2 * np.ones(2), rel=1e-6)
     middles = t - np.diff(t, axis=0, prepend=0) / 2
     assert np.sum(middles * change) == pytest.approx(g_n, rel=1e-6)
-
-
-def in_series(w):
-    """Traction and phase of an elastic sublayer and a non-monotone one, by hand."""
-    n = np.eye(2)[1]
-    K = [mu * np.eye(2) + (lmbda + mu) * np.outer(n, n) for lmbda, mu in ((STIFF.lmbda, STIFF.mu), (LMBDA, MU))]
-    F = SHARE * np.linalg.inv(K[0]) + (1 - SHARE) * np.linalg.inv(K[1])
-    b, g = ALPHA * CHI2[:, 1], ALPHA**2 * RELAXED["2D"].G
-    free = np.linalg.solve(K[1], b)
-
-    def strain(z):
-        """Of the non-monotone sublayer, with traction: w = F t + (1 - SHARE) z K^-1 b."""
-        t = np.linalg.solve(F, w - (1 - SHARE) * z * free)
-        return np.linalg.solve(K[1], t) + z * free, t
-
-    side = np.sign(b @ strain(0.0)[0])
-    lack = lambda z: abs(b @ strain(z)[0]) - C - g * (abs(z) - 0.5)  # linear in the phase fraction
-    start, end = lack(0.0), lack(side)
-    z = 0.0 if start <= 0 else side if end >= 0 else side * start / (start - end)
-    return strain(z)[1], z
-
-
-@pytest.mark.parametrize("order", [1, -1])
-def test_in_series_with_an_elastic_sublayer(order):
-    law = Stack(*[(SHARE, STIFF), (1 - SHARE, RELAXED["2D"])][::order])
-    assert law.traits.phases
-    assert not law.traits.softens
-    path = np.array([*PATHS[2], (0.02, 0.03), (0.0, 0.02), (0.0, -0.02)])
-    found = drive(law, pulled("w", path))
-    expected = [in_series(w) for w in path]
-    assert found.tractions == pytest.approx(np.array([t for t, _ in expected]), rel=1e-9, abs=1e-12)
-    phase = found.memory[:, 6]
-    assert phase == pytest.approx(np.array([z for _, z in expected]), abs=1e-10)
-    assert {-1, 0, 1} <= set(phase)
-    assert any(0.05 < z < 0.95 for z in phase)
-    assert any(-0.95 < z < -0.05 for z in phase)
-    stored, dissipated, remainder = found.energies.T
-    work = np.sum(found.tractions * np.diff(path, axis=0, prepend=0), axis=1)
-    assert work == pytest.approx(np.diff(stored, prepend=0) + dissipated + remainder, rel=1e-8, abs=1e-13)
-    alone = drive(RELAXED["2D"], pulled("w", path))
-    assert np.abs(alone.tractions - found.tractions).max() > 0.1

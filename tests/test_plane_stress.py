@@ -39,16 +39,8 @@ E = 2 * M * (1 + NU)
 N = np.array([0.28, 0.96, 0.0])  # of the layer, where laws know it
 SLOTS = Kinematics().slots(2)  # 11, 22, sqrt2 12
 ROUNDED = 1e-10
-C6 = np.array(  # stiff against 13 and 23 strains that 11, 22 and 12 cause: Voigt's order 11, 22, 33, 23, 13, 12
-    [
-        [9.0, 3.0, 2.5, 0.7, -0.9, 0.4],
-        [3.0, 8.0, 2.0, -0.5, 0.6, 0.3],
-        [2.5, 2.0, 7.0, 0.4, 0.8, -0.2],
-        [0.7, -0.5, 0.4, 2.2, 0.3, 0.5],
-        [-0.9, 0.6, 0.8, 0.3, 2.6, -0.4],
-        [0.4, 0.3, -0.2, 0.5, -0.4, 2.4],
-    ]
-)
+ROOT = np.random.default_rng(3).normal(size=(6, 6))
+C6 = ROOT @ ROOT.T + 3 * np.eye(6)  # stiff against 13 and 23 strains that 11, 22 and 12 cause
 
 
 class Point:
@@ -120,8 +112,6 @@ LAWS = {
     "Kelvin-Voigt": KelvinVoigt(L, M, 0.7, 0.4),
     "Maxwell": Maxwell(L, M, 0.8, 2.5),
     "Norton 1.4": Norton(L, M, 0.9, 1.4),
-    "Norton 3": Norton(L, M, 0.9, 3.0),
-    "Mohr-Coulomb": MohrCoulomb(L, M, 0.05, 30.0, 0.01),
     "dilatant": MohrCoulomb(L, M, 0.05, 30.0, 0.01, 20.0),
     "unilateral": MohrCoulombMonodirectional(L, M, 0.02, 30.0, 0.01, True),
     "series": Stack((0.3, Maxwell(L, M, 0.8)), (0.2, LinearElastic(L, M)), (0.5, MohrCoulomb(L, M, 0.05, 30.0, 0.01))),
@@ -153,7 +143,7 @@ def test_tangents_are_condensed_and_energies_balance(name):
             stored = energies[0]
 
 
-@pytest.mark.parametrize("name", ["Kelvin-Voigt", "Maxwell", "tilted", "stiffening"])
+@pytest.mark.parametrize("name", ["Kelvin-Voigt", "Maxwell", "tilted", "dilatant"])
 @pytest.mark.parametrize("theta", [1.0, 0.5])
 def test_no_stress_acts_out_of_the_plane_at_the_balanced_time(name, theta):
     """The law in space gives it for all strains, old and new, that are kept."""
@@ -186,33 +176,6 @@ def test_a_maxwell_bar_relaxes_and_creeps_as_in_one_dimension():
         assert point.e[0, 0] == pytest.approx(sigma * (1 / E + creep), rel=ROUNDED)
 
 
-def test_a_norton_sheet_without_contraction_is_the_bar():
-    """With lmbda = 0 nothing contracts: stress = 2 mu e + eta |rate|^(p - 2) rate."""
-    point, eta, p, dt = Point(Norton(0.0, M, 0.9, 3.0)), 0.9, 3.0, 0.2
-    for k in range(1, 4):
-        stress, _ = point.advance([0.01 * k, 0, 0], dt)
-        assert stress == pytest.approx([2 * M * 0.01 * k + eta * (0.01 / dt) ** (p - 1), 0, 0], rel=ROUNDED, abs=1e-15)
-
-
-@pytest.mark.parametrize("psi", [0.0, 30.0])
-def test_mohr_coulomb_yields_at_the_strengths_of_a_sheet(psi):
-    """Uniaxial pressure 2 C cos/(1 - sin), pull 2 C cos/(1 + sin), shear C cos; pressed in both directions as in one."""
-    C, angle = 0.02, np.radians(30.0)
-    pressed, pulled = (2 * C * np.cos(angle) / (1 + s * np.sin(angle)) for s in (-1, 1))
-    shear = np.sqrt(2) * C * np.cos(angle)
-    for direction, free, expected in (
-        ((-1, 0, 0), (1, 2), [-pressed, 0, 0]),
-        ((1, 0, 0), (1, 2), [pulled, 0, 0]),
-        ((0, 0, 1), (0, 1), [0, 0, shear]),
-        ((-1, -1, 0), (), [-pressed, -pressed, 0]),
-    ):
-        point, direction = Point(MohrCoulomb(L, M, C, 30.0, 1e-7, psi)), np.array(direction)
-        for k in range(1, 9):
-            e = np.where(direction, 0.01 * k * direction, point.e[0])
-            stress = point.settle(e, free=free) if free else point.advance(e)[0]
-        assert stress == pytest.approx(expected, rel=1e-5, abs=1e-7)
-
-
 def test_laws_with_a_closed_form_are_the_same():
     """Elastic laws through the local solve against their own; plane strain is another one."""
     w = {"w_T": 0.01, "w_N": 0.02}
@@ -229,17 +192,8 @@ def test_laws_with_a_closed_form_are_the_same():
 
 
 def test_what_has_no_plane_stress():
-    with pytest.raises(InputError, match="dimension of the model is 3; allowed: 2"):
-        drive(LAWS["Maxwell"].plane_stress(), [{"w_T1": 0.0, "w_T2": 0.0, "w_N": 0.01}], n=(0, 1, 0), dt=0.1)
     assert isinstance(PlaneStress(LAWS["Maxwell"]).plane_stress(), PlaneStress)
     refused(SolveError, "the law failed", lambda: drive(Pressed(M).plane_stress(), [{"w_T": 0.0, "w_N": 0.01}]))
-
-    @dataclass(frozen=True)
-    class Constrained(LinearElastic):
-        constrained: ClassVar = True
-
-        def stress(self, step):
-            return lame(0.0, self.mu, step.mid)
-
+    constrained = type("Constrained", (Incompressible,), {"plane_stress": BulkLaw.plane_stress})
     with pytest.raises(InputError, match="plane stress is not defined for Constrained, because its pressure"):
-        Constrained(L, M).plane_stress()
+        constrained(M).plane_stress()

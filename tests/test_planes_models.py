@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 
@@ -19,15 +17,11 @@ from forms import (
     Stack,
     VonMises,
 )
-from forms.elastic import lame
-from forms.limits import PlasticCylinder
-from geometry import sandwich
 from studies.problems import fourier
 from tests.columns_in_time import check_same, column, joint
 from tests.orders import taylor_order
 from tests.test_plane_stress import Pressed, Stiffening
 from thinlayer import SolveError, Structure, Surface, ThinLayer, march, solve
-from thinlayer.output.probe import Probe
 from thinlayer.solving.solvers import Solver
 
 pytestmark = pytest.mark.few(5)
@@ -48,14 +42,6 @@ LAWS = {
 }
 
 
-@dataclass(frozen=True)
-class Plain(LinearElastic):
-    """The same stress by another method, so that its plane stress is found point by point."""
-
-    def stress(self, step):
-        return lame(self.lmbda, self.mu, step.mid)
-
-
 def sheet(mode="normal", **ends) -> Structure:
     return Structure(joint(), **column(mode, **ends), plane="stress")
 
@@ -69,37 +55,10 @@ def test_both_models_agree_on_a_sheet(name, mode):
     check_same(*(march(model, times) for model in (structure.interface(layer), structure.full(layer))))
 
 
-@pytest.mark.parametrize("order", [0, 1])
-def test_a_linear_law_is_condensed_as_in_closed_form(order):
-    """In bodies and layer, both models; plane strain gives other numbers."""
-    loads = {"TOP": lambda x, t: (0.3, -1.0 + x[0])}
-    states = {}
-    for kind in (LinearElastic, Plain):
-        body, layer = kind(80.0, 50.0), ThinLayer(kind(L, M), EPS, order=order if kind is LinearElastic else 0, at=1.0)
-        structure = Structure(joint(), body=body, supports={"BOTTOM": 0.0}, tractions=loads, plane="stress")
-        states[kind] = [solve(structure.full(layer)), solve(structure.interface(layer))]
-    if order == 0:
-        for a, b in zip(states[LinearElastic], states[Plain], strict=True):
-            assert b.u.x.array == pytest.approx(a.u.x.array, rel=EXACT, abs=EXACT * np.abs(a.u.x.array).max())
-            assert b.energies() == pytest.approx(a.energies(), rel=EXACT)
-            assert b.mean_stress() == pytest.approx(a.mean_stress(), rel=EXACT, abs=1e-12)
-            for one in (a, b):
-                stress = Probe(one).stress([(0.3, 0.2), (0.7, -0.4)])
-                assert np.abs(stress[:, :2, :2]).max() > 0.1
-                assert (stress[:, 2] == 0).all()
-    strained = solve(
-        Structure(joint(), body=LinearElastic(80.0, 50.0), supports={"BOTTOM": 0.0}, tractions=loads).interface(
-            ThinLayer(LinearElastic(L, M), EPS, at=1.0)
-        )
-    )
-    assert abs(strained.energies()["loads"] / states[LinearElastic][1].energies()["loads"] - 1) > 0.05
-
-
 def test_traction_of_a_sheet():
     """t_N = (lmbda' + 2 mu) w_N with lmbda' of plane stress, 4 mu w_N if incompressible: E/(1 - nu^2) for both."""
     for law, stiffness in (
         (LinearElastic(L, M), SHEET + 2 * M),
-        (Plain(L, M), SHEET + 2 * M),
         (Incompressible(M), 4 * M),
     ):
         state = solve(sheet(load=0.7).interface(ThinLayer(law, EPS, at=1.0)))
@@ -123,18 +82,6 @@ def test_where_no_strain_out_of_the_plane_is_found_the_error_says_so():
         solve(sheet(load=0.7).interface(ThinLayer(Pressed(M), EPS, at=1.0)))
 
 
-@pytest.mark.parametrize("build", ["full", "interface"])
-def test_parameters_that_vary_along_a_sheet(build):
-    """A function that is constant is the number; one that grows to the right makes the right stiffer."""
-    found = []
-    for mu in (M, lambda x: M + 0 * x[0], lambda x: M * (1 + x[0])):
-        law = Stack((0.5, Maxwell(L, mu, 0.7)), (0.5, MohrCoulomb(L, mu, 0.3, 30.0, 0.05)))
-        history = march(getattr(sheet(load=lambda t: 0.1 * t), build)(ThinLayer(law, EPS, at=1.0)), [0.2, 0.4])
-        found.append(history.last.energies()["layer"])
-    assert found[1] == pytest.approx(found[0], rel=EXACT)
-    assert found[2] < 0.95 * found[0]
-
-
 # ---------------------------------------------------------------- bodies
 def test_a_bar_of_metal_in_plane_stress():
     """Pulled along: e = s/E + (s - Y)/H, contracting alike in both directions."""
@@ -148,23 +95,3 @@ def test_a_bar_of_metal_in_plane_stress():
     assert np.abs(state.u.x.array).max() == pytest.approx(pull / E + (pull - 1.0) / 30.0, rel=1e-8)
     plastic = state.memory["body LOWER"]
     assert plastic[:, 0] == pytest.approx(plastic[:, 2], rel=1e-8)  # 11 and 33
-
-
-def test_a_thick_plastic_cylinder_of_revolution():
-    """Von Mises, nu = .499: the rim moves as in the closed form for an incompressible cylinder."""
-    mu, k, (a, b) = 50.0, 0.6, (1.0, 2.0)
-    closed = PlasticCylinder(a, b, mu, k)
-    body = VonMises(mu * 499.0, mu, strength=k * np.sqrt(3))
-    wall = sandwich(0.1, 0.5, 0.5, 0.1, cell="quadrilateral", structured=True).rotated(-np.pi / 2).moved((1.5, 0.0))
-    pressure = closed.pressure(1.6)
-    cylinder = Structure(
-        wall, body=body, supports={"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}},
-        tractions={"BOTTOM": lambda x, t: (pressure * t, 0.0)}, plane="axisymmetric",
-    )  # fmt: skip
-    state = march(cylinder.bonded(), [0.5, 0.7, 0.85, 0.95, 1.0]).last
-    u = state.u.x.array.reshape(-1, 2)
-    places = state.model.V.tabulate_dof_coordinates()
-    rim = u[np.isclose(places[:, 0], b), 0]
-    assert rim == pytest.approx(float(closed.displacement(pressure, np.array(b))), rel=1e-2)
-    elastic = pressure * a**2 / (1 - (a / b) ** 2) / (2 * mu * b)
-    assert rim.mean() > 1.1 * elastic

@@ -5,13 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms import Anisotropic, LinearElastic, Norton, Stack
-from forms.kinematics import ROOT2
+from forms import Norton, Stack
 from tests.at_points import DT, E2, jump_strain, material, respond, situation, traction
 from tests.laws_at_points import (
     EXACT,
-    K_N,
-    K_T,
     KELVIN,
     LAWS,
     LMBDA,
@@ -20,14 +17,13 @@ from tests.laws_at_points import (
     MU,
     NORTON_3,
     NORTON_15,
-    SOLID,
     STACKS,
     STIFF,
 )
 
 
 @pytest.mark.parametrize("theta", [1.0, 0.5])
-@pytest.mark.parametrize("name", ["Kelvin-Voigt", "Maxwell t1 != t2", "Norton 1.5", "Norton 3", "user", "point"])
+@pytest.mark.parametrize("name", ["Kelvin-Voigt", "Maxwell t1 != t2", "Norton 1.5", "user"])
 def test_sublayers_of_one_law_are_that_law(name, theta):
     law = LAWS[name]
     start = situation(law, theta)
@@ -73,16 +69,10 @@ def test_sublayers_share_traction_and_add_up_jumps(name, theta):
     assert now.energies == pytest.approx(energies, abs=1e-11 * np.abs(energies).max())
 
 
-def test_nested_stacks_are_taken_apart():
-    nested = STACKS["nested"]
-    assert nested.fractions == pytest.approx((0.2, 0.3, 0.5))
-    assert nested.laws == (MAXWELL, SOLID, STIFF)
-
-
 def test_elastic_sublayer_over_a_plastic_one_carries_its_limit():
     """The common traction is bounded by the plastic sublayer, the jump goes on in it."""
     law = STACKS["elastic, plastic"]
-    t_T = MISES.limit / ROOT2  # |dev stress| = sqrt 2 t_T in shear
+    t_T = MISES.strength / 3**0.5
     e, q, found = np.zeros((1, 6)), np.zeros((1, material(law).memory)), []
     for w in np.linspace(0.0, 1.0, 21)[1:]:
         old, e = e, jump_strain(np.array([[w, 0, 0]]), E2[None])
@@ -100,9 +90,6 @@ def test_elastic_sublayer_over_a_plastic_one_carries_its_limit():
     [
         (MAXWELL, NORTON_15),
         (MAXWELL, Norton(LMBDA, MU, 5.0, 1.2)),
-        (NORTON_3, NORTON_15),
-        (STIFF, MISES),
-        (LinearElastic(6e4, 4e4), LinearElastic(0.6, 0.4)),
         (KELVIN, MAXWELL, NORTON_15, NORTON_3, MISES),
     ],
     ids=lambda laws: ", ".join(f"{type(one).__name__} {getattr(one, 'p', '')}".strip() for one in laws),
@@ -133,12 +120,3 @@ def test_a_stack_finds_its_shares_for_steps_of_any_size(laws):
                     wrong[size, dt] = np.abs(left / scale).max()
                 q, stored = answer.q, answer.stored
     assert (failed, wrong) == ({}, {})
-
-
-def test_sublayers_with_springs_alone_in_plane_stress():
-    """Their stiffness out of the plane is not zero, or they could not be in series."""
-    springs = Anisotropic.springs(K_N, K_T)
-    law = Stack((0.5, springs), (0.5, Anisotropic.springs(2 * K_N, 2 * K_T))).plane_stress()
-    w = np.array([[0.3, 0.7, 0.0]])
-    answer = respond(law, jump_strain(w, E2[None]), 0 * jump_strain(w, E2[None]), np.zeros((1, 6)), E2[None], dt=0.0)
-    assert traction(answer.stress, E2[None])[0] == pytest.approx([0.3 * K_T * 4 / 3, 0.7 * K_N * 4 / 3, 0.0], rel=EXACT)

@@ -52,28 +52,6 @@ def told(action):
 
 
 # ---------------------------------------------------------------- tangents at rest
-@dataclass(frozen=True)
-class Unnamed(BulkLaw):
-    """Anisotropic elasticity that says nothing of its stiffness, and is not linear."""
-
-    law: BulkLaw
-
-    def stress(self, step):
-        return self.law.stress(step) * (1 + ufl.tr(step.e) ** 2)
-
-    def parameters(self):
-        return {}
-
-
-@pytest.mark.parametrize(("frame", "n"), [("layer", (0.48, -0.64, 0.6)), ("global", (0.0, 1.0))])
-def test_stiffness_by_differences(frame, n):
-    moduli = np.diag([7.0, 5, 9, 2, 3, 4])
-    moduli[:3, :3] += np.array([[0, 1.2, 0.7], [1.2, 0, 1.9], [0.7, 1.9, 0]])
-    moduli[0, 4] = moduli[4, 0] = 0.8
-    law, n = Anisotropic(moduli, frame), np.array(n)
-    assert tangent_at_rest(Unnamed(law), n) == pytest.approx(law.stiffness(n), abs=1e-6)
-
-
 @pytest.mark.parametrize("kind", [Own, Remembering])
 def test_tangent_of_own_laws(kind):
     for n in (np.array([0.28, 0.96]), np.array([0.48, -0.64, 0.6])):

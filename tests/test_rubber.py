@@ -10,10 +10,8 @@ import ufl
 from scipy.linalg import expm
 
 from forms import Incompressible, LinearElastic, Rubber
-from forms.base import InputError
 from geometry import sandwich
 from studies.problems import fourier
-from tests.orders import observed_orders
 from tests.ranges_told import told
 from thinlayer import Structure, Surface, ThinLayer, compare, march, solve
 
@@ -97,26 +95,6 @@ def test_closed_form_of_the_law(cell, allowed):
         assert np.linalg.norm(found(model) - wanted) < allowed * np.linalg.norm(wanted), nu
 
 
-def test_closed_form_in_three_dimensions():
-    """A wave along the diagonal of S, with the wave number pi sqrt(2), against meshed layers: error of order 2."""
-    joint = sandwich(1.0, 0.5, 0.5, 1 / 5, depth=1.0, cell="hexahedron", structured=True)
-    rollers = {name: {axis: 0.0} for name, axis in (("LEFT", "x"), ("RIGHT", "x"), ("FRONT", "z"), ("BACK", "z"))}
-
-    def top(x, t):
-        s, c, s3, c3 = (f(K * x[k]) for k in (0, 2) for f in (ufl.sin, ufl.cos))
-        return (0.4 * s * c3, c * c3, 0.4 * c * s3)
-
-    body = LinearElastic.young(100.0, 0.3)
-    structure = Structure(joint, body=body, supports={"BOTTOM": 0.0, **rollers}, tractions={"TOP": top})
-    errors = []
-    for eps in (1 / 8, 1 / 16):
-        law = Rubber(*of(40 * eps, 0.499)).scaled(1 / eps)
-        full = solve(structure.full(ThinLayer(law, eps, at=1.0), cells_through=1))
-        errors.append(compare(full, solve(structure.interface(ThinLayer(law, eps, order=1, at=1.0))))["error_jump"])
-    assert errors[0] < 0.05
-    assert observed_orders([1 / 8, 1 / 16], errors)[1] > 1.7
-
-
 def test_error_of_the_law_is_of_order_two_for_all_ratios():
     """Bounded by eps^2 uniformly, where the error of linear displacements through the layer is not."""
     for nu in (*np.linspace(0.02, 0.48, 20), 0.49, 0.499, 0.49999, 0.5):
@@ -128,49 +106,18 @@ def test_error_of_the_law_is_of_order_two_for_all_ratios():
         assert max(ratios) < 0.82 * 1.05, nu
 
 
-# Errors of the jump over that of the exact layer at eps = 1/8, mu = 40 eps: order 0, and the law; from hp elements.
-PRINTED = {
-    0.3: (1.1e-1, 4.9e-3),
-    0.45: (2.3e-1, 7.5e-3),
-    0.49: (0.37, 7.9e-3),
-    0.499: (0.42, 9.3e-3),
-    0.5: (None, 9.6e-3),
-}
-
-
-def order_0(lmbda: float, mu: float, eps: float) -> np.ndarray:
-    springs = np.zeros((4, 4))
-    springs[:2, 2:] = np.diag([eps / mu, eps / (lmbda + 2 * mu)])
-    return jumps(np.eye(4) + springs)
-
-
-@pytest.mark.parametrize("nu", PRINTED)
-def test_errors_of_the_laws(nu):
-    """Those of hp elements, within the digits printed."""
-    eps = 1 / 8
-    lmbda, mu = of(40 * eps, nu)
-    exact = jumps(expm(transfer(lmbda, mu) * eps))
-    for law, printed in zip((order_0, of_law), PRINTED[nu], strict=True):
-        if printed:
-            error = np.linalg.norm(law(lmbda, mu, eps) - exact) / np.linalg.norm(exact)
-            assert error == pytest.approx(printed, rel=0.05)
-
-
-@pytest.mark.parametrize("nu", [0.3, 0.45, 0.499])
-def test_errors_against_the_meshed_layer(nu):
-    """Those of transfer matrices; the elastic law of order 0 beside it."""
+def test_errors_against_the_meshed_layer():
+    """Those of transfer matrices."""
     joint, setup = fourier(1 / 32, cell="quadrilateral")
-    eps = 1 / 8
-    lmbda, mu = of(40 * eps, nu)
-    structure, law = Structure(joint, **setup), Rubber(lmbda, mu).scaled(1 / eps)
-    full = solve(structure.full(ThinLayer(law, eps, at=1.0), cells_through=4))
-    elastic = LinearElastic(lmbda, mu).scaled(1 / eps)
-    exact = jumps(expm(transfer(lmbda, mu) * eps))
-    for one, layer in ((of_law, ThinLayer(law, eps, order=1, at=1.0)), (order_0, ThinLayer(elastic, eps, at=1.0))):
-        limit = one(lmbda, mu, eps)
-        state = told(lambda layer=layer: solve(structure.interface(layer)))[0]
+    eps, structure = 1 / 8, Structure(joint, **setup)
+    for nu in (0.3, 0.499):
+        lmbda, mu = of(40 * eps, nu)
+        law = Rubber(lmbda, mu).scaled(1 / eps)
+        full = solve(structure.full(ThinLayer(law, eps, at=1.0), cells_through=4))
+        exact, limit = jumps(expm(transfer(lmbda, mu) * eps)), of_law(lmbda, mu, eps)
+        state = solve(structure.interface(ThinLayer(law, eps, order=1, at=1.0)))
         wanted = np.linalg.norm(limit - exact) / np.linalg.norm(limit)
-        assert compare(full, state)["error_jump"] == pytest.approx(wanted, rel=0.03)
+        assert compare(full, state)["error_jump"] == pytest.approx(wanted, rel=0.03), nu
 
 
 def test_meshed_layer_does_not_lock():
@@ -215,39 +162,15 @@ def test_free_ends():
         x = state.p.function_space.tabulate_dof_coordinates()[:, 0]
         ends = np.abs(state.p.x.array[[np.argmin(x), np.argmax(x)]]) < 1e-12 * np.abs(state.p.x.array).max()
         assert tuple(ends) == zero
-    coarse = sandwich(1.0, 0.5, 0.5, 1 / 8)
-    structure = Structure(coarse, body=stiff, supports={"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": -0.01}})
-    thin = ThinLayer(Rubber.shear(1.0, 0.3), eps, order=1)
-    _, said = told(lambda: solve(structure.interface(thin)))
-    assert len(said) == 1
-    assert "not set to zero there" in said[0]
 
 
-def test_one_free_end_at_the_origin():
-    joint = sandwich(1.0, 0.5, 0.5, 1 / 8, h_ends=1 / 40).moved((-1.0, 0.0))
-    held = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": -0.01}, "LEFT": {"x": 0.0}}
-    layer = ThinLayer(Rubber.shear(1.0, 0.49), 1 / 16, order=1)
-    p = solve(Structure(joint, body=LinearElastic.young(1e5, 0.3), supports=held).interface(layer)).p
-    x = p.function_space.tabulate_dof_coordinates()[:, 0]
-    assert abs(p.x.array[np.argmax(x)]) < 1e-12 * np.abs(p.x.array).max()
-
-
-@pytest.mark.parametrize("theta", [1.0, 0.5])
-def test_march(theta):
+def test_march():
     """Steps in time find the states of single solves, and their energy balance closes."""
     joint, setup = fourier(1 / 8)
     setup["tractions"] = {"TOP": lambda x, t: (0.5 * t * ufl.sin(K * x[0]), t * ufl.cos(K * x[0]))}
     model = Structure(joint, **setup).interface(ThinLayer(Rubber(90.0, 3.0), 0.1, order=1, at=1.0))
-    history = march(model, [0.25, 1.0], theta=theta)
+    history = march(model, [0.25, 1.0], theta=0.5)
     at_once = solve(model, t=1.0)
     for state in history:
         assert abs(state.audit.imbalance) < 1e-10
     assert history.last.energies() == pytest.approx(at_once.energies(), rel=1e-9)
-
-
-def test_refused():
-    joint, setup = fourier(1 / 4)
-    negative = ThinLayer(Rubber(lambda x: 90.0 - 100 * x[0], 3.0), 0.1, order=1, at=1.0)
-    for build in (Structure.full, Structure.interface):
-        with pytest.raises(InputError, match=r"lmbda is -.*allowed: > 0.*, at x = "):
-            build(Structure(joint, **setup), negative)

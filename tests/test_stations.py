@@ -11,10 +11,9 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 from scipy.spatial.transform import Rotation
 
-from forms import BulkLaw, Incompressible, KelvinVoigt, LinearElastic, Rubber, Stack
+from forms import BulkLaw, LinearElastic, Stack
 from forms.base import InputError
 from forms.elastic import lame
-from forms.stations import LOCKING, at_gauss_points
 from forms.work import Interface, energy, surface
 from geometry import sandwich
 from thinlayer import Structure, ThinLayer
@@ -120,74 +119,14 @@ class Locking(BulkLaw):
         return lame(self.lmbda, self.mu, step.mid)
 
 
-@dataclass(frozen=True)
-class Free(Locking):
-    """With stations of its own."""
-
-    def stations(self):
-        def difference(law, faces):
-            e = faces.in_s(faces.difference)
-            return e - law.lmbda / (law.lmbda + 2 * law.mu) * ufl.tr(e) * faces.normal
-
-        return at_gauss_points(self, difference)
-
-
-def test_a_law_with_stations_of_its_own():
-    """They say up to which lmbda/mu they hold; with those of `LinearElastic` a law has its energy."""
-    assert {one.largest_ratio for one in Locking(1.0, 1.0).stations()} == {LOCKING}
+def test_a_law_says_up_to_which_ratio_its_stations_hold():
     plates = Structure(sandwich(1.0, 0.5, 0.5, 0.5), body=LinearElastic.young(100.0, 0.3), supports={"BOTTOM": 0.0})
-    for law in (Locking, Free):
-        plates.interface(ThinLayer(law(11.9, 1.0), 0.1, order=1, at=1.0))
+    plates.interface(ThinLayer(Locking(11.9, 1.0), 0.1, order=1, at=1.0))
     with pytest.raises(InputError, match=r"order=1 of Locking with lmbda/mu = 12.1"):
         plates.interface(ThinLayer(Locking(12.1, 1.0), 0.1, order=1, at=1.0))
-    facet = Facet(2)
-    sides, u = (Interface.between_bodies(facet.dS), fem.Function(fem.functionspace(facet.mesh, ("DG", 1, (2,)))))
-    u.x.array[:] = np.random.default_rng(5).normal(size=u.x.array.size)
-    work = [
-        sum(facet_energy(term, u, facet) for term in surface(law, sides, EPS, 1))
-        for law in (Free(9.0, 2.0), LinearElastic(9.0, 2.0), Locking(9.0, 2.0))
-    ]
-    assert work[0] == pytest.approx(work[1], rel=1e-12)
-    assert work[2] > (1 + 1e-6) * work[1]
-
-
-def facet_energy(term, u, facet):
-    """Half the work of the stress in the strain."""
-    e = term.strain(u)
-    return facet.integral(ufl.inner(lame(term.law.lmbda, term.law.mu, e), e) * term.weight) / 2
-
-
-def test_stations_go_with_the_stress():
-    """A law with another stress does not inherit them, nor the moduli with which a sublayer shares the jump."""
-
-    class Doubled(LinearElastic):
-        def stress(self, step):
-            return 2 * super().stress(step)
-
-    law = Doubled(60.0, 40.0)
-    assert type(law).stations is BulkLaw.stations
-    with pytest.raises(InputError, match="order=1 of a Stack with the sublayer"):
-        ThinLayer(Stack((0.5, LinearElastic(60.0, 40.0)), (0.5, law)), 0.1, order=1, at=1.0)
-    again = type("Again", (Doubled,), {name: vars(LinearElastic)[name] for name in ("stations", "elastic_moduli")})
-    assert (
-        len(ThinLayer(Stack((0.5, LinearElastic(60.0, 40.0)), (0.5, again(60.0, 40.0))), 0.1, 1, at=1.0).law.stations())
-        == 4
-    )
-
-
-def test_stations_of_laws_with_a_pressure():
-    """One with the mean strain, and the flow of its pressure; one with plane stress's law."""
-    for law, lateral in ((Rubber(900.0, 2.0), 2 * 900 * 2 / 904), (Incompressible(2.0), 4.0)):
-        whole, along = law.stations()
-        assert whole.law is law
-        assert (whole.share, along.share) == (1, 1 / 12)
-        assert whole.flow(law) == pytest.approx(1 / 24)
-        assert (along.law.lmbda, along.law.mu) == pytest.approx((lateral, 2.0))
 
 
 def test_functions_need_sides_that_know_them():
     facet, law = Facet(2), LinearElastic(lambda x: 60 + x[0], 40.0)
     with pytest.raises(InputError, match=r"parameters that are functions: the sides of S must know their values"):
         surface(law, Interface.between_bodies(facet.dS), EPS, 1)
-    assert len(surface(law, Interface.between_bodies(facet.dS), EPS)) == 1
-    assert KelvinVoigt(3.0, 2.0, 0.3, 0.5).stations()[0].largest_ratio == LOCKING

@@ -21,7 +21,7 @@ class FreeEnd:
     """Constants of a free end that stands at a right angle on an isotropic layer between faces much stiffer than it.
 
     Plane strain, or plane stress with the ratio nu/(1 + nu). Lengths are over the thickness, stresses over mu, and
-    M = lmbda + 2 mu. At nu = 0.5 c_N, m_N and rho_N are infinite. Source: `forms.ends.half_strip`.
+    M = lmbda + 2 mu. At nu = 0.5 c_N, m_N and rho_N are infinite. Source: `studies/half_strip.py`.
 
     Attributes:
         nu: Poisson's ratio of the layer.

@@ -14,10 +14,10 @@ from dolfinx.mesh import Mesh
 
 from forms.base import Array, InputError, is_number, require
 from forms.contact import ContactLaw
-from forms.kinematics import Expr
+from forms.kinematics import Expr, average_lame
 from forms.law import BulkLaw, Law
 from forms.planes import Kinematics
-from forms.trace import average_lame, is_checked_at_rest, known_at_rest, require_stable, tangent_over
+from forms.trace import is_checked_at_rest, known_at_rest, require_stable, tangent_over
 from forms.traction import TractionLaw
 from geometry.domain import Domain
 from geometry.joint import Joint, Profile

@@ -12,9 +12,10 @@ import numpy.typing as npt
 
 from forms.base import InputError
 from forms.elastic import LARGEST_NU, ROUNDING, LinearElastic, poisson_ratio
+from forms.kinematics import average_lame
 from forms.law import BulkLaw
 from forms.rubber import Rubber
-from forms.trace import average_lame, is_isotropic, known_at_rest
+from forms.trace import is_isotropic, known_at_rest
 from geometry.refusals import place
 from geometry.sheet import Rim, straight_ends
 from geometry.topology import BoolArray, FloatArray, is_tensor

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +20,7 @@ from thinlayer.pointwise.material_point import COMPONENTS, MaterialPoint, Materi
 from thinlayer.system.table import Table
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class PointHistory:
     """Response of a law at a point, one row for each step; components in the frame of S, tangential ones first.
 
@@ -47,10 +47,6 @@ class PointHistory:
 
     def __len__(self) -> int:
         return len(self.t)
-
-    def __repr__(self) -> str:
-        span = f", t = {self.t[0]:g} to {self.t[-1]:g}" if len(self) else ""
-        return f"PointHistory({len(self)} steps{span}, n = {self.n.tolist()})"
 
     @property
     def table(self) -> Table:
@@ -91,14 +87,9 @@ def drive(
     """
     if not isinstance(law, Law) or law.traits.nodal or law.traits.constrained:
         raise InputError(f"a point's law is {law!r}; allowed: laws that give a stress for a strain, or a TractionLaw")
-    if law.fields:
-        name = next(iter(law.fields))
-        raise InputError(f"{type(law).__name__}: {name} is a function of the place; a point needs a number")
-    if law.traits.varies:
-        raise InputError(f"{type(law).__name__} at a point needs a temperature that is a number, not a field")
-    if isinstance(steps, (str, Mapping)) or not isinstance(steps, Iterable):
-        example = "[{'w_T': 0.01, 't_N': -1.0}, ...]"
-        raise InputError(f"steps is {steps!r}; it must be a sequence of dictionaries, one for each step: {example}")
+    if law.fields or law.traits.varies:
+        name = next(iter(law.fields), "a parameter")
+        raise InputError(f"{type(law).__name__}: {name} is a function of the place, or of time; a point needs numbers")
     steps = list(steps)
     normal, axes = _frame(n)
     law.check_dimension(len(normal))
@@ -112,10 +103,9 @@ def drive(
         raise InputError(f"theta is {theta}; {type(law).__name__} holds at the ends of steps: theta = 1")
     if law.traits.rate and (lengths == 0).any():
         raise InputError(f"dt is 0 in step {np.argmin(lengths) + 1}; {type(law).__name__} lets no jump change at once")
-    timeless = f"dt is missing: {type(law).__name__} depends on the length of the steps in time"
     point = MaterialPoint(law.of_strains(), normal, axes, float(theta))
     if no_time and any(takes_time(one) for _, one in point.law.sublayers):
-        raise InputError(timeless)
+        raise InputError(f"dt is missing: {type(law).__name__} depends on the length of the steps in time")
     states = [point.rest()]
     parts: list[int] = []
 

@@ -1,6 +1,6 @@
 """Laws as compiled functions of one point.
 
-A law written in UFL is differentiated by UFL and compiled by FFCx; a `KernelLaw` is compiled by numba, or from C. Each is
+A law written in UFL is differentiated by UFL and compiled by FFCx; a `KernelLaw` is C. Each is
 then a C function of two arrays of numbers,
 
     in:  e (6), e_old (6), q, n (3), dt, theta, parameters
@@ -12,7 +12,7 @@ out of the compiled code: a law is compiled once, whatever its parameters and it
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +27,9 @@ from forms.declarations import SIZES
 from forms.kernel import KernelLaw
 from forms.kinematics import Expr, mandel
 from forms.law import BulkLaw, Step
-from forms.trace import Symbolic, key, named, require_numbers_alone, symbolic
-from thinlayer.system.compilation import SourceError, library
-from thinlayer.system.identity import described, digest
+from forms.trace import Symbolic, named, require_numbers_alone, symbolic
+from thinlayer.system.compilation import library
 
-ARGUMENTS = 7  # number of arguments of FFCx's C functions; older releases have fewer, and ignore the rest
-FIXED_IN, FIXED_OUT = 6 + 6 + 3 + 2, 6 + 36 + 3
 C_KERNEL = "int{}(double *out, const void *, const double *in)"
 
 
@@ -67,22 +64,15 @@ def kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
 
     Raises:
         InputError: a law is not what it declares, see `forms.check`; it is the same on all ranks.
+        SourceError: a C source cannot be compiled.
     """
-    return [_kernel(comm, one, a) for a, one in law.sublayers]
-
-
-def _kernel(comm: MPI.Intracomm, law: BulkLaw, fraction: float) -> Kernel:
     check(law)
-    if law.in_space is not law:
-        return replace(_kernel(comm, law.in_space, fraction), plane=True)
-    numbers = law.parameter_values()
-    if not isinstance(law, KernelLaw):
-        address, keep = _compiled_by_ffcx(comm, law)
-    elif law.source is not None:
-        address, keep = _compiled_from_c(comm, law)
-    else:
-        address, keep = _compiled_by_numba(type(law), len(numbers))
-    return Kernel(address, law.memory, numbers, fraction, keep=keep)
+    compiled = []
+    for fraction, sublayer in law.sublayers:
+        one: Any = sublayer.in_space
+        address, keep = _compiled_from_c(comm, one) if isinstance(one, KernelLaw) else _compiled_by_ffcx(comm, one)
+        compiled.append(Kernel(address, one.memory, one.parameter_values(), fraction, one is not sublayer, keep))
+    return compiled
 
 
 def memory_slots(law: BulkLaw, name: str, shape: tuple[int, ...] = ()) -> list[tuple[float, BulkLaw, int]]:
@@ -97,7 +87,7 @@ def memory_slots(law: BulkLaw, name: str, shape: tuple[int, ...] = ()) -> list[t
 
 
 # ---------------------------------------------------------------- laws written in UFL
-_COMPILED: dict[Any, tuple[int, Any]] = {}  # by key of the equations; this package's laws also by name
+_COMPILED: dict[Any, tuple[int, Any]] = {}  # this package's laws, by name; others may read what has changed
 
 
 def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
@@ -106,15 +96,19 @@ def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
         return _COMPILED[name]
     point = symbolic(law)
     outputs = _outputs(law, point)
-    computed = key(outputs)
-    if comm.allreduce(int(computed not in _COMPILED)):
-        require_numbers_alone(law, point.numbers, outputs)
-        expression, module, _ = jit.ffcx_jit(comm, (_point_expression(point, outputs), np.zeros((1, 1))))
-        address = int(module.ffi.cast("intptr_t", expression.tabulate_tensor_float64))
-        _COMPILED[computed] = address, (expression, module)
+    require_numbers_alone(law, point.numbers, outputs)
+    (stress, *memory), tangent = outputs[:-3], ufl.diff(outputs[0], point.strain)
+    rows = [
+        *(stress[i] for i in range(6)),
+        *memory,
+        *(tangent[i, j] for i in range(6) for j in range(6)),
+        *outputs[-3:],
+    ]
+    expression, module, _ = jit.ffcx_jit(comm, (ufl.as_vector(rows), np.zeros((1, 1))))
+    compiled = int(module.ffi.cast("intptr_t", expression.tabulate_tensor_float64)), (expression, module)
     if name is not None:
-        _COMPILED[name] = _COMPILED[computed]
-    return _COMPILED[computed]
+        _COMPILED[name] = compiled
+    return compiled
 
 
 def _outputs(law: BulkLaw, point: Symbolic) -> list[Expr]:
@@ -126,14 +120,6 @@ def _outputs(law: BulkLaw, point: Symbolic) -> list[Expr]:
     if law.traits.has_energy:
         energies = [one.energy(Step(step.e, step.n, q=new)), one.dissipated(step), one.remainder(step)]
     return [stress, *memory, *map(ufl.as_ufl, energies)]
-
-
-def _point_expression(point: Symbolic, outputs: list[Expr]) -> Expr:
-    """A vector of the outputs and the tangent, a function of one Constant with all inputs."""
-    stress, *memory = outputs[:-3]
-    tangent = ufl.diff(stress, point.strain)
-    rows = [*(stress[i] for i in range(6)), *memory, *(tangent[i, j] for i in range(6) for j in range(6))]
-    return ufl.as_vector([*rows, *outputs[-3:]])
 
 
 def _packed(value: Expr, shape: tuple[int, ...]) -> list[Expr]:
@@ -148,50 +134,8 @@ def _compiled_from_c(comm: MPI.Intracomm, law: KernelLaw) -> tuple[int, Any]:
     name, source = type(law).__name__, law.source
     if not isinstance(source, (str, Path)):
         raise InputError(f"{name}.source is {source!r}; it must be the name of a C file")
-    try:
-        module = library(Path(source), comm)
-    except SourceError as error:
-        raise InputError(f"{name}: {error}") from error
+    module = library(Path(source), comm)
     function, ffi = getattr(module.lib, "kernel", None), module.ffi
     if function is None or ffi.typeof(function) is not ffi.typeof(C_KERNEL.format("(*)")):
         raise InputError(f"{name}: {str(source)!r} has no function {C_KERNEL.format(' kernel')}")
     return int(ffi.cast("intptr_t", ffi.addressof(module.lib, "kernel"))), module
-
-
-_BY_NUMBA: dict[Any, tuple[int, Any]] = {}
-
-
-def _compiled_by_numba(law: Any, n_parameters: int) -> tuple[int, Any]:
-    source = digest(described(law.kernel)), law.memory, n_parameters
-    if source not in _BY_NUMBA:
-        _BY_NUMBA[source] = _by_numba(law, n_parameters)
-    return _BY_NUMBA[source]
-
-
-def _by_numba(law: Any, n_parameters: int) -> tuple[int, Any]:
-    import numba  # takes half a second
-
-    inner, memory = numba.njit(law.kernel, error_model="numpy"), law.memory
-
-    @numba.njit
-    def kernel(*arguments):  # type: ignore[no-untyped-def]
-        try:
-            return inner(*arguments)
-        except Exception:
-            return False
-
-    pointer = numba.types.CPointer(numba.types.double)
-
-    @numba.cfunc(numba.void(*[pointer] * ARGUMENTS))
-    def function(out_, w, in_, x, entity, permutation, custom):  # type: ignore[no-untyped-def]
-        z = numba.carray(in_, FIXED_IN + memory + n_parameters)
-        out = numba.carray(out_, FIXED_OUT + memory)
-        a, b = 12 + memory, 6 + memory
-        ok = kernel(
-            z[:6], z[6:12], z[12:a], z[a + 3], z[a + 4], z[a : a + 3], z[a + 5 :],
-            out[:6], out[b : b + 36].reshape((6, 6)), out[6:b], out[b + 36 :],
-        )  # fmt: skip
-        if not ok:
-            out[0] = np.nan
-
-    return function.address, function

@@ -19,8 +19,6 @@ ITERATIONS, SHORTENINGS = 60, 25  # limits of the Newton iterations, and of the 
 LEAST_PART = 2.0**-10  # smallest fraction of a step that is tried
 FARTHEST = 2.0**25  # longest step along a null vector of a singular tangent, relative to the elastic step
 TOLERANCE, LOOSE_TOLERANCE = 1e-12, 1e-9  # relative error of tractions: wanted; accepted if Newton's method stagnates
-ROUNDING = 1e-15  # least relative change of a jump
-STEEP = 1e3  # Newton steps shorter than this many least changes are dominated by rounding
 
 
 class MaterialPointState(NamedTuple):
@@ -122,33 +120,12 @@ class MaterialPoint:
         def missing(state: MaterialPointState) -> float:
             return float(np.abs(goal - state.traction)[free].max(initial=0.0))
 
-        def moved(state: MaterialPointState, step: Array) -> MaterialPointState | None:
-            w = state.w.copy()
-            w[free] += step
-            return self._respond(old, w, dt)
-
         def along(step: Array, most: float) -> MaterialPointState | None:
             """A state between `now` and a step that misses no more traction than this; None if there is none."""
-            tried = (moved(now, 0.5**shortening * step) for shortening in range(SHORTENINGS))
+            whole = np.zeros(len(free))
+            whole[free] = step
+            tried = (self._respond(old, now.w + 0.5**shortening * whole, dt) for shortening in range(SHORTENINGS))
             return next((state for state in tried if state is not None and missing(state) <= most), None)
-
-        def out_of_rounding(step: Array) -> MaterialPointState | None:
-            """A state that misses less traction where the tangent is almost infinite, as for a dashpot at rest.
-
-            Newton steps are then lost in the rounding of the jump; steps here grow from the least change of the jump.
-            Returns `now` if already this least change alters the tractions by more than is missing: only rounding is left.
-            Returns None if no step helps, or if the tangent is not that large.
-            """
-            size, least = np.abs(step).max(), ROUNDING * np.abs(now.w).max()
-            if not 0 < size <= STEEP * least:
-                return None
-            for k in range(SHORTENINGS):
-                state = moved(now, 4**k * least / size * step)
-                if state is None or missing(state) <= error * (1 - 1e-4):
-                    return state
-                if np.abs(state.traction - now.traction)[free].max() > error:
-                    return now if k == 0 else None
-            return None
 
         self._respond(old, old.w, dt)  # sets self.stiffness
         reached = self._respond(old, np.where(jumps_given, goal, old.w), dt)
@@ -164,8 +141,8 @@ class MaterialPoint:
             if np.linalg.cond(slope) < 1e13:
                 farther = 1.0
                 step = np.linalg.solve(slope, left)
-                found = along(step, error * (1 - 1e-4)) or out_of_rounding(step)
-            if found is now or (found is None and error <= LOOSE_TOLERANCE * scale):
+                found = along(step, error * (1 - 1e-4))
+            if found is None and error <= LOOSE_TOLERANCE * scale:
                 return now
             if found is None:
                 found = along(farther * left / self.stiffness, error)

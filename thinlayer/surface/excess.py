@@ -11,8 +11,9 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 
+from forms.kinematics import average_lame
 from forms.law import BulkLaw
-from forms.trace import across, average_lame, in_plane_modulus
+from forms.trace import across, in_plane_modulus
 from geometry.topology import FloatArray
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model

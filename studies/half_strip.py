@@ -1,0 +1,119 @@
+"""The free end of a layer between rigid faces: plane strain on the half strip x > 0, 0 < y < 1, and its constants.
+
+The faces y = 0 and y = 1 are moved by -+w/2 across the layer (N) or along it (T), and the end x = 0 is free. Far from
+it the strain is uniform; near it the layer is weaker. Lengths are over the thickness of the layer, stresses over mu.
+
+A few quadrilaterals shrink towards the singular corner, with displacements of a high degree p and pressures of degree
+p - 2. The pressures are discontinuous, so that nothing locks up to an incompressible material.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import basix.ufl
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from scipy.sparse.linalg import splu
+
+import thinlayer.system.compat  # noqa: F401  # before any form is compiled
+from forms.base import Array
+from forms.ends.constants import FreeEnd, flow_factor, lame_over_mu
+from forms.kinematics import Expr
+from geometry.domain import create_mesh
+
+MIDDLE = 0.5  # y of the middle line: what is solved is the half of the strip below it
+FAR = 14.0  # where what decays over the thickness has gone
+RATIO = 0.2  # of the sizes of cells that shrink towards the corner
+LEVELS, DEGREE = 10, 10  # how often they shrink, and the degree of displacements: constants to nine digits
+SPLIT = -0.5  # first Lame modulus over mu that is left beside the pressure: the rest stays positive definite
+
+
+def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> FreeEnd:
+    """Solve for the constants of a free end.
+
+    Args:
+        nu: Poisson's ratio, in [0, 0.5].
+        degree: of the displacements; >= 3.
+        levels: how often cells shrink by `RATIO` towards the corner.
+
+    Raises:
+        InputError: nu out of range.
+    """
+    lmbda = lame_over_mu(nu)
+    delta = math.sqrt(lmbda / 12) if lmbda < math.inf else 0.0  # length over which the pressure of N falls
+    mesh = _mesh(levels, max(FAR, 24 * delta), 2 * delta)
+    cell, variants = "quadrilateral", basix.LagrangeVariant
+    displacement = basix.ufl.element("P", cell, degree, lagrange_variant=variants.gll_warped, shape=(2,))
+    pressure = basix.ufl.element("P", cell, degree - 2, lagrange_variant=variants.legendre, discontinuous=True)
+    W = fem.functionspace(mesh, basix.ufl.mixed_element([displacement, pressure]))
+    (u, p), (v, q), x = ufl.TrialFunctions(W), ufl.TestFunctions(W), ufl.SpatialCoordinate(mesh)
+    exact = {"quadrature_degree": 2 * degree + 5}
+    dx = ufl.Measure("dx", domain=mesh, metadata=exact)
+    side = dolfinx.mesh.locate_entities_boundary(mesh, 1, lambda x: x[0] < RATIO ** (levels + 1))
+    tags = dolfinx.mesh.meshtags(mesh, 1, side, np.ones(len(side), np.int32))
+    end = ufl.Measure("ds", domain=mesh, subdomain_data=tags, metadata=exact)(1)
+
+    def stress(u: Expr, p: Expr) -> Expr:
+        return (SPLIT * ufl.div(u) + p) * ufl.Identity(2) + 2 * ufl.sym(ufl.grad(u))
+
+    compliance = fem.Constant(mesh, 1 / (lmbda - SPLIT))
+    form = ufl.inner(stress(u, p), ufl.grad(v)) * dx + q * (ufl.div(u) - compliance * p) * dx
+    K = fem.assemble_matrix(fem.form(form)).to_scipy().tocsr()
+
+    def dofs(space: fem.FunctionSpace, where: Callable[[Array], Any]) -> npt.NDArray[np.int32]:
+        return np.asarray(fem.locate_dofs_geometrical((space, space.collapse()[0]), where)[0])
+
+    faces = dofs(W.sub(0), lambda x: (x[1] < 1e-13) | np.isclose(x[0], x[0].max()))
+
+    def loaded(traction: Expr, odd: int) -> tuple[float, Callable[[Expr], float]]:
+        """Work of tractions on the end, with faces that do not move; and integrals of f(stress).
+
+        The component `odd` of displacements is zero on the middle line.
+        """
+        load = fem.assemble_vector(fem.form(ufl.inner(traction, v) * end)).array
+        held = np.union1d(faces, dofs(W.sub(0).sub(odd), lambda x: np.isclose(x[1], MIDDLE)))
+        free, w = np.setdiff1d(np.arange(len(load)), held), fem.Function(W)
+        w.x.array[free] = splu(K[free][:, free].tocsc()).solve(load[free])
+        s = stress(*ufl.split(w))
+        return float(load @ w.x.array), lambda f: float(fem.assemble_scalar(fem.form(f(s) * dx)))
+
+    X, Y, none = x[0], x[1] - MIDDLE, 0 * x[0]
+    # T: u_x is odd in y - 1/2; the end is pushed by mu w, which the uniform strain misses there
+    work, total = loaded(ufl.as_vector([none, none + 1]), odd=0)
+    c_T, m_T = 2 * work, -2 * total(lambda s: s[0, 1] * X + s[0, 0] * Y)
+    if nu == 0.5:
+        # Poiseuille's flow out of the end, 1/8 - (y - 1/2)^2/2 with the pressure x, has a shear stress on it
+        work, _ = loaded(ufl.as_vector([none, -Y]), odd=1)
+        return FreeEnd(nu, math.inf, math.inf, math.inf, c_T, m_T, 1 / (1 - 24 * work))
+    # N: u_y is odd in y - 1/2; the end is pressed by lmbda w, here by 1
+    work, total = loaded(ufl.as_vector([none + 1, none]), odd=1)
+    M = lmbda + 2
+    c_N, rho_N = 2 * work * lmbda**2 / M, -2 * total(lambda s: s[0, 0])
+    m_N = -2 * lmbda / M * total(lambda s: s[1, 1] * X + s[0, 1] * Y)
+    kappa = flow_factor(delta, c_N * M / lmbda - delta) if lmbda else 0.0
+    return FreeEnd(nu, c_N, m_N, rho_N, c_T, m_T, kappa)
+
+
+def _mesh(levels: int, length: float, longest: float) -> dolfinx.mesh.Mesh:
+    """A square whose cells shrink to its corner (0, 0), and a row of cells up to a length, not longer than another."""
+    points, cells = [(0.0, 0.0)], []
+    for size in MIDDLE * RATIO ** np.arange(levels, -1, -1.0):  # a square, then pairs of trapezoids around it
+        k = len(points)
+        points += [(size, 0.0), (0.0, size), (size, size)]
+        cells += [[0, 1, 2, 3]] if k == 1 else [[k - 2, k - 1, k + 1, k + 2], [k - 3, k, k - 1, k + 2]]
+    right, step = [len(points) - 3, len(points) - 1], MIDDLE
+    while points[-1][0] < length:
+        if points[-1][0] > FAR / 2:
+            step = max(step, min(1.5 * step, longest))
+        x, k = points[-1][0] + step, len(points)
+        points += [(x, 0.0), (x, MIDDLE)]
+        cells.append([right[0], k, right[1], k + 1])
+        right = [k, k + 1]
+    return create_mesh(MPI.COMM_SELF, np.array(points), np.array(cells), "quadrilateral")
