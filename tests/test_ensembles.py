@@ -65,7 +65,7 @@ def alone():
     return ensemble(make, RUNS)
 
 
-@on_ranks(by_one, 3)
+@on_ranks(by_one, 2)
 def test_ranks_give_the_rows_of_one_process(alone, there, their_folder):
     require_rows(alone, there, 1, their_folder)
 

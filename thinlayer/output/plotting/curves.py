@@ -76,6 +76,9 @@ def rates(
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.minorticks_off()
+    if len(lines) > 5:
+        axes.get_legend().remove()
+        figure.legend(loc="outside lower center", ncols=2, frameon=False)
     return finish(figure, save)
 
 
