@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import ufl
-from studies.tubes import lame
+from studies.cylinders import lame
 
 from forms import Anisotropic, LinearElastic
 from forms.base import InputError
