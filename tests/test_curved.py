@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import ufl
-from studies.cylinders import lame
 
 from forms import Anisotropic, LinearElastic
 from forms.base import InputError
 from geometry import ring
 from geometry.seam import Seam
+from studies.cylinders import lame
 from studies.problems import FOURIER_LAYER, fourier
 from tests.meshes import part_of
 from tests.orders import observed_orders

@@ -76,7 +76,7 @@ DIFFERENT = {
     "element": "rank 1: element 'P7' does not exist",
     "options": "different options: .*ksp_type",
     "times": "different times",
-    "observed": r"observe\['one'\] at t = 0: the ranks find 1, 2; let the function return the sum, or the largest, of",
+    "observed": r"observe\['one'\] at t = 0: the ranks find 1, 2; let it return the sum, or the largest, of",
     "run": "rank 1: ZeroDivisionError",
     "where": "different where",
     "observed by one": r"observe\['one'\] at t = 0: rank 1: ZeroDivisionError",

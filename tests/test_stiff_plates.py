@@ -41,5 +41,5 @@ def test_plates(law, cell):
 
 def test_rounding_is_told():
     layer = ThinLayer(Rubber(modulus(0.499), MU), EPS, order=1)
-    with pytest.raises(SolveError, match=r"lost in rounding; take moduli .* times smaller"):
+    with pytest.raises(SolveError, match=r"lost in rounding; take their moduli .* times smaller"):
         solve(strip(1e12 * MU, "quadrilateral", pulled=True).interface(layer))

@@ -20,6 +20,9 @@ from forms.base import Array, InputError
 from thinlayer.errors import SolveError
 
 PREFIX = "thinlayer_"
+# PETSc's error codes that a wrong value of an option can cause: not supported, wrong, out of range, wrong state, user's
+# function missing, unknown type, no such factorisation
+OPTION_ERRORS = (56, 62, 63, 73, 83, 86, 92)
 OptionValue = str | int | float | bool | None
 Options = Mapping[str, OptionValue]  # names without the prefix -> values
 _PLACED: set[str] = set()  # names, without the prefix, of the options that `defaults` has put into PETSc's database
@@ -86,13 +89,19 @@ def chosen(ours: Options, given: Options | None = None) -> Iterator[None]:
     """Within a `with` block, PETSc's database has our options, and those of a script, which override them.
 
     Raises:
-        SolveError: PETSc, or a library that it calls, has failed, so that a march can try a shorter step; or it does not
-            take the value of an option.
+        InputError: PETSc does not take the value of one of the user's options.
+        SolveError: PETSc, or a library that it calls, has failed, so that a march can try a shorter step.
     """
-    with defaults({**ours, **(given or {})}):
+    given = given or {}
+    with defaults({**ours, **given}):
         try:
             yield
         except PETSc.Error as error:
+            found = options_set()
+            theirs = sorted(found.keys() - _PLACED.intersection(ours.keys() - given.keys()))
+            if error.ierr in OPTION_ERRORS and theirs:
+                listed = ", ".join(f"-{PREFIX}{name} {found[name]}" for name in theirs)
+                raise InputError(f"PETSc does not take the value of one of these options: {listed}") from error
             said = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines()]
             raise SolveError(f"PETSc: {said[-1] if said else ''} (error {error.ierr})") from error
 

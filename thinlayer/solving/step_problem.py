@@ -10,7 +10,7 @@ import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, require
 from forms.kinematics import Expr
 from forms.work import Term, work
 from geometry.topology import Indices
@@ -237,6 +237,7 @@ def _require_jumps(V: fem.FunctionSpace, term: Term) -> None:
 def _check(parts: Sequence[Part], keys: set[str]) -> None:
     """Raise InputError unless these are parts without unknowns of their own, with keys other than `keys`."""
     for part in parts:
+        require(isinstance(part, Part), "one of parts", part, "allowed: what derives from thinlayer.parts.part.Part")
         if isinstance(part, FieldPart):
             raise InputError(f"the part {part.key!r} has unknowns of its own; use it in a Model")
         if part.key in keys:
