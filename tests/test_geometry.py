@@ -35,6 +35,8 @@ def test_inflation_of_any_layer(eps, layers, fractions, angle):
     base = SANDWICH.rotated(angle)
     joint = inflate(base, eps, cells_through=layers, fractions=shares if abs(sum(shares) - 1) < 1e-13 else ())
     body = areas(joint)[: len(base.cells)]
+    moved = (joint.points - joint.reference)[joint.cells[: len(base.cells)]]  # the middle of S stays where it is
+    assert np.linalg.norm(moved, axis=2) == pytest.approx(eps / 2, rel=1e-6)
     assert body == pytest.approx(areas(base), rel=1e-6)
     assert areas(joint)[len(base.cells) :].sum() == pytest.approx(2.0 * eps, rel=1e-6)
 
