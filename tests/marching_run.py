@@ -55,7 +55,7 @@ def run(out: Path, names: Iterable[str] = MARCHES, *, resume: bool = False, endi
     for name in names:
         build, law, times, theta = MARCHES[name]
         keep, model = "all" if name in ("series", "damaged") else "last", build(layer_of(law, 0.1))
-        march(model, times, theta=theta, observe={"in bodies": energy}, out=out / name, resume=resume, keep=keep)
+        march(model, times, theta=theta, observe={"of bodies": energy}, out=out / name, resume=resume, keep=keep)
 
 
 if __name__ == "__main__":

@@ -81,7 +81,7 @@ THREE = ["meshed", "series", "space"]
 
 def tables(out: Path) -> dict[str, np.ndarray]:
     found = {path.parent.name: np.genfromtxt(path, delimiter=",", names=True) for path in out.glob("*/table.csv")}
-    columns = ("t", "dt", "supplied", "stored", "dissipated", "in bodies")
+    columns = ("t", "dt", "supplied", "stored", "dissipated", "of_bodies")
     return {name: np.array([table[column] for column in columns]) for name, table in found.items()}
 
 

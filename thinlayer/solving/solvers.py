@@ -152,6 +152,7 @@ class Solver(AbstractContextManager["Solver"]):
         self.equations = Equations(model)
         traits = self.equations.traits
         self.yields, self.bounded = traits.bounded, traits.bounded or traits.releases
+        self._warned = False  # whether the user was warned of a law that softens
         self._linear: list[dict[str, OptionValue]] = [{}]  # without those that have failed
         self._finder: Finder
         if self.method in METHODS:
@@ -261,13 +262,15 @@ class Solver(AbstractContextManager["Solver"]):
             return None
 
     def _accept(self, x: PETSc.Vec, report: Report) -> State:
-        """The state; warns, once for the model, if the stress of a law falls that does not declare `softens`."""
+        """The state; warns, once, if the stress of a law falls that does not declare `softens`."""
         state = self.equations.accept(x, report)
-        for name, where in filter(None, self.equations.ask("undeclared_softening")):
+        falling = [] if self._warned else [*filter(None, self.equations.ask("undeclared_softening"))]
+        for name, where in falling[:1]:
+            self._warned = True
             what = f"at t = {state.t:g} the stress of {name} falls {where} as jumps or strains grow"
             why = "this equilibrium may be one of several, and steps may pass over others"
             remedy = "write softens = True in the class and follow them on S with march(model, ArcLength(...))"
-            self.model.warn("softens", f"{what}: {why}; {remedy}")
+            self.model.warn("softens", f"{what}: {why}; {remedy}", state.t)
         return state
 
     # ---------------------------------------------------------------- attempts
