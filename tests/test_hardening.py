@@ -74,3 +74,11 @@ def test_a_torn_point_bears_the_mean_stress_of_the_apex():
     assert found.q[0, 6] > 0
     apex = reached(law, found.q)[0] / np.tan(np.radians(OMEGA))
     assert traction(found.stress, E2[None])[0] == pytest.approx([0, apex, 0], abs=1e-12)
+
+
+def test_a_layer_that_slips_far_is_on_its_yield_surface():
+    """Most of the cohesion that can be gained is, in one step."""
+    law = SOILS["hardening, monodirectional"]
+    found = drive(law, [{"w_T": 2.0, "w_N": -0.001}])
+    (t_T, t_N), cohesion = found.tractions[0], reached(law, found.memory)[0]
+    assert t_T == pytest.approx(cohesion - np.tan(np.radians(OMEGA)) * t_N, rel=1e-10)

@@ -13,6 +13,7 @@ from mpi4py import MPI
 
 from forms import Anisotropic, LinearElastic, Maxwell, MohrCoulomb, NonMonotone, Stack, VonMises, work
 from forms.base import InputError
+from forms.parameter_fields import field_of
 from geometry import sandwich
 from studies.problems import fourier
 from tests.columns_in_time import column
@@ -162,6 +163,11 @@ def test_ranges_are_those_of_the_extreme_values():
         solve(structure().interface(ThinLayer(hard, 0.1, at=1.0)))
     locking = LinearElastic.young(90.0, lambda x: 0.3 + 0.199 * x[0])
     assert np.isfinite(solve(structure().interface(ThinLayer(locking, 0.01, order=1, at=1.0))).energies()["layer"])
+
+
+def test_numbers_and_functions_combine_in_their_order():
+    x, k = np.array([[4.0, 8.0], [0.0, 0.0]]), field_of(lambda x: x[0])
+    assert [(1 - k)(x).tolist(), (2 / k)(x).tolist()] == [[-3.0, -7.0], [0.5, 0.25]]
 
 
 def test_a_range_is_missed_nowhere():

@@ -183,6 +183,8 @@ def test_laws_with_a_closed_form_are_the_same():
         ours, theirs, strained = (drive(one, [w]) for one in (PlaneStress(law), law.plane_stress(), law))
         assert ours.tractions == pytest.approx(theirs.tractions, rel=ROUNDED)
         assert abs(strained.tractions[0, 1] / ours.tractions[0, 1] - 1) > 0.05
+    law = LinearElastic(L, M)
+    assert PlaneStress(law).condensed(law.stiffness(N[:2])) == pytest.approx(law.plane_stress().stiffness(N[:2]))
     soft = drive(Incompressible(M).plane_stress(), [w])  # E/(1 - nu^2) with nu = 1/2
     assert soft.tractions[0] == pytest.approx([M * 0.01, 4 * M * 0.02], rel=ROUNDED)
     law = NonMonotone(L, M, 0.4, 0.05, np.array([[0.0, 0.0], [0.0, 1.0]]))
