@@ -104,7 +104,7 @@ def maxwell_relaxation(d: float, K: float, c: float, t1: float, t: Array) -> Arr
 def maxwell_normal_creep(lmbda: float, mu: float, t1: float, t2: float, traction: float, t: Array) -> Array:
     """Normal jump under a normal traction held from t = 0 on, t1 != t2 in Eq. (18).
 
-    With the parts s + p = t_N of `maxwell_normal_relaxation`, of stiffnesses k_s + k_p = K and rates r_s, r_p:
+    With the parts s + p = t_N, deviatoric and spherical, of stiffnesses k_s + k_p = K and rates r_s, r_p:
     K d[u_N]/dt = r_s s + r_p p, and p tends to k_p r_s t_N/(k_p r_s + k_s r_p) like exp(-t (k_p r_s + k_s r_p)/K).
     """
     t = np.asarray(t, float)
