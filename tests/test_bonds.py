@@ -71,9 +71,9 @@ def test_meshed_models_and_other_bonds_are_refused():
     model = structure.interface(LAYERS | {"HIGH": Bond()})
     refused(InputError, r"bonds on the seams \['HIGH'\], not \[\]", model.with_layer, LAYERS)
     refused(InputError, "same element and bonds", lambda: solve(structure.interface(LAYERS), like=solve(model)))
-    with pytest.raises(InputError, match="layer= has the seams LOW; bonded are HIGH"):
+    with pytest.raises(InputError, match="what was left out at bonds, for these and no others: HIGH"):
         estimate(solve(model), {"LOW": LAYERS["LOW"]})
-    refused(InputError, "LOW, HIGH", thin_enough, structure, LAYERS, 0.01)
+    refused(InputError, "known: HIGH, LOW", thin_enough, structure, LAYERS, 0.01)
 
 
 def closing(layer: ThinLayer) -> float:

@@ -139,7 +139,7 @@ def test_histories(tmp_path):
     [
         (("tractions", "traction"), "unknown key 'traction', did you mean 'tractions'?; known: bodies, body, "),
         (('mesh = "joint.msh"', ""), "mesh is missing: the name of a mesh file"),
-        (("E = 70e3, nu = 0.2", "E = 70e3, nu = 0.5"), "body: LinearElastic: nu is 0.5; allowed: -1 < nu < 0.5"),
+        (("E = 70e3, nu = 0.2", "E = 70e3, nu = 0.5"), "body: nu is 0.5; allowed: -1 < nu < 0.5"),
         (("E = 70e3, nu = 0.2", "A = {E = 1, nu = 0}, E = 3"), "body: it has tables with names beside keys without"),
         (("eps = 0.3", "epsilon = 0.3"), "layer: unknown key of LinearElastic 'epsilon', did you mean 'eps'?"),
         ((", eps = 0.3", ""), "layer: eps is missing: the thickness of the layer, a length"),

@@ -107,7 +107,7 @@ class Forgetful(Inertia):
 def test_refused():
     silent = bar("interface", WithoutWork(), h=0.1)
     state = march(silent, [0.1]).last
-    refused(InputError, "'inertia', which has neither work nor work_in", lambda: Surface(silent).reaction(state))
+    refused(InputError, "forces of the part 'inertia': write work_in", lambda: Surface(silent).reaction(state))
     forgetful = bar("bonded", Forgetful(1.0), h=0.1)
     refused(InputError, "'inertia' remembers, and its commit returned", lambda: march(forgetful, [0.1]))
     model = bar("bonded", Inertia(1.0), h=0.1)
