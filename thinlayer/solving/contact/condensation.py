@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
+import numpy.typing as npt
 import scipy.sparse
 from petsc4py import PETSc
 from scipy import linalg
@@ -10,8 +14,12 @@ from scipy.sparse.csgraph import connected_components
 
 from forms.base import Array, ThinlayerError
 from geometry.topology import IntArray
+from thinlayer.solving.contact.pairs import pointers
 from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, keep_unknowns, schur_of
+from thinlayer.system.compilation import own_library
 
+Rows = tuple[npt.NDArray[Any], npt.NDArray[Any], Array]  # row starts, columns and entries of a sparse matrix
+SOURCE = Path(__file__).with_name("triangle.c")
 TOGETHER = 100  # number of kept unknowns from which pieces are factorised apart from the next ones
 SLOPE = 1.2  # slope, relative to S, of the front along which nodes are numbered
 SAMPLE = 64  # number of nodes whose edges show the diagonals of the cells
@@ -35,10 +43,11 @@ class Condensation:
     PETSc options mat_mumps_NAME are read under our prefix.
 
     Args:
-        A: stiffness with supports, symmetric, in blocks of d x d, each row with its diagonal block.
+        A: row starts, columns and entries of the stiffness with supports, symmetric, of N nodes in d x d blocks.
         kept: (c,) the unknowns that stay, ascending.
-        x: (n, d) places of the nodes.
+        x: (N, d) places of the nodes.
         normal: (d,) mean normal of S.
+        bodies: how many there are; up to two are factorised at once.
 
     Attributes:
         stiffness: (c, c) condensed stiffness, dense if all pieces are factorised at once.
@@ -49,16 +58,17 @@ class Condensation:
 
     stiffness: Array | scipy.sparse.csr_matrix
 
-    def __init__(self, A: scipy.sparse.bsr_matrix, kept: IntArray, x: Array, normal: Array) -> None:
-        numbers = scipy.sparse.csr_matrix((np.arange(len(A.indices)), A.indices, A.indptr))
-        count, piece = connected_components(numbers, directed=False)
-        order = oblique_order(x - x[kept // A.blocksize[0]].mean(axis=0), normal, numbers)
-        of_kept = piece[kept // A.blocksize[0]]
-        group = np.cumsum(np.bincount(of_kept, minlength=count)) // TOGETHER  # of pieces
+    def __init__(self, A: Rows, kept: IntArray, x: Array, normal: Array, bodies: int) -> None:
+        d = x.shape[1]
+        order = oblique_order(x - x[kept // d].mean(axis=0), normal, A)
+        group = np.zeros(len(x), np.int32)  # of nodes
+        if bodies > 2:
+            count, piece = connected_components(scipy.sparse.csr_matrix(A[::-1]), directed=False)
+            group = (np.cumsum(np.bincount(piece[kept], minlength=count)) // TOGETHER)[piece[::d]]
         self._kept, self._own, self._factors = kept, list[IntArray](), list[SchurFactor]()
         for k in np.unique(group):
-            self._own.append(np.flatnonzero(group[of_kept] == k))
-            self._factors.append(SchurFactor(A, numbers, order[group[piece[order]] == k], kept[self._own[-1]]))
+            self._own.append(np.flatnonzero(group[kept // d] == k))
+            self._factors.append(SchurFactor(A, d, order[group[order] == k], kept[self._own[-1]]))
         if len(self._own) == 1:
             self.stiffness = self._factors[0].complement
         else:
@@ -86,15 +96,15 @@ class Condensation:
             one.close()
 
 
-def oblique_order(x: Array, normal: Array, pattern: scipy.sparse.csr_matrix) -> IntArray:
+def oblique_order(x: Array, normal: Array, A: Rows) -> IntArray:
     """Nodes in the order of a front that is oblique to S and moves away from it; x are places relative to S.
 
     With a Schur complement MUMPS orders by minimum degree and decides ties by the numbers. On grids bad numbers cost twice
     the work; these come close to the best ordering without a complement. The front follows the diagonals of the cells.
     """
+    indptr, indices, d = *A[:2], x.shape[1]
     some = np.linspace(0, len(x) - 1, min(len(x), SAMPLE)).astype(int)
-    edges = pattern[some].tocoo()
-    edges = x[edges.col] - x[some[edges.row]]
+    edges = np.concatenate([x[indices[indptr[r * d] : indptr[r * d + 1] : d] // d] - x[r] for r in some])
     size, up = np.linalg.norm(normal), np.eye(len(normal))[-1]
     normal = normal / size if size > 0 else up
     height = x @ normal
@@ -109,34 +119,28 @@ class SchurFactor:
     """Factor of pieces of a stiffness, with springs at the kept unknowns, so that it is definite whatever holds it.
 
     Args:
-        A: as in `Condensation`.
-        numbers: the numbers of its blocks, as a matrix.
-        nodes: the nodes of the pieces, in the order in which MUMPS gets them.
+        A, d: as in `Condensation`.
+        nodes: (n,) the nodes of the pieces, in the order in which MUMPS gets them.
         kept: (c,) their unknowns that stay.
 
     Attributes:
         complement: (c, c) Schur complement, without the springs.
     """
 
-    def __init__(
-        self, A: scipy.sparse.bsr_matrix, numbers: scipy.sparse.csr_matrix, nodes: IntArray, kept: IntArray
-    ) -> None:
-        d, comm = A.blocksize[0], PETSc.COMM_SELF
+    def __init__(self, A: Rows, d: int, nodes: IntArray, kept: IntArray) -> None:
         self._unknowns = (nodes[:, None] * d + np.arange(d)).ravel()
-        place = np.zeros(A.shape[0], np.int32)
+        place = np.full(len(A[0]) - 1, -1, np.int32)
         place[self._unknowns] = np.arange(len(self._unknowns))
         self._all_kept, self._kept = kept, place[kept]
-        chosen = scipy.sparse.triu(numbers[nodes][:, nodes], format="csr")
-        chosen.sort_indices()
-        blocks = A.data[chosen.data]
-        diagonal = blocks[chosen.indptr[self._kept // d], self._kept % d, self._kept % d]
-        self._springs = diagonal / max(len(kept), 1)
-        blocks[chosen.indptr[self._kept // d], self._kept % d, self._kept % d] += self._springs
-        csr = chosen.indptr.astype(PETSc.IntType), chosen.indices.astype(PETSc.IntType), blocks
-        upper = PETSc.Mat().createSBAIJ((len(self._unknowns),) * 2, d, csr=csr, comm=comm)
+        rows, columns, entries = _upper_triangle(A, d, nodes)
+        at = rows[self._kept]  # the first entry of a row is its diagonal
+        self._springs = entries[at] / max(len(kept), 1)
+        entries[at] += self._springs
+        csr = rows.astype(PETSc.IntType, copy=False), columns.astype(PETSc.IntType, copy=False), entries
+        upper = PETSc.Mat().createAIJWithArrays((len(self._unknowns),) * 2, csr, comm=PETSc.COMM_SELF)
         for option in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.SPD):
             upper.setOption(option, True)
-        self._pc = pc = PETSc.PC().create(comm)
+        self._pc = pc = PETSc.PC().create(PETSc.COMM_SELF)
         pc.setOptionsPrefix(PREFIX)
         pc.setOperators(upper)
         pc.setType("cholesky")
@@ -202,3 +206,24 @@ class SchurFactor:
     def close(self) -> None:
         """Free the factor."""
         self._pc.destroy()
+
+
+def _upper_triangle(A: Rows, d: int, nodes: IntArray) -> Rows:
+    """The upper triangle of the rows and columns of some nodes, in their order; MUMPS does not read the rest.
+
+    C takes .05 s of 2.4 s of a contact solve with 512 squares, scipy.sparse .3 s.
+    """
+    indptr, indices, values = A
+    n, lengths = len(nodes), np.diff(indptr)[nodes * d]
+    size = (d * int(lengths.sum()) + n * d) // 2
+    place = np.full((len(indptr) - 1) // d, -1, np.int32)
+    place[nodes] = np.arange(n, dtype=np.int32)
+    rows, columns, entries = np.empty(n * d + 1, np.int32), np.empty(size, np.int32), np.empty(size)
+    c, (indptr, indices, order) = (
+        own_library(SOURCE),
+        (a.astype(np.int32, copy=False) for a in (indptr, indices, nodes)),
+    )
+    arrays = pointers(c, indptr, indices, values, place, order, rows, columns, entries)
+    if c.lib.upper_triangle(n, d, size, *arrays) != size:
+        raise FactorError("the nonzero pattern of the stiffness is not symmetric, or not made of blocks of nodes")
+    return rows, columns, entries

@@ -49,10 +49,9 @@ class Condensed(ContactFinder):
     @cached_property
     def _condensation(self) -> Condensation:
         """The bodies, condensed to the displacements of nodes in contact; held ones are decoupled."""
-        indptr, indices, values = self.A.getValuesCSR()
-        A, pairs = scipy.sparse.csr_matrix((values, indices, indptr)), self.pairs
-        x = self.parts[0].nodes.surface.V.tabulate_dof_coordinates()[:, : pairs.d]
-        return Condensation(A.tobsr((pairs.d,) * 2), pairs.dofs, x, pairs.weights @ pairs.frames[:, -1])
+        pairs, model = self.pairs, self.equations.model
+        x, bodies = model.V.tabulate_dof_coordinates()[:, : pairs.d], int(model.splitting.pieces.max()) + 1
+        return Condensation(self.A.getValuesCSR(), pairs.dofs, x, pairs.weights @ pairs.frames[:, -1], bodies)
 
     @cached_property
     def _blocks(self) -> scipy.sparse.bsr_matrix:

@@ -21,10 +21,9 @@ KINDS = {"i": "int32_t[]", "?": "uint8_t[]", "d": "double[]"}  # dtype.name woul
 Law = ContactLaw | EasedContact
 
 
-def pointers(*arrays: npt.NDArray[Any]) -> list[Any]:
-    """Pointers to contiguous arrays for C, which reads them unchecked."""
-    ffi = own_library(SOURCE).ffi
-    return [ffi.from_buffer(KINDS[a.dtype.char], a) for a in map(np.ascontiguousarray, arrays)]
+def pointers(library: Any, *arrays: npt.NDArray[Any]) -> list[Any]:
+    """Pointers to contiguous arrays for a library in C, which reads them unchecked."""
+    return [library.ffi.from_buffer(KINDS[a.dtype.char], a) for a in map(np.ascontiguousarray, arrays)]
 
 
 class Pairs:
@@ -154,7 +153,8 @@ class Pairs:
             stiffness.indptr, stiffness.indices, stiffness.data, g, u, *self._by_node, self.frames, self.weights, laws,
             self._offsets(rest), self.free if moves is None else self.free & moves[:, None],
         )  # fmt: skip
-        return int(own_library(SOURCE).lib.sweep_pairs(len(self.nodes), self.d, *pointers(*arrays), sweeps))
+        c = own_library(SOURCE)
+        return int(c.lib.sweep_pairs(len(self.nodes), self.d, *pointers(c, *arrays), sweeps))
 
 
 def numbers_of(law: Law) -> tuple[float, ...]:

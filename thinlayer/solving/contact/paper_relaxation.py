@@ -103,19 +103,19 @@ def relax(
     Returns:
         The last iterate, also without convergence: if increments are not finite, grow or stagnate, or at `max_sweeps`.
     """
-    A, count, d = system.A, len(system.b), system.contact.shape[1]
+    c, A, count, d = own_library(SOURCE), system.A, len(system.b), system.contact.shape[1]
     now, steps = np.zeros(count) if u is None else u.copy(), _steps(system.contact, order, count)
-    rows = pointers(A.indptr.astype(np.int32), A.indices.astype(np.int32), A.data, system.b, now)
+    rows = pointers(c, A.indptr.astype(np.int32), A.indices.astype(np.int32), A.data, system.b, now)
     law, factors = np.array(numbers_of(system.law)), np.array([omega, omega_contact])
-    nodes = pointers(system.contact.astype(np.int32), system.weights, law, system.slip, factors)
+    nodes = pointers(c, system.contact.astype(np.int32), system.weights, law, system.slip, factors)
     changes: Array = np.empty(0)
     increments: Array = np.empty(0)
     converged = False
     while not converged and len(increments) < max_sweeps:
         chunk = min(CHUNK, max_sweeps - len(increments))
         change, size = np.empty(chunk), np.empty(chunk)
-        made = own_library(SOURCE).lib.relax_sweeps(
-            len(steps), *pointers(steps), count, *rows, d, *nodes, chunk, tolerance, *pointers(change, size)
+        made = c.lib.relax_sweeps(
+            len(steps), *pointers(c, steps), count, *rows, d, *nodes, chunk, tolerance, *pointers(c, change, size)
         )
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             relative = np.where(change > 0, change / size, change)
