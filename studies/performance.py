@@ -28,7 +28,7 @@ from thinlayer.system.table import Row
 STIFFNESS = (15e8, 5e8)  # lmbda, mu per thickness, N/mm^3
 FRICTION = 1.0
 TOLERANCE = 1e-10  # relative residual of the iterative reference, as of the contact solver
-LIMITS = {"2D": {128: 1.7, 256: 1.55, 512: 1.45, 724: 1.45}, "3D": {24: 1.7, 32: 1.7, 46: 1.7}}
+LIMITS = {"2D": {128: 1.40, 256: 1.25, 512: 1.25, 724: 1.25}, "3D": {24: 1.7, 32: 1.7, 46: 1.7}}
 PREDICTED_LIMIT = 1.5  # largest ratio in 3D if the contact status is predicted
 
 
