@@ -292,7 +292,9 @@ def test_damaged_marches(tmp_path):
     assert len(march(interface(SUDDEN), [0.1, 0.2, 0.3], out=tmp_path, resume=True)) == 4
 
 
-@pytest.mark.parametrize("text", [b"\xff\xfe\x00", b"a,b\n1,2,3\n", b"a,b\n1\n", b"a,b\n" + b"1" * 200_000 + b',"\n'])
+@pytest.mark.parametrize(
+    "text", [b"\xff\xfe\x00", b"a,b\n1,2,3\n", b"a,b\n1\n", b"a,b\n" + b"1" * 200_000 + b',"\n'], ids=range(4)
+)
 def test_damaged_tables(tmp_path, text):
     path = tmp_path / "t.csv"
     path.write_bytes(text)
