@@ -19,6 +19,7 @@ import pytest
 import scipy.spatial
 import scipy.stats
 import ufl
+from dolfinx import fem
 
 from forms import LinearElastic
 from forms.base import InputError
@@ -224,6 +225,12 @@ def test_what_no_other_process_knows_is_not_resumed(tmp_path, monkeypatch):
     monkeypatch.setattr(identity, "ALONE", ", known to process 2 alone")
     words = r"is of another march \(loads.*builtins\.generator, known to process \w+ alone"
     refused(InputError, words, march, model(), [0.1, 0.3], out=tmp_path, resume=True)
+
+
+def test_two_functions_on_one_mesh_are_two():
+    V = Structure(JOINT, **SETUP).bonded().V
+    one, other = fem.Function(V), fem.Function(V)
+    assert described(one) == described(one) != described(other)
 
 
 def test_models_are_what_they_were_built_with():

@@ -9,6 +9,7 @@ import copyreg
 import dataclasses
 import functools
 import hashlib
+import itertools
 import json
 import math
 import random
@@ -17,6 +18,7 @@ import sys
 import sysconfig
 import types
 import uuid
+import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from numbers import Integral, Real
@@ -42,6 +44,8 @@ EXPANDED = (dict, types.MappingProxyType, list, tuple, set, frozenset, np.ndarra
 GOES_ON = (  # what gives other numbers each time
     np.random.Generator, np.random.BitGenerator, np.random.RandomState, np.random.SeedSequence, random.Random, Iterator,
 )  # fmt: skip
+_COUNT = itertools.count(1)
+_NUMBERS: dict[int, tuple[Any, int]] = {}  # id -> reference to an object that only this process knows, and its number
 NAMED = re.compile(rb'^[ \t]*#[^"<\n]*["<]([^">\n]+)[">]', re.MULTILINE)  # a file in a preprocessor line
 
 
@@ -194,7 +198,7 @@ class _Describer:
         except Exception:  # it cannot be copied
             parts = None
         if parts is None or top in OPAQUE:
-            return _name(kind) + ALONE
+            return f"{_name(kind)}{ALONE} ({_number(value)})"
         if isinstance(parts, str):
             return f"{_name(kind)} {parts}"
         make, given, state, *items = (*parts, None)[: max(len(parts), 3)]
@@ -215,6 +219,15 @@ class _Describer:
         read.pop("__wrapped__", None)
         found = self._named({name: one for name, one in read.items() if one is not None}, at)
         return found | _file_of(code.co_filename) | {CODE: f"{function.__qualname__} {digest(_bytecode(code))}"}
+
+
+def _number(value: Any) -> int:
+    """Number of an object in this process; objects are not kept alive for it, where they allow that."""
+    known = _NUMBERS.get(id(value))
+    if known is None or known[0]() is not value:
+        reference = weakref.ref(value) if type(value).__weakrefoffset__ else lambda: value
+        known = _NUMBERS[id(value)] = reference, next(_COUNT)
+    return known[1]
 
 
 def _members(kind: type) -> dict[str, Any]:
