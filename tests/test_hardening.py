@@ -42,6 +42,20 @@ def test_metals_stay_on_their_yield_surface(name):
     assert flowed
 
 
+@pytest.mark.parametrize("name", METALS)
+@pytest.mark.parametrize("theta", [1.0, 0.6])
+def test_metals_dissipate_yield_stress_times_plastic_strain(name, theta):
+    """The yield stress is that at the time within the step at which the stress is found."""
+    law, e = METALS[name], strains(np.random.default_rng(7), POINTS, 0.012)
+    now = respond(law, e, 0 * e, at_rest(law, POINTS), normals(POINTS), theta=theta)
+    p = now.q[:, 6]
+    bound = Y + law.hardening * theta * p
+    if law.saturation:
+        bound = bound + law.saturation * (1 - np.exp(-theta * p / law.saturation_strain))
+    assert (p > 0).any()
+    assert now.dissipated == pytest.approx(bound * p, rel=1e-11, abs=1e-14)
+
+
 # ---------------------------------------------------------------- as layers
 def test_a_layer_of_metal_under_shear():
     law = VonMises(LMBDA, MU, Y, hardening=8.0, kinematic=6.0)
