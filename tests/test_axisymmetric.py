@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import Anisotropic, Incompressible, LinearElastic, Maxwell, MohrCoulomb, Stack
+from forms import Anisotropic, HolonomicCoulomb, Incompressible, LinearElastic, Maxwell, MohrCoulomb, Stack
 from forms.base import InputError
 from geometry import block, periodic, sandwich
 from studies.cylinders import lame
@@ -176,6 +176,14 @@ def test_the_layer_between_tubes_tends_to_its_law_at_rate_1(law):
 
 
 # ---------------------------------------------------------------- contact
+def test_a_pressed_disc_has_one_pressure_at_all_nodes():
+    """Which holds only if each node has the area of revolution that its function of degree 1 has."""
+    setup = {"body": LinearElastic.young(90.0, 0.0), "tractions": {"TOP": (0.0, -0.7)}, "element": "P1"}
+    disc = Structure(block(1.3, 0.6, 0.2), **setup, supports={}, plane="axisymmetric")
+    state = solve(disc.interface(HolonomicCoulomb(250.0, 80.0, friction=0.3)))
+    report = Surface(state.model).contact(state)
+    assert report.p == pytest.approx(0.7, rel=1e-9)
+    assert report.areas.sum() == pytest.approx(np.pi * 1.3**2, rel=1e-12)
 
 
 # ---------------------------------------------------------------- supports, periods, refusals
