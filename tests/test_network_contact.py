@@ -111,7 +111,8 @@ def test_bodies_are_condensed_one_by_one(d, together, monkeypatch):
     kept = np.concatenate([kept, 11 * d + np.arange(0, 5 * d, 2)])
     inner = np.setdiff1d(np.arange(16 * d), kept)
     A = sp.bsr_matrix(K, blocksize=(d, d)).tocsr()
-    found = Condensation((A.indptr, A.indices, A.data), kept, rng.normal(size=(16, d)), np.arange(d), len(bodies))
+    rows = A.indptr, A.indices, A.data
+    found = Condensation(rows, np.zeros(16 * d, bool), kept, rng.normal(size=(16, d)), np.arange(d), len(bodies))
     whole = K[np.ix_(kept, kept)] - K[np.ix_(kept, inner)] @ np.linalg.solve(
         K[np.ix_(inner, inner)], K[np.ix_(inner, kept)]
     )

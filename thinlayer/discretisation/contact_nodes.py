@@ -121,8 +121,9 @@ class ContactNodes:
         self.weights, vectors = total[:, 0].copy(), total[:, 1:]  # C reads them
         self.upper = (upper - self._first).astype(np.int32)
         self._lower = pairs[:, 1].astype(np.int64)  # global
+        self._corners_of = corners[:, 3 + d].astype(np.int64), at
         self.file_numbers = np.full(len(upper), np.iinfo(np.int64).max)
-        np.minimum.at(self.file_numbers, at, corners[:, 3 + d].astype(np.int64))
+        np.minimum.at(self.file_numbers, at, self._corners_of[0])
         self.x = V.tabulate_dof_coordinates()[self.upper, :d]
         if not self.comm.allreduce(len(upper)):
             raise InputError("contact: S has no node where the bodies can part; it is one cell long, or has no facets")
@@ -138,6 +139,14 @@ class ContactNodes:
     def pairs(self) -> IntArray:
         """(n, 2) global numbers of the nodes of V on the upper and on the lower side; -1 on a rigid base."""
         return np.column_stack([self._first + self.upper.astype(np.int64), self._lower])
+
+    @property
+    def lines(self) -> IntArray:
+        """(m, 2) neighbours along S in 2D, on one rank; none at a tip of S."""
+        number, node = self._corners_of
+        order = np.argsort(number)
+        within = np.flatnonzero(np.diff(number[order] // 2) == 0)
+        return node[order][within[:, None] + [0, 1]]
 
     def _global(self, local: npt.NDArray[Any]) -> Array:
         """Global numbers of local nodes, as floats, because they are sent together with areas."""

@@ -13,7 +13,7 @@ from scipy import linalg
 from scipy.sparse.csgraph import connected_components
 
 from forms.base import Array, ThinlayerError
-from geometry.topology import IntArray
+from geometry.topology import BoolArray, IntArray
 from thinlayer.solving.contact.pairs import pointers
 from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, keep_unknowns, schur_of
 from thinlayer.system.compilation import own_library
@@ -43,7 +43,8 @@ class Condensation:
     PETSc options mat_mumps_NAME are read under our prefix.
 
     Args:
-        A: row starts, columns and entries of the stiffness with supports, symmetric, of N nodes in d x d blocks.
+        A: row starts, columns and entries of the stiffness without supports, symmetric, of N nodes in d x d blocks.
+        held: (N d,) unknowns that supports prescribe; beside its diagonal their stiffness is left out.
         kept: (c,) the unknowns that stay, ascending.
         x: (N, d) places of the nodes.
         normal: (d,) mean normal of S.
@@ -58,7 +59,7 @@ class Condensation:
 
     stiffness: Array | scipy.sparse.csr_matrix
 
-    def __init__(self, A: Rows, kept: IntArray, x: Array, normal: Array, bodies: int) -> None:
+    def __init__(self, A: Rows, held: BoolArray, kept: IntArray, x: Array, normal: Array, bodies: int) -> None:
         d = x.shape[1]
         order = oblique_order(x - x[kept // d].mean(axis=0), normal, A)
         group = np.zeros(len(x), np.int32)  # of nodes
@@ -68,7 +69,7 @@ class Condensation:
         self._kept, self._own, self._factors = kept, list[IntArray](), list[SchurFactor]()
         for k in np.unique(group):
             self._own.append(np.flatnonzero(group[kept // d] == k))
-            self._factors.append(SchurFactor(A, d, order[group[order] == k], kept[self._own[-1]]))
+            self._factors.append(SchurFactor(A, held, d, order[group[order] == k], kept[self._own[-1]]))
         if len(self._own) == 1:
             self.stiffness = self._factors[0].complement
         else:
@@ -119,7 +120,7 @@ class SchurFactor:
     """Factor of pieces of a stiffness, with springs at the kept unknowns, so that it is definite whatever holds it.
 
     Args:
-        A, d: as in `Condensation`.
+        A, held, d: as in `Condensation`.
         nodes: (n,) the nodes of the pieces, in the order in which MUMPS gets them.
         kept: (c,) their unknowns that stay.
 
@@ -127,12 +128,12 @@ class SchurFactor:
         complement: (c, c) Schur complement, without the springs.
     """
 
-    def __init__(self, A: Rows, d: int, nodes: IntArray, kept: IntArray) -> None:
+    def __init__(self, A: Rows, held: BoolArray, d: int, nodes: IntArray, kept: IntArray) -> None:
         self._unknowns = (nodes[:, None] * d + np.arange(d)).ravel()
         place = np.full(len(A[0]) - 1, -1, np.int32)
         place[self._unknowns] = np.arange(len(self._unknowns))
         self._all_kept, self._kept = kept, place[kept]
-        rows, columns, entries = _upper_triangle(A, d, nodes)
+        rows, columns, entries = _upper_triangle(A, held, d, nodes)
         at = rows[self._kept]  # the first entry of a row is its diagonal
         self._springs = entries[at] / max(len(kept), 1)
         entries[at] += self._springs
@@ -208,7 +209,7 @@ class SchurFactor:
         self._pc.destroy()
 
 
-def _upper_triangle(A: Rows, d: int, nodes: IntArray) -> Rows:
+def _upper_triangle(A: Rows, held: BoolArray, d: int, nodes: IntArray) -> Rows:
     """The upper triangle of the rows and columns of some nodes, in their order; MUMPS does not read the rest.
 
     C takes .05 s of 2.4 s of a contact solve with 512 squares, scipy.sparse .3 s.
@@ -223,7 +224,7 @@ def _upper_triangle(A: Rows, d: int, nodes: IntArray) -> Rows:
         own_library(SOURCE),
         (a.astype(np.int32, copy=False) for a in (indptr, indices, nodes)),
     )
-    arrays = pointers(c, indptr, indices, values, place, order, rows, columns, entries)
+    arrays = pointers(c, indptr, indices, values, held, place, order, rows, columns, entries)
     if c.lib.upper_triangle(n, d, size, *arrays) != size:
         raise FactorError("the nonzero pattern of the stiffness is not symmetric, or not made of blocks of nodes")
     return rows, columns, entries

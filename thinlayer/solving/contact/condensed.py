@@ -13,6 +13,7 @@ import scipy.sparse
 from scipy.sparse.linalg import splu
 
 from forms.base import Array
+from geometry.topology import IntArray, along
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.solving.balance import ALLOWED, TINY, ForceScale
@@ -22,6 +23,8 @@ from thinlayer.solving.contact.pairs import Pairs
 from thinlayer.solving.equations import Equations
 
 TOLERANCE = 1e-11  # residual at which Newton's method stops, relative to the forces
+COARSE_TOLERANCE = 1e-3  # the same in coarser systems
+COARSEST = 48  # largest number of lines between nodes of a system that is not coarsened
 STALLED = 1e-9  # residual, relative to the forces, that is accepted if Newton steps do not reduce it
 SUMMATION = 10.0  # rounding of the condensed stiffness, relative to that of its largest entry, per sqrt(node)
 SWEEPS = 4  # number of sweeps before each of the first Newton steps
@@ -35,54 +38,46 @@ FLAT = 0.1  # work along a step at its end, relative to that at its beginning, t
 class Condensed(ContactFinder):
     """The finder for one seam or a network of them, any number of which meet.
 
-    The bodies are condensed to the displacements of all nodes in contact, body by body, once. Newton's method then solves
-    the small system. Gauss-Seidel sweeps, node by node with all pairs of a node, precede each of its steps, more of them as
-    steps go on. Later steps are shortened if the forces do work against their ends: first ones may let residuals grow.
+    The bodies are condensed to the displacements of all nodes in contact, body by body, once. A small system is left.
     """
 
     def __init__(self, equations: Equations, like: State | None) -> None:
         super().__init__(equations, like)
-        held = np.zeros(self.x.getLocalSize(), bool)
-        held[equations.held] = True
-        self.pairs = Pairs(self.parts, held)
+        self._held = np.zeros(self.x.getLocalSize(), bool)
+        self._held[equations.held] = True
+        self.pairs = Pairs(self.parts, self._held)
 
     @cached_property
     def _condensation(self) -> Condensation:
         """The bodies, condensed to the displacements of nodes in contact; held ones are decoupled."""
-        pairs, model = self.pairs, self.equations.model
+        pairs, K, model = self.pairs, self.equations.K, self.equations.model
         x, bodies = model.V.tabulate_dof_coordinates()[:, : pairs.d], int(model.splitting.pieces.max()) + 1
-        return Condensation(self.A.getValuesCSR(), pairs.dofs, x, pairs.weights @ pairs.frames[:, -1], bodies)
+        normal = pairs.weights @ pairs.frames[:, -1]
+        return Condensation(K.getValuesCSR(), self._held, pairs.dofs, x, normal, bodies)
 
     @cached_property
-    def _blocks(self) -> scipy.sparse.bsr_matrix:
-        """The condensed stiffness as sweeps read it."""
-        A, d, n = self._condensation.stiffness, self.pairs.d, len(self.pairs.nodes)
-        if not isinstance(A, np.ndarray):
-            return A.tobsr((d, d))
-        blocks = A.reshape(n, d, n, d).swapaxes(1, 2).reshape(-1, d, d)
-        return scipy.sparse.bsr_matrix((blocks, np.tile(np.arange(n), n), np.arange(n + 1) * n))
-
-    @cached_property
-    def _scale(self) -> ForceScale:
-        stiffness, springs = self._condensation.stiffness, self.pairs.bonded()[0]
-        largest = max(float(one.diagonal().max(initial=0.0)) for one in (stiffness, springs))
-        return ForceScale(SUMMATION * math.sqrt(len(self.pairs.nodes)) * largest)
+    def _system(self) -> CondensedSystem:
+        """The condensed system, with the lines between nodes of S in 2D."""
+        x, lines, first = [part.nodes.x for part in self.parts], list[IntArray](), 0
+        for part in self.parts:
+            lines += [part.nodes.lines + first] if self.pairs.d == 2 else []
+            first += len(part.nodes.x)
+        chain = np.concatenate(lines) if lines else np.empty((0, 2), np.int64)
+        return CondensedSystem(self._condensation.stiffness, self.pairs, np.concatenate(x), chain)
 
     def solve(self, known: bool) -> tuple[int, float]:
         """As in `ContactFinder`."""
-        equations, pairs, b = self.equations, self.pairs, self.b.array_r
+        equations, pairs, b = self.equations, self.pairs, self.b.array
         try:
             condensation = self._condensation
         except FactorError as error:
             held = "is every body supported, or does it meet S in more than a point?"
             raise SolveError(f"contact: {error}; {held}") from error
+        u, b[equations.held], kept_held = self.x.array_r[pairs.dofs], 0.0, ~pairs.free.ravel()
         g = condensation.condense(b)
+        g[kept_held] = (condensation.stiffness.diagonal() * u)[kept_held]
         size = max(equations.scale.least, equations.free_norm(equations.external), TINY)
-        u = self.x.array_r[pairs.dofs].copy()
-        if not known:
-            springs, forces = pairs.bonded()
-            u = self._linear_solve(springs, g - forces)
-        u, residuals = self._newton(u, g, size)
+        u, residuals = self._system.newton(u if known else self._system.start(g, size), g, size)
         condensation.expand(b, u, self.x.array)
         self.x.array[equations.held] = equations.prescribed
         relative = self.relative_residual()
@@ -91,14 +86,81 @@ class Condensed(ContactFinder):
             raise SolveError(large, residuals=residuals)
         return len(residuals) - 1, relative
 
+    def close(self) -> None:
+        """Free matrices, vectors and factors."""
+        super().close()
+        if "_condensation" in vars(self):
+            self._condensation.close()
+
+
+class CondensedSystem:
+    """stiffness u + forces of pairs = g, by Newton's method from the solution of a system with half as many nodes.
+
+    Gauss-Seidel sweeps, node by node with all pairs of a node, precede each Newton step, more of them as steps go on. Later
+    steps are shortened if the forces do work against their ends: first ones may let residuals grow.
+
+    Args:
+        stiffness: (n d, n d) condensed stiffness of the bodies.
+        pairs: the pairs, and their n nodes.
+        x: (pairs, d) places.
+        lines: (m, 2) pairs that are neighbours along S; empty: there is no coarser system.
+    """
+
+    def __init__(self, stiffness: Array | scipy.sparse.csr_matrix, pairs: Pairs, x: Array, lines: IntArray) -> None:
+        self._stiffness, self.pairs, self._x, self._lines = stiffness, pairs, x, lines
+
+    @cached_property
+    def _blocks(self) -> scipy.sparse.bsr_matrix:
+        """The stiffness as sweeps read it."""
+        A, d, n = self._stiffness, self.pairs.d, len(self.pairs.nodes)
+        if not isinstance(A, np.ndarray):
+            return A.tobsr((d, d))
+        blocks = A.reshape(n, d, n, d).swapaxes(1, 2).reshape(-1, d, d)
+        return scipy.sparse.bsr_matrix((blocks, np.tile(np.arange(n), n), np.arange(n + 1) * n))
+
+    @cached_property
+    def _scale(self) -> ForceScale:
+        springs = self.pairs.bonded()[0]
+        largest = max(float(one.diagonal().max(initial=0.0)) for one in (self._stiffness, springs))
+        return ForceScale(SUMMATION * math.sqrt(len(self.pairs.nodes)) * largest)
+
+    @cached_property
+    def _coarser(self) -> tuple[CondensedSystem, scipy.sparse.csr_matrix] | None:
+        """The system for every second pair along S, and the matrix from its displacements to these; None: small."""
+        if len(self._lines) <= COARSEST:
+            return None
+        chosen, shares, lines = every_second(self._x, self._lines)
+        few = self.pairs.some(chosen, shares.T @ self.pairs.weights)
+        pair, side = np.nonzero(self.pairs.ends >= 0)
+        order = np.argsort(
+            np.isin(pair, chosen, invert=True), kind="stable"
+        )  # a node moves with a chosen pair, if it is in one
+        node, first = np.unique(self.pairs.ends[pair, side][order], return_index=True)
+        pair, side = pair[order][first], side[order][first]
+        rows = shares[pair]
+        columns = few.ends[rows.indices, side.repeat(np.diff(rows.indptr))]
+        P = scipy.sparse.csr_matrix((rows.data, columns, rows.indptr), shape=(len(node), len(few.nodes)))
+        P = scipy.sparse.kron(P, scipy.sparse.eye(self.pairs.d), format="csr")
+        return CondensedSystem(P.T @ self._stiffness @ P, few, self._x[chosen], lines), P
+
+    def start(self, g: Array, size: float) -> Array:
+        """Displacements from which Newton's method starts: those of the coarser system, or with bonded springs."""
+        if self._coarser is not None:
+            system, P = self._coarser
+            try:
+                return np.asarray(P @ system.newton(system.start(P.T @ g, size), P.T @ g, size, COARSE_TOLERANCE)[0])
+            except SolveError:
+                pass
+        springs, forces = self.pairs.bonded()
+        return self._linear_solve(springs, g - forces)
+
     def _residual(self, u: Array, g: Array) -> Array:
         """Forces of bodies and pairs, less g; zero at held displacements."""
-        pairs = self.pairs
-        return np.asarray(self._condensation.stiffness @ u + pairs.forces(pairs.apart(u)) - g)
+        return np.asarray(self._stiffness @ u + self.pairs.forces(self.pairs.apart(u)) - g)
 
     def _linear_solve(self, more: scipy.sparse.csr_matrix, b: Array) -> Array:
         """x with (stiffness + more) x = b; not finite if the matrix is singular."""
-        A = self._condensation.stiffness
+        A = self._stiffness
         try:
             if isinstance(A, np.ndarray):
                 return np.linalg.solve(A + more.toarray(), b)
@@ -106,14 +168,14 @@ class Condensed(ContactFinder):
         except (np.linalg.LinAlgError, RuntimeError):
             return np.full(len(b), np.nan)
 
-    def _newton(self, u: Array, g: Array, size: float) -> tuple[Array, tuple[float, ...]]:
+    def newton(self, u: Array, g: Array, size: float, tolerance: float = TOLERANCE) -> tuple[Array, tuple[float, ...]]:
         """Displacements, from u, and the residuals before each Newton step and after the last, relative to the forces."""
         residuals, pairs = list[float](), self.pairs
         while True:
             forces = pairs.forces(pairs.apart(u))
-            r = self._condensation.stiffness @ u + forces - g
+            r = self._stiffness @ u + forces - g
             residuals.append(float(np.linalg.norm(r)) / max(size, float(np.linalg.norm(forces))))
-            if self._ends(residuals, u, size):
+            if residuals[-1] <= tolerance or self._stalls(residuals, u, size):
                 return u, tuple(residuals)
             if len(residuals) > MOST_STEPS or not math.isfinite(residuals[-1]):
                 raise SolveError(
@@ -126,10 +188,8 @@ class Condensed(ContactFinder):
             step = self._linear_solve(pairs.tangent(pairs.apart(u)), -self._residual(u, g))
             u = u + (self._length(u, step, g) if len(residuals) > PATIENCE else 1.0) * step
 
-    def _ends(self, residuals: list[float], u: Array, size: float) -> bool:
-        """Whether the residual is small enough, or as small as rounding lets it be."""
-        if residuals[-1] <= TOLERANCE:
-            return True
+    def _stalls(self, residuals: list[float], u: Array, size: float) -> bool:
+        """Whether the residual is as small as rounding lets it be."""
         if len(residuals) < 3 or residuals[-1] <= residuals[-2] / 2:
             return False
         share = self._scale.rounding(float(np.abs(u).max(initial=0.0))) / size
@@ -157,8 +217,22 @@ class Condensed(ContactFinder):
                 high, above = a, now
         return a
 
-    def close(self) -> None:
-        """Free matrices, vectors and factors."""
-        super().close()
-        if "_condensation" in vars(self):
-            self._condensation.close()
+
+def every_second(x: Array, lines: IntArray) -> tuple[IntArray, scipy.sparse.csr_matrix, IntArray]:
+    """Every second of places (n, 2) along the curves that lines (m, 2) form, their ends and branches.
+
+    Returns:
+        Their numbers (k,), ascending; the shares (n, k) by which a place lies between them; lines of them.
+    """
+    chosen = np.bincount(lines.ravel(), minlength=len(x)) != 2
+    chosen[along(x, lines, float(np.ptp(x)))[::2]] = True
+    kept, number = np.flatnonzero(chosen), np.cumsum(chosen) - 1
+    place, other = np.concatenate([lines, lines[:, ::-1]]).T
+    between = chosen[other] & ~chosen[place]
+    place, other = place[between], other[between]
+    near = 1.0 / np.linalg.norm(x[place] - x[other], axis=1)
+    entries = np.append(near / np.bincount(place, near)[place], np.ones(len(kept)))
+    places = np.append(place, kept), number[np.append(other, kept)]
+    shares = scipy.sparse.csr_matrix((entries, places), shape=(len(x), len(kept)))
+    halves = shares[np.diff(shares.indptr) == 2].indices.reshape(-1, 2)
+    return kept, shares, np.concatenate([halves, number[lines[chosen[lines].all(axis=1)]]])

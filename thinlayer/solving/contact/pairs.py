@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ import scipy.sparse
 
 from forms.base import Array
 from forms.contact import ContactLaw, EasedContact
-from geometry.topology import BoolArray
+from geometry.topology import BoolArray, IntArray
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.system.compilation import own_library
 
@@ -35,7 +37,7 @@ class Pairs:
         first: global number of this rank's first node.
 
     Attributes:
-        nodes: (n,) local numbers of this rank's nodes that are in a pair, ascending.
+        nodes: (n,) local numbers of this rank's nodes that are in a pair, ascending; of `some`: their numbers in all.
         dofs: (n d,) their displacements.
         free: (n, d) components that are not held.
         ends: (pairs, 2) upper and lower node, as numbers in `nodes`; -1: the rigid base, or a node of another rank.
@@ -46,16 +48,29 @@ class Pairs:
         self._parts, self.d = parts, parts[0].nodes.dim
         pairs = np.concatenate([part.nodes.pairs for part in parts]) - first
         pairs[(pairs < 0) | (pairs >= len(held) // self.d)] = -1
-        self.nodes, place = np.unique(np.concatenate([[-1], pairs.ravel()]), return_inverse=True)
-        self.nodes = self.nodes[1:]
-        self.ends = place[1:].reshape(-1, 2) - 1
         self.frames = np.concatenate([part.nodes.frames for part in parts])
         self.weights = np.concatenate([part.nodes.weights for part in parts])
         self.gaps = np.zeros((len(pairs), self.d))
         self.gaps[:, -1] = np.concatenate([part.nodes.gap for part in parts])
-        self._of_part = np.split(np.arange(len(pairs)), np.cumsum([len(part.nodes.weights) for part in parts])[:-1])
+        self._of_part = [np.arange(len(part.nodes.weights)) for part in parts]
+        self._join(pairs, ~held.reshape(-1, self.d))
+
+    def some(self, chosen: IntArray, weights: Array) -> Pairs:
+        """Those pairs (k,), with areas (k,), and their nodes."""
+        few, begins = copy(self), np.cumsum([0, *map(len, self._of_part)])
+        few.frames, few.gaps, few.weights = self.frames[chosen], self.gaps[chosen], weights
+        cuts = np.searchsorted(chosen, begins)
+        spans = zip(self._of_part, begins, pairwise(cuts), strict=False)
+        few._of_part = [own[chosen[slice(*cut)] - begin] for own, begin, cut in spans]
+        few._join(self.ends[chosen], self.free)
+        return few
+
+    def _join(self, pairs: IntArray, free: BoolArray) -> None:
+        """Number the nodes of pairs (n, 2); -1: none."""
+        self.nodes, place = np.unique(np.concatenate([[-1], pairs.ravel()]), return_inverse=True)
+        self.nodes = self.nodes[1:]
+        self.ends, self.free = place[1:].reshape(-1, 2) - 1, free[self.nodes]
         self.dofs = (self.nodes[:, None] * self.d + np.arange(self.d)).ravel()
-        self.free = ~held[self.dofs].reshape(-1, self.d)
         self.jumps = self._jump_matrix()
         self._to_nodes = self.jumps.T.tocsr()
         self._by_node = self._sorted_by_node()
@@ -79,8 +94,9 @@ class Pairs:
 
     def _gathered(self, of_part: Callable[[Law, Array, Array], Array], w: Array) -> Array:
         """(pairs, ...) values of each part's law at the jumps (pairs, d)."""
-        parts = zip(self._parts, self._of_part, strict=True)
-        return np.concatenate([of_part(part.now, w[own], part.slip) for part, own in parts])
+        begins = np.cumsum([0, *map(len, self._of_part)])
+        parts = zip(self._parts, self._of_part, pairwise(begins), strict=True)
+        return np.concatenate([of_part(part.now, w[slice(*at)], part.slip[own]) for part, own, at in parts])
 
     def apart(self, u: Array) -> Array:
         """(pairs, d) jumps, and initial gaps along the normal, in the pairs' frames at displacements (n d,)."""
@@ -120,7 +136,7 @@ class Pairs:
 
     def _offsets(self, w: Array) -> Array:
         """Jumps (pairs, d) less the slip."""
-        slip = np.concatenate([part.slip for part in self._parts])
+        slip = np.concatenate([part.slip[own] for part, own in zip(self._parts, self._of_part, strict=True)])
         return np.column_stack([w[:, :-1] - slip, w[:, -1]])
 
     def sweep(

@@ -5,9 +5,10 @@
  * more entries than there is room for.
  *
  * The entries of the matrix form blocks of d x d, one row of blocks for each node. The part has n nodes; nodes[r] is the
- * node whose new number is r, and place[nodes[r]] = r; other nodes have the place -1. In each row columns ascend. */
+ * node whose new number is r, and place[nodes[r]] = r; other nodes have the place -1. In each row columns ascend. Of the rows
+ * and columns of held unknowns only the diagonal stays. */
 int upper_triangle(int n, int d, int room, const int32_t *indptr, const int32_t *indices, const double *values,
-                   const int32_t *place, const int32_t *nodes, int32_t *rows, int32_t *columns, double *entries)
+                   const uint8_t *held, const int32_t *place, const int32_t *nodes, int32_t *rows, int32_t *columns, double *entries)
 {
     int32_t filled = 0, block[4096], number[4096]; /* of a node's row: place of a block in it, its new column */
     rows[0] = 0;
@@ -36,10 +37,12 @@ int upper_triangle(int n, int d, int room, const int32_t *indptr, const int32_t 
         }
         if (!count || number[0] != r || filled + count * d * d > room + d * (d - 1) / 2) return -1;
         for (int k = 0; k < d; k++) {
+            const int row = nodes[r] * d + k;
             for (int c = 0; c < count; c++)
                 for (int l = c ? 0 : k; l < d; l++) {
+                    const int column = nodes[number[c]] * d + l, cut = column != row && (held[row] || held[column]);
                     columns[filled] = number[c] * d + l;
-                    entries[filled++] = values[first + k * length + block[c] * d + l];
+                    entries[filled++] = cut ? 0 : values[first + k * length + block[c] * d + l];
                 }
             rows[r * d + k + 1] = filled;
         }
