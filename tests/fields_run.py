@@ -21,7 +21,7 @@ STRESS = {  # in the turned axes: along S, across it, out of the plane; traction
     3: np.array([[0.7, -0.3, 0.1], [-0.3, 0.5, 0.25], [0.1, 0.25, -0.2]]),
 }
 
-CASES = [(2, "triangle", "P1"), (2, "quadrilateral", "S2"), (3, "tetrahedron", "P2"), (3, "hexahedron", "Q1")]
+CASES = [(2, "triangle", "P1"), (2, "quadrilateral", "S2"), (3, "hexahedron", "Q1"), (3, "tetrahedron", "P2")]
 
 
 def axes(d: int) -> np.ndarray:

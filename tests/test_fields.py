@@ -60,6 +60,7 @@ def packed(stress, nu):
     return np.array([whole[i, j] for i, j in SIX])
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(("d", "cell_type", "element"), CASES)
 def test_uniform_stresses_are_read_again(written, d, cell_type, element):
     """All times; traction and jump by hand; t_N and w_N along n, t_T and w_T along S."""

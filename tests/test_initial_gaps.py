@@ -30,6 +30,7 @@ def curved(kind=HolonomicCoulomb, gap=CURVED):
 METHODS = ("condensed", "multigrid", "newton", "relaxation")
 SIDES = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "BOTTOM": 0.0}
 K = 400.0
+COMPLIANCE = 1 / K + 0.5 / (LOWER.lmbda + 2 * LOWER.mu) + 0.75 / (UPPER.lmbda + 2 * UPPER.mu)  # of `column`
 
 
 def column(law, dim=2, *, shift=None, load=None):
@@ -59,8 +60,7 @@ def test_blocks_over_a_gap(gap, method, dim):
     """w = -gap - p/K under a load; under a shift S and both blocks are in series for what is left of it."""
     law = HolonomicCoulomb(K_N=K, K_T=150.0, friction=0.3, gap=gap)
     assert across(solve(column(law, dim, load=-0.8), method=method)) == pytest.approx((-gap - 0.8 / K, -0.8), rel=1e-9)
-    compliance = 1 / K + 0.5 / (LOWER.lmbda + 2 * LOWER.mu) + 0.75 / (UPPER.lmbda + 2 * UPPER.mu)
-    p = (0.05 - gap) / compliance
+    p = (0.05 - gap) / COMPLIANCE
     assert across(solve(column(law, dim, shift=-0.05), method=method)) == pytest.approx((-gap - p / K, -p), rel=1e-9)
 
 
@@ -123,13 +123,14 @@ def test_a_march_closes_a_gap_and_balances_its_energy():
     assert [state.audit.total > 1e-20 for state in history] == [False, False, True]
     assert history.at(0.5).stored["contact"] == 0.0
     pressed = march(
-        column(IncrementalCoulomb(K_N=K, K_T=150.0, friction=0.3, gap=-0.01), shift=lambda x, t: -0.05 * t), [1.0]
+        column(IncrementalCoulomb(K_N=K, K_T=150.0, friction=0.3, gap=-0.01), shift=lambda x, t: -0.05 * t), [0.6, 1.0]
     )
     for state in (*history, *pressed):
         assert state.audit.total < 1e-20 or abs(state.audit.imbalance) < 1e-11
         energies = state.energies()
         assert state.audit.total == pytest.approx(energies["bodies"] + energies["layer"], rel=1e-10, abs=1e-15)
     assert pressed.at(0.0).audit.supplied > 0
+    assert pressed.last.audit.supplied == pytest.approx(0.06 / COMPLIANCE * 0.02 * 2.0, rel=1e-9)  # force times move
 
 
 @pytest.mark.few(1)

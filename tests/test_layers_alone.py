@@ -377,9 +377,15 @@ def test_densities_of_laws_with_unsymmetric_tangents_have_the_transposed_ones():
     """With the tangent itself the density adds up to 1.23 of the change, which is 13 % of the compliance."""
     forth = {"BOTTOM": 0, "TOP": {"x": lambda x, t: 0.034 * t, "y": lambda x, t: -0.0136 * t}}
     layer = ThinLayer(MohrCoulomb(4.0, 3.0, cohesion=0.1, friction_angle=20.0), EPS)
-    found = estimate(march(loaded(blocks(), supports=forth, tractions={}).interface(layer), [1.0]))
+    history = march(loaded(blocks(), supports=forth, tractions={}).interface(layer), [1.0])
+    found = estimate(history)
     change = found.goals["compliance"].change
     assert Surface(found.better.model).integral(found.density()) == pytest.approx(change, rel=0.01)
+    forces, weights = np.random.default_rng(5).normal(size=(2, dofs := history.last.u.x.array.size))
+    with Adjoint(history.last) as adjoint:
+        moved, q = adjoint.displacements(np.arange(dofs), forces), adjoint.of_nodes(np.arange(dofs), weights)
+        z = adjoint.weights(q, adjoint.nothing()).u.x.array
+    assert weights @ moved == pytest.approx(z @ forces, rel=1e-9)
 
 
 def test_histories_of_which_states_are_not_kept_and_of_bonds_are_marched_again():

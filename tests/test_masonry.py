@@ -98,7 +98,7 @@ def test_limit_of_a_pulled_panel():
     """A head of each course opens, and the bed between slides along half a brick."""
     C, cohesion, share = 0.02, 0.002, 0.5 / 1.0  # half a brick over the height of two courses
     bed = ThinLayer(MohrCoulomb(0.6, 0.7, cohesion=C, friction_angle=0.0), 0.01, at=1.0)
-    head = ThinLayer(MohrCoulomb(0.3, 0.45, cohesion=cohesion, friction_angle=30.0), 0.01, at=1.0)
+    head = ThinLayer(MohrCoulomb(0.3, 0.45, cohesion=cohesion, friction_angle=30.0), 0.02, at=1.0)
     want = share * C + cohesion / tan(radians(30.0))  # the apex of its yield surface
     supports = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}}
     structure = Structure(
@@ -106,6 +106,9 @@ def test_limit_of_a_pulled_panel():
         tractions={"RIGHT": lambda x, t: (t, 0.0)},
     )  # fmt: skip
     limit = limit_of(structure, {"BED": bed, "HEAD": head}, want)
+    opened, slid = 1.0, 0.5 / 2  # lengths of two heads and half a brick; of a jump along S the strain squared is a half
+    shares = {"HEAD": opened / (opened + slid), "BED": slid / (opened + slid)}
+    assert limit.shares == pytest.approx(shares, abs=3e-3)  # the bricks are not rigid
     assert list(limit.shares) == ["HEAD", "BED"]
 
 

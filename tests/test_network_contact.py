@@ -9,7 +9,7 @@ import ufl
 
 from forms import IncrementalCoulomb, LinearElastic, Stack
 from forms.base import InputError
-from geometry import bond_cell
+from geometry import bond_cell, periodic, sandwich
 from geometry.seam import Seam
 from tests.dry_walls import dry_wall, imbalance
 from tests.network_cases import BED, HEAD, three_bricks
@@ -190,5 +190,8 @@ def test_refused():
             solve(model, method=method)
     cell = Structure(bond_cell((1.0, 0.5), 0.125), body=LinearElastic.young(50.0, 0.2), supports={}, element="Q1",
                      strain=((0.0, 0.0), (0.0, -0.01)))  # fmt: skip
-    with pytest.raises(InputError, match="method='condensed' is for one seam without branches, not periodic"):
-        solve(cell.interface({"BED": BED, "HEAD": HEAD}), method="condensed")
+    strip = periodic(sandwich(1.0, 0.5, 0.5, 0.25), ("LEFT", "RIGHT"))
+    below = Structure(strip, body=LinearElastic.young(50.0, 0.2), supports={"BOTTOM": 0.0}, element="P1")
+    for one in (cell.interface({"BED": BED, "HEAD": HEAD}), below.interface(BED)):
+        with pytest.raises(InputError, match="method='condensed' is for one seam without branches, not periodic"):
+            solve(one, method="condensed")

@@ -9,7 +9,7 @@ import pytest
 import ufl
 from scipy.optimize import brentq
 
-from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed
+from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed, Stack
 from geometry import block, sandwich
 from studies.phases import CASES, Formula, blocks
 from studies.problems import phases_on_s
@@ -201,6 +201,19 @@ def test_snap_by_heating():
 
 
 # ---------------------------------------------------------------- phases counted
+def test_phases_of_sublayers_are_weighted_by_their_thickness():
+    """Under a traction beyond the plateau K C/alpha - alpha/2 of one of two sublayers, beside an elastic one."""
+    soon, late = (NonMonotone(0.0, MU, ALPHA, C, np.diag([0.0, 1.0])) for C in (0.02, 0.05))
+    assert 2 * MU * 0.02 / ALPHA - ALPHA / 2 < 1.5 < 2 * MU * 0.05 / ALPHA - ALPHA / 2
+    layer = ThinLayer(Stack((0.2, soon), (0.5, late), (0.3, LinearElastic(0.0, 30.0))), 0.1)
+    sides = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    bars = Structure(joint(), body=LinearElastic(0.0, 50.0), supports=sides, tractions={"TOP": (0.0, 1.5)})
+    for model in (bars.interface(layer), bars.full(layer)):
+        shares = phase_shares(state := solve(model), "S")
+        assert shares == pytest.approx({"plus": 0.2 / 0.7, "minus": 0.0, "boundary": 0.5 * 0.1}, rel=1e-9)
+        assert Surface(model).phase(state) == pytest.approx(0.2 / 0.7, rel=1e-9)
+
+
 def test_phases_by_hand():
     """Shares, boundary, profile and fronts of a march against the points of each facet, or column; in the table too."""
     for model in models(HEATED):

@@ -65,6 +65,8 @@ def test_internal_variables_are_those_of_the_memory(kind):
     assert key == "layer 2" if kind == "interface" else "layer"
     found = probe.points("plastic")
     assert found.key == key
+    order = np.lexsort([*np.round(found.x.T[::-1], 9), found.entity])  # by cell or facet, then by place
+    assert np.array_equal(order, np.arange(len(order)))
     assert found.values.shape == (len(found.x), 3, 3)
     assert found.values == pytest.approx(found.values.swapaxes(1, 2))
     share = 1.0 if kind == "interface" else 0.6

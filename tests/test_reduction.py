@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import permutations
+
 import numpy as np
 import pytest
 
@@ -79,6 +81,7 @@ TABLE = {
         ("eigenstrain", thin(eigenstrain=0.01), {}),
         *(("contrast", thin(kind.shear(25.1, 0.3)), {}) for kind in (LinearElastic, Rubber)),
         (None, thin(LinearElastic.shear(24.9, 0.3)), {}),
+        *(("contrast", thin(), {"body": {one: BODY, other: GLUE}}) for one, other in permutations(("LOWER", "UPPER"))),
         ("coarse", thin(Rubber(74.0, 1.0)), {}),
         (None, thin(Rubber(76.0, 1.0)), {}),  # its pressure falls over 0.2517, cells are 0.25 long
         ("apart", thin(), {"bodies": "extended"}),
@@ -122,7 +125,7 @@ TABLE = {
 def test_the_first_condition_that_does_not_hold(question, key, layer, given):
     given = dict(given)
     joint, bodies = given.pop("joint", PLATES), given.pop("bodies", "kept")
-    structure = Structure(joint, body=BODY, **{"supports": {"BOTTOM": 0.0}} | given)
+    structure = Structure(joint, **{"body": BODY, "supports": {"BOTTOM": 0.0}} | given)
     known = Reduction(SeamLayer(next(iter(joint.seams)), layer, structure), bodies)
     refused = known.why_not(question)
     assert (refused and refused.key) == key
