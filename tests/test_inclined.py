@@ -12,9 +12,11 @@ from dolfinx import fem
 from forms import LinearElastic
 from forms.base import InputError
 from geometry import ring, sandwich
+from geometry.topology import sums
 from tests.refused import refused
 from tests.supports_run import BODY, EPS, GLUE, KINDS, model, out_of_balance, turn
 from thinlayer import Pressure, Structure, ThinLayer, solve
+from thinlayer.discretisation.boundary import node_normals
 
 
 def column(kind: str, angle: float, law=GLUE, t: float = 0.0, **change):
@@ -97,6 +99,25 @@ def _mean_radial(state):
     x = ufl.SpatialCoordinate(model.domain.mesh)
     outward = x / ufl.sqrt(ufl.dot(x, x))
     return state.integral(ufl.dot(state.u, outward) * ds) / state.integral(fem.Constant(model.domain.mesh, 1.0) * ds)
+
+
+@pytest.mark.parametrize(("cell", "element", "around"), [("tetrahedron", "P1", 6), ("hexahedron", "Q1", 4)])
+def test_normals_at_vertices_on_a_sphere(cell, element, around):
+    """They are radii, to rounding, where facets of unlike size and shape go all round a vertex."""
+    joint = sandwich(1.0, 0.5, 0.6, 0.3, depth=0.8, cell=cell, structured=True)
+    x, y, z = joint.points.T * [[1], [1 / 0.6], [1]]
+    x, z, centre = x + 0.3 * x**2, z - 0.2 * z**2 + 0.1 * x, np.array([0.5, -1.0, 0.4])
+    height = centre[1] + np.sqrt(2.1**2 - (x - centre[0]) ** 2 - (z - centre[2]) ** 2)
+    bent = replace(joint, points=np.column_stack([x, y * height, z]))
+    model = Structure(bent, body=BODY, supports={"BOTTOM": 0.0}, element=element).bonded()
+    blocks, normals = node_normals(model.domain, model.V, model.domain.facets("TOP"))
+    vertices, here = np.unique(blocks, return_inverse=True)
+    mean = sums(here, normals, len(vertices))
+    radii = model.V.tabulate_dof_coordinates()[vertices] - centre
+    inside = np.bincount(here) == around
+    assert inside.sum() >= 4
+    unit = mean / np.linalg.norm(mean, axis=1, keepdims=True)
+    assert unit[inside] == pytest.approx(radii[inside] / 2.1, abs=1e-12)
 
 
 # ---------------------------------------------------------------- refused
