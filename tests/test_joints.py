@@ -80,6 +80,9 @@ def test_a_corner_of_the_fixed_body_in_the_way():
     )
     inflate(joint, 0.9)
     refused(InputError, r"no room for a layer of thickness 1\.2 at \(2\.1, -1\)", lambda: inflate(joint, 1.2))
+    longer = replace(joint, points=np.vstack([joint.points[:-1], [4.5, -1.0]]))
+    inflate(longer, 1.1)  # the end of S comes upon the arm, which slopes, at -10/9
+    refused(InputError, r"no room for a layer of thickness 1\.12 at \(4, 0\)", lambda: inflate(longer, 1.12))
 
 
 def test_sides_of_the_layer():

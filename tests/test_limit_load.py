@@ -23,6 +23,7 @@ from thinlayer.running.cli import main as command
 from thinlayer.running.process import OK, UNFINISHED
 from thinlayer.running.record import Record
 from thinlayer.solving.solvers import Solver
+from thinlayer.solving.weak_springs import WeakSprings
 
 pytestmark = pytest.mark.few(5)
 
@@ -154,6 +155,31 @@ def test_steps_that_fail_without_the_sign():
         march(model, TIMES)
     assert not isinstance(caught.value, LimitLoad)
     assert caught.value.history.t[-1] == pytest.approx(0.013 * 70.0, rel=2e-2)
+
+
+class Tried(WeakSprings):
+    """Residuals that are known at some lengths of a step."""
+
+    def __init__(self, sizes):
+        self.sizes, self.lengths = sizes, []
+
+    def _residual(self, x):
+        self.lengths.append(x)
+        return self.sizes[x]
+
+
+@pytest.mark.parametrize(
+    ("sizes", "at"),
+    [
+        ({1.0: 2.0, 0.5: 0.96, 0.25: 0.9}, 0.25),  # the first that falls by a tenth of its length
+        ({1.0: 2.0, 0.5: 1.5, 0.25: 1.2, 0.125: 1.1, 0.0625: 1.3, 0.03125: 1.4}, 0.125),  # the least, where none does
+    ],
+)
+def test_lengths_of_a_step_with_weak_springs(sizes, at):
+    """The equations are left at the length that is chosen."""
+    springs = Tried(sizes)
+    assert springs._search(0.0, 1.0, 1.0) == (at, sizes[at])
+    assert springs.lengths[-1] == at
 
 
 # ---------------------------------------------------------------- eased laws

@@ -116,10 +116,10 @@ def test_a_plate_in_plane_strain_is_its_section():
 
 
 def test_how_far_from_its_end_a_load_along_it_reaches_the_faces():
-    """0.271 thicknesses, as tractions of a half strip are 4/(k pi) exp(-k pi d), k odd; here that is half a cell."""
+    """0.271 thicknesses, as tractions of a half strip are 4/(k pi) exp(-k pi d), k odd; here that is a cell."""
     k = np.pi * (2 * np.arange(10**5) + 1)
     mean = (4 / k**3).sum() / 0.5
-    joint = sandwich(2.0, 0.3, 0.3, 0.2, depth=0.2, cell="hexahedron", structured=True)
+    joint = sandwich(2.0, 0.3, 0.3, 0.1, depth=0.2, cell="hexahedron", structured=True)
     held = {"BOTTOM": 0, "FRONT": {"x": 0, "y": 0}, "BACK": {"x": 0, "y": 0}}
     setup = Structure(joint, body=BODY, supports=held, tractions={"RIGHT/LAYER": (0.0, 0.0, 0.7)})
     model = setup.interface(layer(eps=0.1 / mean))

@@ -7,8 +7,11 @@ import pytest
 
 from studies import fig8_friction, performance, relaxation
 from studies.fig4_bar import meet, straight
+from studies.problems import FOURIER_LAYER, of
 from studies.snap import distance
+from studies.sweeping import Row
 from thinlayer.running.cli import main
+from thinlayer.running.record import Record
 
 
 @pytest.mark.parametrize("name", ["limits", "strips"])
@@ -21,6 +24,15 @@ def test_short_studies_hold_what_they_promise(name, tmp_path):
 def test_figure_8_on_one_mesh_fails_its_checks_with_other_numbers(tmp_path, monkeypatch):
     monkeypatch.setattr(fig8_friction, "FRICTION", 0.95)
     assert main(["run", "fig8_friction", "--out", str(tmp_path)]) == 1
+
+
+def test_a_sweep_has_the_errors_of_further_laws(tmp_path):
+    """Those of order 0 beside those of order 1."""
+    row = Row(of(FOURIER_LAYER, order=1), h=(1 / 8, 1 / 8), beside={"_order0": of(FOURIER_LAYER)})
+    with Record("rates", tmp_path, {}) as record:
+        table = row.sweep(record, "elastic", [1 / 16], quick=True, pictured=False)
+    for name in ("error_traction", "error_jump"):
+        assert table[f"{name}_order0"][0] > 3 * table[name][0]
 
 
 def test_sweeps_and_failures():

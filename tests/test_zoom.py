@@ -180,6 +180,15 @@ def test_stresses_turn_with_the_structure(angle):
         np.testing.assert_allclose(same.H, one.H, rtol=1e-7)
 
 
+def test_a_rigid_rotation_does_not_strain_corners():
+    """Nor does it the law of order 1 without constants of free ends, which are of jumps alone."""
+    layer = ThinLayer(GLUE, EPS, order=1, edges="plain", at=1.0)
+    rigid = {"BOTTOM": {"x": lambda x, t: -0.2 * x[1], "y": lambda x, t: 0.2 * x[0]}}
+    plain, turned = (Zoom(state(layer, **more)).corners for more in ({}, {"supports": rigid}))
+    for one, same in zip(plain, turned, strict=True):
+        np.testing.assert_allclose(same.H, one.H, rtol=1e-9)
+
+
 def test_three_dimensions_between_rollers_are_plane_strain():
     plain, rollers = Zoom(state()), {"BOTTOM": 0, "FRONT": {"z": 0}, "BACK": {"z": 0}}
     base = sandwich(1.3, 0.3, 0.4, 0.1, depth=0.1, cell="hexahedron", structured=True)
