@@ -51,6 +51,15 @@ def pytest_collection_modifyitems(items):
             seen[name] += 1
 
 
+@pytest.fixture
+def draw():
+    """A session of gmsh, which draws the joints of files."""
+    from tests.meshes import drawing
+
+    with drawing() as occ:
+        yield occ
+
+
 @pytest.fixture(autouse=True, scope="module" if MPI.COMM_WORLD.size == 1 else "function")
 def collect_garbage():
     """PETSc objects that are freed late are freed in a different order on different ranks."""

@@ -131,15 +131,6 @@ def interface_states() -> list[np.ndarray]:
     return clamped(body, spring(*LAYER), body)
 
 
-def interface_displacement(y: np.ndarray, side: int) -> np.ndarray:
-    """(2, n) amplitudes U, V of the interface model at heights y of the lower (-1) or upper (+1) block."""
-    bottom, _, above, _ = interface_states()
-    start, z0 = (-HEIGHT, bottom) if side < 0 else (0.0, above)
-    levels, inverse = np.unique(np.round(y, 12), return_inverse=True)
-    values = np.array([(expm(strip(*BODY) * (level - start)) @ z0)[:2] for level in levels])
-    return values[inverse.ravel()].T
-
-
 def through(layer: list, eps: float) -> tuple[np.ndarray, np.ndarray]:
     """Transfer through sublayers (fraction, lmbda, mu) with moduli per thickness, and its mean over the thickness."""
     whole, mean = np.eye(4), np.zeros((4, 4))

@@ -58,7 +58,6 @@ def test_a_bar_that_snaps_back(law, first, backwards):
     assert (table["dt"] < 0).any()
 
 
-@pytest.mark.few(5)
 def test_a_load_that_has_a_limit():
     """The bar under a traction: it rises to the peak of the law, falls, and rises again; t as a load need not be linear."""
     change = lambda t: t + 0.3 * t**2

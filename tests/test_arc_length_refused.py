@@ -6,9 +6,18 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
 import pytest
 
-from forms import HolonomicCoulomb, Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulomb
+from forms import (
+    HolonomicCoulomb,
+    Incompressible,
+    KelvinVoigt,
+    LinearElastic,
+    Maxwell,
+    MohrCoulomb,
+    NonMonotoneUnrelaxed,
+)
 from forms.base import InputError
 from forms.traction import TractionLaw
 from geometry import block
@@ -68,6 +77,7 @@ class Creeping(TractionLaw):
         (KelvinVoigt(60.0, 40.0, 0.3, 0.5), "KelvinVoigt depends on rates, and t is no time on a path"),
         (Maxwell(60.0, 40.0, t1=0.7), "Maxwell creeps or relaxes, and t is no time on a path"),
         (Creeping(7.0, 0.3), "Creeping creeps or relaxes"),
+        (NonMonotoneUnrelaxed(60.0, 40.0, 0.2, 0.02, np.eye(2)), "NonMonotoneUnrelaxed has pure phases"),
         (
             MohrCoulomb(60.0, 40.0, cohesion=0.1, friction_angle=30.0),
             "MohrCoulomb bounds stresses: on a path loads stay",

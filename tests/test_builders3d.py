@@ -74,12 +74,7 @@ def test_grading_of_boxes(cell, structured):
 @pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("cell", "hole", "degree"),
-    [
-        ("tetrahedron", 0.0, 2),
-        ("tetrahedron", 0.3, 1),
-        ("hexahedron", 0.3, 2),
-        ("hexahedron", 0.0, 1),
-    ],
+    [("tetrahedron", 0.0, 2), ("tetrahedron", 0.3, 1), ("hexahedron", 0.3, 2), ("hexahedron", 0.0, 1)],
 )
 def test_disc(cell, hole, degree):
     joint = disc(1.0, 0.5, 0.4, 0.3, hole=hole, h_S=0.2, h_ends=0.1, cell=cell, degree=degree)
@@ -179,10 +174,7 @@ def test_errors():
         (lambda: block(1.0, 1.0, cell="triangel"), "did you mean 'triangle'"),
         (lambda: block(1.0, 1.0, h_end=0.1), "unknown keyword 'h_end', did you mean 'h_ends'"),
         (lambda: block(1.0, 1.0, structured=True, arrangement="Up"), "known: AlternateLeft"),
-        (
-            lambda: sandwich(1.0, 1.0, 1.0, depth=1.0, cell="triangle"),
-            "cell in 3D 'triangle'; known: hexahedron, tetra",
-        ),
+        (lambda: sandwich(1.0, 1.0, 1.0, depth=1.0, cell="triangle"), "cell in 3D 'triangle'; known: hexahedron, tet"),
         (lambda: block(1.0, 1.0, depth=2.0, h=2.5), "cell size h is 2.5; allowed: 2e-05 to 2"),
         (lambda: disc(1.0, 1.0, 1.0, hole=1.0), r"hole is 1.0; it must be 0 \(no hole\) or a radius less than 1.0"),
         (lambda: disc(1.0, 1.0, 1.0, h_S=1e-6), "cell size h_S"),
@@ -190,5 +182,10 @@ def test_errors():
         (lambda: ring(1.0, 1.0, 2.0), "inner = 1.0, interface = 1.0, outer = 2.0 must grow"),
         (lambda: ring(0.5, 1.0, 2.0, angle=0.0), "angle is 0.0; it must be > 0 and at most 2 pi"),
         (lambda: ring(0.5, 1.0, 2.0, angle=6.3), "angle is 6.3"),
+        (lambda: sandwich(1.0, 1.0, 1e-8, 0.5, depth=1.0), "height of UPPER is 1e-08; allowed: at least 1e-06"),
+        (lambda: block(1e9, 1e9, 1e8, depth=1.0), r"depth is 1; allowed: at least 1000 \(1e-06 of the largest"),
+        (lambda: ring(0.5, 1 - 1e-8, 1.0, 0.1), "thinnest part is 1e-08"),
+        (lambda: disc(1.0, 1.0, 1.0, 0.5, hole=1e-9, cell="hexahedron"), "hole is 1e-09"),
+        (lambda: block(1.0, 2e-5), "default cell size h is 2e-06; give h, from 1e-05 on"),
     ):
         refused(InputError, message, build)

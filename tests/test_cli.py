@@ -110,23 +110,6 @@ def test_bad_input_writes_nothing(tmp_path, words, message):
     assert not (tmp_path / "out").exists()
 
 
-def test_failed_solve_keeps_what_was_done(tmp_path, monkeypatch, capsys):
-    import studies.sweeping
-    from thinlayer import SolveError, solve
-
-    def fails_for_thin_layers(model):
-        if model.layers["S"].thin.eps < 0.05:
-            raise SolveError("linear solve failed: DIVERGED_MAX_IT")
-        return solve(model)
-
-    monkeypatch.setattr(studies.sweeping, "solve", fails_for_thin_layers)
-    status = cli.main([*ELASTIC, "--quick", "--eps", "0.01", "0.1", "--out", str(tmp_path)])
-    assert status == 3
-    assert "DIVERGED_MAX_IT" in capsys.readouterr().err
-    assert [row["eps"] for row in rows(tmp_path / "table_elastic.csv")] == ["0.1"]
-    assert "DIVERGED_MAX_IT" in json.loads((tmp_path / "run.json").read_text())["error"]
-
-
 def test_failed_check(tmp_path, capsys):
     """Thick layers are far from their limit: the sweep's own check of the order says so."""
     assert cli.main([*ELASTIC, "--quick", "--eps", "2", "4", "--out", str(tmp_path)]) == 1

@@ -142,14 +142,6 @@ def test_order_in_time_of_a_column(name, theta, order):
     check_order(found, float(closed(end)), order, number)
 
 
-def test_creep_by_nortons_power_law_goes_on_and_that_of_the_papers_law_stops():
-    """The dashpot of `Norton` has the steady rate A s^n of a data sheet, but its creep ends at t/mu."""
-    eta, p = (2 / 3) ** ((CREEP.n + 1) / (2 * CREEP.n)) * CREEP.A ** (-1 / CREEP.n), 1 + 1 / CREEP.n
-    rate = np.array([3 ** ((CREEP.n + 1) / 2) * CREEP.A, 0.0])
-    assert closed_forms.norton(0.0, 0.0, eta, p, np.zeros(2), rate, [0, 1]) == pytest.approx([1.0, 0.0], rel=1e-12)
-    assert closed_forms.norton_creep(LOAD["shear"], MU, eta, p, 1e3, shear=True) < 0.1 * power_creep("shear", 1e3)
-
-
 def test_incompressible_column():
     """[u_N] = 0 whatever the normal traction; [u_T] = t_T/mu at any time."""
     for mode, expected in (("normal", 0.0), ("shear", 0.5 * 1.3 / MU)):

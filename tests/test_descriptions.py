@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -199,20 +200,16 @@ def test_settings_of_laws_and_meshes(tmp_path):
     assert (lower, upper) == (LinearElastic.young(6, 0.1), LinearElastic.shear(5, 0.2))
 
 
-@pytest.mark.parametrize(
-    ("setting", "message"),
-    [
+def test_settings_refused(tmp_path):
+    """With the option and the keys of the entry."""
+    for setting, message in (
         ("times=1\nbonded=true", "times: '1\\nbonded=true' are no times"),
         ("times=[1, 1]", "times: [1, 1] are no times; give numbers > 0 that grow"),
         ("goals.traction=true", "goals.traction: this quantity is told of every layer"),
         ("goals={reaction = {place = 'LEFT'}}", "goals.reaction: direction is missing: reaction has place"),
-    ],
-)
-def test_settings_refused(tmp_path, setting, message):
-    """With the option and the keys of the entry."""
-    with pytest.raises(DescriptionError) as error:
-        described(tmp_path, LEAST, setting)
-    assert f"--set {setting!r}: {message}" in str(error.value)
+    ):
+        words = re.escape(f"--set {setting!r}: {message}")
+        refused(DescriptionError, words, described, tmp_path, LEAST, setting)
 
 
 def test_options_are_named_beside_the_file(tmp_path):

@@ -14,6 +14,7 @@ from forms.ends import free_end
 from studies.free_ends import edge, graded, grid
 from studies.problems import FOURIER_BODY as BODY
 from tests.meshes import part_of
+from tests.refused import refused
 from tests.test_edges import weights_on
 from thinlayer import Structure, ThinLayer, compare, solve
 
@@ -98,5 +99,4 @@ def test_strips_that_lie_on_one_another_are_refused():
         (tongue, 0.04, 0.05, "lie on one another"),
     ):
         structure, law = Structure(joint, body=BODY, supports={}, tractions={}), LinearElastic.shear(8.0, nu)
-        with pytest.raises(InputError, match=words):
-            structure.interface(ThinLayer(law, eps, order=1, edges="free", at=1.0))
+        refused(InputError, words, structure.interface, ThinLayer(law, eps, order=1, edges="free", at=1.0))

@@ -139,8 +139,7 @@ def test_a_meshed_layer_that_hardly_resists():
         layer = ThinLayer(Anisotropic.springs(1e3, K_T), 0.1, at=1.0)
         return Structure(PLATES, body=STEEL, supports=HELD, tractions={"TOP": (0, -1.0)}).full(layer)
 
-    with pytest.raises(SolveError, match="no unique solution: rounding of the forces changes the displacements"):
-        solve(made(1e-11))
+    refused(SolveError, "no unique solution: rounding of the forces changes the displacements", solve, made(1e-11))
     slip = solve(made(1e-3)).u.x.array.reshape(-1, 2)[:, 0]
     assert abs(slip.mean()) < 1e-3 * np.abs(slip).max()
 

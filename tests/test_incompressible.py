@@ -73,11 +73,7 @@ def clamped_ends(cell):
     return joint, pressed(joint, LEFT=0.0, RIGHT=0.0)
 
 
-STRUCTURES = {
-    "two bodies": lambda cell: fourier(1 / 8, cell=cell),
-    "clamped ends": clamped_ends,
-    "ring": rubber_ring,
-}
+STRUCTURES = {"two bodies": lambda cell: fourier(1 / 8, cell=cell), "clamped ends": clamped_ends, "ring": rubber_ring}
 
 
 def errors(structure, thicknesses, **choices):

@@ -28,15 +28,6 @@ def two_quadrilaterals(low=(0.0, -1.0), top=(1.0, 1.0)):
     return Joint(points, QUADS, "quadrilateral", *regions, {"S": np.array([[2, 3]])}, {"S": Seam(("LOW",), ("UP",))})
 
 
-def test_rotated_turns_counter_clockwise():
-    joint = sandwich(2.0, 0.8, 1.1, 0.9, depth=1.0, structured=True)
-    turned = joint.rotated(np.pi / 2)
-    x, y = joint.points[:, :2].T
-    assert turned.points[:, 0] == pytest.approx(-y, abs=1e-15)
-    assert turned.points[:, 1] == pytest.approx(x, abs=1e-15)
-    assert (turned.points[:, 2:] == joint.points[:, 2:]).all()
-
-
 def test_s_inside_one_body_swapped_and_rotated():
     """The direction of the upper side turns with the body, and round when sides are swapped."""
     two = sandwich(2.0, 0.8, 1.1, 0.5)

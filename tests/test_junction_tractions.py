@@ -18,7 +18,6 @@ pytestmark = pytest.mark.few(5)
 
 STIFF = {"BED": (2.0, 0.7), "HEAD": (1.2, 0.45)}  # K_N, K_T
 LAYERS = {"BED": springs(*STIFF["BED"]), "HEAD": springs(*STIFF["HEAD"], 0.007)}
-SHIFTED = {"BOTTOM": 0.0, "TOP": {"x": 0.1, "y": -0.05}}
 EXACT = 1e-12  # relative, of sums over S
 
 

@@ -63,14 +63,6 @@ def test_stratified(dim, m, w, a, b):
     assert energy == pytest.approx(w[:dim] @ K @ w[:dim] / 2, rel=1e-8, abs=1e-12 * size)
 
 
-def test_stratified_as_printed_is_another_law():
-    """Eq. (52): the harmonic mean of lmbda; it is 1/(lmbda + 2 mu) that averages."""
-    fractions, moduli = (0.3, 0.7), ((3.4, 13.6), (22.2, 4.2))
-    K = closed_forms.stratified(fractions, [closed_forms.elastic_stiffness(*one, [0, 1]) for one in moduli])
-    lmbda = 1 / sum(a / one for a, (one, _) in zip(fractions, moduli, strict=True))
-    assert abs((lmbda + 2 * K[0, 0]) / K[1, 1] - 1) > 0.02
-
-
 @given(E=moduli, nu=st.floats(-0.9, 0.49))
 def test_moduli(E, nu):
     law = LinearElastic.young(E, nu)

@@ -85,8 +85,7 @@ def test_the_order_of_layers_makes_no_difference(tmp_path):
         assert state.dissipated == pytest.approx(one.at(state.t).dissipated, rel=1e-10)
         assert state.energies() == pytest.approx(one.at(state.t).energies(), rel=1e-10)
     swapped = {"BED": yields["HEAD"], "HEAD": yields["BED"]}
-    with pytest.raises(InputError, match="is of another march"):
-        march(bricks.interface(swapped), times, out=tmp_path, resume=True)
+    refused(InputError, "is of another march", march, bricks.interface(swapped), times, out=tmp_path, resume=True)
 
 
 # ---------------------------------------------------------------- limits, snaps, what is told

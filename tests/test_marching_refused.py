@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from forms.base import InputError
+from tests.refused import refused
 from tests.viscous_joints import interface
 from thinlayer import Adaptive, march
 
@@ -37,13 +38,10 @@ from thinlayer import Adaptive, march
 def test_bad_input(times, options, message, tmp_path):
     if not options.get("resume"):
         options = {"out": tmp_path / "out"} | options
-    with pytest.raises((InputError, TypeError), match=message):
-        march(interface(), times, **options)
+    refused((InputError, TypeError), message, march, interface(), times, **options)
     assert not (tmp_path / "out").exists()
 
 
 def test_bad_adaptive_steps():
-    with pytest.raises(InputError, match=r"tolerance is -1\.0; allowed: a number > 0"):
-        Adaptive(1.0, first=0.1, tolerance=-1.0)
-    with pytest.raises(InputError, match="at has t = 2; times increase to end = 1"):
-        Adaptive(1.0, 0.1, at=[2.0])
+    refused(InputError, r"tolerance is -1\.0; allowed: a number > 0", Adaptive, 1.0, first=0.1, tolerance=-1.0)
+    refused(InputError, "at has t = 2; times increase to end = 1", Adaptive, 1.0, 0.1, at=[2.0])

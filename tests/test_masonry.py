@@ -1,4 +1,4 @@
-"""Mechanics of masonry: shear tests of mortar, walls with open heads, and panels whose mortar yields, by both models."""
+"""Mechanics of masonry: panels whose mortar yields, by both models, and what happens in each layer."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import pytest
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
 from forms.base import InputError
 from geometry import sandwich
-from studies.wall import CLAY, EPS, MORTAR
 from tests.meshed_cases import bricks, inner, mortar, panel
 from tests.network_cases import springs
 from tests.pictures import assert_coloured, assert_drawn
@@ -23,39 +22,6 @@ pytestmark = pytest.mark.few(5)
 
 FAR = 0.2  # from junctions and ends: a traction of degree 1 takes their values one cell (0.125) farther
 STEPS = 1 / 1024  # of the last planned step, to which a limit is found
-
-
-# ---------------------------------------------------------------- shear tests
-COHESION, ANGLE = 0.2, 35.0  # MPa, degrees
-LENGTH, HEIGHT = 250.0, 60.0  # mm, of a brick
-
-
-def strength(law: type, p: float) -> float:
-    angle = radians(ANGLE)
-    friction = sin(angle) if law is MohrCoulomb else tan(angle)
-    return COHESION * (cos(angle) if law is MohrCoulomb else 1.0) + friction * p
-
-
-def couplet(law: type, p: float, kind: str) -> Structure:
-    """Two bricks: the lower one is held at its right end, the upper one pushed at its left end."""
-    bed = ThinLayer(law(MORTAR.lmbda, MORTAR.mu, COHESION, ANGLE), EPS)
-    push = {"LEFT/UPPER": lambda x, t: (LENGTH / HEIGHT * t, 0.0), "TOP": (0.0, -p)}
-    held = {"BOTTOM": {"y": 0.0}, "RIGHT/LOWER": {"x": 0.0}}
-    joint = sandwich(LENGTH, HEIGHT, HEIGHT, 30.0, cell="quadrilateral", structured=True)
-    structure = Structure(joint, body=CLAY, supports=held, tractions=push, element="Q1")
-    return structure.interface(bed) if kind == "S" else structure.full(bed, cells_through=1)
-
-
-@pytest.mark.parametrize(("law", "kind"), [(MohrCoulomb, "S"), (MohrCoulombMonodirectional, "meshed")])
-def test_shear_strength(law, kind):
-    """C cos(Omega) + sin(Omega) p of the full law, C + tan(Omega) p of the one that slips along S; not the other one."""
-    with pytest.raises(LimitLoad) as stopped:
-        march(couplet(law, 0.5, kind), [share * strength(law, 0.5) for share in (0.5, 0.8, 0.95, 1.1)])
-    limit = stopped.value
-    assert limit.t <= strength(law, 0.5) * (1 + 1e-12)
-    assert limit.failed_at == pytest.approx(strength(law, 0.5), rel=STEPS)
-    other = MohrCoulombMonodirectional if law is MohrCoulomb else MohrCoulomb
-    assert abs(limit.t / strength(other, 0.5) - 1) > 0.15
 
 
 # ---------------------------------------------------------------- panels, meshed and not

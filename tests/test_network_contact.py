@@ -57,18 +57,6 @@ def test_a_wall_in_space(cell):
     assert {"sliding", "separated"} <= {name for name, n in Surface(one.model, "HEAD").contact(one).counts.items() if n}
 
 
-def test_contact_beside_a_compiled_law():
-    """Its stiffness is in no form, so that the condensed bodies would lack it."""
-    joint = dry_wall(h=0.25).joint
-    loads = {"TOP": (0.1, -1.0)}
-    bricks = Structure(
-        joint, body=LinearElastic.young(50.0, 0.2), supports={"BOTTOM": 0.0}, tractions=loads, element="Q1"
-    )
-    stack = Stack((0.5, LinearElastic(0.5, 1.0)), (0.5, LinearElastic(0.2, 1.5)))
-    stacked = bricks.interface({"BED": BED, "HEAD": ThinLayer(stack, 0.01, at=1.0)})
-    refused(InputError, "linear, symmetric parts and layers", solve, stacked, method="condensed")
-
-
 def test_a_support_that_moves():
     """Held nodes in contact: the sole of the right brick is held along x, the left one is pushed by its side."""
     joint = three_bricks(4, "quadrilateral")
@@ -186,12 +174,15 @@ def test_forth_and_back():
 def test_refused():
     model = dry_wall(h=0.25)
     for method in ("multigrid", "relaxation"):
-        with pytest.raises(InputError, match=f"method='{method}' is for one seam without branches.*'condensed'"):
-            solve(model, method=method)
+        words = f"method='{method}' is for one seam without branches.*'condensed'"
+        refused(InputError, words, solve, model, method=method)
+    stack = ThinLayer(Stack((0.5, LinearElastic(0.5, 1.0)), (0.5, LinearElastic(0.2, 1.5))), 0.01, at=1.0)
+    stacked = model.structure.interface({"BED": BED, "HEAD": stack})  # whose stiffness is in no form
+    refused(InputError, "linear, symmetric parts and layers", solve, stacked, method="condensed")
     cell = Structure(bond_cell((1.0, 0.5), 0.125), body=LinearElastic.young(50.0, 0.2), supports={}, element="Q1",
                      strain=((0.0, 0.0), (0.0, -0.01)))  # fmt: skip
     strip = periodic(sandwich(1.0, 0.5, 0.5, 0.25), ("LEFT", "RIGHT"))
     below = Structure(strip, body=LinearElastic.young(50.0, 0.2), supports={"BOTTOM": 0.0}, element="P1")
-    for one in (cell.interface({"BED": BED, "HEAD": HEAD}), below.interface(BED)):
-        with pytest.raises(InputError, match="method='condensed' is for one seam without branches, not periodic"):
-            solve(one, method="condensed")
+    for model in (cell.interface({"BED": BED, "HEAD": HEAD}), below.interface(BED)):
+        words = "method='condensed' is for one seam without branches, not periodic"
+        refused(InputError, words, solve, model, method="condensed")

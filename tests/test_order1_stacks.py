@@ -118,11 +118,7 @@ def test_planes(plane, sublayers):
 @pytest.mark.few(1)
 @pytest.mark.parametrize(
     "law",
-    [
-        Maxwell(60.0, 40.0, t1=0.7),
-        MohrCoulomb(60.0, 40.0, 0.1, 30.0),
-        Anisotropic.springs(60.0, 40.0),
-    ],
+    [Maxwell(60.0, 40.0, t1=0.7), MohrCoulomb(60.0, 40.0, 0.1, 30.0), Anisotropic.springs(60.0, 40.0)],
     ids=lambda law: type(law).__name__,
 )
 def test_refused(law):

@@ -28,10 +28,12 @@ from forms import (
 )
 from forms.base import InputError
 from forms.work import body, energy, work
-from geometry.domain import cell_nodes
+from geometry import wall
+from geometry.domain import Domain, cell_nodes
 from geometry.joint import Joint
 from geometry.seam import Seam
 from tests.documents import PAGES
+from tests.network_cases import WALL
 from tests.on_ranks import on_ranks
 from tests.ranks import CLONE
 from tests.refused import refused
@@ -265,33 +267,24 @@ def test_hyperelastic_column(kind):
 
 def test_wall_in_running_bond():
     """14 elastic bricks, 2 laws, T-junctions: the energy that a program with another numbering of unknowns found."""
-    grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (3, 2)], (12, 8))
-
-    def brick(x, y):
-        course = np.floor(2 * y)
-        return 10 * course + np.floor(x + 0.5 * (course % 2))
-
-    def joints(x, y):
-        inside = (x > 0.01) & (x < 2.99) & (y > 0.01) & (y < 1.99)
-        head, bed = (brick(x - a, y - b) != brick(x + a, y + b) for a, b in ((0.01, 0), (0, 0.01)))
-        return np.select([inside & head, inside & bed], [4, 3], -1)
-
-    bricks, facets = tagged(grid, 2, lambda x: brick(*x.T[:2])), tagged(grid, 1, lambda x: joints(*x.T[:2]))
-    assert len(np.unique(bricks.values)) == 14
-    for rule in ({3: (0, 1), 4: (-1, 0)}, (3, 4)):
-        wall = BrokenMesh(grid, bricks, facets, rule)
-        V = wall.space(("Lagrange", 2, (2,)))
+    domain = Domain.of(wall(3, 4, (1.0, 0.5), 0.25, cell="triangle"))
+    grid, pieces = domain.mesh, domain.on_cells(domain.joint.splitting.pieces).astype(np.int32)
+    bricks = mesh.meshtags(grid, 2, np.arange(len(pieces), dtype=np.int32), pieces)
+    (bed,), (head,) = domain.values("BED"), domain.values("HEAD")
+    for rule in ({head: (-1, 0), bed: (0, 1)}, (head, bed)):
+        broken = BrokenMesh(grid, bricks, domain.facet_tags, rule)
+        V = broken.space(("Lagrange", 2, (2,)))
         assert V.dofmap.index_map.size_global == 550
         u = fem.Function(V)
         terms = [body(LinearElastic.young(20.0, 0.2), ufl.Measure("dx", domain=grid))]
-        terms += wall.layer(3, ThinLayer(LinearElastic(0.8, 2.1), 0.1, at=1.0))
-        terms += wall.layer(4, ThinLayer(LinearElastic(0.4, 1.3), 0.2, at=1.0))
+        terms += broken.layer(bed, ThinLayer(LinearElastic(0.8, 2.1), 0.1, at=1.0))
+        terms += broken.layer(head, ThinLayer(LinearElastic(0.4, 1.3), 0.2, at=1.0))
         ends = [fem.locate_dofs_geometrical(V, lambda x, y=y: np.isclose(x[1], y)) for y in (0, 2)]
         bcs = [fem.dirichletbc(np.array(w), dofs, V) for w, dofs in zip([(0.0, 0.0), (0.1, -0.05)], ends, strict=True)]
         problem = StepProblem(work(terms[:1], u, ufl.TestFunction(V)), u, bcs, terms[1:])
         snes_of(problem).solve(None, u.x.petsc_vec)
         problem.accept()
-        assert fem.assemble_scalar(fem.form(energy(terms, u))) == pytest.approx(0.011640644960255, rel=1e-11)
+        assert fem.assemble_scalar(fem.form(energy(terms, u))) == pytest.approx(WALL["P2"], rel=1e-11)
 
 
 def test_phases_without_a_joint():

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms import Anisotropic
 from studies.fig6_stratified import EPS, GLUE, K_T, PLACE, StratifiedBar
-from studies.problems import fourier
 from tests.orders import observed_orders
-from thinlayer import Structure, Surface, ThinLayer, solve
+from thinlayer import ThinLayer
 from thinlayer.running.record import Record
 
 # t_T/u_T (N/mm^3) of the meshed layer at some x (mm), P1 on a graded mesh, from an independent code
@@ -65,16 +63,3 @@ def test_deviation_with_moduli_over_thickness_held(bar):
     slope = -3.5 / 7 * weight * opening / np.interp(PLACE, x[:, 0], w[:, 0])
     extrapolated = 2 * deviations[2] / eps[2] - deviations[1] / eps[1]
     assert extrapolated == pytest.approx(slope, rel=5e-3)
-
-
-def test_law_without_stiffness_separates():
-    """The traction is O(K): the upper block, on rollers and with a load that sums to zero, does without the lower one."""
-    joint, setup = fourier(1 / 32, cell="quadrilateral")
-    norms = []
-    for K in (1e-3, 1e-4):
-        law = Anisotropic.springs(K_N=K, K_T=K)
-        state = solve(Structure(joint, **setup).interface(ThinLayer(law, 1.0)))
-        surface = Surface(state.model)
-        norms.append(surface.norm(surface.traction(state)))
-    assert norms[0] / norms[1] == pytest.approx(10.0, rel=1e-2)
-    assert norms[0] < 1e-4

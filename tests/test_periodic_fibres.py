@@ -1,17 +1,13 @@
-"""Periodic cells of coated fibres: the coating meshed and as a law on S, and the same cell cut elsewhere, through S."""
+"""Periodic cells of coated fibres: the coating meshed and as a law on S."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from forms import LinearElastic, Maxwell
-from forms.base import InputError
 from geometry import fibre, periodic
 from geometry.joint import Joint
-from tests.refused import refused
 from thinlayer import Structure, ThinLayer, homogenised_stiffness, march, solve
 
 WIDTH, HEIGHT, RADIUS = 1.2, 1.0, 0.3
@@ -27,34 +23,6 @@ def cell(h: float = 0.1, degree: int = 2) -> Joint:
 
 def structure(joint: Joint, **loads) -> Structure:
     return Structure(joint, body=BODIES, supports={}, **loads)
-
-
-def cut_at(joint: Joint, x: float) -> Joint:
-    """The same periodic cell, cut along cells' sides near x: what lies left of it is moved by the period."""
-    cells, table = joint.cells, joint.table
-    moved = joint.points[joint.corners].mean(axis=1)[:, 0] < x
-    for name in ("BOTTOM", "TOP"):  # the cut ends at the same node of both
-        rows = table.index(joint.facets[name])
-        moved[table.cells[rows, 0]] = joint.points[joint.facets[name]].mean(axis=1)[:, 0] < x
-    both = table.cells[joint.surface_rows]
-    while (moved[both[:, 0]] != moved[both[:, 1]]).any():  # not along S
-        moved[both[moved[both].any(axis=1)].ravel()] = True
-    places = joint.points[cells] + np.where(moved, WIDTH, 0.0)[:, None, None] * [1.0, 0.0]
-    keys = np.round(places.reshape(-1, 2) / 1e-7).astype(int)
-    _, first, number = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    number = number.reshape(cells.shape)
-    new = [{int(a): int(b) for a, b in zip(*pair, strict=True)} for pair in zip(cells, number, strict=True)]
-    kept = {name: joint.facets[name] for name in ("S", "BOTTOM", "TOP")}
-    facets = {}
-    for name, some in kept.items():
-        rows = table.index(some)
-        facets[name] = np.array([[new[table.cells[row, 0]][int(v)] for v in table.vertices[row]] for row in rows])
-    whole = replace(joint, points=places.reshape(-1, 2)[first], cells=number, facets=facets)
-    outer = np.flatnonzero(whole.table.cells[:, 1] < 0)
-    others = np.setdiff1d(outer, np.concatenate([whole.table.index(facets[name]) for name in ("BOTTOM", "TOP")]))
-    right = moved[whole.table.cells[others, 0]]
-    facets |= {"LEFT": whole.table.vertices[others[~right]], "RIGHT": whole.table.vertices[others[right]]}
-    return replace(whole, facets=facets)
 
 
 # ---------------------------------------------------------------- both ways
@@ -113,19 +81,3 @@ def test_a_coating_that_creeps():
     change = np.abs(stresses["interface"] - first).max()
     assert change > 0.01 * np.abs(first).max()
     assert np.abs(stresses["full"] - stresses["interface"]).max() < 0.2 * change
-
-
-# ---------------------------------------------------------------- cut elsewhere
-def test_it_does_not_matter_where_the_cell_is_cut():
-    """Also where S crosses the sides: twice the same discrete problem; there a layer cannot be meshed."""
-    joint = cell(0.12)
-    layer = ThinLayer(COATING, 0.02, at=1.0)
-    here = homogenised_stiffness(structure(periodic(joint, *SIDES)).interface(layer))
-    for x in (-0.4, 0.05):
-        other = periodic(cut_at(joint, x), *SIDES)
-        on_sides = np.intersect1d(np.concatenate(other.periods.pairs), other.surface)
-        assert (len(on_sides) > 0) == (abs(x) < RADIUS)
-        there = homogenised_stiffness(structure(other).interface(layer))
-        assert np.abs(there - here).max() < 1e-9 * np.abs(here).max()
-    words = "S reaches one of the periodic sides 'LEFT' and 'RIGHT' .*, at .* cannot be meshed"
-    refused(InputError, words, structure(other).full, layer, bodies="extended")

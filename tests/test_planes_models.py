@@ -57,10 +57,7 @@ def test_both_models_agree_on_a_sheet(name, mode):
 
 def test_traction_of_a_sheet():
     """t_N = (lmbda' + 2 mu) w_N with lmbda' of plane stress, 4 mu w_N if incompressible: E/(1 - nu^2) for both."""
-    for law, stiffness in (
-        (LinearElastic(L, M), SHEET + 2 * M),
-        (Incompressible(M), 4 * M),
-    ):
+    for law, stiffness in ((LinearElastic(L, M), SHEET + 2 * M), (Incompressible(M), 4 * M)):
         state = solve(sheet(load=0.7).interface(ThinLayer(law, EPS, at=1.0)))
         surface = Surface(state.model)
         assert surface.profile(surface.jump(state))[1][:, 1] == pytest.approx(0.7 / stiffness, rel=EXACT)

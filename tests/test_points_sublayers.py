@@ -87,11 +87,7 @@ def test_elastic_sublayer_over_a_plastic_one_carries_its_limit():
 
 @pytest.mark.parametrize(
     "laws",
-    [
-        (MAXWELL, NORTON_15),
-        (MAXWELL, Norton(LMBDA, MU, 5.0, 1.2)),
-        (KELVIN, MAXWELL, NORTON_15, NORTON_3, MISES),
-    ],
+    [(MAXWELL, NORTON_15), (MAXWELL, Norton(LMBDA, MU, 5.0, 1.2)), (KELVIN, MAXWELL, NORTON_15, NORTON_3, MISES)],
     ids=lambda laws: ", ".join(f"{type(one).__name__} {getattr(one, 'p', '')}".strip() for one in laws),
 )
 def test_a_stack_finds_its_shares_for_steps_of_any_size(laws):

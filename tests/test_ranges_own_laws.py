@@ -113,11 +113,7 @@ def model_of(layer: BulkLaw, kind: Any = Structure.interface, body: BulkLaw = ST
 @pytest.mark.parametrize("kind", [Structure.interface, Structure.full])
 @pytest.mark.parametrize(
     "law",
-    [
-        Own(-6.0, 2.5),
-        Remembering(-6.0, -2.5),
-        Stack((0.4, Own(6.0, 2.5)), (0.6, Own(9.0, -2.5))),
-    ],
+    [Own(-6.0, 2.5), Remembering(-6.0, -2.5), Stack((0.4, Own(6.0, 2.5)), (0.6, Own(9.0, -2.5)))],
     ids=["normal", "memory", "sublayer"],
 )
 def test_negative_layer(law, kind):

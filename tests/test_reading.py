@@ -19,7 +19,6 @@ from tests.meshes import (
     QUADS,
     blocks_of,
     boxes,
-    drawing,
     rings,
     save,
     sides,
@@ -28,12 +27,6 @@ from tests.meshes import (
     write,
 )
 from tests.refused import refused
-
-
-@pytest.fixture
-def draw():
-    with drawing() as occ:
-        yield occ
 
 
 @pytest.mark.parametrize(("version", "binary", "dim"), [(2.2, 0, 3), (2.2, 1, 2), (4.1, 0, 2), (4.1, 1, 3)])
@@ -52,11 +45,7 @@ def test_gmsh_formats(draw, tmp_path, dim, version, binary, capfd):
 
 @pytest.mark.parametrize(
     ("cell", "degree", "suffix"),
-    [
-        *((cell, 2, "msh") for cell in CELLS),
-        ("hexahedron", 2, "vtu"),
-        ("quadrilateral", 1, "vtu"),
-    ],
+    [*((cell, 2, "msh") for cell in CELLS), ("hexahedron", 2, "vtu"), ("quadrilateral", 1, "vtu")],
 )
 def test_cells(draw, tmp_path, cell, degree, suffix):
     """Curved cells keep their shape: the order of their nodes is right."""
@@ -155,11 +144,7 @@ def test_rigid_base(draw, tmp_path):
 def test_s_inside_one_body(draw, tmp_path):
     """S cuts a body in two, or ends inside it."""
     parts = boxes(draw, (0, -1, 1, 1), (0, 0, 1, 1), (1, -1, 1, 1), (1, 0, 1, 1))
-    groups = {
-        (2, "BODY"): parts,
-        (1, "CUT"): sides(0, 0, 2, 0),
-        (1, "CRACK"): sides(0, 0, 1, 0),
-    }
+    groups = {(2, "BODY"): parts, (1, "CUT"): sides(0, 0, 2, 0), (1, "CRACK"): sides(0, 0, 1, 0)}
     path, up = save(tmp_path / "a.msh", 2, groups), np.eye(2)[1]
     joint = read(path, S="CUT", direction=up)
     assert joint.bodies == ("BODY",)

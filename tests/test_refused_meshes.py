@@ -16,7 +16,6 @@ from tests.meshes import (
     QUADS,
     SPACE,
     boxes,
-    drawing,
     in_layer,
     save,
     sides,
@@ -25,12 +24,6 @@ from tests.meshes import (
     volumes,
 )
 from tests.refused import refused
-
-
-@pytest.fixture
-def draw():
-    with drawing() as occ:
-        yield occ
 
 
 @pytest.mark.parametrize(

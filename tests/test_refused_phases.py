@@ -14,7 +14,7 @@ from forms import BulkLaw, LinearElastic, NonMonotoneUnrelaxed, Tabulated
 from forms.base import InputError
 from geometry import sandwich
 from tests.on_ranks import on_ranks
-from thinlayer import Adaptive, ArcLength, Structure, ThinLayer, march
+from thinlayer import Structure, ThinLayer, march
 from thinlayer.discretisation.model import Model
 from thinlayer.solving.history import phase_shares
 
@@ -100,20 +100,6 @@ WRONG = {
 def test_parameters_that_do_not_vary_as_they_should(way, tmp_path):
     message = rf"^Varying\.at\(x, t\), for x of shape \(2, \d+\), {list(WRONG)[way]}"
     refused(Varying(5.0, way=way), message, tmp_path)
-
-
-# ---------------------------------------------------------------- marches
-@pytest.mark.parametrize(
-    ("times", "choices", "message"),
-    [
-        (Adaptive(1.0, 0.1), {}, "steps of NonMonotoneUnrelaxed have no error: give the times to stop at"),
-        ([1.0], {"theta": 0.5}, r"theta is 0\.5; NonMonotoneUnrelaxed holds at the ends of steps"),
-        (ArcLength(1.0, 0.1, steps=np.int64(5)), {}, "NonMonotoneUnrelaxed has pure phases"),
-    ],
-)
-def test_marches(times, choices, message):
-    with pytest.raises(InputError, match=message):
-        march(model(pure()), times, **choices)
 
 
 # ---------------------------------------------------------------- ranks

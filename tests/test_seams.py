@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from forms import LinearElastic, NonMonotone
-from forms.base import InputError
 from geometry import read
 from tests.meshes import boxes, drawing, save, sides
-from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, march, solve
 
 BODY = LinearElastic(30.0, 20.0)
@@ -64,18 +62,3 @@ def test_phases_of_one_layer_of_two(path):
     assert 0 < phase[has][0] <= 1
     assert np.isnan(phase[~has]).all()
     assert [row["plus"] for row in surface.table(history.last).rows] == [None, history.table["plus"][-1]]
-
-
-def test_what_is_refused(path):
-    for seams, message in (
-        (["ONE", "TWOO"], "physical names: unknown set of facets 'TWOO', did you mean 'TWO'"),
-        ({"ONE": (1, 0)}, "direction .* does not tell the upper side of 'ONE'"),
-        ({"ONE": ("A", "C"), "TWO": None}, "'ONE' does not separate two bodies"),
-        ({"ONE": ("A", "D")}, "unknown region 'D'"),
-    ):
-        refused(InputError, message, read, path, S=seams)
-    structure = Structure(read(path, S=STACK), body=BODY, supports={"BOTTOM": 0.0})
-    layer = ThinLayer(SOFT, 0.01, at=1.0)
-    both = {"ONE": layer, "TWO": layer, "TWOO": layer}
-    refused(InputError, "unknown seam 'TWOO', did you mean 'TWO'", structure.interface, both)
-    refused(InputError, "unknown seam 'THREE'", Surface, structure.interface(layer), "THREE")

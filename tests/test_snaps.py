@@ -10,10 +10,12 @@ import pytest
 import ufl
 
 from forms import BulkLaw, LinearElastic, NonMonotoneUnrelaxed
+from forms.base import InputError
 from forms.elastic import lame
 from geometry import sandwich
 from studies.problems import phases_on_s
-from thinlayer import SolveError, Structure, ThinLayer, march
+from tests.refused import refused
+from thinlayer import Adaptive, SolveError, Structure, ThinLayer, march
 from thinlayer.pointwise.columns import TIE
 from thinlayer.solving.history import phase_shares
 
@@ -144,6 +146,7 @@ class Stuck(NonMonotoneUnrelaxed):
         return phase
 
 
-def test_a_law_that_does_not_switch_is_told():
-    with pytest.raises(SolveError, match=r"switched\(\) keeps its phase"):
-        march(blocks(law=Stuck(60.0, 40.0, 1.2, 0.015, CHI)), [1.0])
+def test_a_law_that_does_not_switch_and_steps_without_an_error_are_refused():
+    refused(SolveError, r"switched\(\) keeps its phase", march, blocks(law=Stuck(60.0, 40.0, 1.2, 0.015, CHI)), [1.0])
+    words = "steps of NonMonotoneUnrelaxed have no error: give the times to stop at"
+    refused(InputError, words, march, blocks(), Adaptive(1.0, 0.1))

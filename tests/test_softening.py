@@ -11,7 +11,6 @@ import pytest
 import ufl
 
 from forms import BulkLaw, LinearElastic
-from forms.elastic import lame
 from forms.kinematics import lift
 from geometry import sandwich
 from tests import ranges_told
@@ -48,21 +47,6 @@ class WeakInShear(BulkLaw):
         return ufl.sym(ufl.diff(self.k * (e_N**2 + e_N**4 + (1 - e_N / self.c) * slip), e))
 
 
-@dataclass(frozen=True)
-class Loop(BulkLaw):
-    """Falls between two branches that rise, 0.5 and 1.5 about: a step may pass over it."""
-
-    k: float
-    powers: ClassVar = {"k": 1}
-
-    def stress(self, step):
-        x = ufl.tr(step.e)
-        return (
-            lame(self.k, self.k, step.e)
-            - 4.5 * self.k * (ufl.tanh(12 * (x - 1)) + ufl.tanh(12.0)) * ufl.Identity(3) / 2
-        )
-
-
 def told(joint, law, kind, times):
     """RangeWarnings of a march, or of a solve at one time, in which the layer opens by t times its thickness."""
     supports = {"BOTTOM": 0.0, "TOP": {"y": lambda x, t: EPS * t}}
@@ -83,10 +67,3 @@ def test_where_stresses_fall(law, onset, kind):
     assert "write softens = True" in message
     assert told(joint, law, kind, before) == []
     assert len(told(joint, law, kind, after)) == 1
-
-
-def test_a_step_over_a_fall_is_told():
-    """Both states rise, on branches that a fall parts."""
-    joint = sandwich(2.0, 1.0, 1.0, 1.0, cell="quadrilateral")
-    assert told(joint, Loop(3.0), Structure.interface, [0.3, 0.5]) == []
-    assert len(told(joint, Loop(3.0), Structure.interface, [0.3, 0.5, 1.4])) == 1

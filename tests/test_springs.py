@@ -171,5 +171,4 @@ def test_places_that_are_none():
     refused(InputError, "its facets lie inside", lambda: turned(parts=[BED, Springs("S", normal=1.0)]))
     with pytest.raises(InputError, match="facet set is empty, as the layer is a surface here"):
         turned(parts=[BED, Springs("LEFT/LAYER", normal=1.0)])
-    with pytest.raises(InputError, match="two parts are called 'springs BOTTOM'"):
-        turned(parts=[BED, Springs("BOTTOM", normal=1.0)])
+    refused(InputError, "two parts are called 'springs BOTTOM'", turned, parts=[BED, Springs("BOTTOM", normal=1.0)])

@@ -22,7 +22,6 @@ pytestmark = pytest.mark.few(5)
 PEAK = piecewise({0.0: 0.0, 1.5: 3.0, 3.0: 0.3})
 
 
-@pytest.mark.few(5)
 def test_a_peak_between_two_times_is_met():
     """Loads pass their limit on the way to a peak, and are below it at the times that were given."""
     law, model = SLIDING, sheared("S", SLIDING, tractions={"TOP": lambda x, t: (PEAK(x, t), -1.0)})

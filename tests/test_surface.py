@@ -10,7 +10,7 @@ import pytest
 
 from forms import LinearElastic, NonMonotoneUnrelaxed
 from forms.base import InputError
-from geometry import block, ring, sandwich
+from geometry import block, ring
 from studies.problems import FOURIER_LAYER, fourier
 from tests.meshes import renumbered
 from tests.refused import refused
@@ -97,20 +97,3 @@ def test_what_is_no_surface():
         (Surface(on(block(1, 1, 1.0))).n, "is no field on S"),
     ):
         refused(InputError, message, surface.profile, field)
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize("depth", [None, 1.0])
-def test_frame_of_s(depth):
-    """Tangents (n_2, -n_1) in 2D, the first and the third axis in 3D; the normal is last."""
-    joint = sandwich(1.0, 0.5, 0.7, 0.5, depth=depth, cell="hexahedron" if depth else "quadrilateral").rotated(0.3)
-    held = Structure(joint, body=STEEL, supports={"BOTTOM": 0.0}, element="Q1")
-    surface = Surface(held.interface(ThinLayer(FOURIER_LAYER, 0.1, at=1.0)))
-    n, along = np.array([-np.sin(0.3), np.cos(0.3)]), np.array([np.cos(0.3), np.sin(0.3)])
-    f = 2 * along + 5 * n
-    known = [2.0, 5.0]
-    if depth:
-        f, known = np.append(f, 3.0), [2.0, 3.0, 5.0]
-    _, found = surface.profile(surface.frame(f[:, None, None] + 0 * surface.n))
-    assert np.abs(found) == pytest.approx(np.tile(known, (len(found), 1)))
-    assert found[:, -1] == pytest.approx(5.0)

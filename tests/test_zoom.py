@@ -70,11 +70,7 @@ def places(distances, heights, end=1.0):
 # ---------------------------------------------------------------- through the thickness
 @pytest.mark.parametrize(
     ("law", "order", "rate", "most"),
-    [
-        (FOURIER_LAYER, 0, 1.0, 0.08),
-        (STACK, 1, 2.0, 0.008),
-        (Rubber.shear(40.0, 0.499), 1, 1.8, 0.01),
-    ],
+    [(FOURIER_LAYER, 0, 1.0, 0.08), (STACK, 1, 2.0, 0.008), (Rubber.shear(40.0, 0.499), 1, 1.8, 0.01)],
 )
 def test_stresses_have_the_order_of_the_law(law, order, rate, most):
     """In the middle of cells of each sublayer, all components."""
