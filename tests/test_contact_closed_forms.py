@@ -151,6 +151,3 @@ def test_bodies_that_are_not_linear():
     state = solve(Structure(joint, **setup | {"body": Stiffening(5e3, 4e3, 1e6)}).interface(coulomb("middle")))
     assert state.report.method == "newton"
     assert Surface(state.model).contact(state).equilibrium < 1e-9
-
-
-# ------------------------------------------------------------------------ against the meshed layer

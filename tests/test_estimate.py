@@ -41,7 +41,6 @@ LAYER = ThinLayer(GLUE, EPS, at=1.0)
 JOINT, GRADED = (sandwich(1.3, 0.3, 0.4, h, h_ends=end) for h, end in ((0.3, 0.15), (0.15, EPS / 10)))  # cells at ends
 TWO = {"A": [(0.0, 0.3), (1.0, 0.4)], "B": [(0.0, 0.7), (1.0, 0.65)]}
 MOVED = {"supports": {"BOTTOM": 0, "TOP": {"y": -0.013, "x": lambda x, t: 0.004 * x[0]}}}
-GROWING = {"TOP": lambda x, t: (0.3 * t, -t)}
 ROLLERS = {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
 
 

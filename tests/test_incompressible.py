@@ -168,9 +168,6 @@ def test_pressure_at_the_end_of_a_step(theta):
     assert np.abs(state.p.x.array - alone.p.x.array).max() < 1e-8 * np.abs(alone.p.x.array).max()
 
 
-# ---------------------------------------------------------------- no locking
-
-
 # ---------------------------------------------------------------- stability
 def schur(model: Model, degree: int) -> np.ndarray:
     """G K^-1 G^T with displacements of a degree: the square of a pressure's norm sup_v (int q tr e(v))^2/a(v, v)."""

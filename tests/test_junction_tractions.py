@@ -136,9 +136,3 @@ def test_bonded_blocks_under_their_weight(cell):
     exact = sides * (surface.x[1] - 1) * surface.n
     apart = surface.norm(surface.traction(state) - exact) / surface.norm(exact)
     assert apart == pytest.approx(0.0113, rel=0.01)  # and of half the size 0.0042
-
-
-# ---------------------------------------------------------------- contact
-
-
-# ---------------------------------------------------------------- where seams do not meet

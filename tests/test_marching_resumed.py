@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 
 from forms import KelvinVoigt, LinearElastic
 from forms.base import InputError
@@ -21,8 +20,6 @@ from tests.viscous_joints import JOINT, PULL, SETUP, SLOW, SUDDEN, interface
 from thinlayer import Structure, ThinLayer, march
 
 pytestmark = pytest.mark.few(5)
-
-COMM = MPI.COMM_WORLD
 
 
 @pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of bodies softer than the layer

@@ -68,9 +68,6 @@ def test_a_bed_of_several_bricks_is_one_way(pushed_wall):
     assert starts == pytest.approx([0.0, 2.0])  # one bed after the other
 
 
-# ---------------------------------------------------------------- laws
-
-
 # ---------------------------------------------------------------- loads
 def test_loads_on_a_seam_are_refused():
     joint, layer = on_a_base(), springs(3.0, 1.3)

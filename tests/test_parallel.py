@@ -26,10 +26,6 @@ def model(eps=0.1, law=SLOW, profile=None, build=Structure.interface, **change):
     return build(Structure(JOINT, **data | change), ThinLayer(law, eps, profile=profile, at=1.0))
 
 
-def turned(given, rank):
-    return dict(reversed(given.items())) if rank else given
-
-
 def cases(rank: int, folder: Path):
     """Name -> what is done on a rank."""
     elastic, good = model(law=LinearElastic(60.0, 40.0)), model()

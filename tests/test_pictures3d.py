@@ -49,10 +49,6 @@ def near(image, colour):
     return np.abs(image - colour).max(axis=2) < 0.1
 
 
-def red(image):
-    return (image[..., 0] > 0.7) & (image[..., 1] < 0.35) & (image[..., 2] < 0.45)
-
-
 def test_jump_opens_as_a_gap(pulled, tmp_path):
     image = picture(tmp_path / "a.png", pulled["law"], towards=(0, 0, 1), scale=1.0)
     column = near(image, (1, 1, 1))[:, image.shape[1] // 2]

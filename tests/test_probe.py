@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms import Incompressible, LinearElastic, Maxwell, MohrCoulombMonodirectional, Stack
+from forms import Incompressible, LinearElastic, MohrCoulombMonodirectional, Stack
 from forms.base import InputError
 from geometry import sandwich, wall
 from tests.fields_run import BODY, CASES, EPS, K, axes, slipping, uniform
@@ -13,7 +13,6 @@ from tests.refused import refused
 from thinlayer import Probe, Structure, ThinLayer, march, solve
 
 PLACES = {2: [[0.31, -0.27], [1.73, 0.4], [0.9, 0.05]], 3: [[0.31, -0.27, 0.6], [1.73, 0.4, 0.21], [0.9, 0.05, 0.9]]}
-CREEP = Maxwell(lmbda=60.0, mu=40.0, t1=0.7, t2=0.55)
 
 
 @pytest.mark.parametrize(("d", "cell", "element"), CASES)

@@ -99,6 +99,8 @@ def test_arguments(tmp_path):
         (dict(upper="UP", S="TOPP"), "unknown set of facets 'TOPP', did you mean 'TOP'"),
         (dict(upper="UP", S="TOP"), "other facets are named 'S'"),
         (dict(upper="UP", lower="TOP"), "unknown region 'TOP'"),
+        (dict(S={"S": ("UP", "DOWN")}), "unknown region 'DOWN'"),
+        (dict(S=["S", "TOPP"]), "unknown set of facets 'TOPP', did you mean 'TOP'"),
     ]:
         refused(InputError, message, read, path, **arguments)
 

@@ -43,9 +43,6 @@ def refused(law: BulkLaw, message: str, tmp_path: Any) -> None:
     assert not (tmp_path / "run").exists()
 
 
-# ---------------------------------------------------------------- temperatures
-
-
 # ---------------------------------------------------------------- laws of one's own
 @dataclass(frozen=True)
 class Switch(BulkLaw):
@@ -61,13 +58,6 @@ class Switch(BulkLaw):
 
     def stress(self, step):
         return self.k * step.mid
-
-
-def kind(**declared: Any) -> BulkLaw:
-    """The spring, of a class that declares this."""
-    return dataclass(frozen=True)(type("Own", (Switch,), {"__annotations__": {}, "__module__": __name__} | declared))(
-        5.0
-    )
 
 
 def test_phases_of_a_law_of_ones_own():
