@@ -1,4 +1,4 @@
-"""No result knows a unit of length, left and right, or how a mesh is numbered."""
+"""No result knows left and right, or how a mesh is numbered."""
 
 from __future__ import annotations
 

@@ -18,10 +18,7 @@ BAD = [
     ({"alpha": TABLE}, r"alpha is a function of T; give T, a number or a function \(x, t\)"),
     ({"alpha": TABLE, "T": 41.0}, r"alpha\(T\): T is 41; the table knows 0 to 40"),
     ({"transformation_energy": lambda T: -T, "T": 2.0}, "transformation_energy is -2; allowed: > 0"),
-    (
-        {"transformation_energy": 0.999 * BOUND},
-        rf"transformation_energy is {0.999 * BOUND:g}; allowed: >= mixing alpha\^2 G/2 = {BOUND:g}: phases 1 and -1",
-    ),
+    ({"transformation_energy": 0.999 * BOUND}, rf"transformation_energy is .* mixing alpha\^2 G/2 = {BOUND:g}: phases"),
     ({"transformation_energy": 0.499 * BOUND, "mixing": 0.5}, "transformation_energy is .*: phases 1 and -1 would mix"),
     ({"transformation_energy": lambda T: 0.999 * BOUND + 0 * T, "T": 20.0}, "transformation_energy is .*: phases 1"),
 ]

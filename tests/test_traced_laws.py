@@ -15,7 +15,7 @@ import ufl
 from forms import BulkLaw, LinearElastic, TractionLaw, check
 from forms.base import InputError
 from geometry import sandwich
-from tests.own_laws import Springs, Swelling, layer_of
+from tests.own_laws import Springs, Swelling
 from tests.refused import refused
 from thinlayer import SolveError, Structure, ThinLayer, drive, march, solve
 
@@ -61,14 +61,6 @@ def test_what_a_law_reads_is_what_it_is_now(law, monkeypatch):
     for value in (1.0, 3.0, 1.0):
         monkeypatch.setitem(globals(), "FACTOR", value)
         assert shear(law) == pytest.approx(5.0 * 0.01 * value, rel=1e-14)
-
-
-def of_blocks(law: BulkLaw, **more) -> float:
-    """Largest displacement of a pulled joint."""
-    joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
-    setup = {"body": LinearElastic(60.0, 40.0), "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, 1.0)}}
-    model = Structure(joint, element="Q1", **setup | more).interface(layer_of(law, 0.1))
-    return float(np.abs(march(model, [1.0]).last.u.x.array).max())
 
 
 # ---------------------------------------------------------------- decisions
@@ -224,4 +216,4 @@ class Rooted(TractionLaw):
 @pytest.mark.parametrize(("shift", "what"), [(0.0, r"tangent \(the slope of the stress\)"), (-1.0, "stress")])
 def test_a_failing_law_says_what_and_where(shift, what):
     message = rf"failed at \d+ points: the {what} of Rooted is not finite at x = \(0\.\d+, 0"
-    refused(SolveError, message, lambda: of_blocks(Rooted(3.0, shift)))
+    refused(SolveError, message, solve, column("interface", Rooted(3.0, shift), LinearElastic(60.0, 40.0)))
