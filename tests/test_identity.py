@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 import scipy.spatial
@@ -149,7 +148,6 @@ THINGS = {
     "class of no file": lambda v: executed(f"class found:\n def F(self): return {v}")(),
     "class decorator": lambda v: Times(scaled, v),
     "partial": lambda v: partial(scaled, x=v),
-    "compiled": lambda v: numba.njit(lambda a: v * a),
     "deque": lambda v: collections.deque([v]),
     "method": lambda v: [v].index,
     "expression": lambda v: ufl.as_ufl(v) * ufl.as_vector([1.0, 2.0]),
@@ -209,7 +207,7 @@ def test_observed_functions_are_all_code_that_they_call():
     def observed(function):
         return code_of(described(function))
 
-    for way in (functools.cache, numba.njit, partial, lambda f: lambda state: f(state), lambda f: Times(f, 1)):
+    for way in (functools.cache, partial, lambda f: lambda state: f(state), lambda f: Times(f, 1)):
         assert observed(way(scaled)) == observed(way(scaled)) != observed(way(same))
     one, again, other = (partial(same, found, at=at) for found, at in (([], 1), ([3.0], 1), ([], 2)))
     assert observed(one) == observed(again) != observed(other)

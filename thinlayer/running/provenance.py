@@ -18,8 +18,7 @@ from forms.law import Law
 from thinlayer.system.words import VERSION
 
 INSTALLED = (
-    "fenics-dolfinx fenics-basix fenics-ufl fenics-ffcx petsc4py mpi4py numba gmsh meshio pyvista vtk numpy scipy "
-    "matplotlib"
+    "fenics-dolfinx fenics-basix fenics-ufl fenics-ffcx petsc4py mpi4py gmsh meshio pyvista vtk numpy scipy matplotlib"
 )
 
 

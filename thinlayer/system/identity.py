@@ -249,12 +249,12 @@ def _file_of(name: str | None) -> dict[str, str]:
 
 
 def _function_of(value: Any) -> types.FunctionType | None:
-    """The Python function in a function, member of a class, cache or compiled function; else None."""
+    """The Python function in a function, member of a class or cache; else None."""
     while not isinstance(value, types.FunctionType):
-        ready = type(value).__module__.partition(".")[0] in ("builtins", "functools", "numba")
+        ready = type(value).__module__.partition(".")[0] in ("builtins", "functools")
         if not ready or value is None or isinstance(value, (type, types.MethodType, functools.partial)):
             return None
-        wrapped = (getattr(value, name, None) for name in ("__wrapped__", "py_func", "func", "fget"))
+        wrapped = (getattr(value, name, None) for name in ("__wrapped__", "func", "fget"))
         value = next((one for one in wrapped if one is not None), None)
     return value
 
