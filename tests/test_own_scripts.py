@@ -271,7 +271,7 @@ def test_wall_in_running_bond():
     grid, pieces = domain.mesh, domain.on_cells(domain.joint.splitting.pieces).astype(np.int32)
     bricks = mesh.meshtags(grid, 2, np.arange(len(pieces), dtype=np.int32), pieces)
     (bed,), (head,) = domain.values("BED"), domain.values("HEAD")
-    for rule in ({head: (-1, 0), bed: (0, 1)}, (head, bed)):
+    for rule in ({head: (-1, 0), bed: (0, 1)}, (bed, head)):
         broken = BrokenMesh(grid, bricks, domain.facet_tags, rule)
         V = broken.space(("Lagrange", 2, (2,)))
         assert V.dofmap.index_map.size_global == 550

@@ -8,7 +8,7 @@ import pytest
 from forms import LinearElastic, Maxwell
 from geometry import fibre, periodic
 from geometry.joint import Joint
-from thinlayer import Structure, ThinLayer, homogenised_stiffness, march, solve
+from thinlayer import Structure, ThinLayer, compare, estimate, homogenised_stiffness, march, solve
 
 WIDTH, HEIGHT, RADIUS = 1.2, 1.0, 0.3
 BODIES = {"FIBRE": LinearElastic.young(E=5.0, nu=0.3), "MATRIX": LinearElastic.young(E=1.0, nu=0.2)}
@@ -65,6 +65,15 @@ def test_mean_stresses_and_strains():
     assert found.mean_strain() == pytest.approx(np.array(STRAIN), rel=1e-8)
     assert found.mean_stress() == pytest.approx(stress, rel=1e-8)
     assert abs(found.audit.imbalance) < 1e-9
+
+
+def test_the_error_of_a_coating_as_a_law_is_known_without_meshing_the_cell():
+    """That of the meshed coating, to the second order in its thickness."""
+    one, coat = structure(periodic(cell(0.15), *SIDES), strain=STRAIN), ThinLayer(COATING, 0.05, at=1.0)
+    limit, full = (solve(kind(coat, bodies="extended")) for kind in (one.interface, one.full))
+    known, true = estimate(limit), compare(full, limit)
+    assert known.traction == pytest.approx(true["error_traction"], rel=5e-3)
+    assert known.jump == pytest.approx(true["error_jump"], rel=5e-3)
 
 
 def test_a_coating_that_creeps():

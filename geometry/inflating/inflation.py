@@ -167,7 +167,7 @@ def without_bodies(inflated: Joint) -> Joint:
             facets[name] = facets[name.removesuffix(f"/{LAYER}")] = rows
     points, region = inflated.points[used], inflated.region[mine] - first
     own = replace(band, reference=band.reference[used])
-    return replace(inflated, points=points, cells=cells, region=region, regions=band.regions, facets=facets, band=own)
+    return replace(inflated, points=points, cells=cells, region=region, regions=band.regions, facets=facets, band=own, periods=None)
 
 
 class _Cells(NamedTuple):

@@ -93,7 +93,7 @@ class BrokenMesh:
             if not outer:
                 self._sides[tag] = self._oriented(tag, facets, upper)
         self._bases = rules.keys() - self._sides.keys()
-        data = [(tag, rows.ravel()) for tag, rows in self._sides.items()]
+        data = [(tag, rows.ravel()) for tag, rows in sorted(self._sides.items())]  # DOLFINx loses others
         self.dS = ufl.Measure("dS", domain=mesh, subdomain_data=data)
         self._tags = tuple(rules)
 

@@ -72,8 +72,7 @@ def density_of(iteration: GlobalLocal, given: State, better: State, z: Iterate) 
     _, below = cKDTree(model.joint.points).query(band.reference)
     sums = model.comm.allreduce(sums) - np.bincount(below, of_band, len(sums))
     np.add.at(areas, surface.vertices, surface.areas)
-    totals = np.bincount(model.joint.masters, sums, len(sums))
-    return np.asarray(totals[surface.vertices] / areas[surface.vertices])
+    return np.asarray(sums[surface.vertices] / areas[surface.vertices])
 
 
 def _add_nodal(sums: Array, model: Model, values: Array) -> None:

@@ -128,7 +128,7 @@ class WeakSprings:
         return math.sqrt(self.equations.comm.allreduce(float(moved @ moved)))
 
     def _shares(self, x: Array) -> dict[str, float]:
-        """Shares of the seams in the squares of the jumps since the beginning, of layers that yield and of contact."""
+        """Shares of the seams in the squared jumps since the beginning, those along S halved in layers that yield."""
         self._d.array[:] = x - self._start
         model, u, sums = self.equations.model, self.equations.configuration(self._d).u, {}
         for part in self.equations.parts:
