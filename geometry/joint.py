@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from forms.base import InputError, is_finite, require
-from geometry.periods import Periods
+from geometry.identified_sides import Periods
 from geometry.refusals import place, refuse, require_known
 from geometry.seam import RESERVED, S, Seam
 from geometry.topology import (

@@ -8,8 +8,8 @@ import numpy as np
 import scipy.spatial
 
 from forms.base import InputError
+from geometry.identified_sides import CUT, SAME_PLACE, Periods
 from geometry.joint import Joint
-from geometry.periods import CUT, SAME_PLACE, Periods
 from geometry.refusals import place, refuse, unknown
 from geometry.topology import IntArray
 

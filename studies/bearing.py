@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from forms import Incompressible, LinearElastic, Rubber, limits
+from forms import Incompressible, LinearElastic, Rubber, formulas
 from geometry import sandwich
 from thinlayer import Structure, Surface, ThinLayer, plotting, solve
 from thinlayer.discretisation.model import Model
@@ -51,7 +51,7 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
 
 def _row(record: Record, structure: Structure, shape: float, nu: float) -> dict[str, float]:
     eps = RADIUS / (2 * shape)
-    row = {"shape": shape, "nu": nu, "closed": limits.rubber_disc(_modulus(nu), MU, eps, RADIUS)}
+    row = {"shape": shape, "nu": nu, "closed": formulas.rubber_disc(_modulus(nu), MU, eps, RADIUS)}
     area = math.pi * RADIUS**2
     for name in MODELS:
         if nu == 0.5 and name == "order_0":

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed, limits
+from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed, formulas
 from forms.base import Array
 from forms.non_monotone import Phases
 from geometry import block
@@ -25,7 +25,7 @@ from thinlayer.solving.history import History
 from thinlayer.system.progress import track
 from thinlayer.time.journal import Observe
 
-BAR = limits.Bar(l=1.0, K=2.0, kbar=3.0, alpha=1.2, cbar=0.9, eps=0.1)
+BAR = formulas.Bar(l=1.0, K=2.0, kbar=3.0, alpha=1.2, cbar=0.9, eps=0.1)
 EPS = (BAR.eps, 0.05, 0.01, 0.0)  # thicknesses over the length of the bar; 0: the interface law
 END = 2.0  # largest prescribed displacement delta
 NAMES = ("delta_0", "delta_1", "up", "down", "loop_area")
@@ -70,7 +70,7 @@ class Strip:
         self.joint = block(1.0, BAR.l, BAR.l / cells, cell="quadrilateral", structured=True)
         self.surface = Surface(self._model(replace(BAR, eps=0.0), NonMonotone))
 
-    def _model(self, bar: limits.Bar, law: type[Phases]) -> Model:
+    def _model(self, bar: formulas.Bar, law: type[Phases]) -> Model:
         material = law(0.0, bar.kbar / bar.l / 2, bar.alpha, bar.l * bar.cbar, np.diag([0.0, 1.0]))
         moves = piecewise({0: 0, END: END, 2 * END: 0})
         supports: dict[str, Support] = {"LEFT": {"x": 0}, "RIGHT": {"x": 0}, "TOP": {"x": 0, "y": moves}}

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from forms import MohrCoulomb, MohrCoulombMonodirectional, limits
+from forms import MohrCoulomb, MohrCoulombMonodirectional, formulas
 from thinlayer import Table, plotting
 from thinlayer.pointwise.drive import PointHistory, drive
 from thinlayer.running.record import Record
@@ -63,7 +63,7 @@ def run(record: Record, *, quick: bool = False) -> None:
         table.extend(Table.of({"path": name, "shear": shear, "friction": friction, **columns}))
 
     held = curves[HELD_JUMP]
-    exact = limits.mohr_coulomb_fixed_opening(LMBDA, MU, 0.0, OMEGA, CLOSING, held.jumps[:, 0])
+    exact = formulas.mohr_coulomb_fixed_opening(LMBDA, MU, 0.0, OMEGA, CLOSING, held.jumps[:, 0])
     error = np.abs(held.tractions - exact).max()
     record.check("largest error against the closed form, opening held", error, high=6 / steps)
     maximum = float(np.nanmax(ratio(curves[UNLOADED])))
@@ -73,7 +73,7 @@ def run(record: Record, *, quick: bool = False) -> None:
         record.check_near(f"lasting friction, {name}", friction, np.sin(np.radians(OMEGA)), 1e-6)
     for psi in DILATANCIES[:2]:
         history = drive(MohrCoulomb(LMBDA, MU, 0.0, OMEGA, dilatancy_angle=psi), stress_held(60, LASTING))
-        expected = limits.apparent_friction(OMEGA, psi)
+        expected = formulas.apparent_friction(OMEGA, psi)
         record.check_near(f"lasting friction, psi = {psi:g}", ratio(history)[-1], expected, 5e-7)
     record.check_near(f"lasting friction, {PLANES}", ratio(curves[PLANES])[-1], tangent(), 1e-12)
 
@@ -123,9 +123,9 @@ def draw(record: Record) -> None:
     """Draw the curves from table.csv."""
     curves = record.load("table.csv").split("path")
     tan, sin = tangent(), float(np.sin(np.radians(OMEGA)))
-    davis = [limits.apparent_friction(OMEGA, psi) for psi in DILATANCIES if psi < OMEGA]
+    davis = [formulas.apparent_friction(OMEGA, psi) for psi in DILATANCIES if psi < OMEGA]
     shown = {PATHS: (UNLOADED, HELD_STRESS, HELD_JUMP, PROPORTIONAL), FLOW: (HELD_STRESS, *DILATANT.values(), PLANES)}
-    straight = {PATHS: {"tan(Omega)": tan, "sin(Omega)": sin, "first yield": limits.first_yield_ratio(NU, OMEGA)}}
+    straight = {PATHS: {"tan(Omega)": tan, "sin(Omega)": sin, "first yield": formulas.first_yield_ratio(NU, OMEGA)}}
     straight[FLOW] = {"tan(Omega)": tan, "sin(Omega)": sin} | dict(zip(DAVIS, davis, strict=True))
     plotting.curves(
         {

@@ -16,7 +16,7 @@ from thinlayer.parts.part import Interval
 from thinlayer.running.record import Record
 from thinlayer.solving.contact.contact_tangent import faster_products
 from thinlayer.solving.contact.finder import ContactFinder
-from thinlayer.solving.contact.solver import FINDERS
+from thinlayer.solving.contact.methods import FINDERS
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Found
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID

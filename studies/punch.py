@@ -11,7 +11,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from forms import LinearElastic, VonMises, limits
+from forms import LinearElastic, VonMises, formulas
 from geometry import block, ring, sandwich
 from geometry.joint import Joint
 from thinlayer import Structure, Surface, Table, ThinLayer, march, plotting
@@ -23,7 +23,7 @@ STRENGTH = math.sqrt(3) * K
 GRADING = 1.5  # cells shrink towards the edge of the punch like this power of the distance over itself
 SUNK = (0.004, 0.008, 0.012, 0.016)  # ends of steps, over the half-width of the punch
 
-CYLINDER = limits.PlasticCylinder(a=1.0, b=2.0, mu=300.0, k=K)
+CYLINDER = formulas.PlasticCylinder(a=1.0, b=2.0, mu=300.0, k=K)
 CUT = 1.4  # radius of S
 BOND = 2e5  # moduli of the bond on S, over its thickness
 PRESSURES = (0.7, 1.0, 1.2, 1.3, 1.35)  # over K; elastic up to 0.75, the limit is 2 ln 2 = 1.386
@@ -66,7 +66,7 @@ def pressure(state: State) -> float:
 
 def punched(record: Record, cells: Sequence[int]) -> None:
     """Sink the punch on each mesh."""
-    table, limit = record.table("punch.csv"), limits.prandtl_pressure(K)
+    table, limit = record.table("punch.csv"), formulas.prandtl_pressure(K)
     metal = VonMises.young(E=1000.0, nu=0.45, strength=STRENGTH)
     supports: dict[str, Any] = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "PUNCH": {"x": 0.0, "y": lambda x, t: -t}}
     errors = []
@@ -139,7 +139,7 @@ def moved(state: State, name: str, r: float) -> float:
 
 def draw(record: Record) -> None:
     """Draw the pressure under the punch, and the cylinder."""
-    limit, sunk = limits.prandtl_pressure(K), np.array([0.0, max(SUNK)])
+    limit, sunk = formulas.prandtl_pressure(K), np.array([0.0, max(SUNK)])
     curves: dict[str, tuple[Any, Any]] = {
         f"{n:.0f} cells under the punch": (part["sunk"], part["over"])
         for n, part in record.load("punch.csv").split("n").items()

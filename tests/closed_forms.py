@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ive, kve
 
-from forms.limits import fraction, phase_energy
+from forms.formulas import fraction, phase_energy
 from forms.non_monotone import lamination_gain
 
 Array = npt.NDArray[np.float64]
@@ -314,7 +314,7 @@ class NonMonotoneLimit:
 
 # ---------------------------------------------------------------- rubber
 def rubber_annulus(lmbda: float, mu: float, eps: float, inner: float, outer: float) -> float:
-    """Mean normal traction per opening of an annulus inner < r < outer, free at both ends, as `forms.limits.rubber_disc`.
+    """Mean normal traction per opening of an annulus inner < r < outer, free at both ends, as `forms.formulas.rubber_disc`.
 
     For an infinite lmbda (3 mu/(2 eps^3)) (outer^2 + inner^2 - (outer^2 - inner^2)/ln(outer/inner)) + 2 mu/eps.
     """

@@ -11,9 +11,9 @@ import ufl
 
 from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from geometry import block, sandwich
+from tests.mpirun import Ending
 from tests.non_monotone_run import HEATED
 from tests.own_laws import Mises, layer_of
-from tests.ranks import Ending
 from tests.softening_bars import DAMAGED, KINKED, SHORT, tilted
 from thinlayer import Adaptive, Structure, march
 

@@ -29,7 +29,7 @@ import pytest
 from mpi4py import MPI
 
 from geometry.parallel import on_root, within
-from tests.ranks import BROKEN, LAUNCHES, launched
+from tests.mpirun import BROKEN, LAUNCHES, launched
 
 FEW = 2  # ranks; more of them on two cores take long
 PATIENCE = 1800  # s for one function, which may compile forms from an empty cache

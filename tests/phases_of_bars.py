@@ -6,10 +6,10 @@ import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from forms import limits
+from forms import formulas
 
-BAR = limits.Bar(l=1, K=2, kbar=3, alpha=1.2, cbar=0.9, eps=0.1)
-LONG = limits.Bar(l=1.7, K=2.3, kbar=3.1, alpha=1.3, cbar=0.8, eps=0.3)  # no parameter is 1, none equals another
+BAR = formulas.Bar(l=1, K=2, kbar=3, alpha=1.2, cbar=0.9, eps=0.1)
+LONG = formulas.Bar(l=1.7, K=2.3, kbar=3.1, alpha=1.3, cbar=0.8, eps=0.3)  # no parameter is 1, none equals another
 SLOW = settings(max_examples=60)
 DELTAS = np.array([-4.1, -3.0, -0.2, 0.0, 0.4, 2.6, 2.9, 3.4, 4.8])  # of LONG: all phases, and mixtures
 

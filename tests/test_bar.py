@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from forms import limits
+from forms import formulas
 from forms.base import InputError
 from tests.phases_of_bars import BAR, DELTAS, LONG, SLOW, body, positive
 from tests.refused import refused
@@ -71,7 +71,7 @@ def test_printed_formulas_are_other_formulas():
 
 
 def least_bar(length, K, kbar, alpha, more, eps):
-    return limits.Bar(length, K, kbar, alpha, alpha**2 / (2 * kbar) * (1 + more), eps)
+    return formulas.Bar(length, K, kbar, alpha, alpha**2 / (2 * kbar) * (1 + more), eps)
 
 
 bars = st.builds(least_bar, *[positive] * 4, st.floats(0.01, 3.0), st.sampled_from([0.0, 0.03, 0.35, 0.8]))

@@ -7,7 +7,7 @@ from functools import cache
 
 import pytest
 
-from forms import Incompressible, Rubber, limits
+from forms import Incompressible, Rubber, formulas
 from geometry import faults
 from tests.test_rubber_bearings import PLATES, modulus
 from thinlayer import Structure, Surface, ThinLayer, compare, solve
@@ -20,7 +20,7 @@ LAYERS = {  # name of a seam: thickness, law
     "HIGH": (2.5, Incompressible(0.9)),
 }
 AREAS = {"strain": A, "axisymmetric": math.pi * A**2}
-STIFFNESS = {"strain": limits.rubber_strip, "axisymmetric": limits.rubber_disc}
+STIFFNESS = {"strain": formulas.rubber_strip, "axisymmetric": formulas.rubber_disc}
 
 
 def stiffness(name, plane):

@@ -14,8 +14,8 @@ import pytest
 from forms import KelvinVoigt, LinearElastic
 from forms.base import InputError
 from tests import marching_run
+from tests.mpirun import CLONE, Ended, Ending, clean, mpirun
 from tests.on_ranks import alone, on_ranks
-from tests.ranks import CLONE, Ended, Ending, clean, mpirun
 from tests.viscous_joints import JOINT, PULL, SETUP, SLOW, SUDDEN, interface
 from thinlayer import Structure, ThinLayer, march
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms import Incompressible, MohrCoulomb, Norton, limits
+from forms import Incompressible, MohrCoulomb, Norton, formulas
 from forms.base import InputError
 from tests import closed_forms
 from tests.mohr_coulomb_points import LAW, LAWS, LMBDA, MONO, MU, OMEGA, C
@@ -22,7 +22,7 @@ def closing_and_shearing(law, steps, end=0.03, w_N=-0.01):
 def test_opening_held():
     """Order 1 to the closed form, whose number is known; slip on planes parallel to S alone gives another one."""
     expected = np.array([0.573611999372, -1.12276731876])
-    exact = limits.mohr_coulomb_fixed_opening(LMBDA, MU, C, OMEGA, -0.01, np.array(0.03))
+    exact = formulas.mohr_coulomb_fixed_opening(LMBDA, MU, C, OMEGA, -0.01, np.array(0.03))
     assert exact == pytest.approx(expected, rel=1e-11)
     ends = [closing_and_shearing(LAW, steps).tractions[-1] for steps in (100, 200, 400)]
     errors = [np.abs(t - exact) for t in ends]
@@ -35,14 +35,14 @@ def test_opening_held():
 def test_friction_of_the_layer():
     """First yield, lasting friction for several psi, and tan(Omega) while the pressure is taken away."""
     law = MohrCoulomb(LMBDA, MU, 0.0, OMEGA)
-    first = limits.first_yield_ratio(0.3, OMEGA)
+    first = formulas.first_yield_ratio(0.3, OMEGA)
     assert first == pytest.approx(0.3 / 1.4, rel=1e-12)
     for share, flows in ((1 - 1e-9, False), (1 + 1e-9, True)):
         found = drive(law, [{"w_T": 0.0, "w_N": -0.01}, {"w_T": share * first * 1.4 / MU, "w_N": -0.01}])
         assert found.memory[-1].any() == flows
-    assert limits.first_yield_ratio(0.2, OMEGA) == 0.0
+    assert formulas.first_yield_ratio(0.2, OMEGA) == 0.0
     for psi, value in ((0.0, 0.5), (10.0, 0.539221272), (20.0, 0.566769624), (30.0, 0.577350269)):
-        assert limits.apparent_friction(OMEGA, psi) == pytest.approx(value, rel=2e-9)
+        assert formulas.apparent_friction(OMEGA, psi) == pytest.approx(value, rel=2e-9)
         dilatant = MohrCoulomb(LMBDA, MU, 0.0, OMEGA, dilatancy_angle=psi)
         held = drive(dilatant, [{"w_T": w, "t_N": -1.4} for w in np.linspace(0, 2.0, 60)]).tractions[-1]
         assert held == pytest.approx([1.4 * value, -1.4], rel=1e-7)

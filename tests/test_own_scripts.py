@@ -33,13 +33,13 @@ from geometry.domain import Domain, cell_nodes
 from geometry.joint import Joint
 from geometry.seam import Seam
 from tests.documents import PAGES
+from tests.mpirun import CLONE
 from tests.network_cases import WALL
 from tests.on_ranks import on_ranks
-from tests.ranks import CLONE
 from tests.refused import refused
 from thinlayer import BrokenMesh, SolveError, Springs, StepProblem, Structure, ThinLayer, march
 from thinlayer.parts.contact_part import ContactPart
-from thinlayer.parts.forms import FormPart
+from thinlayer.parts.form_part import FormPart
 from thinlayer.parts.pressure_part import PressurePart
 
 SCRIPTS = re.findall(r"```python\n(.*?)```", PAGES["thinlayer/guide/scripts.md"], re.DOTALL)
@@ -57,7 +57,7 @@ KINDS = {
 
 # ---------------------------------------------------------------- the scripts
 TEXTS = {"page": SCRIPTS[0] + SCRIPTS[1]} | {
-    name: (CLONE / "tests" / "own_scripts" / f"{name}.py").read_text() for name in ("wall", "contact", "joint")
+    name: (CLONE / "tests" / "own_scripts" / f"{name}.py").read_text() for name in ("bricks", "two_blocks", "glue_line")
 }
 
 
@@ -77,13 +77,13 @@ def printed_by_all() -> dict[str, str]:
 
 
 @on_ranks(printed_by_all, 2)
-@pytest.mark.parametrize("name", ["page", "wall", "contact"])
+@pytest.mark.parametrize("name", ["page", "bricks", "two_blocks"])
 def test_script_on_one_rank_and_two(there, name):
     """What it prints is the same, to all digits but the last, and what the page says."""
     one, two = printed(name), there[name]
     assert len(numbers(one)) >= 1
     assert numbers(one) == pytest.approx(numbers(two), abs=2e-8)
-    if name == "contact":  # jumps on S and dissipation as in a march, with nodes that are open, stick and slide
+    if name == "two_blocks":  # jumps on S and dissipation as in a march, with nodes that are open, stick and slide
         mine, march_, status = one.splitlines()
         assert numbers(mine) == pytest.approx(numbers(march_), rel=1e-8)
         assert min(map(int, status.split()[-3:])) > 0
@@ -94,7 +94,7 @@ def test_script_on_one_rank_and_two(there, name):
 @on_ranks(printed_by_all, 2)
 def test_script_of_a_mesh_of_dolfinx(there):
     """S opens by the traction over the stiffness; the text says so."""
-    for text in (printed("joint"), there["joint"]):
+    for text in (printed("glue_line"), there["glue_line"]):
         assert float(re.search(r"S opens by (\S+) mm;", text)[1]) == pytest.approx(0.005, rel=1e-7)
         assert float(re.search(r"but for (\S+) of it", text)[1]) < 1e-4
 

@@ -11,8 +11,8 @@ from mpi4py import MPI
 from forms import KelvinVoigt, LinearElastic
 from geometry import sandwich
 from tests.folders_run import raised
+from tests.mpirun import mpirun
 from tests.on_ranks import on_ranks
-from tests.ranks import mpirun
 from thinlayer import Structure, ThinLayer, compare, fields, march, solve, sweep
 
 JOINT = sandwich(1.0, 0.5, 0.5, 0.5)

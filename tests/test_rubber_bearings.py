@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from forms import Incompressible, LinearElastic, Rubber, limits
+from forms import Incompressible, LinearElastic, Rubber, formulas
 from geometry import sandwich
 from tests.closed_forms import rubber_annulus
 from tests.test_rubber_closed_forms import ANNULUS, EPS, MU, RADIUS, STRIP
@@ -24,7 +24,7 @@ pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"
 
 
 def closed_form(bearing, lmbda):
-    stiffness = {"strip": limits.rubber_strip, "disc": limits.rubber_disc, "annulus": rubber_annulus}[bearing]
+    stiffness = {"strip": formulas.rubber_strip, "disc": formulas.rubber_disc, "annulus": rubber_annulus}[bearing]
     return stiffness(lmbda, MU, EPS, *(ANNULUS if bearing == "annulus" else SPANS[bearing][1:]))
 
 
@@ -83,7 +83,7 @@ def test_moment_of_a_tilted_strip(nu):
     # about a point eps/2 below the upper face, in the middle of the layer, so that there is no shear
     motion = (-rotation * (1.0 + EPS / 2), lambda x, t: rotation * x[0])
     state = solve(structure("strip", motion=motion).interface(layer(rubber(nu))))
-    wanted = limits.rubber_strip_tilted(modulus(nu), MU, EPS, STRIP)
+    wanted = formulas.rubber_strip_tilted(modulus(nu), MU, EPS, STRIP)
     assert state.reaction("TOP").at((0.0, 0.0)).moment / rotation == pytest.approx(wanted, rel=2e-3)
     surface = Surface(state.model)
     moment = surface.integral(surface.x[0] * surface.traction(state)[1])

@@ -13,7 +13,7 @@ from forms import LinearElastic
 from forms.base import InputError
 from geometry import block
 from tests import ranges_told
-from tests.ranks import CLONE
+from tests.mpirun import CLONE
 from tests.refused import refused
 from tests.softening_bars import HEIGHT, STEEP, WIDTH, C, Cohesive, Undeclared, bar, openings, sigma
 from thinlayer import Structure, ThinLayer, march, solve

@@ -12,12 +12,12 @@ from thinlayer.system.words import VERSION as __version__
 
 if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.discretisation.broken_mesh import BrokenMesh
-    from thinlayer.discretisation.clock import piecewise
     from thinlayer.discretisation.given import Pressure
     from thinlayer.discretisation.given_strains import Prestress, ThermalExpansion
     from thinlayer.discretisation.layer import Bond, Gap, ThinLayer
     from thinlayer.discretisation.point_loads import LineLoad, PointLoad
     from thinlayer.discretisation.structure import Structure
+    from thinlayer.discretisation.time_functions import piecewise
     from thinlayer.errors import InputError, LimitLoad, RangeWarning, SolveError, ThinlayerError
     from thinlayer.estimating.estimate import estimate
     from thinlayer.estimating.thickness import thin_enough

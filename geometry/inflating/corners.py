@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geometry.inflating.bands import Footing, Posts
+from geometry.inflating.band_cells import Footing, Posts
 from geometry.joint import FLAT, Joint
 from geometry.refusals import refuse
 from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, lagrange, sums

@@ -7,7 +7,7 @@ import scipy.sparse
 import scipy.sparse.linalg
 
 from forms.base import InputError
-from geometry.inflating.bands import Copies
+from geometry.inflating.band_cells import Copies
 from geometry.inflating.kept_bodies import UNIFORM
 from geometry.joint import Joint
 from geometry.refusals import place, refuse

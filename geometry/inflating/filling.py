@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geometry.inflating.bands import Posts
+from geometry.inflating.band_cells import Posts
 from geometry.inflating.corners import Corners
 from geometry.joint import Joint
 from geometry.topology import BoolArray, FloatArray, IntArray, is_tensor, sums

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from forms.base import InputError
-from geometry.inflating.bands import Copies, Footing, Posts, band_cells, posts_of
+from geometry.inflating.band_cells import Copies, Footing, Posts, band_cells, posts_of
 from geometry.inflating.corners import Corners, common_normals, junctions_of
 from geometry.inflating.extended_bodies import extended_motion, face_motion
 from geometry.inflating.filling import Filled, fill
@@ -167,7 +167,9 @@ def without_bodies(inflated: Joint) -> Joint:
             facets[name] = facets[name.removesuffix(f"/{LAYER}")] = rows
     points, region = inflated.points[used], inflated.region[mine] - first
     own = replace(band, reference=band.reference[used])
-    return replace(inflated, points=points, cells=cells, region=region, regions=band.regions, facets=facets, band=own, periods=None)
+    return replace(
+        inflated, points=points, cells=cells, region=region, regions=band.regions, facets=facets, band=own, periods=None
+    )
 
 
 class _Cells(NamedTuple):

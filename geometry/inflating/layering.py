@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from forms.base import InputError, is_finite, require
-from geometry.inflating.bands import Copies, Posts, level_heights
+from geometry.inflating.band_cells import Copies, Posts, level_heights
 from geometry.joint import Joint, Profile
 from geometry.refusals import place, refuse, require_known
 from geometry.seam import BASE, LAYER, LOWER_FACE, UPPER_FACE

@@ -11,7 +11,7 @@ from scipy.spatial import Voronoi, cKDTree
 
 from forms.base import InputError, is_finite, require
 from forms.temperature import finite
-from geometry.periods import SAME_PLACE
+from geometry.identified_sides import SAME_PLACE
 from geometry.refusals import place, refuse
 from geometry.seam import LEAST_COSINE, Seam
 from geometry.shapes.drawing import Drawing, Extent, Shape

@@ -7,7 +7,7 @@ from dolfinx import fem
 
 from thinlayer import InputError
 from thinlayer.discretisation.addition import Addition
-from thinlayer.parts.forms import matrix
+from thinlayer.parts.form_part import matrix
 from thinlayer.parts.part import Block, Outcome, Part, PartTraits
 
 

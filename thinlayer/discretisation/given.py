@@ -28,8 +28,8 @@ from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place as at_place
 from geometry.refusals import require_known
-from thinlayer.discretisation.clock import Clock, Reading, readings
 from thinlayer.discretisation.mesh_functions import places_in_cells, sampled, shift
+from thinlayer.discretisation.time_functions import Clock, Reading, readings
 from thinlayer.system.compat import interpolation_points
 
 Value = float | Callable[[Expr, Expr], Expr]

@@ -20,8 +20,8 @@ from forms.temperature import finite
 from forms.trace import tangent_at_rest
 from forms.work import Term, summed
 from geometry.joint import Joint
-from thinlayer.discretisation.clock import readings
 from thinlayer.discretisation.given import Coordinates, of_place
+from thinlayer.discretisation.time_functions import readings
 
 MEAN_STRAIN = "mean strain"  # key of the mean strain under a mean stress, in the fields of states
 Strain = Sequence[Sequence[float]] | Array | Callable[[Expr, Any], Sequence[Sequence[Any]]]

@@ -25,10 +25,10 @@ from geometry.domain import Domain
 from geometry.inflating.inflation import points_on_middle, to_middle
 from geometry.joint import Joint
 from geometry.topology import IntArray
-from thinlayer.discretisation.clock import readings
 from thinlayer.discretisation.given import Coordinates, has_finite_numbers
 from thinlayer.discretisation.layer import BODY, LAYER, constants
 from thinlayer.discretisation.mesh_functions import cellwise
+from thinlayer.discretisation.time_functions import readings
 from thinlayer.pointwise.integrals import Origin, Quadrature
 from thinlayer.system.ranks import on_all
 

@@ -23,7 +23,6 @@ from geometry.inflating.layering import by_seam
 from geometry.joint import Joint
 from geometry.topology import FloatArray, Indices, Splitting, is_tensor
 from thinlayer.discretisation.addition import check_additions
-from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.constraints import Constraints
 from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
 from thinlayer.discretisation.given import Coordinates, Load, Pressure
@@ -47,6 +46,7 @@ from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.rigid import free_translations, on_centre, require_support, resisted, rigid_motions
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Supports
+from thinlayer.discretisation.time_functions import Hand
 from thinlayer.errors import warn
 from thinlayer.pointwise.integrals import Quadrature, quadrature_degree
 from thinlayer.system.identity import described, digest

@@ -20,10 +20,10 @@ from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place as at_place
 from thinlayer.discretisation.boundary import AXES
-from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.constraints import Constraints
 from thinlayer.discretisation.measures import per_unit
 from thinlayer.discretisation.supports import Place
+from thinlayer.discretisation.time_functions import Hand
 
 Resistance = Callable[[Sequence[fem.Function]], Array]
 AXIAL = {2: ((0, 1, 1.0),), 3: ((1, 2, 1.0), (0, 2, -1.0), (0, 1, 1.0))}  # planes (i, j) that rotations turn, and sense

@@ -18,13 +18,13 @@ from forms.kinematics import MANDEL, Expr, from_mandel, lift
 from forms.work import Term, added, energy, stress
 from geometry.seam import BASE, S
 from geometry.topology import IntArray
-from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.given_strains import MEAN_STRAIN, PAIRS, of_components
 from thinlayer.discretisation.layer import BODIES, LAYER, PRESSURE
 from thinlayer.discretisation.measures import compiled_scalars, per_unit, whole
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import Resultant, middle_of, on_centre, resultant, resultants_of_loads
 from thinlayer.discretisation.supports import Place
+from thinlayer.discretisation.time_functions import Hand
 from thinlayer.system.ranks import carry
 
 

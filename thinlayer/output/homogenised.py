@@ -9,12 +9,12 @@ import numpy as np
 
 from forms.base import Array, InputError
 from forms.work import added
-from thinlayer.discretisation.clock import piecewise
 from thinlayer.discretisation.forces import Forces
 from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.given_strains import PAIRS, MeanStrain, Strain
 from thinlayer.discretisation.model import Family, Model
 from thinlayer.discretisation.point_loads import ConcentratedForms
+from thinlayer.discretisation.time_functions import piecewise
 from thinlayer.errors import SolveError
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.ranks import on_all

@@ -16,9 +16,9 @@ from forms.check import NOT_SYMMETRIC
 from forms.kinematics import MANDEL
 from forms.trace import takes_time
 from forms.work import Term
-from thinlayer.discretisation.clock import Hand
 from thinlayer.discretisation.layer import LAYER
 from thinlayer.discretisation.state import Configuration
+from thinlayer.discretisation.time_functions import Hand
 from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part, PartTraits
 from thinlayer.pointwise.compiled_term import CompiledTerm, Response
 from thinlayer.pointwise.integrals import Origin

@@ -17,7 +17,7 @@ from thinlayer.discretisation.measures import compiled_terms
 from thinlayer.discretisation.model import Model
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact_part import ContactPart
-from thinlayer.parts.forms import LawForms
+from thinlayer.parts.form_part import LawForms
 from thinlayer.parts.mean_stress import MeanStressPart
 from thinlayer.parts.part import Part
 from thinlayer.parts.pressure_part import PressurePart, has_flow

@@ -15,9 +15,9 @@ from forms.base import Array
 from forms.kinematics import lift
 from forms.law import Step
 from forms.work import Term
-from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.given_strains import MEAN_STRAIN, MeanStress, of_components
 from thinlayer.discretisation.mesh_functions import Keys, broken_space
+from thinlayer.discretisation.time_functions import OverStep
 from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
 from thinlayer.pointwise.integrals import matrix_of, values_of
 

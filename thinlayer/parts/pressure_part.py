@@ -17,9 +17,9 @@ from forms.kinematics import Expr
 from forms.work import Term
 from geometry.domain import cell_nodes
 from geometry.topology import IntArray
-from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.discretisation.mesh_functions import Keys, broken_space
+from thinlayer.discretisation.time_functions import OverStep
 from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
 from thinlayer.pointwise.integrals import Origin, Quadrature, Region, add_spread, matrix_of, values_of
 from thinlayer.system.ranks import communicator

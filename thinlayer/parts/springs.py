@@ -19,7 +19,7 @@ from thinlayer.discretisation.given import DEGREE, Given
 from thinlayer.discretisation.measures import per_unit
 from thinlayer.discretisation.rigid import rigid_expression
 from thinlayer.discretisation.supports import Place
-from thinlayer.parts.forms import FormPart, matrix
+from thinlayer.parts.form_part import FormPart, matrix
 
 Stiffness = float | Callable[[Any], Any]
 ROUNDING = 1e-9  # a negative stiffness that counts as rounding, over the largest one

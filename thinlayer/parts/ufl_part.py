@@ -16,7 +16,7 @@ from forms.base import InputError
 from forms.kinematics import Expr
 from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.measures import whole
-from thinlayer.parts.forms import FormPart, matrix
+from thinlayer.parts.form_part import FormPart, matrix
 from thinlayer.parts.part import Outcome, PartTraits
 
 ASYMMETRY = 1e-12  # norm of a matrix less its transpose, relative to its norm, that counts as rounding

@@ -8,11 +8,11 @@ from typing import Any
 
 from geometry.importing.reading import read
 from geometry.joint import Joint
-from thinlayer.discretisation.clock import piecewise
 from thinlayer.discretisation.given import Pressure
 from thinlayer.discretisation.layer import Layers, ThinLayer
 from thinlayer.discretisation.point_loads import LineLoad, PointLoad
 from thinlayer.discretisation.structure import Structure
+from thinlayer.discretisation.time_functions import piecewise
 from thinlayer.estimating import goals as kinds
 from thinlayer.estimating.goals import Goal
 from thinlayer.running.description import Description

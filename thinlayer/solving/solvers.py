@@ -18,7 +18,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State, displacements_of
 from thinlayer.errors import LooseBody, SolveError
 from thinlayer.parts.part import Interval
-from thinlayer.solving.contact.solver import FINDERS, METHODS, check_method, default_method
+from thinlayer.solving.contact.methods import FINDERS, METHODS, check_method, default_method
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import CONTACT, EASED_CONTACT, NEWTON, SINGULAR, YIELDING, Equilibrium, Finder, Found
 from thinlayer.solving.linear_solvers import linear_solvers

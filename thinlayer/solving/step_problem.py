@@ -18,7 +18,7 @@ from thinlayer.discretisation.measures import compiled_terms
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import SolveError
 from thinlayer.parts.compiled import CompiledPart
-from thinlayer.parts.forms import FormPart
+from thinlayer.parts.form_part import FormPart
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Interval, Part
 from thinlayer.parts.ufl_part import has_arity
 from thinlayer.pointwise.columns import TIE

@@ -21,9 +21,9 @@ from forms.kinematics import Expr
 from forms.law import BulkLaw, Step
 from forms.trace import named
 from forms.work import Term, energy, stress, work
-from thinlayer.discretisation.clock import OverStep
 from thinlayer.discretisation.measures import compiled, compiled_summands
 from thinlayer.discretisation.state import Configuration
+from thinlayer.discretisation.time_functions import OverStep
 from thinlayer.parts.compiled import GivenAtPoints, falls
 from thinlayer.parts.part import Block, Interval, Outcome, Part, PartTraits
 from thinlayer.pointwise.compiled_term import CompiledTerm
