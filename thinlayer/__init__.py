@@ -40,7 +40,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
 
 _NAMES = {
     "discretisation.broken_mesh": "BrokenMesh",
-    "discretisation.clock": "piecewise",
+    "discretisation.time_functions": "piecewise",
     "discretisation.given": "Pressure",
     "discretisation.given_strains": "Prestress ThermalExpansion",
     "discretisation.layer": "Bond Gap ThinLayer",
