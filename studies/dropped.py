@@ -296,11 +296,6 @@ def _plies(*laws: BulkLaw) -> Callable[[float], ThinLayer]:
     return of(Stack(*((1 / len(laws), law) for law in laws)))
 
 
-def _two(eps: float) -> dict[str, ThinLayer]:
-    """A layer, and a thinner one above it."""
-    return {"LOW": soft(30.0, 0.3)(eps), "HIGH": soft(10.0, 0.2)(eps / 2)}
-
-
 def further_cases() -> list[Case]:
     """The cases."""
     work, moved = goals.Compliance(), goals.Displacement((0.3, 0.35), (0.6, 0.8))
@@ -318,7 +313,7 @@ def further_cases() -> list[Case]:
         Case("rigid base", on_base, soft(25.0, 0.3), asked=ends),
         Case("plane stress", sheet, soft(30.0, 0.3), asked=ends),
         Case("springs and a plate", plated, soft(30.0, 0.3), asked=ends),
-        Case("two seams", two_seams, _two),
+        Case("two seams", two_seams, lambda eps: {"LOW": soft(30.0, 0.3)(eps), "HIGH": soft(10.0, 0.2)(eps / 2)}),
         Case("a body expands", heated, soft(30.0, 0.3), asked=(moved,)),
         Case("fixed moduli", bonded, of(young(3.0, 0.35), None), asked=ends),
         Case("plastic in time, free ends", free, of(YIELDING), step=STEP, asked=ends),

@@ -195,7 +195,8 @@ def draw(record: Record) -> None:
         errors = {}
         for contrast, part in table.split("E/mu").items():
             for law in drawn:
-                worst, warned = (_grid(column, nus) for column in (_worst(part, law), part[f"warned_{law}"]))
+                columns = _worst(part, law), part[f"warned_{law}"]  # by ratio, then by thickness
+                worst, warned = (values.reshape(len(nus), -1).T for values in columns)
                 errors[f"{LAWS[law]}; E/mu = {contrast:,.0f}"] = worst, np.vectorize(_percent)(worst, warned > 0)
         title = f"errors in per cent, the larger of traction and jump (!: a RangeWarning); {what}"
         save = record.path(f"errors_{name}.png")
@@ -231,11 +232,6 @@ def _cheapest(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, t
             good = np.append(stack < wanted, np.ones((1, *stack.shape[1:]), bool), axis=0).argmax(axis=0)
             parts[f"error < {100 * wanted:.0f} %; E/mu = {contrast:,}"] = good, np.array(list(names))[good]
     return parts, names
-
-
-def _grid(values: Array, nus: Array) -> Array:
-    """(thicknesses, ratios) from rows of a table, ordered by ratio and then by thickness."""
-    return values.reshape(len(nus), -1).T
 
 
 def _percent(error: float, warned: bool) -> str:

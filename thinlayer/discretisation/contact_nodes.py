@@ -142,9 +142,9 @@ class ContactNodes:
 
     @property
     def lines(self) -> IntArray:
-        """(m, 2) neighbours along S in 2D, on one rank; none at a tip of S."""
+        """(m, 2) neighbours along S, on one rank; none in three dimensions."""
         number, node = self._corners_of
-        order = np.argsort(number)
+        order = np.argsort(number)[: len(number) if self.dim == 2 else 0]
         within = np.flatnonzero(np.diff(number[order] // 2) == 0)
         return node[order][within[:, None] + [0, 1]]
 

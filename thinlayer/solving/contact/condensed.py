@@ -43,9 +43,7 @@ class Condensed(ContactFinder):
 
     def __init__(self, equations: Equations, like: State | None) -> None:
         super().__init__(equations, like)
-        self._held = np.zeros(self.x.getLocalSize(), bool)
-        self._held[equations.held] = True
-        self.pairs = Pairs(self.parts, self._held)
+        self.pairs = Pairs(self.parts, self.held)
 
     @cached_property
     def _condensation(self) -> Condensation:
@@ -53,17 +51,16 @@ class Condensed(ContactFinder):
         pairs, K, model = self.pairs, self.equations.K, self.equations.model
         x, bodies = model.V.tabulate_dof_coordinates()[:, : pairs.d], int(model.splitting.pieces.max()) + 1
         normal = pairs.weights @ pairs.frames[:, -1]
-        return Condensation(K.getValuesCSR(), self._held, pairs.dofs, x, normal, bodies)
+        return Condensation(K.getValuesCSR(), self.held, pairs.dofs, x, normal, bodies)
 
     @cached_property
     def _system(self) -> CondensedSystem:
-        """The condensed system, with the lines between nodes of S in 2D."""
-        x, lines, first = [part.nodes.x for part in self.parts], list[IntArray](), 0
-        for part in self.parts:
-            lines += [part.nodes.lines + first] if self.pairs.d == 2 else []
-            first += len(part.nodes.x)
-        chain = np.concatenate(lines) if lines else np.empty((0, 2), np.int64)
-        return CondensedSystem(self._condensation.stiffness, self.pairs, np.concatenate(x), chain)
+        nodes = [part.nodes for part in self.parts]
+        begins = np.cumsum([0, *(len(some.x) for some in nodes)])
+        lines = np.concatenate([some.lines + begin for some, begin in zip(nodes, begins, strict=False)])
+        return CondensedSystem(
+            self._condensation.stiffness, self.pairs, np.concatenate([some.x for some in nodes]), lines
+        )
 
     def solve(self, known: bool) -> tuple[int, float]:
         """As in `ContactFinder`."""
@@ -132,9 +129,7 @@ class CondensedSystem:
         chosen, shares, lines = every_second(self._x, self._lines)
         few = self.pairs.some(chosen, shares.T @ self.pairs.weights)
         pair, side = np.nonzero(self.pairs.ends >= 0)
-        order = np.argsort(
-            np.isin(pair, chosen, invert=True), kind="stable"
-        )  # a node moves with a chosen pair, if it is in one
+        order = np.argsort(np.isin(pair, chosen, invert=True), kind="stable")  # a node in a chosen pair moves with that
         node, first = np.unique(self.pairs.ends[pair, side][order], return_index=True)
         pair, side = pair[order][first], side[order][first]
         rows = shares[pair]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from functools import cached_property
 
+import numpy as np
 from petsc4py import PETSc
 
 from thinlayer.discretisation.state import State, displacements_of
@@ -25,6 +26,7 @@ class ContactFinder(Finder):
     Attributes:
         equations, comm: the equations and their communicator.
         parts: the contact laws with their pairs of nodes.
+        held: (N,) displacements of this rank that supports prescribe.
         x: displacements: what a step begins with, then its result.
     """
 
@@ -32,6 +34,8 @@ class ContactFinder(Finder):
         self.equations, self.comm, self._like = equations, equations.comm, like
         self.parts = equations.of_kind(ContactPart)
         self.x, self.b, self._r = (equations.vector() for _ in range(3))
+        self.held = np.zeros(self.x.getLocalSize(), bool)
+        self.held[equations.held] = True
         self._has_solved = False
 
     @cached_property

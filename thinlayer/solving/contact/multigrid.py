@@ -63,9 +63,7 @@ class MultigridContact(ContactFinder):
         super().__init__(equations, like)
         library(SOURCE, self.comm)
         (self.part,) = self.parts
-        held = np.zeros(self.x.getLocalSize(), bool)
-        held[equations.held] = True
-        self.pairs = Pairs(self.parts, held, self.x.getOwnershipRange()[0] // self.part.nodes.dim)
+        self.pairs = Pairs(self.parts, self.held, self.x.getOwnershipRange()[0] // self.part.nodes.dim)
         self._tangent: Tangent | None = None
         self._forces = equations.vector()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -52,16 +51,16 @@ class Pairs:
         self.weights = np.concatenate([part.nodes.weights for part in parts])
         self.gaps = np.zeros((len(pairs), self.d))
         self.gaps[:, -1] = np.concatenate([part.nodes.gap for part in parts])
-        self._of_part = [np.arange(len(part.nodes.weights)) for part in parts]
+        sizes = [len(part.nodes.weights) for part in parts]
+        self._part = np.repeat(np.arange(len(parts)), sizes)
+        self._of_part = np.concatenate([np.arange(n) for n in sizes])
         self._join(pairs, ~held.reshape(-1, self.d))
 
     def some(self, chosen: IntArray, weights: Array) -> Pairs:
         """Those pairs (k,), with areas (k,), and their nodes."""
-        few, begins = copy(self), np.cumsum([0, *map(len, self._of_part)])
+        few = copy(self)
         few.frames, few.gaps, few.weights = self.frames[chosen], self.gaps[chosen], weights
-        cuts = np.searchsorted(chosen, begins)
-        spans = zip(self._of_part, begins, pairwise(cuts), strict=False)
-        few._of_part = [own[chosen[slice(*cut)] - begin] for own, begin, cut in spans]
+        few._part, few._of_part = self._part[chosen], self._of_part[chosen]
         few._join(self.ends[chosen], self.free)
         return few
 
@@ -94,9 +93,8 @@ class Pairs:
 
     def _gathered(self, of_part: Callable[[Law, Array, Array], Array], w: Array) -> Array:
         """(pairs, ...) values of each part's law at the jumps (pairs, d)."""
-        begins = np.cumsum([0, *map(len, self._of_part)])
-        parts = zip(self._parts, self._of_part, pairwise(begins), strict=True)
-        return np.concatenate([of_part(part.now, w[slice(*at)], part.slip[own]) for part, own, at in parts])
+        parts = [(part, self._part == k) for k, part in enumerate(self._parts)]
+        return np.concatenate([of_part(part.now, w[own], part.slip[self._of_part[own]]) for part, own in parts])
 
     def apart(self, u: Array) -> Array:
         """(pairs, d) jumps, and initial gaps along the normal, in the pairs' frames at displacements (n d,)."""
@@ -136,7 +134,7 @@ class Pairs:
 
     def _offsets(self, w: Array) -> Array:
         """Jumps (pairs, d) less the slip."""
-        slip = np.concatenate([part.slip[own] for part, own in zip(self._parts, self._of_part, strict=True)])
+        slip = self._gathered(lambda law, w, slip: slip, w)
         return np.column_stack([w[:, :-1] - slip, w[:, -1]])
 
     def sweep(

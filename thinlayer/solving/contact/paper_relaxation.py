@@ -155,12 +155,11 @@ class ContactRelaxation(ContactFinder):
     def __init__(self, equations: Equations, like: State | None) -> None:
         super().__init__(equations, like)
         (self.part,) = self.parts
-        nodes, n = self.part.nodes, self.x.getLocalSize()
+        nodes = self.part.nodes
         self._held_jumps = _held_components(nodes.frames, nodes.held)
         if (nodes.held_upper & ~nodes.held).any():
             raise InputError("method='relaxation' needs supports on both sides of S or on the lower; use 'condensed'")
-        self._held = np.zeros(n, bool)
-        self._held[equations.held] = True
+        self._held = self.held.copy()
         self._held[nodes.dofs] = self._held_jumps
         self._T = self._change()
         indptr, indices, values = equations.K.getValuesCSR()
@@ -177,7 +176,7 @@ class ContactRelaxation(ContactFinder):
 
     def _change(self) -> scipy.sparse.csr_matrix:
         """Matrix from the unknowns (jumps and other displacements) to all displacements, where there are no gaps."""
-        nodes, n = self.part.nodes, self.x.getLocalSize()
+        nodes, n = self.part.nodes, len(self.held)
         upper, others = nodes.dofs, np.setdiff1d(np.arange(n), nodes.dofs)
         rows = [others, np.repeat(upper, nodes.dim, axis=1).ravel()]
         columns = [others, np.tile(upper, nodes.dim).ravel()]
