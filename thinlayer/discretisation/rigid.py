@@ -70,14 +70,9 @@ def rigid_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
 
 
 def rigid_values(V: fem.FunctionSpace, about: Array) -> Array:
-    """The motions of `rigid` in a space: (n, k) at the displacements of this rank, those of ghosts last. Collective."""
-    d, columns = V.dofmap.bs, []
-    for k in range(count(d)):
-        f = fem.Function(V)
-        f.interpolate(lambda x, k=k: rigid(x[:d].T, about)[:, :, k].T)
-        f.x.scatter_forward()
-        columns.append(f.x.array.copy())
-    return np.column_stack(columns)
+    """The motions of `rigid` at the nodes of a space: (n, k), displacements of ghosts last."""
+    x = V.tabulate_dof_coordinates()[:, : len(about)]
+    return rigid(x, about).reshape(-1, count(len(about)))
 
 
 def rigid_motions(V: fem.FunctionSpace, joint: Joint, kinematics: Kinematics = LIFTED) -> dict[str, fem.Function]:
