@@ -19,12 +19,13 @@ from thinlayer.errors import SolveError
 from thinlayer.solving.balance import ALLOWED, TINY, ForceScale
 from thinlayer.solving.contact.condensation import Condensation, FactorError
 from thinlayer.solving.contact.finder import ContactFinder
-from thinlayer.solving.contact.pairs import Pairs
+from thinlayer.solving.contact.pairs import PIVOTS, Pairs
 from thinlayer.solving.equations import Equations
 
 TOLERANCE = 1e-11  # residual at which Newton's method stops, relative to the forces
 COARSE_TOLERANCE = 1e-3  # the same in coarser systems
 COARSEST = 48  # largest number of lines between nodes of a system that is not coarsened
+FEWER = 0.75  # largest share of pairs that a coarser system has
 STALLED = 1e-9  # residual, relative to the forces, that is accepted if Newton steps do not reduce it
 SUMMATION = 10.0  # rounding of the condensed stiffness, relative to that of its largest entry, per sqrt(node)
 SWEEPS = 4  # number of sweeps before each of the first Newton steps
@@ -124,9 +125,9 @@ class CondensedSystem:
     @cached_property
     def _coarser(self) -> tuple[CondensedSystem, scipy.sparse.csr_matrix] | None:
         """The system for every second pair along S, and the matrix from its displacements to these; None: small."""
-        if len(self._lines) <= COARSEST:
-            return None
         chosen, shares, lines = every_second(self._x, self._lines)
+        if len(self._lines) <= COARSEST or len(chosen) > FEWER * len(self._x):
+            return None
         few = self.pairs.some(chosen, shares.T @ self.pairs.weights)
         pair, side = np.nonzero(self.pairs.ends >= 0)
         order = np.argsort(np.isin(pair, chosen, invert=True), kind="stable")  # a node in a chosen pair moves with that
@@ -159,7 +160,7 @@ class CondensedSystem:
         try:
             if isinstance(A, np.ndarray):
                 return np.linalg.solve(A + more.toarray(), b)
-            return np.asarray(splu((A + more).tocsc(), permc_spec="MMD_AT_PLUS_A").solve(b))
+            return np.asarray(splu((A + more).tocsc(), **PIVOTS).solve(b))
         except (np.linalg.LinAlgError, RuntimeError):
             return np.full(len(b), np.nan)
 

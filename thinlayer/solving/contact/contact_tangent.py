@@ -12,7 +12,7 @@ from scipy.sparse.linalg import splu
 
 from forms.base import Array
 from thinlayer.parts.contact_part import ContactPart
-from thinlayer.solving.contact.pairs import Pairs
+from thinlayer.solving.contact.pairs import PIVOTS, Pairs
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.petsc import PREFIX
 
@@ -98,7 +98,7 @@ class Tangent:
         """Use these tangents (n, d, d) of the law from now on."""
         self._tangents = tangents
         if len(self.pairs.nodes):
-            self._local = splu((self._near + self.pairs.stiffness(tangents)).tocsc(), permc_spec="MMD_AT_PLUS_A")
+            self._local = splu((self._near + self.pairs.stiffness(tangents)).tocsc(), **PIVOTS)
 
     def mult(self, _: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """y = tangent times x."""
