@@ -22,6 +22,7 @@ layer = {E = 3e3, nu = 0.35, eps = 0.4}
 "LEFT/UPPER" = {y = 0.001}
 [tractions]
 "LEFT/UPPER" = [-60, 5]
+"LEFT/LAYER" = [0, 0]
 [goals]
 compliance = true
 pull = {kind = "reaction", place = "LEFT", direction = [0, 1]}
@@ -49,10 +50,10 @@ def structure() -> Structure:
     """The structure."""
     steel, other = LinearElastic.young(200e3, 0.3), LinearElastic.young(70e3, 0.2)
     supports = {"RIGHT/LOWER": 0.0, "LEFT/UPPER": {"y": 0.001}}
-    body = {"LOWER": steel, "UPPER": other}
-    return Structure(joint(), body=body, supports=supports, tractions={"LEFT/UPPER": (-60.0, 5.0)})
+    body, tractions = {"LOWER": steel, "UPPER": other}, {"LEFT/UPPER": (-60.0, 5.0), "LEFT/LAYER": (0.0, 0.0)}
+    return Structure(joint(), body=body, supports=supports, tractions=tractions)
 
 
-def layer(eps: float = EPS) -> ThinLayer:
+def layer(eps: float = EPS, E: float = 3e3, eigenstrain: float | None = None) -> ThinLayer:
     """The glue."""
-    return ThinLayer(LinearElastic.young(3e3, 0.35), eps)
+    return ThinLayer(LinearElastic.young(E, 0.35), eps, eigenstrain=eigenstrain)

@@ -62,11 +62,15 @@ def test_description_and_script_agree_and_another_glue_does_not(lap, wanted, tmp
     assert len(run["solves"]) == 2
     for name in ("map_law_compliance.png", "map_law_pull.png"):
         assert_drawn(tmp_path / "out" / name)
-    softer = thinlayer("estimate", lap, "--set", "layer.E=2e3", "--out", tmp_path / "out")
+    changes = ["layer.E=2e3", "layer.eigenstrain=-0.002", "bodies='extended'"]
+    softer = thinlayer("estimate", lap, *(word for one in changes for word in ("--set", one)), "--out", tmp_path / "out")
     assert softer.returncode == 0, softer.stderr
-    assert json.loads((tmp_path / "out" / "run.json").read_text())["options"] == {"set": ["layer.E=2e3"]}
-    other = numbers(tmp_path / "out" / "estimate.csv")
-    assert abs(other["law", "compliance"][0] / found["law", "compliance"][0] - 1) > 1e-3
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["options"] == {"set": changes}
+    other, glue = numbers(tmp_path / "out" / "estimate.csv"), lap_files.layer(E=2e3, eigenstrain=-0.002)
+    state = solve(lap_files.structure().interface(glue, bodies="extended"))
+    expected = goals.Reaction("LEFT", (0, 1)).value(state, state.model)
+    assert other["law", "pull"][0] == pytest.approx(expected, rel=1e-8)
+    assert other["law", "pull"][0] != pytest.approx(found["law", "pull"][0], rel=1e-3)
     earlier = numbers(tmp_path / "out" / "previous-1" / "estimate.csv")
     assert earlier["law", "compliance"] == found["law", "compliance"]
 

@@ -39,12 +39,12 @@ class Stiffening(BulkLaw):
         return 0.4 * self.mu * ufl.tr(e) ** 2 + self.mu * ufl.inner(e, e) + self.c / 4 * ufl.inner(e, e) ** 2
 
 
-def blocks(of_t=lambda t: t, *, body=SOFT, law=LAW, top=None, kind=Structure.interface):
+def blocks(of_t=lambda t: t, *, body=SOFT, law=LAW, top=None, kind=Structure.interface, eigenstrain=None):
     """Eight columns, sheared and pulled, more at the right end; they switch in four snaps as of_t goes from 0 to 1."""
     joint = sandwich(1.0, 0.5, 0.5, 0.125, cell="quadrilateral", structured=True)
     top = top or {"x": lambda x, t: 0.03 * of_t(t), "y": lambda x, t: of_t(t) * (0.05 * x[0] - 0.01)}
     plates = Structure(joint, body=body, supports={"BOTTOM": 0.0, "TOP": top}, element="Q1")
-    layer = ThinLayer(law, 0.05, at=1.0)
+    layer = ThinLayer(law, 0.05, at=1.0, eigenstrain=eigenstrain)
     return plates.full(layer, cells_through=2) if kind is Structure.full else kind(plates, layer)
 
 
@@ -114,6 +114,14 @@ def test_a_temperature_that_comes_back_within_a_step():
     one, five = (march(blocks(law=law, top={"x": 0.03, "y": 0.02}), 2 * np.arange(1, n + 1) / n) for n in (1, 2))
     assert len(one.snaps) == 11
     check(one, [snap.t for snap in five.snaps], [snap.lost for snap in five.snaps])
+
+
+def test_an_eigenstrain_that_comes_back_within_a_step():
+    """Nothing else varies in time; the snaps of one step are those of two."""
+    wave = lambda x, t: [[0, 0], [0, ufl.sin(np.pi * t) * (0.2 - x[0])]]
+    one, two = (march(blocks(eigenstrain=wave, top=0.0), np.arange(1, n + 1) / n) for n in (1, 2))
+    assert len(one.snaps) > 4
+    check(one, [snap.t for snap in two.snaps], [snap.lost for snap in two.snaps])
 
 
 def test_bodies_that_stiffen():
