@@ -63,7 +63,8 @@ def test_description_and_script_agree_and_another_glue_does_not(lap, wanted, tmp
     for name in ("map_law_compliance.png", "map_law_pull.png"):
         assert_drawn(tmp_path / "out" / name)
     changes = ["layer.E=2e3", "layer.eigenstrain=-0.002", "bodies='extended'"]
-    softer = thinlayer("estimate", lap, *(word for one in changes for word in ("--set", one)), "--out", tmp_path / "out")
+    words = [word for one in changes for word in ("--set", one)]
+    softer = thinlayer("estimate", lap, *words, "--out", tmp_path / "out")
     assert softer.returncode == 0, softer.stderr
     assert json.loads((tmp_path / "out" / "run.json").read_text())["options"] == {"set": changes}
     other, glue = numbers(tmp_path / "out" / "estimate.csv"), lap_files.layer(E=2e3, eigenstrain=-0.002)

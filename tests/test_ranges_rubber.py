@@ -102,7 +102,7 @@ def test_length_of_the_pressure_in_series():
     shim = Sublayer(0.3, 1e8, 1e8, 3e8)  # does not stretch: each half flows by itself
     assert pressure_length([halves[0], shim, halves[1]], 10.0) == pytest.approx(rubber.length / 2, rel=1e-3)
     sheet, h, width = Sublayer(0.3, 1.0, 1e8, 5e3), 0.35, 10.0  # does not shear; the flow of each half stretches it
-    held = 2 * 9 / h + 0.3 * sheet.along * width / (width**3 / 3)  # by shear and stretching, of x along S: works over x^2
+    held = 2 * 9 / h + 0.3 * sheet.along * width / (width**3 / 3)  # moves in proportion to the distance: works
     B = 9e3 / 9018 * (h**3 / (6 * 9) + h**2 / held)
     found = pressure_length([halves[0], sheet, halves[1]], width)
     assert found == pytest.approx((B / (2 * halves[0].compliance + sheet.compliance)) ** 0.5, rel=1e-6)

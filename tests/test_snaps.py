@@ -119,7 +119,7 @@ def test_a_temperature_that_comes_back_within_a_step():
 def test_an_eigenstrain_that_comes_back_within_a_step():
     """Nothing else varies in time; the snaps of one step are those of two."""
     wave = lambda x, t: [[0, 0], [0, ufl.sin(np.pi * t) * (0.2 - x[0])]]
-    one, two = (march(blocks(eigenstrain=wave, top=0.0), np.arange(1, n + 1) / n) for n in (1, 2))
+    one, two = (march(blocks(eigenstrain=wave, top={"y": 0.0}), np.arange(1, n + 1) / n) for n in (1, 2))
     assert len(one.snaps) > 4
     check(one, [snap.t for snap in two.snaps], [snap.lost for snap in two.snaps])
 
