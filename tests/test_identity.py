@@ -155,6 +155,7 @@ THINGS = {
     "piecewise": lambda v: piecewise({0: 1.0, 1: v}),
     "law of a layer": lambda v: replace(LAYER, law=Spring(60.0, v)),
     "law of a place": lambda v: LinearElastic(lambda x: v + x[0], 40.0),
+    "long array": lambda v: np.append(np.ones(100), v),
     "joint": lambda v: replace(JOINT, points=JOINT.points * v),
     "twice": lambda v: (lambda one, other: [one, other, one if v > 5 else other])(
         Times(scaled, 1.0), Times(scaled, 2.0)
