@@ -9,6 +9,7 @@ from forms import HolonomicCoulomb
 from geometry import block
 from studies.problems import sliding_bar
 from tests.contact_bars import SOLVERS, STIFFNESS, bar, coulomb, solved
+from thinlayer import Structure, solve
 
 COUNTS = {"stiff": (3, 15, 13), "middle": (2, 14, 15), "soft": (0, 0, 31)}  # separated, sliding, stick: Fig. 8
 U_A = {"stiff": 1.456232e-2, "middle": 1.458569e-2, "soft": 4.094504e-2}  # independent code, same mesh
@@ -47,6 +48,13 @@ def test_profiles_on_another_mesh(case):
             found = (report.u_T[at, 0], report.u_N[at], report.p[at], report.t_T[at, 0])
             assert found == pytest.approx(values, rel=2e-6)
     assert np.abs(np.subtract(counts(report), COUNTS[case])).max() <= 1
+
+
+@pytest.mark.parametrize("case", ["stiff", "middle"])
+def test_a_long_bar_starts_from_shorter_lists_of_nodes(case):
+    """From bonded springs Newton's method takes 4 or 5 steps, and more on finer meshes."""
+    joint, setup = sliding_bar(128)
+    assert solve(Structure(joint, **setup).interface(coulomb(case)), method="condensed").report.iterations <= 3
 
 
 def test_wrong_readings_of_section_8_are_rejected():

@@ -1,6 +1,7 @@
 """Dry walls: all solvers find the same equilibrium, bricks are balanced, loose ones are named, friction remembers."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from thinlayer import Structure, Surface, ThinLayer, march, piecewise, solve
 from thinlayer.errors import LimitLoad, LooseBody
 from thinlayer.solving.contact import condensation
 from thinlayer.solving.contact.condensation import Condensation
+from thinlayer.solving.contact.condensed import SHRINKS, every_second
 
 pytestmark = pytest.mark.few(5)
 
@@ -55,6 +57,12 @@ def test_a_wall_in_space(cell):
     assert imbalance(one) < 1e-11  # where Newton's method may stop
     assert imbalance(other) < 1e-10
     assert {"sliding", "separated"} <= {name for name, n in Surface(one.model, "HEAD").contact(one).counts.items() if n}
+
+
+def test_a_wall_of_many_joints_of_two_cells():
+    """Starts from nodes at their ends, of which no fewer can be left."""
+    model = dry_wall(bricks=6, courses=8, h=0.25)
+    require_equal(*(solve(model, 0.2, method=method) for method in ("condensed", "newton")))
 
 
 def test_a_support_that_moves():
@@ -111,6 +119,23 @@ def test_bodies_are_condensed_one_by_one(d, together, monkeypatch):
     found.expand(b, u[kept], out)
     np.testing.assert_allclose(out, u, atol=1e-8)
     found.close()
+
+
+def test_every_second_place_along_curves():
+    """Two curves that branch and two rings, uneven: others lie between their two neighbours, and what meets still meets."""
+    rng, chain = np.random.default_rng(3), lambda *way: [*pairwise(way)]
+    x = np.cumsum(rng.uniform(0.5, 1.5, (22, 2)), axis=0)
+    lines = [*chain(*range(7)), *chain(3, 7, 8, 9, 10), *chain(*range(11, 16), 11), *chain(*range(16, 22), 16)]
+    kept, shares, coarser = every_second(x, np.array(lines))
+    assert len(kept) <= SHRINKS * len(x)
+    np.testing.assert_array_equal(shares[kept].toarray(), np.eye(len(kept)))
+    for place in np.setdiff1d(np.arange(len(x)), kept):
+        near = [a + b - place for a, b in lines if place in (a, b)]
+        found = shares[[place]].toarray()[0, np.searchsorted(kept, near)]
+        assert found.sum() == pytest.approx(1)
+        assert np.ptp(found * np.linalg.norm(x[near] - x[place], axis=1)) == pytest.approx(0, abs=1e-12)
+    meeting = dict(zip(kept.tolist(), np.bincount(coarser.ravel()), strict=True))
+    assert meeting == dict.fromkeys(kept.tolist(), 2) | {0: 1, 3: 3, 6: 1, 10: 1}
 
 
 # ---------------------------------------------------------------- bricks that nothing holds

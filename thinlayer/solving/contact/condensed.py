@@ -25,7 +25,7 @@ from thinlayer.solving.equations import Equations
 TOLERANCE = 1e-11  # residual at which Newton's method stops, relative to the forces
 COARSE_TOLERANCE = 1e-3  # the same in coarser systems
 COARSEST = 48  # largest number of lines between nodes of a system that is not coarsened
-FEWER = 0.75  # largest share of pairs that a coarser system has
+SHRINKS = 0.75  # largest number of pairs of a coarser system, relative to all; seams of one cell have no fewer
 STALLED = 1e-9  # residual, relative to the forces, that is accepted if Newton steps do not reduce it
 SUMMATION = 10.0  # rounding of the condensed stiffness, relative to that of its largest entry, per sqrt(node)
 SWEEPS = 4  # number of sweeps before each of the first Newton steps
@@ -101,7 +101,7 @@ class CondensedSystem:
         stiffness: (n d, n d) condensed stiffness of the bodies.
         pairs: the pairs, and their n nodes.
         x: (pairs, d) places.
-        lines: (m, 2) pairs that are neighbours along S; empty: there is no coarser system.
+        lines: (m, 2) pairs that are neighbours along S; if they are few there is no coarser system.
     """
 
     def __init__(self, stiffness: Array | scipy.sparse.csr_matrix, pairs: Pairs, x: Array, lines: IntArray) -> None:
@@ -124,9 +124,11 @@ class CondensedSystem:
 
     @cached_property
     def _coarser(self) -> tuple[CondensedSystem, scipy.sparse.csr_matrix] | None:
-        """The system for every second pair along S, and the matrix from its displacements to these; None: small."""
+        """The system for every second pair along S, and the matrix from its displacements to these; None: no smaller."""
+        if len(self._lines) <= COARSEST:
+            return None
         chosen, shares, lines = every_second(self._x, self._lines)
-        if len(self._lines) <= COARSEST or len(chosen) > FEWER * len(self._x):
+        if len(chosen) > SHRINKS * len(self._x):
             return None
         few = self.pairs.some(chosen, shares.T @ self.pairs.weights)
         pair, side = np.nonzero(self.pairs.ends >= 0)
@@ -222,8 +224,9 @@ def every_second(x: Array, lines: IntArray) -> tuple[IntArray, scipy.sparse.csr_
     """
     chosen = np.bincount(lines.ravel(), minlength=len(x)) != 2
     chosen[along(x, lines, float(np.ptp(x)))[::2]] = True
-    kept, number = np.flatnonzero(chosen), np.cumsum(chosen) - 1
     place, other = np.concatenate([lines, lines[:, ::-1]]).T
+    chosen |= np.bincount(place, chosen[other], len(x)) < 2  # a ring of an odd number may begin and end in between
+    kept, number = np.flatnonzero(chosen), np.cumsum(chosen) - 1
     between = chosen[other] & ~chosen[place]
     place, other = place[between], other[between]
     near = 1.0 / np.linalg.norm(x[place] - x[other], axis=1)
