@@ -177,7 +177,10 @@ class Given:
         return InputError(f"{self.what} is no function (x, t) of UFL coordinates: {why}; {HINT}")
 
     def _refusal(self, content: Any, more: str = "") -> InputError:
-        need = " or ".join(map(_in_words, self._shapes))
+        words = (
+            f"{' x '.join(map(str, shape))} finite components" if shape else "a finite number" for shape in self._shapes
+        )
+        need = " or ".join(words)
         if callable(self.value):
             return InputError(f"{self.what} gives {content!s:.90}; it needs {need}{more}")
         return InputError(f"{self.what} is {self.value!r:.90}; it needs {need}, or a function (x, t) that gives that")
@@ -292,10 +295,6 @@ def by_body(given: Any, joint: Joint, what: str = "", others: Sequence[str] = ()
 
 
 # ---------------------------------------------------------------- content
-def _in_words(shape: Shape) -> str:
-    return f"{' x '.join(map(str, shape))} finite components" if shape else "a finite number"
-
-
 def _shape_of(content: Any) -> Shape:
     """The shape of nested sequences of numbers and UFL expressions."""
     if isinstance(content, ufl.core.expr.Expr):

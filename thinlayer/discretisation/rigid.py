@@ -70,9 +70,14 @@ def rigid_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
 
 
 def rigid_values(V: fem.FunctionSpace, about: Array) -> Array:
-    """The motions of `rigid` at the nodes of a space: (n, k), displacements of ghosts last."""
-    x = V.tabulate_dof_coordinates()[:, : len(about)]
-    return rigid(x, about).reshape(-1, count(len(about)))
+    """The motions of `rigid` in a space: (n, k) at the displacements of this rank, those of ghosts last. Collective."""
+    d, f, columns = V.dofmap.bs, fem.Function(V), []
+    for share in np.eye(count(d)):
+        turn = np.tensordot(share[d:], TURNS[d], 1)
+        f.interpolate(lambda x, u=share[:d], turn=turn: u[:, None] + turn @ (x[:d] - about[:, None]))
+        f.x.scatter_forward()
+        columns.append(f.x.array.copy())
+    return np.column_stack(columns)
 
 
 def rigid_motions(V: fem.FunctionSpace, joint: Joint, kinematics: Kinematics = LIFTED) -> dict[str, fem.Function]:

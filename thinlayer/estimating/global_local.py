@@ -126,10 +126,6 @@ class GlobalLocal:
         self._couples: list[tuple[Array, Array]] = []
 
     # ---------------------------------------------------------------- the interface model
-    def _of_bodies(self, u: Array) -> Array:
-        """Nodal forces (m,) of all but the layers' laws at displacements (m,)."""
-        return self.adjoint.forces(self._others, self.state, self._function(u), self.adjoint.interval)
-
     def _function(self, u: Array) -> fem.Function:
         f = fem.Function(self.model.V)
         f.x.array[: self.n] = u
@@ -138,7 +134,8 @@ class GlobalLocal:
 
     def _lack(self, u: Array) -> Array:
         """Loads (m,) less the forces of all but the layers' laws, at displacements (m,)."""
-        return np.asarray(self._loads - self._of_bodies(u))
+        others = self.adjoint.forces(self._others, self.state, self._function(u), self.adjoint.interval)
+        return np.asarray(self._loads - others)
 
     def _pulled(self, forces: Array) -> Array:
         """Forces on the faces, from nodal ones (m,)."""

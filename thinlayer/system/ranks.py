@@ -75,7 +75,8 @@ def _texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, patience:
 
     Ranks in an inner block receive the errors there, and reach this block with errors of their own.
     """
-    text = None if problem is None else _text(problem)
+    kind = "" if isinstance(problem, ValueError) else f"{type(problem).__name__}: "
+    text = None if problem is None else f"{kind}{problem}"
     while True:
         here = comm.Ibarrier()
         if problem is None:
@@ -117,10 +118,6 @@ def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
                 what = f"the ranks were given different {name}: {at}{here} on rank 0, {there} on rank {rank}"
                 raise _for_all(InputError(f"{what}; give all ranks the same"))
     return digest(found[0])
-
-
-def _text(error: Exception) -> str:
-    return str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
 
 
 def _for_all(error: Exception) -> Exception:

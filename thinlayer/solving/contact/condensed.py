@@ -132,7 +132,8 @@ class CondensedSystem:
             return None
         few = self.pairs.some(chosen, shares.T @ self.pairs.weights)
         pair, side = np.nonzero(self.pairs.ends >= 0)
-        order = np.argsort(np.isin(pair, chosen, invert=True), kind="stable")  # a node in a chosen pair moves with that
+        # a node that is in a chosen pair moves with that
+        order = np.argsort(np.isin(pair, chosen, invert=True), kind="stable")
         node, first = np.unique(self.pairs.ends[pair, side][order], return_index=True)
         pair, side = pair[order][first], side[order][first]
         rows = shares[pair]

@@ -48,8 +48,7 @@ def _is_network(model: Model) -> bool:
 
     The same holds for periodic joints, whose mean strain also is no load of these solvers.
     """
-    several = len(model.joint.seams) > 1 or model.joint.seams_meet
-    return several or model.joint.periods is not None
+    return len(model.joint.seams) > 1 or model.joint.seams_meet or model.joint.periods is not None
 
 
 def _is_linear(model: Model) -> bool:
@@ -78,8 +77,7 @@ def _unsuited(model: Model, method: str) -> str:
     if method != "multigrid" and model.comm.size > 1:
         return f"is for one rank, not {model.comm.size}; use method='multigrid'"
     if _is_network(model) and (method != "condensed" or model.joint.periods):
-        also = "" if model.joint.periods else " or, on one rank, 'condensed'"
-        remedy = f"use method='newton'{also}"
+        remedy = "use method='newton'" + ("" if model.joint.periods else " or, on one rank, 'condensed'")
         return f"is for one seam without branches, not periodic, whose jumps are independent of each other; {remedy}"
     if not _is_linear(model):
         others = "and no inclined supports or rigid plates; use method='newton'"

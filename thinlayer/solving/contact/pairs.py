@@ -136,8 +136,7 @@ class Pairs:
 
     def _offsets(self, w: Array) -> Array:
         """Jumps (pairs, d) less the slip."""
-        slip = self._gathered(lambda law, w, slip: slip, w)
-        return np.column_stack([w[:, :-1] - slip, w[:, -1]])
+        return self._gathered(lambda law, w, slip: np.column_stack([w[:, :-1] - slip, w[:, -1]]), w)
 
     def sweep(
         self,
