@@ -121,9 +121,7 @@ def command_line() -> argparse.ArgumentParser:
         one = _add(names, study.name, _run, study.summary)
         for name, details in study.options.items():
             one.add_argument(f"--{name}", default=None, **details)
-        one.add_argument(
-            "--resume", action="store_true", help="continue the sweeps of a killed run, with the same options"
-        )
+        one.add_argument("--resume", action="store_true", help="go on with the sweeps of a killed run, same options")
     what = "tell by how much the answer changes if the mesh of a layer is dropped"
     estimate = _add(commands, "estimate", _estimate, f"{what}; thinlayer/guide/estimate.md has the keys", help=what)
     file = "a file in TOML, which names a mesh file"

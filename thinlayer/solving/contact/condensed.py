@@ -132,12 +132,9 @@ class CondensedSystem:
             return None
         few = self.pairs.some(chosen, shares.T @ self.pairs.weights)
         pair, side = np.nonzero(self.pairs.ends >= 0)
-        # a node that is in a chosen pair moves with that
-        order = np.argsort(np.isin(pair, chosen, invert=True), kind="stable")
-        node, first = np.unique(self.pairs.ends[pair, side][order], return_index=True)
-        pair, side = pair[order][first], side[order][first]
-        rows = shares[pair]
-        columns = few.ends[rows.indices, side.repeat(np.diff(rows.indptr))]
+        node, first = np.unique(self.pairs.ends[pair, side], return_index=True)
+        rows = shares[pair[first]]  # where a node is in several pairs, these are ends of curves, and chosen
+        columns = few.ends[rows.indices, side[first].repeat(np.diff(rows.indptr))]
         P = scipy.sparse.csr_matrix((rows.data, columns, rows.indptr), shape=(len(node), len(few.nodes)))
         P = scipy.sparse.kron(P, scipy.sparse.eye(self.pairs.d), format="csr")
         return CondensedSystem(P.T @ self._stiffness @ P, few, self._x[chosen], lines), P
