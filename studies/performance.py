@@ -80,7 +80,7 @@ class Bench:
         self.equations.hold(self.bonded)
         for option in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.SPD):
             self.bonded.setOption(option, True)
-        near = self.equations.near_null()
+        near = self.equations.near_null
         self.bonded.setNearNullSpace(PETSc.NullSpace().create(vectors=near, comm=self.bonded.comm))
         springs.destroy()
 

@@ -133,6 +133,7 @@ class Equations(PartSum):
         """
         A.zeroRowsColumns(self.held_rows, self.mean_stiffness or 1.0, x, b)
 
+    @cached_property
     def near_null(self) -> list[PETSc.Vec]:
         """The unknowns of rigid motions of the whole structure, orthonormal."""
         motions = rigid_motions(self.model.V, self.model.joint, self.model.kinematics).values()
@@ -145,9 +146,9 @@ class Equations(PartSum):
         """Tell the preconditioner of a tangent, with supports, what it can use: rigid motions, blocks of the unknowns."""
         kind = ksp.getPC().getType()
         if kind in MULTIGRIDS:
-            A.setNearNullSpace(PETSc.NullSpace().create(vectors=self.near_null(), comm=A.comm))
+            A.setNearNullSpace(PETSc.NullSpace().create(vectors=self.near_null, comm=A.comm))
         elif kind == "fieldsplit" and self.with_own:
-            split(ksp.getPC(), A, self._layout, self.near_null())
+            split(ksp.getPC(), A, self._layout, self.near_null)
 
     # ---------------------------------------------------------------- uniqueness
     def require_unique(self) -> None:

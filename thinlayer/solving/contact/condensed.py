@@ -24,7 +24,7 @@ from thinlayer.solving.equations import Equations
 
 TOLERANCE = 1e-11  # residual at which Newton's method stops, relative to the forces
 COARSE_TOLERANCE = 1e-3  # the same in coarser systems
-COARSEST = 48  # largest number of lines between nodes of a system that is not coarsened
+COARSEST = 100  # largest number of lines between nodes of a system that is not coarsened
 SHRINKS = 0.75  # largest number of pairs of a coarser system, relative to all; seams of one cell have no fewer
 STALLED = 1e-9  # residual, relative to the forces, that is accepted if Newton steps do not reduce it
 SUMMATION = 10.0  # rounding of the condensed stiffness, relative to that of its largest entry, per sqrt(node)

@@ -78,7 +78,7 @@ class Tangent:
         M.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         M.setOption(PETSc.Mat.Option.SPD, True)
         M.setBlockSize(self.nodes.dim)
-        M.setNearNullSpace(PETSc.NullSpace().create(vectors=equations.near_null(), comm=M.comm))
+        M.setNearNullSpace(PETSc.NullSpace().create(vectors=equations.near_null, comm=M.comm))
         self._matrix = in_blocks(M, self.nodes.dim)
         self._cycle = PETSc.PC().create(M.comm)
         self._cycle.setOptionsPrefix(PREFIX)
