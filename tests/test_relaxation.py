@@ -133,8 +133,9 @@ def test_relaxation_solves(name, d):
     rng = np.random.default_rng(9)
     law, count, n = LAWS[name], 120, 20
     A = sp.random(count, count, 0.02, random_state=3)
-    A = sp.csr_matrix(A + A.T + sp.diags(np.full(count, 6.0)))
     contact = rng.permutation(count)[: n * d].reshape(n, d)
+    A += sp.csr_matrix((np.full(n, 0.7), contact[:, :2].T), A.shape)  # in 3D between a node's tangential components
+    A = sp.csr_matrix(A + A.T + sp.diags(np.full(count, 6.0)))
     b = 10 * rng.normal(size=count)
     b[contact[:, -1]] -= 10
     parts = A, b, contact, rng.uniform(0.1, 1.0, n)
