@@ -71,7 +71,8 @@ class Condensed(ContactFinder):
         except FactorError as error:
             held = "is every body supported, or does it meet S in more than a point?"
             raise SolveError(f"contact: {error}; {held}") from error
-        u, b[equations.held], kept_held = self.x.array_r[pairs.dofs], 0.0, ~pairs.free.ravel()
+        u, kept_held = self.x.array_r[pairs.dofs], ~pairs.free.ravel()
+        b[equations.held] = 0.0  # decoupled; what supports prescribe is put back in the end
         g = condensation.condense(b)
         g[kept_held] = (condensation.stiffness.diagonal() * u)[kept_held]
         size = max(equations.scale.least, equations.free_norm(equations.external), TINY)

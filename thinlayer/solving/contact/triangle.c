@@ -8,7 +8,8 @@
  * node whose new number is r, and place[nodes[r]] = r; other nodes have the place -1. In each row columns ascend. Of the rows
  * and columns of held unknowns only the diagonal stays. */
 int upper_triangle(int n, int d, int room, const int32_t *indptr, const int32_t *indices, const double *values,
-                   const uint8_t *held, const int32_t *place, const int32_t *nodes, int32_t *rows, int32_t *columns, double *entries)
+                   const uint8_t *held, const int32_t *place, const int32_t *nodes, int32_t *rows, int32_t *columns,
+                   double *entries)
 {
     int32_t filled = 0, block[4096], number[4096]; /* of a node's row: place of a block in it, its new column */
     rows[0] = 0;
