@@ -19,7 +19,7 @@ CASES = {  # a function in a module of the tests: the largest relative differenc
 }
 
 
-ALONE = (*test_golden.ON_RANKS, "contact")  # that are in every run, or for one rank
+ALONE = (*test_golden.LAWS, *test_golden.STRUCTURES, "contact")  # that are in every run, or for one rank
 
 
 def golden() -> dict[str, list[float]]:
