@@ -408,16 +408,16 @@ def numbers(name: str) -> list[float]:
     return [float(value) for value in CASES[name][0]()]
 
 
-LAWS = ("law elastic", "law Mohr-Coulomb", "law pure phases", "periodic_cells")
-STRUCTURES = ("supports_and_loads", "contact_by_multigrid")
+LAWS_ON_RANKS = ("law elastic", "law Mohr-Coulomb", "law pure phases", "periodic_cells")
+STRUCTURES_ON_RANKS = ("supports_and_loads", "contact_by_multigrid")
 
 
 def laws_on_ranks() -> dict[str, list[float]]:
-    return {name: numbers(name) for name in LAWS}
+    return {name: numbers(name) for name in LAWS_ON_RANKS}
 
 
 def structures_on_ranks() -> dict[str, list[float]]:
-    return {name: numbers(name) for name in STRUCTURES}
+    return {name: numbers(name) for name in STRUCTURES_ON_RANKS}
 
 
 def assert_golden(name: str, found: list[float]) -> None:

@@ -19,7 +19,8 @@ CASES = {  # a function in a module of the tests: the largest relative differenc
 }
 
 
-ALONE = (*test_golden.LAWS, *test_golden.STRUCTURES, "contact")  # that are in every run, or for one rank
+# Cases that are in every run, or for one rank.
+ALONE = (*test_golden.LAWS_ON_RANKS, *test_golden.STRUCTURES_ON_RANKS, "contact")
 
 
 def golden() -> dict[str, list[float]]:
