@@ -33,6 +33,7 @@ def test_both_models_agree_at_every_step(name, kind, eps, theta, mode):
     setup = column(mode, load=lambda t: LOAD[mode] * (1 + 3 * t) * ufl.cos(20 * t))
     if kind == "block":
         del setup["supports"]["BOTTOM"]
+    theta = 1.0 if name == "user, not quadratic" else theta  # it answers at once, and not linearly
     limit, full = both(joint(kind), ThinLayer(LAWS[name], eps, at=1.0), setup, TIMES, theta=theta)
     check_same(limit, full)
     for history in (limit, full):

@@ -201,5 +201,5 @@ def test_errors_on_two_ranks(there):
     (one, two, three), others = there
     assert others == [one, two, three]
     assert one == "mesh is None; give the name of a file, or a dolfinx.mesh.Mesh"
-    assert two.startswith("unknown region 'UPPERS', did you mean 'UPPER'")
+    assert two.startswith("tags: unknown region 'UPPERS', did you mean 'UPPER'")
     assert three.startswith("the mesh is distributed on 1 ranks, comm has 2; give comm the communicator")
