@@ -27,7 +27,7 @@ def ends_too(by: str) -> list[str]:
 
 def clean() -> dict[str, str]:
     """The environment without what makes an outer MPI process our parent."""
-    outer = ("PMIX_RANK", "PMIX_NAMESPACE", "OMPI_COMM", "PRTE_")
+    outer = ("PMIX_RANK", "PMIX_NAMESPACE", "PMIX_SERVER", "OMPI_COMM", "PRTE_")
     return {k: v for k, v in os.environ.items() if not k.startswith(outer) or k.startswith("PRTE_MCA")}
 
 
