@@ -9,13 +9,9 @@ from pathlib import Path
 from textwrap import dedent
 
 CLONE = Path(__file__).parent.parent
-GUIDE = ("time", "contact", "yield", "snaps", "loads", "joints", "results", "estimate", "scripts", "environments")
-GUIDES = {name: f"thinlayer/guide/{name}.md" for name in GUIDE}
-OTHERS = (
-    "forms/README.md", "forms/which_law.md", "geometry/README.md", "geometry/networks.md", "studies/ensembles.md",
-    "CONTRIBUTING.md",
-)  # fmt: skip
-PAGES = {name: (CLONE / name).read_text() for name in ("README.md", *GUIDES.values(), *OTHERS)}
+DOCS = CLONE / "thinlayer/docs"
+FILES = [CLONE / "README.md", CLONE / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
+PAGES = {path.relative_to(CLONE).as_posix(): path.read_text() for path in FILES if "generated" not in path.parts}
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```\n(.*?)(?=^```|^#|\Z)", re.DOTALL | re.MULTILINE)
 INDENTED = re.compile(r"^ {4} *\S.*\n(?:(?: {4}.*)?\n)*", re.MULTILINE)
 
@@ -37,7 +33,7 @@ def anchors(text: str) -> list[str]:
 
 
 def sections() -> dict[str, list[Block]]:
-    """Blocks by page and heading."""
+    """Blocks by page and heading; a tutorial is one script."""
     found = defaultdict(list)
     for page, text in PAGES.items():
         for block in BLOCK.finditer(text):
@@ -45,5 +41,6 @@ def sections() -> dict[str, list[Block]]:
             shown = INDENTED.search(rest)
             line = text.count("\n", 0, block.start()) + 1
             below = dedent(shown[0]) if shown else ""
-            found[f"{page}#{anchors(text[: block.start()])[-1]}"].append(Block(language, line, code, below))
+            name = page if "/tutorials/" in page else f"{page}#{anchors(text[: block.start()])[-1]}"
+            found[name].append(Block(language, line, code, below))
     return found

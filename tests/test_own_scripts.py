@@ -42,7 +42,7 @@ from thinlayer.parts.contact_part import ContactPart
 from thinlayer.parts.form_part import FormPart
 from thinlayer.parts.pressure_part import PressurePart
 
-SCRIPTS = re.findall(r"```python\n(.*?)```", PAGES["thinlayer/guide/scripts.md"], re.DOTALL)
+SCRIPTS = re.findall(r"```python\n(.*?)```", PAGES["thinlayer/docs/tutorials/own_script.md"], re.DOTALL)
 STONE = LinearElastic.young(E=100.0, nu=0.3)
 CREEP = Maxwell(6.0, 4.0, t1=1.5)
 LOWER, UPPER, LAYER, TOP = 1, 2, 3, 4
@@ -88,7 +88,7 @@ def test_script_on_one_rank_and_two(there, name):
         assert numbers(mine) == pytest.approx(numbers(march_), rel=1e-8)
         assert min(map(int, status.split()[-3:])) > 0
     if name == "page":
-        assert all(line.strip() in PAGES["thinlayer/guide/scripts.md"] for line in one.splitlines())
+        assert all(line.strip() in PAGES["thinlayer/docs/tutorials/own_script.md"] for line in one.splitlines())
 
 
 @on_ranks(printed_by_all, 2)

@@ -14,23 +14,30 @@ from pathlib import Path
 import pytest
 
 from studies.rates import LAWS
-from tests.documents import CLONE, GUIDES, PAGES, anchors, sections
+from tests.documents import CLONE, PAGES, anchors, sections
 from thinlayer import RangeWarning, compare, solve
 from thinlayer.running.case import Case
 from thinlayer.running.cli import main, studies
 from thinlayer.running.description import READERS, Description
 
 SECTIONS = sections()
+DOCS = "thinlayer/docs/"
 LONG = {
-    "thinlayer/guide/joints.md#networks-of-layers",
-    "thinlayer/guide/results.md#results",
-    "thinlayer/guide/estimate.md#in-a-script",
-    "thinlayer/guide/estimate.md#the-command",
-    "thinlayer/guide/time.md#in-time-with-a-law-of-ones-own",
-    "thinlayer/guide/time.md#inertia-a-part-of-ones-own",
-    "thinlayer/guide/yield.md#layers-that-yield",
-    "forms/README.md#writing-a-law",
-    "studies/ensembles.md#an-ensemble",
+    f"{DOCS}{name}"
+    for name in (
+        "howto/many_runs.md#an-ensemble",
+        "howto/networks.md#networks-walls-faults-grains",
+        "howto/own_law.md#c",
+        "howto/own_law.md#jumps",
+        "howto/own_law.md#order-1",
+        "howto/own_law.md#strains",
+        "howto/own_part.md#add-a-part-of-your-own-inertia",
+        "howto/results.md#read-results-draw-pictures",
+        "howto/time.md#time-creep-steps-restart",
+        "howto/yielding.md#layers-and-bodies-that-yield",
+        "tutorials/estimate.md",
+        "tutorials/own_script.md",
+    )
 }
 assert SECTIONS.keys() >= LONG
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d*)?(?:e[-+]?\d+)?")
@@ -99,7 +106,7 @@ def test_blocks_print_what_the_page_says(name, tmp_path, monkeypatch, capsys):
 
 
 def test_the_first_scripts_are_short():
-    creep = SECTIONS[f"{GUIDES['time']}#in-time-with-a-law-of-ones-own"][0].code
+    creep = SECTIONS[f"{DOCS}howto/time.md#time-creep-steps-restart"][0].code
     law = creep[creep.index("@dataclass") : creep.index("steel =")]
     for code, most in ((SECTIONS["README.md#a-script"][0].code, 20), (law, 17)):
         assert len([line for line in code.splitlines() if line.strip()]) <= most
@@ -116,21 +123,19 @@ def test_errors_of_the_first_example_are_those_of_a_meshed_layer():
 
 
 def test_keys_of_descriptions_are_those_of_the_guide():
-    table = PAGES[GUIDES["estimate"]].partition("| Key |")[2].partition("\n\n")[0]
+    table = PAGES[f"{DOCS}reference/description.md"].partition("| Key |")[2].partition("\n\n")[0]
     keys = re.findall(r"`(\w+)`", " ".join(line.split("|")[1] for line in table.splitlines()[2:]))
     assert sorted(keys) == sorted(READERS)
 
 
 def test_links_lead_somewhere():
-    """Pages, pictures, files and headings; the README has all pages of the guide, and each law of `rates` its row."""
+    """Pages, pictures, files and headings; each law of `rates` has its row."""
     for name, text in PAGES.items():
         for path, anchor in re.findall(r"\]\(([\w/.]*)(?:#([\w-]+))?\)", text):
             target = (CLONE / name).parent / path if path else CLONE / name
             assert target.is_file(), (name, path)
             assert not anchor or anchor in anchors(target.read_text()), (name, path, anchor)
-    assert {path.stem for path in (CLONE / "thinlayer/guide").iterdir()} == set(GUIDES)
-    assert all(f"]({page})" in PAGES["README.md"] for page in GUIDES.values())
-    table = PAGES["README.md"].partition("| `--law` |")[2]
+    table = PAGES[f"{DOCS}reference/studies.md"].partition("| `--law` |")[2]
     named = [law for row in re.findall(r"^\| (`.*?) \|", table, re.MULTILINE) for law in re.findall(r"`(\w+)`", row)]
     assert sorted(named) == sorted(LAWS)
     assert studies()["rates"].options["law"]["choices"] == ("all", *LAWS)

@@ -51,7 +51,7 @@ def test_errors_between_rollers(row):
     assert found["traction_edges"] is None  # no free ends
 
 
-PAGE = PAGES["forms/which_law.md"]
+PAGE = PAGES["thinlayer/docs/theory/which_law.md"]
 
 
 def test_the_table_of_the_page(row):

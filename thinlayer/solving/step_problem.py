@@ -31,7 +31,7 @@ from thinlayer.system.ranks import communicator, on_all
 class StepProblem(PartSum):
     """The balance of forces of a time step: a UFL form, terms of layers and bodies, parts, and prescribed displacements.
 
-    It gives a PETSc SNES its function and its Jacobian. The user chooses the solvers and line searches:
+    It gives a PETSc SNES its function and its Jacobian. The user chooses the solvers and line searches::
 
         problem = StepProblem(R, u, bcs, terms)
         problem.attach(snes)

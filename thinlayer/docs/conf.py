@@ -1,0 +1,64 @@
+"""How `./fenicsx docs` builds the documentation."""
+
+import re
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE), str(HERE.parents[1])]
+
+from thinlayer import __version__ as release  # noqa: E402
+
+project, author = "thinlayer", "the thinlayer developers"
+extensions = [
+    "listings",
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.intersphinx",
+    "sphinx.ext.napoleon",
+    "sphinx_copybutton",
+]
+exclude_patterns = ["_static"]
+templates_path = ["_templates"]
+
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 3
+
+default_role = "code"  # single backticks in docstrings
+autosummary_generate = True
+autodoc_typehints = "signature"
+autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+napoleon_use_ivar = True
+napoleon_use_rtype = False
+
+html_math_renderer = "mathml"
+html_theme = "pydata_sphinx_theme"
+html_title = f"thinlayer {release}"
+html_static_path = ["_static"]
+html_css_files = ["thinlayer.css"]
+html_show_sourcelink = False
+html_theme_options = {
+    "show_toc_level": 2,
+    "navigation_with_keys": False,
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+}
+highlight_language = "text"  # of indented blocks
+pygments_style = "friendly"
+copyright = "the thinlayer developers, MIT licence"
+
+
+def escaped(app, what, name, obj, options, lines):
+    """Keep `|t_T|` and `a * b` of docstrings as they are written: both are markup of reStructuredText."""
+    for k, line in enumerate(lines):
+        parts = re.split(r"(``?[^`]*``?)", line)
+        parts[::2] = [re.sub(r"([|*])", r"\\\1", part) for part in parts[::2]]
+        lines[k] = "".join(parts)
+
+
+def setup(app):
+    """Called by Sphinx."""
+    app.connect("autodoc-process-docstring", escaped, priority=100)
