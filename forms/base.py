@@ -5,7 +5,9 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable
+from importlib import import_module
 from numbers import Real
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,8 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 PACKAGES = ("forms", "geometry", "thinlayer")
+# of modules that thinlayer works without, the extra of pyproject.toml that installs them
+EXTRAS = {"matplotlib": "pictures", "pyvista": "pictures", "gmsh": "meshes", "meshio": "meshes"}
 
 
 class ThinlayerError(Exception):
@@ -33,6 +37,22 @@ def require(good: object, what: str, value: object, wanted: str) -> None:
     """Raise InputError that says what a value is, and what is wanted, unless it is good."""
     if not good:
         raise InputError(f"{what} is {value!r:.200}; {wanted}")
+
+
+def optional(name: str) -> ModuleType:
+    """Import a module of `EXTRAS`, or a module of ours that imports them.
+
+    Raises:
+        InputError: such a module is not installed. The message names the extra that installs it.
+    """
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        missing = (error.name or "").partition(".")[0]
+        if missing not in EXTRAS:
+            raise
+        extra = EXTRAS[missing]
+        raise InputError(f"this needs {missing}, which is not installed; pip install 'thinlayer[{extra}]'") from error
 
 
 def unknown(kind: str, name: object, known: Iterable[str]) -> str:

@@ -37,12 +37,17 @@ class RangeWarning(UserWarning):
 
 
 def warn_of_range(key: str, message: str) -> None:
-    """Issue a RangeWarning that points to the line outside these packages that called them."""
+    """Issue a RangeWarning, see `warn_outside`."""
+    warn_outside(RangeWarning(message, key))
+
+
+def warn_outside(warning: Warning) -> None:
+    """Issue a warning that points to the line outside these packages that called them; Python shows it once a line."""
     show_warnings()
     level, frame = 1, sys._getframe()
     while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in PACKAGES:
         level, frame = level + 1, frame.f_back
-    warnings.warn(RangeWarning(message, key), stacklevel=level)
+    warnings.warn(warning, stacklevel=level)
 
 
 def show_warnings() -> None:

@@ -3,9 +3,18 @@
 Names are imported when they are first used, so that `python3 -m thinlayer list` does not load DOLFINx.
 """
 
-# ruff: noqa: F401
+# ruff: noqa: E402, F401
+import sys
+from os.path import dirname, join, realpath
+
+_HOME = dirname(dirname(realpath(__file__)))  # the folder of our packages
+_is_command = sys.argv[:1] == ["-m"] and "thinlayer" in sys.orig_argv and not sys.flags.safe_path
+if _is_command and realpath(sys.path[0]) != _HOME:
+    del sys.path[0]  # `python3 -m thinlayer` imports nothing from the working folder, in which Python would look first
+
 import logging
 from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from thinlayer.system.words import VERSION as __version__
@@ -66,12 +75,23 @@ _NAMES = {
     "time.marching": "march",
     "time.plan": "Adaptive ArcLength",
 }  # module -> its public names
-_HOME = {name: module for module, names in _NAMES.items() for name in names.split()}
+_MODULE_OF = {name: module for module, names in _NAMES.items() for name in names.split()}
 _MODULES = {"plotting": "output.plotting", "fields": "output.fields", "goals": "estimating.goals"}
-__all__ = sorted(_HOME)
+__all__ = sorted(_MODULE_OF)
 
 
 logging.getLogger("thinlayer").addHandler(logging.NullHandler())  # quiet by default
+
+
+def _refuse_others() -> None:
+    """Raise ImportError where a file or package of a user has the name of one of ours, and Python would import it."""
+    for name in ("forms", "geometry"):
+        spec, own = find_spec(name), join(_HOME, name)
+        if spec and spec.origin and dirname(realpath(spec.origin)) != own:
+            raise ImportError(f"{spec.origin} hides thinlayer's own package {name!r}, {own}; rename the former")
+
+
+_refuse_others()
 
 
 def __dir__() -> list[str]:
@@ -80,7 +100,9 @@ def __dir__() -> list[str]:
 
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
-        return import_module(f"thinlayer.{_MODULES[name]}")
-    if name not in _HOME:
+        from forms.base import optional
+
+        return optional(f"thinlayer.{_MODULES[name]}")
+    if name not in _MODULE_OF:
         raise AttributeError(f"module 'thinlayer' has no attribute {name!r}")
-    return getattr(import_module(f"thinlayer.{_HOME[name]}"), name)
+    return getattr(import_module(f"thinlayer.{_MODULE_OF[name]}"), name)

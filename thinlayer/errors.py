@@ -12,7 +12,7 @@ from mpi4py import MPI
 from forms.base import InputError as InputError
 from forms.base import ThinlayerError as ThinlayerError
 from forms.declarations import RangeWarning as RangeWarning
-from forms.declarations import show_warnings, warn_of_range
+from forms.declarations import show_warnings, warn_of_range, warn_outside
 
 LEAST_SHARE = 0.005  # of a seam's squares of jumps, to be named in a message
 
@@ -27,6 +27,19 @@ def warn(key: str, message: str, comm: MPI.Intracomm) -> None:
         warn_of_range(key, message)
     finally:
         warnings.showwarning = shown
+
+
+def deprecated(what: str, since: str, instead: str) -> None:
+    """Issue a DeprecationWarning at the user's line: the next major version removes a public name or argument.
+
+    Python shows it once for each line of a script; for lines of modules where it is asked to, `python3 -W default`.
+
+    Args:
+        what: the name or argument, as the user writes it.
+        since: version that deprecated it.
+        instead: what the user writes from then on.
+    """
+    warn_outside(DeprecationWarning(f"{what} is deprecated since thinlayer {since}; use {instead}"))
 
 
 @dataclass(frozen=True)

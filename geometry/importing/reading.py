@@ -17,7 +17,7 @@ import dolfinx
 import numpy as np
 from mpi4py import MPI
 
-from forms.base import InputError, is_finite
+from forms.base import InputError, is_finite, optional
 from geometry.importing.gathering import TagNames, gathered
 from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
 from geometry.joint import Joint
@@ -110,8 +110,7 @@ def _load(path: Path, scale: float) -> meshio.Mesh:
     Raises:
         InputError: not readable, or two groups with one physical name.
     """
-    import meshio  # not needed by joints that are built
-
+    meshio = optional("meshio")
     said = io.StringIO()
     try:
         with redirect_stdout(said), redirect_stderr(said), warnings.catch_warnings(action="ignore"):

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from importlib import import_module
 from typing import Any, Self, TypedDict, get_type_hints
 
 import numpy as np
 
-from forms.base import InputError, is_finite, require
+from forms.base import InputError, is_finite, optional, require
 from geometry.refusals import require_known, unknown
 
 CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
@@ -24,7 +23,7 @@ class _Gmsh:
     """The module gmsh, imported when it is first used: it takes a third of a second, and one rank needs it."""
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(import_module("gmsh"), name)
+        return getattr(optional("gmsh"), name)
 
 
 gmsh = _Gmsh()

@@ -27,6 +27,7 @@ GENERATOR = (
     "an iterator or generator of random numbers that goes on from row to row; make one in each run, from a number of the "
     "case, np.random.default_rng(int(case['seed']))"
 )
+FORMAT = 1  # of the file
 ADVICE = "give another name, remove it, or resume='anyway'"
 
 
@@ -79,7 +80,7 @@ class RowFile:
         self._changing |= {path for path in changed if path}
         self._drawn |= random_states(self._watched, shared=True) != self._states
         about = {"made from": self._made_from, "changing": sorted(self._changing), "drawn": self._drawn}
-        write_sealed(self.path, {**about, "rows": self._rows})
+        write_sealed(self.path, {"format": FORMAT, **about, "rows": self._rows})
 
 
 def require_csv(out: Any, resume: Any) -> None:

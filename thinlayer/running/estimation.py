@@ -12,12 +12,12 @@ from typing import Any
 from forms.base import InputError
 from geometry.parallel import on_root, world
 from geometry.seam import S
+from thinlayer import plotting
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.result import Estimate
 from thinlayer.estimating.thickness import thin_enough
-from thinlayer.output import plotting
 from thinlayer.output.surface import Surface
 from thinlayer.running.case import Case
 from thinlayer.running.description import Description

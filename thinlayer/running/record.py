@@ -31,6 +31,7 @@ from thinlayer.time.plan import Adaptive
 
 LOG = logger("study")
 RUN = "run.json"
+FORMAT = 1  # of run.json
 PRINTED = 40  # most rows of a table that is printed
 MARCHES = "unfinished"  # folder for the states of marches, needed to resume
 
@@ -187,7 +188,7 @@ class Record:
         content = {name: getattr(self, name) for name in ("study", "options", "parameters", "results", "solves")}
         content |= {"code": code(), "petsc": petsc_options(), "versions": versions(), "ranks": world().size}
         content |= {"seconds": round(time.perf_counter() - self._start, 3), "checks": [*map(asdict, self.checks)]}
-        content |= {"error": error, "files": sorted(self._files)}
+        content |= {"format": FORMAT, "error": error, "files": sorted(self._files)}
         with replaced(self.out / RUN) as file:
             file.write((json.dumps(content, indent=1, default=str) + "\n").encode())
         if error is None:

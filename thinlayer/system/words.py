@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 
-VERSION = "0.1.0"  # of these packages
+VERSION = "1.0.0"  # of these packages; pyproject.toml reads it
 
 
 def reason(error: BaseException) -> str:

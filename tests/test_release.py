@@ -1,0 +1,73 @@
+"""What a release consists of: one version, the same dependencies everywhere, extras, names that users have too."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+import warnings
+from pathlib import Path
+
+import pytest
+
+import geometry
+import thinlayer
+from forms.base import EXTRAS, InputError
+from thinlayer.errors import deprecated
+from thinlayer.running.cli import main
+
+CLONE = Path(__file__).parent.parent
+PROJECT = tomllib.loads((CLONE / "pyproject.toml").read_text())["project"]
+EXTRA = PROJECT["optional-dependencies"]
+OF_CONDA = {"gmsh": "python-gmsh", "matplotlib": "matplotlib-base"}  # where it has another name than PyPI
+
+
+def test_version_and_date_are_the_same_everywhere():
+    citation, recipe = ((CLONE / name).read_text() for name in ("CITATION.cff", ".ci/recipe.yaml"))
+    released = re.search(r"^## \[(\d.*)\] - (.*)$", (CLONE / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert released.groups() == tuple(re.findall(r"^(?:version|date-released): (.*)$", citation, re.MULTILINE))
+    assert released[1] == thinlayer.__version__ == re.search(r'version: "(.*)"', recipe)[1]
+
+
+@pytest.mark.parametrize("file", ["environment.yml", ".ci/recipe.yaml"])
+def test_dependencies_are_the_same_for_conda(file):
+    wanted = [*PROJECT["dependencies"], *(one for name in ("pictures", "meshes", "movie") for one in EXTRA[name])]
+    listed = re.findall(r"^ *- (.+)$", (CLONE / file).read_text(), re.MULTILINE)
+    for name, bounds in (re.fullmatch(r"([\w-]+)(.*)", one).groups() for one in wanted):
+        assert f"{OF_CONDA.get(name, name)} {bounds}".strip() in listed
+
+
+def test_a_missing_extra_is_named_before_anything_is_computed(tmp_path, monkeypatch, capsys):
+    assert all(any(one.startswith(name) for one in EXTRA[extra]) for name, extra in EXTRAS.items())
+    for name in [one for one in sys.modules if one.startswith(("thinlayer.output.plotting", "studies."))]:
+        monkeypatch.delitem(sys.modules, name)
+    for name in EXTRAS:
+        monkeypatch.setitem(sys.modules, name, None)
+    assert main(["run", "fig6_stratified", "--out", str(tmp_path / "out")]) == 2
+    assert "needs matplotlib, which is not installed; pip install 'thinlayer[pictures]'" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(InputError, match=r"needs gmsh, .*thinlayer\[meshes\]"):
+        geometry.block(2.0, 1.0, h=0.3)
+    with pytest.raises(InputError, match=r"needs meshio, .*thinlayer\[meshes\]"):
+        geometry.read(CLONE / "studies/data/lap.msh")
+
+
+def test_a_file_with_the_name_of_a_package_is_refused_and_the_command_does_not_see_it(tmp_path):
+    run = lambda *words: subprocess.run([sys.executable, *words], cwd=tmp_path, capture_output=True, text=True)
+    (tmp_path / "forms.py").touch()
+    (tmp_path / "logging.py").touch()
+    assert "rates" in run("-m", "thinlayer", "list").stdout
+    (tmp_path / "logging.py").unlink()
+    refused = f"{tmp_path / 'forms.py'} hides thinlayer's own package 'forms', {CLONE / 'forms'}"
+    assert refused in run("-c", "import thinlayer").stderr
+
+
+def test_what_is_deprecated_is_said_once_at_each_line_of_the_user():
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("default")
+        for _ in range(2):
+            deprecated("Bond()", "1.2", "Gap()")
+        deprecated("Bond()", "1.2", "Gap()")
+    assert [str(one.message) for one in caught] == ["Bond() is deprecated since thinlayer 1.2; use Gap()"] * 2
+    assert {one.filename for one in caught} == {__file__}
