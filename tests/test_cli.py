@@ -68,6 +68,7 @@ def test_sweep_with_options(tmp_path):
     assert [float(row["eps"]) for row in table] == [0.0625, 0.03125]
     assert (table[0]["order_jump"], table[0]["order_traction"]) == ("", "")
     run = json.loads((tmp_path / "run.json").read_text())
+    assert run["format"] == 1
     assert min(solve["iterations"] for solve in run["solves"]) > 20
     assert run["parameters"]["extended"]["h"] == 1 / 8
     assert run["parameters"]["FIFTHS"] == [0.2, 0.4, 0.6, 0.8, 1.0]  # a constant of the module
