@@ -51,8 +51,7 @@ def optional(name: str) -> ModuleType:
         missing = (error.name or "").partition(".")[0]
         if missing not in EXTRAS:
             raise
-        extra = EXTRAS[missing]
-        raise InputError(f"this needs {missing}, which is not installed; pip install 'thinlayer[{extra}]'") from error
+        raise InputError(f"{missing} is not installed: pip install 'thinlayer[{EXTRAS[missing]}]'") from error
 
 
 def unknown(kind: str, name: object, known: Iterable[str]) -> str:

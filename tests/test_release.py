@@ -45,11 +45,11 @@ def test_a_missing_extra_is_named_before_anything_is_computed(tmp_path, monkeypa
     for name in EXTRAS:
         monkeypatch.setitem(sys.modules, name, None)
     assert main(["run", "fig6_stratified", "--out", str(tmp_path / "out")]) == 2
-    assert "needs matplotlib, which is not installed; pip install 'thinlayer[pictures]'" in capsys.readouterr().err
+    assert "matplotlib is not installed: pip install 'thinlayer[pictures]'" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-    with pytest.raises(InputError, match=r"needs gmsh, .*thinlayer\[meshes\]"):
+    with pytest.raises(InputError, match=r"gmsh is not .*thinlayer\[meshes\]"):
         geometry.block(2.0, 1.0, h=0.3)
-    with pytest.raises(InputError, match=r"needs meshio, .*thinlayer\[meshes\]"):
+    with pytest.raises(InputError, match=r"meshio is not .*thinlayer\[meshes\]"):
         geometry.read(CLONE / "studies/data/lap.msh")
 
 

@@ -30,8 +30,7 @@ from thinlayer.time.marching import march
 from thinlayer.time.plan import Adaptive
 
 LOG = logger("study")
-RUN = "run.json"
-FORMAT = 1  # of run.json
+RUN, FORMAT = "run.json", 1  # the format is that of run.json
 PRINTED = 40  # most rows of a table that is printed
 MARCHES = "unfinished"  # folder for the states of marches, needed to resume
 
