@@ -1,5 +1,6 @@
 """How `./fenicsx docs` builds the documentation."""
 
+import os
 import re
 import sys
 from pathlib import Path
@@ -32,6 +33,11 @@ autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 napoleon_use_ivar = True
 napoleon_use_rtype = False
+
+# Links into other references need their inventories, and so a network: THINLAYER_LINKS=1 ./fenicsx docs.
+DOLFINX = "https://docs.fenicsproject.org/dolfinx/v0.9.0/python"
+OTHERS = {"python": "https://docs.python.org/3", "numpy": "https://numpy.org/doc/stable", "dolfinx": DOLFINX}
+intersphinx_mapping = {name: (url, None) for name, url in OTHERS.items()} if os.environ.get("THINLAYER_LINKS") else {}
 
 html_math_renderer = "mathml"
 html_theme = "pydata_sphinx_theme"
