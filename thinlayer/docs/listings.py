@@ -1,6 +1,6 @@
 """What the pages take from the package itself, so that no page says it a second time, and formulas without a network.
 
-`studies`: cards of the studies with pictures. `errata`: misprints of the paper. Formulas become MathML, which browsers draw.
+`studies`: cards of the studies with pictures. `errata`: misprints of the paper. Formulas become MathML: browsers draw it.
 """
 
 from __future__ import annotations
