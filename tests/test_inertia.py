@@ -13,7 +13,6 @@ from forms import LinearElastic
 from forms.base import InputError
 from geometry import sandwich
 from geometry.parallel import world
-from tests.documents import CLONE, PAGES
 from tests.on_ranks import alone, on_ranks
 from tests.own_scripts.inertia import Inertia, Newmark
 from tests.refused import refused
@@ -113,8 +112,3 @@ def test_refused():
     model = bar("bonded", Inertia(1.0), h=0.1)
     refused(InputError, "the part 'inertia' depends on rates: no equilibrium without time", lambda: solve(model))
     refused(InputError, "inertia balances forces at the ends of steps", lambda: march(model, [0.1, 0.2], theta=0.5))
-
-
-def test_the_guide_has_the_whole_part():
-    source = (CLONE / "tests/own_scripts/inertia.py").read_text()
-    assert source[source.index("from dataclasses") :] in PAGES["thinlayer/docs/howto/own_part.md"]

@@ -4,6 +4,7 @@ import os
 import re
 import sys
 from pathlib import Path
+from typing import Any
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parents[1])]
@@ -57,7 +58,7 @@ pygments_style = "friendly"
 copyright = "the thinlayer developers, MIT licence"
 
 
-def escaped(app, what, name, obj, options, lines):
+def escaped(app: Any, what: str, name: str, obj: object, options: Any, lines: list[str]) -> None:
     """Keep `|t_T|` and `a * b` of docstrings as they are written: both are markup of reStructuredText."""
     for k, line in enumerate(lines):
         parts = re.split(r"(``?[^`]*``?)", line)
@@ -65,6 +66,6 @@ def escaped(app, what, name, obj, options, lines):
         lines[k] = "".join(parts)
 
 
-def setup(app):
+def setup(app: Any) -> None:
     """Called by Sphinx."""
     app.connect("autodoc-process-docstring", escaped, priority=100)

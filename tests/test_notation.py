@@ -1,0 +1,38 @@
+"""A symbol has one meaning: those of each page are in the table of the notation, or in its row of that page alone."""
+
+from __future__ import annotations
+
+import re
+from pathlib import PurePosixPath
+
+from tests.documents import PAGES
+
+DOCS = "thinlayer/docs/"
+NOTATION = DOCS + "reference/notation.md"
+OPERATORS = set(
+    "bar cdot circ cos cot dot frac ge in infty langle le lvert mathrm max min nabla otimes parallel partial pi pm propto "
+    "qquad quad rangle right left rvert sin sqrt sum sym tan tfrac times to int log".split()
+)
+
+
+def symbols(text: str) -> set[str]:
+    """Letters of the formulas of a text, without their indices' words."""
+    text = re.sub(r"```.*?```|`[^`]*`|^    .*?$", "", text, flags=re.DOTALL | re.MULTILINE)
+    formulas = " ".join(re.findall(r"\$\$?(.*?)\$\$?", text, re.DOTALL))
+    formulas = re.sub(r"\\mathrm\{[^}]*\}", "", formulas)
+    words = re.findall(r"\\mathbb C|\\bar\s*\{?e|\\[A-Za-z]+|[A-Za-z]", formulas)
+    return {re.sub(r"\\bar.*", "\\\\bar e", word) for word in words if word.lstrip("\\") not in OPERATORS}
+
+
+def test_symbols_have_one_meaning():
+    everywhere, _, there = PAGES[NOTATION].partition("On some pages besides:")
+    known = symbols(everywhere)
+    own: dict[str, set[str]] = {}
+    for pages, meanings in re.findall(r"^\| (\[.*?) \| (.*) \|$", there, re.MULTILINE):
+        for path in re.findall(r"\]\(\.\./(.*?)\)", pages):
+            own[DOCS + path] = symbols(meanings)
+            defined = symbols(" ".join(re.findall(r"((?:\$[^$]+\$(?:, )?)+):", meanings)))
+            assert not defined & known, path
+    for page, text in PAGES.items():
+        if PurePosixPath(page).suffix == ".md" and page != NOTATION:
+            assert not (more := symbols(text) - known - own.get(page, set())), (page, more)
