@@ -55,11 +55,12 @@ def optional(name: str) -> ModuleType:
 
 
 def unknown(kind: str, name: object, known: Iterable[str]) -> str:
-    """Message for a name that does not exist: the nearest known one and the whole list."""
-    known = sorted(known)
+    """Message for a name that does not exist: the nearest known one, or the only one that starts so, and the whole list."""
+    known, start = sorted(known), str(name).lower()
     lowered = {one.lower(): one for one in known}
-    near = [lowered[one] for one in difflib.get_close_matches(str(name).lower(), lowered, n=1)]
-    meant = f", did you mean {near[0]!r}?" if near else ""
+    longer = [one for one in lowered if one.startswith(start)]
+    near = difflib.get_close_matches(start, lowered, n=1) or (longer if len(longer) == 1 and start else [])
+    meant = f", did you mean {lowered[near[0]]!r}?" if near else ""
     return f"unknown {kind} {name!r}{meant}; known: {', '.join(known)}"
 
 
