@@ -6,7 +6,8 @@ import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, partial, reduce
+from operator import add
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -43,7 +44,15 @@ from thinlayer.discretisation.measures import compiled, compiled_terms, origin_o
 from thinlayer.discretisation.mesh_functions import cut_at_faces, vector_space
 from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms, check_loads
 from thinlayer.discretisation.reduction import Reduction
-from thinlayer.discretisation.rigid import free_translations, on_centre, require_support, resisted, rigid_motions
+from thinlayer.discretisation.rigid import (
+    Resultant,
+    free_translations,
+    on_centre,
+    require_support,
+    resisted,
+    resultants_of_loads,
+    rigid_motions,
+)
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Supports
 from thinlayer.discretisation.time_functions import Hand
@@ -477,6 +486,12 @@ class Model(ABC):
     def external_work(self, v: Expr, t: float) -> Expr:
         """Virtual work of the loads at a fixed time, a UFL form linear in v."""
         return Hand(t).of(self.forces.work(v))
+
+    def applied(self, t: float) -> Resultant:
+        """Resultant of all loads at a time, about `centre`. Collective."""
+        forces = self.forces
+        loads = resultants_of_loads(self, t, lambda v: {"": forces.work(v), **forces.work_on_bases(v)})
+        return reduce(add, loads.values())
 
     @staticmethod
     def form(form: Expr) -> fem.Form:

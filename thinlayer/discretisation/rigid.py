@@ -190,9 +190,9 @@ def centroid(domain: Domain, name: str) -> Array:
     return np.asarray(np.where(np.abs(found) > ROUNDING * domain.joint.size, found, 0.0))
 
 
-def resultants_of_loads(state: Any, work: Callable[[Expr], Mapping[str, Expr]]) -> dict[str, Resultant]:
-    """Resultants, about the centre, of loads by name, from their work in motions v. Collective."""
-    model, hand = state.model, Hand(state.t)
+def resultants_of_loads(model: Any, t: float, work: Callable[[Expr], Mapping[str, Expr]]) -> dict[str, Resultant]:
+    """Resultants, about the centre, of loads by name at a time, from their work in motions v. Collective."""
+    hand = Hand(t)
     motion, v = rigid_expression(model.domain.mesh, model.centre)
     return {name: resultant(model, per_unit(model.comm, hand.of(form), motion)) for name, form in work(v).items()}
 

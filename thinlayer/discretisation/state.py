@@ -225,7 +225,9 @@ class State(Configuration):
         of_parts = [row for part in model.parts for row in part.reaction(model, self.u)]
         rows = [*zip(model.holders, self.reactions, strict=True), *of_parts]
         given = [(place, resultant(model, values)) for place, values in rows]
-        given += [(name, -load) for name, load in resultants_of_loads(self, model.forces.work_on_bases).items()]
+        given += [
+            (name, -load) for name, load in resultants_of_loads(model, self.t, model.forces.work_on_bases).items()
+        ]
         total: dict[Place, Resultant] = {}
         for place, one in given:
             total[place] = total[place] + one if place in total else one
@@ -237,9 +239,7 @@ class State(Configuration):
         Args:
             about: the point (d,) of the moment; by default `Model.centre`.
         """
-        forces = self.model.forces
-        loads = resultants_of_loads(self, lambda v: {"": forces.work(v), **forces.work_on_bases(v)})
-        return reduce(add, loads.values()).at(self.model.centre if about is None else about)
+        return self.model.applied(self.t).at(self.model.centre if about is None else about)
 
     def mean_strain(self) -> Array:
         """Mean strain (d, d) of a periodic cell, prescribed or found under a mean stress; else zero. Collective."""
