@@ -239,11 +239,8 @@ class Named:
             if not upper or not lower or set(upper) & set(lower):
                 raise InputError(f"S=None is all that is between two bodies; give upper and lower; {regions}")
             return self._boundary(upper, lower), Seam(lower, upper)
-        facets = self.facets[name]
-        table = self.cells.facets_among(np.unique(facets))
-        rows = table.index(facets)
-        beside = table.cells[rows[rows >= 0]]
-        touched = [region for region, member in self.regions.items() if member[beside[beside >= 0]].any()]
+        facets, beside = self.facets[name], self.beside(name)
+        touched = self.touched(beside)
         if (beside[:, 1] < 0).all() and not lower:
             other = [region for region in touched if region not in (upper or whole)]
             if other:
@@ -260,6 +257,17 @@ class Named:
                 f"direction of the upper side if the same body is on both; {regions}"
             )
         return facets, Seam(lower or tuple(region for region in whole if region not in upper), upper)
+
+    def beside(self, name: str) -> IntArray:
+        """(n, 2) cells on either side of the facets of a set, those that are facets of cells; -1 on the outer boundary."""
+        facets = self.facets[name]
+        table = self.cells.facets_among(np.unique(facets))
+        rows = table.index(facets)
+        return table.cells[rows[rows >= 0]]
+
+    def touched(self, beside: IntArray) -> list[str]:
+        """Names of the regions of cells; those < 0 are none."""
+        return [region for region, member in self.regions.items() if member[beside[beside >= 0]].any()]
 
     def _boundary(self, upper: Names, lower: Names) -> IntArray:
         """All facets between the bodies."""

@@ -6,7 +6,7 @@ import io
 import re
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from functools import partial
 from itertools import takewhile
@@ -21,7 +21,7 @@ from forms.base import InputError, is_finite, optional
 from geometry.importing.gathering import TagNames, gathered
 from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
 from geometry.joint import Joint
-from geometry.parallel import on_root
+from geometry.parallel import T, on_root
 from geometry.refusals import refuse
 from geometry.topology import CELL_TYPES, FACET_TYPES, IntArray, corner_count
 
@@ -85,10 +85,11 @@ def read(
         return gathered(mesh, names, scale, comm, sides)
     if names is not None:
         raise InputError("names are those of tags of DOLFINx; a file has its own")
-    return on_root(comm, partial(_read, Path(mesh), Sides.of(**sides), scale))
+    return on_root(comm, partial(with_groups, Path(mesh), Named.joint, Sides.of(**sides), scale))
 
 
-def _read(path: Path, sides: Sides, scale: float) -> Joint:
+def with_groups(path: Path, use: Callable[[Named], T], sides: Sides | None = None, scale: float = 1.0) -> T:
+    """What a function makes of the named groups of a mesh file; errors of input name the file. Not collective."""
     try:
         mesh = _load(path, scale)
         cells = _cells_of(mesh)
@@ -99,7 +100,7 @@ def _read(path: Path, sides: Sides, scale: float) -> Joint:
             example = f'Physical {"Surface" if dim == 2 else "Volume"}("BODY") = {{...}}'
             raise InputError(f"no named groups of cells ({source}); in gmsh: {example}; saved with Mesh.SaveAll = 0")
         facets = _vertices(mesh, cells, _groups(mesh, dim - 1, array))
-        return Named(cells, regions, facets, source, sides).joint()
+        return use(Named(cells, regions, facets, source, sides or Sides.of()))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
