@@ -9,6 +9,7 @@ from typing import Any
 from geometry.importing.reading import read
 from geometry.joint import Joint
 from thinlayer.discretisation.given import Pressure
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Layers, ThinLayer
 from thinlayer.discretisation.point_loads import LineLoad, PointLoad
 from thinlayer.discretisation.structure import Structure
@@ -18,6 +19,7 @@ from thinlayer.estimating.goals import Goal
 from thinlayer.running.description import Description
 from thinlayer.running.materials import Material
 from thinlayer.running.section import History
+from thinlayer.system.ranks import on_all
 
 LEAST_EPS = 1e-9  # thickness over the size of the bodies: below, rounding is larger than its effect
 
@@ -59,6 +61,18 @@ class Case:
             _by_name(given.layer, lambda one: ThinLayer(one.law, one.eps, eigenstrain=one.eigenstrain)),
             tuple(_goal(name, **one) for name, one in given.goals.items()) or (kinds.Compliance(),),
         )
+
+    def model(self) -> InterfaceModel:
+        """The interface model, which has what the goals ask for. Collective.
+
+        Raises:
+            InputError: as the model and the goals raise it.
+        """
+        model = self.structure.interface(self.layer, bodies=self.given.bodies)
+        with on_all(model.comm):
+            for goal in self.goals:
+                goal.check(model)
+        return model
 
 
 def _structure(given: Description, joint: Joint) -> Structure:

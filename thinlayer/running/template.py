@@ -1,0 +1,64 @@
+"""A description with the names of a mesh file, to be filled in."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from pathlib import Path
+
+from geometry.importing.naming import Named
+from geometry.importing.reading import with_groups
+from geometry.parallel import on_root, world
+
+quoted = partial(json.dumps, ensure_ascii=False)  # a text as a string or a key of TOML
+
+
+def template(mesh: Path) -> str:
+    """A description in TOML of a structure in a mesh file, with "?" for all that is to be filled in. Collective.
+
+    A text is refused where a number belongs.
+
+    Raises:
+        InputError: the file cannot be read, as by `geometry.read`.
+    """
+    return on_root(world(), partial(with_groups, mesh, partial(_filled, mesh)))
+
+
+def _filled(mesh: Path, named: Named) -> str:
+    beside = {name: named.beside(name) for name in named.facets}
+    inside = {name: named.touched(cells) for name, cells in beside.items() if cells.size and (cells >= 0).all()}
+    seam, words = _seam(inside, ", ".join(named.facets))
+    moduli, vector = 'E = "?"\nnu = "?"', ["?"] * named.cells.points.shape[1]
+    sides = [quoted(name) for name in named.facets if name not in inside]
+    bodies = "\n\n".join(f"[body.{quoted(name)}]\n{moduli}" for name in named.regions)
+    held, loaded = ("\n".join(f"{name} = {quoted(value)}" for name in sides) for value in ("?", vector))
+    return f"""# Fill in each "?", and delete what is not so: thinlayer/guide/estimate.md has all keys.
+# {words}
+mesh = {{path = {quoted(str(mesh))}, {seam}}}
+units = "?"  # of lengths and of stresses, such as "mm, MPa"
+
+{bodies}
+
+[layer]
+law = "LinearElastic"
+{moduli}
+eps = "?"  # thickness
+
+[supports]  # what is held: 0, a displacement, or components such as {{x = 0}}
+{held}
+
+[tractions]  # what is loaded: components of a stress, or {{pressure = 5}}
+{loaded}"""
+
+
+def _seam(inside: dict[str, list[str]], names: str) -> tuple[str, str]:
+    """The layer's place as arguments of `read` in TOML, and words on it: from the facet sets inside, and all of them."""
+    if len(inside) == 1:
+        ((name, touched),) = inside.items()
+        side = f"upper = {quoted(touched[-1])}" if len(touched) > 1 else 'direction = "?"'
+        return (
+            f"S = {quoted(name)}, {side}",
+            f"S is the only facet set inside the bodies; it touches {', '.join(touched)}",
+        )
+    candidates = ", ".join(inside) or names or "none; with lower and upper alone S is all between these regions"
+    return 'S = "?", upper = "?"', f"S is where the layer is, upper a region above it; facet sets: {candidates}"

@@ -1,0 +1,70 @@
+"""What is read of a description and its mesh, before anything is solved: sizes, laws, supports, loads and their sum."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.measures import per_unit
+from thinlayer.running.case import Case
+from thinlayer.running.materials import Material
+
+LOADS = ("tractions", "body_force", "loads")  # keys of descriptions
+
+
+def understood(case: Case) -> str:
+    """Bodies, layers, supports, loads and goals of a case, by the names of the description and of its mesh. Collective.
+
+    Areas and volumes of bodies of revolution are those of the whole revolution, like the resultant of the loads. This is at
+    the last of the times, about the origin.
+
+    Raises:
+        InputError: as the model and the goals raise it.
+    """
+    given, model, values = case.given, case.model(), case.given.section.values
+    joint, sizes, t = model.joint, _sizes(model), given.times[-1] if given.times else 0.0
+    solid = joint.dim == 3 or given.plane == "axisymmetric"
+    of_body, of_layer = ("volume", "area") if solid else ("area", "length")
+    about = "" if joint.dim == 3 else f", plane {model.plane}"
+    lines = [f"mesh {given.mesh['path']}: {len(joint.cells)} {joint.cell_type} cells, element {model.element}{about}"]
+    lines += ["lengths in {}, stresses in {}".format(*given.units)] if given.units else []
+    for name in joint.bodies:
+        lines.append(f"body {name}: {_law(values['body'], given.body, name)}, {of_body} = {sizes[name]:.6g}")
+    for name, seam in joint.seams.items():
+        sides = f"from {', '.join(seam.lower) or 'a rigid base'} to {', '.join(seam.upper)}"
+        size = f"{of_layer} = {sizes[name]:.6g}, {len(joint.rows_of(name))} facets"
+        lines.append(f"layer {name}: {_law(values['layer'], given.layer, name)}, {size}, {sides}")
+    lines += [f"support {place}: {_shown(one)}" for place, one in values.get("supports", {}).items()]
+    lines += [f"{key}: {_shown(values[key])}" for key in LOADS if key in values]
+    lines.append(f"loads in all, at t = {t:g}: {model.applied(t).at(np.zeros(joint.dim))}")
+    return "\n".join([*lines, *(f"goal {goal.name}" for goal in case.goals)])
+
+
+def _law(values: Mapping[str, Any], materials: Mapping[str | None, Material], name: str) -> str:
+    """The law of a body or of a layer, and its numbers as they were given."""
+    key = name if name in materials else None
+    return _shown({"law": type(materials[key].law).__name__, **(values[key] if key else values)})
+
+
+def _sizes(model: InterfaceModel) -> dict[str, float]:
+    """Measures of the bodies and of the seams. Collective."""
+    places = {name: (model.kinematics.factor, model.dx(model.domain.cell_values(name))) for name in model.joint.bodies}
+    sides = {name: model.sides_of(name) for name in model.joint.seams}
+    places |= {name: (one.factor, one.measure) for name, one in sides.items()}
+    chosen = fem.Constant(model.domain.mesh, np.zeros(len(places)))
+    parts = (chosen[k] * factor * measure for k, (factor, measure) in enumerate(places.values()))
+    return dict(zip(places, map(float, per_unit(model.comm, sum(parts, ufl.Form([])), chosen)), strict=True))
+
+
+def _shown(value: Any) -> str:
+    """A value of TOML in one line."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} = {_shown(one)}" for key, one in value.items())
+    if isinstance(value, list):
+        return f"[{', '.join(map(_shown, value))}]"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
