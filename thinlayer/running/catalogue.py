@@ -1,0 +1,90 @@
+"""The studies, read without importing them: what each shows, its options, and how long it takes."""
+
+from __future__ import annotations
+
+import ast
+import re
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from studies import GROUPS
+
+UNITS = {"h": 3600, "min": 60, "s": 1}
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study script.
+
+    Attributes:
+        name: module name in `studies`.
+        summary: first line of its docstring.
+        options: name of a keyword argument of its `run` -> arguments of `ArgumentParser.add_argument` for it.
+        drawn: whether it has pictures, which its `draw` makes of its tables; benchmarks have tables alone.
+        group: of `studies.GROUPS`.
+        quick, full: seconds that it takes with --quick, and in full, roughly.
+    """
+
+    name: str
+    summary: str
+    options: dict[str, dict[str, Any]]
+    drawn: bool
+    group: str
+    quick: float
+    full: float
+
+
+@cache
+def studies() -> dict[str, Study]:
+    """All studies by name, in the order of their groups."""
+    found, folder = {}, Path(__file__).parents[2] / "studies"
+    for group, members in GROUPS.items():
+        for name, seconds in members.items():
+            tree = ast.parse((folder / f"{name}.py").read_text(encoding="utf-8"))
+            functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
+            run, summary = functions["run"], (ast.get_docstring(tree) or "").partition("\n")[0]
+            options = {one.arg: _option(one, ast.get_docstring(run) or "") for one in run.args.kwonlyargs}
+            found[name] = Study(name, summary, options, "draw" in functions, group, *seconds)
+    return found
+
+
+def _option(argument: ast.arg, text: str) -> dict[str, Any]:
+    """Arguments of `add_argument` for a keyword argument of `run`.
+
+    Args:
+        argument: the keyword argument; its annotation is `bool`, `Sequence[float]` (thicknesses) or `Literal[...]`.
+        text: docstring of `run`, in which its description becomes the help of the option.
+    """
+    line = re.search(rf"^\s+{argument.arg}: (.*)$", text, re.MULTILINE)
+    found: dict[str, Any] = {"help": line[1].replace("%", "%%") if line else None}
+    match ast.unparse(argument.annotation) if argument.annotation else "":
+        case "bool":
+            return found | {"action": "store_true"}
+        case "Sequence[float]":
+            return found | {"nargs": "+", "type": float, "metavar": "E"}
+        case kind:
+            allowed = tuple(ast.literal_eval(kind.removeprefix("Literal")))
+            return found | {"choices": allowed, "type": type(allowed[0])}
+
+
+def listed(heading: str, line: str) -> str:
+    """The groups and their studies but for benchmarks, which draw nothing, a line each.
+
+    Args:
+        heading: format of a group's name.
+        line: format of a study by its attributes; times are texts.
+    """
+    lines = dict[str, None]()  # each heading once
+    for study in (study for study in studies().values() if study.drawn):
+        lines[heading.format(study.group)] = None
+        times = {"quick": duration(study.quick), "full": duration(study.full)}
+        lines[line.format_map(vars(study) | times)] = None
+    return "\n".join(lines)
+
+
+def duration(seconds: float) -> str:
+    """A time in words, to one digit."""
+    unit = next(unit for unit, size in UNITS.items() if seconds >= 1.5 * size or size == 1)
+    return f"{float(f'{seconds / UNITS[unit]:.1g}'):g} {unit}"
