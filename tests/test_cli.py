@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import csv
 import json
+import os
+import pkgutil
 import subprocess
 import sys
+import tomllib
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
 
+import dolfinx
 import pytest
 from petsc4py import PETSc
 
+from studies import GROUPS
 from tests.pictures import assert_drawn
 from thinlayer.running import cli
+from thinlayer.running.catalogue import duration
+from thinlayer.system.words import VERSION
 
 CLONE = Path(__file__).parent.parent
 ELASTIC = ("run", "rates", "--law", "elastic")
@@ -42,6 +49,12 @@ def thinlayer(*arguments: object) -> subprocess.CompletedProcess:
     return subprocess.CompletedProcess(words, status, out.getvalue(), err.getvalue())
 
 
+@pytest.fixture
+def quiet(caplog):
+    """Lets messages through again after the test."""
+    caplog.set_level("NOTSET", "thinlayer")
+
+
 def rows(path: Path) -> list[dict[str, str]]:
     with path.open(newline="") as file:
         return list(csv.DictReader(file))
@@ -56,6 +69,43 @@ def test_list_is_light_and_matches_the_readme():
     assert not {"dolfinx", "petsc4py", "numpy", "gmsh", "pyvista"} & set(eval(modules))
     assert listed
     assert "\n".join(listed) in (CLONE / "README.md").read_text()
+
+
+def test_every_study_is_in_a_group_once():
+    """With its times; and in words these are short."""
+    listed = [name for members in GROUPS.values() for name in members]
+    scripts = [path.stem for path in (CLONE / "studies").glob("*.py") if "\ndef run(" in path.read_text()]
+    assert sorted(listed) == sorted(scripts)
+    assert [duration(seconds) for seconds in (7.4, 82, 95, 1320, 9000)] == ["7 s", "80 s", "2 min", "20 min", "2 h"]
+
+
+def test_version_help_and_name(monkeypatch):
+    assert thinlayer("-V").stdout == f"thinlayer {VERSION} (DOLFINx {dolfinx.__version__})\n"
+    bare = thinlayer()
+    assert (bare.returncode, bare.stderr) == (2, "")
+    assert bare.stdout.startswith("usage: python3 -m thinlayer [-h] [-V] COMMAND")
+    script = tomllib.loads((CLONE / "pyproject.toml").read_text())["project"]["scripts"]["thinlayer"]
+    monkeypatch.setattr(sys, "argv", ["/usr/bin/thinlayer", "-V"])
+    with redirect_stdout(StringIO()) as out:
+        assert pkgutil.resolve_name(script)() == 0
+    assert out.getvalue().startswith("thinlayer 0")
+
+
+def test_answers_as_json():
+    listed = json.loads(thinlayer("list", "--json").stdout)
+    assert (listed["fig4_bar"]["group"], listed["performance"]["drawn"]) == ("The paper", False)
+    assert [listed["wall"][of] for of in ("quick", "full")] == [*GROUPS["Structures"]["wall"]]
+    assert json.loads(thinlayer("info", "--json").stdout)["fenics-dolfinx"] == dolfinx.__version__
+
+
+@pytest.mark.parametrize("words", ["run fig6", "run rates --res", "estimate studies/data/lap.t"])
+def test_words_are_completed(words, tmp_path):
+    pytest.importorskip("argcomplete")
+    line = f"thinlayer {words}"
+    asked = {"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE_IFS": "\n"}
+    asked |= {"_ARGCOMPLETE_STDOUT_FILENAME": str(tmp_path / "words")}
+    subprocess.run([sys.executable, "-m", "thinlayer"], cwd=CLONE, env=os.environ | asked, check=True, timeout=240)
+    assert (tmp_path / "words").read_text().strip() in ("fig6_stratified", "--resume", "studies/data/lap.toml")
 
 
 def test_sweep_with_options(tmp_path):
@@ -75,9 +125,10 @@ def test_sweep_with_options(tmp_path):
     assert_drawn(tmp_path / "rates_extended.png")
 
 
-def test_limits_and_drawing_again(tmp_path):
-    done = thinlayer("run", "limits", "--quick", "--out", tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
+def test_limits_and_drawing_again(tmp_path, quiet):
+    """Quiet and without words where all checks hold."""
+    done = thinlayer("run", "limits", "--quick", "-q", "--out", tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert_drawn(tmp_path / "bonded.png")
     (tmp_path / "bonded.png").unlink()
     table = (tmp_path / "table.csv").read_bytes()
@@ -93,8 +144,18 @@ def test_limits_and_drawing_again(tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("run fig7", "invalid choice: 'fig7' (choose from"),
-        ("run limits --eps 0.1", "unrecognized argument '--eps'; --help has all; PETSc options start with -thinlayer_"),
+        ("rnu limits", "unknown command 'rnu', did you mean 'run'?; known: draw, estimate, info, list, run\n"),
+        ("run fig7", "thinlayer run: error: unknown study 'fig7'; known: bearing, "),
+        ("run fig6", "unknown study 'fig6', did you mean 'fig6_stratified'?; known: "),
+        ("run rates --law monodirectonal", "run rates: error: unknown law 'monodirectonal', did you mean 'monodirect"),
+        (
+            "run limits --qick",
+            "run limits: error: unknown option '--qick', did you mean '--quick'?; known: --help, --out",
+        ),
+        ("run limits 0.1", "run limits: error: unrecognized argument '0.1'; --help has all\n"),
+        ("run limits -ksp_rtol 0.1", "argument '-ksp_rtol'; --help has all; PETSc options start with -thinlayer_\n"),
+        ("estimate a.msh --new --set a=1", "estimate: error: --new reads a mesh file, which has no keys to --set"),
+        ("run limits -q -v", "argument -v/--verbose: not allowed with argument -q/--quiet"),
         ("run rates --law elastic --eps -0.1", "thickness eps is -0.1; allowed: > 0"),
         ("run rates --law elastic --eps 0.1 0.1", "different thicknesses"),
         ("run rates --law elastic --quick -thinlayer_ksp_typ cg", "not read by the linear solver: -thinlayer_ksp_typ"),
@@ -107,14 +168,15 @@ def test_bad_input_writes_nothing(tmp_path, words, message):
     done = thinlayer(*words.split(), *out)
     assert done.returncode == 2, done.stderr
     assert message in done.stderr
-    assert "Traceback" not in done.stderr
+    assert "Error" not in done.stderr  # classes and tracebacks are for others
     assert not (tmp_path / "out").exists()
 
 
-def test_failed_check(tmp_path, capsys):
-    """Thick layers are far from their limit: the sweep's own check of the order says so."""
-    assert cli.main([*ELASTIC, "--quick", "--eps", "2", "4", "--out", str(tmp_path)]) == 1
-    assert "checks failed: last observed order" in capsys.readouterr().err
+def test_failed_check(tmp_path, quiet):
+    """Thick layers are far from their limit: the sweep's own check of the order says so, even if it is quiet."""
+    done = thinlayer(*ELASTIC, "--quick", "-q", "--eps", "2", "4", "--out", tmp_path)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "checks failed: last observed order" in done.stderr
     assert len(rows(tmp_path / "table_elastic.csv")) == 2
 
 

@@ -1,9 +1,16 @@
-"""python3 -m thinlayer"""
+"""python3 -m thinlayer, and the command thinlayer"""
 
+# PYTHON_ARGCOMPLETE_OK
 from thinlayer.running.process import end_on_interrupt
 
-end_on_interrupt()
 
-from thinlayer.running.cli import start  # noqa: E402
+def main() -> int:
+    """Run the command line; returns the exit status."""
+    end_on_interrupt()
+    from thinlayer.running.cli import start
 
-raise SystemExit(start())
+    return start()
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -6,85 +6,89 @@ DOLFINx and PETSc are imported only when something is computed, as that takes se
 from __future__ import annotations
 
 import argparse
-import ast
 import importlib
-import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
+import importlib.metadata
+import json
+import os
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from thinlayer.running.process import BAD_INPUT, OK, UNFINISHED, is_first, recorded, set_signals, stop
-from thinlayer.system.words import reason, say
-
-
-@dataclass(frozen=True)
-class Study:
-    """A study script.
-
-    Attributes:
-        name: module name in `studies`.
-        summary: first line of its docstring.
-        options: name of a keyword argument of its `run` -> arguments of `ArgumentParser.add_argument` for it.
-        drawn: whether it has pictures, which its `draw` makes of its tables; benchmarks have tables alone.
-    """
-
-    name: str
-    summary: str
-    options: dict[str, dict[str, Any]]
-    drawn: bool
-
-
-@cache
-def studies() -> dict[str, Study]:
-    """All studies by name."""
-    found = {}
-    for path in sorted((Path(__file__).parents[2] / "studies").glob("*.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
-        if run := functions.get("run"):
-            text, summary = ast.get_docstring(run) or "", (ast.get_docstring(tree) or "").partition("\n")[0]
-            options = {one.arg: _option(one, text) for one in run.args.kwonlyargs}
-            found[path.stem] = Study(path.stem, summary, options, "draw" in functions)
-    return found
-
-
-def _option(argument: ast.arg, text: str) -> dict[str, Any]:
-    """Arguments of `add_argument` for a keyword argument of `run`.
-
-    Args:
-        argument: the keyword argument; its annotation is `bool`, `Sequence[float]` (thicknesses) or `Literal[...]`.
-        text: docstring of `run`, in which its description becomes the help of the option.
-    """
-    line = re.search(rf"^\s+{argument.arg}: (.*)$", text, re.MULTILINE)
-    found: dict[str, Any] = {"help": line[1].replace("%", "%%") if line else None}
-    match ast.unparse(argument.annotation) if argument.annotation else "":
-        case "bool":
-            return found | {"action": "store_true"}
-        case "Sequence[float]":
-            return found | {"nargs": "+", "type": float, "metavar": "E"}
-        case kind:
-            allowed = tuple(ast.literal_eval(kind.removeprefix("Literal")))
-            return found | {"choices": allowed, "type": type(allowed[0])}
-
+from thinlayer.running.catalogue import listed, studies
+from thinlayer.running.process import (
+    BAD_INPUT,
+    OK,
+    UNFINISHED,
+    computed,
+    in_words,
+    is_first,
+    recorded,
+    set_signals,
+    stop,
+)
+from thinlayer.system.words import VERSION, columns, reason, say
 
 if TYPE_CHECKING:
+    from thinlayer.running.description import Description
     from thinlayer.running.record import Record
 
 STATUSES = (
     "Exit status: 0 all checks of the study hold; 1 a check failed; 2 wrong input, nothing is written; 3 not finished, "
     "results so far are kept: a solve failed, a file could not be written, an interrupt, or a defect, with its traceback."
 )
+COLUMNS = "{}", "  {name:<20} {full:>6}, quick {quick:<6}  {summary}"
+MARKDOWN = "| **{}** | | |", "| [`{name}`](studies/{name}.py) | {full} | {summary} |"
 PETSC_PREFIX = "-thinlayer_"
 Petsc = Mapping[str, str | None]
+Work = Callable[["Parser", argparse.Namespace, Petsc], int]
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that says which command, choice or option may be meant, and takes no abbreviations."""
+
+    def __init__(self, **more: Any) -> None:
+        super().__init__(**more, allow_abbrev=False)
+        self.set_defaults(parser=self)
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            kind = str(action.metavar or action.dest).lower()
+            raise argparse.ArgumentError(None, _unknown(kind, value, action.choices))
+
+    def petsc_options(self, rest: Sequence[str]) -> dict[str, str | None]:
+        """PETSc options, given as -thinlayer_NAME [VALUE] ..., by their names; ends with an error at another argument."""
+        options: dict[str, str | None] = {}
+        name = ""
+        for word in rest:
+            if word.startswith(PETSC_PREFIX):
+                options[name := word[1:]] = None
+            elif name and options[name] is None and not word.startswith("--"):
+                options[name] = word
+            elif word.startswith("--"):
+                self.error(_unknown("option", word.partition("=")[0], self._option_string_actions))
+            else:
+                starts = f"; PETSc options start with {PETSC_PREFIX}" if word.startswith("-") else ""
+                self.error(f"unrecognized argument {word!r}; --help has all{starts}")
+        return options
+
+
+def _unknown(kind: str, name: object, known: Iterable[object]) -> str:
+    from forms.base import unknown  # not before it is needed: it takes a second
+
+    return unknown(kind, name, [one for one in map(str, known) if one != "-h"])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit status, see `STATUSES`. A defect raises its exception, see `start`."""
     parser = command_line()
+    if "_ARGCOMPLETE" in os.environ:  # a shell asks for the words that may come next
+        with suppress(ImportError):
+            importlib.import_module("argcomplete").autocomplete(parser)
     chosen, rest = parser.parse_known_args(arguments)
-    status: int = chosen.work(parser, chosen, _petsc_options(parser, rest))
+    status: int = chosen.work(chosen.parser, chosen, chosen.parser.petsc_options(rest))
     return status
 
 
@@ -104,81 +108,99 @@ def start() -> int:
 def command_line() -> argparse.ArgumentParser:
     """The parser of the commands and of the studies' options."""
     about = "Thin soft layers, meshed or replaced by their interface law."
-    parser = argparse.ArgumentParser(prog="python3 -m thinlayer", description=about)
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    shown = commands.add_parser("list", help="list the studies; benchmarks, which draw nothing, are not among them")
-    shown.add_argument("--markdown", action="store_true", help="as the table of the README")
-    shown.set_defaults(work=_list)
-    info = commands.add_parser("info", help="print the versions of the packages that results depend on")
-    info.set_defaults(work=_info)
-    what = "draw the pictures of a study again, from the tables of an earlier run"
-    draw = _add(commands, "draw", _draw, what, help=what)
+    prog = "thinlayer" if Path(sys.argv[0]).stem == "thinlayer" else "python3 -m thinlayer"
+    parser = Parser(prog=prog, description=about)
+    parser.add_argument("-V", "--version", action="store_true", help="print the versions of thinlayer and of DOLFINx")
+    parser.set_defaults(work=_neither)
+    commands = parser.add_subparsers(metavar="COMMAND")
+    what = "List the studies in groups, with their times on one core; without benchmarks, which draw nothing."
+    shown = _command(commands, "list", _list, what, "--json")
+    forms = shown.add_mutually_exclusive_group()
+    forms.add_argument("--markdown", action="store_true", help="as the table of the README")
+    _add_json(forms)
+    what = "Print the versions of the packages that results depend on."
+    _add_json(_command(commands, "info", _info, what, "--json"))
+    what = "Draw the pictures of a study again, from the tables of an earlier run."
+    draw = _computing(_command(commands, "draw", _draw, what, "fig6_stratified"))
     drawn = [study.name for study in studies().values() if study.drawn]
     draw.add_argument("study", metavar="STUDY", choices=drawn, help="name of a study; the command list prints all")
-    run = commands.add_parser("run", help="run a study", description="Run a study; STUDY --help shows its options.")
+    run = _command(commands, "run", _run, "Run a study; STUDY --help shows its options.", "fig6_stratified --quick")
     names = run.add_subparsers(dest="study", required=True, metavar="STUDY")
     for study in studies().values():
-        one = _add(names, study.name, _run, study.summary)
+        one = _computing(_command(names, study.name, _run, study.summary, "--out DIR"))
         for name, details in study.options.items():
             one.add_argument(f"--{name}", default=None, **details)
         one.add_argument("--resume", action="store_true", help="go on with the sweeps of a killed run, same options")
-    what = "tell by how much the answer changes if the mesh of a layer is dropped"
-    estimate = _add(commands, "estimate", _estimate, f"{what}; thinlayer/guide/estimate.md has the keys", help=what)
-    file = "a file in TOML, which names a mesh file"
-    estimate.add_argument("description", type=Path, metavar="DESCRIPTION", help=file)
+    what = "Tell by how much the answer changes without the mesh of a layer; thinlayer/guide/estimate.md has the keys."
+    estimate = _computing(_command(commands, "estimate", _estimate, what, "joint.toml --set layer.eps=0.1"))
+    estimate.add_argument(
+        "description", type=Path, metavar="DESCRIPTION", help="a file in TOML; with --new a mesh file"
+    )
     keys = "a key of the description anew, as layer.E=2e3 or 'tractions.RIGHT=[60, 0]'; may be repeated"
     estimate.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=keys)
+    before = estimate.add_mutually_exclusive_group()
+    before.add_argument("--check", action="store_true", help="print what is read, and the sum of loads; solve nothing")
+    before.add_argument("--new", action="store_true", help="print a description to fill in, with a mesh file's names")
+    _add_json(before)
     return parser
 
 
-def _add(commands: Any, name: str, work: Callable[..., int], what: str, **more: str) -> argparse.ArgumentParser:
-    """The parser of a command that has a folder; --h does not print its help."""
-    more["description"] = f"{what} PETSc options start with {PETSC_PREFIX}, as {PETSC_PREFIX}ksp_type cg."
-    one: argparse.ArgumentParser = commands.add_parser(name, allow_abbrev=False, epilog=STATUSES, **more)
-    verbose = "show the attempts of solves; twice: their steps as well"
-    one.add_argument("-v", "--verbose", action="count", default=0, help=verbose)
-    where = "folder of tables and pictures (default: out/STUDY, out/estimate/NAME)"
-    one.add_argument("--out", type=Path, metavar="DIR", help=where)
+def _command(commands: Any, name: str, work: Work, what: str, example: str) -> Parser:
+    """The parser of a command."""
+    short, epilog = what.rstrip("."), f"Example: %(prog)s {example}"
+    one: Parser = commands.add_parser(name, help=short[0].lower() + short[1:], description=what, epilog=epilog)
     one.set_defaults(work=work)
     return one
 
 
-def _petsc_options(parser: argparse.ArgumentParser, rest: Sequence[str]) -> dict[str, str | None]:
-    """PETSc options, given as -thinlayer_NAME [VALUE] ..., by their names; ends with an error at any other argument."""
-    options: dict[str, str | None] = {}
-    name = ""
-    for word in rest:
-        if word.startswith(PETSC_PREFIX):
-            options[name := word[1:]] = None
-        elif name and options[name] is None and not word.startswith("--"):
-            options[name] = word
-        else:
-            parser.error(f"unrecognized argument {word!r}; --help has all; PETSc options start with {PETSC_PREFIX}")
-    return options
+def _computing(one: Parser) -> Parser:
+    """The parser of a command that computes, and has a folder."""
+    one.description = f"{one.description} PETSc options start with {PETSC_PREFIX}, as {PETSC_PREFIX}ksp_type cg."
+    one.epilog = f"{STATUSES} {one.epilog}"
+    said = one.add_mutually_exclusive_group()
+    said.add_argument("-v", "--verbose", action="count", default=0, help="show attempts of solves; twice: their steps")
+    quiet = "print no progress and no tables, only errors, warnings and checks that fail"
+    said.add_argument("-q", "--quiet", dest="verbose", action="store_const", const=-1, help=quiet)
+    where = "folder of tables and pictures (default: out/STUDY, out/estimate/NAME)"
+    one.add_argument("--out", type=Path, metavar="DIR", help=where)
+    return one
 
 
-def _list(_: argparse.ArgumentParser, chosen: argparse.Namespace, __: Petsc) -> int:
-    texts = {study.name: study.summary for study in studies().values() if study.drawn}
-    if chosen.markdown:
-        say("\n".join(f"| [`{name}`](studies/{name}.py) | {text} |" for name, text in texts.items()))
-        return OK
-    return _told(texts)
+def _add_json(one: argparse._ActionsContainer) -> None:
+    one.add_argument("--json", action="store_true", help="print the answer as JSON, nothing else on standard output")
 
 
-def _info(*_: object) -> int:
-    from thinlayer.running.provenance import versions
-
-    set_signals()
-    return _told(versions())
-
-
-def _told(texts: Mapping[str, str]) -> int:
-    width = max(map(len, texts))
-    say("\n".join(f"{name:<{width}}  {text}" for name, text in texts.items()))
+def _tell(chosen: argparse.Namespace, answer: Any, words: str) -> int:
+    """Print an answer on rank 0, in words or with --json as JSON."""
+    if is_first():
+        say(json.dumps(answer, indent=1, default=str) if chosen.json else words)
     return OK
 
 
-def _draw(parser: argparse.ArgumentParser, chosen: argparse.Namespace, _: Petsc) -> int:
+def _neither(parser: Parser, chosen: argparse.Namespace, _: Petsc) -> int:
+    if not chosen.version:
+        parser.print_help()
+        return BAD_INPUT
+    dolfinx = "not installed"
+    with suppress(importlib.metadata.PackageNotFoundError):
+        dolfinx = importlib.metadata.version("fenics-dolfinx")
+    say(f"thinlayer {VERSION} (DOLFINx {dolfinx})")
+    return OK
+
+
+def _list(_: Parser, chosen: argparse.Namespace, __: Petsc) -> int:
+    answer = {name: vars(study) for name, study in studies().items()}
+    return _tell(chosen, answer, listed(*MARKDOWN if chosen.markdown else COLUMNS))
+
+
+def _info(_: Parser, chosen: argparse.Namespace, __: Petsc) -> int:
+    from thinlayer.running.provenance import versions
+
+    set_signals()
+    return _tell(chosen, versions(), columns(versions()))
+
+
+def _draw(parser: Parser, chosen: argparse.Namespace, _: Petsc) -> int:
     out = chosen.out or Path("out", chosen.study)
     from forms.base import InputError
     from thinlayer.running.record import Record
@@ -192,11 +214,12 @@ def _draw(parser: argparse.ArgumentParser, chosen: argparse.Namespace, _: Petsc)
         parser.error(f"{out} is not a whole run of {chosen.study}: {error}; run the study first")
     except OSError as error:
         return stop(True, UNFINISHED, reason(error))
-    say(f"drawn again in {out}")
+    if chosen.verbose >= 0:
+        say(f"drawn again in {out}")
     return OK
 
 
-def _run(_: argparse.ArgumentParser, chosen: argparse.Namespace, petsc: Petsc) -> int:
+def _run(_: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
     study = studies()[chosen.study]
     given = {name: getattr(chosen, name) for name in study.options if getattr(chosen, name) is not None}
 
@@ -214,19 +237,42 @@ def _run(_: argparse.ArgumentParser, chosen: argparse.Namespace, petsc: Petsc) -
     return recorded(study.name, out, work, options=given, petsc=petsc, resume=chosen.resume, verbose=chosen.verbose)
 
 
-def _estimate(_: argparse.ArgumentParser, chosen: argparse.Namespace, petsc: Petsc) -> int:
+def _estimate(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
+    ask = partial(computed, petsc=petsc, verbose=chosen.verbose)
+    if chosen.new:
+        if chosen.set:
+            parser.error("--new reads a mesh file, which has no keys to --set")
+        return ask(partial(_new, chosen))
     from forms.base import InputError
     from thinlayer.running.description import Description
 
     try:
         given = Description.read(chosen.description, chosen.set)
     except InputError as error:
-        return stop(is_first(), BAD_INPUT, f"{type(error).__name__}: {error}")
+        return stop(is_first(), BAD_INPUT, in_words(error, chosen.verbose))
+    if chosen.check:
+        return ask(partial(_check, chosen, given))
 
     def work(record: Record) -> None:
         from thinlayer.running.estimation import run
 
+        record.quiet |= chosen.json
         run(record, given, chosen.description)
+        if chosen.json:
+            _tell(chosen, record.results, "")
 
     out = chosen.out or Path("out", "estimate", chosen.description.stem)
     return recorded("estimate", out, work, options={"set": chosen.set}, petsc=petsc, verbose=chosen.verbose)
+
+
+def _new(chosen: argparse.Namespace) -> int:
+    from thinlayer.running.template import template
+
+    return _tell(chosen, None, template(chosen.description))
+
+
+def _check(chosen: argparse.Namespace, given: Description) -> int:
+    from thinlayer.running.case import Case
+    from thinlayer.running.understood import understood
+
+    return _tell(chosen, None, understood(Case.of(given)))

@@ -25,7 +25,6 @@ from thinlayer.running.record import Record
 from thinlayer.solving.history import History
 from thinlayer.solving.solvers import solve
 from thinlayer.system.folder import hash_of
-from thinlayer.system.ranks import on_all
 from thinlayer.system.table import Table
 from thinlayer.time.marching import march
 
@@ -47,11 +46,7 @@ def run(record: Record, given: Description, file: Path) -> None:
         "files": {str(path): on_root(world(), partial(hash_of, path)) for path in (Path(given.mesh["path"]), file)},
         "description": given.section.values,
     }
-    model = case.structure.interface(case.layer, bodies=given.bodies)
-    with on_all(model.comm):
-        for goal in case.goals:
-            goal.check(model)
-    found = {LAW: _estimate(record, case, model)}
+    found = {LAW: _estimate(record, case, case.model())}
     if given.bonded:
         found[BOND] = _estimate(record, case, case.structure.bonded(), layer=case.layer)
     rows = [{"instead": name, **row} for name, one in found.items() for row in one.table.rows]
@@ -59,7 +54,9 @@ def run(record: Record, given: Description, file: Path) -> None:
     table = Table([{key: None if value != value else value for key, value in row.items()} for row in rows])
     record.write("estimate.csv", table)
     kept = ("sentences", "cost")
-    record.results = {name: {what: getattr(one, what) for what in kept} for name, one in found.items()}
+    for name, one in found.items():
+        quantities = [row for row in table.rows if row["instead"] == name]
+        record.results[name] = {what: getattr(one, what) for what in kept} | {"quantities": quantities}
     if given.units:
         record.say("lengths in {}, stresses in {}".format(*given.units))
     thicknesses = []
@@ -68,6 +65,7 @@ def run(record: Record, given: Description, file: Path) -> None:
         thicknesses += _thicknesses(record, case, name)
     record.say(f"\n{table}\n")
     if thicknesses:
+        record.results["thin_enough"] = thicknesses
         record.write("thin_enough.csv", Table(thicknesses))
     for name, one in found.items():
         _draw(record, case, name, one)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from thinlayer.system.words import reason, say
+from thinlayer.system.words import reason
 
 if TYPE_CHECKING:
     from thinlayer.running.record import Record
@@ -67,14 +67,41 @@ def recorded(
         options: options chosen by the user, for run.json.
         petsc: PETSc options to set.
         resume: whether an earlier run in the folder is continued.
-        verbose: 1: attempts of solves are shown; 2: their steps as well.
+        verbose: as in `computed`; below 0 tables and checks that hold are not printed.
+    """
+
+    def keep() -> int:
+        from thinlayer.running.record import Record
+
+        record = Record(name, out, {**options, **petsc}, resume=resume)
+        record.quiet = verbose < 0
+        with record:
+            work(record)
+        for check in record.checks:
+            record.say(f"{'ok  ' if check.passed else 'FAIL'} {check}")
+        record.say(f"written to {out}")
+        if record.failed:
+            return stop(record.root, CHECK_FAILED, "checks failed: " + "; ".join(str(check) for check in record.failed))
+        return OK
+
+    return computed(keep, petsc=petsc, verbose=verbose, kept=f"\nresults so far are kept in {out}")
+
+
+def computed(work: Callable[[], int], *, petsc: Mapping[str, str | None], verbose: int, kept: str = "") -> int:
+    """Run something with DOLFINx; returns its exit status, or that of its error. Collective.
+
+    Args:
+        work: gives an exit status.
+        petsc: PETSc options to set.
+        verbose: 1: attempts of solves are shown; 2: their steps as well; below 0: progress is not.
+        kept: words for what is left if `work` is not finished.
     """
     ignore_working_folder()
     from mpi4py import MPI
     from petsc4py import PETSc
 
+    import thinlayer.running.record  # noqa: F401  (its C++ modules, while an interrupt still ends the process)
     from thinlayer.errors import InputError, SolveError
-    from thinlayer.running.record import Record
     from thinlayer.solving.petsc import given_elsewhere
     from thinlayer.system import ranks
 
@@ -82,7 +109,7 @@ def recorded(
     ranks.STATUS = UNFINISHED
     if verbose:
         logging.basicConfig(format="%(name)s: %(message)s")
-        logging.getLogger("thinlayer").setLevel(logging.INFO if verbose == 1 else logging.DEBUG)
+        logging.getLogger("thinlayer").setLevel({-1: logging.ERROR, 1: logging.INFO}.get(verbose, logging.DEBUG))
     comm = MPI.COMM_WORLD
     root = comm.rank == 0
     if root and (elsewhere := given_elsewhere()):
@@ -91,15 +118,14 @@ def recorded(
     for option, value in petsc.items():
         PETSc.Options().setValue(option, value)
     # warnings are of results; the line they come from is this program's
-    warnings.formatwarning = lambda message, category, *_, **__: f"thinlayer: {category.__name__}: {message}\n"
-    record = Record(name, out, {**options, **petsc}, resume=resume)
+    name = (lambda category: category.__name__) if verbose > 0 else (lambda _: "warning")
+    warnings.formatwarning = lambda message, category, *_, **__: f"thinlayer: {name(category)}: {message}\n"
     try:
-        with record:
-            work(record)
+        return work()
     except InputError as error:
-        return stop(root, BAD_INPUT, f"{type(error).__name__}: {error}")
+        return stop(root, BAD_INPUT, in_words(error, verbose))
     except (SolveError, OSError, KeyboardInterrupt) as error:
-        message = f"{reason(error)}\nresults so far are kept in {out}"
+        message = f"{in_words(error, verbose)}{kept}"
         if comm.size > 1 and not (isinstance(error, SolveError) or getattr(error, "on_all_ranks", False)):
             stop(True, UNFINISHED, message)  # the others may not know of it
             sys.stderr.flush()
@@ -109,13 +135,12 @@ def recorded(
         if comm.size > 1:  # the error may be on one rank only, for which the others would wait for ever
             ranks.abort(error)
         raise
-    if root:
-        for check in record.checks:
-            say(f"{'ok  ' if check.passed else 'FAIL'} {check}")
-        say(f"written to {out}")
-    if record.failed:
-        return stop(root, CHECK_FAILED, "checks failed: " + "; ".join(str(check) for check in record.failed))
-    return OK
+
+
+def in_words(error: BaseException, verbose: int) -> str:
+    """Words for an error that ends a command; its class as well if the user asked for more."""
+    words = str(error) if isinstance(error, ValueError) else reason(error)
+    return f"{type(error).__name__}: {words}" if verbose > 0 else words
 
 
 def stop(root: bool, status: int, message: str) -> int:

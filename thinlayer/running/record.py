@@ -79,6 +79,7 @@ class Record:
         results: numbers that the study found besides its tables, for run.json.
         solves: how each state was found, for run.json.
         root: whether this is rank 0.
+        quiet: whether `say` prints nothing.
     """
 
     def __init__(self, study: str, out: str | Path, options: Mapping[str, Any], *, resume: bool = False) -> None:
@@ -93,6 +94,7 @@ class Record:
         self._lock = ExitStack()
         self._start = time.perf_counter()
         self.root = world().rank == 0
+        self.quiet = False
         self._owns = False
 
     # ---------------------------------------------------------------- the folder
@@ -243,8 +245,8 @@ class Record:
                 self.say(f"{name}\n{table}")
 
     def say(self, text: object) -> None:
-        """Print on rank 0."""
-        if self.root:
+        """Print on rank 0, unless the record is quiet."""
+        if self.root and not self.quiet:
             say(text)
 
     def sweep(self, run: Callable[[float], Mapping[str, Any]], eps: Sequence[float], name: str = "table.csv") -> Table:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Mapping
 
 VERSION = "1.0.0"  # of these packages; pyproject.toml reads it
 
@@ -24,3 +25,9 @@ def say(text: object) -> None:
         print(text, flush=True)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def columns(texts: Mapping[str, str]) -> str:
+    """Names and texts, in two columns."""
+    width = max(map(len, texts), default=0)
+    return "\n".join(f"{name:<{width}}  {text}" for name, text in texts.items())
