@@ -204,7 +204,7 @@ def test_sizes_and_loads_of_revolution(lap):
     done = thinlayer("estimate", lap, "--check", *(word for one in settings for word in ("--set", one)))
     assert done.returncode == 0, done.stderr
     rim = 2 * math.pi * 20 * 4
-    assert f"volume = {20 * rim / 2:.6g}\nlayer S: " in done.stdout
+    assert f"volume = {20 * rim / 2:.6g}\nlayer GLUE: " in done.stdout
     assert f"area = {math.pi * 20**2:.6g}, " in done.stdout
     assert f"at t = 3: force (0, {5 * rim:.6g}), moment 0 about (0, 0)\n" in done.stdout
 

@@ -107,9 +107,8 @@ def start() -> int:
 
 def command_line() -> argparse.ArgumentParser:
     """The parser of the commands and of the studies' options."""
-    about = "Thin soft layers, meshed or replaced by their interface law."
     prog = "thinlayer" if Path(sys.argv[0]).stem == "thinlayer" else "python3 -m thinlayer"
-    parser = Parser(prog=prog, description=about)
+    parser = Parser(prog=prog, description="Thin soft layers, meshed or replaced by their interface law.")
     parser.add_argument("-V", "--version", action="store_true", help="print the versions of thinlayer and of DOLFINx")
     parser.set_defaults(work=_neither)
     commands = parser.add_subparsers(metavar="COMMAND")

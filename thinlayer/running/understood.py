@@ -9,12 +9,11 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
+from geometry.seam import S
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.measures import per_unit
 from thinlayer.running.case import Case
 from thinlayer.running.materials import Material
-
-LOADS = ("tractions", "body_force", "loads")  # keys of descriptions
 
 
 def understood(case: Case) -> str:
@@ -30,6 +29,7 @@ def understood(case: Case) -> str:
     joint, sizes, t = model.joint, _sizes(model), given.times[-1] if given.times else 0.0
     solid = joint.dim == 3 or given.plane == "axisymmetric"
     of_body, of_layer = ("volume", "area") if solid else ("area", "length")
+    names = {S: given.mesh.get("S") or S}  # the only seam has another name in the file
     about = "" if joint.dim == 3 else f", plane {model.plane}"
     lines = [f"mesh {given.mesh['path']}: {len(joint.cells)} {joint.cell_type} cells, element {model.element}{about}"]
     lines += ["lengths in {}, stresses in {}".format(*given.units)] if given.units else []
@@ -38,9 +38,9 @@ def understood(case: Case) -> str:
     for name, seam in joint.seams.items():
         sides = f"from {', '.join(seam.lower) or 'a rigid base'} to {', '.join(seam.upper)}"
         size = f"{of_layer} = {sizes[name]:.6g}, {len(joint.rows_of(name))} facets"
-        lines.append(f"layer {name}: {_law(values['layer'], given.layer, name)}, {size}, {sides}")
+        lines.append(f"layer {names.get(name, name)}: {_law(values['layer'], given.layer, name)}, {size}, {sides}")
     lines += [f"support {place}: {_shown(one)}" for place, one in values.get("supports", {}).items()]
-    lines += [f"{key}: {_shown(values[key])}" for key in LOADS if key in values]
+    lines += [f"{key}: {_shown(values[key])}" for key in ("tractions", "body_force", "loads") if key in values]
     lines.append(f"loads in all, at t = {t:g}: {model.applied(t).at(np.zeros(joint.dim))}")
     return "\n".join([*lines, *(f"goal {goal.name}" for goal in case.goals)])
 
@@ -48,7 +48,7 @@ def understood(case: Case) -> str:
 def _law(values: Mapping[str, Any], materials: Mapping[str | None, Material], name: str) -> str:
     """The law of a body or of a layer, and its numbers as they were given."""
     key = name if name in materials else None
-    return _shown({"law": type(materials[key].law).__name__, **(values[key] if key else values)})
+    return _entries({"law": type(materials[key].law).__name__, **(values[key] if key else values)})
 
 
 def _sizes(model: InterfaceModel) -> dict[str, float]:
@@ -61,10 +61,14 @@ def _sizes(model: InterfaceModel) -> dict[str, float]:
     return dict(zip(places, map(float, per_unit(model.comm, sum(parts, ufl.Form([])), chosen)), strict=True))
 
 
+def _entries(table: Mapping[str, Any]) -> str:
+    return ", ".join(f"{key} = {_shown(one)}" for key, one in table.items())
+
+
 def _shown(value: Any) -> str:
     """A value of TOML in one line."""
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} = {_shown(one)}" for key, one in value.items())
+        return f"{{{_entries(value)}}}"
     if isinstance(value, list):
         return f"[{', '.join(map(_shown, value))}]"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
