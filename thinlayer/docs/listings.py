@@ -13,18 +13,34 @@ from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.util.docutils import SphinxDirective
 
-from thinlayer.running.cli import studies
+from thinlayer.running.catalogue import Study, duration, studies
 
 CLONE = Path(__file__).parents[2]
+PICTURES = "../../../studies/pictures/"  # from a page of the reference
 
 
 class Studies(SphinxDirective):
-    """A table of the studies."""
+    """A gallery of the studies: pictures, what each shows, and how long it takes."""
 
     def run(self) -> list[nodes.Node]:
-        rows = ["| Study | What it shows |", "|---|---|"]
-        rows += [f"| `{one.name}` | {one.summary} |" for one in studies().values() if one.drawn]
-        return self.parse_text_to_nodes("\n".join(rows))
+        found: list[nodes.Node] = []
+        for group in dict.fromkeys(study.group for study in studies().values()):
+            cards = nodes.container(classes=["study-cards"])
+            members = [study for study in studies().values() if study.group == group]
+            cards += [nodes.container("", *self.card(study)) for study in members]
+            found += [nodes.rubric(text=group), cards]
+        return found
+
+    def card(self, study: Study) -> list[nodes.Node]:
+        """A study's name, picture, summary, and times."""
+        picture = "".join(f"![{study.summary}]({PICTURES}{path.name})\n\n" for path in sorted(drawn(study))[:1])
+        times = f"{duration(study.full)}, with `--quick` {duration(study.quick)}"
+        return self.parse_text_to_nodes(f"**{study.name}**\n\n{picture}{study.summary}\n\n{times}")
+
+
+def drawn(study: Study) -> list[Path]:
+    """Pictures of a study."""
+    return [path for path in (CLONE / "studies/pictures").glob(f"{study.name}*") if path.suffix in (".svg", ".png")]
 
 
 class Errata(SphinxDirective):

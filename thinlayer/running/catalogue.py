@@ -69,18 +69,13 @@ def _option(argument: ast.arg, text: str) -> dict[str, Any]:
             return found | {"choices": allowed, "type": type(allowed[0])}
 
 
-def listed(heading: str, line: str) -> str:
-    """The groups and their studies but for benchmarks, which draw nothing, a line each.
-
-    Args:
-        heading: format of a group's name.
-        line: format of a study by its attributes; times are texts.
-    """
+def listed() -> str:
+    """The groups and their studies with their times, a line each; without benchmarks, which draw nothing."""
     lines = dict[str, None]()  # each heading once
     for study in (study for study in studies().values() if study.drawn):
-        lines[heading.format(study.group)] = None
-        times = {"quick": duration(study.quick), "full": duration(study.full)}
-        lines[line.format_map(vars(study) | times)] = None
+        lines[study.group] = None
+        times = f"{duration(study.full):>6}, quick {duration(study.quick):<6}"
+        lines[f"  {study.name:<20} {times}  {study.summary}"] = None
     return "\n".join(lines)
 
 

@@ -39,8 +39,6 @@ STATUSES = (
     "Exit status: 0 all checks of the study hold; 1 a check failed; 2 wrong input, nothing is written; 3 not finished, "
     "results so far are kept: a solve failed, a file could not be written, an interrupt, or a defect, with its traceback."
 )
-COLUMNS = "{}", "  {name:<20} {full:>6}, quick {quick:<6}  {summary}"
-MARKDOWN = "| **{}** | | |", "| [`{name}`](studies/{name}.py) | {full} | {summary} |"
 PETSC_PREFIX = "-thinlayer_"
 Petsc = Mapping[str, str | None]
 Work = Callable[["Parser", argparse.Namespace, Petsc], int]
@@ -114,9 +112,7 @@ def command_line() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(metavar="COMMAND")
     what = "List the studies in groups, with their times on one core; without benchmarks, which draw nothing."
     shown = _command(commands, "list", _list, what, "--json")
-    forms = shown.add_mutually_exclusive_group()
-    forms.add_argument("--markdown", action="store_true", help="as the table of the README")
-    _add_json(forms)
+    _add_json(shown)
     what = "Print the versions of the packages that results depend on."
     _add_json(_command(commands, "info", _info, what, "--json"))
     what = "Draw the pictures of a study again, from the tables of an earlier run."
@@ -130,7 +126,7 @@ def command_line() -> argparse.ArgumentParser:
         for name, details in study.options.items():
             one.add_argument(f"--{name}", default=None, **details)
         one.add_argument("--resume", action="store_true", help="go on with the sweeps of a killed run, same options")
-    what = "Tell by how much the answer changes without the mesh of a layer; thinlayer/guide/estimate.md has the keys."
+    what = "Tell by how much the answer changes without the mesh of a layer; thinlayer/docs/reference/description.md has the keys."
     estimate = _computing(_command(commands, "estimate", _estimate, what, "joint.toml --set layer.eps=0.1"))
     estimate.add_argument(
         "description", type=Path, metavar="DESCRIPTION", help="a file in TOML; with --new a mesh file"
@@ -189,7 +185,7 @@ def _neither(parser: Parser, chosen: argparse.Namespace, _: Petsc) -> int:
 
 def _list(_: Parser, chosen: argparse.Namespace, __: Petsc) -> int:
     answer = {name: vars(study) for name, study in studies().items()}
-    return _tell(chosen, answer, listed(*MARKDOWN if chosen.markdown else COLUMNS))
+    return _tell(chosen, answer, listed())
 
 
 def _info(_: Parser, chosen: argparse.Namespace, __: Petsc) -> int:

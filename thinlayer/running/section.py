@@ -43,7 +43,9 @@ def read(path: Path, settings: Iterable[str] = ()) -> Section:
     except OSError as error:
         raise DescriptionError(f"{path} cannot be read: {error.strerror}") from None
     except ValueError as error:
-        what = "what TOML cannot say, as loads that are functions, a script says: see thinlayer/guide/estimate.md"
+        what = (
+            "what TOML cannot say, as loads that are functions, a script says: see thinlayer/docs/tutorials/estimate.md"
+        )
         raise DescriptionError(f"{path} is no TOML: {error}; {what}") from None
     mesh = values.get("mesh")
     mesh = {"path": mesh} if isinstance(mesh, str) else mesh

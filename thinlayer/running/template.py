@@ -32,7 +32,7 @@ def _filled(mesh: Path, named: Named) -> str:
     sides = [quoted(name) for name in named.facets if name not in inside]
     bodies = "\n\n".join(f"[body.{quoted(name)}]\n{moduli}" for name in named.regions)
     held, loaded = ("\n".join(f"{name} = {quoted(value)}" for name in sides) for value in ("?", vector))
-    return f"""# Fill in each "?", and delete what is not so: thinlayer/guide/estimate.md has all keys.
+    return f"""# Fill in each "?", and delete what is not so: thinlayer/docs/reference/description.md has all keys.
 # {words}
 mesh = {{path = {quoted(str(mesh))}, {seam}}}
 units = "?"  # of lengths and of stresses, such as "mm, MPa"
