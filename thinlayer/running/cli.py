@@ -126,7 +126,7 @@ def command_line() -> argparse.ArgumentParser:
         for name, details in study.options.items():
             one.add_argument(f"--{name}", default=None, **details)
         one.add_argument("--resume", action="store_true", help="go on with the sweeps of a killed run, same options")
-    what = "Tell by how much the answer changes without the mesh of a layer; thinlayer/docs/reference/description.md has the keys."
+    what = "Say what a layer's mesh changes; thinlayer/docs/reference/description.md has the keys."
     estimate = _computing(_command(commands, "estimate", _estimate, what, "joint.toml --set layer.eps=0.1"))
     estimate.add_argument(
         "description", type=Path, metavar="DESCRIPTION", help="a file in TOML; with --new a mesh file"
