@@ -55,7 +55,7 @@ class Check:
     def __post_init__(self) -> None:
         above = self.low is None or self.value >= self.low
         below = self.high is None or self.value <= self.high
-        self.passed = above and below  # NaN passes neither
+        self.passed = bool(above and below)  # NaN passes neither; numpy's bool is none of JSON's
 
     def __str__(self) -> str:
         ends = [f"{sign} {end:.6g}" for sign, end in ((">=", self.low), ("<=", self.high)) if end is not None]
@@ -115,7 +115,7 @@ class Record:
         stack.enter_context(locked(self.out))
         if (self.out / RUN).exists():
             if self.resume:
-                self._files |= {*self._resumed()["files"]}
+                self._files |= {*self.same_run()["files"]}
             else:
                 self._previous = moved_away(self.out, self._earlier())
         elif tables := sorted(path.name for path in self.out.glob("*.csv")):
@@ -150,8 +150,10 @@ class Record:
         """The content of run.json; on rank 0. InputError: the file cannot be read, or has other content."""
         path = self.out / RUN
         try:
-            run = json.loads(path.read_text(encoding="utf-8"))
-            return {name: run[name] for name in ("study", "options", "code", "petsc", "files")}
+            run = dict(json.loads(path.read_text(encoding="utf-8")))
+            if missing := {"study", "options", "code", "petsc", "files", "error", "checks"} - run.keys():
+                raise KeyError(*sorted(missing))
+            return run
         except (OSError, ValueError, LookupError, TypeError) as error:
             raise InputError(f"{path} cannot be read ({error})") from error
 
@@ -162,8 +164,12 @@ class Record:
             raise InputError(f"the run in {self.out} is of the study {run['study']}, not {self.study}")
         return run
 
-    def _resumed(self) -> dict[str, Any]:
-        """The same; InputError: the run had other options or source code."""
+    def same_run(self) -> dict[str, Any]:
+        """The content of run.json. On rank 0.
+
+        Raises:
+            InputError: it cannot be read, or is of another study, other options or other source code.
+        """
         run = self._of_study()
         here = {"options": self.identity()[1], "code": code(), "petsc": petsc_options()}
         there = {name: run[name] for name in here}
