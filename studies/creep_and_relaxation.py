@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -143,6 +143,27 @@ def run(record: Record, *, quick: bool = False) -> None:
         record.check(f"lowest observed order, {scheme}", np.nanmin(observed), low=0.9 * order)
         record.check(f"highest observed order, {scheme}", np.nanmax(observed), high=1.1 * order)
     record.check("largest error of the midpoint rule", orders[f"midpoint {steps[-1]:g}"].max(), high=2e-4)
+    check_printed(record, curves)
+
+
+def check_printed(record: Record, curves: dict[str, Array]) -> None:
+    """Jumps by the laws that the paper prints are not those of the meshed layer.
+
+    Eq. (19) has half of the right tangential compliance, and a negative normal one. In Eq. (23) the modulus bars are around
+    the rate: for shear that is another viscosity, as |v (x)_s n| = |v|/sqrt(2).
+    """
+    (sheared, pulled), E, nu = PULLS, MU * (3 * LMBDA + 2 * MU) / (LMBDA + MU), LMBDA / (2 * (LMBDA + MU))
+    jumps = {("Maxwell, creep", sheared): sheared.stress * (1 + nu) / E * (1 + AT / T1)}
+    jumps["Maxwell, creep", pulled] = -pulled.stress * (1 - nu) / (E * nu) * (1 + AT / T1)
+    for title, law in (("Norton p = 1.5, creep", LOW), ("Norton p = 3, creep", HIGH)):
+        other = replace(law, eta=law.eta * 2 ** (law.p / 2 - 1))
+        jumps[title, sheared] = float(norton(other, sheared, np.array(AT)))
+    for (title, pull), jump in jumps.items():
+        meshed = float(np.interp(AT, curves["t"], curves[f"{title}: {FULL}, {pull.name}"]))
+        expected = jump / float(CASES[title].exact(pull, np.array(AT)))
+        record.check_near(
+            f"{title}, {pull.name}: jump as printed over that of the layer", jump / meshed, expected, 0.01
+        )
 
 
 def until(end: float, dt: float) -> list[float]:

@@ -169,6 +169,7 @@ class YieldingBar:
             return
         elastic = np.nanmax(np.abs(ratio / mu - 1)[(x > 20) & (x < 90)])
         record.check("R4m: |t_T/u_T / mu - 1| between 20 and 90 mm", elastic, high=1e-6)
+        record.check_near("R4m: t_T/u_T at 50 mm, N/mm^3", float(np.interp(SIDE / 2, x, ratio)), mu, 1e-6)
         record.check("R4m: smallest t_T/u_T over mu", np.nanmin(ratio) / mu, high=0.99)
 
 
