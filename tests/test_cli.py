@@ -143,7 +143,7 @@ def test_limits_and_drawing_again(tmp_path, quiet):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("rnu limits", "unknown command 'rnu', did you mean 'run'?; known: draw, estimate, info, list, run\n"),
+        ("rnu limits", "unknown command 'rnu', did you mean 'run'?; known: draw, estimate, info, list, reproduce, "),
         ("run fig7", "thinlayer run: error: unknown study 'fig7'; known: bearing, "),
         ("run fig6", "unknown study 'fig6', did you mean 'fig6_stratified'?; known: "),
         ("run rates --law monodirectonal", "run rates: error: unknown law 'monodirectonal', did you mean 'monodirect"),
@@ -154,6 +154,9 @@ def test_limits_and_drawing_again(tmp_path, quiet):
         ("run limits 0.1", "run limits: error: unrecognized argument '0.1'; --help has all\n"),
         ("run limits -ksp_rtol 0.1", "argument '-ksp_rtol'; --help has all; PETSc options start with -thinlayer_\n"),
         ("estimate a.msh --new --set a=1", "estimate: error: --new reads a mesh file, which has no keys to --set"),
+        ("run limits fig7", "unknown study 'fig7'; known: bearing, "),
+        ("run --all -thinlayer_ksp_type cg", "PETSc options are those of one study"),
+        ("reproduce -j 0", "studies at a time, -j is 0; allowed: 1 or more"),
         ("run limits -q -v", "argument -v/--verbose: not allowed with argument -q/--quiet"),
         ("run rates --law elastic --eps -0.1", "thickness eps is -0.1; allowed: > 0"),
         ("run rates --law elastic --eps 0.1 0.1", "different thicknesses"),

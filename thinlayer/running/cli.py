@@ -39,6 +39,8 @@ STATUSES = (
     "Exit status: 0 all checks of the study hold; 1 a check failed; 2 wrong input, nothing is written; 3 not finished, "
     "results so far are kept: a solve failed, a file could not be written, an interrupt, or a defect, with its traceback."
 )
+REPRODUCED = "Exit status: 0 all numbers hold; 1 one does not; 2 wrong input; 3 a study is not finished, as the page shows."
+TAKEN_UP = "Started again, it keeps the runs that are done with the same options and code, and goes on with the others."
 PETSC_PREFIX = "-thinlayer_"
 Petsc = Mapping[str, str | None]
 Work = Callable[["Parser", argparse.Namespace, Petsc], int]
@@ -81,11 +83,13 @@ def _unknown(kind: str, name: object, known: Iterable[object]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit status, see `STATUSES`. A defect raises its exception, see `start`."""
-    parser = command_line()
+    words = [*(sys.argv[1:] if arguments is None else arguments)]
+    several = words[:1] == ["run"] and ("--all" in words or [word[:1] == "-" for word in words[1:3]] == [False, False])
+    parser = _several_studies() if several else command_line()
     if "_ARGCOMPLETE" in os.environ:  # a shell asks for the words that may come next
         with suppress(ImportError):
             importlib.import_module("argcomplete").autocomplete(parser)
-    chosen, rest = parser.parse_known_args(arguments)
+    chosen, rest = parser.parse_known_args(words[several:])
     status: int = chosen.work(chosen.parser, chosen, chosen.parser.petsc_options(rest))
     return status
 
@@ -119,7 +123,8 @@ def command_line() -> argparse.ArgumentParser:
     draw = _computing(_command(commands, "draw", _draw, what, "fig6_stratified"))
     drawn = [study.name for study in studies().values() if study.drawn]
     draw.add_argument("study", metavar="STUDY", choices=drawn, help="name of a study; the command list prints all")
-    run = _command(commands, "run", _run, "Run a study; STUDY --help shows its options.", "fig6_stratified --quick")
+    what = "Run a study, or several at a time: STUDY STUDY ..., or --all. STUDY --help shows the options of a study."
+    run = _command(commands, "run", _run, what, "fig6_stratified --quick")
     names = run.add_subparsers(dest="study", required=True, metavar="STUDY")
     for study in studies().values():
         one = _computing(_command(names, study.name, _run, study.summary, "--out DIR"))
@@ -137,7 +142,30 @@ def command_line() -> argparse.ArgumentParser:
     before.add_argument("--check", action="store_true", help="print what is read, and the sum of loads; solve nothing")
     before.add_argument("--new", action="store_true", help="print a description to fill in, with a mesh file's names")
     _add_json(before)
+    what = "Run the studies of the paper, and write a page with its numbers beside those that are computed."
+    page = _command(commands, "reproduce", _batch, f"{what} {TAKEN_UP}", "--quick")
+    page.epilog = f"{REPRODUCED} {page.epilog}"
+    _add_batch(page, Path("out", "reproduce"))
     return parser
+
+
+def _several_studies() -> Parser:
+    """The parser of `run` for several studies."""
+    what = f"Run several studies, each in its folder DIR/STUDY. {TAKEN_UP}"
+    parser = Parser(prog="python3 -m thinlayer run", description=what, epilog=STATUSES)
+    parser.add_argument("studies", nargs="*", metavar="STUDY", choices=studies(), help="names of studies")
+    names = [study.name for study in studies().values() if study.drawn]
+    parser.add_argument("--all", action="store_const", const=names, help="all studies without the benchmarks")
+    parser.set_defaults(work=_batch)
+    _add_batch(parser, Path("out"))
+    return parser
+
+
+def _add_batch(parser: Parser, out: Path) -> None:
+    """Add what commands that run several studies have in common."""
+    parser.add_argument("--quick", action="store_true", help="coarser meshes and fewer rows, of studies that have both")
+    parser.add_argument("--out", type=Path, default=out, metavar="DIR", help=f"folder of the runs (default: {out})")
+    parser.add_argument("-j", type=int, metavar="N", help="studies at a time (default: as many as cores)")
 
 
 def _command(commands: Any, name: str, work: Work, what: str, example: str) -> Parser:
@@ -230,6 +258,24 @@ def _run(_: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
 
     out = chosen.out or Path("out", study.name)
     return recorded(study.name, out, work, options=given, petsc=petsc, resume=chosen.resume, verbose=chosen.verbose)
+
+
+def _batch(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
+    """Run several studies, or those of the paper with its page."""
+    if petsc:
+        parser.error("PETSc options are those of one study; run it by itself")
+
+    def work() -> int:
+        from thinlayer.running.batch import Job, quick_options, run_all
+        from thinlayer.running.reproduce import reproduce
+
+        if "studies" not in chosen:
+            return reproduce(chosen.out, quick=chosen.quick, at_a_time=chosen.j)
+        names = dict.fromkeys(chosen.all or chosen.studies)
+        jobs = [Job(name, quick_options(name, chosen.quick), chosen.out / name) for name in names]
+        return run_all(jobs, chosen.out, chosen.j)
+
+    return computed(work, petsc={}, verbose=0)
 
 
 def _estimate(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:

@@ -1,0 +1,141 @@
+"""The page of the paper: its rows name checks that studies make, it is whole in itself, gaps are seen; runs in a batch."""
+
+from __future__ import annotations
+
+import ast
+import base64
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from forms.base import InputError
+from studies import rates
+from thinlayer.running.batch import Job, run_all
+from thinlayer.running.markup import formula_of, html_of
+from thinlayer.running.process import CHECK_FAILED, OK, UNFINISHED
+from thinlayer.running.record import Record
+from thinlayer.running.reproduce import Page
+
+CLONE = Path(__file__).parent.parent
+BROWSERS = ("chromium", "chromium-headless-shell", "chromium-browser", "google-chrome")
+PIXEL = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
+SECONDS = {"long": 3.0, "bad": 2.0, "short": 1.0}
+FACTS = {"command": "python3 -m thinlayer reproduce"}
+ASKED = """<script>addEventListener("load", () => { document.title = JSON.stringify([
+  [...document.images].filter(image => !image.naturalWidth).map(image => image.alt),
+  [...document.links].filter(link => link.hash && !document.getElementById(link.hash.slice(1))).map(link => link.href)]) })
+</script>"""
+
+
+def entries(page):
+    rows = [row for part in page.data["sections"] for row in part["rows"]]
+    return rows + [entry for entry in page.data["errata"] if "check" in entry]
+
+
+def ran(job, checks):
+    """Leave what a run of a job leaves; its checks must lie between 1 and 3."""
+    with Record(job.study, job.folder, job.options) as record:
+        for name, value in checks.items():
+            record.check(name, value, low=np.float64(1.0), high=3.0)
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """The page of runs of one kind of number, 2."""
+    page = Page(tmp_path_factory.mktemp("paper"), quick=True)
+    for name, job in page.jobs.items():
+        ran(job, {row["check"].replace("*", "any"): 2.0 for row in entries(page) if row["run"] == name})
+    for name in (name for part in page.data["sections"] for name in part["pictures"]):
+        (page.out / name).write_bytes(base64.b64decode(PIXEL))
+    assert page.write(FACTS) == OK
+    return page
+
+
+def test_every_row_names_a_check_of_a_study():
+    """A check's name is a text of some study, with values put in where the row has * or the same value."""
+    texts = []
+    for node in (node for path in (CLONE / "studies").glob("*.py") for node in ast.walk(ast.parse(path.read_text()))):
+        parts = node.values if isinstance(node, ast.JoinedStr) else [node] if isinstance(node, ast.Constant) else []
+        words = [str(part.value) if isinstance(part, ast.Constant) else "" for part in parts]
+        if sum(map(len, words)) > 8:
+            texts.append(re.compile("".join(re.escape(word) or ".+" for word in words)))
+    page = Page(Path("out"), quick=True)
+    for entry in entries(page):
+        assert any(text.fullmatch(entry["check"]) for text in texts), entry
+        if page.jobs[entry["run"]].study == "rates" and entry["check"].startswith("last observed order of the *,"):
+            assert entry["check"].rpartition(", ")[2] in rates.ROWS, entry
+
+
+def test_the_page_is_whole_in_itself(page):
+    text = (page.out / "index.html").read_text()
+    ids, links = (re.findall(rf'<[^>]+ {name}="([^"]+)"', text) for name in ("id", "href"))
+    pictures = re.findall(r'src="data:image/(png|svg\+xml);base64,([^"]+)"', text)
+    assert not re.search(r"<(script|link|iframe)|url\(|@import", text)
+    assert len(ids) == len({*ids})
+    assert {link for link in links if not link.startswith("https://doi.org/")} <= {f"#{name}" for name in ids}
+    assert len(pictures) == text.count(" src=") > 40
+    for kind, content in pictures:
+        assert base64.b64decode(content, validate=True).startswith(b"<svg" if kind == "svg+xml" else b"\x89PNG")
+    rows = json.loads((page.out / "reproduce.json").read_text())["rows"]
+    assert {row["verdict"] for row in rows} == {"holds"}
+    assert f"{len(rows)} of {len(rows)} numbers hold; 8 figures" in text
+
+
+def test_a_browser_shows_the_page(page, tmp_path):
+    if not (browser := next(filter(None, map(shutil.which, BROWSERS)), None)):
+        pytest.skip(f"none of {', '.join(BROWSERS)} is on PATH")
+    asked = tmp_path / "index.html"
+    asked.write_text((page.out / "index.html").read_text() + ASKED)
+    words = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--dump-dom", asked.as_uri()]
+    done = subprocess.run([browser, *words], capture_output=True, text=True, timeout=60)
+    assert "<title>[[],[]]</title>" in done.stdout, done.stderr
+    assert "CONSOLE" not in done.stderr
+
+
+def test_a_batch_takes_up_what_is_done(tmp_path, monkeypatch, capsys):
+    """The longest run is first, one that fails stops no other one; a second batch repeats it, and resumes a killed one."""
+    long, bad, short = (Job(name, {}, tmp_path / "out" / name, seconds) for name, seconds in SECONDS.items())
+    for job in (long, short):
+        ran(Job(job.study, {}, tmp_path / job.study), {"a number": 2.0})
+    script, calls = tmp_path / "python", tmp_path / "calls"
+    script.write_text(f'#!/bin/sh\ncd {tmp_path}\necho "$4 $7" >> calls\nmkdir -p $6\ncp $4/run.json $6')
+    script.chmod(0o700)
+    monkeypatch.setattr("sys.executable", str(script))
+    assert run_all([short, bad, long], tmp_path / "out", 1) == UNFINISHED
+    assert calls.read_text().split() == ["long", "bad", "short"]
+    assert re.search(r"3 of 3  short: all checks hold \(\d+ s, see .*short.log\)", capsys.readouterr().out)
+    path = long.folder / "run.json"
+    path.write_text(path.read_text().replace('"error": null', '"error": "not finished"'))
+    assert run_all([short, bad, long], tmp_path / "out", 2) == UNFINISHED
+    assert calls.read_text().split()[3:] in (["long", "--resume", "bad"], ["bad", "long", "--resume"])
+    assert run_all([short, long], tmp_path / "out") == OK
+    assert len(calls.read_text().split()) == 6
+
+
+def test_formulas_without_scripts():
+    text = html_of(r"`a<b` and [Eq. (3)](#x): $\bar\mu_{12} [\dot u_1]^{p-2} < \tan \Omega$")
+    assert text == (
+        '<p><code>a&lt;b</code> and <a href="#x">Eq. (3)</a>: <span class="formula"><i>μ\u0304</i><sub>12</sub> '
+        "[<i>u\u0307</i><sub>1</sub>]<sup><i>p</i>\u22122</sup> &lt; tan <i>Ω</i></span></p>"
+    )
+    with pytest.raises(InputError, match=r"frac': no name of .*signs.toml"):
+        formula_of(r"\frac{a}{b}")
+
+
+@pytest.mark.parametrize(("value", "status", "verdict"), [(None, UNFINISHED, "missing"), (4.0, CHECK_FAILED, "fails")])
+def test_a_run_that_fails_is_seen(page, tmp_path, value, status, verdict):
+    """Without its run.json, or with a number out of its bounds."""
+    shutil.copytree(page.out, tmp_path, dirs_exist_ok=True)
+    other = Page(tmp_path, quick=True)
+    shutil.rmtree(tmp_path / "fig4")
+    if value:
+        ran(other.jobs["fig4"], {row["check"]: value for row in entries(other) if row["run"] == "fig4"})
+    assert other.write(FACTS) == status
+    assert {row["run"] for row in other.rows if row["verdict"] == verdict} == {"fig4"}
+    assert other.unfinished == ([] if value else ["fig4"])
+    assert ("Not finished: fig4" in (tmp_path / "index.html").read_text()) == (not value)

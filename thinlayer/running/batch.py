@@ -1,0 +1,134 @@
+"""Several runs of studies at a time, each a process of its own; a batch that was killed takes up what it has done."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from forms.base import InputError, require
+from geometry.parallel import world
+from thinlayer.running.catalogue import studies
+from thinlayer.running.process import CHECK_FAILED, OK, UNFINISHED
+from thinlayer.running.record import Record
+from thinlayer.system.folder import locked
+from thinlayer.system.progress import telling
+from thinlayer.system.words import say
+
+WORDS = {OK: "all checks hold", CHECK_FAILED: "a check fails", UNFINISHED: "not finished"}
+PAUSE = 0.1  # s between looks at the processes
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """A run of a study.
+
+    Attributes:
+        study: its name.
+        options: its options, as for `Record`.
+        folder: where it writes. What it prints goes to a file beside the folder, FOLDER.log.
+        seconds: about how long it takes. The longest jobs start first, and progress is counted in these seconds.
+    """
+
+    study: str
+    options: Mapping[str, Any]
+    folder: Path
+    seconds: float = 1.0
+
+    @property
+    def words(self) -> list[str]:
+        """Words of the command line after `run`, without the folder."""
+        words = [self.study]
+        for name, value in self.options.items():
+            words += [f"--{name}"] if value is True else [f"--{name}", str(value)]
+        return words
+
+    @property
+    def log(self) -> Path:
+        """The file that has what the run prints."""
+        return self.folder.with_name(f"{self.folder.name}.log")
+
+    def result(self) -> dict[str, Any] | None:
+        """The content of run.json; None unless it is of this study with these options and this code."""
+        try:
+            return Record(self.study, self.folder, self.options).same_run()
+        except InputError:
+            return None
+
+    def start(self, ends: ExitStack) -> subprocess.Popen[bytes] | None:
+        """Start the run, which resumes an earlier one if it can; None if an earlier one is done.
+
+        Args:
+            ends: ends the process, if it still runs, when it is closed.
+
+        Raises:
+            InputError: the folder cannot be written.
+        """
+        with locked(self.folder, wait=True):  # a killed batch may have left a process that still runs
+            earlier = self.result()
+        if earlier and earlier["error"] is None:
+            return None
+        command = [sys.executable, "-m", "thinlayer", "run", *self.words, "--out", str(self.folder)]
+        command += ["--resume"] if earlier else []
+        log = ends.enter_context(self.log.open("wb"))  # one thread each, as every core has a run of its own
+        process = subprocess.Popen(command, stdout=log, stderr=log, env={"OMP_NUM_THREADS": "1", **os.environ})
+        ends.enter_context(process)  # which waits for it
+        ends.callback(process.terminate)
+        return process
+
+    def status(self) -> int:
+        """Exit status of a run that has ended, by its run.json."""
+        result = self.result()
+        if result is None or result["error"] is not None:
+            return UNFINISHED
+        return OK if all(check["passed"] for check in result["checks"]) else CHECK_FAILED
+
+
+def quick_options(study: str, quick: bool) -> dict[str, bool]:
+    """The options that make a study quick, if it is wanted and the study has such an option."""
+    return {"quick": True} if quick and "quick" in studies()[study].options else {}
+
+
+def run_all(jobs: Sequence[Job], out: Path, at_a_time: int | None = None) -> int:
+    """Run jobs, and print a line for each that ends; a job that does not finish stops no other one.
+
+    Args:
+        jobs: what to run, each in a folder of its own.
+        out: folder that contains theirs; one batch at a time writes there.
+        at_a_time: number of processes (default: one for each core).
+
+    Returns:
+        The exit status: `UNFINISHED` if a job is not finished, else `CHECK_FAILED` if a check fails, else `OK`.
+
+    Raises:
+        InputError: started on several ranks; another batch is at work in `out`, or no files can be written there.
+    """
+    require(world().size == 1, "ranks of MPI", world().size, "studies run as processes of their own, without mpirun")
+    cores = len(os.sched_getaffinity(0)) if at_a_time is None else at_a_time
+    require(cores >= 1, "studies at a time, -j", cores, "allowed: 1 or more")
+    waiting, statuses = sorted(jobs, key=lambda job: -job.seconds), [OK]
+    running: dict[Job, tuple[subprocess.Popen[bytes] | None, float]] = {}
+    with locked(out, ".batch"), telling("studies") as tell, ExitStack() as ends:
+        ends.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, signal.default_int_handler))
+        while waiting or running:
+            for job in waiting[: cores - len(running)]:
+                waiting.remove(job)
+                running[job] = job.start(ends), time.monotonic()
+            for job, (process, start) in [*running.items()]:
+                if process is None or process.poll() is not None:
+                    del running[job]
+                    statuses.append(job.status())
+                    spent = f"{time.monotonic() - start:.0f} s, see {job.log}" if process else "done before"
+                    say(f"{len(statuses) - 1} of {len(jobs)}  {job.folder.name}: {WORDS[statuses[-1]]} ({spent})")
+            now = f"{len(statuses) - 1} of {len(jobs)} done, {', '.join(job.folder.name for job in running)}"
+            left, whole = (sum(job.seconds for job in some) for some in ([*waiting, *running], jobs))
+            tell(1 - left / whole, now)
+            time.sleep(PAUSE)
+    return max(statuses)

@@ -1,0 +1,54 @@
+"""Text with `code`, **stress**, [links](to) and formulas in dollars, as $\\bar\\mu [u_T]$, as HTML without scripts.
+
+A formula has letters, numbers, \\bar and \\dot of a letter, _ and ^ of a word or of a group {without groups}, and the names
+of studies/data/signs.toml. These are a part of TeX, which other readers of the same text set as well.
+"""
+
+from __future__ import annotations
+
+import html
+import re
+import tomllib
+from pathlib import Path
+
+from forms.base import InputError
+
+DATA = Path(__file__).parents[2] / "studies" / "data"  # pages of the paper, and the means of their text
+SIGNS: dict[str, str] = tomllib.loads((DATA / "signs.toml").read_text(encoding="utf-8"))
+ACCENTS = {"bar": "\u0304", "dot": "\u0307"}
+MARKED = re.compile(r"\$([^$]+)\$|`([^`]+)`|\*\*([^*]+)\*\*|\[([^\]]+)\]\(([^)\s]+)\)")
+
+
+def html_of(text: str) -> str:
+    """Paragraphs of text as HTML; InputError: a formula has something else than described above."""
+    return "".join(f"<p>{line_of(part)}</p>" for part in re.split(r"\n\s*\n", text.strip()))
+
+
+def line_of(text: str) -> str:
+    """Text within a line as HTML; raises as `html_of`."""
+
+    def marked(match: re.Match[str]) -> str:
+        formula, code, stress, label, link = match.groups()
+        if formula:
+            return f'<span class="formula">{formula_of(html.unescape(formula))}</span>'
+        if link:
+            return f'<a href="{link}">{line_of(html.unescape(label))}</a>'
+        return f"<code>{code}</code>" if code else f"<strong>{stress}</strong>"
+
+    return MARKED.sub(marked, html.escape(text))
+
+
+def formula_of(tex: str) -> str:
+    """A formula as HTML; raises as `html_of`."""
+
+    def sign(match: re.Match[str]) -> str:
+        text = SIGNS.get(match[1][1:], match[1]) if match[1][0] == "\\" else match[1]
+        return f"<i>{text}{match[2]}</i>" if len(text) == 1 and text.isalpha() else text
+
+    done = re.sub(r"\\(bar|dot)\s*\{?(\\[a-z]+|\w)\}?", lambda match: match[2] + ACCENTS[match[1]], html.escape(tex))
+    done = re.sub(r"(\\[A-Za-z]+|\\.|&\w+;|[A-Za-z-])([\u0304\u0307]?)", sign, done.replace("-", "\\-"))
+    for raised, tag in (("_", "sub"), (r"\^", "sup")):
+        done = re.sub(rf"{raised}(?:\{{([^{{}}]*)\}}|(<i>.*?</i>|.))", rf"<{tag}>\1\2</{tag}>", done)
+    if left := re.search(r"[\\{}]\w*", done):
+        raise InputError(f"the formula {tex!r} has {left[0]!r}: no name of {DATA / 'signs.toml'}, no simple group")
+    return done

@@ -1,0 +1,205 @@
+"""The paper, section by section, beside what the studies compute: one page of HTML, and the same rows as JSON.
+
+What the paper says, the runs, and the checks that are shown are data: studies/data/paper.toml. The HTML is that of
+studies/data/paper.html. A row holds if the check of its name, which a study wrote to its run.json, has passed.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import platform
+import re
+import shlex
+import time
+import tomllib
+from collections.abc import Iterable, Mapping
+from functools import cache
+from html import escape
+from mimetypes import guess_type
+from pathlib import Path
+from string import Template
+from typing import Any
+
+from thinlayer.running.batch import Job, quick_options, run_all
+from thinlayer.running.markup import DATA, html_of, line_of
+from thinlayer.running.process import CHECK_FAILED, OK, UNFINISHED
+from thinlayer.running.provenance import code, versions
+from thinlayer.system.folder import replaced
+from thinlayer.system.table import Table
+from thinlayer.system.words import say
+
+STATUS = {"holds": OK, "fails": CHECK_FAILED, "missing": UNFINISHED}  # by verdict
+SHOWN = ("python", "thinlayer", "fenics-dolfinx", "petsc", "numpy")  # versions at the head of the page
+CLOSE = 0.05  # a range less than this wide, over its middle, is shown as one number and a tolerance
+NUMBERS = {"label": "Number", "printed": "Paper", "computed": "Computed", "bounds": "Bounds", "verdict": "Verdict"}
+ERRATA = {"where": "Where", "printed": "Printed", "right": "Right", "shown": "Shown by"}
+NONE = {"value": None, "low": None, "high": None, "passed": None}
+
+Row = dict[str, Any]
+
+
+def reproduce(out: Path, *, quick: bool, at_a_time: int | None) -> int:
+    """Run the studies of the paper and write index.html and reproduce.json.
+
+    Args:
+        out: folder of the page and of the runs.
+        quick: as of the studies.
+        at_a_time: number of processes (default: one for each core).
+
+    Returns:
+        The exit status: `UNFINISHED` if a run or row is missing, else `CHECK_FAILED` if a row fails, else `OK`.
+
+    Raises:
+        InputError: as of `run_all`.
+    """
+    start, page = time.monotonic(), Page(out, quick=quick)
+    run_all([*page.jobs.values()], out, at_a_time)
+    head = DATA.parents[1] / ".git" / "HEAD"
+    name = head.read_text().strip().removeprefix("ref: ") if head.exists() else "not known"
+    commit = (head.parent / name).read_text().strip() if (head.parent / name).is_file() else name
+    facts = {name: versions()[name] for name in SHOWN} | {
+        "commit": commit[:12],
+        "code": code(),
+        "date": time.strftime("%F"),
+    }
+    facts["machine"] = f"{platform.system()} {platform.machine()}, {len(os.sched_getaffinity(0))} cores"
+    facts["command"] = f"python3 -m thinlayer reproduce{' --quick' * quick}"
+    return page.write(facts | {"seconds": f"{time.monotonic() - start:.0f}"})
+
+
+class Page:
+    """The page, and the runs that it is made of.
+
+    Attributes:
+        data: what studies/data/paper.toml says.
+        jobs: runs by name, each in its folder in `out`.
+        results: content of run.json by run; {} for a run that has none.
+        unfinished: names of the runs that are not finished.
+        rows: all rows, see `of`.
+        summary: how many rows hold.
+    """
+
+    def __init__(self, out: Path, *, quick: bool) -> None:
+        self.out, self.data = out, tomllib.loads((DATA / "paper.toml").read_text(encoding="utf-8"))
+        self.jobs = {}
+        for name, run in self.data["runs"].items():
+            options = run.get("options", {}) | quick_options(run["study"], quick)
+            self.jobs[name] = Job(run["study"], options, out / name, run["seconds"][not quick])
+
+    def write(self, facts: Mapping[str, str]) -> int:
+        """Write the page and its rows, with facts on how it was made; returns the exit status, as `reproduce`."""
+        self.results = {name: job.result() or {} for name, job in self.jobs.items()}
+        self.unfinished = [name for name, result in self.results.items() if result.get("error", "no run") is not None]
+        self.rows = [row for part in self.data["sections"] for row in self.of(part["rows"], part["id"])]
+        hold = f"{sum(row['verdict'] == 'holds' for row in self.rows)} of {len(self.rows)} numbers hold"
+        figures = sum(part.get("figures", 0) for part in self.data["sections"])
+        self.summary = f"{hold}; {figures} figures; {len(self.data['errata'])} places of the paper corrected"
+        content = {**facts, "versions": versions(), "unfinished": self.unfinished, "rows": self.rows}
+        for name, text in {"reproduce.json": json.dumps(content, indent=1), "index.html": self.html(facts)}.items():
+            with replaced(self.out / name) as file:
+                file.write(text.encode())
+        say(f"{self.summary}\nwritten to {self.out / 'index.html'}")
+        return max(UNFINISHED if self.unfinished else OK, *(STATUS[row["verdict"]] for row in self.rows))
+
+    def of(self, entries: Iterable[Mapping[str, str]], section: str = "") -> list[Row]:
+        """Rows of entries of paper.toml: a check, or nulls where nothing is computed, and words for it.
+
+        A row has all checks of the run whose names match the entry's `check`, in which * is any text. In `label` each *
+        stands for the same text.
+        """
+        rows = []
+        for entry in entries:
+            run, pattern = entry["run"], re.compile("(.*)".join(map(re.escape, entry["check"].split("*"))))
+            about = {"section": section, "run": run, "study": self.jobs[run].study, "options": self.jobs[run].options}
+            checks = self.results[run].get("checks", ())
+            matches = [(check, match.groups()) for check in checks if (match := pattern.fullmatch(check["name"]))]
+            for check, parts in matches or [({"name": entry["check"], **NONE}, ())]:
+                label = entry.get("label", check["name"])
+                for part in parts:
+                    label = label.replace("*", part, 1)
+                computed = f"{check['value']:.6g}" if matches else ""
+                verdict = {True: "holds", False: "fails", None: "missing"}[check["passed"]]
+                words = {"label": label, "printed": entry.get("printed", ""), "verdict": verdict}
+                rows.append(about | check | words | {"computed": computed, "bounds": bounds(check)})
+        return rows
+
+    def html(self, facts: Mapping[str, str]) -> str:
+        """The whole page."""
+        about = {name: html_of(text) for name, text in self.data["paper"].items() if name != "bibtex"}
+        about |= {name: escape(self.data["paper"][name].strip()) for name in ("title", "bibtex")}
+        sections = self.data["sections"]
+        about["links"] = "".join(fill("link", id=part["id"], short=part["short"]) for part in sections)
+        about["sections"] = "".join(map(self.section, sections))
+        about["gaps"] = "".join(fill("gap", name=name, log=self.jobs[name].log.name) for name in self.unfinished)
+        about |= {"errata": table(ERRATA, "erratum", map(self.erratum, self.data["errata"])), "summary": self.summary}
+        return fill("page", **about, facts=pairs(facts), versions=pairs(versions()))
+
+    def section(self, part: Mapping[str, Any]) -> str:
+        """A section: the paper on the left, what is computed on the right; pictures, numbers, details."""
+        words = {"id": part["id"], "title": line_of(part["title"])}
+        words |= {name: html_of(part[name]) for name in ("problem", "says", "computed")}
+        words["sketch"] = picture(DATA / part["sketch"], part["sketch_says"])
+        words["pictures"] = "".join(picture(self.out / name, text) for name, text in part["pictures"].items())
+        runs = dict.fromkeys(row["run"] for row in part["rows"])
+        words["details"] = "".join(self.details(name, part.get("tables", ())) for name in runs)
+        return fill("section", **words, numbers=table(NUMBERS, "number", self.of(part["rows"])))
+
+    def details(self, run: str, tables: Iterable[str]) -> str:
+        """What is folded away of a run: its command, its tables, all its checks, its parameters."""
+        result, job = self.results[run], self.jobs[run]
+        paths = [self.out / name for name in tables if name.startswith(f"{run}/")]
+        texts = {path.name: str(Table.load(path)) for path in paths if path.exists()}
+        words = {"command": escape(shlex.join(job.words)), "seconds": f"{result.get('seconds', 0):.0f}"}
+        words["tables"] = "".join(fill("csv", name=name, text=escape(text)) for name, text in texts.items())
+        words["numbers"] = table(NUMBERS, "number", self.of([{"run": run, "check": "*"}]))
+        return fill("details", **words, parameters=pairs(result.get("parameters", {})))
+
+    def erratum(self, entry: Mapping[str, str]) -> dict[str, str]:
+        """A row of the errata; its evidence is a check of a section, or words."""
+        checks = self.of([entry]) if "check" in entry else ()
+        shown = "; ".join(f"{row['label']}: {row['computed']}" for row in checks) or entry["evidence"]
+        return {**entry, "shown": shown}
+
+
+# ---------------------------------------------------------------- pieces of HTML
+@cache
+def templates() -> dict[str, Template]:
+    """Parts of studies/data/paper.html by name."""
+    first, *rest = re.split(r"<!-- part: (.*) -->\n", (DATA / "paper.html").read_text(encoding="utf-8"))
+    return {"page": Template(first)} | dict(zip(rest[::2], map(Template, rest[1::2]), strict=True))
+
+
+def fill(part: str, **values: str) -> str:
+    """A part with values that are HTML."""
+    return templates()[part].substitute(values)
+
+
+def bounds(check: Row) -> str:
+    """Words for the range of a check."""
+    low, high = check["low"], check["high"]
+    if low is None or high is None:
+        return "".join(f"{sign} {end:.6g}" for sign, end in (("≥", low), ("≤", high)) if end is not None)
+    half = (high - low) / 2
+    return f"{low + half:.6g} ± {half:.2g}" if half <= CLOSE * abs(low) else f"{low:.6g} to {high:.6g}"
+
+
+def table(heads: Mapping[str, str], part: str, rows: Iterable[Mapping[str, Any]]) -> str:
+    """A table; `part` is filled with the texts of each row."""
+    lines = [fill(part, **row | {name: line_of(row[name]) for name in heads}) for row in map(dict, rows)]
+    return fill("table", head="".join(f"<th>{name}</th>" for name in heads.values()), body="".join(lines))
+
+
+def pairs(values: Mapping[str, Any]) -> str:
+    """Names and values."""
+    texts = {name: value if isinstance(value, str) else json.dumps(value) for name, value in values.items()}
+    return "".join(fill("pair", name=escape(name), value=escape(text)) for name, text in texts.items())
+
+
+def picture(path: Path, text: str) -> str:
+    """A picture with its caption, in the page itself; words if there is none."""
+    if not path.exists():
+        return fill("no figure", caption=line_of(text))
+    words = {"alt": escape(re.sub(r"[$`\\{}]", "", text)), "type": guess_type(path.name)[0] or "", "name": path.stem}
+    return fill("figure", **words, content=base64.b64encode(path.read_bytes()).decode(), caption=line_of(text))
