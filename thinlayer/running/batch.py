@@ -23,6 +23,7 @@ from thinlayer.system.progress import telling
 from thinlayer.system.words import say
 
 WORDS = {OK: "all checks hold", CHECK_FAILED: "a check fails", UNFINISHED: "not finished"}
+LOG = ".log"
 PAUSE = 0.1  # s between looks at the processes
 
 
@@ -33,7 +34,7 @@ class Job:
     Attributes:
         study: its name.
         options: its options, as for `Record`.
-        folder: where it writes. What it prints goes to a file beside the folder, FOLDER.log.
+        folder: where it writes. What it prints goes to a file beside the folder, FOLDER + LOG.
         seconds: about how long it takes. The longest jobs start first, and progress is counted in these seconds.
     """
 
@@ -49,11 +50,6 @@ class Job:
         for name, value in self.options.items():
             words += [f"--{name}"] if value is True else [f"--{name}", str(value)]
         return words
-
-    @property
-    def log(self) -> Path:
-        """The file that has what the run prints."""
-        return self.folder.with_name(f"{self.folder.name}.log")
 
     def result(self) -> dict[str, Any] | None:
         """The content of run.json; None unless it is of this study with these options and this code."""
@@ -77,8 +73,9 @@ class Job:
             return None
         command = [sys.executable, "-m", "thinlayer", "run", *self.words, "--out", str(self.folder)]
         command += ["--resume"] if earlier else []
-        log = ends.enter_context(self.log.open("wb"))  # one thread each, as every core has a run of its own
-        process = subprocess.Popen(command, stdout=log, stderr=log, env={"OMP_NUM_THREADS": "1", **os.environ})
+        environment = {"OMP_NUM_THREADS": "1", **os.environ}  # every core has a run of its own
+        with Path(f"{self.folder}{LOG}").open("wb") as log:
+            process = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
         ends.enter_context(process)  # which waits for it
         ends.callback(process.terminate)
         return process
@@ -125,7 +122,7 @@ def run_all(jobs: Sequence[Job], out: Path, at_a_time: int | None = None) -> int
                 if process is None or process.poll() is not None:
                     del running[job]
                     statuses.append(job.status())
-                    spent = f"{time.monotonic() - start:.0f} s, see {job.log}" if process else "done before"
+                    spent = f"{time.monotonic() - start:.0f} s, see {job.folder}{LOG}" if process else "done before"
                     say(f"{len(statuses) - 1} of {len(jobs)}  {job.folder.name}: {WORDS[statuses[-1]]} ({spent})")
             now = f"{len(statuses) - 1} of {len(jobs)} done, {', '.join(job.folder.name for job in running)}"
             left, whole = (sum(job.seconds for job in some) for some in ([*waiting, *running], jobs))

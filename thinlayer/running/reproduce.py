@@ -22,7 +22,7 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from thinlayer.running.batch import Job, quick_options, run_all
+from thinlayer.running.batch import LOG, Job, quick_options, run_all
 from thinlayer.running.markup import DATA, html_of, line_of
 from thinlayer.running.process import CHECK_FAILED, OK, UNFINISHED
 from thinlayer.running.provenance import code, versions
@@ -35,9 +35,7 @@ SHOWN = ("python", "thinlayer", "fenics-dolfinx", "petsc", "numpy")  # versions 
 CLOSE = 0.05  # a range less than this wide, over its middle, is shown as one number and a tolerance
 NUMBERS = {"label": "Number", "printed": "Paper", "computed": "Computed", "bounds": "Bounds", "verdict": "Verdict"}
 ERRATA = {"where": "Where", "printed": "Printed", "right": "Right", "shown": "Shown by"}
-NONE = {"value": None, "low": None, "high": None, "passed": None}
-
-Row = dict[str, Any]
+NONE = {"value": None, "low": None, "high": None, "passed": None}  # of a check that is missing
 
 
 def reproduce(out: Path, *, quick: bool, at_a_time: int | None) -> int:
@@ -103,7 +101,7 @@ class Page:
         say(f"{self.summary}\nwritten to {self.out / 'index.html'}")
         return max(UNFINISHED if self.unfinished else OK, *(STATUS[row["verdict"]] for row in self.rows))
 
-    def of(self, entries: Iterable[Mapping[str, str]], section: str = "") -> list[Row]:
+    def of(self, entries: Iterable[Mapping[str, str]], section: str = "") -> list[dict[str, Any]]:
         """Rows of entries of paper.toml: a check, or nulls where nothing is computed, and words for it.
 
         A row has all checks of the run whose names match the entry's `check`, in which * is any text. In `label` each *
@@ -132,7 +130,7 @@ class Page:
         sections = self.data["sections"]
         about["links"] = "".join(fill("link", id=part["id"], short=part["short"]) for part in sections)
         about["sections"] = "".join(map(self.section, sections))
-        about["gaps"] = "".join(fill("gap", name=name, log=self.jobs[name].log.name) for name in self.unfinished)
+        about["gaps"] = "".join(fill("gap", name=name, log=f"{name}{LOG}") for name in self.unfinished)
         about |= {"errata": table(ERRATA, "erratum", map(self.erratum, self.data["errata"])), "summary": self.summary}
         return fill("page", **about, facts=pairs(facts), versions=pairs(versions()))
 
@@ -176,13 +174,14 @@ def fill(part: str, **values: str) -> str:
     return templates()[part].substitute(values)
 
 
-def bounds(check: Row) -> str:
+def bounds(check: Mapping[str, Any]) -> str:
     """Words for the range of a check."""
     low, high = check["low"], check["high"]
     if low is None or high is None:
         return "".join(f"{sign} {end:.6g}" for sign, end in (("≥", low), ("≤", high)) if end is not None)
     half = (high - low) / 2
-    return f"{low + half:.6g} ± {half:.2g}" if half <= CLOSE * abs(low) else f"{low:.6g} to {high:.6g}"
+    near = f"{low + half:.6g}" + f" ± {half:.2g}" * (half > 0)
+    return near if half <= CLOSE * abs(low) else f"{low:.6g} to {high:.6g}"
 
 
 def table(heads: Mapping[str, str], part: str, rows: Iterable[Mapping[str, Any]]) -> str:
