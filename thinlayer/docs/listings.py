@@ -44,16 +44,14 @@ def drawn(study: Study) -> list[Path]:
 
 
 class Errata(SphinxDirective):
-    """A table of misprints."""
+    """A list of misprints."""
 
     def run(self) -> list[nodes.Node]:
-        file = CLONE / "studies/data/paper.toml"
-        if not file.exists():
-            return []
-        errata = tomllib.loads(file.read_text())["errata"]
-        rows = ["| Equation | Printed | Right | Shown by |", "|---|---|---|---|"]
-        rows += ["| {equation} | {printed} | {right} | {evidence} |".format(**one) for one in errata]
-        return self.parse_text_to_nodes("\n".join(rows))
+        lines = []
+        for one in tomllib.loads((CLONE / "studies/data/paper.toml").read_text())["errata"]:
+            shown = f"Shown by {one['run']}: {one['label']}." if "check" in one else one["evidence"]
+            lines.append(f"- **{one['where']}**: printed {one['printed']}. {one['right']} *{shown}*".replace("\n", " "))
+        return self.parse_text_to_nodes("\n".join(lines))
 
 
 def write_formula(writer: Any, node: nodes.Element) -> None:

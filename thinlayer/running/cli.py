@@ -39,7 +39,9 @@ STATUSES = (
     "Exit status: 0 all checks of the study hold; 1 a check failed; 2 wrong input, nothing is written; 3 not finished, "
     "results so far are kept: a solve failed, a file could not be written, an interrupt, or a defect, with its traceback."
 )
-REPRODUCED = "Exit status: 0 all numbers hold; 1 one does not; 2 wrong input; 3 a study is not finished, as the page shows."
+REPRODUCED = (
+    "Exit status: 0 all numbers hold; 1 one does not; 2 wrong input; 3 a study is not finished, as the page shows."
+)
 TAKEN_UP = "Started again, it keeps the runs that are done with the same options and code, and goes on with the others."
 PETSC_PREFIX = "-thinlayer_"
 Petsc = Mapping[str, str | None]
