@@ -87,7 +87,7 @@ def test_version_help_and_name(monkeypatch):
     monkeypatch.setattr(sys, "argv", ["/usr/bin/thinlayer", "-V"])
     with redirect_stdout(StringIO()) as out:
         assert pkgutil.resolve_name(script)() == 0
-    assert out.getvalue().startswith("thinlayer 0")
+    assert out.getvalue().startswith(f"thinlayer {VERSION}")
 
 
 def test_answers_as_json():
@@ -151,7 +151,7 @@ def test_limits_and_drawing_again(tmp_path, quiet):
             "run limits --qick",
             "run limits: error: unknown option '--qick', did you mean '--quick'?; known: --help, --out",
         ),
-        ("run limits 0.1", "run limits: error: unrecognized argument '0.1'; --help has all\n"),
+        ("run limits --quick 0.1", "run limits: error: unrecognized argument '0.1'; --help has all\n"),
         ("run limits -ksp_rtol 0.1", "argument '-ksp_rtol'; --help has all; PETSc options start with -thinlayer_\n"),
         ("estimate a.msh --new --set a=1", "estimate: error: --new reads a mesh file, which has no keys to --set"),
         ("run limits fig7", "unknown study 'fig7'; known: bearing, "),
