@@ -112,6 +112,8 @@ def _load(path: Path, scale: float) -> meshio.Mesh:
         InputError: not readable, or two groups with one physical name.
     """
     meshio = optional("meshio")
+    if not path.is_file():
+        raise InputError(f"there is no such file in {path.parent.resolve()}")
     said = io.StringIO()
     try:
         with redirect_stdout(said), redirect_stderr(said), warnings.catch_warnings(action="ignore"):
