@@ -142,7 +142,7 @@ def test_loads_that_grow(lap, tmp_path):
         ("loads=[{place = [0, 0], force = [0, 1], body = 'UP'}]", "unknown body 'UP'"),
         ("goals.pull.place=BACK", "nothing holds 'BACK'"),
         ("mesh.S=GLEU", "unknown set of facets 'GLEU', did you mean 'GLUE'?"),
-        ("mesh.path=other.msh", "File other.msh not found"),
+        ("mesh.path=other.msh", "other.msh: there is no such file in "),
         ("layer.eps=1e-300", "layer.eps: 1e-300; allowed beside bodies of "),
     ],
 )
