@@ -95,6 +95,11 @@ class Rubber(WithPressure):
     stiffness = isotropic_stiffness
 
     @classmethod
+    def young(cls, E: float, nu: float) -> Rubber:
+        """The law with Young's modulus E > 0 (stress) and Poisson's ratio 0 < nu < 1/2."""
+        return cls.shear(E / (2 * (1 + nu)), nu)
+
+    @classmethod
     def shear(cls, mu: float, nu: float) -> Rubber:
         """The law with shear modulus mu > 0 (stress) and Poisson's ratio 0 < nu < 1/2."""
         return cls(LinearElastic.shear(mu, nu).lmbda, mu)

@@ -10,7 +10,7 @@ from tests.documents import PAGES
 DOCS = "thinlayer/docs/"
 NOTATION = DOCS + "reference/notation.md"
 OPERATORS = re.compile(
-    r"bar|cdot|circ|cos|cot|dot|frac|ge|in|int|infty|langle|le|left|log|lvert|max|min|nabla|otimes|parallel|partial|pi|pm|"
+    r"bar|cdot|circ|cos|cot|dot|exp|frac|ge|in|int|infty|langle|le|left|log|lvert|max|min|nabla|otimes|parallel|partial|pi|pm|"
     r"propto|q?quad|rangle|right|rvert|sin|sqrt|sum|sym|tan|tfrac|times|to"
 )
 

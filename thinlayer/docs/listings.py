@@ -50,7 +50,8 @@ class Errata(SphinxDirective):
         lines = []
         for one in tomllib.loads((CLONE / "studies/data/paper.toml").read_text())["errata"]:
             shown = f"Shown by {one['run']}: {one['label']}." if "check" in one else one["evidence"]
-            lines.append(f"- **{one['where']}**. *Printed*: {one['printed']}. *Right*: {one['right']} *{shown}*".replace("\n", " "))
+            words = f"*Printed*: {one['printed']}. *Right*: {one['right']} *{shown}*"
+            lines.append(f"- **{one['where']}**. {words}".replace("\n", " "))
         return self.parse_text_to_nodes("\n".join(lines))
 
 

@@ -33,7 +33,7 @@ FIELDS = ("traction", "jump")
 ACCURACY = 0.01  # of the thickness, relative
 STEP = math.sqrt(2)  # ratio of thicknesses that are tried in turn, from the largest one
 SURE = 5  # of them in turn at which the error is allowed
-FEW = 8  # steps over which an error should fall
+FEW = 16  # steps over which an error should fall: nearly incompressible layers keep theirs over seven of them
 STALLED = 0.92  # error over that before so many steps from which on it hardly falls
 STEPS = 40  # at most, in search of a thickness that is thin enough
 
@@ -210,7 +210,7 @@ def _require_falling(errors: Sequence[float], low: float, passed: int) -> None:
     """Raise InputError if errors do not fall with the thickness any more, and are not allowed."""
     if passed or len(errors) <= FEW:
         return
-    at = f"the error is {errors[-1]:.3g} at {low:.3g}"
+    at = f"no thickness down to {low:.3g} is thin enough: the error is {errors[-1]:.3g} there"
     if errors[-1] > STALLED * max(errors[-1 - FEW : -1]) or len(errors) > STEPS:
         advice = "is the layer much softer than the bodies, and are there loads at this time?"
-        raise InputError(f"thin_enough: no thickness is thin enough: {at}, and hardly falls with it; {advice}")
+        raise InputError(f"thin_enough: {at}, and hardly falls with it; {advice}")

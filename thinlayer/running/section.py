@@ -43,9 +43,7 @@ def read(path: Path, settings: Iterable[str] = ()) -> Section:
     except OSError as error:
         raise DescriptionError(f"{path} cannot be read: {error.strerror}") from None
     except ValueError as error:
-        what = (
-            "what TOML cannot say, as loads that are functions, a script says: see thinlayer/docs/tutorials/estimate.md"
-        )
+        what = "texts stand in quotes, yes and no are true and false; what TOML cannot say, a script says"
         raise DescriptionError(f"{path} is no TOML: {error}; {what}") from None
     mesh = values.get("mesh")
     mesh = {"path": mesh} if isinstance(mesh, str) else mesh
@@ -129,7 +127,7 @@ class Section:
     def checked(self, key: str, good: Callable[[Any], bool], wrong: str) -> Any:
         """The value of a key; raises DescriptionError unless it is good, with what is wrong."""
         if not good(value := self.values[key]):
-            self.refuse(f"{_shown(value)} {wrong}", key)
+            self.refuse("it is not filled in" if "?" in str(value) else f"{_shown(value)} {wrong}", key)
         return value
 
     def number(self, key: str) -> float:
