@@ -14,20 +14,20 @@ from pathlib import Path
 import pytest
 
 from studies.rates import LAWS
-from tests.documents import CLONE, PAGES, anchors, sections
+from tests.documents import CLONE, PAGES, Block, anchors, sections
 from thinlayer import RangeWarning, compare, solve
 from thinlayer.running.case import Case
 from thinlayer.running.cli import main, studies
 from thinlayer.running.description import READERS, Description
 
-SECTIONS = sections()
+SHOWN = ("tests/own_scripts/own_kernel.py", "tests/own_scripts/own_support.py")  # by pages, which do not repeat them
+SECTIONS = sections() | {name: [Block("python", 1, (CLONE / name).read_text(), "")] for name in SHOWN}
 DOCS = "thinlayer/docs/"
 LONG = {
     f"{DOCS}{name}"
     for name in (
         "howto/many_runs.md#an-ensemble",
         "howto/networks.md#networks-walls-faults-grains",
-        "howto/own_law.md#c",
         "howto/own_law.md#jumps",
         "howto/own_law.md#strains",
         "howto/results.md#read-results-draw-pictures",

@@ -1,0 +1,45 @@
+"""A support of one's own: a stiff beam that is guided, so that all nodes of a side move alike."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+
+from forms import LinearElastic
+from geometry import sandwich
+from thinlayer import Probe, Structure, ThinLayer, solve
+from thinlayer.discretisation.addition import Addition
+from thinlayer.discretisation.constraints import Tied
+
+
+@dataclass(frozen=True)
+class Level(Addition):
+    """All nodes of a facet set move alike along y, under a given force: a stiff beam that is guided."""
+
+    place: str
+    force: object  # along y, per thickness: a number, or a function (x, t) of the time
+    key: str = "level"
+    components = ("y",)  # it ties these; along x nodes are free
+
+    def given(self, model):
+        return model.coordinates.given(self.force, "the level's force", ()).once("the whole beam")
+
+    def check(self, model):
+        self.given(model)
+
+    def tied(self, model):
+        n = model.V.dofmap.index_map.size_local * model.joint.dim  # displacements of this rank
+        rows = self.held(model, model.V)
+        rows = rows[rows < n]
+        R = scipy.sparse.csr_matrix((np.ones(len(rows)), (rows, np.zeros_like(rows))), (n, 1))
+        return Tied(self.key, ["y"], R, {}, lambda t: np.array([self.given(model).at_time(t)]))
+
+
+joint = sandwich(width=40, lower=6, upper=6, h=1)  # mm
+concrete = LinearElastic.young(E=lambda x: 20e3 * (1 + x[0] / 40), nu=0.2)  # MPa; twice as stiff on the right
+held = {"BOTTOM": {"y": 0}, "LEFT": {"x": 0}}
+pressed = Structure(joint, body=concrete, supports=held, parts=[Level("TOP", force=-2000)])
+state = solve(pressed.interface(ThinLayer(LinearElastic.young(E=2e3, nu=0.3), 0.2)))
+print(
+    Probe(state).displacement([(1, 6), (39, 6)])[:, 1], state.reaction("BOTTOM").force[1]
+)  # -0.0230, -0.0230 mm; 2000 N/mm
