@@ -20,6 +20,15 @@ def test_rates_have_the_slope_they_say():
     assert slopes[:, 1] / slopes[:, 0] == pytest.approx(1.5)
 
 
+def test_symbols_are_written_as_mathematics(tmp_path):
+    picture = plotting.curves(
+        {"eps = 1": ([0, 1], [0, 1]), "t_T": ([0, 1], [1, 0])}, "mu w_N (10^3 N)", save=tmp_path / "a.svg"
+    )
+    assert [text.get_text() for text in picture.legends[0].get_texts()] == [r"$\varepsilon$ = 1", "$t_{T}$"]
+    assert picture.axes[0].get_xlabel() == r"$\mu$ $w_{N}$ ($10^{3}$ N)"
+    assert "ε" in (tmp_path / "a.svg").read_text()  # text stays text
+
+
 def test_contact_along_s():
     """Pressure, friction, slip and opening by arc length; openings are upwards."""
     report = bar(8, coulomb("soft"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from matplotlib.lines import Line2D
 from forms.base import InputError, require
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import PINNED, Contact
-from thinlayer.output.plotting.curves import COLOURS, logarithmic
+from thinlayer.output.plotting.curves import COLOURS, LINES, logarithmic
 from thinlayer.output.plotting.picture import Picture, finish
 from thinlayer.output.surface import Surface
 from thinlayer.surface.lines import Plane
@@ -44,7 +45,7 @@ def along(
             of statuses, are drawn by `on_surface`. Or states, label -> state, or one state: their traction and jump. Or
             contact, as `Surface.contact` returns it, one or several in the same way: p, t_T, u_T and opening.
         plane: in 3D a point and the normal of the plane that cuts S (`Surface.along`).
-        save: PNG file.
+        save: name of a file to save the picture to, .png, .svg or .pdf.
         title: text over the picture.
         length, stress: units, for the labels.
         log: whether scales of numbers are logarithmic, on both sides of zero.
@@ -71,7 +72,7 @@ def along(
     _legend(figure, rows, surface.joint.dim)
     figure.align_ylabels()
     if title:
-        figure.suptitle(title)
+        figure.suptitle(title, fontsize=11)
     return finish(figure, save)
 
 
@@ -86,7 +87,9 @@ def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, 
     for label, one in cases.items():
         if isinstance(one, State):
             t, w = (surface.frame(f(one)) for f in (surface.traction, surface.jump))
-            of_case: dict[str, np.ndarray] = {f"t_N, t_T{stress}": t, f"w_N, w_T{length}": w}
+            names = ("N", "T") if len(t) == 2 else ("N", "1", "2")
+            of_case = {f"t_{k}{stress}": f for k, f in zip(names, np.roll(t, 1, axis=0), strict=True)}
+            of_case |= {f"w_{k}{length}": f for k, f in zip(names, np.roll(w, 1, axis=0), strict=True)}
         else:
             pinned = np.where(one.status == PINNED, np.nan, 1.0)
             t_T, u_T = (v[:, 0] if v.shape[1] == 1 else np.linalg.norm(v, axis=1) for v in (one.t_T, one.u_T))
@@ -119,20 +122,22 @@ class _Row:
                     if start and not number:
                         axes.axvline(start, color="0.7", linewidth=0.8)
                     components = np.roll(np.atleast_2d(line.values.T), 1, axis=0)  # the normal one is the last
-                    for style, component in zip(STYLES, components, strict=False):
-                        axes.plot(start + line.s, component, style, color=COLOURS[number % len(COLOURS)])
+                    styles = STYLES if len(components) > 1 else (LINES[number % len(LINES)],)
+                    for style, component in zip(styles, components, strict=False):
+                        axes.plot(start + line.s, component, linestyle=style, color=COLOURS[number % len(COLOURS)])
                     start += line.length
         axes.grid(color="0.9")
 
 
 def _legend(figure: Picture, rows: list[_Row], dim: int) -> None:
     """Components of vectors, and cases."""
-    handles: list[Any] = []
-    if any(row.components > 1 for row in rows):
+    handles, vectors = list[Any](), any(row.components > 1 for row in rows)
+    if vectors:
         names = ["normal", "tangential"] if dim == 2 else ["normal", "tangential 1", "tangential 2"]
         handles += [Line2D([], [], color="0.3", linestyle=STYLES[k], label=name) for k, name in enumerate(names)]
     cases = list(dict.fromkeys(case for row in rows for case in row.lines))
     if len(cases) > 1:
-        handles += [Line2D([], [], color=COLOURS[k % len(COLOURS)], label=case) for k, case in enumerate(cases)]
+        looks = zip(cycle(COLOURS), cycle(("-",) if vectors else LINES), cases, strict=False)
+        handles += [Line2D([], [], color=colour, linestyle=dash, label=case) for colour, dash, case in looks]
     if handles:
         figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 5), frameon=False)

@@ -12,16 +12,18 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator
 
 from forms.base import InputError, require
-from thinlayer.output.plotting.picture import Picture, finish
+from thinlayer.output.plotting.picture import Picture, finish, symbols
 from thinlayer.system.table import Table
 
 Lines = Mapping[str, tuple[Any, Any]]  # label -> (x, y)
 Range = tuple[float, float] | None
 Chosen = str | Sequence[str] | Mapping[str, str] | None  # for all curves, in turn, or by label
-# Colours and markers of the curves of a picture, in turn.
-COLOURS = ("#1b6ca8", "#d1495b", "#2e933c", "#8f5ea2", "#c77d0a")
+# Of curves, in turn: colours that no eye confuses (Okabe and Ito), line styles and markers for grey prints.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1)), (0, (1, 3)))
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 SHOWN = 1e-3  # values over the largest that are seen on a logarithmic axis of both signs
-MARKERS = ("o", "s", "^", "D", "v")
+LETTER, SAMPLE, ROW = 0.075, 0.75, 0.21  # inches: a letter in a legend, what stands before it, the height of a row
 ERRORS = {"traction": "error_traction", "jump": "error_jump"}  # label -> column of a sweep's table
 
 
@@ -61,24 +63,20 @@ def rates(
         for k, (name, column) in enumerate(errors.items()):
             label = f"{case}: {name}" if case else name
             lines[label] = data["eps"], data[column]
-            dashes = "--" if len(tables) > 1 and k else "-"
-            styles[label] = MARKERS[(k if len(tables) > 1 else len(lines) - 1) % len(MARKERS)] + dashes
+            styles[label] = MARKERS[k % len(MARKERS)] + ("--" if k % 2 else "-")
             colours[label] = COLOURS[(j if len(tables) > 1 else k) % len(COLOURS)]  # one for each case
     eps, lowest = min(lines.values(), key=lambda line: float(line[1][-1]))
     slope = f"slope {reference:g}"
     lines[slope] = eps, 0.6 * lowest[-1] * (eps / eps[-1]) ** reference
     figure = curves(
-        lines, "layer thickness eps", "relative difference on S, L2",
-        title=title, styles=styles | {slope: ":"}, colours=colours | {slope: "0.5"}, log="xy",
+        lines, "layer thickness eps", "relative difference on S, L^2",
+        title=title, styles=styles | {slope: ":"}, colours=colours, log="xy",
     )  # fmt: skip
     (axes,) = figure.axes
-    axes.set_xticks(eps, [f"{e:.4g}" for e in eps])
+    axes.set_xticks(eps, [fraction(e) for e in eps])
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.minorticks_off()
-    if len(lines) > 5:
-        axes.get_legend().remove()
-        figure.legend(loc="outside lower center", ncols=2, frameon=False)
     return finish(figure, save)
 
 
@@ -97,15 +95,16 @@ def curves(
     columns: int = 3,
     levels: Mapping[str, Sequence[str]] | None = None,
 ) -> Picture:
-    """Draw curves, in one panel or in several with one legend; those of the same label are of one colour.
+    """Draw curves, in one panel or in several, with one legend below; those of the same label look the same.
 
     Args:
         lines: label -> (x, y), as many numbers each; or title of a panel -> {label: (x, y)}.
         xlabel: label of the x axes, units included.
         ylabel: of the y axes, units included, or title of a panel -> label.
         title: title of the picture.
-        save: name of a file to save the picture to.
-        styles, colours: line styles (default "-") and colours: one for all curves, some for these in turn, or label -> one.
+        save: name of a file to save the picture to, .png, .svg or .pdf.
+        styles, colours: matplotlib's styles ("o--") and colours (default: all differ), one for all curves, some in turn, or
+            label -> one.
         log: axes that are logarithmic, "x", "y" or "xy".
         xlim, ylim: range of the axes, or title of a panel -> range (default: the whole curves).
         columns: number of panels in a row.
@@ -121,23 +120,36 @@ def curves(
     if not several:
         figure.set_size_inches(6.5, 4.5)
     labels = list(dict.fromkeys(label for part in parts.values() for label in part))
-    styles, colours = _by_label(labels, styles), _by_label(labels, COLOURS) | _by_label(labels, colours)
-    drawn: dict[str, Any] = {}
+    grey = {label: "0.5" for label in labels if label.startswith("slope")}
+    styles, colours = _by_label(labels, styles), _by_label(labels, COLOURS) | grey | _by_label(labels, colours)
+    dashes, drawn = dict(zip(labels, cycle(LINES), strict=False)), dict[str, Any]()
     for axes, (panel, part) in zip(panels, parts.items(), strict=True):
         for label, line in part.items():
-            (drawn[label],) = axes.plot(*line, styles.get(label, "-"), color=colours[label], label=label, ms=4)
+            # points alone are open: they do not hide one another
+            look: dict[str, Any] = {"ms": 6, "mfc": "none"} if styles.get(label) in MARKERS else {"ms": 4}
+            (drawn[label],) = axes.plot(*line, styles.get(label, "-"), color=colours[label], label=label, **look)
+            if label not in styles:
+                drawn[label].set_linestyle(dashes[label])
         axes.grid(color="0.9")
         axes.set(xscale="log" if "x" in log else "linear", yscale="log" if "y" in log else "linear")
-        axes.set(xlabel=xlabel, ylabel=_of(ylabel, panel), title=panel, xlim=_of(xlim, panel), ylim=_of(ylim, panel))
+        axes.set(xlabel=xlabel, ylabel=_of(ylabel, panel), xlim=_of(xlim, panel), ylim=_of(ylim, panel))
+        axes.set_title(panel, fontsize=11)
         if levels and panel in levels:
-            axes.set_yticks(range(len(levels[panel])), levels[panel], rotation=90, va="center")
-    if several:
-        figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=min(columns, len(parts)), frameon=False)
-        if title:
-            figure.suptitle(title)
-    else:
-        panels[0].legend(frameon=False)
+            axes.set_yticks(range(len(levels[panel])), map(symbols, levels[panel]))
+    if len(drawn) > 1:
+        wide, high = figure.get_size_inches()
+        rows = math.ceil(len(drawn) / max(1, wide // (SAMPLE + LETTER * max(map(len, drawn)))))
+        figure.set_figheight(high + ROW * (rows - 1))
+        ncols = math.ceil(len(drawn) / rows)
+        figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=ncols, frameon=False)
+    if several and title:
+        figure.suptitle(title, fontsize=11)
     return finish(figure, save)
+
+
+def fraction(x: float) -> str:
+    """A small number as text: "1/128" for powers of a half, otherwise four digits."""
+    return f"1/{1 / x:.0f}" if x <= 1 / 4 and math.frexp(x)[0] == 0.5 else f"{x:.4g}"
 
 
 def _of(given: Any, panel: str) -> Any:

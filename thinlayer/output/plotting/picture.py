@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar
 
+from matplotlib import rc_context
+from matplotlib.backend_bases import RendererBase
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from mpi4py import MPI
 
 from forms.base import require
 from geometry.parallel import on_root
 from thinlayer.system.folder import replaced
 
-SAVED: dict[str, Any] = {"dpi": 150, "bbox_inches": "tight"}  # options of all pictures that are saved
+WIDTH, DPI = 6.7, 300  # inches, of a page's text; dots per inch of a picture that is set as wide, or of one less wide
+# Text stays text, and files of the same picture are the same.
+VECTORS = {"svg.fonttype": "none", "svg.hashsalt": "thinlayer", "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"]}
+UNDATED: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+# Words that are Greek letters; letters with an index, these letters alone, and powers.
+GREEK = "eps|lambda|nu|mu|pi|kappa|rho|psi|omega|Omega|delta|sigma"
+SYMBOL = r"(?:\\[A-Za-z]+|\b[A-Za-z]{1,2})_(?:[NTxyz\d]|min)\b|\\[A-Za-z]+|\b(?:10|L)\^-?\d+"
 IN_NOTEBOOK: dict[str, Any] = {"dpi": 100, "bbox_inches": "tight"}
 
 
@@ -22,8 +32,14 @@ class Picture(Figure):
     """A matplotlib figure, made without pyplot, so that scripts and notebooks keep their backend.
 
     A notebook displays it where it is the last value of a cell, or by IPython's `display`; `savefig` and all else is
-    matplotlib's.
+    matplotlib's. Symbols in its texts, such as "eps", "t_T" and "10^3", are drawn as mathematics.
     """
+
+    def draw(self, renderer: RendererBase) -> None:
+        """Draw it, its symbols as mathematics."""
+        for text in self.findobj(Text):
+            text.set_text(symbols(text.get_text()))
+        super().draw(renderer)
 
     def _repr_png_(self) -> bytes:
         buffer = BytesIO()
@@ -40,6 +56,14 @@ class Picture(Figure):
         canvas.figure = self
         self.set_canvas(canvas)
         pyplot.show()
+
+
+def symbols(text: str) -> str:
+    """A text with its symbols as mathematics: "eps", "t_T", "10^3", "L^2"; a text that has mathematics stays as it is."""
+    if "$" in text:
+        return text
+    text = re.sub(rf"\b({GREEK})(?=\b|_)", r"\\\1", text).replace(r"\eps", r"\varepsilon")
+    return re.sub(SYMBOL, lambda one: "$" + re.sub(r"([_^])(-?\w+)", r"\1{\2}", one[0]) + "$", text)
 
 
 F = TypeVar("F", bound=Figure)
@@ -68,6 +92,8 @@ def drawn_on_root(comm: MPI.Intracomm, draw: Callable[[], Picture], save: str | 
 def put(figure: Figure, save: str | Path) -> None:
     """Save a picture on this rank. A file of this name is replaced only when the new one is complete.
 
+    Curves in .svg and .pdf are vectors. Images have 300 dots per inch where the picture is set 170 mm wide, or less wide.
+
     Raises:
         InputError: the name is that of a folder. ValueError: it has an ending that matplotlib does not know.
         OSError: the file could not be written.
@@ -75,5 +101,6 @@ def put(figure: Figure, save: str | Path) -> None:
     require(isinstance(save, (str, Path)), "save", save, "it must be the name of a picture, or None")
     path = Path(save)
     require(not path.is_dir(), "save", save, "it is a folder; give the name of a picture")
-    with replaced(path if path.suffix else path.with_suffix(".png")) as file:
-        figure.savefig(file, format=path.suffix.removeprefix(".") or "png", **SAVED)
+    ending, dpi = path.suffix.removeprefix(".") or "png", DPI * min(1.0, WIDTH / figure.get_size_inches()[0])
+    with replaced(path.with_suffix(f".{ending}")) as file, rc_context(VECTORS):
+        figure.savefig(file, format=ending, dpi=dpi, metadata=UNDATED.get(ending), bbox_inches="tight")

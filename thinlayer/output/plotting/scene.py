@@ -29,13 +29,15 @@ VIEWS = {2: (0.0, 0.0, 1.0), 3: (0.55, 0.45, 1.0)}  # dimension -> direction to 
 LIFT = 0.004  # shift of lines towards the viewer, over the picture's width, so that surfaces do not hide them
 PIXELS = 1400  # length of the longer side of an image
 RED: dict[str, Any] = {"color": "crimson", "line_width": 4, "lighting": False}
+SEAM: dict[str, Any] = RED | {"line_width": 2}  # the two sides of S
 BLACK: dict[str, Any] = {"color": "black", "line_width": 3, "lighting": False}
 GREY: dict[str, Any] = {"color": "dimgrey", "line_width": 8, "lighting": False}
 BODY: dict[str, Any] = {"scalars": "u", "cmap": "viridis", "show_scalar_bar": False, "ambient": 0.7, "diffuse": 0.3}
 PLAIN: dict[str, Any] = {"color": "#ece5da", "lighting": False}
 OUTLINE: dict[str, Any] = {"color": "#6b6256", "line_width": 2, "lighting": False}
 ON_S: dict[str, Any] = {"scalars": "rgb", "rgb": True, "line_width": 12, "lighting": False}
-BAR: dict[str, Any] = {"orientation": "horizontal", "aspect": 40, "pad": 0.02}
+BAR: dict[str, Any] = {"orientation": "horizontal", "aspect": 40, "shrink": 0.6, "pad": 0.02}
+DIGITS = 9  # of places over the structure's size
 
 SUBDIVISION = 3  # subdivision level of curved cells
 SHARP = 30.0  # angle (degree) between faces whose common edge is drawn
@@ -82,8 +84,8 @@ class Shape:
     """A deformed structure to draw.
 
     Attributes:
-        regions: region number -> its cells, the layer's last, with point data "u", a component of the displacement, and
-            "moved", (n, 3) how far the deformed points are from the undeformed ones.
+        regions: region number -> its cells, the layer's last, with point data "u", a component of the displacement,
+            "moved", (n, 3) how far the deformed points are from the undeformed ones, and "double", 1 for nodes on S.
         base: facets of the rigid base; None between two bodies.
         plane: of the cut, as `clip` takes it; None: all of the structure is there.
     """
@@ -96,13 +98,17 @@ class Shape:
     def of(cls, grid: Grid, component: str, scale: float, cut: Sequence[float] | None = None) -> Shape:
         """The structure with displacements times a scale; cut: without the half to which this unit vector points."""
         mesh = pyvista.UnstructuredGrid(grid.cells, grid.types, grid.points + scale * grid.u)
-        mesh.point_data.update({"u": grid.component(component), "moved": scale * grid.u})
+        # times pi: no sum of halves is half-way between two of these digits
+        places = np.round(np.pi / np.ptp(grid.points) * grid.points, DIGITS)
+        _, place, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
+        double = (count[place.ravel()] > 1).astype(float)
+        mesh.point_data.update({"u": grid.component(component), "moved": scale * grid.u, "double": double})
         parts = {int(number): mesh.extract_cells(grid.region == number) for number in np.unique(grid.region)[::-1]}
         n, k = grid.base.shape[:2]
         facets = np.insert(np.arange(n * k).reshape(n, k), 0, k, axis=1)
         base = pyvista.UnstructuredGrid(facets, np.full(n, grid.base_type), grid.base.reshape(-1, 3)) if n else None
         if base is not None:
-            base.point_data["moved"] = np.zeros(base.points.shape)
+            base.point_data.update({"moved": np.zeros(base.points.shape), "double": np.zeros(base.n_points)})
         if cut is None:
             return cls(parts, base)
         low, high = grid.points.min(axis=0), grid.points.max(axis=0)
@@ -209,16 +215,18 @@ class Scene:
 
     def bar(self, figure: Picture, axes: list[Axes]) -> None:
         """Draw the colour bar of all displacements."""
-        view = self.view
-        name = ("|u|" if view.component == "size" else f"u_{view.component}") + (f" ({view.unit})" if view.unit else "")
-        colours = ScalarMappable(Normalize(*self.limits), "viridis")
-        bar = figure.colorbar(colours, ax=axes, **BAR, label=f"{name}; {self.scaled}")
-        bar.ax.ticklabel_format(axis="x", style="sci", scilimits=(-3, 4))
+        size = np.abs(self.limits).max()
+        power = 0 if size == 0 or 0.01 <= size < 1e4 else 3 * int(np.floor(np.log10(size) / 3))
+        unit = f"10^{power} {self.view.unit}" if power else self.view.unit
+        name = "|u|" if self.view.component == "size" else f"u_{self.view.component}"
+        label = f"{name} ({unit.strip()}); {self.scaled}" if unit else f"{name}; {self.scaled}"
+        low, high = (one * 10.0**-power for one in self.limits)
+        figure.colorbar(ScalarMappable(Normalize(low, high), "viridis"), ax=axes, **BAR, label=label)
 
     @property
     def scaled(self) -> str:
         """The factor of the displacements, in words."""
-        return f"drawn displacements x {self.factor:.3g}"
+        return f"displacements drawn {self.factor:.3g} times".replace("drawn 1 times", "as they are")
 
     def image(self, grid: Grid, on_s: Sequence[pyvista.PolyData] | None = None) -> npt.NDArray[np.uint8]:
         """Image of a structure; edges and outlines of bodies black, of the layer's parts red, the base grey.
@@ -239,8 +247,11 @@ class Scene:
                 plotter.add_mesh(outside, **look)
             lines = edges(outside)
             lines.points += lift * LIFT * (x1 - x0) * towards
-            if lines.n_cells:
-                plotter.add_mesh(lines, **pen)
+            ends = lines.lines.reshape(-1, 3)[:, 1:]
+            on_seam = lines["double"][ends].min(axis=1) > ALMOST if lines.n_cells else np.zeros(0, bool)
+            for part, look in ((~on_seam, pen), (on_seam, pen if on_s else SEAM)):
+                if part.any():
+                    plotter.add_mesh(lines.extract_cells(part), **look)
         for mesh in on_s or ():
             if shape.plane is not None:
                 mesh = mesh.clip(**shape.plane)

@@ -23,9 +23,9 @@ from thinlayer.output.plotting.scene import BAR, Scene, View
 from thinlayer.output.surface import Surface
 
 Field = np.ndarray | Callable[[Surface, State], np.ndarray]
-NAMED = {
-    "elastic": "#9aa5b1", "stick": "#1b6ca8", "sliding": "#f0a202", "crushed": "#c1121f", "torn": "#8f5ea2",
-    "open": "#2ec4ff", "separated": "#2ec4ff", "pinned": "#6a994e", "bonded": "#7f5539",
+NAMED = {  # also apart as greys, where they occur together
+    "elastic": "#bcc3ca", "stick": "#0072B2", "sliding": "#D55E00", "crushed": "#7b1113", "torn": "#CC79A7",
+    "open": "#56B4E9", "separated": "#56B4E9", "pinned": "#009E73", "bonded": "#7f5539",
     "no layer": "#111111", "no contact law": "#c9c9c9",
 }  # fmt: skip
 UNKNOWN = "#c9c9c9"  # colour of what is no number
@@ -149,7 +149,7 @@ def _side_by_side(
             axes.imshow(image(scene, label, grid), extent=scene.window)
             axes.set_title(label, fontsize=11)
         if title:
-            figure.suptitle(title)
+            figure.suptitle(title, fontsize=11)
         return figure
 
     return drawn_on_root(next(iter(panels.values())).model.comm, draw, save)

@@ -8,6 +8,7 @@ import numpy as np
 
 from forms.base import Array, InputError, is_number, require
 from geometry.refusals import require_known
+from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.output.plotting.picture import Picture, drawn_on_root
 from thinlayer.output.zooming import AT_CORNER, Zoom
 
@@ -76,20 +77,15 @@ def _drawn(values: dict[str, Array], D: Array, Y: Array, component: str, title: 
         axes.set(title=name, ylabel="height/eps", ylim=(-0.5, 0.5))
     label = f"{NAMES[component]}{f' ({unit})' if unit else ''}"
     figure.colorbar(colours, ax=list(rows[:-1]), label=label, extend="both")
-    *meshed, (name, law) = values.items()
-    for colour, height in zip(("tab:blue", "tab:orange", "tab:green"), (0.45, 0.0, -0.45), strict=True):
+    for colour, height in zip(COLOURS, (0.45, 0.0, -0.45), strict=False):
         row = int(np.abs(Y[:, 0] - height).argmin())
-        for _, one in meshed:
-            rows[-1].plot(D[row], one[row], color=colour, linewidth=3)
-        style = {"color": "black", "linestyle": "--", "linewidth": 1.2} if meshed else {"color": colour}
-        rows[-1].plot(D[row], law[row], **style)
-        rows[-1].plot([], [], color=colour, linewidth=3, label=f"height {Y[row, 0]:.2f} eps")
-    if meshed:
-        rows[-1].plot([], [], color="black", linestyle="--", linewidth=1.2, label=name)
+        for style, (name, one) in zip(("--", "-"), [*values.items()][::-1], strict=False):
+            look = {"linestyle": style, "linewidth": 1.5, "label": f"{name}, height {height:g} eps"}
+            rows[-1].plot(D[row], one[row], color=colour, **look)
     spread = high - low
     rows[-1].set(xlabel="distance from the end, over eps", ylabel=label, ylim=(low - spread / 3, high + spread / 3))
     rows[-1].grid(color="0.9")
-    figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=8)
+    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     if title:
         figure.suptitle(title)
     return figure
