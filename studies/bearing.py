@@ -89,8 +89,8 @@ def draw(record: Record) -> None:
     parts = {}
     for shape, part in record.load("table.csv").split("shape").items():
         at = part["nu"] < 0.5
-        x = np.log10(2 * part["nu"][at] / (1 - 2 * part["nu"][at]))
+        x = 2 * part["nu"][at] / (1 - 2 * part["nu"][at])
         stiffnesses = {label: (x, (part[name] / part["closed"])[at]) for name, label in MODELS.items()}
-        parts[f"radius {2 * shape:g} eps"] = stiffnesses
-    ratio, share, styles = "log10(lmbda/mu); 3.7: nu = 0.4999", "stiffness over closed form", ("o", "-", "^-")
-    plotting.curves(parts, ratio, share, styles=styles, ylim=(0.95, 1.3), save=record.path("stiffness.png"))
+        parts[f"rubber disc, radius {2 * shape:g} eps"] = stiffnesses
+    look = {"styles": ("o", "-", "^--"), "log": "x", "ylim": (0.95, 1.3), "save": record.path("stiffness.svg")}
+    plotting.curves(parts, "lambda/mu (5000: nu = 0.4999)", "stiffness over closed form", **look)

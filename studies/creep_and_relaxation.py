@@ -220,6 +220,6 @@ def draw(record: Record) -> None:
                 parts[title][label] = table["t"][shown], table[f"{title}: {label}"][shown]
         # both in one line, with a gap
         parts[title][CLOSED] = np.tile(fine, 2), np.concatenate([case.exact(pull, fine) for pull in PULLS])
-    ylabels = {title: "traction on S" if case.relaxes else "jump across S" for title, case in CASES.items()}
-    save = record.path("creep_and_relaxation.png")
-    plotting.curves(parts, "time", ylabels, styles=styles, colours=colours, save=save)
+    units = "jump across S over height", "traction on S over E/100"
+    ylabels, save = {title: units[case.relaxes] for title, case in CASES.items()}, record.path(f"{record.study}.svg")
+    plotting.curves(parts, "time, as of the laws", ylabels, styles=styles, colours=colours, save=save)

@@ -211,7 +211,10 @@ PUSHED: dict[str, Any] = {"supports": {"RIGHT/UPPER": 0.0}, "tractions": {"LEFT/
 
 
 def tubes(h: float, loads: dict[str, Any]) -> tuple[Joint, dict[str, Any]]:
-    """The section of both tubes: x is the radius; "BOTTOM" is the bore, "LEFT" the upper end; joint, data of its models."""
+    """A tube glued into another one, in section; joint, data of its models.
+
+    x is the radius; "BOTTOM" is the bore, "LEFT" the upper end.
+    """
     bore, on_S, rim = RADII
     flat = sandwich(HEIGHT, on_S - bore, rim - on_S, h, cell="quadrilateral", structured=True)
     bodies = {"body": {"LOWER": SHAFT, "UPPER": HUB}, "plane": "axisymmetric"}

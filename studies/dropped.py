@@ -193,7 +193,7 @@ class Case:
     """A structure with thin layers.
 
     Attributes:
-        name: of the case, a few words.
+        name: of the case, a few words: its group, and what it is.
         structure: thickness -> the structure, with a mesh that is fine enough for a layer of this thickness.
         layers: thickness -> the layers, order 0.
         bodies: "kept" or "extended", of both models.
@@ -261,22 +261,22 @@ def known_cases() -> list[Case]:
     bearing, viscous, in_box = of(BEARING, None), of(VISCOUS), partial(Case, structure=box, solid=True)
 
     return [
-        rolled("1 rollers, nu = .3", layers=soft(40.0, 0.3)),
-        rolled("3 rollers, nu = .45", layers=of(R(4.0, 0.45))),
-        rolled("4 rollers, nu = .499", layers=soft(40.0, 0.499)),
-        rolled("5 rollers, nu = .4999", layers=soft(0.4, 0.4999)),
-        rolled("14 cubic hardening", layers=hardening),
-        rolled("16 plastic", layers=plastic),
-        ended("6 free ends, nu = .3", layers=soft(40.0, 0.3)),
-        unequal("8 unequal bodies, nu = .45", layers=soft(20.0, 0.45)),
-        ended("10 free ends, nu = .45", layers=of(R(40.0, 0.45))),
-        ended("11 free ends, nu = .499", layers=soft(40.0, 0.499)),
-        steel("12 bearing, loaded", layers=bearing),
-        pressed("12d bearing, displaced", layers=bearing),
-        rolled("13 Norton", layers=viscous, step=STEP),
-        ended("15 Norton, free ends", layers=viscous, step=STEP),
-        in_box("18 box, nu = .35", layers=of(R(40.0, 0.35))),
-        in_box("18 box, nu = .49", layers=soft(40.0, 0.49)),
+        rolled("between rollers: nu = 0.3", layers=soft(40.0, 0.3)),
+        rolled("between rollers: nu = 0.45", layers=of(R(4.0, 0.45))),
+        rolled("between rollers: nu = 0.499", layers=soft(40.0, 0.499)),
+        rolled("between rollers: nu = 0.4999", layers=soft(0.4, 0.4999)),
+        rolled("between rollers: cubic hardening", layers=hardening),
+        rolled("between rollers: plastic", layers=plastic),
+        ended("free ends: nu = 0.3", layers=soft(40.0, 0.3)),
+        unequal("free ends: unequal bodies, nu = 0.45", layers=soft(20.0, 0.45)),
+        ended("free ends: nu = 0.45", layers=of(R(40.0, 0.45))),
+        ended("free ends: nu = 0.499", layers=soft(40.0, 0.499)),
+        steel("free ends: bearing, loaded", layers=bearing),
+        pressed("free ends: bearing, displaced", layers=bearing),
+        rolled("laws: Norton", layers=viscous, step=STEP),
+        ended("laws: Norton, free ends", layers=viscous, step=STEP),
+        in_box("shapes: box in 3D, nu = 0.35", layers=of(R(40.0, 0.35))),
+        in_box("shapes: box in 3D, nu = 0.49", layers=soft(40.0, 0.49)),
     ]
 
 
@@ -308,31 +308,31 @@ def further_cases() -> list[Case]:
         return free(eps, heights=(2 * eps, 3 * eps))
 
     return [
-        Case("two stiffnesses", unlike, soft(15.0, 0.35), asked=ends),
-        Case("tilted S", tilted, soft(30.0, 0.25)),
-        Case("rigid base", on_base, soft(25.0, 0.3), asked=ends),
-        Case("plane stress", sheet, soft(30.0, 0.3), asked=ends),
-        Case("springs and a plate", plated, soft(30.0, 0.3), asked=ends),
-        Case("two seams", two_seams, lambda eps: {"LOW": soft(30.0, 0.3)(eps), "HIGH": soft(10.0, 0.2)(eps / 2)}),
-        Case("a body expands", heated, soft(30.0, 0.3), asked=(moved,)),
-        Case("fixed moduli", bonded, of(young(3.0, 0.35), None), asked=ends),
-        Case("plastic in time, free ends", free, of(YIELDING), step=STEP, asked=ends),
-        Case("slips, free ends", free, of(SLIPPING), asked=ends),
-        Case("as stiff as bodies, creeps", free, of(AS_STIFF), step=STEP, asked=ends),
-        Case("plastic, free ends", free, of(YIELDING), asked=ends),
-        Case("sublayers", channel, of(SUBLAYERS), asked=middle),
-        Case("plies, hard outside, pressed", pressed, _plies(HARD, TENDER, HARD)),
-        Case("plies, hard inside, pressed", pressed, _plies(TENDER, HARD, TENDER)),
-        Case("fibres, pressed", pressed, of(FIBRES)),
-        Case("thin bodies", thin, soft(40.0, 0.3), asked=ends[:1]),
-        Case("rubber, rollers", channel, of(Rubber.shear(20.0, 0.49)), asked=middle),
-        Case("Norton, p = 3", channel, of(CREEPING), step=0.02, asked=middle),
-        Case("Kelvin-Voigt", channel, of(KelvinVoigt(60.0, 40.0, 0.3, 0.5)), step=0.2, asked=middle),
-        Case("Maxwell", channel, of(Maxwell(60.0, 40.0, 0.7, 1.5)), step=0.5, asked=middle),
-        Case("rings", rings, of(LinearElastic(60.0, 40.0)), bodies="extended"),
-        Case("tubes", tube, soft(30.0, 0.35)),
-        Case("a disc", disc, soft(30.0, 0.3)),
-        Case("a corner in 3D", corner, soft(30.0, 0.3), solid=True),
+        Case("free ends: two stiffnesses", unlike, soft(15.0, 0.35), asked=ends),
+        Case("shapes: tilted S", tilted, soft(30.0, 0.25)),
+        Case("shapes: rigid base", on_base, soft(25.0, 0.3), asked=ends),
+        Case("shapes: plane stress", sheet, soft(30.0, 0.3), asked=ends),
+        Case("shapes: springs and a plate", plated, soft(30.0, 0.3), asked=ends),
+        Case("shapes: two seams", two_seams, lambda eps: {"LOW": soft(30.0, 0.3)(eps), "HIGH": soft(10.0, 0.2)(eps / 2)}),
+        Case("free ends: a body expands", heated, soft(30.0, 0.3), asked=(moved,)),
+        Case("free ends: fixed moduli", bonded, of(young(3.0, 0.35), None), asked=ends),
+        Case("laws: plastic in time, free ends", free, of(YIELDING), step=STEP, asked=ends),
+        Case("laws: slips, free ends", free, of(SLIPPING), asked=ends),
+        Case("laws: as stiff as bodies, creeps", free, of(AS_STIFF), step=STEP, asked=ends),
+        Case("laws: plastic, free ends", free, of(YIELDING), asked=ends),
+        Case("laws: sublayers", channel, of(SUBLAYERS), asked=middle),
+        Case("laws: plies, hard outside", pressed, _plies(HARD, TENDER, HARD)),
+        Case("laws: plies, hard inside", pressed, _plies(TENDER, HARD, TENDER)),
+        Case("laws: fibres, pressed", pressed, of(FIBRES)),
+        Case("free ends: thin bodies", thin, soft(40.0, 0.3), asked=ends[:1]),
+        Case("between rollers: rubber", channel, of(Rubber.shear(20.0, 0.49)), asked=middle),
+        Case("laws: Norton, p = 3", channel, of(CREEPING), step=0.02, asked=middle),
+        Case("laws: Kelvin-Voigt", channel, of(KelvinVoigt(60.0, 40.0, 0.3, 0.5)), step=0.2, asked=middle),
+        Case("laws: Maxwell", channel, of(Maxwell(60.0, 40.0, 0.7, 1.5)), step=0.5, asked=middle),
+        Case("shapes: rings", rings, of(LinearElastic(60.0, 40.0)), bodies="extended"),
+        Case("shapes: tubes", tube, soft(30.0, 0.35)),
+        Case("shapes: disc", disc, soft(30.0, 0.3)),
+        Case("shapes: corner in 3D", corner, soft(30.0, 0.3), solid=True),
     ]
 
 

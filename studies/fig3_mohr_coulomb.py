@@ -35,6 +35,8 @@ H = 0.02  # elastic fraction of both models where the meshed layer is compared
 R_X, U_T_50 = 0.7760, 2.9706e-5  # N/mm and mm: loads R1 in one step, by an independent code
 R_X_REFINED = 0.792  # N/mm: by the same code with the pressure first, then the shear in many steps
 STEPS = (1, 5, 20, 80)
+ALL_YIELDS = "0.164 MPa along S, 0.0164 MPa onto it:\nyields all along S"
+END_YIELDS = "0.0164 MPa along S, 0.164 MPa onto it: yields at the left\n(free ends of the meshed layer: off the axes)"
 
 
 @dataclass(frozen=True)
@@ -63,10 +65,8 @@ class Loads:
 
 
 READINGS = {
-    "R1": Loads(
-        ("TOP", (0.0, -0.0164)), ("LEFT", (0.164, 0.0)), {"RIGHT": {"x": 0.0}}, "yields all along S", 1e4, (0.0, 12.5)
-    ),
-    "R4m": Loads(("TOP", (0.0, -0.164)), ("RIGHT", (-0.0164, 0.0)), {}, "yields on the left", 3e4, (11.0, 12.0)),
+    "R1": Loads(("TOP", (0.0, -0.0164)), ("LEFT", (0.164, 0.0)), {"RIGHT": {"x": 0.0}}, ALL_YIELDS, 1e4, (0.0, 12.5)),
+    "R4m": Loads(("TOP", (0.0, -0.164)), ("RIGHT", (-0.0164, 0.0)), {}, END_YIELDS, 3e4, (10.4, 12.0)),
 }
 
 
@@ -190,7 +190,8 @@ def draw(record: Record) -> None:
     for name, of_loads in record.load("table.csv").split("loads").items():
         title = f"{name}: {READINGS[name].why}"
         lines = {model: (one["x_mm"], one["ratio"] / 1e3) for model, one in of_loads.split("model").items()}
-        lines["elastic, mu"] = (np.array([0.0, SIDE]), np.full(2, GLUE.mu / EPS / 1e3))
+        lines[f"elastic, mu/eps = {GLUE.mu / EPS / 1e3:.2f}"] = (np.array([0.0, SIDE]), np.full(2, GLUE.mu / EPS / 1e3))
         parts[title], ranges[title] = lines, READINGS[name].shown
-    styles, save = ("-", "--", ":", "-."), record.path("ratio.png")
-    plotting.curves(parts, "x (mm)", "t_T / u_T (10³ N/mm³)", styles=styles, save=save, ylim=ranges)
+    title = "Mohr-Coulomb layer, eps = 1 mm, C = 0, Omega = 30°, elastic fraction h: two readings of the loads"
+    look = {"title": title, "ylim": ranges, "save": record.path("ratio.svg")}
+    plotting.curves(parts, "x (mm); gaps: |u_T| below a tenth of its largest", "t_T / u_T (10^3 N/mm³)", **look)

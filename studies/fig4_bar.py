@@ -19,7 +19,6 @@ from geometry.topology import BoolArray
 from thinlayer import Structure, Surface, Table, ThinLayer, march, piecewise, plotting
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.supports import Support
-from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History
 from thinlayer.system.progress import track
@@ -191,7 +190,7 @@ def draw_energies(record: Record, relaxed: Table) -> None:
     first = BAR.kbar / BAR.l * U**2 / 2
     second = first - BAR.alpha * U + BAR.l * BAR.cbar
     slope = BAR.kbar / BAR.l * U - np.where(first < second, 0.0, BAR.alpha)
-    bodies = {f"W', delta = {delta:g}": (U, BAR.K / (BAR.l * (1 - BAR.eps)) * (delta - U)) for delta in CUTS}
+    bodies = {f"body, delta = {delta:g}": (U, BAR.K / (BAR.l * (1 - BAR.eps)) * (delta - U)) for delta in CUTS}
     at = np.isclose(relaxed["delta"][:, None], CUTS).any(axis=1)
     computed = f"computed, eps = {BAR.eps:g}"
     envelope_of, phases = "CW_min, convex envelope", ("W_1, phase 0", "W_2, phase 1")
@@ -200,11 +199,12 @@ def draw_energies(record: Record, relaxed: Table) -> None:
     forces = {"W_min": (U, slope), envelope_of: (U, force), **bodies}
     plotting.curves(
         {"energy of the layer": energies, "force": forces | {computed: (relaxed["U"][at], relaxed["sigma"][at])}},
-        "U, elongation of the layer",
-        styles=dict.fromkeys(phases, "--") | dict.fromkeys(bodies, ":") | {computed: "o"},
+        "U, elongation of the layer, over l",
+        {"energy of the layer": "over K l²/2", "force": "over K l/2"},
+        styles=("--", "--", "-", "-", ":", ":", ":", "o"),
         colours={"W_min": "0.6", envelope_of: "black", computed: "black"},
         ylim={"energy of the layer": (0.0, 2.2), "force": (0.0, 3.2)},
-        save=record.path("energies.png"),
+        save=record.path("energies.svg"),
     )
 
 
@@ -217,7 +217,7 @@ def draw_response(record: Record, relaxed: Table, loop: Table) -> None:
     kept = np.array([BAR.branch(ends, phase).sigma for phase, ends in enumerate(delta)])
     lost = ", ".join(f"{energy:.4f}" for energy in loop["lost"][~np.isnan(loop["lost"])])
     everything = f"pure phases in {ELEMENTS} elements, all equilibria"
-    computed = f"computed; energies lost in snaps: {lost}"
+    computed = f"the same, computed; energies lost in snaps: {lost}"
     lines = {
         everything: (np.tile(FINE, equilibria.shape[1]), equilibria.T.ravel()),
         "least energy, closed form": (FINE, BAR.sigma(FINE)),
@@ -225,6 +225,6 @@ def draw_response(record: Record, relaxed: Table, loop: Table) -> None:
         "one phase, kept while it holds, closed form": (np.insert(delta, 2, np.nan), np.insert(kept, 2, np.nan)),
         computed: (loop["delta"], loop["sigma"]),
     }
-    styles, colours = {"relaxed law, computed": "o", computed: "s--"}, {everything: "0.75", computed: COLOURS[3]}
-    look = {"styles": styles, "colours": colours, "ylim": (0.0, 2.7), "save": record.path("response.png")}
-    plotting.curves(lines, "delta, displacement of the end", "sigma, force", **look)
+    labels, save = ("delta, displacement of the end, over l", "sigma, force, over K l/2"), record.path("response.svg")
+    look = {"styles": ("-", "-", "o", "-", "s--"), "colours": {everything: "0.75", computed: "black"}, "save": save}
+    plotting.curves(lines, *labels, title="a bar on a layer of two phases: pure ones snap", **look)

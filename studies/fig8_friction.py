@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 
 from forms import HolonomicCoulomb
@@ -13,6 +16,9 @@ FRICTION = 1.0
 N = 31  # squares along AB: 32 nodes with the held corner B
 STIFFNESS = ((15e8, 5e8), (15e4, 5e4), (15.0, 5.0))  # lmbda, mu per thickness, N/mm^3
 COUNTS = ((3, 15, 13), (2, 14, 15), (0, 0, 31))  # separated, sliding, stick; the paper counts B to the last 31
+LEVELS = "separated", "sliding", "stick", "pinned"
+STATUS, MOVED = "status of the nodes (Fig. 7)", "tangential displacement (mm, Fig. 8)"
+PANELS = {"pressure (MPa)": "p_MPa", "friction (MPa)": "t_MPa", MOVED: "u_T_mm"}
 U_A = (1.456232e-2, 1.458569e-2, 4.094504e-2)  # mm, u_T at A from an independent code on the same mesh
 
 
@@ -38,15 +44,6 @@ def run(record: Record) -> None:
     )
     record.write("table.csv", table)
     record.results["counts"] = [{"squares": n, "lmbda": lmbda, **found} for (n, lmbda), found in counts.items()]
-    shown = {label(*pair): reports[N, pair] for pair in STIFFNESS}
-    surface, save, title = reports[N, STIFFNESS[0]].surface, record.path("contact.png"), "bar on a rigid base"
-    plotting.along(surface, shown, save=save, length="mm", stress="MPa", title=title)
-    pushed = {label(*pair): states[N, pair] for pair in STIFFNESS[::2]}
-    title = "bar pushed to the right and onto its base"
-    plotting.deformed(pushed, plotting.View(unit="mm"), save=record.path("deformed.png"), title=title)
-    save, window = record.path("gap.png"), (9, 21, -0.8, 3)
-    stiff = states[N, STIFFNESS[0]]
-    plotting.deformed(stiff, plotting.View(unit="mm", scale=800, zoom=window), save=save, title="the separated end")
     for (lmbda, mu), expected, u_a in zip(STIFFNESS, COUNTS, U_A, strict=True):
         report, stiffness = reports[N, (lmbda, mu)], label(lmbda, mu)
         for name, count in zip(("separated", "sliding", "stick"), expected, strict=True):
@@ -66,9 +63,20 @@ def label(lmbda: float, mu: float) -> str:
     return f"λ, μ = {lmbda:.3g}, {mu:.3g} N/mm³"
 
 
+def in_tens(lmbda: float) -> str:
+    """Text for a stiffness in pictures."""
+    tens = round(math.log10(lmbda / 15))
+    return f"lambda = 3 mu = 15{f'·10^{tens}' if tens else ''} N/mm³"
+
+
 def draw(record: Record) -> None:
-    """Draw figure 8 from table.csv."""
-    parts = record.load("table.csv").split("lmbda").values()
-    lines = {label(*pair): (part["x_mm"], part["u_T_mm"]) for pair, part in zip(STIFFNESS, parts, strict=True)}
-    title, save = "Figure 8: tangential displacement along AB", record.path("fig8.png")
-    plotting.curves(lines, "x from A to B (mm)", "u_T (mm)", title=title, save=save)
+    """Draw figures 7 and 8, nodes as dots, from table.csv."""
+    panels = {title: dict[str, Any]() for title in (STATUS, *PANELS)}
+    for number, (lmbda, part) in enumerate(record.load("table.csv").split("lmbda").items()):
+        status = [str(row["status"]) for row in part.rows]
+        name = f"{in_tens(lmbda)}: " + ", ".join(f"{status.count(level)} {level}" for level in LEVELS[:3])
+        panels[STATUS][name] = part["x_mm"], [LEVELS.index(one) + 0.2 * (1 - number) for one in status]
+        for title, column in PANELS.items():
+            panels[title][name] = part["x_mm"][:-1], part[column][:-1]  # the support's forces are no friction
+    look = {"styles": ("o-", "s--", "^:"), "columns": 2, "levels": {STATUS: LEVELS}, "save": record.path("contact.svg")}
+    plotting.curves(panels, "x from A to B (mm)", title="a bar pushed along a rigid base, 32 nodes", **look)

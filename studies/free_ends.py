@@ -250,12 +250,12 @@ def draw(record: Record) -> None:
         for kind in KINDS:
             columns = {f"error_{what}": table[_column(what, kind)] for what in WHAT[:2]}
             shown[f"ends {kind}"] = Table.of({"eps": table["eps"], **columns})
-        title, save = f"{case.name}, order 1, inner half of S", record.path(case.file.replace(".csv", ".png"))
+        title, save = f"{case.name}, order 1, inner half of S", record.path(case.file.replace(".csv", ".svg"))
         plotting.rates(shown, reference=2.0, title=title, save=save)
     table, ratios = record.load("table.csv"), np.linspace(0.02, 0.4995, 200)
     lines = Table(_row(free_end(float(ratio))) for ratio in ratios)
-    parts = {name: {"half strip": (table["nu"], table[name]), "table": (ratios, lines[name])} for name in DRAWN}
-    units = {name: "over the thickness" for name in DRAWN if name != "kappa"}
-    limits, save = {"c_N": (0.0, 3.0), "rho_N": (0.0, 3.0), "m_N/c_N": (0.0, 4.0)}, record.path("constants.png")
-    look = {"styles": {"half strip": "o"}, "colours": {"half strip": "black"}, "ylim": limits}
-    plotting.curves(parts, "Poisson's ratio", units, save=save, **look)
+    parts = {name: {"half strip": (table["nu"], table[name]), "shipped": (ratios, lines[name])} for name in DRAWN}
+    units = {name: "over eps" for name in DRAWN if name != "kappa"}
+    limits, save = {"c_N": (0.0, 3.0), "rho_N": (0.0, 3.0), "m_N/c_N": (0.0, 4.0)}, record.path("constants.svg")
+    look = {"title": "constants of a free end between rigid faces", "styles": ("o", "-"), "ylim": limits}
+    plotting.curves(parts, "Poisson's ratio nu of the layer", units, save=save, **look)

@@ -34,8 +34,8 @@ RATE = (0.9, 1.1)  # range of orders away from junctions and free ends
 STYLES = ("o-", "s-", "^-", "D-", "v-", "o--", "s--", "^--", "D--", "v--")  # of the cases' curves, in turn
 DRAWN = {
     "jump": "jump on all of S",
-    "inner_jump": "jump away from junctions and free ends",
-    "inner_traction": "traction away from junctions and free ends",
+    "inner_jump": "jump away from\njunctions and free ends",
+    "inner_traction": "traction away from\njunctions and free ends",
 }
 PICTURED = {"star of five layers": "star.png", "grains": "grains.png"}
 ERRORS = ("jump", "inner_jump", "inner_traction", "energy")
@@ -234,12 +234,11 @@ def in_junctions(case: Case, state: State) -> float:
 
 def draw(record: Record) -> None:
     """Draw the errors from table.csv."""
-    cases = record.load("table.csv").split("case")
+    cases, parts = record.load("table.csv").split("case"), {}
     for error, title in DRAWN.items():
         lines = {name: (rows["eps"], rows[error]) for name, rows in cases.items()}
         eps, least = min(lines.values(), key=lambda line: line[1][-1])
-        most = max(line[1].max() for line in lines.values())
-        lines["slope 1"] = (eps, 0.7 * least[-1] * eps / eps[-1])
-        styles, save = dict(zip(lines, STYLES, strict=False)) | {"slope 1": ":"}, record.path(f"{error}.png")
-        look = {"title": title, "log": "xy", "styles": styles, "ylim": (least[-1] / 2, 120 * most)}
-        plotting.curves(lines, "layer thickness eps", "relative difference, L2", save=save, **look)
+        parts[title] = lines | {"slope 1": (eps, 0.7 * least[-1] * eps / eps[-1])}
+    look = {"log": "xy", "styles": dict(zip(lines, STYLES, strict=False)) | {"slope 1": ":"}}
+    labels, save = ("layer thickness eps over the width", "relative difference, L^2"), record.path("rates.svg")
+    plotting.curves(parts, *labels, save=save, **look)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from forms import MohrCoulomb, MohrCoulombMonodirectional, formulas
 from thinlayer import Table, plotting
+from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.pointwise.drive import PointHistory, drive
 from thinlayer.running.record import Record
 
@@ -27,11 +28,10 @@ LASTING = 60.0  # shear, as in SHEAR, at which friction has its lasting value
 PRESSURE = -(LMBDA + 2 * MU) * CLOSING
 HELD_STRESS, HELD_JUMP = "normal stress held", "normal jump held"
 PROPORTIONAL = f"w_T/|w_N| held, {DIRECTION:g}° off the normal"
-UNLOADED = "sheared, opened by a part, sheared"
+UNLOADED = "sheared, unloaded across S, sheared"
 PLANES = "slips parallel to S alone"
-FLOW_COLOURS = ("#c77d0a", "#56b4c9", "#6b8e23", "black")  # of dilatancies, and of slips parallel to S
-PATHS, FLOW = "paths, psi = 0", "laws, normal stress held"
-DAVIS = tuple(f"Davis, {DILATANT[psi]}" for psi in DILATANCIES if psi < OMEGA)
+PATHS, FLOW = "paths, dilatancy angle psi = 0", "flow rules (psi in degrees), normal stress held"
+DAVIS = tuple(f"lasting value (Davis), {DILATANT[psi]}" for psi in DILATANCIES if psi < OMEGA)
 
 
 def run(record: Record, *, quick: bool = False) -> None:
@@ -133,11 +133,12 @@ def draw(record: Record) -> None:
             | {name: ([0.0, SHEAR], [value, value]) for name, value in straight[title].items()}
             for title, paths in shown.items()
         },
-        "shear  mu w_T / pressure at the start",
-        "friction  t_T / |t_N|",
-        styles=dict.fromkeys((*straight[PATHS], *DAVIS), "--"),
-        colours=dict(zip((*DILATANT.values(), PLANES), FLOW_COLOURS, strict=True))
-        | {"tan(Omega)": "0.2", "sin(Omega)": "0.4", "first yield": "0.6", **dict.fromkeys(DAVIS, "0.8")},
+        "shear mu w_T over the pressure at the start",
+        "apparent friction t_T / |t_N|",
+        title=f"Mohr-Coulomb layer, Omega = {OMEGA:g}°: its lasting friction is sin(Omega), not tan(Omega)",
+        styles={"tan(Omega)": ":", "sin(Omega)": "--", "first yield": ":"} | dict.fromkeys(DAVIS, "-."),
+        colours=dict(zip((*DILATANT.values(), PLANES), (*COLOURS[4:], "0.3"), strict=True))
+        | {"tan(Omega)": "black", "sin(Omega)": "black", **dict.fromkeys(("first yield", *DAVIS), "0.5")},
         ylim=(0.0, 0.65),
-        save=record.path("friction.png"),
+        save=record.path("friction.svg"),
     )

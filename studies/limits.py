@@ -73,11 +73,11 @@ def draw(record: Record) -> None:
     table = record.load("table.csv")
     kappa = table["kappa"]
     lines = {
-        "|[u]|": (kappa, table["jump_times_kappa"] / kappa),
-        "|t - t_bonded|": (kappa, table["traction_difference_times_kappa"] / kappa),
+        "|[u]| over the width": (kappa, table["jump_times_kappa"] / kappa),
+        "|t - t_bonded| over E/100": (kappa, table["traction_difference_times_kappa"] / kappa),
         "slope -1": (kappa, 5 / kappa),
     }
-    title, save = "a stiff interface law tends to bonded bodies", record.path("bonded.png")
+    title, save = "a stiff interface law tends to bonded bodies", record.path("bonded.svg")
     plotting.curves(
-        lines, "K_N = K_T = kappa", "L2 norm on S", title=title, styles=("o-", "s-", "--"), log="xy", save=save
+        lines, "stiffness K_N = K_T", "L^2 norm on S", title=title, styles=("o-", "s--", ":"), log="xy", save=save
     )

@@ -21,13 +21,13 @@ from studies.dropped import (
     random_case,
     unwarned,
 )
-from studies.maps import maps
 from studies.sweeping import last
 from thinlayer import Probe, Surface, estimate, march, plotting, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.estimating.result import Estimate
+from thinlayer.output.plotting.curves import fraction
 from thinlayer.pointwise.integrals import values_of
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History
@@ -39,7 +39,7 @@ FIELDS = ("traction", "jump")
 INNER = 0.25  # from the middle of S, where another program measured
 CLOSE = 0.01  # of effectivities about 1
 ROUNDING = 1e-8  # of goals
-DRAWN = "two stiffnesses"
+DRAWN = "free ends: two stiffnesses"
 
 
 def run(record: Record, *, quick: bool = False) -> None:
@@ -235,27 +235,30 @@ def _of_layer(one: Dropped, at: Array) -> Array:
 
 
 # ---------------------------------------------------------------- pictures
-RANGES = {"within 1 %": 0.01, "2 %": 0.02, "5 %": 0.05, "10 %": 0.1, "further": math.inf}  # of effectivities from 1
 PANELS = {
-    "change of t . n": ("traction", "estimated_traction"),
-    "change of [u] . n": ("jump", "estimated_jump"),
+    "change of t_N": ("traction", "estimated_traction"),
+    "change of [u_N]": ("jump", "estimated_jump"),
     "where the compliance changes": ("density", "density"),
 }
 
 
 def draw(record: Record) -> None:
     """Draw the effectivities of all cases, and changes along S of one of them, from the tables."""
-    cases = record.load("effectivities.csv").split("case")
-    values = np.array([np.concatenate([rows[name] for name in FIELDS]) for rows in cases.values()])[::-1]
-    title = "estimated over true changes"
-    texts = np.vectorize(lambda one: "-" if np.isnan(one) else f"{one:.2f}")(values)
-    columns = [f"{name}, eps = 1/{round(1 / eps)}" for name in FIELDS for eps in THICKNESSES]
-    parts, save = {title: (np.abs(values - 1), texts)}, record.path("effectivities.png")
-    maps(parts, ("", columns), ("", [*cases][::-1]), RANGES, save=save)
+    parts, names = dict[str, dict[str, tuple[Any, Any]]](), dict[str, list[str]]()
+    for case, rows in record.load("effectivities.csv").split("case").items():
+        group, _, name = case.partition(": ")
+        names.setdefault(group, []).append(name)
+        for field in FIELDS:
+            for eps, value in zip(rows["eps"], rows[field], strict=True):
+                label = f"{field}, eps = {fraction(eps)}"
+                x, y = parts.setdefault(group, {}).get(label, ((), ()))
+                parts[group][label] = (*x, value), (*y, len(names[group]) - 1)
+    look = {"styles": ("o", "s", "x", "+"), "columns": 2, "levels": names, "save": record.path("effectivities.svg")}
+    plotting.curves(parts, "1: the estimate is right", title="estimated over true changes", xlim=(0.98, 1.02), **look)
     table = record.load("along.csv")
     lines = {
         title: {"meshed layer": (table["x"], table[f"true_{column}"]), "estimate": (table["x"], table[estimated])}
         for title, (column, estimated) in PANELS.items()
     }
-    xlabel, save = f"x along S; {DRAWN}, eps = 1/16", record.path("along.png")
-    plotting.curves(lines, xlabel, styles={"estimate": "--"}, save=save)
+    xlabel, save = f"x along S over its length; eps = {fraction(COARSE)}", record.path("along.svg")
+    plotting.curves(lines, xlabel, save=save)

@@ -144,17 +144,17 @@ def draw(record: Record) -> None:
         f"{n:.0f} cells under the punch": (part["sunk"], part["over"])
         for n, part in record.load("punch.csv").split("n").items()
     }
-    curves["(2 + pi) k"], styles = (sunk, np.ones(2)), {"(2 + pi) k": "--"}
-    title, save = "rough punch on ideally plastic metal", record.path("punch.png")
+    curves["(2 + pi) k"], styles = (sunk, np.ones(2)), {"(2 + pi) k": ":"}
+    title, save = "a rough punch on ideally plastic metal tends to Prandtl's pressure", record.path("punch.svg")
     plotting.curves(
-        curves, "depth / half-width", f"mean pressure / {limit:.3f} k", save=save, title=title, styles=styles
+        curves, "depth over half-width", f"mean pressure over {limit:.3f} k", save=save, title=title, styles=styles
     )
     p, curves, styles = np.linspace(0.0, PRESSURES[-1], 100), {}, {}
     for r, name in ((CYLINDER.a, "inside"), (CYLINDER.b, "outside")):
         exact = [float(CYLINDER.displacement(float(at), np.array(r))) for at in p]
-        curves[f"closed form, r = {r:g}"] = np.array(exact), p
+        curves[f"closed form, {name}"] = np.array(exact), p
         for kind, part in record.load("cylinder.csv").split("model").items():
-            curves[f"{kind}, r = {r:g}"] = part[f"u_{name}"], part["pressure"]
-            styles[f"{kind}, r = {r:g}"] = "o" if "strain" in kind else "x"
-    title, save = "thick-walled cylinder, b = 2 a", record.path("cylinder.png")
-    plotting.curves(curves, "radial displacement", "pressure / k", save=save, title=title, styles=styles)
+            curves[f"{kind}, {name}"] = part[f"u_{name}"], part["pressure"]
+            styles[f"{kind}, {name}"] = "o" if "strain" in kind else "x"
+    title, save = "a thick-walled cylinder, b = 2 a, yields from the inside", record.path("cylinder.svg")
+    plotting.curves(curves, "radial displacement over a", "pressure over k", save=save, title=title, styles=styles)

@@ -324,14 +324,14 @@ def draw(record: Record) -> None:
     """Draw the rates from the tables that are there."""
     for law in LAWS:
         rows = {row.label: name for name, row in ROWS.items() if name.split()[0] == law and record.has(table_of(name))}
-        title = f"rates --law {law}" + (f", eps in {ROWS[law].unit}" if ROWS[law].unit else "")
+        title = f"meshed against law on S: {law}" + (f", eps in {ROWS[law].unit}" if ROWS[law].unit else "")
         if not rows:
             continue
         tables = {label: record.path(table_of(name)) for label, name in [*rows.items()][: len(COLOURS)]}
         if law not in APART:
-            plotting.rates(tables, save=record.path(f"rates_{law}.png"), title=title, **DRAWN.get(law, {}))
+            plotting.rates(tables, save=record.path(f"rates_{law}.svg"), title=title, **DRAWN.get(law, {}))
         for error, end in (("traction", ""), ("jump", "_jump")) if law in APART else ():
             look = {"title": f"{title}: {error}", "errors": {error: f"error_{error}"}}
-            plotting.rates(tables, save=record.path(f"rates_{law}{end}.png"), **look)
+            plotting.rates(tables, save=record.path(f"rates_{law}{end}.svg"), **look)
         if along := {label: name for label, name in rows.items() if ROWS[name].along}:
             draw_along(record, along, f"along_{law}")

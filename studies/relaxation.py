@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from forms import HolonomicCoulomb
-from studies.fig8_friction import STIFFNESS
+from studies.fig8_friction import STIFFNESS, in_tens
 from studies.problems import sliding_bar
 from thinlayer import SolveError, Structure, Table, plotting, solve
 from thinlayer.running.record import Record
@@ -79,10 +79,10 @@ def draw(record: Record) -> None:
     """Draw sweeps against omega from table.csv."""
     table = record.load("table.csv").split("omega_contact")[1]
     parts: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
-    for (lmbda, mu), part in zip(STIFFNESS, table.split("lmbda").values(), strict=True):
-        parts[f"λ, μ = {lmbda:.3g}, {mu:.3g} N/mm³"] = {
+    for lmbda, part in table.split("lmbda").items():
+        parts[in_tens(lmbda)] = {
             f"{n:.0f} squares": (own["omega"], np.where(own["converged"] == 1, own["sweeps"], np.nan))
             for n, own in part.split("squares").items()
         }
-    save = record.path("sweeps.png")
-    plotting.curves(parts, "omega (1 at the contact nodes)", "sweeps", styles="o-", log="y", save=save)
+    look = {"title": f"sweeps of relaxation; none: above {MAX_SWEEPS:,}", "save": record.path("sweeps.svg")}
+    plotting.curves(parts, "omega (1 at the contact nodes)", "sweeps", styles=("o-", "s--", "^:"), log="y", **look)

@@ -23,7 +23,6 @@ from thinlayer import ArcLength, Structure, Table, ThinLayer, march, piecewise, 
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.discretisation.supports import Support
-from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History
 
@@ -69,7 +68,7 @@ def path(joint: Joint, r: float, first: float, *, back: bool = False) -> Table:
     """Equilibria from delta = 0 to END, or from END to 0, by arc length."""
     arc = ArcLength(end=END, first=first)
     history = followed(joint, NonMonotone, lambda x, t: END - t if back else t, arc, keep="last", mixing=r)
-    return rows(f"r = {r:g}", history, END - history.t if back else history.t)
+    return rows(f"path by arc length, r = {r:g}", history, END - history.t if back else history.t)
 
 
 def rows(curve: str, history: History, delta: Array) -> Table:
@@ -128,10 +127,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         note(f"{PURE}, layer meshed, eps = {eps:g}", band)
         late = np.abs(switches(band) - switches(pure)).max() / eps
         record.check(f"eps = {eps:g}: delta where a column switches, less that on S, over eps", late, high=1.0)
-    largest = max(pure.snaps, key=lambda snap: snap.lost)
-    states = {"just before": pure.states[largest.row - 1], "just after": pure.states[largest.row]}
-    title = f"largest snap, delta = {moved(largest.t):.4f}, energy lost: {largest.lost:.4f}"
-    plotting.deformed(states, plotting.View(scale=0.2), save=record.path("largest_snap.png"), title=title)
 
 
 def follow(record: Record, joint: Joint, relaxed: History, r: float, step: float, *, quick: bool) -> Table:
@@ -171,6 +166,6 @@ def draw(record: Record) -> None:
     meshed = f"{PURE}, layer meshed, eps = {EPS[0]:g}"  # finer ones hide one another
     shown = [curve for curve in response if curve == meshed or "meshed" not in curve]
     curves = {curve: (response[curve]["delta"], response[curve]["force"]) for curve in shown}
-    look = {"styles": {meshed: ":"}, "colours": dict(zip(curves, COLOURS, strict=False)) | {meshed: "black"}}
-    end, save = "delta, displacement of the upper side", record.path("response.png")
-    plotting.curves(curves, end, "force", xlim=(0.9, 2.2), ylim=(2.3, 4.7), save=save, **look)
+    title, save = "a block on a layer that snaps, pulled more at one end", record.path("response.svg")
+    look = {"title": title, "colours": {meshed: "black"}, "xlim": (0.9, 2.2), "ylim": (2.3, 4.7)}
+    plotting.curves(curves, "delta, displacement of the upper side, over height", "force over E/2", save=save, **look)

@@ -16,6 +16,7 @@ from geometry import sandwich
 from thinlayer import Structure, Surface, Table, ThermalExpansion, ThinLayer, plotting, solve
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
+from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
 
 Numbers = npt.NDArray[np.floating[Any]]
@@ -147,14 +148,13 @@ def draw(record: Record) -> None:
             lines[f"{name}, G = {mu:g} MPa"] = part["x"][::4], part["tau"][::4]
         grid = np.linspace(0, LENGTH, 200)
         lines[f"closed form, G = {mu:g} MPa"] = grid, lag(mu, grid)
-    title, save = "two strips of unequal expansion, cooled by 80 K, held flat", record.path("shear_lag.png")
-    plotting.curves(
-        lines, "x from the middle (mm)", "shear stress on S (MPa)", title=title, styles=2 * ("s", ".", "-"), save=save
-    )
+    title, save = "two strips of unequal expansion, cooled by 80 K, held flat", record.path("shear_lag.svg")
+    look = {"styles": ("s", ".", "-", "s", ".", "--"), "colours": [one for one in COLOURS[:2] for _ in range(3)]}
+    plotting.curves(lines, "x from the middle (mm)", "shear stress on S (MPa)", title=title, save=save, **look)
     table, grid = record.load("bending.csv"), np.geomspace(min(STIFFENING), max(STIFFENING), 200)
     lines = {name: (table["mu"], 1e3 * table[name]) for name in ("meshed layer", "interface law")}
     lines["closed form"] = grid, np.array([1e3 * bent(float(mu)) for mu in grid])
-    lines["Timoshenko"] = grid, np.full(len(grid), 1e3 * timoshenko())
-    title, save = "two strips of unequal expansion, cooled by 80 K, free to bend", record.path("bending.png")
-    modulus, styles = "shear modulus of the layer (MPa)", ("s", "o", "-", ":")
+    lines["bonded (Timoshenko)"] = grid, np.full(len(grid), 1e3 * timoshenko())
+    title, save = "two strips of unequal expansion, cooled by 80 K, free to bend", record.path("bending.svg")
+    modulus, styles = "shear modulus G of the layer (MPa)", ("s", "o", "-", ":")
     plotting.curves(lines, modulus, "curvature (1/m)", title=title, styles=styles, log="x", save=save)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -18,7 +19,7 @@ from thinlayer.discretisation.layer import LawOnS
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.output.comparison import Where
-from thinlayer.output.plotting.curves import ERRORS
+from thinlayer.output.plotting.curves import ERRORS, fraction
 from thinlayer.running.record import Record
 from thinlayer.solving.history import Solution
 
@@ -112,7 +113,8 @@ class Row:
                     rows.extend(Table.of({"model": model, **self.along(state, surface)}))
                 record.write(along_of(name, e), rows)
             if e == shown:
-                title, save = " ".join(filter(None, (name.split()[0], self.label))), record.path(f"deformed_{case}.png")
+                what = re.split(r"[;.]\s", getattr(self.problem, "func", self.problem).__doc__ or name)[0]
+                title, save = ", ".join(filter(None, (what, self.label))), record.path(f"deformed_{case}.png")
                 plotting.deformed(states, plotting.View(unit=self.unit), save=save, title=title)
             row = compare(full, limit, where=self.where) | elastic_fraction(layer.law)
             for end, further in self.beside.items():
@@ -187,15 +189,14 @@ def along_of(case: str, eps: float) -> str:
 
 
 def draw_along(record: Record, cases: Mapping[str, str], name: str) -> None:
-    """Draw what the sweeps of some cases, label -> case, have along S, for all thicknesses and by the interface law."""
+    """Draw the last column of the tables along S of some cases, label -> case, for all eps and by the interface law."""
     parts: dict[str, dict[str, tuple[Any, Any]]] = {}
     for label, case in cases.items():
         for eps in record.load(table_of(case))["eps"]:
             table = record.load(along_of(case, eps))
+            lines, what = parts.setdefault(f"{table.columns[-1]}, {label}", {}), table.columns[-1]
             for model, part in table.split("model").items():
-                for what in (shown := table.columns[2:]):
-                    lines = parts.setdefault(f"{what}, {label}", {})
-                    lines.pop(model, None)  # the interface law comes last
-                    lines[model] = part["x"], part[what]
-    look = {"styles": {ON_S: "--"}, "colours": {ON_S: "black"}, "columns": max(2, len(shown))}
-    plotting.curves(parts, "x along S", save=record.path(f"{name}.png"), **look)
+                lines.pop(ON_S, None)  # the interface law comes last
+                lines[ON_S if model == ON_S else f"meshed layer, eps = {fraction(eps)}"] = part["x"], part[what]
+    look = {"styles": {ON_S: "--"}, "colours": {ON_S: "black"}, "columns": 2, "save": record.path(f"{name}.svg")}
+    plotting.curves(parts, "x along S over half the width", **look)

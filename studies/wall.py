@@ -143,8 +143,8 @@ def shift(state: State) -> float:
 def draw(record: Record) -> None:
     """Draw load against displacement from table.csv and panel.csv."""
     for file, column, picture, title in (
-        ("table.csv", "wall", "shear.png", "a wall, pushed"),
-        ("panel.csv", "model", "panel.png", "a panel, its top moved along"),
+        ("table.csv", "wall", "shear.svg", "a wall, pushed"),
+        ("panel.csv", "model", "panel.svg", "a panel, its top moved along"),
     ):
         parts = record.load(file).split(column)
         columns = "shift_mm", "shear_MPa"

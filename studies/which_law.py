@@ -19,6 +19,7 @@ from studies.maps import maps
 from studies.problems import FOURIER_BODY, Wave, fourier, free_blocks
 from thinlayer import RangeWarning, Structure, Surface, Table, ThinLayer, solve
 from thinlayer.discretisation.state import State
+from thinlayer.output.plotting.curves import fraction
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 
@@ -42,6 +43,7 @@ WANTED = (0.01, 0.05)  # errors for which the cheapest law is drawn
 TOLD = 0.1  # error of order 1 from which on there has to be a warning
 LOAD = 1e-6  # stress: far below the moduli of the layers, so that warnings are of the laws and not of the loads
 INNER = 0.25  # free ends: errors are measured up to this distance from the middle of S
+SIGNS = "!: with a RangeWarning; -: a law without such a material, or S too narrow for its strips at free ends"
 SET_UPS = {"rollers": "between rollers, under one half-wave", "free": "free ends, inner half of S"}
 
 Compared = Callable[[State], tuple[float, ...]]
@@ -191,20 +193,20 @@ def draw(record: Record) -> None:
     for name, what in SET_UPS.items():
         table, drawn = tables[name], _drawn(tables[name])
         nus, eps = np.unique(table["nu"]), np.unique(table["eps"])
-        axes = ("Poisson's ratio nu", [f"{nu:g}" for nu in nus]), ("eps/l", [f"1/{round(1 / e)}" for e in eps])
+        axes = ("Poisson's ratio nu of the layer", [f"{nu:g}" for nu in nus]), ("eps/l", [fraction(e) for e in eps])
         errors = {}
         for contrast, part in table.split("E/mu").items():
             for law in drawn:
                 columns = _worst(part, law), part[f"warned_{law}"]  # by ratio, then by thickness
                 worst, warned = (values.reshape(len(nus), -1).T for values in columns)
                 errors[f"{LAWS[law]}; E/mu = {contrast:,.0f}"] = worst, np.vectorize(_percent)(worst, warned > 0)
-        title = f"errors in per cent, the larger of traction and jump (!: a RangeWarning); {what}"
-        save = record.path(f"errors_{name}.png")
-        maps(errors, *axes, RANGES, title=title, columns=len(drawn), save=save)
+        title = f"errors in per cent, the larger of traction and jump; {what}\n{SIGNS}"
+        seen = {panel: one for panel, one in errors.items() if np.isfinite(one[0]).any()}
+        maps(seen, *axes, RANGES, title=title, save=record.path(f"errors_{name}.svg"))
         parts, names = _cheapest(drawn, {panel: worst for panel, (worst, _) in errors.items()})
         ranges = {f"{letter}: {law}": k + 0.5 for k, (letter, law) in enumerate(names.items())}
-        title, save = f"cheapest law; {what}", record.path(f"cheapest_{name}.png")
-        maps(parts, *axes, ranges, title=title, columns=len(WANTED), save=save)
+        title = f"the first of {', '.join(names)} whose error is small enough; {what}"
+        maps(parts, *axes, ranges, title=title, save=record.path(f"cheapest_{name}.svg"))
 
 
 def _drawn(table: Table) -> list[str]:

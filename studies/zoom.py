@@ -92,11 +92,11 @@ def draw(record: Record) -> None:
     lines = {"order 0": "o:", "order 1, free": "o--", "estimate": "o-"}
     plotting.curves(
         parts,
-        "eps",
+        "layer thickness eps over the width",
         "relative error",
         styles={name: lines[name.split(" ", 1)[1]] for name in names},
         colours=dict(zip(names, 3 * COLOURS[:3], strict=True)),
         log="y",
         columns=2,
-        save=record.path("errors.png"),
+        save=record.path("errors.svg"),
     )

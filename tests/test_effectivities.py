@@ -17,12 +17,12 @@ from studies.problems import FOURIER_BODY
 from thinlayer import RangeWarning, Structure, ThinLayer, ThinlayerError, estimate, goals, solve
 
 COARSE = 1 / 16
-KNOWN = {case.name.split(" ")[0]: case for case in known_cases()}
+KNOWN = {case.name: case for case in known_cases()}
 
 
 @cache
 def dropped(name):
-    """A case by its short name."""
+    """A case by its name."""
     return Dropped.of(KNOWN[name], COARSE)
 
 
@@ -44,14 +44,15 @@ def test_between_rollers_changes_are_those_to_the_meshed_layer():
 
     Leading terms of the compliance cancel: 1.26 of order 1 alone.
     """
-    row, (compliance, _) = effectivities(dropped("1"))
-    traction, jump = _ratios(dropped("1"), _with_layer(dropped("1")))
+    one = dropped("between rollers: nu = 0.3")
+    row, (compliance, _) = effectivities(one)
+    traction, jump = _ratios(one, _with_layer(one))
     assert (traction, jump) == (pytest.approx(0.993799, abs=2e-4), pytest.approx(1.007739, abs=2e-4))
     assert (row["traction"], row["jump"], compliance["effectivity"]) == pytest.approx((1, 1, 1), abs=0.01)
 
 
 def test_free_ends_are_in_the_estimate_and_without_them_it_is_too_low():
-    one = dropped("6")
+    one = dropped("free ends: nu = 0.3")
     row, _ = effectivities(one)
     assert (row["traction"], row["jump"]) == pytest.approx((1, 1), abs=0.01)
     traction, jump = _ratios(one, _with_layer(one))
@@ -61,8 +62,8 @@ def test_free_ends_are_in_the_estimate_and_without_them_it_is_too_low():
 
 
 def test_goals_change_as_to_the_meshed_layer():
-    _, rows = effectivities(dropped("6"))
-    assert {row["goal"] for row in rows} == {goal.name for goal in KNOWN["6"].asked}
+    _, rows = effectivities(dropped("free ends: nu = 0.3"))
+    assert {row["goal"] for row in rows} == {goal.name for goal in KNOWN["free ends: nu = 0.3"].asked}
     for row in rows:
         assert row["effectivity"] == pytest.approx(1, abs=0.005), row["goal"]
         assert row["told"]
@@ -70,7 +71,7 @@ def test_goals_change_as_to_the_meshed_layer():
 
 def test_a_rubbery_layer_needs_its_pressure():
     """Without it the law of order 1 does not know the flow along S: its jump is 14 % off."""
-    one = dropped("4")
+    one = dropped("between rollers: nu = 0.499")
     row, _ = effectivities(one)
     assert (row["traction"], row["jump"]) == pytest.approx((1, 1), abs=0.02)
     traction, jump = _ratios(one, _with_layer(one))
@@ -79,7 +80,7 @@ def test_a_rubbery_layer_needs_its_pressure():
 
 def test_displacements_of_meshed_bodies_are_those_of_the_same_point():
     """Full models have their bodies apart: a place of the interface model is another one there."""
-    case = replace(KNOWN["6"], asked=(goals.Displacement((0.3, 0.4), (0.0, 1.0)),))
+    case = replace(KNOWN["free ends: nu = 0.3"], asked=(goals.Displacement((0.3, 0.4), (0.0, 1.0)),))
     one = Dropped.of(case, COARSE)
     (goal,) = case.asked
     shifted = goals.Displacement((0.3, 0.4 + COARSE / 2), (0.0, 1.0))
