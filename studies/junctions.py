@@ -149,7 +149,7 @@ def compared(record: Record, name: str, sizes: Sequence[float]) -> list[dict[str
         rows.append({"case": name, "eps": eps} | differences(case, full, by_law))
         if eps == max(sizes) and name in PICTURED:
             states = {f"meshed layers, eps = {eps:g}": full, "interface laws": by_law}
-            plotting.deformed(states, save=record.path(PICTURED[name]), title=name)
+            plotting.deformed(states, plotting.View(unit="widths"), save=record.path(PICTURED[name]), title=name)
     for error in ERRORS:
         for row, order in zip(rows, Table(rows).orders(error), strict=True):
             row[f"order_{error}"] = order

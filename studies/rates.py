@@ -209,7 +209,7 @@ ROWS: dict[str, Row] = {
     "ring order1": glued(of(problems.GLUE, problems.GLUE_EPS, order=1), "order 1", orders=(1.8, 2.2), pictured=None),
     "fibre": glued(
         of(cylinders.COATING), problem=cylinders.coated_fibre, h=(0.05, 0.1), eps=(0.08, 0.04, 0.02, 0.01),
-        orders=(0.9, 1.1), unit="", more=cylinders.against_cylinders, check=cylinders.as_cylinders,
+        orders=(0.9, 1.1), unit="R", more=cylinders.against_cylinders, check=cylinders.as_cylinders,
     ),
     "tubes": tubes(
         of(cylinders.GLUE, cylinders.GLUE_EPS), "inner pressure", partial(cylinders.tubes, loads=cylinders.PRESSED),

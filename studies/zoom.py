@@ -57,8 +57,8 @@ def _errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float
             row |= {f"{key} {name}": value for key, value in _compared(zoom, full).items()}
         table.append(row)
         if eps == thicknesses[-1] and (nu, ratio) == CASES[-1]:
-            for component in ("N", "T"):
-                plotting.zoomed(zoom, full, end=1, component=component, save=record.path(f"end_{component}.png"))
+            for component, file in {"N": "end_N.png", "T": "end_T.png"}.items():
+                plotting.zoomed(zoom, full, end=1, component=component, save=record.path(file), stress="E/100")
     what = f"nu = {nu:g}, E/mu = {ratio:g}"
     record.check(f"order of the error of H, order 0, {what}", last_order(table, "H order 0"), low=0.6)
     for key, high in (("end", 0.03), ("inside", 0.01), ("H", 0.02)):
