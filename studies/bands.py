@@ -44,7 +44,7 @@ def blocks(h: float, path: dict[Any, tuple[float, float, float]]) -> tuple[Joint
 def along_s(state: State, surface: Surface) -> dict[str, Array]:
     """Pressure and shear traction at the nodes of S."""
     x, t = surface.profile(surface.frame(surface.traction(state)))
-    return {"x": x[:, 0], "pressure": -t[:, 1], "shear traction": t[:, 0]}
+    return {"x": x[:, 0], "pressure": -t[:, 1], "shear traction over E/100": t[:, 0]}
 
 
 def zones(full: Solution, limit: Solution) -> dict[str, float]:

@@ -74,10 +74,9 @@ def draw(record: Record) -> None:
     kappa = table["kappa"]
     lines = {
         "|[u]| over the width": (kappa, table["jump_times_kappa"] / kappa),
-        "|t - t_bonded| over E/100": (kappa, table["traction_difference_times_kappa"] / kappa),
+        "|t - t of bonded bodies| over E/100": (kappa, table["traction_difference_times_kappa"] / kappa),
         "slope -1": (kappa, 5 / kappa),
     }
-    title, save = "a stiff interface law tends to bonded bodies", record.path("bonded.svg")
-    plotting.curves(
-        lines, "stiffness K_N = K_T", "L^2 norm on S", title=title, styles=("o-", "s--", ":"), log="xy", save=save
-    )
+    title, labels = "a stiff interface law tends to bonded bodies", ("K_N = K_T over E/100 per width", "L^2 norm on S")
+    look = {"title": title, "styles": ("o-", "s--", ":"), "log": "xy", "save": record.path("bonded.svg")}
+    plotting.curves(lines, *labels, **look)
