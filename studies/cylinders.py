@@ -235,12 +235,12 @@ def against_lame(full: Solution, limit: Solution) -> dict[str, float]:
     springs = lame(RADII, (SHAFT, HUB), ((GLUE.lmbda + 2 * GLUE.mu) / GLUE_EPS,), PRESSURE)
     surface, row = Surface(last(limit).model), {}
     work = 2 * np.pi * bore * HEIGHT * PRESSURE
-    for name, state, exact in (("law", last(limit), springs), ("meshed", last(full), layer)):
+    for name, state, exact, width in (("law", last(limit), springs, 0.0), ("meshed", last(full), layer, eps)):
         row[f"{name}_bore"] = abs(state.energies()["loads"] / (work * exact.displacement(0, bore)) - 1)
         force = surface.integral(surface.frame(surface.traction(state))[1]) / (2 * np.pi * HEIGHT)
-        sides = [exact.radii[1], exact.radii[-2]]  # forces on both faces of a meshed layer, over the area of S
-        forces = [exact.stress(k, r) * r for k, r in zip((0, len(exact.laws) - 1), sides, strict=True)]
-        row[f"{name}_traction"] = abs(force / float(np.mean(forces)) - 1)
+        forces = [exact.stress(1, r) * r for r in (on_S - width / 2, on_S, on_S + width / 2)]
+        through = float(np.dot((1, 4, 1), forces)) / 6  # the mean through a meshed layer, over the area of S
+        row[f"{name}_traction"] = abs(force / through - 1)
     return row
 
 
