@@ -20,41 +20,33 @@ ROUNDING = 1e-12  # relative tolerance for parameters that equal a bound exactly
 
 # ---------------------------------------------------------------- friction; moduli per thickness, w is the jump [u]
 def mohr_coulomb_fixed_opening(
-    lmbda: float,
-    mu: float,
-    cohesion: float,
-    friction_angle: float,
-    w_N: float,
-    w_T: Array,
-    s: tuple[float, float] | None = None,
+    lmbda: float, mu: float, cohesion: float, friction_angle: float, w_N: float, w_T: Array
 ) -> Array:
-    """Tractions (..., 2) of the full law, psi = 0, under a shear w_T that grows from a state at fixed w_N. Exact in time.
+    """Tractions (..., 2) of the full law, psi = 0, under a shear w_T that grows at fixed w_N. Exact in time.
 
     Elastic until |s| = R, then t_T = R tanh(mu (w_T - w_y)/R + artanh(s_y/R)) and t_N = p +- R sech(same), where s_y is the
-    shear stress at first yield, at w_y, and the sign is that of s_N: the normal part of the deviator fades, and t_T tends
-    to R = C cos(Omega) - p sin(Omega), not to the C - t_N tan(Omega) of Eqs. (34)-(37).
+    shear stress at first yield, at w_y, and the sign is that of s_N = mu w_N: the normal part of the deviator fades, and
+    t_T tends to R = C cos(Omega) - p sin(Omega), not to the C - t_N tan(Omega) of Eqs. (34)-(37).
 
     Args:
         lmbda, mu, cohesion, friction_angle: parameters of the law; C and Omega in the formulas, Omega in degrees.
-        w_N: the jump held.
+        w_N: the jump held; the shear starts after elastic compression.
         w_T: shear since the start, of one sign and monotone.
-        s: (s_T, s_N) at the start; default: (0, mu w_N), elastic compression.
 
     Raises:
         InputError: the start is beyond the yield surface.
     """
-    angle, p, x = np.radians(friction_angle), (lmbda + mu) * w_N, np.asarray(w_T, float)
+    angle, p, s_N, x = np.radians(friction_angle), (lmbda + mu) * w_N, mu * w_N, np.asarray(w_T, float)
     R = cohesion * np.cos(angle) - p * np.sin(angle)
-    s_T, s_N = (0.0, mu * w_N) if s is None else s
-    if not (R > 0 and np.hypot(s_T, s_N) <= R * (1 + 1e-12)):
-        raise InputError(f"|s| = {np.hypot(s_T, s_N):g} at the start exceeds R = {R:g}")
+    if not (R > 0 and abs(s_N) <= R * (1 + 1e-12)):
+        raise InputError(f"|s| = {abs(s_N):g} at the start exceeds R = {R:g}")
     sign = -1.0 if np.any(x < 0) else 1.0
     first = sign * np.sqrt(max(R**2 - s_N**2, 0.0))
-    beyond = (s_T + mu * x - first) / R  # from first yield on
+    beyond = (mu * x - first) / R  # from first yield on
     with np.errstate(divide="ignore"):
         angle_y = beyond + np.arctanh(first / R)
     yields = sign * beyond > 0
-    t_T = np.where(yields, R * np.tanh(angle_y), s_T + mu * x)
+    t_T = np.where(yields, R * np.tanh(angle_y), mu * x)
     return np.stack([t_T, p + np.where(yields, np.sign(s_N) * R / np.cosh(np.minimum(np.abs(angle_y), 300)), s_N)], -1)
 
 
@@ -98,16 +90,7 @@ def rubber_strip(lmbda: float, mu: float, eps: float, a: float) -> float:
     Raises:
         InputError: an argument out of range.
     """
-    return (_held(lmbda, mu, a / eps, 0.5) + 2 * mu) / eps
-
-
-def rubber_strip_tilted(lmbda: float, mu: float, eps: float, a: float) -> float:
-    """Moment about the middle per rotation of a strip |x| < a in plane strain, per length out of the plane; a force.
-
-    w_N = theta x gives p = (lmbda theta/eps) (x - a sinh(x/delta)/sinh(a/delta)), and with 2 mu w_N/eps the moment.
-    Arguments and errors as of `rubber_strip`.
-    """
-    return (_held(lmbda, mu, a / eps, 1.5) + 2 * mu) / eps * 2 * a**3 / 3
+    return (held(lmbda, mu, a / eps, 0.5) + 2 * mu) / eps
 
 
 def rubber_disc(lmbda: float, mu: float, eps: float, radius: float) -> float:
@@ -116,23 +99,10 @@ def rubber_disc(lmbda: float, mu: float, eps: float, radius: float) -> float:
     [lmbda (1 - 2 I_1(x)/(x I_0(x))) + 2 mu]/eps with x = radius/delta; 3 mu radius^2/(2 eps^3) + 2 mu/eps for an infinite
     lmbda. Arguments and errors as of `rubber_strip`.
     """
-    return (_held(lmbda, mu, radius / eps, 1.0) + 2 * mu) / eps
+    return (held(lmbda, mu, radius / eps, 1.0) + 2 * mu) / eps
 
 
-def rubber_disc_pressure(lmbda: float, mu: float, eps: float, radius: float, r: Array) -> Array:
-    """Pressure p per opening of a disc at the radii r <= radius, tension > 0, stress per length, of the shape of r.
-
-    (lmbda/eps) (1 - I_0(r/delta)/I_0(radius/delta)); 3 mu (radius^2 - r^2)/eps^3 where delta is
-    a thousand times the radius, or infinite. The normal traction is p + 2 mu/eps. Arguments as of `rubber_strip`.
-    """
-    delta = eps * math.sqrt(lmbda / (12 * mu))
-    if not radius > 1e-3 * delta:
-        return np.asarray(3 * mu * (radius**2 - r**2) / eps**3)
-    share = ive(0, r / delta) / ive(0, radius / delta) * np.exp((r - radius) / delta)
-    return np.asarray(lmbda / eps * (1 - share))
-
-
-def _held(lmbda: float, mu: float, slenderness: float, k: float) -> float:
+def held(lmbda: float, mu: float, slenderness: float, k: float) -> float:
     """lmbda times the share I_(k+1)(x)/I_(k-1)(x) = 1 - 2 k I_k(x)/(x I_(k-1)(x)) of the load that flow leaves.
 
     k = 1/2, 3/2 of strips (opened, tilted), 1 of a disc. Written like this it loses no digits for any x.
@@ -185,17 +155,18 @@ class PlasticCylinder:
 
     def displacement(self, pressure: float, r: Array) -> Array:
         """Radial displacement k c^2/(2 mu r), elastic p a^2/(2 mu r (1 - a^2/b^2)), at radii r."""
-        c = self.zone(pressure)
-        elastic = pressure * self.a**2 / (1 - (self.a / self.b) ** 2)
-        size = self.k * c**2 if c > self.a else elastic
-        return np.asarray(size / (2 * self.mu * np.asarray(r, float)))
+        return np.asarray(self._size(pressure) / (2 * self.mu * np.asarray(r, float)))
 
     def radial_stress(self, pressure: float, r: Array) -> Array:
         """-p + 2 k ln(r/a) in the plastic zone, -k c^2 (1/r^2 - 1/b^2) outside, at radii r."""
-        c, r = self.zone(pressure), np.asarray(r, float)
-        size = self.k * c**2 if c > self.a else pressure * self.a**2 / (1 - (self.a / self.b) ** 2)
+        r = np.asarray(r, float)
         plastic = -pressure + 2 * self.k * np.log(r / self.a)
-        return np.where(r < c, plastic, -size * (1 / r**2 - 1 / self.b**2))
+        return np.where(r < self.zone(pressure), plastic, -self._size(pressure) * (1 / r**2 - 1 / self.b**2))
+
+    def _size(self, pressure: float) -> float:
+        """The share of 1/r^2 in the elastic stresses, a force."""
+        c = self.zone(pressure)
+        return self.k * c**2 if c > self.a else pressure * self.a**2 / (1 - (self.a / self.b) ** 2)
 
 
 # ---------------------------------------------------------------- the bar of section 6.2 of the paper, of Eq. (44)

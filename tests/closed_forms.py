@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ive, kve
 
-from forms.formulas import fraction, phase_energy
+from forms.formulas import fraction, held, phase_energy
 from forms.non_monotone import lamination_gain
 
 Array = npt.NDArray[np.float64]
@@ -312,7 +312,28 @@ class NonMonotoneLimit:
         return 2 * middle * (middle @ about_axis) - about_axis
 
 
-# ---------------------------------------------------------------- rubber
+# ---------------------------------------------------------------- rubber, beside what `forms.formulas` has
+def rubber_strip_tilted(lmbda: float, mu: float, eps: float, a: float) -> float:
+    """Moment about the middle per rotation of a strip |x| < a in plane strain, per length out of the plane; a force.
+
+    w_N = theta x gives p = (lmbda theta/eps) (x - a sinh(x/delta)/sinh(a/delta)), and with 2 mu w_N/eps the moment.
+    """
+    return (held(lmbda, mu, a / eps, 1.5) + 2 * mu) / eps * 2 * a**3 / 3
+
+
+def rubber_disc_pressure(lmbda: float, mu: float, eps: float, radius: float, r: Array) -> Array:
+    """Pressure p per opening of a disc at the radii r <= radius, tension > 0, stress per length, of the shape of r.
+
+    (lmbda/eps) (1 - I_0(r/delta)/I_0(radius/delta)); 3 mu (radius^2 - r^2)/eps^3 where delta is a thousand times the
+    radius, or infinite. The normal traction is p + 2 mu/eps.
+    """
+    delta = eps * math.sqrt(lmbda / (12 * mu))
+    if not radius > 1e-3 * delta:
+        return np.asarray(3 * mu * (radius**2 - r**2) / eps**3)
+    share = ive(0, r / delta) / ive(0, radius / delta) * np.exp((r - radius) / delta)
+    return np.asarray(lmbda / eps * (1 - share))
+
+
 def rubber_annulus(lmbda: float, mu: float, eps: float, inner: float, outer: float) -> float:
     """Mean normal traction per opening of an annulus inner < r < outer, free at both ends, as `forms.formulas.rubber_disc`.
 

@@ -7,7 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from forms import Incompressible, Rubber, formulas
+from forms import Incompressible, Rubber
+from tests.closed_forms import rubber_disc_pressure
 from tests.ranges_told import told
 from tests.test_rubber_bearings import PLATES, joint, layer, modulus
 from tests.test_rubber_closed_forms import EPS, MU, RADIUS
@@ -30,7 +31,7 @@ def tensions(messages):
 @pytest.mark.parametrize("law", [Rubber(modulus(NU), MU), Incompressible(MU)])
 def test_disc(law):
     lmbda = law.lmbda if isinstance(law, Rubber) else float("inf")
-    opening = MU / formulas.rubber_disc_pressure(lmbda, MU, EPS, RADIUS, 0.0)  # at which p = mu on the axis
+    opening = MU / rubber_disc_pressure(lmbda, MU, EPS, RADIUS, 0.0)  # at which p = mu on the axis
     for ratio, wanted in ((2.4, []), (2.6, [2.6]), (-5.0, [])):
         _, said = told(lambda ratio=ratio: solve(disc(ratio * opening).interface(layer(law))))
         assert tensions(said) == pytest.approx(wanted, rel=5e-3)

@@ -10,7 +10,7 @@ import pytest
 
 from forms import Incompressible, LinearElastic, Rubber, formulas
 from geometry import sandwich
-from tests.closed_forms import rubber_annulus
+from tests.closed_forms import rubber_annulus, rubber_strip_tilted
 from tests.test_rubber_closed_forms import ANNULUS, EPS, MU, RADIUS, STRIP
 from thinlayer import Structure, Surface, ThinLayer, solve
 
@@ -83,7 +83,7 @@ def test_moment_of_a_tilted_strip(nu):
     # about a point eps/2 below the upper face, in the middle of the layer, so that there is no shear
     motion = (-rotation * (1.0 + EPS / 2), lambda x, t: rotation * x[0])
     state = solve(structure("strip", motion=motion).interface(layer(rubber(nu))))
-    wanted = formulas.rubber_strip_tilted(modulus(nu), MU, EPS, STRIP)
+    wanted = rubber_strip_tilted(modulus(nu), MU, EPS, STRIP)
     assert state.reaction("TOP").at((0.0, 0.0)).moment / rotation == pytest.approx(wanted, rel=2e-3)
     surface = Surface(state.model)
     moment = surface.integral(surface.x[0] * surface.traction(state)[1])

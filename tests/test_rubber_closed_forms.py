@@ -10,7 +10,7 @@ from scipy.integrate import quad, solve_bvp
 
 from forms import LinearElastic, formulas
 from forms.base import InputError
-from tests.closed_forms import rubber_annulus
+from tests.closed_forms import rubber_annulus, rubber_strip_tilted
 from tests.refused import refused
 
 MU, EPS = 1.2, 3.0  # MPa, mm
@@ -29,7 +29,7 @@ INCOMPRESSIBLE = (160.8, 590400.0, 60.8, 36.444691)
 def bearings(lmbda, mu=MU, eps=EPS, scale=1.0):
     return (
         formulas.rubber_strip(lmbda, mu, eps, STRIP * scale),
-        formulas.rubber_strip_tilted(lmbda, mu, eps, STRIP * scale),
+        rubber_strip_tilted(lmbda, mu, eps, STRIP * scale),
         formulas.rubber_disc(lmbda, mu, eps, RADIUS * scale),
         rubber_annulus(lmbda, mu, eps, ANNULUS[0] * scale, ANNULUS[1] * scale),
     )
