@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from forms.base import Array, InputError, require
 from forms.ends.constants import free_end
 from forms.ends.weights import EndWeights, Strips
-from forms.kinematics import MANDEL, ROOT2, Expr, layer_frame
+from forms.kinematics import MANDEL, ROOT2, Expr, isotropic, layer_frame
 from forms.law import BulkLaw, Step, choice
 from forms.parameter_fields import Field, OutOfRange, Parameter, field_of, is_field
 from forms.stations import Faces, Station, at_gauss_points
@@ -42,8 +42,7 @@ def require_moduli(law: BulkLaw, lmbda: float, mu: float) -> None:
 def isotropic_stiffness(law: BulkLaw, n: Array) -> Array:
     """`BulkLaw.stiffness` for laws that are isotropic at rest with moduli lmbda and mu: (6, 6) in Mandel's order."""
     named = law.parameters()
-    identity = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-    return float(named["lmbda"]) * np.outer(identity, identity) + 2 * float(named["mu"]) * np.eye(6)
+    return isotropic(float(named["lmbda"]), float(named["mu"]))
 
 
 def poisson_ratio(law: Any) -> float:

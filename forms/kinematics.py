@@ -59,6 +59,12 @@ def from_mandel(a: Expr) -> Expr:
     return ufl.as_tensor([[entries[min(i, j), max(i, j)] for j in range(3)] for i in range(3)])
 
 
+def isotropic(lmbda: float, mu: float) -> Array:
+    """The tensor (6, 6) in Mandel's order of an isotropic material."""
+    volume = np.repeat([1.0, 0.0], 3)
+    return np.asarray(lmbda * np.outer(volume, volume) + 2 * mu * np.eye(6))
+
+
 def average_lame(C: Array) -> tuple[float, float]:
     """Moduli lmbda, mu of the isotropic tensor nearest to C (6, 6): its averages over all directions."""
     bulk = C[:3, :3].sum() / 9

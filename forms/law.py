@@ -16,7 +16,7 @@ import ufl
 
 from forms.base import Array, InputError
 from forms.declarations import SIZES, Traits, require_declarations, reset_inherited
-from forms.kinematics import Expr, average_lame
+from forms.kinematics import Expr, average_lame, isotropic
 from forms.parameter_fields import MANY, Field, OutOfRange, extremes, field_of, is_field, number_of, place_of
 from forms.stations import Station, at_gauss_points
 
@@ -529,13 +529,12 @@ class PlaneStress(OfLaw):
         """C (6, 6) condensed; the rows out of the plane are those of the isotropic tensor nearest to it in plane stress."""
         lmbda, mu = average_lame(C)
         lmbda *= 2 * mu / (lmbda + 2 * mu) if lmbda + 2 * mu > 0 else 0.0
-        volume = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-        out = lmbda * np.outer(volume, volume) + 2 * mu * np.eye(6)
+        out = isotropic(lmbda, mu)
         coupling = C[np.ix_(IN_PLANE, OUT_OF_PLANE)]
         inner = np.linalg.pinv(C[np.ix_(OUT_OF_PLANE, OUT_OF_PLANE)])
         along = np.ix_(IN_PLANE, IN_PLANE)
         out[along] = C[along] - coupling @ inner @ C[np.ix_(OUT_OF_PLANE, IN_PLANE)]
-        return np.asarray(out)
+        return out
 
 
 @cache

@@ -6,13 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import numpy as np
-
 from forms.base import Array
 from forms.elastic import LinearElastic, LinearLaw, isotropic_stiffness, lame, poisson_ratio
 from forms.ends.constants import free_end
 from forms.ends.weights import EndWeights, Strips, of_pressure_at_ends
-from forms.kinematics import Expr
+from forms.kinematics import Expr, isotropic
 from forms.law import Step, positive
 from forms.stations import Station, of_pressure
 
@@ -66,7 +64,7 @@ class Incompressible(WithPressure):
         return LinearElastic(1.0, 1.0).with_parameters({"lmbda": 2 * self.mu, "mu": self.mu})
 
     def stiffness(self, n: Array) -> Array:
-        return 2 * float(self.mu) * np.eye(6)
+        return isotropic(0.0, float(self.mu))
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ from ufl.core.expr import Expr as Node
 from ufl.corealg.traversal import traverse_unique_terminals, unique_post_traversal
 
 from forms.base import Array, InputError
-from forms.kinematics import Expr, average_lame, from_mandel, vectors
+from forms.kinematics import Expr, average_lame, from_mandel, isotropic, vectors
 from forms.kinematics import mandel as in_mandel
 from forms.law import BulkLaw, Step
 
@@ -341,10 +341,7 @@ def mandel(a: Array) -> Array:
 
 def is_isotropic(C: Array) -> bool:
     """Whether a tangent (6, 6) is that of an isotropic material."""
-    lmbda, mu = average_lame(C)
-    same = 2 * mu * np.eye(6)
-    same[:3, :3] += lmbda
-    return bool(np.abs(C - same).max() <= UNCOUPLED * np.abs(C).max())
+    return bool(np.abs(C - isotropic(*average_lame(C))).max() <= UNCOUPLED * np.abs(C).max())
 
 
 def in_plane_modulus(C: Array, n: Array) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 
-from forms.kinematics import average_lame
+from forms.kinematics import average_lame, isotropic
 from forms.law import BulkLaw
 from forms.trace import across, in_plane_modulus
 from geometry.topology import FloatArray
@@ -21,7 +21,6 @@ from thinlayer.discretisation.state import State
 from thinlayer.surface.surface_mesh import SurfaceMesh, surface_of
 
 NEARLY_INCOMPRESSIBLE = 0.5  # (nu = 3/8) a shorter length of the pressure, relative to eps, has no effect along S
-VOLUME = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])  # trace of a strain, as a row over its six components
 BULK_MODULUS = 1e8  # bulk modulus that stands for incompressibility, relative to the tangent
 NEGLIGIBLE = 1e-9  # modulus or stiffness, relative to others of the layer, that counts as zero
 SAME_RATIO = 1e-3  # relative change of lmbda/mu in time that counts as none
@@ -64,7 +63,7 @@ class Sublayer:
         """A sublayer from the tangent C at rest; None if the law does not resist shear."""
         lmbda, mu = average_lame(C)
         if law.traits.constrained and not law.parameters().get("lmbda"):
-            held = np.outer(VOLUME, VOLUME) * np.abs(C).max() * BULK_MODULUS
+            held = isotropic(np.abs(C).max() * BULK_MODULUS, 0.0)
             return cls(fraction, math.inf, mu, in_plane_modulus(C + held, n))
         return None if mu <= 0 else cls(fraction, lmbda, mu, in_plane_modulus(C, n))
 
