@@ -89,6 +89,22 @@ def index_map(comm: MPI.Intracomm, n: int, ghosts: IntArray, owners: Indices) ->
     return first_that_fits(lambda: create(*arguments), lambda: create(*arguments, 1801))
 
 
+def connect(mesh: dolfinx.mesh.Mesh, dim: int) -> None:
+    """Find which entities of a dimension each local cell has, and which cells each entity has."""
+    mesh.topology.create_connectivity(dim, mesh.topology.dim)
+    mesh.topology.create_connectivity(mesh.topology.dim, dim)
+
+
+def cells_of_facets(mesh: dolfinx.mesh.Mesh, facets: Indices) -> tuple[Indices, IntArray]:
+    """The local cell of each local facet, inside the mesh one of its two, and the facet's number in this cell."""
+    topology, dim = mesh.topology, mesh.topology.dim
+    connect(mesh, dim - 1)
+    to_cells, to_facets = topology.connectivity(dim - 1, dim), topology.connectivity(dim, dim - 1)
+    cells = to_cells.array[to_cells.offsets[facets]]
+    of_cells = to_facets.array.reshape(-1, dolfinx.cpp.mesh.cell_num_entities(topology.cell_type, dim - 1))
+    return cells, (of_cells[cells] == facets[:, None]).argmax(axis=1)
+
+
 def vertices_of_facets(mesh: dolfinx.mesh.Mesh, cell_type: str, facets: Indices, corners: IntArray) -> IntArray:
     """(n, k) vertices of local facets, numbered as in `corners`.
 
@@ -98,14 +114,8 @@ def vertices_of_facets(mesh: dolfinx.mesh.Mesh, cell_type: str, facets: Indices,
         facets: (n,) local facets.
         corners: (n_cells, m) vertices of the local cells.
     """
-    topology, dim, local = mesh.topology, mesh.topology.dim, local_facets(cell_type)
-    for pair in ((dim - 1, dim), (dim, dim - 1)):
-        topology.create_connectivity(*pair)
-    of_cells = topology.connectivity(dim, dim - 1).array.reshape(-1, len(local))
-    to_cells = topology.connectivity(dim - 1, dim)
-    cells = to_cells.array[to_cells.offsets[facets]]
-    which = (of_cells[cells] == facets[:, None]).argmax(axis=1)
-    return np.take_along_axis(corners[cells], local[which], axis=1)
+    cells, which = cells_of_facets(mesh, facets)
+    return np.take_along_axis(corners[cells], local_facets(cell_type)[which], axis=1)
 
 
 Scalar = TypeVar("Scalar", bound=np.generic)

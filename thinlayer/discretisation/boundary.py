@@ -11,7 +11,7 @@ from dolfinx import fem
 
 from forms.base import Array, InputError, require
 from forms.planes import Kinematics
-from geometry.domain import Domain, cell_nodes
+from geometry.domain import Domain, cell_nodes, cells_of_facets
 from geometry.joint import Joint
 from geometry.refusals import refuse
 from geometry.seam import LAYER, S
@@ -115,13 +115,9 @@ def node_normals(domain: Domain, V: fem.FunctionSpace, facets: Indices) -> tuple
     """
     mesh, d = domain.mesh, domain.joint.dim
     kind, points, layout = basix.CellType[domain.joint.cell_type], interpolation_points(V), V.dofmap.dof_layout
-    mesh.topology.create_connectivity(d - 1, d)
-    mesh.topology.create_connectivity(d, d - 1)
-    to_cells, to_facets = mesh.topology.connectivity(d - 1, d), mesh.topology.connectivity(d, d - 1)
-    owned = mesh.topology.index_map(d).size_local
-    cells = to_cells.array[to_cells.offsets[facets]]
-    facets, cells = facets[cells < owned], cells[cells < owned]
-    local = (to_facets.array.reshape(to_facets.num_nodes, -1)[cells] == facets[:, None]).argmax(axis=1)
+    cells, local = cells_of_facets(mesh, facets)
+    owned = cells < mesh.topology.index_map(d).size_local
+    cells, local = cells[owned], local[owned]
     jacobian = fem.Expression(ufl.Jacobian(mesh), points)
     J = jacobian.eval(mesh, cells).reshape(len(cells), len(points), d, d) if len(cells) else np.empty((0, 1, d, d))
     outward, corners = basix.cell.facet_outward_normals(kind), basix.topology(kind)[d - 1]

@@ -20,10 +20,11 @@ from forms.law import BulkLaw
 from forms.planes import PLANES, Kinematics
 from forms.traction import TractionLaw
 from forms.work import Interface, Term, surface
+from geometry.domain import cells_of_facets, connect
 from geometry.refusals import unknown
 from geometry.topology import BoolArray, Indices
 from thinlayer.discretisation.boundary import ON_AXIS
-from thinlayer.discretisation.contact_nodes import ContactSurface, first_cells
+from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.layer import AtRest, ThinLayer, for_terms, real_law
 from thinlayer.discretisation.measures import known_at
 from thinlayer.discretisation.mesh_functions import Keys, broken_space
@@ -77,8 +78,7 @@ class BrokenMesh:
         self.mesh, self.bodies, self.facet_tags, self.comm = mesh, bodies, facet_tags, communicator(mesh)
         self._dim = mesh.topology.dim
         rules = dict(S) if isinstance(S, Mapping) else dict.fromkeys([S] if isinstance(S, int) else S)
-        mesh.topology.create_connectivity(self._dim - 1, self._dim)
-        mesh.topology.create_connectivity(self._dim, self._dim - 1)
+        connect(mesh, self._dim - 1)
         self._outer = np.asarray(dolfinx.mesh.exterior_facet_indices(mesh.topology))
         self._body = self._bodies()
         self._check_cuts(np.concatenate([np.empty(0, np.int32), *(self._owned(tag) for tag in rules)]))
@@ -186,7 +186,7 @@ class BrokenMesh:
         require(good, "V", V, f"{wanted} of this mesh")
         facets = self._owned(tag)
         based = tag in self._bases
-        upper, lower = (first_cells(self.mesh, facets), None) if based else self._sides[tag][:, [0, 2]].T
+        upper, lower = (cells_of_facets(self.mesh, facets)[0], None) if based else self._sides[tag][:, [0, 2]].T
         return ContactSurface(V, self.comm, facets, upper, lower, kinematics=self.kinematics)
 
     def _require(self, tag: int) -> None:

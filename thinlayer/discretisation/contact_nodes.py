@@ -10,17 +10,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from dolfinx import cpp, fem
-from dolfinx.mesh import Mesh, entities_to_geometry
+from dolfinx.mesh import entities_to_geometry
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.base import Array, InputError
 from forms.planes import LIFTED, Kinematics
+from geometry.domain import cells_of_facets
 from geometry.joint import Joint
 from geometry.topology import Indices, IntArray, sums
 from thinlayer.discretisation.layer import seam_entities
 from thinlayer.discretisation.model import Model
-from thinlayer.system.ranks import on_all, send
+from thinlayer.system.ranks import destroy, on_all, send
 
 NONE = np.empty(0, np.int32)
 
@@ -58,21 +59,13 @@ class ContactSurface:
     @classmethod
     def of(cls, model: Model, name: str) -> ContactSurface:
         """A seam of an interface model."""
-        domain, topology = model.domain, model.domain.mesh.topology
+        domain, mesh, d = model.domain, model.domain.mesh, model.joint.dim
         facets = domain.facets(name)
-        facets = np.sort(facets[facets < topology.index_map(topology.dim - 1).size_local])
-        rows = domain.numbers(topology.dim - 1, facets)
+        facets = np.sort(facets[facets < mesh.topology.index_map(d - 1).size_local])
+        rows = domain.numbers(d - 1, facets)
         based = name in model.joint.base_seams
-        upper, lower = (first_cells(domain.mesh, facets), None) if based else seam_entities(domain, name)[:, [0, 2]].T
+        upper, lower = (cells_of_facets(mesh, facets)[0], None) if based else seam_entities(domain, name)[:, [0, 2]].T
         return cls(model.V, model.comm, facets, upper, lower, rows, model.kinematics)
-
-
-def first_cells(mesh: Mesh, facets: Indices) -> Indices:
-    """The local cells of facets of the outer boundary; of others one of theirs."""
-    topology = mesh.topology
-    topology.create_connectivity(topology.dim - 1, topology.dim)
-    to_cells = topology.connectivity(topology.dim - 1, topology.dim)
-    return np.asarray(to_cells.array[to_cells.offsets[facets]])
 
 
 class ContactNodes:
@@ -93,19 +86,13 @@ class ContactNodes:
         gap: (n,) initial gap between the sides; < 0: interference.
     """
 
-    def __init__(
-        self,
-        surface: ContactSurface,
-        held: Indices = NONE,
-        *,
-        gap: Callable[[Array], Array] | None = None,
-    ) -> None:
+    def __init__(self, surface: ContactSurface, held: Indices = NONE, *, gap: Callable[[Array], Array]) -> None:
         """Make the nodes of a surface.
 
         Args:
             surface: the facets.
             held: displacements of this rank that supports prescribe (local, unrolled).
-            gap: initial gaps (n,) at places (d, n); None: there are none.
+            gap: initial gaps (n,) at places (d, n).
         """
         self.surface, self.comm, self.dim = surface, surface.comm, surface.V.mesh.topology.dim
         V, d = surface.V, self.dim
@@ -133,7 +120,7 @@ class ContactNodes:
         self.frames = np.ascontiguousarray(frames_at(vectors / size[:, None]))
         self._note_held(held)
         with on_all(self.comm):
-            self.gap = np.zeros(len(upper)) if gap is None else gap(np.ascontiguousarray(self.x.T))
+            self.gap = gap(np.ascontiguousarray(self.x.T))
 
     @property
     def pairs(self) -> IntArray:
@@ -255,8 +242,7 @@ class ContactNodes:
             sent.array[:] = -forces.ravel()
             self.lower.multTranspose(sent, there)
             out.axpy(1.0, there)
-            sent.destroy()
-            there.destroy()
+            destroy(sent, there)
 
     def stiffness(self, tangent: Array) -> PETSc.Mat:
         """Stiffness matrix over all displacements for tangents (n, d, d) of the law."""

@@ -19,7 +19,7 @@ from forms.law import BulkLaw, Law
 from forms.planes import Kinematics
 from forms.trace import is_checked_at_rest, known_at_rest, require_stable, tangent_over
 from forms.traction import TractionLaw
-from geometry.domain import Domain
+from geometry.domain import Domain, connect
 from geometry.joint import Joint, Profile
 from geometry.seam import S
 from geometry.sheet import Sheet
@@ -335,8 +335,7 @@ def seam_entities(domain: Domain, name: str) -> Indices:
     They are in the order of the local facets. Collective.
     """
     joint, mesh = domain.joint, domain.mesh
-    mesh.topology.create_connectivity(joint.dim - 1, joint.dim)
-    mesh.topology.create_connectivity(joint.dim, joint.dim - 1)
+    connect(mesh, joint.dim - 1)
     facets = domain.facets(name)
     facets = np.sort(facets[facets < mesh.topology.index_map(joint.dim - 1).size_local])
     entities = interior_facet_entities(mesh, facets)

@@ -150,6 +150,13 @@ def collect(comms: Iterable[MPI.Intracomm]) -> None:
             PETSc.garbage_cleanup(comm)
 
 
+def destroy(*things: Any) -> None:
+    """Free objects of PETSc, or parts; None stands for one that was never made."""
+    for thing in things:
+        if thing is not None:
+            thing.destroy()
+
+
 def send(comm: MPI.Intracomm, rank: Array, rows: Array) -> Array:
     """Send row k to rank[k]; returns the rows received, by the rank they came from. Collective."""
     return np.concatenate(comm.alltoall([rows[rank == r] for r in range(comm.size)]))
