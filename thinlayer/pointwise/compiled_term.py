@@ -17,7 +17,7 @@ from forms.work import Term
 from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.integrals import DIAGONAL, Origin, Quadrature, add_spread, matrix_of
 from thinlayer.pointwise.material import Material
-from thinlayer.system.ranks import on_all
+from thinlayer.system.ranks import destroy, on_all
 
 # Size of a tangent below which underflow may have cost digits.
 UNDERFLOW = np.finfo(float).tiny / np.finfo(float).eps ** 2
@@ -197,10 +197,7 @@ class CompiledTerm(Quadrature):
 
     def spread(self, density: Array, out: PETSc.Vec) -> None:
         """Add the integral of a density at the points (points,) to displacements, see `add_spread`. Collective."""
-        f = fem.Function(self._space(()))
-        f.x.array[: self.count] = density
-        f.x.scatter_forward()
-        weighted = self.region.side(f) * self.term.weight
+        weighted = self.region.side(self.at_points(density)) * self.term.weight
         add_spread(weighted, self._V, self.measure, out, self.region.maps)
 
     def stiffness(self, tangent: Array, relative_residual: float = 0.0, into: PETSc.Mat | None = None) -> PETSc.Mat:
@@ -229,8 +226,7 @@ class CompiledTerm(Quadrature):
 
     def destroy(self) -> None:
         """Free the matrices."""
-        for thing in (self.B, self._strain, self._forces):
-            thing.destroy()
+        destroy(self.B, self._strain, self._forces)
 
 
 class MeanVolume:
@@ -280,6 +276,5 @@ class MeanVolume:
         csr = M.indptr.astype(PETSc.IntType), (first + M.indices).astype(PETSc.IntType), M.data
         A = PETSc.Mat().createAIJ((B.getSizes()[0], B.getSizes()[0]), csr=csr, comm=B.getComm())
         out = A.matMult(B)
-        for one in (A, B):
-            one.destroy()
+        destroy(A, B)
         return out

@@ -21,6 +21,7 @@ from ufl.classes import Zero
 from forms.base import Array, InputError
 from forms.kinematics import MANDEL, Expr, lift
 from forms.work import Term
+from geometry.domain import connect
 from geometry.topology import Indices, IntArray
 from thinlayer.pointwise.columns import Columns
 from thinlayer.system.compat import create_submesh
@@ -92,8 +93,7 @@ def _entities(mesh: Mesh, measure: ufl.Measure) -> Indices:
     """Local cells or facets over which a measure integrates, and those that are ghosts here. Sorted. Collective."""
     kind, data, topology = measure.integral_type(), measure.subdomain_data(), mesh.topology
     dim = topology.dim - (kind != "cell")
-    topology.create_connectivity(dim, topology.dim)
-    topology.create_connectivity(topology.dim, dim)
+    connect(mesh, dim)
     ids = np.atleast_1d(np.asarray(measure.subdomain_id(), object))
     if "everywhere" in ids:
         found = _everywhere(mesh, kind)
@@ -182,8 +182,8 @@ class Quadrature:
         of_given = [k for k, pair in enumerate(MANDEL) if given is not None and not isinstance(given[pair], Zero)]
         return sorted({*of_strains, *of_given})
 
-    def _space(self, shape: tuple[int, ...]) -> fem.FunctionSpace:
-        mesh = self.region.mesh
+    def _space(self, shape: tuple[int, ...], mesh: Mesh | None = None) -> fem.FunctionSpace:
+        mesh = mesh or self.region.mesh
         element = basix.ufl.quadrature_element(mesh.basix_cell(), value_shape=shape, degree=self.degree)
         return fem.functionspace(mesh, element)
 
@@ -231,10 +231,9 @@ class Quadrature:
 
     def function(self, values: Array) -> fem.Function:
         """Values (points, m) at points in cells as a function (m,) on the whole mesh, zero elsewhere, for `measure`."""
-        width, mesh = values.shape[1], self.region.parent_mesh
+        width = values.shape[1]
         if width not in self._functions:
-            element = basix.ufl.quadrature_element(mesh.basix_cell(), value_shape=(width,), degree=self.degree)
-            self._functions[width] = fem.functionspace(mesh, element)
+            self._functions[width] = self._space((width,), self.region.parent_mesh)
         f = fem.Function(self._functions[width])
         points = np.asarray(f.function_space.dofmap.list)[self.region.parent[: len(self.cells)]]
         f.x.array.reshape(-1, width)[points] = values[self.cells]
@@ -243,12 +242,14 @@ class Quadrature:
 
     def on_region(self, values: Mapping[str, Array]) -> dict[str, fem.Function]:
         """Values (points,) by name as functions on `region.mesh`, for measures of the degree of `measure`. Collective."""
-        found = {}
-        for name, value in values.items():
-            found[name] = f = fem.Function(self._space(()))
-            f.x.array[: self.count] = value
-            f.x.scatter_forward()
-        return found
+        return {name: self.at_points(value) for name, value in values.items()}
+
+    def at_points(self, values: Array) -> fem.Function:
+        """A function on the region's mesh with values (n,) at the points. Collective."""
+        f = fem.Function(self._space(()))
+        f.x.array[: self.count] = values
+        f.x.scatter_forward()
+        return f
 
     @property
     def original(self) -> IntArray:
