@@ -19,6 +19,7 @@ from thinlayer.discretisation.constraints import Tied
 from thinlayer.discretisation.layer import BODIES, BODY, CONTACT, LAYER
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.supports import Place
+from thinlayer.system.ranks import destroy
 
 TAKEN = ("forms", LAYER, "pressure", CONTACT, BODIES, "loads")  # keys that every model may have
 
@@ -96,8 +97,7 @@ class Addition:
         for row, motion in zip(stiffness, motions, strict=True):
             A.mult(motion.x.petsc_vec, forces)
             row[:] = [float(other.x.petsc_vec.dot(forces)) for other in motions]
-        forces.destroy()
-        A.destroy()
+        destroy(forces, A)
         return stiffness
 
     def reaction(self, model: Host, u: fem.Function) -> list[tuple[Place, Array]]:

@@ -17,6 +17,7 @@ from forms.base import Array, InputError
 from geometry.refusals import place as at_place
 from geometry.topology import sums
 from thinlayer.discretisation.supports import ROUNDING, Prescribed
+from thinlayer.system.ranks import destroy
 
 Sparse = Any  # scipy.sparse.csr_matrix, which has no types
 INDEPENDENT = 1e-6  # least singular value of conditions that are independent of each other
@@ -167,8 +168,7 @@ class Constraints:
         A = self._matrix(rows.row, self.first + rows.col, rows.data, rows.shape[0])
         on_y = A if self._T0 is None else A.matMult(self._T0)
         found = csr_of(on_y)
-        A.destroy()
-        on_y.destroy()
+        destroy(A, on_y)
         self._motions = [(one, k, value) for one in self.ties for k, value in one.motion.items() if self.comm.rank == 0]
         columns = [self.slots[one.key][k] for one, k, _ in self._motions]
         k = len(columns)
@@ -314,8 +314,7 @@ class Constraints:
         x.array[:] = values
         (matrix.multTranspose if transposed else matrix.mult)(x, b)
         found = b.array_r.copy()
-        x.destroy()
-        b.destroy()
+        destroy(x, b)
         return np.asarray(found)
 
     def motion(self, tie: Tied, u: Array) -> Array:
@@ -402,8 +401,7 @@ class Constraints:
         wide = PETSc.Mat().createAIJ(((self.n, None), (None, columns.shape[1])), csr=csr, comm=self.comm)
         product = matrix.transposeMatMult(wide) if transposed else matrix.matMult(wide)
         found = csr_of(product)
-        wide.destroy()
-        product.destroy()
+        destroy(wide, product)
         return found
 
 

@@ -10,6 +10,7 @@ from forms.kinematics import Expr
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.state import State
+from thinlayer.system.ranks import destroy
 
 
 def reaction(state: State) -> fem.Function:
@@ -48,7 +49,6 @@ def contact_forces(state: State) -> fem.Function:
         slip = state.memory[model.layers[name].key]
         nodes.add_forces(-law.traction(nodes.apart(state.u.x.petsc_vec), slip), out)
         forces.x.array[: out.getLocalSize()] += out.array_r
-        nodes.destroy()
-        out.destroy()
+        destroy(nodes, out)
     forces.x.scatter_forward()
     return forces

@@ -22,6 +22,7 @@ from thinlayer.discretisation.time_functions import Hand
 from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part, PartTraits
 from thinlayer.pointwise.compiled_term import CompiledTerm, Response
 from thinlayer.pointwise.integrals import Origin
+from thinlayer.system.ranks import destroy
 
 ASYMMETRY = 1e-8  # skew part of a tangent, relative to its size, that still counts as rounding
 SAME = 1e-12  # relative difference of parameters at several times that counts as rounding
@@ -88,9 +89,7 @@ class CompiledPart(Part):
         return {type(law).__name__: PartTraits.of(law) for _, law in self.law.sublayers}
 
     def destroy(self) -> None:
-        self.points.destroy()
-        if self._tangent is not None:
-            self._tangent.destroy()
+        destroy(self.points, self._tangent)
 
     @property
     def comms(self) -> list[MPI.Intracomm]:
@@ -159,8 +158,7 @@ class CompiledPart(Part):
         if self.points.material.varies:
             if interval.t != self._t:
                 after = self._stored_at(interval.t)
-            change = self._u.x.petsc_vec.copy()
-            change.axpy(-1.0, interval.old.u.x.petsc_vec)
+            change = self._u.x.petsc_vec - interval.old.u.x.petsc_vec
             worked = float(self.points.forces(response.stress).dot(change)) + supplied
             remainder = worked - (after - before) - dissipated
             change.destroy()

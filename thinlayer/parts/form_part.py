@@ -28,7 +28,7 @@ from thinlayer.parts.compiled import GivenAtPoints, falls
 from thinlayer.parts.part import Block, Interval, Outcome, Part, PartTraits
 from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.pointwise.integrals import add_forces_of, add_spread, matrix_of
-from thinlayer.system.ranks import communicator
+from thinlayer.system.ranks import communicator, destroy
 
 
 class FormPart(Part):
@@ -114,8 +114,7 @@ class FormPart(Part):
     def commit(self) -> Outcome:
         now, old = self._end.x.petsc_vec, self.interval.old.u.x.petsc_vec
         change, theta = self._change, self.interval.theta
-        now.copy(change)
-        change.axpy(-1.0, old)
+        change.waxpy(-1.0, old, now)
         before, after, of_change = (self._quadratic(v) for v in (old, now, change))
         supplied = 0.0
         remainder = (2 * theta - 1) * of_change
@@ -153,9 +152,7 @@ class FormPart(Part):
         return float(self.comm.allreduce(fem.assemble_scalar(self._energy_form)))
 
     def destroy(self) -> None:
-        for thing in (self.K, self._product, self._change, *self._tangents):
-            if thing is not None:
-                thing.destroy()
+        destroy(self.K, self._product, self._change, *self._tangents)
 
 
 def matrix(form: Expr) -> PETSc.Mat:
@@ -265,8 +262,7 @@ class LawForms(FormPart):
             A = matrix_of(form)
             diagonal = A.getDiagonal()
             found = max(found, float(diagonal.max()[1]))
-            diagonal.destroy()
-            A.destroy()
+            destroy(diagonal, A)
         return found if 0 < found < np.inf else 1.0
 
     @cached_property
@@ -289,8 +285,7 @@ class LawForms(FormPart):
 
     def destroy(self) -> None:
         super().destroy()
-        for points, _ in self.__dict__.get("_softening", ()):
-            points.destroy()
+        destroy(*(points for points, _ in vars(self).get("_softening", ())))
 
 
 def _is_uniform(law: BulkLaw) -> bool:

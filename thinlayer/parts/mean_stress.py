@@ -20,6 +20,7 @@ from thinlayer.discretisation.mesh_functions import Keys, broken_space
 from thinlayer.discretisation.time_functions import OverStep
 from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
 from thinlayer.pointwise.integrals import matrix_of, values_of
+from thinlayer.system.ranks import destroy
 
 
 class MeanStressPart(FieldPart):
@@ -104,8 +105,7 @@ class MeanStressPart(FieldPart):
     def commit(self) -> Outcome:
         """As in `Part`; the energy is that of the bodies beyond the energy of the displacements alone."""
         now, old = self._u.x.petsc_vec, self.interval.old.u.x.petsc_vec
-        difference = now.copy()
-        difference.axpy(-1.0, old)
+        difference = now - old
         self._change.array[:] = self.field.x.array[: self.own_size] - self._old.array_r
         self._mid.array[:] = self.field.x.array[: self.own_size]
         theta, (new_s, old_s, _) = self.interval.theta, self._strained
@@ -136,5 +136,4 @@ class MeanStressPart(FieldPart):
     def destroy(self) -> None:
         """Free matrices and vectors."""
         own = self._own, self._more, self._mid, self._old, self._change
-        for thing in (self.B, self.D, self._turned, self._forces, *own):
-            thing.destroy()
+        destroy(self.B, self.D, self._turned, self._forces, *own)

@@ -22,7 +22,7 @@ from thinlayer.discretisation.mesh_functions import Keys, broken_space
 from thinlayer.discretisation.time_functions import OverStep
 from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
 from thinlayer.pointwise.integrals import Origin, Quadrature, Region, add_spread, matrix_of, values_of
-from thinlayer.system.ranks import communicator
+from thinlayer.system.ranks import communicator, destroy
 
 SAME_PLACE = 1e-9  # distance, relative to the size of S, at which two vertices are one
 
@@ -213,9 +213,7 @@ class PressurePart(FieldPart):
         return FileOrder(ordered.numbers, number[ordered.order])
 
     def destroy(self) -> None:
-        for thing in (self.G, self.C, self._turned, self._volume, self._forces, self._squeezed):
-            if thing is not None:
-                thing.destroy()
+        destroy(self.G, self.C, self._turned, self._volume, self._forces, self._squeezed)
 
 
 def has_flow(term: Term) -> bool:

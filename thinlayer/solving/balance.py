@@ -19,6 +19,7 @@ from geometry.topology import Indices
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import SolveError
 from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, Interval, Memory, Outcome, Part, PartTraits
+from thinlayer.system.ranks import destroy
 
 AIM = 1e-10  # residual at which solvers stop, relative to the forces
 ALLOWED = 1e-6  # largest residual of an accepted state, relative to the forces
@@ -315,9 +316,7 @@ class TangentMatrix:
             places.setdefault((block.row, block.column), []).append(block)
         for place, here in places.items():
             self._add(place, here)
-        for block in blocks:
-            if not block.kept:
-                block.matrix.destroy()
+        destroy(*(block.matrix for block in blocks if not block.kept))
         if len(self.sizes) == 1:
             (A,) = self._sums.values()
             return A
@@ -354,9 +353,7 @@ class TangentMatrix:
 
     def destroy(self) -> None:
         """Free the matrices."""
-        for matrix in (*self._sums.values(), self._whole):
-            if matrix is not None:
-                matrix.destroy()
+        destroy(*self._sums.values(), self._whole)
 
 
 def side_by_side(blocks: Sequence[Sequence[PETSc.Mat | None]], comm: MPI.Intracomm) -> PETSc.Mat:

@@ -25,6 +25,7 @@ from thinlayer.parts.part import DISPLACEMENTS, Interval
 from thinlayer.solving.balance import DIFFERENT, ForceScale, Layout, PartSum, TangentMatrix
 from thinlayer.solving.holding import ReactionSums, RigidMotions
 from thinlayer.solving.linear_solvers import MULTIGRIDS, Kept, orthonormal, split
+from thinlayer.system.ranks import destroy
 
 LINEARITY = 1e-9  # relative deviation from a straight line in time that still counts as rounding
 SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # fractions of a time interval at which linearity is tested
@@ -340,8 +341,7 @@ class Equations(PartSum):
     # ---------------------------------------------------------------- end
     def destroy(self) -> None:
         """Free the matrices."""
-        for part in self._own_parts:
-            part.destroy()
+        destroy(*self._own_parts)
         self._kept.give_back(self.model)
 
     @property

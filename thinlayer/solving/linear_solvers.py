@@ -20,6 +20,7 @@ from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Part
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.balance import Layout, TangentMatrix
 from thinlayer.solving.petsc import PREFIX, OptionValue, options_set
+from thinlayer.system.ranks import destroy
 
 DIRECT: dict[str, OptionValue] = {
     "ksp_type": "preonly",
@@ -146,8 +147,7 @@ class Factor:
 
     def destroy(self) -> None:
         """Free the solver and its factor."""
-        if self.ksp is not None:
-            self.ksp.destroy()
+        destroy(self.ksp)
         self.ksp = self.of = None
 
 
@@ -192,9 +192,7 @@ class Kept:
 
     def free(self) -> None:
         """Free the tangent and its factor."""
-        self.factor.destroy()
-        if self.matrix is not None:
-            self.matrix.destroy()
+        destroy(self.factor, self.matrix)
         self.matrix = None
 
 

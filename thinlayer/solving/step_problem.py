@@ -25,7 +25,7 @@ from thinlayer.pointwise.columns import TIE
 from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.solving.balance import ForceScale, Layout, PartSum, TangentMatrix
 from thinlayer.system.compat import belongs_to
-from thinlayer.system.ranks import communicator, on_all
+from thinlayer.system.ranks import communicator, destroy, on_all
 
 
 class StepProblem(PartSum):
@@ -201,9 +201,7 @@ class StepProblem(PartSum):
 
     def destroy(self) -> None:
         """Free the matrices."""
-        for part in self.parts:
-            part.destroy()
-        self._matrix.destroy()
+        destroy(*self.parts, self._matrix)
 
     # ---------------------------------------------------------------- within a step
     def _evaluate(self, out: PETSc.Vec) -> None:

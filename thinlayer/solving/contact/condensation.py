@@ -17,6 +17,7 @@ from geometry.topology import BoolArray, IntArray
 from thinlayer.solving.contact.pairs import pointers
 from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, keep_unknowns, schur_of
 from thinlayer.system.compilation import own_library
+from thinlayer.system.ranks import destroy
 
 Rows = tuple[npt.NDArray[Any], npt.NDArray[Any], Array]  # row starts, columns and entries of a sparse matrix
 SOURCE = Path(__file__).with_name("triangle.c")
@@ -200,8 +201,7 @@ class SchurFactor:
             B = PETSc.Mat().createTranspose(row)
             self._factor.matSolve(B, X)
             row.destroy()
-        B.destroy()
-        X.destroy()
+        destroy(B, X)
         return found[:, 0]
 
     def close(self) -> None:
