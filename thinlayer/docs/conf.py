@@ -15,21 +15,16 @@ project, author = "thinlayer", "the thinlayer developers"
 extensions = [
     "listings",
     "myst_parser",
-    "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.intersphinx",
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
 ]
-exclude_patterns = ["_static"]
-templates_path = ["_templates"]
 
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 
 default_role = "code"  # single backticks in docstrings
-autosummary_generate = True
-autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 napoleon_use_ivar = True
@@ -46,15 +41,8 @@ html_title = f"thinlayer {release}"
 html_static_path = ["_static"]
 html_css_files = ["thinlayer.css"]
 html_show_sourcelink = False
-html_theme_options = {
-    "show_toc_level": 2,
-    "navigation_with_keys": False,
-    "secondary_sidebar_items": ["page-toc"],
-    "footer_start": ["copyright"],
-    "footer_end": [],
-}
+html_theme_options = {"show_toc_level": 2, "footer_start": ["copyright"], "footer_end": []}
 highlight_language = "text"  # of indented blocks
-pygments_style = "friendly"
 copyright = "the thinlayer developers, MIT licence"
 
 

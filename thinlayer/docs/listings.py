@@ -33,14 +33,10 @@ class Studies(SphinxDirective):
 
     def card(self, study: Study) -> list[nodes.Node]:
         """A study's name, picture, summary, and times."""
-        picture = "".join(f"![{study.summary}]({PICTURES}{path.name})\n\n" for path in sorted(drawn(study))[:1])
+        drawn = sorted((CLONE / "studies/pictures").glob(f"{study.name}*.png"))
+        picture = "".join(f"![{study.summary}]({PICTURES}{path.name})\n\n" for path in drawn[:1])
         times = f"{duration(study.full)}, with `--quick` {duration(study.quick)}"
         return self.parse_text_to_nodes(f"**{study.name}**\n\n{picture}{study.summary}\n\n{times}")
-
-
-def drawn(study: Study) -> list[Path]:
-    """Pictures of a study."""
-    return [path for path in (CLONE / "studies/pictures").glob(f"{study.name}*") if path.suffix in (".svg", ".png")]
 
 
 class Errata(SphinxDirective):
