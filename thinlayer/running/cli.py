@@ -117,8 +117,7 @@ def command_line() -> argparse.ArgumentParser:
     parser.set_defaults(work=_neither)
     commands = parser.add_subparsers(metavar="COMMAND")
     what = "List the studies in groups, with their times on one core; without benchmarks, which draw nothing."
-    shown = _command(commands, "list", _list, what, "--json")
-    _add_json(shown)
+    _add_json(_command(commands, "list", _list, what, "--json"))
     what = "Print the versions of the packages that results depend on."
     _add_json(_command(commands, "info", _info, what, "--json"))
     what = "Draw the pictures of a study again, from the tables of an earlier run."
@@ -135,9 +134,8 @@ def command_line() -> argparse.ArgumentParser:
         one.add_argument("--resume", action="store_true", help="go on with the sweeps of a killed run, same options")
     what = "Say what a layer's mesh changes; thinlayer/docs/reference/description.md has the keys."
     estimate = _computing(_command(commands, "estimate", _estimate, what, "joint.toml --set layer.eps=0.1"))
-    estimate.add_argument(
-        "description", type=Path, metavar="DESCRIPTION", help="a file in TOML; with --new a mesh file"
-    )
+    file = "a file in TOML; with --new a mesh file"
+    estimate.add_argument("description", type=Path, metavar="DESCRIPTION", help=file)
     keys = "a key of the description anew, as layer.E=2e3 or 'tractions.RIGHT=[60, 0]'; may be repeated"
     estimate.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=keys)
     before = estimate.add_mutually_exclusive_group()

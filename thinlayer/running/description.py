@@ -101,14 +101,8 @@ def _mesh(section: Section, key: str) -> dict[str, Any]:
     """Arguments of `read`. S is all that is between `upper` and `lower` if these are given alone."""
     given, sides = section.values[key], dict.fromkeys(("upper", "lower"), Section.texts)
     one = section.inner({"path": given} if isinstance(given, str) else given, "path and arguments of read", key)
-    readers: dict[str, Reader] = {
-        "path": Section.text,
-        "S": _sides,
-        **sides,
-        "direction": Section.vector,
-        "scale": positive("a factor"),
-    }
-    found = one.entries(readers, {"path": MESH})
+    readers: dict[str, Reader] = {"path": Section.text, "S": _sides, **sides, "direction": Section.vector}
+    found = one.entries(readers | {"scale": positive("a factor")}, {"path": MESH})
     return {"S": None, **found} if sides.keys() <= found.keys() else found
 
 

@@ -116,8 +116,9 @@ class Record:
         if (self.out / RUN).exists():
             if self.resume:
                 self._files |= {*self.same_run()["files"]}
-            else:
-                self._previous = moved_away(self.out, self._earlier())
+            else:  # run.json last: it is still there if the process is killed while files are moved
+                files = (name for name in self._read()["files"] if Path(name).name == name)
+                self._previous = moved_away(self.out, [*files, RUN])
         elif tables := sorted(path.name for path in self.out.glob("*.csv")):
             what = f"{self.out} has tables ({', '.join(tables)}) and no run.json"
             raise InputError(f"{what}; give another --out, or remove these")
@@ -140,11 +141,6 @@ class Record:
                         (self.out / RUN).unlink(missing_ok=True)
                         if self._previous:
                             moved_back(self._previous)
-
-    def _earlier(self) -> list[str]:
-        """Files of the run whose run.json is in the folder."""
-        # run.json last: it is still there if the process is killed while files are moved
-        return [*(name for name in self._read()["files"] if Path(name).name == name), RUN]
 
     def _read(self) -> dict[str, Any]:
         """The content of run.json; on rank 0. InputError: the file cannot be read, or has other content."""

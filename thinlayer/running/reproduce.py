@@ -57,11 +57,8 @@ def reproduce(out: Path, *, quick: bool, at_a_time: int | None) -> int:
     head = DATA.parents[1] / ".git" / "HEAD"
     name = head.read_text().strip().removeprefix("ref: ") if head.exists() else "not known"
     commit = (head.parent / name).read_text().strip() if (head.parent / name).is_file() else name
-    facts = {name: versions()[name] for name in SHOWN} | {
-        "commit": commit[:12],
-        "code": code(),
-        "date": time.strftime("%F"),
-    }
+    facts = {name: versions()[name] for name in SHOWN}
+    facts |= {"commit": commit[:12], "code": code(), "date": time.strftime("%F")}
     facts["machine"] = f"{platform.system()} {platform.machine()}, {len(os.sched_getaffinity(0))} cores"
     facts["command"] = f"python3 -m thinlayer reproduce{' --quick' * quick}"
     return page.write(facts | {"seconds": f"{time.monotonic() - start:.0f}"})

@@ -56,9 +56,7 @@ def _seam(inside: dict[str, list[str]], names: str) -> tuple[str, str]:
     if len(inside) == 1:
         ((name, touched),) = inside.items()
         side = f"upper = {quoted(touched[-1])}" if len(touched) > 1 else 'direction = "?"'
-        return (
-            f"S = {quoted(name)}, {side}",
-            f"S is the only facet set inside the bodies; it touches {', '.join(touched)}",
-        )
+        words = f"S is the only facet set inside the bodies; it touches {', '.join(touched)}"
+        return f"S = {quoted(name)}, {side}", words
     candidates = ", ".join(inside) or names or "none; with lower and upper alone S is all between these regions"
     return 'S = "?", upper = "?"', f"S is where the layer is, upper a region above it; facet sets: {candidates}"
