@@ -136,9 +136,8 @@ class Phases(BulkLaw):
         law = super().mapped(change)
         if not self.varies:
             return law.with_parameters({"T": None})
-        return law.with_parameters(
-            {name: self._mapped_function(name, change) for name in ("alpha", "transformation_energy")} | {"T": self.T}
-        )
+        functions = {name: self._mapped_function(name, change) for name in ("alpha", "transformation_energy")}
+        return law.with_parameters(functions | {"T": self.T})
 
     def _mapped_function(self, name: str, change: Callable[[Any, float], Any]) -> float | OfTemperature:
         given, power = getattr(self, name), self.powers.get(name, 0)

@@ -218,11 +218,9 @@ class MohrCoulombMonodirectional(Plastic):
         return (1 - self.elastic_fraction) * plastic + self.elastic_fraction * lame(self.lmbda, self.mu, step.mid)
 
     def advance(self, step: Step) -> dict[str, Expr]:
-        flow, growth = self._flow(step)
-        return {
-            "plastic": step.q["plastic"] + flow / step.theta,
-            "accumulated": step.q["accumulated"] + growth / step.theta,
-        }
+        flow, slip = self._flow(step)
+        growth = {"plastic": flow, "accumulated": slip}
+        return {name: step.q[name] + change / step.theta for name, change in growth.items()}
 
     def dissipated(self, step: Step) -> Expr:
         flow, _ = self._flow(step)

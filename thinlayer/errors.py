@@ -142,17 +142,13 @@ class LimitLoad(SolveError):
     ) -> None:
         growth, shares = run_away.growth, run_away.shares
         loads = ", ".join(f"{force:.6g}" for force in resultant)
+        most = ", ".join(f"{name!r} {share:.0%}" for name, share in shares.items() if share >= LEAST_SHARE)
+        seams = f", with jumps at the seams {most}" if most else ""  # which part or slide most, where there are several
         super().__init__(
             f"limit load: the last equilibrium was found at t = {t:.10g}, where the loads on the bodies add up to "
             f"({loads}); at t = {failed_at:.10g} none was found (last attempt: {reason}): displacements run away, "
-            f"{growth:.3g} times as far as with an elastic layer{_parted(shares)}. The states before it are kept",
+            f"{growth:.3g} times as far as with an elastic layer{seams}. The states before it are kept",
             history,
         )
         self.t, self.failed_at, self.resultant, self.growth = t, failed_at, tuple(resultant), growth
         self.shares = dict(shares)
-
-
-def _parted(shares: Mapping[str, float]) -> str:
-    """Which seams part or slide most; "" if there is one seam only."""
-    shown = ", ".join(f"{name!r} {share:.0%}" for name, share in shares.items() if share >= LEAST_SHARE)
-    return f", with jumps at the seams {shown}" if shown else ""

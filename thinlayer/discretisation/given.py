@@ -177,10 +177,8 @@ class Given:
         return InputError(f"{self.what} is no function (x, t) of UFL coordinates: {why}; {HINT}")
 
     def _refusal(self, content: Any, more: str = "") -> InputError:
-        words = (
-            f"{' x '.join(map(str, shape))} finite components" if shape else "a finite number" for shape in self._shapes
-        )
-        need = " or ".join(words)
+        shapes = [" x ".join(map(str, shape)) for shape in self._shapes]
+        need = " or ".join(f"{shape} finite components" if shape else "a finite number" for shape in shapes)
         if callable(self.value):
             return InputError(f"{self.what} gives {content!s:.90}; it needs {need}{more}")
         return InputError(f"{self.what} is {self.value!r:.90}; it needs {need}, or a function (x, t) that gives that")

@@ -279,10 +279,8 @@ def eigenstrains(given: Any) -> list[Eigenstrain]:
     if isinstance(given, Eigenstrain):
         return [given]
     if isinstance(given, (list, tuple)) and not _is_table(given):
-        allowed = (
-            "allowed: a number, a table, a function (x, t), ThermalExpansion, Prestress, a list of these that add up"
-        )
-        require(not all(map(is_number, given)), "the eigenstrain", given, allowed)
+        allowed = "a number, a table, a function (x, t), ThermalExpansion, Prestress, a list of these that add up"
+        require(not all(map(is_number, given)), "the eigenstrain", given, f"allowed: {allowed}")
         return [found for one in given for found in eigenstrains(one)]
     return [PlainStrain(given)]
 

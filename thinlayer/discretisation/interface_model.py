@@ -214,11 +214,9 @@ class InterfaceModel(Model):
         def on_base(v: Expr) -> Expr:  # which moves as at the facets of the body above it, and as these turn
             return sides.upper(v + ufl.dot(ufl.grad(v), 2 * self._middle.to_s) if self._middle else v) / 2
 
-        def on_either(v: Expr) -> Expr:
-            return (sides.upper(v) + sides.lower(v)) / 2
-
         based = on_base if one.name in self.joint.base_seams else None
-        return Weighted(sides.measure, eps * sides.factor, sides.upper, on_either, based)
+        weight = eps * sides.factor
+        return Weighted(sides.measure, weight, sides.upper, lambda v: (sides.upper(v) + sides.lower(v)) / 2, based)
 
     def _known(self, one: SeamLayer, law: BulkLaw) -> BulkLaw:
         """The law with parameters that are functions as expressions on S, linear between vertices; others as Constants."""

@@ -225,9 +225,8 @@ class State(Configuration):
         of_parts = [row for part in model.parts for row in part.reaction(model, self.u)]
         rows = [*zip(model.holders, self.reactions, strict=True), *of_parts]
         given = [(place, resultant(model, values)) for place, values in rows]
-        given += [
-            (name, -load) for name, load in resultants_of_loads(model, self.t, model.forces.work_on_bases).items()
-        ]
+        on_bases = resultants_of_loads(model, self.t, model.forces.work_on_bases)
+        given += [(name, -load) for name, load in on_bases.items()]
         total: dict[Place, Resultant] = {}
         for place, one in given:
             total[place] = total[place] + one if place in total else one

@@ -28,6 +28,7 @@ from thinlayer.discretisation.measures import compiled, whole
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.discretisation.supports import Place
+from thinlayer.output.nodal_forces import nodal_forces
 from thinlayer.output.probe import Probe, cells_at
 from thinlayer.output.surface import Surface
 from thinlayer.solving.adjoint import Adjoint
@@ -112,7 +113,8 @@ class Compliance(Goal):
     name: ClassVar[str] = "compliance"  # type: ignore[misc]
 
     def value(self, state: State, model: InterfaceModel) -> float:
-        if not _moves(model, state.t):
+        by_plates = [value(state.t) for tie in model.constraints.ties for value in tie.motion.values()]
+        if not (model.supports.moving or any(by_plates)):
             return state.load_work()
         if math.isnan(state.prescribed_work):
             raise InputError("compliance of supports that move: the state was read from a file, and lacks their work")
@@ -134,12 +136,6 @@ class Compliance(Goal):
 def _mean_size(surface: Surface, state: State) -> float:
     """Root mean square of the tractions on a surface."""
     return surface.norm(surface.traction(state)) / math.sqrt(surface.integral(1.0))
-
-
-def _moves(model: InterfaceModel, t: float) -> bool:
-    """Whether a support, or at the time t a plate, has prescribed displacements that are not zero."""
-    prescribed = [value(t) for tie in model.constraints.ties for value in tie.motion.values()]
-    return bool(model.supports.moving) or any(prescribed)
 
 
 @dataclass(frozen=True)
@@ -338,10 +334,9 @@ class Functional(Goal):
 
     def scale(self, state: State, model: InterfaceModel) -> float:
         u = displacements_of(state, model)
-        weights = fem.assemble_vector(compiled(self._derivative(u, model)))
-        weights.scatter_reverse(la.InsertMode.add)
-        owned = model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs
-        return float(model.comm.allreduce(float(np.abs(weights.array[:owned] * u.x.array[:owned]).sum())))
+        weights = nodal_forces(model.V, self._derivative(u, model))
+        owned = weights.x.petsc_vec.array_r * u.x.petsc_vec.array_r
+        return float(model.comm.allreduce(float(np.abs(owned).sum())))
 
     def is_linear(self, model: InterfaceModel) -> bool:
         u = fem.Function(model.V)

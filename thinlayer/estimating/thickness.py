@@ -116,9 +116,6 @@ def thin_enough(
     goals = (goal,) if isinstance(goal, Goal) else (Compliance(),)
     quantity = goal if isinstance(goal, str) else goal.name
 
-    def of_material(eps: float) -> dict[str, Any]:
-        return dict.fromkeys(chosen, replace(thin, eps=eps, law=thin.material, at=None))
-
     begun = structure.interface(given, bodies=bodies)
     made = begun.with_layer if bodies == "kept" else partial(structure.interface, bodies=bodies)
     bonds = {**given, **dict.fromkeys(chosen, Bond())}
@@ -129,7 +126,7 @@ def thin_enough(
     def error(eps: float) -> float:
         with warnings.catch_warnings(record=True) as heard[eps]:  # those of the answer are passed on
             warnings.simplefilter("always", RangeWarning)
-            layers = of_material(eps)
+            layers = dict.fromkeys(chosen, replace(thin, eps=eps, law=thin.material, at=None))
             state = alone or solved(made({**given, **layers}))
             found = estimate(state, layers if bonded else None, goals, seam=seam, options=options)
         caveats[eps] = found.caveats

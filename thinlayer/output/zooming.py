@@ -98,13 +98,11 @@ class Zoom:
         assert isinstance(model, InterfaceModel)
         layers = {}
         for name in [*model.layers] if model.joint.seams_meet else [self.seam]:
-            model.reductions[name].require("alone", f"zoom into {model.layers[name]}: ")
-            thin = model.layers[name].thin
+            what, thin = f"zoom into {model.layers[name]}: ", model.layers[name].thin
+            model.reductions[name].require("alone", what)
             assert thin
             if thin.law.traits.remembers and not state.sudden:
-                raise InputError(
-                    f"zoom into {model.layers[name]}: it remembers earlier steps; mesh it (structure.full)"
-                )
+                raise InputError(f"{what}it remembers earlier steps; mesh it (structure.full)")
             layers[name] = replace(thin, order=0, edges=None)
         coarse = LayerAlone(model, layers, state.t, cells_through)
         w = coarse.settled(coarse.at_faces(state.u.x.array))
@@ -170,9 +168,8 @@ class Zoom:
 
     def _heights(self, height: Any, n: int) -> Array:
         if (y := finite(height, (), (n,))) is None or not (np.abs(y) <= 0.5).all():
-            raise InputError(
-                f"heights are {height!r:.80}; allowed: one number or {n}, from -1/2 to 1/2 of the thickness"
-            )
+            allowed = f"one number or {n}, from -1/2 to 1/2 of the thickness"
+            raise InputError(f"heights are {height!r:.80}; allowed: {allowed}")
         return np.broadcast_to(y, (n,))
 
     # ---------------------------------------------------------------- corners
@@ -238,9 +235,8 @@ def _layer_of(state: State, seam: str) -> SeamLayer:
     """The layer of a seam of a state of an interface model."""
     if not isinstance(state, State) or not isinstance(state.model, InterfaceModel | FullModel):
         given = state.model if isinstance(state, State) else state
-        raise InputError(
-            f"a zoom takes a state of an interface or a full model, as solve returns it, not {given!r:.80}"
-        )
+        allowed = "a state of an interface or a full model, as solve returns it"
+        raise InputError(f"a zoom takes {allowed}, not {given!r:.80}")
     model, names = state.model, [*state.model.joint.seams]
     name = names[0] if seam == S and len(names) == 1 else seam
     require_known("seam", name, names)

@@ -81,9 +81,8 @@ class RigidPlate(Addition):
         """Its nodes, which follow its motions. Collective."""
         d, size = model.joint.dim, model.domain.joint.size
         scale = np.where(np.arange(count(d)) < d, 1.0, size)
-        held = {
-            k: partial(lambda k, t: float(self.motions(model, t)[k] * scale[k]), k) for k in self.motions_held(model)
-        }
+        keys = self.motions_held(model)
+        held = {k: partial(lambda k, t: float(self.motions(model, t)[k] * scale[k]), k) for k in keys}
         R = self._tie(model, self.point(model), size)
         return Tied(self.key, motion_names(d), R, held, lambda t: self.resultants(model, t) / scale)
 

@@ -368,9 +368,8 @@ class SurfaceMesh:
         return self.sums(self.moments(1.0))
 
     @cached_property
-    def _solver(self) -> Callable[[Array], Array]:
-        solve: Callable[[Array], Array] = scipy.sparse.linalg.splu(self.mass()).solve
-        return solve
+    def _solver(self) -> Any:
+        return scipy.sparse.linalg.splu(self.mass()).solve
 
     def nodal(self, f: Any) -> Array:
         """(m,) or (m, d): the L2 projection of a field to degree 1, at the nodes (`numbers`, `places`)."""

@@ -153,9 +153,8 @@ class _Describer:
         if isinstance(value, types.MethodType):
             return self._named({CODE: "method", "(function)": value.__func__, "self": value.__self__}, at)
         if isinstance(value, functools.partial):
-            return self._named(
-                {CODE: "partial", "(function)": value.func, "(arguments)": value.args, **value.keywords}, at
-            )
+            parts = {CODE: "partial", "(function)": value.func, "(arguments)": value.args}
+            return self._named(parts | value.keywords, at)
         if isinstance(value, types.ModuleType):
             return {CODE: f"module {value.__name__}"} | _file_of(getattr(value, "__file__", None))
         if isinstance(value, type):

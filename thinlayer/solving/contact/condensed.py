@@ -59,9 +59,8 @@ class Condensed(ContactFinder):
         nodes = [part.nodes for part in self.parts]
         begins = np.cumsum([0, *(len(some.x) for some in nodes)])
         lines = np.concatenate([some.lines + begin for some, begin in zip(nodes, begins, strict=False)])
-        return CondensedSystem(
-            self._condensation.stiffness, self.pairs, np.concatenate([some.x for some in nodes]), lines
-        )
+        x = np.concatenate([some.x for some in nodes])
+        return CondensedSystem(self._condensation.stiffness, self.pairs, x, lines)
 
     def solve(self, known: bool) -> tuple[int, float]:
         """As in `ContactFinder`."""
