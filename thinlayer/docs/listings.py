@@ -33,7 +33,7 @@ class Studies(SphinxDirective):
 
     def card(self, study: Study) -> list[nodes.Node]:
         """A study's name, picture, summary, and times."""
-        drawn = sorted((CLONE / "studies/pictures").glob(f"{study.name}*.png"))
+        drawn = sorted((CLONE / "studies/pictures").glob(f"{study.name}*.[sp][vn]g"))
         picture = "".join(f"![{study.summary}]({PICTURES}{path.name})\n\n" for path in drawn[:1])
         times = f"{duration(study.full)}, with `--quick` {duration(study.quick)}"
         return self.parse_text_to_nodes(f"**{study.name}**\n\n{picture}{study.summary}\n\n{times}")
