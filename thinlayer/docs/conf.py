@@ -11,24 +11,16 @@ sys.path[:0] = [str(HERE), str(HERE.parents[1])]
 
 from thinlayer import __version__ as release  # noqa: E402
 
-project, author = "thinlayer", "the thinlayer developers"
-extensions = [
-    "listings",
-    "myst_parser",
-    "sphinx.ext.autosummary",
-    "sphinx.ext.intersphinx",
-    "sphinx.ext.napoleon",
-    "sphinx_copybutton",
-]
+project, copyright = "thinlayer", "the thinlayer authors, MIT licence"
+SPHINX = [f"sphinx.ext.{name}" for name in ("autosummary", "intersphinx", "napoleon")]
+extensions = ["listings", "myst_parser", "sphinx_copybutton", *SPHINX]
 
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 
 default_role = "code"  # single backticks in docstrings
 autodoc_member_order = "bysource"
-autodoc_preserve_defaults = True
 napoleon_use_ivar = True
-napoleon_use_rtype = False
 
 # Links into other references need their inventories, and so a network: THINLAYER_LINKS=1 ./fenicsx docs.
 DOLFINX = "https://docs.fenicsproject.org/dolfinx/v0.9.0/python"
@@ -40,10 +32,8 @@ html_theme = "pydata_sphinx_theme"
 html_title = f"thinlayer {release}"
 html_static_path = ["_static"]
 html_css_files = ["thinlayer.css"]
-html_show_sourcelink = False
 html_theme_options = {"show_toc_level": 2, "footer_start": ["copyright"], "footer_end": []}
 highlight_language = "text"  # of indented blocks
-copyright = "the thinlayer developers, MIT licence"
 
 
 def escaped(app: Any, what: str, name: str, obj: object, options: Any, lines: list[str]) -> None:
