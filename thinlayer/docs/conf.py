@@ -29,7 +29,6 @@ intersphinx_mapping = {name: (url, None) for name, url in OTHERS.items()} if os.
 
 html_math_renderer = "mathml"
 html_theme = "pydata_sphinx_theme"
-html_title = f"thinlayer {release}"
 html_static_path = ["_static"]
 html_css_files = ["thinlayer.css"]
 html_theme_options = {"show_toc_level": 2, "footer_start": ["copyright"], "footer_end": []}
