@@ -9,7 +9,7 @@ from typing import Any
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parents[1])]
 
-from thinlayer import __version__ as release  # noqa: E402
+from thinlayer import __version__ as release  # noqa: E402, F401
 
 project, copyright = "thinlayer", "the thinlayer authors, MIT licence"
 SPHINX = [f"sphinx.ext.{name}" for name in ("autosummary", "intersphinx", "napoleon")]
