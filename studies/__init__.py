@@ -14,7 +14,7 @@ GROUPS = {
     },
     "Laws": {"limits": (4, 8), "layer_friction": (3, 8), "creep_and_relaxation": (50, 80), "snap": (40, 120)},
     "Sweeps in the thickness": {"rates": (600, 1800), "free_ends": (27, 200), "junctions": (17, 200)},
-    "Structures": {"bearing": (5, 39), "punch": (19, 90), "strips": (5, 10), "wall": (34, 150)},
+    "Structures": {"bearing": (5, 39), "punch": (19, 90), "strips": (5, 10), "wall": (34, 300)},
     "Estimates and maps": {"may_i_drop": (180, 500), "which_law": (75, 400), "zoom": (31, 150)},
     "Benchmarks": {"performance": (60, 400), "setup_time": (30, 100), "law_speed": (10, 40)},
 }

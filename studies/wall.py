@@ -29,7 +29,7 @@ NEAR = 0.9  # of the strength of a bed, where walls are compared and drawn
 PANEL = (2, 3)  # bricks and courses of the panel that is meshed
 SHIFTS = (0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3)  # mm, of its top
 THICKNESSES = (10.0, 5.0, 2.5)  # mm, of its meshed joints
-ELASTIC_FRACTION = 0.002  # of the mortar of the panel: ideal plasticity leaves nothing to hold its free ends
+ELASTIC_FRACTION = 0.01  # of the mortar of the panel: ideal plasticity leaves nothing to hold its free ends
 SHARES = ("seam", "size", "elastic", "sliding", "crushed", "torn", "open")  # columns of joints.csv
 
 
@@ -103,9 +103,10 @@ def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
     for name, model in models.items():
         history = march(model, list(SHIFTS))
         record.solved(history.last)
-        forces[name] = [beds.integral(beds.reaction(state)[0]) / length for state in history]
-        table.extend(Table.of({"model": name, "shift_mm": history.t, "shear_MPa": forces[name]}))
-    by_law, *meshed = (np.array(one[1:]) for one in forces.values())
+        # steps that failed were parted: the models are compared at the times that they have in common
+        forces[name] = [beds.integral(beds.reaction(history.at(t))[0]) / length for t in SHIFTS]
+        table.extend(Table.of({"model": name, "shift_mm": SHIFTS, "shear_MPa": forces[name]}))
+    by_law, *meshed = (np.array(one) for one in forces.values())
     errors = [float(np.abs(one - by_law).max() / by_law.max()) for one in meshed]
     for eps, error in zip(thicknesses, errors, strict=True):
         record.check(f"force of the panel, joints of {eps:g} mm, meshed and not", error, high=0.003 * eps)
