@@ -102,7 +102,7 @@ def test_a_batch_takes_up_what_is_done(tmp_path, monkeypatch, capsys):
     """The longest run is first, one that fails stops no other one; a second batch repeats it, and resumes a killed one."""
     long, bad, short = (Job(name, {}, tmp_path / "out" / name, seconds) for name, seconds in SECONDS.items())
     for job in (long, short):
-        ran(Job(job.study, {}, tmp_path / job.study), {"a number": 2.0})
+        ran(Job(job.study, {}, tmp_path / job.study, job.seconds), {"a number": 2.0})
     script, calls = tmp_path / "python", tmp_path / "calls"
     script.write_text(f'#!/bin/sh\ncd {tmp_path}\necho "$4 $7" >> calls\nmkdir -p $6\ncp $4/run.json $6')
     script.chmod(0o700)

@@ -41,7 +41,7 @@ class Job:
     study: str
     options: Mapping[str, Any]
     folder: Path
-    seconds: float = 1.0
+    seconds: float
 
     @property
     def words(self) -> list[str]:

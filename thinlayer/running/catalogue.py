@@ -74,8 +74,7 @@ def listed() -> str:
     lines = dict[str, None]()  # each heading once
     for study in (study for study in studies().values() if study.drawn):
         lines[study.group] = None
-        times = f"{duration(study.full):>6}, quick {duration(study.quick):<6}"
-        lines[f"  {study.name:<20} {times}  {study.summary}"] = None
+        lines[f"  {study.name:<20} {duration(study.full):>6}, quick {duration(study.quick):<6}  {study.summary}"] = None
     return "\n".join(lines)
 
 

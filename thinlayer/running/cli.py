@@ -271,8 +271,9 @@ def _batch(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
 
         if "studies" not in chosen:
             return reproduce(chosen.out, quick=chosen.quick, at_a_time=chosen.j)
-        names = dict.fromkeys(chosen.all or chosen.studies)
-        jobs = [Job(name, quick_options(name, chosen.quick), chosen.out / name) for name in names]
+        quick, members = chosen.quick, (studies()[name] for name in chosen.all or chosen.studies)
+        times = {study.name: study.quick if quick else study.full for study in members}
+        jobs = [Job(name, quick_options(name, quick), chosen.out / name, times[name]) for name in times]
         return run_all(jobs, chosen.out, chosen.j)
 
     return computed(work, petsc={}, verbose=0)
