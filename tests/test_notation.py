@@ -25,7 +25,7 @@ def symbols(text: str) -> set[str]:
 
 
 def test_symbols_have_one_meaning():
-    everywhere, _, there = PAGES[NOTATION].partition("On some pages besides:")
+    everywhere, _, there = PAGES[NOTATION].partition("Further symbols of single pages:")
     known = symbols(everywhere)
     own: dict[str, set[str]] = {}
     for pages, meanings in re.findall(r"^\| (\[.*?) \| (.*) \|$", there, re.MULTILINE):
