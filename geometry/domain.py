@@ -233,14 +233,20 @@ def _local_facets(
 ) -> tuple[Indices, IntArray]:
     """Local facets (ghosts included), ascending, of some rows of joint.table, and the position of each in `rows`.
 
-    A cell of the mesh has its vertices in the order of the joint's cell. The rows are in ascending order.
+    A cell of the mesh has its vertices, and so its facets, in the order of the joint's cell.
     """
-    mesh.topology.create_entities(joint.dim - 1)
-    map_ = mesh.topology.index_map(joint.dim - 1)
-    facets = np.arange(map_.size_local + map_.num_ghosts, dtype=np.int32)
-    own = joint.table.index(vertices_of_facets(mesh, joint.cell_type, facets, joint.corners[original]))
-    kept = np.isin(own, rows)
-    return facets[kept], np.searchsorted(rows, own[kept])
+    connect(mesh, joint.dim - 1)
+    of_cells = mesh.topology.connectivity(joint.dim, joint.dim - 1).array.reshape(len(original), -1)
+    local = np.full(len(joint.cells), -1)
+    local[original] = np.arange(len(original))
+    cells, which = local[joint.table.cells[rows]], joint.table.local[rows]
+    here = (cells >= 0) & (which >= 0)
+    places = here.argmax(axis=1)[:, None]
+    cells, which = (np.take_along_axis(one, places, axis=1)[:, 0] for one in (cells, which))
+    kept = np.flatnonzero(here.any(axis=1))
+    facets = of_cells[cells[kept], which[kept]]
+    order = np.argsort(facets)
+    return facets[order], kept[order]
 
 
 def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:

@@ -222,14 +222,23 @@ class Splitting:
 
         The component with the smallest cell has number 0; so have all cells around entities that are not split.
         """
-        local, keys = self._topology[dim], self.entities(dim)
+        local = self._topology[dim]
+        found = np.zeros((len(self.cells), len(local)), np.int64)
         if dim == len(self._topology) - 1 or not len(self.cut):
-            return np.zeros(keys.shape, np.int64)
-        linked = self.table.cells[:, 1] >= 0
+            return found
+        on_cut = np.zeros(int(self.cells.max()) + 1, bool)
+        on_cut[self.table.vertices[self.cut]] = True
+        touched = on_cut[self._corners]
+        near = np.flatnonzero(touched.any(axis=1))  # other cells have nothing that is split
+        place = np.full(len(self.cells), -1)
+        place[near] = np.arange(len(near))
+        pairs = place[self.table.cells]
+        linked = (self.table.cells[:, 1] >= 0) & (pairs >= 0).all(axis=1)
         linked[self.cut] = False
+        keys = self.entities(dim)[near]
         inside = np.array([[i for i, one in enumerate(local) if set(one) <= set(each)] for each in self._topology[-2]])
         links: list[IntArray] = []
-        for cell, facet in zip(self.table.cells[linked].T, self.table.local[linked].T, strict=True):
+        for cell, facet in zip(pairs[linked].T, self.table.local[linked].T, strict=True):
             entity = inside[facet]
             order = np.argsort(np.take_along_axis(keys[cell], entity, axis=1), axis=1)
             links.append((cell[:, None] * len(local) + np.take_along_axis(entity, order, axis=1)).ravel())
@@ -240,8 +249,8 @@ class Splitting:
         start = np.flatnonzero(np.diff(keys.ravel()[first_place][order], prepend=-1))
         number = np.empty(len(order), np.int64)
         number[order] = np.arange(len(order)) - np.repeat(start, np.diff(start, append=len(order)))
-        touched = np.isin(self._corners, self.table.vertices[self.cut])[:, local].any(axis=2)
-        return np.where(touched, number[label].reshape(keys.shape), 0)
+        found[near] = np.where(touched[near][:, local].any(axis=2), number[label].reshape(keys.shape), 0)
+        return found
 
     @cached_property
     def of_nodes(self) -> IntArray:
@@ -274,8 +283,9 @@ class Splitting:
         corners = self.copies[1][:, : self._corners.shape[1]]
         first = corners[:, :1].repeat(corners.shape[1] - 1, axis=1)
         label = connected(first.ravel(), corners[:, 1:].ravel(), int(corners.max(initial=-1)) + 1)[corners[:, 0]]
-        _, start, number = np.unique(label, return_index=True, return_inverse=True)
-        return np.argsort(np.argsort(start))[number.ravel()]
+        start = np.full(int(label.max(initial=-1)) + 1, len(label))
+        start[label[::-1]] = np.arange(len(label))[::-1]  # the first cell of each, which is written last
+        return np.argsort(np.argsort(start))[label]
 
     @cached_property
     def valence(self) -> IntArray:

@@ -368,12 +368,10 @@ class Constraints:
         c, m = motions.shape[1], sum(one.count for one in self.ties)
         free = np.ones(self.n)
         free[self.tied] = 0.0
-        of_ties = scipy.sparse.lil_matrix((self.n, m))
         gram = np.zeros((c + m, c + m))
         first = dict(zip(self.slots, np.cumsum([0, *(one.count for one in self.ties)]).tolist(), strict=False))
-        for one in self.ties:
-            own, places = self._mine(self.slots[one.key])
-            of_ties[places, first[one.key] + own] = 1.0
+        own, places = self._mine(np.concatenate([np.empty(0, np.int64), *self.slots.values()]))
+        of_ties = scipy.sparse.csr_matrix((np.ones(len(own)), (places, own)), (self.n, m))
         y = scipy.sparse.hstack([scipy.sparse.diags(free) @ motions, of_ties], format="csr")
         wide = scipy.sparse.hstack([motions, scipy.sparse.csr_matrix((self.n, m))], format="csr")
         for rows in (self.prescribed.conditions @ wide, (self._product(self._T0, y) - wide)[self.tied]):

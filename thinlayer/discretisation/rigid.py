@@ -71,13 +71,10 @@ def rigid_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
 
 def rigid_values(V: fem.FunctionSpace, about: Array) -> Array:
     """The motions of `rigid` in a space: (n, k) at the displacements of this rank, those of ghosts last. Collective."""
-    d, f, columns = V.dofmap.bs, fem.Function(V), []
-    for share in np.eye(count(d)):
-        turn = np.tensordot(share[d:], TURNS[d], 1)
-        f.interpolate(lambda x, u=share[:d], turn=turn: u[:, None] + turn @ (x[:d] - about[:, None]))
-        f.x.scatter_forward()
-        columns.append(f.x.array.copy())
-    return np.column_stack(columns)
+    d, f = V.dofmap.bs, fem.Function(V)
+    f.interpolate(lambda x: x[:d])
+    f.x.scatter_forward()
+    return rigid(f.x.array.reshape(-1, d), about).reshape(len(f.x.array), -1)
 
 
 def rigid_motions(V: fem.FunctionSpace, joint: Joint, kinematics: Kinematics = LIFTED) -> dict[str, fem.Function]:
