@@ -185,11 +185,10 @@ class Sheet:
         pieces, cells = joint.splitting.pieces, joint.surface_cells[self.facets]
         sides = [np.unique(pieces[side[side >= 0]]) for side in cells.T]
         sides = [np.union1d(*sides)] if len(np.intersect1d(*sides)) else [side for side in sides if len(side)]
-        found = []
+        distance, found = np.abs((joint.points - joint.points[self.vertices[0, 0]]) @ self.mean_normal), []
         for side in sides:
             inside = np.isin(pieces, side)
-            apart = joint.points[joint.corners[inside]] - joint.points[self.vertices[0, 0]]
-            away = np.abs(apart @ self.mean_normal).max()
+            away = distance[joint.corners[inside]].max()
             found.append(min(volumes[inside].sum() / self.areas.sum(), away if self.planar else math.inf))
         return tuple(map(float, found))
 

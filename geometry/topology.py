@@ -154,8 +154,9 @@ def node_jacobians(points: FloatArray, cells: IntArray, cell_type: str) -> Float
     Shape (n_cells, n_nodes); (n_cells, 1) for straight-sided simplices, whose Jacobian is constant.
     """
     element = lagrange(cell_type, geometry_degree(cell_type, cells.shape[1]))
-    at = element.points[:1] if element.degree == 1 and not is_tensor(cell_type) else element.points
-    gradients = element.tabulate(1, at)[1:, :, :, 0]
+    if element.degree == 1 and not is_tensor(cell_type):
+        return np.linalg.det(points[cells[:, 1:]] - points[cells[:, :1]])[:, None]
+    gradients = element.tabulate(1, element.points)[1:, :, :, 0]
     return np.linalg.det(np.einsum("tqn,cnd->cqtd", gradients, points[cells]))
 
 
