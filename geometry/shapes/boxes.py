@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise, permutations, product
+from functools import cached_property
+from itertools import pairwise
 from math import ceil
 
 import numpy as np
@@ -43,9 +44,8 @@ class Boxes(Prism):
         return Extent(min(self.lengths.values()), max(self.width, self.depth or 0.0), "abs(y)")
 
     def draw_plane(self) -> Drawing:
-        """Rectangles, the cells of their grid from h_S at S to h away from it, from h_ends at S's ends to h_S between."""
+        """Rectangles; a grid needs no drawing."""
         kernel = gmsh.model.geo
-        h, h_S, h_ends = self.sizes
         two = len(self.bodies) == 2
         heights = [-self.bodies[0][1], 0.0, self.bodies[1][1]] if two else [0.0, self.bodies[0][1]]
         corners = [[kernel.addPoint(x, y, 0) for x in (0.0, self.width)] for y in heights]
@@ -54,16 +54,106 @@ class Boxes(Prism):
         curves = {"LEFT": [r[0] for r in rise], "RIGHT": [r[1] for r in rise], "TOP": [across[-1]], S: [across[-2]]}
         if two:
             curves["BOTTOM"] = [across[0]]
-        gradings = dict.fromkeys(across, Grading.of(self.width, h_ends, h_S, symmetric=True))
         surfaces = []
-        for k, (_, height) in enumerate(self.bodies):
+        for k in range(len(self.bodies)):
             loop = kernel.addCurveLoop([across[k], rise[k][1], -across[k + 1], -rise[k][0]])
             surfaces.append(kernel.addPlaneSurface([loop]))
-            below = heights[k + 1] == 0.0
-            gradings |= dict.fromkeys(rise[k], Grading.of(height, h_S, h, backwards=below))
         kernel.synchronize()
         bodies = {name: [tag] for (name, _), tag in zip(self.bodies, surfaces, strict=True)}
-        return Drawing(bodies, curves, surfaces, gradings)
+        return Drawing(bodies, curves, surfaces, {})
+
+    def _build(self, unit: float) -> Joint:
+        """A grid, its cells from h_S at S to h away from it, from h_ends at S's ends to h_S between; else gmsh's mesh."""
+        if not self.gridded:
+            return super()._build(unit)
+        h, h_S, h_ends = self.sizes
+        (*below, (_, height)), names = self.bodies, tuple(name for name, _ in self.bodies)
+        up = Grading.of(height, h_S, h).along(height)
+        down = [-Grading.of(lower, h_S, h).along(lower)[:0:-1] for _, lower in below]
+        across = [
+            Grading.of(length, h_ends, h_S, symmetric=True).along(length)
+            for length in (self.width, *([self.depth] if self.depth else []))
+        ]
+        axes = [across[0], np.concatenate([*down, up]), *across[1:]]
+        grid, base = Grid([axis * unit for axis in axes], self.kind, self.cells.arrangement), sum(map(len, down))
+        facets = grid.sides() | {S: grid.plane(1, base)}
+        if not below:
+            del facets[SIDES[1][0]]
+        region = (grid.places[:, 1] >= base).astype(np.int64) * len(below)
+        seams = {S: Seam(names[:-1], names[-1:])}
+        return Joint(grid.points, grid.cells, self.kind, region, names, facets, seams)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A grid of boxes, or of the simplices that fill them.
+
+    Attributes:
+        axes: increasing coordinates along each axis, lengths.
+        kind: type of the cells.
+        arrangement: which diagonals halve the rectangles in the x-y plane, of `ARRANGEMENTS`.
+    """
+
+    axes: Sequence[FloatArray]
+    kind: str
+    arrangement: str = "Right"
+
+    @property
+    def points(self) -> FloatArray:
+        """(n, d) points."""
+        return np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1).reshape(-1, len(self.axes))
+
+    @cached_property
+    def _numbers(self) -> IntArray:
+        """Numbers of the points, by their place along each axis."""
+        shape = [len(axis) for axis in self.axes]
+        return np.arange(np.prod(shape)).reshape(shape)
+
+    @cached_property
+    def cells(self) -> IntArray:
+        """(m, k) points of the cells."""
+        plane = self._plane(self._numbers.reshape(*self._numbers.shape[:2], -1)[..., 0])
+        return plane if len(self.axes) == 2 else self._swept(plane)
+
+    @cached_property
+    def places(self) -> IntArray:
+        """(m, d) place of each cell's box along each axis."""
+        boxes = np.stack(np.meshgrid(*(np.arange(len(axis) - 1) for axis in self.axes), indexing="ij"), axis=-1)
+        boxes = boxes.reshape(-1, len(self.axes))
+        return np.tile(boxes, (len(self.cells) // len(boxes), 1))
+
+    def plane(self, axis: int, place: int) -> IntArray:
+        """Points of the facets on a plane of the grid, normal to an axis."""
+        if axis == 2:
+            return self._plane(self._numbers[:, :, place])
+        line = np.moveaxis(self._numbers, axis, 0)[place].reshape(self._numbers.shape[1 - axis], -1)[:, 0]
+        rows = np.column_stack([line[:-1], line[1:]])
+        return rows if len(self.axes) == 2 else self._swept(rows)
+
+    def sides(self) -> dict[str, IntArray]:
+        """Name of a side -> points of its facets."""
+        pairs = [
+            (name, axis, end) for axis, names in enumerate(SIDES) for name, end in zip(names, (0, -1), strict=True)
+        ]
+        return {name: self.plane(axis, end) for name, axis, end in pairs if axis < len(self.axes)}
+
+    def _plane(self, numbers: IntArray) -> IntArray:
+        """Rectangles of points (n_x, n_y), or the triangles that halve them, with increasing numbers."""
+        ends = slice(None, -1), slice(1, None)
+        o, x, y, xy = (numbers[ends[i], ends[j]].ravel() for i, j in ((0, 0), (1, 0), (0, 1), (1, 1)))
+        if is_tensor(self.kind):
+            return np.column_stack([o, x, y, xy])
+        odd = np.indices([n - 1 for n in numbers.shape]).sum(axis=0).ravel() % 2 == 1
+        left = {"Left": True, "Right": False, "AlternateLeft": odd, "AlternateRight": ~odd}[self.arrangement]
+        halves = ((o, x, xy), (o, y, x)), ((o, y, xy), (y, x, xy))
+        return np.concatenate([np.where(left, flipped, plain).T for plain, flipped in halves])
+
+    def _swept(self, rows: IntArray) -> IntArray:
+        """Cells of all layers between rows of the points at z = 0 and those above them, whose numbers are next."""
+        below = (rows[:, None] + np.arange(len(self.axes[2]) - 1)[:, None]).reshape(-1, rows.shape[1])
+        if is_tensor(self.kind):
+            return np.column_stack([below, below + 1])
+        return np.concatenate([np.column_stack([below[:, : k + 1], below[:, k:] + 1]) for k in range(rows.shape[1])])
 
 
 def running_bond(cells: Cells, size: Sequence[float], bricks: int, courses: int) -> Joint:
@@ -129,7 +219,9 @@ def _joint(
     """
     d, (half, height) = len(lengths), brick
     kind = cells.cell or {2: "quadrilateral", 3: "hexahedron"}[d]
-    points, rows, at = _grid(lengths, counts, kind)
+    axes = [np.linspace(0.0, length, n + 1).astype(float) for length, n in zip(lengths, counts, strict=True)]
+    grid = Grid(axes, kind)
+    rows, at = grid.cells, grid.places
     course = (at[:, 1] + start[1]) // height
     number = (at[:, 0] + start[0] + half * (course % 2)) // (2 * half)
     region = course % (counts[1] // height)
@@ -137,32 +229,9 @@ def _joint(
     first, second = table.cells.T
     beds = (second >= 0) & (course[first] != course[second])
     heads = (second >= 0) & ~beds & (number[first] != number[second])
-    facets = {BED: table.vertices[beds], HEAD: table.vertices[heads]}
-    x = points[table.vertices]
-    for k, names in enumerate(SIDES[:d]):
-        for name, end in zip(names, (0.0, lengths[k]), strict=True):
-            facets[name] = table.vertices[(second < 0) & (x[..., k] == end).all(axis=1)]
+    facets = {BED: table.vertices[beds], HEAD: table.vertices[heads], **grid.sides()}
     facets = {name: of_name for name, of_name in facets.items() if len(of_name)}
     ways = {BED: 1, HEAD: 0}
     seams = {name: Seam(direction=tuple(map(float, np.eye(d)[k]))) for name, k in ways.items() if name in facets}
     regions = tuple(f"COURSE {k + 1}" for k in range(int(region.max()) + 1))
-    return Joint(points, rows, kind, region, regions, facets, seams)
-
-
-def _grid(lengths: Sequence[float], counts: Sequence[int], kind: str) -> tuple[FloatArray, IntArray, IntArray]:
-    """Points (n, d) of a grid, its cells (m, k), simplices along one diagonal, and their places in the grid (m, d)."""
-    axes = [np.linspace(0.0, length, n + 1) for length, n in zip(lengths, counts, strict=True)]
-    d, shape = len(axes), [len(axis) for axis in axes]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, d)
-    number = np.arange(len(points)).reshape(shape)
-    inner = [n - 1 for n in shape]
-    corners = [
-        number[tuple(slice(o, o + n) for o, n in zip(reversed(offset), inner, strict=True))].ravel()
-        for offset in product((0, 1), repeat=d)
-    ]
-    cells = np.column_stack(corners)
-    at = np.stack(np.meshgrid(*map(np.arange, inner), indexing="ij"), axis=-1).reshape(-1, d)
-    if is_tensor(kind):
-        return points, cells, at
-    paths = [[sum(1 << axis for axis in way[:k]) for k in range(d + 1)] for way in permutations(range(d))]
-    return points, np.concatenate([cells[:, path] for path in paths]), np.tile(at, (len(paths), 1))
+    return Joint(grid.points, rows, kind, region, regions, facets, seams)

@@ -10,6 +10,7 @@ import numpy as np
 
 from forms.base import InputError, is_finite, optional, require
 from geometry.refusals import require_known, unknown
+from geometry.topology import FloatArray
 
 CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
 PARTS = {2: 10, 3: 5}  # default number of cells across the thinnest part, by dimension
@@ -157,6 +158,10 @@ class Grading:
         sizes = self.growth ** (np.minimum(k, k[::-1]) if self.symmetric else k[::-1] if self.backwards else k)
         ends = np.cumsum(sizes) / sizes.sum()
         return [*ends[:-1].tolist(), 1.0]
+
+    def along(self, length: float) -> FloatArray:
+        """(n + 1,) ends of the cells along a line of a length."""
+        return length * np.array([0.0, *self.layers])
 
     def put(self, curve: int) -> None:
         """Prescribe the cells of a curve of the gmsh model."""

@@ -366,22 +366,20 @@ class Constraints:
             matrix (c + m, c + m) of what conditions prevent: it is zero for a motion that they allow.
         """
         c, m = motions.shape[1], sum(one.count for one in self.ties)
-        free = np.ones(self.n)
-        free[self.tied] = 0.0
         gram = np.zeros((c + m, c + m))
         first = dict(zip(self.slots, np.cumsum([0, *(one.count for one in self.ties)]).tolist(), strict=False))
-        own, places = self._mine(np.concatenate([np.empty(0, np.int64), *self.slots.values()]))
-        of_ties = scipy.sparse.csr_matrix((np.ones(len(own)), (places, own)), (self.n, m))
-        y = scipy.sparse.hstack([scipy.sparse.diags(free) @ motions, of_ties], format="csr")
-        wide = scipy.sparse.hstack([motions, scipy.sparse.csr_matrix((self.n, m))], format="csr")
+        wide, y = motions, _without(motions, self.tied)
+        if m:
+            own, places = self._mine(np.concatenate([*self.slots.values()]))
+            of_ties = scipy.sparse.csr_matrix((np.ones(len(own)), (places, own)), (self.n, m))
+            y = scipy.sparse.hstack([y, of_ties], format="csr")
+            wide = scipy.sparse.hstack([motions, scipy.sparse.csr_matrix((self.n, m))], format="csr")
         for rows in (self.prescribed.conditions @ wide, (self._product(self._T0, y) - wide)[self.tied]):
             gram += (rows.T @ rows).toarray()
         for tie, k, _ in self._motions:
             gram[c + first[tie.key] + k, c + first[tie.key] + k] += 1.0
-        kept = np.ones(self.n)
-        kept[self.held] = 0.0
-        z = scipy.sparse.diags(kept) @ self._product(self.Q, y, transposed=True)
-        return self._product(self.T, z.tocsr()), self.comm.allreduce(gram)
+        z = _without(self._product(self.Q, y, transposed=True), self.held)
+        return self._product(self.T, z), self.comm.allreduce(gram)
 
     def resistance(self, motions: Array) -> Array:
         """(c, c) how far conditions prevent motions (n, c), where ties follow them as well as they can."""
@@ -401,6 +399,13 @@ class Constraints:
         found = csr_of(product)
         destroy(wide, product)
         return found
+
+
+def _without(A: Sparse, rows: np.ndarray) -> Sparse:
+    """A matrix whose entries in some rows are zero; its places stay the same."""
+    kept = np.ones(A.shape[0])
+    kept[rows] = 0.0
+    return scipy.sparse.csr_matrix((A.data * kept.repeat(np.diff(A.indptr)), A.indices, A.indptr), A.shape)
 
 
 def _groups(A: Sparse) -> list[_Group]:

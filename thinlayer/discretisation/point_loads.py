@@ -113,7 +113,7 @@ class LineLoad:
             refuse_periodic(joint, name, f"line load on {name!r}")
         if len(np.intersect1d(joint.table.index(names[self.first]), joint.table.index(names[self.second]))):
             raise InputError(f"{self.what}: both have the same facets; a line lies between two sides")
-        kind, numbers = basix.CellType[joint.cell_type], joint.splitting.entities(1)
+        kind, numbers = basix.CellType[joint.cell_type], joint.splitting.entities(1, joint.corners)
         _, edges, facets, _ = basix.topology(kind)
         inside = np.array([[k for k, edge in enumerate(edges) if {*edge} <= {*facet}] for facet in facets])
         of_names = []

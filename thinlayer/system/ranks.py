@@ -200,18 +200,23 @@ def carry(comm: MPI.Intracomm, cells: Array, values: Array, wanted: Array) -> Ar
     def meeting_rank(c: Array) -> Array:
         return c * comm.size // max(highest, 1)
 
-    rows = send(comm, meeting_rank(cells), np.column_stack([cells.astype(float), values]))
-    rows = rows[np.argsort(rows[:, 0])]
-    known = rows[:, 0].astype(np.int64)
+    here = np.column_stack([cells, np.full(len(cells), comm.rank), np.arange(len(cells))])
+    rows = send(comm, meeting_rank(cells), here)
+    rows = rows[np.argsort(rows[:, 0], kind="stable")]
 
     def tell(asked: Array, _: Array) -> Array:
-        out = np.full((len(asked), rows.shape[1] - 1), np.nan)
-        if len(known):
-            at = np.minimum(np.searchsorted(known, asked), len(known) - 1)
-            out[known[at] == asked] = rows[at[known[at] == asked], 1:]
+        """Rank that holds each cell, and the cell's place there; -1 for cells that no rank holds."""
+        out = np.full((len(asked), 2), -1)
+        if len(rows):
+            at = np.minimum(np.searchsorted(rows[:, 0], asked), len(rows) - 1)
+            held = rows[at, 0] == asked
+            out[held] = rows[at[held], 1:]
         return out
 
-    return ask(comm, meeting_rank(wanted), wanted, tell)
+    holder, at = ask(comm, meeting_rank(wanted), wanted, tell).T
+    out = np.full((len(wanted), values.shape[1]), np.nan)
+    out[holder >= 0] = ask(comm, holder[holder >= 0], at[holder >= 0], lambda places, _: values[places])
+    return out
 
 
 # ---------------------------------------------------------------- the end
