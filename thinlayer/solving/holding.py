@@ -122,10 +122,8 @@ class RigidMotions:
         """At each displacement of this rank, its translations and rotations (n, per), of order 1; its piece (n,)."""
         model, joint = self.model, self.model.domain.joint
         V, number = model.V, model.splitting.pieces
-        _, first, cells = np.unique(number, return_index=True, return_counts=True)
+        first = np.unique(number, return_index=True)[1]
         self._names = [joint.regions[joint.region[cell]] for cell in first]
-        middles = joint.points[joint.corners].mean(axis=1)
-        self._places = np.column_stack([np.bincount(number, along) / cells for along in middles.T])
         owned, bs = V.dofmap.index_map.size_local, V.dofmap.index_map_bs
         of = np.zeros(owned + V.dofmap.index_map.num_ghosts, np.int32)
         dofs = np.asarray(V.dofmap.list)
@@ -163,7 +161,9 @@ class RigidMotions:
         k = int(np.abs(each[..., -1]).max(axis=1).argmax())
         axes, shift = [*self.model.kinematics.translations(d)], np.zeros(d)
         shift[axes], turn = np.split(each[k, :, -1], [len(axes)])
-        where = f" at {place(self._places[k])}" if self._names.count(self._names[k]) > 1 else ""
+        joint = self.model.domain.joint
+        middle = joint.points[joint.corners[self.model.splitting.pieces == k]].mean(axis=(0, 1))
+        where = f" at {place(middle)}" if self._names.count(self._names[k]) > 1 else ""
         body = f"body {self._names[k]!r}{where}"
         if self.model.kinematics.turns and np.linalg.matrix_rank(each[k], tol=SEVERAL) == self._per:
             return f"{body} can move and turn freely"
