@@ -37,13 +37,14 @@ def in_turn(works: Mapping[str, Callable[[], float]], repeats: int) -> dict[str,
 def peak(work: Callable[[], object]) -> float:
     """Largest memory that this process takes during some work, on top of what it had, MB; Linux only."""
     ctypes.CDLL(None).malloc_trim(0)  # what was freed goes back to the system
-    before = _status("VmRSS")
+    before = status("VmRSS")
     Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")  # forget the largest so far
     work()
-    return max(_status("VmHWM") - before, 0.0)
+    return max(status("VmHWM") - before, 0.0)
 
 
-def _status(name: str) -> float:
+def status(name: str) -> float:
+    """A size of memory of this process, MB, by its name in /proc; NaN if there is none."""
     for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
         if line.startswith(name):
             return int(line.split()[1]) / 1024

@@ -91,7 +91,7 @@ def test_version_help_and_name(monkeypatch):
 
 def test_answers_as_json():
     listed = json.loads(thinlayer("list", "--json").stdout)
-    assert (listed["fig4_bar"]["group"], listed["performance"]["drawn"]) == ("The paper", False)
+    assert (listed["fig4_bar"]["group"], listed["law_speed"]["drawn"]) == ("The paper", False)
     assert [listed["wall"][of] for of in ("quick", "full")] == [*GROUPS["Structures"]["wall"]]
     assert json.loads(thinlayer("info", "--json").stdout)["fenics-dolfinx"] == dolfinx.__version__
 

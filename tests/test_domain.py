@@ -12,7 +12,6 @@ from geometry import block, disc, ring, sandwich
 from geometry.domain import Domain
 from geometry.inflating.inflation import inflate
 from geometry.joint import Joint
-from studies import setup_time
 from tests.meshes import renumbered
 from tests.on_ranks import on_ranks
 
@@ -73,9 +72,3 @@ def test_tags():
 @on_ranks(compare_tags, 2, 3)
 def test_tags_on_several_ranks(there):
     assert there is None  # no error on any rank
-
-
-def test_benchmark():
-    rows = setup_time.compare("2D", 20, 1)
-    assert [row["work"] for row in rows] == ["joint", "structure", "model", "stiffness", "plain script"]
-    assert rows[0]["dofs"] == 2 * 21 * 22

@@ -199,7 +199,7 @@ def test_continuation_finds_what_newton_finds(kind):
 
 
 def test_continuation_finds_what_newton_does_not_find():
-    model = dragged(MohrCoulombMonodirectional(60.0, 40.0, cohesion=0.0, friction_angle=30.0))
+    model = dragged(MohrCoulombMonodirectional(60.0, 40.0, cohesion=0.0, friction_angle=30.0), far=0.25)
     with Solver(model) as solver:
         refused(SolveError, "Newton's method failed", lambda: solver.step(solver.rest(0.0), 0.0, 1.0, False))
         state = solver.step(solver.rest(0.0), 0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from studies import fig8_friction, performance, relaxation
+from studies import fig8_friction, friction_cost, relaxation
 from studies.fig4_bar import meet, straight
 from studies.problems import FOURIER_LAYER, of
 from studies.snap import distance
@@ -44,10 +44,10 @@ def test_sweeps_and_failures():
 
 def test_benchmark_runs(monkeypatch):
     """Its rows, not its times."""
-    bench = performance.Bench(6, depth=True)
+    bench = friction_cost.Bench(6, depth=True)
     rows = bench.compare("3D", 1)
     assert [row["work"] for row in rows] == ["friction 3D", "friction 3D, status predicted"]
-    assert rows[0]["dofs"] == 3 * 7**3
+    assert rows[0]["unknowns"] == 3 * 7**3
     bench.close()
 
 

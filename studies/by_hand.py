@@ -1,0 +1,142 @@
+"""A script in plain DOLFINx, as a careful user writes it for one problem: two blocks with springs on S; for benchmarks."""
+
+from __future__ import annotations
+
+import time
+from itertools import permutations
+
+import basix.ufl
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from dolfinx.fem.petsc import apply_lifting, assemble_matrix, assemble_vector
+from mpi4py import MPI
+from petsc4py import PETSc
+
+E, NU = 100.0, 0.3  # of the blocks, MPa
+K_T, K_N = 40.0, 140.0  # stiffnesses of S, MPa/mm
+LOAD = (0.5, 1.0, 0.0)  # on the top, MPa
+CHOLESKY = {"ksp_type": "preonly", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps", "mat_mumps_icntl_7": 2}
+MULTIGRID = {
+    "ksp_type": "cg",
+    "ksp_rtol": 1e-10,
+    "pc_type": "gamg",
+    "mg_levels_pc_type": "jacobi",
+    "pc_gamg_threshold": 0.01,
+}
+
+
+def by_hand(n: int, dim: int, options: dict[str, object]) -> tuple[float, dict[str, float]]:
+    """Solve on a grid of n cells along each side, halved into simplices, whose nodes on S are doubled.
+
+    Args:
+        n: even number of cells.
+        dim: 2 or 3.
+        options: PETSc options of the linear solver.
+
+    Returns:
+        The stored energy, and the seconds of each stage.
+    """
+    stages, begin = dict[str, float](), time.perf_counter()
+
+    def done(stage: str) -> None:
+        nonlocal begin
+        stages[stage], begin = time.perf_counter() - begin, time.perf_counter()
+
+    axes = [np.linspace(0.0, 1.0, n + 1) for _ in range(dim)]
+    numbers = np.arange((n + 1) ** (dim - 1) * (n // 2 + 1)).reshape(n + 1, n // 2 + 1, *[n + 1] * (dim - 2))
+    below = np.stack(np.meshgrid(axes[0], axes[1][: n // 2 + 1] - 0.5, *axes[2:], indexing="ij"), axis=-1).reshape(
+        -1, dim
+    )
+    points = np.concatenate([below, below + 0.5 * (np.arange(dim) == 1)])
+    cells = np.concatenate([_simplices(numbers), _simplices(numbers) + len(below)])
+    element = basix.ufl.element("Lagrange", "triangle" if dim == 2 else "tetrahedron", 1, shape=(dim,))
+    mesh = dolfinx.mesh.create_mesh(comm=MPI.COMM_SELF, cells=cells, e=element, x=points)
+    done("mesh")
+
+    V = fem.functionspace(mesh, element)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    mesh.topology.create_connectivity(dim - 1, dim)
+    top = dolfinx.mesh.locate_entities_boundary(mesh, dim - 1, lambda x: np.isclose(x[1], 0.5))
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=dolfinx.mesh.meshtags(mesh, dim - 1, np.sort(top), 1))
+    bottom = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], -0.5))
+    V_x, _ = V.sub(0).collapse()
+    sides = fem.locate_dofs_geometrical((V.sub(0), V_x), lambda x: np.isclose(x[0] * (1 - x[0]), 0.0))
+    supports = [fem.dirichletbc(np.zeros(dim), bottom, V), fem.dirichletbc(fem.Function(V_x), sides, V.sub(0))]
+    done("space")
+
+    lmbda, mu = E * NU / (1 + NU) / (1 - 2 * NU), E / 2 / (1 + NU)
+
+    def strain(w: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
+        return ufl.sym(ufl.grad(w))
+
+    def stress(w: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
+        return lmbda * ufl.tr(strain(w)) * ufl.Identity(dim) + 2 * mu * strain(w)
+
+    a = fem.form(ufl.inner(stress(u), strain(v)) * ufl.dx)
+    load = fem.form(ufl.inner(fem.Constant(mesh, np.array(LOAD[:dim])), v) * ds(1))
+    done("forms")
+
+    x = V.tabulate_dof_coordinates()[:, :dim]
+    number = np.empty(len(points), np.int32)  # of the node of each point of the grids
+    number[mesh.geometry.input_global_indices[mesh.geometry.dofmap]] = V.dofmap.list
+    lower, upper = (number[_simplices(numbers[:, end]) + shift] for end, shift in ((-1, 0), (0, len(below))))
+    springs, area = np.concatenate([lower, upper], axis=1), n ** (1 - dim) / (dim - 1)
+    pattern = fem.create_sparsity_pattern(a)
+    for nodes in springs:
+        pattern.insert(nodes, nodes)
+    pattern.finalize()
+    A = dolfinx.cpp.la.petsc.create_matrix(mesh.comm, pattern)
+    assemble_matrix(A, a, bcs=supports)
+    A.assemble(PETSc.Mat.AssemblyType.FLUSH)
+    K = np.diag(np.where(np.arange(dim) == 1, K_N, K_T))
+    mass = area * (np.ones((dim, dim)) + np.eye(dim)) / dim / (dim + 1)
+    jump = np.kron([[1, -1], [-1, 1]], np.kron(mass, K))
+    held = np.zeros((len(x), dim), bool)
+    held[bottom], held.ravel()[sides[0]] = True, True
+    for nodes in springs:
+        free = ~held[nodes].ravel()
+        A.setValuesBlockedLocal(nodes, nodes, jump * free * free[:, None], PETSc.InsertMode.ADD_VALUES)
+    A.assemble()
+    b = assemble_vector(load)
+    apply_lifting(b, [a], bcs=[supports])
+    b.array[bottom[:, None] * dim + np.arange(dim)] = 0.0
+    b.array[sides[0]] = 0.0
+    done("assembly")
+
+    A.setOption(PETSc.Mat.Option.SPD, True)
+    ksp, w = PETSc.KSP().create(mesh.comm), fem.Function(V)
+    for name, value in options.items():
+        PETSc.Options("by_hand_")[name] = value
+    ksp.setOptionsPrefix("by_hand_")
+    ksp.setOperators(A)
+    ksp.setFromOptions()
+    A.setNearNullSpace(PETSc.NullSpace().createRigidBody(_coordinates(x)))
+    ksp.setUp()
+    done("factor")
+    ksp.solve(b, w.x.petsc_vec)
+    done("solve")
+    energy = fem.assemble_scalar(fem.form(ufl.inner(stress(w), strain(w)) / 2 * ufl.dx))
+    values = w.x.array.reshape(-1, dim)[springs].reshape(len(springs), -1)
+    energy += np.einsum("fi,ij,fj->", values, jump, values) / 2
+    done("results")
+    for thing in (ksp, A, b):
+        thing.destroy()
+    return float(energy), stages
+
+
+def _simplices(numbers: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Simplices that fill the boxes of a grid of numbered points, along the same diagonal of each."""
+    d, found = numbers.ndim, []
+    for way in permutations(range(d)):
+        offsets = np.array([[int(axis in way[:k]) for axis in range(d)] for k in range(d + 1)])
+        places = [tuple(slice(o, o + n - 1) for o, n in zip(at, numbers.shape, strict=True)) for at in offsets.tolist()]
+        found.append(np.column_stack([numbers[place].ravel() for place in places]))
+    return np.concatenate(found)
+
+
+def _coordinates(x: npt.NDArray[np.float64]) -> PETSc.Vec:
+    """Coordinates (n, d) as PETSc takes them."""
+    return PETSc.Vec().createWithArray(np.ascontiguousarray(x).ravel(), bsize=x.shape[1], comm=MPI.COMM_SELF)
