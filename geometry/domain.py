@@ -21,6 +21,7 @@ from mpi4py import MPI
 
 from geometry.joint import Joint
 from geometry.parallel import world
+from geometry.partition import destinations
 from geometry.refusals import require_known
 from geometry.seam import BASE, LAYER, S
 from geometry.sheet import continued
@@ -37,17 +38,30 @@ def first_that_fits(*calls: Callable[[], Any]) -> Any:
     return calls[-1]()
 
 
-def create_mesh(comm: MPI.Intracomm, points: FloatArray, cells: IntArray, cell_type: str) -> dolfinx.mesh.Mesh:
-    """Distribute cells given by their nodes on rank 0 (other ranks: any value). Collective.
+def create_mesh(
+    comm: MPI.Intracomm, points: FloatArray, cells: IntArray, cell_type: str, joint: Joint | None = None
+) -> dolfinx.mesh.Mesh:
+    """Distribute cells given by their nodes. Collective.
 
     Ghost cells across facets are for integrals over interior facets. A single rank needs neither them nor a partitioner,
-    which would take as long as the mesh itself.
+    which would take as long as the mesh itself. Several ranks need the joint, whose cells these are: it is on all of them,
+    and each of them sends off an equal part of the cells.
     """
     dim, degree = points.shape[1], geometry_degree(cell_type, cells.shape[1])
-    if comm.rank:
-        points, cells = np.empty((0, dim)), np.empty((0, cells.shape[1]), np.int64)
-    create, mode = dolfinx.mesh.create_cell_partitioner, dolfinx.mesh.GhostMode.shared_facet
-    partitioner = first_that_fits(lambda: create(mode), lambda: create(mode, 2)) if comm.size > 1 else None
+    partitioner = None
+    if joint is not None and comm.size > 1:
+        starts, ranks = destinations(joint, comm.size)
+        first, last = (len(cells) * k // comm.size for k in (comm.rank, comm.rank + 1))
+        of_cells = starts[first : last + 1]
+        lists = dolfinx.cpp.graph.AdjacencyList_int32(
+            ranks[of_cells[0] : of_cells[-1]], (of_cells - of_cells[0]).astype(np.int32)
+        )
+        cells = cells[first:last]
+        points = points[len(points) * comm.rank // comm.size : len(points) * (comm.rank + 1) // comm.size]
+
+        def partitioner(*_: Any) -> dolfinx.cpp.graph.AdjacencyList_int32:
+            return lists
+
     element = basix.ufl.element("Lagrange", cell_type, degree, shape=(dim,))
     arguments = {"comm": comm, "cells": cells, "x": np.ascontiguousarray(points), "e": element}
     order = list(inspect.signature(dolfinx.mesh.create_mesh).parameters)[:4]
@@ -153,7 +167,7 @@ class Domain:
         comm = comm or world()
         if comm.size > 1:
             gc.collect()  # DOLFINx uses meshes' communicators so when it compiles in parallel: free old ones now
-        mesh = create_mesh(comm, joint.points, joint.cells, joint.cell_type)
+        mesh = create_mesh(comm, joint.points, joint.cells, joint.cell_type, joint)
         original = np.asarray(mesh.topology.original_cell_index, np.int64)
         if joint.parted is not None:
             mesh = with_cell_points(mesh, joint.parted[original])
