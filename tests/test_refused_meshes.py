@@ -22,6 +22,7 @@ from tests.meshes import (
     squares,
     volume,
     volumes,
+    write,
 )
 from tests.refused import refused
 
@@ -71,6 +72,10 @@ BROKEN = [
     (dict(lines=[[3, 4], [7, 8]]), r"1 of 2 facets of 'S' lie on the outer boundary, as at \(1\.5, 1\)"),
     (dict(lines=[[3, 4], [4, 8]]), r"some facets named 'S' are not facets .* at \(1\.5, 0\.5\)"),
     (dict(points=[*GRID, (1, 0.1)], lines=[[3, 9], [9, 5]]), r"not part of the bodies' mesh, .* at \(0\.5, 0\.05\)"),
+    (
+        dict(points=[*GRID, (2, 2), (0, 2)], more=[("quad", [[6, 8, 9, 10]], 2)]),
+        r"1 nodes hang on facets .*, the first at \(1, 1\): these cells are not connected",
+    ),
     (dict(regions=[1, 2, 1, 2]), r"same body on both sides, the first at \(0\.5, 0\)"),
     (TETRAHEDRON | dict(more=[("quad", [[0, 1, 4, 3]], 1)]), "quad facets, but its tetrahedron cells have triangle"),
     (dict(regions=[1, 1, 2, 0]), r"1 of 4 cells are in no named group \(physical names: LOW, UP\); .* \(1.5, 0.5\)"),
@@ -83,6 +88,22 @@ def test_broken_meshes(tmp_path):
     assert read(squares(tmp_path / "a.msh"), upper="UP").planar
     for change, message in BROKEN:
         refused(InputError, message, read, squares(tmp_path / "a.msh", **change), upper="UP")
+
+
+def test_hanging_nodes_in_space(tmp_path):
+    """On an edge of a hexahedron and on its face: two bodies of one hexahedron, and one above them of two."""
+    boxes = np.array([[(0, 0, -1), (3, 2, 0)], [(0, 0, 0), (3, 2, 1)], [(0, 0, 1), (2, 2, 2)], [(2, 0, 1), (3, 2, 2)]])
+    around = np.array([(x, y, z) for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))])
+    corners = np.where(around, boxes[:, 1, None], boxes[:, 0, None]).reshape(-1, 3)
+    points, number = np.unique(corners, axis=0, return_inverse=True)
+    cells = number.reshape(-1, 8)
+    names, path = {"LOW": (1, 3), "UP": (2, 3), "S": (1, 2)}, tmp_path / "a.msh"
+    for n in (2, 4):
+        blocks = [("quad", cells[1:2, :4]), ("hexahedron", cells[:n])]
+        write(path, points, blocks, [[1], [1, 2, 2, 2][:n]], names)
+        if n == 2:
+            assert len(read(path, upper="UP").cells) == 2
+    refused(InputError, r"2 nodes hang on facets .*, the first at \(2, 0, 1\)", read, path, upper="UP")
 
 
 def test_arguments(tmp_path):
@@ -108,7 +129,8 @@ def test_arguments(tmp_path):
 def test_files_that_cannot_be_read(tmp_path, capfd):
     for name, text, message in [
         ("a.msh", None, "a.msh: there is no such file in "),
-        ("a.mhs", "", r"meshio cannot read this \.mhs file"),
+        ("a.node", "", "a.node: the file is empty"),
+        ("a.mhs", "nothing", r"meshio cannot read this \.mhs file"),
         ("a.msh", "nothing", r"meshio cannot read this \.msh file"),
         ("a.med", "nothing", r"meshio cannot read this \.med file"),
         ("a.off", "OFF\n0 0 0\n", "the file has no cells|cannot read"),

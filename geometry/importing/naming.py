@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Any, TypedDict
 
 import numpy as np
@@ -206,7 +207,9 @@ class Named:
             surface, seams[S] = named._single()
             facets = {S: surface, **{name: rows for name, rows in facets.items() if name != self.sides.S}}
         cells, region = self.cells, np.stack(list(named.regions.values())).argmax(axis=0)
-        return Joint(cells.points, cells.nodes, cells.type, region, tuple(named.regions), facets, seams)
+        joint = Joint(cells.points, cells.nodes, cells.type, region, tuple(named.regions), facets, seams)
+        _require_closed(joint.points, joint.table.vertices[joint.table.cells[:, 1] < 0])
+        return joint
 
     def _disjoint(self) -> Groups:
         """The regions, each cell in one of them."""
@@ -279,3 +282,29 @@ class Named:
         if not len(found):
             raise InputError(f"{'+'.join(lower)} and {'+'.join(upper)} have no facet in common")
         return found
+
+
+def _require_closed(points: FloatArray, facets: IntArray) -> None:
+    """Raise InputError for hanging nodes: they lie on a facet of the outer boundary, and are nodes of others only.
+
+    Args:
+        points: (n, d) coordinates.
+        facets: (m, k) vertices of the facets of the outer boundary.
+    """
+    vertices, middles = np.unique(facets), points[facets].mean(axis=1)
+    radii = np.linalg.norm(points[facets] - middles[:, None], axis=2).max(axis=1)
+    near = cKDTree(points[vertices]).query_ball_point(middles, radii)
+    facet, vertex = np.repeat(np.arange(len(facets)), [*map(len, near)]), vertices[np.concatenate(near).astype(int)]
+    other = (facets[facet] != vertex[:, None]).all(axis=1)
+    corners, x = points[facets[facet[other]]], points[vertex[other]]
+    hanging = np.zeros(len(x), bool)
+    for chosen in combinations(range(facets.shape[1]), x.shape[1]):  # those of a quadrilateral are in no order
+        first, *others = (corners[:, k] for k in chosen)
+        edges = np.stack(others, axis=1) - first[:, None]
+        shares = np.einsum("nj,njk->nk", x - first, np.linalg.pinv(edges))
+        off = np.linalg.norm(x - first - np.einsum("nk,nkj->nj", shares, edges), axis=1)
+        inside = (shares >= -CLOSE).all(axis=1) & (shares.sum(axis=1) <= 1 + CLOSE)
+        hanging |= inside & (off <= CLOSE * np.ptp(points, axis=0).max())
+    what = "nodes hang on facets of cells that do not have them, the first at {at}: these cells are not connected"
+    found = np.unique(x[hanging], axis=0)
+    refuse(np.ones(len(found), bool), found, f"{{bad}} {what}; make the mesh conforming")

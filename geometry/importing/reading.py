@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from functools import partial
 from itertools import takewhile
+from os.path import isfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -112,8 +113,10 @@ def _load(path: Path, scale: float) -> meshio.Mesh:
         InputError: not readable, or two groups with one physical name.
     """
     meshio = optional("meshio")
-    if not path.is_file():
+    if not isfile(path):
         raise InputError(f"there is no such file in {path.parent.resolve()}")
+    if not path.stat().st_size:  # some readers of meshio wait for lines for ever
+        raise InputError("the file is empty")
     said = io.StringIO()
     try:
         with redirect_stdout(said), redirect_stderr(said), warnings.catch_warnings(action="ignore"):
