@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import resource
+import signal
+
 import numpy as np
 import pytest
 import pyvista
@@ -207,12 +210,16 @@ def test_files_do_not_depend_on_the_ranks(tmp_path, there, their_folder):
                 assert a[name] == pytest.approx(b[name], rel=1e-9, abs=1e-10 * size, nan_ok=True), name
 
 
-def test_files_that_were_cut_short(tmp_path):
-    """Writers of VTK's files say nothing of a full disk."""
+def test_a_full_disk(tmp_path):
+    """VTK's own writers end the process, or say nothing."""
     state = solve(uniform()[0].interface(ThinLayer(K, EPS, at=1.0)))
-    fields.write(state, tmp_path / "a.pvd")
-    name = next(tmp_path.glob("a_pvd/*/*.vtu"))
-    name.write_bytes(name.read_bytes()[:1000])
-    refused(OSError, "not whole", fields._require_whole, tmp_path / "a_pvd" / "0000.vtm")
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN), resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1][1]))
+    try:
+        refused(OSError, "too large", fields.write, state, tmp_path / "a.pvd")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before[1])
+        signal.signal(signal.SIGXFSZ, before[0])
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == []
     for path in (tmp_path / "u.xdmf", None):
         refused(InputError, r"a file that ends in \.pvd", fields.write, state, path)

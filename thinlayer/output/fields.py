@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import errno
 import re
 import shutil
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import pyvista
+from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from forms.base import InputError, require
 from geometry.parallel import on_root, world
@@ -18,6 +19,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.output.blocks import blocks
 from thinlayer.output.surface import Surface
 from thinlayer.solving.history import History, Solution
+from thinlayer.system.folder import replaced
 from thinlayer.system.ranks import on_all, require_same
 
 VTK = ".pvd"
@@ -73,8 +75,9 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
     for state, name in zip(states, names, strict=True):
         found = blocks(state, model if isinstance(model, InterfaceModel) else None)
         on_root(comm, partial(_save, found, name))
-    times = {name.relative_to(path.parent): state.t for name, state in zip(names, states, strict=True)}
-    on_root(comm, lambda: _list(path, times))
+    files = [quoteattr(name.relative_to(path.parent).as_posix()) for name in names]
+    rows = [f'timestep="{state.t!r}" file={file}' for state, file in zip(states, files, strict=True)]
+    on_root(comm, lambda: _list(path, "Collection", rows))
 
 
 def _states(solution: Solution) -> list[State]:
@@ -90,7 +93,6 @@ def _states(solution: Solution) -> list[State]:
 def _make_room(path: Path, folder: Path) -> None:
     """Make the folder, without the files of an earlier writing; OSError: the file cannot be written."""
     folder.mkdir(parents=True, exist_ok=True)
-    path.open("ab").close()
     for old in folder.iterdir():
         if re.fullmatch(r"\d+", old.name) and old.is_dir():
             shutil.rmtree(old)
@@ -99,23 +101,26 @@ def _make_room(path: Path, folder: Path) -> None:
 
 
 def _save(found: pyvista.MultiBlock | None, name: Path) -> None:
+    """Write a file .vtm, and those of its blocks in a folder beside it. VTK composes them in memory, as it can end the
+    process where a disk is full."""
     assert found is not None, "rank 0"
-    found.save(name)
-    _require_whole(name)
+    rows = []
+    for number, block in enumerate(found.keys()):
+        writer = vtkXMLUnstructuredGridWriter()
+        writer.SetInputData(found[block])
+        writer.SetDataModeToBinary()
+        writer.WriteToOutputStringOn()
+        writer.Write()
+        file = name.with_suffix("") / f"{name.stem}_{number}.vtu"
+        with replaced(file) as out:
+            out.write(writer.GetOutputString().encode())
+        rows.append(f'index="{number}" name={quoteattr(block)} file={quoteattr(f"{name.stem}/{file.name}")}')
+    _list(name, "vtkMultiBlockDataSet", rows)
 
 
-def _list(path: Path, times: dict[Path, float]) -> None:
-    """The file that names those of all times."""
-    rows = [f'    <DataSet timestep="{t!r}" file={quoteattr(name.as_posix())}/>' for name, t in times.items()]
-    lines = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "  <Collection>", *rows]
-    path.write_text("\n".join([*lines, "  </Collection>", "</VTKFile>", ""]))
-    _require_whole(path)
-
-
-def _require_whole(path: Path) -> None:
-    """Raise OSError unless a file and those that it names end as they should: VTK does not notice a full disk."""
-    content = path.read_bytes()
-    if not content.rstrip().endswith(b"</VTKFile>"):
-        raise OSError(errno.EIO, "the file is not whole", str(path))
-    for name in re.findall(r'file="([^"]*)"', content.decode()) if path.suffix == ".vtm" else ():
-        _require_whole(path.parent / name)
+def _list(path: Path, kind: str, rows: Iterable[str]) -> None:
+    """Write a file that names others, a row of attributes for each."""
+    named = "".join(f"    <DataSet {row}/>\n" for row in rows)
+    text = f'<VTKFile type="{kind}" version="1.0">\n  <{kind}>\n{named}  </{kind}>\n</VTKFile>\n'
+    with replaced(path) as file:
+        file.write(f'<?xml version="1.0"?>\n{text}'.encode())
