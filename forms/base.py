@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-import math
+import sys
 from collections.abc import Iterable
 from importlib import import_module
 from numbers import Real
@@ -70,5 +70,5 @@ def is_number(value: Any) -> bool:
 
 
 def is_finite(value: Any) -> bool:
-    """Whether a value is a finite real number."""
-    return is_number(value) and math.isfinite(value)
+    """Whether a value is a real number between the largest and the smallest one of 64 bits."""
+    return is_number(value) and bool(abs(value) <= sys.float_info.max)

@@ -12,7 +12,7 @@ from ufl.algorithms import expand_derivatives
 from ufl.classes import Zero
 from ufl.indexed import Indexed
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, require
 from forms.kinematics import Expr, mandel
 from forms.law import BulkLaw, Law, Step, explained, shaped
 from forms.parameter_fields import is_field
@@ -45,6 +45,7 @@ def check(law: Law, d: int | None = 3) -> None:
     """
     if isinstance(law, type):
         raise InputError(f"{law.__name__} is a class; give a law, with its numbers")
+    require(isinstance(law, Law), "law", law, "it must be a law")
     if law.traits.nodal:
         return
     for _, sublayer in law.of_strains().sublayers:

@@ -211,7 +211,7 @@ class Domain:
         Raises:
             InputError: unknown name.
         """
-        require_known("facet tag", name, self.facet_values)
+        require_known("facet set", name, self.facet_values)
         values = self.facet_values[name]
         return values + self.facet_values.get(f"{name}/{LAYER}", ()) if layer_sides else values
 

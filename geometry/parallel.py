@@ -10,6 +10,8 @@ from typing import TypeVar, cast
 
 from mpi4py import MPI
 
+from forms.base import require
+
 T = TypeVar("T")
 _WORLD: ContextVar[MPI.Intracomm] = ContextVar("_WORLD", default=MPI.COMM_WORLD)
 
@@ -34,7 +36,8 @@ def on_root(comm: MPI.Intracomm | None, build: Callable[[], T]) -> T:
 
     The exception has an attribute `on_all_ranks`: it shows that no rank is left waiting.
     """
-    comm = comm or world()
+    comm = world() if comm is None else comm
+    require(isinstance(comm, MPI.Comm), "comm", comm, "it must be an MPI communicator")
     result: T | Exception | None = None
     if comm.rank == 0:
         try:

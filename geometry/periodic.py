@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.spatial
 
-from forms.base import InputError
+from forms.base import InputError, require
 from geometry.identified_sides import CUT, SAME_PLACE, Periods
 from geometry.joint import Joint
 from geometry.refusals import place, refuse, unknown
@@ -28,6 +28,7 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
         InputError: an unknown name; sides that do not match, with the place; less than three cells between two sides;
             a seam on a periodic side; a joint whose layer is meshed.
     """
+    require(isinstance(joint, Joint), "joint", joint, "it must be a Joint")
     if joint.band is not None:
         raise InputError("the joint's layer is meshed; in a periodic joint it is a surface with an interface model")
     before = joint.periods or Periods((), ())

@@ -8,7 +8,7 @@ from itertools import chain, pairwise
 from math import cos, isclose, pi, sin, tau
 from typing import ClassVar
 
-from forms.base import InputError
+from forms.base import InputError, is_finite
 from geometry.seam import S
 from geometry.shapes.drawing import Drawing, Extent, Prism, Shape, walls
 from geometry.shapes.sizing import Grading, gmsh, require_wide
@@ -85,8 +85,8 @@ class Rings(Prism):
         if not self.inner < self.interface < self.outer:
             radii = f"inner = {self.inner}, interface = {self.interface}, outer = {self.outer}"
             raise InputError(f"the radii {radii} must grow")
-        if not (0 < self.angle < tau or is_circle(self.angle)):
-            raise InputError(f"angle is {self.angle}; it must be > 0 and at most 2 pi, the full circle")
+        if not (is_finite(self.angle) and (0 < self.angle < tau or is_circle(self.angle))):
+            raise InputError(f"angle is {self.angle!r}; it must be > 0 and at most 2 pi, the full circle")
 
     @property
     def lengths(self) -> dict[str, float]:
@@ -143,8 +143,8 @@ class Discs(Shape):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 <= self.hole < self.radius:
-            raise InputError(f"hole is {self.hole}; it must be 0 (no hole) or a radius less than {self.radius}")
+        if not (is_finite(self.hole) and 0 <= self.hole < self.radius):
+            raise InputError(f"hole is {self.hole!r}; it must be 0 (no hole) or a radius less than {self.radius}")
         if self.hole:
             require_wide("hole", self.hole, self.radius)
 

@@ -22,7 +22,7 @@ from ufl.constantvalue import ComplexValue, RealValue
 from ufl.corealg.traversal import unique_pre_traversal
 from ufl.geometry import GeometricQuantity
 
-from forms.base import Array, InputError, is_number
+from forms.base import Array, InputError, is_finite
 from forms.kinematics import Expr
 from geometry.domain import Domain
 from geometry.joint import Joint
@@ -200,7 +200,7 @@ class Given:
         """A finite number, or a UFL scalar."""
         if isinstance(component, np.ndarray):
             component = component[()]
-        if is_number(component) and math.isfinite(component):
+        if is_finite(component):
             return float(component)
         scalar = isinstance(component, ufl.core.expr.Expr) and component.ufl_shape == ()
         if not scalar or isinstance(component, Condition) or not has_finite_numbers(component):

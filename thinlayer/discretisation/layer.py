@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,7 +11,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from forms.base import Array, InputError, is_number, require
+from forms.base import Array, InputError, is_finite, is_number, require
 from forms.contact import ContactLaw
 from forms.kinematics import Expr, average_lame
 from forms.law import BulkLaw, Law
@@ -137,7 +136,7 @@ Layers = Layer | Bond | Mapping[str, OnSeam]
 
 
 def _check_thickness(what: str, eps: Any) -> None:
-    require(is_number(eps) and math.isfinite(eps) and eps > 0, f"the {what}", eps, "allowed: > 0")
+    require(is_finite(eps) and eps > 0, f"the {what}", eps, "allowed: > 0")
 
 
 def real_law(layer: Layer, kinematics: Kinematics) -> BulkLaw:

@@ -71,7 +71,7 @@ class PointLoad:
     @property
     def what(self) -> str:
         """Words for errors."""
-        return f"point load at {tuple(self.place)!r}"
+        return f"point load at {self.place!r}"
 
     def nodes(self, joint: Joint) -> Nodes:
         """Where it acts. Raises InputError or InputError: no such place, or several nodes are there."""
@@ -160,7 +160,7 @@ Concentrated = PointLoad | LineLoad
 
 def check_loads(loads: Any) -> tuple[Concentrated, ...]:
     """Loads as a tuple; raises InputError if one of them is none."""
-    require(not isinstance(loads, Concentrated), "loads", loads, "it must be a list of loads")
+    require(isinstance(loads, Iterable) and not isinstance(loads, str), "loads", loads, "it must be a list of loads")
     for one in loads:
         require(isinstance(one, Concentrated), "one of loads", one, "allowed: PointLoad, LineLoad")
     return tuple(loads)

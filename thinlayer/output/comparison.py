@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from forms.base import Array, InputError, is_number, require
+from forms.base import Array, InputError, is_finite, require
 from geometry.seam import S
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -55,7 +55,7 @@ def compare(
     """
     for one in (full, interface):
         require(isinstance(one, (State, History)), "compare: a state", one, "give what solve or march returns")
-    require(at is None or (is_number(at) and math.isfinite(at)), "compare: at", at, "give a time, a finite number")
+    require(at is None or is_finite(at), "compare: at", at, "give a time, a finite number")
     full, interface = (_state(one, at) for one in (full, interface))
     meshed, limit = full.model, interface.model
     if not (isinstance(meshed, FullModel) and isinstance(limit, InterfaceModel)):

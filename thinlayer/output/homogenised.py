@@ -9,6 +9,7 @@ import numpy as np
 
 from forms.base import Array, InputError
 from forms.work import added
+from geometry.parallel import world
 from thinlayer.discretisation.forces import Forces
 from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.given_strains import PAIRS, MeanStrain, Strain
@@ -40,7 +41,7 @@ def homogenised_stiffness(model: Model) -> Array:
             supports that move.
         SolveError: no unique solution; the stiffness of symmetric laws is not symmetric.
     """
-    with on_all(model.comm):
+    with on_all(model.comm if isinstance(model, Model) else world()):
         _check(model)
     strained = copy(model)
     strained.family = Family()  # what the model's family keeps has its strains

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import ufl
 
-from forms.base import Array, InputError, is_number, require
+from forms.base import Array, InputError, is_finite, is_number, require
 from forms.kinematics import layer_frame, tensors
 from forms.law import Law
 from forms.temperature import finite
@@ -90,6 +89,7 @@ def drive(
     if law.fields or law.traits.varies:
         name = next(iter(law.fields), "a parameter")
         raise InputError(f"{type(law).__name__}: {name} is a function of the place, or of time; a point needs numbers")
+    require(isinstance(steps, Iterable), "steps", steps, "it must be a list of dictionaries")
     steps = list(steps)
     normal, axes = _frame(n)
     law.check_dimension(len(normal))
@@ -144,7 +144,7 @@ def _read(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]:
     for name, value in step.items():
         if name not in [f"{kind}_{c}" for kind in "wt" for c in names]:
             raise InputError(f"step {k + 1} has {name!r}; allowed in {d}D: {allowed}")
-        require(is_number(value) and math.isfinite(value), f"step {k + 1}: {name}", value, "it must be a finite number")
+        require(is_finite(value), f"step {k + 1}: {name}", value, "it must be a finite number")
     for c in names:
         if (f"w_{c}" in step) == (f"t_{c}" in step):
             given = "both" if f"w_{c}" in step else "neither"

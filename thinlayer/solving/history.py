@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from operator import attrgetter
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from forms.base import Array, InputError, is_number, require
+from forms.base import Array, InputError, is_finite, require
 from forms.law import BulkLaw
 from thinlayer.discretisation.layer import BODIES
 from thinlayer.discretisation.model import Model
@@ -108,7 +107,7 @@ class History:
 
     def at(self, t: float) -> State:
         """The state at a time, the last of several. InputError: no step ended there, or its state was not kept."""
-        require(is_number(t) and math.isfinite(t), "t", t, "it must be a finite number")
+        require(is_finite(t), "t", t, "it must be a finite number")
         near = SAME_TIME * max(abs(t), float(np.ptp(self.t)))
         for state in reversed(self.states.values()):
             if abs(state.t - t) <= near:

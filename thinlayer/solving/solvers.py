@@ -12,7 +12,7 @@ from typing import Any, TypedDict
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms.base import InputError, is_number, require
+from forms.base import InputError, is_finite, require
 from geometry.parallel import world
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State, displacements_of
@@ -72,7 +72,7 @@ def solve(
     """
     with Solver(model, options=options, method=method, like=like) as solver:
         with on_all(model.comm):
-            require(is_number(t) and math.isfinite(t), "t", t, "it must be a finite number")
+            require(is_finite(t), "t", t, "it must be a finite number")
         require_same(model.comm, t=t)
         late = "{} depends on rates: no equilibrium without time; use march(model, times)"
         solver.equations.refuse({"softens": f"solve: {SOFTENS}", "rate": late})

@@ -60,7 +60,7 @@ class Adaptive:
 
     def __post_init__(self) -> None:
         _require_numbers(self, "first", "tolerance", "smallest", "largest", signed=("end",))
-        if isinstance(self.at, str) or not isinstance(self.at, Iterable) or not all(is_number(t) for t in self.at):
+        if isinstance(self.at, str) or not isinstance(self.at, Iterable) or not all(map(is_finite, self.at)):
             raise InputError(f"Adaptive: at is {self.at!r}; allowed: a sequence of times")
         object.__setattr__(self, "at", tuple(map(float, self.at)))
         if self.at and max(self.at) > self.end:
@@ -71,7 +71,8 @@ def _require_numbers(given: Adaptive | ArcLength, *positive: str, signed: tuple[
     """Raise InputError unless attributes are numbers > 0, or finite ones of either sign, or None by default."""
     for name in (*signed, *positive):
         value = getattr(given, name)
-        good = is_finite(value) if name in signed else is_number(value) and value > 0
+        finite = is_finite(value) or (is_number(value) and name == "largest" and value == math.inf)
+        good = finite and (name in signed or value > 0)
         if not good and not (value is None and getattr(type(given), name, 0) is None):
             above = "" if name in signed else " > 0"
             raise InputError(f"{type(given).__name__}: {name} is {value!r}; allowed: a number{above}")
