@@ -32,6 +32,14 @@ from thinlayer.time.plan import Adaptive
 LOG = logger("study")
 RUN, FORMAT = "run.json", 1  # the format is that of run.json
 PRINTED = 40  # most rows of a table that is printed
+KINDS = {
+    "study": str,
+    "options": dict,
+    "code": str,
+    "petsc": dict,
+    "files": list,
+    "checks": list,
+}  # of what run.json has
 MARCHES = "unfinished"  # folder for the states of marches, needed to resume
 
 
@@ -147,11 +155,13 @@ class Record:
         path = self.out / RUN
         try:
             run = dict(json.loads(path.read_text(encoding="utf-8")))
-            if missing := {"study", "options", "code", "petsc", "files", "error", "checks"} - run.keys():
-                raise KeyError(*sorted(missing))
+            if wrong := [name for name, kind in KINDS.items() if not isinstance(run.get(name), kind)]:
+                raise ValueError(f"it is not as a run writes it: {', '.join(wrong)}")
+            Path(*run["files"])
+            dict(run["petsc"]["options"])
             return run
-        except (OSError, ValueError, LookupError, TypeError) as error:
-            raise InputError(f"{path} cannot be read ({error})") from error
+        except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
+            raise InputError(f"{path} cannot be read ({error}); give another folder, or remove it") from error
 
     def _of_study(self) -> dict[str, Any]:
         """The same, of this study; InputError: it is of another."""

@@ -65,7 +65,7 @@ def read_sealed(path: Path) -> dict[str, Any]:
         content = dict(json.loads(path.read_text(encoding="utf-8")))
         if content.pop("hash", None) != _seal(content):
             raise ValueError("it is damaged, or has been changed")
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, TypeError, RecursionError) as error:
         raise InputError(f"{str(path)!r} cannot be read ({error}); remove it to start anew") from error
     return content
 

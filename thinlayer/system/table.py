@@ -151,7 +151,10 @@ class Table:
 
     def __getitem__(self, column: str) -> npt.NDArray[np.float64]:
         """A column as numbers, NaN where empty."""
-        return np.array([np.nan if value is None else value for value in self._entries(column)], float)
+        entries = self._entries(column)
+        if texts := [value for value in entries if isinstance(value, str)]:
+            raise ColumnError(f"the column {column!r} has texts, such as {texts[0]!r:.60}; numbers are asked of it")
+        return np.array([np.nan if value is None else value for value in entries], float)
 
     def _entries(self, column: str) -> list[float | str | None]:
         if column not in self.columns:

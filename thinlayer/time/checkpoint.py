@@ -143,6 +143,9 @@ class Checkpoint:
             return None
         content = read_sealed(self.path)
         there = content["mark"]
+        if there.get("format") != FORMAT:
+            what = f"it has the format {there.get('format')} of another version, this one reads {FORMAT}"
+            raise InputError(f"{str(self.path)!r} cannot be read ({what}); give another folder, or remove it")
         if there != self.mark and resume != "anyway":
             other = in_words([*differences(there, self.mark)])
             remedy = "give another folder, remove it, or resume='anyway'"
