@@ -138,7 +138,7 @@ def test_loads_that_grow(lap, tmp_path):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ("supports.LFT=0", "unknown facet tag 'LFT', did you mean 'LEFT'?; known: LEFT, LEFT/LAYER, "),
+        ("supports.LFT=0", "unknown facet set 'LFT', did you mean 'LEFT'?; known: LEFT, LEFT/LAYER, "),
         ("loads=[{place = [0, 0], force = [0, 1], body = 'UP'}]", "unknown body 'UP'"),
         ("goals.pull.place=BACK", "nothing holds 'BACK'"),
         ("mesh.S=GLEU", "unknown set of facets 'GLEU', did you mean 'GLUE'?"),
@@ -223,7 +223,7 @@ def commands(folder: Path) -> list[list]:
 @pytest.mark.long
 @on_ranks(commands, 2)
 def test_two_ranks(wanted, there, their_folder):
-    said = ((0, 1, "May you drop"), (2, 2, "unknown facet tag 'TOP'"), (0, 1, "force (-240, 20),"), (0, 1, "eps = "))
+    said = ((0, 1, "May you drop"), (2, 2, "unknown facet set 'TOP'"), (0, 1, "force (-240, 20),"), (0, 1, "eps = "))
     for ranks, (expected, stream, text) in zip(there, said, strict=True):
         assert [one[0] for one in ranks] == [expected] * 2, ranks
         assert "".join(one[stream] for one in ranks).count(text) == 1  # told by one rank

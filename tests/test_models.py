@@ -109,7 +109,7 @@ def test_failed_solves_say_why():
         (dict(supports={"BOTTOM/UPPER": 0.0}), InputError, "empty"),
         (dict(tractions={"TOP": (1.0, 2.0, 3.0)}), InputError, "needs 2 finite components"),
         (dict(tractions={"TOP": lambda x, t: (np.sin(x[0]), 0.0)}), InputError, "use ufl.sin"),
-        (dict(tractions={"UP": (1.0, 2.0)}), InputError, "unknown facet tag 'UP'"),
+        (dict(tractions={"UP": (1.0, 2.0)}), InputError, "unknown facet set 'UP'"),
         (dict(body_force={"MIDDLE": (0.0, 1.0)}), InputError, "unknown body 'MIDDLE'"),
         (dict(body={"LOWER": BODY}), InputError, "body 'UPPER' has no law"),
         (dict(body=Anisotropic.springs(1.0, 1.0)), InputError, "in a body use frame='global'"),

@@ -13,7 +13,7 @@ from forms.base import Array, InputError, require
 from forms.planes import Kinematics
 from geometry.domain import Domain, cell_nodes, cells_of_facets
 from geometry.joint import Joint
-from geometry.refusals import refuse
+from geometry.refusals import refuse, require_known
 from geometry.seam import LAYER, S
 from geometry.topology import BoolArray, Indices, IntArray, connected, sums
 from thinlayer.system.compat import interpolation_points
@@ -86,6 +86,7 @@ def on_boundary(
     facets = joint.facets.get(name, joint.facets.get(whole))
     if not inside and facets is not None and len(facets) and on_axis(kinematics, joint)[facets].all():
         raise InputError(f"{what}: these facets are the axis of revolution, which is no boundary")
+    require_known("facet set", name, domain.facet_values, what)
     if not domain.values(name) and not (side and name.endswith(f"/{LAYER}")):
         why = ", as the layer is a surface here: mesh it (structure.full)" * name.endswith(f"/{LAYER}")
         raise InputError(f"{what}: this facet set is empty{why}")

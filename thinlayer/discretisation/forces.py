@@ -84,7 +84,7 @@ class Forces:
                 what, loaded, *_ = self._loads[-1]
                 self.add_weighted("", what, share * loaded, Weighted(ds(domain.values(side)), 1))
         seams = (*(domain.joint.band.base if domain.joint.band else domain.joint).seams, S)
-        for name, load in by_body(body_force, domain.joint, "", seams).items():
+        for name, load in by_body(body_force, domain.joint, "body_force", seams).items():
             what = f"body force in {name!r}"
             require(not isinstance(load, Pressure), what, load, "there is no normal inside a body; give a vector")
             self._add(what, load, dx(domain.cell_values(name)))

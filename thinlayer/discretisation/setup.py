@@ -142,7 +142,7 @@ class Setup:
 
     def _laws_of(self, body: BulkLaw | Mapping[str, BulkLaw]) -> dict[str, BulkLaw]:
         """The law of each body, in the same order on all ranks."""
-        laws = by_body(body, self.joint)
+        laws = by_body(body, self.joint, "body")
         for name in self.joint.bodies:
             law = laws.get(name)
             if not isinstance(law, Law):

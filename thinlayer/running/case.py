@@ -49,18 +49,17 @@ class Case:
             InputError: as `read`, `Structure` and `ThinLayer` raise them.
         """
         of_file = dict(given.mesh)
-        joint = read(of_file.pop("path"), **of_file)
+        with given.section.described("mesh"):
+            joint = read(of_file.pop("path"), **of_file)
         size = joint.size
         for name, one in given.layer.items():
             if not LEAST_EPS * size <= one.eps <= size:
                 what = f"{one.eps:g}; allowed beside bodies of {size:.4g}: {LEAST_EPS * size:.2g} to {size:.4g}"
                 given.section.refuse(what, "layer", *([name] if name else []), "eps")
-        return cls(
-            given,
-            _structure(given, joint),
-            _by_name(given.layer, lambda one: ThinLayer(one.law, one.eps, eigenstrain=one.eigenstrain)),
-            tuple(_goal(name, **one) for name, one in given.goals.items()) or (kinds.Compliance(),),
-        )
+        layer = _by_name(given.layer, lambda one: ThinLayer(one.law, one.eps, eigenstrain=one.eigenstrain))
+        goals = tuple(_goal(name, **one) for name, one in given.goals.items()) or (kinds.Compliance(),)
+        with given.section.described():
+            return cls(given, _structure(given, joint), layer, goals)
 
     def model(self) -> InterfaceModel:
         """The interface model, which has what the goals ask for. Collective.
@@ -68,11 +67,12 @@ class Case:
         Raises:
             InputError: as the model and the goals raise it.
         """
-        model = self.structure.interface(self.layer, bodies=self.given.bodies)
-        with on_all(model.comm):
-            for goal in self.goals:
-                goal.check(model)
-        return model
+        with self.given.section.described():
+            model = self.structure.interface(self.layer, bodies=self.given.bodies)
+            with on_all(model.comm):
+                for goal in self.goals:
+                    goal.check(model)
+            return model
 
 
 def _structure(given: Description, joint: Joint) -> Structure:

@@ -137,10 +137,10 @@ def _supports(section: Section, key: str) -> dict[Place, Any]:
 
 def _place(text: str) -> Place:
     """A place in the form of a key: "(x, y)" for a vertex, else the name of a facet set."""
-    if not text.startswith("("):
+    if not (text.startswith("(") and text.endswith(")")):
         return text
     try:
-        return tuple(float(c) for c in text[1:].removesuffix(")").split(","))
+        return tuple(float(c) for c in text[1:-1].split(","))
     except ValueError:
         return text
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import tomllib
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -39,10 +40,10 @@ def read(path: Path, settings: Iterable[str] = ()) -> Section:
         DescriptionError: the file cannot be read, or is no TOML, with the line; a setting cannot be read.
     """
     try:
-        values: Any = tomllib.loads(path.read_text(encoding="utf-8"))
+        values: Any = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise DescriptionError(f"{path} cannot be read: {error.strerror}") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         what = "texts stand in quotes, yes and no are true and false; what TOML cannot say, a script says"
         raise DescriptionError(f"{path} is no TOML: {error}; {what}") from None
     mesh = values.get("mesh")
@@ -107,6 +108,16 @@ class Section:
     def refuse(self, what: str, *keys: str) -> NoReturn:
         """Raise DescriptionError about this table, or about an entry of it."""
         raise DescriptionError(": ".join(filter(None, [self.name, ".".join((*self.path, *keys)), what])))
+
+    @contextmanager
+    def described(self, *keys: str) -> Iterator[None]:
+        """Raise errors of input in a block as those of this table, or of an entry of it."""
+        try:
+            yield
+        except DescriptionError:
+            raise
+        except InputError as error:
+            self.refuse(str(error), *keys)
 
     def entries(self, keys: Mapping[str, Reader], needs: Mapping[str, str] = NONE, kind: str = "key") -> dict[str, Any]:
         """What readers take from the entries of their keys.
