@@ -206,7 +206,7 @@ class MeanTraction(Directed):
 
     def check(self, model: InterfaceModel) -> None:
         self.unit(model)
-        require_known("layer", self.seam, (S, *model.layers), self.name)
+        require_known("layer", self.seam, {S, *model.layers}, self.name)
 
     def value(self, state: State, model: InterfaceModel) -> float:
         if any(term.law.traits.compiled for term in model.bodies) and state.model is not model:

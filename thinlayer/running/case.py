@@ -69,10 +69,10 @@ class Case:
         """
         with self.given.section.described():
             model = self.structure.interface(self.layer, bodies=self.given.bodies)
-            with on_all(model.comm):
-                for goal in self.goals:
-                    goal.check(model)
-            return model
+        for name, goal in zip(self.given.goals or ("compliance",), self.goals, strict=True):
+            with self.given.section.described("goals", name), on_all(model.comm):
+                goal.check(model)
+        return model
 
 
 def _structure(given: Description, joint: Joint) -> Structure:

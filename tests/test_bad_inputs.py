@@ -1,0 +1,150 @@
+"""Bad inputs through every door: each has a clear error and its exit status; nothing is written, changed or executed."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import forms
+import geometry
+import thinlayer
+from forms.base import InputError
+from tests.meshes import NAMES, squares
+from tests.refused import refused
+from tests.test_cli import thinlayer as command
+from tests.viscous_joints import interface
+from thinlayer.running.record import Record
+from thinlayer.system.folder import read_sealed, write_sealed
+
+TABLE = tomllib.loads(Path(__file__).with_name("bad_inputs.toml").read_text(encoding="utf-8"))
+LEAST = """
+mesh = {path = "a.msh", upper = "UP"}  # two squares below two others
+body = {E = 70e3, nu = 0.2}
+layer = {E = 900, nu = 0.35, eps = 0.01}
+supports = {BED = 0}
+tractions = {TOP = [3, -50]}
+"""
+GLUE = forms.LinearElastic(3.0, 2.0)
+
+
+def structure(**changed):
+    given = {
+        "body": forms.LinearElastic.young(90.0, 0.3),
+        "supports": {"BOTTOM": 0.0},
+        "tractions": {"TOP": (1.0, 2.0)},
+    }
+    return thinlayer.Structure(geometry.sandwich(2.0, 1.0, 1.0, 1.0), **given | changed)
+
+
+def model(**changed):
+    return structure(**changed).interface(thinlayer.ThinLayer(GLUE, 0.1, at=1.0))
+
+
+SCRIPT = {**vars(forms), **vars(geometry), **{name: getattr(thinlayer, name) for name in thinlayer.__all__}}
+SCRIPT |= {
+    "HUGE": 10**400,
+    "NAN": float("nan"),
+    "INF": float("inf"),
+    "GLUE": GLUE,
+    "structure": structure,
+    "model": model,
+}
+of = lambda kind, *names: pytest.mark.parametrize(names, TABLE[kind])
+pytestmark = pytest.mark.few(3)
+
+
+@pytest.fixture
+def sound(tmp_path):
+    """A description and its mesh file."""
+    squares(tmp_path / "a.msh", more=[("line", [[0, 1], [1, 2]], 3)], names=NAMES | {"BED": (3, 1)})
+    (tmp_path / "a.toml").write_text(LEAST)
+    return tmp_path / "a.toml"
+
+
+def content(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def assert_refused(words, file, *given):
+    """The command ends with the status 2, and its message has the words; nothing is written or changed."""
+    before = content(file.parent)
+    done = command("estimate", file, "--out", file.parent / "out", *given)
+    assert (done.returncode, words in done.stderr) == (2, True), done.stderr
+    assert not re.search("InputError|DescriptionError|Traceback", done.stderr)
+    assert content(file.parent) == before
+    return done.stderr
+
+
+@of("settings", "setting", "words")
+def test_settings(sound, setting, words):
+    assert f"--set {setting!r}" in assert_refused(words, sound, "--set", setting)
+
+
+def changed(file, old, new):
+    """Change a file of characters of one byte each."""
+    text, found = re.subn(old, new, file.read_text(), count=1, flags=re.DOTALL)
+    assert found
+    file.write_bytes(text.encode("latin-1"))
+
+
+@of("descriptions", "old", "new", "words")
+def test_descriptions(sound, old, new, words):
+    changed(sound, old, new)
+    assert str(sound) in assert_refused(words, sound)
+
+
+@of("long", "old", "new", "times", "words")
+def test_numbers_and_tables_without_end(sound, old, new, times, words):
+    changed(sound, old, new * times)
+    assert str(sound) in assert_refused(words, sound)
+
+
+@of("meshes", "name", "old", "new", "words")
+def test_mesh_files(sound, name, old, new, words):
+    sound.with_name("a.msh").rename(sound.with_name(name))
+    changed(sound.with_name(name), old, new)
+    said = assert_refused(words, sound, "--set", f"mesh.path={str(sound.with_name(name))!r}")
+    assert f"mesh: {sound.with_name(name)}: " in said
+
+
+@of("options", "options", "words")
+def test_options(sound, options, words):
+    assert_refused(words, sound, *options.split())
+
+
+@of("python", "expression", "words")
+def test_scripts(expression, words):
+    refused(InputError, re.escape(words), eval, expression, SCRIPT)
+
+
+@of("runs", "old", "new")
+def test_runs_that_were_changed(tmp_path, old, new):
+    with Record("rates", tmp_path, {"law": "elastic"}) as record:
+        record.sweep(lambda e: {"eps": e, "error_traction": e, "error_jump": e}, [0.1], "table_elastic.csv")
+    changed(tmp_path / "run.json", old, new)
+    before = content(tmp_path)
+    for words in (
+        ("draw", "rates"),
+        ("run", "rates", "--law", "elastic"),
+        ("run", "rates", "--law", "elastic", "--resume"),
+    ):
+        done = (
+            command(*words, "--quick", "--out", tmp_path) if words[0] == "run" else command(*words, "--out", tmp_path)
+        )
+        assert (done.returncode, "run.json cannot be read (" in done.stderr) == (2, True), done.stderr
+    assert content(tmp_path) == before
+
+
+def test_checkpoints_of_another_version(tmp_path):
+    thinlayer.march(interface(), [0.1], out=tmp_path)
+    about = read_sealed(tmp_path / "march.json")
+    about["mark"]["format"] += 1
+    write_sealed(tmp_path / "march.json", about)
+    before = content(tmp_path)
+    for resume in (True, False, "anyway"):
+        words = r"march\.json' cannot be read \(it has the format 3 of another version, this one reads 2"
+        refused(InputError, words, thinlayer.march, interface(), [0.1, 0.2], out=tmp_path, resume=resume)
+    assert content(tmp_path) == before
