@@ -53,7 +53,7 @@ SCRIPT |= {
     "model": model,
 }
 of = lambda kind, *names: pytest.mark.parametrize(names, TABLE[kind])
-pytestmark = pytest.mark.few(3)
+pytestmark = pytest.mark.few(5)
 
 
 @pytest.fixture

@@ -1,0 +1,121 @@
+"""What holds of any structure and law, for random ones: few in each run, many with --hypothesis-profile=random."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from forms import KelvinVoigt, LinearElastic, Maxwell, MohrCoulomb, Norton, NortonCreep, Stack, VonMises
+from geometry import read, sandwich
+from tests.meshes import GRID, LINES, NAMES, QUADS, write
+from thinlayer import Structure, ThinLayer, drive, march, solve
+
+some = settings(max_examples=3 if settings().derandomize else 60)
+shares, sizes = st.floats(-1.0, 1.0), st.floats(0.3, 3.0)
+jumps = st.lists(shares, min_size=2, max_size=2).map(lambda w: 0.05 * np.round(w, 6))
+SOFT, STIFF = LinearElastic(3.0, 2.0), LinearElastic.young(80.0, 0.3)
+BODIES = {"LOW": STIFF, "UP": LinearElastic.young(50.0, 0.1)}
+
+
+# ---------------------------------------------------------------- structures
+def works(path, points, quads, regions, names, layer, turn, bodies, loads, scale=1.0):
+    """Work of the loads in the interface and in the full model of a file of quadrilaterals."""
+    blocks = [("line", LINES), ("line", [[0, 1], [1, 2]]), ("line", [[2, 5], [5, 8]]), ("quad", quads)]
+    write(path, points, [(kind, names[np.array(rows)]) for kind, rows in blocks], [*TAGS, regions], PLACES)
+    joint = read(path, upper="UP", scale=scale)
+    tractions = {name: tuple(turn @ load) for name, load in loads}
+    structure = Structure(joint, body=dict(bodies), supports={"BED": 0.0}, tractions=tractions)
+    return [solve(one).load_work() for one in (structure.interface(layer), structure.full(layer))]
+
+
+TAGS, PLACES = [[1, 1, 2, 2], [3, 3], [4, 4]], NAMES | {"BED": (3, 1), "SIDE": (4, 1)}
+LOADS = [("TOP", np.array([0.3, 1.0])), ("SIDE", np.array([-0.2, 0.7]))]
+
+
+@some
+@given(
+    nodes=st.permutations(range(9)),
+    cells=st.permutations(range(4)),
+    starts=st.lists(st.integers(0, 7), min_size=4, max_size=4),
+    moves=st.lists(shares, min_size=18, max_size=18),
+    angle=st.floats(-np.pi, np.pi),
+    mirror=st.booleans(),
+    orders=st.tuples(st.permutations([*BODIES.items()]), st.permutations(LOADS)),
+    eps=sizes,
+    at=sizes,
+    scale=sizes,
+)
+def test_numbers_places_units_and_orders_do_not_matter(
+    tmp_path_factory, nodes, cells, starts, moves, angle, mirror, orders, eps, at, scale
+):
+    """Of nodes, of cells and their corners, of loads and bodies; thicknesses of which a law's moduli are."""
+    path, regions = tmp_path_factory.mktemp("joint") / "a.msh", np.array([1, 1, 2, 2])
+    points = GRID + 0.1 * np.reshape(moves, (9, 2)) * (GRID[:, 1] != 0)[:, None]  # S stays straight
+    eps *= 0.1
+    own = LinearElastic(SOFT.lmbda * eps / at, SOFT.mu * eps / at)
+    known = works(path, points, QUADS, regions, np.arange(9), ThinLayer(own, eps), np.eye(2), BODIES, LOADS)
+    names, c, s = np.array(nodes), np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s], [s, c]]) @ np.diag([-1.0 if mirror else 1.0, 1.0])
+    placed = np.empty_like(points)
+    placed[names] = points @ turn.T + (5.0, -3.0)
+    turned = np.array(
+        [np.roll(QUADS[k], start % 4)[:: 1 - 2 * (start // 4)] for k, start in zip(cells, starts, strict=True)]
+    )
+    layer = ThinLayer(SOFT, eps * scale, at=at * scale)
+    found = works(path, placed, turned, regions[[*cells]], names, layer, turn, *orders, scale)
+    assert found == pytest.approx(np.multiply(known, scale**2), rel=1e-8)  # rounding, of layers 1e3 times softer
+
+
+# ---------------------------------------------------------------- laws
+LAWS = {
+    "elastic": lambda a, b: LinearElastic(a, b),
+    "stack": lambda a, b: Stack((0.3, LinearElastic(a, b)), (0.7, VonMises(b, a, strength=0.05))),
+    "kelvin": lambda a, b: KelvinVoigt(a, b, theta_lmbda=0.3, theta_mu=b),
+    "maxwell": lambda a, b: Maxwell(a, b, t1=b),
+    "norton": lambda a, b: Norton(a, b, eta=b, p=1.5),
+    "creep": lambda a, b: NortonCreep(a, b, A=a, n=3.0),
+    "von mises": lambda a, b: VonMises(a, b, strength=0.05 * a, kinematic=0.1 * b),
+    "mohr-coulomb": lambda a, b: MohrCoulomb(a, b, cohesion=0.02 * b, friction_angle=30.0, elastic_fraction=0.1),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+@some
+@given(a=sizes, b=sizes, path=st.lists(jumps, max_size=2), one=jumps, other=jumps)
+def test_a_larger_jump_needs_a_larger_traction(name, a, b, path, one, other):
+    """A step of a law without softening, whose flow is associated, has a convex potential, whatever was before."""
+    law = LAWS[name](a, b)
+    steps = [[{"w_T": w[0], "w_N": w[1]} for w in (*path, last)] for last in (one, other)]
+    t, u = (drive(law, each, dt=0.3).tractions[-1] for each in steps)
+    size = np.linalg.norm(t) + np.linalg.norm(u)
+    assert (t - u) @ (one - other) >= -1e-9 * size * np.linalg.norm(
+        one - other
+    )  # tractions are found to 1e-12 of moduli
+
+
+# ---------------------------------------------------------------- memory
+def memory():
+    """What the process has of the memory, in MB."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+@pytest.mark.long
+def test_memory_stays_flat():
+    """After 100 of 300 models by less than 0.1 MB a model, of the 1 MB that each has; after 50 of 500 steps by 2 MB."""
+
+    def model(k, law=SOFT):
+        loads = {"TOP": lambda x, t: (0.1 * t, 1.0 + t)}
+        joint = sandwich(2.0, 1.0, 1.0 + 1e-3 * k, 0.25)
+        structure = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}, tractions=loads)
+        return (structure.interface if k % 3 else structure.full)(ThinLayer(law, 0.1, at=1.0))
+
+    used = [memory() for k in range(300) if solve(model(k))]
+    assert used[-1] - used[100] < 20.0
+    viscous = model(1, KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5))
+    history = march(viscous, np.arange(1, 501) / 500, keep="last", observe={"memory": lambda state: memory()})
+    assert history.table["memory"][-1] - history.table["memory"][50] < 2.0
