@@ -73,6 +73,26 @@ BROKEN = [
     (dict(lines=[[3, 4], [4, 8]]), r"some facets named 'S' are not facets .* at \(1\.5, 0\.5\)"),
     (dict(points=[*GRID, (1, 0.1)], lines=[[3, 9], [9, 5]]), r"not part of the bodies' mesh, .* at \(0\.5, 0\.05\)"),
     (
+        dict(
+            points=[*GRID, (1, 1.3)],
+            kind="triangle",
+            cells=[
+                [0, 1, 4],
+                [0, 4, 3],
+                [1, 2, 5],
+                [1, 5, 4],
+                [3, 4, 9],
+                [4, 5, 9],
+                [5, 8, 9],
+                [8, 7, 9],
+                [7, 6, 9],
+                [6, 3, 9],
+            ],
+            regions=[1] * 4 + [2] * 6,
+        ),
+        r"2 facets have both of their cells on one side, the first at \(0\.5, 1\.15\): the mesh overlaps itself",
+    ),
+    (
         dict(points=[*GRID, (2, 2), (0, 2)], more=[("quad", [[6, 8, 9, 10]], 2)]),
         r"1 nodes hang on facets .*, the first at \(1, 1\): these cells are not connected",
     ),

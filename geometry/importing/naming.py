@@ -208,7 +208,10 @@ class Named:
             facets = {S: surface, **{name: rows for name, rows in facets.items() if name != self.sides.S}}
         cells, region = self.cells, np.stack(list(named.regions.values())).argmax(axis=0)
         joint = Joint(cells.points, cells.nodes, cells.type, region, tuple(named.regions), facets, seams)
-        _require_closed(joint.points, joint.table.vertices[joint.table.cells[:, 1] < 0])
+        inner = joint.table.cells[:, 1] >= 0
+        centres = joint.points[joint.corners].mean(axis=1)[joint.table.cells[inner]]
+        _require_unfolded(joint.points[joint.table.vertices[inner]], centres)
+        _require_closed(joint.points, joint.table.vertices[~inner])
         return joint
 
     def _disjoint(self) -> Groups:
@@ -282,6 +285,20 @@ class Named:
         if not len(found):
             raise InputError(f"{'+'.join(lower)} and {'+'.join(upper)} have no facet in common")
         return found
+
+
+def _require_unfolded(facets: FloatArray, centres: FloatArray) -> None:
+    """Raise InputError where a mesh overlaps itself: the cells beside a facet are both on one side of it.
+
+    Args:
+        facets: (n, k, d) vertices of the facets between cells.
+        centres: (n, 2, d) centres of the two cells.
+    """
+    first, d = facets[:, 0], facets.shape[2]
+    along = facets[:, 1:d] - first[:, None]
+    sides = [np.linalg.det(np.concatenate([along, (one - first)[:, None]], axis=1)) for one in centres.swapaxes(0, 1)]
+    what = "{bad} facets have both of their cells on one side, the first at {at}: the mesh overlaps itself"
+    refuse(np.sign(sides[0]) == np.sign(sides[1]), facets, f"{what}; move its nodes apart, or mesh anew")
 
 
 def _require_closed(points: FloatArray, facets: IntArray) -> None:
