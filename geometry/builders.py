@@ -6,10 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from math import tau
 from typing import Unpack
 
-import numpy as np
 from mpi4py import MPI
 
-from forms.base import require
 from geometry.joint import Joint
 from geometry.parallel import on_root
 from geometry.periodic import periodic
@@ -209,7 +207,6 @@ def wall(
     Raises:
         InputError: a size is not positive, a number is not whole, a cell is of the other dimension.
     """
-    require(np.shape(brick) == (2,), "brick", brick, "it must be (width, height)")
     size = tuple(brick) if depth is None else (*brick, depth)
     return on_root(comm, lambda: running_bond(Cells(h, cell=cell), size, bricks, courses))
 
@@ -245,7 +242,6 @@ def bond_cell(
     Raises:
         InputError: a size is not positive, a cell is of the other dimension, the cut is along a joint.
     """
-    require(np.shape(brick) == (2,), "brick", brick, "it must be (width, height)")
     size = tuple(brick) if depth is None else (*brick, depth)
     joint = on_root(comm, lambda: repeated_bond(Cells(h, cell=cell), size, cut))
     return periodic(joint, ("LEFT", "RIGHT"), ("BOTTOM", "TOP"))

@@ -208,10 +208,7 @@ class Named:
             facets = {S: surface, **{name: rows for name, rows in facets.items() if name != self.sides.S}}
         cells, region = self.cells, np.stack(list(named.regions.values())).argmax(axis=0)
         joint = Joint(cells.points, cells.nodes, cells.type, region, tuple(named.regions), facets, seams)
-        inner = joint.table.cells[:, 1] >= 0
-        centres = joint.points[joint.corners].mean(axis=1)[joint.table.cells[inner]]
-        _require_unfolded(joint.points[joint.table.vertices[inner]], centres)
-        _require_closed(joint.points, joint.table.vertices[~inner])
+        _require_whole(joint)
         return joint
 
     def _disjoint(self) -> Groups:
@@ -287,41 +284,34 @@ class Named:
         return found
 
 
-def _require_unfolded(facets: FloatArray, centres: FloatArray) -> None:
-    """Raise InputError where a mesh overlaps itself: the cells beside a facet are both on one side of it.
-
-    Args:
-        facets: (n, k, d) vertices of the facets between cells.
-        centres: (n, 2, d) centres of the two cells.
-    """
-    first, d = facets[:, 0], facets.shape[2]
-    along = facets[:, 1:d] - first[:, None]
-    sides = [np.linalg.det(np.concatenate([along, (one - first)[:, None]], axis=1)) for one in centres.swapaxes(0, 1)]
+def _require_whole(joint: Joint) -> None:
+    """Raise InputError for a mesh that overlaps itself or has hanging nodes, with the first place."""
+    points, d, facets, cells = joint.points, joint.dim, joint.table.vertices, joint.table.cells
+    inner = cells[:, 1] >= 0
+    first, *others = points[facets[inner, :d]].swapaxes(0, 1)
+    centres = points[joint.corners].mean(axis=1)[cells[inner]]
+    sides = [np.linalg.det(np.stack([*others, centre], axis=1) - first[:, None]) for centre in centres.swapaxes(0, 1)]
     what = "{bad} facets have both of their cells on one side, the first at {at}: the mesh overlaps itself"
-    refuse(np.sign(sides[0]) == np.sign(sides[1]), facets, f"{what}; move its nodes apart, or mesh anew")
+    refuse(np.sign(sides[0]) == np.sign(sides[1]), points[facets[inner]], f"{what}; move its nodes apart, or mesh anew")
+    found = points[_hanging(points, facets[~inner])]
+    what = "{bad} nodes hang on facets of cells that do not have them, the first at {at}: these cells are not connected"
+    refuse(np.ones(len(found), bool), found, f"{what}; make the mesh conforming")
 
 
-def _require_closed(points: FloatArray, facets: IntArray) -> None:
-    """Raise InputError for hanging nodes: they lie on a facet of the outer boundary, and are nodes of others only.
-
-    Args:
-        points: (n, d) coordinates.
-        facets: (m, k) vertices of the facets of the outer boundary.
-    """
-    vertices, middles = np.unique(facets), points[facets].mean(axis=1)
-    radii = np.linalg.norm(points[facets] - middles[:, None], axis=2).max(axis=1)
-    near = cKDTree(points[vertices]).query_ball_point(middles, radii)
+def _hanging(points: FloatArray, facets: IntArray) -> IntArray:
+    """Nodes that lie on facets (n, k) of the outer boundary, given by their vertices, and are nodes of others only."""
+    vertices, x = np.unique(facets), points[facets]
+    middles = x.mean(axis=1)
+    near = cKDTree(points[vertices]).query_ball_point(middles, np.linalg.norm(x - middles[:, None], axis=2).max(axis=1))
     facet, vertex = np.repeat(np.arange(len(facets)), [*map(len, near)]), vertices[np.concatenate(near).astype(int)]
     other = (facets[facet] != vertex[:, None]).all(axis=1)
-    corners, x = points[facets[facet[other]]], points[vertex[other]]
-    hanging = np.zeros(len(x), bool)
-    for chosen in combinations(range(facets.shape[1]), x.shape[1]):  # those of a quadrilateral are in no order
-        first, *others = (corners[:, k] for k in chosen)
-        edges = np.stack(others, axis=1) - first[:, None]
-        shares = np.einsum("nj,njk->nk", x - first, np.linalg.pinv(edges))
-        off = np.linalg.norm(x - first - np.einsum("nk,nkj->nj", shares, edges), axis=1)
+    x, vertex = x[facet[other]], vertex[other]
+    on = np.zeros(len(vertex), bool)
+    for chosen in combinations(range(x.shape[1]), x.shape[2]):  # of a quadrilateral, whose corners are in no order
+        first, *others = (x[:, k] for k in chosen)
+        edges, way = np.stack(others, axis=1) - first[:, None], points[vertex] - first
+        shares = np.einsum("nj,njk->nk", way, np.linalg.pinv(edges))
+        off = np.linalg.norm(way - np.einsum("nk,nkj->nj", shares, edges), axis=1)
         inside = (shares >= -CLOSE).all(axis=1) & (shares.sum(axis=1) <= 1 + CLOSE)
-        hanging |= inside & (off <= CLOSE * np.ptp(points, axis=0).max())
-    what = "nodes hang on facets of cells that do not have them, the first at {at}: these cells are not connected"
-    found = np.unique(x[hanging], axis=0)
-    refuse(np.ones(len(found), bool), found, f"{{bad}} {what}; make the mesh conforming")
+        on |= inside & (off <= CLOSE * np.ptp(points, axis=0).max())
+    return np.unique(vertex[on])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from operator import add
@@ -207,7 +207,13 @@ class State(Configuration):
             InputError: nothing holds this place: it is free.
         """
         model, every = self.model, self.reactions_by_place()
-        chosen = held_at(model, place, every)
+        bases = {BASE, *model.joint.base_seams}
+        chosen = [name for name in every if name == place or str(name).split("/")[0] == place]
+        if place == S or (place in bases and not chosen):
+            chosen = [name for name in every if name in bases]
+        if not chosen:
+            held = ", ".join(map(repr, every)) or "nothing"
+            raise InputError(f"nothing holds {place!r}: it is free of supports and springs; held are: {held}")
         total = reduce(add, (every[name] for name in chosen))
         return total.at(on_centre(model.kinematics, middle_of(model, place, chosen)) if about is None else about)
 
@@ -338,15 +344,3 @@ def transfer(f: fem.Function, source: Model, V: fem.FunctionSpace, target: Model
 def displacements_of(state: State, model: Model) -> fem.Function:
     """The displacements of a state on a model of the same joint, with the same element. Collective."""
     return state.u if state.model is model else transfer(state.u, state.model, model.V, model)
-
-
-def held_at(model: Model, place: Place, every: Collection[Place]) -> list[Place]:
-    """Those of all places that hold a structure which belong to a place; InputError: none does."""
-    bases = {BASE, *model.joint.base_seams}
-    chosen = [name for name in every if name == place or str(name).split("/")[0] == place]
-    if place == S or (place in bases and not chosen):
-        chosen = [name for name in every if name in bases]
-    if not chosen:
-        held = ", ".join(map(repr, every)) or "nothing"
-        raise InputError(f"nothing holds {place!r}: it is free of supports and springs; held are: {held}")
-    return chosen

@@ -167,8 +167,6 @@ class GlobalLocal:
                 break
             along = self._R.T @ (one.F + load)
             self._add_couple(along)
-            if not self._couples:  # forces whose squares vanish in rounding
-                break
             resultants = self._axes.T @ self._R.T @ np.column_stack([dF for _, dF in self._couples])
             for share, (d, dF) in zip(-np.linalg.solve(resultants, self._axes.T @ along), self._couples, strict=True):
                 u, F = u + share * d, F + share * dF

@@ -26,7 +26,7 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import seam_entities
 from thinlayer.discretisation.measures import compiled, whole
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.state import State, displacements_of, held_at
+from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.discretisation.supports import Place
 from thinlayer.output.nodal_forces import nodal_forces
 from thinlayer.output.probe import Probe, cells_at
@@ -149,11 +149,6 @@ class Reaction(Directed):
 
     place: Place
     direction: Sequence[float]
-
-    def check(self, model: InterfaceModel) -> None:
-        self.unit(model)
-        if not (model.parts or model.joint.base_seams):  # of parts and bases only a state has the names
-            held_at(model, self.place, model.holders)
 
     @property
     def name(self) -> str:  # type: ignore[override]

@@ -56,10 +56,12 @@ class Case:
             if not LEAST_EPS * size <= one.eps <= size:
                 what = f"{one.eps:g}; allowed beside bodies of {size:.4g}: {LEAST_EPS * size:.2g} to {size:.4g}"
                 given.section.refuse(what, "layer", *([name] if name else []), "eps")
-        layer = _by_name(given.layer, lambda one: ThinLayer(one.law, one.eps, eigenstrain=one.eigenstrain))
-        goals = tuple(_goal(name, **one) for name, one in given.goals.items()) or (kinds.Compliance(),)
-        with given.section.described():
-            return cls(given, _structure(given, joint), layer, goals)
+        return cls(
+            given,
+            _structure(given, joint),
+            _by_name(given.layer, lambda one: ThinLayer(one.law, one.eps, eigenstrain=one.eigenstrain)),
+            tuple(_goal(name, **one) for name, one in given.goals.items()) or (kinds.Compliance(),),
+        )
 
     def model(self) -> InterfaceModel:
         """The interface model, which has what the goals ask for. Collective.
@@ -67,8 +69,7 @@ class Case:
         Raises:
             InputError: as the model and the goals raise it.
         """
-        with self.given.section.described():
-            model = self.structure.interface(self.layer, bodies=self.given.bodies)
+        model = self.structure.interface(self.layer, bodies=self.given.bodies)
         for name, goal in zip(self.given.goals or ("compliance",), self.goals, strict=True):
             with self.given.section.described("goals", name), on_all(model.comm):
                 goal.check(model)

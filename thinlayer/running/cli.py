@@ -299,7 +299,8 @@ def _estimate(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
         from thinlayer.running.estimation import run
 
         record.quiet |= chosen.json
-        run(record, given, chosen.description)
+        with given.section.described():
+            run(record, given, chosen.description)
         if chosen.json:
             _tell(chosen, record.results, "")
 
@@ -317,4 +318,5 @@ def _check(chosen: argparse.Namespace, given: Description) -> int:
     from thinlayer.running.case import Case
     from thinlayer.running.understood import understood
 
-    return _tell(chosen, None, understood(Case.of(given)))
+    with given.section.described():
+        return _tell(chosen, None, understood(Case.of(given)))

@@ -151,10 +151,11 @@ class Table:
 
     def __getitem__(self, column: str) -> npt.NDArray[np.float64]:
         """A column as numbers, NaN where empty."""
-        entries = self._entries(column)
-        if texts := [value for value in entries if isinstance(value, str)]:
-            raise ColumnError(f"the column {column!r} has texts, such as {texts[0]!r:.60}; numbers are asked of it")
-        return np.array([np.nan if value is None else value for value in entries], float)
+        entries = [np.nan if value is None else value for value in self._entries(column)]
+        try:
+            return np.array(entries, float)
+        except ValueError as error:
+            raise ColumnError(f"the column {column!r} has texts: {error}") from None
 
     def _entries(self, column: str) -> list[float | str | None]:
         if column not in self.columns:
