@@ -68,11 +68,18 @@ def content(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+def changed(file, old, new):
+    """Change a file of characters of one byte each, where something stands first."""
+    text, found = re.subn(old, new, file.read_text(), count=1, flags=re.DOTALL)
+    assert found
+    file.write_bytes(text.encode("latin-1"))
+
+
 def assert_refused(words, file, *given):
-    """The command ends with the status 2, and its message has the words; nothing is written or changed."""
+    """The command ends with the status 2, and its message has all words; nothing is written or changed."""
     before = content(file.parent)
     done = command("estimate", file, "--out", file.parent / "out", *given)
-    assert (done.returncode, words in done.stderr) == (2, True), done.stderr
+    assert (done.returncode, [word for word in words if word not in done.stderr]) == (2, []), done.stderr
     assert not re.search("InputError|DescriptionError|Traceback", done.stderr)
     assert content(file.parent) == before
     return done.stderr
@@ -80,39 +87,22 @@ def assert_refused(words, file, *given):
 
 @of("settings", "setting", "words")
 def test_settings(sound, setting, words):
-    assert f"--set {setting!r}" in assert_refused(words, sound, "--set", setting)
+    said = assert_refused((f"--set {setting!r}", words), sound, "--set", setting)
+    assert str(sound) in said or said.startswith(f"thinlayer: --set {setting!r}")  # an option that cannot be read
 
 
-def changed(file, old, new):
-    """Change a file of characters of one byte each."""
-    text, found = re.subn(old, new, file.read_text(), count=1, flags=re.DOTALL)
-    assert found
-    file.write_bytes(text.encode("latin-1"))
-
-
-@of("descriptions", "old", "new", "words")
-def test_descriptions(sound, old, new, words):
-    changed(sound, old, new)
-    assert str(sound) in assert_refused(words, sound)
-
-
-@of("long", "old", "new", "times", "words")
-def test_numbers_and_tables_without_end(sound, old, new, times, words):
-    changed(sound, old, new * times)
-    assert str(sound) in assert_refused(words, sound)
-
-
-@of("meshes", "name", "old", "new", "words")
-def test_mesh_files(sound, name, old, new, words):
-    sound.with_name("a.msh").rename(sound.with_name(name))
-    changed(sound.with_name(name), old, new)
-    said = assert_refused(words, sound, "--set", f"mesh.path={str(sound.with_name(name))!r}")
-    assert f"mesh: {sound.with_name(name)}: " in said
+@of("files", "name", "old", "new", "words")
+def test_files(sound, name, old, new, words):
+    sound.write_text(LEAST.replace("a.msh", name if name != sound.name else "a.msh"))
+    if name != sound.name:
+        sound.with_name("a.msh").rename(sound.with_name(name))
+    changed(sound.with_name(name), old, {"LONG": "9" * 400, "DEEP": "[" * 3000}.get(new, new))
+    assert_refused((str(sound), name, words), sound)
 
 
 @of("options", "options", "words")
 def test_options(sound, options, words):
-    assert_refused(words, sound, *options.split())
+    assert_refused([words], sound, *options.split())
 
 
 @of("python", "expression", "words")
@@ -126,14 +116,8 @@ def test_runs_that_were_changed(tmp_path, old, new):
         record.sweep(lambda e: {"eps": e, "error_traction": e, "error_jump": e}, [0.1], "table_elastic.csv")
     changed(tmp_path / "run.json", old, new)
     before = content(tmp_path)
-    for words in (
-        ("draw", "rates"),
-        ("run", "rates", "--law", "elastic"),
-        ("run", "rates", "--law", "elastic", "--resume"),
-    ):
-        done = (
-            command(*words, "--quick", "--out", tmp_path) if words[0] == "run" else command(*words, "--out", tmp_path)
-        )
+    for words in ("draw rates", "run rates --law elastic --quick", "run rates --law elastic --quick --resume"):
+        done = command(*words.split(), "--out", tmp_path)
         assert (done.returncode, "run.json cannot be read (" in done.stderr) == (2, True), done.stderr
     assert content(tmp_path) == before
 
