@@ -77,8 +77,8 @@ def read(
     Raises:
         InputError: the file cannot be read or lacks names; tags that are not those of the mesh, a number that nothing has,
             a mesh on other ranks than those of `comm`; a name is unknown or ambiguous; cells of several types or
-            of one that is not allowed; a surface in 3D; duplicate nodes or cells; flat or folded cells; S does not fit
-            `Joint`.
+            of one that is not allowed; a surface in 3D; duplicate nodes or cells; flat or folded cells; hanging nodes, or
+            cells that overlap their neighbours; S does not fit `Joint`.
     """
     if not is_finite(scale) or scale <= 0:
         raise InputError(f"scale is {scale!r}; it must be a number > 0")

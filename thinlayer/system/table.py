@@ -114,6 +114,8 @@ class Table:
                 raise InputError(f"{str(path)!r} cannot be read as a table: {error}") from error
 
         table, (names, *rows) = cls(), on_root(comm, read) or [[]]
+        if len({*names}) < len(names):
+            raise InputError(f"{str(path)!r} is no whole table: columns have the same name")
         for number, row in enumerate(rows, 2):
             if len(row) != len(names):
                 columns = f"{len(names)} columns"
