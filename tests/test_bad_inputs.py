@@ -64,8 +64,7 @@ def sound(tmp_path):
     return tmp_path / "a.toml"
 
 
-def content(folder):
-    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+content = lambda folder: {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def changed(file, old, new):

@@ -56,7 +56,6 @@ def test_numbers_places_units_and_orders_do_not_matter(tmp_path_factory, seed):
 
 # ---------------------------------------------------------------- laws
 LAWS = {
-    "elastic": lambda a, b: LinearElastic(a, b),
     "stack": lambda a, b: Stack((0.3, LinearElastic(a, b)), (0.7, VonMises(b, a, strength=0.05))),
     "kelvin": lambda a, b: KelvinVoigt(a, b, theta_lmbda=0.3, theta_mu=b),
     "maxwell": lambda a, b: Maxwell(a, b, t1=b),
