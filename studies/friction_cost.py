@@ -13,13 +13,12 @@ from studies.timing import in_turn, peak, solve_once, timed
 from thinlayer import Structure
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.parts.part import Interval
-from thinlayer.solving.contact.contact_tangent import faster_products
 from thinlayer.solving.contact.finder import ContactFinder
 from thinlayer.solving.contact.methods import FINDERS
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Found
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
-from thinlayer.solving.petsc import require_all_read
+from thinlayer.solving.petsc import faster_products, require_all_read
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.table import Row
 

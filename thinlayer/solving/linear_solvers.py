@@ -19,7 +19,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Part
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.balance import Layout, TangentMatrix
-from thinlayer.solving.petsc import PREFIX, OptionValue, options_set
+from thinlayer.solving.petsc import PREFIX, OptionValue, options_set, put_in_blocks
 from thinlayer.system.ranks import destroy
 
 DIRECT: dict[str, OptionValue] = {
@@ -122,6 +122,7 @@ class Factor:
         self.ksp: Any = None
         self.of: Hashable = None
         self._options: dict[str, Any] = {}
+        self._blocks: PETSc.Mat | None = None
 
     def renew(self, A: PETSc.Mat, of: Hashable, tell: Callable[[PETSc.KSP, PETSc.Mat], None]) -> bool:
         """Take another matrix, which is factored by the next solve.
@@ -144,13 +145,29 @@ class Factor:
         if not stays:
             self.ksp.setFromOptions()
         tell(self.ksp, A)
+        if self.ksp.getPC().getType() == "gamg":
+            self._set_up_in_blocks(A)
         self._options, self.of = options, of
         return stays
 
+    def _set_up_in_blocks(self, A: PETSc.Mat) -> None:
+        """Build the hierarchy, whose matrices then multiply in blocks; A itself stays as it is."""
+        pc = self.ksp.getPC()
+        pc.setReusePreconditioner(False)
+        self.ksp.setUp()
+        destroy(self._blocks)
+        self._blocks, finest = put_in_blocks(A, PETSc.Mat().create(A.comm)), pc.getMGLevels() - 1
+        for level in range(1, finest):  # the coarsest has a factor instead of a smoother
+            put_in_blocks(pc.getMGSmoother(level).getOperators()[0])
+        if finest:
+            pc.getMGSmoother(finest).setOperators(self._blocks)
+        pc.setReusePreconditioner(True)
+        self.ksp.setOperators(self._blocks)
+
     def destroy(self) -> None:
         """Free the solver and its factor."""
-        destroy(self.ksp)
-        self.ksp = self.of = None
+        destroy(self.ksp, self._blocks)
+        self.ksp = self.of = self._blocks = None
 
 
 class Kept:

@@ -22,7 +22,16 @@ from thinlayer.solving.contact.methods import FINDERS, METHODS, check_method, de
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import CONTACT, EASED_CONTACT, NEWTON, SINGULAR, YIELDING, Equilibrium, Finder, Found
 from thinlayer.solving.linear_solvers import linear_solvers
-from thinlayer.solving.petsc import PREFIX, Options, OptionValue, chosen, is_set, require_all_read, value_of
+from thinlayer.solving.petsc import (
+    PREFIX,
+    Options,
+    OptionValue,
+    chosen,
+    faster_products,
+    is_set,
+    require_all_read,
+    value_of,
+)
 from thinlayer.solving.ranges import warn_of_model, warn_of_no_time, warn_of_states
 from thinlayer.solving.weak_springs import WeakSprings
 from thinlayer.system.progress import logger
@@ -329,7 +338,7 @@ class Solver(AbstractContextManager["Solver"]):
         began, ours = time.perf_counter(), {**attempt.linear, **attempt.options}
         while True:
             try:
-                with chosen(ours, self._given):
+                with chosen(ours, self._given), faster_products(serial=self.equations.comm.size == 1):
                     found = self._finder.find(start)
                     if not self._finder.reused:
                         require_all_read(self.method, ours.keys() - self._given.keys())

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import numpy as np
 import scipy.sparse
 from petsc4py import PETSc
@@ -84,8 +81,7 @@ class Tangent:
         self._cycle.setOptionsPrefix(PREFIX)
         self._cycle.setOperators(M)
         self._cycle.setFromOptions()
-        with faster_products(serial=M.comm.size == 1):
-            self._cycle.setUp()
+        self._cycle.setUp()
         if self._cycle.getType() == "gamg":  # its finest level uses the blocks, too: a solve takes 3 % less time
             finest = self._cycle.getMGLevels() - 1
             if finest:  # a single level has a factor instead of a smoother
@@ -140,21 +136,6 @@ class Tangent:
         """Free matrices, vectors and the hierarchy."""
         for thing in (self._cycle, self._matrix, self._rows, self._product):
             thing.destroy()
-
-
-# ---------------------------------------------------------------- faster products
-@contextmanager
-def faster_products(*, serial: bool) -> Iterator[None]:
-    """Within a `with` block, PETSc computes A P before P^T A P: a contact solve takes 8 to 10 % less time, more memory."""
-    database, name = PETSc.Options(), "matptap_via"  # PETSc reads this option without a prefix
-    ours = serial and not database.hasName(name)
-    if ours:
-        database.setValue(name, "rap")
-    try:
-        yield
-    finally:
-        if ours:
-            database.delValue(name)
 
 
 def in_blocks(A: PETSc.Mat, d: int) -> PETSc.Mat:
