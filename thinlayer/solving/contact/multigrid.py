@@ -30,6 +30,7 @@ LOOSE: Reductions = (0.3, 0.2)  # for a start whose status is wrong at many node
 STRICT: Reductions = (0.02, 0.05)  # for a prediction, and in the last attempt
 EXPECTED = 3.0  # largest residual after a Newton step without sweeps, relative to the target of its linear solve
 LARGE = 3e-5  # residual, relative to given forces, above which the rounding of a body far away is no force
+ENOUGH = 0.05  # least factor by which a linear solve after sweeps reduces a residual below the forces
 FINISH = 0.7  # target of the last linear solve, relative to the tolerance
 
 HIERARCHY: dict[str, OptionValue] = {k: v for k, v in MULTIGRID.items() if k not in (*DIRECT, "ksp_max_it")}
@@ -48,7 +49,8 @@ NEWTON: dict[str, OptionValue] = {
 class MultigridContact(ContactFinder):
     """Newton's method by SNES, FGMRES and one algebraic multigrid hierarchy, for one seam. Collective.
 
-    The hierarchy is built for the bodies with symmetric, clipped springs on S, in the first solve, and kept until `close`.
+    The hierarchy is built for the bodies with symmetric, clipped springs on S, in the first solve, and kept until `close`;
+    its springs change with the status of S.
     FGMRES uses the exact tangent, which is not symmetric where S slides. Its preconditioner is a cycle of multigrid, then
     an exact solve for the nodes of S on each rank. If the status of a node has changed, Gauss-Seidel sweeps over the nodes
     of S, on each rank alone, precede a Newton step. If the jumps to start from mislead it, it starts from bonded nodes.
@@ -209,6 +211,7 @@ class _Newton:
         tangents = self._begin(u, self._f) if first else self._go_on(u)
         share = self.reductions[0] if first else min(0.5, self._target / self._h)
         self._before = self._h
+        self.tangent.follow(self._start if first else self.nodes.apart(u))
         self.tangent.linearise(tangents)
         if self._set_rtol:
             snes.getKSP().setTolerances(rtol=share)
@@ -230,7 +233,7 @@ class _Newton:
     def _go_on(self, u: PETSc.Vec) -> Array:
         """Tangents of a later step; sets the target of its linear solve."""
         if self._swept:
-            self._target = self.reductions[1] * min(self._h, self._target)
+            self._target = max(self.reductions[1] * min(self._h, self._target), ENOUGH * min(self._h, 1.0))
         else:
             # the residual that the law's non-linearity leaves is quadratic in the size of the step
             nonlinear = self._h * math.sqrt(abs(1 - self._left**2)) * (self._h / self._before) ** 2
