@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse
-from scipy.sparse.linalg import splu
+from petsc4py import PETSc
 
 from forms.base import Array
 from geometry.topology import IntArray, along
@@ -19,8 +19,9 @@ from thinlayer.errors import SolveError
 from thinlayer.solving.balance import ALLOWED, TINY, ForceScale
 from thinlayer.solving.contact.condensation import Condensation, FactorError
 from thinlayer.solving.contact.finder import ContactFinder
-from thinlayer.solving.contact.pairs import PIVOTS, Pairs
+from thinlayer.solving.contact.pairs import Pairs
 from thinlayer.solving.equations import Equations
+from thinlayer.system.ranks import destroy
 
 TOLERANCE = 1e-11  # residual at which Newton's method stops, relative to the forces
 COARSE_TOLERANCE = 1e-3  # the same in coarser systems
@@ -157,12 +158,30 @@ class CondensedSystem:
     def _linear_solve(self, more: scipy.sparse.csr_matrix, b: Array) -> Array:
         """x with (stiffness + more) x = b; not finite if the matrix is singular."""
         A = self._stiffness
-        try:
-            if isinstance(A, np.ndarray):
+        if isinstance(A, np.ndarray):
+            try:
                 return np.linalg.solve(A + more.toarray(), b)
-            return np.asarray(splu((A + more).tocsc(), **PIVOTS).solve(b))
-        except (np.linalg.LinAlgError, RuntimeError):
-            return np.full(len(b), np.nan)
+            except np.linalg.LinAlgError:
+                return np.full(len(b), np.nan)
+        rows = (A + more).tocsr()
+        rows.sort_indices()
+        csr = (*(a.astype(PETSc.IntType, copy=False) for a in (rows.indptr, rows.indices)), rows.data)
+        matrix, pc = (
+            PETSc.Mat().createAIJ(rows.shape, csr=csr, comm=PETSc.COMM_SELF),
+            PETSc.PC().create(PETSc.COMM_SELF),
+        )
+        pc.setOperators(matrix)
+        pc.setType("lu")
+        pc.setFactorSolverType("mumps")  # which takes an eighth of SuperLU's time on 217 bricks
+        pc.setFactorSetUpSolverType()
+        pc.getFactorMatrix().setMumpsIcntl(14, 100)  # as in `DIRECT`: spare memory in per cent
+        x, right = matrix.createVecs()
+        right.array = b
+        pc.setUp()
+        pc.apply(right, x)
+        out = x.array_r.copy()
+        destroy(pc, matrix, x, right)
+        return np.asarray(out)
 
     def newton(self, u: Array, g: Array, size: float, tolerance: float = TOLERANCE) -> tuple[Array, tuple[float, ...]]:
         """Displacements, from u, and the residuals before each Newton step and after the last, relative to the forces."""
