@@ -11,7 +11,7 @@ from forms.base import Array
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.solving.contact.pairs import PIVOTS, Pairs
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.petsc import PREFIX
+from thinlayer.solving.petsc import PREFIX, put_in_blocks
 
 SWEEPS = 4  # number of Gauss-Seidel sweeps before a Newton step, if sweeps are due
 DIAGONAL = 3.0  # stiffness of a node of S, relative to its area times E/h; an upper estimate
@@ -82,8 +82,7 @@ class Tangent:
         self._cycle.setOptionsPrefix(PREFIX)
         self._cycle.setOperators(M)
         self._cycle.setFromOptions()
-        with faster_products(serial=M.comm.size == 1):
-            self._cycle.setUp()
+        self._cycle.setUp()
         if self._cycle.getType() == "gamg":
             self._cycle.setReusePreconditioner(True)
             for level in range(1, self._cycle.getMGLevels()):  # the coarsest has a factor instead of a smoother
@@ -154,28 +153,3 @@ class Tangent:
         """Free matrices, vectors and the hierarchy."""
         for thing in (self._cycle, self._matrix, self._rows, self._product):
             thing.destroy()
-
-
-# ---------------------------------------------------------------- faster products
-@contextmanager
-def faster_products(*, serial: bool) -> Iterator[None]:
-    """Within a `with` block, PETSc computes A P before P^T A P: a contact solve takes 8 to 10 % less time, more memory."""
-    database, name = PETSc.Options(), "matptap_via"  # PETSc reads this option without a prefix
-    ours = serial and not database.hasName(name)
-    if ours:
-        database.setValue(name, "rap")
-    try:
-        yield
-    finally:
-        if ours:
-            database.delValue(name)
-
-
-def put_in_blocks(A: PETSc.Mat) -> None:
-    """Convert A, in place, to blocks, which multiply twice as fast; PETSc's own conversion takes five times as long."""
-    indptr, indices, values = A.getValuesCSR()
-    d, shape = A.getBlockSize(), (A.getLocalSize()[0], A.getSize()[1])
-    blocks = scipy.sparse.csr_matrix((values, indices, indptr), shape=shape, copy=False).tobsr((d, d))
-    csr = (*(a.astype(PETSc.IntType, copy=False) for a in (blocks.indptr, blocks.indices)), blocks.data)
-    A.setType("baij")
-    A.setPreallocationCSR(csr)
