@@ -19,6 +19,7 @@ from thinlayer.solving.petsc import PREFIX, OptionValue, reason_name, solve_line
 # Relative residuals; keys: True for direct solvers, False for Krylov methods.
 REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # refinement ends at this residual
 WORTH_REFINING = {True: 1e-3, False: 0.5}  # refinement starts below this residual; Krylov methods test another norm
+WORTH_ANOTHER = {True: 0.1, False: 0.5}  # reduction of the residual by a refinement after which another one follows
 NEEDED = 0.3  # reduction of a residual by a Krylov method that refines, relative to what is still wanted
 UNDETERMINED = 1e-3  # first refinement, relative to the displacements at play, that shows a singular matrix
 ROUNDED = 100.0  # residual over the rounding of stiffness times displacement, at most, that is taken for rounding
@@ -245,7 +246,7 @@ class Equilibrium(Finder):
             refined = self._relative(r)
             if refined > residual:
                 x.axpy(-1.0, d)
-            if refined >= residual / 2:
+            if refined >= WORTH_ANOTHER[direct] * residual:
                 break
             residual = refined
         if not residual < ALLOWED:
