@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from forms.base import Array, ThinlayerError
 from geometry.topology import BoolArray, IntArray
 from thinlayer.solving.contact.pairs import pointers
+from thinlayer.solving.linear_solvers import DIRECT
 from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, keep_unknowns, schur_of
 from thinlayer.system.compilation import own_library
 from thinlayer.system.ranks import destroy
@@ -28,6 +29,7 @@ SPARSE = 0.05  # largest share of non-zeros of a right-hand side that is treated
 OPTIONS: dict[str, OptionValue] = {
     "mat_mumps_icntl_7": 0,  # minimum degree: with a Schur complement MUMPS offers only this and METIS
     "mat_mumps_icntl_8": 0,  # no scaling: it takes time and changes nothing here
+    **{name: DIRECT[name] for name in ("mat_mumps_icntl_35", "mat_mumps_cntl_7")},
 }
 
 SMALL = 1000  # number of nodes of pieces for which MUMPS estimates its workspace too small
