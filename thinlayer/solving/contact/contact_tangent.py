@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy.sparse
 from petsc4py import PETSc
@@ -9,10 +11,11 @@ from scipy.sparse.linalg import splu
 
 from forms.base import Array
 from thinlayer.parts.contact_part import ContactPart
-from thinlayer.solving.contact.pairs import PIVOTS, Pairs
+from thinlayer.solving.contact.pairs import Pairs
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.petsc import PREFIX, put_in_blocks
 
+PIVOTS: dict[str, Any] = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.01}  # of SuperLU: diagonal unless small
 SWEEPS = 4  # number of Gauss-Seidel sweeps before a Newton step, if sweeps are due
 DIAGONAL = 3.0  # stiffness of a node of S, relative to its area times E/h; an upper estimate
 CLIP_NORMAL, CLIP_TANGENTIAL = 30.0, 1.0  # largest stiffness of springs in the hierarchy, relative to E/h

@@ -20,8 +20,6 @@ from thinlayer.system.compilation import own_library
 SOURCE = Path(__file__).with_name("sweeps.c")
 KINDS = {"i": "int32_t[]", "?": "uint8_t[]", "d": "double[]"}  # dtype.name would take 5 times as long
 Law = ContactLaw | EasedContact
-# of SuperLU: diagonal pivots where they are not small; on a wall of 217 bricks a fifth of the time of largest pivots
-PIVOTS: dict[str, Any] = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.01}
 
 
 def pointers(library: Any, *arrays: npt.NDArray[Any]) -> list[Any]:
