@@ -21,7 +21,7 @@ from mpi4py import MPI
 
 from geometry.joint import Joint
 from geometry.parallel import world
-from geometry.partition import destinations
+from geometry.partition import partitioner, sent_by
 from geometry.refusals import require_known
 from geometry.seam import BASE, LAYER, S
 from geometry.sheet import continued
@@ -39,29 +39,10 @@ def first_that_fits(*calls: Callable[[], Any]) -> Any:
 
 
 def create_mesh(
-    comm: MPI.Intracomm, points: FloatArray, cells: IntArray, cell_type: str, joint: Joint | None = None
+    comm: MPI.Intracomm, points: FloatArray, cells: IntArray, cell_type: str, partitioner: Any = None
 ) -> dolfinx.mesh.Mesh:
-    """Distribute cells given by their nodes. Collective.
-
-    Ghost cells across facets are for integrals over interior facets. A single rank needs neither them nor a partitioner,
-    which would take as long as the mesh itself. Several ranks need the joint, whose cells these are: it is on all of them,
-    and each of them sends off an equal part of the cells.
-    """
+    """Distribute points, and cells given by their nodes; each rank sends some. Several need a partitioner. Collective."""
     dim, degree = points.shape[1], geometry_degree(cell_type, cells.shape[1])
-    partitioner = None
-    if joint is not None and comm.size > 1:
-        starts, ranks = destinations(joint, comm.size)
-        first, last = (len(cells) * k // comm.size for k in (comm.rank, comm.rank + 1))
-        of_cells = starts[first : last + 1]
-        lists = dolfinx.cpp.graph.AdjacencyList_int32(
-            ranks[of_cells[0] : of_cells[-1]], (of_cells - of_cells[0]).astype(np.int32)
-        )
-        cells = cells[first:last]
-        points = points[len(points) * comm.rank // comm.size : len(points) * (comm.rank + 1) // comm.size]
-
-        def partitioner(*_: Any) -> dolfinx.cpp.graph.AdjacencyList_int32:
-            return lists
-
     element = basix.ufl.element("Lagrange", cell_type, degree, shape=(dim,))
     arguments = {"comm": comm, "cells": cells, "x": np.ascontiguousarray(points), "e": element}
     order = list(inspect.signature(dolfinx.mesh.create_mesh).parameters)[:4]
@@ -167,7 +148,8 @@ class Domain:
         comm = comm or world()
         if comm.size > 1:
             gc.collect()  # DOLFINx uses meshes' communicators so when it compiles in parallel: free old ones now
-        mesh = create_mesh(comm, joint.points, joint.cells, joint.cell_type, joint)
+        points, cells = (sent_by(one, comm.rank, comm.size) for one in (joint.points, joint.cells))
+        mesh = create_mesh(comm, points, cells, joint.cell_type, partitioner(joint, comm))
         original = np.asarray(mesh.topology.original_cell_index, np.int64)
         if joint.parted is not None:
             mesh = with_cell_points(mesh, joint.parted[original])

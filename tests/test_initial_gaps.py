@@ -120,13 +120,13 @@ def test_a_march_closes_a_gap_and_balances_its_energy():
     """Before contact nothing is stored; afterwards energies balance, and an interference does work at the start."""
     law = IncrementalCoulomb(K_N=K, K_T=150.0, friction=0.3, gap=0.03)
     history = march(column(law, shift=lambda x, t: -0.05 * t), [0.5, 1.0])
-    assert [state.audit.total > 1e-12 for state in history] == [False, False, True]
+    assert [state.audit.total > 1e-15 for state in history] == [False, False, True]
     assert history.at(0.5).stored["contact"] == 0.0
     pressed = march(
         column(IncrementalCoulomb(K_N=K, K_T=150.0, friction=0.3, gap=-0.01), shift=lambda x, t: -0.05 * t), [0.6, 1.0]
     )
     for state in (*history, *pressed):
-        assert state.audit.total < 1e-12 or abs(state.audit.imbalance) < 1e-11
+        assert state.audit.total < 1e-15 or abs(state.audit.imbalance) < 1e-11
         energies = state.energies()
         assert state.audit.total == pytest.approx(energies["bodies"] + energies["layer"], rel=1e-10, abs=1e-15)
     assert pressed.at(0.0).audit.supplied > 0

@@ -74,10 +74,8 @@ def test_a_larger_jump_needs_a_larger_traction(name, a, b, path, one, other):
     law = LAWS[name](a, b)
     steps = [[{"w_T": w[0], "w_N": w[1]} for w in (*path, last)] for last in (one, other)]
     t, u = (drive(law, each, dt=0.3).tractions[-1] for each in steps)
-    size = np.linalg.norm(t) + np.linalg.norm(u)
-    assert (t - u) @ (one - other) >= -1e-9 * size * np.linalg.norm(
-        one - other
-    )  # tractions are found to 1e-12 of moduli
+    rounding = 1e-9 * (np.linalg.norm(t) + np.linalg.norm(u)) * np.linalg.norm(one - other)
+    assert (t - u) @ (one - other) >= -rounding  # tractions are found to 1e-12 of moduli
 
 
 # ---------------------------------------------------------------- memory

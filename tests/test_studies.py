@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from studies import fig8_friction, friction_cost, relaxation
+from studies import fig8_friction, friction_cost, performance, relaxation
+from studies.by_hand import CHOLESKY
 from studies.fig4_bar import meet, straight
 from studies.problems import FOURIER_LAYER, of
 from studies.snap import distance
@@ -40,6 +41,13 @@ def test_sweeps_and_failures():
     sweeps, converged = relaxation.count(8, 15e8, 5e8, 1.95, 1.95)
     assert not converged
     assert sweeps < relaxation.MAX_SWEEPS
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_script_by_hand_has_the_energy_of_the_interface_model(dim):
+    script, law, stiffer = performance.script(dim, 4, CHOLESKY), *(performance.on_s(dim, 4, k, {}) for k in (1.0, 1.1))
+    assert script["energy"] == pytest.approx(law["energy"], rel=1e-9)
+    assert script["energy"] != pytest.approx(stiffer["energy"], rel=1e-3)
 
 
 def test_benchmark_runs(monkeypatch):

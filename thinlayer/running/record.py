@@ -32,14 +32,7 @@ from thinlayer.time.plan import Adaptive
 LOG = logger("study")
 RUN, FORMAT = "run.json", 1  # the format is that of run.json
 PRINTED = 40  # most rows of a table that is printed
-KINDS = {
-    "study": str,
-    "options": dict,
-    "code": str,
-    "petsc": dict,
-    "files": list,
-    "checks": list,
-}  # of what run.json has
+KINDS = {"study": str, "options": dict, "code": str, "petsc": dict, "files": list, "checks": list}  # in run.json
 MARCHES = "unfinished"  # folder for the states of marches, needed to resume
 
 

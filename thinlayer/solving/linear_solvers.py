@@ -28,7 +28,7 @@ DIRECT: dict[str, OptionValue] = {
     "pc_factor_mat_solver_type": "mumps",
     "mat_mumps_icntl_7": 2,
     "mat_mumps_icntl_14": 100,  # spare memory in per cent: with its default of 20, MUMPS sometimes fails on several ranks
-    "mat_mumps_icntl_35": 2,  # blocks of low rank, to rounding: a fifth less time, 150 of 1240 MB less for 1e6 unknowns
+    "mat_mumps_icntl_35": 2,  # blocks of low rank, to rounding: less time and memory from 1e5 unknowns on
     "mat_mumps_cntl_7": 1e-14,
 }
 # for saddle points at which MUMPS puts off pivots again and again: more memory and smaller pivots

@@ -166,13 +166,11 @@ class CondensedSystem:
         rows = (A + more).tocsr()
         rows.sort_indices()
         csr = (*(a.astype(PETSc.IntType, copy=False) for a in (rows.indptr, rows.indices)), rows.data)
-        matrix, pc = (
-            PETSc.Mat().createAIJ(rows.shape, csr=csr, comm=PETSc.COMM_SELF),
-            PETSc.PC().create(PETSc.COMM_SELF),
-        )
+        matrix = PETSc.Mat().createAIJ(rows.shape, csr=csr, comm=PETSc.COMM_SELF)
+        pc = PETSc.PC().create(PETSc.COMM_SELF)
         pc.setOperators(matrix)
         pc.setType("lu")
-        pc.setFactorSolverType("mumps")  # which takes an eighth of SuperLU's time on 217 bricks
+        pc.setFactorSolverType("mumps")  # blocks of bricks are dense, which SuperLU does not use
         pc.setFactorSetUpSolverType()
         pc.getFactorMatrix().setMumpsIcntl(14, 100)  # as in `DIRECT`: spare memory in per cent
         x, right = matrix.createVecs()
