@@ -1,6 +1,7 @@
 """Meshes of DOLFINx, whatever the release from 0.9 to 0.11 on, and Domain: a joint distributed over ranks, with its names.
 
-Every rank has the whole joint, but only a part of the mesh. Only `Domain` relates the two: `original_cells`,
+Every rank sees the whole joint, which stands once in the memory of each machine, but has only a part of the mesh.
+Only `Domain` relates the two: `original_cells`,
 `original_points`, `numbers` and `on_cells` transfer data of the joint to the cells, points and facets of a rank.
 """
 
@@ -20,7 +21,7 @@ import ufl
 from mpi4py import MPI
 
 from geometry.joint import Joint
-from geometry.parallel import world
+from geometry.parallel import on_root, world
 from geometry.partition import partitioner, sent_by
 from geometry.refusals import require_known
 from geometry.seam import BASE, LAYER, S
@@ -94,10 +95,16 @@ def cells_of_facets(mesh: dolfinx.mesh.Mesh, facets: Indices) -> tuple[Indices, 
     """The local cell of each local facet, inside the mesh one of its two, and the facet's number in this cell."""
     topology, dim = mesh.topology, mesh.topology.dim
     connect(mesh, dim - 1)
-    to_cells, to_facets = topology.connectivity(dim - 1, dim), topology.connectivity(dim, dim - 1)
+    to_cells = topology.connectivity(dim - 1, dim)
     cells = to_cells.array[to_cells.offsets[facets]]
-    of_cells = to_facets.array.reshape(-1, dolfinx.cpp.mesh.cell_num_entities(topology.cell_type, dim - 1))
-    return cells, (of_cells[cells] == facets[:, None]).argmax(axis=1)
+    return cells, (_facets_of_cells(mesh)[cells] == facets[:, None]).argmax(axis=1)
+
+
+def _facets_of_cells(mesh: dolfinx.mesh.Mesh) -> Indices:
+    """(cells, facets of a cell) local facets of each local cell; there may be none."""
+    topology, dim = mesh.topology, mesh.topology.dim
+    count = dolfinx.cpp.mesh.cell_num_entities(topology.cell_type, dim - 1)
+    return np.asarray(topology.connectivity(dim, dim - 1).array.reshape(-1, count))
 
 
 def vertices_of_facets(mesh: dolfinx.mesh.Mesh, cell_type: str, facets: Indices, corners: IntArray) -> IntArray:
@@ -155,7 +162,7 @@ class Domain:
             mesh = with_cell_points(mesh, joint.parted[original])
         numbers = np.arange(len(original), dtype=np.int32)
         cell_tags = dolfinx.mesh.meshtags(mesh, joint.dim, numbers, (joint.region[original] + 1).astype(np.int32))
-        rows, combination, values = _name_combinations(joint)
+        rows, combination, values = on_root(comm, lambda: _name_combinations(joint))
         facets, which = _local_facets(joint, mesh, original, rows)
         facet_tags = dolfinx.mesh.meshtags(mesh, joint.dim - 1, facets, combination[which])
         return cls(joint, mesh, cell_tags, facet_tags, values, original, comm)
@@ -232,7 +239,7 @@ def _local_facets(
     A cell of the mesh has its vertices, and so its facets, in the order of the joint's cell.
     """
     connect(mesh, joint.dim - 1)
-    of_cells = mesh.topology.connectivity(joint.dim, joint.dim - 1).array.reshape(len(original), -1)
+    of_cells = _facets_of_cells(mesh)
     local = np.full(len(joint.cells), -1)
     local[original] = np.arange(len(original))
     cells, which = local[joint.table.cells[rows]], joint.table.local[rows]

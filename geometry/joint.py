@@ -129,6 +129,12 @@ class Joint:
             outer = self.surface_rows[self.surface_cells[:, 0] < 0] if self.band is None else np.empty(0, np.int64)
             self.periods.check(self.points, self.corners, self.cell_type, self.table.vertices[outer])
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What is sent to other ranks has what each of them would find in the whole mesh."""
+        if self.band is None:
+            _ = self.splitting.pieces
+        return self.__dict__
+
     def _check_seams(self) -> None:
         for name in (*self.regions, *self.facets):
             if not isinstance(name, str) or name in RESERVED or "/" in name:
@@ -172,7 +178,7 @@ class Joint:
         """Degree of the cells' geometry: 1 straight, 2 curved."""
         return geometry_degree(self.cell_type, self.cells.shape[1])
 
-    @cached_property
+    @property
     def corners(self) -> IntArray:
         """(n_cells, k) vertices of each cell."""
         return self.cells[:, : corner_count(self.cell_type)]

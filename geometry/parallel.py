@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import TypeVar, cast
+from mmap import PROT_READ, PROT_WRITE, mmap
+from typing import Any, TypeVar, cast
 
 from mpi4py import MPI
 
 from forms.base import require
 
 T = TypeVar("T")
+LARGE = 100_000  # bytes from which on an array of a result stands once in the memory of a machine
+LINE = 64  # bytes at whose multiples arrays begin
 _WORLD: ContextVar[MPI.Intracomm] = ContextVar("_WORLD", default=MPI.COMM_WORLD)
 
 
@@ -34,6 +38,7 @@ def within(comm: MPI.Intracomm) -> Iterator[None]:
 def on_root(comm: MPI.Intracomm | None, build: Callable[[], T]) -> T:
     """Run a function on rank 0 only; return its result, or raise its exception, on every rank. Collective.
 
+    The ranks of one machine share the large arrays of the result, which nobody may write.
     The exception has an attribute `on_all_ranks`: it shows that no rank is left waiting.
     """
     comm = world() if comm is None else comm
@@ -47,10 +52,58 @@ def on_root(comm: MPI.Intracomm | None, build: Callable[[], T]) -> T:
             result = error
     received = result
     if comm.size > 1:
-        received = comm.bcast(_sendable(result) if isinstance(result, Exception) else result, root=0)
+        received = _sent(comm, _sendable(result) if isinstance(result, Exception) else result)
     if isinstance(received, Exception):
         raise result if isinstance(result, Exception) else received
     return cast(T, received)
+
+
+def _sent(comm: MPI.Intracomm, result: Any) -> Any:
+    """What rank 0 gives, on every rank. Collective."""
+    large: list[memoryview] = []
+
+    def is_small(buffer: pickle.PickleBuffer) -> bool:
+        raw = buffer.raw()
+        if raw.nbytes >= LARGE:
+            large.append(raw)
+        return raw.nbytes < LARGE
+
+    content = pickle.dumps(result, 5, buffer_callback=is_small) if comm.rank == 0 else b""
+    content, sizes = comm.bcast((content, [raw.nbytes for raw in large]))
+    return pickle.loads(content, buffers=_shared(comm, large, sizes) if sizes else ())
+
+
+def _shared(comm: MPI.Intracomm, given: list[memoryview], sizes: list[int]) -> list[memoryview]:
+    """Copies of buffers of rank 0 in memory that the ranks of a machine share; it goes with the last user. Collective.
+
+    Args:
+        comm: the ranks.
+        given: the buffers, on rank 0.
+        sizes: their sizes, bytes.
+    """
+    whole = [size + -size % LINE for size in sizes]
+    starts, total = [sum(whole[:k]) for k in range(len(whole))], sum(whole)
+    node, file = comm.Split_type(MPI.COMM_TYPE_SHARED), os.memfd_create("thinlayer")
+    path, number = node.bcast((f"/proc/{os.getpid()}/fd/{file}", os.fstat(file).st_ino))
+    reached = os.access(path, os.R_OK) and os.stat(path).st_ino == number
+    owner = not comm.allreduce(reached, MPI.LAND) or node.rank == 0  # if some machine hides it, each rank has its own
+    if owner:
+        os.ftruncate(file, total)
+    node.Barrier()
+    opened = file if owner else os.open(path, os.O_RDONLY)
+    memory = memoryview(mmap(opened, total, prot=PROT_READ | (PROT_WRITE if owner else 0)))
+    buffers = [memory[start : start + size] for start, size in zip(starts, sizes, strict=True)]
+    owners = comm.Split(int(not owner), comm.rank)
+    for k, buffer in enumerate(buffers if owner else ()):
+        if comm.rank == 0:
+            buffer[:] = given[k]
+        owners.Bcast(buffer)
+    node.Barrier()
+    for each in {file, opened}:
+        os.close(each)
+    for group in (node, owners):
+        group.Free()
+    return [buffer.toreadonly() for buffer in buffers]
 
 
 def _sendable(error: Exception) -> Exception:

@@ -10,6 +10,7 @@ import numpy as np
 from mpi4py import MPI
 
 from geometry.joint import Joint
+from geometry.parallel import on_root
 from geometry.topology import FloatArray, Indices, IntArray
 
 
@@ -49,7 +50,7 @@ def partitioner(joint: Joint, comm: MPI.Intracomm) -> Callable[..., Any] | None:
     """What tells DOLFINx where the cells that this rank sends go, ghosts across facets included; None for a single rank."""
     if comm.size == 1:
         return None
-    starts, ranks = destinations(joint, comm.size)
+    starts, ranks = on_root(comm, lambda: destinations(joint, comm.size))
     first = sent_by(np.arange(len(joint.cells)), comm.rank, comm.size)
     own = starts[first[0] : first[-1] + 2] if len(first) else starts[:1]
     lists = dolfinx.cpp.graph.AdjacencyList_int32(ranks[own[0] : own[-1]], (own - own[0]).astype(np.int32))

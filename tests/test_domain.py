@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import dolfinx
 import numpy as np
 import pytest
+from mpi4py import MPI
 
 from geometry import block, disc, ring, sandwich
 from geometry.domain import Domain
 from geometry.inflating.inflation import inflate
 from geometry.joint import Joint
+from geometry.parallel import on_root
 from tests.meshes import renumbered
 from tests.on_ranks import on_ranks
 
@@ -72,3 +78,36 @@ def test_tags():
 @on_ranks(compare_tags, 2, 3)
 def test_tags_on_several_ranks(there):
     assert there is None  # no error on any rank
+
+
+def of_rank_0() -> dict[str, Any]:
+    """Arrays that rank 0 makes and every rank reads: how often they stand in memory, if ranks share it or cannot."""
+    made = {"large": 0.5 * np.arange(2_000_000), "columns": np.arange(60_000).reshape(3, -1).T, "small": np.arange(7)}
+
+    def in_memory() -> float:
+        rollup = Path("/proc/self/smaps_rollup").read_text().splitlines()
+        own = next(int(line.split()[1]) * 1024 for line in rollup if line.startswith("Pss_Shmem"))
+        return float(MPI.COMM_WORLD.allreduce(own))
+
+    def copies() -> float:
+        before = in_memory()
+        read = on_root(None, lambda: made)
+        assert all(np.array_equal(read[name], made[name]) for name in made)
+        assert not read["large"].flags.writeable
+        MPI.COMM_WORLD.Barrier()
+        return (in_memory() - before) / made["large"].nbytes
+
+    reachable: Callable[..., bool] = os.access
+    shared = copies()
+    os.access = lambda *_: False
+    try:
+        return {"shared": shared, "apart": copies(), "left": in_memory() / made["large"].nbytes}
+    finally:
+        os.access = reachable
+
+
+@on_ranks(of_rank_0, 2)
+def test_large_arrays_of_rank_0_stand_once_in_the_memory_of_a_machine(there):
+    assert there["shared"] == pytest.approx(1.0, abs=0.2)  # MPI's own memory is shared, too
+    assert there["apart"] == pytest.approx(2.0, abs=0.2)
+    assert there["left"] < 0.5  # nothing stays when nobody uses them

@@ -18,6 +18,7 @@ from geometry.inflating.dividing import Divided, divided
 from geometry.inflating.inflation import inflate, without_bodies
 from geometry.inflating.layering import check_layering
 from geometry.joint import Joint
+from geometry.parallel import on_root
 from geometry.refusals import require_known
 from geometry.seam import BASE, LAYER, S
 from thinlayer.discretisation.boundary import require_revolution, require_shifts
@@ -65,7 +66,8 @@ class FullModel(Model):
             raise InputError(f"{sizes}: their shape is lost in rounding; is eps in the unit of the mesh?")
         profile, fractions = ({name: getattr(one, of) for name, one in thin.items()} for of in ("profile", "fractions"))
         shapes: dict[str, Any] = {"profile": profile, "fractions": fractions, "cells_through": self._cells_through}
-        inflated = inflate(self.joint, eps, bodies=self._bodies, junctions=(*first, *thin), gaps=tuple(gaps), **shapes)
+        shapes |= {"bodies": self._bodies, "junctions": (*first, *thin), "gaps": tuple(gaps)}
+        inflated = on_root(self.structure.comm, lambda: inflate(self.joint, eps, **shapes))
         self._check_junctions(inflated.band)
         require_revolution(self.structure.kinematics, inflated)
         self.inflated = inflated

@@ -19,7 +19,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Part
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.balance import Layout, TangentMatrix
-from thinlayer.solving.petsc import PREFIX, OptionValue, options_set, put_in_blocks
+from thinlayer.solving.petsc import PREFIX, OptionValue, lean_products, options_set, put_in_blocks
 from thinlayer.system.ranks import destroy
 
 DIRECT: dict[str, OptionValue] = {
@@ -154,7 +154,8 @@ class Factor:
         """Build the hierarchy, whose matrices then multiply in blocks; A itself stays as it is."""
         pc = self.ksp.getPC()
         pc.setReusePreconditioner(False)
-        self.ksp.setUp()
+        with lean_products():
+            self.ksp.setUp()
         destroy(self._blocks)
         self._blocks, finest = put_in_blocks(A, PETSc.Mat().create(A.comm)), pc.getMGLevels() - 1
         for level in range(1, finest):  # the coarsest has a factor instead of a smoother

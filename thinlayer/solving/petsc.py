@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import cache
 from typing import Any
 
@@ -152,17 +152,27 @@ def schur_of(factor: PETSc.Mat, c: int) -> Array:
     return out
 
 
-@contextmanager
-def faster_products(*, serial: bool) -> Iterator[None]:
+def faster_products(*, serial: bool) -> AbstractContextManager[None]:
     """Within a `with` block, PETSc computes A P before P^T A P: less time, more memory."""
-    database, name = PETSc.Options(), "matptap_via"  # PETSc reads this option without a prefix
-    ours = serial and not database.hasName(name)
-    if ours:
-        database.setValue(name, "rap")
+    return _products({"matptap_via": "rap"} if serial else {})
+
+
+def lean_products() -> AbstractContextManager[None]:
+    """Within a `with` block, PETSc frees what would make a product anew from other values; it cannot be made anew then."""
+    return _products({"mat_product_clear": True})
+
+
+@contextmanager
+def _products(options: dict[str, OptionValue]) -> Iterator[None]:
+    """Within a `with` block, products have options that PETSc reads without a prefix, unless the user has set them."""
+    database = PETSc.Options()
+    ours = [name for name in options if not database.hasName(name)]
+    for name in ours:
+        database.setValue(name, options[name])
     try:
         yield
     finally:
-        if ours:
+        for name in ours:
             database.delValue(name)
 
 
@@ -171,6 +181,7 @@ def put_in_blocks(A: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
     indptr, indices, values = A.getValuesCSR()
     d, shape = A.getBlockSize(), (A.getLocalSize()[0], A.getSize()[1])
     blocks = scipy.sparse.csr_matrix((values, indices, indptr), shape=shape, copy=False).tobsr((d, d))
+    del indptr, indices, values  # which are copies
     csr = (*(a.astype(PETSc.IntType, copy=False) for a in (blocks.indptr, blocks.indices)), blocks.data)
     found = into or A
     found.setSizes(A.getSizes(), d)

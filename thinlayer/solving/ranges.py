@@ -12,6 +12,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from forms.trace import in_plane_modulus
+from geometry.parallel import on_root
 from geometry.refusals import place
 from thinlayer.discretisation.layer import BODY, SeamLayer
 from thinlayer.discretisation.measures import compiled
@@ -189,7 +190,7 @@ def _of_thickness(model: Model, one: SeamLayer, sublayers: list[Sublayer]) -> It
 
     Order 0 leaves eps grad_S <u>, about eps t/E_body, out of a jump of about eps t/E_layer.
     """
-    height, layer = min(one.sheet.heights), one.thin
+    height, layer = on_root(model.comm, lambda: min(one.sheet.heights)), one.thin  # they take memory of all cells
     assert layer
     if layer.eps > height:
         what = f"{one} is {layer.eps:.4g} thick, the thinner body {height:.4g} high"

@@ -13,7 +13,7 @@ from forms.base import Array
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.solving.contact.pairs import Pairs
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.petsc import PREFIX, put_in_blocks
+from thinlayer.solving.petsc import PREFIX, lean_products, put_in_blocks
 
 PIVOTS: dict[str, Any] = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.01}  # of SuperLU: diagonal unless small
 SWEEPS = 4  # number of Gauss-Seidel sweeps before a Newton step, if sweeps are due
@@ -85,7 +85,8 @@ class Tangent:
         self._cycle.setOptionsPrefix(PREFIX)
         self._cycle.setOperators(M)
         self._cycle.setFromOptions()
-        self._cycle.setUp()
+        with lean_products():
+            self._cycle.setUp()
         if self._cycle.getType() == "gamg":
             self._cycle.setReusePreconditioner(True)
             for level in range(1, self._cycle.getMGLevels()):  # the coarsest has a factor instead of a smoother
