@@ -231,8 +231,7 @@ class NonMonotone(Phases):
         return lame(self.lmbda, self.mu, step.mid) - phase * self._transformation_stress(step.n)
 
     def advance(self, step: Step) -> dict[str, Expr]:
-        m = self._drive(step.e, step.n)
-        return {"phase": self._phase(m), "stored": self.energy(step)}
+        return {"phase": self._phase(self._drive(step.e, step.n)), "stored": self.energy(step)}
 
     def energy(self, step: Step) -> Expr:
         m = self._drive(step.e, step.n)

@@ -75,8 +75,7 @@ def _folded(points: FloatArray, nodes: IntArray, master: IntArray) -> BoolArray:
         master: (n,) the node that each one is identified with.
     """
     ends = master[nodes]
-    turned = ends[:, 0] > ends[:, 1]
-    along = (points[nodes[:, 1]] - points[nodes[:, 0]]) * np.where(turned, -1.0, 1.0)[:, None]
+    along = (points[nodes[:, 1]] - points[nodes[:, 0]]) * np.where(ends[:, 0] > ends[:, 1], -1.0, 1.0)[:, None]
     _, first, number = np.unique(ridge_keys(ends), return_index=True, return_inverse=True)
     apart = np.abs(along - along[first[number.ravel()]]).max(axis=1)
     return np.asarray((ends[:, 0] == ends[:, 1]) | (apart > SAME_PLACE * np.ptp(points, axis=0).max()))

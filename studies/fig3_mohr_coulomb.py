@@ -179,8 +179,7 @@ def refine(record: Record, bar: YieldingBar, counts: Sequence[int]) -> None:
     last = forces[counts[-1]]
     errors = [{"size": 1 / steps, "error": abs(forces[steps] - last)} for steps in counts[:-1]]
     orders = [*Table(errors).orders("error", of="size"), None]
-    table = Table.of({"steps": counts, "shear_force": [*forces.values()], "order": orders})
-    record.write("steps.csv", table)
+    record.write("steps.csv", Table.of({"steps": counts, "shear_force": [*forces.values()], "order": orders}))
     record.check("R1: shear force on S in many steps", last, low=R_X_REFINED - 1e-3, high=R_X_REFINED + 1e-3)
 
 

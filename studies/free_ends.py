@@ -195,8 +195,7 @@ def _errors(record: Record, case: EndCase, cells: int, eps: float) -> dict[str, 
 def _work_on_top(state: State) -> float:
     """Work of the loads on top; that of a load on the layer's side has a part that no law on S knows, its own pull."""
     model = state.model
-    given = model.structure.tractions or {}
-    top = model.with_loads(tractions={"TOP": given["TOP"]})
+    top = model.with_loads(tractions={"TOP": (model.structure.tractions or {})["TOP"]})
     return state.integral(top.external_work(state.u, state.t))
 
 

@@ -24,8 +24,7 @@ def run(record: Record, *, quick: bool = False) -> None:
         record: where to write.
         quick: coarser mesh, and only the ends of both ranges.
     """
-    h = 1 / 16 if quick else 1 / 48
-    joint, setup = fourier(h, cell="quadrilateral")
+    joint, setup = fourier(1 / 16 if quick else 1 / 48, cell="quadrilateral")
 
     def interface(k_n: float, k_t: float) -> tuple[State, Surface]:
         law = Anisotropic.springs(K_N=k_n, K_T=k_t)

@@ -80,8 +80,7 @@ class Wave:
         """Amplitudes of the layer's mean traction (S, T) and of its jump (U, V); work of the load over a half-wave of 1."""
         body, layer = self.across(*self.body, self.height), self.across(lmbda, mu, eps)
         load = np.array(self.load)
-        whole = body @ layer @ body
-        below = body @ np.append(np.zeros(2), np.linalg.solve(whole[2:, 2:], load))
+        below = body @ np.append(np.zeros(2), np.linalg.solve((body @ layer @ body)[2:, 2:], load))
         above = layer @ below
         return (above + below)[2:] / 2, (above - below)[:2], float(load @ (body @ above)[:2]) / 2
 

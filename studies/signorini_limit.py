@@ -28,8 +28,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     """
     n = 31 if quick else 63
     meshes = (32, 64) if quick else (32, 64, 128, 256, 512, 724)
-    reports = {K: solved(record, n, K, 1.0)[0] for K in (*STIFFNESS, LIMIT)}
-    table = _errors(reports)
+    table = _errors({K: solved(record, n, K, 1.0)[0] for K in (*STIFFNESS, LIMIT)})
     record.write("table.csv", table)
     steps = Table()
     cases = [(m, f, K) for m in meshes for f in FRICTION for K in STIFFNESS]
@@ -44,8 +43,7 @@ def run(record: Record, *, quick: bool = False) -> None:
 def solved(record: Record, n: int, K: float, friction: float) -> tuple[Contact, int]:
     """Contact and Newton steps of the bar."""
     joint, setup = sliding_bar(n)
-    model = Structure(joint, **setup).interface(HolonomicCoulomb(5 * K, K, friction))
-    state = record.solved(solve(model))
+    state = record.solved(solve(Structure(joint, **setup).interface(HolonomicCoulomb(5 * K, K, friction))))
     return Surface(state.model).contact(state), state.report.iterations
 
 

@@ -140,8 +140,7 @@ def follow(record: Record, joint: Joint, relaxed: History, r: float, step: float
             np.column_stack([curve[c] for c in ("delta", "force", "phase")]) for curve in (other, first)
         )
         record.check(f"{name}: distance of the path {how}", distance(points, vertices).max(), high=ALONG)
-    back = np.maximum(-np.diff(first["delta"]), 0).sum()
-    record.check(f"{name}: delta goes back by", float(back), low=1e-3)
+    record.check(f"{name}: delta goes back by", float(np.maximum(-np.diff(first["delta"]), 0).sum()), low=1e-3)
     energy, least = first["energy"][-1], relaxed.table["energy"][-1]
     record.check_near(f"{name}: energy at the end of the path over the least one", energy / least, 1.0, ROUNDING)
     work = float(np.trapezoid(first["force"], first["delta"]))

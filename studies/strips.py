@@ -68,8 +68,7 @@ def compliances(eps: float = 0.0) -> tuple[float, float]:
     """
     plane = {name: E / (1 - NU**2) for name, E in MODULI.items()}
     stretch = sum(1 / (plane[name] * h) for name, h in HEIGHTS.items())
-    stiffness = sum(plane[name] * h**3 / 12 for name, h in HEIGHTS.items())
-    return stretch, arm(eps) ** 2 / stiffness
+    return stretch, arm(eps) ** 2 / sum(plane[name] * h**3 / 12 for name, h in HEIGHTS.items())
 
 
 def arm(eps: float = 0.0) -> float:

@@ -72,11 +72,9 @@ def push_walls(record: Record, bricks: int, courses: int, cells: int, step: floa
         last[name] = history.last
         for state in (near[name], last[name]):
             for row in Surface(state.model).table(state):
-                shares = {key: row.get(key, 0.0) for key in SHARES}
-                joints.append({"wall": name, "shear_MPa": state.t} | shares)
+                joints.append({"wall": name, "shear_MPa": state.t} | {key: row.get(key, 0.0) for key in SHARES})
     record.check("shift at 0.9 of the limit, open heads over heads with mortar", shifts[1] / shifts[0], low=1.1)
-    shear = max(state.t for state in near.values())
-    title = f"a wall under {PRESSURE:g} MPa, sheared by {shear:.3g} MPa"
+    title = f"a wall under {PRESSURE:g} MPa, sheared by {max(state.t for state in near.values()):.3g} MPa"
     plotting.on_surface(near, Surface.status, save=record.path("joints.png"), title=title)
     plotting.on_surface(last, Surface.status, save=record.path("limit.png"), title="at the limit")
 

@@ -143,8 +143,7 @@ class FreeEnds:
         """The blocks, with cells at the ends that are a part of the thickness."""
         along, ends, _ = self._cells
         if eps not in self._structures:
-            load = (0.3 * LOAD, -LOAD)
-            self._structures[eps] = free_blocks(min(eps, 1 / 8) / ends, load, h_S=1 / along)
+            self._structures[eps] = free_blocks(min(eps, 1 / 8) / ends, (0.3 * LOAD, -LOAD), h_S=1 / along)
         return self._structures[eps]
 
     def layers(self, lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:

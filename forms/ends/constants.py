@@ -101,8 +101,7 @@ def nodes(n: int) -> Array:
 @cache
 def shipped() -> dict[str, Array]:
     """The table that comes with the package: name of a column -> values, in the order of `nodes`."""
-    rows = np.loadtxt(TABLE, delimiter=",", skiprows=1)
-    return dict(zip(COLUMNS, rows.T, strict=True))
+    return dict(zip(COLUMNS, np.loadtxt(TABLE, delimiter=",", skiprows=1).T, strict=True))
 
 
 @cache

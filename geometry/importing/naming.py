@@ -275,8 +275,7 @@ class Named:
     def _boundary(self, upper: Names, lower: Names) -> IntArray:
         """All facets between the bodies."""
         above, below = (np.any([self.regions[name] for name in side], axis=0) for side in (upper, lower))
-        shared = np.intersect1d(self.cells.corners[above], self.cells.corners[below])
-        table = self.cells.facets_among(shared)
+        table = self.cells.facets_among(np.intersect1d(self.cells.corners[above], self.cells.corners[below]))
         first, second = table.cells[table.cells[:, 1] >= 0].T
         found = table.vertices[table.cells[:, 1] >= 0][above[first] & below[second] | below[first] & above[second]]
         if not len(found):

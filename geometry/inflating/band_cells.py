@@ -198,8 +198,7 @@ def band_cells(
     if is_tensor(joint.cell_type):
         patterns = _extruded(joint.cell_type, degree, len(surface))
     else:
-        order = np.argsort(surface[:, : joint.dim], axis=1)
-        patterns = _split_prisms(joint.cell_type, degree, order)
+        patterns = _split_prisms(joint.cell_type, degree, np.argsort(surface[:, : joint.dim], axis=1))
     edges = np.cumsum(fractions)[:-1] if len(fractions) else np.empty(0)
     cells, sublayer, director = [], [], []
     k, top = joint.corners.shape[1], len(heights) - 1
@@ -208,8 +207,7 @@ def band_cells(
         for picked, offsets in patterns:
             at = np.take_along_axis(footing.posts[rows], picked, axis=1)
             turned = np.take_along_axis(footing.turned[rows], picked, axis=1)
-            level = np.where(turned, top - base - offsets, base + offsets)
-            cells.append(posts.number(at, level))
+            cells.append(posts.number(at, np.where(turned, top - base - offsets, base + offsets)))
             director.append(np.take_along_axis(normals, picked[:, :k, None], axis=1))
             sublayer.append(np.full(len(surface), np.searchsorted(edges, middle)))
     return np.concatenate(cells), np.concatenate(sublayer), np.concatenate(director)
@@ -233,8 +231,7 @@ def _split_prisms(cell_type: str, degree: int, order: IntArray) -> list[Pattern]
     """
     n = order.shape[1]
     middle = np.diag(np.arange(n))
-    facet_edges = basix.topology(basix.CellType[FACET_TYPES[cell_type]])[1]
-    for number, (i, j) in enumerate(facet_edges):
+    for number, (i, j) in enumerate(basix.topology(basix.CellType[FACET_TYPES[cell_type]])[1]):
         middle[i, j] = middle[j, i] = n + number
     patterns = []
     for k in range(n):

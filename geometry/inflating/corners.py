@@ -112,8 +112,7 @@ def _polygons(sides: IntArray, of: IntArray) -> IntArray:
     for m in np.unique(count):
         here = np.flatnonzero(count[of] == m)
         here = here[np.argsort(of[here], kind="stable")].reshape(-1, m)
-        around = np.sort(sides[here].swapaxes(1, 2).reshape(-1, 2 * m), axis=1)[:, ::2]
-        found, number = _numbered(around)
+        found, number = _numbered(np.sort(sides[here].swapaxes(1, 2).reshape(-1, 2 * m), axis=1)[:, ::2])
         out[here] = first + number.reshape(-1, 1, k)
         first += len(found)
     return out

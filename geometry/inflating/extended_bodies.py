@@ -137,8 +137,7 @@ def _laplacian(x: FloatArray, corners: IntArray, cell_type: str, n: int) -> scip
     reference = element.tabulate(1, at)[1:, :, :, 0]
     jacobian = np.einsum("tqn,cnd->cqtd", reference, x)
     gradients = np.einsum("cqdt,tqn->cqnd", np.linalg.inv(jacobian), reference)
-    weight = np.abs(np.linalg.det(jacobian)) / len(at)
-    local = np.einsum("cqnd,cqmd,cq->cnm", gradients, gradients, weight)
+    local = np.einsum("cqnd,cqmd,cq->cnm", gradients, gradients, np.abs(np.linalg.det(jacobian)) / len(at))
     k = corners.shape[1]
     rows, columns = np.repeat(corners, k, axis=1).ravel(), np.tile(corners, (1, k)).ravel()
     return scipy.sparse.coo_matrix((local.ravel(), (rows, columns)), shape=(n, n)).tocsr()

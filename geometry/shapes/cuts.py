@@ -181,8 +181,7 @@ def _ridges(points: FloatArray, box: FloatArray) -> tuple[FloatArray, IntArray]:
     cells = _voronoi(points, box)
     pairs = np.sort(cells.ridge_points, axis=1)
     inner = pairs[:, 1] < len(points)
-    ends = np.array([cells.ridge_vertices[k] for k in np.flatnonzero(inner)])
-    x = cells.vertices[ends]
+    x = cells.vertices[np.array([cells.ridge_vertices[k] for k in np.flatnonzero(inner)])]
     long = np.linalg.norm(x[:, 1] - x[:, 0], axis=1) > SAME_PLACE
     order = np.lexsort(pairs[inner][long].T[::-1])
     return x[long][order], pairs[inner][long][order]

@@ -119,8 +119,7 @@ class Rings(Prism):
         last = len(web.arcs[0]) - 1
         length = self.angle * self.interface / (last + 1)
         for k, arcs in enumerate(zip(*web.arcs, strict=True)):
-            at_end = k in (0, last) and not is_circle(self.angle)
-            first = min(h_ends, along) if at_end else along
+            first = min(h_ends, along) if k in (0, last) and not is_circle(self.angle) else along
             gradings |= dict.fromkeys(arcs, Grading.of(length, first, along, backwards=k == last))
         bodies = dict(zip(("INNER", "OUTER"), web.patches, strict=True))
         return Drawing(bodies, curves, list(chain.from_iterable(web.patches)), gradings, circles=([0, 1], 0.0))

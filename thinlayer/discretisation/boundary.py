@@ -144,8 +144,7 @@ def _weights(x: Array, k: int) -> Array:
     squares = (edges**2).sum(axis=2)
     if len(beside) == 1:
         return np.asarray(1 / np.sqrt(squares[:, 0]))
-    area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    return np.asarray(area / squares.prod(axis=1))
+    return np.asarray(np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / squares.prod(axis=1))
 
 
 def _at_owners(domain: Domain, V: fem.FunctionSpace, blocks: IntArray, rows: Array) -> tuple[IntArray, Array]:

@@ -186,8 +186,7 @@ class ContactNodes:
         """Set `held` and `held_upper` from the held displacements of this rank (local, unrolled)."""
         mark = self.zero()
         mark.array[held] = 1.0
-        d = self.dim
-        self.held_upper = mark.array_r.reshape(-1, d)[self.upper] > 0
+        self.held_upper = mark.array_r.reshape(-1, self.dim)[self.upper] > 0
         self.held = self.held_upper & (self.lower is None or self.lower_side(mark) > 0)
         mark.destroy()
 

@@ -307,8 +307,7 @@ def _shape_of(content: Any) -> Shape:
 
 def has_finite_numbers(expression: Expr) -> bool:
     """Whether all numbers in a UFL expression are finite and real, so that it can be compiled."""
-    nodes = unique_pre_traversal(expression)
-    numbers = (node for node in nodes if isinstance(node, ComplexValue | RealValue))
+    numbers = (node for node in unique_pre_traversal(expression) if isinstance(node, ComplexValue | RealValue))
     return all(isinstance(number, RealValue) and math.isfinite(float(number)) for number in numbers)
 
 

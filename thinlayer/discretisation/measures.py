@@ -116,8 +116,7 @@ def compiled_scalars(form: Expr) -> list[fem.Form]:
     """
     by_rule: dict[str, list[Any]] = {}
     for integral in form.integrals():
-        rule = f"{sorted(integral.metadata().items())} {_degree(integral)}"
-        by_rule.setdefault(rule, []).append(integral)
+        by_rule.setdefault(f"{sorted(integral.metadata().items())} {_degree(integral)}", []).append(integral)
     return [compiled(ufl.Form(integrals)) for integrals in by_rule.values()]
 
 
@@ -207,8 +206,7 @@ def column_numbers(joint: Joint) -> tuple[IntArray, Array]:
         numbers = np.full(len(joint.table.vertices), -1, np.int64)
         numbers[rows] = np.arange(len(rows))
         return numbers, joint.points[joint.table.vertices[rows]].mean(axis=1)
-    regions = [joint.regions.index(name) for name in joint.band.regions]
-    layer = np.flatnonzero(np.isin(joint.region, regions))
+    layer = np.flatnonzero(np.isin(joint.region, [joint.regions.index(name) for name in joint.band.regions]))
     places, place = np.unique(joint.reference, axis=0, return_inverse=True)
     below = np.sort(place.ravel()[joint.corners[layer]], axis=1)  # the facet's vertices, some of them twice
     below[:, 1:][below[:, 1:] == below[:, :-1]] = -1

@@ -172,8 +172,7 @@ class Keys:
         """
         whole = fem.functionspace(mesh, element)
         found = _of_unknowns(whole, keys, -1)
-        count = comm.allreduce(int(found.max(initial=0)) + 1, op=max)
-        return cls(whole, found, found * comm.size // count)
+        return cls(whole, found, found * comm.size // comm.allreduce(int(found.max(initial=0)) + 1, op=max))
 
 
 def _of_unknowns(whole: fem.FunctionSpace, of_entities: OfEntities, otherwise: int) -> IntArray:
@@ -212,8 +211,7 @@ def broken_space(comm: MPI.Intracomm, unknowns: Keys) -> fem.FunctionSpace:
     local = np.empty(len(keys), np.int32)
     local[own] = np.arange(n_own)
     local[foreign] = n_own + np.arange(len(keys) - n_own)
-    imap = index_map(comm, n_own, number[foreign], owner[foreign])
-    return space_with_dofmap(whole, local[local_key], imap)
+    return space_with_dofmap(whole, local[local_key], index_map(comm, n_own, number[foreign], owner[foreign]))
 
 
 def _elect(questions: IntArray, source: IntArray, rank: int) -> IntArray:

@@ -219,6 +219,5 @@ class ConcentratedForms:
 def _rounds(cells: IntArray) -> Iterable[IntArray]:
     """Rows of nodes in groups in which each cell is at most once."""
     order = np.argsort(cells, kind="stable")
-    first = np.searchsorted(cells[order], cells[order])
-    turn = np.arange(len(cells)) - first
+    turn = np.arange(len(cells)) - np.searchsorted(cells[order], cells[order])
     return [order[turn == k] for k in range(int(turn.max(initial=-1)) + 1)]

@@ -164,8 +164,7 @@ class Resultant:
         return cls(values[:d].copy(), moment[0] if d == 2 else moment.copy(), about)
 
     def __repr__(self) -> str:
-        size = np.abs(self.force).max()
-        force = at_place(np.where(np.abs(self.force) > ROUNDING * size, self.force, 0.0))
+        force = at_place(np.where(np.abs(self.force) > ROUNDING * np.abs(self.force).max(), self.force, 0.0))
         moment = f"{self.moment:.6g}" if np.ndim(self.moment) == 0 else at_place(self.moment)
         return f"force {force}, moment {moment} about {at_place(self.about)}"
 
@@ -210,6 +209,5 @@ def middle_of(model: Any, place: Place, chosen: Sequence[Place]) -> Array:
     if isinstance(place, str):  # the side of a layer that is not meshed
         return centroid(domain, place.split("/")[0])
     joint = domain.joint
-    vertex = joint.nearest_point(place)
-    copies = np.all(joint.reference == joint.reference[vertex], axis=1)
+    copies = np.all(joint.reference == joint.reference[joint.nearest_point(place)], axis=1)
     return np.asarray(joint.points[copies].mean(axis=0))

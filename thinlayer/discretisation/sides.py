@@ -41,8 +41,7 @@ def side_kinds(one: SeamLayer) -> npt.NDArray[np.str_]:
     slight = SLIGHT if sheet.planar else BENT
     along, across = (shares > slight).T
     found = np.array([["free", "antisymmetric"], ["symmetric", "held"]])[along.astype(int), across.astype(int)]
-    clear = ((shares <= slight) | (shares >= 1 - slight)).all(axis=1)
-    return np.where(clear, found, "oblique")
+    return np.where(((shares <= slight) | (shares >= 1 - slight)).all(axis=1), found, "oblique")
 
 
 def held_directions(one: SeamLayer, of_layer: bool = True) -> FloatArray:

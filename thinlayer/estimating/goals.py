@@ -281,8 +281,7 @@ class Displacement(Directed):
 
     def value(self, state: State, model: InterfaceModel) -> float:
         shown = replace(state, model=model, u=displacements_of(state, model))  # full models have their bodies elsewhere
-        u = Probe(shown).displacement(self.x, side=self.side, seam=self.seam)
-        return float(u @ self.unit(model))
+        return float(Probe(shown).displacement(self.x, side=self.side, seam=self.seam) @ self.unit(model))
 
     def scale(self, state: State, model: InterfaceModel) -> float:
         return float(state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))

@@ -78,8 +78,7 @@ def density_of(iteration: GlobalLocal, given: State, better: State, z: Iterate) 
 def _add_nodal(sums: Array, model: Model, values: Array) -> None:
     """Add values (m,) at the displacements of this rank to the vertices of the edge, face or cell that each belongs to."""
     V, joint = model.V, model.domain.joint
-    d = V.dofmap.bs
-    of_nodes = values.reshape(-1, d).sum(axis=1)
+    of_nodes = values.reshape(-1, V.dofmap.bs).sum(axis=1)
     dofs = np.asarray(V.dofmap.list)
     nodes, first = np.unique(dofs.ravel(), return_index=True)
     owned = nodes < len(of_nodes)

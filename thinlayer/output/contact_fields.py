@@ -105,8 +105,7 @@ class Contact:
     @property
     def force(self) -> Array:
         """(d,) resultant of S on the upper body, without the forces of supports at pinned nodes."""
-        t = np.column_stack([self.t_T, -self.p])
-        return -np.einsum("n,nki,nk->i", self.areas, self.frames, t)
+        return -np.einsum("n,nki,nk->i", self.areas, self.frames, np.column_stack([self.t_T, -self.p]))
 
     @cached_property
     def zones(self) -> list[Zone]:

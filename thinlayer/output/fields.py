@@ -73,8 +73,7 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
     digits = max(4, len(str(len(states))))
     names = [folder / f"{number:0{digits}}.vtm" for number in range(len(states))]
     for state, name in zip(states, names, strict=True):
-        found = blocks(state, model if isinstance(model, InterfaceModel) else None)
-        on_root(comm, partial(_save, found, name))
+        on_root(comm, partial(_save, blocks(state, model if isinstance(model, InterfaceModel) else None), name))
     files = [quoteattr(name.relative_to(path.parent).as_posix()) for name in names]
     rows = [f'timestep="{state.t!r}" file={file}' for state, file in zip(states, files, strict=True)]
     on_root(comm, lambda: _list(path, "Collection", rows))

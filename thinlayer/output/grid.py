@@ -28,8 +28,7 @@ def vtk_type(cell_type: str, n_nodes: int) -> int:
 
 def vtk_order(cell_type: str, n_nodes: int) -> IntArray:
     """(n_nodes,) the nodes of a cell, numbered as DOLFINx does, in the order that VTK wants."""
-    order = dolfinx.cpp.io.perm_vtk(dolfinx.mesh.to_type(cell_type), n_nodes)
-    return np.argsort(np.asarray(order, np.int64))
+    return np.argsort(np.asarray(dolfinx.cpp.io.perm_vtk(dolfinx.mesh.to_type(cell_type), n_nodes), np.int64))
 
 
 @dataclass(frozen=True)

@@ -97,8 +97,7 @@ class Probe:
         total = np.zeros((len(located.entity), 9))
         for points in law_points(self.state):
             if points.quadrature.region.dim == self._joint.dim:
-                values = points.stress()
-                total += self._fitted(points, values.reshape(-1, 9), located)
+                total += self._fitted(points, points.stress().reshape(-1, 9), located)
         total = self._comm.allreduce(total)
         out = located.mean(total).reshape(-1, 3, 3)
         return out if np.ndim(x) > 1 else out[0]
@@ -165,8 +164,7 @@ class Probe:
         entity[quadrature.cells] = points.entities[:, None]
         mine = (entity, quadrature.x, quadrature.weights, values)
         entity, x, weights, values = (np.concatenate(one) for one in zip(*self._comm.allgather(mine), strict=True))
-        rank = np.argsort(by_place(x, self._joint.size))
-        order = np.lexsort([rank, entity])
+        order = np.lexsort([np.argsort(by_place(x, self._joint.size)), entity])
         return PointValues(key, x[order], values[order], weights[order], entity[order])
 
     def internal(self, name: str, x: Any, key: str | None = None) -> Array:

@@ -61,8 +61,7 @@ class Surface(SurfaceMesh):
         """
         self._require_same_joint(state)
         whole = SurfaceMesh(self.model)  # forces at junctions are of all seams there
-        nodal = by_reactions(whole, state)
-        return self.at_points(nodal[whole.find(self.numbers)])
+        return self.at_points(by_reactions(whole, state)[whole.find(self.numbers)])
 
     # ---------------------------------------------------------------- what S does
     def status(self, state: State) -> npt.NDArray[np.str_]:
@@ -151,8 +150,7 @@ class Surface(SurfaceMesh):
             size = float(self.weights[mine].sum())
             row: dict[str, Any] = {"seam": seam, "size": size}
             if seam in model.contacts:
-                here = np.isin(np.arange(len(self.numbers)), self.nodes[mine])
-                areas = nodes["areas"] * here
+                areas = nodes["areas"] * np.isin(np.arange(len(self.numbers)), self.nodes[mine])
                 shares = {name: float(areas[nodes["status"] == name].sum() / areas.sum()) for name in CONTACT_STATUSES}
                 row |= shares | {"normal_force": float(areas @ nodes["p"])}
             elif found is not None:

@@ -61,8 +61,7 @@ class LawPoints:
         """Stresses (points, 3, 3), with the pressure of an incompressible law. Collective."""
         term, points = self.term, self.quadrature
         if term.law.traits.compiled:
-            at_rest = np.zeros((points.count, len(MANDEL)))
-            known = self.state.stresses.get(self.key, at_rest)
+            known = self.state.stresses.get(self.key, np.zeros((points.count, len(MANDEL))))
         else:
             known = points.values(mandel(stress(term, self.state.u)))
         return tensors(known) + self._pressure()[:, None, None] * np.eye(3)
@@ -82,8 +81,7 @@ class LawPoints:
         sublayers = [law for _, law in self.term.law.sublayers]
         if not self.key:
             return [{} for _ in sublayers]
-        at_rest = np.zeros((self.quadrature.count, self.term.law.memory))
-        memory = self.state.memory.get(self.key, at_rest)
+        memory = self.state.memory.get(self.key, np.zeros((self.quadrature.count, self.term.law.memory)))
         start, found = self.term.law.memory - sum(law.memory for law in sublayers), []
         for law in sublayers:
             found.append(unpacked(law, memory[:, start : start + law.memory]))
@@ -201,8 +199,7 @@ def _add_of_cells(moments: Array, surface: SurfaceMesh, rows: IntArray, points: 
     vertices = np.asarray(region.geometry.input_global_indices)[cell_nodes(region)[mine][:, : shapes.shape[1]]]
     on_s, reference = joint.points[surface.corners[rows]], points.state.model.domain.joint.reference[vertices]
     corner = np.linalg.norm(reference[:, :, None] - on_s[:, None], axis=3).argmin(axis=2)
-    to_facet = (corner[..., None] == np.arange(on_s.shape[1])).astype(float)
-    N = np.einsum("qc,fca->fqa", shapes, to_facet)
+    N = np.einsum("qc,fca->fqa", shapes, (corner[..., None] == np.arange(on_s.shape[1])).astype(float))
     eps = np.einsum("fqa,fa->fq", N, surface.thickness(layer, surface.corners[rows]))
     n = q.n[:, : joint.dim]
     t = np.einsum("pij,pj->pi", points.stress(), q.n)[:, : joint.dim]

@@ -88,8 +88,7 @@ class Zoom:
         if at_ends is None:
             at_ends = AT_ENDS[state.model.joint.cell_type == "tetrahedron"]
         require(is_finite(at_ends) and at_ends > 0, "at_ends", at_ends, "allowed: > 0, over the thickness")
-        meshed = isinstance(state.model, FullModel)
-        self.layer = state if meshed else self._by_itself(cells_through, at_ends)
+        self.layer = state if isinstance(state.model, FullModel) else self._by_itself(cells_through, at_ends)
         self._probe, self._surface = Probe(self.layer), SurfaceMesh(self.layer.model, self.seam)
 
     def _by_itself(self, cells_through: int, at_ends: float) -> State:
@@ -219,8 +218,7 @@ class Zoom:
         at = np.vstack([corner.arc(radius), [[0.0, 0.0], [radius, 0.0]]])
         on_s = (x[:, None] - at[:, :1] * self.eps * end.m).reshape(-1, x.shape[1])
         places = self._surface.in_layer(on_s, np.tile(side * (0.5 - at[:, 1]), len(x)))
-        d = x.shape[1]
-        u = (self._probe.displacement(places) @ axes[:, :d].T).reshape(len(x), -1, 2)
+        u = (self._probe.displacement(places) @ axes[:, : x.shape[1]].T).reshape(len(x), -1, 2)
         stress = self._probe.stress(places).reshape(len(x), -1, 3, 3)
         in_axes = np.einsum("ai,nqij,bj->nqab", axes, stress, axes)[:, :-2]
         turn = (u[:, -1, 1] - u[:, -2, 1]) / r  # of the face, with its body

@@ -138,8 +138,7 @@ class CompiledPart(Part):
         return float(forces.norm()) if self._in_body else 0.0
 
     def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
-        strain = self.points.strain(z.x.petsc_vec)
-        self.points.spread(np.einsum("pm,pm->p", self._response.stress, strain), out)
+        self.points.spread(np.einsum("pm,pm->p", self._response.stress, self.points.strain(z.x.petsc_vec)), out)
 
     def tangents(self, relative_residual: float) -> list[Block]:
         """As in `Part`. InputError: a law declares a symmetric tangent and has another; half of it would be lost."""

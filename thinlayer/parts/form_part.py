@@ -215,8 +215,7 @@ class LawForms(FormPart):
     def _power(self) -> fem.Form:
         """Work of the stresses at the last evaluation in the growth of given strains over the step."""
         over, grown = self._over, [p for p in self._terms if p.given is not None]
-        stresses = [stress(p, self._u) for p in _given(grown, over.balanced)]
-        pairs = zip(stresses, grown, strict=True)
+        pairs = zip([stress(p, self._u) for p in _given(grown, over.balanced)], grown, strict=True)
         return compiled(sum(ufl.inner(s, over.growth(p.given)) * p.weight * p.measure for s, p in pairs))
 
     def begin(self, interval: Interval) -> None:

@@ -41,8 +41,7 @@ class MeanStressPart(FieldPart):
 
     def __init__(self, V: fem.FunctionSpace, bodies: Sequence[Term], given: MeanStress, comm: MPI.Intracomm) -> None:
         self._given, self.unit, mesh = given, 1 / given.size, V.mesh
-        element = basix.ufl.element("DG", mesh.basix_cell(), 0, shape=(given.count,))
-        whole = fem.functionspace(mesh, element)
+        whole = fem.functionspace(mesh, basix.ufl.element("DG", mesh.basix_cell(), 0, shape=(given.count,)))
         one = np.zeros(np.shape(whole.dofmap.list), np.int64)
         W = broken_space(comm, Keys(whole, one, one))
         self.field = fem.Function(W)

@@ -72,8 +72,7 @@ class PressurePart(FieldPart):
         space = self._whole if masters is None else identified(region, masters)
         self.field = self._p = fem.Function(space)
         q, v = region.side(ufl.TestFunction(space)), ufl.TrialFunction(V)
-        form = q * ufl.tr(term.strain(v)) * term.weight * term.measure
-        self.G = matrix_of(region.compiled(form))
+        self.G = matrix_of(region.compiled(q * ufl.tr(term.strain(v)) * term.weight * term.measure))
         self.C = self._compliance(space, term, points)
         self.unit = stiffness / self.G.norm(PETSc.NormType.INFINITY)
         if self.C is not None:  # else the rounding of volumes beside stiff bodies would count as much as forces
@@ -206,8 +205,7 @@ class PressurePart(FieldPart):
         assert self._origin is not None, "a mesh without a joint"
         whole, region = self._whole, self.region
         cells, x = np.asarray(whole.dofmap.list), whole.tabulate_dof_coordinates()[:, : region.mesh.geometry.dim]
-        numbers = self._origin.numbers(region.dim, region.parent)[: len(cells)]
-        ordered = FileOrder.by_place(numbers, cells, x)
+        ordered = FileOrder.by_place(self._origin.numbers(region.dim, region.parent)[: len(cells)], cells, x)
         number = np.empty(len(x), np.int64)
         number[cells] = self._p.function_space.dofmap.list  # identified vertices have several places
         return FileOrder(ordered.numbers, number[ordered.order])
@@ -233,8 +231,7 @@ def identified(region: Region, masters: IntArray) -> fem.FunctionSpace:
 
 def at_places(space: fem.FunctionSpace, places: Array) -> IntArray:
     """Unknowns of this rank of a space of degree 1 at some of its vertices (n, d). Collective."""
-    owned = space.dofmap.index_map.size_local
-    x = space.tabulate_dof_coordinates()[:owned, : places.shape[1]]
+    x = space.tabulate_dof_coordinates()[: space.dofmap.index_map.size_local, : places.shape[1]]
     ends = space.mesh.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)))
     low, high = (np.array(one) for one in zip(*ends, strict=True))
     size = float((high.max(axis=0) - low.min(axis=0)).max())

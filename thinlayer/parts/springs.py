@@ -77,8 +77,7 @@ class Springs(Addition):
         """Virtual work of the springs, a UFL form."""
         n = ufl.FacetNormal(model.V.mesh)
         normal, tangential = (stiffness.expression for stiffness in self._stiffnesses(model))
-        across = (normal - tangential) * ufl.dot(u, n) * ufl.dot(v, n)
-        work = across + tangential * ufl.inner(u, v)
+        work = (normal - tangential) * ufl.dot(u, n) * ufl.dot(v, n) + tangential * ufl.inner(u, v)
         return work * model.kinematics.factor * model.ds(model.domain.values(self.place))
 
     def reaction(self, model: Host, u: fem.Function) -> list[tuple[Place, Array]]:

@@ -118,8 +118,7 @@ def _entities(mesh: Mesh, measure: ufl.Measure) -> Indices:
 
 def _everywhere(mesh: Mesh, kind: str) -> Indices:
     """All owned entities that a measure of this kind integrates over."""
-    dim = mesh.topology.dim - (kind != "cell")
-    own = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
+    own = np.arange(mesh.topology.index_map(mesh.topology.dim - (kind != "cell")).size_local, dtype=np.int32)
     if kind == "cell":
         return own
     outer = np.asarray(dolfinx.mesh.exterior_facet_indices(mesh.topology))

@@ -113,8 +113,7 @@ def _by_name(given: Mapping[str | None, Material], make: Any) -> Any:
 
 
 def _goal(name: str, kind: str, **arguments: Any) -> Goal:
-    of_kind = getattr(kinds, kind.title().replace("_", ""))
-    made: Goal = of_kind(**arguments)
+    made: Goal = getattr(kinds, kind.title().replace("_", ""))(**arguments)
     if name in (kind, made.name):
         return made
     called: Any = type("Called", (type(made),), {"name": name})  # what is asked of its kind holds under any name

@@ -212,8 +212,7 @@ def _neither(parser: Parser, chosen: argparse.Namespace, _: Petsc) -> int:
 
 
 def _list(_: Parser, chosen: argparse.Namespace, __: Petsc) -> int:
-    answer = {name: vars(study) for name, study in studies().items()}
-    return _tell(chosen, answer, listed())
+    return _tell(chosen, {name: vars(study) for name, study in studies().items()}, listed())
 
 
 def _info(_: Parser, chosen: argparse.Namespace, __: Petsc) -> int:

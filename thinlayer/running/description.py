@@ -152,8 +152,7 @@ def _tractions(section: Section, key: str) -> dict[str, Any]:
 
 
 def _traction(section: Section, key: str) -> Any:
-    value = section.values[key]
-    if isinstance(value, Mapping):
+    if isinstance(section.values[key], Mapping):
         what = {"pressure": "a stress, > 0 where it presses"}
         return section.table(key, "pressure").entries({"pressure": history(Section.number)}, what)
     return section.vector(key)

@@ -231,8 +231,7 @@ def pressure_excess(faces: Faces, layer: Sublayer) -> Excess:
     whole = volume + joined.T @ surface.stiffness(eps**3 / (12 * layer.mu)) @ joined
     rim = faces.state.model.reductions[faces.one.name].neglected
     at_rim = surface.thickness(faces.one, rim.vertices).mean(axis=1)
-    fine = joint.masters[rim.vertices[rim.depth <= layer.length * at_rim]]
-    inside = np.flatnonzero(~np.isin(used, fine))
+    inside = np.flatnonzero(~np.isin(used, joint.masters[rim.vertices[rim.depth <= layer.length * at_rim]]))
     if not b[inside].any():
         return Excess()
     p = np.zeros(len(used))

@@ -103,6 +103,5 @@ def _pulled_back(kind: str, degree: int, nodes: Array, x: Array) -> Array:
         if np.abs(step).max(initial=0.0) < INSIDE**2:
             break
     there = np.einsum("pn,pnd->pd", element.tabulate(0, X)[0, :, :, 0], nodes)
-    sizes = np.ptp(nodes, axis=1).max(axis=1)
-    X[np.linalg.norm(x - there, axis=1) > INSIDE * sizes] = 2.0
+    X[np.linalg.norm(x - there, axis=1) > INSIDE * np.ptp(nodes, axis=1).max(axis=1)] = 2.0
     return X

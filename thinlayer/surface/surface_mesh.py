@@ -193,8 +193,7 @@ class SurfaceMesh:
             nodes[0, stands] = inflated.points[on_base[at_s]]
         located, at = self.at(x)
         shapes = tabulated(lagrange(self.kind, self.joint.degree), at.points, len(at.rows))[0]
-        both = np.einsum("fqa,sfad->sfd", shapes, nodes[:, at.rows])
-        lower, upper = (located.mean(one) for one in both)
+        lower, upper = (located.mean(one) for one in np.einsum("fqa,sfad->sfd", shapes, nodes[:, at.rows]))
         return np.asarray(lower + (np.asarray(height, float)[..., None] + 0.5) * (upper - lower))
 
     # ---------------------------------------------------------------- states, and functions of models

@@ -125,8 +125,7 @@ def march(
     with Solver(model, **solver) as finder, owned(folder, model.comm):
         equations, traits = finder.equations, finder.equations.traits
         ends_at_breaks = traits.remembers or traits.rate or traits.softens or isinstance(times, Adaptive)
-        breaks = model.break_times if ends_at_breaks else ()
-        ends = ends_of_steps(times, start, breaks)
+        ends = ends_of_steps(times, start, model.break_times if ends_at_breaks else ())
         on_path = isinstance(times, ArcLength) or traits.softens
         if on_path:
             require_path(equations, times, theta, solver.get("method"))
@@ -164,8 +163,7 @@ def march(
 def _begun(begin: Any) -> tuple[Model, list[State]]:
     """The model, and the states from which a march goes on: the last one, perhaps after the one before it."""
     if isinstance(begin, History):
-        before = begin.states.get(len(begin) - 2)
-        return begin.model, [*filter(None, [before]), begin.last]
+        return begin.model, [*filter(None, [begin.states.get(len(begin) - 2)]), begin.last]
     if isinstance(begin, State):
         return begin.model, [begin]
     allowed = "march takes what Structure.full or Structure.interface returns, a history or a state"

@@ -267,5 +267,4 @@ class EquilibriumPath:
         if crossing == 0:
             raise SolveError("the path has no corner here")
         row *= math.copysign(1.0, crossing)
-        cosine = self._product(row, self._direction)
-        return row, length * (max(-cosine, 0.0) + BEYOND_CORNER)
+        return row, length * (max(-self._product(row, self._direction), 0.0) + BEYOND_CORNER)

@@ -56,8 +56,7 @@ def zoomed(
     (at, (start, *_)), axes = zoom.ends[end], zoom.ends[end][0].axes
     # finer towards the end and the faces, but not at corners, where stresses are infinite
     d = AT_CORNER + (width - AT_CORNER) * (1 - np.cos(np.linspace(0, np.pi / 2, POINTS[0])))
-    y = HIGHEST * np.sin(np.linspace(-np.pi / 2, np.pi / 2, POINTS[1]))
-    D, Y = np.meshgrid(d, y)
+    D, Y = np.meshgrid(d, HIGHEST * np.sin(np.linspace(-np.pi / 2, np.pi / 2, POINTS[1])))
     x, height = start - D.ravel()[:, None] * zoom.eps * at.m, Y.ravel()
     i, j = COMPONENTS[component]
     found = {"layer by itself": zoom.stress(x, height)}
@@ -68,8 +67,7 @@ def zoomed(
 
 
 def _drawn(values: dict[str, Array], D: Array, Y: Array, component: str, title: str, unit: str) -> Picture:
-    first = next(iter(values.values()))
-    low, high = np.quantile(first, [SHOWN, 1 - SHOWN])
+    low, high = np.quantile(next(iter(values.values())), [SHOWN, 1 - SHOWN])
     figure = Picture(figsize=(7.2, 1.9 * len(values) + 3.0), layout="constrained")
     rows = figure.subplots(len(values) + 1, 1, height_ratios=[*[1.0] * len(values), 1.5], sharex=True)
     for axes, (name, one) in zip(rows[:-1], values.items(), strict=True):
