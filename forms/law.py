@@ -201,8 +201,7 @@ class Law:
 
     def parameter_values(self) -> Array:
         """The parameters one after the other, (k,); NaN for functions."""
-        values = [np.ravel(number_of(value)) for value in self.parameters().values()]
-        return np.concatenate([np.empty(0), *values])
+        return np.concatenate([np.empty(0), *[np.ravel(number_of(value)) for value in self.parameters().values()]])
 
     def with_parameters(self, values: Mapping[str, Any]) -> Self:
         """The same law with other values (numbers or UFL), unchecked."""

@@ -155,8 +155,7 @@ class Phases(BulkLaw):
 
     def remainder(self, step: Step) -> Expr:
         """Error of the time scheme in the energy balance, with the energy set free by a change of temperature or phase."""
-        new = self.advance(step)
-        return ufl.inner(self.stress(step), step.e - step.e_old) - (new["stored"] - step.q["stored"])
+        return ufl.inner(self.stress(step), step.e - step.e_old) - (self.advance(step)["stored"] - step.q["stored"])
 
 
 @dataclass(frozen=True, eq=False)

@@ -73,8 +73,7 @@ class KelvinVoigt(SpringBesideDashpot):
         require_moduli(self, self.lmbda, self.mu)
         positive(self, "theta_mu")
         bulk = self.lmbda * self.theta_lmbda + 2 / 3 * self.mu * self.theta_mu
-        allowed = "lmbda theta_lmbda + 2 mu theta_mu/3 >= 0"
-        self.require(math.isfinite(bulk) and bulk >= 0, "theta_lmbda", allowed)
+        self.require(math.isfinite(bulk) and bulk >= 0, "theta_lmbda", "lmbda theta_lmbda + 2 mu theta_mu/3 >= 0")
 
     @property
     def own_times(self) -> tuple[float, ...]:

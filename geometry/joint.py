@@ -278,8 +278,7 @@ class Joint:
     def components_at(self, cells: IntArray, nodes: IntArray) -> IntArray:
         """(n, k) component, around nodes (n, k), of the cells (n,) that have them; -1 for cells < 0."""
         position = (self.cells[cells][:, None, :] == nodes[:, :, None]).argmax(axis=2)
-        found = np.take_along_axis(self.splitting.of_nodes[cells], position, axis=1)
-        return np.where(cells[:, None] < 0, -1, found)
+        return np.where(cells[:, None] < 0, -1, np.take_along_axis(self.splitting.of_nodes[cells], position, axis=1))
 
     @cached_property
     def pairs(self) -> IntArray:

@@ -42,8 +42,7 @@ class Seam:
         """The seam with the opposite normal. InputError: neither regions nor a direction are given."""
         if self == Seam():
             raise InputError("a seam whose sides follow the order of regions cannot be reversed; name its sides")
-        way = None if self.direction is None else tuple(-c for c in self.direction)
-        return Seam(self.upper, self.lower, way)
+        return Seam(self.upper, self.lower, None if self.direction is None else tuple(-c for c in self.direction))
 
     def turned(self, turn: FloatArray) -> Seam:
         """The seam of a joint that is turned by a matrix (d, d)."""

@@ -115,8 +115,7 @@ class Sheet:
     @property
     def planar(self) -> bool:
         """Whether it lies in planes of one direction."""
-        normals = self.joint.node_normals[self.facets].reshape(-1, self.joint.dim)
-        return bool(np.ptp(normals, axis=0).max() <= FLAT)
+        return bool(np.ptp(self.joint.node_normals[self.facets].reshape(-1, self.joint.dim), axis=0).max() <= FLAT)
 
     @cached_property
     def _edges(self) -> FloatArray:
@@ -262,11 +261,9 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
         label = connected(*links, n_rim + int(rim.vertices.max()) + 1)[:n_rim]
         same = on_line & (label == label[left[0]])
         on_it, others = rim[same], rim[(cosine > CORNER) & (cosine <= 1 - FLAT)]
-        refuse(
-            np.isin(others.vertices, on_it.vertices).any(axis=1),
-            joint.points[others.vertices[:, 0]],
-            "ends of S must be straight, or meet at angles of 45 degrees or more: one is curved at {at}",
-        )
+        touching = np.isin(others.vertices, on_it.vertices).any(axis=1)
+        curved = "ends of S must be straight, or meet at angles of 45 degrees or more: one is curved at {at}"
+        refuse(touching, joint.points[others.vertices[:, 0]], curved)
         along = x[left[0], -1] - x[left[0], 0]
         length = np.linalg.norm(along)
         along = along / length if length else along

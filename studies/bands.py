@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -67,15 +66,11 @@ def same_zones(record: Record, tables: Tables) -> None:
         for zone, size in {**sizes, "stick": 2.0 - sum(sizes.values())}.items():
             record.check(f"length of S, {name}: {zone}", size, low=0.2)
         for zone, size in sizes.items():
-            away = abs(table[f"{zone}_band"][-1] - size)
-            record.check(
-                f"{zone} zone, {name}: thinnest band and contact differ by", away, high=2 * h + table["eps"][-1]
-            )
+            away, allowed = abs(table[f"{zone}_band"][-1] - size), 2 * h + table["eps"][-1]
+            record.check(f"{zone} zone, {name}: thinnest band and contact differ by", away, high=allowed)
 
 
 def sine_leaves_an_error(record: Record, tables: Tables) -> None:
     """Friction sin(Omega) on S, as of the full law under lasting shear, is not this band's."""
-    errors: Sequence[float] = [tables[name]["error_jump"][-1] for name in ("friction sine", "friction")]
-    record.check(
-        "friction sin(Omega) on S: last error of the jump over that with tan(Omega)", errors[0] / errors[1], low=2
-    )
+    sine, tangent = (tables[name]["error_jump"][-1] for name in ("friction sine", "friction"))
+    record.check("friction sin(Omega) on S: last error of the jump over that with tan(Omega)", sine / tangent, low=2)

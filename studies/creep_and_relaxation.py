@@ -180,11 +180,10 @@ class Column:
         joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
         moves, stays = ("xy"[pull.axis], "yx"[pull.axis])
         supports: dict[str, Any] = {"BOTTOM": 0.0, "LEFT": {stays: 0.0}, "RIGHT": {stays: 0.0}}
-        held, pulled = {"TOP": {moves: pull.end}}, {"TOP": pull.stress * np.eye(2)[pull.axis]}
-        loads: dict[str, Any] = (
-            {"supports": supports | held} if case.relaxes else {"supports": supports, "tractions": pulled}
-        )
-        structure, layer = Structure(joint, body=BODY, **loads), ThinLayer(case.law, EPS, at=1.0)
+        supports |= {"TOP": {moves: pull.end}} if case.relaxes else {}
+        pulled = {} if case.relaxes else {"TOP": pull.stress * np.eye(2)[pull.axis]}
+        structure = Structure(joint, body=BODY, supports=supports, tractions=pulled)
+        layer = ThinLayer(case.law, EPS, at=1.0)
         self.models: dict[str, Model] = {INTERFACE: structure.interface(layer), FULL: structure.full(layer)}
 
     def follow(self, model: Model, times: Sequence[float], theta: float = 0.5) -> Array:

@@ -177,9 +177,8 @@ def against_cylinders(full: Solution, limit: Solution) -> dict[str, float]:
     jumps = Cylinders.stretched((GLASS, RESIN), (RADIUS, RIM), [springs], (STRETCH, 0.0)).jumps(0)
     radii, laws = (RADIUS - eps / 2, RADIUS + eps / 2, RIM), (GLASS, COATING.scaled(eps), RESIN)
     layer = Cylinders.stretched(laws, radii, [None, None], (STRETCH, 0.0))
-    inner, outer = (
-        np.array([layer.fields(mode, k, r)[:2] for mode in MODES]) for k, r in ((0, radii[0]), (2, radii[1]))
-    )
+    faces = (0, radii[0]), (2, radii[1])
+    inner, outer = (np.array([layer.fields(mode, k, r)[:2] for mode in MODES]) for k, r in faces)
     weights = np.array([[2.0], [1.0]])  # of the squares of both modes in integrals over the circle
     error = (weights * (outer - inner - jumps) ** 2).sum() / (weights * jumps**2).sum()
     return {"closed_form": float(np.sqrt(error)), "energy": abs(_stored(last(full)) / layer.energy - 1)}
@@ -229,9 +228,8 @@ def inside_tubes(x: Any) -> Any:
 def against_lame(full: Solution, limit: Solution) -> dict[str, float]:
     """Relative differences from the closed form: of the bore's displacement, and of the mean traction on S."""
     eps, (bore, on_S, rim) = float(layer_of(limit).eps), RADII
-    layer = lame(
-        (bore, on_S - eps / 2, on_S + eps / 2, rim), (SHAFT, GLUE.scaled(eps / GLUE_EPS), HUB), (None, None), PRESSURE
-    )
+    radii, laws = (bore, on_S - eps / 2, on_S + eps / 2, rim), (SHAFT, GLUE.scaled(eps / GLUE_EPS), HUB)
+    layer = lame(radii, laws, (None, None), PRESSURE)
     springs = lame(RADII, (SHAFT, HUB), ((GLUE.lmbda + 2 * GLUE.mu) / GLUE_EPS,), PRESSURE)
     surface, row = Surface(last(limit).model), {}
     work = 2 * np.pi * bore * HEIGHT * PRESSURE

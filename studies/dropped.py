@@ -35,7 +35,7 @@ from forms.kinematics import Expr
 from forms.law import Step
 from geometry import block, faults, ring, sandwich
 from geometry.joint import Joint
-from studies.problems import FOURIER_BODY, fourier, free_blocks, of
+from studies.problems import FOURIER_BODY, WALLS, fourier, free_blocks, of
 from thinlayer import (
     RangeWarning,
     RigidPlate,
@@ -50,7 +50,6 @@ ALONG, ENDS = 1 / 24, 8  # cell size on S; cells within a thickness at free ends
 TILT = 0.5  # rad
 WIDTH, DEPTH = 1.3, 0.8
 CLAMPED: dict[Any, Any] = {"BOTTOM": 0.0}
-WALLS: dict[Any, Any] = CLAMPED | {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
 young, shear = LinearElastic.young, LinearElastic.shear
 STEEL, SOFT = young(E=1e4, nu=0.3), young(E=70.0, nu=0.3)
 Vector = tuple[float, ...]

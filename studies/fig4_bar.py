@@ -173,6 +173,7 @@ def meet(a: Array, b: Array) -> float:
 # ---------------------------------------------------------------- pictures
 CUTS = (1.0, 1.6, 2.0)  # delta of the three intersections
 ELEMENTS = 8
+ENERGY, FORCE = "energy of the layer", "force"  # panels
 FINE = np.linspace(0.0, END, 401, dtype=np.float64)
 
 
@@ -197,15 +198,11 @@ def draw_energies(record: Record, relaxed: Table) -> None:
     of_layer = zip((*phases, "W_min", envelope_of), (first, second, pure, envelope), strict=True)
     energies = {name: (U, y) for name, y in of_layer}
     forces = {"W_min": (U, slope), envelope_of: (U, force), **bodies}
-    plotting.curves(
-        {"energy of the layer": energies, "force": forces | {computed: (relaxed["U"][at], relaxed["sigma"][at])}},
-        "U, elongation of the layer, over l",
-        {"energy of the layer": "over K l²/2", "force": "over K l/2"},
-        styles=("--", "--", "-", "-", ":", ":", ":", "o"),
-        colours={"W_min": "0.6", envelope_of: "black", computed: "black"},
-        ylim={"energy of the layer": (0.0, 2.2), "force": (0.0, 3.2)},
-        save=record.path("energies.svg"),
-    )
+    forces[computed] = relaxed["U"][at], relaxed["sigma"][at]
+    panels, units = {ENERGY: energies, FORCE: forces}, {ENERGY: "over K l²/2", FORCE: "over K l/2"}
+    styles, limits = ("--", "--", "-", "-", ":", ":", ":", "o"), {ENERGY: (0.0, 2.2), FORCE: (0.0, 3.2)}
+    look = {"styles": styles, "colours": {"W_min": "0.6", envelope_of: "black", computed: "black"}, "ylim": limits}
+    plotting.curves(panels, "U, elongation of the layer, over l", units, save=record.path("energies.svg"), **look)
 
 
 def draw_response(record: Record, relaxed: Table, loop: Table) -> None:

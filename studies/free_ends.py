@@ -155,8 +155,7 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
 
 def _row(end: FreeEnd) -> dict[str, float]:
     """Constants that are finite for every ratio; nan where there are none."""
-    bounded = 0 < end.nu < 0.5
-    normal = {"c_N": end.c_N, "m_N/c_N": end.m_N / end.c_N if bounded else math.nan, "rho_N": end.rho_N}
+    normal = {"c_N": end.c_N, "m_N/c_N": end.m_N / end.c_N if 0 < end.nu < 0.5 else math.nan, "rho_N": end.rho_N}
     finite = {name: value if math.isfinite(value) else math.nan for name, value in normal.items()}
     return {"nu": end.nu, **finite, "c_T": end.c_T, "m_T/c_T": end.m_T / end.c_T, "kappa": end.kappa}
 

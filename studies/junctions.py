@@ -160,9 +160,8 @@ def differences(case: Case, full: State, by_law: State) -> dict[str, float]:
     """Relative L2 differences on S, relative difference of the energies, and the share of junctions in the energy."""
     surface, found = Surface(by_law.model), {}
     inner = far_from_junctions(surface, case.distance)
-    for name, field_of, part in (
-        ("jump", surface.jump, 1), ("inner_jump", surface.jump, inner), ("inner_traction", surface.traction, inner)
-    ):  # fmt: skip
+    jump, traction = surface.jump, surface.traction
+    for name, field_of, part in (("jump", jump, 1), ("inner_jump", jump, inner), ("inner_traction", traction, inner)):
         wanted = field_of(by_law)
         found[name] = surface.norm(field_of(full) - wanted, part) / surface.norm(wanted, part)
     full_energy, limit_energy = (stored_in(state) for state in (full, by_law))

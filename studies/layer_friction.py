@@ -127,18 +127,14 @@ def draw(record: Record) -> None:
     shown = {PATHS: (UNLOADED, HELD_STRESS, HELD_JUMP, PROPORTIONAL), FLOW: (HELD_STRESS, *DILATANT.values(), PLANES)}
     straight = {PATHS: {"tan(Omega)": tan, "sin(Omega)": sin, "first yield": formulas.first_yield_ratio(NU, OMEGA)}}
     straight[FLOW] = {"tan(Omega)": tan, "sin(Omega)": sin} | dict(zip(DAVIS, davis, strict=True))
-    plotting.curves(
-        {
-            title: {path: (curves[path]["shear"], curves[path]["friction"]) for path in paths}
-            | {name: ([0.0, SHEAR], [value, value]) for name, value in straight[title].items()}
-            for title, paths in shown.items()
-        },
-        "shear mu w_T over the pressure at the start",
-        "apparent friction t_T / |t_N|",
-        title=f"Mohr-Coulomb layer, Omega = {OMEGA:g}°: its lasting friction is sin(Omega), not tan(Omega)",
-        styles={"tan(Omega)": ":", "sin(Omega)": "--", "first yield": ":"} | dict.fromkeys(DAVIS, "-."),
-        colours=dict(zip((*DILATANT.values(), PLANES), (*COLOURS[4:], "0.3"), strict=True))
-        | {"tan(Omega)": "black", "sin(Omega)": "black", **dict.fromkeys(("first yield", *DAVIS), "0.5")},
-        ylim=(0.0, 0.65),
-        save=record.path("friction.svg"),
-    )
+    parts: dict[str, dict[str, tuple[Any, Any]]] = {}
+    for title, paths in shown.items():
+        parts[title] = {path: (curves[path]["shear"], curves[path]["friction"]) for path in paths}
+        parts[title] |= {name: ([0.0, SHEAR], [value, value]) for name, value in straight[title].items()}
+    styles = {"tan(Omega)": ":", "sin(Omega)": "--", "first yield": ":"} | dict.fromkeys(DAVIS, "-.")
+    colours = dict(zip((*DILATANT.values(), PLANES), (*COLOURS[4:], "0.3"), strict=True))
+    colours |= dict.fromkeys(("tan(Omega)", "sin(Omega)"), "black") | dict.fromkeys(("first yield", *DAVIS), "0.5")
+    title = f"Mohr-Coulomb layer, Omega = {OMEGA:g}°: its lasting friction is sin(Omega), not tan(Omega)"
+    labels = ("shear mu w_T over the pressure at the start", "apparent friction t_T / |t_N|")
+    look = {"styles": styles, "colours": colours, "ylim": (0.0, 0.65), "save": record.path("friction.svg")}
+    plotting.curves(parts, *labels, title=title, **look)

@@ -60,11 +60,8 @@ def _amplitudes(surface: Surface, state: State) -> dict[str, float]:
     x = surface.x[0]
     jump, traction = surface.frame(surface.jump(state)), surface.frame(surface.traction(state))
     sine, cosine = 2 * np.sin(np.pi * x), 2 * np.cos(np.pi * x)
-    return {
-        "jump_T": surface.integral(jump[0] * sine),
-        "traction_T": surface.integral(traction[0] * sine),
-        "traction_N": surface.integral(traction[1] * cosine),
-    }
+    parts = {"jump_T": jump[0] * sine, "traction_T": traction[0] * sine, "traction_N": traction[1] * cosine}
+    return {name: surface.integral(part) for name, part in parts.items()}
 
 
 def draw(record: Record) -> None:

@@ -57,9 +57,8 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def _effectivities(record: Record, *, quick: bool) -> None:
-    cases = [
-        (case, eps) for case in (*known_cases(), *further_cases()) for eps in THICKNESSES if not (quick and case.solid)
-    ]
+    chosen = [case for case in (*known_cases(), *further_cases()) if not (quick and case.solid)]
+    cases = [(case, eps) for case in chosen for eps in THICKNESSES]
     table, goals = record.table("effectivities.csv"), record.table("goals.csv")
     for case, eps in track(cases, "may_i_drop", "{0[0].name}, {0[1]:g}"):
         one = Dropped.of(case, eps, record)
@@ -204,8 +203,7 @@ def along(one: Dropped) -> Table:
     columns = {}
     for name, field in zip(FIELDS, (surface.traction, surface.jump), strict=True):
         before = field(found.state)
-        estimated = found.inside if name == "traction" else found.better
-        for which, state in (("true", one.full), ("estimated", estimated)):
+        for which, state in (("true", one.full), ("estimated", found.inside if name == "traction" else found.better)):
             x, values = surface.profile(field(state) - before)
             columns[f"{which}_{name}"] = values[:, 1]
     _, on_s = surface.profile((surface.traction(found.state) * surface.jump(one.full)).sum(axis=0))

@@ -14,7 +14,7 @@ from forms.kinematics import Expr
 from forms.traction import JumpStep
 from geometry import sandwich
 from geometry.joint import Joint
-from studies.problems import FOURIER_BODY, phases_on_s
+from studies.problems import FOURIER_BODY, WALLS, phases_on_s
 from studies.sweeping import Tables, last, last_order
 from thinlayer import Surface
 from thinlayer.discretisation.state import State
@@ -89,9 +89,8 @@ def blocks(h: float, shear: float, pull: float, *, moved: bool = False) -> tuple
         share = t if moved else 1
         return share * shear * ufl.sin(ufl.pi * x[0]), share * pull * ufl.cos(ufl.pi * x[0] / 2)
 
-    supports: dict[str, Any] = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     moves = {"TOP": {"x": lambda x, t: top(x, t)[0], "y": lambda x, t: top(x, t)[1]}}
-    data = {"supports": supports | (moves if moved else {}), "tractions": {} if moved else {"TOP": top}}
+    data = {"supports": WALLS | (moves if moved else {}), "tractions": {} if moved else {"TOP": top}}
     return joint, {"body": FOURIER_BODY} | data
 
 

@@ -24,6 +24,7 @@ FOURIER_BODY = LinearElastic.young(E=100.0, nu=0.3)
 FOURIER_LAYER = LinearElastic(lmbda=60.0, mu=40.0)
 MORTAR = MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02)  # of `sheared` blocks
 BAR = LinearElastic.young(E=130e3, nu=0.2)  # MPa, section 8.2 of the paper
+WALLS: dict[Any, Any] = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}  # clamped below, between rollers
 SHEAR = 5.0  # largest shear on the upper side in `sheared`, over the pressure there
 
 
@@ -46,9 +47,8 @@ def fourier(h: float, *, cell: str = "triangle") -> tuple[Joint, dict[str, Any]]
         The joint, and the data of its models without their layer.
     """
     joint = sandwich(1.0, 0.5, 0.5, h, cell=cell, structured=True)
-    supports = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     tractions = {"TOP": lambda x, t: (0.5 * ufl.sin(ufl.pi * x[0]), ufl.cos(ufl.pi * x[0]))}
-    return joint, {"body": FOURIER_BODY, "supports": supports, "tractions": tractions}
+    return joint, {"body": FOURIER_BODY, "supports": WALLS, "tractions": tractions}
 
 
 @dataclass(frozen=True)
@@ -122,8 +122,7 @@ def pressed(h: float, path: Mapping[Any, tuple[float, float, float]]) -> tuple[J
         p, r, q = loads(x, t)
         return q * ufl.sin(ufl.pi * x[0] / 2), -p - r * ufl.cos(ufl.pi * x[0] / 2)
 
-    supports = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-    return joint, {"body": FOURIER_BODY, "supports": supports, "tractions": {"TOP": top}}
+    return joint, {"body": FOURIER_BODY, "supports": WALLS, "tractions": {"TOP": top}}
 
 
 def sheared(h: float) -> tuple[Joint, dict[str, Any]]:

@@ -146,9 +146,8 @@ def draw(record: Record) -> None:
     }
     curves["(2 + pi) k"], styles = (sunk, np.ones(2)), {"(2 + pi) k": ":"}
     title, save = "a rough punch on ideally plastic metal tends to Prandtl's pressure", record.path("punch.svg")
-    plotting.curves(
-        curves, "depth over half-width", f"mean pressure over {limit:.3f} k", save=save, title=title, styles=styles
-    )
+    labels = ("depth over half-width", f"mean pressure over {limit:.3f} k")
+    plotting.curves(curves, *labels, save=save, title=title, styles=styles)
     p, curves, styles = np.linspace(0.0, PRESSURES[-1], 100), {}, {}
     for r, name in ((CYLINDER.a, "inside"), (CYLINDER.b, "outside")):
         exact = [float(CYLINDER.displacement(float(at), np.array(r))) for at in p]

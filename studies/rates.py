@@ -98,8 +98,7 @@ def third_order(record: Record, tables: Tables) -> None:
     for name, law in HARD.items():
         if len(table := tables[name]) > 1:
             low = 2.5 if table["eps"][-1] * law.mu / FOURIER_BODY.mu < 0.05 else 2.0
-            order = last_order(table, "error_reaction")
-            record.check(f"last observed order of the traction, {name}", order, low=low)
+            record.check(f"last observed order of the traction, {name}", last_order(table, "error_reaction"), low=low)
 
 
 def dissipated(_: Solution, limit: Solution) -> dict[str, float]:

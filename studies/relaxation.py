@@ -11,7 +11,6 @@ from studies.fig8_friction import STIFFNESS, in_tens
 from studies.problems import sliding_bar
 from thinlayer import SolveError, Structure, Table, plotting, solve
 from thinlayer.running.record import Record
-from thinlayer.system.progress import track
 
 OMEGAS = (0.8, 1.0, 1.2, 1.4, 1.6, 1.7, 1.8, 1.85, 1.9, 1.93, 1.95)
 TOLERANCE = 1e-8  # largest relative increment of a converged relaxation
@@ -33,12 +32,14 @@ def run(record: Record, *, quick: bool = False) -> None:
     meshes = (8, 16) if quick else (8, 16, 32)
     cases = [(n, pair, omega, same) for same in (False, True) for n in meshes for pair in STIFFNESS for omega in OMEGAS]
     cases = [case for case in cases if not case[-1] or (case[0] == 16 and case[2] != 1.0)]
-    table = record.table("table.csv")
-    for n, pair, omega, same in track(cases, "relaxation", "{}"):
-        sweeps, converged = count(n, *pair, omega, omega if same else 1.0)
-        row = {"squares": n, "lmbda": pair[0], "mu": pair[1], "omega": omega, "omega_contact": omega if same else 1.0}
-        table.append(row | {"sweeps": sweeps, "converged": int(converged)})
-    check(record, table)
+
+    def row(n: int, pair: tuple[float, float], omega: float, same: bool) -> dict[str, float]:
+        on_s = omega if same else 1.0
+        sweeps, converged = count(n, *pair, omega, on_s)
+        about = {"squares": n, "lmbda": pair[0], "mu": pair[1], "omega": omega, "omega_contact": on_s}
+        return about | {"sweeps": sweeps, "converged": int(converged)}
+
+    check(record, record.rows("table.csv", cases, row))
 
 
 def count(n: int, lmbda: float, mu: float, omega: float, omega_contact: float) -> tuple[int, bool]:

@@ -55,10 +55,9 @@ def against_section(full: Solution, limit: Solution) -> dict[str, float]:
     limit_there = solve(tension.interface(layer))
     found = {}
     for name, state, there in (("meshed", full, solve(tension.full(layer))), ("law", limit, limit_there)):
-        for where, one, surface in (
-            ("", last(state), Surface(last(limit).model)),
-            ("_axisymmetric", there, Surface(limit_there.model)),
-        ):
+        both = ("", last(state), last(limit).model), ("_axisymmetric", there, limit_there.model)
+        for where, one, model in both:
+            surface = Surface(model)
             found[f"rise_{name}{where}"] = _rise(one)
             part = 1 - _radius(surface.x) ** 2 / RADIUS**2
             normal = surface.frame(surface.traction(one))[-1]
@@ -67,8 +66,7 @@ def against_section(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def _rise(state: State) -> float:
-    top = state.model.ds(state.model.domain.values("TOP"))
-    return state.integral(state.u[1] * top) / (math.pi * RADIUS**2)
+    return state.integral(state.u[1] * state.model.ds(state.model.domain.values("TOP"))) / (math.pi * RADIUS**2)
 
 
 def in_section(record: Record, tables: Tables) -> None:

@@ -12,7 +12,6 @@ from studies.problems import sliding_bar
 from thinlayer import Structure, Surface, Table, plotting, solve
 from thinlayer.output.contact_fields import Contact
 from thinlayer.running.record import Record
-from thinlayer.system.progress import track
 
 STIFFNESS = (5.0, 5e2, 5e4, 5e6, 5e8)  # K_T, N/mm^3; K_N is five times as much
 LIMIT = 5e12
@@ -30,14 +29,14 @@ def run(record: Record, *, quick: bool = False) -> None:
     meshes = (32, 64) if quick else (32, 64, 128, 256, 512, 724)
     table = _errors({K: solved(record, n, K, 1.0)[0] for K in (*STIFFNESS, LIMIT)})
     record.write("table.csv", table)
-    steps = Table()
-    cases = [(m, f, K) for m in meshes for f in FRICTION for K in STIFFNESS]
-    for m, f, K in track(cases, "signorini_limit", "{}"):
+
+    def row(m: int, f: float, K: float) -> dict[str, float]:
         report, iterations = solved(record, m, K, f)
-        row = {"squares": m, "friction": f, "K_T": K, "newton_steps": iterations}
-        steps.append(row | report.counts | {"equilibrium": report.equilibrium})
-    record.write("newton_steps.csv", steps)
-    _check(record, table, steps, meshes)
+        about = {"squares": m, "friction": f, "K_T": K, "newton_steps": iterations}
+        return about | report.counts | {"equilibrium": report.equilibrium}
+
+    cases = [(m, f, K) for m in meshes for f in FRICTION for K in STIFFNESS]
+    _check(record, table, record.rows("newton_steps.csv", cases, row), meshes)
 
 
 def solved(record: Record, n: int, K: float, friction: float) -> tuple[Contact, int]:

@@ -136,9 +136,8 @@ def follow(record: Record, joint: Joint, relaxed: History, r: float, step: float
     if not quick:
         others["with half the steps"] = path(joint, r, step / 2)
     for how, other in others.items():
-        points, vertices = (
-            np.column_stack([curve[c] for c in ("delta", "force", "phase")]) for curve in (other, first)
-        )
+        both = ([curve[c] for c in ("delta", "force", "phase")] for curve in (other, first))
+        points, vertices = map(np.column_stack, both)
         record.check(f"{name}: distance of the path {how}", distance(points, vertices).max(), high=ALONG)
     record.check(f"{name}: delta goes back by", float(np.maximum(-np.diff(first["delta"]), 0).sum()), low=1e-3)
     energy, least = first["energy"][-1], relaxed.table["energy"][-1]

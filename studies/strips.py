@@ -129,8 +129,7 @@ def bending(record: Record, h: float) -> None:
         models = strips(h, mu, supports)
         surface = Surface(models["interface law"])
         found = {name: curvature(surface, record.solved(solve(model))) for name, model in models.items()}
-        closed = {f"{name}, closed form": bent(mu, eps) for name, eps in apart.items()}
-        table.append({"mu": mu, **found, **closed})
+        table.append({"mu": mu, **found, **{f"{name}, closed form": bent(mu, eps) for name, eps in apart.items()}})
     for name in apart:
         ratio = table[name] / table[f"{name}, closed form"]
         record.check(f"curvature with a shear lag, {name}: largest relative error", abs(ratio - 1).max(), high=0.02)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,12 +25,16 @@ LONG = 2.0  # length of cells of S where it is not meshed, over eps
 DISTANCES = np.array([0.05, 0.1, 0.2, 0.5, 1, 1.5, 2, 3, 5, 10])  # of the places compared from an end, over eps
 HEIGHTS = np.array([-0.3, -0.15, 0.0, 0.15, 0.3])  # not nearer to corners, where the mesh is too coarse
 AT_END = 3.0  # distance up to which places count as at the end
+
+
+def _by_law(blocks: Structure, law: LinearElastic, eps: float, **choices: Any) -> State:
+    return solve(blocks.interface(ThinLayer(law, eps, at=EPS[0], **choices)))
+
+
 STATES: dict[str, Callable[[Structure, LinearElastic, float], State]] = {
-    "order 0": lambda blocks, law, eps: solve(blocks.interface(ThinLayer(law, eps, at=EPS[0]))),
-    "order 1, free": lambda blocks, law, eps: solve(
-        blocks.interface(ThinLayer(law, eps, order=1, edges="free", at=EPS[0]))
-    ),
-    "estimate": lambda blocks, law, eps: estimate(solve(blocks.interface(ThinLayer(law, eps, at=EPS[0])))).better,
+    "order 0": _by_law,
+    "order 1, free": partial(_by_law, order=1, edges="free"),
+    "estimate": lambda *case: estimate(_by_law(*case)).better,
 }  # whose faces the layer has
 
 
@@ -90,13 +95,7 @@ def draw(record: Record) -> None:
             table = record.load(file)
             parts[f"nu = {nu:g}, E/mu = {ratio:g}"] = {name: (table["eps"], table[name]) for name in names}
     lines = {"order 0": "o:", "order 1, free": "o--", "estimate": "o-"}
-    plotting.curves(
-        parts,
-        "layer thickness eps over the width",
-        "relative error",
-        styles={name: lines[name.split(" ", 1)[1]] for name in names},
-        colours=dict(zip(names, 3 * COLOURS[:3], strict=True)),
-        log="y",
-        columns=2,
-        save=record.path("errors.svg"),
-    )
+    styles = {name: lines[name.split(" ", 1)[1]] for name in names}
+    colours, save = dict(zip(names, 3 * COLOURS[:3], strict=True)), record.path("errors.svg")
+    look = {"styles": styles, "colours": colours, "log": "y", "columns": 2, "save": save}
+    plotting.curves(parts, "layer thickness eps over the width", "relative error", **look)

@@ -171,11 +171,8 @@ def _source(mesh: meshio.Mesh) -> tuple[str, str | None]:
         return "families", "cell_tags"
     if any(not name.startswith("gmsh:") for name in mesh.cell_sets):
         return "cell sets", None
-    arrays = [
-        name
-        for name, data in mesh.cell_data.items()
-        if name != "gmsh:geometrical" and all(np.ndim(values) == 1 and values.dtype.kind in "iu" for values in data)
-    ]
+    own = {name: data for name, data in mesh.cell_data.items() if name != "gmsh:geometrical"}
+    arrays = [name for name, data in own.items() if all(np.ndim(x) == 1 and x.dtype.kind in "iu" for x in data)]
     if len(arrays) > 1:
         raise InputError(f"several arrays of integers could number the groups: {', '.join(arrays)}; keep one")
     return (f"numbers in the cell data {arrays[0]!r}", arrays[0]) if arrays else ("no cell sets, no numbers", None)
@@ -187,9 +184,8 @@ def _groups(mesh: meshio.Mesh, dim: int, array: str | None) -> Groups:
     groups: Groups = {}
     for name, members in mesh.cell_sets.items():
         if blocks and not name.startswith("gmsh:"):
-            parts = [np.asarray([] if members[k] is None else members[k]) for k in blocks]
-            pairs = zip(blocks, parts, strict=True)
-            groups[name] = np.concatenate([np.isin(np.arange(len(mesh.cells[k])), part) for k, part in pairs])
+            parts = ((len(mesh.cells[k]), [] if members[k] is None else members[k]) for k in blocks)
+            groups[name] = np.concatenate([np.isin(np.arange(n), part) for n, part in parts])
     if blocks and array is not None:
         numbers = np.concatenate([mesh.cell_data[array][k] for k in blocks]).astype(np.int64)
         for number in np.unique(numbers):

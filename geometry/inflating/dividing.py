@@ -130,12 +130,7 @@ def _assembled(layers: Joint, parent: IntArray, corners: FloatArray) -> Divided:
         named = np.zeros((len(layers.cells), len(own)), bool)
         named[layers.table.cells[rows, 0], layers.table.local[rows, 0]] = True
         facets[name] = vertices[(on & named[parent][:, None]).any(axis=2)]
-    joint = replace(
-        layers,
-        points=x[chosen],
-        cells=cells,
-        region=layers.region[parent],
-        facets=facets,
-        band=replace(band, reference=reference[chosen], director=director),
-    )
+    points, region = x[chosen], layers.region[parent]
+    parts = replace(band, reference=reference[chosen], director=director)
+    joint = replace(layers, points=points, cells=cells, region=region, facets=facets, band=parts)
     return Divided(joint, parent, corners)

@@ -112,13 +112,9 @@ def extended_motion(
     moments, count = _outer_moments(joint, body_cells)
     eigenvalues, vectors = np.linalg.eigh(moments[free] / np.maximum(count[free], 1)[:, None, None])
     node, way = np.nonzero(eigenvalues < EXACT)
-    directions = scipy.sparse.csr_matrix(
-        (
-            vectors[node, :, way].ravel(),
-            ((node[:, None] * d + np.arange(d)).ravel(), np.repeat(np.arange(len(node)), d)),
-        ),
-        shape=(len(free) * d, len(node)),
-    )
+    rows, columns = (node[:, None] * d + np.arange(d)).ravel(), np.repeat(np.arange(len(node)), d)
+    entries, shape = vectors[node, :, way].ravel(), (len(free) * d, len(node))
+    directions = scipy.sparse.csr_matrix((entries, (rows, columns)), shape=shape)
     if len(node):
         laplacian = _laplacian(joint.points[joint.corners], corners, joint.cell_type, n_nodes)
         load = -(laplacian[free] @ motion).ravel()

@@ -121,27 +121,12 @@ def inflate(
     corners = in_layers[:, : joint.corners.shape[1]]
     facets, faces = moved_facets(joint, copies, layers, corners, len(bands.cells), footprint)
     regions = (*(name for of_seam in names.values() for name in of_seam), *shared)
-    opened = Joint(
-        points,
-        cells,
-        joint.cell_type,
-        np.concatenate([joint.region, bands.region, first + np.searchsorted(owners, between.region)]),
-        joint.regions + regions,
-        facets,
-        joint.seams,
-        band=Band(
-            layers.eps,
-            bodies,
-            regions,
-            names,
-            shared,
-            tuple(name for name, seam in shared.items() if seams.index(seam) not in askew),
-            faces,
-            joint,
-            joint.points[footprint],
-            np.concatenate([bands.director, np.where(askew_cells, np.eye(joint.dim)[1], between.director)]),
-        ),
-    )
+    aligned = tuple(name for name, seam in shared.items() if seams.index(seam) not in askew)
+    reference = joint.points[footprint]
+    director = np.concatenate([bands.director, np.where(askew_cells, np.eye(joint.dim)[1], between.director)])
+    band = Band(layers.eps, bodies, regions, names, shared, aligned, faces, joint, reference, director)
+    region = np.concatenate([joint.region, bands.region, first + np.searchsorted(owners, between.region)])
+    opened = Joint(points, cells, joint.cell_type, region, joint.regions + regions, facets, joint.seams, band)
     return repeated(opened, periods) if periods else opened
 
 
@@ -167,9 +152,7 @@ def without_bodies(inflated: Joint) -> Joint:
             facets[name] = facets[name.removesuffix(f"/{LAYER}")] = rows
     points, region = inflated.points[used], inflated.region[mine] - first
     own = replace(band, reference=band.reference[used])
-    return replace(
-        inflated, points=points, cells=cells, region=region, regions=band.regions, facets=facets, band=own, periods=None
-    )
+    return Joint(points, cells, inflated.cell_type, region, band.regions, facets, inflated.seams, own)
 
 
 class _Cells(NamedTuple):

@@ -93,15 +93,12 @@ class Layering:
             reason = "the layer has no room at its tip and cannot be meshed; use the interface model"
             raise InputError(f"S ends inside the bodies (near {place(joint.tip)}): {reason}")
         relative = np.stack([size * joint.relative_thickness(profiles[name], name) for name, size in sizes.items()])
-        return cls(
-            {name: float(size) for name, size in sizes.items()},
-            shares,
-            [level_heights(joint.degree, through, some) for some in shares.values()],
-            relative[joint.seam_numbers[:, None], joint.surface],
-            tuple(name for name in joint.seams if profiles[name] is not None),
-            [name for name in dict.fromkeys([*junctions, *joint.seams]) if name not in gaps],
-            ~in_gaps,
-        )
+        thickness = relative[joint.seam_numbers[:, None], joint.surface]
+        heights = [level_heights(joint.degree, through, some) for some in shares.values()]
+        varying = tuple(name for name in joint.seams if profiles[name] is not None)
+        claims = [name for name in dict.fromkeys([*junctions, *joint.seams]) if name not in gaps]
+        floats = {name: float(size) for name, size in sizes.items()}
+        return cls(floats, shares, heights, thickness, varying, claims, ~in_gaps)
 
 
 def check_junctions(joint: Joint, posts: Posts, layers: Layering) -> None:

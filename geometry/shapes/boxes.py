@@ -18,7 +18,8 @@ from geometry.shapes.sizing import DIGITS, Cells, Grading, gmsh
 from geometry.topology import FacetTable, FloatArray, IntArray, is_tensor
 
 BED, HEAD = "BED", "HEAD"
-SIDES = (("LEFT", "RIGHT"), ("BOTTOM", "TOP"), ("BACK", "FRONT"))  # at the least and the largest place along each axis
+# name of a side -> the axis that it is normal to, and its place along this axis
+SIDES = {"LEFT": (0, 0), "RIGHT": (0, -1), "BOTTOM": (1, 0), "TOP": (1, -1), "BACK": (2, 0), "FRONT": (2, -1)}
 
 
 @dataclass(frozen=True)
@@ -78,10 +79,9 @@ class Boxes(Prism):
         grid, base = Grid([axis * unit for axis in axes], self.kind, self.cells.arrangement), sum(map(len, down))
         facets = grid.sides() | {S: grid.plane(1, base)}
         if not below:
-            del facets[SIDES[1][0]]
+            del facets["BOTTOM"]
         region = (grid.places[:, 1] >= base).astype(np.int64) * len(below)
-        seams = {S: Seam(names[:-1], names[-1:])}
-        return Joint(grid.points, grid.cells, self.kind, region, names, facets, seams)
+        return Joint(grid.points, grid.cells, self.kind, region, names, facets, {S: Seam(names[:-1], names[-1:])})
 
 
 @dataclass(frozen=True)
@@ -106,8 +106,7 @@ class Grid:
     @cached_property
     def _numbers(self) -> IntArray:
         """Numbers of the points, by their place along each axis."""
-        shape = [len(axis) for axis in self.axes]
-        return np.arange(np.prod(shape)).reshape(shape)
+        return np.arange(len(self.points)).reshape([len(axis) for axis in self.axes])
 
     @cached_property
     def cells(self) -> IntArray:
@@ -118,8 +117,7 @@ class Grid:
     @cached_property
     def places(self) -> IntArray:
         """(m, d) place of each cell's box along each axis."""
-        boxes = np.stack(np.meshgrid(*(np.arange(len(axis) - 1) for axis in self.axes), indexing="ij"), axis=-1)
-        boxes = boxes.reshape(-1, len(self.axes))
+        boxes = np.indices([len(axis) - 1 for axis in self.axes]).reshape(len(self.axes), -1).T
         return np.tile(boxes, (len(self.cells) // len(boxes), 1))
 
     def plane(self, axis: int, place: int) -> IntArray:
@@ -132,10 +130,7 @@ class Grid:
 
     def sides(self) -> dict[str, IntArray]:
         """Name of a side -> points of its facets."""
-        pairs = [
-            (name, axis, end) for axis, names in enumerate(SIDES) for name, end in zip(names, (0, -1), strict=True)
-        ]
-        return {name: self.plane(axis, end) for name, axis, end in pairs if axis < len(self.axes)}
+        return {name: self.plane(axis, end) for name, (axis, end) in SIDES.items() if axis < len(self.axes)}
 
     def _plane(self, numbers: IntArray) -> IntArray:
         """Rectangles of points (n_x, n_y), or the triangles that halve them, with increasing numbers."""

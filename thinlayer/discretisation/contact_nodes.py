@@ -178,8 +178,7 @@ class ContactNodes:
         corners = to_vertices.array.reshape(-1, cpp.mesh.cell_num_vertices(topology.cell_type))[cells]
         corner = (corners[:, None, :] == vertices[:, :, None]).argmax(axis=2)
         places = np.array([V.dofmap.dof_layout.entity_dofs(0, k)[0] for k in range(corners.shape[1])])
-        dofs = np.asarray(V.dofmap.list)[cells]
-        return np.asarray(np.take_along_axis(dofs, places[corner], axis=1), np.int32)
+        return np.asarray(np.take_along_axis(np.asarray(V.dofmap.list)[cells], places[corner], axis=1), np.int32)
 
     # ---------------------------------------------------------------- supports
     def _note_held(self, held: Indices) -> None:
@@ -223,8 +222,7 @@ class ContactNodes:
 
     def jump(self, u: PETSc.Vec) -> Array:
         """Jumps in the nodes' frames, (n, d)."""
-        difference = u.array_r.reshape(-1, self.dim)[self.upper] - self.lower_side(u)
-        return np.einsum("nij,nj->ni", self.frames, difference)
+        return np.einsum("nij,nj->ni", self.frames, u.array_r.reshape(-1, self.dim)[self.upper] - self.lower_side(u))
 
     def apart(self, u: PETSc.Vec) -> Array:
         """How far the sides are apart, in the nodes' frames, (n, d): jumps, and the initial gap along the normal."""

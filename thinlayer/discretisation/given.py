@@ -72,8 +72,7 @@ class Coordinates:
         x, points = ufl.SpatialCoordinate(mesh), (band.base if band else domain.joint).points
         chosen = {0, *(int(k) for c in points.T for k in (c.argmin(), c.argmax(), np.abs(c).argmin()))}
         places = points[sorted(chosen)]
-        moved = x if band is None or band.bodies == "extended" else x - shift(domain)
-        return cls(mesh, moved, Clock(mesh), places)
+        return cls(mesh, x if band is None or band.bodies == "extended" else x - shift(domain), Clock(mesh), places)
 
     @property
     def t(self) -> Reading:
@@ -313,8 +312,7 @@ def has_finite_numbers(expression: Expr) -> bool:
 
 def of_place(expression: Expr) -> bool:
     """Whether a UFL expression depends on the place."""
-    nodes = unique_pre_traversal(expression)
-    return any(isinstance(node, (ufl.Coefficient, GeometricQuantity)) for node in nodes)
+    return any(isinstance(node, (ufl.Coefficient, GeometricQuantity)) for node in unique_pre_traversal(expression))
 
 
 def _fields(component: Any) -> list[Any]:

@@ -197,8 +197,7 @@ class ThermalExpansion(Eigenstrain):
         if np.ndim(self.alpha) == 2:
             require_symmetric(np.array(self.alpha, float).tolist(), "alpha")
         for name, given in (("the change of temperature T", self.T), ("factor", self.factor)):
-            good = callable(given) or is_finite(given)
-            require(good, name, given, "allowed: a finite number or a function (x, t)")
+            require(callable(given) or is_finite(given), name, given, "allowed: a finite number or a function (x, t)")
 
     def components(self, matter: Matter) -> Rows:
         """As in `Eigenstrain`."""

@@ -275,8 +275,7 @@ class SeamLayer:
         if not (self.thin and self.thin.law.fields):
             return [self]
         joint = self.structure.joint
-        facets = joint.points[joint.table.vertices[joint.rows_of(self.name)]].mean(axis=1)
-        laws = self.thin.law.samples(facets.T)
+        laws = self.thin.law.samples(joint.points[joint.table.vertices[joint.rows_of(self.name)]].mean(axis=1).T)
         return [SeamLayer(self.name, replace(self.thin, law=law), self.structure) for law in laws]
 
     @cached_property

@@ -76,8 +76,7 @@ def whole(form: Any, model: Any, what: str = "a form") -> ufl.Form:
         if any(isinstance(tag, bool) for tag in asked):
             raise InputError(f"{what} integrates over {name}{(*asked,)}; tags are whole numbers")
         data = form.subdomain_data()[integral.ufl_domain()][kind]
-        own = {"everywhere", "otherwise"}.union(*(_tags(one, kind, model) for one in data))
-        present = model.comm.allgather(own)
+        present = model.comm.allgather({"everywhere", "otherwise"}.union(*(_tags(one, kind, model) for one in data)))
         missing = [str(tag) for tag in asked if tag not in set[Any]().union(*present)]
         if missing:
             where = f"{name}({', '.join(missing)})"

@@ -68,8 +68,7 @@ def held_directions(one: SeamLayer, of_layer: bool = True) -> FloatArray:
 def _normals(joint: Joint, rim: Rim, name: str) -> FloatArray:
     """(n, d) mean unit normal of the facets of a name at each ridge: that of a layer's side if S ends at right angles."""
     rows, out = joint.facets[name], rim.outward.copy()
-    flat = "triangle" if joint.dim == 2 else "tetrahedron"
-    normals = facet_normals(joint.points, rows[:, : joint.dim], flat)[:, 0]
+    normals = facet_normals(joint.points, rows[:, : joint.dim], "triangle" if joint.dim == 2 else "tetrahedron")[:, 0]
     for k, ridge in enumerate(rim.vertices):
         at = normals[np.isin(rows, ridge).sum(axis=1) == joint.dim - 1]
         mean = (at * np.sign(at @ rim.outward[k])[:, None]).sum(axis=0)
@@ -117,8 +116,7 @@ class FacetWeights:
         joint, count = sheet.joint, len(sheet.facets)
         weights = np.zeros((3, count))
         nearest, m, offset = np.full(count, np.inf), np.zeros((count, joint.dim)), np.full(count, FAR * joint.size)
-        middles = joint.points[sheet.vertices].mean(axis=1)
-        centre = np.stack([mean_on_facets(sheet, c) for c in middles.T], axis=1)
+        centre = np.stack([mean_on_facets(sheet, c) for c in joint.points[sheet.vertices].mean(axis=1).T], axis=1)
         for end in ends:
             for k, strip in enumerate((strips.opening, strips.shear, strips.resistance)):
                 weights[k] += strip.c / strip.length * shares_within(end, sheet, strip.length * eps)

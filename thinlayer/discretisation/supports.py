@@ -102,8 +102,7 @@ class Supports:
         if isinstance(place, str):
             facets = self.domain.facets(place, layer_sides=True)
             return fem.locate_dofs_topological(component, self.domain.joint.dim - 1, facets)
-        vertices = self.domain.vertices(self.domain.joint.nearest_point(place))
-        return vertex_dofs(V, vertices, self.axes.index(axis))
+        return vertex_dofs(V, self.domain.vertices(self.domain.joint.nearest_point(place)), self.axes.index(axis))
 
     def held(self, V: fem.FunctionSpace, *, clamped: bool = True) -> Indices:
         """All degrees of freedom of a space that supports act on (local, unrolled, ghosts included). Collective.

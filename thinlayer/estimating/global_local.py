@@ -358,8 +358,7 @@ class GlobalLocal:
             pulls[self.equations.constraints.held] = 0.0
             return z.u * pulls
         adjoint.forces(self._laws, self.state, u, adjoint.interval)
-        at = Configuration(self._function(z.u), self.state.t)
-        return adjoint.work(self._laws, at) - z.u * adjoint.of_layers
+        return adjoint.work(self._laws, Configuration(self._function(z.u), self.state.t)) - z.u * adjoint.of_layers
 
     def states(self, one: Iterate) -> tuple[State, State]:
         """The interface model, and its layers by themselves, at an iterate."""

@@ -334,8 +334,7 @@ class Functional(Goal):
     def scale(self, state: State, model: InterfaceModel) -> float:
         u = displacements_of(state, model)
         weights = nodal_forces(model.V, self._derivative(u, model))
-        owned = weights.x.petsc_vec.array_r * u.x.petsc_vec.array_r
-        return float(model.comm.allreduce(float(np.abs(owned).sum())))
+        return float(model.comm.allreduce(float(np.abs(weights.x.petsc_vec.array_r * u.x.petsc_vec.array_r).sum())))
 
     def is_linear(self, model: InterfaceModel) -> bool:
         u = fem.Function(model.V)

@@ -87,5 +87,4 @@ def _add_nodal(sums: Array, model: Model, values: Array) -> None:
     for dim, entities in enumerate(basix.cell.sub_entity_connectivity(basix.CellType[joint.cell_type])):
         for entity, (vertices, *_) in enumerate(entities):
             shares[np.ix_(V.dofmap.dof_layout.entity_dofs(dim, entity), vertices)] = 1 / len(vertices)
-    corners = joint.corners[model.domain.original_cells[cell]]
-    np.add.at(sums, corners, shares[place] * of_nodes[nodes[owned], None])
+    np.add.at(sums, joint.corners[model.domain.original_cells[cell]], shares[place] * of_nodes[nodes[owned], None])

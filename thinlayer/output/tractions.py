@@ -128,8 +128,7 @@ def of_layers(surface: SurfaceMesh, state: State) -> Array:
     moments = state.model.comm.allreduce(moments)
     nodal = surface.lumped(moments) if surface.model.contact else surface.projected(moments)
     if state.model.contacts and (of_contact := at_contact(surface, state)):
-        t = np.column_stack([of_contact["t_T"], -of_contact["p"]])
-        nodal += np.einsum("nij,ni->nj", of_contact["frames"], t)
+        nodal += np.einsum("nij,ni->nj", of_contact["frames"], np.column_stack([of_contact["t_T"], -of_contact["p"]]))
     return nodal
 
 

@@ -225,8 +225,7 @@ class Zoom:
         u -= u[:, -2:-1] + turn[:, None, None] * self.eps * np.stack([-at[:, 1], at[:, 0]], axis=1)
         components = np.stack([in_axes[..., 0, 0], in_axes[..., 1, 1], in_axes[..., 0, 1]], axis=2)
         H = [corner.strength(r, mu * one, two) for one, two in zip(u[:, :-2], components, strict=True)]
-        name = "upper" if side > 0 else "lower"
-        return CornerStrength(x, end.m, name, corner.exponent, corner.shear, np.array(H))
+        return CornerStrength(x, end.m, "upper" if side > 0 else "lower", corner.exponent, corner.shear, np.array(H))
 
 
 def _layer_of(state: State, seam: str) -> SeamLayer:

@@ -139,8 +139,7 @@ class RigidPlate(Addition):
                 raise InputError(f"{self.what}: a plate of revolution has no motion {name!r}; it moves along the axis")
         if self.about is not None:
             require_point(self.about, d)
-        values = [*self._resultants(model).values(), *self._motions(model).values()]
-        if not any(value.varies for value in values):
+        if not any(value.varies for value in [*self._resultants(model).values(), *self._motions(model).values()]):
             self.resultants(model, 0.0)
 
     def _resultants(self, model: Host) -> dict[str, Given]:

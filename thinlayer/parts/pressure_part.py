@@ -178,8 +178,7 @@ class PressurePart(FieldPart):
             Block(self.G, row=self.key, column=DISPLACEMENTS, kept=True),
         ]
         if self.C is not None:
-            factor = -1 / self.interval.theta
-            blocks.append(Block(self.C, factor=factor, row=self.key, column=self.key, kept=True))
+            blocks.append(Block(self.C, factor=-1 / self.interval.theta, row=self.key, column=self.key, kept=True))
         return blocks
 
     def commit(self) -> Outcome:

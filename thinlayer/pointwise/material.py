@@ -52,8 +52,7 @@ class Material:
         Raises:
             InputError: a law of another kind, or parameters of another shape.
         """
-        counts = [len(numbers) for numbers in _numbers(law)]
-        if _kinds(law) != _kinds(self.law) or counts != self._counts.tolist():
+        if _kinds(law) != _kinds(self.law) or [len(numbers) for numbers in _numbers(law)] != self._counts.tolist():
             raise InputError(f"{law!r} is not of the kind that is compiled, {self.law!r}")
         self._current = law
         if not law.traits.varies:

@@ -27,8 +27,7 @@ def understood(case: Case) -> str:
     """
     given, model, values = case.given, case.model(), case.given.section.values
     joint, sizes, t = model.joint, _sizes(model), given.times[-1] if given.times else 0.0
-    solid = joint.dim == 3 or given.plane == "axisymmetric"
-    of_body, of_layer = ("volume", "area") if solid else ("area", "length")
+    of_body, of_layer = ("volume", "area") if joint.dim == 3 or given.plane == "axisymmetric" else ("area", "length")
     names = {S: given.mesh.get("S") or S}  # the only seam has another name in the file
     about = "" if joint.dim == 3 else f", plane {model.plane}"
     lines = [f"mesh {given.mesh['path']}: {len(joint.cells)} {joint.cell_type} cells, element {model.element}{about}"]
