@@ -93,15 +93,10 @@ def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[Station[Any]
         law = Moments(2 * mean(times(times(shares, r), mu)), mean(times(shares, mu)))
         return Station(law, 1, lambda law, faces: faces.in_s(faces.mean + phi * faces.difference))
 
-    across = Across(
-        whole - 2 * sheared,
-        sheared,
-        lateral=mean(r),
-        lateral_normal=mean(times(r, normal)),
-        lateral_tangential=mean(times(r, tangential)),
-        normal=mean(normal),
-        tangential=mean(tangential),
-    )
+    of_phi = {"normal": normal, "tangential": tangential}
+    beside = {"lateral": r, "lateral_normal": times(r, normal), "lateral_tangential": times(r, tangential)}
+    means = {name: mean(values) for name, values in (beside | of_phi).items()}
+    across = Across(whole - 2 * sheared, sheared, **means)
     return [
         Station(across, 1, lambda law, faces: law.strain(faces)),
         along(-0.5, [2 * p - q for p, q in zip(squared, tangential, strict=True)]),

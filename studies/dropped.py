@@ -8,7 +8,7 @@ strength and hardening of the plastic layer, the moduli and heights of the box.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
 from math import pi
@@ -58,9 +58,7 @@ Layers = ThinLayer | dict[str, ThinLayer]
 
 # ---------------------------------------------------------------- structures, each with one mesh for a thickness
 # fmt: off
-def loaded(
-    joint: Joint, top: Any, *, body: Any = FOURIER_BODY, supports: Mapping[Any, Any] = CLAMPED, **more: Any
-) -> Structure:
+def loaded(joint: Joint, top: Any, *, body: Any = FOURIER_BODY, supports: Any = CLAMPED, **more: Any) -> Structure:
     """Bodies under a traction on top, clamped below."""
     return Structure(joint, body=body, supports=supports, tractions={"TOP": top}, **more)
 

@@ -19,13 +19,7 @@ Axis = tuple[str, Sequence[str]]  # its label, those of its columns or rows
 
 
 def maps(
-    parts: Mapping[str, tuple[Any, Any]],
-    x: Axis,
-    y: Axis,
-    ranges: Mapping[str, float],
-    *,
-    title: str = "",
-    save: str | Path | None = None,
+    parts: Mapping[str, tuple[Any, Any]], x: Axis, y: Axis, ranges: Mapping[str, float], *, title: str, save: Path
 ) -> Picture:
     """Draw values over two axes as cells, in panels in two columns with one legend.
 

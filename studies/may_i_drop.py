@@ -95,6 +95,9 @@ def _at_random(record: Record, *, count: int) -> None:
 
 
 # ---------------------------------------------------------------- what is measured
+Field = Callable[[Surface, State], Array]
+
+
 @dataclass(frozen=True)
 class Dropped:
     """A case whose layers were dropped, and meshed.
@@ -149,10 +152,7 @@ class Dropped:
         return self._on_s(state, part, Surface.reaction)  # as the other program has it
 
     def _on_s(
-        self,
-        state: State,
-        part_of: Callable[[Surface], Any],
-        traction: Callable[[Surface, State], Array] = Surface.traction,
+        self, state: State, part_of: Callable[[Surface], Any], traction: Field = Surface.traction
     ) -> dict[str, float]:
         squares = np.zeros((2, 2))
         for name in self.found.layers:

@@ -90,14 +90,13 @@ def free_blocks(
     load: Any = (0.3, -1.0),
     heights: tuple[float, float] = (0.5, 0.5),
     *,
-    h: float = 1 / 8,
     h_S: float = 1 / 32,
-    body: Any = FOURIER_BODY,
     **more: Any,
 ) -> Structure:
-    """Two blocks, 1 wide, with free sides, clamped below, under a traction on top; h_ends, h, h_S: sizes of cells."""
-    joint = sandwich(1.0, *heights, h=h, h_S=h_S, h_ends=h_ends, cell="quadrilateral")
-    return Structure(joint, body=body, **{"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": load}} | more)
+    """Two blocks, 1 wide, with free sides, clamped below, under a traction on top; h_ends, h_S: sizes of cells."""
+    joint = sandwich(1.0, *heights, h=1 / 8, h_S=h_S, h_ends=h_ends, cell="quadrilateral")
+    given: dict[str, Any] = {"body": FOURIER_BODY, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": load}}
+    return Structure(joint, **given | more)
 
 
 def pressed(h: float, path: Mapping[Any, tuple[float, float, float]]) -> tuple[Joint, dict[str, Any]]:

@@ -81,15 +81,9 @@ def free_end(nu: float) -> FreeEnd:
         return FreeEnd(nu, math.inf, math.inf, math.inf, c_T, m_T, 1 / (1 - math.sqrt(3) * growth))
     root = math.sqrt(1 / 12 + s * growth)
     delta, excess = math.sqrt(lmbda / 12), (1 - s**2) * ((1 - s**2) * growth - s / 12) / s
-    return FreeEnd(
-        nu,
-        c_N=root * s * lmbda**2 / (lmbda + 2),
-        m_N=moment / s**2 * lmbda / (lmbda + 2),
-        rho_N=mean / s,
-        c_T=c_T,
-        m_T=m_T,
-        kappa=flow_factor(delta, excess / (root * s * lmbda + delta)) if lmbda else 0.0,
-    )
+    c_N, m_N = root * s * lmbda**2 / (lmbda + 2), moment / s**2 * lmbda / (lmbda + 2)
+    kappa = flow_factor(delta, excess / (root * s * lmbda + delta)) if lmbda else 0.0
+    return FreeEnd(nu, c_N, m_N, rho_N=mean / s, c_T=c_T, m_T=m_T, kappa=kappa)
 
 
 def nodes(n: int) -> Array:

@@ -132,9 +132,7 @@ class Grading:
     backwards: bool = False
 
     @classmethod
-    def of(
-        cls, length: float, first: float, last: float, *, symmetric: bool = False, backwards: bool = False
-    ) -> Grading:
+    def of(cls, length: float, first: float, last: float, *, symmetric: bool = False, backwards: bool = False) -> Self:
         """The grading of a line of a length that comes nearest to these sizes."""
         if first == last:
             return cls(max(1, round(round(length / first, DIGITS))), first, last, symmetric, backwards)

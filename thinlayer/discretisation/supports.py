@@ -201,11 +201,8 @@ class Prescribed:
         self.d = V.dofmap.bs
         self.size = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
         self.extent = supports.domain.joint.size
-        self._sources = [
-            self._source(number, place, axis)
-            for number, (place, components) in enumerate(supports.entries)
-            for axis in components
-        ]
+        entries = ((k, place, axis) for k, (place, components) in enumerate(supports.entries) for axis in components)
+        self._sources = [self._source(*entry) for entry in entries]
         if any(one.axis == NORMAL for one in self._sources) and not self._nodal:
             raise InputError("supports along normals need nodal displacements, not elements S2; use Q2 or P2")
         self._find_conditions()

@@ -201,10 +201,8 @@ class Estimate:
         fine = HeldLayers(LayerModel(model, layers, alone.through, reach), self.state.t)
         inside = alone.inside(alone.at_faces(self.better.u.x.array), alone.load, alone.values)
         weights, found = alone.inside(z.v, z.load, z.values), []
-        for held, w, w_z in (
-            (alone, inside, weights),
-            (fine, alone.in_parts(inside, fine), alone.in_parts(weights, fine)),
-        ):
+        finer = alone.in_parts(inside, fine), alone.in_parts(weights, fine)
+        for held, w, w_z in ((alone, inside, weights), (fine, *finer)):
             load_z, values_z = self._goals[goal].in_layers(held)
             w, w_z = held.inside(w, held.load, held.values), held.inside(w_z, load_z, values_z)
             found.append(load_z @ w - w_z @ (held.K @ w - held.load))

@@ -192,14 +192,10 @@ class LawForms(FormPart):
                 for p in _given(strained, over.now)
             ]
             stored = energy(_given(others, over.now), u) + sum(beyond)
-        super().__init__(
-            key,
-            u,
-            _stiffness(V, linear, everywhere) if linear or everywhere else None,
-            work(_given(others, over.balanced), u, v) if others else None,
-            stored,
-            g=sum(_of_given(p, v) for p in _given(strained, over.balanced)) if strained else None,
-        )
+        K = _stiffness(V, linear, everywhere) if linear or everywhere else None
+        F = work(_given(others, over.balanced), u, v) if others else None
+        g = sum(_of_given(p, v) for p in _given(strained, over.balanced)) if strained else None
+        super().__init__(key, u, K, F, stored, g=g)
         self._opposing = _opposing([p for p in _given(others, over.balanced) if p.n is None and p.given is not None], u)
         self.traits = replace(reduce(or_, map(_traits, terms), PartTraits()), inner=len(bodies) == len(terms))
 

@@ -98,12 +98,8 @@ def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
     outputs = _outputs(law, point)
     require_numbers_alone(law, point.numbers, outputs)
     (stress, *memory), tangent = outputs[:-3], ufl.diff(outputs[0], point.strain)
-    rows = [
-        *(stress[i] for i in range(6)),
-        *memory,
-        *(tangent[i, j] for i in range(6) for j in range(6)),
-        *outputs[-3:],
-    ]
+    of_tangent = (tangent[i, j] for i in range(6) for j in range(6))
+    rows = [*(stress[i] for i in range(6)), *memory, *of_tangent, *outputs[-3:]]
     expression, module, _ = jit.ffcx_jit(comm, (ufl.as_vector(rows), np.zeros((1, 1))))
     compiled = int(module.ffi.cast("intptr_t", expression.tabulate_tensor_float64)), (expression, module)
     if name is not None:

@@ -56,12 +56,9 @@ class Case:
             if not LEAST_EPS * size <= one.eps <= size:
                 what = f"{one.eps:g}; allowed beside bodies of {size:.4g}: {LEAST_EPS * size:.2g} to {size:.4g}"
                 given.section.refuse(what, "layer", *([name] if name else []), "eps")
-        return cls(
-            given,
-            _structure(given, joint),
-            _by_name(given.layer, lambda one: ThinLayer(one.law, one.eps, eigenstrain=one.eigenstrain)),
-            tuple(_goal(name, **one) for name, one in given.goals.items()) or (kinds.Compliance(),),
-        )
+        layer = _by_name(given.layer, lambda one: ThinLayer(one.law, one.eps, eigenstrain=one.eigenstrain))
+        goals = tuple(_goal(name, **one) for name, one in given.goals.items()) or (kinds.Compliance(),)
+        return cls(given, _structure(given, joint), layer, goals)
 
     def model(self) -> InterfaceModel:
         """The interface model, which has what the goals ask for. Collective.
@@ -85,20 +82,12 @@ def _structure(given: Description, joint: Joint) -> Structure:
         place: {axis: _timed(value) for axis, value in one.items()} if isinstance(one, Mapping) else one
         for place, one in given.supports.items()
     }
-    eigenstrain: Any = {name: one.eigenstrain for name, one in given.body.items() if one.eigenstrain is not None}
-    loads = [{**one, "force": _timed(one["force"])} for one in given.loads]
-    made: list[Any] = [LineLoad(**one) if "first" in one else PointLoad(**one) for one in loads]
-    return Structure(
-        joint,
-        body=_by_name(given.body, lambda one: one.law),
-        supports=supports,
-        tractions=tractions,
-        body_force=given.body_force,
-        loads=made,
-        plane=given.plane or "strain",
-        element=given.element,
-        eigenstrain=eigenstrain.get(None, eigenstrain) or None,
-    )
+    strains: Any = {name: one.eigenstrain for name, one in given.body.items() if one.eigenstrain is not None}
+    forces = [{**one, "force": _timed(one["force"])} for one in given.loads]
+    loads: list[Any] = [LineLoad(**one) if "first" in one else PointLoad(**one) for one in forces]
+    bodies = {"body": _by_name(given.body, lambda one: one.law), "eigenstrain": strains.get(None, strains) or None}
+    loaded = {"supports": supports, "tractions": tractions, "body_force": given.body_force, "loads": loads}
+    return Structure(joint, plane=given.plane or "strain", element=given.element, **bodies, **loaded)
 
 
 def _timed(value: Any) -> Any:

@@ -59,11 +59,8 @@ def materials(section: Section, key: str, *, thin: bool = False) -> dict[str | N
 @cache
 def known_laws() -> dict[str, type[BulkLaw]]:
     """The laws of strains that a description may name."""
-    return {
-        name: kind
-        for name, kind in sorted(vars(forms).items())
-        if isinstance(kind, type) and issubclass(kind, BulkLaw) and kind not in (BulkLaw, KernelLaw)
-    }
+    classes = {name: one for name, one in sorted(vars(forms).items()) if isinstance(one, type)}
+    return {name: one for name, one in classes.items() if issubclass(one, BulkLaw) and one not in (BulkLaw, KernelLaw)}
 
 
 def _law(section: Section, beside: Mapping[str, Reader], needed: Mapping[str, str]) -> tuple[BulkLaw, dict[str, Any]]:

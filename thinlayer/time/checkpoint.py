@@ -167,19 +167,14 @@ class Checkpoint:
         about, names, reactions = on_root(self.comm, load)
         rest = self._equations.rest(about["t"])
         spaces = {part.key: part.field.function_space for part in self._equations.with_own}
-        state = replace(
-            rest,
-            memory={
-                key: {name: f.copy() for name, f in kept.items()} if isinstance(kept, Mapping) else kept.copy()
-                for key, kept in rest.memory.items()
-            },
-            fields={key: fem.Function(V) for key, V in spaces.items() if FIELD + key in names},
-            reactions=reactions,
-            at_rest=False,
-            report=Report(**about["report"] | {"method": "resumed"}),
-            audit=Audit(**about["audit"]),
-            **{name: about[name] for name in NUMBERS},
-        )
+        memory = {
+            key: {name: f.copy() for name, f in kept.items()} if isinstance(kept, Mapping) else kept.copy()
+            for key, kept in rest.memory.items()
+        }
+        fields = {key: fem.Function(V) for key, V in spaces.items() if FIELD + key in names}
+        report, audit = Report(**about["report"] | {"method": "resumed"}), Audit(**about["audit"])
+        known = {name: about[name] for name in NUMBERS} | {"report": report, "audit": audit, "reactions": reactions}
+        state = replace(rest, memory=memory, fields=fields, at_rest=False, **known)
         for name, values in _values(state).items():
             order = self._orders[name]
             order.put(values, self._wanted(row, arrays.get(name), order.numbers, order.width * values.shape[1]))

@@ -79,13 +79,9 @@ def finish(figure: F, save: str | Path | None) -> F:
 def drawn_on_root(comm: MPI.Intracomm, draw: Callable[[], Picture], save: str | Path | None) -> Picture | None:
     """The picture that rank 0 draws, and saves if asked to; None on other ranks. Collective."""
     pictures: list[Picture] = []
-
-    def on_rank_0() -> None:
-        pictures.append(draw())
-        if save is not None:
-            put(pictures[0], save)
-
-    on_root(comm, on_rank_0)
+    on_root(comm, lambda: pictures.append(draw()))
+    if save is not None:
+        on_root(comm, lambda: put(pictures[0], save))
     return pictures[0] if pictures else None
 
 
