@@ -157,9 +157,7 @@ class ContactLaw(Law):
 
     def slip_after(self, w: Array, slip: Array) -> Array:
         """Slip at the end of a step, (n, d - 1)."""
-        if not self.memory:
-            return slip
-        return w[:, :-1] - self.traction(w, slip)[:, :-1] / self.K_T
+        return w[:, :-1] - self.traction(w, slip)[:, :-1] / self.K_T if self.memory else slip
 
     def energies(self, w: Array, slip: Array) -> tuple[Array, Array]:
         """Stored energy, and energy dissipated in a step from `slip` to the jumps w at its end; per area, (n,) each."""

@@ -87,9 +87,7 @@ def symbolic(law: BulkLaw, values: Array | None = None, d: int | None = 3) -> Sy
     inputs = iter(numbers[i] for i in range(length))
 
     def take(shape: tuple[int, ...]) -> Expr:
-        if shape == ():
-            return next(inputs)
-        return ufl.as_tensor([take(shape[1:]) for _ in range(shape[0])])
+        return ufl.as_tensor([take(shape[1:]) for _ in range(shape[0])]) if shape else next(inputs)
 
     end, old = variable(take((6,))), take((6,))
     q = {name: from_mandel(take((6,))) if shape == (3, 3) else take(shape) for name, shape in law.internal.items()}
@@ -184,10 +182,8 @@ def _numbers(part: Any, operands: list[Any]) -> Any:
         shape = [-1 - k for k in range(len(part.ufl_shape))]
         return _summed(values, shape + inner, shape + free)
     if not isinstance(part, Sum):  # whose operands have the same indices
-        operands = [
-            _spread(values, of, len(part.ufl_shape), free)
-            for values, of in zip(operands, part.ufl_operands, strict=True)
-        ]
+        pairs = zip(operands, part.ufl_operands, strict=True)
+        operands = [_spread(values, of, len(part.ufl_shape), free) for values, of in pairs]
     function = FUNCTIONS.get(type(part)) or np.vectorize(lambda *values: _scalar(part, values))
     return function(*operands)
 
@@ -262,17 +258,14 @@ def _computed(law: BulkLaw, n: Array, dt: float) -> Array | None:
     if not law.traits.in_ufl:
         return None
     n3 = np.pad(n, (0, 3 - len(n)))
-    rest = np.zeros(6 + law.memory)
     try:
         given = law.mapped(lambda value, _: np.asarray(getattr(value, "value", value), float))
         point = symbolic(given, d=3 if law.traits.compiled else len(n))
         stress = in_mandel(point.law.stress(point.law.own_step(point.step)))
         tangent: Any = expand_derivatives(ufl.diff(stress, point.strain))
         with warnings.catch_warnings(action="ignore"):  # UFL warns of roots of negative numbers
-            inputs = [
-                np.concatenate([e, rest, n3, [dt, 1.0], given.parameter_values()])
-                for e in (SMALL_STRAIN, -SMALL_STRAIN)
-            ]
+            known = (np.zeros(6 + law.memory), n3, [dt, 1.0], given.parameter_values())
+            inputs = [np.concatenate([e, *known]) for e in (SMALL_STRAIN, -SMALL_STRAIN)]
             C = np.mean([numbers(tangent, {point.numbers: one}) for one in inputs], axis=0)
     except Exception:  # whatever a law contains that has no number: the model says what is wrong with it
         return None

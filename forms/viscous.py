@@ -25,6 +25,7 @@ def isotropic_energy(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
     return lmbda * ufl.tr(e) ** 2 / 2 + mu * ufl.inner(e, e)
 
 
+@dataclass(frozen=True)
 class SpringBesideDashpot(BulkLaw):
     """An elastic spring and a dashpot in parallel; subclasses have lmbda, mu and give the dashpot's stress."""
 
@@ -62,8 +63,6 @@ class KelvinVoigt(SpringBesideDashpot):
         InputError: a parameter out of range.
     """
 
-    lmbda: float
-    mu: float
     theta_lmbda: float
     theta_mu: float
     powers: ClassVar = {"lmbda": 1, "mu": 1}
@@ -85,6 +84,7 @@ class KelvinVoigt(SpringBesideDashpot):
         return lame(self.lmbda * self.theta_lmbda, self.mu * self.theta_mu, step.rate)
 
 
+@dataclass(frozen=True)
 class SpringBeforeDashpot(BulkLaw):
     """An elastic spring and dashpots in series; subclasses have lmbda, mu and give the rates of relaxation in a step."""
 
@@ -151,8 +151,6 @@ class Maxwell(SpringBeforeDashpot):
         InputError: a parameter out of range.
     """
 
-    lmbda: float
-    mu: float
     t1: float
     t2: float | None = None
     powers: ClassVar = {"lmbda": 1, "mu": 1}
@@ -212,8 +210,6 @@ class Norton(SpringBesideDashpot):
         InputError: a parameter out of range.
     """
 
-    lmbda: float
-    mu: float
     eta: float
     p: float
     rest: float = 0.0
@@ -255,8 +251,6 @@ class NortonCreep(SpringBeforeDashpot):
         InputError: a parameter out of range.
     """
 
-    lmbda: float
-    mu: float
     A: float
     n: float
     powers: ClassVar = {"lmbda": 1, "mu": 1, "A": -1}

@@ -269,9 +269,8 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
         along = along / length if length else along
         at = x[same].reshape(-1, x.shape[2]) @ along
         height, allowed = float(x[left[0], 0] @ n), FLAT * size
-        level = height - allowed, height + allowed
         reach, whole = (float(at.min()), float(at.max())), float(rim.length[same].sum())
-        ends.append(StraightEnd(n, level, m, float(offset), along, reach, whole))
+        ends.append(StraightEnd(n, (height - allowed, height + allowed), m, float(offset), along, reach, whole))
         left = left[~same[left]]
     return ends
 

@@ -52,13 +52,12 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
 def _row(record: Record, structure: Structure, shape: float, nu: float) -> dict[str, float]:
     eps = RADIUS / (2 * shape)
     row = {"shape": shape, "nu": nu, "closed": formulas.rubber_disc(_modulus(nu), MU, eps, RADIUS)}
-    area = math.pi * RADIUS**2
     for name in MODELS:
         if nu == 0.5 and name == "order_0":
             row |= {name: math.inf, "too_stiff": math.inf}  # it lets the plates part by nothing
             continue
         state = record.solved(solve(_model(structure, name, eps, nu)))
-        row[name] = state.reaction("TOP").force[1] / (area * OPENING)
+        row[name] = state.reaction("TOP").force[1] / (math.pi * RADIUS**2 * OPENING)
         if name == "order_0":
             row["too_stiff"] = Surface(state.model).table(state)["too_stiff"].max()
     return row

@@ -203,9 +203,8 @@ RADII = (6.0, 12.0, 18.0)  # mm: bore, S, rim
 HEIGHT = 8.0  # mm
 PRESSURE, PUSH = 50.0, 40.0  # MPa: in the bore; on the end of the shaft
 LAME = 5e-5  # relative error of displacements and tractions by Q2 cells of 1 mm; of 2 mm: 16 times as large
-PRESSED: dict[str, Any] = {
-    "supports": {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}, "tractions": {"BOTTOM": (PRESSURE, 0.0)}
-}  # fmt: skip
+BETWEEN_PLATES = {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
+PRESSED: dict[str, Any] = {"supports": BETWEEN_PLATES, "tractions": {"BOTTOM": (PRESSURE, 0.0)}}
 PUSHED: dict[str, Any] = {"supports": {"RIGHT/UPPER": 0.0}, "tractions": {"LEFT/LOWER": (0.0, -PUSH)}}
 
 

@@ -45,9 +45,8 @@ def run(record: Record, *, quick: bool = False) -> None:
 def count(n: int, lmbda: float, mu: float, omega: float, omega_contact: float) -> tuple[int, bool]:
     """Sweeps until the relative increment meets the tolerance, or until the relaxation is given up."""
     joint, setup = sliding_bar(n, arrangement="AlternateLeft")
-    law = HolonomicCoulomb.of_layer(lmbda, mu, friction=1.0)
     options = {"omega": omega, "omega_contact": omega_contact, "tolerance": TOLERANCE, "max_sweeps": MAX_SWEEPS}
-    model = Structure(joint, **setup).interface(law)
+    model = Structure(joint, **setup).interface(HolonomicCoulomb.of_layer(lmbda, mu, friction=1.0))
     try:
         state = solve(model, method="relaxation", options={f"relaxation_{k}": v for k, v in options.items()})
     except SolveError as error:
@@ -78,9 +77,8 @@ def check(record: Record, table: Table) -> None:
 
 def draw(record: Record) -> None:
     """Draw sweeps against omega from table.csv."""
-    table = record.load("table.csv").split("omega_contact")[1]
     parts: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
-    for lmbda, part in table.split("lmbda").items():
+    for lmbda, part in record.load("table.csv").split("omega_contact")[1].split("lmbda").items():
         parts[in_tens(lmbda)] = {
             f"{n:.0f} squares": (own["omega"], np.where(own["converged"] == 1, own["sweeps"], np.nan))
             for n, own in part.split("squares").items()

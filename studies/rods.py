@@ -55,8 +55,7 @@ def against_section(full: Solution, limit: Solution) -> dict[str, float]:
     limit_there = solve(tension.interface(layer))
     found = {}
     for name, state, there in (("meshed", full, solve(tension.full(layer))), ("law", limit, limit_there)):
-        both = ("", last(state), last(limit).model), ("_axisymmetric", there, limit_there.model)
-        for where, one, model in both:
+        for where, one, model in ("", last(state), last(limit).model), ("_axisymmetric", there, limit_there.model):
             surface = Surface(model)
             found[f"rise_{name}{where}"] = _rise(one)
             part = 1 - _radius(surface.x) ** 2 / RADIUS**2

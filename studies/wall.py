@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import radians, tan
 from typing import Any
 
@@ -86,11 +87,8 @@ def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
     structure = Structure(panel, body=CLAY, supports=supports, tractions=pressed, element="Q1")
 
     def mortar(eps: float) -> dict[str, ThinLayer]:
-        given = {"friction_angle": ANGLE, "elastic_fraction": ELASTIC_FRACTION}
-        return {
-            name: ThinLayer(MohrCoulomb(MORTAR.lmbda, MORTAR.mu, cohesion=cohesion, **given), eps, at=EPS)
-            for name, cohesion in COHESION.items()
-        }
+        law = partial(MohrCoulomb, MORTAR.lmbda, MORTAR.mu, friction_angle=ANGLE, elastic_fraction=ELASTIC_FRACTION)
+        return {name: ThinLayer(law(cohesion=cohesion), eps, at=EPS) for name, cohesion in COHESION.items()}
 
     limit = structure.interface(mortar(EPS))
     beds, table, forces = Surface(limit, "BED"), record.table("panel.csv"), {}
@@ -114,10 +112,9 @@ def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
 
 def sheared(bricks: int, courses: int, h: float, *, heads: bool) -> InterfaceModel:
     """The interface model of a wall on a rigid foot, pressed at t = 0 and pushed along by a shear stress t, MPa."""
-    layers = {
-        name: ThinLayer(MohrCoulombMonodirectional(MORTAR.lmbda, MORTAR.mu, cohesion, ANGLE, unilateral=opens), EPS)
-        for name, cohesion, opens in (("BED", COHESION["BED"], True), ("HEAD", COHESION["HEAD"], False))
-    }
+    law = partial(MohrCoulombMonodirectional, MORTAR.lmbda, MORTAR.mu, friction_angle=ANGLE)
+    opens = {"BED": True, "HEAD": False}
+    layers = {k: ThinLayer(law(cohesion=C, unilateral=opens[k]), EPS) for k, C in COHESION.items()}
     joint, loads = wall(bricks, courses, BRICK, h), {"TOP": lambda x, t: (t, -PRESSURE)}
     structure = Structure(joint, body=CLAY, supports={"BOTTOM": 0.0}, tractions=loads)
     return structure.interface(layers if heads else layers | {"HEAD": None})

@@ -224,10 +224,8 @@ def _cheapest(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, t
     names = {LETTERS[law]: LAWS[law] for law in laws} | {"m": "meshed layer"}
     parts = {}
     for contrast in CONTRASTS:
-        plain, known = (
-            np.array([errors[f"{LAWS[name.get(law, law)]}; E/mu = {contrast:,}"] for law in laws])
-            for name in ({}, corrected)
-        )
+        both = (laws, [corrected.get(law, law) for law in laws])
+        plain, known = (np.array([errors[f"{LAWS[law]}; E/mu = {contrast:,}"] for law in some]) for some in both)
         stack = np.where(np.isfinite(known), known, plain)
         for wanted in WANTED:
             good = np.append(stack < wanted, np.ones((1, *stack.shape[1:]), bool), axis=0).argmax(axis=0)

@@ -109,9 +109,8 @@ def _assembled(layers: Joint, parent: IntArray, corners: FloatArray) -> Divided:
     nodes = _shapes(kind, 1, lagrange(kind, layers.degree).points) @ corners
     shapes = _shapes(kind, layers.degree, nodes)
     old = layers.cells[parent]
-    x, reference = (
-        np.einsum("nqk,nkd->nqd", shapes, some[old]).reshape(-1, layers.dim) for some in (layers.points, band.reference)
-    )
+    places = (layers.points[old], band.reference[old])
+    x, reference = (np.einsum("nqk,nkd->nqd", shapes, some).reshape(-1, layers.dim) for some in places)
     same = cKDTree(x).query_pairs(SAME * layers.size, output_type="ndarray")
     _, chosen, number = np.unique(connected(same[:, 0], same[:, 1], len(x)), return_index=True, return_inverse=True)
     cells = number.reshape(nodes.shape[:2])

@@ -40,10 +40,9 @@ def face_motion(joint: Joint, copies: Copies, given_up: tuple[FloatArray, FloatA
     at = np.concatenate([copies.above, copies.below[there]])
     normals = np.concatenate([upper, -upper[there]])
     g = np.concatenate([given_up[1], given_up[0][there]])
-    original = np.concatenate([joint.surface, joint.surface[there]])
     known, first, index = np.unique(at, return_index=True, return_inverse=True)
     index = index.reshape(at.shape)
-    x = joint.points[original.ravel()[first]]
+    x = joint.points[np.concatenate([joint.surface, joint.surface[there]]).ravel()[first]]
     n, count = len(known), np.bincount(index.ravel())
     total, along_n = sums(index, g[..., None] * normals, n), sums(index, normals, n)
     moment = sums(index, normals[..., :, None] * normals[..., None, :], n)

@@ -21,12 +21,14 @@ from geometry.refusals import refuse
 from geometry.seam import JUNCTIONS, LAYER
 from geometry.topology import FacetTable, FloatArray, IntArray, node_jacobians
 
+Profiles = Profile | Mapping[str, Profile | None] | None
+
 
 def inflate(
     joint: Joint,
     eps: float | Mapping[str, float],
     *,
-    profile: Profile | Mapping[str, Profile | None] | None = None,
+    profile: Profiles = None,
     cells_through: int = 4,
     fractions: Sequence[float] | Mapping[str, Sequence[float]] = (),
     bodies: str = "kept",
@@ -122,9 +124,8 @@ def inflate(
     facets, faces = moved_facets(joint, copies, layers, corners, len(bands.cells), footprint)
     regions = (*(name for of_seam in names.values() for name in of_seam), *shared)
     aligned = tuple(name for name, seam in shared.items() if seams.index(seam) not in askew)
-    reference = joint.points[footprint]
     director = np.concatenate([bands.director, np.where(askew_cells, np.eye(joint.dim)[1], between.director)])
-    band = Band(layers.eps, bodies, regions, names, shared, aligned, faces, joint, reference, director)
+    band = Band(layers.eps, bodies, regions, names, shared, aligned, faces, joint, joint.points[footprint], director)
     region = np.concatenate([joint.region, bands.region, first + np.searchsorted(owners, between.region)])
     opened = Joint(points, cells, joint.cell_type, region, joint.regions + regions, facets, joint.seams, band)
     return repeated(opened, periods) if periods else opened
@@ -247,9 +248,7 @@ def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int
     refuse(folded, points[cells[n:]], what)
 
 
-def parted(
-    joint: Joint, eps: float | Mapping[str, float], *, profile: Profile | Mapping[str, Profile | None] | None = None
-) -> Joint:
+def parted(joint: Joint, eps: float | Mapping[str, float], *, profile: Profiles = None) -> Joint:
     """The same joint, whose bodies have given up their share of the thickness, as `inflate(..., bodies="extended")` has it.
 
     Cells, names and numbers stay, and so do `points`, in which S is one surface; the cells' own nodes are elsewhere

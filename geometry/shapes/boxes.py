@@ -13,11 +13,12 @@ import numpy as np
 from forms.base import InputError, is_finite, require
 from geometry.joint import Joint
 from geometry.seam import S, Seam
-from geometry.shapes.drawing import Drawing, Extent, Prism
+from geometry.shapes.drawing import Drawing, Extent, Prism, surface
 from geometry.shapes.sizing import DIGITS, Cells, Grading, gmsh
 from geometry.topology import FacetTable, FloatArray, IntArray, is_tensor
 
 BED, HEAD = "BED", "HEAD"
+Pair = tuple[int, int]
 # name of a side -> the axis that it is normal to, and its place along this axis
 SIDES = {"LEFT": (0, 0), "RIGHT": (0, -1), "BOTTOM": (1, 0), "TOP": (1, -1), "BACK": (2, 0), "FRONT": (2, -1)}
 
@@ -55,10 +56,8 @@ class Boxes(Prism):
         curves = {"LEFT": [r[0] for r in rise], "RIGHT": [r[1] for r in rise], "TOP": [across[-1]], S: [across[-2]]}
         if two:
             curves["BOTTOM"] = [across[0]]
-        surfaces = []
-        for k in range(len(self.bodies)):
-            loop = kernel.addCurveLoop([across[k], rise[k][1], -across[k + 1], -rise[k][0]])
-            surfaces.append(kernel.addPlaneSurface([loop]))
+        rows = zip(pairwise(across), rise, strict=True)
+        surfaces = [surface([low, right, -high, -left]) for (low, high), (left, right) in rows]
         kernel.synchronize()
         bodies = {name: [tag] for (name, _), tag in zip(self.bodies, surfaces, strict=True)}
         return Drawing(bodies, curves, surfaces, {})
@@ -69,13 +68,10 @@ class Boxes(Prism):
             return super()._build(unit)
         h, h_S, h_ends = self.sizes
         (*below, (_, height)), names = self.bodies, tuple(name for name, _ in self.bodies)
-        up = Grading.of(height, h_S, h).along(height)
         down = [-Grading.of(lower, h_S, h).along(lower)[:0:-1] for _, lower in below]
-        across = [
-            Grading.of(length, h_ends, h_S, symmetric=True).along(length)
-            for length in (self.width, *([self.depth] if self.depth else []))
-        ]
-        axes = [across[0], np.concatenate([*down, up]), *across[1:]]
+        lengths = (self.width, *([self.depth] if self.depth else []))
+        across = [Grading.of(length, h_ends, h_S, symmetric=True).along(length) for length in lengths]
+        axes = [across[0], np.concatenate([*down, Grading.of(height, h_S, h).along(height)]), *across[1:]]
         grid, base = Grid([axis * unit for axis in axes], self.kind, self.cells.arrangement), sum(map(len, down))
         facets = grid.sides() | {S: grid.plane(1, base)}
         if not below:
@@ -201,9 +197,7 @@ def _counts(cells: Cells, size: Sequence[float], least: int) -> list[int]:
     return [max(least, half), max(least, height), *depth]
 
 
-def _joint(
-    cells: Cells, lengths: Sequence[float], counts: list[int], brick: tuple[int, int], start: tuple[int, int] = (0, 0)
-) -> Joint:
+def _joint(cells: Cells, lengths: Sequence[float], counts: list[int], brick: Pair, start: Pair = (0, 0)) -> Joint:
     """The joint of a grid, with beds between courses, heads between the bricks of a course, and its sides.
 
     Args:

@@ -271,6 +271,12 @@ def walls(curves: Sequence[int], surfaces: Sequence[int]) -> list[int]:
     return [int(tag) for curve in curves for tag in gmsh.model.getAdjacencies(1, curve)[0] if tag not in surfaces]
 
 
+def surface(sides: Sequence[int]) -> int:
+    """A plane surface bounded by curves, negative where they run backwards, in gmsh's built-in kernel."""
+    kernel = gmsh.model.geo
+    return int(kernel.addPlaneSurface([kernel.addCurveLoop(sides)]))
+
+
 def curve_grid(points: FloatArray, cells: IntArray, kind: str, axes: list[int], core: float) -> FloatArray:
     """Points of a polar grid of degree 2 whose circles are all curved, less and less towards a straight core.
 

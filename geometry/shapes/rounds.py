@@ -10,7 +10,7 @@ from typing import ClassVar
 
 from forms.base import InputError, is_finite
 from geometry.seam import S
-from geometry.shapes.drawing import Drawing, Extent, Prism, Shape, walls
+from geometry.shapes.drawing import Drawing, Extent, Prism, Shape, surface, walls
 from geometry.shapes.sizing import Grading, gmsh, require_wide
 
 TURN = 0.3  # largest angle of a cell about the axis, in radians
@@ -179,8 +179,7 @@ class Discs(Shape):
         high = self.sweep(disc, (0.0, self.upper, 0.0), Grading.of(self.upper, h_S, h))
         hole = {"HOLE": walls(web.arcs[0], disc)} if self.hole else {}
         facets = {S: disc, "SIDE": walls(web.arcs[-1], disc)} | hole
-        for name, swept in (("BOTTOM", low), ("TOP", high)):
-            facets[name] = [far for _, far in swept.values()]
+        facets |= {name: [far for _, far in swept.values()] for name, swept in (("BOTTOM", low), ("TOP", high))}
         bodies = {name: [volume for volume, _ in swept.values()] for name, swept in (("LOWER", low), ("UPPER", high))}
         along = min(h_S, TURN * self.radius)
         gradings = dict.fromkeys(chain.from_iterable(web.arcs), Grading.of(self.radius * pi / 2, along, along))
@@ -263,17 +262,10 @@ class Fibre(Shape):
         x, y = (length / 2 for length in self.around)
         corners = [kernel.addPoint(*at, 0.0) for at in ((-x, -y), (x, -y), (x, y), (-x, y))]
         lines = [kernel.addLine(corners[k - 1], corners[k]) for k in range(4)]
-        loops = [kernel.addCurveLoop(lines), kernel.addCurveLoop(list(hole))]
         sides = {name: [line] for name, line in zip(("LEFT", "BOTTOM", "RIGHT", "TOP"), lines, strict=True)}
-        return sides, [kernel.addPlaneSurface(loops)]
+        return sides, [kernel.addPlaneSurface([kernel.addCurveLoop(lines), kernel.addCurveLoop(list(hole))])]
 
 
 def is_circle(angle: float) -> bool:
     """Whether an angle, in radians, is the full circle."""
     return isclose(angle, tau, rel_tol=1e-8)
-
-
-def surface(sides: Sequence[int]) -> int:
-    """A plane surface bounded by curves, negative where they run backwards, in gmsh's built-in kernel."""
-    kernel = gmsh.model.geo
-    return int(kernel.addPlaneSurface([kernel.addCurveLoop(sides)]))

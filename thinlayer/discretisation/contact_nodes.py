@@ -62,10 +62,9 @@ class ContactSurface:
         domain, mesh, d = model.domain, model.domain.mesh, model.joint.dim
         facets = domain.facets(name)
         facets = np.sort(facets[facets < mesh.topology.index_map(d - 1).size_local])
-        rows = domain.numbers(d - 1, facets)
         based = name in model.joint.base_seams
         upper, lower = (cells_of_facets(mesh, facets)[0], None) if based else seam_entities(domain, name)[:, [0, 2]].T
-        return cls(model.V, model.comm, facets, upper, lower, rows, model.kinematics)
+        return cls(model.V, model.comm, facets, upper, lower, domain.numbers(d - 1, facets), model.kinematics)
 
 
 class ContactNodes:

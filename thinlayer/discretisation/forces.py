@@ -192,9 +192,8 @@ class Forces:
         """The loads that are not finite at a time. Collective."""
         names = []
         for what, load, one, _ in self._loads:
-            form = fem.form(ufl.inner(load, load) * one.measure)
             with self.at.clock.at(t):
-                total = fem.assemble_scalar(form)
+                total = fem.assemble_scalar(fem.form(ufl.inner(load, load) * one.measure))
             if self.domain.comm.allreduce(int(not np.isfinite(total))):
                 names.append(what)
         return names

@@ -104,11 +104,10 @@ class FullModel(Model):
         mesh, band, n = self.domain.mesh, self._band, director(self.domain)
         terms = []
         for name, one in self.layers.items():
-            shared = self._shared(name)
             sublayers = real_law(one.layer, self.kinematics).sublayers
             for (_, law), region in zip(sublayers, band.of_seam[name], strict=True):
                 law = law if law.traits.compiled else constants(law, mesh)
-                cells = self.dx(self.domain.cell_values(region, *shared), **self._rule(self.dx))
+                cells = self.dx(self.domain.cell_values(region, *self._shared(name)), **self._rule(self.dx))
                 term = forms.band(law, cells, n, self.kinematics)
                 terms.append(replace(term, key=one.key, given=self.given_on[name]))
         return terms

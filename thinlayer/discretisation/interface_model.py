@@ -209,13 +209,12 @@ class InterfaceModel(Model):
     def _place_of(self, one: SeamLayer) -> Weighted:
         """S, where both sides have half of the layer's weight; on a rigid base the other half goes to the base."""
         sides = self.sides_of(one.name)
-        eps = self._thickness(one, sides)
 
         def on_base(v: Expr) -> Expr:  # which moves as at the facets of the body above it, and as these turn
             return sides.upper(v + ufl.dot(ufl.grad(v), 2 * self._middle.to_s) if self._middle else v) / 2
 
         based = on_base if one.name in self.joint.base_seams else None
-        weight = eps * sides.factor
+        weight = self._thickness(one, sides) * sides.factor
         return Weighted(sides.measure, weight, sides.upper, lambda v: (sides.upper(v) + sides.lower(v)) / 2, based)
 
     def _known(self, one: SeamLayer, law: BulkLaw) -> BulkLaw:

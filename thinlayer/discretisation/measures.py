@@ -149,10 +149,8 @@ def _with_one_set_of_tags(form: Expr) -> list[ufl.Form]:
                 break
         else:
             found.append(({kind: data}, [integral]))
-    return [
-        ufl.Form(_apart([one.reconstruct(subdomain_data=tags.get(one.integral_type())) for one in integrals]))
-        for tags, integrals in found
-    ]
+    parts = ([one.reconstruct(subdomain_data=tags.get(one.integral_type())) for one in some] for tags, some in found)
+    return [ufl.Form(_apart(part)) for part in parts]
 
 
 def _apart(integrals: Sequence[Any]) -> list[Any]:

@@ -123,9 +123,8 @@ def _values(f: fem.Function, x: Array) -> Array:
     values = np.full((len(places), int(np.prod(f.ufl_shape))), np.nan)
     if inside.any():
         values[inside] = f.eval(places[inside], cells.array[first[inside]]).reshape(-1, values.shape[1])
-    whole = np.fmax.reduce(comm.allgather(values))
     start = sum(map(len, every[: comm.rank]))
-    return np.asarray(whole[start : start + len(x)])
+    return np.asarray(np.fmax.reduce(comm.allgather(values))[start : start + len(x)])
 
 
 @dataclass(frozen=True)

@@ -98,10 +98,9 @@ class Supports:
         """
         if axis == NORMAL:
             return np.concatenate([self.dofs(V, place, one) for one in self.axes])
-        component = V.sub(self.axes.index(axis))
         if isinstance(place, str):
             facets = self.domain.facets(place, layer_sides=True)
-            return fem.locate_dofs_topological(component, self.domain.joint.dim - 1, facets)
+            return fem.locate_dofs_topological(V.sub(self.axes.index(axis)), self.domain.joint.dim - 1, facets)
         return vertex_dofs(V, self.domain.vertices(self.domain.joint.nearest_point(place)), self.axes.index(axis))
 
     def held(self, V: fem.FunctionSpace, *, clamped: bool = True) -> Indices:

@@ -239,9 +239,8 @@ class GlobalLocal:
         missing[dofs] = 0.0
         missing[self.equations.constraints.held] = 0.0
         d = self.adjoint.displacements(np.arange(self.n), missing)
-        gained = one.gained + self._product(missing, d)
         v, F = one.v + self.layers.at_faces(d), one.F - self._pulled(self._resisted(d))
-        return replace(one, u=one.u + d, v=v, F=F, gained=gained)
+        return replace(one, u=one.u + d, v=v, F=F, gained=one.gained + self._product(missing, d))
 
     def newton_step(self, one: Iterate) -> Iterate:
         """Toward meshed layers whose laws are not linear: conjugate steps with their tangent, while the energy falls."""

@@ -294,9 +294,8 @@ class Displacement(Directed):
         mine = np.flatnonzero(original == located.entity[0])
         dofs, values = np.empty(0, np.int64), np.empty(0)
         if len(mine):
-            basis = V.ufl_element().basix_element.tabulate(0, located.X[:1])[0, 0, :, 0]
             dofs = (V.dofmap.list[mine[0]][:, None] * d + np.arange(d)).ravel().astype(np.int64)
-            values = (basis[:, None] * e).ravel()
+            values = (V.ufl_element().basix_element.tabulate(0, located.X[:1])[0, 0, :, 0][:, None] * e).ravel()
         return adjoint.of_nodes(dofs, values), adjoint.nothing()
 
 

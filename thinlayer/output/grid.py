@@ -88,10 +88,8 @@ def gather(state: State) -> Grid | None:
     n = model.domain.mesh.topology.index_map(d).size_local
     order = vtk_order(joint.cell_type, V.dofmap.list.shape[1])
     here, there = (np.asarray(space.dofmap.list)[:n, order] for space in (V, W))
-    numbers = [
-        space.dofmap.index_map.local_to_global(np.ravel(nodes)).reshape(nodes.shape)
-        for space, nodes in ((V, here), (W, there))
-    ]
+    maps = ((V.dofmap.index_map, here), (W.dofmap.index_map, there))
+    numbers = [imap.local_to_global(np.ravel(nodes)).reshape(nodes.shape) for imap, nodes in maps]
     # each cell's own places: nodes of periodic sides have two
     own = fem.functionspace(V.mesh, ("DG", V.ufl_element().degree)) if joint.periods else V
     x, values = own.tabulate_dof_coordinates()[own.dofmap.list[:n]][:, order], u.x.array.reshape(-1, d)[here]

@@ -187,10 +187,9 @@ class LawForms(FormPart):
         u, v = fem.Function(V), ufl.TestFunction(V)
         stored = None
         if (others or strained) and all(p.law.traits.has_energy for p in others + strained):
-            beyond = [  # what a given strain adds to the energy of the displacements, of a linear law
-                _of_given(p, u) + p.law.energy(Step(p.given, p.n)) * p.weight * p.measure
-                for p in _given(strained, over.now)
-            ]
+            # what a given strain adds to the energy of the displacements, of a linear law
+            known = _given(strained, over.now)
+            beyond = [_of_given(p, u) + p.law.energy(Step(p.given, p.n)) * p.weight * p.measure for p in known]
             stored = energy(_given(others, over.now), u) + sum(beyond)
         K = _stiffness(V, linear, everywhere) if linear or everywhere else None
         F = work(_given(others, over.balanced), u, v) if others else None

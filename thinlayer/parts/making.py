@@ -73,10 +73,8 @@ def _in_forms(model: Model, terms: Iterable[Term], end: str) -> list[LawForms]:
 
 
 def _compiled(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:
-    return [
-        CompiledPart(key, model.V, term, model.origin, symmetric=model.symmetric)
-        for key, term in compiled_terms(terms).items()
-    ]
+    keys = compiled_terms(terms).items()
+    return [CompiledPart(key, model.V, term, model.origin, symmetric=model.symmetric) for key, term in keys]
 
 
 def diagonal_at_rest(parts: Sequence[Part], out: PETSc.Vec) -> PETSc.Vec:

@@ -42,10 +42,8 @@ def run(record: Record, given: Description, file: Path) -> None:
         InputError, SolveError: as the description, the models and the solves raise them.
     """
     case = Case.of(given)
-    record.parameters = {
-        "files": {str(path): on_root(world(), partial(hash_of, path)) for path in (Path(given.mesh["path"]), file)},
-        "description": given.section.values,
-    }
+    files = {str(path): on_root(world(), partial(hash_of, path)) for path in (Path(given.mesh["path"]), file)}
+    record.parameters = {"files": files, "description": given.section.values}
     found = {LAW: _estimate(record, case, case.model())}
     if given.bonded:
         found[BOND] = _estimate(record, case, case.structure.bonded(), layer=case.layer)

@@ -198,9 +198,7 @@ def times_too_stiff(state: State, one: SeamLayer) -> float | None:
     """1 + opening of `pressure_excess`, 1 of a law with a pressure that flows; None of laws without it. Collective."""
     if state.model.reductions[one.name].why_not("excess of pressure"):
         return None
-    if one.flows:
-        return 1.0
-    return 1 + pressure_excess(Faces.of(state, one), sublayers_of(one)[0]).opening
+    return 1.0 if one.flows else 1 + pressure_excess(Faces.of(state, one), sublayers_of(one)[0]).opening
 
 
 def pressure_excess(faces: Faces, layer: Sublayer) -> Excess:

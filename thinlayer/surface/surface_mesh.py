@@ -115,8 +115,7 @@ class SurfaceMesh:
         self.seams = np.array(list(joint.seams))[joint.seam_numbers[self.rows]]
         self.faces = joint.faces()[:, self.rows]
         self._rules: dict[int, FacetPoints] = {}
-        degree = 2 * model.structure.degree + 2 * (joint.degree - 1) + model.kinematics.degree
-        self.quadrature = self.rule(degree)
+        self.quadrature = self.rule(2 * model.structure.degree + 2 * (joint.degree - 1) + model.kinematics.degree)
         self.x, self.n, self.weights = self.quadrature.x, self.quadrature.n, self.quadrature.weights
         self.points, self.shapes = self.quadrature.points, np.asarray(self.quadrature.shapes[0])
 

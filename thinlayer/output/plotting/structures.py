@@ -130,13 +130,12 @@ def _panels(states: Mapping[str, State] | State, what: str) -> dict[str, State]:
     return panels
 
 
+Image = Callable[[Scene, str, Grid], npt.NDArray[np.uint8]]
+Legend = Callable[[Scene, Picture, list[Axes]], None]
+
+
 def _side_by_side(
-    panels: Mapping[str, State],
-    view: View,
-    image: Callable[[Scene, str, Grid], npt.NDArray[np.uint8]],
-    legend: Callable[[Scene, Picture, list[Axes]], None],
-    title: str,
-    save: str | Path | None,
+    panels: Mapping[str, State], view: View, image: Image, legend: Legend, title: str, save: str | Path | None
 ) -> Picture | None:
     """The images of states, with one legend, on rank 0. Collective."""
     grids = {label: grid for label, state in panels.items() if (grid := gather(state))}
