@@ -171,8 +171,7 @@ class Stack(BulkLaw):
 
     @property
     def memory(self) -> int:
-        shares = 3 * len(self.laws) if len(self.laws) > 1 else 0
-        return shares + sum(law.memory for law in self.laws)
+        return (3 * len(self.laws) if len(self.laws) > 1 else 0) + sum(law.memory for law in self.laws)
 
     @cached_property
     def traits(self) -> Traits:

@@ -16,15 +16,12 @@ from geometry.shapes.cuts import faulted, grained
 from geometry.shapes.rounds import Discs, Fibre, Rings
 from geometry.shapes.sizing import Cells, Curved, Grid, Sizes
 
+Size = float | None  # a length; None: the default
+Comm = MPI.Intracomm | None
+
 
 def block(
-    width: float,
-    height: float,
-    h: float | None = None,
-    *,
-    depth: float | None = None,
-    comm: MPI.Intracomm | None = None,
-    **cells: Unpack[Grid],
+    width: float, height: float, h: Size = None, *, depth: Size = None, comm: Comm = None, **cells: Unpack[Grid]
 ) -> Joint:
     """A body (0, width) x (0, height), in 3D x (0, depth), on a rigid base; S is its bottom side. Collective.
 
@@ -54,10 +51,10 @@ def sandwich(
     width: float,
     lower: float,
     upper: float,
-    h: float | None = None,
+    h: Size = None,
     *,
-    depth: float | None = None,
-    comm: MPI.Intracomm | None = None,
+    depth: Size = None,
+    comm: Comm = None,
     **cells: Unpack[Grid],
 ) -> Joint:
     """Two bodies, stacked: (0, width) x (-lower, 0) and (0, width) x (0, upper), in 3D x (0, depth). Collective.
@@ -81,10 +78,10 @@ def disc(
     radius: float,
     lower: float,
     upper: float,
-    h: float | None = None,
+    h: Size = None,
     *,
     hole: float = 0.0,
-    comm: MPI.Intracomm | None = None,
+    comm: Comm = None,
     **cells: Unpack[Curved],
 ) -> Joint:
     """Two coaxial cylinders, stacked along their axis, the y axis; S is the disc at y = 0 where they meet. Collective.
@@ -113,11 +110,11 @@ def ring(
     inner: float,
     interface: float,
     outer: float,
-    h: float | None = None,
+    h: Size = None,
     *,
     angle: float = tau,
-    depth: float | None = None,
-    comm: MPI.Intracomm | None = None,
+    depth: Size = None,
+    comm: Comm = None,
     **cells: Unpack[Curved],
 ) -> Joint:
     """Two concentric rings about the origin, or sectors of them, in 3D tubes; S is where they meet. Collective.
@@ -148,12 +145,7 @@ def ring(
 
 
 def fibre(
-    radius: float,
-    around: float | tuple[float, float],
-    h: float | None = None,
-    *,
-    comm: MPI.Intracomm | None = None,
-    **cells: Unpack[Curved],
+    radius: float, around: float | tuple[float, float], h: Size = None, *, comm: Comm = None, **cells: Unpack[Curved]
 ) -> Joint:
     """A fibre, the disc r < radius about the origin, in its matrix; S is the circle between them. Collective.
 
@@ -183,11 +175,11 @@ def wall(
     bricks: int,
     courses: int,
     brick: tuple[float, float],
-    h: float | None = None,
+    h: Size = None,
     *,
-    depth: float | None = None,
+    depth: Size = None,
     cell: str | None = None,
-    comm: MPI.Intracomm | None = None,
+    comm: Comm = None,
 ) -> Joint:
     """A wall in running bond, its left lower corner at the origin: a network of bed and head joints. Collective.
 
@@ -213,12 +205,12 @@ def wall(
 
 def bond_cell(
     brick: tuple[float, float],
-    h: float | None = None,
+    h: Size = None,
     *,
-    depth: float | None = None,
+    depth: Size = None,
     cut: tuple[float, float] = (0.25, 0.5),
     cell: str | None = None,
-    comm: MPI.Intracomm | None = None,
+    comm: Comm = None,
 ) -> Joint:
     """The periodic cell of a running bond: one brick wide and two courses high, its left lower corner at the origin.
 
@@ -251,11 +243,11 @@ def grains(
     width: float,
     height: float,
     grains: int | Sequence[tuple[float, float]],
-    h: float | None = None,
+    h: Size = None,
     *,
     seed: int = 0,
     seams: Callable[[int, int], str] | None = None,
-    comm: MPI.Intracomm | None = None,
+    comm: Comm = None,
     **cells: Unpack[Sizes],
 ) -> Joint:
     """The rectangle (0, width) x (0, height), filled with Voronoi grains; S is all boundaries between them. Collective.
@@ -288,9 +280,9 @@ def faults(
     width: float,
     height: float,
     faults: Mapping[str, Sequence[tuple[float, float]]],
-    h: float | None = None,
+    h: Size = None,
     *,
-    comm: MPI.Intracomm | None = None,
+    comm: Comm = None,
     **cells: Unpack[Sizes],
 ) -> Joint:
     """The block (0, width) x (0, height) with faults, which may cross, branch, and end inside or outside. Collective.

@@ -97,11 +97,9 @@ class TurningPoint(SolveError):
     """
 
     def __init__(self, t: float, history: Any) -> None:
-        super().__init__(
-            f"the equilibria turn back at t = {t:.10g}: what is prescribed there cannot grow further",
-            history,
-            advice="follow them by arc length, march(error.history, ArcLength(end=..., first=...))",
-        )
+        what = f"the equilibria turn back at t = {t:.10g}: what is prescribed there cannot grow further"
+        advice = "follow them by arc length, march(error.history, ArcLength(end=..., first=...))"
+        super().__init__(what, history, advice=advice)
         self.t = t
 
 

@@ -119,8 +119,7 @@ class Corner:
         Returns:
             H, in the unit of stress times that of r to the power 1 - lambda.
         """
-        unit = self._reciprocal(1.0, *self.field(np.array(1.0), self._arc[0]))
-        return self._reciprocal(r, u, stress) / unit
+        return self._reciprocal(r, u, stress) / self._reciprocal(1.0, *self.field(np.array(1.0), self._arc[0]))
 
     def _reciprocal(self, r: float, u: Array, stress: Array) -> float:
         """Work of the stresses in the dual displacements, less that of the dual stresses, on an arc."""

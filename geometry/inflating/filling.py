@@ -93,8 +93,7 @@ def _halved(quads: IntArray, back: BoolArray) -> IntArray:
     out = []
     for middle, outer, turned in ((1, q == 0, back[:, 0]), (2, p == 0, back[:, 1])):
         rows = quads[..., [0, middle, 3]]
-        swapped = (turned[:, None] & outer)[:, None, :, None]
-        out.append(np.where(swapped, rows[..., [1, 0, 2]], rows))
+        out.append(np.where((turned[:, None] & outer)[:, None, :, None], rows[..., [1, 0, 2]], rows))
     return np.concatenate(out, axis=2)
 
 

@@ -242,10 +242,7 @@ class Fibre(Shape):
         web = Web.drawn(radii, tau, "xy", chords=self.gridded)
         fibre = [*(web.patches[0] if self.gridded else ()), surface(web.arcs[0])]
         circle = web.arcs[int(self.gridded)]
-        if self.round:
-            sides, matrix = {"OUTSIDE": web.arcs[-1]}, web.patches[-1]
-        else:
-            sides, matrix = self._rectangle(circle)
+        sides, matrix = ({"OUTSIDE": web.arcs[-1]}, web.patches[-1]) if self.round else self._rectangle(circle)
         gmsh.model.geo.synchronize()
         gradings: dict[int, Grading] = {}
         if self.gridded:

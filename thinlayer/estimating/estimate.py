@@ -28,7 +28,7 @@ from thinlayer.estimating.result import Estimate, GoalError, LayerError
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.history import History
 from thinlayer.solving.layer_alone import LayerAlone
-from thinlayer.solving.petsc import OptionValue
+from thinlayer.solving.petsc import Options
 from thinlayer.solving.solvers import solve
 from thinlayer.system.progress import telling
 from thinlayer.system.ranks import on_all
@@ -45,7 +45,7 @@ def estimate(
     *,
     seam: str = S,
     width: float = NARROW,
-    options: Mapping[str, OptionValue] | None = None,
+    options: Options | None = None,
 ) -> Estimate:
     """By how much the answer changes if a layer's mesh is dropped, without meshing it between its bodies. Collective.
 
@@ -137,9 +137,7 @@ def _models(model: InterfaceModel, better: Mapping[str, ThinLayer]) -> Iterator[
         return
 
 
-def _path(
-    state: State | History, model: InterfaceModel, anew: bool, options: Mapping[str, OptionValue] | None
-) -> list[State]:
+def _path(state: State | History, model: InterfaceModel, anew: bool, options: Options | None) -> list[State]:
     """The states that lead to the given one; or, anew or in place of bonds, those of a model's laws. Collective."""
     anew = anew or bool(state.model.bonds)
     if isinstance(state, State):
@@ -154,7 +152,7 @@ def _path(
     return list(state)
 
 
-def _pass(earlier: Sequence[State], last: State, layers: LayerAlone, options: Mapping[str, OptionValue] | None) -> None:
+def _pass(earlier: Sequence[State], last: State, layers: LayerAlone, options: Options | None) -> None:
     """Lead the layers through earlier states of the interface laws, and begin their step to the last one. Collective."""
     path, before = [*earlier, last], None
     inside = layers.rest(path[0].t)

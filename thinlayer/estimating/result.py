@@ -22,7 +22,7 @@ from thinlayer.estimating.on_surface import density_of
 from thinlayer.output.surface import Surface
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.layer_alone import HeldLayers, LayerAlone
-from thinlayer.solving.petsc import OptionValue
+from thinlayer.solving.petsc import Options
 from thinlayer.system.table import Table
 
 ROUNDING = 1e-6  # of a goal that is zero but for rounding, over its scale
@@ -133,7 +133,7 @@ class Estimate:
     _old: State | None  # before that of the laws, given or in place of bonds; None: rest
     _weights: Mapping[str, Iterate]  # of goals
     _goals: Mapping[str, Goal]
-    _options: Mapping[str, OptionValue] | None
+    _options: Options | None
 
     @property
     def cost(self) -> float:

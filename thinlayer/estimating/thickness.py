@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -22,7 +22,7 @@ from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.goals import Compliance, Goal
 from thinlayer.estimating.result import Estimate
 from thinlayer.solving.history import History
-from thinlayer.solving.petsc import OptionValue
+from thinlayer.solving.petsc import Options
 from thinlayer.solving.solvers import solve
 from thinlayer.system.progress import telling
 from thinlayer.system.ranks import on_all
@@ -81,7 +81,7 @@ def thin_enough(
     times: Sequence[float] | None = None,
     bonded: bool = False,
     bodies: str = "kept",
-    options: Mapping[str, OptionValue] | None = None,
+    options: Options | None = None,
 ) -> ThinEnough:
     """The thickness at which the estimated error of dropping a layer's mesh is equal to a tolerance. Collective.
 

@@ -175,9 +175,7 @@ def _on_s(state: State, model: InterfaceModel, of_facets: Mapping[str, Array]) -
     to_nodes = np.linalg.pinv(lagrange(surface.kind, degree).tabulate(0, surface.points)[0, :, :, 0])
     at = {name: np.einsum("nq,dfq->fnd", to_nodes, f) for name, f in fields.items()}
     n, k = at["x"].shape[:2]
-    kind, in_vtk = POLY_LINE, np.r_[0, 2:k, 1]
-    if d == 3:
-        kind, in_vtk = vtk_type(surface.kind, k), vtk_order(surface.kind, k)
+    kind, in_vtk = (vtk_type(surface.kind, k), vtk_order(surface.kind, k)) if d == 3 else (POLY_LINE, np.r_[0, 2:k, 1])
     cells = np.column_stack([np.full(n, k), np.arange(n * k).reshape(n, k)[:, in_vtk]]).ravel()
     block = pyvista.UnstructuredGrid(cells, np.full(n, kind), _in_space(at.pop("x")))
     block.point_data.update(_of_nodes(at, d))

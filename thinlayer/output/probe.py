@@ -74,8 +74,7 @@ class Probe:
             InputError: places outside the bodies and meshed layers; a place where displacements jump, without a side.
         """
         located = self._located(x, side, seam)
-        element = self.state.u.function_space.ufl_element().basix_element
-        basis = element.tabulate(0, located.X)[0, :, :, 0]
+        basis = self.state.u.function_space.ufl_element().basix_element.tabulate(0, located.X)[0, :, :, 0]
         u = np.einsum("kn,knd->kd", basis, cell_values(self.state.u, self.state.model, located.entity))
         largest = self._comm.allreduce(float(np.abs(self.state.u.x.array).max(initial=0.0)), max)
         first = np.searchsorted(located.point, np.arange(len(located.x)))

@@ -96,8 +96,7 @@ class Surface(SurfaceMesh):
             at_corners = of_contact["status"][self.nodes]
             for name in CONTACT_STATUSES:
                 areas[name] += ((self.weights @ self.shapes) * (at_corners == name)).sum(axis=1)
-        total = model.comm.allreduce(np.array([*areas.values()]))
-        return np.array(STATUSES)[total.argmax(axis=0)][:, None]
+        return np.array(STATUSES)[model.comm.allreduce(np.array([*areas.values()])).argmax(axis=0)][:, None]
 
     def phase(self, state: State) -> Array:
         """(n, 1) the mean phase of the layer of each facet, in a state of either model; nan where it has no phases.

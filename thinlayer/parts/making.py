@@ -47,8 +47,7 @@ def layer_parts(model: Model, held: Indices, bodies: Sequence[Part]) -> list[Par
         largest = _largest_at_rest(model, bodies or parts)
         joint = model.domain.joint  # whose vertices are those of the mesh
         masters = joint.masters if joint.periods else None
-        for p in constrained:
-            parts.append(PressurePart(model.V, p, largest, model.origin, _free(model, p), masters))
+        parts += [PressurePart(model.V, p, largest, model.origin, _free(model, p), masters) for p in constrained]
     for name, law in model.contacts.items():
         parts.append(ContactPart(law, ContactSurface.of(model, name), held, model.layers[name].key))
     return parts

@@ -134,5 +134,4 @@ class MeanStressPart(FieldPart):
 
     def destroy(self) -> None:
         """Free matrices and vectors."""
-        own = self._own, self._more, self._mid, self._old, self._change
-        destroy(self.B, self.D, self._turned, self._forces, *own)
+        destroy(self.B, self.D, self._turned, self._forces, self._own, self._more, self._mid, self._old, self._change)

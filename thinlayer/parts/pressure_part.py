@@ -96,7 +96,7 @@ class PressurePart(FieldPart):
         p, q = ufl.TrialFunction(space), ufl.TestFunction(space)
         forms = []
         if points:
-            known = points.on_region(law.fields_at(points.joint_x))
+            known = {name: points.at_points(values) for name, values in law.fields_at(points.joint_x).items()}
             law = law.with_parameters({name: region.side(f) for name, f in known.items()})
             measure = points.measure
         if not isinstance(volume := ufl.as_ufl(law.volume_compliance), Zero):
@@ -195,8 +195,7 @@ class PressurePart(FieldPart):
         """The pressure at the end of the step; `field` is the one at old.t + theta dt."""
         p, old, theta = super().own_result(), self.interval.old.fields.get(self.key), self.interval.theta
         if theta < 1 and (old is not None or self.C is not None):
-            before = 0.0 if old is None else old.x.array
-            p.x.array[:] = (p.x.array - (1 - theta) * before) / theta
+            p.x.array[:] = (p.x.array - (1 - theta) * (0.0 if old is None else old.x.array)) / theta
         return p
 
     @property

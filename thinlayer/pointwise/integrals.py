@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -239,12 +239,8 @@ class Quadrature:
         f.x.scatter_forward()
         return f
 
-    def on_region(self, values: Mapping[str, Array]) -> dict[str, fem.Function]:
-        """Values (points,) by name as functions on `region.mesh`, for measures of the degree of `measure`. Collective."""
-        return {name: self.at_points(value) for name, value in values.items()}
-
     def at_points(self, values: Array) -> fem.Function:
-        """A function on the region's mesh with values (n,) at the points. Collective."""
+        """A function on the region's mesh with values (n,) at the points, for measures of its degree. Collective."""
         f = fem.Function(self._space(()))
         f.x.array[: self.count] = values
         f.x.scatter_forward()

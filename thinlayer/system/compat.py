@@ -22,8 +22,7 @@ def space_with_dofmap(V: fem.FunctionSpace, dofs: npt.NDArray[np.int32], imap: A
     old, base = V._cpp_object, V.dofmap
     layout = base._cpp_object.dof_layout if hasattr(base, "_cpp_object") else base.dof_layout
     rows = cpp.graph.AdjacencyList_int32(np.ascontiguousarray(dofs, np.int32))
-    dofmap = cpp.fem.DofMap(layout, imap, base.index_map_bs, rows, base.bs)
-    arguments = (old.mesh, old.element, dofmap)
+    arguments = (old.mesh, old.element, cpp.fem.DofMap(layout, imap, base.index_map_bs, rows, base.bs))
     space = first_that_fits(lambda: type(old)(*arguments), lambda: type(old)(*arguments, old.value_shape))
     return fem.FunctionSpace(V.mesh, V.ufl_element(), space)
 

@@ -55,8 +55,7 @@ class PlannedSteps(Controller):
         return min(self.journal.pace.step or math.inf, self.target - self.last.t)
 
     def _end(self, length: float) -> float:
-        left = self.target - self.last.t - length
-        return self.last.t + length if left >= LEFT * length else self.target
+        return self.last.t + length if self.target - self.last.t - length >= LEFT * length else self.target
 
     @property
     def attempts(self) -> list[Attempt]:
@@ -197,8 +196,7 @@ class AdaptiveSteps(PlannedSteps):
         self.journal.pace.step = min(max(step, planned) if end == self.target else step, self.settings.largest)
 
     def _farthest(self, length: float) -> float:
-        longest = max(SEEK_STEPS * length, self.settings.first / 2**HALVINGS)
-        return min(self.target, self.last.t + longest)
+        return min(self.target, self.last.t + max(SEEK_STEPS * length, self.settings.first / 2**HALVINGS))
 
     def _sought(self, state: State) -> list[State]:
         raise SolveError("the error of a step by weak springs is not known")

@@ -59,9 +59,8 @@ def zoomed(
     D, Y = np.meshgrid(d, HIGHEST * np.sin(np.linspace(-np.pi / 2, np.pi / 2, POINTS[1])))
     x, height = start - D.ravel()[:, None] * zoom.eps * at.m, Y.ravel()
     i, j = COMPONENTS[component]
-    found = {"layer by itself": zoom.stress(x, height)}
-    if full is not None:
-        found = {"meshed layer": full.stress(x, height)} | found
+    meshed = {} if full is None else {"meshed layer": full.stress(x, height)}
+    found = meshed | {"layer by itself": zoom.stress(x, height)}
     values = {name: np.einsum("i,nij,j->n", axes[i], one, axes[j]).reshape(D.shape) for name, one in found.items()}
     return drawn_on_root(zoom.state.model.comm, lambda: _drawn(values, D, Y, component, title, stress), save)
 
