@@ -94,8 +94,8 @@ def free_blocks(
     **more: Any,
 ) -> Structure:
     """Two blocks, 1 wide, with free sides, clamped below, under a traction on top; h_ends, h_S: sizes of cells."""
-    given: dict[str, Any] = {"body": FOURIER_BODY, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": load}}
-    return Structure(sandwich(1.0, *heights, h=1 / 8, h_S=h_S, h_ends=h_ends, cell="quadrilateral"), **given | more)
+    setup: dict[str, Any] = {"body": FOURIER_BODY, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": load}}
+    return Structure(sandwich(1.0, *heights, h=1 / 8, h_S=h_S, h_ends=h_ends, cell="quadrilateral"), **setup | more)
 
 
 def pressed(h: float, path: Mapping[Any, tuple[float, float, float]]) -> tuple[Joint, dict[str, Any]]:

@@ -53,8 +53,8 @@ class MaterialPoint:
     def _respond(self, old: MaterialPointState, w: Array, dt: float) -> MaterialPointState | None:
         """The state after a step to the jump w; None where the law fails."""
         e, e_old = (self.E @ w)[None], (self.E @ old.w)[None]
-        given = (e, e_old, old.memory[None], self.n3[None], dt, self.theta if dt > 0 else 1.0)
-        stress, C, memory, energies, failed = self.material.update(range(6), *given)
+        step = (e, e_old, old.memory[None], self.n3[None], dt, self.theta if dt > 0 else 1.0)
+        stress, C, memory, energies, failed = self.material.update(range(6), *step)
         if failed:
             return None
         tangent = self.E.T @ C[0] @ self.E

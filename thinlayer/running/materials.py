@@ -59,8 +59,8 @@ def materials(section: Section, key: str, *, thin: bool = False) -> dict[str | N
 @cache
 def known_laws() -> dict[str, type[BulkLaw]]:
     """The laws of strains that a description may name."""
-    classes = {name: one for name, one in sorted(vars(forms).items()) if isinstance(one, type)}
-    return {name: one for name, one in classes.items() if issubclass(one, BulkLaw) and one not in (BulkLaw, KernelLaw)}
+    classes = {name: law for name, law in sorted(vars(forms).items()) if isinstance(law, type)}
+    return {name: law for name, law in classes.items() if issubclass(law, BulkLaw) and law not in (BulkLaw, KernelLaw)}
 
 
 def _law(section: Section, beside: Mapping[str, Reader], needed: Mapping[str, str]) -> tuple[BulkLaw, dict[str, Any]]:

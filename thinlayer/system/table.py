@@ -153,8 +153,9 @@ class Table:
 
     def __getitem__(self, column: str) -> npt.NDArray[np.float64]:
         """A column as numbers, NaN where empty."""
+        entries = [np.nan if value is None else value for value in self._entries(column)]
         try:
-            return np.array([np.nan if value is None else value for value in self._entries(column)], float)
+            return np.array(entries, float)
         except ValueError as error:
             raise ColumnError(f"the column {column!r} has texts: {error}") from None
 
