@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import time
+from functools import cached_property
 from itertools import permutations
+from typing import Any
 
 import basix.ufl
 import dolfinx.mesh
@@ -14,6 +15,8 @@ from dolfinx import fem
 from dolfinx.fem.petsc import apply_lifting, assemble_matrix, assemble_vector
 from mpi4py import MPI
 from petsc4py import PETSc
+
+from studies.timing import Stages
 
 E, NU = 100.0, 0.3  # of the blocks, MPa
 K_T, K_N = 40.0, 140.0  # stiffnesses of S, MPa/mm
@@ -28,33 +31,60 @@ MULTIGRID = {
 }
 
 
-def by_hand(n: int, dim: int, options: dict[str, object]) -> tuple[float, dict[str, float]]:
-    """Solve on a grid of n cells along each side, halved into simplices, whose nodes on S are doubled.
+class TwoBlocks:
+    """Two blocks, 1 wide and 0.5 high each, on a grid halved into simplices whose nodes on S are doubled, as arrays.
 
     Args:
-        n: even number of cells.
+        n: even number of cells along each side.
         dim: 2 or 3.
-        options: PETSc options of the linear solver.
 
-    Returns:
-        The stored energy, and the seconds of each stage.
+    Attributes:
+        points: (nodes, dim) coordinates.
+        cells: (cells, dim + 1) their nodes.
+        springs: (facets, 2 dim) nodes of each facet of S, of the lower block and then of the upper one.
+        jump: (2 dim^2, 2 dim^2) stiffness that the springs of one facet add, node by node.
     """
-    stages, begin = dict[str, float](), time.perf_counter()
 
-    def done(stage: str) -> None:
-        nonlocal begin
-        stages[stage], begin = time.perf_counter() - begin, time.perf_counter()
+    def __init__(self, n: int, dim: int) -> None:
+        x = np.linspace(0.0, 1.0, n + 1)
+        numbers = np.arange((n + 1) ** (dim - 1) * (n // 2 + 1)).reshape(n + 1, n // 2 + 1, *[n + 1] * (dim - 2))
+        axes = x, x[: n // 2 + 1] - 0.5, *[x] * (dim - 2)
+        below = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dim)
+        self.points = np.concatenate([below, below + 0.5 * (np.arange(dim) == 1)])
+        self.cells = np.concatenate([_simplices(numbers), _simplices(numbers) + len(below)])
+        self._top = _simplices(numbers[:, -1]) + len(below)
+        self.springs = np.column_stack([_simplices(numbers[:, -1]), _simplices(numbers[:, 0]) + len(below)])
+        self._area = n ** (1 - dim) / (dim - 1)
+        mass = self._area * (np.ones((dim, dim)) + np.eye(dim)) / dim / (dim + 1)
+        K = np.diag(np.where(np.arange(dim) == 1, K_N, K_T))
+        self.jump = np.kron([[1, -1], [-1, 1]], np.kron(mass, K))
 
-    axes = [np.linspace(0.0, 1.0, n + 1) for _ in range(dim)]
-    numbers = np.arange((n + 1) ** (dim - 1) * (n // 2 + 1)).reshape(n + 1, n // 2 + 1, *[n + 1] * (dim - 2))
-    below = np.stack(np.meshgrid(axes[0], axes[1][: n // 2 + 1] - 0.5, *axes[2:], indexing="ij"), axis=-1).reshape(
-        -1, dim
-    )
-    points = np.concatenate([below, below + 0.5 * (np.arange(dim) == 1)])
-    cells = np.concatenate([_simplices(numbers), _simplices(numbers) + len(below)])
+    @cached_property
+    def held(self) -> npt.NDArray[np.bool_]:
+        """Displacements (nodes, dim) that are zero: all at the bottom, the first one at the sides."""
+        at_sides = np.isclose(self.points[:, 0] * (1 - self.points[:, 0]), 0.0)
+        return np.isclose(self.points[:, 1], -0.5)[:, None] | np.outer(at_sides, np.arange(self.points.shape[1]) == 0)
+
+    @cached_property
+    def load(self) -> npt.NDArray[np.float64]:
+        """Nodal forces (nodes, dim)."""
+        forces, dim = np.zeros_like(self.points), self.points.shape[1]
+        np.add.at(forces, self._top, np.array(LOAD[:dim]) * self._area / dim)
+        return forces
+
+    def spring_entries(self, numbers: Any) -> tuple[Any, Any, Any]:
+        """Rows, columns and values of the springs' stiffness; numbers (nodes, dim): of the displacements."""
+        at = numbers[self.springs].reshape(len(self.springs), -1)
+        rows, columns = np.repeat(at, at.shape[1], axis=1), np.tile(at, at.shape[1])
+        return rows.ravel(), columns.ravel(), np.tile(self.jump.ravel(), len(at))
+
+
+def by_hand(n: int, dim: int, options: dict[str, object]) -> dict[str, Any]:
+    """Solve `TwoBlocks`, with PETSc options of the linear solver; what `Stages.measured` returns."""
+    stages, blocks = Stages(), TwoBlocks(n, dim)
     element = basix.ufl.element("Lagrange", "triangle" if dim == 2 else "tetrahedron", 1, shape=(dim,))
-    mesh = dolfinx.mesh.create_mesh(comm=MPI.COMM_SELF, cells=cells, e=element, x=points)
-    done("mesh")
+    mesh = dolfinx.mesh.create_mesh(comm=MPI.COMM_SELF, cells=blocks.cells, e=element, x=blocks.points)
+    stages.end("mesh")
 
     V = fem.functionspace(mesh, element)
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
@@ -65,7 +95,7 @@ def by_hand(n: int, dim: int, options: dict[str, object]) -> tuple[float, dict[s
     V_x, _ = V.sub(0).collapse()
     sides = fem.locate_dofs_geometrical((V.sub(0), V_x), lambda x: np.isclose(x[0] * (1 - x[0]), 0.0))
     supports = [fem.dirichletbc(np.zeros(dim), bottom, V), fem.dirichletbc(fem.Function(V_x), sides, V.sub(0))]
-    done("space")
+    stages.end("space")
 
     lmbda, mu = E * NU / (1 + NU) / (1 - 2 * NU), E / 2 / (1 + NU)
 
@@ -77,13 +107,12 @@ def by_hand(n: int, dim: int, options: dict[str, object]) -> tuple[float, dict[s
 
     a = fem.form(ufl.inner(stress(u), strain(v)) * ufl.dx)
     load = fem.form(ufl.inner(fem.Constant(mesh, np.array(LOAD[:dim])), v) * ds(1))
-    done("forms")
+    stages.end("forms")
 
     x = V.tabulate_dof_coordinates()[:, :dim]
-    number = np.empty(len(points), np.int32)  # of the node of each point of the grids
+    number = np.empty(len(blocks.points), np.int32)  # of the node of each point of the grids
     number[mesh.geometry.input_global_indices[mesh.geometry.dofmap]] = V.dofmap.list
-    lower, upper = (number[_simplices(numbers[:, end]) + shift] for end, shift in ((-1, 0), (0, len(below))))
-    springs, area = np.concatenate([lower, upper], axis=1), n ** (1 - dim) / (dim - 1)
+    springs, jump = number[blocks.springs], blocks.jump
     pattern = fem.create_sparsity_pattern(a)
     for nodes in springs:
         pattern.insert(nodes, nodes)
@@ -91,9 +120,6 @@ def by_hand(n: int, dim: int, options: dict[str, object]) -> tuple[float, dict[s
     A = dolfinx.cpp.la.petsc.create_matrix(mesh.comm, pattern)
     assemble_matrix(A, a, bcs=supports)
     A.assemble(PETSc.Mat.AssemblyType.FLUSH)
-    K = np.diag(np.where(np.arange(dim) == 1, K_N, K_T))
-    mass = area * (np.ones((dim, dim)) + np.eye(dim)) / dim / (dim + 1)
-    jump = np.kron([[1, -1], [-1, 1]], np.kron(mass, K))
     held = np.zeros((len(x), dim), bool)
     held[bottom], held.ravel()[sides[0]] = True, True
     for nodes in springs:
@@ -104,7 +130,7 @@ def by_hand(n: int, dim: int, options: dict[str, object]) -> tuple[float, dict[s
     apply_lifting(b, [a], bcs=[supports])
     b.array[bottom[:, None] * dim + np.arange(dim)] = 0.0
     b.array[sides[0]] = 0.0
-    done("assembly")
+    stages.end("assembly")
 
     A.setOption(PETSc.Mat.Option.SPD, True)
     ksp, w = PETSc.KSP().create(mesh.comm), fem.Function(V)
@@ -115,16 +141,16 @@ def by_hand(n: int, dim: int, options: dict[str, object]) -> tuple[float, dict[s
     ksp.setFromOptions()
     A.setNearNullSpace(PETSc.NullSpace().createRigidBody(_coordinates(x)))
     ksp.setUp()
-    done("factor")
+    stages.end("factor")
     ksp.solve(b, w.x.petsc_vec)
-    done("solve")
+    stages.end("solve")
     energy = fem.assemble_scalar(fem.form(ufl.inner(stress(w), strain(w)) / 2 * ufl.dx))
     values = w.x.array.reshape(-1, dim)[springs].reshape(len(springs), -1)
     energy += np.einsum("fi,ij,fj->", values, jump, values) / 2
-    done("results")
+    stages.end("results")
     for thing in (ksp, A, b):
         thing.destroy()
-    return float(energy), stages
+    return stages.measured(energy, len(x) * dim, dim)
 
 
 def _simplices(numbers: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:

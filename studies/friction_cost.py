@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 from petsc4py import PETSc
 
-from forms import HolonomicCoulomb
+from forms import HolonomicCoulomb, LinearElastic
+from geometry import wall
 from studies.problems import sliding_bar
-from studies.timing import in_turn, peak, solve_once, timed
+from studies.timing import compared, in_turn, peak, solve_once, timed
 from thinlayer import Structure
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.parts.part import Interval
 from thinlayer.solving.contact.finder import ContactFinder
-from thinlayer.solving.contact.methods import FINDERS
+from thinlayer.solving.contact.methods import FINDERS, default_method
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Found
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
@@ -22,52 +26,71 @@ from thinlayer.solving.petsc import faster_products, require_all_read
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.table import Row
 
-STIFFNESS = (15e8, 5e8)  # lmbda, mu per thickness, N/mm^3
-FRICTION = 1.0
 TOLERANCE = 1e-10  # relative residual of the iterative reference, as of the contact solver
-LIMITS = {"2D": {128: 1.4, 256: 1.25, 512: 1.1, 724: 1.1}, "3D": {24: 1.3, 32: 1.3, 46: 1.3}}  # of ratios
 PREDICTED_LIMIT = 1.15  # of ratios in 3D if the contact status is predicted
+BRICKS = 14, 15, (1.0, 0.5)  # along, courses, size: 217 in all
 
 
-def friction(n: int, dim: int, repeats: int) -> list[Row]:
-    """Rows of a bar or a cube of n cells along each side; our solver and the reference alternate in one process, warm.
+def bar(n: int, **choices: Any) -> InterfaceModel:
+    """A bar or a cube of n cells along each side."""
+    joint, setup = sliding_bar(n, **choices)
+    return Structure(joint, **setup).interface(HolonomicCoulomb.of_layer(15e8, 5e8, friction=1.0))  # N/mm^3
+
+
+def bricks(n: int) -> InterfaceModel:
+    """A dry wall, pressed and pushed along its top, with n cells along the height of a brick."""
+    loads, supports = {"TOP": (0.2, -1.0)}, {"BOTTOM": 0.0}
+    joint, body = wall(*BRICKS, BRICKS[-1][1] / n, cell="quadrilateral"), LinearElastic.young(50.0, 0.2)
+    structure = Structure(joint, body=body, supports=supports, tractions=loads, element="Q1")
+    return structure.interface({"BED": HolonomicCoulomb(200.0, 80.0, 0.5), "HEAD": HolonomicCoulomb(100.0, 40.0, 0.3)})
+
+
+WORKS: dict[str, tuple[Callable[[int], InterfaceModel], dict[int, float]]] = {  # work -> n -> limit of the ratio
+    "friction 2D": (bar, {128: 1.4, 256: 1.25, 512: 1.1, 724: 1.1}),
+    "friction 2D, unstructured": (partial(bar, structured=False), {128: 1.4, 512: 1.1, 724: 1.1}),
+    "friction 3D": (partial(bar, depth=True), {24: 1.3, 32: 1.3, 46: 1.3}),
+    "friction 3D, unstructured": (partial(bar, depth=True, structured=False), {24: math.inf, 32: math.inf}),
+    "friction in 217 bricks": (bricks, {4: 20.0, 8: 12.0}),
+}
+
+
+def friction(work: str, n: int, repeats: int) -> list[Row]:
+    """Rows of one of WORKS; our solver and the reference alternate in one process, warm.
 
     The reference is the faster of MUMPS (Cholesky, AMF ordering) and of conjugate gradients with multigrid, on the matrix
     with bonded springs at S. Times are of the processor; all costs from the assembled stiffness on are counted.
     """
-    bench = Bench(n, depth=dim == 3)
-    rows = bench.compare(f"{dim}D", repeats)
+    of, limits = WORKS[work]
+    bench = Bench(of(n))
+    rows = bench.compare(work, repeats, limits[n])
     bench.close()
     require_all_read("contact", ())
     return rows
 
 
 class Bench:
-    """A discretised bar, ready to be solved again and again.
+    """A model in contact, ready to be solved again and again.
 
     Attributes:
         equations: its equations.
         bonded: its stiffness with bonded springs at S, which the reference solves.
     """
 
-    def __init__(self, n: int, *, depth: bool) -> None:
-        joint, setup = sliding_bar(n, depth=depth)
-        law = HolonomicCoulomb.of_layer(*STIFFNESS, friction=FRICTION)
-        self.n, self.model = n, Structure(joint, **setup).interface(law)
-        self.solver = Solver(self.model, method="newton")
+    def __init__(self, model: InterfaceModel) -> None:
+        self.model, self.dim = model, model.joint.dim
+        self.solver = Solver(model, method="newton")
         self.equations: Equations = self.solver.equations
-        (part,) = self.equations.of_kind(ContactPart)
-        self.dim, self.dofs = joint.dim, self.equations.K.getSize()[0]
         self.load(1.0)
-        springs = part.nodes.stiffness(law.bonded(len(part.nodes.upper), self.dim))
         self.bonded = self.equations.K.copy()
-        self.bonded.axpy(1.0, springs, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        for part in self.equations.of_kind(ContactPart):
+            springs = part.nodes.stiffness(part.law.bonded(len(part.nodes.upper), self.dim))
+            self.bonded.axpy(1.0, springs, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+            springs.destroy()
         self.equations.hold(self.bonded)
         for option in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.SPD):
             self.bonded.setOption(option, True)
         near = self.equations.near_null
         self.bonded.setNearNullSpace(PETSc.NullSpace().create(vectors=near, comm=self.bonded.comm))
-        springs.destroy()
 
     def load(self, sideways: float) -> None:
         """Set the loads, the one that pushes along x times a factor."""
@@ -75,23 +98,18 @@ class Bench:
         self.equations.external.array[:: self.dim] *= sideways
         self.equations.loads.array[:: self.dim] *= sideways
 
-    @property
-    def method(self) -> str:
-        """The solver of choice."""
-        return "condensed" if self.dim == 2 else "multigrid"
-
-    def ours(self, start: PETSc.Vec | None = None) -> tuple[float, PETSc.Vec, int]:
-        """Processor time, displacements and Newton steps of our solver."""
+    def ours(self, start: PETSc.Vec | None = None) -> tuple[float, PETSc.Vec]:
+        """Processor time and displacements of our solver."""
 
         def work() -> tuple[ContactFinder, Found]:
-            finder = FINDERS[self.method](self.equations, None)
+            finder = FINDERS[default_method(self.model)](self.equations, None)
             with faster_products(serial=True):
                 return finder, finder.find(start)
 
         seconds, (finder, found) = timed(work)
         u = found.x.copy()
         finder.close()
-        return seconds, u, found.iterations
+        return seconds, u
 
     def linear(self, kind: str) -> float:
         """Processor time of one linear solve; infinite where it does not converge."""
@@ -102,37 +120,23 @@ class Bench:
         with faster_products(serial=True):
             return solve_once(self.bonded, self.equations.external, options)
 
-    def compare(self, name: str, repeats: int) -> list[Row]:
+    def compare(self, work: str, repeats: int, limit: float) -> list[Row]:
         """Rows of the table: cold, and in 3D from the state under 0.9 of the load along x, whose status is another one."""
-        kinds: tuple[str, ...] = ("cholesky", "multigrid")
-        if self.dim == 3 and self.n > 32:
-            kinds = ("multigrid",)  # factorising falls further behind the larger the cube
-        starts: dict[str, PETSc.Vec | None] = {f"friction {name}": None}
+        unknowns = self.equations.K.getSize()[0]
+        large = self.dim == 3 and unknowns > 120_000  # there factorising falls further behind
+        kinds = ("multigrid",) if large else ("cholesky", "multigrid")
+        starts: dict[str, tuple[PETSc.Vec | None, float]] = {work: (None, limit)}
         if self.dim == 3:
             self.load(0.9)
-            starts[f"friction {name}, status predicted"] = self.ours()[1]
+            starts[f"{work}, status predicted"] = self.ours()[1], PREDICTED_LIMIT
             self.load(1.0)
-        steps: dict[str, int] = {}
-
-        def ours(work: str) -> float:
-            seconds, _, steps[work] = self.ours(starts[work])
-            return seconds
-
-        works = {kind: partial(self.linear, kind) for kind in kinds} | {work: partial(ours, work) for work in starts}
-        peaks = {kind: peak(works[kind]) for kind in (*kinds, f"friction {name}")}  # which also warms up
-        times = in_turn(works, repeats)
-        best = min(kinds, key=times.__getitem__)
-        row = {"dim": self.dim, "unknowns": self.dofs, "reference": f"bonded, {best}"}
-        row |= {
-            "reference_seconds": times[best],
-            "reference_peak_mb": peaks[best],
-            "peak_mb": peaks[f"friction {name}"],
-        }
-        limits = LIMITS[name].get(self.n, math.inf), PREDICTED_LIMIT
-        return [
-            {"work": work, **row, "seconds": times[work], "ratio": times[work] / times[best], "limit": limit}
-            for work, limit in zip(starts, limits, strict=False)
-        ]
+        works: dict[str, Callable[[], float]] = {kind: partial(self.linear, kind) for kind in kinds}
+        works |= {name: partial(lambda u: self.ours(u)[0], start) for name, (start, _) in starts.items()}
+        peaks = {name: peak(call) for name, call in works.items()}  # which also warms up
+        of = {"dim": self.dim, "unknowns": unknowns}
+        times = {name: of | {"seconds": s, "peak_mb": peaks[name]} for name, s in in_turn(works, repeats).items()}
+        best = min(kinds, key=lambda kind: times[kind]["seconds"])
+        return [compared(name, times[name], f"bonded, {best}", times[best], most) for name, (_, most) in starts.items()]
 
     def close(self) -> None:
         """Free the matrices."""

@@ -134,7 +134,7 @@ def sheared(h: float) -> tuple[Joint, dict[str, Any]]:
     return joint, setup | {"tractions": {"TOP": load}}
 
 
-def sliding_bar(n: int, *, depth: bool = False, arrangement: str = "Right") -> tuple[Joint, dict[str, Any]]:
+def sliding_bar(n: int, *, depth: bool = False, **cells: Any) -> tuple[Joint, dict[str, Any]]:
     """The bar of Fig. 7: a square of 40 mm, in plane strain, pushed along a rigid base AB by 100 MPa and onto it by 50 MPa.
 
     u_1 = 0 on the right side, and its lower corner B does not move. With a depth it is a cube, its back side on rollers,
@@ -143,13 +143,13 @@ def sliding_bar(n: int, *, depth: bool = False, arrangement: str = "Right") -> t
     Args:
         n: squares along each side; S has n + 1 nodes along x.
         depth: whether it is a cube.
-        arrangement: which diagonals halve the squares.
+        **cells: as in `geometry.block`; a grid unless `structured` is False.
 
     Returns:
         The joint, and the data of its models without their layer.
     """
     side = 40.0
-    joint = block(side, side, side / n, structured=True, arrangement=arrangement, depth=side if depth else None)
+    joint = block(side, side, side / n, depth=side if depth else None, **{"structured": True} | cells)
     supports: dict[Any, Any] = {"RIGHT": {"x": 0.0}}
     supports |= {"BACK": {"z": 0.0}} if depth else {(side, 0.0): 0.0}
     zero = (0.0,) if depth else ()

@@ -1,4 +1,4 @@
-"""What benchmarks measure with: processor time of works in turn, and the memory that they take."""
+"""What benchmarks measure with: stages, processor time of works in turn, memory, and rows that compare two works."""
 
 from __future__ import annotations
 
@@ -8,19 +8,51 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from geometry.parallel import T
 from thinlayer.solving.petsc import PREFIX, OptionValue, defaults
+
+Measured = Mapping[
+    str, Any
+]  # "seconds" of a work; where they are known also "peak_mb", "unknowns", "dim", "energy", stages
+
+
+class Stages(dict[str, float]):
+    """Name of a stage -> its seconds by the clock; each begins where the one before it ends."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._begin = time.perf_counter()
+
+    def end(self, name: str) -> None:
+        """End a stage."""
+        self[name], self._begin = time.perf_counter() - self._begin, time.perf_counter()
+
+    def measured(self, energy: float, unknowns: int, dim: int) -> dict[str, Any]:
+        """All stages as one work, with the largest memory of a rank, MB. Collective."""
+        peak_mb = MPI.COMM_WORLD.allreduce(status("VmHWM"), MPI.MAX)
+        of_work = {"dim": dim, "unknowns": int(unknowns), "energy": float(energy), "peak_mb": peak_mb}
+        return {**of_work, "seconds": sum(self.values()), **self}
+
+
+def compared(work: str, ours: Measured, reference: str, other: Measured, limit: float = math.inf) -> dict[str, Any]:
+    """A row: a work, the work that it is compared with, the ratio of times and its limit, the difference of energies."""
+    error = abs(ours["energy"] / other["energy"] - 1) if {"energy"} <= {*ours} & {*other} else None
+    row = {"work": work, **ours, "reference": reference, "limit": limit, "error": error}
+    row |= {"reference_seconds": other["seconds"], "reference_peak_mb": other.get("peak_mb")}
+    return row | {"ratio": ours["seconds"] / other["seconds"]}
 
 
 def timed(work: Callable[[], T]) -> tuple[float, T]:
     """Processor time of some work, s, and what it returns."""
     gc.collect()
     begin = time.process_time()
-    found = work()
-    return time.process_time() - begin, found
+    result = work()
+    return time.process_time() - begin, result
 
 
 def seconds(work: Callable[[], object]) -> float:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from studies import fig8_friction, friction_cost, performance, relaxation
-from studies.by_hand import CHOLESKY
+from studies.by_hand import CHOLESKY, K_N, LOAD, TwoBlocks, by_hand
 from studies.fig4_bar import meet, straight
+from studies.other_programs import ngsolve, scikit_fem
 from studies.problems import FOURIER_LAYER, of
 from studies.snap import distance
 from studies.sweeping import Row
@@ -45,18 +46,40 @@ def test_sweeps_and_failures():
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_the_script_by_hand_has_the_energy_of_the_interface_model(dim):
-    script, law, stiffer = performance.script(dim, 4, CHOLESKY), *(performance.on_s(dim, 4, k, {}) for k in (1.0, 1.1))
+    script, law, stiffer = by_hand(4, dim, CHOLESKY), *(performance.on_s(4, dim, k, {}) for k in (1.0, 1.1))
     assert script["energy"] == pytest.approx(law["energy"], rel=1e-9)
     assert script["energy"] != pytest.approx(stiffer["energy"], rel=1e-3)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize(("module", "program"), [("ngsolve", ngsolve), ("skfem", scikit_fem)])
+def test_other_programs_have_the_energy_of_the_script(module, program, dim):
+    pytest.importorskip(module)
+    assert program(4, dim)["energy"] == pytest.approx(by_hand(4, dim, CHOLESKY)["energy"], rel=1e-9)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_arrays_for_other_programs(dim):
+    """The work of springs as the upper block is lifted by 1, the load, the supports."""
+    blocks = TwoBlocks(4, dim)
+    numbers, lift = np.arange(blocks.points.size).reshape(-1, dim)[::-1], np.zeros(blocks.points.size)
+    lift[numbers[len(numbers) // 2 :, 1]] = 1.0
+    rows, columns, values = blocks.spring_entries(numbers)
+    assert np.sum(lift[rows] * values * lift[columns]) == pytest.approx(K_N, rel=1e-12)
+    assert blocks.load.sum(axis=0) == pytest.approx(LOAD[:dim], rel=1e-12)
+    assert blocks.held.sum(axis=0).tolist() == [(5 + 2 * 5) * 5 ** (dim - 2), *[5 ** (dim - 1)] * (dim - 1)]
+
+
 def test_benchmark_runs(monkeypatch):
     """Its rows, not its times."""
-    bench = friction_cost.Bench(6, depth=True)
-    rows = bench.compare("3D", 1)
+    bench = friction_cost.Bench(friction_cost.bar(6, depth=True))
+    rows = bench.compare("friction 3D", 1, 1.3)
     assert [row["work"] for row in rows] == ["friction 3D", "friction 3D, status predicted"]
     assert rows[0]["unknowns"] == 3 * 7**3
     bench.close()
+    monkeypatch.setattr(friction_cost, "BRICKS", (1, 2, (1.0, 0.5)))
+    (row,) = friction_cost.friction("friction in 217 bricks", 4, 1)
+    assert row["unknowns"] == 2 * (9 * 5 + 2 * 5 * 5)
 
 
 def test_distance_from_a_polygon():
