@@ -16,13 +16,15 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from forms import IncrementalCoulomb, LinearElastic, NonMonotone, VonMises
 from geometry import sandwich
 from studies.by_hand import CHOLESKY, K_N, K_T, LOAD, MULTIGRID, NU, E, by_hand
-from studies.friction_cost import WORKS, friction
+from studies.friction_cost import NETWORK, WORKS, friction
 from studies.other_programs import MODULES, ngsolve, scikit_fem
 from studies.snap import LAYER
-from studies.timing import Measured, Stages, compared, seconds
+from studies.timing import Measured, Stages, compared, timed
 from thinlayer import ArcLength, Bond, SolveError, Structure, ThinLayer, estimate, goals, march, plotting, solve
 from thinlayer.running.record import Record
 from thinlayer.system.progress import logger
@@ -47,23 +49,15 @@ EPS = {2: (1 / 16, 1 / 32, 1 / 64, 1 / 128), 3: (1 / 8, 1 / 16, 1 / 32)}  # thic
 SAME = 1e-9  # relative difference of energies of other programs and of the interface model
 FINEST = "cells as long as thick"  # the meshed layer with whose energy others are compared
 TENTHS = [k / 10 for k in range(1, 11)]
-COLUMNS: tuple[str, ...] = (
-    "part",
-    "work",
-    "dim",
-    "unknowns",
-    "eps",
-    "reference",
-    "seconds",
-    "reference_seconds",
-    "ratio",
-)
-COLUMNS += ("limit", "error", "peak_mb", "reference_peak_mb", "mesh", "model", "solve", "results", "compiled")
+COLUMNS: tuple[str, ...] = ("part", "work", "dim", "unknowns", "eps", "reference", "seconds", "reference_seconds")
+COLUMNS += ("ratio", "limit", "error", "peak_mb", "reference_peak_mb", "mesh", "model", "solve", "results", "compiled")
 ALONE = """import json, sys
+from mpi4py import MPI
 from studies import performance
 work, size, others = getattr(performance, sys.argv[1]), *map(json.loads, sys.argv[2:])
 work(6, *others)  # compiles
-print(json.dumps(work(size, *others)))"""
+row = work(size, *others)
+MPI.COMM_WORLD.rank or print(json.dumps(row))"""
 SOLVED = """from studies.performance import blocks, layer
 from thinlayer import solve
 solve(blocks(4, 2).interface(layer()))"""
@@ -103,22 +97,34 @@ def parts(*, quick: bool = False) -> dict[str, Callable[[], Iterable[Row]]]:
 
 
 def draw(record: Record) -> None:
-    """Draw the ratios of times, and the unknowns, times and errors of meshed layers over their thickness."""
+    """Draw ratios of times over unknowns; unknowns, times and errors of thin layers over the width by the thickness."""
     rows = record.load("table.csv").split("part")
 
-    def lines(table: Table, x: str, y: str) -> dict[str, tuple[Any, Any]]:
-        works = [(work, dim, of) for dim, part in table.split("dim").items() for work, of in part.split("work").items()]
-        return {f"{work}, {dim:g}D": (of[x], of[y]) for work, dim, of in works}
+    def lines(table: Table) -> dict[str, tuple[Any, Any]]:
+        return {work: (of["unknowns"], of["ratio"]) for work, of in table.split("work").items()}
 
+    panels = {
+        f"over {name}": {
+            f"{work}, {dim:g}D": xy for dim, of in part.split("dim").items() for work, xy in lines(of).items()
+        }
+        for name, part in rows["solves"].split("reference").items()
+    }
+    contact = lines(rows["friction"])
+    panels["friction over bonded"] = contact
+    panels["a network over bonded"] = {NETWORK: contact.pop(NETWORK)}
     look: dict[str, Any] = {"styles": ("o-", "s--", "^-.", "D:", "v-", "P--")}
-    against = rows["solves"].split("reference")
-    panels = {f"over {name}": lines(part, "unknowns", "ratio") for name, part in against.items()}
-    save, title = record.path("performance_ratios.svg"), "a law on S"
-    plotting.curves(panels, "unknowns", "ratio of times", title=title, save=save, log="x", columns=2, **look)
-    panels = {name: lines(rows["thin"], "eps", name) for name in ("unknowns", "seconds", "error")}
-    across, labels = "thickness of the layer over the width of S", {"error": "relative error of the energy"}
-    save, title = record.path("performance.svg"), "cost of a thin layer"
-    plotting.curves(panels, across, {n: labels.get(n, n) for n in panels}, title=title, save=save, log="xy", **look)
+    save = record.path("performance_ratios.svg")
+    plotting.curves(panels, "unknowns", "ratio of times", save=save, log="x", xlim=(3e3, 2e6), **look)
+    panels = {
+        f"{y}, {dim:g}D": {
+            work: (1 / of["eps"], np.where(of[y] > 0, of[y], np.nan)) for work, of in part.split("work").items()
+        }
+        for dim, part in rows["thin"].split("dim").items()
+        for y in ("unknowns", "seconds", "error")
+    }
+    across, save = "width of S over the layer's thickness", record.path("performance.svg")
+    title = "cost of a thin layer, and relative error of the energy"
+    plotting.curves(panels, across, title=title, save=save, log="xy", xlim=(7, 150), **look)
 
 
 # ---------------------------------------------------------------- works, most of them in a process of their own
@@ -224,22 +230,25 @@ def marches(n: int, repeats: int) -> Iterable[Row]:
     works: dict[str, tuple[str, Any, float, Any]] = {
         "step of a march that yields": ("P2", ThinLayer(flowing, 0.01, at=1.0), 1.0, TENTHS),
         "step of a march in contact": ("P1", IncrementalCoulomb(K_N, K_T, friction=0.25), -1.0, TENTHS),
-        "step of a path": ("P2", ThinLayer(switching, 0.02, at=1.0), 1.0, ArcLength(end=2.0, first=0.1)),
+        "step of a path": ("P2", ThinLayer(switching, 0.02, at=1.0), 1.0, ArcLength(end=2.0, first=0.2)),
         "estimate with bounds": ("P2", layer(), 1.0, None),
     }
 
-    def spent(call: Callable[..., Any], *arguments: Any, **choices: Any) -> float:
-        return min(seconds(partial(call, *arguments, **choices)) for _ in range(repeats + 1))
+    def spent(call: Callable[..., Any], *arguments: Any, **choices: Any) -> tuple[float, Any]:
+        runs = [timed(partial(call, *arguments, **choices)) for _ in range(repeats + 1)]
+        return min(runs, key=lambda run: run[0])
 
     for work, (element, law, pull, times) in works.items():
         structure = blocks(n, 2, element, lambda x, t, pull=pull: (t * LOAD[0], t * pull))
         model, soft = structure.interface(law), structure.interface(layer())
+        (linear, state), steps, limit = spent(solve, soft, 1.0), 1, math.inf
         if times:
-            took, limit = spent(march, model, times) / (len(march(model, times)) - 1), math.inf
+            took, history = spent(march, model, times, keep="last")
+            steps = len(history.t) - 1
         else:
-            took, limit = spent(estimate, solve(soft, 1.0), goals=[goals.Compliance()]), ESTIMATE_LIMIT
-        ours = {"dim": 2, "unknowns": soft.unknowns, "seconds": took}
-        yield compared(work, ours, "linear solve", {"seconds": spent(solve, soft, 1.0)}, limit)
+            (took, _), limit = spent(estimate, state, goals=[goals.Compliance()]), ESTIMATE_LIMIT
+        ours = {"dim": 2, "unknowns": soft.unknowns, "seconds": took / steps}
+        yield compared(work, ours, "linear solve", {"seconds": linear}, limit)
 
 
 def first_use() -> Iterable[Row]:
