@@ -20,12 +20,14 @@ import numpy as np
 
 from forms import IncrementalCoulomb, LinearElastic, NonMonotone, VonMises
 from geometry import sandwich
+from geometry.parallel import T
 from studies.by_hand import CHOLESKY, K_N, K_T, LOAD, MULTIGRID, NU, E, by_hand
 from studies.friction_cost import NETWORK, WORKS, friction
 from studies.other_programs import MODULES, ngsolve, scikit_fem
 from studies.snap import LAYER
 from studies.timing import Measured, Stages, compared, timed
 from thinlayer import ArcLength, Bond, SolveError, Structure, ThinLayer, estimate, goals, march, plotting, solve
+from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
 from thinlayer.system.progress import logger
 from thinlayer.system.table import Row, Table
@@ -91,7 +93,7 @@ def parts(*, quick: bool = False) -> dict[str, Callable[[], Iterable[Row]]]:
         "friction": lambda: (row for work in frictions for n in frictions[work] for row in friction(work, n, repeats)),
         "thin": lambda: (row for dim in EPS for eps in EPS[dim][: 2 if quick else None] for row in thin(dim, eps)),
         "ranks": lambda: ranks(cube, repeats),
-        "marches": lambda: marches(20 if quick else 100, repeats),
+        "marches": lambda: marches(20 if quick else 100, repeats + 1),
         "first use": first_use,
     }
 
@@ -202,15 +204,22 @@ def thin(dim: int, eps: float) -> Iterable[Row]:
     finest: Measured = {}
     for work, (kind, h_S, order) in works.items():
         joint = sandwich(1.0, 0.5, 0.5, h, depth=depth, h_S=min(h_S, h))
-        body, soft = LinearElastic.young(E=E, nu=NU), replace(layer(eps=eps), order=order)
-        structure = Structure(joint, body=body, supports={"BOTTOM": 0}, tractions={"TOP": LOAD[:dim]})
-        begin = time.process_time()
-        model = getattr(structure, kind)(soft)
-        state = solve(model)
-        row = {"dim": dim, "unknowns": model.unknowns, "eps": eps, "seconds": time.process_time() - begin}
+        soft, data = replace(layer(eps=eps), order=order), {"supports": {"BOTTOM": 0}, "tractions": {"TOP": LOAD[:dim]}}
+        took, state = quickest(2, solved, kind, soft, joint, body=LinearElastic.young(E=E, nu=NU), **data)
+        row = {"dim": dim, "unknowns": state.model.unknowns, "eps": eps, "seconds": took}
         row["energy"] = state.energies()["bodies"] + state.energies()["layer"]
         finest = finest or row
         yield compared(work, row, FINEST, finest)
+
+
+def solved(kind: str, soft: ThinLayer, *data: Any, **more: Any) -> State:
+    """The solution of a "full" or "interface" model, made anew."""
+    return solve(getattr(Structure(*data, **more), kind)(soft))
+
+
+def quickest(runs: int, call: Callable[..., T], *arguments: Any, **choices: Any) -> tuple[float, T]:
+    """Least processor time of several runs of a call, and what it returns."""
+    return min((timed(partial(call, *arguments, **choices)) for _ in range(runs)), key=lambda run: run[0])
 
 
 def ranks(n: int, repeats: int) -> Iterable[Row]:
@@ -234,19 +243,15 @@ def marches(n: int, repeats: int) -> Iterable[Row]:
         "estimate with bounds": ("P2", layer(), 1.0, None),
     }
 
-    def spent(call: Callable[..., Any], *arguments: Any, **choices: Any) -> tuple[float, Any]:
-        runs = [timed(partial(call, *arguments, **choices)) for _ in range(repeats + 1)]
-        return min(runs, key=lambda run: run[0])
-
     for work, (element, law, pull, times) in works.items():
         structure = blocks(n, 2, element, lambda x, t, pull=pull: (t * LOAD[0], t * pull))
         model, soft = structure.interface(law), structure.interface(layer())
-        (linear, state), steps, limit = spent(solve, soft, 1.0), 1, math.inf
+        (linear, state), steps, limit = quickest(repeats, solve, soft, 1.0), 1, math.inf
         if times:
-            took, history = spent(march, model, times, keep="last")
+            took, history = quickest(repeats, march, model, times, keep="last")
             steps = len(history.t) - 1
         else:
-            (took, _), limit = spent(estimate, state, goals=[goals.Compliance()]), ESTIMATE_LIMIT
+            (took, _), limit = quickest(repeats, estimate, state, goals=[goals.Compliance()]), ESTIMATE_LIMIT
         ours = {"dim": 2, "unknowns": soft.unknowns, "seconds": took / steps}
         yield compared(work, ours, "linear solve", {"seconds": linear}, limit)
 
