@@ -89,7 +89,7 @@ def parts(*, quick: bool = False) -> dict[str, Callable[[], Iterable[Row]]]:
     frictions = {work: [*limits][: 1 if quick else None] for work, (_, limits) in WORKS.items()}
     return {
         "solves": lambda: (row for dim in sizes for n in sizes[dim] for row in solves(n, dim, repeats)),
-        "stiffer": lambda: stiffer(24 if quick else cube, repeats),
+        "stiffer": lambda: stiffer(16 if quick else cube, repeats),
         "friction": lambda: (row for work in frictions for n in frictions[work] for row in friction(work, n, repeats)),
         "thin": lambda: (row for dim in EPS for eps in EPS[dim][: 2 if quick else None] for row in thin(dim, eps)),
         "ranks": lambda: ranks(cube, repeats),
