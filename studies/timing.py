@@ -16,9 +16,8 @@ from petsc4py import PETSc
 from geometry.parallel import T
 from thinlayer.solving.petsc import PREFIX, OptionValue, defaults
 
-Measured = Mapping[
-    str, Any
-]  # "seconds" of a work; where they are known also "peak_mb", "unknowns", "dim", "energy", stages
+# "seconds" of a work; where they are known also "peak_mb", "unknowns", "dim", "energy", stages
+Measured = Mapping[str, Any]
 
 
 class Stages(dict[str, float]):
@@ -33,8 +32,9 @@ class Stages(dict[str, float]):
         self[name], self._begin = time.perf_counter() - self._begin, time.perf_counter()
 
     def measured(self, energy: float, unknowns: int, dim: int) -> dict[str, Any]:
-        """All stages as one work, with the largest memory of a rank, MB. Collective."""
-        peak_mb = MPI.COMM_WORLD.allreduce(status("VmHWM"), MPI.MAX)
+        """All stages as one work, with the largest memory of a rank, MB; each has its part of shared pages. Collective."""
+        shared = status("VmRSS") - status("Pss:", "smaps_rollup")
+        peak_mb = MPI.COMM_WORLD.allreduce(status("VmHWM") - shared, MPI.MAX)
         of_work = {"dim": dim, "unknowns": int(unknowns), "energy": float(energy), "peak_mb": peak_mb}
         return {**of_work, "seconds": sum(self.values()), **self}
 
@@ -75,9 +75,9 @@ def peak(work: Callable[[], object]) -> float:
     return max(status("VmHWM") - before, 0.0)
 
 
-def status(name: str) -> float:
-    """A size of memory of this process, MB, by its name in /proc; NaN if there is none."""
-    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
+def status(name: str, file: str = "status") -> float:
+    """A size of memory of this process, MB, by its name in a file of /proc; NaN if there is none."""
+    for line in Path("/proc/self", file).read_text(encoding="utf-8").splitlines():
         if line.startswith(name):
             return int(line.split()[1]) / 1024
     return float("nan")
