@@ -282,22 +282,12 @@ class Splitting:
         return out
 
     @cached_property
-    def copies(self) -> tuple[IntArray, IntArray]:
-        """The nodes of the split mesh beyond those of the mesh: (m, 2) node and component > 0, in ascending order.
-
-        And (n_cells, k) nodes of the split mesh: component 0 keeps a node's number, copies follow after the last node.
-        """
-        split, n = self.of_nodes, int(self.cells.max(initial=-1)) + 1
-        where = np.nonzero(split)
-        pairs, number = np.unique(np.column_stack([self.cells[where], split[where]]), axis=0, return_inverse=True)
-        cells = self.cells.copy()
-        cells[where] = n + number.ravel()
-        return pairs, cells
-
-    @cached_property
     def pieces(self) -> IntArray:
         """(n_cells,) number of the connected piece of each cell, in the order of their first cells."""
-        corners = self.copies[1][:, : self._corners.shape[1]]
+        corners, split = self._corners.copy(), self.of_nodes[:, : self._corners.shape[1]]
+        where = np.nonzero(split)  # copies of vertices follow after the last one
+        number = np.unique(np.column_stack([corners[where], split[where]]), axis=0, return_inverse=True)[1]
+        corners[where] = int(corners.max(initial=-1)) + 1 + number.ravel()
         first = corners[:, :1].repeat(corners.shape[1] - 1, axis=1)
         label = connected(first.ravel(), corners[:, 1:].ravel(), int(corners.max(initial=-1)) + 1)[corners[:, 0]]
         start = np.full(int(label.max(initial=-1)) + 1, len(label))

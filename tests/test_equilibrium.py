@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.sparse
 from petsc4py import PETSc
 
 from forms import Anisotropic, HolonomicCoulomb, LinearElastic, MohrCoulomb, NonMonotone
 from geometry import sandwich
 from tests.refused import refused
 from thinlayer import SolveError, Structure, Surface, ThinLayer, march, solve
+from thinlayer.parts.part import Block
+from thinlayer.solving.balance import lent
 from thinlayer.solving.contact.finder import ContactFinder
 from thinlayer.solving.equilibrium import Equilibrium
 
@@ -157,3 +160,21 @@ def test_an_error_of_petsc_keeps_the_march(monkeypatch):
     with pytest.raises(SolveError, match=r"error 76") as caught:
         march(linear(), [1.0, 2.0, 3.0])
     assert list(caught.value.history.t) == [0.0, 1.0]
+
+
+# ---------------------------------------------------------------------------------- one matrix
+def test_a_lent_matrix_is_the_sum_with_supports_and_afterwards_what_it_was():
+    """The other block has entries outside the pattern; one held row has a neighbour that no other change touches."""
+
+    def matrix(dense):
+        csr = scipy.sparse.csr_matrix(dense)
+        return PETSc.Mat().createAIJ(dense.shape, csr=(csr.indptr, csr.indices, csr.data), comm=PETSc.COMM_SELF)
+
+    chain = np.diag(np.sqrt(np.arange(2.0, 9.0))) - 0.3 * np.eye(7, k=1) - 0.7 * np.eye(7, k=-1)
+    spring, held = np.zeros((7, 7)), np.array([0, 4], PETSc.IntType)
+    spring[np.ix_([1, 6], [1, 6])] = [[3.0, -1 / 3], [-1 / 3, 2.0]]
+    K, whole = matrix(chain), chain + 0.1 * spring
+    whole[held], whole[:, held], whole[held, held] = 0.0, 0.0, 5.0
+    with lent(K, [Block(matrix(spring), 0.1)], held, 5.0) as A:
+        np.testing.assert_allclose(A[:, :], whole, rtol=1e-15)
+    assert np.array_equal(K[:, :], chain)

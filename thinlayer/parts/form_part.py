@@ -58,7 +58,7 @@ class FormPart(Part):
         self.key, self.K, self._energy, self._kept = key, K, energy, kept
         V, self._u = u.function_space, u
         self.comm = communicator(V.mesh)
-        self._product, self._change = (u.x.petsc_vec.duplicate() for _ in range(2))
+        self._product = u.x.petsc_vec.duplicate()
         self._F = [] if F is None else compiled_summands(F)
         self._J = [] if F is None else compiled_summands(ufl.derivative(F, u, ufl.TrialFunction(V)))
         self._tangents: list[PETSc.Mat] = []  # of the forms in _J
@@ -113,7 +113,7 @@ class FormPart(Part):
     # ---------------------------------------------------------------- an accepted step
     def commit(self) -> Outcome:
         now, old = self._end.x.petsc_vec, self.interval.old.u.x.petsc_vec
-        change, theta = self._change, self.interval.theta
+        change, theta = now.duplicate(), self.interval.theta
         change.waxpy(-1.0, old, now)
         before, after, of_change = (self._quadratic(v) for v in (old, now, change))
         supplied = 0.0
@@ -127,6 +127,7 @@ class FormPart(Part):
             last, first = self._stored(now, self.interval), self._stored(old, self.interval, before=True)
             self._u.x.array[:] = taken
             before, after, remainder = before + first, after + last, remainder + worked - (last - first)
+        change.destroy()
         return Outcome(before, after, 0.0, remainder, kept=self._kept, supplied=supplied)
 
     def _supplied(self) -> float:
@@ -152,7 +153,7 @@ class FormPart(Part):
         return float(self.comm.allreduce(fem.assemble_scalar(self._energy_form)))
 
     def destroy(self) -> None:
-        destroy(self.K, self._product, self._change, *self._tangents)
+        destroy(self.K, self._product, *self._tangents)
 
 
 def matrix(form: Expr) -> PETSc.Mat:

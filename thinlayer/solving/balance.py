@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import reduce
 from operator import or_
 from typing import Any, TypeVar
@@ -354,6 +355,39 @@ class TangentMatrix:
     def destroy(self) -> None:
         """Free the matrices."""
         destroy(*self._sums.values(), self._whole)
+
+
+@contextmanager
+def lent(K: PETSc.Mat, others: Sequence[Block], held: npt.NDArray[Any], value: float) -> Iterator[PETSc.Mat]:
+    """In a `with` block K itself is its sum with other blocks, with supports: a copy would take as much memory again.
+
+    Args:
+        K: a matrix of one rank, with symmetric pattern; after the block its entries are the same as before.
+        others: the other blocks; those not kept are destroyed.
+        held: rows and columns that become those of `value` times the identity.
+        value: see `held`.
+    """
+    rows = [held, K.createSubMatrix(_indices(held)).getRowIJ()[1]]  # rows of held columns: the pattern is symmetric
+    rows += [np.flatnonzero(np.diff(block.matrix.getRowIJ()[0])) for block in others]
+    changed = np.unique(np.concatenate(rows)).astype(PETSc.IntType)
+    before = K.createSubMatrix(_indices(changed))
+    try:
+        for block in others:
+            K.axpy(block.factor, block.matrix, DIFFERENT)
+        destroy(*(block.matrix for block in others if not block.kept))
+        K.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        K.zeroRowsColumns(held, value)
+        yield K
+    finally:
+        K.zeroRows(changed, 0.0)
+        K.setValuesIJV(*before.getValuesCSR(), rowmap=changed)
+        K.assemble()
+        K.setOption(PETSc.Mat.Option.SPD, False)
+        before.destroy()
+
+
+def _indices(rows: npt.NDArray[Any]) -> PETSc.IS:
+    return PETSc.IS().createGeneral(rows, comm=PETSc.COMM_SELF)
 
 
 def side_by_side(blocks: Sequence[Sequence[PETSc.Mat | None]], comm: MPI.Intracomm) -> PETSc.Mat:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from itertools import chain
@@ -21,8 +22,8 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import Audit, Configuration, Report, State
 from thinlayer.parts.making import body_parts, diagonal_at_rest, layer_parts
-from thinlayer.parts.part import DISPLACEMENTS, Interval
-from thinlayer.solving.balance import DIFFERENT, ForceScale, Layout, PartSum, TangentMatrix
+from thinlayer.parts.part import DISPLACEMENTS, Block, Interval
+from thinlayer.solving.balance import DIFFERENT, ForceScale, Layout, PartSum, TangentMatrix, lent
 from thinlayer.solving.holding import ReactionSums, RigidMotions
 from thinlayer.solving.linear_solvers import MULTIGRIDS, Kept, orthonormal, split
 from thinlayer.system.ranks import destroy
@@ -273,6 +274,28 @@ class Equations(PartSum):
         self._product = self._tangent.ptap(self._T, result=self._product)
         self._product.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         return self._product
+
+    @contextmanager
+    def with_supports(
+        self, x: PETSc.Vec | None = None, b: PETSc.Vec | None = None, *, lend: bool = False
+    ) -> Iterator[PETSc.Mat]:
+        """The tangent at the unknowns of the last residual, with supports.
+
+        Args:
+            x, b: as in `hold`.
+            lend: whether the `with` block factors the matrix and all else may do without it: then, on one rank, the matrix
+                of the bodies may stand for it.
+        """
+        alone = self.comm.size == 1 and self._T is None and not self.with_own
+        first, *others = self.blocks(self._relative_residual) if lend and alone else [Block(None)]
+        if not first.kept or first.factor != 1:
+            A = self.tangent()
+            self.hold(A, x, b)
+            yield A
+            return
+        with lent(first.matrix, others, self.held_rows, self.mean_stiffness or 1.0) as self._tangent:
+            yield self._tangent
+        self._tangent = None
 
     def ease(self, ease: float) -> None:
         """Replace laws by eased ones: 0 is the law itself, 1 an elastic one."""

@@ -13,8 +13,8 @@ from forms.base import InputError
 from thinlayer.errors import SolveError
 from thinlayer.solving.balance import ALLOWED
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import mark
-from thinlayer.solving.petsc import PREFIX, OptionValue, reason_name, solve_linear, solve_nonlinear
+from thinlayer.solving.linear_solvers import DIRECT, mark
+from thinlayer.solving.petsc import PREFIX, OptionValue, options_set, reason_name, solve_linear, solve_nonlinear
 
 # Relative residuals; keys: True for direct solvers, False for Krylov methods.
 REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # refinement ends at this residual
@@ -197,14 +197,17 @@ class Equilibrium(Finder):
         if move is None and self._factor.of == key:
             self.reused = True
             return
-        A = equations.tangent()
-        equations.hold(A, move, b)
-        if self.nonlinear:
-            self._require_finite("tangent (the slope of the stress)", A.norm())
-        else:
-            equations.require_unique()
-        mark(A, equations.model, saddle=equations.traits.saddle)
-        self.reused = self._factor.renew(A, key, equations.tell) and not self.nonlinear
+        options, names = options_set(), ("ksp_type", "pc_factor_mat_solver_type")
+        once = not self.nonlinear and all(options.get(name) == DIRECT[name] for name in names)
+        with equations.with_supports(move, b, lend=once) as A:
+            if self.nonlinear:
+                self._require_finite("tangent (the slope of the stress)", A.norm())
+            else:
+                equations.require_unique()
+            mark(A, equations.model, saddle=equations.traits.saddle)
+            self.reused = self._factor.renew(A, key, equations.tell) and not self.nonlinear
+            if once:
+                self._factor.set_up()
 
     def _require_finite(self, quantity: str, size: float) -> None:
         """Raise SolveError if `size`, the norm of a quantity at the start of the step, is NaN or infinite."""

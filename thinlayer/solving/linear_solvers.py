@@ -142,6 +142,7 @@ class Factor:
             self.ksp = PETSc.KSP().create(A.comm)
             self.ksp.setOptionsPrefix(PREFIX)
         self.ksp.setOperators(A)
+        self.ksp.getPC().setReusePreconditioner(False)
         if not stays:
             self.ksp.setFromOptions()
         tell(self.ksp, A)
@@ -150,10 +151,14 @@ class Factor:
         self._options, self.of = options, of
         return stays
 
+    def set_up(self) -> None:
+        """Factor the matrix now, for all solves until the next `renew`, even if the matrix changes."""
+        self.ksp.setUp()
+        self.ksp.getPC().setReusePreconditioner(True)
+
     def _set_up_in_blocks(self, A: PETSc.Mat) -> None:
         """Build the hierarchy, whose matrices then multiply in blocks; A itself stays as it is."""
         pc = self.ksp.getPC()
-        pc.setReusePreconditioner(False)
         with lean_products():
             self.ksp.setUp()
         destroy(self._blocks)
