@@ -41,7 +41,8 @@ def count(dim: int) -> int:
 def rigid(x: npt.NDArray[Any], about: Array) -> Array:
     """Unit translations and rotations about a point, at places x (n, d): (n, d, k)."""
     n, d = x.shape
-    return np.concatenate([np.tile(np.eye(d), (n, 1, 1)), np.einsum("kij,nj->nik", TURNS[d], x - about)], axis=2)
+    shifts, turns = np.broadcast_to(np.eye(d), (n, d, d)), np.einsum("kij,nj->nik", TURNS[d], x - about)
+    return np.concatenate([shifts, turns], axis=2)
 
 
 def balanced_motions(kinematics: Kinematics, dim: int) -> Array:

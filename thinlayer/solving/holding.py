@@ -112,7 +112,7 @@ class RigidMotions:
         """
         motions, piece = self._motions()
         n, per = motions.shape
-        columns = (piece[:, None] * per + np.arange(per)).ravel()
+        columns = (piece[:, None] * per + np.arange(per, dtype=np.int32)).ravel()
         csr = motions.ravel(), columns, np.arange(n + 1) * per
         shown, gram = self.model.constraints.shown(scipy.sparse.csr_matrix(csr, (n, len(self._names) * per)))
         values, vectors = np.linalg.eigh(gram)
@@ -139,7 +139,7 @@ class RigidMotions:
             return
         rows = A.getLocalSize()[0]  # displacements, then further unknowns
         starts = motions.indptr[np.minimum(np.arange(rows + 1), motions.shape[0])]
-        csr = starts.astype(PETSc.IntType), motions.indices.astype(PETSc.IntType), motions.data
+        csr = (*(one.astype(PETSc.IntType, copy=False) for one in (starts, motions.indices)), motions.data)
         rigid = PETSc.Mat().createAIJ(((rows, None), (None, len(allowed))), csr=csr, comm=self.model.comm)
         product = A.ptap(rigid)
         first, last = product.getOwnershipRange()
