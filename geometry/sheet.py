@@ -17,13 +17,11 @@ from geometry.topology import (
     IntArray,
     connected,
     keys_of_ridges,
-    node_jacobians,
     ridge_keys,
     ridges,
 )
 
 TRIANGLES = ((0, 1, 2), (1, 3, 2))  # corners of a quadrilateral
-VOLUMES = {"triangle": 1 / 2, "quadrilateral": 1.0, "tetrahedron": 1 / 6, "hexahedron": 1.0}  # of reference cells
 CLOSED = 0.1  # length of the mean unit normal below which S counts as closed
 CORNER = 0.7  # cosine of the least angle between straight ends that meet: at smaller ones the end counts as curved
 
@@ -179,8 +177,6 @@ class Sheet:
         value is for this body.
         """
         joint = self.joint
-        volumes = np.abs(node_jacobians(joint.points, joint.corners, joint.cell_type)).mean(axis=1)
-        volumes *= VOLUMES[joint.cell_type]
         pieces, cells = joint.splitting.pieces, joint.surface_cells[self.facets]
         sides = [np.unique(pieces[side[side >= 0]]) for side in cells.T]
         sides = [np.union1d(*sides)] if len(np.intersect1d(*sides)) else [side for side in sides if len(side)]
@@ -188,8 +184,23 @@ class Sheet:
         for side in sides:
             inside = np.isin(pieces, side)
             away = distance[joint.corners[inside]].max()
-            found.append(min(volumes[inside].sum() / self.areas.sum(), away if self.planar else math.inf))
+            found.append(min(_volume(joint, inside) / self.areas.sum(), away if self.planar else math.inf))
         return tuple(map(float, found))
+
+
+def _volume(joint: Joint, inside: BoolArray) -> float:
+    """Volume of whole pieces of the bodies, given by their cells (n_cells,), from their faces by the divergence theorem."""
+    rows = np.concatenate([joint.outer_rows, joint.surface_rows, joint.surface_rows])
+    cells = np.concatenate([joint.table.cells[joint.outer_rows, 0], *joint.surface_cells.T])
+    kept = (cells >= 0) & inside[cells]
+    nodes = joint.table.nodes(rows[kept], joint.corners, joint.cell_type)
+    middle = joint.points[joint.corners[cells[kept]]].mean(axis=1)[:, None]
+    volume = 0.0
+    for corners in TRIANGLES if joint.cell_type == "hexahedron" else (tuple(range(joint.dim)),):
+        x = joint.points[nodes[:, corners]]
+        cones, own = (np.linalg.det(x - tip) for tip in (x[0, 0], middle))  # from one place, and from that in the cell
+        volume += float((cones * np.sign(own)).sum()) / math.factorial(joint.dim)
+    return volume
 
 
 @dataclass(frozen=True)
