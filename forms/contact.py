@@ -218,6 +218,10 @@ class EasedContact:
         """As in `ContactLaw`."""
         return (1 - self.share) * self.law.tangent(w, slip) + self.share * self.bonded(*w.shape)
 
+    def status(self, w: Array, slip: Array | None = None) -> npt.NDArray[np.int8]:
+        """As in `ContactLaw`."""
+        return self.law.status(w, slip)
+
 
 @dataclass(frozen=True)
 class _Coulomb(ContactLaw):

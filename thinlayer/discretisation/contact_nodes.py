@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -121,10 +122,33 @@ class ContactNodes:
         with on_all(self.comm):
             self.gap = gap(np.ascontiguousarray(self.x.T))
 
+    @classmethod
+    def joined(cls, several: Sequence[ContactNodes]) -> ContactNodes:
+        """The pairs of several seams, one seam after the other: their places, areas, frames and gaps."""
+        out = copy(next((one for one in several if one.surface.lower is not None), several[0]))
+        for cached in ("dofs", "lower"):
+            vars(out).pop(cached, None)
+        for name in ("upper", "_lower", "x", "weights", "frames", "gap"):
+            setattr(out, name, np.concatenate([getattr(one, name) for one in several]))
+        return out
+
     @property
     def pairs(self) -> IntArray:
         """(n, 2) global numbers of the nodes of V on the upper and on the lower side; -1 on a rigid base."""
         return np.column_stack([self._first + self.upper.astype(np.int64), self._lower])
+
+    def shared(self) -> IntArray:
+        """Local numbers of this rank's nodes of V that are the lower side of a pair of another rank. Collective."""
+        if self.lower is None:
+            return np.empty(0, np.int64)
+        each, count = self.lower.createVecLeft(), self.zero()
+        each.set(1.0)
+        self.lower.multTranspose(each, count)
+        here = self._lower - self._first
+        own = np.bincount(here[(here >= 0) & (here < self._size)], minlength=self._size)
+        found = np.flatnonzero(count.array_r[:: self.dim] > own + 0.5)
+        destroy(each, count)
+        return found
 
     @property
     def lines(self) -> IntArray:
@@ -203,11 +227,11 @@ class ContactNodes:
         """Matrix (n d, all) that selects the displacements of the lower side; None on a rigid base."""
         if self.surface.lower is None:
             return None
-        n, d = len(self.upper), self.dim
-        columns = (self._lower[:, None] * d + np.arange(d)).ravel().astype(PETSc.IntType)
-        rows = np.arange(n * d + 1, dtype=PETSc.IntType)
-        size = self._size * d
-        return PETSc.Mat().createAIJ(((n * d, None), (size, None)), csr=(rows, columns, np.ones(n * d)), comm=self.comm)
+        n, d, there = len(self.upper), self.dim, self._lower >= 0
+        columns = (self._lower[there, None] * d + np.arange(d)).ravel().astype(PETSc.IntType)
+        rows = np.append(0, np.cumsum(there.repeat(d))).astype(PETSc.IntType)
+        csr, size = (rows, columns, np.ones(len(columns))), self._size * d
+        return PETSc.Mat().createAIJ(((n * d, None), (size, None)), csr=csr, comm=self.comm)
 
     def lower_side(self, u: PETSc.Vec) -> Array:
         """Displacement of the lower side, (n, d), global axes; zero on a rigid base."""

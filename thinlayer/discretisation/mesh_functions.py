@@ -214,8 +214,11 @@ def broken_space(comm: MPI.Intracomm, unknowns: Keys) -> fem.FunctionSpace:
 
 
 def _elect(questions: IntArray, source: IntArray, rank: int) -> IntArray:
-    """Owner of each key: this rank, where its users meet, if one of its own cells uses it, else the lowest such rank."""
-    key, used = questions[:, 0], questions[:, 1] == 1
+    """Owner of each key: this rank, where its users meet, if a cell that it sees has it, else the lowest rank that uses it.
+
+    Thus both sides of S belong to one rank at nearly all places, which solvers of contact need.
+    """
+    key, used = questions[:, 0], (questions[:, 1] == 1) | (source == rank)
     candidate, votes = key[used], np.where(source[used] == rank, -1, source[used])
     order = np.lexsort((votes, candidate))
     distinct, start = np.unique(candidate[order], return_index=True)

@@ -10,7 +10,7 @@ from petsc4py import PETSc
 from scipy.sparse.linalg import splu
 
 from forms.base import Array
-from thinlayer.parts.contact_part import ContactPart
+from thinlayer.discretisation.contact_nodes import ContactNodes
 from thinlayer.solving.contact.pairs import Pairs
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.petsc import PREFIX, lean_products, put_in_blocks
@@ -31,16 +31,16 @@ class Tangent:
 
     Args:
         A: stiffness of the bodies with supports.
-        part: the contact law.
-        pairs: its pairs on this rank.
+        nodes: all pairs of nodes whose upper one this rank has.
+        pairs: those pairs, with the contact laws and the nodes that this rank solves for.
         equations: the equations of the model.
         start: (n, d) expected jumps, which choose the springs of the hierarchy; None: bonded.
     """
 
     def __init__(
-        self, A: PETSc.Mat, part: ContactPart, pairs: Pairs, equations: Equations, start: Array | None
+        self, A: PETSc.Mat, nodes: ContactNodes, pairs: Pairs, equations: Equations, start: Array | None
     ) -> None:
-        self._A, self.part, self.nodes, self.pairs, self.held = A, part, part.nodes, pairs, equations.held
+        self._A, self.nodes, self.pairs, self.held = A, nodes, pairs, equations.held
         first = A.getOwnershipRange()[0]
         index = PETSc.IS().createGeneral((first + pairs.dofs).astype(PETSc.IntType), comm=A.comm)
         self._rows = A.createSubMatrix(index, None)
@@ -56,10 +56,15 @@ class Tangent:
 
     def _clipped(self, start: Array | None) -> Array:
         """Clipped tangents (n, d, d) of S without the coupling by friction."""
-        law, d, ends = self.part.law, self.nodes.dim, self.pairs.ends
-        own = np.append(self._near.diagonal().reshape(-1, d).mean(axis=1), np.inf)[ends].min(axis=1, initial=np.inf)
-        scale = own / (DIAGONAL * self.nodes.weights)  # E/h of the softer side
-        D = law.bonded(len(scale), d) if start is None else law.tangent(start, self.part.slip)
+        nodes, pairs, d, diagonal = self.nodes, self.pairs, self.nodes.dim, self._A.getDiagonal()
+        above, below = (
+            diagonal.array_r.reshape(-1, d)[nodes.upper].mean(axis=1),
+            nodes.lower_side(diagonal).mean(axis=1),
+        )
+        diagonal.destroy()
+        softer = np.where(below > 0, np.minimum(above, below), above)  # below a rigid base there is none
+        scale = softer / (DIAGONAL * nodes.weights)  # E/h of the softer side
+        D = pairs.bonded_tangents() if start is None else pairs.tangents(start)
         i = np.arange(d)
         stiffness = D[:, i, i]
         out = np.zeros_like(D)
@@ -145,7 +150,7 @@ class Tangent:
         own = u.array_r[pairs.dofs].copy()
         g = self._near @ own + pairs.forces(w) - residual.array_r[pairs.dofs]
         rest = w - (pairs.jumps @ own).reshape(w.shape)
-        back, moves = turned.any(axis=1), np.ones(len(pairs.nodes) + 1, bool)
+        back, moves = turned.any(axis=1) & (pairs.ends[:, 0] >= 0), np.ones(len(pairs.nodes) + 1, bool)
         moves[pairs.ends[back]] = False
         upper = own.reshape(-1, pairs.d)[pairs.ends[back, 0]]
         upper += np.einsum("nji,nj->ni", pairs.frames[back], turned[back])

@@ -24,7 +24,7 @@ def default_method(model: Model) -> str:
     """The default method for a contact model.
 
     "newton" for bodies that are not linear, laws without sweeps, and seams without contact between others; "condensed" on
-    one rank if S has few displacements, in networks at each body; else "multigrid", in networks "newton".
+    one rank if S has few displacements, in networks at each body; else "multigrid". "newton" for periodic joints.
     """
     joint = model.joint
     both = len(np.unique(joint.surface)) * (1 if joint.rigid_base else 2)
@@ -44,11 +44,8 @@ def _most_vertices(model: Model) -> int:
 
 
 def _is_network(model: Model) -> bool:
-    """Whether several layers meet, or share a body, so that a displacement may belong to several pairs of nodes.
-
-    The same holds for periodic joints, whose mean strain also is no load of these solvers.
-    """
-    return len(model.joint.seams) > 1 or model.joint.seams_meet or model.joint.periods is not None
+    """Whether several layers meet, or share a body, so that a displacement may belong to several pairs of nodes."""
+    return len(model.joint.seams) > 1 or model.joint.seams_meet
 
 
 def _is_linear(model: Model) -> bool:
@@ -76,9 +73,10 @@ def _unsuited(model: Model, method: str) -> str:
         return "is for contact laws; the model has none"
     if method != "multigrid" and model.comm.size > 1:
         return f"is for one rank, not {model.comm.size}; use method='multigrid'"
-    if _is_network(model) and (method != "condensed" or model.joint.periods):
-        remedy = "use method='newton'" + ("" if model.joint.periods else " or, on one rank, 'condensed'")
-        return f"is for one seam without branches, not periodic, whose jumps are independent of each other; {remedy}"
+    if model.joint.periods:
+        return "is not for periodic joints; use method='newton'"
+    if method == "relaxation" and _is_network(model):
+        return "is for one seam without branches, whose jumps are independent of each other; use another method"
     if not _is_linear(model):
         others = "and no inclined supports or rigid plates; use method='newton'"
         return f"needs linear bodies without stresses at rest, linear, symmetric parts and layers, {others}"

@@ -10,7 +10,8 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from forms.base import Array, InputError
-from forms.contact import ContactLaw, Status
+from forms.contact import Status
+from thinlayer.discretisation.contact_nodes import ContactNodes
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.solving.balance import AIM, TINY
@@ -47,7 +48,7 @@ NEWTON: dict[str, OptionValue] = {
 
 
 class MultigridContact(ContactFinder):
-    """Newton's method by SNES, FGMRES and one algebraic multigrid hierarchy, for one seam. Collective.
+    """Newton's method by SNES, FGMRES and one algebraic multigrid hierarchy, for seams that may meet. Collective.
 
     The hierarchy is built for the bodies with symmetric, clipped springs on S, in the first solve, and kept until `close`;
     its springs change with the status of S.
@@ -59,20 +60,18 @@ class MultigridContact(ContactFinder):
     solves are chosen here unless ksp_rtol is set.
     """
 
-    eases = False
-
     def __init__(self, equations: Equations, like: State | None) -> None:
         super().__init__(equations, like)
         library(SOURCE, self.comm)
-        (self.part,) = self.parts
-        self.pairs = Pairs(self.parts, self.held, self.x.getOwnershipRange()[0] // self.part.nodes.dim)
+        self.nodes = nodes = ContactNodes.joined([part.nodes for part in self.parts])
+        self.pairs = Pairs(self.parts, self.held, self.x.getOwnershipRange()[0] // nodes.dim, nodes.shared())
         self._tangent: Tangent | None = None
         self._forces = equations.vector()
 
     def solve(self, known: bool) -> tuple[int, float]:
         """As in `ContactFinder`. SolveError: no convergence, for instance without an equilibrium."""
         history: list[float] = []
-        nodes, old = self.part.nodes, self.equations.interval.old.u.x.petsc_vec
+        nodes, old = self.nodes, self.equations.interval.old.u.x.petsc_vec
         start = nodes.apart(self.x) if known else None
         closed = self.equations.vector()
         closed.array[nodes.dofs] = nodes.frames[:, -1] * nodes.gap[:, None]
@@ -83,7 +82,7 @@ class MultigridContact(ContactFinder):
         closed.destroy()
         with defaults({**HIERARCHY, **NEWTON}):
             if self._tangent is None:
-                self._tangent = Tangent(self.A, self.part, self.pairs, self.equations, start)
+                self._tangent = Tangent(self.A, nodes, self.pairs, self.equations, start)
             else:
                 _count_as_read(("pc_", "mg_"))
             attempts = [(None, LOOSE), (None, STRICT)] if start is None else [(start, STRICT), (None, LOOSE)]
@@ -136,7 +135,7 @@ class _Newton:
 
     def __init__(self, finder: MultigridContact, tangent: Tangent, reductions: Reductions) -> None:
         self.finder, self.tangent, self.reductions = finder, tangent, reductions
-        self.nodes, self.law, self.slip = finder.part.nodes, finder.part.law, finder.part.slip
+        self.nodes, self.pairs = finder.nodes, finder.pairs
         self.held = finder.equations.held
         self.residuals: list[float] = []
         self._target = reductions[0]
@@ -194,7 +193,7 @@ class _Newton:
         self._swept = False
         if step:
             w = self.nodes.apart(snes.getSolution())
-            self._turn = turned(self.law, w, self.slip, self._at)
+            self._turn = turned(self.pairs, w, self._at)
             self._swept = self._is_new(w, self._turn) or self._h > EXPECTED * self._target
             ksp = snes.getKSP()
             self._left = ksp.getResidualNorm() / snes.getFunctionNorm()
@@ -218,15 +217,15 @@ class _Newton:
 
     def _begin(self, u: PETSc.Vec, f: PETSc.Vec) -> Array:
         """Tangents of the first step; f becomes the residual of the law linearised at the jumps to start from."""
-        law, slip, w, s = self.law, self.slip, self.nodes.apart(u), self._start
+        pairs, w, s = self.pairs, self.nodes.apart(u), self._start
         if s is None:
-            tangents = law.bonded(len(w), self.nodes.dim)
-            t = np.einsum("nij,nj->ni", tangents, w - np.column_stack([slip, np.zeros(len(slip))]))
+            tangents = pairs.bonded_tangents()
+            t = np.einsum("nij,nj->ni", tangents, pairs.offsets(w))
         else:
-            tangents = law.tangent(s, slip)
-            t = law.traction(s, slip) + np.einsum("nij,nj->ni", tangents, w - s)
-            self._at = sliding(law, s, slip)
-        self.nodes.add_forces(t - law.traction(w, slip), f)
+            tangents = pairs.tangents(s)
+            t = pairs.tractions(s) + np.einsum("nij,nj->ni", tangents, w - s)
+            self._at = sliding(pairs, s)
+        self.nodes.add_forces(t - pairs.tractions(w), f)
         f.array[self.held] = 0.0
         return tangents
 
@@ -240,22 +239,22 @@ class _Newton:
             self._target = min(self.reductions[1] * self._h, nonlinear)
         self._target = max(self._target, FINISH * TOLERANCE)
         w = self.nodes.apart(u)
-        self._at = sliding(self.law, w, self.slip)
-        return self.law.tangent(w, self.slip)
+        self._at = sliding(self.pairs, w)
+        return self.pairs.tangents(w)
 
     def _is_new(self, w: Array, turn: Array) -> bool:
         """Whether the status of a node on any rank has changed since the last tangents."""
-        other = self._at is None or bool((self.law.status(w, self.slip) != self._at[0]).any())
+        other = self._at is None or bool((self.pairs.status(w) != self._at[0]).any())
         return bool(self.finder.comm.allreduce(int(other or bool(turn.any()))))
 
 
 # ---------------------------------------------------------------- nodes whose slip has reversed
-def sliding(law: ContactLaw, w: Array, slip: Array) -> Sliding:
+def sliding(pairs: Pairs, w: Array) -> Sliding:
     """Sliding state at jumps (n, d), for a later `turned`."""
-    return law.status(w, slip), w[:, :-1] - slip
+    return pairs.status(w), pairs.offsets(w)[:, :-1]
 
 
-def turned(law: ContactLaw, w: Array, slip: Array, at: Sliding | None) -> Array:
+def turned(pairs: Pairs, w: Array, at: Sliding | None) -> Array:
     """Changes (n, d) of the jumps that make nodes stick whose slip direction has reversed since the last tangents.
 
     A sliding node has no stiffness of its own along its slip. If it should stick, Newton's method can move it to and fro
@@ -264,7 +263,7 @@ def turned(law: ContactLaw, w: Array, slip: Array, at: Sliding | None) -> Array:
     out = np.zeros_like(w)
     if at is None:
         return out
-    (status, old), (new_status, now) = at, sliding(law, w, slip)
+    (status, old), (new_status, now) = at, sliding(pairs, w)
     back = (status == Status.SLIDING) & (new_status == Status.SLIDING) & ((old * now).sum(axis=1) < 0)
     way = old[back] - now[back]
     part = -(now[back] * way).sum(axis=1) / (way**2).sum(axis=1)

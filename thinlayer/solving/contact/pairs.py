@@ -34,19 +34,22 @@ class Pairs:
         parts: the contact laws, each with its pairs.
         held: (N,) displacements of this rank that supports prescribe.
         first: global number of this rank's first node.
+        shared: numbers on this rank of nodes that are left out, as they are in pairs of other ranks too.
 
     Attributes:
         nodes: (n,) local numbers of this rank's nodes that are in a pair, ascending; of `some`: their numbers in all.
         dofs: (n d,) their displacements.
         free: (n, d) components that are not held.
-        ends: (pairs, 2) upper and lower node, as numbers in `nodes`; -1: the rigid base, or a node of another rank.
+        ends: (pairs, 2) upper and lower node, as numbers in `nodes`; -1: the rigid base, or a node that is not here.
         d: dimension.
     """
 
-    def __init__(self, parts: Sequence[ContactPart], held: BoolArray, first: int = 0) -> None:
+    def __init__(
+        self, parts: Sequence[ContactPart], held: BoolArray, first: int = 0, shared: Sequence[int] | IntArray = ()
+    ) -> None:
         self._parts, self.d = parts, parts[0].nodes.dim
         pairs = np.concatenate([part.nodes.pairs for part in parts]) - first
-        pairs[(pairs < 0) | (pairs >= len(held) // self.d)] = -1
+        pairs[(pairs < 0) | (pairs >= len(held) // self.d) | np.isin(pairs, shared)] = -1
         self.frames = np.concatenate([part.nodes.frames for part in parts])
         self.weights = np.concatenate([part.nodes.weights for part in parts])
         self.gaps = np.zeros((len(pairs), self.d))
@@ -102,7 +105,7 @@ class Pairs:
 
     def forces(self, w: Array) -> Array:
         """(n d,) forces of the pairs at jumps (pairs, d), to be added to those of the bodies; zero at held components."""
-        return self.on_nodes(self._gathered(lambda law, w, slip: law.traction(w, slip), w))
+        return self.on_nodes(self.tractions(w))
 
     def on_nodes(self, t: Array) -> Array:
         """(n d,) forces of tractions (pairs, d) on the nodes, zero at held components."""
@@ -110,12 +113,27 @@ class Pairs:
 
     def tangent(self, w: Array) -> scipy.sparse.csr_matrix:
         """(n d, n d) derivative of `forces` by the displacements."""
-        return self.stiffness(self._gathered(lambda law, w, slip: law.tangent(w, slip), w))
+        return self.stiffness(self.tangents(w))
+
+    def tractions(self, w: Array) -> Array:
+        """(pairs, d) tractions of the laws at jumps (pairs, d)."""
+        return self._gathered(lambda law, w, slip: law.traction(w, slip), w)
+
+    def tangents(self, w: Array) -> Array:
+        """(pairs, d, d) derivatives of `tractions` by the jumps."""
+        return self._gathered(lambda law, w, slip: law.tangent(w, slip), w)
+
+    def bonded_tangents(self) -> Array:
+        """(pairs, d, d) tangents of pairs that neither open nor slide."""
+        return self._gathered(lambda law, w, _: law.bonded(*w.shape), self.gaps)
+
+    def status(self, w: Array) -> Array:
+        """(pairs,) `Status` at jumps (pairs, d)."""
+        return self._gathered(lambda law, w, slip: law.status(w, slip), w)
 
     def bonded(self) -> tuple[scipy.sparse.csr_matrix, Array]:
         """Stiffness of springs that neither open nor slide, and their forces on nodes at rest, by slip and gaps."""
-        rest = self._offsets(self.gaps)
-        D = self._gathered(lambda law, w, _: law.bonded(*w.shape), rest)
+        D, rest = self.bonded_tangents(), self.offsets(self.gaps)
         return self.stiffness(D), self.on_nodes(np.einsum("nij,nj->ni", D, rest))
 
     def stiffness(self, D: Array) -> scipy.sparse.csr_matrix:
@@ -132,7 +150,7 @@ class Pairs:
         places = rows.ravel(), columns.ravel()
         return scipy.sparse.csr_matrix((blocks.ravel(), places), shape=(len(self.dofs),) * 2)
 
-    def _offsets(self, w: Array) -> Array:
+    def offsets(self, w: Array) -> Array:
         """Jumps (pairs, d) less the slip."""
         return self._gathered(lambda law, w, slip: np.column_stack([w[:, :-1] - slip, w[:, -1]]), w)
 
@@ -164,7 +182,7 @@ class Pairs:
         laws = self._gathered(lambda law, w, _: np.tile(numbers_of(law), (len(w), 1)), rest)
         arrays = (
             stiffness.indptr, stiffness.indices, stiffness.data, g, u, *self._by_node, self.frames, self.weights, laws,
-            self._offsets(rest), self.free if moves is None else self.free & moves[:, None],
+            self.offsets(rest), self.free if moves is None else self.free & moves[:, None],
         )  # fmt: skip
         c = own_library(SOURCE)
         return int(c.lib.sweep_pairs(len(self.nodes), self.d, *pointers(c, *arrays), sweeps))
