@@ -13,7 +13,8 @@ from forms.base import InputError
 from geometry import bond_cell, periodic, sandwich
 from geometry.seam import Seam
 from tests.dry_walls import dry_wall, imbalance
-from tests.network_cases import BED, HEAD, three_bricks
+from tests.network_cases import BED, HEAD, square, three_bricks
+from tests.on_ranks import on_ranks
 from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, march, piecewise, solve
 from thinlayer.errors import LimitLoad, LooseBody
@@ -76,20 +77,44 @@ def test_a_support_that_moves():
     require_equal(*(solve(model, method=method) for method in ("condensed", "newton")))
 
 
-def test_a_wall_that_stands_on_a_rigid_floor():
-    """Nothing but contact holds the wall: its weight and the push pass into the floor."""
+def on_a_floor():
+    """Nothing but contact holds the wall."""
     joint = dry_wall(h=0.25).joint
     facets = {"FLOOR" if name == "BOTTOM" else name: rows for name, rows in joint.facets.items()}
     joint = replace(joint, facets=facets, seams=joint.seams | {"FLOOR": Seam()})
     loads = {"TOP": (0.2, -1.0)}
     body = LinearElastic.young(50.0, 0.2)
-    model = Structure(joint, body=body, supports={}, tractions=loads, element="Q1").interface(
+    return Structure(joint, body=body, supports={}, tractions=loads, element="Q1").interface(
         {"BED": BED, "HEAD": HEAD, "FLOOR": HEAD}
     )
+
+
+def test_a_wall_that_stands_on_a_rigid_floor():
+    """Its weight and the push pass into the floor."""
+    model = on_a_floor()
     one, other = (solve(model, method=method) for method in ("condensed", "newton"))
     require_equal(one, other)
     assert imbalance(one) < 1e-12
     assert Surface(one.model, "FLOOR").contact(one).force == pytest.approx([-0.6, 3.0], rel=1e-12)
+
+
+def walls(method=None):
+    """The methods, and sums of displacements; some nodes slide, and some joints are stiffer than the cells beside them."""
+    space = {"bricks": 2, "courses": 3, "h": 0.25, "depth": 0.3}
+    cases = [("hexahedron", 0.35, 100.0), ("tetrahedron", 0.3, 5.0)]
+    models = [dry_wall(lambda x, t, p=p: p, cell=cell, stiffer=s, **space) for cell, p, s in cases]
+    states = [solve(model, method=method) for model in (*models, on_a_floor())]
+    return [one.report.method for one in states], [square(one) for one in states]
+
+
+@on_ranks(walls, 2)
+def test_multigrid_solves_networks_on_several_ranks(there):
+    """Ranks share bricks, and nodes in contact on both sides of S."""
+    methods, squares = there
+    assert methods == ["multigrid"] * 3
+    wanted = pytest.approx(walls("condensed")[1], rel=ROUNDED)
+    assert squares == wanted
+    assert walls("multigrid")[1] == wanted
 
 
 # ---------------------------------------------------------------- pieces of the solver
@@ -198,9 +223,7 @@ def test_forth_and_back():
 # ---------------------------------------------------------------- what is refused
 def test_refused():
     model = dry_wall(h=0.25)
-    for method in ("multigrid", "relaxation"):
-        words = f"method='{method}' is for one seam without branches.*'condensed'"
-        refused(InputError, words, solve, model, method=method)
+    refused(InputError, "'relaxation' is for one seam without branches", solve, model, method="relaxation")
     stack = ThinLayer(Stack((0.5, LinearElastic(0.5, 1.0)), (0.5, LinearElastic(0.2, 1.5))), 0.01, at=1.0)
     stacked = model.structure.interface({"BED": BED, "HEAD": stack})  # whose stiffness is in no form
     refused(InputError, "linear, symmetric parts and layers", solve, stacked, method="condensed")
@@ -209,5 +232,5 @@ def test_refused():
     strip = periodic(sandwich(1.0, 0.5, 0.5, 0.25), ("LEFT", "RIGHT"))
     below = Structure(strip, body=LinearElastic.young(50.0, 0.2), supports={"BOTTOM": 0.0}, element="P1")
     for model in (cell.interface({"BED": BED, "HEAD": HEAD}), below.interface(BED)):
-        words = "method='condensed' is for one seam without branches, not periodic"
-        refused(InputError, words, solve, model, method="condensed")
+        for method in ("condensed", "multigrid"):
+            refused(InputError, f"method='{method}' is not for periodic joints", solve, model, method=method)

@@ -62,8 +62,8 @@ def solve(
         options: PETSc options without prefix; they override our defaults. -thinlayer_NAME given to PETSc overrides both.
         method: "linear" (default if every law is linear) or "newton". For contact laws "condensed" (to the displacements of
             nodes on S; default on one rank while S is narrow), "multigrid" (default otherwise), "newton" (default if a body
-            is not linear, for a law of one's own, and for periodic joints) or "relaxation" (the paper's, for comparison, not
-            for networks).
+            is not linear, for a law of one's own, for periodic joints, and for seams in contact beside others) or
+            "relaxation" (the paper's, for comparison, not for networks).
         like: a state of an interface model of the same joint, such as that of another load, thickness or law. Newton's
             method begins at its displacements; under a contact law "condensed" and "multigrid" begin with its contact
             status. Where that fails they begin at rest.

@@ -23,8 +23,8 @@ CONDENSED_UP_TO = {2: 4000, 3: 1200}  # dimension -> largest number of displacem
 def default_method(model: Model) -> str:
     """The default method for a contact model.
 
-    "newton" for bodies that are not linear, laws without sweeps, and seams without contact between others; "condensed" on
-    one rank if S has few displacements, in networks at each body; else "multigrid". "newton" for periodic joints.
+    "newton" for bodies that are not linear, laws without sweeps, periodic joints, and seams without contact between others;
+    "condensed" on one rank if S has few displacements, in networks at each body; else "multigrid".
     """
     joint = model.joint
     both = len(np.unique(joint.surface)) * (1 if joint.rigid_base else 2)

@@ -94,7 +94,7 @@ class Pairs:
         columns = pair, self.ends[pair, 1 - side], np.where(side, -1, 1)
         return begins.astype(np.int32), *(column[order].astype(np.int32) for column in columns)
 
-    def _gathered(self, of_part: Callable[[Law, Array, Array], Array], w: Array) -> Array:
+    def _gathered(self, of_part: Callable[[Law, Array, Array], npt.NDArray[Any]], w: Array) -> npt.NDArray[Any]:
         """(pairs, ...) values of each part's law at the jumps (pairs, d)."""
         parts = [(part, self._part == k) for k, part in enumerate(self._parts)]
         return np.concatenate([of_part(part.now, w[own], part.slip[self._of_part[own]]) for part, own in parts])
@@ -127,7 +127,7 @@ class Pairs:
         """(pairs, d, d) tangents of pairs that neither open nor slide."""
         return self._gathered(lambda law, w, _: law.bonded(*w.shape), self.gaps)
 
-    def status(self, w: Array) -> Array:
+    def status(self, w: Array) -> npt.NDArray[np.int8]:
         """(pairs,) `Status` at jumps (pairs, d)."""
         return self._gathered(lambda law, w, slip: law.status(w, slip), w)
 
