@@ -112,7 +112,10 @@ def places_in_cells(V: fem.FunctionSpace, x: Expr) -> Array:
 
 
 def _values(f: fem.Function, x: Array) -> Array:
-    """Values (n, m) of a function of m components at places (n, d) of this rank, on any rank; NaN outside its mesh."""
+    """Values (n, m) of a function of m components at places (n, d) of this rank, on any rank; NaN outside its mesh.
+
+    Every rank gets the places and values of all ranks: its memory grows with all cells.
+    """
     mesh = f.function_space.mesh
     comm = communicator(mesh)
     every = comm.allgather(np.pad(x, ((0, 0), (0, 3 - x.shape[1]))))

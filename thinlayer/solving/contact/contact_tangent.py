@@ -26,6 +26,8 @@ MANY = 0.2  # share of the nodes of S whose springs change by half or more upon 
 class Tangent:
     """The tangent of a contact problem and its preconditioner, as contexts of a PETSc matrix and a PETSc PC.
 
+    No rank gathers anything of the others: each factorises the rows of its own nodes of S.
+
     Both act on vectors that are zero at held displacements. Both multiply with the hierarchy's matrix in blocks; the
     tangent adds the difference between the tangents of S and the springs of the hierarchy.
 
