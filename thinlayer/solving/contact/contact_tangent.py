@@ -15,12 +15,16 @@ from thinlayer.solving.contact.pairs import Pairs
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.petsc import PREFIX, lean_products, put_in_blocks
 
-PIVOTS: dict[str, Any] = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.01}  # of SuperLU: diagonal unless small
+PIVOTS: dict[str, Any] = {  # of SuperLU: diagonal unless small, and columns in an order for such pivots
+    "permc_spec": "MMD_AT_PLUS_A",
+    "diag_pivot_thresh": 0.01,
+    "options": {"SymmetricMode": True},
+}
 SWEEPS = 4  # number of Gauss-Seidel sweeps before a Newton step, if sweeps are due
 DIAGONAL = 3.0  # stiffness of a node of S, relative to its area times E/h; an upper estimate
-CLIP_NORMAL, CLIP_TANGENTIAL = 30.0, 1.0  # largest stiffness of springs in the hierarchy, relative to E/h
+CLIP_NORMAL, CLIP_TANGENTIAL = 10.0, 1.0  # largest stiffness of springs in the hierarchy, relative to E/h
 FLOOR = 1e-3  # least stiffness of springs in the hierarchy, relative to E/h, for bodies that nothing else holds
-MANY = 0.2  # share of the nodes of S whose springs change by half or more upon which the hierarchy changes, too
+MANY = 0.1  # share of the nodes of S whose springs change by half or more upon which the hierarchy changes, too
 
 
 class Tangent:

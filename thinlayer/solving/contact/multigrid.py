@@ -27,8 +27,8 @@ Reductions = tuple[float, float]  # factors by which the first and the later lin
 Sliding = tuple[npt.NDArray[np.int8], Array]  # status of nodes (n,), and their tangential jumps less slip (n, d - 1)
 
 TOLERANCE = 1e-10  # residual of the law at which Newton's method stops, relative to the forces
-LOOSE: Reductions = (0.3, 0.2)  # for a start whose status is wrong at many nodes
-STRICT: Reductions = (0.02, 0.05)  # for a prediction, and in the last attempt
+LOOSE: Reductions = (0.5, 0.4)  # for a start whose status is wrong at many nodes
+STRICT: Reductions = (0.05, 0.1)  # for a prediction, and in the last attempt
 EXPECTED = 3.0  # largest residual after a Newton step without sweeps, relative to the target of its linear solve
 LARGE = 3e-5  # residual, relative to given forces, above which the rounding of a body far away is no force
 ENOUGH = 0.05  # least factor by which a linear solve after sweeps reduces a residual below the forces
