@@ -198,7 +198,8 @@ class Equilibrium(Finder):
             self.reused = True
             return
         options, names = options_set(), ("ksp_type", "pc_factor_mat_solver_type")
-        once = not self.nonlinear and all(options.get(name) == DIRECT[name] for name in names)
+        kept = options.get("pc_type") == "gamg" or all(options.get(name) == DIRECT[name] for name in names)
+        once = not self.nonlinear and kept  # the factor, or the matrices in blocks, is all that solves need
         with equations.with_supports(move, b, lend=once) as A:
             if self.nonlinear:
                 self._require_finite("tangent (the slope of the stress)", A.norm())

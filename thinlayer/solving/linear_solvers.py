@@ -19,7 +19,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Part
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.balance import Layout, TangentMatrix
-from thinlayer.solving.petsc import PREFIX, OptionValue, lean_products, options_set, put_in_blocks
+from thinlayer.solving.petsc import PREFIX, OptionValue, lean_products, options_set, put_in_blocks, set_residual
 from thinlayer.system.ranks import destroy
 
 DIRECT: dict[str, OptionValue] = {
@@ -167,6 +167,7 @@ class Factor:
             put_in_blocks(pc.getMGSmoother(level).getOperators()[0])
         if finest:
             pc.getMGSmoother(finest).setOperators(self._blocks)
+            set_residual(pc, finest, self._blocks)
         pc.setReusePreconditioner(True)
         self.ksp.setOperators(self._blocks)
 

@@ -34,6 +34,7 @@ ARGUMENTS = {  # name of a function -> types of its arguments; all functions ret
     "MatFactorCreateSchurComplement": (POINTER, POINTER, POINTER),
     "MatCopy": (POINTER, POINTER, ctypes.c_int),
     "MatDestroy": (POINTER,),
+    "PCMGSetResidual": (POINTER, ctypes.c_int32, POINTER, POINTER),
 }
 
 
@@ -188,6 +189,11 @@ def put_in_blocks(A: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
     found.setType("baij")
     found.setPreallocationCSR(csr)
     return found
+
+
+def set_residual(pc: PETSc.PC, level: int, A: PETSc.Mat) -> None:
+    """Let a level of multigrid compute residuals with A."""
+    _call("PCMGSetResidual", pc.handle, level, None, A.handle)
 
 
 def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
