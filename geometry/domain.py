@@ -213,8 +213,7 @@ class Domain:
 
     def facets(self, name: str, *, layer_sides: bool = False) -> Indices:
         """Local facets (ghosts included) of a name; arguments and errors as in `values`."""
-        found = np.isin(self.facet_tags.values, self.values(name, layer_sides=layer_sides))
-        return self.facet_tags.indices[found]
+        return self.facet_tags.indices[np.isin(self.facet_tags.values, self.values(name, layer_sides=layer_sides))]
 
     def vertices(self, original: int) -> Indices:
         """Local vertices made from a vertex of the joint before inflating: one, or all copies of a vertex on S.

@@ -111,8 +111,7 @@ class FacetTable:
 
     def index(self, facets: IntArray) -> IntArray:
         """Rows of this table for facets given by vertices in any order; -1 where the mesh has no such facet."""
-        wanted = _keys(np.sort(facets, axis=1))
-        at, after = (np.searchsorted(self._keys, wanted, side) for side in ("left", "right"))
+        at, after = (np.searchsorted(self._keys, _keys(np.sort(facets, axis=1)), side) for side in ("left", "right"))
         return np.where(after > at, at, -1)
 
     def nodes(self, rows: IntArray, cells: IntArray, cell_type: str) -> IntArray:
@@ -156,8 +155,7 @@ def ridge_keys(rows: IntArray) -> IntArray:
 
 def keys_of_ridges(facets: IntArray, k: int) -> IntArray:
     """(n, m) keys of the ridges of facets given by vertices in any order, k a ridge: of a quadrilateral diagonals, too."""
-    pairs = combinations(range(facets.shape[1]), k)
-    return np.stack([ridge_keys(facets[:, list(pair)]) for pair in pairs], axis=1)
+    return np.stack([ridge_keys(facets[:, list(pair)]) for pair in combinations(range(facets.shape[1]), k)], axis=1)
 
 
 def node_jacobians(points: FloatArray, cells: IntArray, cell_type: str) -> FloatArray:

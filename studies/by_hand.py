@@ -16,6 +16,7 @@ from dolfinx.fem.petsc import apply_lifting, assemble_matrix, assemble_vector
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from forms.base import require
 from studies.timing import Stages
 
 E, NU = 100.0, 0.3  # of the blocks, MPa
@@ -38,6 +39,9 @@ class TwoBlocks:
         n: even number of cells along each side.
         dim: 2 or 3.
 
+    Raises:
+        InputError: n is odd.
+
     Attributes:
         points: (nodes, dim) coordinates.
         cells: (cells, dim + 1) their nodes.
@@ -46,6 +50,7 @@ class TwoBlocks:
     """
 
     def __init__(self, n: int, dim: int) -> None:
+        require(n % 2 == 0, "n", n, "S lies between cells: take an even number")
         x = np.linspace(0.0, 1.0, n + 1)
         numbers = np.arange((n + 1) ** (dim - 1) * (n // 2 + 1)).reshape(n + 1, n // 2 + 1, *[n + 1] * (dim - 2))
         axes = x, x[: n // 2 + 1] - 0.5, *[x] * (dim - 2)

@@ -53,8 +53,7 @@ def scikit_fem(n: int, dim: int) -> dict[str, Any]:
     """By scipy's factorisation; what `Stages.measured` returns."""
     fem, elasticity = import_module("skfem"), import_module("skfem.models.elasticity")
     stages, blocks = Stages(), TwoBlocks(n, dim)
-    triangles = dim == 2
-    kind, element = (fem.MeshTri, fem.ElementTriP1()) if triangles else (fem.MeshTet, fem.ElementTetP1())
+    kind, element = (fem.MeshTri, fem.ElementTriP1()) if dim == 2 else (fem.MeshTet, fem.ElementTetP1())
     mesh = kind(blocks.points.T.copy(), blocks.cells.T.copy())
     stages.end("mesh")
     basis = fem.Basis(mesh, fem.ElementVector(element))

@@ -167,8 +167,7 @@ class BrokenMesh:
             with on_all(self.comm):
                 shape.interpolate(lambda x: profile(x[: self._dim]))
             thickness = thickness * sides.upper(shape)
-        terms = surface(law, sides, thickness, order)
-        return [replace(term, law=for_terms(term.law, self.mesh)) for term in terms]
+        return [replace(term, law=for_terms(term.law, self.mesh)) for term in surface(law, sides, thickness, order)]
 
     def contact_surface(self, tag: int, V: fem.FunctionSpace) -> ContactSurface:
         """The facets of S with a tag, for a contact law: `ContactPart(law, surface)` is a part of a `StepProblem`.
@@ -245,8 +244,7 @@ class BrokenMesh:
     def _check_cuts(self, cuts: Indices) -> None:
         """Refuse bodies that meet where no layer holds them, and an S inside a body."""
         topology = self.mesh.topology
-        own = np.arange(topology.index_map(self._dim - 1).size_local, dtype=np.int32)
-        inner = np.setdiff1d(own, self._outer)
+        inner = np.setdiff1d(np.arange(topology.index_map(self._dim - 1).size_local, dtype=np.int32), self._outer)
         cells_of = np.diff(topology.connectivity(self._dim - 1, self._dim).offsets)
         (lost,) = self._sum(np.count_nonzero(cells_of[inner] < 2))
         if lost:

@@ -155,8 +155,7 @@ class ContactNodes:
         """(m, 2) neighbours along S, on one rank; none in three dimensions."""
         number, node = self._corners_of
         order = np.argsort(number)[: len(number) if self.dim == 2 else 0]
-        within = np.flatnonzero(np.diff(number[order] // 2) == 0)
-        return node[order][within[:, None] + [0, 1]]
+        return node[order][np.flatnonzero(np.diff(number[order] // 2) == 0)[:, None] + [0, 1]]
 
     def _global(self, local: npt.NDArray[Any]) -> Array:
         """Global numbers of local nodes, as floats, because they are sent together with areas."""

@@ -181,8 +181,7 @@ class Model(ABC):
             self.contacts = {name: one.contact for name, one in self.layers.items() if one.contact}
             self.reductions = {name: Reduction(one, self._bodies) for name, one in self.layers.items()}
             checked = check()
-        what = require_same(structure.comm, model=self.name, layer=layer, options=self._options)
-        self.mark = structure.mark + what
+        self.mark = structure.mark + require_same(structure.comm, model=self.name, layer=layer, options=self._options)
         return checked
 
     def _given(self, name: str) -> Expr | None:

@@ -114,8 +114,7 @@ class Setup:
     def bodies_at_rest(self) -> list[Array | None]:
         """Tangents of the bodies' laws at rest; None: not known."""
         n = self.sheet.mean_normal
-        laws = [self.kinematics.law(law) for law in self._bodies_with_numbers]
-        return [known_at_rest(law, n) for law in laws]
+        return [known_at_rest(self.kinematics.law(law), n) for law in self._bodies_with_numbers]
 
     @cached_property
     def _bodies_with_numbers(self) -> list[BulkLaw]:

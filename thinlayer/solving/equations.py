@@ -66,8 +66,7 @@ class Equations(PartSum):
         added = [part for addition in model.parts if (part := addition.part(model)) is not None]
         self._own_parts = [*self.layers, *added]
         super().__init__([*kept.bodies, *self._own_parts])
-        fields = {part.key: part.field for part in self.with_own}
-        self._layout = Layout(self.comm, {DISPLACEMENTS: self.u, **fields})
+        self._layout = Layout(self.comm, {DISPLACEMENTS: self.u, **{part.key: part.field for part in self.with_own}})
         kept.matrix = self._matrix = kept.matrix or TangentMatrix(self.comm, self._layout.sizes)
         self.factor = kept.factor
         self.n_displacements = self._layout.sizes[DISPLACEMENTS]

@@ -54,8 +54,7 @@ class ReactionSums:
             loads_at: nodal forces of the loads at a time, a new vector.
         """
         theta, old = interval.theta, interval.old
-        of_ties = self._of_ties(interval.t, old.t, theta)
-        now = self._resultants(r, of_ties)
+        now = self._resultants(r, self._of_ties(interval.t, old.t, theta))
         if theta == 1:
             return now
         before = old.reactions
@@ -140,8 +139,7 @@ class RigidMotions:
         rows = A.getLocalSize()[0]  # displacements, then further unknowns
         starts = motions.indptr[np.minimum(np.arange(rows + 1), motions.shape[0])]
         csr = (*(one.astype(PETSc.IntType, copy=False) for one in (starts, motions.indices)), motions.data)
-        rigid = PETSc.Mat().createAIJ(((rows, None), (None, len(allowed))), csr=csr, comm=self.model.comm)
-        product = A.ptap(rigid)
+        product = A.ptap(PETSc.Mat().createAIJ(((rows, None), (None, len(allowed))), csr=csr, comm=self.model.comm))
         first, last = product.getOwnershipRange()
         begins, columns, values = product.getValuesCSR()
         stiffness = np.zeros(product.getSize())

@@ -100,8 +100,7 @@ class HeldLayers:
     def linearise(self, w: Array) -> None:
         """Let K be the tangent at w, and `load` such that the residual there is K w - load."""
         r = self.residual(w)
-        rows = self._equations.tangent().getValuesCSR()
-        self.K = scipy.sparse.csr_matrix(rows[::-1], shape=(len(r),) * 2)
+        self.K = scipy.sparse.csr_matrix(self._equations.tangent().getValuesCSR()[::-1], shape=(len(r),) * 2)
         self.load = self.K @ w - r
         self._forget()
 

@@ -91,8 +91,7 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
         if chosen == "fieldsplit" and unsuited:
             others = f"the unknowns {unsuited[0]!r} are others (of a meshed layer, a plate or a mean stress)"
             raise InputError(f"pc_type fieldsplit is for displacements and pressures on S; {others}")
-        suited = chosen == "fieldsplit" or (large and not unsuited)
-        return [BLOCKS, *factorising] if suited else factorising
+        return [BLOCKS, *factorising] if chosen == "fieldsplit" or (large and not unsuited) else factorising
     iterative = {**MULTIGRID, "ksp_type": "cg" if model.symmetric else "gmres"}
     if chosen in MULTIGRIDS:
         return [iterative]

@@ -86,8 +86,7 @@ class StepProblem(PartSum):
         compiled = compiled_terms(terms)
         _check(parts, {"forms", *compiled})
         in_form = [term for term in terms if not term.law.traits.compiled]
-        residual = form + work(in_form, u, ufl.TestFunction(V)) if in_form else form
-        of_form = FormPart("forms", u, F=residual)
+        of_form = FormPart("forms", u, F=form + work(in_form, u, ufl.TestFunction(V)) if in_form else form)
         super().__init__([of_form, *(CompiledPart(key, V, term) for key, term in compiled.items()), *parts])
         self.comm, self._u, self._bcs = communicator(V.mesh), u, list(bcs)
         with on_all(self.comm):

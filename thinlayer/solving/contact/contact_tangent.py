@@ -63,10 +63,8 @@ class Tangent:
     def _clipped(self, start: Array | None) -> Array:
         """Clipped tangents (n, d, d) of S without the coupling by friction."""
         nodes, pairs, d, diagonal = self.nodes, self.pairs, self.nodes.dim, self._A.getDiagonal()
-        above, below = (
-            diagonal.array_r.reshape(-1, d)[nodes.upper].mean(axis=1),
-            nodes.lower_side(diagonal).mean(axis=1),
-        )
+        above = diagonal.array_r.reshape(-1, d)[nodes.upper].mean(axis=1)
+        below = nodes.lower_side(diagonal).mean(axis=1)
         diagonal.destroy()
         softer = np.where(below > 0, np.minimum(above, below), above)  # below a rigid base there is none
         scale = softer / (DIAGONAL * nodes.weights)  # E/h of the softer side

@@ -146,8 +146,7 @@ class Pairs:
         blocks = own[pair] * np.where(which < 2, 1.0, -1.0)[:, None, None]
         blocks = blocks * self.free[row][:, :, None] * self.free[column][:, None, :]
         rows = (row[:, None, None] * d + np.arange(d)[:, None]).repeat(d, axis=2)
-        columns = (column[:, None, None] * d + np.arange(d)).repeat(d, axis=1)
-        places = rows.ravel(), columns.ravel()
+        places = rows.ravel(), (column[:, None, None] * d + np.arange(d)).repeat(d, axis=1).ravel()
         return scipy.sparse.csr_matrix((blocks.ravel(), places), shape=(len(self.dofs),) * 2)
 
     def offsets(self, w: Array) -> Array:

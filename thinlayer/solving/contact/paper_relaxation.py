@@ -170,8 +170,7 @@ class ContactRelaxation(ContactFinder):
         """Unknowns in the order of the nodes' places, along x first: convergence depends on the order of sweeps."""
         nodes = self.part.nodes
         d, x = nodes.dim, nodes.surface.V.tabulate_dof_coordinates()
-        close = 1e-9 * self.equations.model.joint.size
-        rows = np.lexsort(np.rint(x[:, :d] / close).T)
+        rows = np.lexsort(np.rint(x[:, :d] / (1e-9 * self.equations.model.joint.size)).T)
         return (rows[:, None] * d + np.arange(d)).ravel().astype(np.int32)
 
     def _change(self) -> scipy.sparse.csr_matrix:
