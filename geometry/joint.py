@@ -24,6 +24,7 @@ from geometry.topology import (
     corner_count,
     facet_normals,
     geometry_degree,
+    keys_of_ridges,
     ridge_keys,
     ridges,
     weights_between,
@@ -269,6 +270,14 @@ class Joint:
     def outer_rows(self) -> IntArray:
         """Rows of `table` of the facets on the outer boundary that are not in S, in ascending order."""
         return np.setdiff1d(np.flatnonzero(self.table.cells[:, 1] < 0), self.surface_rows)
+
+    @cached_property
+    def outer_beside_s(self) -> tuple[IntArray, IntArray]:
+        """Those of `outer_rows` that touch S in a ridge, (n,), and keys (n, m) of their ridges: -1 for those not in S."""
+        keys = keys_of_ridges(self.table.vertices[self.outer_rows], self.dim - 1)
+        keys[~np.isin(keys, ridge_keys(ridges(self.surface, self.cell_type)[0]))] = -1
+        beside = (keys >= 0).any(axis=1)
+        return self.outer_rows[beside], keys[beside]
 
     @cached_property
     def splitting(self) -> Splitting:

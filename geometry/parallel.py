@@ -7,6 +7,7 @@ import pickle
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from itertools import accumulate
 from mmap import PROT_READ, PROT_WRITE, mmap
 from typing import Any, TypeVar, cast
 
@@ -81,8 +82,7 @@ def _shared(comm: MPI.Intracomm, given: list[memoryview], sizes: list[int]) -> l
         given: the buffers, on rank 0.
         sizes: their sizes, bytes.
     """
-    whole = [size + -size % LINE for size in sizes]
-    starts, total = [sum(whole[:k]) for k in range(len(whole))], sum(whole)
+    *starts, total = accumulate((size + -size % LINE for size in sizes), initial=0)
     node, file = comm.Split_type(MPI.COMM_TYPE_SHARED), os.memfd_create("thinlayer")
     path, number = node.bcast((f"/proc/{os.getpid()}/fd/{file}", os.fstat(file).st_ino))
     reached = os.access(path, os.R_OK) and os.stat(path).st_ino == number

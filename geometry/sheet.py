@@ -67,10 +67,9 @@ def continued(joint: Joint, facets: IntArray) -> IntArray:
     So they are on the bodies at both its faces, or beside layers that meet in the ridge. On a rigid base there is one
     body. The facets of one body of two end where S begins.
     """
-    keys = keys_of_ridges(joint.table.vertices[joint.outer_rows], joint.dim - 1)
-    mine = np.isin(joint.outer_rows, joint.table.index(facets))
-    of_s = ridge_keys(ridges(joint.surface, joint.cell_type)[0])
-    return np.setdiff1d(np.intersect1d(keys[mine], of_s), keys[~mine])
+    rows, keys = joint.outer_beside_s
+    mine = np.isin(rows, joint.table.index(facets))
+    return np.setdiff1d(keys[mine], np.append(keys[~mine], -1))
 
 
 @dataclass(frozen=True)
