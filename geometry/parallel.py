@@ -17,6 +17,7 @@ from forms.base import require
 
 T = TypeVar("T")
 LARGE = 100_000  # bytes from which on an array of a result stands once in the memory of a machine
+PIECE = 2**30  # bytes that are sent at once: MPI may count no further than 2**31
 LINE = 64  # bytes at whose multiples arrays begin
 _WORLD: ContextVar[MPI.Intracomm] = ContextVar("_WORLD", default=MPI.COMM_WORLD)
 
@@ -97,7 +98,8 @@ def _shared(comm: MPI.Intracomm, given: list[memoryview], sizes: list[int]) -> l
     for k, buffer in enumerate(buffers if owner else ()):
         if comm.rank == 0:
             buffer[:] = given[k]
-        owners.Bcast(buffer)
+        for begin in range(0, len(buffer), PIECE):
+            owners.Bcast(buffer[begin : begin + PIECE])
     node.Barrier()
     for each in {file, opened}:
         os.close(each)

@@ -24,6 +24,7 @@ from geometry.parallel import T
 from studies.by_hand import CHOLESKY, K_N, K_T, LOAD, MULTIGRID, NU, E, by_hand
 from studies.friction_cost import NETWORK, WORKS, friction
 from studies.other_programs import MODULES, ngsolve, scikit_fem
+from studies.problems import WALLS
 from studies.snap import LAYER
 from studies.timing import Measured, Stages, compared, timed
 from thinlayer import ArcLength, Bond, SolveError, Structure, ThinLayer, estimate, goals, march, plotting, solve
@@ -134,9 +135,8 @@ def draw(record: Record) -> None:
 def blocks(n: int, dim: int, element: str = "P1", load: Any = None) -> Structure:
     """Two blocks under a traction, with n cells along each side."""
     joint = sandwich(1.0, 0.5, 0.5, 1 / n, depth=1.0 if dim == 3 else None, structured=True)
-    supports: dict[Any, Any] = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     body, tractions = LinearElastic.young(E=E, nu=NU), {"TOP": load or LOAD[:dim]}
-    return Structure(joint, body=body, supports=supports, tractions=tractions, element=element)
+    return Structure(joint, body=body, supports=WALLS, tractions=tractions, element=element)
 
 
 def layer(stiffness: float = 1.0, eps: float = 0.01) -> ThinLayer:
