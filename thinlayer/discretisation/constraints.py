@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from forms.base import Array, InputError
 from geometry.refusals import place as at_place
-from geometry.topology import sums
+from geometry.topology import IntArray, sums
 from thinlayer.discretisation.supports import ROUNDING, Prescribed
 from thinlayer.system.ranks import destroy
 
@@ -178,9 +178,10 @@ class Constraints:
         found.eliminate_zeros()
         return found
 
-    def of_supports(self, forces: Array, motions: Array) -> Array:
-        """Work (entries, k) in motions (n, k) of the supports' forces, by the number of the support."""
-        works = forces[:, None] * (self.prescribed.conditions @ motions)
+    def of_supports(self, forces: Array, motions: Callable[[IntArray], Array]) -> Array:
+        """Work (entries, k) of the supports' forces in k motions, a function of the displacements, by number of support."""
+        held = np.unique(self.prescribed.conditions.indices)
+        works = forces[:, None] * (self.prescribed.conditions[:, held] @ motions(held))
         return sums(self.prescribed.entry, works, len(self.prescribed.supports.entries) + 1)[:-1]
 
     def _values_of_rows(self, t: float) -> Array:
@@ -374,12 +375,12 @@ class Constraints:
             of_ties = scipy.sparse.csr_matrix((np.ones(len(own)), (places, own)), (self.n, m))
             y = scipy.sparse.hstack([y, of_ties], format="csr")
             wide = scipy.sparse.hstack([motions, scipy.sparse.csr_matrix((self.n, m))], format="csr")
-        for rows in (self.prescribed.conditions @ wide, (self._product(self._T0, y) - wide)[self.tied]):
+        for rows in (self.prescribed.conditions @ wide, (self.product(self._T0, y) - wide)[self.tied]):
             gram += (rows.T @ rows).toarray()
         for tie, k, _ in self._motions:
             gram[c + first[tie.key] + k, c + first[tie.key] + k] += 1.0
-        z = _without(self._product(self.Q, y, transposed=True), self.held)
-        return self._product(self.T, z), self.comm.allreduce(gram)
+        z = _without(self.product(self.Q, y, transposed=True), self.held)
+        return self.product(self.T, z), self.comm.allreduce(gram)
 
     def resistance(self, motions: Array) -> Array:
         """(c, c) how far conditions prevent motions (n, c), where ties follow them as well as they can."""
@@ -389,7 +390,7 @@ class Constraints:
         c, gram = motions.shape[1], self.shown(scipy.sparse.csr_matrix(motions))[1]
         return np.asarray(gram[:c, :c] - gram[:c, c:] @ np.linalg.pinv(gram[c:, c:]) @ gram[c:, :c])
 
-    def _product(self, matrix: PETSc.Mat | None, columns: Sparse, *, transposed: bool = False) -> Sparse:
+    def product(self, matrix: PETSc.Mat | None, columns: Sparse, *, transposed: bool = False) -> Sparse:
         """This rank's rows of a matrix, or of its transpose, times sparse columns (n, c) of all ranks."""
         if matrix is None:
             return columns

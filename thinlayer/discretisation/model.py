@@ -165,7 +165,7 @@ class Model(ABC):
         """Raise InputError if the bodies can move as one."""
         if not (self.broken and any(name in self.layers for name in self.joint.base_seams)):
             resistances = [partial(part.resistance, self) for part in self.parts if not part.ties_nodes]
-            motions = rigid_motions(self.V, self.joint, self.kinematics)
+            motions = rigid_motions(self, self.kinematics)
             if self.joint.periods:
                 self.supports.anchored = free_translations(motions, resisted(motions, self.constraints, resistances))
                 self.constraints = self._constrained()
@@ -382,6 +382,14 @@ class Model(ABC):
     def splitting(self) -> Splitting:
         """The joint's mesh, cut where displacements jump."""
         return self.domain.joint.split_along(np.empty(0, np.int64))
+
+    @cached_property
+    def places(self) -> FloatArray:
+        """(n, d) x as a function of `V`: at each node of this rank, those of ghosts last. Collective."""
+        f, d = fem.Function(self.V), self.joint.dim
+        f.interpolate(lambda x: x[:d])
+        f.x.scatter_forward()
+        return np.asarray(f.x.array.reshape(-1, d))
 
     def space(self, degree: int, *, family: str | None = None, broken_at_faces: bool = False) -> fem.FunctionSpace:
         """A vector space on the model's mesh with the jumps of its displacements. Collective.

@@ -19,6 +19,7 @@ from forms.temperature import finite
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place as at_place
+from geometry.topology import Indices
 from thinlayer.discretisation.boundary import AXES
 from thinlayer.discretisation.constraints import Constraints
 from thinlayer.discretisation.measures import per_unit
@@ -70,18 +71,17 @@ def rigid_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
     return motion, sum(turned, ufl.as_vector([motion[i] for i in range(d)]))
 
 
-def rigid_values(V: fem.FunctionSpace, about: Array) -> Array:
-    """The motions of `rigid` in a space: (n, k) at the displacements of this rank, those of ghosts last. Collective."""
-    d, f = V.dofmap.bs, fem.Function(V)
-    f.interpolate(lambda x: x[:d])
-    f.x.scatter_forward()
-    return rigid(f.x.array.reshape(-1, d), about).reshape(len(f.x.array), -1)
+def rigid_values(x: Array, about: Array, rows: Indices | None = None) -> Array:
+    """The motions of `rigid` (m, k) in some of the displacements at places x (n, d), given by number; default: in all."""
+    rows = np.arange(x.size) if rows is None else rows
+    return rigid(x[rows // x.shape[1]], about)[np.arange(len(rows)), rows % x.shape[1]]
 
 
-def rigid_motions(V: fem.FunctionSpace, joint: Joint, kinematics: Kinematics = LIFTED) -> dict[str, fem.Function]:
-    """Rigid motions of the whole structure by name: translations, then rotations about its centre, scaled to its size.
+def rigid_shares(joint: Joint, kinematics: Kinematics = LIFTED) -> dict[str, Array]:
+    """Rigid motions of the whole structure by name, as sums of those of `rigid` about its centre, scaled to its size.
 
-    In periodic joints a rotation is one only if it does not move one side against the other: about the one period in 3D.
+    Translations, then rotations. In periodic joints a rotation is one only if it does not move one side against the other:
+    about the one period in 3D.
     """
     d, size, one = joint.dim, joint.size, np.eye(count(joint.dim))
     shares = {f"translation {AXES[i]}": one[i] for i in kinematics.translations(d)}
@@ -93,9 +93,16 @@ def rigid_motions(V: fem.FunctionSpace, joint: Joint, kinematics: Kinematics = L
     elif kinematics.turns:
         for k, (i, j, sense) in reversed([*enumerate(AXIAL[d])]):
             shares[f"rotation {AXES[i]}{AXES[j]}"] = one[d + k] * sense / size
-    values, motions = rigid_values(V, joint.points.mean(axis=0)), {name: fem.Function(V) for name in shares}
-    for name, f in motions.items():
-        f.x.array[:] = values @ shares[name]
+    return shares
+
+
+def rigid_motions(model: Any, kinematics: Kinematics = LIFTED) -> dict[str, fem.Function]:
+    """The motions of `rigid_shares` as displacements of a model, by name. Collective."""
+    joint, motions = model.domain.joint, {}
+    values = rigid_values(model.places, joint.points.mean(axis=0))
+    for name, share in rigid_shares(joint, kinematics).items():
+        motions[name] = fem.Function(model.V)
+        motions[name].x.array[:] = values @ share
     return motions
 
 

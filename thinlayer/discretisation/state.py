@@ -324,10 +324,13 @@ def cell_values(f: fem.Function, model: Model, cells: IntArray) -> Array:
     A body's cell has one number in the joint, and one order of its degrees of freedom, in all models.
     """
     dofmap, own = f.function_space.dofmap, model.domain.mesh.topology.index_map(model.joint.dim).size_local
-    nodes = dofmap.list[:own]
-    known = f.x.array.reshape(-1, dofmap.bs)[nodes].reshape(own, nodes.shape[1] * dofmap.bs)
+    nodes, values = dofmap.list[:own], f.x.array.reshape(-1, dofmap.bs)
+
+    def at_cells(places: IntArray) -> Array:
+        return np.asarray(values[nodes[places]].reshape(len(places), nodes.shape[1] * dofmap.bs))
+
     wanted, at = np.unique(cells, return_inverse=True)
-    found = carry(model.comm, model.domain.original_cells[:own], known, wanted)
+    found = carry(model.comm, model.domain.original_cells[:own], at_cells, wanted)
     return np.asarray(found.reshape(-1, nodes.shape[1], dofmap.bs)[at.reshape(cells.shape)])
 
 

@@ -77,7 +77,6 @@ class Equations(PartSum):
         self.scale = ForceScale(float(diagonal.norm()), max([0.0, *self.ask("cancelling")]))
         self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
         self._reactions, self._rigid = ReactionSums(model, self.parts), RigidMotions(model, self.scale.stiffness)
-        self._tangent: PETSc.Mat | None = None
         self._forces, self.loads, self.external = (self.u.x.petsc_vec.duplicate() for _ in range(3))
         self.eased, self._relative_residual = 0.0, 0.0
 
@@ -137,7 +136,7 @@ class Equations(PartSum):
     @cached_property
     def near_null(self) -> list[PETSc.Vec]:
         """The unknowns of rigid motions of the whole structure, orthonormal."""
-        motions = rigid_motions(self.model.V, self.model.joint, self.model.kinematics).values()
+        motions = rigid_motions(self.model, self.model.kinematics).values()
         vectors = [self.vector() for _ in motions]
         for x, motion in zip(vectors, motions, strict=True):
             x.array[: self.n_displacements] = self.constraints.unknowns(motion.x.array[: self.n_displacements])
@@ -155,17 +154,11 @@ class Equations(PartSum):
     def require_unique(self) -> None:
         """Raise LooseBody if a connected piece of the bodies can move freely.
 
-        The test uses the last tangent or, if parts can release bodies, the tangent at the last u of the parts that resist
-        rigid motions. There is no test if a part may resist less than its tangent does.
+        The test uses tangents at the last u, of the parts that resist rigid motions. There is no test if a part may resist
+        less than its tangent does.
         """
-        if self.traits.weakens:
-            return
-        if not self.traits.releases:
-            if self._tangent is not None:
-                self._rigid.require_resisted(self._tangent)
-            return
-        resisting = TangentMatrix(self.comm, {DISPLACEMENTS: self.n_displacements})
-        self._rigid.require_resisted(resisting.fill(self.blocks(self._relative_residual, rigid=True)))
+        if not self.traits.weakens:
+            self._rigid.require_resisted(self.blocks(self._relative_residual, rigid=True))
 
     # ---------------------------------------------------------------- a step
     def rest(self, t: float) -> State:
@@ -267,10 +260,10 @@ class Equations(PartSum):
         Raises:
             InputError: a law declares a symmetric tangent and has another one.
         """
-        self._tangent = self._matrix.fill(self.blocks(self._relative_residual))
+        tangent = self._matrix.fill(self.blocks(self._relative_residual))
         if self._T is None:
-            return self._tangent
-        self._product = self._tangent.ptap(self._T, result=self._product)
+            return tangent
+        self._product = tangent.ptap(self._T, result=self._product)
         self._product.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         return self._product
 
@@ -292,9 +285,8 @@ class Equations(PartSum):
             self.hold(A, x, b)
             yield A
             return
-        with lent(first.matrix, others, self.held_rows, self.mean_stiffness or 1.0) as self._tangent:
-            yield self._tangent
-        self._tangent = None
+        with lent(first.matrix, others, self.held_rows, self.mean_stiffness or 1.0) as A:
+            yield A
 
     def ease(self, ease: float) -> None:
         """Replace laws by eased ones: 0 is the law itself, 1 an elastic one."""

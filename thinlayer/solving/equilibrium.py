@@ -11,9 +11,9 @@ from petsc4py import PETSc
 
 from forms.base import InputError
 from thinlayer.errors import SolveError
-from thinlayer.solving.balance import ALLOWED
+from thinlayer.solving.balance import AIM, ALLOWED
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import DIRECT, mark
+from thinlayer.solving.linear_solvers import DIRECT, least_pivot, mark
 from thinlayer.solving.petsc import PREFIX, OptionValue, options_set, reason_name, solve_linear, solve_nonlinear
 
 # Relative residuals; keys: True for direct solvers, False for Krylov methods.
@@ -21,6 +21,7 @@ REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # refinement ends at this residu
 WORTH_REFINING = {True: 1e-3, False: 0.5}  # refinement starts below this residual; Krylov methods test another norm
 WORTH_ANOTHER = {True: 0.1, False: 0.5}  # reduction of the residual by a refinement after which another one follows
 NEEDED = 0.3  # reduction of a residual by a Krylov method that refines, relative to what is still wanted
+DETERMINED = 1e-6  # least pivot, relative to the largest, from which on nothing can move in which rounding would show
 UNDETERMINED = 1e-3  # first refinement, relative to the displacements at play, that shows a singular matrix
 ROUNDED = 100.0  # residual over the rounding of stiffness times displacement, at most, that is taken for rounding
 LESS_STIFF = 10.0  # by how much residuals of rounding should fall below the allowed one
@@ -231,6 +232,8 @@ class Equilibrium(Finder):
         reason = ksp.getConvergedReason()
         direct = ksp.getType() == "preonly"
         residual, first, iterations, rtol = self._relative(r), True, 0, ksp.getTolerances()[0]
+        if residual < AIM and not equations.traits.saddle and least_pivot(ksp.getPC()) > DETERMINED:
+            return residual, 0
         while REFINED_RESIDUAL[direct] < residual < WORTH_REFINING[direct]:
             r.scale(-1.0)
             if not direct:  # no further than needed

@@ -15,9 +15,10 @@ from geometry.topology import Indices
 from thinlayer.discretisation.boundary import AXES
 from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.rigid import rigid_motions, rigid_values
+from thinlayer.discretisation.rigid import rigid_shares, rigid_values
 from thinlayer.errors import LooseBody
-from thinlayer.parts.part import Interval, Part
+from thinlayer.parts.part import DISPLACEMENTS, Block, Interval, Part
+from thinlayer.system.ranks import destroy
 
 # Largest eigenvalue of a motion that supports allow, relative to the largest one, of the Gram matrix of the motions at
 # supports.
@@ -39,9 +40,9 @@ class ReactionSums:
     def __init__(self, model: Model, parts: Sequence[Part]) -> None:
         self.model, self.parts = model, parts
 
-    @cached_property
-    def _motions(self) -> Array:
-        return rigid_values(self.model.V, self.model.centre)[: self.model.constraints.n]
+    def _motions(self, rows: Indices) -> Array:
+        """The motions of `rigid` (m, k) in some displacements of this rank."""
+        return rigid_values(self.model.places, self.model.centre, rows)
 
     def at_end(self, r: PETSc.Vec, interval: Interval, loads_at: Callable[[float], PETSc.Vec]) -> Array:
         """Forces and moments (n, k) at the end of a step, about `Model.centre`.
@@ -74,8 +75,8 @@ class ReactionSums:
         rows = [constraints.of_supports(by_supports, self._motions)]
         rest = r.array_r + of_ties - constraints.prescribed.conditions.T @ by_supports
         for tie in constraints.ties:
-            tied = np.diff(tie.R.indptr) > 0
-            rows.append((rest[tied] @ self._motions[tied])[None])
+            tied = np.flatnonzero(np.diff(tie.R.indptr))
+            rows.append((rest[tied] @ self._motions(tied))[None])
         first = len(model.supports.entries) + len(rows) - 1
         for name in model.holders[first:]:
             rows.append(-self._of_layer(model.layers[str(name)].key, r)[None] * layers)
@@ -89,7 +90,8 @@ class ReactionSums:
         for part in self.parts:
             if part.key in (key, PRESSURE + key.removeprefix(LAYER)) or part.key.startswith(starts):
                 part.add_forces(forces)
-        return np.asarray(forces.array_r @ self._motions)
+        loaded = np.flatnonzero(forces.array_r)
+        return np.asarray(forces.array_r[loaded] @ self._motions(loaded))
 
 
 class RigidMotions:
@@ -104,46 +106,52 @@ class RigidMotions:
         self.model, self._stiffness = model, stiffness
 
     @cached_property
-    def _free(self) -> tuple[scipy.sparse.csr_matrix, Array]:
+    def _pieces(self) -> Indices:
+        """Connected piece of each node of this rank, ghosts included."""
+        model, V = self.model, self.model.V
+        pieces, dofs = model.splitting.pieces, np.asarray(V.dofmap.list)
+        of = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, np.int32)
+        of[dofs] = model.domain.on_cells(pieces)[: len(dofs), None]
+        self._names = [model.joint.regions[model.domain.joint.region[k]] for k in np.unique(pieces, return_index=True)[1]]
+        return of
+
+    def _motions(self, rows: Indices) -> tuple[scipy.sparse.csr_matrix, Array]:
         """Motions (n, c), sparse: those of pieces in turn, then of plates, with those parts that supports prevent left out.
 
-        The second value, (c, k), has the motions that supports allow, as sums of these.
+        The second value, (c, c), is zero for sums of these that supports allow.
+
+        Args:
+            rows: displacements of this rank, ascending, that get values; all do if constraints relate them.
         """
-        motions, piece = self._motions()
-        n, per = motions.shape
-        columns = (piece[:, None] * per + np.arange(per, dtype=np.int32)).ravel()
-        csr = motions.ravel(), columns, np.arange(n + 1) * per
-        shown, gram = self.model.constraints.shown(scipy.sparse.csr_matrix(csr, (n, len(self._names) * per)))
+        model, constraints = self.model, self.model.constraints
+        joint, n = model.domain.joint, constraints.n
+        rows = np.arange(n) if constraints.T is not None else rows
+        piece, shares = self._pieces[rows // model.joint.dim], [*rigid_shares(joint, model.kinematics).values()]
+        self._per = per = len(shares)
+        values = rigid_values(model.places, joint.points.mean(axis=0), rows) @ np.transpose(shares)
+        starts = np.zeros(n + 1, np.int64)
+        starts[rows + 1] = per
+        csr = values.ravel(), (piece[:, None] * per + np.arange(per)).ravel(), starts.cumsum()
+        return constraints.shown(scipy.sparse.csr_matrix(csr, (n, len(self._names) * per)))
+
+    @cached_property
+    def _allowed(self) -> Array:
+        """(c, k) the motions that supports allow, as sums of `_motions`."""
+        gram = self._motions(np.unique(self.model.constraints.prescribed.conditions.indices))[1]
         values, vectors = np.linalg.eigh(gram)
-        return shown, vectors[:, values <= ALLOWED_MOTION * max(values.max(), 1.0)]
+        return vectors[:, values <= ALLOWED_MOTION * max(values.max(), 1.0)]
 
-    def _motions(self) -> tuple[Array, Indices]:
-        """At each displacement of this rank, its translations and rotations (n, per), of order 1; its piece (n,)."""
-        model, joint = self.model, self.model.domain.joint
-        V, number = model.V, model.splitting.pieces
-        first = np.unique(number, return_index=True)[1]
-        self._names = [joint.regions[joint.region[cell]] for cell in first]
-        owned, bs = V.dofmap.index_map.size_local, V.dofmap.index_map_bs
-        of = np.zeros(owned + V.dofmap.index_map.num_ghosts, np.int32)
-        dofs = np.asarray(V.dofmap.list)
-        of[dofs] = model.domain.on_cells(number)[: len(dofs), None]
-        rigid = [f.x.array[: owned * bs] for f in rigid_motions(V, joint, model.kinematics).values()]
-        self._per = len(rigid)
-        return np.column_stack(rigid), of[:owned].repeat(bs)
-
-    def require_resisted(self, A: PETSc.Mat) -> None:
-        """Raise LooseBody if a tangent A, with or without supports, does not resist a motion that supports allow."""
-        motions, allowed = self._free
+    def require_resisted(self, blocks: Sequence[Block]) -> None:
+        """Raise LooseBody if blocks of a tangent do not resist a motion that supports allow; destroys those not kept."""
+        allowed, constraints = self._allowed, self.model.constraints
+        stiffness = np.zeros([len(allowed)] * 2)
+        for block in blocks if allowed.shape[1] else ():
+            if block.row == block.column == DISPLACEMENTS:
+                motions, _ = self._motions(np.flatnonzero(np.diff(block.matrix.getRowIJ()[0])))
+                stiffness += block.factor * (motions.T @ constraints.product(block.matrix, motions)).toarray()
+        destroy(*(block.matrix for block in blocks if not block.kept))
         if not allowed.shape[1]:
             return
-        rows = A.getLocalSize()[0]  # displacements, then further unknowns
-        starts = motions.indptr[np.minimum(np.arange(rows + 1), motions.shape[0])]
-        csr = (*(one.astype(PETSc.IntType, copy=False) for one in (starts, motions.indices)), motions.data)
-        product = A.ptap(PETSc.Mat().createAIJ(((rows, None), (None, len(allowed))), csr=csr, comm=self.model.comm))
-        first, last = product.getOwnershipRange()
-        begins, columns, values = product.getValuesCSR()
-        stiffness = np.zeros(product.getSize())
-        stiffness[np.repeat(np.arange(first, last), np.diff(begins)), columns] = values
         _, sizes, ways = np.linalg.svd(allowed.T @ self.model.comm.allreduce(stiffness) @ allowed)
         if sizes[-1] > RESISTED_MOTION * self._stiffness or not np.isfinite(sizes[-1]):
             return

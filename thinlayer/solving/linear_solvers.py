@@ -27,6 +27,7 @@ DIRECT: dict[str, OptionValue] = {
     "ksp_rtol": 1e-10,
     "pc_factor_mat_solver_type": "mumps",
     "mat_mumps_icntl_7": 2,
+    "mat_mumps_icntl_15": 0,  # orders unknowns, not nodes: fewer entries in factors on grids
     "mat_mumps_icntl_14": 100,  # spare memory in per cent: with its default of 20, MUMPS sometimes fails on several ranks
     "mat_mumps_icntl_35": 2,  # blocks of low rank, to rounding: less time and memory from 1e5 unknowns on
     "mat_mumps_cntl_7": 1e-14,
@@ -101,6 +102,14 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
 def direct_solver(model: Model) -> dict[str, OptionValue]:
     """PETSc options of a factorisation: Cholesky (LDL^T unless the matrix is marked as definite), or LU."""
     return {**DIRECT, "pc_type": "cholesky" if model.symmetric else "lu"}
+
+
+def least_pivot(pc: PETSc.PC) -> float:
+    """Smallest pivot of a factorisation of a definite matrix by MUMPS, relative to the largest; 0: not known."""
+    if pc.getType() != "cholesky" or pc.getFactorSolverType() != "mumps":
+        return 0.0
+    smallest, largest = (pc.getFactorMatrix().getMumpsRinfog(k) for k in (20, 21))
+    return smallest / largest if largest else 0.0
 
 
 def mark(A: PETSc.Mat, model: Model, *, saddle: bool) -> None:

@@ -182,13 +182,13 @@ def ask(comm: MPI.Intracomm, rank: Array, questions: Array, answer: Callable[[Ar
     return out
 
 
-def carry(comm: MPI.Intracomm, cells: Array, values: Array, wanted: Array) -> Array:
+def carry(comm: MPI.Intracomm, cells: Array, values: Callable[[Array], Array], wanted: Array) -> Array:
     """Send values of cells, known by their original numbers, to the ranks that want them. Collective.
 
     Args:
         comm: communicator.
         cells: (n,) original numbers of the cells whose values this rank holds.
-        values: (n, k) their values.
+        values: function of places (m,) among these cells: their values (m, k).
         wanted: (m,) original numbers of the cells whose values this rank wants.
 
     Returns:
@@ -213,8 +213,9 @@ def carry(comm: MPI.Intracomm, cells: Array, values: Array, wanted: Array) -> Ar
         return out
 
     holder, at = ask(comm, meeting_rank(wanted), wanted, tell).T
-    out = np.full((len(wanted), values.shape[1]), np.nan)
-    out[holder >= 0] = ask(comm, holder[holder >= 0], at[holder >= 0], lambda places, _: values[places])
+    known = ask(comm, holder[holder >= 0], at[holder >= 0], lambda places, _: values(places))
+    out = np.full((len(wanted), known.shape[1]), np.nan)
+    out[holder >= 0] = known
     return out
 
 

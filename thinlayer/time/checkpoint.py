@@ -185,7 +185,7 @@ class Checkpoint:
     def _wanted(self, row: int, rows: Array | None, numbers: IntArray, width: int) -> Array:
         """The values (len(numbers), width) of these numbers on each rank, from rows (number, values...) on rank 0."""
         rows = rows if rows is not None and rows.shape[1] == width + 1 else np.empty((0, width + 1))
-        found = carry(self.comm, rows[:, 0].astype(np.int64), rows[:, 1:], numbers)
+        found = carry(self.comm, rows[:, 0].astype(np.int64), lambda at: rows[at, 1:], numbers)
         if self.comm.allreduce(int(not np.isfinite(found).all())):
             raise InputError(f"{self._file(row)} is of a march with other unknowns; remove the folder to start anew")
         return found

@@ -81,7 +81,7 @@ class PlannedSteps(Controller):
     def _resultant(self, t: float) -> list[float]:
         """Sum of the loads on the bodies at time t, those of rigid plates included, (d,)."""
         model, loads = self.solver.model, self.solver.equations.loads_at(t)
-        translations = [*rigid_motions(model.V, model.joint).values()][: model.joint.dim]
+        translations = [*rigid_motions(model).values()][: model.joint.dim]
         return [float(loads.dot(motion.x.petsc_vec)) for motion in translations]
 
     # ---------------------------------------------------------------- attempts
