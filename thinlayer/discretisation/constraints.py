@@ -375,12 +375,12 @@ class Constraints:
             of_ties = scipy.sparse.csr_matrix((np.ones(len(own)), (places, own)), (self.n, m))
             y = scipy.sparse.hstack([y, of_ties], format="csr")
             wide = scipy.sparse.hstack([motions, scipy.sparse.csr_matrix((self.n, m))], format="csr")
-        for rows in (self.prescribed.conditions @ wide, (self.product(self._T0, y) - wide)[self.tied]):
+        for rows in (self.prescribed.conditions @ wide, (product(self._T0, y) - wide)[self.tied]):
             gram += (rows.T @ rows).toarray()
         for tie, k, _ in self._motions:
             gram[c + first[tie.key] + k, c + first[tie.key] + k] += 1.0
-        z = _without(self.product(self.Q, y, transposed=True), self.held)
-        return self.product(self.T, z), self.comm.allreduce(gram)
+        z = _without(product(self.Q, y, transposed=True), self.held)
+        return product(self.T, z), self.comm.allreduce(gram)
 
     def resistance(self, motions: Array) -> Array:
         """(c, c) how far conditions prevent motions (n, c), where ties follow them as well as they can."""
@@ -390,16 +390,17 @@ class Constraints:
         c, gram = motions.shape[1], self.shown(scipy.sparse.csr_matrix(motions))[1]
         return np.asarray(gram[:c, :c] - gram[:c, c:] @ np.linalg.pinv(gram[c:, c:]) @ gram[c:, :c])
 
-    def product(self, matrix: PETSc.Mat | None, columns: Sparse, *, transposed: bool = False) -> Sparse:
-        """This rank's rows of a matrix, or of its transpose, times sparse columns (n, c) of all ranks."""
-        if matrix is None:
-            return columns
-        csr = columns.indptr.astype(PETSc.IntType), columns.indices.astype(PETSc.IntType), columns.data
-        wide = PETSc.Mat().createAIJ(((self.n, None), (None, columns.shape[1])), csr=csr, comm=self.comm)
-        product = matrix.transposeMatMult(wide) if transposed else matrix.matMult(wide)
-        found = csr_of(product)
-        destroy(wide, product)
-        return found
+
+def product(matrix: PETSc.Mat | None, columns: Sparse, *, transposed: bool = False) -> Sparse:
+    """This rank's rows of a matrix, or of its transpose, times sparse columns (n, c) of all ranks; None: an identity."""
+    if matrix is None:
+        return columns
+    csr = columns.indptr.astype(PETSc.IntType), columns.indices.astype(PETSc.IntType), columns.data
+    wide = PETSc.Mat().createAIJ(((columns.shape[0], None), (None, columns.shape[1])), csr=csr, comm=matrix.comm)
+    found = matrix.transposeMatMult(wide) if transposed else matrix.matMult(wide)
+    rows = csr_of(found)
+    destroy(wide, found)
+    return rows
 
 
 def _without(A: Sparse, rows: np.ndarray) -> Sparse:

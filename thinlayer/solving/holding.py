@@ -13,6 +13,7 @@ from forms.base import Array
 from geometry.refusals import place
 from geometry.topology import Indices
 from thinlayer.discretisation.boundary import AXES
+from thinlayer.discretisation.constraints import product
 from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_shares, rigid_values
@@ -112,7 +113,9 @@ class RigidMotions:
         pieces, dofs = model.splitting.pieces, np.asarray(V.dofmap.list)
         of = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, np.int32)
         of[dofs] = model.domain.on_cells(pieces)[: len(dofs), None]
-        self._names = [model.joint.regions[model.domain.joint.region[k]] for k in np.unique(pieces, return_index=True)[1]]
+        self._names = [
+            model.joint.regions[model.domain.joint.region[k]] for k in np.unique(pieces, return_index=True)[1]
+        ]
         return of
 
     def _motions(self, rows: Indices) -> tuple[scipy.sparse.csr_matrix, Array]:
@@ -143,16 +146,20 @@ class RigidMotions:
 
     def require_resisted(self, blocks: Sequence[Block]) -> None:
         """Raise LooseBody if blocks of a tangent do not resist a motion that supports allow; destroys those not kept."""
-        allowed, constraints = self._allowed, self.model.constraints
+        allowed, comm = self._allowed, self.model.comm
         stiffness = np.zeros([len(allowed)] * 2)
         for block in blocks if allowed.shape[1] else ():
             if block.row == block.column == DISPLACEMENTS:
-                motions, _ = self._motions(np.flatnonzero(np.diff(block.matrix.getRowIJ()[0])))
-                stiffness += block.factor * (motions.T @ constraints.product(block.matrix, motions)).toarray()
+                rows = np.flatnonzero(np.diff(block.matrix.getRowIJ()[0]))
+                first, _ = block.matrix.getOwnershipRange()
+                here = PETSc.IS().createGeneral((first + rows).astype(PETSc.IntType), comm=comm)
+                motions, part = self._motions(rows)[0][rows], block.matrix.createSubMatrix(here, here)
+                stiffness += block.factor * (motions.T @ product(part, motions)).toarray()
+                destroy(part)
         destroy(*(block.matrix for block in blocks if not block.kept))
         if not allowed.shape[1]:
             return
-        _, sizes, ways = np.linalg.svd(allowed.T @ self.model.comm.allreduce(stiffness) @ allowed)
+        _, sizes, ways = np.linalg.svd(allowed.T @ comm.allreduce(stiffness) @ allowed)
         if sizes[-1] > RESISTED_MOTION * self._stiffness or not np.isfinite(sizes[-1]):
             return
         least = np.flatnonzero(sizes <= max(RESISTED_MOTION * self._stiffness, sizes[-1]))
