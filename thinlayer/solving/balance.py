@@ -20,7 +20,7 @@ from geometry.topology import Indices
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import SolveError
 from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, Interval, Memory, Outcome, Part, PartTraits
-from thinlayer.system.ranks import destroy
+from thinlayer.system.ranks import destroy, send
 
 AIM = 1e-10  # residual at which solvers stop, relative to the forces
 ALLOWED = 1e-6  # largest residual of an accepted state, relative to the forces
@@ -358,19 +358,27 @@ class TangentMatrix:
 
 
 @contextmanager
-def lent(K: PETSc.Mat, others: Sequence[Block], held: npt.NDArray[Any], value: float) -> Iterator[PETSc.Mat]:
+def lent(
+    comm: MPI.Intracomm, K: PETSc.Mat, others: Sequence[Block], held: npt.NDArray[Any], value: float
+) -> Iterator[PETSc.Mat]:
     """In a `with` block K itself is its sum with other blocks, with supports: a copy would take as much memory again.
 
+    Collective.
+
     Args:
-        K: a matrix of one rank, with symmetric pattern; after the block its entries are the same as before.
+        comm: communicator.
+        K: a matrix with symmetric pattern; after the block its entries are the same as before.
         others: the other blocks; those not kept are destroyed.
         held: rows and columns that become those of `value` times the identity.
         value: see `held`.
     """
-    rows = [held, K.createSubMatrix(_indices(held)).getRowIJ()[1]]  # rows of held columns: the pattern is symmetric
-    rows += [np.flatnonzero(np.diff(block.matrix.getRowIJ()[0])) for block in others]
+    beside = K.createSubMatrix(_indices(K, held))  # its columns are rows with held columns: the pattern is symmetric
+    columns = np.unique(beside.getValuesCSR()[1])
+    beside.destroy()
+    rows = [held, send(comm, np.searchsorted(K.getOwnershipRanges(), columns, "right") - 1, columns)]
+    rows += [K.getOwnershipRange()[0] + np.flatnonzero(np.diff(block.matrix.getRowIJ()[0])) for block in others]
     changed = np.unique(np.concatenate(rows)).astype(PETSc.IntType)
-    before = K.createSubMatrix(_indices(changed))
+    before = K.createSubMatrix(_indices(K, changed))
     try:
         for block in others:
             K.axpy(block.factor, block.matrix, DIFFERENT)
@@ -386,8 +394,8 @@ def lent(K: PETSc.Mat, others: Sequence[Block], held: npt.NDArray[Any], value: f
         before.destroy()
 
 
-def _indices(rows: npt.NDArray[Any]) -> PETSc.IS:
-    return PETSc.IS().createGeneral(rows, comm=PETSc.COMM_SELF)
+def _indices(A: PETSc.Mat, rows: npt.NDArray[Any]) -> PETSc.IS:
+    return PETSc.IS().createGeneral(rows.astype(PETSc.IntType, copy=False), comm=A.comm)
 
 
 def side_by_side(blocks: Sequence[Sequence[PETSc.Mat | None]], comm: MPI.Intracomm) -> PETSc.Mat:

@@ -275,17 +275,17 @@ class Equations(PartSum):
 
         Args:
             x, b: as in `hold`.
-            lend: whether the `with` block factors the matrix and all else may do without it: then, on one rank and without
-                x, the matrix of the bodies may stand for it.
+            lend: whether the `with` block factors the matrix and all else may do without it: then, without x, the matrix
+                of the bodies may stand for it.
         """
-        alone = self.comm.size == 1 and x is None and self._T is None and not self.with_own
+        alone = x is None and self._T is None and not self.with_own
         first, *others = self.blocks(self._relative_residual) if lend and alone else [Block(None)]
         if not first.kept or first.factor != 1:
             A = self.tangent()
             self.hold(A, x, b)
             yield A
             return
-        with lent(first.matrix, others, self.held_rows, self.mean_stiffness or 1.0) as A:
+        with lent(self.comm, first.matrix, others, self.held_rows, self.mean_stiffness or 1.0) as A:
             yield A
 
     def ease(self, ease: float) -> None:
