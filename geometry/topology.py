@@ -130,8 +130,8 @@ def sorted_columns(columns: Sequence[IntArray]) -> list[IntArray]:
 
 
 def _keys(rows: IntArray) -> npt.NDArray[np.void]:
-    """(n,) rows of numbers >= 0, (n, k), as bytes whose order is theirs."""
-    return np.ascontiguousarray(rows, ">i8").view(f"V{8 * rows.shape[1]}").ravel()
+    """(n,) rows of numbers from 0 to 2^31, (n, k), as bytes whose order is theirs."""
+    return np.ascontiguousarray(rows, ">i4").view(f"V{4 * rows.shape[1]}").ravel()
 
 
 def ridges(facets: IntArray, cell_type: str) -> tuple[IntArray, IntArray]:

@@ -18,16 +18,16 @@ from typing import Any
 
 import numpy as np
 
+import thinlayer
 from forms import IncrementalCoulomb, LinearElastic, NonMonotone, VonMises
 from geometry import sandwich
 from geometry.parallel import T
 from studies.by_hand import CHOLESKY, K_N, K_T, LOAD, MULTIGRID, NU, E, by_hand
 from studies.friction_cost import NETWORK, WORKS, friction
 from studies.other_programs import MODULES, ngsolve, scikit_fem
-from studies.problems import WALLS
-from studies.snap import LAYER
+from studies.problems import SNAPPING, WALLS
 from studies.timing import Measured, Stages, compared, timed
-from thinlayer import ArcLength, Bond, SolveError, Structure, ThinLayer, estimate, goals, march, plotting, solve
+from thinlayer import ArcLength, Bond, SolveError, Structure, ThinLayer, estimate, goals, march, solve
 from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
 from thinlayer.system.progress import logger
@@ -118,7 +118,7 @@ def draw(record: Record) -> None:
     panels["a network over bonded"] = {NETWORK: contact.pop(NETWORK)}
     look: dict[str, Any] = {"styles": ("o-", "s--", "^-.", "D:", "v-", "P--")}
     save = record.path("performance_ratios.svg")
-    plotting.curves(panels, "unknowns", "ratio of times", save=save, log="x", xlim=(3e3, 2e6), **look)
+    thinlayer.plotting.curves(panels, "unknowns", "ratio of times", save=save, log="x", xlim=(3e3, 2e6), **look)
     panels = {
         f"{y}, {dim:g}D": {
             work: (1 / of["eps"], np.where(of[y] > 0, of[y], np.nan)) for work, of in part.split("work").items()
@@ -128,7 +128,7 @@ def draw(record: Record) -> None:
     }
     across, save = "width of S over the layer's thickness", record.path("performance.svg")
     title = "cost of a thin layer, and relative error of the energy"
-    plotting.curves(panels, across, title=title, save=save, log="xy", xlim=(7, 150), **look)
+    thinlayer.plotting.curves(panels, across, title=title, save=save, log="xy", xlim=(7, 150), **look)
 
 
 # ---------------------------------------------------------------- works, most of them in a process of their own
@@ -236,7 +236,7 @@ def ranks(n: int, repeats: int) -> Iterable[Row]:
 
 def marches(n: int, repeats: int) -> Iterable[Row]:
     """Steps of marches, and an estimate, in linear solves of the same mesh."""
-    flowing, switching = VonMises(K_N - 2 * K_T, K_T, strength=0.3), NonMonotone(**LAYER, mixing=0.4)
+    flowing, switching = VonMises(K_N - 2 * K_T, K_T, strength=0.3), NonMonotone(**SNAPPING, mixing=0.4)
     works: dict[str, tuple[str, Any, float, Any]] = {
         "step of a march that yields": ("P2", ThinLayer(flowing, 0.01, at=1.0), 1.0, TENTHS),
         "step of a march in contact": ("P1", IncrementalCoulomb(K_N, K_T, friction=0.25), -1.0, TENTHS),

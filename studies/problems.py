@@ -25,6 +25,8 @@ FOURIER_LAYER = LinearElastic(lmbda=60.0, mu=40.0)
 MORTAR = MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02)  # of `sheared` blocks
 BAR = LinearElastic.young(E=130e3, nu=0.2)  # MPa, section 8.2 of the paper
 WALLS: dict[Any, Any] = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}  # clamped below, between rollers
+CHI = np.array([[0.0, 0.3], [0.3, 1.0]])  # a layer changes phase as it opens and is sheared
+SNAPPING: dict[str, Any] = {"lmbda": 1.0, "mu": 1.0, "alpha": 1.2, "transformation_energy": 0.9, "chi": CHI}
 SHEAR = 5.0  # largest shear on the upper side in `sheared`, over the pressure there
 
 

@@ -18,7 +18,7 @@ from forms.base import Array
 from forms.non_monotone import Phases
 from geometry import block
 from geometry.joint import Joint
-from studies.problems import phases_on_s
+from studies.problems import SNAPPING, phases_on_s
 from thinlayer import ArcLength, Structure, Table, ThinLayer, march, piecewise, plotting
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
@@ -30,8 +30,6 @@ END = 2.4  # largest prescribed displacement
 THIN = 0.02  # thickness; the interface law does not depend on it
 MIDDLE, TILT = 1.0, 0.15  # the upper side is moved by delta (1 + TILT (x - MIDDLE))
 BODY = LinearElastic.young(E=2.0, nu=0.3)
-CHI = np.array([[0.0, 0.3], [0.3, 1.0]])  # the layer changes phase as it opens and is sheared
-LAYER: dict[str, Any] = {"lmbda": 1.0, "mu": 1.0, "alpha": 1.2, "transformation_energy": 0.9, "chi": CHI}
 PURE, RELAXED = "pure phases", "relaxed law"
 EPS = (0.02, 0.01)  # thicknesses of the meshed layer
 ROUNDING = 1e-9  # largest relative difference of states that should be the same
@@ -51,7 +49,7 @@ def followed(
         given = state.reaction("TOP")
         return float(given.force[1] + TILT * given.moment)
 
-    layer = ThinLayer(law(**LAYER, **choices), eps or THIN, at=1.0)
+    layer = ThinLayer(law(**SNAPPING, **choices), eps or THIN, at=1.0)
     supports: dict[str, Support] = {"LEFT": {"x": 0}, "TOP": {"y": top}}
     structure = Structure(joint, body=BODY, supports=supports)
     model: Model = structure.full(layer, cells_through=1) if eps else structure.interface(layer)
