@@ -57,17 +57,22 @@ class Tangent:
         self._near = rows[:, first + pairs.dofs]  # between the nodes of S on this rank
         self._blocks = self._near.tobsr((pairs.d,) * 2)
         self._blocks.sort_indices()
-        self._springs, self._held_rows = self._clipped(start), equations.held_rows
+        self._scale, self._held_rows = self._stiffness_beside(), equations.held_rows
+        self._springs, self._changes = self._clipped(start), dict[int, PETSc.Mat]()
         self._build(equations)
 
-    def _clipped(self, start: Array | None) -> Array:
-        """Clipped tangents (n, d, d) of S without the coupling by friction."""
-        nodes, pairs, d, diagonal = self.nodes, self.pairs, self.nodes.dim, self._A.getDiagonal()
-        above = diagonal.array_r.reshape(-1, d)[nodes.upper].mean(axis=1)
+    def _stiffness_beside(self) -> Array:
+        """(n,) E/h of the softer side of S. Collective."""
+        nodes, diagonal = self.nodes, self._A.getDiagonal()
+        above = diagonal.array_r.reshape(-1, nodes.dim)[nodes.upper].mean(axis=1)
         below = nodes.lower_side(diagonal).mean(axis=1)
         diagonal.destroy()
         softer = np.where(below > 0, np.minimum(above, below), above)  # below a rigid base there is none
-        scale = softer / (DIAGONAL * nodes.weights)  # E/h of the softer side
+        return np.asarray(softer / (DIAGONAL * nodes.weights))
+
+    def _clipped(self, start: Array | None) -> Array:
+        """Clipped tangents (n, d, d) of S without the coupling by friction."""
+        pairs, scale, d = self.pairs, self._scale, self.nodes.dim
         D = pairs.bonded_tangents() if start is None else pairs.tangents(start)
         i = np.arange(d)
         stiffness = D[:, i, i]
@@ -111,13 +116,15 @@ class Tangent:
         many = comm.allreduce(int(others.sum())) > MANY * comm.allreduce(len(new))
         if not many or self._cycle.getType() != "gamg":
             return
-        change = self.nodes.stiffness(new - self._springs)
+        change = springs = self.nodes.stiffness(new - self._springs)
         change.zeroRowsColumns(self._held_rows, 0.0)
         for level in reversed(range(self._cycle.getMGLevels())):
             matrix = self._cycle.getMGSmoother(level).getOperators()[0]
             matrix.axpy(1.0, change, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-            finer, change = change, change.ptap(self._cycle.getMGInterpolation(level)) if level else None
-            finer.destroy()
+            if level:  # the pattern stays, and with it what a product knows of its own
+                known = self._changes.get(level)
+                change = self._changes[level] = change.ptap(self._cycle.getMGInterpolation(level), result=known)
+        springs.destroy()
         self._springs = new
 
     def linearise(self, tangents: Array) -> None:
@@ -164,5 +171,5 @@ class Tangent:
 
     def close(self) -> None:
         """Free matrices, vectors and the hierarchy."""
-        for thing in (self._cycle, self._matrix, self._rows, self._product):
+        for thing in (self._cycle, self._matrix, self._rows, self._product, *self._changes.values()):
             thing.destroy()
