@@ -19,7 +19,6 @@ from forms.temperature import finite
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place as at_place
-from geometry.topology import Indices
 from thinlayer.discretisation.boundary import AXES
 from thinlayer.discretisation.constraints import Constraints
 from thinlayer.discretisation.measures import per_unit
@@ -71,7 +70,7 @@ def rigid_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
     return motion, sum(turned, ufl.as_vector([motion[i] for i in range(d)]))
 
 
-def rigid_values(x: Array, about: Array, rows: Indices | None = None) -> Array:
+def rigid_values(x: Array, about: Array, rows: npt.NDArray[Any] | None = None) -> Array:
     """The motions of `rigid` (m, k) in some of the displacements at places x (n, d), given by number; default: in all."""
     rows = np.arange(x.size) if rows is None else rows
     return rigid(x[rows // x.shape[1]], about)[np.arange(len(rows)), rows % x.shape[1]]

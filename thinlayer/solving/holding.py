@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import scipy.sparse
 from petsc4py import PETSc
 
@@ -41,7 +43,7 @@ class ReactionSums:
     def __init__(self, model: Model, parts: Sequence[Part]) -> None:
         self.model, self.parts = model, parts
 
-    def _motions(self, rows: Indices) -> Array:
+    def _motions(self, rows: npt.NDArray[Any]) -> Array:
         """The motions of `rigid` (m, k) in some displacements of this rank."""
         return rigid_values(self.model.places, self.model.centre, rows)
 
@@ -118,7 +120,7 @@ class RigidMotions:
         ]
         return of
 
-    def _motions(self, rows: Indices) -> tuple[scipy.sparse.csr_matrix, Array]:
+    def _motions(self, rows: npt.NDArray[Any]) -> tuple[scipy.sparse.csr_matrix, Array]:
         """Motions (n, c), sparse: those of pieces in turn, then of plates, with those parts that supports prevent left out.
 
         The second value, (c, c), is zero for sums of these that supports allow.
