@@ -36,9 +36,8 @@ def destinations(joint: Joint, parts: int) -> tuple[IntArray, Indices]:
     pairs = joint.table.cells[(joint.table.cells >= 0).all(axis=1)]
     apart = pairs[owner[pairs[:, 0]] != owner[pairs[:, 1]]]
     seen = np.unique(np.concatenate([np.column_stack([a, owner[b]]) for a, b in (apart.T, apart.T[::-1])]), axis=0)
-    cells = np.concatenate([np.arange(len(owner)), seen[:, 0]])
-    ranks = np.concatenate([owner, seen[:, 1]])[np.argsort(cells, kind="stable")]
-    return np.searchsorted(np.sort(cells), np.arange(len(owner) + 1)), ranks.astype(np.int32)
+    times = 1 + np.bincount(seen[:, 0], minlength=len(owner))
+    return np.append(0, times.cumsum()), np.insert(owner, seen[:, 0] + 1, seen[:, 1])
 
 
 def sent_by(rows: Any, rank: int, ranks: int) -> Any:

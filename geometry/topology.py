@@ -289,10 +289,15 @@ class Splitting:
                     out[:, nodes] = numbers[:, [entity]]
         return out
 
+    @property
+    def of_vertices(self) -> IntArray:
+        """(n_cells, k) number of the cell's component around each of its vertices."""
+        return self.of_nodes[:, : self._corners.shape[1]]
+
     @cached_property
     def pieces(self) -> IntArray:
         """(n_cells,) number of the connected piece of each cell, in the order of their first cells."""
-        corners, split = self._corners.copy(), self.of_nodes[:, : self._corners.shape[1]]
+        corners, split = self._corners.copy(), self.of_vertices
         where = np.nonzero(split)  # copies of vertices follow after the last one
         number = np.unique(np.column_stack([corners[where], split[where]]), axis=0, return_inverse=True)[1]
         corners[where] = int(corners.max(initial=-1)) + 1 + number.ravel()
@@ -305,9 +310,8 @@ class Splitting:
     @cached_property
     def valence(self) -> IntArray:
         """(n_points,) number of components of the cells around each vertex; 0 for nodes that are no vertices."""
-        corners, split = self._corners, self.of_nodes[:, : self._corners.shape[1]]
         out = np.zeros(int(self.cells.max(initial=-1)) + 1, np.int64)
-        np.maximum.at(out, corners.ravel(), split.ravel() + 1)
+        np.maximum.at(out, self._corners.ravel(), self.of_vertices.ravel() + 1)
         return out
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.sparse
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms import Anisotropic, HolonomicCoulomb, LinearElastic, MohrCoulomb, NonMonotone
@@ -175,6 +176,6 @@ def test_a_lent_matrix_is_the_sum_with_supports_and_afterwards_what_it_was():
     spring[np.ix_([1, 6], [1, 6])] = [[3.0, -1 / 3], [-1 / 3, 2.0]]
     K, whole = matrix(chain), chain + 0.1 * spring
     whole[held], whole[:, held], whole[held, held] = 0.0, 0.0, 5.0
-    with lent(K, [Block(matrix(spring), 0.1)], held, 5.0) as A:
+    with lent(MPI.COMM_SELF, K, [Block(matrix(spring), 0.1)], held, 5.0) as A:
         np.testing.assert_allclose(A[:, :], whole, rtol=1e-15)
     assert np.array_equal(K[:, :], chain)

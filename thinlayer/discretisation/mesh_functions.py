@@ -246,7 +246,8 @@ def vector_space(domain: Domain, cut: Splitting, degree: int, family: str) -> fe
         return broken_space(comm, Keys.of_entities(comm, mesh, element, of_entities))
     used = [any(map(len, of_dim)) for of_dim in element.basix_element.entity_dofs]
     none = np.empty((0, 0), np.int64)
-    components = [domain.on_cells(cut.components(k)) if used[k] else none for k in range(dim)]
+    of_cells = [(cut.components(k) if k else cut.of_vertices) if used[k] else None for k in range(dim)]
+    components = [none if found is None else domain.on_cells(found) for found in of_cells]
     return broken_space(comm, Keys.of_components(comm, mesh, element, components))
 
 
