@@ -46,7 +46,7 @@ def pulled(one, *times):
         lambda x, t: float(t),
         lambda x, t: math.sin(t),
         lambda x, t: np.interp(t, [0, 1], [0, 2]),
-        lambda x, t: 1.0 if t == 1 else 2.0,
+        lambda x, t: 1.0 if t == 1.23 else 2.0,
         lambda x, t: 1.0 if t in (1, 2) else 2.0,
         lambda x, t: max(t, 1.0),
         lambda x, t: 2.0 * (x[1] != 0),

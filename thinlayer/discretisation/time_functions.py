@@ -73,6 +73,13 @@ class Reading(fem.Constant):
         self.clock, self._argument, self._table = clock, argument, table
         clock._readings.add(self)
 
+    def __eq__(self, other: object) -> bool:
+        if is_number(other):  # UFL's answer is False, and a load that asks would never see its time
+            raise TypeError(f"t == {other!r} asks a symbol for its value")
+        return bool(super().__eq__(other))
+
+    __hash__ = fem.Constant.__hash__
+
     def at(self, t: float) -> Any:
         """Its value at a time: a number, or (columns,)."""
         return t if self._table is None else self._table.at(self._argument_at(t))
