@@ -44,10 +44,20 @@ def create_mesh(
 ) -> dolfinx.mesh.Mesh:
     """Distribute points, and cells given by their nodes; each rank sends some. Several need a partitioner. Collective."""
     dim, degree = points.shape[1], geometry_degree(cell_type, cells.shape[1])
-    element = basix.ufl.element("Lagrange", cell_type, degree, shape=(dim,))
-    arguments = {"comm": comm, "cells": cells, "x": np.ascontiguousarray(points), "e": element}
-    order = list(inspect.signature(dolfinx.mesh.create_mesh).parameters)[:4]
-    return dolfinx.mesh.create_mesh(*(arguments[name] for name in order), partitioner=partitioner)
+    element, x = basix.ufl.element("Lagrange", cell_type, degree, shape=(dim,)), np.ascontiguousarray(points)
+
+    def by_names() -> dolfinx.mesh.Mesh:
+        """Without names, bindings first try to take each cell for an array, which is slow."""
+        map_of_cells = dolfinx.fem.coordinate_element(element.basix_element)._cpp_object
+        arguments = {"comm": comm, "cells": cells, "element": map_of_cells, "x": x, "partitioner": partitioner}
+        return dolfinx.mesh.Mesh(dolfinx.cpp.mesh.create_mesh(**arguments), ufl.Mesh(element))
+
+    def by_places() -> dolfinx.mesh.Mesh:
+        arguments = {"comm": comm, "cells": cells, "x": x, "e": element}
+        order = list(inspect.signature(dolfinx.mesh.create_mesh).parameters)[:4]
+        return dolfinx.mesh.create_mesh(*(arguments[name] for name in order), partitioner=partitioner)
+
+    return first_that_fits(by_names, by_places)
 
 
 def cell_nodes(mesh: dolfinx.mesh.Mesh) -> Indices:
@@ -272,12 +282,13 @@ def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
 
 def _name_combinations(joint: Joint) -> tuple[IntArray, Indices, dict[str, tuple[int, ...]]]:
     """Facets with a name (rows of joint.table), the number of the combination of names of each, name -> combinations."""
-    sets = list(_named_sets(joint))
-    names, rows = [name for name, _ in sets], [row for _, row in sets]
-    tagged = np.unique(np.concatenate(rows))
-    member = np.zeros((len(tagged), len(names)), bool)
-    for column, row in enumerate(rows):
-        member[np.searchsorted(tagged, row), column] = True
-    kinds, combination = np.unique(member, axis=0, return_inverse=True)
-    values = {name: tuple(int(v) + 1 for v in np.flatnonzero(kinds[:, k])) for k, name in enumerate(names)}
-    return tagged, (combination.ravel() + 1).astype(np.int32), values
+    sets = dict(_named_sets(joint))
+    tagged = np.unique(np.concatenate([*sets.values()]))
+    places = {name: np.searchsorted(tagged, rows) for name, rows in sets.items()}
+    combination = np.zeros(len(tagged), np.int64)
+    for place in places.values():
+        combination *= 2
+        combination[place] += 1
+        combination = np.unique(combination, return_inverse=True)[1]
+    values = {name: tuple(map(int, np.unique(combination[place]) + 1)) for name, place in places.items()}
+    return tagged, (combination + 1).astype(np.int32), values

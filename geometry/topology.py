@@ -114,8 +114,9 @@ class FacetTable:
 
     def index(self, facets: IntArray) -> IntArray:
         """Rows of this table for facets given by vertices in any order; -1 where the mesh has no such facet."""
-        at, after = (np.searchsorted(self._keys, _keys(np.sort(facets, axis=1)), side) for side in ("left", "right"))
-        return np.where(after > at, at, -1)
+        wanted = _keys(np.sort(facets, axis=1))
+        at = np.searchsorted(self._keys, wanted).clip(max=len(self._keys) - 1)
+        return np.where(self._keys[at] == wanted, at, -1)
 
     def nodes(self, rows: IntArray, cells: IntArray, cell_type: str) -> IntArray:
         """Nodes of facets, (n, nodes per facet), in the order of the facet's own element; `cells`: all nodes of cells."""
