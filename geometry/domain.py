@@ -8,7 +8,6 @@ Only `Domain` relates the two: `original_cells`,
 from __future__ import annotations
 
 import gc
-import inspect
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -46,18 +45,14 @@ def create_mesh(
     dim, degree = points.shape[1], geometry_degree(cell_type, cells.shape[1])
     element, x = basix.ufl.element("Lagrange", cell_type, degree, shape=(dim,)), np.ascontiguousarray(points)
 
+    arguments: dict[str, Any] = {"comm": comm, "cells": cells, "x": x, "partitioner": partitioner}
+
     def by_names() -> dolfinx.mesh.Mesh:
-        """Without names, bindings first try to take each cell for an array, which is slow."""
+        """DOLFINx gives no names; then its bindings first try to take each cell for an array, which is slow."""
         map_of_cells = dolfinx.fem.coordinate_element(element.basix_element)._cpp_object
-        arguments = {"comm": comm, "cells": cells, "element": map_of_cells, "x": x, "partitioner": partitioner}
-        return dolfinx.mesh.Mesh(dolfinx.cpp.mesh.create_mesh(**arguments), ufl.Mesh(element))
+        return dolfinx.mesh.Mesh(dolfinx.cpp.mesh.create_mesh(**arguments, element=map_of_cells), ufl.Mesh(element))
 
-    def by_places() -> dolfinx.mesh.Mesh:
-        arguments = {"comm": comm, "cells": cells, "x": x, "e": element}
-        order = list(inspect.signature(dolfinx.mesh.create_mesh).parameters)[:4]
-        return dolfinx.mesh.create_mesh(*(arguments[name] for name in order), partitioner=partitioner)
-
-    return first_that_fits(by_names, by_places)
+    return first_that_fits(by_names, lambda: dolfinx.mesh.create_mesh(**arguments, e=element))
 
 
 def cell_nodes(mesh: dolfinx.mesh.Mesh) -> Indices:
