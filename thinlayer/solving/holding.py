@@ -115,9 +115,8 @@ class RigidMotions:
         pieces, dofs = model.splitting.pieces, np.asarray(V.dofmap.list)
         of = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, np.int32)
         of[dofs] = model.domain.on_cells(pieces)[: len(dofs), None]
-        self._names = [
-            model.joint.regions[model.domain.joint.region[k]] for k in np.unique(pieces, return_index=True)[1]
-        ]
+        joint, first = model.domain.joint, np.unique(pieces, return_index=True)[1]
+        self._names = [joint.regions[k] for k in joint.region[first]]
         return of
 
     def _motions(self, rows: npt.NDArray[Any]) -> tuple[scipy.sparse.csr_matrix, Array]:
@@ -159,13 +158,11 @@ class RigidMotions:
                 stiffness += block.factor * (motions.T @ product(part, motions)).toarray()
                 destroy(part)
         destroy(*(block.matrix for block in blocks if not block.kept))
-        if not allowed.shape[1]:
-            return
         _, sizes, ways = np.linalg.svd(allowed.T @ comm.allreduce(stiffness) @ allowed)
-        if sizes[-1] > RESISTED_MOTION * self._stiffness or not np.isfinite(sizes[-1]):
+        free = sizes <= RESISTED_MOTION * self._stiffness  # none for NaN
+        if not free.any():
             return
-        least = np.flatnonzero(sizes <= max(RESISTED_MOTION * self._stiffness, sizes[-1]))
-        motion = self._described(allowed @ ways[least].T)
+        motion = self._described(allowed @ ways[free].T)
         reason = f"no unique solution: {motion}, and neither supports nor the layer resist it (to rounding)"
         raise LooseBody(reason, motion, advice="add supports, or give the layer's law a stiffness in this direction")
 
