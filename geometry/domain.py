@@ -280,7 +280,7 @@ def _name_combinations(joint: Joint) -> tuple[IntArray, Indices, dict[str, tuple
     sets = dict(_named_sets(joint))
     tagged = np.unique(np.concatenate([*sets.values()]))
     places = {name: np.searchsorted(tagged, rows) for name, rows in sets.items()}
-    combination = np.zeros(len(tagged), np.int64)
+    combination: npt.NDArray[Any] = np.zeros(len(tagged), np.int64)
     for place in places.values():
         combination *= 2
         combination[place] += 1

@@ -356,7 +356,7 @@ class Constraints:
         return self._times(self.Q, g, transposed=True)
 
     # ---------------------------------------------------------------- motions
-    def shown(self, motions: Sparse) -> tuple[Sparse, Array]:
+    def shown(self, motions: Sparse) -> tuple[Sparse, Sparse]:
         """Motions as conditions allow them, and how far conditions prevent them.
 
         Args:
@@ -367,7 +367,6 @@ class Constraints:
             matrix (c + m, c + m) of what conditions prevent: it is zero for a motion that they allow.
         """
         c, m = motions.shape[1], sum(one.count for one in self.ties)
-        gram = np.zeros((c + m, c + m))
         first = dict(zip(self.slots, np.cumsum([0, *(one.count for one in self.ties)]).tolist(), strict=False))
         wide, y = motions, _without(motions, self.tied)
         if m:
@@ -375,10 +374,11 @@ class Constraints:
             of_ties = scipy.sparse.csr_matrix((np.ones(len(own)), (places, own)), (self.n, m))
             y = scipy.sparse.hstack([y, of_ties], format="csr")
             wide = scipy.sparse.hstack([motions, scipy.sparse.csr_matrix((self.n, m))], format="csr")
+        given = np.zeros(c + m)
+        given[[c + first[tie.key] + k for tie, k, _ in self._motions]] = 1.0
+        gram = scipy.sparse.diags(given, format="csr")
         for rows in (self.prescribed.conditions @ wide, (product(self._T0, y) - wide)[self.tied]):
-            gram += (rows.T @ rows).toarray()
-        for tie, k, _ in self._motions:
-            gram[c + first[tie.key] + k, c + first[tie.key] + k] += 1.0
+            gram = gram + rows.T @ rows
         z = _without(product(self.Q, y, transposed=True), self.held)
         return product(self.T, z), self.comm.allreduce(gram)
 
@@ -387,7 +387,7 @@ class Constraints:
         if self._T0 is None:
             rows = self.prescribed.conditions @ motions
             return np.asarray(self.comm.allreduce(rows.T @ rows))
-        c, gram = motions.shape[1], self.shown(scipy.sparse.csr_matrix(motions))[1]
+        c, gram = motions.shape[1], self.shown(scipy.sparse.csr_matrix(motions))[1].toarray()
         return np.asarray(gram[:c, :c] - gram[:c, c:] @ np.linalg.pinv(gram[c:, c:]) @ gram[c:, :c])
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 from petsc4py import PETSc
+from scipy.sparse.linalg import splu
 
 from forms.base import Array
 from geometry.refusals import place
@@ -119,7 +120,7 @@ class RigidMotions:
         self._names = [joint.regions[k] for k in joint.region[first]]
         return of
 
-    def _motions(self, rows: npt.NDArray[Any]) -> tuple[scipy.sparse.csr_matrix, Array]:
+    def _motions(self, rows: npt.NDArray[Any]) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
         """Motions (n, c), sparse: those of pieces in turn, then of plates, with those parts that supports prevent left out.
 
         The second value, (c, c), is zero for sums of these that supports allow.
@@ -139,30 +140,37 @@ class RigidMotions:
         return constraints.shown(scipy.sparse.csr_matrix(csr, (n, len(self._names) * per)))
 
     @cached_property
-    def _allowed(self) -> Array:
+    def _allowed(self) -> scipy.sparse.csc_matrix:
         """(c, k) the motions that supports allow, as sums of `_motions`."""
         gram = self._motions(np.unique(self.model.constraints.prescribed.conditions.indices))[1]
-        values, vectors = np.linalg.eigh(gram)
-        return vectors[:, values <= ALLOWED_MOTION * max(values.max(), 1.0)]
+        each, touched = scipy.sparse.eye(gram.shape[0], format="csc"), gram.diagonal() > 0
+        values, vectors = np.linalg.eigh(gram[touched][:, touched].toarray())
+        allowed = vectors[:, values <= ALLOWED_MOTION * values.max(initial=1.0)]
+        return scipy.sparse.hstack(
+            [each[:, ~touched], each[:, touched] @ scipy.sparse.csc_matrix(allowed)], format="csc"
+        )
 
     def require_resisted(self, blocks: Sequence[Block]) -> None:
         """Raise LooseBody if blocks of a tangent do not resist a motion that supports allow; destroys those not kept."""
         allowed, comm = self._allowed, self.model.comm
-        stiffness = np.zeros([len(allowed)] * 2)
+        stiffness = scipy.sparse.csc_matrix((allowed.shape[0],) * 2)
         for block in blocks if allowed.shape[1] else ():
             if block.row == block.column == DISPLACEMENTS:
                 rows = np.flatnonzero(np.diff(block.matrix.getRowIJ()[0]))
                 first, _ = block.matrix.getOwnershipRange()
                 here = PETSc.IS().createGeneral((first + rows).astype(PETSc.IntType), comm=comm)
                 motions, part = self._motions(rows)[0][rows], block.matrix.createSubMatrix(here, here)
-                stiffness += block.factor * (motions.T @ product(part, motions)).toarray()
+                stiffness += block.factor * (motions.T @ product(part, motions))
                 destroy(part)
         destroy(*(block.matrix for block in blocks if not block.kept))
-        _, sizes, ways = np.linalg.svd(allowed.T @ comm.allreduce(stiffness) @ allowed)
-        free = sizes <= RESISTED_MOTION * self._stiffness  # none for NaN
-        if not free.any():
+        resistance = allowed.T @ comm.allreduce(stiffness) @ allowed
+        least = RESISTED_MOTION * self._stiffness
+        if not allowed.shape[1] or _exceeds(resistance, least):
             return
-        motion = self._described(allowed @ ways[free].T)
+        _, sizes, ways = np.linalg.svd(resistance.toarray())
+        if not (sizes <= least).any():
+            return
+        motion = self._described(allowed @ ways[sizes <= least].T)
         reason = f"no unique solution: {motion}, and neither supports nor the layer resist it (to rounding)"
         raise LooseBody(reason, motion, advice="add supports, or give the layer's law a stiffness in this direction")
 
@@ -187,3 +195,15 @@ class RigidMotions:
         shift /= shift[np.abs(shift).argmax()]  # largest component 1, whichever sign the motion has
         direction = ", ".join(f"{c:.3g}" for c in np.round(shift, 6) + 0.0)
         return f"{body} can move along ({direction})"
+
+
+def _exceeds(A: scipy.sparse.csc_matrix, least: float) -> bool:
+    """Whether all eigenvalues of the symmetric part of a matrix are larger, and so its singular values; or it has NaNs."""
+    if not np.isfinite(A.data).all():
+        return True
+    shifted = (A + A.T - 2 * least * scipy.sparse.eye(A.shape[0])).tocsc()
+    try:
+        factor = splu(shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError:  # a pivot is zero
+        return False
+    return bool((factor.perm_r == factor.perm_c).all() and (factor.U.diagonal() > 0).all())
