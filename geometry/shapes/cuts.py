@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.spatial import Voronoi, cKDTree
 
-from forms.base import InputError, is_finite, require
+from forms.base import InputError, is_whole, require
 from forms.temperature import finite
 from geometry.identified_sides import SAME_PLACE
 from geometry.refusals import place, refuse
@@ -151,9 +151,8 @@ def grained(
     size = max(width, height)
     box = np.array([width, height]) / size
     if np.ndim(grains) == 0:
-        count = is_finite(grains) and grains == int(grains) and grains >= 2
-        require(count, "grains", grains, "it must be a whole number >= 2, or points (x, y)")
-        require(is_finite(seed) and seed == int(seed) and seed >= 0, "seed", seed, "it must be a whole number >= 0")
+        require(is_whole(grains, 2), "grains", grains, "it must be a whole number >= 2, or points (x, y)")
+        require(is_whole(seed, 0), "seed", seed, "it must be a whole number >= 0")
         points = _relaxed(np.random.default_rng(int(seed)).random((int(grains), 2)) * box, box)
     else:
         points = np.asarray(_seeds(grains, width, height) / size, float)
