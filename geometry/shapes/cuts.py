@@ -16,6 +16,7 @@ from geometry.refusals import place, refuse
 from geometry.seam import LEAST_COSINE, Seam
 from geometry.shapes.drawing import Drawing, Extent, Shape
 from geometry.shapes.sizing import Cells, gmsh
+from geometry.sheet import from_segments
 from geometry.topology import BoolArray, FloatArray, IntArray, sums
 
 SIDES = ("BOTTOM", "RIGHT", "TOP", "LEFT")
@@ -99,10 +100,7 @@ class CutRectangle(Shape):
         size, lines, near = self.sizes[2], self.lines, SAME_PLACE * self.extent.span
         ends = lines.reshape(-1, 2)
         points = ends[self.inside(ends, -near)]
-        start, way = lines[:, 0], lines[:, 1] - lines[:, 0]
-        to = points[:, None] - start
-        share = np.clip((to * way).sum(axis=2) / (way**2).sum(axis=1), 0.0, 1.0)
-        apart = to - share[..., None] * way
+        apart = from_segments(points, lines[:, 0], lines[:, 1])
         distance = np.linalg.norm(apart, axis=2)
         distance[distance <= 2 * near] = np.inf
         point, line = np.unravel_index(distance.argmin(), distance.shape)
