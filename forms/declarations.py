@@ -223,8 +223,9 @@ class Traits:
         """
         declared = {f.name: getattr(law, f.name, f.default) for f in fields(cls) if f.name not in of_methods}
         for name, value in declared.items():
-            if not isinstance(value, (bool, np.bool_)):
-                raise InputError(f"{type(law).__name__}: {name} is {value!r}; a trait is True or False")
+            require(
+                isinstance(value, bool | np.bool_), f"{type(law).__name__}: {name}", value, "a trait is True or False"
+            )
         return cls(**{name: bool(value) for name, value in (declared | of_methods).items()})
 
     @classmethod
