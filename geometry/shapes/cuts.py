@@ -12,7 +12,7 @@ from scipy.spatial import Voronoi, cKDTree
 from forms.base import InputError, is_whole, require
 from forms.temperature import finite
 from geometry.identified_sides import SAME_PLACE
-from geometry.refusals import place, refuse
+from geometry.refusals import refuse
 from geometry.seam import LEAST_COSINE, Seam
 from geometry.shapes.drawing import Drawing, Extent, Shape
 from geometry.shapes.sizing import Cells, gmsh
@@ -168,8 +168,7 @@ def _seeds(given: Any, width: float, height: float) -> FloatArray:
     box = f"the rectangle (0, {width:g}) x (0, {height:g})"
     refuse(~((x > 0) & (x < (width, height))).all(axis=1), x, f"the point {{at}} of a grain is not inside {box}")
     same = cKDTree(x).query_pairs(SAME_PLACE * max(width, height), output_type="ndarray")
-    if len(same):
-        raise InputError(f"two points of grains are the same, {place(x[same[0, 0]])}")
+    refuse(np.ones(len(same), bool), x[same[:, 0]], "two points of grains are the same, {at}")
     return x
 
 

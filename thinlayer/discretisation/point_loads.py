@@ -138,7 +138,8 @@ class LineLoad:
 
 def _in_one_body(joint: Joint, cells: IntArray, components: IntArray, body: str | None, what: str) -> int:
     """The first of the cells around a place that are of one body; raises InputError if the place has several nodes."""
-    regions, kept = joint.region[cells], np.arange(len(cells))
+    regions = joint.region[cells]
+    kept: IntArray = np.arange(len(cells))
     if body is not None:
         require_known("body", body, joint.bodies, what)
         kept = np.flatnonzero(regions == joint.regions.index(body))

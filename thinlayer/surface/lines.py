@@ -57,8 +57,7 @@ class Line:
         values = self.values.reshape(len(self.s), -1)
         names = [name] if values.shape[1] == 1 else [f"{name} {axis}" for axis in "xyz"[: values.shape[1]]]
         columns = ["s", *"xyz"[: self.x.shape[1]], *names]
-        rows = np.column_stack([self.s, self.x, values])
-        return Table(dict(zip(columns, map(float, row), strict=True)) for row in rows)
+        return Table.of(dict(zip(columns, np.column_stack([self.s, self.x, values]).T, strict=True)))
 
 
 @dataclass(frozen=True)
