@@ -72,3 +72,8 @@ def is_number(value: Any) -> bool:
 def is_finite(value: Any) -> bool:
     """Whether a value is a real number between the largest and the smallest one of 64 bits."""
     return is_number(value) and bool(abs(value) <= sys.float_info.max)
+
+
+def is_whole(value: Any, least: int) -> bool:
+    """Whether a value is a whole number, and not less than another one; 3.0 is whole, too."""
+    return is_finite(value) and value == int(value) and value >= least

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from forms.base import PACKAGES, InputError, is_finite
+from forms.base import PACKAGES, InputError, is_finite, require
 
 # modules of base classes
 DEFAULTS = tuple(f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series"))
@@ -114,8 +114,7 @@ def require_declarations(law: Any) -> None:
     for name, power in law.powers.items():
         if name not in known:
             raise InputError(f"{kind.__name__}: powers has {name!r}; parameters: {', '.join(known) or 'none'}")
-        if not is_finite(power):
-            raise InputError(f"{kind.__name__}: the power of {name} is {power!r}; allowed: a finite number")
+        require(is_finite(power), f"{kind.__name__}: the power of {name}", power, "allowed: a finite number")
     for name, shape in law.internal.items():
         if shape not in SIZES:
             allowed = ", ".join(map(str, SIZES))
@@ -224,8 +223,9 @@ class Traits:
         """
         declared = {f.name: getattr(law, f.name, f.default) for f in fields(cls) if f.name not in of_methods}
         for name, value in declared.items():
-            if not isinstance(value, (bool, np.bool_)):
-                raise InputError(f"{type(law).__name__}: {name} is {value!r}; a trait is True or False")
+            require(
+                isinstance(value, bool | np.bool_), f"{type(law).__name__}: {name}", value, "a trait is True or False"
+            )
         return cls(**{name: bool(value) for name, value in (declared | of_methods).items()})
 
     @classmethod

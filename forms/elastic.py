@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from forms.base import Array, InputError, require
 from forms.ends.constants import free_end
 from forms.ends.weights import EndWeights, Strips
-from forms.kinematics import MANDEL, ROOT2, Expr, isotropic, layer_frame
+from forms.kinematics import MANDEL, ROOT2, Expr, condensed_onto, isotropic, layer_frame
 from forms.law import BulkLaw, Step, choice
 from forms.parameter_fields import Field, OutOfRange, Parameter, field_of, is_field
 from forms.stations import Faces, Station, at_gauss_points
@@ -228,8 +228,7 @@ class Anisotropic(LinearLaw):
         return np.asarray(C[first[:, None], second[:, None], first, second] * np.outer(weight, weight))
 
     def plane_stress(self) -> Anisotropic:
-        C, along, out = self.C, np.ix_(IN_PLANE, IN_PLANE), OUT_OF_PLANE
-        condensed, coupling = np.zeros((6, 6)), C[np.ix_(IN_PLANE, out)]
-        condensed[along] = C[along] - coupling @ np.linalg.pinv(C[np.ix_(out, out)]) @ coupling.T
-        condensed[3:5, 3:5] = C[3:5, 3:5]  # these shear strains are zero, but sublayers in series need a stiffness
-        return self.with_parameters({"C": condensed})
+        C = np.zeros((6, 6))
+        C[np.ix_(IN_PLANE, IN_PLANE)] = condensed_onto(self.C, IN_PLANE, OUT_OF_PLANE)
+        C[3:5, 3:5] = self.C[3:5, 3:5]  # these shear strains are zero, but sublayers in series need a stiffness
+        return self.with_parameters({"C": C})

@@ -65,6 +65,12 @@ def isotropic(lmbda: float, mu: float) -> Array:
     return np.asarray(lmbda * np.outer(volume, volume) + 2 * mu * np.eye(6))
 
 
+def condensed_onto(C: Array, kept: Sequence[int], out: Sequence[int]) -> Array:
+    """A tangent (6, 6) for some components, where the stresses of the others vanish."""
+    inner = np.linalg.pinv(C[np.ix_(out, out)])
+    return np.asarray(C[np.ix_(kept, kept)] - C[np.ix_(kept, out)] @ inner @ C[np.ix_(out, kept)])
+
+
 def average_lame(C: Array) -> tuple[float, float]:
     """Moduli lmbda, mu of the isotropic tensor nearest to C (6, 6): its averages over all directions."""
     bulk = C[:3, :3].sum() / 9

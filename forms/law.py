@@ -16,7 +16,7 @@ import ufl
 
 from forms.base import Array, InputError
 from forms.declarations import SIZES, Traits, require_declarations, reset_inherited
-from forms.kinematics import Expr, average_lame, isotropic
+from forms.kinematics import Expr, average_lame, condensed_onto, isotropic
 from forms.parameter_fields import MANY, Field, OutOfRange, extremes, field_of, is_field, number_of, place_of
 from forms.stations import Station, at_gauss_points
 
@@ -529,10 +529,7 @@ class PlaneStress(OfLaw):
         lmbda, mu = average_lame(C)
         lmbda *= 2 * mu / (lmbda + 2 * mu) if lmbda + 2 * mu > 0 else 0.0
         out = isotropic(lmbda, mu)
-        coupling = C[np.ix_(IN_PLANE, OUT_OF_PLANE)]
-        inner = np.linalg.pinv(C[np.ix_(OUT_OF_PLANE, OUT_OF_PLANE)])
-        along = np.ix_(IN_PLANE, IN_PLANE)
-        out[along] = C[along] - coupling @ inner @ C[np.ix_(OUT_OF_PLANE, IN_PLANE)]
+        out[np.ix_(IN_PLANE, IN_PLANE)] = condensed_onto(C, IN_PLANE, OUT_OF_PLANE)
         return out
 
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import ufl
 
-from forms.base import Array, InputError, is_number
+from forms.base import Array, InputError, is_whole, require
 from forms.declarations import Traits, require_declarations
 from forms.elastic import LinearElastic
 from forms.kinematics import Expr, jump_strain, lift
@@ -157,8 +157,7 @@ class Stack(BulkLaw):
                 its middle, so that the error is O(1/n^2).
             n: number of sublayers, >= 1.
         """
-        if not (is_number(n) and n >= 1 and n == int(n)):
-            raise InputError(f"Stack.graded: the number of sublayers is {n!r}; allowed: whole numbers >= 1")
+        require(is_whole(n, 1), "Stack.graded: the number of sublayers", n, "allowed: whole numbers >= 1")
         return cls(*((1 / int(n), law((k + 0.5) / int(n))) for k in range(int(n))))
 
     @property

@@ -26,6 +26,13 @@ CLOSED = 0.1  # length of the mean unit normal below which S counts as closed
 CORNER = 0.7  # cosine of the least angle between straight ends that meet: at smaller ones the end counts as curved
 
 
+def from_segments(x: FloatArray, first: FloatArray, last: FloatArray) -> FloatArray:
+    """(n, m, d) vectors to places x (n, d) from the nearest points of segments between `first` and `last` (m, d)."""
+    along, to = last - first, x[:, None] - first
+    share = (to * along).sum(axis=2) / np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
+    return np.asarray(to - np.clip(share, 0.0, 1.0)[..., None] * along)
+
+
 @dataclass(frozen=True)
 class Rim:
     """Ridges where S ends: vertices in 2D, edges in 3D.
@@ -54,10 +61,8 @@ class Rim:
     def distance(self, points: FloatArray, x: FloatArray) -> FloatArray:
         """(n,) distances of places (n, d) from the ridges, whose vertices are some of these points; inf: there are none."""
         found = np.full(len(x), np.inf)
-        for first, last in points[self.vertices][:, [0, -1]]:
-            along = last - first
-            share = np.clip((x - first) @ along / max(along @ along, np.finfo(float).tiny), 0.0, 1.0)
-            found = np.minimum(found, np.linalg.norm(x - first - share[:, None] * along, axis=1))
+        for ends in points[self.vertices][:, [0, -1], None]:
+            found = np.minimum(found, np.linalg.norm(from_segments(x, *ends)[:, 0], axis=1))
         return found
 
 

@@ -88,26 +88,27 @@ def _solutions(mode: int, law: LinearElastic, r: float) -> Array:
     return np.concatenate([np.array(u) / (2 * mu), s])
 
 
+def _between(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs) -> Array:
+    """(cylinders - 1, 4, cylinders, n) jumps at these radii less those of springs, then jumps of stresses: all vanish."""
+    rows = np.zeros((len(radii), 4, len(laws), _solutions(mode, laws[0], 1.0).shape[1]))
+    for k, (spring, r) in enumerate(zip(springs, radii, strict=True)):
+        inside, outside = (_solutions(mode, law, r) for law in laws[k : k + 2])
+        rows[k, :, k], rows[k, :, k + 1] = -inside, outside
+        if spring is not None:
+            rows[k, :2, k + 1] -= outside[2:] / np.array(spring)[:, None]
+    return rows
+
+
 def _solved(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs, rim: Array) -> Array:
     """Coefficients of a mode: regular in the innermost cylinder, continuous stresses, jumps as of springs."""
-    n = _solutions(mode, laws[0], 1.0).shape[1]
-    rows, right = [], []
-    for k, (spring, r) in enumerate(zip(springs, radii[:-1], strict=True)):
-        inside, outside = (_solutions(mode, law, r) for law in laws[k : k + 2])
-        compliance = np.zeros(2) if spring is None else 1 / np.array(spring)
-        block = np.zeros((4, n * len(laws)))
-        block[:2, n * k : n * (k + 1)] = -inside[:2]
-        block[:2, n * (k + 1) : n * (k + 2)] = outside[:2] - compliance[:, None] * outside[2:]
-        block[2:, n * k : n * (k + 1)] = -inside[2:]
-        block[2:, n * (k + 1) : n * (k + 2)] = outside[2:]
-        rows.append(block)
-        right.append(np.zeros(4))
-    at_rim = np.zeros((2, n * len(laws)))
+    between = _between(mode, laws, radii[:-1], springs)
+    n, size = between.shape[3], between[0, 0].size
+    at_rim = np.zeros((2, size))
     at_rim[:, -n:] = _solutions(mode, laws[-1], radii[-1])[:2]
-    matrix = np.concatenate([*rows, at_rim])
-    unknown = np.setdiff1d(np.arange(n * len(laws)), np.arange(n // 2, n))
-    found = np.zeros(n * len(laws))
-    found[unknown] = np.linalg.lstsq(matrix[:, unknown], np.concatenate([*right, rim]), rcond=None)[0]
+    matrix = np.concatenate([between.reshape(-1, size), at_rim])
+    unknown = np.setdiff1d(np.arange(size), np.arange(n // 2, n))
+    found = np.zeros(size)
+    found[unknown] = np.linalg.lstsq(matrix[:, unknown], np.pad(rim, (len(matrix) - 2, 0)), rcond=None)[0]
     return found.reshape(len(laws), n)
 
 
@@ -142,18 +143,13 @@ def lame(radii: Sequence[float], laws: Sequence[LinearElastic], springs: Sequenc
         springs: normal stiffness between neighbours, stress per length; None: bonded.
         p: pressure in the bore; the rim is free.
     """
-    n = len(laws)
-    A, b = np.zeros((2 * n, 2 * n)), np.zeros(2 * n)
-    A[0, :2], b[0] = _solutions(0, laws[0], radii[0])[2], -p
-    for k, spring in enumerate(springs):
-        r, row, inside, outside = radii[k + 1], 1 + 2 * k, slice(2 * k, 2 * k + 2), slice(2 * k + 2, 2 * k + 4)
-        inner, outer = (_solutions(0, law, r) for law in laws[k : k + 2])
-        A[row, inside], A[row, outside] = inner[2], -outer[2]
-        A[row + 1, inside], A[row + 1, outside] = -inner[0], outer[0]
-        if spring is not None:
-            A[row + 1, inside] -= inner[2] / spring
-    A[-1, -2:] = _solutions(0, laws[-1], radii[-1])[2]
-    return Lame(tuple(radii), tuple(laws), np.asarray(np.linalg.solve(A, b).reshape(n, 2), float))
+    pairs = [None if spring is None else (spring, spring) for spring in springs]
+    between = _between(0, laws, radii[1:-1], pairs)[:, ::2]  # nothing turns
+    ends = np.zeros((2, 2 * len(laws)))
+    ends[0, :2], ends[1, -2:] = (_solutions(0, laws[k], radii[k])[2] for k in (0, -1))
+    A, b = np.concatenate([between.reshape(-1, ends.shape[1]), ends]), np.zeros(ends.shape[1])
+    b[-2] = -p
+    return Lame(tuple(radii), tuple(laws), np.asarray(np.linalg.solve(A, b).reshape(-1, 2), float))
 
 
 # ---------------------------------------------------------------- a coated fibre

@@ -177,9 +177,9 @@ def heated(eps: float) -> Structure:
 
 
 @cache
-def corner(eps: float, h: float = 1 / 4) -> Structure:
+def corner(eps: float) -> Structure:
     """A quarter of two plates, with two free sides that meet at a corner, pressed and sheared, in three dimensions."""
-    joint = sandwich(1.0, 0.5, 0.5, h, depth=DEPTH, h_S=2 * h / 3, h_ends=eps / 3, cell="hexahedron")
+    joint = sandwich(1.0, 0.5, 0.5, 1 / 4, depth=DEPTH, h_S=1 / 6, h_ends=eps / 3, cell="hexahedron")
     supports = CLAMPED | {"LEFT": {"x": 0.0}, "BACK": {"z": 0.0}}
     return loaded(joint, lambda x, t: (0.2 * x[0], -1.0 + 0.5 * x[2], 0.1), supports=supports)
 

@@ -105,9 +105,9 @@ def stress_held(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
     return [{"w_T": 0.0, "t_N": -PRESSURE}, *({"w_T": w, "t_N": -PRESSURE} for w in shears(steps, end))]
 
 
-def in_proportion(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
+def in_proportion(steps: int) -> list[dict[str, float]]:
     """Closed and sheared at the same time."""
-    return [{"w_T": w, "w_N": -w / np.tan(np.radians(DIRECTION))} for w in shears(steps, end)]
+    return [{"w_T": w, "w_N": -w / np.tan(np.radians(DIRECTION))} for w in shears(steps, SHEAR)]
 
 
 def unloaded(steps: int) -> list[dict[str, float]]:

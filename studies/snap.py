@@ -18,6 +18,7 @@ from forms.base import Array
 from forms.non_monotone import Phases
 from geometry import block
 from geometry.joint import Joint
+from geometry.sheet import from_segments
 from studies.problems import SNAPPING, phases_on_s
 from thinlayer import ArcLength, Structure, Table, ThinLayer, march, piecewise, plotting
 from thinlayer.discretisation.model import Model
@@ -90,12 +91,8 @@ def switches(history: History) -> Array:
 def distance(points: Array, vertices: Array) -> Array:
     """Distances (n,) of points (n, d) from a polygon (m, d), over the size of its components."""
     size = np.ptp(vertices, axis=0)
-    points, vertices = points / size, vertices / size
-    starts, sides = vertices[:-1], np.diff(vertices, axis=0)
-    from_start = points[:, None] - starts
-    length2 = np.maximum(np.sum(sides**2, axis=1), np.finfo(float).tiny)
-    along = np.clip(np.sum(from_start * sides, axis=2) / length2, 0, 1)
-    return np.linalg.norm(from_start - along[:, :, None] * sides, axis=2).min(axis=1)
+    apart = from_segments(points / size, vertices[:-1] / size, vertices[1:] / size)
+    return np.asarray(np.linalg.norm(apart, axis=2).min(axis=1))
 
 
 # ---------------------------------------------------------------- the study

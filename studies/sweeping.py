@@ -156,9 +156,9 @@ def layer_of(solution: Solution) -> ThinLayer:
     return layer.thin
 
 
-def last_order(table: Table, column: str, by: str = "eps") -> float:
+def last_order(table: Table, column: str) -> float:
     """The last observed order of a column of errors; NaN where there is none."""
-    return table.orders(column, of=by)[-1] or math.nan
+    return table.orders(column)[-1] or math.nan
 
 
 def by_reaction(full: Solution, limit: Solution, where: Where | None = None) -> dict[str, float]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from forms.base import Array, InputError
+from forms.base import Array, require
 
 COLUMNS = ("nu", "c_N", "m_N", "rho_N", "c_T", "m_T")
 TABLE = Path(__file__).parent / "table.csv"
@@ -60,8 +60,7 @@ def lame_over_mu(nu: float) -> float:
     Raises:
         InputError: nu is not in [0, 0.5].
     """
-    if not 0 <= nu <= 0.5:
-        raise InputError(f"free end of a layer: Poisson's ratio is {nu!r}; allowed: from 0 to 0.5")
+    require(0 <= nu <= 0.5, "free end of a layer: Poisson's ratio", nu, "allowed: from 0 to 0.5")
     return 2 * nu / (1 - 2 * nu) if nu < 0.5 else math.inf
 
 

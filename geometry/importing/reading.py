@@ -18,7 +18,7 @@ import dolfinx
 import numpy as np
 from mpi4py import MPI
 
-from forms.base import InputError, is_finite, optional
+from forms.base import InputError, is_finite, optional, require
 from geometry.importing.gathering import TagNames, gathered
 from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
 from geometry.joint import Joint
@@ -80,8 +80,7 @@ def read(
             of one that is not allowed; a surface in 3D; duplicate nodes or cells; flat or folded cells; hanging nodes, or
             cells that overlap their neighbours; S does not fit `Joint`.
     """
-    if not is_finite(scale) or scale <= 0:
-        raise InputError(f"scale is {scale!r}; it must be a number > 0")
+    require(is_finite(scale) and scale > 0, "scale", scale, "it must be a number > 0")
     if not isinstance(mesh, (str, Path)):
         return gathered(mesh, names, scale, comm, sides)
     if names is not None:

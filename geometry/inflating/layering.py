@@ -8,7 +8,7 @@ from typing import Any, Self, TypeVar
 
 import numpy as np
 
-from forms.base import InputError, is_finite, require
+from forms.base import InputError, is_finite, is_whole, require
 from geometry.inflating.band_cells import Copies, Posts, level_heights
 from geometry.joint import Joint, Profile
 from geometry.refusals import place, refuse, require_known
@@ -40,8 +40,7 @@ def by_seam(joint: Joint, given: Given | Mapping[str, Given], what: str, *defaul
 def check_layering(cells_through: int, bodies: str) -> None:
     """Raise InputError unless cells_through >= 1 and `bodies` is "kept" or "extended"."""
     require_known("way to make room for the layer (bodies=...)", bodies, WAYS)
-    if not is_finite(cells_through) or int(cells_through) != cells_through or cells_through < 1:
-        raise InputError(f"cells_through is {cells_through!r}; the layer needs a whole number >= 1 of cells")
+    require(is_whole(cells_through, 1), "cells_through", cells_through, "the layer needs a whole number >= 1 of cells")
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from math import ceil
 
 import numpy as np
 
-from forms.base import InputError, is_finite, require
+from forms.base import InputError, is_finite, is_whole, require
 from geometry.joint import Joint
 from geometry.seam import S, Seam
 from geometry.shapes.drawing import Drawing, Extent, Prism, surface
@@ -160,7 +160,7 @@ def running_bond(cells: Cells, size: Sequence[float], bricks: int, courses: int)
     """
     half, height, *others = _counts(cells, size, 1)
     for what, number in (("bricks", bricks), ("courses", courses)):
-        require(is_finite(number) and number == int(number) and number >= 1, what, number, "give a whole number >= 1")
+        require(is_whole(number, 1), what, number, "give a whole number >= 1")
     lengths = [size[0] * bricks, size[1] * courses, *size[2:]]
     return _joint(cells, lengths, [2 * half * int(bricks), height * int(courses), *others], (half, height))
 

@@ -9,13 +9,14 @@ from typing import Any, Self
 import numpy as np
 from scipy.spatial import Voronoi, cKDTree
 
-from forms.base import InputError, is_finite, require
+from forms.base import InputError, is_whole, require
 from forms.temperature import finite
 from geometry.identified_sides import SAME_PLACE
-from geometry.refusals import place, refuse
+from geometry.refusals import refuse
 from geometry.seam import LEAST_COSINE, Seam
 from geometry.shapes.drawing import Drawing, Extent, Shape
 from geometry.shapes.sizing import Cells, gmsh
+from geometry.sheet import from_segments
 from geometry.topology import BoolArray, FloatArray, IntArray, sums
 
 SIDES = ("BOTTOM", "RIGHT", "TOP", "LEFT")
@@ -99,10 +100,7 @@ class CutRectangle(Shape):
         size, lines, near = self.sizes[2], self.lines, SAME_PLACE * self.extent.span
         ends = lines.reshape(-1, 2)
         points = ends[self.inside(ends, -near)]
-        start, way = lines[:, 0], lines[:, 1] - lines[:, 0]
-        to = points[:, None] - start
-        share = np.clip((to * way).sum(axis=2) / (way**2).sum(axis=1), 0.0, 1.0)
-        apart = to - share[..., None] * way
+        apart = from_segments(points, lines[:, 0], lines[:, 1])
         distance = np.linalg.norm(apart, axis=2)
         distance[distance <= 2 * near] = np.inf
         point, line = np.unravel_index(distance.argmin(), distance.shape)
@@ -151,9 +149,8 @@ def grained(
     size = max(width, height)
     box = np.array([width, height]) / size
     if np.ndim(grains) == 0:
-        count = is_finite(grains) and grains == int(grains) and grains >= 2
-        require(count, "grains", grains, "it must be a whole number >= 2, or points (x, y)")
-        require(is_finite(seed) and seed == int(seed) and seed >= 0, "seed", seed, "it must be a whole number >= 0")
+        require(is_whole(grains, 2), "grains", grains, "it must be a whole number >= 2, or points (x, y)")
+        require(is_whole(seed, 0), "seed", seed, "it must be a whole number >= 0")
         points = _relaxed(np.random.default_rng(int(seed)).random((int(grains), 2)) * box, box)
     else:
         points = np.asarray(_seeds(grains, width, height) / size, float)
@@ -171,8 +168,7 @@ def _seeds(given: Any, width: float, height: float) -> FloatArray:
     box = f"the rectangle (0, {width:g}) x (0, {height:g})"
     refuse(~((x > 0) & (x < (width, height))).all(axis=1), x, f"the point {{at}} of a grain is not inside {box}")
     same = cKDTree(x).query_pairs(SAME_PLACE * max(width, height), output_type="ndarray")
-    if len(same):
-        raise InputError(f"two points of grains are the same, {place(x[same[0, 0]])}")
+    refuse(np.ones(len(same), bool), x[same[:, 0]], "two points of grains are the same, {at}")
     return x
 
 

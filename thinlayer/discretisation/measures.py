@@ -29,7 +29,7 @@ from thinlayer.discretisation.given import Coordinates, has_finite_numbers
 from thinlayer.discretisation.layer import BODY, LAYER, constants
 from thinlayer.discretisation.mesh_functions import cellwise
 from thinlayer.discretisation.time_functions import readings
-from thinlayer.pointwise.integrals import Origin, Quadrature
+from thinlayer.pointwise.integrals import KINDS, Origin, Quadrature
 from thinlayer.system.ranks import on_all
 
 show_warnings()  # those of users too
@@ -39,7 +39,6 @@ TAGS = {
     "ds": "model.domain.values(name)",
     "dS": "dS(k + 1) is the k-th of joint.seams",
 }
-SHORT = {"cell": "dx", "exterior_facet": "ds", "interior_facet": "dS"}
 
 
 def compiled(form: Expr) -> fem.Form:
@@ -51,7 +50,7 @@ def compiled(form: Expr) -> fem.Form:
     first, *others = _with_one_set_of_tags(form)
     if others:
         kind = others[0].integrals()[0].integral_type()
-        name = SHORT.get(kind, kind)
+        name = KINDS.get(kind, kind)
         raise InputError(f"a form has two measures {name} with different tags; use model.{name} for all of them")
     return fem.form(first)
 
@@ -72,7 +71,7 @@ def whole(form: Any, model: Any, what: str = "a form") -> ufl.Form:
         raise InputError(f"{what} has a number that is not finite, or not real: {str(form)[:80]}")
     for integral in form.integrals():
         kind = integral.integral_type()
-        name, asked = SHORT.get(kind, kind), [*np.atleast_1d(np.array(integral.subdomain_id(), object))]
+        name, asked = KINDS.get(kind, kind), [*np.atleast_1d(np.array(integral.subdomain_id(), object))]
         if any(isinstance(tag, bool) for tag in asked):
             raise InputError(f"{what} integrates over {name}{(*asked,)}; tags are whole numbers")
         data = form.subdomain_data()[integral.ufl_domain()][kind]

@@ -139,14 +139,13 @@ class LineLoad:
 def _in_one_body(joint: Joint, cells: IntArray, components: IntArray, body: str | None, what: str) -> int:
     """The first of the cells around a place that are of one body; raises InputError if the place has several nodes."""
     regions = joint.region[cells]
+    kept: IntArray = np.arange(len(cells))
     if body is not None:
         require_known("body", body, joint.bodies, what)
         kept = np.flatnonzero(regions == joint.regions.index(body))
         if not len(kept):
             around = ", ".join(sorted({joint.regions[r] for r in regions}))
             raise InputError(f"{what}: body {body!r} does not reach this place; around it: {around}")
-    else:
-        kept = np.arange(len(cells))
     if len(np.unique(components[kept])) > 1:
         names = sorted({joint.regions[r] for r in regions[kept]})
         hint = f"give body=..., one of {', '.join(map(repr, names))}" if len(names) > 1 else "move it off S"

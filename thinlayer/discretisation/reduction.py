@@ -197,8 +197,8 @@ def _law(r: Reduction) -> Iterator[Refused]:
 
 
 def _next_term(r: Reduction) -> Iterator[Refused]:
-    """Of the next term of a law, away from tips and junctions."""
-    thin, setup = r.one.thin, r.one.structure
+    """Of the next term of a law, away from tips and junctions, and then there."""
+    thin, setup, sheet = r.one.thin, r.one.structure, r.one.sheet
     if thin is None or thin.order == 0:
         return
     if thin.law.traits.constrained and setup.plane == "stress":
@@ -211,13 +211,6 @@ def _next_term(r: Reduction) -> Iterator[Refused]:
     if r.bent and len(thin.law.sublayers) > 1:
         yield Refused("bent stack", f"order=1 of a Stack {r.bent}: shares of the jump turn along S", MESH)
     yield from filter(None, (sample.at_rest.locks() for sample in r.one.samples))
-
-
-def _on_all_of_s(r: Reduction) -> Iterator[Refused]:
-    """Of the next term at tips and junctions."""
-    thin, sheet = r.one.thin, r.one.sheet
-    if thin is None or thin.order == 0:
-        return
     if sheet.tip is not None:
         reason = f"order=1 has gradients at the tip, and {r.one} ends at {place(sheet.tip)}, inside the bodies"
         yield Refused("tip", reason, "use order=0")
@@ -363,7 +356,7 @@ QUESTIONS: dict[str, tuple[Ask, ...]] = {
     "mesh": (_thickness, _law, _meshed),
     "sides": (_held_alone,),
     "mean strain": (_under_mean_strain,),
-    "interface law": (_law, _next_term, _on_all_of_s),
+    "interface law": (_law, _next_term),
     "ends": (_thickness, _corrected),
     "estimate": (_thickness, _held_alone, _by_itself),
     "excess of pressure": (_thickness, _evens_out),

@@ -65,11 +65,8 @@ class Grid:
 
 def nodal_displacement(state: State) -> fem.Function:
     """The displacement by nodal values, a copy, or its interpolant where the element's unknowns are no nodal values."""
-    nodal = not state.model.element.startswith("S")
-    u = fem.Function(state.u.function_space if nodal else state.model.space(2), name="u")
-    if nodal:
-        u.x.array[:] = state.u.x.array
-        return u
+    V = state.model.space(2) if state.model.element.startswith("S") else state.u.function_space
+    u = fem.Function(V, name="u")
     u.interpolate(state.u)
     u.x.scatter_forward()
     return u

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from forms.base import Array, InputError
-from geometry.refusals import place
+from geometry.refusals import place, refuse
 from geometry.seam import S
 from geometry.topology import IntArray, by_place, is_tensor
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -79,10 +79,8 @@ class Probe:
         largest = self._comm.allreduce(float(np.abs(self.state.u.x.array).max(initial=0.0)), max)
         first = np.searchsorted(located.point, np.arange(len(located.x)))
         apart = np.abs(u - u[first[located.point]]).max(axis=1) > SAME * largest
-        if apart.any():
-            there = located.x[located.point[apart.argmax()]]
-            hint = "several bodies meet there; give side= and seam=" if side else "give side="
-            raise InputError(f"displacements jump at {place(there)}: {hint}")
+        hint = "several bodies meet there; give side= and seam=" if side else "give side="
+        refuse(apart, located.x[located.point], f"displacements jump at {{at}}: {hint}")
         return u[first] if np.ndim(x) > 1 else u[first][0]
 
     def stress(self, x: Any, *, side: str | None = None, seam: str = S) -> Array:

@@ -7,6 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from forms.base import InputError, is_finite, require
 from geometry.parallel import on_root, world
 from thinlayer.output.row_file import RowFile, checked, make_room, require_csv
@@ -42,10 +44,7 @@ def sweep(
     with on_all(world()):
         require_csv(out, resume)
         require(callable(run), "run", run, "it must be a function of a thickness")
-        try:
-            given = () if isinstance(eps, str) else tuple(eps)
-        except TypeError:
-            given = ()
+        given = tuple(eps) if np.iterable(eps) and not isinstance(eps, str) else ()
         values = sorted({float(e) for e in given if is_finite(e) and e > 0}, reverse=True)
         require(0 < len(given) == len(values), "eps", eps, "a sweep needs different thicknesses > 0")
     require_same(world(), eps=values, out=out and str(out), resume=resume)

@@ -82,11 +82,9 @@ class LawPoints:
         if not self.key:
             return [{} for _ in sublayers]
         memory = self.state.memory.get(self.key, np.zeros((self.quadrature.count, self.term.law.memory)))
-        start, found = self.term.law.memory - sum(law.memory for law in sublayers), []
-        for law in sublayers:
-            found.append(unpacked(law, memory[:, start : start + law.memory]))
-            start += law.memory
-        return found
+        sizes = [law.memory for law in sublayers]
+        own = np.split(memory[:, self.term.law.memory - sum(sizes) :], np.cumsum(sizes)[:-1], axis=1)
+        return [unpacked(law, values) for law, values in zip(sublayers, own, strict=True)]
 
 
 def law_points(state: State) -> Iterator[LawPoints]:

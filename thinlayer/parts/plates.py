@@ -170,11 +170,9 @@ class RigidPlate(Addition):
     def resultants(self, model: Host, t: float) -> Array:
         """Force and moment (k,) at a time; raises InputError if one of them is along a prescribed motion."""
         d = model.joint.dim
-        out, given = np.zeros(count(d)), self._resultants(model)
-        if "force" in given:
-            out[:d] = given["force"].at_time(t)
-        if "moment" in given:
-            out[d:] = given["moment"].at_time(t)
+        out, places = np.zeros(count(d)), {"force": slice(d), "moment": slice(d, None)}
+        for name, value in self._resultants(model).items():
+            out[places[name]] = value.at_time(t)
         for k in self.motions_held(model):
             if out[k]:
                 raise InputError(

@@ -52,8 +52,8 @@ class PointHistory:
         """Time, jumps (w_T, w_N; in 3D w_T1, w_T2, w_N), tractions (t_T, ...) and energies."""
         names = COMPONENTS[len(self.n)]
         columns = ["t", *(f"w_{c}" for c in names), *(f"t_{c}" for c in names), "stored", "dissipated", "remainder"]
-        rows = np.column_stack([self.t, self.jumps, self.tractions, self.energies])
-        return Table(dict(zip(columns, row.tolist(), strict=True)) for row in rows)
+        values = np.column_stack([self.t, self.jumps, self.tractions, self.energies])
+        return Table.of(dict(zip(columns, values.T, strict=True)))
 
 
 def drive(

@@ -75,11 +75,11 @@ def kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
     return compiled
 
 
-def memory_slots(law: BulkLaw, name: str, shape: tuple[int, ...] = ()) -> list[tuple[float, BulkLaw, int]]:
-    """Fraction, law and first index of the values of each sublayer with an internal variable of this name and shape."""
+def memory_slots(law: BulkLaw, name: str) -> list[tuple[float, BulkLaw, int]]:
+    """Fraction, law and index of the value of each sublayer with an internal variable of this name, a number."""
     start, found = law.memory - sum(one.memory for _, one in law.sublayers), []
     for fraction, one in law.sublayers:
-        if one.internal.get(name) == shape:
+        if one.internal.get(name) == ():
             before = list(one.internal)[: list(one.internal).index(name)]
             found.append((fraction, one, start + sum(SIZES[one.internal[n]] for n in before)))
         start += one.memory

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import importlib.metadata
 import json
 import os
 import sys
@@ -29,7 +28,7 @@ from thinlayer.running.process import (
     set_signals,
     stop,
 )
-from thinlayer.system.words import VERSION, columns, reason, say
+from thinlayer.system.words import VERSION, columns, reason, say, version_of
 
 if TYPE_CHECKING:
     from thinlayer.running.description import Description
@@ -204,10 +203,7 @@ def _neither(parser: Parser, chosen: argparse.Namespace, _: Petsc) -> int:
     if not chosen.version:
         parser.print_help()
         return BAD_INPUT
-    dolfinx = "not installed"
-    with suppress(importlib.metadata.PackageNotFoundError):
-        dolfinx = importlib.metadata.version("fenics-dolfinx")
-    say(f"thinlayer {VERSION} (DOLFINx {dolfinx})")
+    say(f"thinlayer {VERSION} (DOLFINx {version_of('fenics-dolfinx')})")
     return OK
 
 

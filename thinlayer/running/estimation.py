@@ -51,10 +51,9 @@ def run(record: Record, given: Description, file: Path) -> None:
     # NaN stands where there is no number
     table = Table([{key: None if value != value else value for key, value in row.items()} for row in rows])
     record.write("estimate.csv", table)
-    kept = ("sentences", "cost")
     for name, one in found.items():
         quantities = [row for row in table.rows if row["instead"] == name]
-        record.results[name] = {what: getattr(one, what) for what in kept} | {"quantities": quantities}
+        record.results[name] = {"sentences": one.sentences, "cost": one.cost, "quantities": quantities}
     if given.units:
         record.say("lengths in {}, stresses in {}".format(*given.units))
     thicknesses = []

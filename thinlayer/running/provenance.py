@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import os
 import platform
 from functools import cache
@@ -15,7 +14,7 @@ from petsc4py import PETSc
 
 from forms.base import PACKAGES
 from forms.law import Law
-from thinlayer.system.words import VERSION
+from thinlayer.system.words import VERSION, version_of
 
 INSTALLED = (
     "fenics-dolfinx fenics-basix fenics-ufl fenics-ffcx petsc4py mpi4py gmsh meshio pyvista vtk numpy scipy matplotlib"
@@ -27,12 +26,7 @@ def versions() -> dict[str, str]:
     """Versions of Python and of the packages that results depend on; "not installed" for a missing one."""
     found = {"python": platform.python_version(), "thinlayer": VERSION}
     found["petsc"] = ".".join(map(str, PETSc.Sys.getVersion()))
-    for name in INSTALLED.split():
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+    return found | {name: version_of(name) for name in INSTALLED.split()}
 
 
 def petsc_options() -> dict[str, Any]:

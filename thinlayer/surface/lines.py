@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import basix
 import numpy as np
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, require
 from forms.temperature import finite
 from geometry.joint import Joint
 from geometry.topology import BoolArray, IntArray, along, by_place, connected, is_tensor, lagrange
@@ -57,8 +57,7 @@ class Line:
         values = self.values.reshape(len(self.s), -1)
         names = [name] if values.shape[1] == 1 else [f"{name} {axis}" for axis in "xyz"[: values.shape[1]]]
         columns = ["s", *"xyz"[: self.x.shape[1]], *names]
-        rows = np.column_stack([self.s, self.x, values])
-        return Table(dict(zip(columns, map(float, row), strict=True)) for row in rows)
+        return Table.of(dict(zip(columns, np.column_stack([self.s, self.x, values]).T, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -125,9 +124,8 @@ def lines_on(joint: Joint, seam: str, rows: IntArray, values: Array, plane: Plan
     Raises:
         InputError: a plane in 2D, none in 3D, or one that is none.
     """
-    if (plane is None) != (joint.dim == 2):
-        hint = "in 2D S is a line" if joint.dim == 2 else "in 3D lines on S are cuts by a plane: plane=(point, normal)"
-        raise InputError(f"plane is {plane!r}; {hint}")
+    hint = "in 2D S is a line" if joint.dim == 2 else "in 3D lines on S are cuts by a plane: plane=(point, normal)"
+    require((plane is None) == (joint.dim == 2), "plane", plane, hint)
     of_corners, nodes = values.reshape(*values.shape[:2], -1), joint.surface[rows]
     if plane is None:
         points, weights = basix.make_quadrature(basix.CellType.interval, ARC_DEGREE)

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from forms.base import Array, InputError
 from forms.temperature import finite
 from geometry.joint import Joint
-from geometry.refusals import place
+from geometry.refusals import refuse
 from geometry.topology import BoolArray, IntArray, geometry_degree, is_tensor, lagrange, sums
 
 INSIDE = 1e-9  # how far outside the reference entity a place may be that counts as in it
@@ -69,18 +69,16 @@ class Located:
     def in_cells(cls, joint: Joint, x: Any) -> Located:
         """The cells of a joint, inflated or not, that contain places; raises InputError as `of`, or if some are in none."""
         located = cls.of(joint.cell_type, joint.cell_points, x)
-        if len(missing := located.missing):
-            some = f"{len(missing)} of {len(located.x)} places"
-            raise InputError(f"{some} are in no cell of the mesh, the first at {place(located.x[missing[0]])}")
+        refuse(located.missing, located.x, "{bad} of {all} places are in no cell of the mesh, the first at {at}")
         return located
 
     def __getitem__(self, rows: IntArray | BoolArray) -> Located:
         return Located(self.x, self.point[rows], self.entity[rows], self.X[rows])
 
     @property
-    def missing(self) -> IntArray:
-        """Numbers of the places that none contains."""
-        return np.setdiff1d(np.arange(len(self.x)), self.point)
+    def missing(self) -> BoolArray:
+        """(n,) which places none contains."""
+        return ~np.isin(np.arange(len(self.x)), self.point)
 
     def mean(self, values: Array) -> Array:
         """(n, ...) means of values (m, ...) over the entities at each place."""

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from forms.base import Array, InputError, require
 from geometry.joint import Joint
-from geometry.refusals import place, require_known
+from geometry.refusals import refuse, require_known
 from geometry.seam import BASE, S
 from geometry.sheet import Rim
 from geometry.topology import FACET_TYPES, BoolArray, IntArray, along, by_place, lagrange, sums
@@ -145,9 +145,8 @@ class SurfaceMesh:
             InputError: no finite numbers of this shape; places that are not on the surface.
         """
         located = Located.of(self.kind, self.faces.mean(axis=0), x)
-        if len(off := located.missing):
-            first = place(located.x[off[0]])
-            raise InputError(f"{len(off)} of {len(located.x)} places are not on {self.seam}, the first at {first}")
+        off = f"{{bad}} of {{all}} places are not on {self.seam}, the first at {{at}}"
+        refuse(located.missing, located.x, off)
         return located, FacetPoints(self, located.entity, located.X[:, None])
 
     def beside(self, located: Located, side: str) -> Located:
@@ -163,12 +162,11 @@ class SurfaceMesh:
             on_s.append(at.point)
             if name == side:
                 wanted = (at.point * count + cells[at.entity])[cells[at.entity] >= 0]
-        without = np.setdiff1d(np.concatenate(on_s), wanted // count)
-        if len(without):
-            at_place = place(located.x[without[0]])
-            raise InputError(f"there is no body on the {side} side of S at {at_place}, but a rigid base")
+        points = np.unique(np.concatenate(on_s))
+        without = f"there is no body on the {side} side of S at {{at}}, but a rigid base"
+        refuse(~np.isin(points, wanted // count), located.x[points], without)
         of_side = np.isin(located.point * count + located.entity, wanted)
-        return located[of_side | ~np.isin(located.point, np.concatenate(on_s))]
+        return located[of_side | ~np.isin(located.point, points)]
 
     def in_layer(self, x: Any, height: Any) -> Array:
         """Places (n, d) in the mesh of a full model, at heights between the faces that places x of S have become.

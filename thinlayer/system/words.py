@@ -5,8 +5,17 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
 
 VERSION = "1.0.0"  # of these packages; pyproject.toml reads it
+
+
+def version_of(package: str) -> str:
+    """Version of a package; "not installed" for a missing one."""
+    with suppress(PackageNotFoundError):
+        return version(package)
+    return "not installed"
 
 
 def reason(error: BaseException) -> str:

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 from matplotlib import rc_context
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 
-from forms.base import InputError, is_number
+from forms.base import InputError, is_whole, require
 from geometry.parallel import on_root
 from thinlayer.discretisation.state import State
 from thinlayer.output.grid import gather
@@ -56,8 +56,8 @@ def movie(
     states = _states(solution)
     if not isinstance(save, (str, Path)) or Path(save).suffix not in (GIF, MP4):
         raise InputError(f"save is {save!r}; it must be the name of a movie, which ends in .gif or .mp4")
-    if not (is_number(per_second) and per_second == int(per_second) and 1 <= per_second <= FASTEST):
-        raise InputError(f"per_second is {per_second!r}; allowed: whole numbers from 1 to {FASTEST}")
+    good = is_whole(per_second, 1) and per_second <= FASTEST
+    require(good, "per_second", per_second, f"allowed: whole numbers from 1 to {FASTEST}")
     path, comm = Path(save), states[0].model.comm
     ffmpeg = on_root(comm, _ffmpeg) if path.suffix == MP4 else ""
     grids = [grid for state in track(states, "movie", "{0.t:.4g}") if (grid := gather(state))]
