@@ -13,6 +13,7 @@ from geometry import sandwich
 from tests.refused import refused
 from thinlayer import SolveError, Structure, Surface, ThinLayer, march, solve
 from thinlayer.parts.part import Block
+from thinlayer.solving import equilibrium
 from thinlayer.solving.balance import lent
 from thinlayer.solving.contact.finder import ContactFinder
 from thinlayer.solving.equilibrium import Equilibrium
@@ -146,6 +147,13 @@ def test_a_meshed_layer_that_hardly_resists():
     refused(SolveError, "no unique solution: rounding of the forces changes the displacements", solve, made(1e-11))
     slip = solve(made(1e-3)).u.x.array.reshape(-1, 2)[:, 0]
     assert abs(slip.mean()) < 1e-3 * np.abs(slip).max()
+
+
+def test_a_step_whose_pivots_show_that_nothing_can_move_is_solved_once(monkeypatch):
+    solve_linear, seen = equilibrium.solve_linear, []
+    monkeypatch.setattr(equilibrium, "solve_linear", lambda *these: (seen.append(1), solve_linear(*these)))
+    solve(linear())
+    assert len(seen) == 1
 
 
 def test_an_error_of_petsc_keeps_the_march(monkeypatch):
