@@ -44,7 +44,6 @@ def create_mesh(
     """Distribute points, and cells given by their nodes; each rank sends some. Several need a partitioner. Collective."""
     dim, degree = points.shape[1], geometry_degree(cell_type, cells.shape[1])
     element, x = basix.ufl.element("Lagrange", cell_type, degree, shape=(dim,)), np.ascontiguousarray(points)
-
     arguments: dict[str, Any] = {"comm": comm, "cells": cells, "x": x, "partitioner": partitioner}
 
     def by_names() -> dolfinx.mesh.Mesh:
