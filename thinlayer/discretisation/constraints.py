@@ -180,8 +180,7 @@ class Constraints:
 
     def of_supports(self, forces: Array, motions: Callable[[IntArray], Array]) -> Array:
         """Work (entries, k) of the supports' forces in k motions, a function of the displacements, by number of support."""
-        held = np.unique(self.prescribed.conditions.indices)
-        works = forces[:, None] * (self.prescribed.conditions[:, held] @ motions(held))
+        works = forces[:, None] * self._along_conditions(motions)
         return sums(self.prescribed.entry, works, len(self.prescribed.supports.entries) + 1)[:-1]
 
     def _values_of_rows(self, t: float) -> Array:
@@ -382,13 +381,19 @@ class Constraints:
         z = _without(product(self.Q, y, transposed=True), self.held)
         return product(self.T, z), self.comm.allreduce(gram)
 
-    def resistance(self, motions: Array) -> Array:
-        """(c, c) how far conditions prevent motions (n, c), where ties follow them as well as they can."""
+    def resistance(self, motions: Callable[[IntArray], Array]) -> Array:
+        """(c, c) how far conditions prevent c motions, a function of displacements, where ties follow if they can."""
         if self._T0 is None:
-            rows = self.prescribed.conditions @ motions
+            rows = self._along_conditions(motions)
             return np.asarray(self.comm.allreduce(rows.T @ rows))
-        c, gram = motions.shape[1], self.shown(scipy.sparse.csr_matrix(motions))[1].toarray()
+        whole = motions(np.arange(self.n))
+        c, gram = whole.shape[1], self.shown(scipy.sparse.csr_matrix(whole))[1].toarray()
         return np.asarray(gram[:c, :c] - gram[:c, c:] @ np.linalg.pinv(gram[c:, c:]) @ gram[c:, :c])
+
+    def _along_conditions(self, motions: Callable[[IntArray], Array]) -> Array:
+        """(r, k) values of k motions along the conditions of this rank."""
+        held = np.unique(self.prescribed.conditions.indices)
+        return np.asarray(self.prescribed.conditions[:, held] @ motions(held))
 
 
 def product(matrix: PETSc.Mat | None, columns: Sparse, *, transposed: bool = False) -> Sparse:

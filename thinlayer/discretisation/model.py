@@ -51,7 +51,7 @@ from thinlayer.discretisation.rigid import (
     require_support,
     resisted,
     resultants_of_loads,
-    rigid_motions,
+    rigid_shares,
 )
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Supports
@@ -165,11 +165,11 @@ class Model(ABC):
         """Raise InputError if the bodies can move as one."""
         if not (self.broken and any(name in self.layers for name in self.joint.base_seams)):
             resistances = [partial(part.resistance, self) for part in self.parts if not part.ties_nodes]
-            motions = rigid_motions(self, self.kinematics)
+            names = [*rigid_shares(self.domain.joint, self.kinematics)]
             if self.joint.periods:
-                self.supports.anchored = free_translations(motions, resisted(motions, self.constraints, resistances))
+                self.supports.anchored = free_translations(names, resisted(self, resistances))
                 self.constraints = self._constrained()
-            require_support(motions, resisted(motions, self.constraints, resistances))
+            require_support(names, resisted(self, resistances))
 
     def _lay(self, layer: Layers, check: Callable[[], Any]) -> Any:
         """Take the layers of the seams and return the result of a check of them. Collective."""

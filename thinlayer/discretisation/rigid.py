@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,12 @@ from dolfinx.mesh import Mesh
 
 from forms.base import Array, InputError
 from forms.kinematics import Expr
-from forms.planes import LIFTED, Kinematics
+from forms.planes import Kinematics
 from forms.temperature import finite
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place as at_place
 from thinlayer.discretisation.boundary import AXES
-from thinlayer.discretisation.constraints import Constraints
 from thinlayer.discretisation.measures import per_unit
 from thinlayer.discretisation.supports import Place
 from thinlayer.discretisation.time_functions import Hand
@@ -70,13 +70,12 @@ def rigid_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
     return motion, sum(turned, ufl.as_vector([motion[i] for i in range(d)]))
 
 
-def rigid_values(x: Array, about: Array, rows: npt.NDArray[Any] | None = None) -> Array:
-    """The motions of `rigid` (m, k) in some of the displacements at places x (n, d), given by number; default: in all."""
-    rows = np.arange(x.size) if rows is None else rows
+def rigid_values(x: Array, about: Array, rows: npt.NDArray[Any]) -> Array:
+    """The motions of `rigid` (m, k) in some of the displacements at places x (n, d), given by number."""
     return rigid(x[rows // x.shape[1]], about)[np.arange(len(rows)), rows % x.shape[1]]
 
 
-def rigid_shares(joint: Joint, kinematics: Kinematics = LIFTED) -> dict[str, Array]:
+def rigid_shares(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
     """Rigid motions of the whole structure by name, as sums of those of `rigid` about its centre, scaled to its size.
 
     Translations, then rotations. In periodic joints a rotation is one only if it does not move one side against the other:
@@ -95,44 +94,53 @@ def rigid_shares(joint: Joint, kinematics: Kinematics = LIFTED) -> dict[str, Arr
     return shares
 
 
-def rigid_motions(model: Any, kinematics: Kinematics = LIFTED) -> dict[str, fem.Function]:
+def rigid_at(model: Any, rows: npt.NDArray[Any], kinematics: Kinematics | None = None) -> Array:
+    """The motions of `rigid_shares` (m, k) in some displacements of a model on this rank, given by number."""
+    joint = model.domain.joint
+    shares = [*rigid_shares(joint, kinematics or model.kinematics).values()]
+    return rigid_values(model.places, joint.points.mean(axis=0), rows) @ np.transpose(shares)
+
+
+def rigid_motions(model: Any, kinematics: Kinematics | None = None) -> dict[str, fem.Function]:
     """The motions of `rigid_shares` as displacements of a model, by name. Collective."""
-    joint, motions = model.domain.joint, {}
-    values = rigid_values(model.places, joint.points.mean(axis=0))
-    for name, share in rigid_shares(joint, kinematics).items():
-        motions[name] = fem.Function(model.V)
-        motions[name].x.array[:] = values @ share
+    names = rigid_shares(model.domain.joint, kinematics or model.kinematics)
+    motions, values = (
+        {name: fem.Function(model.V) for name in names},
+        rigid_at(model, np.arange(model.places.size), kinematics),
+    )
+    for f, column in zip(motions.values(), values.T, strict=True):
+        f.x.array[:] = column
     return motions
 
 
-def resisted(motions: Mapping[str, fem.Function], constraints: Constraints, resistances: Sequence[Resistance]) -> Array:
-    """How far conditions prevent motions (m, m), and the work of parts against them, scaled. Collective.
+def resisted(model: Any, resistances: Sequence[Resistance]) -> Array:
+    """How far conditions prevent a model's m rigid motions (m, m), and the work of parts against them, scaled. Collective.
 
     Args:
-        motions: of `rigid_motions`.
-        constraints: conditions on the displacements.
+        model: the model.
         resistances: functions of the m motions, see `Addition.resistance`.
     """
-    found = constraints.resistance(np.column_stack([f.x.array[: constraints.n] for f in motions.values()]))
+    found = model.constraints.resistance(partial(rigid_at, model))
+    motions = [*rigid_motions(model).values()] if resistances else []
     for resistance in resistances:
-        work = resistance([*motions.values()])
+        work = resistance(motions)
         size = np.abs(work).max()
         if np.isfinite(size) and size > 0:
             found = found + (work + work.T) / (2 * size)
     return np.asarray(found, float)
 
 
-def free_translations(motions: Mapping[str, fem.Function], resistance: Array) -> tuple[str, ...]:
+def free_translations(names: Sequence[str], resistance: Array) -> tuple[str, ...]:
     """The axes along which nothing prevents a translation; arguments as in `require_support`."""
-    much = {name.split()[1]: r for name, r in zip(motions, np.diag(resistance), strict=True) if "translation" in name}
+    much = {name.split()[1]: r for name, r in zip(names, np.diag(resistance), strict=True) if "translation" in name}
     return tuple(axis for axis, r in much.items() if r <= SMALLEST * max(*much.values(), 1.0))
 
 
-def require_support(motions: Mapping[str, fem.Function], resistance: Array) -> None:
-    """Raise InputError if nothing resists one of the `rigid_motions`; resistance (m, m) as of `resisted`."""
+def require_support(names: Sequence[str], resistance: Array) -> None:
+    """Raise InputError if nothing resists one of the motions of `rigid_shares`; resistance (m, m) as of `resisted`."""
     values, vectors = np.linalg.eigh(resistance)
     if values[0] <= SMALLEST * max(values[-1], 1.0):
-        free = list(motions)[int(np.argmax(np.abs(vectors[:, 0])))]
+        free = names[int(np.argmax(np.abs(vectors[:, 0])))]
         raise InputError(f"no support against rigid motion of the structure ({free}); add supports")
 
 

@@ -136,7 +136,7 @@ class Equations(PartSum):
     @cached_property
     def near_null(self) -> list[PETSc.Vec]:
         """The unknowns of rigid motions of the whole structure, orthonormal."""
-        motions = rigid_motions(self.model, self.model.kinematics).values()
+        motions = rigid_motions(self.model).values()
         vectors = [self.vector() for _ in motions]
         for x, motion in zip(vectors, motions, strict=True):
             x.array[: self.n_displacements] = self.constraints.unknowns(motion.x.array[: self.n_displacements])

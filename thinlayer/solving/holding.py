@@ -19,7 +19,7 @@ from thinlayer.discretisation.boundary import AXES
 from thinlayer.discretisation.constraints import product
 from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.rigid import rigid_shares, rigid_values
+from thinlayer.discretisation.rigid import rigid_at, rigid_values
 from thinlayer.errors import LooseBody
 from thinlayer.parts.part import DISPLACEMENTS, Block, Interval, Part
 from thinlayer.system.ranks import destroy
@@ -129,11 +129,9 @@ class RigidMotions:
             rows: displacements of this rank, ascending, that get values; all do if constraints relate them.
         """
         model, constraints = self.model, self.model.constraints
-        joint, n = model.domain.joint, constraints.n
-        rows = np.arange(n) if constraints.T is not None else rows
-        piece, shares = self._pieces[rows // model.joint.dim], [*rigid_shares(joint, model.kinematics).values()]
-        self._per = per = len(shares)
-        values = rigid_values(model.places, joint.points.mean(axis=0), rows) @ np.transpose(shares)
+        n, rows = constraints.n, rows if constraints.T is None else np.arange(constraints.n)
+        piece, values = self._pieces[rows // model.joint.dim], rigid_at(model, rows)
+        self._per = per = values.shape[1]
         starts = np.zeros(n + 1, np.int64)
         starts[rows + 1] = per
         csr = values.ravel(), (piece[:, None] * per + np.arange(per)).ravel(), starts.cumsum()

@@ -222,7 +222,7 @@ class LayerAlone(HeldLayers):
     def _motions(self, free: npt.NDArray[np.bool_]) -> tuple[Array, npt.NDArray[np.bool_]]:
         """Motions without energy (n, m), and as many unknowns (n,) that hold them."""
         model, pins, found = self.model, np.zeros(len(free), bool), []
-        motions = rigid_motions(model, model.kinematics).values()
+        motions = rigid_motions(model).values()
         rigid = np.zeros((len(free), len(motions)))
         rigid[: self._displacements] = np.column_stack([one.x.array[: self._displacements] for one in motions])
         count, piece = connected_components(self.K, directed=False)

@@ -12,6 +12,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from forms.base import Array
+from forms.planes import LIFTED
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import State
 from thinlayer.errors import LimitLoad, NoEquilibrium, SolveError
@@ -81,7 +82,7 @@ class PlannedSteps(Controller):
     def _resultant(self, t: float) -> list[float]:
         """Sum of the loads on the bodies at time t, those of rigid plates included, (d,)."""
         model, loads = self.solver.model, self.solver.equations.loads_at(t)
-        translations = [*rigid_motions(model).values()][: model.joint.dim]
+        translations = [*rigid_motions(model, LIFTED).values()][: model.joint.dim]
         return [float(loads.dot(motion.x.petsc_vec)) for motion in translations]
 
     # ---------------------------------------------------------------- attempts
