@@ -9,10 +9,11 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from studies.by_hand import CHOLESKY, K_N, K_T, LOAD, MULTIGRID, NU, E, by_hand
 from studies.friction_cost import NETWORK, WORKS, friction
 from studies.other_programs import MODULES, ngsolve, scikit_fem
 from studies.problems import SNAPPING, WALLS
-from studies.timing import Measured, Stages, compared, timed
+from studies.timing import Measured, Stages, compared, in_turn, timed
 from thinlayer import ArcLength, Bond, SolveError, Structure, ThinLayer, estimate, goals, march, solve
 from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
@@ -51,6 +52,7 @@ ESTIMATE_LIMIT = 1.6  # time of an estimate over that of a solve
 EPS = {2: (1 / 16, 1 / 32, 1 / 64, 1 / 128), 3: (1 / 8, 1 / 16, 1 / 32)}  # thickness of the layer over the width of S
 SAME = 1e-9  # relative difference of energies of other programs and of the interface model
 FINEST = "cells as long as thick"  # the meshed layer with whose energy others are compared
+SECONDS = itemgetter("seconds")
 TENTHS = [k / 10 for k in range(1, 11)]
 COLUMNS: tuple[str, ...] = ("part", "work", "dim", "unknowns", "eps", "reference", "seconds", "reference_seconds")
 COLUMNS += ("ratio", "limit", "error", "peak_mb", "reference_peak_mb", "mesh", "model", "solve", "results", "compiled")
@@ -166,12 +168,6 @@ def alone(work: str, n: int, *others: Any, ranks: int = 1) -> dict[str, Any]:
     return dict(json.loads(prints.splitlines()[-1]))
 
 
-def best(works: Mapping[Any, Callable[[], Measured]], repeats: int) -> dict[Any, Measured]:
-    """The quickest of several runs of each work; they alternate, so that a busy machine slows all of them down."""
-    runs = [{name: work() for name, work in works.items()} for _ in range(repeats)]
-    return {name: min((run[name] for run in runs), key=lambda run: float(run["seconds"])) for name in works}
-
-
 # ---------------------------------------------------------------- parts of the table
 def solves(n: int, dim: int, repeats: int) -> Iterable[Row]:
     """A law on S against bonded bodies and against other programs, with both kinds of solvers; small ones more often."""
@@ -185,7 +181,7 @@ def solves(n: int, dim: int, repeats: int) -> Iterable[Row]:
                 logger("study").info("%s is not installed and has no row", name)
                 continue
             works[name] = partial(alone, work.__name__, n, dim, *([BY_HAND[kind]] if work is by_hand else []))
-        runs = best(works, repeats if largest else 2 * repeats)
+        runs = in_turn(works, repeats if largest else 2 * repeats, SECONDS)
         law = runs.pop("law")
         for name, other in runs.items():
             limit = BONDED_LIMITS[kind]
@@ -204,7 +200,7 @@ def stiffer(n: int, repeats: int) -> Iterable[Row]:
     works = {
         ratio: partial(alone, "on_s", n, 3, 2 * E * ratio / K_N, SOLVERS["iterative"]) for ratio in (0.0, *STIFFER)
     }
-    runs = best(works, repeats)
+    runs = in_turn(works, repeats, SECONDS)
     for ratio in STIFFER:
         limit = BONDED_LIMITS["iterative"] if ratio <= STIFF else math.inf
         yield compared(f"K h/E = {ratio:g}, iterative", runs[ratio], "bonded", runs[0.0], limit) | {"error": None}
@@ -239,7 +235,7 @@ def quickest(runs: int, call: Callable[..., T], *arguments: Any, **choices: Any)
 def ranks(n: int, repeats: int) -> Iterable[Row]:
     """A cube on several ranks, by multigrid, against one: time, and memory of a rank."""
     run = partial(alone, "on_s", n, 3, 1.0, SOLVERS["iterative"])
-    runs = best({number: partial(run, ranks=number) for number in (1, *RANKS)}, repeats)
+    runs = in_turn({number: partial(run, ranks=number) for number in (1, *RANKS)}, repeats, SECONDS)
     for number, (limit, most) in RANKS.items():
         row = compared(f"{number} ranks", runs[number], "one rank", runs[1], limit)
         yield row

@@ -60,10 +60,10 @@ def seconds(work: Callable[[], object]) -> float:
     return timed(work)[0]
 
 
-def in_turn(works: Mapping[str, Callable[[], float]], repeats: int) -> dict[str, float]:
-    """Least time of each work, which returns its own; done in turn, so that a busy machine slows all of them down."""
-    times = [[work() for work in works.values()] for _ in range(repeats)]
-    return dict(zip(works, map(min, zip(*times, strict=True)), strict=True))
+def in_turn(works: Mapping[Any, Callable[[], T]], repeats: int, key: Callable[[T], Any] | None = None) -> dict[Any, T]:
+    """The least of several results of each work, by a key; done in turn, so that a busy machine slows all of them down."""
+    runs = [[work() for work in works.values()] for _ in range(repeats)]
+    return {name: min(results, key=key) for name, results in zip(works, zip(*runs, strict=True), strict=True)}
 
 
 def peak(work: Callable[[], object]) -> float:
