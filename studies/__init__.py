@@ -16,5 +16,5 @@ GROUPS = {
     "Sweeps in the thickness": {"rates": (600, 1800), "free_ends": (27, 244), "junctions": (17, 74)},
     "Structures": {"bearing": (5, 39), "punch": (19, 110), "strips": (5, 12), "wall": (34, 430)},
     "Estimates and maps": {"may_i_drop": (180, 410), "which_law": (75, 377), "zoom": (31, 52)},
-    "Benchmarks": {"performance": (80, 1300), "law_speed": (10, 40)},
+    "Benchmarks": {"performance": (80, 1500), "law_speed": (10, 40)},
 }
