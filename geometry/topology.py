@@ -243,13 +243,13 @@ class Splitting:
             start += (int(numbers.max(initial=-1)) + 1) * count
         return out
 
-    def components(self, dim: int) -> IntArray:
+    def components(self, dim: int) -> Indices:
         """(n_cells, entities of a cell) number of the cell's component around each of its entities of a dimension.
 
         The component with the smallest cell has number 0; so have all cells around entities that are not split.
         """
         local = self._topology[dim]
-        found = np.zeros((len(self.cells), len(local)), np.int64)
+        found = np.zeros((len(self.cells), len(local)), np.int32)
         if dim == len(self._topology) - 1 or not len(self.cut):
             return found
         on_cut = np.zeros(int(self.cells.max()) + 1, bool)
@@ -279,10 +279,10 @@ class Splitting:
         return found
 
     @cached_property
-    def of_nodes(self) -> IntArray:
+    def of_nodes(self) -> Indices:
         """(n_cells, k) number of the cell's component around each of its nodes."""
         dofs = lagrange(self.cell_type, geometry_degree(self.cell_type, self.cells.shape[1])).entity_dofs
-        out = np.zeros(self.cells.shape, np.int64)
+        out = np.zeros(self.cells.shape, np.int32)
         for dim, of_dim in enumerate(dofs[:-1]):
             if any(map(len, of_dim)):
                 numbers = self.components(dim)
@@ -291,14 +291,14 @@ class Splitting:
         return out
 
     @property
-    def of_vertices(self) -> IntArray:
+    def of_vertices(self) -> Indices:
         """(n_cells, k) number of the cell's component around each of its vertices."""
         return self.of_nodes[:, : self._corners.shape[1]]
 
     @cached_property
     def pieces(self) -> IntArray:
         """(n_cells,) number of the connected piece of each cell, in the order of their first cells."""
-        corners, split = self._corners.copy(), self.of_vertices
+        corners, split = self._corners.astype(np.int32), self.of_vertices
         where = np.nonzero(split)  # copies of vertices follow after the last one
         number = np.unique(np.column_stack([corners[where], split[where]]), axis=0, return_inverse=True)[1]
         corners[where] = int(corners.max(initial=-1)) + 1 + number.ravel()
@@ -316,7 +316,7 @@ class Splitting:
         return out
 
 
-def connected(first: IntArray, second: IntArray, n: int) -> IntArray:
+def connected(first: IntArray | Indices, second: IntArray | Indices, n: int) -> IntArray:
     """(n,) labels of the connected components of a graph, given by its links."""
     graph = scipy.sparse.coo_matrix((np.ones(len(first), np.int8), (first, second)), shape=(n, n))
     return np.asarray(connected_components(graph, directed=False)[1], np.int64)

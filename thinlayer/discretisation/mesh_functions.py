@@ -21,11 +21,11 @@ from geometry.inflating.inflation import to_middle
 from geometry.joint import Joint, Profile
 from geometry.refusals import place
 from geometry.seam import S
-from geometry.topology import IntArray, Splitting
+from geometry.topology import Indices, IntArray, Splitting
 from thinlayer.system.compat import interpolation_points, space_with_dofmap
 from thinlayer.system.ranks import ask, communicator
 
-OfEntities = Sequence[IntArray]
+OfEntities = Sequence[IntArray | Indices]
 INWARDS = 1e-6  # way of a place towards the middle of its cell, so that it is on one side of S, over the distance
 
 
@@ -132,17 +132,19 @@ def _values(f: fem.Function, x: Array) -> Array:
 
 @dataclass(frozen=True)
 class Keys:
-    """Which degrees of freedom of the local cells, ghosts included, are the same.
+    """Which degrees of freedom of the local cells, ghosts included, are the same: those with the same key.
 
     Attributes:
         whole: the ordinary space.
-        keys: (cells, unknowns of a cell) number of each degree of freedom, the same on all ranks.
-        meeting: (cells, unknowns of a cell) rank that is told who uses the key, the same on all ranks.
+        keys: (n,) numbers of these degrees of freedom, the same on all ranks, in the order of their places in `whole`.
+        meeting: (n,) rank that is told who uses the key, the same on all ranks.
+        of_cells: (cells, unknowns of a cell) positions in `keys`.
     """
 
     whole: fem.FunctionSpace
     keys: IntArray
     meeting: IntArray
+    of_cells: IntArray
 
     @classmethod
     def of_components(cls, comm: MPI.Intracomm, mesh: Mesh, element: Any, components: OfEntities) -> Keys:
@@ -156,13 +158,16 @@ class Keys:
                 of each local cell, ghosts included, around its entities; the same on all ranks.
         """
         whole = fem.functionspace(mesh, element)
-        base_map, base = whole.dofmap.index_map, np.asarray(whole.dofmap.list, np.int64)
-        component = _of_unknowns(whole, components, 0)
+        base_map, component = whole.dofmap.index_map, _of_unknowns(whole, components, 0)
         count = comm.allreduce(int(component.max(initial=0)) + 1, op=max)
         n_base = base_map.size_local + base_map.num_ghosts
+        copies = np.asarray(whole.dofmap.list, np.int64) * count + component
+        used = np.zeros(n_base * count, bool)
+        used[copies] = True
+        place, number = np.divmod(np.flatnonzero(used), count)
         owner = np.concatenate([np.full(base_map.size_local, comm.rank), base_map.owners]).astype(np.int64)[:n_base]
         numbers = np.asarray(base_map.local_to_global(np.arange(n_base, dtype=np.int32)))
-        return cls(whole, numbers[base] * count + component, owner[base])
+        return cls(whole, numbers[place] * count + number, owner[place], (used.cumsum() - 1)[copies])
 
     @classmethod
     def of_entities(cls, comm: MPI.Intracomm, mesh: Mesh, element: Any, keys: OfEntities) -> Keys:
@@ -173,8 +178,13 @@ class Keys:
             keys: for each dimension, (local cells, entities of a cell) numbers >= 0, other ones in each dimension.
         """
         whole = fem.functionspace(mesh, element)
-        found = _of_unknowns(whole, keys, -1)
-        return cls(whole, found, found * comm.size // comm.allreduce(int(found.max(initial=0)) + 1, op=max))
+        distinct, positions = np.unique(_of_unknowns(whole, keys, -1), return_inverse=True)
+        place = np.full(len(distinct), np.iinfo(np.int64).max)
+        np.minimum.at(place, positions.ravel(), np.asarray(whole.dofmap.list, np.int64).ravel())
+        order = np.lexsort((distinct, place))
+        distinct, positions = distinct[order], np.argsort(order)[positions.reshape(np.shape(whole.dofmap.list))]
+        meeting = distinct * comm.size // comm.allreduce(int(distinct.max(initial=0)) + 1, op=max)
+        return cls(whole, distinct, meeting, positions)
 
 
 def _of_unknowns(whole: fem.FunctionSpace, of_entities: OfEntities, otherwise: int) -> IntArray:
@@ -188,18 +198,10 @@ def _of_unknowns(whole: fem.FunctionSpace, of_entities: OfEntities, otherwise: i
 
 def broken_space(comm: MPI.Intracomm, unknowns: Keys) -> fem.FunctionSpace:
     """Space of functions whose degrees of freedom are one for each key. Collective."""
-    rank, whole = comm.rank, unknowns.whole
-    base = np.asarray(whole.dofmap.list, np.int64)
-    keys, at, number_of = np.unique(unknowns.keys, return_index=True, return_inverse=True)
-    number_of = number_of.reshape(base.shape)
-    place = np.full(len(keys), np.iinfo(np.int64).max)
-    np.minimum.at(place, number_of.ravel(), base.ravel())
-    order = np.lexsort((keys, place))  # as the ordinary space has them: neighbours in memory
-    keys, meeting, local_key = keys[order], unknowns.meeting.ravel()[at[order]], np.argsort(order)[number_of]
-
+    rank, whole, keys, meeting = comm.rank, unknowns.whole, unknowns.keys, unknowns.meeting
     n_cells = whole.mesh.topology.index_map(whole.mesh.topology.dim).size_local
     used = np.zeros(len(keys), np.int64)
-    used[local_key[:n_cells].ravel()] = 1
+    used[unknowns.of_cells[:n_cells]] = 1
     owner = ask(comm, meeting, np.column_stack([keys, used]), lambda q, src: _elect(q, src, rank))
     own = owner == rank
     n_own = int(own.sum())
@@ -213,7 +215,7 @@ def broken_space(comm: MPI.Intracomm, unknowns: Keys) -> fem.FunctionSpace:
     local = np.empty(len(keys), np.int32)
     local[own] = np.arange(n_own)
     local[foreign] = n_own + np.arange(len(keys) - n_own)
-    return space_with_dofmap(whole, local[local_key], index_map(comm, n_own, number[foreign], owner[foreign]))
+    return space_with_dofmap(whole, local[unknowns.of_cells], index_map(comm, n_own, number[foreign], owner[foreign]))
 
 
 def _elect(questions: IntArray, source: IntArray, rank: int) -> IntArray:

@@ -17,7 +17,7 @@ from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place as at_place
 from geometry.refusals import require_known
-from geometry.topology import IntArray, sums
+from geometry.topology import Indices, IntArray, sums
 from thinlayer.discretisation.boundary import refuse_periodic
 from thinlayer.discretisation.given import Coordinates, Load
 from thinlayer.discretisation.mesh_functions import cellwise
@@ -74,7 +74,7 @@ class PointLoad:
         return f"point load at {self.place!r}"
 
     def nodes(self, joint: Joint) -> Nodes:
-        """Where it acts. Raises InputError or InputError: no such place, or several nodes are there."""
+        """Where it acts. Raises InputError: no such place, or several nodes are there."""
         vertex = joint.nearest_point(self.place)
         same = joint.masters == joint.masters[vertex] if joint.periods else np.arange(len(joint.points)) == vertex
         cells, corners = np.nonzero(same[joint.corners])
@@ -104,7 +104,7 @@ class LineLoad:
         return f"line load between {self.first!r} and {self.second!r}"
 
     def nodes(self, joint: Joint) -> Nodes:
-        """Where it acts. Raises InputError or InputError: no such place, or several nodes are there."""
+        """Where it acts. Raises InputError: no such place, or several nodes are there."""
         if joint.dim != 3:
             raise InputError(f"{self.what}: lines are edges of solids; in two dimensions give a PointLoad")
         names = joint.facets
@@ -136,7 +136,7 @@ class LineLoad:
         return Nodes(cells, X[:, 0] + s[:, :1] * (X[:, 1] - X[:, 0]), w[:, None] * (X[:, 1] - X[:, 0]))
 
 
-def _in_one_body(joint: Joint, cells: IntArray, components: IntArray, body: str | None, what: str) -> int:
+def _in_one_body(joint: Joint, cells: IntArray, components: Indices, body: str | None, what: str) -> int:
     """The first of the cells around a place that are of one body; raises InputError if the place has several nodes."""
     regions = joint.region[cells]
     kept: IntArray = np.arange(len(cells))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property, reduce
 from operator import or_
@@ -21,6 +21,7 @@ from forms.kinematics import Expr
 from forms.law import BulkLaw, Step
 from forms.trace import named
 from forms.work import Term, energy, stress, work
+from geometry.topology import Indices
 from thinlayer.discretisation.measures import compiled, compiled_summands
 from thinlayer.discretisation.state import Configuration
 from thinlayer.discretisation.time_functions import OverStep
@@ -156,9 +157,9 @@ class FormPart(Part):
         destroy(self.K, self._product, *self._tangents)
 
 
-def matrix(form: Expr) -> PETSc.Mat:
-    """The assembled matrix of a bilinear form, without supports."""
-    return matrix_of(compiled(form))
+def matrix(form: Expr, together: Iterable[Indices] = ()) -> PETSc.Mat:
+    """The assembled matrix of a bilinear form, as `matrix_of`."""
+    return matrix_of(compiled(form), together)
 
 
 class LawForms(FormPart):
@@ -171,9 +172,10 @@ class LawForms(FormPart):
         key: key of the part.
         V: space of the displacements.
         terms: the terms; those whose laws are compiled are left out.
+        beside: terms of other parts, for whose matrices K has places.
     """
 
-    def __init__(self, key: str, V: fem.FunctionSpace, terms: Iterable[Term]) -> None:
+    def __init__(self, key: str, V: fem.FunctionSpace, terms: Iterable[Term], beside: Iterable[Term] = ()) -> None:
         terms = list(terms)
         everywhere = [p for p in terms if p.n is None]
         self._terms = terms = [p for p in terms if not p.law.traits.compiled]
@@ -192,7 +194,7 @@ class LawForms(FormPart):
             known = _given(strained, over.now)
             beyond = [_of_given(p, u) + p.law.energy(Step(p.given, p.n)) * p.weight * p.measure for p in known]
             stored = energy(_given(others, over.now), u) + sum(beyond)
-        K = _stiffness(V, linear, everywhere) if linear or everywhere else None
+        K = _stiffness(V, linear, everywhere, beside) if linear or everywhere else None
         F = work(_given(others, over.balanced), u, v) if others else None
         g = sum(_of_given(p, v) for p in _given(strained, over.balanced)) if strained else None
         super().__init__(key, u, K, F, stored, g=g)
@@ -319,7 +321,17 @@ def _opposing(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:
     return [compiled(sum(column)) for column in zip(*rows, strict=True)]
 
 
-def _stiffness(V: fem.FunctionSpace, linear: Sequence[Term], bodies: Sequence[Term]) -> PETSc.Mat:
+def _across(V: fem.FunctionSpace, terms: Iterable[Term]) -> Iterator[Indices]:
+    """Nodes of each pair of cells on either side of S that laws in forms relate."""
+    for p in terms:
+        if p.measure.integral_type() == "interior_facet" and not p.law.traits.compiled:
+            entities = dict(p.measure.subdomain_data())[p.measure.subdomain_id()]
+            yield from map(np.ravel, V.dofmap.list[entities.reshape(-1, 4)[:, ::2]])
+
+
+def _stiffness(
+    V: fem.FunctionSpace, linear: Sequence[Term], bodies: Sequence[Term], beside: Iterable[Term]
+) -> PETSc.Mat:
     """The assembled matrix of the linear laws; if there are none, zeros in the nonzero pattern of elastic bodies.
 
     Raises:
@@ -328,7 +340,7 @@ def _stiffness(V: fem.FunctionSpace, linear: Sequence[Term], bodies: Sequence[Te
     trial, test = ufl.TrialFunction(V), ufl.TestFunction(V)
     pattern = linear or [replace(p, law=LinearElastic(0.0, 1.0)) for p in bodies]
     try:
-        K = matrix(work((replace(p, given=None) for p in pattern), trial, test))
+        K = matrix(work((replace(p, given=None) for p in pattern), trial, test), _across(V, beside))
     except ArityMismatch as error:
         names = " or ".join(sorted({type(p.law).__name__ for p in linear if named(p.law) is None}))
         raise InputError(

@@ -28,7 +28,7 @@ def body_parts(model: Model) -> list[Part]:
 
     The first has a matrix with the nonzero pattern of the bodies.
     """
-    parts: list[Part] = [LawForms("forms", model.V, model.bodies), *_compiled(model, model.bodies)]
+    parts: list[Part] = [LawForms("forms", model.V, model.bodies, model.layer_terms), *_compiled(model, model.bodies)]
     if model.stress:
         parts.append(MeanStressPart(model.V, model.solids, model.stress, model.comm))
     return parts

@@ -42,8 +42,8 @@ class MeanStressPart(FieldPart):
     def __init__(self, V: fem.FunctionSpace, bodies: Sequence[Term], given: MeanStress, comm: MPI.Intracomm) -> None:
         self._given, self.unit, mesh = given, 1 / given.size, V.mesh
         whole = fem.functionspace(mesh, basix.ufl.element("DG", mesh.basix_cell(), 0, shape=(given.count,)))
-        one = np.zeros(np.shape(whole.dofmap.list), np.int64)
-        W = broken_space(comm, Keys(whole, one, one))
+        same = np.zeros(np.shape(whole.dofmap.list), np.int64)
+        W = broken_space(comm, Keys(whole, same[:1, 0], same[:1, 0], same))
         self.field = fem.Function(W)
         v, E, F = ufl.TestFunction(V), ufl.TrialFunction(W), ufl.TestFunction(W)
         strained = [(p, p.law.stress(Step(lift(of_components(E)) / given.size, p.n))) for p in bodies]

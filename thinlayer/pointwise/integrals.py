@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -281,9 +281,22 @@ class Quadrature:
         return np.arange(imap.size_local, dtype=np.int64) + imap.local_range[0], int(imap.size_global)
 
 
-def matrix_of(form: fem.Form) -> PETSc.Mat:
-    """The matrix of a bilinear form, without supports."""
-    A = dolfinx.fem.petsc.assemble_matrix(form)
+def matrix_of(form: fem.Form, together: Iterable[Indices] = ()) -> PETSc.Mat:
+    """The matrix of a bilinear form, without supports.
+
+    Args:
+        form: the form.
+        together: sets of local nodes whose unknowns get entries, even if these are zero.
+    """
+    pattern = fem.create_sparsity_pattern(form)
+    together = [*together]
+    for nodes in together:
+        pattern.insert(nodes, nodes)
+    pattern.finalize()
+    A = dolfinx.cpp.la.petsc.create_matrix(form.mesh.comm, pattern)
+    dolfinx.fem.petsc.assemble_matrix(A, form)
+    for nodes in together:  # PETSc drops places without values
+        A.setValuesBlockedLocal(nodes, nodes, np.zeros((len(nodes) * A.block_size,) * 2), PETSc.InsertMode.ADD_VALUES)
     A.assemble()
     return A
 

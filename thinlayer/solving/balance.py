@@ -381,7 +381,7 @@ def lent(
     before = K.createSubMatrix(_indices(K, changed))
     try:
         for block in others:
-            K.axpy(block.factor, block.matrix, DIFFERENT)
+            K.axpy(block.factor, block.matrix, SUBSET if _within(comm, block.matrix, before, changed) else DIFFERENT)
         destroy(*(block.matrix for block in others if not block.kept))
         K.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         K.zeroRowsColumns(held, value)
@@ -392,6 +392,16 @@ def lent(
         K.assemble()
         K.setOption(PETSc.Mat.Option.SPD, False)
         before.destroy()
+
+
+def _within(comm: MPI.Intracomm, part: PETSc.Mat, rows: PETSc.Mat, numbers: npt.NDArray[Any]) -> bool:
+    """Whether all entries of a matrix have places in rows of another one, given by their numbers. Collective."""
+    own = part.createSubMatrix(_indices(part, numbers))
+    (start, columns, _), (end, known, _) = own.getValuesCSR(), rows.getValuesCSR()
+    N = part.getSize()[1]
+    of, there = (np.arange(len(ends) - 1, dtype=np.int64).repeat(np.diff(ends)) * N for ends in (start, end))
+    destroy(own)
+    return bool(comm.allreduce(np.isin(of + columns, there + known).all(), MPI.LAND))
 
 
 def _indices(A: PETSc.Mat, rows: npt.NDArray[Any]) -> PETSc.IS:
