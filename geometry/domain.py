@@ -124,6 +124,7 @@ def vertices_of_facets(mesh: dolfinx.mesh.Mesh, cell_type: str, facets: Indices,
     return np.take_along_axis(corners[cells], local_facets(cell_type)[which], axis=1)
 
 
+NAMES = 30  # after which combinations of names are numbered anew: int64 holds so many, and numbers of facets
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
@@ -280,9 +281,10 @@ def _name_combinations(joint: Joint) -> tuple[IntArray, Indices, dict[str, tuple
     tagged = np.unique(np.concatenate([*sets.values()]))
     places = {name: np.searchsorted(tagged, rows) for name, rows in sets.items()}
     combination: npt.NDArray[Any] = np.zeros(len(tagged), np.int64)
-    for place in places.values():
+    for k, place in enumerate(places.values(), 1):
         combination *= 2
         combination[place] += 1
-        combination = np.unique(combination, return_inverse=True)[1]
+        if k % NAMES == 0 or k == len(sets):
+            combination = np.unique(combination, return_inverse=True)[1]
     values = {name: tuple(map(int, np.unique(combination[place]) + 1)) for name, place in places.items()}
     return tagged, (combination + 1).astype(np.int32), values

@@ -17,6 +17,7 @@ from petsc4py import PETSc
 
 from forms.base import Array, InputError
 from geometry.topology import Indices
+from thinlayer.discretisation.constraints import Sparse, csr_of
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import SolveError
 from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, Interval, Memory, Outcome, Part, PartTraits
@@ -396,12 +397,15 @@ def lent(
 
 def _within(comm: MPI.Intracomm, part: PETSc.Mat, rows: PETSc.Mat, numbers: npt.NDArray[Any]) -> bool:
     """Whether all entries of a matrix have places in rows of another one, given by their numbers. Collective."""
-    own = part.createSubMatrix(_indices(part, numbers))
-    (start, columns, _), (end, known, _) = own.getValuesCSR(), rows.getValuesCSR()
-    N = part.getSize()[1]
-    of, there = (np.arange(len(ends) - 1, dtype=np.int64).repeat(np.diff(ends)) * N for ends in (start, end))
-    destroy(own)
-    return bool(comm.allreduce(np.isin(of + columns, there + known).all(), MPI.LAND))
+    own, known = _pattern(part)[numbers - part.getOwnershipRange()[0]], _pattern(rows)
+    return bool(comm.allreduce(own.multiply(known).nnz == own.nnz, MPI.LAND))
+
+
+def _pattern(A: PETSc.Mat) -> Sparse:
+    """This rank's rows, with ones in the places of entries."""
+    rows = csr_of(A)
+    rows.data[:] = 1.0
+    return rows
 
 
 def _indices(A: PETSc.Mat, rows: npt.NDArray[Any]) -> PETSc.IS:
