@@ -21,7 +21,7 @@ from thinlayer.solving.contact.finder import ContactFinder
 from thinlayer.solving.contact.methods import FINDERS, default_method
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Found
-from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
+from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID, ORDERINGS
 from thinlayer.solving.petsc import faster_products, require_all_read
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.table import Row
@@ -57,7 +57,7 @@ WORKS: dict[str, tuple[Callable[[int], InterfaceModel], dict[int, float]]] = {  
 def friction(work: str, n: int, repeats: int) -> list[Row]:
     """Rows of one of WORKS; our solver and the reference alternate in one process, warm.
 
-    The reference is the faster of MUMPS (Cholesky, AMF ordering) and of conjugate gradients with multigrid, on the matrix
+    The reference is the faster of MUMPS (Cholesky) and of conjugate gradients with multigrid, on the matrix
     with bonded springs at S. Times are of the processor; all costs from the assembled stiffness on are counted.
     """
     of, limits = WORKS[work]
@@ -113,7 +113,8 @@ class Bench:
 
     def linear(self, kind: str) -> float:
         """Processor time of one linear solve; infinite where it does not converge."""
-        options = dict(DIRECT) | {"pc_type": "cholesky"} if kind == "cholesky" else MULTIGRID | {"ksp_type": "cg"}
+        factorising = DIRECT | ORDERINGS[self.dim] | {"pc_type": "cholesky"}
+        options = factorising if kind == "cholesky" else MULTIGRID | {"ksp_type": "cg"}
         options |= {"ksp_rtol": TOLERANCE, "pc_gamg_aggressive_coarsening": self.dim - 1}
         if kind == "multigrid":
             options |= {"ksp_norm_type": "unpreconditioned"}

@@ -26,11 +26,14 @@ DIRECT: dict[str, OptionValue] = {
     "ksp_type": "preonly",
     "ksp_rtol": 1e-10,
     "pc_factor_mat_solver_type": "mumps",
-    "mat_mumps_icntl_7": 2,
-    "mat_mumps_icntl_15": 0,  # orders unknowns, not nodes: fewer entries in factors on grids
     "mat_mumps_icntl_14": 100,  # spare memory in per cent: with its default of 20, MUMPS sometimes fails on several ranks
     "mat_mumps_icntl_35": 2,  # blocks of low rank, to rounding: less time and memory from 1e5 unknowns on
     "mat_mumps_cntl_7": 1e-14,
+}
+# dimension -> how MUMPS orders unknowns: by least fill, not node by node, on grids with fewer entries; in 3D by PORD
+ORDERINGS: dict[int, dict[str, OptionValue]] = {
+    2: {"mat_mumps_icntl_7": 2, "mat_mumps_icntl_15": 0},
+    3: {"mat_mumps_icntl_7": 4},
 }
 # for saddle points at which MUMPS puts off pivots again and again: more memory and smaller pivots
 LENIENT: dict[str, OptionValue] = {"mat_mumps_icntl_14": 1000, "mat_mumps_cntl_1": 1e-4}
@@ -60,19 +63,19 @@ BLOCKS: dict[str, OptionValue] = {
     "pc_fieldsplit_schur_precondition": "selfp",
     **{f"fieldsplit_u_{name}": MULTIGRID[name] for name in MULTIGRID if name.startswith(("pc_gamg", "pc_type", "mg_"))},
     "fieldsplit_u_ksp_type": "preonly",
-    **{f"fieldsplit_p_{name}": value for name, value in DIRECT.items() if name != "ksp_rtol"},
+    **{f"fieldsplit_p_{name}": value for name, value in (DIRECT | ORDERINGS[2]).items() if name != "ksp_rtol"},
     "fieldsplit_p_pc_type": "cholesky",
 }
-MULTIGRID_FROM = {2: 3_000_000, 3: 50_000}  # dimension -> number of unknowns below which factorising is faster
+MULTIGRID_FROM = {2: 3_000_000, 3: 50_000}  # dimension -> number of unknowns up to which factors pay, which steps may share
 
 
 def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = None) -> list[dict[str, OptionValue]]:
     """PETSc options to try in turn.
 
-    The direct solver is MUMPS with AMF ordering: Cholesky for symmetric tangents, else LU. Large models try conjugate
-    gradients (GMRES without symmetry) with algebraic multigrid first; it knows the rigid motions. Very stiff layers slow
-    multigrid down so much that factorising is faster. Layers with a pressure lead to saddle points: if the pressures are on
-    S, large models try GMRES with blocks first; if MUMPS fails, it is tried with more memory and smaller pivots.
+    The direct solver is MUMPS: Cholesky for symmetric tangents, else LU. Large models try conjugate gradients (GMRES if not
+    symmetric) with algebraic multigrid first, which knows the rigid motions. Very stiff layers slow it down so much that
+    factorising is faster. Layers with a pressure lead to saddle points: if the pressures are on S, large models try GMRES with
+    blocks first; if MUMPS fails, it is tried with more memory and smaller pivots.
 
     Args:
         model: the model.
@@ -101,7 +104,7 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
 
 def direct_solver(model: Model) -> dict[str, OptionValue]:
     """PETSc options of a factorisation: Cholesky (LDL^T unless the matrix is marked as definite), or LU."""
-    return {**DIRECT, "pc_type": "cholesky" if model.symmetric else "lu"}
+    return {**DIRECT, **ORDERINGS[model.joint.dim], "pc_type": "cholesky" if model.symmetric else "lu"}
 
 
 def least_pivot(pc: PETSc.PC) -> float:
