@@ -74,8 +74,8 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
 
     The direct solver is MUMPS: Cholesky for symmetric tangents, else LU. Large models try conjugate gradients (GMRES if not
     symmetric) with algebraic multigrid first, which knows the rigid motions. Very stiff layers slow it down so much that
-    factorising is faster. Layers with a pressure lead to saddle points: if the pressures are on S, large models try GMRES with
-    blocks first; if MUMPS fails, it is tried with more memory and smaller pivots.
+    factorising is faster. Layers with a pressure lead to saddle points: if the pressures are on S, large models try GMRES
+    with blocks first; if MUMPS fails, it is tried with more memory and smaller pivots.
 
     Args:
         model: the model.
