@@ -12,10 +12,12 @@ from forms import Anisotropic, HolonomicCoulomb, LinearElastic, MohrCoulomb, Non
 from geometry import sandwich
 from tests.refused import refused
 from thinlayer import SolveError, Structure, Surface, ThinLayer, march, solve
+from thinlayer.discretisation.constraints import csr_of
 from thinlayer.parts.part import Block
 from thinlayer.solving import equilibrium
 from thinlayer.solving.balance import lent
 from thinlayer.solving.contact.finder import ContactFinder
+from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Equilibrium
 
 STEEL = LinearElastic.young(E=210e3, nu=0.3)
@@ -172,18 +174,30 @@ def test_an_error_of_petsc_keeps_the_march(monkeypatch):
 
 
 # ---------------------------------------------------------------------------------- one matrix
-def test_a_lent_matrix_is_the_sum_with_supports_and_afterwards_what_it_was():
-    """The other block has entries outside the pattern; one held row has a neighbour that no other change touches."""
+@pytest.mark.parametrize("places", [0.0, 1.0])
+def test_a_lent_matrix_is_the_sum_with_supports_and_afterwards_what_it_was(places):
+    """The other block has entries in the pattern, or outside; one held row has a neighbour that no other change touches."""
 
-    def matrix(dense):
-        csr = scipy.sparse.csr_matrix(dense)
+    def matrix(dense, also=0.0):
+        csr = scipy.sparse.csr_matrix((dense != 0) + also)
+        csr.data = dense[csr.nonzero()]
         return PETSc.Mat().createAIJ(dense.shape, csr=(csr.indptr, csr.indices, csr.data), comm=PETSc.COMM_SELF)
 
     chain = np.diag(np.sqrt(np.arange(2.0, 9.0))) - 0.3 * np.eye(7, k=1) - 0.7 * np.eye(7, k=-1)
     spring, held = np.zeros((7, 7)), np.array([0, 4], PETSc.IntType)
     spring[np.ix_([1, 6], [1, 6])] = [[3.0, -1 / 3], [-1 / 3, 2.0]]
-    K, whole = matrix(chain), chain + 0.1 * spring
+    K, whole = matrix(chain, places * spring), chain + 0.1 * spring
     whole[held], whole[:, held], whole[held, held] = 0.0, 0.0, 5.0
     with lent(MPI.COMM_SELF, K, [Block(matrix(spring), 0.1)], held, 5.0) as A:
         np.testing.assert_allclose(A[:, :], whole, rtol=1e-15)
     assert np.array_equal(K[:, :], chain)
+
+
+def test_a_law_on_S_relates_nodes_on_S_for_which_the_matrix_of_the_bodies_has_places():
+    model = Structure(PLATES, body=STEEL, supports=HELD).interface(ThinLayer(LinearElastic(6.0, 4.0), 0.4, at=1.0))
+    equations = Equations(model)
+    body, law = (csr_of(part.K) for part in (*equations.bodies, *equations.layers))
+    row, column = law.tocoo().coords
+    assert {*column[row != column] // 2} == {*np.flatnonzero(np.isclose(model.places[:, 1], 0.0))}
+    body.data[:] = law.data[:] = 1.0
+    assert law.multiply(body).nnz == law.nnz

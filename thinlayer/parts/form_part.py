@@ -351,9 +351,9 @@ def _stiffness(
             f"{names} says linear = True, but is not linear, or UFL does not see that it is: {error}; "
             "write linear = False in the class"
         ) from error
-    if not bodies:  # nodes off S, of which a law on S knows nothing, would make a factor larger
-        return matrix_of(form, zeros=False)
-    K = matrix_of(form, _across(V, beside))
+    # of nodes off S a law on S knows nothing: their zeros would make a factor larger
+    zeros = any(p.measure.integral_type() != "interior_facet" for p in pattern)
+    K = matrix_of(form, _across(V, [*pattern, *beside]), zeros=zeros)
     if not linear:
         K.zeroEntries()
     return K

@@ -295,10 +295,11 @@ def matrix_of(form: fem.Form, together: Iterable[Indices] = (), *, zeros: bool =
         pattern.insert(nodes, nodes)
     pattern.finalize()
     A = dolfinx.cpp.la.petsc.create_matrix(form.mesh.comm, pattern)
-    A.setOption(PETSc.Mat.Option.IGNORE_ZERO_ENTRIES, not zeros)
-    dolfinx.fem.petsc.assemble_matrix(A, form)
     for nodes in together:  # PETSc drops places without values
         A.setValuesBlockedLocal(nodes, nodes, np.zeros((len(nodes) * A.block_size,) * 2), PETSc.InsertMode.ADD_VALUES)
+    A.assemble(PETSc.Mat.AssemblyType.FLUSH)
+    A.setOption(PETSc.Mat.Option.IGNORE_ZERO_ENTRIES, not zeros)
+    dolfinx.fem.petsc.assemble_matrix(A, form)
     A.assemble()
     return A
 

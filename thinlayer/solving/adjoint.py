@@ -20,7 +20,7 @@ from thinlayer.discretisation.state import Configuration, State
 from thinlayer.parts.part import DISPLACEMENTS, Interval, Part
 from thinlayer.solving.balance import PartSum, TangentMatrix
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import linear_solvers, mark
+from thinlayer.solving.linear_solvers import factors_alone, linear_solvers, mark
 from thinlayer.solving.petsc import Options, defaults, solve_linear, value_of
 
 
@@ -50,13 +50,18 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         linear = linear_solvers(self.model, equations.parts, value_of("pc_type", self._given))
         self._options = {**linear[0], **self._given}
         self._tangent: PETSc.Mat | None = None
-        if not (self.model.linear and self.model.symmetric and equations.factor.of == (0.0, 1.0)):
-            A = equations.tangent()
-            self._tangent = A.copy()
-            equations.hold(A)
-            mark(A, self.model, saddle=equations.traits.saddle)
-            with defaults(self._options):
+        same = self.model.linear and self.model.symmetric  # what factors has, has its transpose, at any state
+        if same and equations.factor.of == (0.0, 1.0):
+            return
+        with defaults(self._options):
+            once = same and factors_alone()
+            if not once:
+                self._tangent = equations.tangent().copy()
+            with equations.with_supports(lend=once) as A:
+                mark(A, self.model, saddle=equations.traits.saddle)
                 equations.factor.renew(A, None, equations.tell)
+                if once:
+                    equations.factor.set_up()
 
     def __exit__(self, *_: object) -> None:
         self.equations.destroy()

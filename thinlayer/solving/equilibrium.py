@@ -13,8 +13,8 @@ from forms.base import InputError
 from thinlayer.errors import SolveError
 from thinlayer.solving.balance import AIM, ALLOWED
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import DIRECT, least_pivot, mark
-from thinlayer.solving.petsc import PREFIX, OptionValue, options_set, reason_name, solve_linear, solve_nonlinear
+from thinlayer.solving.linear_solvers import factors_alone, least_pivot, mark
+from thinlayer.solving.petsc import PREFIX, OptionValue, reason_name, solve_linear, solve_nonlinear
 
 # Relative residuals; keys: True for direct solvers, False for Krylov methods.
 REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # refinement ends at this residual
@@ -198,9 +198,7 @@ class Equilibrium(Finder):
         if move is None and self._factor.of == key:
             self.reused = True
             return
-        options, names = options_set(), ("ksp_type", "pc_factor_mat_solver_type")
-        kept = options.get("pc_type") == "gamg" or all(options.get(name) == DIRECT[name] for name in names)
-        once = not self.nonlinear and kept  # the factor, or the matrices in blocks, is all that solves need
+        once = not self.nonlinear and factors_alone()
         with equations.with_supports(move, b, lend=once) as A:
             if self.nonlinear:
                 self._require_finite("tangent (the slope of the stress)", A.norm())

@@ -66,7 +66,8 @@ BLOCKS: dict[str, OptionValue] = {
     **{f"fieldsplit_p_{name}": value for name, value in (DIRECT | ORDERINGS[2]).items() if name != "ksp_rtol"},
     "fieldsplit_p_pc_type": "cholesky",
 }
-MULTIGRID_FROM = {2: 3_000_000, 3: 50_000}  # dimension -> number of unknowns up to which factors pay, which steps may share
+# dimension -> number of unknowns up to which factors pay, which steps may share
+MULTIGRID_FROM = {2: 3_000_000, 3: 50_000}
 
 
 def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = None) -> list[dict[str, OptionValue]]:
@@ -105,6 +106,12 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
 def direct_solver(model: Model) -> dict[str, OptionValue]:
     """PETSc options of a factorisation: Cholesky (LDL^T unless the matrix is marked as definite), or LU."""
     return {**DIRECT, **ORDERINGS[model.joint.dim], "pc_type": "cholesky" if model.symmetric else "lu"}
+
+
+def factors_alone() -> bool:
+    """Whether solves need no more than the factor, or than the matrices in blocks, with the options that are set."""
+    options, names = options_set(), ("ksp_type", "pc_factor_mat_solver_type")
+    return options.get("pc_type") == "gamg" or all(options.get(name) == DIRECT[name] for name in names)
 
 
 def least_pivot(pc: PETSc.PC) -> float:
