@@ -17,7 +17,7 @@ from petsc4py import PETSc
 
 from forms.base import Array, InputError
 from geometry.topology import Indices
-from thinlayer.discretisation.constraints import Sparse, csr_of
+from thinlayer.discretisation.constraints import csr_of
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import SolveError
 from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, Interval, Memory, Outcome, Part, PartTraits
@@ -397,15 +397,9 @@ def lent(
 
 def _within(comm: MPI.Intracomm, part: PETSc.Mat, rows: PETSc.Mat, numbers: npt.NDArray[Any]) -> bool:
     """Whether all entries of a matrix have places in rows of another one, given by their numbers. Collective."""
-    own, known = _pattern(part)[numbers - part.getOwnershipRange()[0]], _pattern(rows)
+    own, known = csr_of(part)[numbers - part.getOwnershipRange()[0]], csr_of(rows)
+    own.data[:], known.data[:] = 1.0, 1.0  # entries may be zero
     return bool(comm.allreduce(own.multiply(known).nnz == own.nnz, MPI.LAND))
-
-
-def _pattern(A: PETSc.Mat) -> Sparse:
-    """This rank's rows, with ones in the places of entries."""
-    rows = csr_of(A)
-    rows.data[:] = 1.0
-    return rows
 
 
 def _indices(A: PETSc.Mat, rows: npt.NDArray[Any]) -> PETSc.IS:
