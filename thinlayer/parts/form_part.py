@@ -157,9 +157,9 @@ class FormPart(Part):
         destroy(self.K, self._product, *self._tangents)
 
 
-def matrix(form: Expr) -> PETSc.Mat:
-    """The assembled matrix of a bilinear form, without supports."""
-    return matrix_of(compiled(form))
+def matrix(form: Expr, together: Iterable[Indices] = ()) -> PETSc.Mat:
+    """The assembled matrix of a bilinear form, as `matrix_of`."""
+    return matrix_of(compiled(form), together)
 
 
 class LawForms(FormPart):
@@ -322,15 +322,11 @@ def _opposing(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:
 
 
 def _across(V: fem.FunctionSpace, terms: Iterable[Term]) -> Iterator[Indices]:
-    """Nodes on either side of each facet of S where laws in forms act."""
-    closures, dim = V.dofmap.dof_layout.entity_closure_dofs, V.mesh.topology.dim
-    count = dolfinx.cpp.mesh.cell_num_entities(V.mesh.topology.cell_type, dim - 1)
-    of_facets = np.array([closures(dim - 1, k) for k in range(count)])
+    """Nodes of each pair of cells on either side of S that laws in forms relate."""
     for p in terms:
         if p.measure.integral_type() == "interior_facet" and not p.law.traits.compiled:
-            entities = dict(p.measure.subdomain_data())[p.measure.subdomain_id()].reshape(-1, 2, 2)
-            nodes = np.take_along_axis(V.dofmap.list[entities[..., 0]], of_facets[entities[..., 1]], axis=2)
-            yield from nodes.reshape(len(nodes), 2 * of_facets.shape[1])
+            entities = dict(p.measure.subdomain_data())[p.measure.subdomain_id()]
+            yield from map(np.ravel, V.dofmap.list[entities.reshape(-1, 4)[:, ::2]])
 
 
 def _stiffness(
@@ -344,16 +340,13 @@ def _stiffness(
     trial, test = ufl.TrialFunction(V), ufl.TestFunction(V)
     pattern = linear or [replace(p, law=LinearElastic(0.0, 1.0)) for p in bodies]
     try:
-        form = compiled(work((replace(p, given=None) for p in pattern), trial, test))
+        K = matrix(work((replace(p, given=None) for p in pattern), trial, test), _across(V, beside))
     except ArityMismatch as error:
         names = " or ".join(sorted({type(p.law).__name__ for p in linear if named(p.law) is None}))
         raise InputError(
             f"{names} says linear = True, but is not linear, or UFL does not see that it is: {error}; "
             "write linear = False in the class"
         ) from error
-    # of nodes off S a law on S knows nothing: their zeros would make a factor larger
-    zeros = any(p.measure.integral_type() != "interior_facet" for p in pattern)
-    K = matrix_of(form, _across(V, [*pattern, *beside]), zeros=zeros)
     if not linear:
         K.zeroEntries()
     return K

@@ -281,13 +281,12 @@ class Quadrature:
         return np.arange(imap.size_local, dtype=np.int64) + imap.local_range[0], int(imap.size_global)
 
 
-def matrix_of(form: fem.Form, together: Iterable[Indices] = (), *, zeros: bool = True) -> PETSc.Mat:
+def matrix_of(form: fem.Form, together: Iterable[Indices] = ()) -> PETSc.Mat:
     """The matrix of a bilinear form, without supports.
 
     Args:
         form: the form.
         together: sets of local nodes whose unknowns get entries, even if these are zero.
-        zeros: whether zeros that cells give get entries.
     """
     pattern = fem.create_sparsity_pattern(form)
     together = [*together]
@@ -295,11 +294,9 @@ def matrix_of(form: fem.Form, together: Iterable[Indices] = (), *, zeros: bool =
         pattern.insert(nodes, nodes)
     pattern.finalize()
     A = dolfinx.cpp.la.petsc.create_matrix(form.mesh.comm, pattern)
+    dolfinx.fem.petsc.assemble_matrix(A, form)
     for nodes in together:  # PETSc drops places without values
         A.setValuesBlockedLocal(nodes, nodes, np.zeros((len(nodes) * A.block_size,) * 2), PETSc.InsertMode.ADD_VALUES)
-    A.assemble(PETSc.Mat.AssemblyType.FLUSH)
-    A.setOption(PETSc.Mat.Option.IGNORE_ZERO_ENTRIES, not zeros)
-    dolfinx.fem.petsc.assemble_matrix(A, form)
     A.assemble()
     return A
 
