@@ -27,6 +27,8 @@ from geometry.seam import BASE, LAYER, S
 from geometry.sheet import continued
 from geometry.topology import FloatArray, Indices, IntArray, geometry_degree, local_facets
 
+NAMES = 30  # number after which combinations of names are numbered anew: int64 holds so many, and numbers of facets
+
 
 def first_that_fits(*calls: Callable[[], Any]) -> Any:
     """Result of the first call whose signature exists (a wrong signature raises TypeError before any work is done)."""
@@ -124,7 +126,6 @@ def vertices_of_facets(mesh: dolfinx.mesh.Mesh, cell_type: str, facets: Indices,
     return np.take_along_axis(corners[cells], local_facets(cell_type)[which], axis=1)
 
 
-NAMES = 30  # after which combinations of names are numbered anew: int64 holds so many, and numbers of facets
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 

@@ -57,8 +57,8 @@ WORKS: dict[str, tuple[Callable[[int], InterfaceModel], dict[int, float]]] = {  
 def friction(work: str, n: int, repeats: int) -> list[Row]:
     """Rows of one of WORKS; our solver and the reference alternate in one process, warm.
 
-    The reference is the faster of MUMPS (Cholesky) and of conjugate gradients with multigrid, on the matrix
-    with bonded springs at S. Times are of the processor; all costs from the assembled stiffness on are counted.
+    The reference is the faster of MUMPS (Cholesky) and of conjugate gradients with multigrid, on the matrix with bonded
+    springs at S. Times are of the processor; all costs from the assembled stiffness on are counted.
     """
     of, limits = WORKS[work]
     bench = Bench(of(n))

@@ -103,11 +103,8 @@ def rigid_at(model: Any, rows: npt.NDArray[Any], kinematics: Kinematics | None =
 
 def rigid_motions(model: Any, kinematics: Kinematics | None = None) -> dict[str, fem.Function]:
     """The motions of `rigid_shares` as displacements of a model, by name. Collective."""
-    names = rigid_shares(model.domain.joint, kinematics or model.kinematics)
-    motions, values = (
-        {name: fem.Function(model.V) for name in names},
-        rigid_at(model, np.arange(model.places.size), kinematics),
-    )
+    values = rigid_at(model, np.arange(model.places.size), kinematics)
+    motions = {name: fem.Function(model.V) for name in rigid_shares(model.domain.joint, kinematics or model.kinematics)}
     for f, column in zip(motions.values(), values.T, strict=True):
         f.x.array[:] = column
     return motions

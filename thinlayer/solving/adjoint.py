@@ -50,18 +50,23 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         linear = linear_solvers(self.model, equations.parts, value_of("pc_type", self._given))
         self._options = {**linear[0], **self._given}
         self._tangent: PETSc.Mat | None = None
-        same = self.model.linear and self.model.symmetric  # what factors has, has its transpose, at any state
+        same = self.model.linear and self.model.symmetric  # its factor serves all states, and the transpose
         if same and equations.factor.of == (0.0, 1.0):
             return
         with defaults(self._options):
-            once = same and factors_alone()
-            if not once:
-                self._tangent = equations.tangent().copy()
-            with equations.with_supports(lend=once) as A:
-                mark(A, self.model, saddle=equations.traits.saddle)
-                equations.factor.renew(A, None, equations.tell)
-                if once:
+            if same and factors_alone():
+                with equations.with_supports(lend=True) as A:
+                    self._renew(A)
                     equations.factor.set_up()
+            else:
+                A = equations.tangent()
+                self._tangent = A.copy()
+                equations.hold(A)
+                self._renew(A)
+
+    def _renew(self, A: PETSc.Mat) -> None:
+        mark(A, self.model, saddle=self.equations.traits.saddle)
+        self.equations.factor.renew(A, None, self.equations.tell)
 
     def __exit__(self, *_: object) -> None:
         self.equations.destroy()

@@ -30,7 +30,7 @@ DIRECT: dict[str, OptionValue] = {
     "mat_mumps_icntl_35": 2,  # blocks of low rank, to rounding: less time and memory from 1e5 unknowns on
     "mat_mumps_cntl_7": 1e-14,
 }
-# dimension -> how MUMPS orders unknowns: by least fill, not node by node, on grids with fewer entries; in 3D by PORD
+# dimension -> how MUMPS orders: unknowns, not nodes, by least fill, for fewer entries on grids; in 3D nodes, by PORD
 ORDERINGS: dict[int, dict[str, OptionValue]] = {
     2: {"mat_mumps_icntl_7": 2, "mat_mumps_icntl_15": 0},
     3: {"mat_mumps_icntl_7": 4},
