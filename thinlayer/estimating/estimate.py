@@ -119,10 +119,9 @@ def estimate(
         total += squares
     found = {}
     for name, goal in checked.items():
-        scale = max(goal.scale(given, model), goal.scale(last, model))
         at = known.get(name, Bounds(goal.value(last, model), math.nan, math.nan))
         slack = ROUNDING * max(abs(values[name]), abs(at.told)) if bounded else math.nan
-        found[name] = GoalError(values[name], at.told, scale, at.lower - slack, at.upper + slack)
+        found[name] = GoalError(values[name], at.told, goal.scale(last, model), at.lower - slack, at.upper + slack)
     traction, jump = errors_of(total)
     seconds, by = time.perf_counter() - start, (first, theirs, weights)
     return Estimate(given, last, errors, found, traction, jump, seconds, inside, energy, layers, *by, checked, options)

@@ -23,6 +23,8 @@ from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import factors_alone, linear_solvers, mark
 from thinlayer.solving.petsc import Options, defaults, solve_linear, value_of
 
+SAME = 1e-12  # difference of two loads, relative, that counts as rounding
+
 
 class Adjoint(AbstractContextManager["Adjoint"]):
     """Linear responses of an interface model at an equilibrium, to forces and to goals. Use it in a `with` statement.
@@ -50,11 +52,11 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         linear = linear_solvers(self.model, equations.parts, value_of("pc_type", self._given))
         self._options = {**linear[0], **self._given}
         self._tangent: PETSc.Mat | None = None
-        same = self.model.linear and self.model.symmetric  # its factor serves all states, and the transpose
-        if same and equations.factor.of == (0.0, 1.0):
+        self._same = self.model.linear and self.model.symmetric  # its factor serves all states, and the transpose
+        if self._same and equations.factor.of == (0.0, 1.0):
             return
         with defaults(self._options):
-            if same and factors_alone():
+            if self._same and factors_alone():
                 with equations.with_supports(lend=True) as A:
                     self._renew(A)
                     equations.factor.set_up()
@@ -125,6 +127,8 @@ class Adjoint(AbstractContextManager["Adjoint"]):
     def weights(self, q: PETSc.Vec, g: PETSc.Vec) -> Configuration:
         """The weights z, as displacements and the layers' own fields; q and g are overwritten."""
         equations, held = self.equations, self.equations.held
+        if self._same and self._are_given(q, g):
+            return equations.configuration(self._x)
         z, out = equations.vector(), equations.vector()
         g.array[np.setdiff1d(np.arange(g.getLocalSize()), held)] = 0.0
         if g.norm():
@@ -138,6 +142,16 @@ class Adjoint(AbstractContextManager["Adjoint"]):
                 equations.factor.ksp.solveTranspose(q, z)
         z.array[held] = g.array_r[held]
         return equations.configuration(z)
+
+    def _are_given(self, q: PETSc.Vec, g: PETSc.Vec) -> bool:
+        """Whether q are the loads, and g the displacements of supports, so that the state itself is the weights."""
+        equations, held, r = self.equations, self.equations.held, self._r
+        equations.residual(equations.vector(), r)  # the loads, from the other side
+        r.array[held] = 0.0
+        size = r.norm()
+        r.axpy(1.0, q)
+        r.array[held] = np.where(g.array_r == self._x.array_r, 0.0, np.inf)[held]
+        return bool(r.norm() <= SAME * size)
 
     def _times(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """K^t x; by residuals if the matrix of the factor is the tangent, with its held rows replaced."""
