@@ -52,7 +52,7 @@ ESTIMATE_LIMIT = 1.6  # time of an estimate over that of a solve
 EPS = {2: (1 / 16, 1 / 32, 1 / 64, 1 / 128), 3: (1 / 8, 1 / 16, 1 / 32)}  # thickness of the layer over the width of S
 SAME = 1e-9  # relative difference of energies of other programs and of the interface model
 FINEST = "cells as long as thick"  # the meshed layer with whose energy others are compared
-SECONDS = itemgetter("seconds")
+SECONDS, FIRST = itemgetter("seconds"), itemgetter(0)
 TENTHS = [k / 10 for k in range(1, 11)]
 COLUMNS: tuple[str, ...] = ("part", "work", "dim", "unknowns", "eps", "reference", "seconds", "reference_seconds")
 COLUMNS += ("ratio", "limit", "error", "peak_mb", "reference_peak_mb", "mesh", "model", "solve", "results", "compiled")
@@ -97,7 +97,7 @@ def parts(*, quick: bool = False) -> dict[str, Callable[[], Iterable[Row]]]:
         "friction": lambda: (row for work in frictions for n in frictions[work] for row in friction(work, n, repeats)),
         "thin": lambda: (row for dim in EPS for eps in EPS[dim][: 2 if quick else None] for row in thin(dim, eps)),
         "ranks": lambda: ranks(cube, repeats),
-        "marches": lambda: marches(20 if quick else 100, repeats + 1),
+        "marches": lambda: marches(20 if quick else 100, repeats),
         "first use": first_use,
     }
 
@@ -229,7 +229,7 @@ def solved(kind: str, soft: ThinLayer, *data: Any, **more: Any) -> State:
 
 def quickest(runs: int, call: Callable[..., T], *arguments: Any, **choices: Any) -> tuple[float, T]:
     """Least processor time of several runs of a call, and what it returns."""
-    return min((timed(partial(call, *arguments, **choices)) for _ in range(runs)), key=lambda run: run[0])
+    return min((timed(partial(call, *arguments, **choices)) for _ in range(runs)), key=FIRST)
 
 
 def ranks(n: int, repeats: int) -> Iterable[Row]:
@@ -256,14 +256,13 @@ def marches(n: int, repeats: int) -> Iterable[Row]:
     for work, (element, law, pull, times) in works.items():
         structure = blocks(n, 2, element, lambda x, t, pull=pull: (t * LOAD[0], t * pull))
         model, soft = structure.interface(law), structure.interface(layer())
-        (linear, state), steps, limit = quickest(repeats, solve, soft, 1.0), 1, math.inf
-        if times:
-            took, history = quickest(repeats, march, model, times, keep="last")
-            steps = len(history.t) - 1
-        else:
-            (took, _), limit = quickest(repeats, estimate, state, goals=[goals.Compliance()]), ESTIMATE_LIMIT
-        ours = {"dim": 2, "unknowns": soft.unknowns, "seconds": took / steps}
-        yield compared(work, ours, "linear solve", {"seconds": linear}, limit)
+        linear, limit = partial(solve, soft, 1.0), math.inf if times else ESTIMATE_LIMIT
+        ours: Any = partial(march, model, times, keep="last")
+        ours = ours if times else partial(estimate, linear(), goals=[goals.Compliance()])
+        runs = in_turn({work: partial(timed, ours), "linear": partial(timed, linear)}, repeats, FIRST)
+        (took, found), (reference, _) = runs.values()
+        row = {"dim": 2, "unknowns": soft.unknowns, "seconds": took / (len(found.t) - 1 if times else 1)}
+        yield compared(work, row, "linear solve", {"seconds": reference}, limit)
 
 
 def first_use() -> Iterable[Row]:

@@ -18,6 +18,7 @@ from thinlayer.solving.petsc import PREFIX, OptionValue, defaults
 
 # "seconds" of a work; where they are known also "peak_mb", "unknowns", "dim", "energy", stages
 Measured = Mapping[str, Any]
+ENOUGH = 20.0  # seconds of short works in turn; on shared cores the quiet ones come and go within some
 
 
 class Stages(dict[str, float]):
@@ -61,8 +62,13 @@ def seconds(work: Callable[[], object]) -> float:
 
 
 def in_turn(works: Mapping[Any, Callable[[], T]], repeats: int, key: Callable[[T], Any] | None = None) -> dict[Any, T]:
-    """The least of several results of each work, by a key; done in turn, so that a busy machine slows all of them down."""
-    runs = [[work() for work in works.values()] for _ in range(repeats)]
+    """The least of several results of each work, by a key; done in turn, so that a busy machine slows all of them down.
+
+    Short works are done more often, for `ENOUGH`, unless one repeat is asked for.
+    """
+    begin, runs = time.perf_counter(), list[list[T]]()
+    while len(runs) < repeats or (repeats > 1 and time.perf_counter() - begin < ENOUGH):
+        runs.append([work() for work in works.values()])
     return {name: min(results, key=key) for name, results in zip(works, zip(*runs, strict=True), strict=True)}
 
 
