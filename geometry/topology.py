@@ -35,6 +35,12 @@ def lagrange(cell_type: str, degree: int) -> basix.finite_element.FiniteElement:
     return basix.create_element(basix.ElementFamily.P, basix.CellType[cell_type], degree)
 
 
+@cache
+def sub_entities(cell_type: str) -> list[list[list[list[int]]]]:
+    """[dimension][entity][dimension below or equal] -> numbers of the vertices, edges, ... of an entity of a cell."""
+    return basix.cell.sub_entity_connectivity(basix.CellType[cell_type])
+
+
 def corner_count(cell_type: str) -> int:
     """Number of vertices of a cell."""
     return int(lagrange(cell_type, 1).dim)

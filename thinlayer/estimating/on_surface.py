@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-import basix
 import numpy as np
 from petsc4py import PETSc
 from scipy.spatial import cKDTree
 
 from forms.base import Array
+from geometry.topology import sub_entities
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, displacements_of
@@ -84,7 +84,7 @@ def _add_nodal(sums: Array, model: Model, values: Array) -> None:
     owned = nodes < len(of_nodes)
     cell, place = np.divmod(first[owned], dofs.shape[1])
     shares = np.zeros((dofs.shape[1], joint.corners.shape[1]))
-    for dim, entities in enumerate(basix.cell.sub_entity_connectivity(basix.CellType[joint.cell_type])):
+    for dim, entities in enumerate(sub_entities(joint.cell_type)):
         for entity, (vertices, *_) in enumerate(entities):
             shares[np.ix_(V.dofmap.dof_layout.entity_dofs(dim, entity), vertices)] = 1 / len(vertices)
     np.add.at(sums, joint.corners[model.domain.original_cells[cell]], shares[place] * of_nodes[nodes[owned], None])

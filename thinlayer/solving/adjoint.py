@@ -21,7 +21,7 @@ from thinlayer.parts.part import DISPLACEMENTS, Interval, Part
 from thinlayer.solving.balance import PartSum, TangentMatrix
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import factors_alone, linear_solvers, mark
-from thinlayer.solving.petsc import Options, defaults, solve_linear, value_of
+from thinlayer.solving.petsc import Options, defaults, solve_linear
 
 SAME = 1e-12  # difference of two loads, relative, that counts as rounding
 
@@ -49,7 +49,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         equations.begin(self.interval)
         equations.put_state(state, self._x)
         equations.residual(self._x, self._r)
-        linear = linear_solvers(self.model, equations.parts, value_of("pc_type", self._given))
+        linear = linear_solvers(self.model, equations.parts, self._given)
         self._options = {**linear[0], **self._given}
         self._tangent: PETSc.Mat | None = None
         self._same = self.model.linear and self.model.symmetric  # its factor serves all states, and the transpose
@@ -165,8 +165,11 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     # ---------------------------------------------------------------- parts of the balance
     def tangent_of(self, parts: PartSum) -> PETSc.Mat:
-        """Tangent of some parts in their last evaluation, after the constructor's the state."""
-        return TangentMatrix(self.model.comm, {DISPLACEMENTS: self.equations.n_displacements}).fill(parts.blocks())
+        """Tangent of some parts in their last evaluation, after the constructor's the state; do not change it."""
+        first, *others = blocks = parts.blocks()
+        if first.kept and first.factor == 1.0 and not (others or parts.traits.nonlinear):
+            return first.matrix  # the matrix of the bodies is the largest
+        return TangentMatrix(self.model.comm, {DISPLACEMENTS: self.equations.n_displacements}).fill(blocks)
 
     def forces(self, parts: Sequence[Part], state: Configuration, u: fem.Function, interval: Interval) -> Array:
         """Nodal forces (m,) of layers at displacements u, with their own fields in a state."""

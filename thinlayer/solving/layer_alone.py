@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 
-import basix
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
@@ -17,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from forms.base import Array
 from geometry.joint import Joint
-from geometry.topology import IntArray
+from geometry.topology import IntArray, sub_entities
 from thinlayer.discretisation.full_model import LayerModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
@@ -372,7 +371,7 @@ def _nodes(
     if cells[cell] < 0:
         return
     dofs, layout = model.V.dofmap.cell_dofs(cells[cell]), model.V.dofmap.dof_layout
-    parts = basix.cell.sub_entity_connectivity(basix.CellType[joint.cell_type])
+    parts = sub_entities(joint.cell_type)
     for dim in range(joint.dim):
         for entity in parts[joint.dim - 1][facet][dim]:
             for node in layout.entity_dofs(dim, int(entity)):

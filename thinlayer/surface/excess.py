@@ -314,19 +314,19 @@ def pressure_length(sublayers: list[Sublayer], width: float) -> float:
     return math.sqrt(flow / sum(one.compliance for one in sublayers))
 
 
-def too_stiff(one: SeamLayer, surface: SurfaceMesh, states: Sequence[State], start: float | None) -> Iterator[Remark]:
+def too_stiff(one: SeamLayer, states: Sequence[State], start: float | None) -> Iterator[Remark]:
     """How many times a law is too stiff for the openings found, against a layer whose pressure evens out along S, in words.
 
     Two states are tested: the one with the largest opening and the last one with at least half of it, as laws that creep
     or relax become nearly incompressible with time.
     """
-    openings = [float(np.abs(Faces(surface, state, one).opening).max()) for state in states]
+    openings = [float(np.abs(Faces.of(state, one).opening).max()) for state in states]
     last = max(k for k, opening in enumerate(openings) if opening >= LATE_OPENING * max(openings))
     told = []
     for state in (states[k] for k in sorted({openings.index(max(openings)), last})):
         sublayers = sublayers_of(one, 0.0 if start is None else state.t - start)
         if len(sublayers) == 1 and sublayers[0].nearly and sublayers[0].length < math.inf:
-            excess = pressure_excess(Faces(surface, state, one), sublayers[0])
+            excess = pressure_excess(Faces.of(state, one), sublayers[0])
             hidden = excess.hidden and sublayers[0].length > LONG_PRESSURE
             told.append((excess.opening if hidden else excess.work, sublayers[0]))
     worst, layer = max(told, key=lambda pair: pair[0], default=(0.0, None))
