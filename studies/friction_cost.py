@@ -87,8 +87,7 @@ class Bench:
             self.bonded.axpy(1.0, springs, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
             springs.destroy()
         self.equations.hold(self.bonded)
-        for option in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.SPD):
-            self.bonded.setOption(option, True)
+        self.bonded.setOption(PETSc.Mat.Option.SPD, True)
         near = self.equations.near_null
         self.bonded.setNearNullSpace(PETSc.NullSpace().create(vectors=near, comm=self.bonded.comm))
 

@@ -283,8 +283,7 @@ class ContactNodes:
 
     def destroy(self) -> None:
         """Free the matrices."""
-        if "lower" in vars(self) and self.lower is not None:
-            self.lower.destroy()
+        destroy(vars(self).get("lower"))
 
 
 def _vertex_areas(corners: Array) -> tuple[Array, Array]:

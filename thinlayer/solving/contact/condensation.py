@@ -146,8 +146,7 @@ class SchurFactor:
         entries[at] += self._springs
         csr = rows.astype(PETSc.IntType, copy=False), columns.astype(PETSc.IntType, copy=False), entries
         upper = PETSc.Mat().createAIJWithArrays((len(self._unknowns),) * 2, csr, comm=PETSc.COMM_SELF)
-        for option in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.SPD):
-            upper.setOption(option, True)
+        upper.setOption(PETSc.Mat.Option.SPD, True)
         self._pc = pc = PETSc.PC().create(PETSc.COMM_SELF)
         pc.setOptionsPrefix(PREFIX)
         pc.setOperators(upper)
@@ -226,10 +225,8 @@ def _upper_triangle(A: Rows, held: BoolArray, d: int, nodes: IntArray) -> Rows:
     place = np.full((len(indptr) - 1) // d, -1, np.int32)
     place[nodes] = np.arange(n, dtype=np.int32)
     rows, columns, entries = np.empty(n * d + 1, np.int32), np.empty(size, np.int32), np.empty(size)
-    c, (indptr, indices, order) = (
-        own_library(SOURCE),
-        (a.astype(np.int32, copy=False) for a in (indptr, indices, nodes)),
-    )
+    c = own_library(SOURCE)
+    indptr, indices, order = (a.astype(np.int32, copy=False) for a in (indptr, indices, nodes))
     arrays = pointers(c, indptr, indices, values, held, place, order, rows, columns, entries)
     if c.lib.upper_triangle(n, d, size, *arrays) != size:
         raise FactorError("the nonzero pattern of the stiffness is not symmetric, or not made of blocks of nodes")

@@ -14,6 +14,7 @@ from thinlayer.discretisation.contact_nodes import ContactNodes
 from thinlayer.solving.contact.pairs import Pairs
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.petsc import PREFIX, lean_products, put_in_blocks
+from thinlayer.system.ranks import destroy
 
 PIVOTS: dict[str, Any] = {  # of SuperLU: diagonal unless small, and columns in an order for such pivots
     "permc_spec": "MMD_AT_PLUS_A",
@@ -90,7 +91,6 @@ class Tangent:
         added.destroy()
         M.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         equations.hold(M)
-        M.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         M.setOption(PETSc.Mat.Option.SPD, True)
         M.setBlockSize(self.nodes.dim)
         M.setNearNullSpace(PETSc.NullSpace().create(vectors=equations.near_null, comm=M.comm))
@@ -171,5 +171,4 @@ class Tangent:
 
     def close(self) -> None:
         """Free matrices, vectors and the hierarchy."""
-        for thing in (self._cycle, self._matrix, self._rows, self._product, *self._changes.values()):
-            thing.destroy()
+        destroy(self._cycle, self._matrix, self._rows, self._product, *self._changes.values())

@@ -12,6 +12,7 @@ from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Finder, Found
+from thinlayer.system.ranks import destroy
 
 
 class ContactFinder(Finder):
@@ -89,7 +90,4 @@ class ContactFinder(Finder):
 
     def close(self) -> None:
         """Free matrices and vectors."""
-        for vector in (self.x, self.b, self._r):
-            vector.destroy()
-        if "A" in vars(self):
-            self.A.destroy()
+        destroy(self.x, self.b, self._r, vars(self).get("A"))

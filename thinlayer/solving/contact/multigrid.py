@@ -22,6 +22,7 @@ from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
 from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, is_set, options_set, reason_name, solve_nonlinear
 from thinlayer.system.compilation import library
+from thinlayer.system.ranks import destroy
 
 Reductions = tuple[float, float]  # factors by which the first and the later linear solves reduce the residual
 Sliding = tuple[npt.NDArray[np.int8], Array]  # status of nodes (n,), and their tangential jumps less slip (n, d - 1)
@@ -171,8 +172,7 @@ class _Newton:
             solve_nonlinear(snes, u)
             return int(snes.getConvergedReason())
         finally:
-            for item in (snes, J, f):
-                item.destroy()
+            destroy(snes, J, f)
 
     def _residual(self, _: PETSc.SNES, u: PETSc.Vec, f: PETSc.Vec) -> None:
         if self._known:  # without a sweep PETSc asks again for the same residual
