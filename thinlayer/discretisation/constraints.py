@@ -158,8 +158,7 @@ class Constraints:
             i, j, v = np.append(i, every), np.append(j, self.first + every), np.append(v, np.zeros(self.n))
         total = int(self.comm.allreduce(self.n))
         A = scipy.sparse.csr_matrix((v, (i.astype(np.int64), j.astype(np.int64))), (rows, total))
-        csr = A.indptr.astype(PETSc.IntType), A.indices.astype(PETSc.IntType), A.data
-        return PETSc.Mat().createAIJ(((rows, None), (self.n, None)), csr=csr, comm=self.comm)
+        return aij_of(A, self.comm, ((rows, None), (self.n, None)))
 
     # ---------------------------------------------------------------- conditions
     def _conditions(self) -> Sparse:
@@ -400,8 +399,7 @@ def product(matrix: PETSc.Mat | None, columns: Sparse, *, transposed: bool = Fal
     """This rank's rows of a matrix, or of its transpose, times sparse columns (n, c) of all ranks; None: an identity."""
     if matrix is None:
         return columns
-    csr = columns.indptr.astype(PETSc.IntType), columns.indices.astype(PETSc.IntType), columns.data
-    wide = PETSc.Mat().createAIJ(((columns.shape[0], None), (None, columns.shape[1])), csr=csr, comm=matrix.comm)
+    wide = aij_of(columns, matrix.comm, ((columns.shape[0], None), (None, columns.shape[1])))
     found = matrix.transposeMatMult(wide) if transposed else matrix.matMult(wide)
     rows = csr_of(found)
     destroy(wide, found)
@@ -436,6 +434,12 @@ def _groups(A: Sparse) -> list[_Group]:
 def _by_label(labels: np.ndarray) -> list[np.ndarray]:
     order = np.argsort(labels, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
+
+
+def aij_of(A: Sparse, comm: MPI.Intracomm, sizes: Any = None) -> PETSc.Mat:
+    """A PETSc matrix with the rows A (csr) on this rank; sizes as PETSc takes them, None: those of A."""
+    csr = (*(places.astype(PETSc.IntType, copy=False) for places in (A.indptr, A.indices)), A.data)
+    return PETSc.Mat().createAIJ(sizes or A.shape, csr=csr, comm=comm)
 
 
 def csr_of(A: PETSc.Mat) -> Sparse:

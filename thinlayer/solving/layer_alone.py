@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from forms.base import Array
 from geometry.joint import Joint
 from geometry.topology import IntArray, sub_entities
+from thinlayer.discretisation.constraints import aij_of, csr_of
 from thinlayer.discretisation.full_model import LayerModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
@@ -99,7 +100,7 @@ class HeldLayers:
     def linearise(self, w: Array) -> None:
         """Let K be the tangent at w, and `load` such that the residual there is K w - load."""
         r = self.residual(w)
-        self.K = scipy.sparse.csr_matrix(self._equations.tangent().getValuesCSR()[::-1], shape=(len(r),) * 2)
+        self.K = csr_of(self._equations.tangent())
         self.load = self.K @ w - r
         self._forget()
 
@@ -289,8 +290,7 @@ class _Factor:
     def __init__(self, K: scipy.sparse.csr_matrix, which: npt.NDArray[np.bool_], *, symmetric: bool) -> None:
         self._which, self._symmetric = which, symmetric
         part = K[which][:, which].sorted_indices()
-        csr = part.indptr.astype(PETSc.IntType), part.indices.astype(PETSc.IntType), part.data
-        A = PETSc.Mat().createAIJ(part.shape, csr=csr, comm=MPI.COMM_SELF)
+        A = aij_of(part, MPI.COMM_SELF)
         A.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self._ksp = PETSc.KSP().create(MPI.COMM_SELF)
         self._ksp.setOperators(A)

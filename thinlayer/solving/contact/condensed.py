@@ -14,6 +14,7 @@ from petsc4py import PETSc
 
 from forms.base import Array
 from geometry.topology import IntArray, along
+from thinlayer.discretisation.constraints import aij_of
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.solving.balance import ALLOWED, TINY, ForceScale
@@ -165,8 +166,7 @@ class CondensedSystem:
                 return np.full(len(b), np.nan)
         rows = (A + more).tocsr()
         rows.sort_indices()
-        csr = (*(a.astype(PETSc.IntType, copy=False) for a in (rows.indptr, rows.indices)), rows.data)
-        matrix = PETSc.Mat().createAIJ(rows.shape, csr=csr, comm=PETSc.COMM_SELF)
+        matrix = aij_of(rows, PETSc.COMM_SELF)
         pc = PETSc.PC().create(PETSc.COMM_SELF)
         pc.setOperators(matrix)
         pc.setType("lu")

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import scipy.sparse
 from petsc4py import PETSc
 from scipy.sparse.linalg import splu
 
 from forms.base import Array
+from thinlayer.discretisation.constraints import csr_of
 from thinlayer.discretisation.contact_nodes import ContactNodes
 from thinlayer.solving.contact.pairs import Pairs
 from thinlayer.solving.equations import Equations
@@ -53,9 +53,7 @@ class Tangent:
         self._rows = A.createSubMatrix(index, None)
         index.destroy()
         self._product = self._rows.createVecLeft()
-        indptr, columns, values = self._rows.getValuesCSR()
-        rows = scipy.sparse.csr_matrix((values, columns, indptr), shape=(len(pairs.dofs), A.getSize()[1]))
-        self._near = rows[:, first + pairs.dofs]  # between the nodes of S on this rank
+        self._near = csr_of(self._rows)[:, first + pairs.dofs]  # between the nodes of S on this rank
         self._blocks = self._near.tobsr((pairs.d,) * 2)
         self._blocks.sort_indices()
         self._scale, self._held_rows = self._stiffness_beside(), equations.held_rows

@@ -12,6 +12,7 @@ from petsc4py import PETSc
 from forms.base import Array, InputError
 from forms.contact import ContactLaw
 from geometry.topology import BoolArray, Indices
+from thinlayer.discretisation.constraints import csr_of
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.solving.balance import ALLOWED
@@ -162,8 +163,7 @@ class ContactRelaxation(ContactFinder):
         self._held = self.held.copy()
         self._held[nodes.dofs] = self._held_jumps
         self._T = self._change()
-        indptr, indices, values = equations.K.getValuesCSR()
-        self._K = scipy.sparse.csr_matrix((values, indices, indptr))
+        self._K = csr_of(equations.K)
         self._A = self._T.T @ self._K @ self._T
 
     def _order(self) -> Indices:
