@@ -33,6 +33,7 @@ from forms.base import Array, InputError
 from thinlayer.discretisation.state import Configuration, State, displacements_of
 from thinlayer.errors import SolveError
 from thinlayer.estimating.goals import Goal
+from thinlayer.pointwise.integrals import give
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.balance import PartSum
 from thinlayer.solving.layer_alone import REMEDY, LayerAlone, share_of_step
@@ -127,10 +128,7 @@ class GlobalLocal:
 
     # ---------------------------------------------------------------- the interface model
     def _function(self, u: Array) -> fem.Function:
-        f = fem.Function(self.model.V)
-        f.x.array[: self.n] = u
-        f.x.scatter_forward()
-        return f
+        return give(fem.Function(self.model.V), u)
 
     def _lack(self, u: Array) -> Array:
         """Loads (m,) less the forces of all but the layers' laws, at displacements (m,)."""

@@ -21,7 +21,7 @@ from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.discretisation.mesh_functions import Keys, broken_space
 from thinlayer.discretisation.time_functions import OverStep
 from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
-from thinlayer.pointwise.integrals import Origin, Quadrature, Region, add_spread, matrix_of, values_of
+from thinlayer.pointwise.integrals import Origin, Quadrature, Region, add_spread, give, matrix_of, values_of
 from thinlayer.system.ranks import communicator, destroy
 
 SAME_PLACE = 1e-9  # distance, relative to the size of S, at which two vertices are one
@@ -115,13 +115,10 @@ class PressurePart(FieldPart):
     def _means(self, f: Expr) -> fem.Function:
         """The mean of an expression on each facet or cell of the region, as which it may jump. Collective."""
         space = fem.functionspace(self.region.mesh, ("DG", 0))
-        found, q = fem.Function(space), self.region.side(ufl.TestFunction(space))
-        own = space.dofmap.index_map.size_local
+        q, own = self.region.side(ufl.TestFunction(space)), space.dofmap.index_map.size_local
         forms = [one * q * self.region.measure for one in (f, fem.Constant(self.region.parent_mesh, 1.0))]
         of_f, sizes = (values_of(self.region.compiled(form), own) for form in forms)
-        found.x.array[:own] = of_f / sizes
-        found.x.scatter_forward()
-        return found
+        return give(fem.Function(space), of_f / sizes)
 
     def _end(self) -> Array:
         """Pressures of this rank at the end of the step, in the units of `field`."""

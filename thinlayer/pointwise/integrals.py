@@ -241,10 +241,7 @@ class Quadrature:
 
     def at_points(self, values: Array) -> fem.Function:
         """A function on the region's mesh with values (n,) at the points, for measures of its degree. Collective."""
-        f = fem.Function(self._space(()))
-        f.x.array[: self.count] = values
-        f.x.scatter_forward()
-        return f
+        return give(fem.Function(self._space(())), values)
 
     @property
     def original(self) -> IntArray:
@@ -317,6 +314,13 @@ def add_forces_of(out: PETSc.Vec, *forms: fem.Form) -> float:
     size = float(b.norm())
     b.destroy()
     return size
+
+
+def give(f: fem.Function, values: Array) -> fem.Function:
+    """Give a function the values of its degrees of freedom that this rank owns, and its ghosts theirs. Collective."""
+    f.x.array[: len(values)] = values
+    f.x.scatter_forward()
+    return f
 
 
 def values_of(form: fem.Form | None, count: int) -> Any:

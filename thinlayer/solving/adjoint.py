@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from functools import cached_property
 
-import dolfinx.fem.petsc
 import numpy as np
 from dolfinx import fem, la
 from petsc4py import PETSc
@@ -18,6 +17,7 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.state import Configuration, State
 from thinlayer.parts.part import DISPLACEMENTS, Interval, Part
+from thinlayer.pointwise.integrals import forces_of, give
 from thinlayer.solving.balance import PartSum, TangentMatrix
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import factors_alone, linear_solvers, mark
@@ -80,9 +80,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     def of_form(self, form: Expr) -> PETSc.Vec:
         """The values q of a UFL form that is linear in a test function of the model's displacements."""
-        forces = dolfinx.fem.petsc.assemble_vector(compiled(form))
-        forces.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        return self.equations.on_unknowns(forces)
+        return self.equations.on_unknowns(forces_of(compiled(form)))
 
     def of_nodes(self, dofs: IntArray, values: Array) -> PETSc.Vec:
         """Weights q (n,) at displacements (n,), local numbers that one rank gives, ghosts included."""
@@ -179,8 +177,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             layers = PartSum(parts)
             layers.begin_parts(interval)
             for part in layers.with_own:
-                part.field.x.array[: part.own_size] = part.own_start(state)
-                part.field.x.scatter_forward()
+                give(part.field, part.own_start(state))
             layers.forces(u, u, out)
         return np.asarray(out.array_r.copy())
 

@@ -21,6 +21,7 @@ from thinlayer.discretisation.constraints import csr_of
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import SolveError
 from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, Interval, Memory, Outcome, Part, PartTraits
+from thinlayer.pointwise.integrals import give
 from thinlayer.system.ranks import destroy, send
 
 AIM = 1e-10  # residual at which solvers stop, relative to the forces
@@ -278,9 +279,7 @@ class Layout:
     def put(self, x: PETSc.Vec) -> None:
         """Write unknowns into their functions, ghosts included."""
         for key, values in self.split(x.array_r).items():
-            f = self.fields[key]
-            f.x.array[: len(values)] = values
-            f.x.scatter_forward()
+            give(self.fields[key], values)
 
     def widened(self, T: PETSc.Mat | None) -> PETSc.Mat | None:
         """A matrix of displacements on all unknowns, the others as they are; None of None."""
