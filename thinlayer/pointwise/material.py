@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 
 from forms.base import Array, InputError
@@ -16,7 +14,7 @@ from forms.law import BulkLaw
 from forms.parameter_fields import number_of
 from forms.trace import named
 from thinlayer.pointwise.kernels import kernels
-from thinlayer.system.compilation import library
+from thinlayer.system.compilation import library, pointers
 
 TRIAL_SIZES = tuple(10.0**k for k in range(-15, 7))  # of strains, or jumps in any unit
 TRIAL_STEPS = (1.0, 0.0, 1e12, 1e30)  # lengths of steps in any unit of time
@@ -109,19 +107,15 @@ class Material:
         points, m, varying = len(e), len(components), self.parameters.ndim == 2
         s, C, energies = np.empty((points, 6)), np.empty((points, m, m)), np.empty((points, 3))
         q_new = np.empty((points, self.memory))
-        failed = self._library.lib.run(
-            len(self._kernels), *self._given(*self._sublayers, self.parameters.ravel()), varying,
-            m, *self._given(components), points, self.memory, *self._given(e, e_old, q, n), dt, theta, fixed,
-            *self._given(s, C, q_new, energies),
+        c = self._library
+        failed = c.lib.run(
+            len(self._kernels), *pointers(c, *self._sublayers, self.parameters.ravel()), varying,
+            m, *pointers(c, components), points, self.memory, *pointers(c, e, e_old, q, n), dt, theta, fixed,
+            *pointers(c, s, C, q_new, energies),
         )  # fmt: skip
         if failed < 0:
             raise MemoryError("points")
         return s, C, q_new, energies, int(failed)
-
-    def _given(self, *arrays: npt.NDArray[Any]) -> list[Any]:
-        """Pointers to arrays, made contiguous (outputs are)."""
-        kinds = {"i": "int32_t[]", "l": "intptr_t[]", "d": "double[]"}
-        return [self._library.ffi.from_buffer(kinds[a.dtype.char], np.ascontiguousarray(a)) for a in arrays]
 
 
 _KERNELS: set[tuple[type[BulkLaw], bytes]] = set()  # checked ones, with their numbers

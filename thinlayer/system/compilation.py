@@ -28,6 +28,7 @@ from typing import Any
 import cffi
 import dolfinx.jit
 import ffcx
+import numpy as np
 from ffcx.codegeneration import jit as ffcx_jit
 from mpi4py import MPI
 
@@ -39,6 +40,8 @@ from thinlayer.system.identity import content
 _LOCKS: dict[Path, int] = {}
 # The head of a function of a C source that is not static and returns int or double.
 EXPORTED = re.compile(r"^(?:int|double) \w+\([^{;]*\)(?=\s*\{)", re.MULTILINE)
+# Kind of an array -> that of its pointer; dtype.name would take 5 times as long.
+KINDS = {"i": "int32_t[]", "l": "intptr_t[]", "?": "uint8_t[]", "d": "double[]"}
 
 
 class SourceError(ThinlayerError, RuntimeError):
@@ -187,6 +190,11 @@ def library(source: Path, comm: MPI.Intracomm = MPI.COMM_SELF) -> Any:
 
 own_library = functools.cache(library)  # of sources of the package, which do not change while it runs
 _loaded = functools.cache(load)
+
+
+def pointers(library: Any, *arrays: np.ndarray) -> list[Any]:
+    """Pointers to arrays, made contiguous (outputs are), for a library in C, which reads them unchecked."""
+    return [library.ffi.from_buffer(KINDS[a.dtype.char], a) for a in map(np.ascontiguousarray, arrays)]
 
 
 def _file_of(source: Path) -> Path:

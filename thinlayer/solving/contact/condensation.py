@@ -14,10 +14,9 @@ from scipy.sparse.csgraph import connected_components
 
 from forms.base import Array, ThinlayerError
 from geometry.topology import BoolArray, IntArray
-from thinlayer.solving.contact.pairs import pointers
 from thinlayer.solving.linear_solvers import DIRECT
 from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, keep_unknowns, schur_of
-from thinlayer.system.compilation import own_library
+from thinlayer.system.compilation import own_library, pointers
 from thinlayer.system.ranks import destroy
 
 Rows = tuple[npt.NDArray[Any], npt.NDArray[Any], Array]  # row starts, columns and entries of a sparse matrix

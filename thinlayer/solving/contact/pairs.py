@@ -15,16 +15,10 @@ from forms.base import Array
 from forms.contact import ContactLaw, EasedContact
 from geometry.topology import BoolArray, IntArray
 from thinlayer.parts.contact_part import ContactPart
-from thinlayer.system.compilation import own_library
+from thinlayer.system.compilation import own_library, pointers
 
 SOURCE = Path(__file__).with_name("sweeps.c")
-KINDS = {"i": "int32_t[]", "?": "uint8_t[]", "d": "double[]"}  # dtype.name would take 5 times as long
 Law = ContactLaw | EasedContact
-
-
-def pointers(library: Any, *arrays: npt.NDArray[Any]) -> list[Any]:
-    """Pointers to contiguous arrays for a library in C, which reads them unchecked."""
-    return [library.ffi.from_buffer(KINDS[a.dtype.char], a) for a in map(np.ascontiguousarray, arrays)]
 
 
 class Pairs:

@@ -17,10 +17,10 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.solving.balance import ALLOWED
 from thinlayer.solving.contact.finder import ContactFinder
-from thinlayer.solving.contact.pairs import SOURCE, numbers_of, pointers
+from thinlayer.solving.contact.pairs import SOURCE, numbers_of
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.petsc import PREFIX
-from thinlayer.system.compilation import own_library
+from thinlayer.system.compilation import own_library, pointers
 
 CHUNK = 256  # number of sweeps between two tests of the increments
 PATIENCE = 2048  # least number of sweeps of a relaxation that stagnates
