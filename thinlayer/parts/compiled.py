@@ -26,7 +26,7 @@ from thinlayer.system.ranks import destroy
 
 ASYMMETRY = 1e-8  # skew part of a tangent, relative to its size, that still counts as rounding
 SAME = 1e-12  # relative difference of parameters at several times that counts as rounding
-SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # of a step, at which parameters are looked at
+SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # of a step, at which it is tested what changes in time
 
 
 def falls(points: CompiledTerm, e: Array, e_old: Array, memory: Array, response: Response) -> tuple[str, str] | None:

@@ -21,6 +21,7 @@ from thinlayer.discretisation.given_strains import VaryingStrains
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import Audit, Configuration, Report, State
+from thinlayer.parts.compiled import SAMPLE_FRACTIONS
 from thinlayer.parts.making import body_parts, diagonal_at_rest, layer_parts
 from thinlayer.parts.part import DISPLACEMENTS, Block, Interval
 from thinlayer.solving.balance import DIFFERENT, ForceScale, Layout, PartSum, TangentMatrix, lent
@@ -29,7 +30,6 @@ from thinlayer.solving.linear_solvers import MULTIGRIDS, Kept, orthonormal, spli
 from thinlayer.system.ranks import destroy
 
 LINEARITY = 1e-9  # relative deviation from a straight line in time that still counts as rounding
-SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # fractions of a time interval at which linearity is tested
 
 
 class Equations(PartSum):
