@@ -144,7 +144,8 @@ def by_hand(n: int, dim: int, options: dict[str, object]) -> dict[str, Any]:
     ksp.setOptionsPrefix("by_hand_")
     ksp.setOperators(A)
     ksp.setFromOptions()
-    A.setNearNullSpace(PETSc.NullSpace().createRigidBody(_coordinates(x)))
+    coordinates = PETSc.Vec().createWithArray(np.ascontiguousarray(x).ravel(), bsize=dim, comm=MPI.COMM_SELF)
+    A.setNearNullSpace(PETSc.NullSpace().createRigidBody(coordinates))
     ksp.setUp()
     stages.end("factor")
     ksp.solve(b, w.x.petsc_vec)
@@ -166,8 +167,3 @@ def _simplices(numbers: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         places = [tuple(slice(o, o + n - 1) for o, n in zip(at, numbers.shape, strict=True)) for at in offsets.tolist()]
         found.append(np.column_stack([numbers[place].ravel() for place in places]))
     return np.concatenate(found)
-
-
-def _coordinates(x: npt.NDArray[np.float64]) -> PETSc.Vec:
-    """Coordinates (n, d) as PETSc takes them."""
-    return PETSc.Vec().createWithArray(np.ascontiguousarray(x).ravel(), bsize=x.shape[1], comm=MPI.COMM_SELF)

@@ -8,9 +8,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from forms import BulkLaw, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
+from forms.base import Array
 from geometry import sandwich
 from thinlayer import Structure, Surface, Table, ThinLayer, march, plotting
 from thinlayer.discretisation.model import Model
@@ -18,7 +18,6 @@ from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 
-Array = npt.NDArray[np.floating[Any]]
 BODY = LinearElastic.young(E=100.0, nu=0.3)
 LMBDA, MU = 60.0, 40.0
 EPS = 0.1  # thickness; if the bodies are kept, results do not depend on it

@@ -22,7 +22,6 @@ import numpy as np
 import thinlayer
 from forms import IncrementalCoulomb, LinearElastic, NonMonotone, VonMises
 from geometry import sandwich
-from geometry.parallel import T
 from studies.by_hand import CHOLESKY, K_N, K_T, LOAD, MULTIGRID, NU, E, by_hand
 from studies.friction_cost import NETWORK, WORKS, friction
 from studies.other_programs import MODULES, ngsolve, scikit_fem
@@ -215,7 +214,8 @@ def thin(dim: int, eps: float) -> Iterable[Row]:
     for work, (kind, h_S, order) in works.items():
         joint = sandwich(1.0, 0.5, 0.5, h, depth=depth, h_S=min(h_S, h))
         soft, data = replace(layer(eps=eps), order=order), {"supports": {"BOTTOM": 0}, "tractions": {"TOP": LOAD[:dim]}}
-        took, state = quickest(2, solved, kind, soft, joint, body=LinearElastic.young(E=E, nu=NU), **data)
+        run = partial(solved, kind, soft, joint, body=LinearElastic.young(E=E, nu=NU), **data)
+        took, state = min((timed(run) for _ in range(2)), key=FIRST)
         row = {"dim": dim, "unknowns": state.model.unknowns, "eps": eps, "seconds": took}
         row["energy"] = state.energies()["bodies"] + state.energies()["layer"]
         finest = finest or row
@@ -225,11 +225,6 @@ def thin(dim: int, eps: float) -> Iterable[Row]:
 def solved(kind: str, soft: ThinLayer, *data: Any, **more: Any) -> State:
     """The solution of a "full" or "interface" model, made anew."""
     return solve(getattr(Structure(*data, **more), kind)(soft))
-
-
-def quickest(runs: int, call: Callable[..., T], *arguments: Any, **choices: Any) -> tuple[float, T]:
-    """Least processor time of several runs of a call, and what it returns."""
-    return min((timed(partial(call, *arguments, **choices)) for _ in range(runs)), key=FIRST)
 
 
 def ranks(n: int, repeats: int) -> Iterable[Row]:

@@ -15,6 +15,7 @@ from petsc4py import PETSc
 
 from geometry.parallel import T
 from thinlayer.solving.petsc import PREFIX, OptionValue, defaults
+from thinlayer.system.ranks import destroy
 
 # "seconds" of a work; where they are known also "peak_mb", "unknowns", "dim", "energy", stages
 Measured = Mapping[str, Any]
@@ -56,11 +57,6 @@ def timed(work: Callable[[], T]) -> tuple[float, T]:
     return time.process_time() - begin, result
 
 
-def seconds(work: Callable[[], object]) -> float:
-    """Processor time of some work, s."""
-    return timed(work)[0]
-
-
 def in_turn(works: Mapping[Any, Callable[[], T]], repeats: int, key: Callable[[T], Any] | None = None) -> dict[Any, T]:
     """The least of several results of each work, by a key; done in turn, so that a busy machine slows all of them down.
 
@@ -100,8 +96,7 @@ def solve_once(A: PETSc.Mat, b: PETSc.Vec, options: Mapping[str, OptionValue]) -
         ksp.solve(b, x)
 
     with defaults(options):
-        spent = seconds(work)
+        spent, _ = timed(work)
     failed = ksp.getConvergedReason() < 0
-    ksp.destroy()
-    x.destroy()
+    destroy(ksp, x)
     return math.inf if failed else spent
