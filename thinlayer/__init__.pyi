@@ -1,0 +1,43 @@
+"""The public names, for editors and mypy, and for `__init__.py`, which imports them when they are first used."""
+
+import typing
+
+from thinlayer.discretisation.broken_mesh import BrokenMesh as BrokenMesh
+from thinlayer.discretisation.given import Pressure as Pressure
+from thinlayer.discretisation.given_strains import Prestress as Prestress
+from thinlayer.discretisation.given_strains import ThermalExpansion as ThermalExpansion
+from thinlayer.discretisation.layer import Bond as Bond
+from thinlayer.discretisation.layer import Gap as Gap
+from thinlayer.discretisation.layer import ThinLayer as ThinLayer
+from thinlayer.discretisation.point_loads import LineLoad as LineLoad
+from thinlayer.discretisation.point_loads import PointLoad as PointLoad
+from thinlayer.discretisation.structure import Structure as Structure
+from thinlayer.discretisation.time_functions import piecewise as piecewise
+from thinlayer.errors import InputError as InputError
+from thinlayer.errors import LimitLoad as LimitLoad
+from thinlayer.errors import RangeWarning as RangeWarning
+from thinlayer.errors import SolveError as SolveError
+from thinlayer.errors import ThinlayerError as ThinlayerError
+from thinlayer.estimating.estimate import estimate as estimate
+from thinlayer.estimating.thickness import thin_enough as thin_enough
+from thinlayer.output.comparison import compare as compare
+from thinlayer.output.ensemble import ensemble as ensemble
+from thinlayer.output.homogenised import homogenised_stiffness as homogenised_stiffness
+from thinlayer.output.probe import Probe as Probe
+from thinlayer.output.surface import Surface as Surface
+from thinlayer.output.sweep import sweep as sweep
+from thinlayer.output.zooming import Zoom as Zoom
+from thinlayer.parts.plates import RigidPlate as RigidPlate
+from thinlayer.parts.springs import Springs as Springs
+from thinlayer.parts.ufl_part import UflPart as UflPart
+from thinlayer.pointwise.drive import drive as drive
+from thinlayer.solving.solvers import solve as solve
+from thinlayer.solving.step_problem import StepProblem as StepProblem
+from thinlayer.system.table import Table as Table
+from thinlayer.time.marching import march as march
+from thinlayer.time.plan import Adaptive as Adaptive
+from thinlayer.time.plan import ArcLength as ArcLength
+
+__version__: str
+
+def __getattr__(name: str) -> typing.Any: ...
