@@ -51,8 +51,7 @@ class MeanStressPart(FieldPart):
         tensor = lift(of_components(F)) / given.size
         own = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in strained)
         self.B, self.D = matrix_of(fem.form(couple)), matrix_of(fem.form(own))
-        self._turned = PETSc.Mat()
-        self.B.transpose(self._turned)
+        self._turned = self.B.transpose(PETSc.Mat())
         of_given = [p for p in bodies if p.given is not None]
         self._over = OverStep(mesh, of_given)
         stresses = [(p, p.law.stress(Step(self._over.now(p.given), p.n))) for p in of_given]

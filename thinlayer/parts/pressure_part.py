@@ -84,8 +84,7 @@ class PressurePart(FieldPart):
         self._over = OverStep(V.mesh, strained)
         room = sum(q * ufl.tr(self._over.now(p.given)) * p.weight * p.measure for p in strained)
         self._room = region.compiled(room) if strained else None
-        self._turned = PETSc.Mat()
-        self.G.transpose(self._turned)
+        self._turned = self.G.transpose(PETSc.Mat())
         self._volume, self._forces = self.G.createVecLeft(), self.G.createVecRight()
         self._squeezed = self.G.createVecLeft()
         self._filled: Array | None = None
