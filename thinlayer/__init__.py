@@ -17,12 +17,13 @@ import ast
 import logging
 from importlib import import_module
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 from thinlayer.system.words import VERSION as __version__
 
-with open(join(_HOME, "thinlayer", "__init__.pyi"), encoding="utf-8") as _stub:
-    _IMPORTS = [line for line in ast.parse(_stub.read()).body if isinstance(line, ast.ImportFrom)]
+_STUB = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
+_IMPORTS = [line for line in ast.parse(_STUB).body if isinstance(line, ast.ImportFrom)]
 _MODULE_OF = {one.name: str(line.module) for line in _IMPORTS for one in line.names}
 _MODULES = {"plotting": "output.plotting", "fields": "output.fields", "goals": "estimating.goals"}
 __all__ = sorted(_MODULE_OF)
