@@ -82,8 +82,7 @@ class ReactionSums:
             tied = np.flatnonzero(np.diff(tie.R.indptr))
             rows.append((rest[tied] @ self._motions(tied))[None])
         first = len(model.supports.entries) + len(rows) - 1
-        for name in model.holders[first:]:
-            rows.append(-self._of_layer(model.layers[str(name)].key, r)[None] * layers)
+        rows += [-self._of_layer(model.layers[str(name)].key, r)[None] * layers for name in model.holders[first:]]
         return np.asarray(model.comm.allreduce(np.concatenate(rows)))
 
     def _of_layer(self, key: str, like: PETSc.Vec) -> Array:
