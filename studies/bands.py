@@ -18,7 +18,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
 from thinlayer.solving.history import Solution
 
-MODULI = {"lmbda": 60.0, "mu": 40.0}
+MODULI: Any = {"lmbda": 60.0, "mu": 40.0}
 OMEGA = 25.0
 FRICTION = math.tan(math.radians(OMEGA))
 # One cell through the band needs no elastic fraction: its nodes are those of the bodies, which hold it where it is open.

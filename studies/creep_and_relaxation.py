@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from forms import BulkLaw, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
+from forms import BulkLaw, KelvinVoigt, Maxwell, Norton, Stack
 from forms.base import Array
 from geometry import sandwich
+from studies.problems import FOURIER_BODY as BODY
 from thinlayer import Structure, Surface, Table, ThinLayer, march, plotting
 from thinlayer.discretisation.model import Model
 from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 
-BODY = LinearElastic.young(E=100.0, nu=0.3)
 LMBDA, MU = 60.0, 40.0
 EPS = 0.1  # thickness; if the bodies are kept, results do not depend on it
 THETA_LMBDA, THETA_MU, T1 = 0.3, 0.5, 0.7

@@ -27,6 +27,7 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.estimating.result import Estimate
+from thinlayer.estimating.thickness import FIELDS
 from thinlayer.output.plotting.curves import fraction
 from thinlayer.pointwise.integrals import values_of
 from thinlayer.running.record import Record
@@ -35,7 +36,6 @@ from thinlayer.system.progress import track
 from thinlayer.system.table import Table
 
 THICKNESSES = (COARSE, FINE)
-FIELDS = ("traction", "jump")
 INNER = 0.25  # from the middle of S, where another program measured
 CLOSE = 0.01  # of effectivities about 1
 ROUNDING = 1e-8  # of goals

@@ -22,6 +22,7 @@ from forms.base import Array
 from geometry.joint import Joint
 from studies import bands, cylinders, phases, problems, rods
 from studies import fig3_mohr_coulomb as fig3
+from studies.bands import MODULI, TO_AND_FRO
 from studies.problems import FOURIER_BODY, FOURIER_LAYER, MORTAR, fourier, of, pressed, sheared
 from studies.sweeping import (
     Row,
@@ -141,14 +142,12 @@ def wedge(x: Array) -> Array:
 
 
 PUSHED = {0: (0.0, 0.0, 0.0), 1: (0.3, 0.35, 0.0), 2: (0.3, 1.0, 1.5), 3: (0.3, 0.0, -0.9)}
-PULLED = {0: (0.0, 0.0, 0.0), 1: (0.28, 1.0, 0.0), 2: (0.28, 1.0, 1.5), 3: (0.28, 0.0, -1.0)}
 SHEARED = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 PATH = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
-pushed, pulled = partial(pressed, path=PUSHED), partial(pressed, path=PULLED)
+pushed, pulled = partial(pressed, path=PUSHED), partial(pressed, path=TO_AND_FRO)
 
 
 # ---------------------------------------------------------------- layers
-MODULI: Any = {"lmbda": 60.0, "mu": 40.0}
 KELVIN_VOIGT = KelvinVoigt(**MODULI, theta_lmbda=0.3, theta_mu=0.5)
 MAXWELL = Maxwell(**MODULI, t1=0.7, t2=1.0)  # the mean stress relaxes with the time 1.04
 NORTON = Norton(**MODULI, eta=5.0, p=1.5)  # at rest the tangent is infinite for p < 2, and zero for p > 2
@@ -181,7 +180,7 @@ in_bar = partial(
     Row, problem=bar, h=((6.0, 3.0, 0.2), (8.0, 4.0, 0.4)), eps=(2.0, 1.0, 0.5, 0.25), orders=(0.9, 1.3), unit="mm",
     where=inside_bar,
 )
-at_once, to_and_fro = (partial(bands.blocks, path=path) for path in (bands.ONCE, bands.TO_AND_FRO))
+at_once, to_and_fro = (partial(bands.blocks, path=path) for path in (bands.ONCE, TO_AND_FRO))
 
 
 def switches(case: str, label: str, **changed: Any) -> Row:
