@@ -67,7 +67,8 @@ class Field:
         return f"{name}({', '.join(map(repr, self.operands)) or 'x'})"
 
     def _with(self, combine: Callable[[Any, Any], Any], other: Any, *, turned: bool = False) -> Any:
-        if not (isinstance(other, Field) or is_number(other) or (isinstance(other, np.ndarray) and not other.ndim)):
+        numeric = is_number(other) or (isinstance(other, np.ndarray) and not other.ndim and other.dtype.kind in "iuf")
+        if not (isinstance(other, Field) or numeric):
             return NotImplemented
         other = other if isinstance(other, Field) else float(other)
         return Field(combine, (other, self) if turned else (self, other))

@@ -94,14 +94,20 @@ def test_a_goal_of_another_name_is_of_its_kind(lap, wanted):
 
 
 def test_bonded(lap, wanted, tmp_path):
-    """May the glue be ignored: the better law is the same, what it is compared with is not."""
-    done = thinlayer("estimate", lap, "--set", "bonded=true", "--out", tmp_path)
+    """May the glue be ignored: the better law is the same, what it is compared with is not.
+
+    Names of goals that differ in their signs have pictures of their own.
+    """
+    alike = "goals={compliance = true, 'compliance!' = {kind = 'compliance'}}"
+    done = thinlayer("estimate", lap, "--set", "bonded=true", "--set", alike, "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     found, bonded = numbers(tmp_path / "estimate.csv"), solve(lap_files.structure().bonded())
     assert found["bond", "compliance"][0] == pytest.approx(goals.Compliance().value(bonded, bonded.model), rel=1e-8)
     assert found["bond", "compliance"][1] == pytest.approx(found["law", "compliance"][1], rel=1e-8)
     assert found["bond", "compliance"][2] > 3 * found["law", "compliance"][2]
     assert math.isnan(found["bond", "jump"][2])
+    pictures = {f"map_{name}_compliance{end}.png" for name in ("law", "bond") for end in ("", "_")}
+    assert {path.name for path in tmp_path.glob("*.png")} == pictures
     assert "May you ignore the layer altogether" in done.stdout
 
 

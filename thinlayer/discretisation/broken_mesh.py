@@ -142,8 +142,7 @@ class BrokenMesh:
 
         Raises:
             InputError: a law of contact (see `contact_surface`), or one that needs a pressure of its own; order 1 of a
-                thickness that varies; an eigenstrain, or corrected ends.
-            InputError: order 1 of a law that would lock.
+                thickness that varies, or of a law that would lock; an eigenstrain, or corrected ends.
         """
         good = isinstance(layer, ThinLayer | TractionLaw)
         require(good, "layer", layer, "allowed: ThinLayer, TractionLaw; a ContactLaw is for ContactPart")

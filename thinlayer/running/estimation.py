@@ -99,15 +99,19 @@ def _thicknesses(record: Record, case: Case, name: str) -> list[dict[str, Any]]:
 
 def _draw(record: Record, case: Case, name: str, found: Estimate) -> None:
     """A picture for each goal whose density on S is known."""
+    stems = list[str]()
     for goal in found.goals:
         try:
             density = found.density(goal)
         except InputError as error:
             record.say(f"no picture of {goal}: {error}")
             continue
-        file = "_".join(["map", name, *re.findall(r"\w+", goal)]) + ".png"
+        stem = "_".join(["map", name, *re.findall(r"\w+", goal)])
+        while stem in stems:  # as of "a b" and "a-b"
+            stem += "_"
+        stems.append(stem)
         length = case.given.units[0] if case.given.units else ""
-        quantity, path, surface = f"change of {goal}, per area of S", record.path(file), Surface(found.better.model)
+        quantity, path, surface = f"change of {goal}, per area of S", record.path(f"{stem}.png"), Surface(found.better.model)
         if surface.joint.dim == 2:
             plotting.along(surface, {quantity: density}, save=path, length=length, log=True)
         else:

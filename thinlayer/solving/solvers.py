@@ -74,9 +74,8 @@ def solve(
 
     Raises:
         SolveError: no convergence, or no unique solution; LooseBody if a body can be named that nothing holds.
-        InputError: a PETSc option that the solver does not read;
-            a law without an instantaneous response; loads that are not finite; `like` of another joint.
-        InputError: unknown method, or a linear solve of a non-linear law.
+        InputError: unknown method, or a linear solve of a non-linear law; a PETSc option that the solver does not read; a
+            law without an instantaneous response; loads that are not finite; `like` of another joint.
     """
     with Solver(model, options=options, method=method, like=like) as solver:
         with on_all(model.comm):
