@@ -110,8 +110,8 @@ def _draw(record: Record, case: Case, name: str, found: Estimate) -> None:
         while stem in stems:  # as of "a b" and "a-b"
             stem += "_"
         stems.append(stem)
-        length = case.given.units[0] if case.given.units else ""
-        quantity, path, surface = f"change of {goal}, per area of S", record.path(f"{stem}.png"), Surface(found.better.model)
+        path, length = record.path(f"{stem}.png"), case.given.units[0] if case.given.units else ""
+        quantity, surface = f"change of {goal}, per area of S", Surface(found.better.model)
         if surface.joint.dim == 2:
             plotting.along(surface, {quantity: density}, save=path, length=length, log=True)
         else:

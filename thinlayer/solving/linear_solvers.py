@@ -23,7 +23,6 @@ from thinlayer.solving.petsc import (
     PREFIX,
     Options,
     OptionValue,
-    is_set,
     lean_products,
     options_set,
     put_in_blocks,
@@ -108,7 +107,7 @@ def linear_solvers(model: Model, parts: Sequence[Part], given: Options) -> list[
             raise InputError(f"pc_type fieldsplit is for displacements and pressures on S; {others}")
         return [BLOCKS, *factorising] if chosen == "fieldsplit" or (large and not unsuited) else factorising
     iterative = {**MULTIGRID, "ksp_type": "cg" if model.symmetric else "gmres"}
-    if not is_set("ksp_type", given):  # the residual itself is tested, as the balance is; some solvers cannot
+    if value_of("ksp_type", given) in (None, "cg", "gmres"):  # the residual itself is tested; some methods cannot
         iterative["ksp_norm_type"] = "unpreconditioned"
     if chosen in MULTIGRIDS:
         return [iterative]
