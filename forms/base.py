@@ -71,7 +71,8 @@ def is_number(value: Any) -> bool:
 
 def is_finite(value: Any) -> bool:
     """Whether a value is a real number between the largest and the smallest one of 64 bits."""
-    return is_number(value) and bool(abs(value) <= sys.float_info.max)
+    plain = value.item() if isinstance(value, np.generic) else value  # else the bound would be rounded to 32 bits
+    return is_number(plain) and bool(abs(plain) <= sys.float_info.max)
 
 
 def is_whole(value: Any, least: int) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 import ufl
 from scipy.spatial.transform import Rotation
 
-from forms.base import Array, InputError, require
+from forms.base import Array, InputError, is_finite, require
 from forms.ends.constants import free_end
 from forms.ends.weights import EndWeights, Strips
 from forms.kinematics import MANDEL, ROOT2, Expr, condensed_onto, isotropic, layer_frame
@@ -101,6 +101,8 @@ class LinearElastic(LinearLaw):
         Both may be functions, as in `young`.
         """
         mu, nu = field_of(mu), field_of(nu)
+        for name, value in (("mu", mu), ("nu", nu)):
+            require(is_field(value) or is_finite(value), f"LinearElastic.shear: {name}", value, "it must be a number")
         return cls.young(2 * mu * (1 + nu), nu)  # type: ignore[operator]
 
     def stress(self, step: Step) -> Expr:
@@ -189,7 +191,7 @@ class Anisotropic(LinearLaw):
     powers: ClassVar = {"C": 1}
 
     def check(self) -> None:
-        C = np.asarray(self.C, float)
+        C = np.array(self.C, float)  # a copy, which the caller does not change
         self.require(C.shape == (6, 6), "shape of C", "(6, 6)", C.shape)
         self.require(bool(np.isfinite(C).all()), "C", "finite numbers", "not finite")
         self.require(np.allclose(C, C.T, rtol=1e-10, atol=0), "C", "C = C^T", "not symmetric")
@@ -204,7 +206,8 @@ class Anisotropic(LinearLaw):
 
         K_T = 0 is a bearing without friction: supports must hold bodies that may slide.
         """
-        require(K_N > 0, "Anisotropic.springs: K_N", K_N, "allowed: > 0")
+        require(is_finite(K_N) and K_N > 0, "Anisotropic.springs: K_N", K_N, "allowed: > 0")
+        require(is_finite(K_T) and K_T >= 0, "Anisotropic.springs: K_T", K_T, "allowed: >= 0")
         return cls(np.diag([0, K_N, 0, K_T, 0, K_T]), "layer")
 
     def stress(self, step: Step) -> Expr:

@@ -141,6 +141,21 @@ class Cubic(BulkLaw):
 
 
 @dataclass(frozen=True)
+class Skew(BulkLaw):
+    """Elastic, with a tangent that is not symmetric."""
+
+    mu: float
+    c: float
+    powers: ClassVar = {"mu": 1, "c": 1}
+    linear: ClassVar = True
+    symmetric: ClassVar = False
+
+    def stress(self, step):
+        turn = ufl.as_matrix([[0, 1, 0], [-1, 0, 0], [0, 0, 0]])
+        return lame(self.mu, self.mu, step.mid) + self.c * ufl.sym(turn * step.mid)
+
+
+@dataclass(frozen=True)
 class Stiffening(BulkLaw):
     """Elastic, stiffer with the size of the strain: C e + a (e:e) e."""
 

@@ -108,12 +108,11 @@ def test_multigrid_is_the_default_of_large_models(monkeypatch):
     model = Structure(joint, **setup).interface(ThinLayer(LinearElastic(*reference.LAYER), 0.1, at=1.0))
     direct = solve(model)
     monkeypatch.setitem(linear_solvers.MULTIGRID_FROM, 3, 1000)
+    iterative = solve(model)
     assert direct.report.iterations == 1
-    for options in ({}, {"pc_type": "gamg", "ksp_type": "minres"}):  # which cannot test the residual itself
-        iterative = solve(model, options=options)
-        assert 10 < iterative.report.iterations < 80
-        difference = np.abs(direct.u.x.array - iterative.u.x.array).max()
-        assert difference < 1e-7 * np.abs(direct.u.x.array).max()
+    assert 10 < iterative.report.iterations < 80
+    difference = np.abs(direct.u.x.array - iterative.u.x.array).max()
+    assert difference < 1e-7 * np.abs(direct.u.x.array).max()
 
 
 def test_stiff_layers_fall_back_on_factorising(monkeypatch):

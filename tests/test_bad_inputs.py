@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import forms
@@ -16,6 +18,7 @@ from tests.meshes import NAMES, squares
 from tests.refused import refused
 from tests.test_cli import thinlayer as command
 from tests.viscous_joints import interface
+from thinlayer.errors import LooseBody
 from thinlayer.running.record import Record
 from thinlayer.system.folder import read_sealed, write_sealed
 
@@ -48,6 +51,8 @@ SCRIPT |= {
     "HUGE": 10**400,
     "NAN": float("nan"),
     "INF": float("inf"),
+    "FLOAT32": np.float32,
+    "goals": thinlayer.goals,
     "GLUE": GLUE,
     "structure": structure,
     "model": model,
@@ -107,6 +112,22 @@ def test_options(sound, options, words):
 @of("python", "expression", "words")
 def test_scripts(expression, words):
     refused(InputError, re.escape(words), eval, expression, SCRIPT)
+
+
+def test_what_a_caller_changes_later():
+    """It does not change the law."""
+    C = np.diag([3.0, 3.0, 3.0, 1.0, 1.0, 1.0])
+    law = forms.Anisotropic(C)
+    C[:] = -1.0
+    assert law.C.trace() == 12.0
+
+
+def test_errors_of_other_processes():
+    """A pool of processes waits for ever for an error that cannot be read."""
+    error = LooseBody("the reason", "the motion", "the advice")
+    error.history = structure
+    found = pickle.loads(pickle.dumps(error))
+    assert (type(found), str(found), found.motion, found.history) == (LooseBody, str(error), "the motion", None)
 
 
 @of("runs", "old", "new")

@@ -13,6 +13,7 @@ import ufl
 from forms import LinearElastic, Maxwell, Norton
 from forms.base import InputError
 from geometry import block, faults, sandwich
+from tests.own_laws import Skew
 from tests.pictures import assert_drawn
 from tests.refused import refused
 from thinlayer import (
@@ -62,6 +63,7 @@ def estimated(kind):
     bodies = {"body": {"LOWER": LOWER, "UPPER": UPPER}}
     made = {
         "between": lambda: structure(**bodies),
+        "skew": lambda: structure(body={"LOWER": Skew(60.0, 40.0), "UPPER": UPPER}),
         "bonded": lambda: structure(**bodies),
         "moved": lambda: structure(tractions={"LEFT/UPPER": LOAD}, **bodies, **MOVED),
         "heated": lambda: structure(eigenstrain={"UPPER": 0.002}, **bodies),
@@ -77,7 +79,7 @@ def total(found, goal="compliance"):
 
 
 # ---------------------------------------------------------------- goals
-@pytest.mark.parametrize("kind", ["inclined", "heated", "base", "bonded", "moved"])
+@pytest.mark.parametrize("kind", ["inclined", "heated", "base", "bonded", "moved", "skew"])
 def test_the_densities_of_goals_add_up_to_their_changes(kind):
     """Whatever the goal."""
     found = estimated(kind)
@@ -86,7 +88,7 @@ def test_the_densities_of_goals_add_up_to_their_changes(kind):
         assert total(found, name) == pytest.approx(goal.change, rel=1e-8, abs=least), name
 
 
-@pytest.mark.parametrize("kind", ["between", "base"])
+@pytest.mark.parametrize("kind", ["between", "base", "skew"])
 def test_the_mean_traction_is_that_of_the_load(kind):
     """What is pulled along (0.3, -1) bears it, between bodies and on a rigid base."""
     found = next(goal for name, goal in estimated(kind).goals.items() if name.startswith("mean traction"))

@@ -96,8 +96,9 @@ def test_a_goal_of_another_name_is_of_its_kind(lap, wanted):
 def test_bonded(lap, wanted, tmp_path):
     """May the glue be ignored: the better law is the same, what it is compared with is not.
 
-    Names of goals that differ in their signs have pictures of their own.
+    Names of goals that differ in their signs have pictures of their own, and a file that was there is moved away.
     """
+    (tmp_path / "map_law_compliance.png").write_text("of the user")
     alike = "goals={compliance = true, 'compliance!' = {kind = 'compliance'}}"
     done = thinlayer("estimate", lap, "--set", "bonded=true", "--set", alike, "--out", tmp_path)
     assert done.returncode == 0, done.stderr
@@ -108,6 +109,7 @@ def test_bonded(lap, wanted, tmp_path):
     assert math.isnan(found["bond", "jump"][2])
     pictures = {f"map_{name}_compliance{end}.png" for name in ("law", "bond") for end in ("", "_")}
     assert {path.name for path in tmp_path.glob("*.png")} == pictures
+    assert (tmp_path / "previous-1" / "map_law_compliance.png").read_text() == "of the user"
     assert "May you ignore the layer altogether" in done.stdout
 
 

@@ -73,6 +73,14 @@ class SolveError(ThinlayerError, RuntimeError):
         super().__init__(f"{reason}; {advice}" if advice else reason)
         self.reason, self.history, self.residuals = reason, history, residuals
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For another process; its meshes stay in this one, and with them the history."""
+        return _copied, (type(self), self.args), vars(self) | {"history": None}
+
+
+def _copied(kind: type[SolveError], words: tuple[Any, ...]) -> SolveError:
+    return kind.__new__(kind, *words)
+
 
 class LooseBody(SolveError):
     """A body can move freely: neither supports nor the layer resist its motion.

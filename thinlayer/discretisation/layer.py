@@ -86,6 +86,7 @@ class ThinLayer:
             _check_thickness("thickness at which the law's parameters hold, at,", self.at)
         known = is_number(self.order) and self.order in (0, 1)
         require(known, "the order of the interface law", self.order, "allowed: 0, 1")
+        object.__setattr__(self, "order", int(self.order))
         if self.order == 1:
             self.law.stations()  # raises errors of laws without one of order 1
         callable_ = self.profile is None or callable(self.profile)

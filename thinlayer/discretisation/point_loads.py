@@ -160,9 +160,10 @@ Concentrated = PointLoad | LineLoad
 def check_loads(loads: Any) -> tuple[Concentrated, ...]:
     """Loads as a tuple; raises InputError if one of them is none."""
     require(isinstance(loads, Iterable) and not isinstance(loads, str), "loads", loads, "it must be a list of loads")
-    for one in loads:
+    given = tuple(loads)
+    for one in given:
         require(isinstance(one, Concentrated), "one of loads", one, "allowed: PointLoad, LineLoad")
-    return tuple(loads)
+    return given
 
 
 class ConcentratedForms:

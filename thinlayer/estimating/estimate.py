@@ -24,7 +24,7 @@ from thinlayer.errors import SolveError
 from thinlayer.estimating.global_local import NARROW, Bounds, GlobalLocal
 from thinlayer.estimating.goals import Compliance, Goal, nodes_of_sides
 from thinlayer.estimating.on_surface import errors_of, squares_of
-from thinlayer.estimating.result import Estimate, GoalError, LayerError
+from thinlayer.estimating.result import FIELDS, Estimate, GoalError, LayerError
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.history import History
 from thinlayer.solving.layer_alone import LayerAlone
@@ -189,6 +189,9 @@ def _checked_goals(goals: Any) -> dict[str, Goal]:
     for goal in given:
         require(isinstance(goal, Goal), "estimate: a goal", goal, "give those of thinlayer.goals")
     names = [goal.name for goal in given]
+    for name in names:
+        good = isinstance(name, str) and name not in FIELDS
+        require(good, "estimate: the name of a goal", name, f"allowed: words other than {', '.join(FIELDS)}")
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"estimate: two goals have the name {twice[0]!r}")
     return dict(zip(names, given, strict=True))

@@ -22,7 +22,8 @@ the faces that are rigid motions there ("couples") balance them.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -123,7 +124,10 @@ class GlobalLocal:
         self._shares = layers.on_free(layers.K.diagonal())[:, None]
         gram = layers.R.T @ (self._shares * layers.R)
         self._R = layers.R @ np.linalg.inv(np.linalg.cholesky(gram)).T if gram.size else layers.R
-        self._axes = np.empty((gram.shape[0], 0))  # of the motions that have couples
+        self._forget()
+
+    def _forget(self) -> None:
+        self._axes = np.empty((self._R.shape[1], 0))  # of the motions that have couples
         self._couples: list[tuple[Array, Array]] = []
 
     # ---------------------------------------------------------------- the interface model
@@ -143,7 +147,7 @@ class GlobalLocal:
         """Forces of all but the layers' laws, linearised, at small displacements (m,)."""
         self._x.array[:] = d
         out = self._x.duplicate()
-        self._K_b.mult(self._x, out)
+        (self._K_b.multTranspose if self.adjoint.transposed else self._K_b.mult)(self._x, out)
         found = np.asarray(out.array_r.copy())
         out.destroy()
         return found
@@ -198,7 +202,22 @@ class GlobalLocal:
         q, g = goal.dual(self.adjoint)
         loads = q.array_r[: self.n].copy()
         z = self.adjoint.weights(q, g).u.x.array[: self.n].copy()
-        return loads, self._balanced(z, self._pulled(loads - self._resisted(z)), *goal.in_layers(self.layers))
+        with self._transposed():
+            return loads, self._balanced(z, self._pulled(loads - self._resisted(z)), *goal.in_layers(self.layers))
+
+    @contextmanager
+    def _transposed(self) -> Iterator[None]:
+        """In a `with` block stiffness and couples are those of weights."""
+        if self.model.symmetric:
+            yield
+            return
+        self.adjoint.transposed = True
+        self._forget()
+        try:
+            yield
+        finally:
+            self.adjoint.transposed = False
+            self._forget()
 
     def inside(self, one: Iterate) -> Array:
         """What is in the layers."""

@@ -221,7 +221,7 @@ class MeanTraction(Directed):
         if not linear or not all(part.is_linear(model) for part in model.parts):
             raise InputError(f"{self.name}: there is no map of it, as a law of the bodies, or a part, is not linear")
         du, v = ufl.TestFunction(model.V), self._test(model)
-        works = forms.work([replace(term, given=None) for term in model.bodies], v, du)
+        works = forms.work([replace(term, given=None) for term in model.bodies], du, v)
         u = fem.Function(model.V)
         if (added := model.added_work(u, v)).integrals():
             works += ufl.derivative(added, u, du)

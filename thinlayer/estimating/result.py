@@ -25,6 +25,7 @@ from thinlayer.solving.layer_alone import HeldLayers, LayerAlone
 from thinlayer.solving.petsc import Options
 from thinlayer.system.table import Table
 
+FIELDS = ("traction", "jump")  # quantities that every estimate has, besides goals
 ROUNDING = 1e-6  # of a goal that is zero but for rounding, over its scale
 FAR_OFF = 0.2  # difference of the integral of a density from its change, relative, from which on there is a warning
 FIXED = 1e-10  # change of a goal, over its scale, that is only rounding: equilibrium gives the goal

@@ -20,7 +20,7 @@ from thinlayer.discretisation.structure import Structure
 from thinlayer.errors import RangeWarning
 from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.goals import Compliance, Goal
-from thinlayer.estimating.result import Estimate
+from thinlayer.estimating.result import FIELDS, Estimate
 from thinlayer.solving.history import History
 from thinlayer.solving.petsc import Options
 from thinlayer.solving.solvers import solve
@@ -29,7 +29,6 @@ from thinlayer.system.ranks import on_all
 from thinlayer.system.table import Table
 from thinlayer.time.marching import march
 
-FIELDS = ("traction", "jump")
 ACCURACY = 0.01  # of the thickness, relative
 STEP = math.sqrt(2)  # ratio of thicknesses that are tried in turn, from the largest one
 SURE = 5  # of them in turn at which the error is allowed

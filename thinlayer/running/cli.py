@@ -97,10 +97,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def start() -> int:
     """`main` for a process of its own: returns an exit status for every exception, too."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name) or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  (it was closed)
+        with suppress(AttributeError):  # another one's
+            stream.reconfigure(errors="backslashreplace")  # where its encoding lacks a sign
+        setattr(sys, name, stream)
     try:
         return main()
-    except KeyboardInterrupt:
-        return stop(True, UNFINISHED, "interrupted")
+    except (KeyboardInterrupt, OSError) as error:
+        return stop(True, UNFINISHED, reason(error))
     except Exception as error:
         import traceback
 
@@ -163,7 +168,7 @@ def _several_studies() -> Parser:
 def _add_batch(parser: Parser, out: Path) -> None:
     """Add what commands that run several studies have in common."""
     parser.add_argument("--quick", action="store_true", help="coarser meshes and fewer rows, of studies that have both")
-    parser.add_argument("--out", type=Path, default=out, metavar="DIR", help=f"folder of the runs (default: {out})")
+    parser.add_argument("--out", type=_folder, default=out, metavar="DIR", help=f"folder of the runs (default: {out})")
     parser.add_argument("-j", type=int, metavar="N", help="studies at a time (default: as many as cores)")
 
 
@@ -184,8 +189,14 @@ def _computing(one: Parser) -> Parser:
     quiet = "print no progress and no tables, only errors, warnings and checks that fail"
     said.add_argument("-q", "--quiet", dest="verbose", action="store_const", const=-1, help=quiet)
     where = "folder of tables and pictures (default: out/STUDY, out/estimate/NAME)"
-    one.add_argument("--out", type=Path, metavar="DIR", help=where)
+    one.add_argument("--out", type=_folder, metavar="DIR", help=where)
     return one
+
+
+def _folder(text: str) -> Path:
+    if not text:
+        raise argparse.ArgumentTypeError("it is empty; . is the working folder")
+    return Path(text)
 
 
 def _add_json(one: argparse._ActionsContainer) -> None:

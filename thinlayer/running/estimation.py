@@ -111,7 +111,8 @@ def _draw(record: Record, case: Case, name: str, found: Estimate) -> None:
             stem += "_"
         stems.append(stem)
         path, length = record.path(f"{stem}.png"), case.given.units[0] if case.given.units else ""
-        quantity, surface = f"change of {goal}, per area of S", Surface(found.better.model)
+        shown = goal.replace("$", r"\$")  # no mathematics
+        quantity, surface = f"change of {shown}, per area of S", Surface(found.better.model)
         if surface.joint.dim == 2:
             plotting.along(surface, {quantity: density}, save=path, length=length, log=True)
         else:

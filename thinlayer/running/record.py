@@ -207,6 +207,7 @@ class Record:
             self._files.add(name)
             if self._owns and self.root:  # so that run.json names the files even if the run is killed
                 with suppress(OSError):
+                    moved_away(self.out, [name])  # of another origin: files of earlier runs are away
                     self._write("not finished")
         return self.out / name
 

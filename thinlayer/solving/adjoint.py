@@ -21,7 +21,7 @@ from thinlayer.pointwise.integrals import forces_of, give
 from thinlayer.solving.balance import PartSum, TangentMatrix
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import factors_alone, linear_solvers, mark
-from thinlayer.solving.petsc import Options, defaults, solve_linear
+from thinlayer.solving.petsc import Options, defaults, solve_linear, value_of
 
 SAME = 1e-12  # difference of two loads, relative, that counts as rounding
 
@@ -36,6 +36,9 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         state: the equilibrium.
         old: the configuration from which it was found in one step; None: from rest at its time.
         options: PETSc options of the solve, as in `solve`; its factor is then used again if the model is linear.
+
+    Attributes:
+        transposed: whether `displacements` solves with the transpose, as weights need it.
     """
 
     def __init__(self, state: State, old: Configuration | None = None, options: Options | None = None) -> None:
@@ -49,9 +52,10 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         equations.begin(self.interval)
         equations.put_state(state, self._x)
         equations.residual(self._x, self._r)
-        linear = linear_solvers(self.model, equations.parts, self._given)
+        linear = linear_solvers(self.model, equations.parts, value_of("pc_type", self._given))
         self._options = {**linear[0], **self._given}
         self._tangent: PETSc.Mat | None = None
+        self.transposed = False
         self._same = self.model.linear and self.model.symmetric  # its factor serves all states, and the transpose
         if self._same and equations.factor.of == (0.0, 1.0):
             return
@@ -118,8 +122,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         """Small displacements (m,) under forces (n,) at displacements, local numbers that one rank gives; supports hold."""
         q, x = self.of_nodes(dofs, forces), self.equations.vector()
         q.array[self.equations.held] = 0.0
-        with defaults(self._options):
-            solve_linear(self.equations.factor.ksp, q, x)
+        self._solve(q, x, transposed=self.transposed)
         return np.asarray(self.equations.configuration(x).u.x.array[: self.equations.n_displacements])
 
     def weights(self, q: PETSc.Vec, g: PETSc.Vec) -> Configuration:
@@ -133,13 +136,16 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             self._times(g, out)
             q.axpy(-1.0, out)
         q.array[held] = 0.0
-        with defaults(self._options):
-            if self.model.symmetric:
-                solve_linear(equations.factor.ksp, q, z)
-            else:
-                equations.factor.ksp.solveTranspose(q, z)
+        self._solve(q, z, transposed=True)
         z.array[held] = g.array_r[held]
         return equations.configuration(z)
+
+    def _solve(self, q: PETSc.Vec, x: PETSc.Vec, *, transposed: bool) -> None:
+        with defaults(self._options):
+            if transposed and not self.model.symmetric:
+                self.equations.factor.ksp.solveTranspose(q, x)
+            else:
+                solve_linear(self.equations.factor.ksp, q, x)
 
     def _are_given(self, q: PETSc.Vec, g: PETSc.Vec) -> bool:
         """Whether q are the loads, and g the displacements of supports, so that the state itself is the weights."""

@@ -19,16 +19,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Part
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.balance import Layout, TangentMatrix
-from thinlayer.solving.petsc import (
-    PREFIX,
-    Options,
-    OptionValue,
-    lean_products,
-    options_set,
-    put_in_blocks,
-    set_residual,
-    value_of,
-)
+from thinlayer.solving.petsc import PREFIX, OptionValue, lean_products, options_set, put_in_blocks, set_residual
 from thinlayer.system.ranks import destroy
 
 DIRECT: dict[str, OptionValue] = {
@@ -79,7 +70,7 @@ BLOCKS: dict[str, OptionValue] = {
 MULTIGRID_FROM = {2: 3_000_000, 3: 50_000}
 
 
-def linear_solvers(model: Model, parts: Sequence[Part], given: Options) -> list[dict[str, OptionValue]]:
+def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = None) -> list[dict[str, OptionValue]]:
     """PETSc options to try in turn.
 
     The direct solver is MUMPS: Cholesky for symmetric tangents, else LU. Large models try conjugate gradients (GMRES if not
@@ -90,12 +81,12 @@ def linear_solvers(model: Model, parts: Sequence[Part], given: Options) -> list[
     Args:
         model: the model.
         parts: the parts of its balance.
-        given: the user's options; those in PETSc's database count, too.
+        chosen: the user's type of preconditioner; None: ours.
 
     Raises:
         InputError: a type of preconditioner that does not suit the model.
     """
-    direct, chosen = direct_solver(model), value_of("pc_type", given)
+    direct = direct_solver(model)
     large = model.unknowns >= MULTIGRID_FROM[model.joint.dim]
     if any(isinstance(part, PressurePart) for part in parts):
         if chosen in MULTIGRIDS:
@@ -107,8 +98,6 @@ def linear_solvers(model: Model, parts: Sequence[Part], given: Options) -> list[
             raise InputError(f"pc_type fieldsplit is for displacements and pressures on S; {others}")
         return [BLOCKS, *factorising] if chosen == "fieldsplit" or (large and not unsuited) else factorising
     iterative = {**MULTIGRID, "ksp_type": "cg" if model.symmetric else "gmres"}
-    if value_of("ksp_type", given) in (None, "cg", "gmres"):  # the residual itself is tested; some methods cannot
-        iterative["ksp_norm_type"] = "unpreconditioned"
     if chosen in MULTIGRIDS:
         return [iterative]
     return [iterative, direct] if large else [direct]

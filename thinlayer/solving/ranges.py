@@ -36,6 +36,7 @@ LEAST_OVERLAP = 2.0  # least closing, relative to the thickness, that leads to a
 CORNER_ANGLE = 0.25  # largest angle, in rad, between a facet and the mean of its neighbours that is not a corner of S
 LARGEST_STRAIN = 0.1  # root mean square over a body, beyond which changes of shape are no longer small
 ALLOWED_STEP_ERROR = 0.05  # of steps over one own time of a law, in shares of what creeps or relaxes
+NO_STEP = 1e-9  # step over the time of a law whose error is far below all others, and lost in rounding
 CAVITATION = 2.5  # mean stress over the shear modulus at which small holes in rubber grow (Gent and Lindley 1959)
 
 
@@ -257,5 +258,7 @@ def _own_times(model: Model) -> list[tuple[str, float]]:
 
 def _step_error(x: float, theta: float) -> float:
     """Error of exp(-t/tau) after about tau in steps x tau of the scheme."""
+    if x < NO_STEP:
+        return 0.0
     n = max(1, round(1 / x))
     return abs(((1 - (1 - theta) * x) / (1 + theta * x)) ** n - math.exp(-n * x))

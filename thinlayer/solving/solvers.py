@@ -30,6 +30,7 @@ from thinlayer.solving.petsc import (
     faster_products,
     is_set,
     require_all_read,
+    value_of,
 )
 from thinlayer.solving.ranges import warn_of_model, warn_of_no_time, warn_of_states
 from thinlayer.solving.weak_springs import WeakSprings
@@ -85,7 +86,7 @@ def solve(
         solver.equations.refuse({"softens": f"solve: {SOFTENS}", "rate": late})
         warn_of_model(model)
         warn_of_no_time(model)
-        state = solver.sudden(t)
+        state = solver.sudden(float(t))
     warn_of_states([state])
     return state
 
@@ -165,7 +166,7 @@ class Solver(AbstractContextManager["Solver"]):
         if self.method in METHODS:
             self._finder = FINDERS[self.method](self.equations, like)
         else:
-            self._linear = linear_solvers(model, self.equations.parts, self._given)
+            self._linear = linear_solvers(model, self.equations.parts, value_of("pc_type", self._given))
             if is_set("ksp_type", self._given) or is_set("pc_type", self._given):
                 self._linear = self._linear[:1]
             self._finder = self._equilibrium()
@@ -239,8 +240,7 @@ class Solver(AbstractContextManager["Solver"]):
         start = time.perf_counter()
         near = [attempt for attempt in self._attempts() if not attempt.eased]
         self._log.info("t = %g: weak springs at all nodes are tried", t)
-        # contact alone has none yet
-        linear = self._linear[0] or linear_solvers(self.model, self.equations.parts, self._given)[0]
+        linear = self._linear[0] or linear_solvers(self.model, self.equations.parts)[0]  # contact alone has none yet
         springs = WeakSprings(self.equations, {**linear, **self._given})
 
         def follow(end: float) -> Found:

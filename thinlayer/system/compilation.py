@@ -33,7 +33,7 @@ from ffcx.codegeneration import jit as ffcx_jit
 from mpi4py import MPI
 
 import thinlayer.system.ranks  # noqa: F401  # before DOLFINx, which starts PETSc
-from forms.base import ThinlayerError
+from forms.base import InputError, ThinlayerError
 from thinlayer.system.identity import content
 
 # Folder -> descriptor of its lock file. They are never closed, as that would free all locks of the process on the file.
@@ -49,8 +49,17 @@ class SourceError(ThinlayerError, RuntimeError):
 
 
 def acquire(folder: Path, name: str) -> None:
-    """Make the folder, and wait until no other process compiles the library of this name."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Make the folder, and wait until no other process compiles the library of this name.
+
+    Raises:
+        InputError: the folder cannot be made, or written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        what = f"compiled forms cannot be kept in {str(folder)!r}: {error.strerror}"
+        raise InputError(f"{what}; set XDG_CACHE_HOME to a folder that can be written") from error
     _lock(folder, name, fcntl.LOCK_EX)
 
 

@@ -152,7 +152,7 @@ class Controller(ABC):
                 except SolveError as error:
                     errors.append(error)
             shorter = self.shorter(length, errors[0])
-            if shorter < self.smallest:
+            if shorter < max(self.smallest, np.finfo(float).tiny):
                 raise self.failure(length, errors) from errors[0]
             self._log.info("t = %g: a step of %g is shortened to %g: %s", t, length, shorter, errors[0].reason)
             length = shorter

@@ -60,15 +60,15 @@ class Adaptive:
 
     def __post_init__(self) -> None:
         _require_numbers(self, "first", "tolerance", "smallest", "largest", signed=("end",))
-        if isinstance(self.at, str) or not isinstance(self.at, Iterable) or not all(map(is_finite, self.at)):
-            raise InputError(f"Adaptive: at is {self.at!r}; allowed: a sequence of times")
-        object.__setattr__(self, "at", tuple(map(float, self.at)))
+        at = tuple(self.at) if isinstance(self.at, Iterable) and not isinstance(self.at, str) else (None,)
+        require(all(map(is_finite, at)), "Adaptive: at", self.at, "allowed: a sequence of times")
+        object.__setattr__(self, "at", tuple(map(float, at)))
         if self.at and max(self.at) > self.end:
             raise InputError(f"Adaptive: at has t = {max(self.at):g}; times increase to end = {self.end:g}")
 
 
 def _require_numbers(given: Adaptive | ArcLength, *positive: str, signed: tuple[str, ...]) -> None:
-    """Raise InputError unless attributes are numbers > 0, or finite ones of either sign, or None by default."""
+    """Make attributes floats; raises InputError unless they are > 0, finite ones of either sign, or None by default."""
     for name in (*signed, *positive):
         value = getattr(given, name)
         finite = is_finite(value) or (is_number(value) and name == "largest" and value == math.inf)
@@ -76,6 +76,7 @@ def _require_numbers(given: Adaptive | ArcLength, *positive: str, signed: tuple[
         if not good and not (value is None and getattr(type(given), name, 0) is None):
             above = "" if name in signed else " > 0"
             raise InputError(f"{type(given).__name__}: {name} is {value!r}; allowed: a number{above}")
+        object.__setattr__(given, name, None if value is None else float(value))
 
 
 @dataclass(frozen=True)
