@@ -115,6 +115,7 @@ class ArcLength:
         _require_numbers(self, "first", "smallest", "largest", signed=("end", "back"))
         if not isinstance(self.steps, Integral) or isinstance(self.steps, bool) or self.steps < 1:
             raise InputError(f"ArcLength: steps is {self.steps!r}; allowed: a whole number > 0")
+        object.__setattr__(self, "steps", int(self.steps))
         if self.largest < self.smallest:
             raise InputError(f"ArcLength: largest is {self.largest:g}; allowed: >= smallest = {self.smallest:g}")
 
