@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from forms.base import InputError, is_finite, require
+from forms.temperature import finite
 from geometry.identified_sides import Periods
 from geometry.refusals import place, refuse, require_known
 from geometry.seam import RESERVED, S, Seam
@@ -447,7 +448,7 @@ class Joint:
     def nearest_point(self, x: Sequence[float]) -> int:
         """Number of the mesh vertex at x; raises InputError, naming the nearest vertex, if there is none."""
         vertices = np.unique(self.corners)
-        if np.shape(x) != (self.dim,) or not all(map(is_finite, x)):
+        if finite(x, (self.dim,)) is None:
             raise InputError(f"point {x!r} is not a place; give {self.dim} coordinates")
         distance = np.linalg.norm(self.reference[vertices] - np.asarray(x, float), axis=1)
         nearest = int(vertices[np.argmin(distance)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Hashable
 
 import numpy as np
 
@@ -18,7 +18,7 @@ def place(x: FloatArray) -> str:
 
 def require_known(kind: str, name: object, known: Collection[str], what: str = "") -> None:
     """Raise InputError for a name that does not exist; `what` begins the message."""
-    if name not in known:
+    if not (isinstance(name, Hashable) and name in known):
         raise InputError((f"{what}: " if what else "") + unknown(kind, name, known))
 
 

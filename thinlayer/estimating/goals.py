@@ -99,7 +99,7 @@ def written(vector: Any) -> str:
     """A vector in the name of a goal; as it is if it is none, which `check` refuses."""
     try:
         return f"({', '.join(f'{c:.4g}' for c in vector)})"
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return repr(vector)
 
 
