@@ -12,9 +12,12 @@ import pytest
 import ufl
 
 from forms import Incompressible, LinearElastic, Maxwell, Norton, Stack
+from forms.base import InputError
 from studies.problems import fourier
+from tests.refused import refused
 from thinlayer import Structure, ThinLayer, compare, drive, march
 from thinlayer.pointwise import kernels
+from thinlayer.system.compilation import acquire
 
 CLONE = Path(__file__).parent.parent
 NORTON = Norton(60.0, 40.0, 5.0, 1.5)
@@ -124,6 +127,13 @@ def compiled():
 
 def kept(folder):
     return sorted("".join(file.suffixes[-2:]) for file in folder.iterdir() if file.name.startswith("libffcx"))
+
+
+def test_a_cache_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").touch()
+    refused(
+        InputError, "compiled forms cannot be kept in .*: Not a directory; set XDG_", acquire, tmp_path / "file/a", "b"
+    )
 
 
 def test_a_killed_compilation_is_repeated(tmp_path, compiled):

@@ -75,11 +75,7 @@ class SolveError(ThinlayerError, RuntimeError):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For another process; its meshes stay in this one, and with them the history."""
-        return _copied, (type(self), self.args), vars(self) | {"history": None}
-
-
-def _copied(kind: type[SolveError], words: tuple[Any, ...]) -> SolveError:
-    return kind.__new__(kind, *words)
+        return Exception.__new__, (type(self), *self.args), vars(self) | {"history": None}
 
 
 class LooseBody(SolveError):

@@ -17,7 +17,6 @@ from forms.law import BulkLaw
 from forms.rubber import Rubber
 from forms.trace import is_isotropic, known_at_rest
 from geometry.refusals import place
-from geometry.seam import LAYER
 from geometry.sheet import Rim, straight_ends
 from geometry.topology import BoolArray, FloatArray, is_tensor
 from thinlayer.discretisation.boundary import is_across
@@ -233,8 +232,6 @@ def _under_mean_strain(r: Reduction) -> Iterator[Refused]:
 
 def _held_alone(r: Reduction) -> Iterator[Refused]:
     """Of supports that hold the layer's own side, NAME/LAYER: they hold the bodies beside it, too."""
-    if not any(str(at).endswith(f"/{LAYER}") for at in r.one.structure.supports):
-        return
     rim, alone = r.one.sheet.rim, held_directions(r.one) - held_directions(r.one, of_layer=False)
     if len(at := rim.vertices[np.abs(alone).max(axis=(1, 2)) > SLIGHT]):
         reason = f"a support holds the side of {r.one} alone, at {place(r.one.sheet.joint.points[at[0, 0]])}"

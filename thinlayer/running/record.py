@@ -67,8 +67,9 @@ class Record:
     """The results of a study's run: tables, pictures, checks. The file run.json describes the input they are from.
 
     In a `with` statement the record owns its folder: other runs there are refused, and the files of an earlier run are
-    moved to previous-1, previous-2, ... They come back if the study stops before it writes anything. At the end of the
-    statement run.json tells whether the study is done, or why it is not. Only rank 0 writes.
+    moved to previous-1, previous-2, ... They come back if the study stops before it writes anything. A file of another
+    origin is moved there before one of its name is written. At the end of the statement run.json tells whether the study
+    is done, or why it is not. Only rank 0 writes.
 
     Attributes:
         study: name of the study.
