@@ -22,11 +22,11 @@ from geometry.domain import Domain, connect
 from geometry.joint import Joint, Profile
 from geometry.seam import S
 from geometry.sheet import Sheet
-from geometry.topology import Indices
+from geometry.topology import Indices, IntArray
 from thinlayer.discretisation.given import Coordinates, Load
 from thinlayer.discretisation.given_strains import Matter, StrainGiven, given_strain
 from thinlayer.errors import Refused
-from thinlayer.system.compat import interior_facet_entities
+from thinlayer.system.compat import exterior_facet_entities, interior_facet_entities
 from thinlayer.system.identity import described
 
 # keys of what laws remember and store, in states and in files
@@ -342,3 +342,26 @@ def seam_entities(domain: Domain, name: str) -> Indices:
     swap = domain.original_cells[entities[:, 0]] != joint.surface_cells[rows, 1]
     entities[swap] = entities[swap][:, [2, 3, 0, 1]]
     return entities
+
+
+def nodes_of_sides(model: Any, V: fem.FunctionSpace, name: str) -> tuple[IntArray, IntArray]:
+    """Local nodes (n, k) of a space at this rank's facets of a seam, on the upper and on the lower side. Collective.
+
+    On a rigid base there are none below. In a space of degree 1 the nodes of a facet face each other, column by column.
+    """
+    domain, mesh, d = model.domain, model.domain.mesh, model.joint.dim
+    if name in model.joint.base_seams:
+        entities = exterior_facet_entities(mesh, np.sort(domain.facets(name))).astype(np.int64)
+    else:
+        entities = seam_entities(domain, name).astype(np.int64)
+    layout = V.dofmap.dof_layout
+    closures = np.array(
+        [layout.entity_closure_dofs(d - 1, k) for k in range(int(entities[:, 1::2].max(initial=0)) + 1)]
+    )
+    vertices, sides = mesh.topology.connectivity(d, 0).array.reshape(len(V.dofmap.list), -1), []
+    for side in (entities[:, :2], entities[:, 2:].reshape(-1, 2)):
+        cells, local = side[:, :1], closures[side[:, 1]]
+        if layout.num_dofs == vertices.shape[1]:
+            local = np.take_along_axis(local, vertices[cells, local].argsort(axis=1), axis=1)
+        sides.append(V.dofmap.list[cells, local].astype(np.int64))
+    return sides[0], sides[1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import reduce
@@ -36,80 +35,85 @@ DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 
 
 class ForceScale:
-    """The forces that the residuals of a step are compared with. Norms of forces and residuals are Euclidean.
+    """The forces that the residuals of a step are compared with, in each block of the unknowns.
 
-    Its rules:
+    A block is what can lose its balance by itself: the whole model, each piece of the bodies, its nodes on each seam. Norms
+    (k,) of forces, stiffnesses and residuals are Euclidean, one for each block, that of the whole model first. Rules:
 
-    1. Residuals are relative to "the forces": the largest of the loads, the forces of the stresses at the last residual,
-       and the residual at the start of the step.
-    2. If supports move stiff bodies, or if loads end at zero, all forces may be rounding errors. Therefore the forces have
-       a lower bound: 1e-14 of stiffness times displacement, their rounding, divided by the 1e-6 of rule 6.
-    3. Solvers stop at a residual of 1e-10 of the forces.
-    4. If bodies have moved far on soft springs, rounding may exceed rule 3. Solvers then stop at the rounding of stiffness
-       times displacement, but at no more than 1e-6 of the forces of rules 1 and 2 without those of the stresses.
-    5. A residual as small as the rounding of prescribed displacements is always allowed; no solver can reduce it.
-    6. A state is accepted with a residual of at most 1e-6 of the forces, or at most that of rule 5.
+    1. Residuals in a block are relative to "the forces" on it: the largest of the loads, the forces of the stresses at the
+       last residual, and the residual at the start of the step.
+    2. If supports move stiff bodies, if loads end at zero, or if soft springs let stiff bodies move far, all forces may be
+       rounding errors. Therefore the forces have a lower bound: 1e-14 of stiffness times displacement, their rounding,
+       divided by the 1e-6 of rule 5.
+    3. Solvers stop where the residual in each block is 1e-10 of the forces, or rounding of stiffness times displacement.
+    4. A residual as small as the rounding of prescribed displacements is always allowed; no solver can reduce it.
+    5. A state is accepted with a residual of at most 1e-6 of the forces in each block, or at most that of rule 4.
 
     Neither a factor common to all forces, such as a change of units, nor a rigid motion of supports and bodies changes a
     relative residual.
 
     Args:
-        stiffness: norm of the diagonal of the bodies' stiffness.
+        stiffness: norms (k,) of the diagonal of the bodies' stiffness.
         cancelling: norm of the diagonal of the stiffness of springs that act on differences of displacements.
 
     Attributes:
         stiffness: the argument.
-        forces: the forces of rules 1 and 2 for the last residual.
-        displacement: largest displacement that is known before the step: prescribed, or that of the state before.
+        forces: (k,) the forces of rules 1 and 2 for the last residual.
+        displacement: largest displacement that is known: prescribed, of the state before, or of an elastic response.
     """
 
-    def __init__(self, stiffness: float, cancelling: float = 0.0) -> None:
-        self.stiffness, self._largest_stiffness = stiffness, max(stiffness, cancelling)
+    def __init__(self, stiffness: Array | float, cancelling: float = 0.0) -> None:
+        self.stiffness = np.atleast_1d(stiffness)
+        self._largest_stiffness = np.maximum(self.stiffness, cancelling)
         self.begin(0.0, 0.0, 0.0)
 
-    def begin(self, loads: float, prescribed: float, moved: float) -> None:
+    def begin(self, loads: Array | float, prescribed: float, moved: float) -> None:
         """Begin a step.
 
         Args:
-            loads: norm of the loads.
+            loads: norms of the loads.
             prescribed: largest displacement that supports prescribe.
             moved: largest displacement of the state before.
         """
-        self._loads, self._unbalanced, self.displacement = loads, 0.0, max(prescribed, moved)
-        self._least_forces = ROUNDING_SHARE / ALLOWED * self.stiffness * self.displacement
+        self._loads, self._unbalanced, self.displacement = (
+            np.atleast_1d(loads),
+            0.0 * self.stiffness,
+            max(prescribed, moved),
+        )
         self._support_rounding = EPSILON * self.stiffness * prescribed
-        self.forces = self.least
+        self.see(0.0)
 
-    def start(self, unbalanced: float) -> None:
-        """Take the norm of the residual at the start of the step; the step may have no other forces."""
-        self._unbalanced = unbalanced if np.isfinite(unbalanced) else 0.0
+    def start(self, unbalanced: Array) -> None:
+        """Take the norms of the residual at the start of the step; the step may have no other forces."""
+        self._unbalanced = np.where(np.isfinite(unbalanced), unbalanced, 0.0)
 
-    @property
-    def least(self) -> float:
-        """The forces of rules 1 and 2 without those of the stresses."""
-        return max(self._loads, self._unbalanced, self._least_forces)
+    def move(self, elastic: float) -> None:
+        """Take the largest displacement of an elastic response; that of another iterate may be out of all proportion."""
+        self.displacement = max(self.displacement, elastic)
 
-    def see(self, *stresses: float) -> None:
+    def see(self, stresses: Array | float) -> None:
         """Take norms of the forces of the stresses at a new residual."""
-        self.forces = max([self.least, *stresses])
+        rounding = ROUNDING_SHARE * self.stiffness * self.displacement
+        self.least = np.maximum(np.maximum(self._loads, self._unbalanced), rounding / ALLOWED)
+        self.forces = np.maximum(self.least, stresses)
 
-    def rounding(self, largest_displacement: float) -> float:
-        """Rounding of the forces."""
-        return EPSILON * self._largest_stiffness * largest_displacement
+    def rounding(self, largest_displacement: float) -> Array:
+        """Rounding of the forces (k,)."""
+        return np.asarray(EPSILON * self._largest_stiffness * largest_displacement)
 
-    def aim(self, largest_displacement: float) -> float:
-        """Norm of the residual at which solvers stop."""
-        rounded = min(self.rounding(largest_displacement), ALLOWED * self.least)
-        return max(AIM * self.forces, self._support_rounding, rounded)
+    def aim(self, largest_displacement: float) -> Array:
+        """Norms (k,) of the residual at which solvers stop."""
+        rounded = np.minimum(self.rounding(largest_displacement), self.allowed)
+        return np.maximum(np.maximum(AIM * self.forces, self._support_rounding), rounded)
 
     @property
-    def allowed(self) -> float:
-        """Largest norm of the residual of an accepted state."""
-        return max(ALLOWED * self.forces, self._support_rounding)
+    def allowed(self) -> Array:
+        """Largest norms (k,) of the residual of an accepted state."""
+        return np.maximum(ALLOWED * self.forces, self._support_rounding)
 
-    def relative(self, norm: float) -> float:
-        """The norm of a residual divided by the forces."""
-        return norm / max(self.forces, TINY)
+    def relative(self, norms: Array) -> float:
+        """The largest of the norms of a residual divided by the forces on its block."""
+        return float((norms / np.maximum(self.forces, TINY)).max())
 
 
 class PartSum:
@@ -123,11 +127,18 @@ class PartSum:
         failed: number of points where parts failed in the last evaluation.
         comm, held, scale: communicator, held unknowns of this rank, and the forces that residuals are compared with, of
             the equations of a step.
+        block_of: (n,) number >= 1 of the block of each of the first unknowns of this rank, see `ForceScale`.
+        n_blocks: number of blocks, the whole model's included.
+        last_body: the last of the parts that are bodies; the norms of their forces are `of_bodies`.
     """
 
     comm: MPI.Intracomm
     held: Indices
     scale: ForceScale
+    block_of: npt.NDArray[Any] = np.empty(0, np.int64)
+    n_blocks: int = 1
+    last_body: Part | None = None
+    of_bodies: Array | float = 0.0
 
     def __init__(self, parts: Iterable[Part]) -> None:
         self.parts = list(parts)
@@ -195,6 +206,8 @@ class PartSum:
                 part.add_forces(each)
                 sizes.append(float(each.norm()))
                 out.axpy(1.0, each)
+            if part is self.last_body:
+                self.of_bodies = self.norms(out.array_r)
         self.failed = sum(part.failed for part in self.parts)
         return sizes
 
@@ -228,26 +241,43 @@ class PartSum:
         return found, Configuration(u.copy(), t, memory, fields, stored, stresses=stresses)
 
     # ---------------------------------------------------------------- tests of balance
-    def aim(self, x: PETSc.Vec) -> float:
-        """Norm of the residual at which solvers stop, at unknowns x."""
-        return self.scale.aim(float(x.norm(PETSc.NormType.INFINITY)))
+    def norms(self, values: Array) -> Array:
+        """Norms (k,) of forces on the unknowns of this rank: on all of them, then on each block."""
+        squares = values * values
+        sums = np.bincount(self.block_of, squares[: len(self.block_of)], self.n_blocks)
+        sums[0] = squares.sum()
+        return np.sqrt(self.comm.allreduce(sums))
 
-    def free_norm(self, r: PETSc.Vec) -> float:
-        """Norm of a residual over the unknowns that are not held."""
+    def residual_norms(self, r: PETSc.Vec) -> Array:
+        """Norms (k,) of a residual, over the unknowns that are not held."""
         free = r.array_r.copy()
         free[self.held] = 0.0
-        return math.sqrt(self.comm.allreduce(float(free @ free)))
+        return self.norms(free)
+
+    def relative(self, r: PETSc.Vec) -> float:
+        """The largest norm of a residual relative to the forces on its block."""
+        return self.scale.relative(self.residual_norms(r))
+
+    def aim(self, x: PETSc.Vec) -> Array:
+        """Norms (k,) of the residual at which solvers stop, at unknowns x."""
+        return self.scale.aim(float(x.norm(PETSc.NormType.INFINITY)))
+
+    def is_balanced(self, x: PETSc.Vec, r: PETSc.Vec) -> bool:
+        """Whether solvers stop at unknowns x with the residual r."""
+        return bool((self.residual_norms(r) <= self.aim(x)).all())
 
     def require_equilibrium(self, r: PETSc.Vec) -> None:
-        """Raise SolveError unless a residual is small against the forces.
+        """Raise SolveError unless a residual is small against the forces in each block.
 
         PETSc options do not change this test, so a solver that stopped too early is noticed here.
         """
-        size, scale = self.free_norm(r), self.scale
-        if size <= scale.allowed:
+        norms, scale = self.residual_norms(r), self.scale
+        if (norms <= scale.allowed).all():
             return
         failed = f"; {self.failure()}" if self.failed else ""
-        what = f"{scale.relative(size):.1e} of the forces of loads and stresses is out of balance, allowed: {ALLOWED:g}"
+        what = (
+            f"{scale.relative(norms):.1e} of the forces of loads and stresses is out of balance, allowed: {ALLOWED:g}"
+        )
         advice = "do PETSc options (of a script, a command line, PETSC_OPTIONS or a file petscrc) end the solve early?"
         raise SolveError(f"what the solver returned is no equilibrium: {what}{failed}", advice=advice)
 

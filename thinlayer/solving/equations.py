@@ -21,7 +21,9 @@ from thinlayer.discretisation.given_strains import VaryingStrains
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import Audit, Configuration, Report, State
-from thinlayer.parts.compiled import SAMPLE_FRACTIONS
+from thinlayer.errors import SolveError
+from thinlayer.parts.compiled import SAMPLE_FRACTIONS, CompiledPart
+from thinlayer.parts.contact_part import ContactPart
 from thinlayer.parts.making import body_parts, diagonal_at_rest, layer_parts
 from thinlayer.parts.part import DISPLACEMENTS, Block, Interval
 from thinlayer.solving.balance import DIFFERENT, ForceScale, Layout, PartSum, TangentMatrix, lent
@@ -74,9 +76,11 @@ class Equations(PartSum):
         self._product: PETSc.Mat | None = None
         self.held = self._prescribed(None)[0].astype(np.int32)
         diagonal = diagonal_at_rest(self.parts, self.u.x.petsc_vec.duplicate())
-        self.scale = ForceScale(float(diagonal.norm()), max([0.0, *self.ask("cancelling")]))
+        self._rigid = RigidMotions(model, float(diagonal.norm()))
+        (self.block_of, self.n_blocks), self.last_body = self._rigid.blocks, [None, *kept.bodies][-1]
+        self.scale = ForceScale(self.norms(diagonal.array_r), max([0.0, *self.ask("cancelling")]))
         self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
-        self._reactions, self._rigid = ReactionSums(model, self.parts), RigidMotions(model, self.scale.stiffness)
+        self._reactions = ReactionSums(model, self.parts)
         self._forces, self.loads, self.external = (self.u.x.petsc_vec.duplicate() for _ in range(3))
         self.eased, self._relative_residual = 0.0, 0.0
 
@@ -187,7 +191,7 @@ class Equations(PartSum):
             largest_displacement = max(largest_displacement, across)
         moved = float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))  # forces may end at zero where loads do
         moved = max([moved, *self.ask("distance")])
-        self.scale.begin(float(self.loads.norm()), largest_displacement, moved)
+        self.scale.begin(self.norms(self.loads.array_r), largest_displacement, moved)
         self.begin_parts(interval)
         self.external.set(0.0)
         self.ask("add_fixed", self.external)
@@ -232,10 +236,11 @@ class Equations(PartSum):
         """Compute the residual at the displacements before the step, and tell the force scale its norm.
 
         Not under a mean strain: these forces would be those of stiff bodies that follow it alone, however soft the layer.
+        Nor those of eased laws, in which a layer that has slipped far is elastic.
         """
         self.residual(x, out)
-        if self.model.strain is None:
-            self.scale.start(self.free_norm(out))
+        if self.model.strain is None and not self.eased:
+            self.scale.start(self.residual_norms(out))
 
     def residual(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Internal forces less loads, then the parts' own residuals. All forces are NaN if a part failed."""
@@ -245,14 +250,15 @@ class Equations(PartSum):
         mid.scale(theta)
         mid.axpy(1 - theta, self.interval.old.u.x.petsc_vec)
         self._mid.x.scatter_forward()
-        self.scale.see(*self.forces(self.u, self._mid, self._forces))
+        of_parts = self.forces(self.u, self._mid, self._forces)
+        self.scale.see(np.maximum(self.of_bodies, np.eye(1, self.n_blocks)[0] * max(of_parts, default=0.0)))
         self._forces.axpy(-1.0, self.loads)
         rows = self._layout.split(out.array)
         rows[DISPLACEMENTS][:] = np.nan if self.failed else self._forces.array_r
         for part in self.with_own:
             rows[part.key][:] = part.own_residual()
         rows[DISPLACEMENTS][:] = self.constraints.forces(rows[DISPLACEMENTS])
-        self._relative_residual = self.scale.relative(self.free_norm(out)) if self.traits.singular else 0.0
+        self._relative_residual = self.relative(out) if self.traits.singular else 0.0
 
     def tangent(self) -> PETSc.Mat:
         """Tangent at the unknowns of the last residual, without supports. Each call fills the same matrix.
@@ -304,13 +310,14 @@ class Equations(PartSum):
         self.require_equilibrium(out)
         if self.traits.releases:
             self.require_unique()
+        self._require_bounded_jumps()
         self.put_state(self.interval.old, old)
         held, before = out.array_r[self.held], self.interval.old.u.x.array
         moved, change = x.array_r[self.held] - old.array_r[self.held], (self.u.x.array - before)[: self.n_displacements]
         works = held @ x.array_r[self.held], held @ moved + self.loads.array_r @ change
         prescribed_work, supplied = map(float, self.comm.allreduce(np.array(works)))
         found, end = self.end_parts(self.u, self.interval.t)
-        end = replace(end, reactions=self._reactions.at_end(self._forces, self.interval, self.loads_at))
+        end = replace(end, reactions=self.reactions())
         names = ("supplied", "before", "dissipated", "remainder", "after")
         more, start, lost, remainder, total = (sum(getattr(one, name) for one in found.values()) for name in names)
         audit = Audit(supplied + more, total - start, lost, remainder, total)
@@ -318,6 +325,25 @@ class Equations(PartSum):
         sudden = self.interval.dt == 0 and self.interval.old.at_rest
         known: dict[str, Any] = {"sudden": sudden, "prescribed_work": prescribed_work, "dissipated": dissipated}
         return State(**vars(end), model=self.model, report=report, audit=audit, **known)
+
+    def reactions(self) -> Array:
+        """Forces and moments (n, k) of what holds the model at the end of the step, for the last residual."""
+        return self._reactions.at_end(self._forces, self.interval, self.loads_at)
+
+    def _require_bounded_jumps(self) -> None:
+        """Raise SolveError if a layer that bounds forces, or lets a body go, has jumped farther than the model is large.
+
+        Beyond a limit load displacements run away; then the rounding of forces grows until it hides what is out of balance.
+        """
+        size = self.model.joint.size
+        for part in self.parts:
+            if (part.traits.bounded or part.traits.releases) and isinstance(part, CompiledPart | ContactPart):
+                square = self.comm.allreduce(float((part.error_measure(self.u) ** 2).sum()))
+                if not square <= part.unit_jump_measure() * size**2:
+                    what = (
+                        f"what the solver returned is no equilibrium: {part.key!r} jumps farther than the model's size"
+                    )
+                    raise SolveError(f"{what}, {size:.3g}", advice="loads may be beyond their limit; march from less")
 
     # ---------------------------------------------------------------- time
     def check_times(self, times: list[float]) -> None:

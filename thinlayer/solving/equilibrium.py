@@ -23,8 +23,7 @@ WORTH_ANOTHER = {True: 0.1, False: 0.5}  # reduction of the residual by a refine
 NEEDED = 0.3  # reduction of a residual by a Krylov method that refines, relative to what is still wanted
 DETERMINED = 1e-6  # least pivot, relative to the largest, above which rounding of the forces moves nothing
 UNDETERMINED = 1e-3  # first refinement, relative to the displacements at play, that shows a singular matrix
-ROUNDED = 100.0  # residual over the rounding of stiffness times displacement, at most, that is taken for rounding
-LESS_STIFF = 10.0  # by how much residuals of rounding should fall below the allowed one
+ROUNDED = 1e-5  # last refinement, relative to the displacements at play, above which rounding has spoilt the solution
 OVERSHOOT = 10.0  # residual after the linear step, relative to the forces, at which the step is shortened
 NEWTON: dict[str, OptionValue] = {
     "snes_type": "newtonls",
@@ -145,13 +144,14 @@ class Equilibrium(Finder):
         self._prepare()
         iterations = self._solve_linear(r, d)
         x.axpy(1.0, d)
+        self.equations.scale.move(_largest(x))
         self.equations.residual(x, r)
         residual, refining = self._refine(x, r, d)
         return Found(x, iterations + refining, residual)
 
     def _from_linear_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> Found:
         """Newton's method from where a linear step leads, in which supports move."""
-        equations, forces = self.equations, self.equations.scale.forces
+        equations, forces = self.equations, float(self.equations.scale.forces[0])
         self._require_finite("stress", self._free_norm(r))
         r.scale(-1.0)
         self._prepare(move, r)
@@ -163,6 +163,8 @@ class Equilibrium(Finder):
             raise SolveError("the tangent at the start of the step is singular", advice=advice)
         d.array[equations.held] = move.array_r[equations.held]
         x.axpy(1.0, d)
+        if equations.interval.old.at_rest:
+            equations.scale.move(_largest(x))
         equations.residual(x, r)
         self._retreat(x, r, d, move, forces)
         return self._newton(x)
@@ -229,7 +231,7 @@ class Equilibrium(Finder):
         equations, ksp = self.equations, self._factor.ksp
         reason = ksp.getConvergedReason()
         direct = ksp.getType() == "preonly"
-        residual, first, iterations, rtol = self._relative(r), True, 0, ksp.getTolerances()[0]
+        residual, first, moved, iterations, rtol = self._relative(r), True, 0.0, 0, ksp.getTolerances()[0]
         if residual < AIM and not equations.traits.saddle and least_pivot(ksp.getPC()) > DETERMINED:
             return residual, 0
         while REFINED_RESIDUAL[direct] < residual < WORTH_REFINING[direct]:
@@ -245,7 +247,7 @@ class Equilibrium(Finder):
             if first and direct and change > UNDETERMINED * size:
                 what = f"rounding of the forces changes the displacements {size:.1e} by {change:.1e}"
                 raise SolveError(f"no unique solution: {what}", advice=RESISTS)
-            first = False
+            first, moved = False, change / size if size else 0.0
             x.axpy(1.0, d)
             equations.residual(x, r)
             refined = self._relative(r)
@@ -254,18 +256,17 @@ class Equilibrium(Finder):
             if refined >= WORTH_ANOTHER[direct] * residual:
                 break
             residual = refined
+        if direct and moved > ROUNDED:
+            what = f"rounding of the forces changes the displacements by {moved:.1e} of them, allowed: {ROUNDED:g}"
+            why = "the bodies are so much stiffer than what holds them that their strains are lost in rounding"
+            advice = f"take their moduli {10 * moved / ROUNDED:.0e} times smaller, or larger cells"
+            raise SolveError(f"linear solve failed: {what}: {why}", advice=advice)
         if not residual < ALLOWED:
             equations.put_state(equations.interval.old, d)
             equations.start(d, r)
             equations.residual(x, r)
             residual = self._relative(r)
         if not residual < ALLOWED:
-            rounding = equations.scale.relative(equations.scale.rounding(_largest(x)))
-            if residual < ROUNDED * rounding:
-                what = f"{residual:.1e} of the forces is out of balance, allowed: {ALLOWED:g}"
-                why = "the bodies are so much stiffer than what holds them that their strains are lost in rounding"
-                advice = f"take their moduli {LESS_STIFF * residual / ALLOWED:.0e} times smaller, or larger cells"
-                raise SolveError(f"linear solve failed: {what}: {why}", advice=advice)
             hints = "".join(f", or {part.hint}" for part in equations.with_own if part.hint)
             what = f"{reason_name(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}"
             why = f"a body can move freely, or a law is not as linear as it says{hints}"
@@ -281,12 +282,13 @@ class Equilibrium(Finder):
         of the step cause against the mean stiffness.
         """
         scale, stiffness = self.equations.scale, self.equations.mean_stiffness
-        of_forces = scale.forces / (stiffness * math.sqrt(x.getSize())) if stiffness else 0.0
+        of_forces = float(scale.forces[0]) / (stiffness * math.sqrt(x.getSize())) if stiffness else 0.0
         return max(_largest(x), scale.displacement, of_forces)
 
     def _relative(self, r: PETSc.Vec) -> float:
-        """Norm of the residual over the unknowns that are not held, relative to the force scale."""
-        return self.equations.scale.relative(self._free_norm(r))
+        """The largest norm of the residual relative to the forces on its block; r becomes zero at held unknowns."""
+        r.array[self.equations.held] = 0.0
+        return self.equations.relative(r)
 
     def _free_norm(self, r: PETSc.Vec) -> float:
         r.array[self.equations.held] = 0.0
@@ -317,17 +319,17 @@ class Equilibrium(Finder):
 
         def converged(_: PETSc.SNES, steps: int, norms: tuple[float, float, float]) -> Any:
             nonlocal given_up
-            residuals.append(equations.scale.relative(norms[2]))
+            x, r = snes.getSolution(), snes.getFunction()[0]
+            residuals.append(equations.relative(r))
             if math.isnan(norms[2]):
                 return Reason.DIVERGED_FNORM_NAN
-            x = snes.getSolution()
             if self._yields and _stagnates(residuals):
                 given_up = f"the residual has not fallen for {STAGNATION_STEPS} steps"
             elif self._yields and not _largest(x) <= largest:
                 given_up = "displacements grow without bound"
             if given_up:
                 return Reason.DIVERGED_DTOL
-            return Reason.CONVERGED_FNORM_ABS if norms[2] <= equations.aim(x) else False
+            return Reason.CONVERGED_FNORM_ABS if equations.is_balanced(x, r) else False
 
         A = equations.tangent()
         equations.hold(A)
@@ -343,7 +345,7 @@ class Equilibrium(Finder):
         reason, steps = snes.getConvergedReason(), snes.getIterationNumber()
         if self._own_test and not residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN
             raise InputError(f"-{PREFIX}snes_type {snes.getType()} does not look at the residual; use another one")
-        last = equations.scale.relative(float(snes.getFunctionNorm()))
+        last = equations.relative(snes.getFunction()[0])
         ksp_reason = snes.getKSP().getConvergedReason()
         snes.destroy()
         stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < ALLOWED  # rounding stops the line search

@@ -9,15 +9,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
+from dolfinx import fem
 from petsc4py import PETSc
 from scipy.sparse.linalg import splu
 
 from forms.base import Array
 from geometry.refusals import place
-from geometry.topology import Indices
+from geometry.topology import Indices, IntArray
 from thinlayer.discretisation.boundary import AXES
 from thinlayer.discretisation.constraints import product
-from thinlayer.discretisation.layer import LAYER, PRESSURE
+from thinlayer.discretisation.layer import LAYER, PRESSURE, nodes_of_sides
+from thinlayer.discretisation.mesh_functions import cut_at_faces
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_at, rigid_values
 from thinlayer.errors import LooseBody
@@ -118,6 +120,30 @@ class RigidMotions:
         joint, first = model.domain.joint, np.unique(pieces, return_index=True)[1]
         self._names = [joint.regions[k] for k in joint.region[first]]
         return of
+
+    @cached_property
+    def blocks(self) -> tuple[IntArray, int]:
+        """(n,) numbers >= 1 of the blocks of this rank's displacements, for `ForceScale`, and 1 + the number of blocks.
+
+        A block is a piece of the bodies, or of meshed layers, but for its nodes on S; or these nodes, seam by seam.
+        """
+        model, V, joint = self.model, self.model.V, self.model.domain.joint
+        pieces = (model.splitting if joint.band is None else cut_at_faces(joint)).pieces
+        of_cells, count = model.domain.on_cells(pieces), int(pieces.max()) + 1
+        of = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, np.int64)
+        of[np.asarray(V.dofmap.list)] = of_cells[: len(V.dofmap.list), None]
+        if joint.band is None:
+            on_S = [[side.ravel() for side in nodes_of_sides(model, V, name)] for name in model.layers]
+        else:
+            faces = (model.domain.facets(name) for name in joint.band.faces)
+            on_S = [[fem.locate_dofs_topological(V, joint.dim - 1, facets)] for facets in faces]
+        for k, sides in enumerate(on_S, 1):
+            nodes = np.concatenate(sides)
+            of[nodes] = of[nodes] % count + k * count
+        of = of.repeat(joint.dim)[: model.constraints.n]
+        of[model.constraints.held] %= count
+        every = np.unique(np.concatenate(model.comm.allgather(np.unique(of))))
+        return 1 + np.searchsorted(every, of), 1 + len(every)
 
     def _motions(self, rows: npt.NDArray[Any]) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
         """Motions (n, c), sparse: those of pieces in turn, then of plates, with those parts that supports prevent left out.

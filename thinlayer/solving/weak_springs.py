@@ -158,7 +158,7 @@ class WeakSprings:
             self._solve_linear(A, self._r, self._d)
             x, size = self._search(x, -self._d.array_r, max(sizes[-COMPARED_RESIDUALS:]))
             sizes.append(size)
-            if size <= max(TOLERANCE * self._stiffness * self._distance(x), self.equations.aim(self._x)):
+            if size <= max(TOLERANCE * self._stiffness * self._distance(x), self.equations.aim(self._x)[0]):
                 return x
         return None
 

@@ -98,8 +98,7 @@ class EquilibriumPath:
         self._x.array[:] = point[:-1]
         self._forces(self._r)
         self._r.array[held] = 0.0
-        size = float(self._r.norm())
-        return equations.scale.relative(size) if size <= equations.aim(self._x) else None
+        return equations.relative(self._r) if equations.is_balanced(self._x, self._r) else None
 
     def _begin(self, last: State, t: float) -> None:
         try:
@@ -210,8 +209,8 @@ class EquilibriumPath:
         self._residual(last, point + short * direction)
         across = (before - self._r.array_r) / short  # (A_2 - A_1) d_2 = -A_1 d_2, as A_2 d_2 = 0
         moved = [float(np.abs(one[:-1]).max(initial=0.0)) for one in (self._direction, point)]
-        rounded = np.array([equations.scale.rounding(equations.comm.allreduce(most, max)) for most in moved])
-        small = SMALL * equations.scale.forces / length
+        rounded = np.array([equations.scale.rounding(equations.comm.allreduce(most, max))[0] for most in moved])
+        small = SMALL * equations.scale.forces[0] / length
         local = [beyond @ beyond, across @ across, beyond @ across]
         *squares, product = equations.comm.allreduce(np.array(local))
         # rounding of residuals; forces may be zero

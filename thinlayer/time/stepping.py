@@ -291,7 +291,7 @@ class ErrorEstimate:
         apart = self._norms([b - a for a, b in zip(*ends, strict=True)])
         sizes = np.maximum(self._norms(ends[1]), largest)
         moved = float(state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
-        least = np.array([0.0, LEAST_JUMP * self._unit * moved, self._equations.scale.forces])
+        least = np.array([0.0, LEAST_JUMP * self._unit * moved, self._equations.scale.forces[0]])
         sizes = np.maximum(sizes, least)
         return np.divide(apart, sizes, out=np.zeros(3), where=sizes > 0)
 

@@ -6,6 +6,7 @@ Jumps are no unknowns here: around a junction they depend on each other, and so 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +18,7 @@ from geometry.topology import IntArray, along
 from thinlayer.discretisation.constraints import aij_of
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
-from thinlayer.solving.balance import ALLOWED, TINY, ForceScale
+from thinlayer.solving.balance import ALLOWED, EPSILON, TINY
 from thinlayer.solving.contact.condensation import Condensation, FactorError
 from thinlayer.solving.contact.finder import ContactFinder
 from thinlayer.solving.contact.pairs import Pairs
@@ -76,8 +77,11 @@ class Condensed(ContactFinder):
         b[equations.held] = 0.0  # decoupled; what supports prescribe is put back in the end
         g = condensation.condense(b)
         g[kept_held] = (condensation.stiffness.diagonal() * u)[kept_held]
-        size = max(equations.scale.least, equations.free_norm(equations.external), TINY)
-        u, residuals = self._system.newton(u if known else self._system.start(g, size), g, size)
+        self._given = equations.residual_norms(equations.external)
+        if not known:
+            u = self._system.start(g)
+            equations.scale.move(float(np.abs(u).max(initial=0.0)))
+        u, residuals = self._system.newton(u, g, self._relative)
         condensation.expand(b, u, self.x.array)
         self.x.array[equations.held] = equations.prescribed
         relative = self.relative_residual()
@@ -85,6 +89,13 @@ class Condensed(ContactFinder):
             large = f"contact: the residual of the whole problem is {relative:.1e} of the forces"
             raise SolveError(large, residuals=residuals)
         return len(residuals) - 1, relative
+
+    def _relative(self, r: Array, forces: Array, u: Array) -> float:
+        """Norm of the residual r at nodes in contact, relative to the forces on each block, see `ForceScale`."""
+        of, count, scale = self.equations.block_of[self.pairs.dofs], self.equations.n_blocks, self.equations.scale
+        of_pairs, of_r = (np.sqrt(np.bincount(of, v * v, count)) for v in (forces, r))
+        scale.see(np.maximum(self._given, of_pairs))
+        return scale.relative(of_r)
 
     def close(self) -> None:
         """Free matrices, vectors and factors."""
@@ -119,10 +130,11 @@ class CondensedSystem:
         return scipy.sparse.bsr_matrix((blocks, np.tile(np.arange(n), n), np.arange(n + 1) * n))
 
     @cached_property
-    def _scale(self) -> ForceScale:
+    def _rounding(self) -> float:
+        """Rounding of the forces for unit displacements."""
         springs = self.pairs.bonded()[0]
         largest = max(float(one.diagonal().max(initial=0.0)) for one in (self._stiffness, springs))
-        return ForceScale(SUMMATION * math.sqrt(len(self.pairs.nodes)) * largest)
+        return EPSILON * SUMMATION * math.sqrt(len(self.pairs.nodes)) * largest
 
     @cached_property
     def _coarser(self) -> tuple[CondensedSystem, scipy.sparse.csr_matrix] | None:
@@ -141,12 +153,12 @@ class CondensedSystem:
         P = scipy.sparse.kron(P, scipy.sparse.eye(self.pairs.d), format="csr")
         return CondensedSystem(P.T @ self._stiffness @ P, few, self._x[chosen], lines), P
 
-    def start(self, g: Array, size: float) -> Array:
+    def start(self, g: Array) -> Array:
         """Displacements from which Newton's method starts: those of the coarser system, or with bonded springs."""
         if self._coarser is not None:
             system, P = self._coarser
             try:
-                return np.asarray(P @ system.newton(system.start(P.T @ g, size), P.T @ g, size, COARSE_TOLERANCE)[0])
+                return np.asarray(P @ system.newton(system.start(P.T @ g), P.T @ g, _of_all, COARSE_TOLERANCE)[0])
             except SolveError:
                 pass
         springs, forces = self.pairs.bonded()
@@ -181,14 +193,16 @@ class CondensedSystem:
         destroy(pc, matrix, x, right)
         return np.asarray(out)
 
-    def newton(self, u: Array, g: Array, size: float, tolerance: float = TOLERANCE) -> tuple[Array, tuple[float, ...]]:
+    def newton(
+        self, u: Array, g: Array, relative: Callable[[Array, Array, Array], float], tolerance: float = TOLERANCE
+    ) -> tuple[Array, tuple[float, ...]]:
         """Displacements, from u, and the residuals before each Newton step and after the last, relative to the forces."""
         residuals, pairs = list[float](), self.pairs
         while True:
             forces = pairs.forces(pairs.apart(u))
             r = self._stiffness @ u + forces - g
-            residuals.append(float(np.linalg.norm(r)) / max(size, float(np.linalg.norm(forces))))
-            if residuals[-1] <= tolerance or self._stalls(residuals, u, size):
+            residuals.append(relative(r, forces, u))
+            if residuals[-1] <= tolerance or self._stalls(residuals, u, forces):
                 return u, tuple(residuals)
             if len(residuals) > MOST_STEPS or not math.isfinite(residuals[-1]):
                 raise SolveError(
@@ -201,11 +215,11 @@ class CondensedSystem:
             step = self._linear_solve(pairs.tangent(pairs.apart(u)), -self._residual(u, g))
             u = u + (self._length(u, step, g) if len(residuals) > PATIENCE else 1.0) * step
 
-    def _stalls(self, residuals: list[float], u: Array, size: float) -> bool:
+    def _stalls(self, residuals: list[float], u: Array, forces: Array) -> bool:
         """Whether the residual is as small as rounding lets it be."""
         if len(residuals) < 3 or residuals[-1] <= residuals[-2] / 2:
             return False
-        share = self._scale.rounding(float(np.abs(u).max(initial=0.0))) / size
+        share = self._rounding * float(np.abs(u).max(initial=0.0)) / max(float(np.linalg.norm(forces)), TINY)
         return residuals[-1] <= max(STALLED, min(share, ALLOWED))
 
     def _length(self, u: Array, step: Array, g: Array) -> float:
@@ -229,6 +243,10 @@ class CondensedSystem:
             else:
                 high, above = a, now
         return a
+
+
+def _of_all(r: Array, forces: Array, u: Array) -> float:
+    return float(np.linalg.norm(r)) / max(float(np.linalg.norm(forces)), TINY)
 
 
 def every_second(x: Array, lines: IntArray) -> tuple[IntArray, scipy.sparse.csr_matrix, IntArray]:

@@ -86,7 +86,7 @@ class ContactFinder(Finder):
     def relative_residual(self) -> float:
         """Norm of the residual of the whole problem at x, relative to the forces."""
         self.equations.residual(self.x, self._r)
-        return self.equations.scale.relative(self.equations.free_norm(self._r))
+        return self.equations.relative(self._r)
 
     def close(self) -> None:
         """Free matrices and vectors."""

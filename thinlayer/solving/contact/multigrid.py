@@ -114,10 +114,10 @@ class MultigridContact(ContactFinder):
         equations = self.equations
         equations.residual(u, out)
         out.array[equations.held] = 0.0
-        norm, forces = float(out.norm()), max(equations.aim(u) / AIM, TINY)
-        if norm > LARGE * self._largest:  # the large forces of a body far away are only rounding
-            forces = min(forces, max(self._largest, TINY))
-        return norm / forces
+        norms, forces = equations.norms(out.array_r), equations.aim(u) / AIM
+        if norms[0] > LARGE * self._largest:  # the large forces of a body far away are only rounding
+            forces = np.minimum(forces, self._largest)
+        return float((norms / np.maximum(forces, TINY)).max())
 
     def close(self) -> None:
         """Free vectors, matrices and the hierarchy."""
