@@ -285,10 +285,17 @@ class Joint:
         """The mesh, cut along S."""
         return self.split_along(self.surface_rows)
 
-    def components_at(self, cells: IntArray, nodes: IntArray) -> IntArray:
-        """(n, k) component, around nodes (n, k), of the cells (n,) that have them; -1 for cells < 0."""
+    def components_at(self, cells: IntArray, nodes: IntArray, cut: Splitting | None = None) -> IntArray:
+        """(n, k) component, around nodes (n, k), of the cells (n,) that have them; -1 for cells < 0.
+
+        Args:
+            cells: cells.
+            nodes: nodes of each of them.
+            cut: where the mesh is cut; None: along all seams.
+        """
         position = (self.cells[cells][:, None, :] == nodes[:, :, None]).argmax(axis=2)
-        return np.where(cells[:, None] < 0, -1, np.take_along_axis(self.splitting.of_nodes[cells], position, axis=1))
+        of_nodes = (cut or self.splitting).of_nodes[cells]
+        return np.where(cells[:, None] < 0, -1, np.take_along_axis(of_nodes, position, axis=1))
 
     @cached_property
     def pairs(self) -> IntArray:

@@ -13,14 +13,14 @@ from thinlayer.discretisation.state import State
 from thinlayer.system.ranks import destroy
 
 
-def reaction(state: State) -> fem.Function:
+def reaction(state: State, joined: bool = False) -> fem.Function:
     """Nodal forces that the layer (or the other body) exerts on the bodies, on the nodes of the faces of S. Collective.
 
     r_i = int_body stress(u) : e(phi_i) - L(phi_i), with the work of additions to the model (springs at the end of S, say)
-    on the left. The functions phi_i have degree 1 and jump at the faces of S.
+    on the left. The functions phi_i have degree 1 and jump at the faces of S; where `joined`, not at bonds.
     """
     model = state.model
-    W = model.space(1, broken_at_faces=True)
+    W = model.space(1, broken_at_faces=not joined)
     v = ufl.TestFunction(W)
     # Each form by itself: in a sum DOLFINx 0.9 loses integrals over overlapping sets of regions with unlike quadrature.
     r = nodal_forces(W, state.work(state.bodies, v))

@@ -61,7 +61,11 @@ class Surface(SurfaceMesh):
         """
         self._require_same_joint(state)
         whole = SurfaceMesh(self.model)  # forces at junctions are of all seams there
-        return self.at_points(by_reactions(whole, state)[whole.find(self.numbers)])
+        found, bonds = by_reactions(whole, state), np.isin(whole.seams, state.model.bonds)
+        if bonds.any() and not bonds.all() and state.model.broken:
+            of_bonds = whole.sums(np.broadcast_to(bonds[:, None], whole.nodes.shape).astype(float)) > 0
+            found = np.where(of_bonds[:, None], found, by_reactions(whole, state, joined=True))
+        return self.at_points(found[whole.find(self.numbers)])
 
     # ---------------------------------------------------------------- what S does
     def status(self, state: State) -> npt.NDArray[np.str_]:

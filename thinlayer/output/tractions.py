@@ -225,16 +225,19 @@ def _weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float]:
 
 
 # ---------------------------------------------------------------- reactions
-def by_reactions(surface: SurfaceMesh, state: State) -> Array:
-    """(m, d) tractions whose nodal forces are the bodies' reactions, see `Surface.reaction`. Collective."""
+def by_reactions(surface: SurfaceMesh, state: State, *, joined: bool = False) -> Array:
+    """(m, d) tractions whose nodal forces are the bodies' reactions, see `Surface.reaction`. Collective.
+
+    Where `joined`, those of layers alone: bonds are inside the bodies, and what they transmit is not theirs.
+    """
     model, d = state.model, surface.joint.dim
-    r = reaction(state)
+    r = reaction(state, joined)
     held = fem.Function(r.function_space)
     held.x.array[model.held_in(r.function_space)] = 1.0
     held.x.scatter_forward()
     by_sides = [surface.sides(f, model, surface.corner_points) for f in (r, held)]
     forces, fixed = (np.moveaxis(f, 1, -1) for f in by_sides)  # (2, n, k, d)
-    sides, count = _side_nodes(surface)
+    sides, count = _side_nodes(surface, joined)
     force, known = np.zeros((count, d)), np.zeros((count, d), bool)
     force[sides], known[sides] = forces, fixed < 0.5
     there, apart = np.zeros(count, bool), sides[0] != sides[1]
@@ -260,10 +263,14 @@ def by_reactions(surface: SurfaceMesh, state: State) -> Array:
     return out
 
 
-def _side_nodes(surface: SurfaceMesh) -> tuple[IntArray, int]:
-    """(2, n, k) numbers from 0 of the bodies' nodes at the corners, below and above; and how many there are."""
+def _side_nodes(surface: SurfaceMesh, joined: bool) -> tuple[IntArray, int]:
+    """(2, n, k) numbers from 0 of the bodies' nodes at the corners, below and above; and how many there are.
+
+    Where `joined`, bonded bodies have one.
+    """
     joint = surface.joint
-    of = np.stack([joint.components_at(cells, surface.corners) for cells in surface.cells.T])
+    cut = surface.model.splitting if joined else joint.splitting
+    of = np.stack([joint.components_at(cells, surface.corners, cut) for cells in surface.cells.T])
     numbers = joint.masters[surface.corners] * (of.max() + 2) + of + 1
     known, positions = np.unique(numbers, return_inverse=True)
     return positions.reshape(numbers.shape), len(known)
