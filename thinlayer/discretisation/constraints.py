@@ -341,11 +341,26 @@ class Constraints:
         out[self._single] = f[self._columns] / self._coefficient
         return out[: len(self.prescribed.entry)]
 
-    def dual_to_resultant(self, entries: Sequence[int], direction: Array) -> Array:
-        """(n,) motions g of y for which g . T'r is the force along a direction (d,) of some supports, by their entries."""
-        prescribed = self.prescribed
-        along = np.isin(prescribed.entry, entries) * (prescribed.directions @ direction)
-        along = np.append(along, np.zeros(len(self._motions)))
+    def _shifts(self, holders: Sequence[int], direction: Array) -> dict[str, Array]:
+        """Motions (m,) of ties that are a unit translation along a direction (d,); zero but for ties among some holders."""
+        first, shift = len(self.prescribed.supports.entries), np.tile(direction, self.n // self.d)
+        return {tie.key: self.motion(tie, shift) * (first + k in holders) for k, tie in enumerate(self.ties)}
+
+    def given_resultant(self, holders: Sequence[int], direction: Array, t: float) -> float:
+        """The force along a direction (d,) that is given at a time for the ties among some holders."""
+        shifts = self._shifts(holders, direction)
+        return float(sum(shifts[tie.key] @ tie.resultant(t) for tie in self.ties))
+
+    def dual_to_resultant(self, holders: Sequence[int], direction: Array) -> Array:
+        """(n,) motions g of y for which g . T'r, and what is given, is the force of some holders along a direction (d,).
+
+        Args:
+            holders: numbers of supports, then of ties, as in `Model.holders`.
+            direction: the direction.
+        """
+        prescribed, shifts = self.prescribed, self._shifts(holders, direction)
+        along = np.isin(prescribed.entry, holders) * (prescribed.directions @ direction)
+        along = np.append(along, [shifts[tie.key][k] for tie, k, _ in self._motions])
         g = np.zeros(self.n)
         g[self._columns] = along[self._single] / self._coefficient
         for one, values in self._with_values(along):

@@ -28,6 +28,7 @@ from thinlayer.discretisation.layer import Layers, SeamLayer, ThinLayer, constan
 from thinlayer.discretisation.mesh_functions import director
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.setup import Setup
+from thinlayer.discretisation.supports import Place
 
 LARGEST_EPS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
 
@@ -166,8 +167,13 @@ class LayerModel(FullModel):
             distance, _ = cKDTree(self._ends).query(layers.reference)
             self.divided = divided(layers, distance, self._at_ends)
             layers = self.divided.joint
-        here = {place: held for place, held in self.structure.supports.items() if place in layers.facets}
-        self.structure.supports = here
+
+        def has(place: Place) -> bool:
+            if isinstance(place, str):
+                return place in layers.facets
+            return bool((layers.reference == self.joint.points[self.joint.nearest_point(place)]).all(axis=1).any())
+
+        self.structure.supports = {place: held for place, held in self.structure.supports.items() if has(place)}
         return layers
 
     def require_supported(self) -> None:

@@ -54,7 +54,7 @@ from thinlayer.discretisation.rigid import (
     rigid_shares,
 )
 from thinlayer.discretisation.setup import Setup
-from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Supports
+from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Supports, is_part
 from thinlayer.discretisation.time_functions import Hand
 from thinlayer.errors import warn
 from thinlayer.pointwise.integrals import Quadrature, quadrature_degree
@@ -458,6 +458,10 @@ class Model(ABC):
         """
         found = [part.held(self, V) for part in self.parts]
         return np.unique(np.concatenate([self.supports.held(V, clamped=False), *found]))
+
+    def held_by(self, place: Place) -> list[int]:
+        """Numbers of the rows of `holders` that are a place, or parts of it."""
+        return [k for k, name in enumerate(self.holders) if is_part(name, place)]
 
     @property
     def holders(self) -> list[Place]:

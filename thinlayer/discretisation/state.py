@@ -23,7 +23,7 @@ from thinlayer.discretisation.layer import BODIES, LAYER, PRESSURE
 from thinlayer.discretisation.measures import compiled_scalars, per_unit, whole
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import Resultant, middle_of, on_centre, resultant, resultants_of_loads
-from thinlayer.discretisation.supports import Place
+from thinlayer.discretisation.supports import Place, is_part
 from thinlayer.discretisation.time_functions import Hand
 from thinlayer.system.ranks import carry
 
@@ -208,7 +208,7 @@ class State(Configuration):
         """
         model, every = self.model, self.reactions_by_place()
         bases = {BASE, *model.joint.base_seams}
-        chosen = [name for name in every if name == place or str(name).split("/")[0] == place]
+        chosen = [name for name in every if is_part(name, place)]
         if place == S or (place in bases and not chosen):
             chosen = [name for name in every if name in bases]
         if not chosen:

@@ -30,6 +30,11 @@ ByPlace = Mapping[str, Support] | Mapping[tuple[float, ...], Support] | Mapping[
 Components = dict[str, Value]
 
 
+def is_part(place: Place, of: Place) -> bool:
+    """Whether a place is another one, or a part of it, as NAME/REGION is of NAME."""
+    return place == of or str(place).split("/")[0] == of
+
+
 class Supports:
     """Prescribed displacements, for any space on the domain.
 

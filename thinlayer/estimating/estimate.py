@@ -17,17 +17,19 @@ from geometry.refusals import require_known
 from geometry.seam import S
 from thinlayer.discretisation.constraints import csr_of
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.layer import Layers, ThinLayer
+from thinlayer.discretisation.layer import Layers, SeamLayer, ThinLayer, nodes_of_sides
 from thinlayer.discretisation.reduction import Reduction
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.estimating.global_local import NARROW, Bounds, GlobalLocal
-from thinlayer.estimating.goals import Compliance, Goal, nodes_of_sides
+from thinlayer.estimating.goals import Compliance, Goal
 from thinlayer.estimating.on_surface import errors_of, squares_of
-from thinlayer.estimating.result import FIELDS, Estimate, GoalError, LayerError
+from thinlayer.estimating.result import FIELDS, FIXED, Estimate, GoalError, LayerError
 from thinlayer.solving.adjoint import Adjoint
+from thinlayer.solving.balance import PartSum
+from thinlayer.solving.equations import Equations
 from thinlayer.solving.history import History
-from thinlayer.solving.layer_alone import LayerAlone
+from thinlayer.solving.layer_alone import REMEDY, LayerAlone
 from thinlayer.solving.petsc import Options
 from thinlayer.solving.solvers import solve
 from thinlayer.system.progress import telling
@@ -81,7 +83,7 @@ def estimate(
         raise InputError(f"{beside}; ask of a bond, or of all, or solve it with layers alone")
     chosen = [name for name in model.layers if seam in (S, name)]
     with on_all(model.comm):
-        _require_alone(model, state)
+        _require_alone(model, state, [model.layers[name] for name in chosen])
         for goal in checked.values():
             goal.check(model)
     better = {name: _of_order_1(model.reductions[name]) for name in chosen}
@@ -120,8 +122,12 @@ def estimate(
     found = {}
     for name, goal in checked.items():
         at = known.get(name, Bounds(goal.value(last, model), math.nan, math.nan))
-        slack = ROUNDING * max(abs(values[name]), abs(at.told)) if bounded else math.nan
-        found[name] = GoalError(values[name], at.told, goal.scale(last, model), at.lower - slack, at.upper + slack)
+        scale = goal.scale(last, model)
+        slack = ROUNDING * max(abs(values[name]), abs(at.told)) + at.rounding if bounded else math.nan
+        found[name] = GoalError(values[name], at.told, scale, at.lower - slack, at.upper + slack)
+        if max(at.lower - at.told, at.told - at.upper) > slack + FIXED * scale:
+            contradiction = f"better {at.told:.9g} is not between {at.lower:.9g} and {at.upper:.9g}"
+            raise SolveError(f"estimate: the bounds of {name} contradict each other: {contradiction}", advice=REMEDY)
     traction, jump = errors_of(total)
     seconds, by = time.perf_counter() - start, (first, theirs, weights)
     return Estimate(given, last, errors, found, traction, jump, seconds, inside, energy, layers, *by, checked, options)
@@ -165,23 +171,31 @@ def _pass(earlier: Sequence[State], last: State, layers: LayerAlone, options: Op
         layers.begin(inside, following.t)
 
 
-def _require_alone(model: InterfaceModel, state: State | History) -> None:
+def _require_alone(model: InterfaceModel, state: State | History, dropped: Sequence[SeamLayer]) -> None:
     """Raise InputError unless layers can be meshed by themselves between the bodies of a model. Collective.
 
-    Nodes on S follow neither plates nor inclined supports. What remembers must have been at rest before, or its history is
-    known.
+    Nodes on S follow neither plates nor inclined supports. What remembers, law or part, must have been at rest before, or
+    be among the dropped layers, and its history known.
     """
     for name in model.layers:
         model.reductions[name].require("estimate", "estimate: ")
     whole = f"mesh the {'layers' if len(model.layers) > 1 else 'layer'} (structure.full)"
     if _is_tied(model):
         raise InputError(f"estimate: plates or inclined supports tie nodes on S; {whole}")
-    for term in model.terms:
-        name, knows = type(term.law).__name__, term.law.traits.remembers or term.law.traits.rate
-        if knows and isinstance(state, State) and not state.sudden:
-            raise InputError(f"estimate: {name} remembers, and steps in time have led to this state; give the history")
-        if knows and isinstance(state, History) and term in model.bodies:
-            raise InputError(f"estimate: {name} of bodies remembers steps in time; {whole}")
+    if isinstance(state, State) and state.sudden:
+        return
+    equations = Equations(model)
+    try:
+        laws = [part for part in equations.layers if any(one.owns(part.key) for one in dropped)]
+        others = PartSum(part for part in equations.parts if part not in laws)
+        others.refuse(
+            dict.fromkeys(("remembers", "rate"), f"estimate: {{}} remembers steps beside the layers; {whole}")
+        )
+        if isinstance(state, State):
+            reason = "estimate: {} remembers, and steps in time have led to this state; give the history"
+            equations.refuse(dict.fromkeys(("remembers", "rate"), reason))
+    finally:
+        equations.destroy()
 
 
 def _checked_goals(goals: Any) -> dict[str, Goal]:
@@ -204,7 +218,7 @@ def _is_tied(model: InterfaceModel) -> bool:
         return False
     rows = csr_of(constraints.T)
     turned = abs(rows - scipy.sparse.eye(*rows.shape, k=constraints.first)).sum(axis=1) > 0
-    nodes = np.concatenate([side for name in model.layers for side in nodes_of_sides(model, name)])
+    nodes = np.concatenate([side.ravel() for name in model.layers for side in nodes_of_sides(model, model.V, name)])
     dofs = (nodes[:, None] * d + np.arange(d)).ravel()
     return bool(model.comm.allreduce(int(np.asarray(turned)[dofs[dofs < constraints.n]].any()), max))
 

@@ -85,15 +85,17 @@ class Bounds:
     Attributes:
         told: its value, with the residual at S weighed.
         lower, upper: its bounds.
+        rounding: by which rounding of forces may move them, as where bodies move far.
     """
 
     told: float = math.nan
     lower: float = -math.inf
     upper: float = math.inf
+    rounding: float = 0.0
 
     def within(self, other: Bounds) -> Bounds:
         """The intersection with earlier bounds."""
-        return Bounds(self.told, max(self.lower, other.lower), min(self.upper, other.upper))
+        return replace(self, lower=max(self.lower, other.lower), upper=min(self.upper, other.upper))
 
     def narrow(self, value: float, share: float) -> bool:
         """Whether they are apart by less than a share of the change from a value."""
@@ -200,6 +202,8 @@ class GlobalLocal:
     def weights(self, goal: Goal) -> tuple[Array, Iterate]:
         """Weights q (m,) of a goal at the displacements of this rank, and z."""
         q, g = goal.dual(self.adjoint)
+        if self.model.linear and goal.is_linear(self.model):
+            self.adjoint.require_dual(goal, q, g)
         loads = q.array_r[: self.n].copy()
         z = self.adjoint.weights(q, g).u.x.array[: self.n].copy()
         with self._transposed():
@@ -355,7 +359,8 @@ class GlobalLocal:
         moved, moved_z, told = self.layers.moved(r), self.layers.moved(r_z), self.told(at_rest, q, one, z)
         half = math.sqrt(max(float(r @ moved), 0.0) * max(float(r_z @ moved_z), 0.0)) / 2
         middle = float(told + r_z @ moved / 2)
-        return Bounds(told, middle - half, middle + half)
+        rounding = float(self.equations.scale.rounding(np.abs(one.v).max())[0]) * math.sqrt(self._product(z.u, z.u))
+        return Bounds(told, middle - half, middle + half, rounding)
 
     def told(self, at_rest: float, q: Array, one: Iterate, z: Iterate) -> float:
         """A goal, as of `bounds`, with the residual at S weighed. Collective."""

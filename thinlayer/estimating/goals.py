@@ -9,11 +9,9 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from petsc4py import PETSc
-from scipy.spatial import cKDTree
 from ufl.algorithms import expand_derivatives
 
 from forms import work as forms
@@ -21,20 +19,21 @@ from forms.base import Array, InputError, require
 from forms.kinematics import Expr
 from forms.temperature import finite
 from geometry.refusals import require_known
-from geometry.seam import S
+from geometry.seam import BASE, S
+from geometry.topology import BoolArray, IntArray
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.layer import seam_entities
+from thinlayer.discretisation.layer import nodes_of_sides
 from thinlayer.discretisation.measures import compiled, whole
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.rigid import balanced_motions
 from thinlayer.discretisation.state import State, displacements_of
-from thinlayer.discretisation.supports import Place
+from thinlayer.discretisation.supports import Place, is_part
 from thinlayer.output.nodal_forces import nodal_forces
 from thinlayer.output.probe import Probe, cells_at
 from thinlayer.output.surface import Surface
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.layer_alone import HeldLayers
 from thinlayer.surface.surface_mesh import SurfaceMesh
-from thinlayer.system.compat import exterior_facet_entities
 
 
 class Goal(ABC):
@@ -155,6 +154,13 @@ class Reaction(Directed):
         """Of the goal."""
         return f"reaction {self.place} along {written(self.direction)}"
 
+    def unit(self, model: Model) -> Array:
+        """As of `Directed`; in a body of revolution without the radial part, along which forces add up to zero."""
+        axial = super().unit(model) * balanced_motions(model.kinematics, model.joint.dim)[: model.joint.dim]
+        allowed = "give one with a part along the axis: forces along radii add up to zero"
+        require(axial.any(), f"{self.name}: the direction", self.direction, allowed)
+        return np.asarray(axial)
+
     def value(self, state: State, model: InterfaceModel) -> float:
         return float(state.reaction(self.place).force @ self.unit(model))
 
@@ -165,15 +171,18 @@ class Reaction(Directed):
         return max(found, sum(_mean_size(one, state) * one.integral(1.0) for one in surfaces))
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
-        model = adjoint.model
-        places = [place for place, _ in model.supports.entries]
-        entries = [k for k, one in enumerate(places) if one == self.place or str(one).split("/")[0] == self.place]
-        if not entries:
-            raise InputError(f"{self.name}: no support holds it, but a plate, springs or a base; there is no map of it")
-        return adjoint.nothing(), adjoint.of_reaction(entries, self.unit(model))
+        model, along = adjoint.model, self.unit(adjoint.model)
+        if self.place in (S, BASE, *model.joint.base_seams):
+            raise InputError(f"{self.name}: a rigid base holds it; there is no map of it")
+        du = ufl.TestFunction(model.V)
+        q = adjoint.nothing()
+        for part in model.parts:
+            if any(is_part(place, self.place) for place, _ in part.reaction(model, adjoint.state.u)):
+                q.axpy(-1.0, adjoint.of_form(part.work(model, du, ufl.as_vector(along.tolist()))))
+        return q, adjoint.of_reaction(self.place, along)
 
     def at_rest(self, state: State, model: InterfaceModel) -> float:
-        return 0.0  # as of the compliance
+        return model.constraints.given_resultant(model.held_by(self.place), self.unit(model), state.t)
 
     def in_layers(self, layers: HeldLayers) -> tuple[Array, Array]:
         return np.zeros_like(layers.load), layers.motion_of(self.place, self.unit(layers.model))
@@ -230,27 +239,59 @@ class MeanTraction(Directed):
     def _test(self, model: InterfaceModel) -> fem.Function:
         """Displacements in which the reactions of the bodies on the seam do the mean traction's work.
 
-        Those of both sides are halves of it. Where supports or plates hold one side, its reaction contains theirs, and the
-        other side's is taken; where they hold both, nothing jumps but what they prescribe.
+        Those of both sides are halves of it. Where a node of one side is held, or lies on another seam too, its reaction
+        contains more, and the other side's is taken; where both do, reactions of the same facet stand for it.
         """
-        e, d = self.unit(model), model.joint.dim
+        e, W, v = self.unit(model), model.space(1), fem.Function(model.V)
         names = [self.seam] if self.seam in model.layers else [*model.layers]
-        area = sum(SurfaceMesh(model, name).integral(1.0) for name in names)
-        v, count = fem.Function(model.V), fem.Function(model.V)
-        held = np.isin(np.arange(len(v.x.array)), model.held_in(model.V))
-        free, x = 1.0 - held.reshape(-1, d), model.V.tabulate_dof_coordinates()
+        sides = {name: nodes_of_sides(model, W, name) for name in model.layers}
+        held = fem.Function(W)
+        held.x.array[model.held_in(W)] = 1.0
+        total = 0.0
         for name in names:
-            upper, lower = nodes_of_sides(model, name)
-            for sign, nodes, others in ((-1.0, upper, lower), (1.0, lower, upper)):
-                own = free[nodes]
-                beside = free[others[cKDTree(x[others]).query(x[nodes])[1]]] if len(others) else 0.0 * own
-                v.x.array.reshape(-1, d)[nodes] = sign * e / area * own / np.maximum(own + beside, 1.0)
-                count.x.array.reshape(-1, d)[nodes] = 1.0
-        for f in (v, count):  # nodes that this rank sees, but another one has
-            f.x.scatter_reverse(la.InsertMode.add)
-            f.x.scatter_forward()
-        v.x.array[:] /= np.maximum(count.x.array, 1.0)
+            others = [nodes for other, both in sides.items() if other != name for nodes in both]
+            mixed = sums_at(W, others, [np.ones(len(e))] * len(others)) + held.x.array.reshape(-1, len(e))
+            w, whole, surface = fem.Function(W), fem.Function(model.V), SurfaceMesh(model, name)
+            w.x.array[:] = (_shares(W, *sides[name], mixed > 0) * e).ravel()
+            whole.interpolate(w)
+            lower, upper = surface.sides(whole, model, surface.quadrature)
+            area, jump = surface.integral(1.0), surface.integral(lower - upper) @ e
+            if not jump > 0:
+                raise InputError(f"{self.name}: supports, plates or other seams hold all of its nodes, on both sides")
+            v.x.array[:] += area / jump * whole.x.array
+            total += area
+        v.x.array[:] /= total
         return v
+
+
+def _shares(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mixed: BoolArray) -> Array:
+    """(nodes, d) shares in the traction on a seam of the reactions at its nodes, negative above; zero at `mixed` nodes."""
+
+    def facing(values: Any) -> Array:
+        """Sums at the nodes of the values of those that face them."""
+        return sums_at(W, [upper, lower], [values[lower], values[upper]]) if len(lower) else np.zeros(values.shape)
+
+    above, below = (sums_at(W, [nodes], [np.ones((*nodes.shape, mixed.shape[1]))]) > 0 for nodes in (upper, lower))
+    usable = (above != below) & ~mixed  # where a seam meets itself nodes may be on both sides
+    whole = usable & (facing(usable) < facing(np.ones_like(usable)))
+    shares = np.where(whole, 1.0, 0.5 * (usable & (facing(whole) == 0)))
+    # the others at a facet stand for its corners where no reaction is usable
+    sides = [nodes for nodes in (upper, lower) if len(nodes)]
+    known = np.sum([shares[nodes] for nodes in sides], axis=0) > 0
+    more = np.broadcast_to(known.shape[1] / np.maximum(known.sum(axis=1, keepdims=True), 1), known.shape)
+    facets = sums_at(W, sides, [np.ones(known.shape)] * len(sides))
+    shares *= sums_at(W, sides, [more] * len(sides)) / np.maximum(facets, 1.0)
+    return np.where(above, -shares, shares)
+
+
+def sums_at(W: fem.FunctionSpace, nodes: Sequence[IntArray], values: Sequence[Array]) -> Array:
+    """(nodes, d) sums of values (..., d) that all ranks have at local nodes (...) of a vector space. Collective."""
+    f, d = fem.Function(W), W.dofmap.bs
+    for places, some in zip(nodes, values, strict=True):
+        np.add.at(f.x.array.reshape(-1, d), places, some)
+    f.x.scatter_reverse(la.InsertMode.add)
+    f.x.scatter_forward()
+    return np.asarray(f.x.array.reshape(-1, d))
 
 
 @dataclass(frozen=True)
@@ -348,20 +389,3 @@ class Functional(Goal):
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         return adjoint.of_form(self._derivative(adjoint.state.u, adjoint.model)), adjoint.nothing()
-
-
-def nodes_of_sides(model: InterfaceModel, name: str) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Local nodes of the displacements on the upper and on the lower side of a seam (on a rigid base: none). Collective.
-
-    They are those that this rank's facets have, ghosts included.
-    """
-    domain, d, dofmap = model.domain, model.joint.dim, model.V.dofmap
-    if name in model.joint.base_seams:
-        entities = exterior_facet_entities(domain.mesh, np.sort(domain.facets(name))).astype(np.int64)
-    else:
-        entities = seam_entities(domain, name).astype(np.int64)
-    upper, lower = (
-        np.unique([dofmap.cell_dofs(cell)[dofmap.dof_layout.entity_closure_dofs(d - 1, facet)] for cell, facet in side])
-        for side in (entities[:, :2], entities[:, 2:].reshape(-1, 2))
-    )
-    return upper.astype(np.int64), lower.astype(np.int64)

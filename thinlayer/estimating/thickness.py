@@ -19,7 +19,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.discretisation.structure import Structure
 from thinlayer.errors import RangeWarning
 from thinlayer.estimating.estimate import estimate
-from thinlayer.estimating.goals import Compliance, Goal
+from thinlayer.estimating.goals import Goal
 from thinlayer.estimating.result import FIELDS, Estimate
 from thinlayer.solving.history import History
 from thinlayer.solving.petsc import Options
@@ -112,7 +112,7 @@ def thin_enough(
     def solved(model: Model) -> State | History:
         return solve(model, t, options=options) if times is None else march(model, times, options=options)
 
-    goals = (goal,) if isinstance(goal, Goal) else (Compliance(),)
+    goals = (goal,) if isinstance(goal, Goal) else ()
     quantity = goal if isinstance(goal, str) else goal.name
 
     begun = structure.interface(given, bodies=bodies)

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from dolfinx import fem, la
 from petsc4py import PETSc
 
-from forms.base import Array
+from forms.base import Array, InputError
 from forms.kinematics import Expr
 from geometry.topology import IntArray
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.state import Configuration, State
+from thinlayer.discretisation.supports import Place
 from thinlayer.parts.part import DISPLACEMENTS, Interval, Part
 from thinlayer.pointwise.integrals import forces_of, give
 from thinlayer.solving.balance import PartSum, TangentMatrix
@@ -23,6 +26,7 @@ from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import factors_alone, linear_solvers, mark
 from thinlayer.solving.petsc import Options, defaults, solve_linear, value_of
 
+DUAL = 1e-6  # difference of changes of a goal, relative, that counts as rounding: forces of random motions are large
 SAME = 1e-12  # difference of two loads, relative, that counts as rounding
 
 
@@ -111,11 +115,34 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         g.array[self.equations.held] = self.equations.prescribed
         return g
 
-    def of_reaction(self, entries: Sequence[int], direction: Array) -> PETSc.Vec:
-        """Motions g for which -g . r is the force along a direction (d,) of some supports, by number of their entries."""
-        g = self.nothing()
-        g.array[: self.equations.n_displacements] = -self.model.constraints.dual_to_resultant(entries, direction)
+    def of_reaction(self, place: Place, direction: Array) -> PETSc.Vec:
+        """Motions g for which -g . r is the force along a direction (d,) of supports and plates at a place."""
+        g, model = self.nothing(), self.model
+        dual = model.constraints.dual_to_resultant(model.held_by(place), direction)
+        g.array[: self.equations.n_displacements] = -dual
         return g
+
+    def require_dual(self, goal: Any, q: PETSc.Vec, g: PETSc.Vec) -> None:
+        """Raise InputError unless a linear goal of a linear model changes by q . d - g . r along a random motion d."""
+        equations, held = self.equations, self.equations.held
+        d, residuals, values = equations.vector(), [], []
+        size = float(self._x.norm(PETSc.NormType.INFINITY)) or 1.0
+        d.array[:] = np.random.default_rng(self.model.comm.rank).uniform(-size, size, d.getLocalSize())
+        d.array[held] = 0.0
+        for share in (1.0, 0.0):  # the last evaluation of the parts is at the state, as before
+            x, r = self._x.copy(), equations.vector()
+            x.axpy(share, d)
+            equations.residual(x, r)
+            work = self.model.comm.allreduce(float(r.array_r[held] @ x.array_r[held]))
+            here = replace(self.state, u=equations.u.copy(), reactions=equations.reactions(), prescribed_work=work)
+            values.append(goal.value(here, self.model))
+            residuals.append(r.array_r[held])
+        after, before = residuals
+        terms = np.concatenate([q.array_r * d.array_r, g.array_r[held] * (before - after)])
+        change, least = self.model.comm.allreduce(np.array([terms.sum(), np.abs(terms).sum()]))
+        if not abs(values[0] - values[1] - change) <= DUAL * (least + abs(values[0]) + abs(values[1])):
+            what = f"the goal {goal.name!r} changes by {values[0] - values[1]:.6g}, its weights say by {change:.6g}"
+            raise InputError(f"estimate: {what}, along a random motion: `value` and `dual` are not of one goal")
 
     # ---------------------------------------------------------------- displacements and weights
     def displacements(self, dofs: IntArray, forces: Array) -> Array:

@@ -24,7 +24,7 @@ from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import Configuration, Report, State
 from thinlayer.discretisation.supports import Place
-from thinlayer.errors import SolveError
+from thinlayer.errors import Refused, SolveError
 from thinlayer.parts.part import Interval
 from thinlayer.solving.equations import Equations
 from thinlayer.system.compat import interpolation_points
@@ -153,10 +153,8 @@ class HeldLayers:
 
     def motion_of(self, place: Place, direction: Array) -> Array:
         """(n,) motion of the layers' sides for which -g . r is the force of a support along a direction (d,)."""
-        constraints, out = self.model.constraints, np.zeros(len(self.load))
-        places = [one for one, _ in self.model.supports.entries]
-        if entries := [k for k, one in enumerate(places) if one == place or str(one).split("/")[0] == place]:
-            out[: self._displacements] = -constraints.dual_to_resultant(entries, direction)
+        out = np.zeros(len(self.load))
+        out[: self._displacements] = -self.model.constraints.dual_to_resultant(self.model.held_by(place), direction)
         return out
 
     def in_parts(self, w: Array, fine: HeldLayers) -> Array:
@@ -200,10 +198,23 @@ class LayerAlone(HeldLayers):
         super().__init__(LayerModel(interface, layers, cells_through), t)
         self.seams, self.through, self._comm = [*layers], cells_through, interface.comm
         self._ours, self._theirs = _pairs(interface, self.model)
+        self._require_pairs(interface)
         of_bodies = np.zeros(interface.V.dofmap.index_map.size_local * interface.V.dofmap.bs)
         of_bodies[interface.constraints.held] = 1.0
         self.free_faces = self.on_face & ~self._at_sides & ~(self.at_faces(of_bodies) > 0)
         self.R, self._pins = self._motions(self.free_faces | self._inside)
+
+    def _require_pairs(self, interface: InterfaceModel) -> None:
+        """Raise InputError if a displacement of the layers' faces is that of several bodies, which could not part there."""
+        times = self._comm.allreduce(np.bincount(self._theirs, minlength=len(self.load)))
+        if (times > 1).any():
+            joint = interface.joint
+            vertices = {name: joint.masters[joint.table.vertices[joint.rows_of(name)]] for name in joint.seams}
+            mine = np.concatenate([vertices[name].ravel() for name in self.seams])
+            beside = [name for name in joint.seams if name not in self.seams and np.isin(vertices[name], mine).any()]
+            meet = f"{', '.join(self.seams)} meets {', '.join(beside)}, where bodies part without a layer among these"
+            remedy = "take all seams that meet, or mesh the layers: structure.full, with a Gap in an open seam"
+            raise Refused("beside", f"layers by themselves: {meet}", remedy).error()
 
     @cached_property
     def _neumann(self) -> _Factor:
