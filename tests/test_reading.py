@@ -207,3 +207,47 @@ def test_arrays_of_numbers(tmp_path):
     mesh.write(tmp_path / "a.vtu")
     words = "several arrays of integers could number the groups: part, other; keep"
     refused(InputError, words, read, tmp_path / "a.vtu", S="5", upper="2")
+
+
+ABAQUS = (
+    "*Heading|*Part, name=P|*NODE, NSET=ALL|1, 0., 0.|2, 1., 0.|3, 3., 0.|4, 0., 1.|5, 1., 1.|*NODE|6, 3., 1.|7, , 2."
+    "|8, 1., 2.|9, 3., 2.|** 10, 3., 2.|*ELEMENT, TYPE=CPE4R, ELSET=LOW|1, 1, 2, 5, 4|12, 2, 3,|6, 5|*Element, type=C"
+    "AX4, elset=High|3, 4, 5, 8, 7|*ELEMENT, TYPE=T2D2|5, 4, 5|6, 5, 6|7, 7, 8|9, 8, 9|*ELEMENT, TYPE=CPE4R,| ELSET=H"
+    "IGH|4, 5, 6, 9, 8|"
+)
+
+
+@pytest.mark.parametrize("part", ["", "*End Part|*INSTANCE, NAME=P-1, PART=P|*End Instance|*Assembly|"])
+@pytest.mark.parametrize(
+    ("glue", "top"),
+    [
+        ("*ELSET, ELSET=GLUE|5|", "*ELSET, ELSET=TOP|7, 9,|*ELSET, ELSET=Glue|6|"),
+        ('*ELSET , ELSET = "GLUE", GENERATE|5, 5, 1|6, 6|', "*elset, elset=TOP, generate|7, 9, 2|"),
+        ("*ELSET, ELSET=A|5|*ELSET, ELSET=A, INTERNAL|7|*ELSET, ELSET=GLUE|a, 6|", "*INCLUDE, INPUT=top.inc|"),
+    ],
+)
+def test_sets_of_abaqus(tmp_path, part, glue, top):
+    """Sets in several blocks, of the names of others, and in other files have all their facets."""
+    (tmp_path / "a.inp").write_text((ABAQUS + part + glue + top).replace("|", "\n"))
+    (tmp_path / "top.inc").write_text("*ELSET, ELSET=TOP\n7\n*ELSET, ELSET=TOP\n9\n")
+    joint = read(tmp_path / "a.inp", S="GLUE", upper="High", scale=2.0)
+    assert joint.points[joint.facets["S"], 0].tolist() == [[0, 2], [2, 6]]
+    assert joint.points[joint.facets["TOP"]].tolist() == [[[0, 4], [2, 4]], [[2, 4], [6, 4]]]
+    assert volume(joint) == pytest.approx(24.0)
+
+
+def test_what_is_not_read_of_abaqus(tmp_path):
+    """Each with its keyword and line."""
+    for more, words in [
+        ("*ELSET, ELSET=GLUE|5, G1|", r"a\.inp: \*ELSET in line 29 of a\.inp: there is no 'G1' before it"),
+        ("*ELSET, ELSET=GLUE|5|*ELSET, ELSET=GLUE, GENERATE|5|", r"\*ELSET in line 31 of a"),
+        ("*ELSET, ELSET=GLUE|5, 13|", r"\*ELSET in line 29 .* no 13 before it"),
+        ("*ELSET, ELSET=A|5|*ASSEMBLY|*ELSET, ELSET=a|6|", r"\*ELSET in line 32 of .*: the part has a set 'a' too"),
+        ("*ELEMENT, TYPE=COH2D4|8, 4, 5, 6, 9|", r"\*ELEMENT in line 29 of a\.inp: elements COH2D4 of 4 nodes are not"),
+        ("*ELEMENT, TYPE=T2D2|8, 4, 99|", r"\*ELEMENT in line 29 .* no 99 before it"),
+        ("*End Part|*Part|*Node|1, 0., 5.|", r"\*NODE in line 31 of .*: a number is in the file twice; write one part"),
+        ("*Instance, part=P|0., 1., 0.|", r"\*INSTANCE in line 29 of .*: it is not read; write all nodes"),
+        ("*ELGEN, ELSET=LOW|1, 2, 1, 1|", r"\*ELGEN in line 29"),
+    ]:
+        (tmp_path / "a.inp").write_text((ABAQUS + more).replace("|", "\n"))
+        refused(InputError, words, read, tmp_path / "a.inp", S="GLUE", upper="HIGH")

@@ -134,6 +134,7 @@ def test_files_that_cannot_be_read(tmp_path, capfd):
         ("a.mhs", "nothing", r"meshio cannot read this \.mhs file"),
         ("a.msh", "nothing", r"meshio cannot read this \.msh file"),
         ("a.med", "nothing", r"meshio cannot read this \.med file"),
+        ("a.e", "nothing", r"this \.e file .*netCDF4.*; install netCDF4"),
         ("a.off", "OFF\n0 0 0\n", "the file has no cells|cannot read"),
     ]:
         if text is not None:

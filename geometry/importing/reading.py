@@ -1,4 +1,4 @@
-"""Joints from mesh files of any format that meshio reads, and from meshes of DOLFINx."""
+"""Joints from mesh files of any format that meshio reads, Abaqus's by a reader of our own, and from meshes of DOLFINx."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ import numpy as np
 from mpi4py import MPI
 
 from forms.base import InputError, is_finite, optional, require
+from geometry.importing import abaqus
 from geometry.importing.gathering import TagNames, gathered
 from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
 from geometry.joint import Joint
@@ -119,11 +120,15 @@ def _load(path: Path, scale: float) -> meshio.Mesh:
     said = io.StringIO()
     try:
         with redirect_stdout(said), redirect_stderr(said), warnings.catch_warnings(action="ignore"):
-            mesh = meshio.read(path)
+            mesh = (abaqus.load if path.suffix.lower() == ".inp" else meshio.read)(path)
+    except InputError:
+        raise
     except (Exception, SystemExit) as error:  # meshio exits Python when no reader succeeds
         why = " ".join(said.getvalue().split()) if isinstance(error, SystemExit) else f"{type(error).__name__}: {error}"
-        hint = "; in gmsh save with Mesh.SaveAll = 0, Mesh.SaveParametric = 0" if path.suffix.lower() == ".msh" else ""
-        raise InputError(f"meshio cannot read this {path.suffix} file ({why}){hint}") from None
+        hint = "in gmsh save with Mesh.SaveAll = 0, Mesh.SaveParametric = 0"
+        if path.suffix.lower() != ".msh":
+            hint = f"install {error.name}" if isinstance(error, ImportError) else "save it as .vtu or .msh"
+        raise InputError(f"meshio cannot read this {path.suffix} file ({why}); {hint}") from None
     if path.suffix.lower() == ".msh":
         _require_single_names(path)
     mesh.points = np.asarray(mesh.points, float) * scale
@@ -219,5 +224,5 @@ def _vertices(mesh: meshio.Mesh, cells: Cells, groups: Groups) -> dict[str, IntA
     for name, member in groups.items():
         loose, x = member & (number[rows] < 0).any(axis=1), mesh.points[rows, : cells.points.shape[1]]
         what = f"{{bad}} of {member.sum()} facets named {name!r} are not part of the bodies' mesh, the first at {{at}}"
-        refuse(loose, x, f"{what}; in gmsh fragment the bodies with it, or embed it")
+        refuse(loose, x, f"{what}; name all bodies, and in gmsh fragment them with it, or embed it")
     return {name: np.unique(np.sort(number[rows[member]], axis=1), axis=0) for name, member in groups.items()}

@@ -1,0 +1,92 @@
+"""Meshes of Abaqus's .inp files; meshio loses sets, and nodes, that are in several blocks."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from forms.base import InputError, optional
+
+if TYPE_CHECKING:
+    import meshio
+
+SHAPES = {  # start of an element's type -> number of its nodes -> meshio's name
+    r"[AD]?C3D\d": {4: "tetra", 6: "wedge", 8: "hexahedron", 10: "tetra10", 15: "wedge15", 20: "hexahedron20"},
+    r"CP[SE]|CG?AX|D?C2D|STRI|S\d|S?F?M3D|R3D": {3: "triangle", 4: "quad", 6: "triangle6", 8: "quad8", 9: "quad9"},
+    r"[TB][23]|[SMR]AX|R2D": {2: "line", 3: "line3"},
+}
+# with data: what makes or moves nodes or elements
+UNREAD = "SYSTEM", "INSTANCE", "NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY"
+
+
+def load(path: Path) -> meshio.Mesh:
+    """The mesh of an .inp file, and of files that it includes: one part, which its instance does not move.
+
+    Blocks of one set are joined. Sets of nodes, surfaces and internal sets are left out.
+
+    Raises:
+        InputError: what is not read, or wrong, with its keyword and line.
+    """
+    points: list[list[float]] = []
+    nodes: dict[int, int] = {}  # number -> row in `points`
+    elements: dict[int, tuple[str, list[int]]] = {}
+    sets: dict[str, tuple[str, bool, set[int]]] = {}  # in capitals -> as first written, in the assembly?, elements
+    count, assembled = 0, False
+    for keyword, options, rows, place in _blocks(path):
+        kind, name, members = options.get("TYPE", "").upper(), options.get("ELSET", ""), set[int]()
+        assembled |= keyword == "ASSEMBLY"
+        try:
+            if (rows and keyword in UNREAD) or (keyword == "NODE" and "SYSTEM" in options):
+                raise ValueError("it is not read; write all nodes, at their places, and all elements")
+            if keyword == "NODE":
+                nodes |= {int(number): k for k, (number, *_) in enumerate(rows, len(points))}
+                points += [[float(c or 0) for c in (*x, "", "")][:3] for _, *x in rows]
+            elif keyword == "ELEMENT":
+                shapes = next((known for start, known in SHAPES.items() if re.match(start, kind)), {})
+                if {len(row) - 1 for row in rows} - {*shapes}:
+                    raise ValueError(f"elements {kind} of {len(rows[0]) - 1} nodes are not read")
+                elements |= {int(k): (shapes[len(ends)], [nodes[int(n)] for n in ends]) for k, *ends in rows}
+                members, count = {int(row[0]) for row in rows}, count + len(rows)
+            elif keyword == "ELSET" and "GENERATE" in options:
+                for first, last, *step in (map(int, row) for row in rows):
+                    members |= {*range(first, last + 1, *step)}
+            elif keyword == "ELSET":
+                members.update(*({int(k)} if k.isdigit() else sets[k.upper()][2] for row in rows for k in row))
+            if len(nodes) < len(points) or len(elements) < count:
+                raise ValueError("a number is in the file twice; write one part alone")
+            if members and name and "INTERNAL" not in options:
+                _, level, joined = sets.setdefault(name.upper(), (name, assembled, set()))
+                if level != assembled:
+                    raise ValueError(f"the part has a set {name!r} too; give one of them another name")
+                joined.update(number for number in members if elements[number])
+        except (KeyError, ValueError) as error:
+            why = f"there is no {error} before it" if isinstance(error, KeyError) else error
+            raise InputError(f"*{keyword} in {place}: {why}") from None
+    kinds = dict.fromkeys(kind for kind, _ in elements.values())
+    of_kind = {kind: [k for k, (own, _) in elements.items() if own == kind] for kind in kinds}
+    cells = [(kind, np.array([elements[k][1] for k in own])) for kind, own in of_kind.items()]
+    parts = {name: [np.flatnonzero(np.isin(own, [*its])) for own in of_kind.values()] for name, _, its in sets.values()}
+    return optional("meshio").Mesh(np.array(points), cells, cell_sets=parts)
+
+
+def _blocks(path: Path) -> Iterator[tuple[str, dict[str, str], list[list[str]], str]]:
+    """Keyword, options, rows of data and place of each block of a file, and of the files that it includes."""
+    text = re.sub(r"(?m)^[ \t]*\*\*.*", "", path.read_text("utf-8-sig", "replace"))
+    start, *blocks = re.split(r"(?m)^[ \t]*\*", text)
+    line = 1 + start.count("\n")
+    for block in blocks:
+        head, _, data = re.sub(r"\A(.*,)[ \t]*\n", r"\1", block).partition("\n")
+        first, *others = head.split(",")
+        keyword = first.strip().upper()
+        options = {key.strip().upper(): value.strip(' \t"') for key, _, value in (one.partition("=") for one in others)}
+        if keyword == "INCLUDE":
+            yield from _blocks(path.parent / options.get("INPUT", ""))
+        if keyword == "ELEMENT":  # whose data go on after a comma
+            data = re.sub(r",\s*\n", ",", data)
+        rows = [re.split(r"\s*,\s*", row.strip(" \t,")) for row in data.split("\n") if row.strip()]
+        yield keyword, options, rows, f"line {line} of {path.name}"
+        line += block.count("\n")
