@@ -13,9 +13,11 @@ import ufl
 
 from forms import Incompressible, LinearElastic, Maxwell, Norton, Stack
 from forms.base import InputError
+from geometry import faults
 from studies.problems import fourier
+from tests.own_laws import Cubic
 from tests.refused import refused
-from thinlayer import Structure, ThinLayer, compare, drive, march
+from thinlayer import Structure, Surface, ThinLayer, compare, drive, march
 from thinlayer.pointwise import kernels
 from thinlayer.system.compilation import acquire
 
@@ -74,6 +76,24 @@ def test_compiled_once(law, other, modules):
     ):
         run(**change)
         assert set(modules) == first, change
+
+
+@pytest.mark.parametrize(
+    "law", [LinearElastic(60.0, 40.0), NORTON, Cubic(30.0, 2.0)], ids=lambda law: type(law).__name__
+)
+def test_compiled_once_for_all_seams(law, modules):
+    """Three seams ask for the code of one."""
+    found = []
+    for heights in ([0.4], [0.25, 0.5, 0.75]):
+        modules.clear()
+        joint = faults(1.3, 1.0, {f"S {y}": ((0.0, y), (1.3, y)) for y in heights}, 0.3)
+        structure = Structure(
+            joint, body=LinearElastic.young(100.0, 0.3), tractions={"TOP": (0.1, 0.2)}, supports={"BOTTOM": 0}
+        )
+        state = march(structure.interface(ThinLayer(law, 0.01, at=1.0)), [0.1]).last
+        Surface(state.model).traction(state)
+        found.append({*modules})
+    assert found[1] <= found[0]
 
 
 @pytest.mark.parametrize(("build", "law"), [(Structure.full, Incompressible(40.0)), (Structure.interface, NORTON)])
@@ -166,3 +186,13 @@ def test_a_long_compilation_of_another_process_is_waited_for(tmp_path, compiled)
         assert kept(tmp_path)
         assert form.code == (None, None)  # nothing was compiled here
         assert other.wait(240) == 0
+
+
+def test_a_long_compilation_is_told(tmp_path):
+    """Off a terminal too; one that is kept, or short, is not."""
+    slow = "from thinlayer.system import progress\nprogress.AFTER[True] = 0.2\n" + SLOW
+    told = [
+        subprocess.run([sys.executable, "-c", slow, str(tmp_path)], cwd=CLONE, capture_output=True, text=True).stderr
+        for _ in range(2)
+    ]
+    assert told == ["compiling a form, kept for later runs, 0:00:00 so far\n", ""]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
+from dolfinx.mesh import meshtags
 from petsc4py import PETSc
 
 from forms import Anisotropic, LinearElastic
@@ -144,8 +145,13 @@ def test_a_term_beside_those_of_a_model():
             assert found[free] == pytest.approx(expected[free], abs=1e-12 * np.abs(expected).max() + 1e-13)
     everywhere = ufl.inner(ufl.jump(u), ufl.jump(u))
     assert solve(model).integral(everywhere * ufl.dS) == pytest.approx(solve(model).integral(everywhere * model.dS))
-    with pytest.raises(InputError, match=r"two measures dx with different tags; use model\.dx"):
-        model.form(own + ufl.inner(f, v) * ufl.dx(subdomain_data=model.domain.facet_tags))
+    tags = meshtags(model.domain.mesh, 2, np.arange(3, dtype=np.int32), np.array([4, 5, 4], np.int32))
+    term = ufl.inner(f, v) * ufl.dx(4, subdomain_data=tags)  # tags of another kind than the model's
+    expected = fem.assemble_vector(fem.form(term)).array
+    found = fem.assemble_vector(model.form(own + term + ufl.inner(f, v) * model.dx + term)).array
+    found -= fem.assemble_vector(fem.form(ufl.inner(f, v) * ufl.dx)).array
+    assert np.linalg.norm(expected) > 0.01
+    assert found[free] == pytest.approx(2 * expected[free], abs=1e-12)
 
 
 def test_forms_whose_tags_overlap():

@@ -193,7 +193,7 @@ class Forces:
         names = []
         for what, load, one, _ in self._loads:
             with self.at.clock.at(t):
-                total = fem.assemble_scalar(fem.form(ufl.inner(load, load) * one.measure))
+                total = fem.assemble_scalar(compiled(ufl.inner(load, load) * one.measure))
             if self.domain.comm.allreduce(int(not np.isfinite(total))):
                 names.append(what)
         return names

@@ -22,6 +22,7 @@ from forms.work import Term, summed
 from geometry.joint import Joint
 from thinlayer.discretisation.given import Coordinates, of_place
 from thinlayer.discretisation.time_functions import readings
+from thinlayer.system.compat import compiled
 
 MEAN_STRAIN = "mean strain"  # key of the mean strain under a mean stress, in the fields of states
 Strain = Sequence[Sequence[float]] | Array | Callable[[Expr, Any], Sequence[Sequence[Any]]]
@@ -317,7 +318,7 @@ class VaryingStrains:
             if p.given is not None and (readings(p.given) or of_place(p.given)):
                 q = ufl.TestFunction(fem.functionspace(at.mesh, ("DG", 0, (3, 3))))
                 q = q("+") if p.measure.integral_type() == "interior_facet" else q
-                self._forms.append((p, fem.form(ufl.inner(p.given, q) * p.measure)))
+                self._forms.append((p, compiled(ufl.inner(p.given, q) * p.measure)))
 
     def integrals(self, t: float) -> list[Array]:
         """Integrals over this rank's cells or facets at a time.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -12,6 +12,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh, exterior_facet_indices
 from mpi4py import MPI
+from petsc4py import PETSc
 from ufl.algorithms import estimate_total_polynomial_degree
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
@@ -29,7 +30,8 @@ from thinlayer.discretisation.given import Coordinates, has_finite_numbers
 from thinlayer.discretisation.layer import BODY, LAYER, constants
 from thinlayer.discretisation.mesh_functions import cellwise
 from thinlayer.discretisation.time_functions import readings
-from thinlayer.pointwise.integrals import KINDS, Origin, Quadrature
+from thinlayer.pointwise.integrals import KINDS, Origin, Quadrature, matrix_of
+from thinlayer.system.compat import by_domain, compiled
 from thinlayer.system.ranks import on_all
 
 show_warnings()  # those of users too
@@ -39,20 +41,6 @@ TAGS = {
     "ds": "model.domain.values(name)",
     "dS": "dS(k + 1) is the k-th of joint.seams",
 }
-
-
-def compiled(form: Expr) -> fem.Form:
-    """Compile a form, which may have measures with tags and plain ones (DOLFINx itself refuses this).
-
-    Raises:
-        InputError: measures of one kind with two sets of tags.
-    """
-    first, *others = _with_one_set_of_tags(form)
-    if others:
-        kind = others[0].integrals()[0].integral_type()
-        name = KINDS.get(kind, kind)
-        raise InputError(f"a form has two measures {name} with different tags; use model.{name} for all of them")
-    return fem.form(first)
 
 
 def whole(form: Any, model: Any, what: str = "a form") -> ufl.Form:
@@ -100,23 +88,36 @@ def _tags(data: Any, kind: str, model: Any) -> set[Any]:
 
 
 def compiled_summands(form: Expr) -> list[fem.Form]:
-    """Compiled forms whose sum is a form, in which measures of one kind may have any sets of tags."""
-    return [fem.form(one) for one in _with_one_set_of_tags(form)]
+    """Compiled forms whose sum is a form, one for each set of tags: equal laws of several seams have one code."""
+    return [compiled(ufl.Form(integrals)) for integrals in by_domain(form).values()]
+
+
+def zeros(V: fem.FunctionSpace, form: Expr) -> PETSc.Mat:
+    """A matrix of zeros, with places for bilinear forms over the cells and facets that a form integrates over."""
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    same, across = ufl.inner(u, v), ufl.inner(u("+") + u("-"), v("+") + v("-"))
+    parts = {}
+    for one in form.integrals():
+        integrand = across if one.integral_type() == "interior_facet" else same
+        key = one.integral_type(), id(one.subdomain_data()), one.subdomain_id()
+        parts[key] = one.reconstruct(integrand=integrand, metadata={})
+    A = matrix_of(compiled(ufl.Form(list(parts.values()))))
+    A.zeroEntries()
+    return A
 
 
 def compiled_scalars(form: Expr) -> list[fem.Form]:
     """Compiled forms whose sum is a form without arguments, each with one rule of quadrature.
 
     In a form without arguments FFCx takes the places of one rule for those of another where both are in its integrand.
-
-    Raises:
-        InputError: measures of one kind with two sets of tags.
     """
     if len(form.integrals()) == 1:  # estimating a degree takes as long as a signature
         return [compiled(form)]
-    by_rule: dict[str, list[Any]] = {}
-    for integral in form.integrals():
-        by_rule.setdefault(f"{sorted(integral.metadata().items())} {_degree(integral)}", []).append(integral)
+    by_rule: dict[Any, list[Any]] = {}
+    for domain, integrals in by_domain(form).items():
+        for integral in integrals:
+            rule = f"{sorted(integral.metadata().items())} {_degree(integral)}"
+            by_rule.setdefault((domain, rule), []).append(integral)
     return [compiled(ufl.Form(integrals)) for integrals in by_rule.values()]
 
 
@@ -137,50 +138,6 @@ def _degree(integral: Any) -> Any:
         return estimate_total_polynomial_degree(apply_algebra_lowering(apply_derivatives(integral.integrand())))
     except Exception:  # UFL's, whatever a user's form contains: then each integrand by itself
         return integral.integrand()
-
-
-def _with_one_set_of_tags(form: Expr) -> list[ufl.Form]:
-    """Forms whose sum is the form. Each has one set of tags per kind of measure, as DOLFINx requires."""
-    found: list[tuple[dict[str, Any], list[Any]]] = [({}, [])]
-    for integral in form.integrals():
-        kind, data = integral.integral_type(), integral.subdomain_data()
-        for tags, integrals in found:
-            if data is None or tags.setdefault(kind, data) is data:
-                integrals.append(integral)
-                break
-        else:
-            found.append(({kind: data}, [integral]))
-    parts = ([one.reconstruct(subdomain_data=tags.get(one.integral_type())) for one in some] for tags, some in found)
-    return [ufl.Form(_apart(part)) for part in parts]
-
-
-def _apart(integrals: Sequence[Any]) -> list[Any]:
-    """The integrals, divided such that two of them are over the same tags or have no tag in common.
-
-    Where tags overlap and metadata, such as degrees of quadrature, differ, DOLFINx 0.9 takes one of the integrals over
-    the common tags several times and loses the others.
-    """
-    tags = [np.atleast_1d(np.array(one.subdomain_id(), object)).tolist() for one in integrals]
-    found: dict[tuple[str, Any], list[int]] = {}
-    for number, (one, own) in enumerate(zip(integrals, tags, strict=True)):
-        for tag in own:
-            found.setdefault((one.integral_type(), tag), []).append(number)
-    rules = [repr(sorted(one.metadata().items())) for one in integrals]
-    mixed = {number for numbers in found.values() if len({rules[k] for k in numbers}) > 1 for number in numbers}
-    if not mixed:
-        return list(integrals)
-    parts: dict[tuple[str, frozenset[int]], int] = {}  # of the tags of a kind of measure: those with the same integrals
-    part_of = {key: parts.setdefault((key[0], frozenset(numbers)), len(parts)) for key, numbers in found.items()}
-    out = []
-    for one, own in zip(integrals, tags, strict=True):
-        by_part: dict[int, list[Any]] = {}
-        for tag in own:
-            by_part.setdefault(part_of[one.integral_type(), tag], []).append(tag)
-        for part, same in by_part.items():
-            ids = tuple(same) if len(same) > 1 else same[0]
-            # UFL joins integrals whose metadata are the same: "part" keeps those apart
-            out.append(one.reconstruct(subdomain_id=ids, metadata={**one.metadata(), "part": part}))
-    return out
 
 
 def origin_of(domain: Domain) -> Origin:

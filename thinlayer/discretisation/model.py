@@ -506,11 +506,7 @@ class Model(ABC):
 
     @staticmethod
     def form(form: Expr) -> fem.Form:
-        """Compile a form, in which plain dx, ds and dS may stand beside the model's measures, and tags overlap.
-
-        Raises:
-            InputError: measures of one kind with two sets of tags.
-        """
+        """Compile a form, in which plain dx, ds and dS may stand beside the model's measures, and tags overlap."""
         return compiled(form)
 
     def added_work(self, u: Expr, v: Expr) -> Expr:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property, reduce
 from operator import or_
@@ -16,13 +16,11 @@ from ufl.algorithms.check_arities import ArityMismatch
 
 from forms.base import InputError
 from forms.check import check
-from forms.elastic import LinearElastic
 from forms.kinematics import Expr
 from forms.law import BulkLaw, Step
 from forms.trace import named
 from forms.work import Term, energy, stress, work
-from geometry.topology import Indices
-from thinlayer.discretisation.measures import compiled, compiled_summands
+from thinlayer.discretisation.measures import compiled, compiled_summands, zeros
 from thinlayer.discretisation.state import Configuration
 from thinlayer.discretisation.time_functions import OverStep
 from thinlayer.parts.compiled import GivenAtPoints, falls
@@ -61,8 +59,9 @@ class FormPart(Part):
         self.comm = communicator(V.mesh)
         self._product = u.x.petsc_vec.duplicate()
         self._F = [] if F is None else compiled_summands(F)
-        self._J = [] if F is None else compiled_summands(ufl.derivative(F, u, ufl.TrialFunction(V)))
-        self._tangents: list[PETSc.Mat] = []  # of the forms in _J
+        tangent = ufl.Form([]) if F is None else ufl.derivative(F, u, ufl.TrialFunction(V))
+        self._J = compiled_summands(tangent)
+        self._tangent = zeros(V, tangent) if self._J else None
         self._g = [] if g is None else compiled_summands(g)
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
@@ -97,14 +96,17 @@ class FormPart(Part):
     def tangents(self, relative_residual: float) -> list[Block]:
         theta = self.interval.theta
         found = [] if self.K is None else [Block(self.K, theta, kept=True)]
-        if not self._tangents:
-            self._tangents = [dolfinx.fem.petsc.create_matrix(form) for form in self._J]
-        for J, form in zip(self._tangents, self._J, strict=True):
-            J.zeroEntries()
-            dolfinx.fem.petsc.assemble_matrix(J, form)
-            J.assemble()
-            found.append(Block(J, theta, kept=True))
-        return found
+        return found + [Block(J, theta, kept=True) for J in self._present_tangent()]
+
+    def _present_tangent(self) -> list[PETSc.Mat]:
+        """The matrix of F at the present displacements; none without F."""
+        if self._tangent is None:
+            return []
+        self._tangent.zeroEntries()
+        for form in self._J:
+            dolfinx.fem.petsc.assemble_matrix(self._tangent, form)
+        self._tangent.assemble()
+        return [self._tangent]
 
     def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
         if self._F or self._g:
@@ -143,23 +145,23 @@ class FormPart(Part):
         return float(u.dot(self._product)) / 2
 
     @cached_property
-    def _energy_form(self) -> fem.Form | None:
-        return None if self._energy is None else compiled(self._energy)
+    def _energy_forms(self) -> list[fem.Form]:
+        return [] if self._energy is None else compiled_summands(self._energy)
 
     def _stored(self, u: PETSc.Vec, interval: Interval, *, before: bool = False) -> float:
         """The energy of F and g at displacements u at the end of a step, or `before` it; NaN if they have none."""
-        if self._energy_form is None:
+        if self._energy is None:
             return float("nan")
         self._take(u)
-        return float(self.comm.allreduce(fem.assemble_scalar(self._energy_form)))
+        return float(self.comm.allreduce(sum(map(fem.assemble_scalar, self._energy_forms))))
 
     def destroy(self) -> None:
-        destroy(self.K, self._product, *self._tangents)
+        destroy(self.K, self._product, self._tangent)
 
 
-def matrix(form: Expr, together: Iterable[Indices] = ()) -> PETSc.Mat:
-    """The assembled matrix of a bilinear form, as `matrix_of`."""
-    return matrix_of(compiled(form), together)
+def matrix(form: Expr) -> PETSc.Mat:
+    """The assembled matrix of a bilinear form."""
+    return matrix_of(compiled(form))
 
 
 class LawForms(FormPart):
@@ -255,11 +257,10 @@ class LawForms(FormPart):
         """Largest diagonal entry of the tangent at rest of laws that are not linear; 1 if it has no number. Collective."""
         self._u.x.array[:] = 0.0
         found = 0.0
-        for form in self._J:
-            A = matrix_of(form)
+        for A in self._present_tangent():
             diagonal = A.getDiagonal()
-            found = max(found, float(diagonal.max()[1]))
-            destroy(diagonal, A)
+            found = float(diagonal.max()[1])
+            destroy(diagonal)
         return found if 0 < found < np.inf else 1.0
 
     @cached_property
@@ -321,14 +322,6 @@ def _opposing(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:
     return [compiled(sum(column)) for column in zip(*rows, strict=True)]
 
 
-def _across(V: fem.FunctionSpace, terms: Iterable[Term]) -> Iterator[Indices]:
-    """Nodes of each pair of cells on either side of S that laws in forms relate."""
-    for p in terms:
-        if p.measure.integral_type() == "interior_facet" and not p.law.traits.compiled:
-            entities = dict(p.measure.subdomain_data())[p.measure.subdomain_id()]
-            yield from map(np.ravel, V.dofmap.list[entities.reshape(-1, 4)[:, ::2]])
-
-
 def _stiffness(
     V: fem.FunctionSpace, linear: Sequence[Term], bodies: Sequence[Term], beside: Iterable[Term]
 ) -> PETSc.Mat:
@@ -337,16 +330,17 @@ def _stiffness(
     Raises:
         InputError: a law declares that it is linear and is not.
     """
-    trial, test = ufl.TrialFunction(V), ufl.TestFunction(V)
-    pattern = linear or [replace(p, law=LinearElastic(0.0, 1.0)) for p in bodies]
+    across = [p for p in beside if p.measure.integral_type() == "interior_facet" and not p.law.traits.compiled]
+    K = zeros(V, sum(1 * p.measure for p in (*(linear or bodies), *across)))
     try:
-        K = matrix(work((replace(p, given=None) for p in pattern), trial, test), _across(V, beside))
+        form = work((replace(p, given=None) for p in linear), ufl.TrialFunction(V), ufl.TestFunction(V))
+        for summand in compiled_summands(form) if linear else ():
+            dolfinx.fem.petsc.assemble_matrix(K, summand)
     except ArityMismatch as error:
         names = " or ".join(sorted({type(p.law).__name__ for p in linear if named(p.law) is None}))
         raise InputError(
             f"{names} says linear = True, but is not linear, or UFL does not see that it is: {error}; "
             "write linear = False in the class"
         ) from error
-    if not linear:
-        K.zeroEntries()
+    K.assemble()
     return K

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -24,7 +24,7 @@ from forms.work import Term
 from geometry.domain import connect
 from geometry.topology import Indices, IntArray
 from thinlayer.pointwise.columns import Columns
-from thinlayer.system.compat import create_submesh
+from thinlayer.system.compat import compiled, create_submesh
 from thinlayer.system.ranks import communicator
 
 DIAGONAL = (0, 1, 2)  # Mandel components whose sum is the trace
@@ -82,7 +82,7 @@ class Region:
 
     def compiled(self, form: Expr) -> fem.Form:
         """A form of functions on `mesh` and on `parent_mesh`."""
-        return fem.form(form, entity_maps=self.maps)
+        return compiled(form, self.maps)
 
     def side(self, f: Expr) -> Expr:
         """A function on `mesh`, restricted as integrands of the measure require."""
@@ -278,22 +278,9 @@ class Quadrature:
         return np.arange(imap.size_local, dtype=np.int64) + imap.local_range[0], int(imap.size_global)
 
 
-def matrix_of(form: fem.Form, together: Iterable[Indices] = ()) -> PETSc.Mat:
-    """The matrix of a bilinear form, without supports.
-
-    Args:
-        form: the form.
-        together: sets of local nodes whose unknowns get entries, even if these are zero.
-    """
-    pattern = fem.create_sparsity_pattern(form)
-    together = [*together]
-    for nodes in together:
-        pattern.insert(nodes, nodes)
-    pattern.finalize()
-    A = dolfinx.cpp.la.petsc.create_matrix(form.mesh.comm, pattern)
-    dolfinx.fem.petsc.assemble_matrix(A, form)
-    for nodes in together:  # PETSc drops places without values
-        A.setValuesBlockedLocal(nodes, nodes, np.zeros((len(nodes) * A.block_size,) * 2), PETSc.InsertMode.ADD_VALUES)
+def matrix_of(form: fem.Form) -> PETSc.Mat:
+    """The matrix of a bilinear form, without supports."""
+    A = dolfinx.fem.petsc.assemble_matrix(form)
     A.assemble()
     return A
 
@@ -340,4 +327,4 @@ def add_spread(density: Expr, V: fem.FunctionSpace, measure: ufl.Measure, out: P
     """
     v = ufl.TestFunction(V)
     v = v("+") if measure.integral_type() == "interior_facet" else v
-    add_forces_of(out, fem.form(density * v[0] * measure, entity_maps=maps))
+    add_forces_of(out, compiled(density * v[0] * measure, maps))

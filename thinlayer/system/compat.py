@@ -10,11 +10,12 @@ from typing import Any
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
+import ufl
 from dolfinx import cpp, fem
 from dolfinx.mesh import Mesh
 
 import thinlayer.system.compilation  # noqa: F401  # before any form is compiled
-from geometry.domain import first_that_fits
+from geometry.domain import connect, first_that_fits
 
 
 def space_with_dofmap(V: fem.FunctionSpace, dofs: npt.NDArray[np.int32], imap: Any) -> fem.FunctionSpace:
@@ -29,21 +30,64 @@ def space_with_dofmap(V: fem.FunctionSpace, dofs: npt.NDArray[np.int32], imap: A
 
 def interior_facet_entities(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
     """(cell, local facet, cell, local facet) of interior facets, (n, 4); facets with one local cell are left out."""
-    return _facet_entities(fem.IntegralType.interior_facet, mesh, facets).reshape(-1, 4)
+    return _entities("interior_facet", mesh, facets).reshape(-1, 4)
 
 
 def exterior_facet_entities(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
     """(cell, local facet) of exterior facets, (n, 2)."""
-    return _facet_entities(fem.IntegralType.exterior_facet, mesh, facets).reshape(-1, 2)
+    return _entities("exterior_facet", mesh, facets).reshape(-1, 2)
 
 
-def _facet_entities(kind: Any, mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-    topology = mesh.topology
-    entities = first_that_fits(
-        lambda: fem.compute_integration_domains(kind, topology, facets),
-        lambda: cpp.fem.compute_integration_domains(kind, topology._cpp_object, facets, topology.dim - 1),
-    )
-    return np.array(entities, dtype=np.int32)
+def _entities(name: str, mesh: Any, entities: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """Local cells or facets as integrals of a type have them, those of other ranks left out."""
+    dim = mesh.topology.dim - (name != "cell")
+    connect(mesh, dim)
+    given = getattr(fem.IntegralType, name), getattr(mesh.topology, "_cpp_object", mesh.topology), entities
+    domains = cpp.fem.compute_integration_domains
+    found = first_that_fits(lambda: domains(*given), lambda: domains(*given, dim))
+    return np.array(found, dtype=np.int32)
+
+
+def by_domain(form: ufl.Form) -> dict[Any, list[Any]]:
+    """Integrals of a form by type, data and set of tags; integrals of one density over several tags are joined."""
+    joined: dict[Any, tuple[Any, list[Any]]] = {}
+    for one in form.integrals():
+        for tag in np.atleast_1d(np.array(one.subdomain_id(), object)).tolist():
+            rule, data = repr(sorted(one.metadata().items())), id(one.subdomain_data())
+            key: Any = (one.integral_type(), data, isinstance(tag, str), one.integrand(), rule)
+            while tag in joined.setdefault(key, (one, []))[1]:
+                key = (*key, "once more")
+            joined[key][1].append(tag)
+    domains: dict[Any, list[Any]] = {}
+    for (kind, data, *_), (one, tags) in joined.items():
+        ids = tuple(tags) if len(tags) > 1 else tags[0]
+        domains.setdefault((kind, data, ids), []).append(one.reconstruct(subdomain_id=ids))
+    return domains
+
+
+def compiled(form: ufl.Form, maps: Any = None) -> fem.Form:
+    """Compile a form, whose measures may have any tags. Forms that differ in their tags alone have one code.
+
+    The sets of tags are numbered instead, for each type of integral. DOLFINx itself refuses measures with different data,
+    and 0.9 loses integrals where tags overlap and degrees of quadrature differ.
+    """
+    numbered: dict[str, list[tuple[int, Any]]] = {}
+    integrals = []
+    for (kind, _, ids), some in by_domain(form).items():
+        data, domain = some[0].subdomain_data(), numbered.setdefault(kind, [])
+        if not isinstance(ids, str):
+            tags = np.atleast_1d(ids)
+            if hasattr(data, "indices"):
+                rows = _entities(kind, form.ufl_domain().ufl_cargo(), data.indices[np.isin(data.values, tags)])
+            else:
+                own = [np.asarray(rows, np.int32).ravel() for tag, rows in data if tag in tags]
+                rows = np.concatenate([np.empty(0, np.int32), *own])
+            ids = len(domain) + 1
+            domain.append((ids, rows))
+        for one in some:  # UFL would join integrals of one density and metadata over several numbers
+            metadata = {**one.metadata(), "part": str(ids)}
+            integrals.append(one.reconstruct(subdomain_id=ids, subdomain_data=domain, metadata=metadata))
+    return fem.form(ufl.Form(integrals), entity_maps=maps)
 
 
 def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:

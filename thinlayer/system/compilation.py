@@ -35,6 +35,7 @@ from mpi4py import MPI
 import thinlayer.system.ranks  # noqa: F401  # before DOLFINx, which starts PETSc
 from forms.base import InputError, ThinlayerError
 from thinlayer.system.identity import content
+from thinlayer.system.progress import telling_of_a_call
 
 # Folder -> descriptor of its lock file. They are never closed, as that would free all locks of the process on the file.
 _LOCKS: dict[Path, int] = {}
@@ -151,7 +152,7 @@ def _mend_ffcx() -> None:
         call = parameters.bind(*arguments, **options)
         folder, name = Path(call.arguments["cache_dir"]), call.arguments["module_name"]
         try:
-            with workshop(folder, name) as work:
+            with telling_of_a_call("compiling a form, kept for later runs"), workshop(folder, name) as work:
                 call.arguments["cache_dir"] = work
                 code = build(*call.args, **call.kwargs)
                 made = {file.name: file for file in work.iterdir() if file.name.startswith(f"{name}.")}

@@ -1,7 +1,7 @@
 """What long work says, one rank for all: progress on standard error, and messages through Python's `logging`.
 
 Progress is what is done, what is left, and the time it takes. On a terminal one line that changes, from 5 s on, gone when
-the work is done; elsewhere a line a minute. Work within work is told in one line.
+the work is done; elsewhere a line a minute, and one for a compilation of more than 5 s. Work within work is in one line.
 `logging.getLogger("thinlayer").setLevel("ERROR")` silences it. Messages are shown if the user asks for them:
 `logging.basicConfig(level="INFO")`, or `--verbose` on the command line.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -66,9 +67,9 @@ class Teller:
             self._due = self._begun + AFTER[self._stream().isatty()]
         self._open.append(work)
 
-        def tell(share: float, now: str = "", piece: float = 0.0) -> None:
+        def tell(share: float, now: str = "", piece: float = 0.0, *, at_once: bool = False) -> None:
             work.share, work.now, work.piece = share, now, piece
-            self._tell()
+            self._tell(at_once)
 
         try:
             self._tell()
@@ -79,6 +80,18 @@ class Teller:
             if not self._open and self._shown and self._stream().isatty():
                 self._stream().write("\r\x1b[K")
 
+    @contextmanager
+    def telling_of_a_call(self, what: str) -> Iterator[None]:
+        """A context of one call that cannot tell how far it is: it is told of if it lasts, off a terminal too."""
+        with self.telling(what) as tell:
+            timer = threading.Timer(AFTER[True], tell, (0.0,), {"at_once": True})
+            timer.daemon = True
+            timer.start()
+            try:
+                yield
+            finally:
+                timer.cancel()
+
     def track(self, items: Sequence[T], what: str, label: str = "{}") -> Iterator[T]:
         """The items one after the other; words for the present one are label.format(item)."""
         with self.telling(what) as tell:
@@ -86,9 +99,13 @@ class Teller:
                 tell(k / len(items), f"{k + 1} of {len(items)}, {label.format(item)}", 1 / len(items))
                 yield item
 
-    def _tell(self) -> None:
+    def _tell(self, at_once: bool = False) -> None:
         now, stream = self._clock(), self._stream()
-        if now < self._due or MPI.COMM_WORLD.rank or not logging.getLogger("thinlayer").isEnabledFor(logging.WARNING):
+        if (
+            (now < self._due and not at_once)
+            or MPI.COMM_WORLD.rank
+            or not logging.getLogger("thinlayer").isEnabledFor(logging.WARNING)
+        ):
             return
         self._due, self._shown = now + AGAIN[stream.isatty()], True
         words = [f"{work.what}: {work.now}" if work.now else work.what for work in self._open]
@@ -107,4 +124,4 @@ class Teller:
 
 
 _teller = Teller(lambda: sys.stderr, time.monotonic)
-track, telling = _teller.track, _teller.telling
+track, telling, telling_of_a_call = _teller.track, _teller.telling, _teller.telling_of_a_call
