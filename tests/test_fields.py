@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import resource
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pyvista
 
 from forms import LinearElastic, MohrCoulombMonodirectional, Stack
 from forms.base import InputError
-from geometry import sandwich
+from geometry import faults, sandwich
 from tests.fields_run import (
     BODY,
     CASES,
@@ -27,7 +28,7 @@ from tests.fields_run import (
 )  # fmt: skip
 from tests.on_ranks import on_ranks
 from tests.refused import refused
-from thinlayer import Structure, Surface, ThinLayer, fields, march, solve
+from thinlayer import Structure, Surface, ThinLayer, fields, march, plotting, solve
 
 pytestmark = pytest.mark.few(5)
 
@@ -221,3 +222,23 @@ def test_a_full_disk(tmp_path):
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
     for path in (tmp_path / "u.xdmf", None):
         refused(InputError, r"a file that ends in \.pvd", fields.write, state, path)
+
+
+def test_names_in_any_language(written, tmp_path):
+    """Of regions, seams and sides: in files for ParaView, tables, checkpoints and pictures."""
+    joint = faults(1.3, 1.0, {"Stoßfuge": ((0.0, 0.4), (1.3, 0.4)), "шов": ((0.0, 0.7), (1.3, 0.7))}, 0.3)
+    names = {"BLOCK 1": "Größe", "BLOCK 2": "层", "BLOCK 3": "ό"}
+    facets = {{"TOP": "côté"}.get(name, name): rows for name, rows in joint.facets.items()}
+    joint = replace(joint, regions=tuple(names[name] for name in joint.regions), facets=facets)
+    structure = Structure(joint, body=K, supports={"BOTTOM": 0}, tractions={"côté": lambda x, t: (0.1 * t, 0.3)})
+    model = structure.interface(ThinLayer(K, EPS, at=1.0))
+    for one in (model, structure.full(ThinLayer(K, EPS, at=1.0))):
+        history = march(one, [0.5, 1.0], observe={"größte": lambda state: 1.0}, out=tmp_path / f"ü{one.name}")
+        mesh = written(history)
+        assert {*names.values()} <= {*map(str, mesh[0].field_data["regions"])}
+        assert "Stoßfuge" in map(str, mesh[-1 if one is model else 0].field_data["seams"])
+        history.table.write(tmp_path / "größe.csv")
+        assert "größte" in (tmp_path / "größe.csv").read_text(encoding="utf-8")
+        march(one, [0.5, 1.0, 1.5], observe={"größte": lambda state: 1.0}, out=tmp_path / f"ü{one.name}", resume=True)
+    surface = Surface(model)
+    plotting.along(surface, {"größte": surface.traction(solve(model, 1.0))}, title="层", save=tmp_path / "层.png")

@@ -270,6 +270,9 @@ def test_cells_at_ends_and_junctions_are_judged_by_finer_ones():
     goal = plain.goals["compliance"]
     assert plain.with_finer_ends() - goal.better == pytest.approx(0.012 * goal.change, rel=0.1)
     refused(InputError, "unknown goal with bounds 'slip'", found.with_finer_ends, "slip")
+    for at_ends in (-0.1, 0, np.nan, "fine"):
+        refused(InputError, "at_ends is .*; allowed: > 0, over the thickness", found.with_finer_ends, at_ends=at_ends)
+    refused(InputError, "cells at ends are so short .* make at_ends larger", found.with_finer_ends, at_ends=1e-12)
 
 
 # ---------------------------------------------------------------- laws that are not linear

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from scipy.spatial import cKDTree
 
 from forms import work as forms
-from forms.base import InputError
+from forms.base import InputError, is_finite, require
 from forms.trace import needs_director
 from geometry.inflating.dividing import Divided, divided
 from geometry.inflating.inflation import inflate, without_bodies
@@ -138,7 +138,10 @@ class LayerModel(FullModel):
         model: the interface model.
         layers: name of a seam -> its layer.
         cells_through: number of cells through the thickness.
-        at_ends: how far cells at ends reach at most, a length; None: as far as the facets of S there.
+        at_ends: how far cells at ends reach at most, over the thickness; None: as far as the facets of S there.
+
+    Raises:
+        InputError: `at_ends` is no number > 0, or so small that nodes would be at one place.
     """
 
     name = "layer"
@@ -148,6 +151,9 @@ class LayerModel(FullModel):
         self, model: InterfaceModel, layers: Mapping[str, ThinLayer], cells_through: int, at_ends: float | None = None
     ) -> None:
         given, joint = copy.copy(model.structure), model.joint
+        if at_ends is not None:
+            require(is_finite(at_ends) and at_ends > 0, "at_ends", at_ends, "allowed: > 0, over the thickness")
+            at_ends *= min(float(layer.eps) for layer in layers.values())
         vars(given).pop("sheet", None)
         seams = {name: seam for name, seam in joint.seams.items() if name in layers}
         # fields on S of divided cells are not those of the model's facets: with other points they are refused
@@ -165,7 +171,12 @@ class LayerModel(FullModel):
         layers = without_bodies(super()._checked())
         if self._at_ends is not None and len(self._ends):
             distance, _ = cKDTree(self._ends).query(layers.reference)
-            self.divided = divided(layers, distance, self._at_ends)
+            try:
+                self.divided = divided(layers, distance, self._at_ends)
+            except InputError:
+                raise InputError(
+                    "cells at ends are so short that nodes are at one place; make at_ends larger"
+                ) from None
             layers = self.divided.joint
 
         def has(place: Place) -> bool:

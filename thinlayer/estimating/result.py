@@ -191,15 +191,14 @@ class Estimate:
             at_ends: how far cells there reach at most, over the thickness, > 0, as of `Zoom`.
 
         Raises:
-            InputError: no such goal, or one that has no bounds.
+            InputError: no such goal, or one that has no bounds; `at_ends` is no number > 0, or too small.
         """
         bounded = [name for name, one in self.goals.items() if one.bounded]
         require_known("goal with bounds", goal, bounded, "estimate, of linear laws")
         model: Any = self.better.model
         alone, z = self._layers, self._weights[goal]
         layers = {name: one.layer for name, one in self.layers.items()}
-        reach = at_ends * min(float(layer.eps) for layer in layers.values())
-        fine = HeldLayers(LayerModel(model, layers, alone.through, reach), self.state.t)
+        fine = HeldLayers(LayerModel(model, layers, alone.through, at_ends), self.state.t)
         inside = alone.inside(alone.at_faces(self.better.u.x.array), alone.load, alone.values)
         weights, found = alone.inside(z.v, z.load, z.values), []
         finer = alone.in_parts(inside, fine), alone.in_parts(weights, fine)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import pyvista
 from mpi4py import MPI
+from vtkmodules.vtkCommonCore import vtkStringArray
 
 from forms.base import Array
 from geometry.joint import Joint
@@ -126,14 +127,14 @@ def _volume(joint: Joint, grid: Grid, of_cells: Mapping[str, Array]) -> pyvista.
     mesh.cell_data.update(of_cells)
     mesh.cell_data[VON_MISES] = von_mises(of_cells[STRESS])
     mesh.cell_data["region"] = joint.region
-    mesh.field_data["regions"] = list(joint.regions)
+    _add_texts(mesh, "regions", joint.regions)
     if joint.band is not None:
         of_regions: dict[str, Any] = {name: seam for seam, names in joint.band.of_seam.items() for name in names}
         of_regions |= joint.band.junctions
         seams = list(joint.band.base.seams)
         numbers = [seams.index(of_regions[name]) if name in of_regions else -1 for name in joint.regions]
         mesh.cell_data["seam"] = np.array(numbers)[joint.region]
-        mesh.field_data["seams"] = seams
+        _add_texts(mesh, "seams", seams)
     return mesh
 
 
@@ -180,7 +181,7 @@ def _on_s(state: State, model: InterfaceModel, of_facets: Mapping[str, Array]) -
     block = pyvista.UnstructuredGrid(cells, np.full(n, kind), _in_space(at.pop("x")))
     block.point_data.update(_of_nodes(at, d))
     block.cell_data["seam"] = joint.seam_numbers
-    block.field_data["seams"] = list(joint.seams)
+    _add_texts(block, "seams", joint.seams)
     if status is not None:
         block.cell_data["status"] = [STATUS_CODES[one] for one in status]
         block.field_data["status codes"] = _legend(STATUS_CODES)
@@ -192,6 +193,15 @@ def _on_s(state: State, model: InterfaceModel, of_facets: Mapping[str, Array]) -
         block.field_data["contact codes"] = _legend(CONTACT_CODES)
     block.cell_data.update(of_facets)
     return block
+
+
+def _add_texts(mesh: pyvista.UnstructuredGrid, name: str, texts: Iterable[str]) -> None:
+    """Give the mesh a field of texts in any language; pyvista itself takes ASCII alone."""
+    array = vtkStringArray()
+    array.SetName(name)
+    for text in texts:
+        array.InsertNextValue(text)
+    mesh.GetFieldData().AddArray(array)
 
 
 def _legend(codes: Mapping[str, int]) -> list[str]:

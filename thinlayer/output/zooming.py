@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from forms.base import Array, InputError, is_finite, require
+from forms.base import Array, InputError
 from forms.ends.corner import Corner
 from forms.law import BulkLaw
 from forms.temperature import finite
@@ -87,7 +87,6 @@ class Zoom:
         self.seam = self._one.name
         if at_ends is None:
             at_ends = AT_ENDS[state.model.joint.cell_type == "tetrahedron"]
-        require(is_finite(at_ends) and at_ends > 0, "at_ends", at_ends, "allowed: > 0, over the thickness")
         self.layer = state if isinstance(state.model, FullModel) else self._by_itself(cells_through, at_ends)
         self._probe, self._surface = Probe(self.layer), SurfaceMesh(self.layer.model, self.seam)
 
@@ -103,11 +102,11 @@ class Zoom:
             if thin.law.traits.remembers and not state.sudden:
                 raise InputError(f"{what}it remembers earlier steps; mesh it (structure.full)")
             layers[name] = replace(thin, order=0, edges=None)
+        divided = LayerModel(model, layers, cells_through, at_ends)
         coarse = LayerAlone(model, layers, state.t, cells_through)
         w = coarse.settled(coarse.at_faces(state.u.x.array))
         self._require_faces(coarse.state(w))
-        reach = at_ends * min(float(one.eps) for one in layers.values())
-        fine = HeldLayers(LayerModel(model, layers, cells_through, reach), state.t)
+        fine = HeldLayers(divided, state.t)
         return fine.state(fine.settled(coarse.in_parts(w, fine)))
 
     @property
