@@ -14,7 +14,7 @@ from forms.base import InputError, is_finite, require
 from forms.temperature import finite
 from geometry.identified_sides import Periods
 from geometry.refusals import place, refuse, require_known
-from geometry.seam import RESERVED, S, Seam
+from geometry.seam import JUNCTIONS, LAYER, RESERVED, S, Seam
 from geometry.topology import (
     CELL_TYPES,
     FACET_TYPES,
@@ -139,8 +139,9 @@ class Joint:
 
     def _check_seams(self) -> None:
         for name in (*self.regions, *self.facets):
-            if not isinstance(name, str) or name in RESERVED or "/" in name:
-                raise InputError(f"{name!r} cannot be a name; not allowed: {', '.join(RESERVED)} and names with '/'")
+            taken = (LAYER, JUNCTIONS) if name in self.regions else RESERVED
+            if not isinstance(name, str) or name in taken or "/" in name:
+                raise InputError(f"{name!r} cannot be a name; not allowed: {', '.join(taken)} and names with '/'")
         for number, name in enumerate(self.regions):
             if not (self.region == number).any():
                 raise InputError(f"region {name!r} has no cells")

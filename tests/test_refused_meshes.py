@@ -96,13 +96,15 @@ BROKEN = [
     (dict(regions=[1, 2, 1, 2]), r"same body on both sides, the first at \(0\.5, 0\)"),
     (TETRAHEDRON | dict(more=[("quad", [[0, 1, 4, 3]], 1)]), "quad facets, but its tetrahedron cells have triangle"),
     (dict(regions=[1, 1, 2, 0]), r"1 of 4 cells are in no named group \(physical names: LOW, UP\); .* \(1.5, 0.5\)"),
-    (dict(names=NAMES | {"LAYER": (1, 2), "LOW": (9, 2)}), "'LAYER' cannot be a name; not allowed: LAYER, LOWER_FACE"),
+    (dict(names=NAMES | {"LAYER": (1, 2), "LOW": (9, 2)}), "'LAYER' cannot be a name; not allowed: LAYER, JUNCT"),
+    (dict(names=NAMES | {"BASE": (2, 1), "TOP": (9, 1)}), "'BASE' cannot be a name; not allowed: LAYER, LOWER_FACE"),
     (dict(names=NAMES | {"A/B": (2, 1), "TOP": (9, 1)}), "'A/B' cannot be a name; .*names with '/'"),
 ]
 
 
 def test_broken_meshes(tmp_path):
-    assert read(squares(tmp_path / "a.msh"), upper="UP").planar
+    joint = read(squares(tmp_path / "a.msh", names=NAMES | {"BASE": (1, 2), "LOW": (9, 2)}), upper="UP")  # a region
+    assert inflate(joint, 0.1).regions[:2] == ("BASE", "UP")
     for change, message in BROKEN:
         refused(InputError, message, read, squares(tmp_path / "a.msh", **change), upper="UP")
 
