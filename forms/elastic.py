@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import ufl
@@ -82,6 +82,11 @@ class LinearElastic(LinearLaw):
 
     def check(self) -> None:
         require_moduli(self, self.lmbda, self.mu)
+
+    def __new__(cls, *_: object, **named: object) -> Self:
+        if {"E", "nu"} & {*named}:
+            raise InputError("LinearElastic has the parameters lmbda and mu; of E and nu: LinearElastic.young(E, nu)")
+        return super().__new__(cls)
 
     @classmethod
     def young(cls, E: Parameter, nu: Parameter) -> LinearElastic:

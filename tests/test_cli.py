@@ -67,6 +67,8 @@ def test_list_is_light():
     *listed, modules = done.stdout.splitlines()
     assert not {"dolfinx", "petsc4py", "numpy", "gmsh", "pyvista"} & set(eval(modules))
     assert listed[0] == "The paper"
+    assert max(map(len, listed)) <= 80
+    assert "Benchmarks" not in listed
 
 
 def test_every_study_is_in_a_group_once():

@@ -197,12 +197,16 @@ def test_a_new_description_is_refused_until_it_is_filled_in(tmp_path, monkeypatc
     assert [*Path().iterdir()] == [file]
 
 
-def test_several_sets_inside_are_candidates(tmp_path):
+def test_several_sets_inside_have_a_layer_each(tmp_path):
     cut = squares(tmp_path / "a.msh", more=[("line", [[1, 4]], 3)], names={**NAMES_OF_SQUARES, "CUT": (3, 1)})
     text = thinlayer("estimate", cut, "--new").stdout
-    assert f'mesh = {{path = "{cut}", S = "?", upper = "?"}}\n' in text
-    assert "# S is where the layer is, upper a region above it; facet sets: S, CUT\n" in text
-    assert re.findall(r'^"(\w+)" = ', text, re.MULTILINE) == ["TOP", "TOP"]
+    assert f'mesh = {{path = "{cut}", S = {{"S" = ["LOW", "UP"], "CUT" = "?"}}}}\n' in text
+    assert re.findall(r'^(?:"(\w+)" = |\[layer."(\w+)"\])', text, re.MULTILINE) == [
+        ("", "S"),
+        ("", "CUT"),
+        ("TOP", ""),
+        ("TOP", ""),
+    ]
 
 
 def test_sizes_and_loads_of_revolution(lap):

@@ -28,7 +28,7 @@ from thinlayer import Adaptive, march
         ([0.1], {"observe": {"a": lambda state: np.complex128(1 + 2j)}}, r"observe\['a'\] at t = 0: .* real number"),
         ([0.1], {"observe": {"a": lambda state: 1 / 0}}, r"observe\['a'\] at t = 0: ZeroDivisionError: division"),
         ([0.1], {"theta": 1j}, "theta is 1j; it must be a number"),
-        ([0.1], {"metod": "newton"}, "metod"),
+        ([0.1], {"metod": "newton"}, "unknown argument of march 'metod', did you mean 'method'"),
         ("12", {}, "sequence of numbers"),
         ([0.1], {"out": ""}, "name of a folder"),
         ([0.1], {"options": {"ksp_nonsense": 1}}, "not read"),
@@ -38,7 +38,7 @@ from thinlayer import Adaptive, march
 def test_bad_input(times, options, message, tmp_path):
     if not options.get("resume"):
         options = {"out": tmp_path / "out"} | options
-    refused((InputError, TypeError), message, march, interface(), times, **options)
+    refused(InputError, message, march, interface(), times, **options)
     assert not (tmp_path / "out").exists()
 
 

@@ -154,6 +154,11 @@ def test_a_term_beside_those_of_a_model():
     assert found[free] == pytest.approx(2 * expected[free], abs=1e-12)
 
 
+def test_a_structure_is_shown_in_a_line():
+    assert repr(structure(supports={"TOP": 0})).startswith("Structure(Joint(")
+    assert repr(structure(supports={"TOP": 0})).endswith(", strain, supports ['TOP'])")
+
+
 def test_forms_whose_tags_overlap():
     """Forces of bodies and of their weight, on quadrilaterals, and integrals of several degrees over some of the tags."""
     joint = sandwich(1.0, 0.5, 0.7, 0.25, cell="quadrilateral")

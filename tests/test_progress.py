@@ -23,6 +23,9 @@ class Pipe(io.StringIO):
     def isatty(self) -> bool:
         return self.terminal
 
+    def flush(self) -> None:
+        self.seen = self.getvalue()
+
 
 class Clock:
     now = 100.0
@@ -40,6 +43,7 @@ def three_runs(terminal: bool, seconds: float) -> str:
             for k in range(4):
                 clock.now += seconds
                 tell((k + 1) / 4, f"t = {k + 1} of 4")
+    assert stream.getvalue() == getattr(stream, "seen", "")  # before the results are printed
     return stream.getvalue()
 
 

@@ -103,6 +103,10 @@ def test_parameters_out_of_range(law, name):
 SPRING, CREEPING = LinearElastic(**MODULI), Maxwell(**GOOD[Maxwell])
 
 
+def test_young_s_modulus_is_that_of_another_constructor():
+    refused(InputError, r"of E and nu: LinearElastic\.young\(E, nu\)", lambda: LinearElastic(E=3.0, nu=0.2))
+
+
 @pytest.mark.parametrize(
     ("sublayers", "message"),
     [

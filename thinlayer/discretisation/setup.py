@@ -100,6 +100,9 @@ class Setup:
         new.mark = digest([self.mark, require_same(self.comm, **given)])
         return new
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.joint!r}, {self.element}, {self.plane}, supports {[*self.supports]})"
+
     @cached_property
     def kinematics(self) -> Kinematics:
         """Strains of displacements, without a mesh."""

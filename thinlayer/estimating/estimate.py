@@ -70,7 +70,12 @@ def estimate(
     """
     start = time.perf_counter()
     given = state.last if isinstance(state, History) else state
-    require(isinstance(given, State), "estimate: the state", given, "it takes what solve or march returns")
+    require(
+        isinstance(given, State),
+        "estimate: the state",
+        given,
+        "it takes what solve or march returns; a description of a mesh file: thinlayer estimate",
+    )
     with on_all(given.model.comm):
         require(is_finite(width) and width > 0, "estimate: width", width, "allowed: > 0, over the change of a goal")
         checked = _checked_goals(goals)

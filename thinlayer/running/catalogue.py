@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 from studies import GROUPS
@@ -70,11 +71,12 @@ def _option(argument: ast.arg, text: str) -> dict[str, Any]:
 
 
 def listed() -> str:
-    """The groups and their studies with their times, a line each; without benchmarks, which draw nothing."""
+    """The groups and their studies with their times, in 80 columns; without benchmarks."""
     lines = dict[str, None]()  # each heading once
-    for study in (study for study in studies().values() if study.drawn):
+    for study in (study for study in studies().values() if study.group != "Benchmarks"):
         lines[study.group] = None
-        lines[f"  {study.name:<20} {duration(study.full):>6}, quick {duration(study.quick):<6}  {study.summary}"] = None
+        lines[f"  {study.name:<20} {duration(study.full):>6}, quick {duration(study.quick)}"] = None
+        lines[fill(study.summary, 80, initial_indent=" " * 4, subsequent_indent=" " * 4)] = None
     return "\n".join(lines)
 
 

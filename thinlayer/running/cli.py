@@ -120,7 +120,7 @@ def command_line() -> argparse.ArgumentParser:
     parser.add_argument("-V", "--version", action="store_true", help="print the versions of thinlayer and of DOLFINx")
     parser.set_defaults(work=_neither)
     commands = parser.add_subparsers(metavar="COMMAND")
-    what = "List the studies in groups, with their times on one core; without benchmarks, which draw nothing."
+    what = "List the studies in groups, with their times on one core; without benchmarks."
     _add_json(_command(commands, "list", _list, what, "--json"))
     what = "Print the versions of the packages that results depend on."
     _add_json(_command(commands, "info", _info, what, "--json"))
@@ -159,7 +159,7 @@ def _several_studies() -> Parser:
     parser = Parser(prog="python3 -m thinlayer run", description=what, epilog=STATUSES)
     parser.add_argument("studies", nargs="*", metavar="STUDY", choices=studies(), help="names of studies")
     names = [study.name for study in studies().values() if study.drawn]
-    parser.add_argument("--all", action="store_const", const=names, help="all studies without the benchmarks")
+    parser.add_argument("--all", action="store_const", const=names, help="all studies that draw pictures")
     parser.set_defaults(work=_batch)
     _add_batch(parser, Path("out"))
     return parser

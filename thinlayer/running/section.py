@@ -44,7 +44,7 @@ def read(path: Path, settings: Iterable[str] = ()) -> Section:
     except OSError as error:
         raise DescriptionError(f"{path} cannot be read: {error.strerror}") from None
     except (ValueError, RecursionError) as error:
-        what = "texts stand in quotes, yes and no are true and false; what TOML cannot say, a script says"
+        what = "numbers have digits before and after the point, texts stand in quotes, yes and no are true and false"
         raise DescriptionError(f"{path} is no TOML: {error}; {what}") from None
     mesh = values.get("mesh")
     mesh = {"path": mesh} if isinstance(mesh, str) else mesh

@@ -28,6 +28,10 @@ def _filled(mesh: Path, named: Named) -> str:
     beside = {name: named.beside(name) for name in named.facets}
     inside = {name: named.touched(cells) for name, cells in beside.items() if cells.size and (cells >= 0).all()}
     seam, words = _seam(inside, ", ".join(named.facets))
+    layers = "\n\n".join(
+        f'[layer{name}]\nlaw = "LinearElastic"\nE = "?"\nnu = "?"\neps = "?"  # thickness'
+        for name in ([f".{quoted(name)}" for name in inside] if len(inside) > 1 else [""])
+    )
     moduli, vector = 'E = "?"\nnu = "?"', ["?"] * named.cells.points.shape[1]
     sides = [quoted(name) for name in named.facets if name not in inside]
     bodies = "\n\n".join(f"[body.{quoted(name)}]\n{moduli}" for name in named.regions)
@@ -39,10 +43,7 @@ units = "?"  # of lengths and of stresses, such as "mm, MPa"
 
 {bodies}
 
-[layer]
-law = "LinearElastic"
-{moduli}
-eps = "?"  # thickness
+{layers}
 
 [supports]  # what is held: 0, a displacement, or components such as {{x = 0}}
 {held}
@@ -58,5 +59,12 @@ def _seam(inside: dict[str, list[str]], names: str) -> tuple[str, str]:
         side = f"upper = {quoted(touched[-1])}" if len(touched) > 1 else 'direction = "?"'
         words = f"S is the only facet set inside the bodies; it touches {', '.join(touched)}"
         return f"S = {quoted(name)}, {side}", words
-    candidates = ", ".join(inside) or names or "none; with lower and upper alone S is all between these regions"
+    if inside:
+        pairs = {name: quoted(touched if len(touched) == 2 else "?") for name, touched in inside.items()}
+        sides = ", ".join(f"{quoted(name)} = {pair}" for name, pair in pairs.items())
+        return (
+            f"S = {{{sides}}}",
+            "S has the facet sets inside the bodies: [lower region, upper region], or a vector upwards",
+        )
+    candidates = names or "none; with lower and upper alone S is all between these regions"
     return 'S = "?", upper = "?"', f"S is where the layer is, upper a region above it; facet sets: {candidates}"

@@ -79,6 +79,7 @@ class Teller:
                 del self._open[self._open.index(work) :]
             if not self._open and self._shown and self._stream().isatty():
                 self._stream().write("\r\x1b[K")
+                self._stream().flush()  # before the results are printed
 
     @contextmanager
     def telling_of_a_call(self, what: str) -> Iterator[None]:

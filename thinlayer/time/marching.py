@@ -11,6 +11,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from forms.base import InputError, require
+from geometry.refusals import require_known
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
@@ -110,6 +111,8 @@ def march(
     """
     with on_all(comm_of(getattr(begin, "model", begin))):
         model, begun = _begun(begin)
+        for name in solver:
+            require_known("argument of march", name, Choices.__annotations__)
         if begun and (start is not None or out is not None):
             raise InputError("a march goes on from a state at its time, and without files: leave start= and out= away")
         start = begun[-1].t if begun else _number("start", start or 0.0)
