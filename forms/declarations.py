@@ -170,7 +170,7 @@ class Traits:
         bounded: the stress is bounded in some direction, so there may be a limit load.
         singular: the tangent may be singular for some strains; Newton's method adds a Levenberg-Marquardt term.
         isochoric: the law flows without a change of volume, which elements must not prevent.
-        softens: the stress falls as strains grow, so strains in a meshed layer would localise.
+        softens: the stress falls as strains grow. Means of strains through a meshed layer drive the law, as on S.
         plateau: strains across the layer may grow at constant stress, so they may be non-uniform through the layer.
         varies: parameters vary along the layer or in time; the law's `at` gives their values.
         phases: the internal variable "phase", a scalar in [-1, 1], is the share of the layer in phase 1, or -1.

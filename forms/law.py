@@ -344,6 +344,8 @@ class BulkLaw(Law):
         """
         if self.traits.switches:
             raise InputError(f"order=1 of {type(self).__name__}: its phases are those of jumps alone; use order=0")
+        if self.traits.softens:
+            raise InputError(f"order=1 of {type(self).__name__}: its two stations would soften one by one; use order=0")
         if self.traits.plateau:
             raise InputError(
                 f"order=1 of {self!r}: where phases mix in sheets parallel to S, strains are not uniform through the "

@@ -30,9 +30,34 @@ def bisected(x: FloatArray, parts: int) -> Indices:
     return part
 
 
+def column_numbers(joint: Joint) -> tuple[IntArray, FloatArray]:
+    """The column of every cell of an inflated joint (-1 outside the layer), or of every facet; and their centres.
+
+    Returns:
+        Numbers (cells or facets,), and the centres (columns, d) of the facets of S in the joint before inflating.
+    """
+    if joint.band is None:
+        rows = joint.surface_rows
+        numbers = np.full(len(joint.table.vertices), -1, np.int64)
+        numbers[rows] = np.arange(len(rows))
+        return numbers, joint.points[joint.table.vertices[rows]].mean(axis=1)
+    layer = np.flatnonzero(np.isin(joint.region, [joint.regions.index(name) for name in joint.band.regions]))
+    places, place = np.unique(joint.reference, axis=0, return_inverse=True)
+    below = np.sort(place.ravel()[joint.corners[layer]], axis=1)  # the facet's vertices, some of them twice
+    below[:, 1:][below[:, 1:] == below[:, :-1]] = -1
+    facets, column = np.unique(np.sort(below, axis=1), axis=0, return_inverse=True)
+    numbers = np.full(len(joint.cells), -1, np.int64)
+    numbers[layer] = column.ravel()
+    vertices = (facets >= 0)[:, :, None]
+    return numbers, (places[facets] * vertices).sum(axis=1) / vertices.sum(axis=1)
+
+
 def destinations(joint: Joint, parts: int) -> tuple[IntArray, Indices]:
     """Where the cells of a joint go: (n + 1,) first entry of each cell; the rank that owns it, then those that see it."""
     owner = bisected(sum(joint.points[corner] for corner in joint.corners.T), parts)  # faster than means of short rows
+    if joint.band is not None:  # columns of cells of layers stay whole, as laws may need their means
+        layer = np.flatnonzero((column := column_numbers(joint)[0]) >= 0)
+        owner[layer] = owner[layer[np.unique(column[layer], return_index=True)[1]]][column[layer]]
     first, second = joint.table.cells.T
     apart = joint.table.cells[(owner[first] != owner[second]) & (second >= 0)]
     seen = np.unique(np.concatenate([np.column_stack([a, owner[b]]) for a, b in (apart.T, apart.T[::-1])]), axis=0)

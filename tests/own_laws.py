@@ -201,6 +201,37 @@ class Springs(TractionLaw):
         return self.K_T * step.mid + (self.K_N - self.K_T) * ufl.dot(step.mid, step.n) * step.n
 
 
+@dataclass(frozen=True)
+class Breaking(BulkLaw):
+    """Damage of an isotropic material, whose stress falls linearly from the energy `onset` on; k * onset breaks it."""
+
+    lmbda: float
+    mu: float
+    onset: float
+    k: float
+    powers: ClassVar = {"lmbda": 1, "mu": 1, "onset": -1}
+    internal: ClassVar = {"d": ()}
+    symmetric: ClassVar = False
+    softens: ClassVar = True
+
+    def _damage(self, step, e):
+        x = ufl.sqrt(ufl.max_value(isotropic_energy(self.lmbda, self.mu, e) / self.onset, 1))
+        return ufl.max_value(step.q["d"], ufl.min_value(self.k * (x - 1) / (x * (self.k - 1)), 1.0))
+
+    def stress(self, step):
+        return (1 - self._damage(step, step.mid)) * lame(self.lmbda, self.mu, step.mid)
+
+    def advance(self, step):
+        return {"d": self._damage(step, step.e)}
+
+    def energy(self, step):
+        return (1 - step.q["d"]) * isotropic_energy(self.lmbda, self.mu, step.e)
+
+    def dissipated(self, step):
+        spent = lambda d: self.onset * self.k * d / (self.k - d * (self.k - 1))
+        return spent(self._damage(step, step.e)) - spent(step.q["d"])
+
+
 def _aged(value, growth, x, t):
     return value * (1 + growth * t) * np.ones(x.shape[1])
 

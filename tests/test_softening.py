@@ -1,20 +1,25 @@
-"""Softening that a law in forms does not say: told from the step on in which its stress falls, on S and in the layer."""
+"""Softening that a law in forms does not say is told when its stress falls; meshed layers of laws that say it."""
 
 from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
+import numpy as np
 import pytest
 import ufl
 
 from forms import BulkLaw, LinearElastic
+from forms.base import InputError
 from forms.kinematics import lift
-from geometry import sandwich
+from geometry import block, sandwich, wall
 from tests import ranges_told
-from thinlayer import Structure, ThinLayer, march, solve
+from tests.on_ranks import on_ranks
+from tests.own_laws import Breaking
+from tests.refused import refused
+from thinlayer import Structure, ThinLayer, estimate, march, solve
 
 EPS = 0.05
 STIFF = LinearElastic.young(1e6, 0.3)
@@ -67,3 +72,84 @@ def test_where_stresses_fall(law, onset, kind):
     assert "write softens = True" in message
     assert told(joint, law, kind, before) == []
     assert len(told(joint, law, kind, after)) == 1
+
+
+# ---------------------------------------------------------------- meshed layers whose law says that it softens
+SOLID = LinearElastic.young(100.0, 0.3)
+GLUE = Breaking(60.0, 40.0, 1 / 280, 6.0)  # of a layer of unit thickness
+TIMES = [0.004, 0.008, 0.015, 0.022, 0.03]
+
+
+def block_of(cell, h=1 / 8, **options):
+    """A block on a base, between rollers, whose top is lifted and pushed unevenly."""
+    top = {"x": lambda x, t: t * ufl.sin(math.pi * x[0]) / 2, "y": lambda x, t: t * (0.8 + ufl.cos(math.pi * x[0]))}
+    supports = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "TOP": top}
+    given = {"body": SOLID, "supports": supports} | options
+    return Structure(block(1.0, 0.25, h, cell=cell, structured=True), **given)
+
+
+@pytest.mark.parametrize("through", [1, 2])
+@pytest.mark.parametrize(("moved", "held", "modulus"), [("y", "x", 140.0), ("x", "y", 40.0)])
+@pytest.mark.parametrize("cell", ["quadrilateral", "triangle"])
+def test_a_meshed_bar_breaks_as_the_closed_form_says(cell, moved, held, modulus, through):
+    """Uniaxial strain, shear: t = w + T(w) H/E; T falls to zero at k times the jump at the strength; G = eps k onset."""
+    eps, compliance = 0.03, 0.25 / (900.0 if moved == "y" else 450.0)
+    w_0 = math.sqrt(2 * GLUE.onset / modulus) * eps
+    w = np.array([0.7, 1.0, 2.3, 4.9, 6.6]) * w_0
+    T = modulus / eps * np.minimum(w, np.clip((6 * w_0 - w) / 5, 0.0, None))
+    supports = {"LEFT": {held: 0.0}, "RIGHT": {held: 0.0}, "TOP": {moved: lambda x, t: t, held: 0.0}}
+    structure = block_of(cell, body=LinearElastic.young(900.0, 0.0), supports=supports)
+    history = march(structure.full(ThinLayer(GLUE, eps), cells_through=through), [*(w + T * compliance)])
+    found = [history.at(t).prescribed_work / t for t in w + T * compliance]
+    assert found == pytest.approx(T, abs=1e-9 * T.max())
+    assert history.table["dissipated"].sum() == pytest.approx(eps * GLUE.k * GLUE.onset, rel=1e-9)
+
+
+def energies(model, **files):
+    history = march(model, TIMES, **files)
+    return np.array([history.last.prescribed_work, history.table["dissipated"].sum(), history.last.stored["layer"]])
+
+
+@pytest.mark.parametrize(("cell", "through"), [("quadrilateral", 1), ("quadrilateral", 2), ("triangle", 1)])
+def test_a_meshed_layer_softens_as_the_law_on_s(cell, through):
+    """Work, energy dissipated and stored converge with eps, at the rate 1, where the layer opens and slips unevenly."""
+    structure = block_of(cell)
+    on_s = energies(structure.interface(ThinLayer(GLUE, 0.1, at=1.0)))
+    layers = [ThinLayer(GLUE, eps, at=1.0) for eps in (1 / 16, 1 / 32)]
+    errors = [energies(structure.full(layer, cells_through=through)) / on_s - 1 for layer in layers]
+    assert (np.abs(errors) < 0.05).all()
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(1.1, abs=0.3)
+
+
+@pytest.mark.parametrize("joint", [wall(2, 2, (1.0, 0.5), 0.5), sandwich(1.3, 0.7, 0.9, 0.9, depth=0.5)])
+def test_a_meshed_layer_that_does_not_soften_yet_is_the_elastic_one(joint):
+    top = {"x": lambda x, t: 0.3 * t, "y": lambda x, t: t * (1 + 0.7 * x[0])}
+    structure = Structure(joint, body=SOLID, supports={"BOTTOM": 0.0, "TOP": top})
+    laws = LinearElastic(60.0, 40.0), replace(GLUE, onset=1e9)
+    soft, sound = (march(structure.full(ThinLayer(law, 0.05), cells_through=2), [0.1]).last.u.x.array for law in laws)
+    assert sound == pytest.approx(soft, abs=1e-11 * np.abs(soft).max())
+
+
+def test_remedies_of_layers_that_soften():
+    """`estimate` says: mesh the layer; a law that falls from rest: write `stiffness`; order 1: order 0."""
+    structure, layer = block_of("quadrilateral", h=1 / 4), ThinLayer(GLUE, 0.05)
+    state = march(structure.interface(layer), TIMES[:1]).last
+    refused(InputError, r"mesh the layer \(structure.full\)", estimate, state)
+    march(structure.full(layer), TIMES[:1])
+    refused(InputError, "soften one by one; use order=0", replace, layer, order=1)
+    cracked = Breaking(0.0, -1.0, 1.0, 6.0)
+    refused(InputError, r"write a method stiffness\(n\)", structure.full, ThinLayer(cracked, 0.05))
+    sound = type("Sound", (Breaking,), {"stiffness": lambda law, n: LinearElastic(6.0, 4.0).stiffness(n)})
+    structure.full(ThinLayer(sound(0.0, -1.0, 1.0, 6.0), 0.05))
+
+
+def resumed(folder):
+    """Energies of a march that goes on from files, of triangles: columns have several cells, and stay on one rank."""
+    model = block_of("triangle").full(ThinLayer(GLUE, 0.05))
+    march(model, TIMES[:3], out=folder)
+    return energies(model, out=folder, resume=True).tolist()
+
+
+@on_ranks(resumed, 2)
+def test_a_meshed_layer_that_softens_on_several_ranks(there):
+    assert there == pytest.approx(energies(block_of("triangle").full(ThinLayer(GLUE, 0.05))), rel=1e-9)

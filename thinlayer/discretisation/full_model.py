@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
+import ufl
 from mpi4py import MPI
 from scipy.spatial import cKDTree
 
@@ -29,6 +30,7 @@ from thinlayer.discretisation.mesh_functions import director
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.supports import Place
+from thinlayer.pointwise.integrals import quadrature_degree
 
 LARGEST_EPS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
 
@@ -107,8 +109,13 @@ class FullModel(Model):
         for name, one in self.layers.items():
             sublayers = real_law(one.layer, self.kinematics).sublayers
             for (_, law), region in zip(sublayers, band.of_seam[name], strict=True):
+                rule = self._rule(self.dx)
+                if law.traits.softens:  # it is run at points that are as dense along S as those there
+                    law = law if law.traits.compiled else law.for_points()
+                    degree = quadrature_degree(self.V, ufl.dS) + self.kinematics.degree
+                    rule = {"metadata": {"quadrature_degree": degree}}
                 law = law if law.traits.compiled else constants(law, mesh)
-                cells = self.dx(self.domain.cell_values(region, *self._shared(name)), **self._rule(self.dx))
+                cells = self.dx(self.domain.cell_values(region, *self._shared(name)), **rule)
                 term = forms.band(law, cells, n, self.kinematics)
                 terms.append(replace(term, key=one.key, given=self.given_on[name]))
         return terms

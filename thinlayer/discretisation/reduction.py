@@ -15,7 +15,7 @@ from forms.elastic import LARGEST_NU, ROUNDING, LinearElastic, poisson_ratio
 from forms.kinematics import average_lame
 from forms.law import BulkLaw
 from forms.rubber import Rubber
-from forms.trace import is_isotropic, known_at_rest
+from forms.trace import across, is_isotropic, known_at_rest, tangent_at_rest
 from geometry.refusals import place
 from geometry.sheet import Rim, straight_ends
 from geometry.topology import BoolArray, FloatArray, is_tensor
@@ -220,9 +220,15 @@ def _next_term(r: Reduction) -> Iterator[Refused]:
 
 
 def _meshed(r: Reduction) -> Iterator[Refused]:
-    if r.one.law.traits.softens:
+    if r.one.law.traits.softens and r.one.law.traits.phases:
         reason = f"the stress of {r.one.law!r} falls as strains grow: all strain would gather in one row of cells"
         yield Refused("softens", reason, "take mixing=1, or NonMonotoneUnrelaxed, which has one phase for each column")
+    n, sublayers = r.one.sheet.mean_normal, [one for sample in r.one.samples for one in sample.at_rest.sublayers]
+    for law in (law for _, law, _ in sublayers if law.traits.softens):
+        C = tangent_at_rest(law, n)
+        if C is None or np.linalg.eigvals(across(C, n)).real.min() <= 0:  # it holds nodes in the layer
+            reason = f"{type(law).__name__} softens, and its stiffness at rest is not known, or not positive"
+            yield Refused("sound", reason, "write a method stiffness(n) in its class, that of the sound material")
 
 
 def _under_mean_strain(r: Reduction) -> Iterator[Refused]:
@@ -323,7 +329,9 @@ def _by_itself(r: Reduction) -> Iterator[Refused]:
     """Of the layer by itself, between faces that are moved."""
     traits, kind = r.one.law.traits, r.one.kind
     if traits.phases or traits.softens:
-        yield Refused("phases", f"{kind} has phases, or a stress that falls as strains grow", "mesh the layer")
+        first = "take mixing=1, or NonMonotoneUnrelaxed, and " * (traits.phases and traits.softens)
+        reason = f"{kind} has phases, or a stress that falls as strains grow"
+        yield Refused("phases", reason, f"{first}mesh the layer (structure.full)")
     elif traits.constrained and not r.law.volume_compliance and not len(r.loose.vertices):
         reason = f"{kind} between faces, with no side that is free, bears a pressure that these do not tell"
         yield Refused("closed", reason, "take Rubber with Poisson's ratio 0.4999")

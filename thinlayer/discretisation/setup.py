@@ -173,7 +173,7 @@ def require_body_law(name: str, law: Law) -> None:
     if reason:
         raise InputError(f"body {name!r}: {kind} is for layers: {reason}")
     if traits.softens:
-        reason = "all strain would gather in one row of cells; let a layer soften, on S"
+        reason = "all strain would gather in one row of cells; let a layer soften"
         raise InputError(f"body {name!r}: the stress of {kind} falls as strains grow: {reason}")
 
 

@@ -60,7 +60,9 @@ class Structure(Setup):
                 seam: its layer, or a `Gap` for an open joint}, or one layer for all. Layers that pass the end of a gap go
                 on there. Where bodies are extended, tractions do not act on what they gave up to gaps.
             bodies: "kept" or "extended", see `geometry.inflate`.
-            cells_through: number of cells through the layer's thickness; even, where layers meet.
+            cells_through: number of cells through the layer's thickness; even, where layers meet. Of a law that softens it
+                changes little: means of strains through the thickness drive the law, as on S, what differs from them is
+                elastic. One cell will do, and takes the least time.
             junctions: name of the seam whose law holds in the cells where it meets others; elsewhere, and by default
                 everywhere, it is the first of the joint's seams that end there. These cells need the law of a layer: with
                 moduli that do not fall with the thickness they would tie the corners of the bodies together, and the

@@ -20,6 +20,7 @@ from thinlayer.discretisation.layer import LAYER
 from thinlayer.discretisation.state import Configuration
 from thinlayer.discretisation.time_functions import Hand
 from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part, PartTraits
+from thinlayer.pointwise.column_term import ColumnTerm
 from thinlayer.pointwise.compiled_term import CompiledTerm, Response
 from thinlayer.pointwise.integrals import Origin
 from thinlayer.system.ranks import destroy
@@ -76,7 +77,8 @@ class CompiledPart(Part):
         self, key: str, V: fem.FunctionSpace, term: Term, origin: Origin | None = None, *, symmetric: bool = False
     ) -> None:
         self.key, self._symmetric = key, symmetric
-        self.points = CompiledTerm(V, term, origin)
+        meshed = term.law.traits.softens and term.measure.integral_type() == "cell"
+        self.points = (ColumnTerm if meshed else CompiledTerm)(V, term, origin)
         self._given_at = GivenAtPoints(self.points)
         self.comm = self.points.comm
         self.law = law = term.law
@@ -145,7 +147,7 @@ class CompiledPart(Part):
         if self._symmetric and (skew := self.comm.allreduce(self._response.skew, MPI.MAX)) > ASYMMETRY:
             raise InputError(NOT_SYMMETRIC.format(type(self.law).__name__, skew))
         self._tangent = self.points.stiffness(self._response.tangent, relative_residual, self._tangent)
-        return [Block(self._tangent, kept=True)]
+        return [Block(one, kept=True) for one in (self._tangent, *self.points.constant)]
 
     # ---------------------------------------------------------------- an accepted step
     def commit(self) -> Outcome:

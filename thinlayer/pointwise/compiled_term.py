@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,7 @@ from thinlayer.system.ranks import destroy, on_all
 UNDERFLOW = np.finfo(float).tiny / np.finfo(float).eps ** 2
 FALLING = 1e-3  # stresses fall if an eigenvalue, or the work of changes, is below minus this share of its size
 MOMENT = np.finfo(float).eps  # fraction of a step that is too short for any change
+INDEPENDENT = 1e-8  # least size of a function that is independent of others, over the largest
 LEAST_STIFFNESS, MOST_STIFFNESS = 1e-6, 1e-3  # bounds of the share of the tangent at rest added to a singular one
 
 
@@ -66,7 +68,10 @@ class CompiledTerm(Quadrature):
     Attributes:
         material: the compiled law.
         switching: for a law whose phases are fixed in a solve and switch after it; else None.
+        constant: matrices that `stiffness` leaves out, as they do not change.
     """
+
+    constant: tuple[PETSc.Mat, ...] = ()
 
     def __init__(self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None) -> None:
         super().__init__(V, term, origin)
@@ -77,6 +82,7 @@ class CompiledTerm(Quadrature):
         self._volume = None if term.volume is None else MeanVolume(self, term.volume)
         if self._volume:
             self.B = self._volume.matrix(B)
+            destroy(B)
         stressed = term.kinematics.stressed(self.dim)
         self._none = [k for k in range(len(MANDEL)) if k not in stressed]
         self._strain, self._forces = self.B.createVecLeft(), self.B.createVecRight()
@@ -93,11 +99,11 @@ class CompiledTerm(Quadrature):
         """Strains (points, m) of a form, with the present values of its constants, as the law gets them."""
         values = np.asarray(fem.assemble_vector(form).array).reshape(-1, len(self.slots))[: self.count]
         strains = np.asarray(values / self._integrals[:, None])
-        return self._volume.projected(strains) if self._volume else strains
+        return self._volume(strains) if self._volume else strains
 
     def balanced(self, stress: Array) -> Array:
         """The stresses (points, 6) that do the same work in the strains of displacements, unprojected, as `stress` here."""
-        return self._volume.projected(stress) if self._volume else stress
+        return self._volume(stress) if self._volume else stress
 
     def _vector(self, values: Array) -> PETSc.Vec:
         """A vector over the rows of B."""
@@ -212,15 +218,19 @@ class CompiledTerm(Quadrature):
             relative_residual: residual of the balance of forces over the force scale.
             into: an earlier result, which is overwritten: its nonzero pattern need not be found again.
         """
+        return self._product(self._regular(tangent, relative_residual), self.B, into)
+
+    def _product(self, tangent: Array, B: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
+        """Matrix of int e(v) : tangent : e(du), with the strains of the matrix B. Collective."""
         m, rows = len(self.slots), self.count * len(self.slots)
-        first = self.B.getOwnershipRange()[0]
+        first = B.getOwnershipRange()[0]
         indptr = np.arange(0, rows * m + 1, m, dtype=PETSc.IntType)
         blocks = np.arange(rows, dtype=PETSc.IntType).reshape(self.count, 1, m)
         indices = (first + np.broadcast_to(blocks, (self.count, m, m))).astype(PETSc.IntType).ravel()
-        values = (self._regular(tangent, relative_residual) * self.weights[:, None, None]).ravel()
-        size = (self.B.getSizes()[0], self.B.getSizes()[0])
+        values = (tangent * self.weights[:, None, None]).ravel()
+        size = (B.getSizes()[0], B.getSizes()[0])
         D = PETSc.Mat().createAIJ(size, csr=(indptr, indices, values), comm=self.comm)
-        A = D.ptap(self.B, result=into)
+        A = D.ptap(B, result=into)
         D.destroy()
         return A
 
@@ -229,13 +239,51 @@ class CompiledTerm(Quadrature):
         destroy(self.B, self._strain, self._forces)
 
 
-class MeanVolume:
-    """Mean volume strains (B-bar): the projection, in L2 with the term's weights, of the traces of strains in each cell.
+class Projection:
+    """The projection, in L2 with a term's weights, of strains at groups of points on functions in each group. Collective.
+
+    It is orthogonal: a stress does the same work in projected strains as the projected stress does in the others.
+
+    Args:
+        points: the quadrature points of a term.
+        bases: numbers (groups, q) of the points of groups, and values (groups, q, k) of the functions there, which need not
+            be independent.
+        part: (c, c) idempotent symmetric matrix: what is projected of the first c components; the rest stays.
+    """
+
+    def __init__(self, points: Quadrature, bases: Iterable[tuple[Array, Array]], part: Array) -> None:
+        self._part, self._width = np.pad(part, (0, len(MANDEL) - len(part))), len(points.slots)
+        self._change = scipy.sparse.csr_matrix((points.count, points.count))
+        for groups, basis in bases:
+            root = np.sqrt(points.weights[groups])
+            U, sizes, _ = np.linalg.svd(basis * root[..., None], full_matrices=False)
+            U *= (sizes > INDEPENDENT * sizes[:, :1])[:, None]
+            change = (U @ U.swapaxes(1, 2)) * root[:, None, :] / root[:, :, None] - np.eye(root.shape[1])
+            kept = np.abs(change) > INDEPENDENT  # under quadrilaterals groups fall apart
+            at = [np.broadcast_to(one, change.shape)[kept] for one in (groups[:, :, None], groups[:, None])]
+            self._change += scipy.sparse.csr_matrix((change[kept], at), self._change.shape)
+
+    def __call__(self, values: Array) -> Array:
+        """Strains or stresses (points, m), projected."""
+        m = values.shape[1]
+        return np.asarray(values + self._change @ values @ self._part[:m, :m])
+
+    def matrix(self, B: PETSc.Mat) -> PETSc.Mat:
+        """The matrix of projected strains (m rows a point) for that of strains, B. Collective."""
+        part, own, first = self._part[: self._width, : self._width], B.getLocalSize()[0], B.getOwnershipRange()[0]
+        M = scipy.sparse.kron(self._change, part, format="csr") + scipy.sparse.eye(own, format="csr")
+        csr = M.indptr.astype(PETSc.IntType), (first + M.indices).astype(PETSc.IntType), M.data
+        A = PETSc.Mat().createAIJ((B.getSizes()[0], B.getSizes()[0]), csr=csr, comm=B.getComm())
+        out = A.matMult(B)
+        destroy(A)
+        return out
+
+
+class MeanVolume(Projection):
+    """Mean volume strains (B-bar): the projection of the traces of strains on polynomials in each cell.
 
     Elements whose volume strains are more than their displacements can keep at zero resist flow that keeps volumes. With
-    these strains projected they do not, and stiffnesses stay symmetric (Hughes 1980; Simo, Taylor and Pister 1985). The
-    projection is orthogonal: a stress does the same work in projected strains as the stress with its mean part projected
-    does in the others.
+    these strains projected they do not, and stiffnesses stay symmetric (Hughes 1980; Simo, Taylor and Pister 1985).
 
     Args:
         points: the quadrature points of a term over cells; its slots start with 11, 22 and 33.
@@ -248,33 +296,10 @@ class MeanVolume:
     def __init__(self, points: Quadrature, degree: int) -> None:
         if degree not in (0, 1) or points.region.dim < points.dim:
             raise InputError(f"volume is {degree!r}; allowed: 0 or 1, for a law of cells, or None")
-        self._cells, self._width = points.cells, len(points.slots)
-        x, root = points.x[points.cells], np.sqrt(points.weights[points.cells])
-        basis = np.ones((*root.shape, 1))
+        x = points.x[points.cells]
+        basis = np.ones((*x.shape[:2], 1))
         if degree:
             centred = x - x.mean(axis=1, keepdims=True)
             size = np.abs(centred).max(axis=(1, 2), keepdims=True, initial=0)
             basis = np.concatenate([basis, centred / size], axis=2)
-        U = np.linalg.svd(basis * root[..., None], full_matrices=False)[0]
-        self._change = (U @ U.swapaxes(1, 2)) * root[:, None, :] / root[:, :, None] - np.eye(root.shape[1])
-
-    def projected(self, values: Array) -> Array:
-        """Strains or stresses (points, m) with their traces projected."""
-        out, here = values.copy(), values[self._cells][..., : len(DIAGONAL)].sum(axis=2)
-        change = np.einsum("cpq,cq->cp", self._change, here) / len(DIAGONAL)
-        out[self._cells[..., None], np.arange(len(DIAGONAL))] += change[..., None]
-        return out
-
-    def matrix(self, B: PETSc.Mat) -> PETSc.Mat:
-        """The matrix of projected strains (m rows a point) for that of strains, which is destroyed. Collective."""
-        rows = self._cells[..., None] * self._width + np.arange(len(DIAGONAL))  # (cells, points, 3)
-        shape = (*rows.shape, *rows.shape[1:])
-        change = np.broadcast_to(self._change[:, :, None, :, None] / len(DIAGONAL), shape)
-        at = [np.broadcast_to(one, shape).ravel() for one in (rows[:, :, :, None, None], rows[:, None, None, :, :])]
-        (own, _), (first, _) = B.getSizes()[0], B.getOwnershipRange()
-        M = scipy.sparse.csr_matrix((change.ravel(), at), (own, own)) + scipy.sparse.eye(own, format="csr")
-        csr = M.indptr.astype(PETSc.IntType), (first + M.indices).astype(PETSc.IntType), M.data
-        A = PETSc.Mat().createAIJ((B.getSizes()[0], B.getSizes()[0]), csr=csr, comm=B.getComm())
-        out = A.matMult(B)
-        destroy(A, B)
-        return out
+        super().__init__(points, [(points.cells, basis)], np.full((len(DIAGONAL),) * 2, 1 / len(DIAGONAL)))

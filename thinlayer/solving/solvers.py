@@ -277,7 +277,7 @@ class Solver(AbstractContextManager["Solver"]):
             self._warned = True
             what = f"at t = {state.t:g} the stress of {name} falls {where} as jumps or strains grow"
             why = "this equilibrium may be one of several, and steps may pass over others"
-            remedy = "write softens = True in the class and follow them on S with march(model, ArcLength(...))"
+            remedy = "write softens = True in the class and follow them with march(model, ArcLength(...))"
             self.model.warn("softens", f"{what}: {why}; {remedy}", state.t)
         return state
 

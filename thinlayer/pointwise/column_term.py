@@ -1,0 +1,90 @@
+"""A law that softens in a meshed layer: it gets the mean strains through the thickness."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from itertools import product, repeat
+
+import numpy as np
+from dolfinx import fem
+from petsc4py import PETSc
+
+from forms.base import Array
+from forms.trace import needs_director, tangent_at_rest
+from forms.work import Term
+from geometry.topology import is_tensor
+from thinlayer.pointwise.compiled_term import INDEPENDENT, CompiledTerm, Projection, Response
+from thinlayer.pointwise.integrals import Origin
+from thinlayer.system.ranks import destroy
+
+
+class ColumnTerm(CompiledTerm):
+    """A law in the columns of a meshed layer, at the means of strains through the thickness, as on S.
+
+    Rows of cells that soften one by one would unload each other: the energy that breaks the layer would depend on their
+    number. What strains differ from their means by is elastic, as the law is at rest. So nodes in a broken layer are held.
+
+        energy = int [psi(mean) + (e - mean) : C (e - mean)/2]
+    """
+
+    def __init__(self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None) -> None:
+        super().__init__(V, term, origin)
+        self._B_of_means, rest = self._mean.matrix(self.B), self.B.copy()
+        rest.axpy(-1.0, self._B_of_means)
+        self.constant = (self._product(self._elastic[:, self.slots], rest),)
+        destroy(rest)
+
+    @cached_property
+    def _mean(self) -> Projection:
+        """Projection on functions of the place on S: of all its points under quadrilaterals, else polynomials."""
+        tensor = is_tensor(self.region.mesh.topology.cell_name())
+        most = self.degree if tensor else self._V.ufl_element().basix_element.degree
+        powers = [one for one in product(range(most + 1), repeat=self.dim - 1) if sum(one) <= most]
+        of, places = self.columns.of[self.cells[:, 0]], self.joint_x.T
+        count, bases = np.bincount(of), []
+        for k in np.unique(count[of]):  # where layers meet there are other numbers of cells
+            here = np.flatnonzero(count[of] == k)
+            groups = self.cells[here[np.argsort(of[here], kind="stable")]].reshape(-1, k * self.cells.shape[1])
+            x = places[groups]
+            U, size, _ = np.linalg.svd(x - x.mean(axis=1, keepdims=True), full_matrices=False)
+            U *= np.sqrt(x.shape[1]) * (size > INDEPENDENT * np.abs(x).max(axis=(1, 2))[:, None])[:, None]
+            bases.append((groups, np.stack([np.prod(U[..., : self.dim - 1] ** one, axis=2) for one in powers], axis=2)))
+        return Projection(self, bases, np.eye(6))
+
+    @cached_property
+    def _elastic(self) -> Array:
+        """(points, 6, m) tangents of the law at rest; one where neither parameters nor directors matter."""
+        law = self.term.law
+        laws = list(law.at_places(self.joint_x)) if law.fields else repeat(law)
+        n = self.n if law.fields or needs_director(law) else self.n[:1]
+        n, at = (n, np.arange(len(n))) if law.fields else np.unique(n.round(12), axis=0, return_inverse=True)
+        C = np.array([tangent_at_rest(one, v[: self.dim]) for one, v in zip(laws, n, strict=False)]).reshape(-1, 6, 6)
+        return np.broadcast_to(C[at.ravel()][..., self.slots], (self.count, 6, len(self.slots)))
+
+    def respond(self, e: Array, e_old: Array, memory: Array, dt: float, theta: float) -> Response:
+        """As of a law at points; theta = 1. The stress is the one that does all of the work in the strains."""
+        mean, old = self._mean(e), self._mean(e_old)
+        response, rest = super().respond(mean, old, memory, dt, theta), e - mean
+        elastic = np.einsum("pij,pj->pi", self._elastic, rest)
+        stress = self._mean(response.whole - elastic) + elastic
+        energies = response.energies + np.array([self._energy(rest), 0.0, self._energy(rest - e_old + old)])
+        return replace(response, whole=stress, stress=stress[:, self.slots], energies=energies)
+
+    def _energy(self, rest: Array) -> float:
+        """Energy of what strains differ from their means by, over this rank's points."""
+        return float(np.einsum("p,pi,pij,pj->", self.weights, rest, self._elastic[:, self.slots], rest) / 2)
+
+    def stored(self, e: Array, memory: Array, dt: float) -> float:
+        """As of a law at points, with the energy of what strains differ from their means by."""
+        mean = self._mean(e)
+        return super().stored(mean, memory, dt) + self._energy(e - mean)
+
+    def stiffness(self, tangent: Array, relative_residual: float = 0.0, into: PETSc.Mat | None = None) -> PETSc.Mat:
+        """Matrix of the means, without `constant`; arguments as of a law at points."""
+        return self._product(self._regular(tangent, relative_residual), self._B_of_means, into)
+
+    def destroy(self) -> None:
+        """Free the matrices."""
+        super().destroy()
+        destroy(self._B_of_means, *self.constant)
