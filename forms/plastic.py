@@ -37,7 +37,8 @@ class Plastic(BulkLaw):
     A fraction h, `elastic_fraction`, of the stiffness stays elastic, stress = (1 - h) stress_plastic +
     h (lmbda tr(e) I + 2 mu e).
     With h > 0 problems have a solution that have none with ideal plasticity (a layer without cohesion has no strength
-    at its free ends). h belongs to the law: the meshed layer and S have the same.
+    at its free ends). h belongs to the law: the meshed layer and S have the same. It hides limit loads, see
+    `State.elastic_share`.
 
     The cohesion grows with the accumulated plastic strain p: it is c = C + H p + Q p/(p_0 + p), the work of which is
     dissipated. p is the strain that, times c, is the work of the plastic flow if this is associated: see the laws.

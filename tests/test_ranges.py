@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms import Anisotropic, LinearElastic, MohrCoulombMonodirectional, Stack, VonMises
+from forms import Anisotropic, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack, VonMises
 from geometry import block, ring, sandwich
 from studies.problems import FOURIER_LAYER
 from tests.ranges_told import STIFF, excess, strip_excess, times_too_stiff, told
 from tests.refused import refused
-from thinlayer import SolveError, Structure, ThinLayer, estimate, march, solve
+from thinlayer import SolveError, Structure, Surface, ThinLayer, estimate, march, solve
 from thinlayer.surface.excess import stiffness_of_jumps
 
 
@@ -88,6 +88,32 @@ def test_thicker_than_a_body(rigid):
     assert "thick: the layer is 0.41 thick, the thinner body 0.4 " in found[0]
     springs = ThinLayer(Anisotropic.springs(60.0, 40.0), 1.0)  # of jumps: there is no thickness in them
     assert told(lambda: solve(Structure(joint, body=STIFF, supports={"TOP": 0.0}).interface(springs)))[1] == []
+
+
+@pytest.mark.parametrize("law", [MohrCoulomb, MohrCoulombMonodirectional])
+def test_springs_that_hide_a_limit_load(law):
+    """Their share of the work, which is that of the force where the layer is sheared alone: 3 % at first, then told."""
+    eps, h, shift = 0.05, 0.03, lambda x, t: 0.02 * (t - t**2 / 10)
+    mortar = law(0.0, 7.0, cohesion=0.4, friction_angle=25.0, elastic_fraction=h)
+    supports = {"BOTTOM": 0.0, "TOP": {"x": shift, "y": 0.0}, "LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
+    structure = Structure(sandwich(2.0, 0.3, 0.4, 0.5), body=STIFF, supports=supports)
+    model = structure.interface(ThinLayer(mortar, eps))
+    history, found = told(lambda: march(model, [0.1, 3.0, 5.0, 9.0]))
+    surface = Surface(model)
+    wanted = []
+    for state in history:
+        w, force = (surface.integral(field(state)) for field in (surface.jump, surface.traction))
+        springs = h * 7.0 / eps * w[0]
+        wanted.append(springs / max(springs + abs(force[0] - springs), 1e-300))
+    assert history.table["elastic share"] == pytest.approx(wanted, rel=1e-3)
+    assert (wanted[1], wanted[2] > 0.2, wanted[-1] < 0.2) == (pytest.approx(h, rel=1e-3), True, True)
+    assert [one.partition(" springs")[0] for one in found] == ["elastic share: at t = 5"]
+    assert told(lambda: solve(model, 0.1))[1] == []
+    assert solve(structure.full(ThinLayer(mortar, eps)), 0.1).elastic_share == pytest.approx(h, rel=1e-3)
+    assert (
+        "elastic share"
+        not in march(structure.interface(ThinLayer(VonMises(1.0, 1.0, strength=1.0), eps)), [0.1]).table.columns
+    )
 
 
 def test_bodies_that_overlap():

@@ -14,12 +14,12 @@ import ufl
 from dolfinx import fem
 
 from forms.base import Array, InputError
-from forms.kinematics import MANDEL, Expr, from_mandel, lift
+from forms.kinematics import MANDEL, Expr, from_mandel, lift, mandel
 from forms.work import Term, added, energy, stress
 from geometry.seam import BASE, S
 from geometry.topology import IntArray
 from thinlayer.discretisation.given_strains import MEAN_STRAIN, PAIRS, of_components
-from thinlayer.discretisation.layer import BODIES, LAYER, PRESSURE
+from thinlayer.discretisation.layer import BODIES, BODY, LAYER, PRESSURE
 from thinlayer.discretisation.measures import compiled_scalars, per_unit, whole
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import Resultant, middle_of, on_centre, resultant, resultants_of_loads
@@ -262,6 +262,27 @@ class State(Configuration):
     def layers(self) -> list[Term]:
         """The terms of the layers' laws, with the strains that are given beside those of u."""
         return self._strained(self.model.layer_terms, on_s=self.model.broken)
+
+    @cached_property
+    def elastic_share(self) -> float:
+        """Share of the load that springs parallel to yielding laws carry (`elastic_fraction`). Collective.
+
+        It is the share of their stresses in the work of all stresses of these laws in the strains, of layers or of bodies,
+        whichever is larger; 0 of other laws. If no law yields it is their fraction.
+        """
+        work, terms = np.zeros((2, 2)), self.bodies + self.layers
+        for key, points in self.model.quadratures.items():
+            law = points.term.law
+            if "elastic_fraction" in law.parameters() and key in self.stresses:
+                values = law.parameters() | law.fields_at(points.joint_x)
+                term = next(new for old, new in zip(self.model.terms, terms, strict=True) if old is points.term)
+                e = points.values(mandel(term.strain(self.u)))
+                springs = values["lmbda"] * e[:, :3].sum(axis=1) ** 2 + 2 * values["mu"] * (e**2).sum(axis=1)
+                springs *= values["elastic_fraction"]
+                rest = abs((self.stresses[key] * e).sum(axis=1) - springs)
+                work[int(key.startswith(BODY))] += points.weights @ springs, points.weights @ rest
+        work = self.model.comm.allreduce(work)
+        return float((work[:, 0] / np.maximum(work.sum(axis=1), np.finfo(float).tiny)).max())
 
     def _strained(self, terms: list[Term], *, on_s: bool = False) -> list[Term]:
         """The terms at the time of the state, but for those on S with the mean strain under a mean stress."""

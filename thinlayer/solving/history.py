@@ -124,13 +124,16 @@ def columns(model: Model) -> dict[str, Callable[[State], float]]:
     """Name of a column of a march -> its value in a state, beside dt and what is observed.
 
     What a layer that remembers dissipates in a step has a column if there are several seams, and so have bodies that
-    remember. What is lost in a snap, by layers and bodies together, is in the column "dissipated" alone.
+    remember. What is lost in a snap, by layers and bodies together, is in the column "dissipated" alone. "elastic share" is
+    of laws with an `elastic_fraction`, see `State.elastic_share`.
     """
     names = ("t", "report.iterations", "report.residual", *(f"audit.{name}" for name in ENERGIES))
     found: dict[str, Callable[[State], float]] = {name.rpartition(".")[2]: attrgetter(name) for name in names}
     remembering = {BODIES, *(name for name, one in model.layers.items() if one.remembers)}
     for place in (name for name in model.by_place({}) if name in remembering):
         found[f"dissipated {place}"] = lambda state, place=place: state.dissipated[place]  # type: ignore[misc]
+    if any("elastic_fraction" in term.law.parameters() for term in model.terms):
+        found["elastic share"] = attrgetter("elastic_share")
     for seam in seams_with_phases(model):
         found["energy"] = attrgetter("audit.total")
         for name, column in phase_columns(model, seam).items():

@@ -36,6 +36,7 @@ LEAST_OVERLAP = 2.0  # least closing, relative to the thickness, that leads to a
 CORNER_ANGLE = 0.25  # largest angle, in rad, between a facet and the mean of its neighbours that is not a corner of S
 LARGEST_STRAIN = 0.1  # root mean square over a body, beyond which changes of shape are no longer small
 ALLOWED_STEP_ERROR = 0.05  # of steps over one own time of a law, in shares of what creeps or relaxes
+LEAST_SPRINGS = 0.05  # share of the load that parallel springs carry, from which on they change results visibly
 NO_STEP = 1e-9  # step over the time of a law whose error is far below all others, and lost in rounding
 CAVITATION = 2.5  # mean stress over the shear modulus at which small holes in rubber grow (Gent and Lindley 1959)
 
@@ -93,6 +94,12 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
             why = f"from about {CAVITATION:g} times on small holes in rubber grow and tear it (cavitation)"
             remedy = "which its law does not contain; do not use results under such loads"
             model.warn("cavitation", f"{what}: {why}, {remedy}", known.one.name, states[-1].t)
+    worst = max(states, key=lambda state: state.elastic_share)
+    if worst.elastic_share > LEAST_SPRINGS:
+        what = f"at t = {worst.t:.4g} springs parallel to what yields carry {worst.elastic_share:.2g} of its load"
+        why = "they are the elastic_fraction of its stiffness, and hide its limit load"
+        remedy = "take a smaller elastic_fraction, 0 if Newton's method then converges"
+        model.warn("elastic share", f"{what}: {why}; {remedy}", "", states[-1].t)
     for one in _thin(model):
         for key, remark in _of_states(states, one, start):
             model.warn(key, remark, one.name, states[-1].t)
