@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import io
 import re
 import runpy
@@ -137,3 +138,25 @@ def test_links_lead_somewhere():
     named = [law for row in re.findall(r"^\| (`.*?) \|", table, re.MULTILINE) for law in re.findall(r"`(\w+)`", row)]
     assert sorted(named) == sorted(LAWS)
     assert studies()["rates"].options["law"]["choices"] == ("all", *LAWS)
+
+
+def test_built_pages_have_the_formulas_of_their_sources():
+    """As TeX, for a MathJax that lies beside them, without a script from a network."""
+    built = CLONE / "out/docs"
+    newer = [
+        (name, page)
+        for name in PAGES
+        if (page := built / name.removeprefix(DOCS).replace(".md", ".html")).exists()
+        and page.stat().st_mtime > (CLONE / name).stat().st_mtime
+    ]
+    if not newer:
+        pytest.skip("./fenicsx docs builds the pages")
+    for name, page in newer:
+        code = re.sub(r"^```.*?^```$|`[^`]+`|^ {4}.*?$", "", PAGES[name], flags=re.DOTALL | re.MULTILINE)
+        text = "".join(html.unescape(page.read_text()).split())
+        formulas = ["".join(one.strip("$").split()) for one in re.findall(r"\$\$.+?\$\$|\$[^$]+\$", code, re.DOTALL)]
+        assert [one for one in formulas if not re.search(rf"\\[(\[](\\begin{{split}})?{re.escape(one)}", text)] == []
+        scripts = re.findall(r'<script[^>]* src="([^"?]+)', page.read_text())
+        assert not [one for one in scripts if "//" in one]
+        drawn = [page.parent / one for one in scripts if "tex-svg" in one]
+        assert [one.stat().st_size > 1e6 for one in drawn] == [True] * bool(formulas), name

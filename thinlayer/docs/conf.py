@@ -3,6 +3,7 @@
 import os
 import re
 import sys
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +28,12 @@ DOLFINX = "https://docs.fenicsproject.org/dolfinx/v0.9.0/python"
 OTHERS = {"python": "https://docs.python.org/3", "numpy": "https://numpy.org/doc/stable", "dolfinx": DOLFINX}
 intersphinx_mapping = {name: (url, None) for name, url in OTHERS.items()} if os.environ.get("THINLAYER_LINKS") else {}
 
-html_math_renderer = "mathml"
+# MathJax in one file, with its font: pages need no network
+mathjax_path = "tex-svg-full.js"
+OFFLINE = metadata.distribution("sphinx-mathjax-offline")
+MATHJAX = OFFLINE.locate_file(f"sphinx-mathjax-offline/static/mathjax/{mathjax_path}")
 html_theme = "pydata_sphinx_theme"
-html_static_path = ["_static"]
+html_static_path = ["_static", str(MATHJAX)]
 html_css_files = ["thinlayer.css"]
 html_theme_options = {"show_toc_level": 2, "footer_start": ["copyright"], "footer_end": []}
 highlight_language = "text"  # of indented blocks

@@ -1,6 +1,6 @@
-"""What the pages take from the package itself, so that no page says it a second time, and formulas without a network.
+"""What the pages take from the package itself, so that no page says it a second time.
 
-`studies`: cards of the studies with pictures. `errata`: misprints of the paper. Formulas become MathML: browsers draw it.
+`studies`: cards of the studies with pictures. `errata`: misprints of the paper.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from docutils import nodes
-from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.util.docutils import SphinxDirective
 
 from thinlayer.running.catalogue import Study, duration, studies
@@ -51,16 +50,7 @@ class Errata(SphinxDirective):
         return self.parse_text_to_nodes("\n".join(lines))
 
 
-def write_formula(writer: Any, node: nodes.Element) -> None:
-    """Write a formula, inline or displayed, as MathML."""
-    text, block = node.astext(), isinstance(node, nodes.math_block)
-    formula = tex2mathml(text, as_block=block)
-    writer.body.append(f'<div class="formula">{formula}</div>' if block else formula)
-    raise nodes.SkipNode
-
-
 def setup(app: Any) -> None:
     """Called by Sphinx."""
     app.add_directive("studies", Studies)
     app.add_directive("errata", Errata)
-    app.add_html_math_renderer("mathml", (write_formula, None), (write_formula, None))
