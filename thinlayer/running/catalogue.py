@@ -23,7 +23,7 @@ class Study:
         name: module name in `studies`.
         summary: first line of its docstring.
         options: name of a keyword argument of its `run` -> arguments of `ArgumentParser.add_argument` for it.
-        drawn: whether it has pictures, which its `draw` makes of its tables; benchmarks have tables alone.
+        drawn: whether it has pictures, which its `draw` makes of its tables; others have tables alone.
         group: of `studies.GROUPS`.
         quick, full: seconds that it takes with --quick, and in full, roughly.
     """
