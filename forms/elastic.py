@@ -65,7 +65,7 @@ class LinearLaw(BulkLaw):
 class LinearElastic(LinearLaw):
     """Isotropic elasticity, stress = lmbda tr(e) I + 2 mu e.
 
-    As a layer's law: t_T = mu [u_T], t_N = (lmbda + 2 mu) [u_N], the elastic part of Eq. (16).
+    As a layer's law: t_T = mu/eps w_T, t_N = (lmbda + 2 mu)/eps w_N with the jump w, the elastic part of Eq. (16).
 
     Attributes:
         lmbda: first Lame modulus, stress; lmbda + 2 mu/3 > 0.
@@ -179,7 +179,7 @@ def _require_young(E: Any, nu: Any) -> None:
 class Anisotropic(LinearLaw):
     """General linear elasticity, stress = C : e.
 
-    As a layer's law: t_i = C_ijkl n_j n_l [u_k], the acoustic tensor of the layer.
+    As a layer's law: t_i = C_ijkl n_j n_l w_k/eps with the jump w: the acoustic tensor of the layer.
 
     Attributes:
         C: (6, 6) symmetric stiffness in Voigt order 11, 22, 33, 23, 13, 12 (engineering shear strains), stress, positive

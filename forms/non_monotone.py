@@ -167,9 +167,9 @@ class NonMonotone(Phases):
         stress = lmbda tr(e) I + 2 mu e - sign(m) theta alpha chi,   g = alpha^2 G
 
     where G (`lamination_gain`) belongs to the best direction of laminates, which is n for chi = sym(a (x) n) with a
-    tangent to S, and for chi = n (x) n if lmbda = 0, but not if lmbda > 0. As a layer's law, E = sym([u] (x) n):
-    t = K_L [u] - sign theta alpha chi n, m = alpha chi:E; it replaces Eqs. (41)-(43), which print lmbda + mu for
-    lmbda + 2 mu, [u_1] for [u_2], and one branch. The stress is continuous. For mixing = 1 t is monotone in [u], no snap:
+    tangent to S, and for chi = n (x) n if lmbda = 0, but not if lmbda > 0. As a layer's law, E = sym(w (x) n)/eps:
+    t = K w - sign(m) theta alpha chi n, m = alpha chi:E; it replaces Eqs. (41)-(43), which print lmbda + mu for
+    lmbda + 2 mu, [u_1] for [u_2], and one branch. The stress is continuous. For mixing = 1 t is monotone in w, no snap:
     the energy is convex along every sym(a (x) k), which is less than along all strains (chi = I, say).
 
     Where the phases mix the tangent may be singular (chi = n (x) n, lmbda = 0); the stiffness of the bodies remains.
@@ -246,7 +246,7 @@ class NonMonotoneUnrelaxed(Phases):
     The phase is an internal variable, one for each facet of S, or for the column of cells that stands on it in the meshed
     layer: elements through the thickness that switch one by one would unload each other, which is another structure. It
     stays while no other phase has a lower energy, Eq. (39): z = 0 for |m| <= C, z = 1 for m >= C, z = -1 for
-    m <= -C, with the mean m over the column of alpha chi:e. As a layer's law t = K_L [u] - z alpha chi n.
+    m <= -C, with the mean m over the column of alpha chi:e. As a layer's law t = K w - z alpha chi n.
 
     Equilibria are local minima of the energy. One is selected by alternate minimisation from the last equilibrium: all
     columns switch to their phase of lowest energy, bodies and layer find equilibrium with these phases, and so on until no

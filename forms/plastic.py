@@ -104,8 +104,8 @@ class MohrCoulomb(KernelLaw, Plastic):
     plane, which is not coaxial with the stress: there are two such planes, and the flow here is their mean. In (31) and
     (33) the plastic strains lack a factor 2, and the plastic strain has no trace.
 
-    As a layer's law it is not Coulomb's law with tan(Omega): in plane strain, with p = (lmbda + mu) w_N and the in-plane
-    deviator s = (s_N, s_T), mu dw in each step as long as |s| <= R = C cos(Omega) - p sin(Omega),
+    As a layer's law it is not Coulomb's law with tan(Omega): in plane strain, with p = (lmbda + mu) w_N/eps and the
+    in-plane deviator s = (s_N, s_T), mu/eps dw in each step as long as |s| <= R = C cos(Omega) - p sin(Omega),
 
         t_N = p + s_N, t_T = s_T    (psi = 0)
 
@@ -144,8 +144,8 @@ class MohrCoulombMonodirectional(Plastic):
     p grows by the plastic shear strain across S (engineering), as a layer's law by the slip |dw^p| over the thickness.
 
     Equations (37)-(38) and (54)-(55), with the sign of the shear stress in the flow: dw^p/dt = k t_T/|t_T|, k >= 0. As a
-    layer's law, t = K_L ([u] - w^p): Coulomb's friction with penalties lmbda + 2 mu and mu. Where t_N > C cot(Omega) the
-    shear traction vanishes and the normal one stays elastic: bilateral, as in the paper.
+    layer's law, t = K (w - w^p): Coulomb's friction with penalties (lmbda + 2 mu)/eps and mu/eps. Where t_N > C cot(Omega)
+    the shear traction vanishes and the normal one stays elastic: bilateral, as in the paper.
 
     With `unilateral` the layer opens instead of pulling: a free strain along n removes tension, t_N <= 0, and |t_T| <= C
     remains. With C = 0 its limit is contact with friction tan(Omega), `IncrementalCoulomb.of_layer`.
@@ -242,8 +242,9 @@ class VonMises(KernelLaw):
 
     The work of isotropic hardening is dissipated, that of kinematic hardening (Prager's) is stored.
 
-    As a layer's law, of t = (lmbda + 2 mu/3) w_N n + s n with s the deviator of a strain sym(w (x) n): without hardening
-    t_T is at most Y/sqrt(3), reached under lasting shear, and t_N - (lmbda + 2 mu/3) w_N at most 2 Y/3.
+    As a layer's law, of t = (lmbda + 2 mu/3)/eps w_N n + s n with the deviator s at the strain sym(w (x) n)/eps:
+    without hardening t_T is at most Y/sqrt(3), reached under lasting shear, and t_N - (lmbda + 2 mu/3)/eps w_N at most
+    2 Y/3.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.

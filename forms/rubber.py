@@ -41,9 +41,9 @@ class WithPressure(LinearLaw):
 class Incompressible(WithPressure):
     """Incompressible elasticity, stress = 2 mu e + p I with tr e = 0; the pressure p is an unknown field.
 
-    As a layer's law: [u_N] = 0, t_N = p free, t_T = mu [u_T]. The paper gives only the constraint, Eqs. (25)-(29). It is
-    not a penalty: tr e = 0 holds weakly, tested with every pressure of degree 1, in the meshed layer and on S. The law of
-    order 1 is that of `Rubber` for lmbda to infinity: a slope of p squeezes the layer along S.
+    As a layer's law: w_N = 0, t_N = p free, t_T = mu/eps w_T with the jump w. The paper gives only the constraint, Eqs.
+    (25)-(29). It is not a penalty: tr e = 0 holds weakly, tested with every pressure of degree 1, in the meshed layer
+    and on S. The law of order 1 is that of `Rubber` for lmbda to infinity: a slope of p squeezes the layer along S.
 
     Attributes:
         mu: shear modulus, stress; > 0.

@@ -52,8 +52,8 @@ class SpringBesideDashpot(BulkLaw):
 class KelvinVoigt(SpringBesideDashpot):
     """Elastic spring and viscous dashpot in parallel: stress = C(lmbda, mu) : e + C(lmbda theta_lmbda, mu theta_mu) : rate.
 
-    As a layer's law, Eqs. (16)-(17): t = K_L [u] + K_th d[u]/dt with K_L = mu, lmbda + 2 mu and K_th = mu theta_mu,
-    lmbda theta_lmbda + 2 mu theta_mu (tangential, normal).
+    As a layer's law, Eqs. (16)-(17): t = K w + K_theta dw/dt with the jump w, eps K = mu, lmbda + 2 mu and
+    eps K_theta = mu theta_mu, lmbda theta_lmbda + 2 mu theta_mu (tangential, normal).
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
@@ -138,9 +138,9 @@ class Maxwell(SpringBeforeDashpot):
     Equation (18) prints strains on the left for strain rates; s is the three-dimensional stress, s_33 included. The
     deviator relaxes with the time t1, the mean stress with t_v, 1/t_v = ((1 + nu)/t1 - 3 nu/t2)/(1 - 2 nu).
 
-    As a layer's law with t1 = t2: dt/dt + t/t1 = K_L d[u]/dt, t_T with mu and t_N with lmbda + 2 mu. Equation (19) prints
-    other coefficients. With t1 != t2 the normal traction is a sum of two parts that relax differently: no single
-    differential equation of first order holds for it.
+    As a layer's law with t1 = t2: dt/dt + t/t1 = K dw/dt with the jump w, eps K = mu along S and lmbda + 2 mu along n.
+    Equation (19) prints other coefficients. With t1 != t2 the normal traction is a sum of two parts that relax
+    differently: no single differential equation of first order holds for it.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
@@ -193,8 +193,9 @@ class Norton(SpringBesideDashpot):
     Its creep stops where the spring carries the load; the creep of data sheets, of steady rate A s^n, is `NortonCreep`.
     The dashpot alone has that rate, without a change of volume, for p = 1 + 1/n and eta = (2/3)^((n + 1)/(2 n)) A^(-1/n).
 
-    As a layer's law, t = K_L [u] + eta q^(p/2 - 1) (v_N n + v_T/2) with v = d[u]/dt and q = v_N^2 + |v_T|^2/2, the square
-    of |v (x)_s n|; Eqs. (22)-(24) put the modulus bars around v alone. Finite in the limit for eta ~ eps^(p - 1).
+    As a layer's law, t = K w + eta eps^(1 - p) q^(p - 2) (v_N n + v_T/2) with the jump w, v = dw/dt and q^2 = v_N^2 +
+    |v_T|^2/2, the square of |v (x)_s n|; Eqs. (22)-(24) put the modulus bars around v alone. Finite in the limit for
+    eta ~ eps^(p - 1).
 
     For p < 2 the tangent is infinite at rest. The dashpot is linear where it would be more than 1e6 times as stiff in a
     step as the spring, and only at strains of the step below 1e-12. For p < 1.2 Newton's method may need more, see `rest`.
@@ -240,7 +241,7 @@ class NortonCreep(SpringBeforeDashpot):
     q = sqrt(3/2) |dev s| is the equivalent stress. In uniaxial tension creep goes on with the steady rate A s^n of data
     sheets, without a change of volume. `Norton`, the paper's law, has the dashpot beside the spring: its creep stops.
 
-    As a layer's law: under a held shear traction dw_T/dt = 3^((n + 1)/2) A |t_T|^(n - 1) t_T after the elastic jump.
+    As a layer's law: under a held shear traction dw_T/dt = eps 3^((n + 1)/2) A |t_T|^(n - 1) t_T after the elastic jump.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
