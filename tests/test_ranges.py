@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
+import ufl
 
 from forms import Anisotropic, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack, VonMises
 from geometry import block, ring, sandwich
@@ -110,10 +113,21 @@ def test_springs_that_hide_a_limit_load(law):
     assert [one.partition(" springs")[0] for one in found] == ["elastic share: at t = 5"]
     assert told(lambda: solve(model, 0.1))[1] == []
     assert solve(structure.full(ThinLayer(mortar, eps)), 0.1).elastic_share == pytest.approx(h, rel=1e-3)
-    assert (
-        "elastic share"
-        not in march(structure.interface(ThinLayer(VonMises(1.0, 1.0, strength=1.0), eps)), [0.1]).table.columns
-    )
+
+
+def test_plates_that_bend():
+    """Laminated glass: order 0 leaves out a part of the lever, as is told; not if the layer lets the plates slip."""
+    for mu, order, size in ((9.0, 0, 1), (9.0, 1, 0), (0.05, 0, 0)):
+        supports = {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}, (0.0, -5.0): {"x": 0.0}}
+        joint = sandwich(300.0, 5.0, 5.0, 2.5, cell="quadrilateral")
+        setup = {"supports": supports, "tractions": {"TOP": lambda x, t: (0.0, -2e-3 * ufl.sin(np.pi * x[0] / 300))}}
+        glass, layer = Structure(joint, body=LinearElastic.young(70e3, 0.23), **setup), LinearElastic.shear(mu, 0.45)
+        limit, found = told(lambda s=glass, layer=layer, k=order: solve(s.interface(ThinLayer(layer, 0.7, order=k))))
+        assert len(found) == size
+        if found:
+            exact = solve(glass.full(ThinLayer(layer, 0.7))).energies()["loads"]
+            error = float(re.search("about (.*) too much", found[0])[1])
+            assert error == pytest.approx(limit.energies()["loads"] / exact - 1, rel=0.1)
 
 
 def test_bodies_that_overlap():

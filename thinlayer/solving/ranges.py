@@ -37,6 +37,7 @@ CORNER_ANGLE = 0.25  # largest angle, in rad, between a facet and the mean of it
 LARGEST_STRAIN = 0.1  # root mean square over a body, beyond which changes of shape are no longer small
 ALLOWED_STEP_ERROR = 0.05  # of steps over one own time of a law, in shares of what creeps or relaxes
 LEAST_SPRINGS = 0.05  # share of the load that parallel springs carry, from which on they change results visibly
+SLENDER = 10.0  # length of S over the height of both bodies, from which on these are plates that may bend
 NO_STEP = 1e-9  # step over the time of a law whose error is far below all others, and lost in rounding
 CAVITATION = 2.5  # mean stress over the shear modulus at which small holes in rubber grow (Gent and Lindley 1959)
 
@@ -213,6 +214,14 @@ def _of_thickness(model: Model, one: SeamLayer, sublayers: list[Sublayer]) -> It
         what = f"{one} is {hardest / softest:.3g} times as hard as the softer body (moduli in the plane of S)"
         remedy = "use order=1, mesh the layer (structure.full), or check its parameters"
         yield "hard", f"{what}: its jump is less than what order 0 leaves out; {remedy}"
+    length, mean = float(np.ptp(one.sheet.joint.points[one.sheet.vertices], axis=(0, 1)).max()), np.mean(one.sheet.heights)
+    if len(one.sheet.heights) == 2 and one.sheet.planar and length > SLENDER * 2 * mean and softest > 0:
+        # two beams of one height under a half-wave of load; as one the lever of their forces is mean, not mean + eps
+        slip = 2 * stiffness_of_jumps(one)[1] * (length / math.pi) ** 2 / (softest * mean)
+        error = 6 * slip / (1 + 4 * slip) * layer.eps / mean
+        if error > LEAST_ERROR / 2:
+            what = f"{one} joins plates {mean:.4g} high, and order 0 has them meet on S, without its thickness between"
+            yield "plates", f"{what}: if they bend, they do so about {error:.2g} too much; use order=1"
 
 
 def _tension(known: Reduction, state: State) -> float:
