@@ -77,12 +77,12 @@ def test_rubber_is_told_once():
     joint = sandwich(1.0, 0.5, 0.5, 1 / 16, h_S=1 / 64, h_ends=1 / 200)
     setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
     eps = 1 / 16
-    for nu, factor in ((0.3, None), (0.45, "1.12"), (0.49, "1.34"), (0.4999, "20.6")):
+    for nu, factor in ((0.3, None), (0.45, 1.121), (0.49, 1.337), (0.4999, 20.55)):
         layer = ThinLayer(LinearElastic.shear(1.0, nu), eps)
         model = Structure(joint, **setup).interface(layer)
         _, found = told(lambda model=model: solve(model))
         assert len(found) == (factor is not None)
-        assert not found or f"the layer alone is {factor} times too stiff" in found[0]
+        assert not found or times_too_stiff(found[0]) == pytest.approx(factor, rel=2e-3)
     _, found = told(lambda: march(model, [1.0, 2.0, 3.0]))
     assert len(found) == 1
 
@@ -131,7 +131,7 @@ def test_becomes_nearly_incompressible(law, end, lasting, ratio):
     assert len(found) == 2
     assert f"nearly incompressible under loads that last {lasting}:" in found[0]
     assert times_too_stiff(found[0]) == pytest.approx(1 / (1 - np.tanh(1 / y) * y), rel=5e-3)  # three digits are told
-    assert f"under loads that last {end:g} (lmbda/mu" in found[1]
+    assert f"under loads that last {end:g} has lmbda/mu" in found[1]
     surface, full = Surface(model), march(Structure(joint, **setup).full(layer), times)
     meshed, jumps = ([surface.integral(surface.jump(h.at(t))[1]) for t in times] for h in (full, history))
     ratios = np.divide(meshed, jumps)
@@ -147,6 +147,6 @@ def test_a_viscous_layer_is_not_yet_what_it_is_at_rest():
     model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.0, -1.0)}).interface(layer)
     short, long = (told(lambda times=times: march(model, times))[1] for times in ([0.1, 0.2], [100.0, 200.0]))
     assert not any("incompressible" in one for one in short)
-    assert sum("incompressible" in one for one in long) == 2
+    assert sum("times too stiff" in one for one in long) == 2
     (at_rest,) = told(lambda: warn_of_model(model.with_layer(layer)))[1]  # loads of no times
     assert "incompressible" in at_rest

@@ -139,8 +139,8 @@ class Surface(SurfaceMesh):
           of phase 0, if the others lie above it.
         - "too_stiff": how many times too stiff the laws of orders 0 and 1 of an isotropic elastic layer are against the
           openings of the state, as they let no material flow along S (`surface/excess.py`). The layer alone is so much too
-          stiff, whatever it is sheared; the structure is off by less where its bodies are soft. Beyond 1.1 use `Rubber`
-          with order=1, whose pressure flows, or mesh the layer.
+          stiff, whatever it is sheared; the structure is off by less where its bodies are soft. Beyond 1.1, and where this
+          changes the traction by more than 10 %, a RangeWarning advises `Rubber` with order=1, or a meshed layer.
         - "delta": length over which the pressure of such a layer evens out, eps sqrt(lmbda/(12 mu)). For a Fourier mode of
           wave number k too_stiff is 1 + (k delta)^2.
         """

@@ -421,9 +421,9 @@ class SurfaceMesh:
         assert one.thin
         return np.asarray(float(one.thin.eps) * self.joint.relative_thickness(one.thin.profile, one.name)[vertices])
 
-    def length(self, rim: Rim) -> float:
-        """Length of a part of the rim; in a plane the number of its points, in axisymmetry that of their circles."""
-        return float(rim.length @ self.model.kinematics.factor_at(self.joint.points[rim.vertices].mean(axis=1)))
+    def lengths(self, rim: Rim) -> Array:
+        """(n,) lengths of the ridges of a part of the rim; in a plane 1 at each, in axisymmetry that of its circle."""
+        return np.asarray(rim.length * self.model.kinematics.factor_at(self.joint.points[rim.vertices].mean(axis=1)))
 
 
 def surface_of(model: Model, seam: str) -> SurfaceMesh:
