@@ -10,6 +10,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import count
 from typing import Any, TypeVar
 
 import basix.ufl
@@ -27,6 +28,8 @@ from geometry.seam import BASE, LAYER, S
 from geometry.sheet import continued
 from geometry.topology import FloatArray, Indices, IntArray, geometry_degree, local_facets
 
+FEW = 100  # number of meshes after which Python's collector frees those that cycles of references keep
+_MADE = count(1)
 NAMES = 30  # number after which combinations of names are numbered anew: int64 holds so many, and numbers of facets
 
 
@@ -159,7 +162,7 @@ class Domain:
     def of(cls, joint: Joint, comm: MPI.Intracomm | None = None) -> Domain:
         """Distribute a joint. Collective."""
         comm = comm or world()
-        if comm.size > 1:
+        if comm.size > 1 or not next(_MADE) % FEW:
             gc.collect()  # DOLFINx uses meshes' communicators so when it compiles in parallel: free old ones now
         points, cells = (sent_by(one, comm.rank, comm.size) for one in (joint.points, joint.cells))
         mesh = create_mesh(comm, points, cells, joint.cell_type, partitioner(joint, comm))

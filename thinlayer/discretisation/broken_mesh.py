@@ -28,7 +28,7 @@ from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.layer import AtRest, ThinLayer, for_terms, real_law
 from thinlayer.discretisation.measures import known_at
 from thinlayer.discretisation.mesh_functions import Keys, broken_space
-from thinlayer.system.compat import interior_facet_entities
+from thinlayer.system.compat import interior_facet_entities, interpolate
 from thinlayer.system.ranks import communicator, on_all
 
 Upper = int | set[int] | frozenset[int] | Sequence[float] | None
@@ -164,7 +164,7 @@ class BrokenMesh:
         if profile is not None:
             shape = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1)))  # linear between vertices
             with on_all(self.comm):
-                shape.interpolate(lambda x: profile(x[: self._dim]))
+                interpolate(shape, lambda x: profile(x[: self._dim]))
             thickness = thickness * sides.upper(shape)
         return [replace(term, law=for_terms(term.law, self.mesh)) for term in surface(law, sides, thickness, order)]
 

@@ -30,7 +30,7 @@ from geometry.refusals import place as at_place
 from geometry.refusals import require_known
 from thinlayer.discretisation.mesh_functions import places_in_cells, sampled, shift
 from thinlayer.discretisation.time_functions import Clock, Reading, readings
-from thinlayer.system.compat import interpolation_points
+from thinlayer.system.compat import interpolate, interpolation_points, replaced
 
 Value = float | Callable[[Expr, Expr], Expr]
 Load = Sequence[float] | Callable[[Expr, Expr], Sequence[Expr]]
@@ -136,7 +136,8 @@ class Given:
     """
 
     def __init__(self, value: Any, what: str, shapes: Sequence[Shape], at: Coordinates, *, of_place: bool) -> None:
-        self.value, self.what, self.at, self._shapes, self._of_place = value, what, at, shapes, of_place
+        self.value, self.what, self._shapes, self._of_place = value, what, shapes, of_place
+        self.at = at.apart  # which knows nothing of this one, so that both are freed with their model
         is_function = callable(value) and not isinstance(value, ufl.core.expr.Expr)
         self.components = self._on_mesh(self._of_function() if is_function else self._read(value))
         self.varies = is_function or any(isinstance(c, ufl.core.expr.Expr) for c in self.components.flat)
@@ -213,7 +214,7 @@ class Given:
         own = {f: sampled(f, self.at.mesh, self.at.x, self.what) for f in others}
         for index in np.ndindex(*components.shape):
             if _fields(components[index]):
-                components[index] = ufl.replace(components[index], own)
+                components[index] = replaced(components[index], own)
         return components
 
     def _compare(self, components: npt.NDArray[Any]) -> None:
@@ -241,7 +242,7 @@ class Given:
     def in_space(self, V: fem.FunctionSpace) -> fem.Function:
         """A number at places, interpolated in a scalar space. Collective."""
         f, on_mesh = fem.Function(V), self.expression + fem.Constant(self.at.mesh, 0.0)
-        f.interpolate(fem.Expression(on_mesh, interpolation_points(V)))
+        interpolate(f, fem.Expression(on_mesh, interpolation_points(V)))
         return f
 
     @cached_property

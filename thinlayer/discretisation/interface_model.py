@@ -15,7 +15,8 @@ from forms import work as forms
 from forms.base import InputError
 from forms.kinematics import Expr
 from forms.law import BulkLaw
-from forms.work import Interface
+from forms.work import Interface, Side
+from geometry.domain import Domain
 from geometry.inflating.inflation import parted
 from geometry.inflating.kept_bodies import kept_motion
 from geometry.inflating.layering import check_layering
@@ -180,7 +181,7 @@ class InterfaceModel(Model):
         if self._middle:  # whose slopes and lengths UFL takes for functions of a high degree
             degree = quadrature_degree(self.V, measure) + self.kinematics.degree
             measure = measure(metadata={"quadrature_degree": degree})
-        sides = replace(sides, measure=measure, known=partial(self._known, one))
+        sides = replace(sides, measure=measure, known=partial(_known, self.domain, self.joint, one.name, sides.upper))
         if one.thin is None:
             terms = [forms.of_jumps(law, sides)]
         else:
@@ -217,12 +218,12 @@ class InterfaceModel(Model):
         weight = self._thickness(one, sides) * sides.factor
         return Weighted(sides.measure, weight, sides.upper, lambda v: (sides.upper(v) + sides.lower(v)) / 2, based)
 
-    def _known(self, one: SeamLayer, law: BulkLaw) -> BulkLaw:
-        """The law with parameters that are functions as expressions on S, linear between vertices; others as Constants."""
-        joint, upper, on_s = self.joint, self.sides_of(one.name).upper, {}
-        vertices = np.unique(joint.table.vertices[joint.rows_of(one.name)])
-        for name, found in law.fields_at(joint.points[vertices].T).items():
-            values = np.full(len(joint.points), found[0])  # elsewhere without meaning
-            values[vertices] = found
-            on_s[name] = upper(cellwise(self.domain, ("Lagrange", 1), values[joint.corners][..., None]))
-        return known_at(law, self.domain.mesh, on_s)
+
+def _known(domain: Domain, joint: Joint, name: str, upper: Side, law: BulkLaw) -> BulkLaw:
+    """The law with parameters that are functions as expressions on S, linear between vertices; others as Constants."""
+    on_s, vertices = {}, np.unique(joint.table.vertices[joint.rows_of(name)])
+    for key, found in law.fields_at(joint.points[vertices].T).items():
+        values = np.full(len(joint.points), found[0])  # elsewhere without meaning
+        values[vertices] = found
+        on_s[key] = upper(cellwise(domain, ("Lagrange", 1), values[joint.corners][..., None]))
+    return known_at(law, domain.mesh, on_s)

@@ -270,11 +270,13 @@ class SeamLayer:
         """The seam as a sheet of straight simplices."""
         return Sheet(self.structure.joint, self.name)
 
-    @cached_property
+    @property
     def samples(self) -> list[SeamLayer]:
         """The layer itself; where parameters are functions, with numbers where one is smallest or largest along S."""
-        if not (self.thin and self.thin.law.fields):
-            return [self]
+        return self._samples if self.thin and self.thin.law.fields else [self]
+
+    @cached_property
+    def _samples(self) -> list[SeamLayer]:
         joint = self.structure.joint
         laws = self.thin.law.samples(joint.points[joint.table.vertices[joint.rows_of(self.name)]].mean(axis=1).T)
         return [SeamLayer(self.name, replace(self.thin, law=law), self.structure) for law in laws]

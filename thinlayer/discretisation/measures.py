@@ -30,7 +30,7 @@ from thinlayer.discretisation.layer import BODY, LAYER, constants
 from thinlayer.discretisation.mesh_functions import cellwise
 from thinlayer.discretisation.time_functions import readings
 from thinlayer.pointwise.integrals import KINDS, Origin, Quadrature, matrix_of
-from thinlayer.system.compat import by_domain, compiled
+from thinlayer.system.compat import by_domain, compiled, without_cycles
 from thinlayer.system.ranks import on_all
 
 show_warnings()  # those of users too
@@ -129,6 +129,7 @@ def per_unit(comm: MPI.Intracomm, form: Expr, constant: fem.Constant) -> Array:
     return values
 
 
+@without_cycles()
 def _degree(integral: Any) -> Any:
     """Degree of quadrature that UFL estimates; the integrand itself where it cannot."""
     if "quadrature_degree" in integral.metadata():

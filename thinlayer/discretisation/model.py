@@ -58,8 +58,9 @@ from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Suppor
 from thinlayer.discretisation.time_functions import Hand
 from thinlayer.errors import warn
 from thinlayer.pointwise.integrals import Quadrature, quadrature_degree
+from thinlayer.system.compat import interpolate
 from thinlayer.system.identity import described, digest
-from thinlayer.system.ranks import on_all, require_same
+from thinlayer.system.ranks import collect, on_all, require_same
 
 
 @dataclass
@@ -128,6 +129,7 @@ class Model(ABC):
         self.comm = self.domain.comm
         self.centre = on_centre(structure.kinematics, np.asarray(inflated.points.mean(axis=0), float))
         self.V = self.space(structure.degree, family="S" if self.element[0] == "S" else None)
+        collect(self.comm, self.V)
         self.kinematics = structure.kinematics.on(self.domain.mesh)
         self.coordinates = Coordinates.of(self.domain)
         self.origin = origin_of(self.domain)
@@ -387,7 +389,7 @@ class Model(ABC):
     def places(self) -> FloatArray:
         """(n, d) x as a function of `V`: at each node of this rank, those of ghosts last. Collective."""
         f, d = fem.Function(self.V), self.joint.dim
-        f.interpolate(lambda x: x[:d])
+        interpolate(f, lambda x: x[:d])
         f.x.scatter_forward()
         return np.asarray(f.x.array.reshape(-1, d))
 

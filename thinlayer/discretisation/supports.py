@@ -19,7 +19,7 @@ from geometry.refusals import require_known
 from geometry.topology import BoolArray, Indices
 from thinlayer.discretisation.boundary import AXES, node_normals, on_axis, on_boundary, smooth
 from thinlayer.discretisation.given import Coordinates, Given, Value
-from thinlayer.system.compat import interpolation_points
+from thinlayer.system.compat import interpolate, interpolation_points
 
 BALANCE = 1e-10  # sum of the loads along an axis, over the sum of their sizes, that still counts as rounding
 ROUNDING = 1e-13  # a difference that counts as rounding, over the size of the structure
@@ -219,7 +219,7 @@ class Prescribed:
             expression = ufl.as_vector([given.expression] * self.d) + on_mesh
             return _Source(entry, place, axis, value, fem.Expression(expression, interpolation_points(self.V)))
         if given is not None and given.value:
-            value.interpolate(lambda x: np.full((self.d, x.shape[1]), float(given.value)))
+            interpolate(value, lambda x: np.full((self.d, x.shape[1]), float(given.value)))
         return _Source(entry, place, axis, value)
 
     def _find_conditions(self) -> None:
@@ -275,7 +275,7 @@ class Prescribed:
         with self.supports.at.clock.at(t):
             for number, one in enumerate(self._sources):
                 if one.expression is not None:
-                    one.value.interpolate(one.expression)
+                    interpolate(one.value, one.expression)
                 rows = self._source_of == number
                 values[rows] = one.value.x.array[self._dof[rows]]
         return values

@@ -25,6 +25,7 @@ from forms.base import Array, InputError, is_number
 from forms.kinematics import Expr
 from forms.temperature import real
 from forms.work import Term
+from thinlayer.system.compat import replaced
 
 ROUNDING = 1e-12  # relative tolerance for equal times (a sum of steps against the end of a table) and equal slopes
 RATIONAL = (Sum, Product, Division)
@@ -38,13 +39,11 @@ class Clock:
     What needs several times at once has hands of its own, see `Hand`.
 
     Attributes:
-        mesh: the mesh.
         symbol: the time, a UFL constant.
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        self.mesh, self._readings = mesh, WeakSet[Reading]()
-        self.symbol = Reading(self)
+        self.symbol = Reading(mesh)
 
     @contextmanager
     def at(self, t: float) -> Iterator[None]:
@@ -57,7 +56,7 @@ class Clock:
             self._show(before)
 
     def _show(self, t: float) -> None:
-        for reading in self._readings:
+        for reading in self.symbol.beside:
             reading.value = reading.at(t)
 
 
@@ -65,13 +64,16 @@ class Reading(fem.Constant):
     """What forms read of a clock: the time, or the values (columns,) of a table at an argument of the time alone.
 
     Attributes:
-        clock: the clock.
+        mesh: the mesh.
+        beside: all that is read of the clock.
     """
 
-    def __init__(self, clock: Clock, argument: Expr | None = None, table: Table | None = None) -> None:
-        super().__init__(clock.mesh, np.full(table.columns.shape[1], np.nan) if table else math.nan)
-        self.clock, self._argument, self._table = clock, argument, table
-        clock._readings.add(self)
+    def __init__(self, mesh: Mesh, time: Reading | None = None, argument: Any = None, table: Any = None) -> None:
+        super().__init__(mesh, np.full(table.columns.shape[1], np.nan) if table else math.nan)
+        self.mesh, self._time, self._argument = mesh, time, argument
+        self._table: Table | None = table
+        self.beside: WeakSet[Reading] = WeakSet() if time is None else time.beside
+        self.beside.add(self)
 
     def __eq__(self, other: object) -> bool:
         if is_number(other):  # UFL's answer is False, and a load that asks would never see its time
@@ -88,7 +90,7 @@ class Reading(fem.Constant):
         """The table's argument at a time; NaN where it has no value."""
         argument: Any = self._argument
         try:
-            return float(t if argument is self.clock.symbol else argument((), {self.clock.symbol: float(t)}))
+            return float(t if argument is self._time else argument((), {self._time: float(t)}))
         except (ArithmeticError, ValueError, TypeError):
             return math.nan
 
@@ -97,7 +99,7 @@ class Reading(fem.Constant):
         """Times at which the slope of the table's values changes, if its argument is linear in the time."""
         if self._table is None:
             return set()
-        if self._argument is self.clock.symbol:
+        if self._argument is self._time:
             return {*self._table.breaks}
         if not all(isinstance(node, (Terminal, *RATIONAL)) for node in unique_pre_traversal(self._argument)):
             return set()
@@ -133,8 +135,8 @@ class Hand:
         shown = readings(expression)
         for reading in shown:
             if reading not in self._own:
-                self._own[reading] = fem.Constant(reading.clock.mesh, np.array(reading.at(self._t), float))
-        return ufl.replace(expression, {reading: self._own[reading] for reading in shown}) if shown else expression
+                self._own[reading] = fem.Constant(reading.mesh, np.array(reading.at(self._t), float))
+        return replaced(expression, {reading: self._own[reading] for reading in shown}) if shown else expression
 
     def terms(self, terms: Iterable[Term]) -> list[Term]:
         """The terms, their given strains at this hand."""
@@ -209,8 +211,8 @@ class Table:
             columns = [*map(float, self.at(float(t)))]
         else:
             t = ufl.as_ufl(t)
-            clock = _clock(t)
-            columns = [*Reading(clock, t, self)] if clock else [self._lines(column, t) for column in self.columns.T]
+            now = _time(t)
+            columns = [self._lines(c, t) for c in self.columns.T] if now is None else [*Reading(now.mesh, now, t, self)]
         return columns[0] if self.scalar else columns
 
     def at(self, t: float) -> Array:
@@ -262,9 +264,9 @@ def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr
     return at
 
 
-def _clock(expression: Expr) -> Clock | None:
-    """The clock of an expression that depends on its time alone; else None."""
+def _time(expression: Expr) -> Reading | None:
+    """The time, of an expression that depends on it alone; else None."""
     terminals = [node for node in unique_pre_traversal(expression) if isinstance(node, Terminal)]
     others = {node for node in terminals if not isinstance(node, (ConstantValue, MultiIndex))}
     only = others.pop() if len(others) == 1 else None
-    return only.clock if isinstance(only, Reading) and only is only.clock.symbol else None
+    return only if isinstance(only, Reading) and only._time is None else None

@@ -97,7 +97,7 @@ def estimate(
     values = {name: goal.value(given, model) for name, goal in checked.items()}
     known: dict[str, Bounds] = {}
     theirs: State | None = None
-    failed: SolveError | None = None
+    failed: list[SolveError] = []
     bounded = model.linear and model.symmetric and isinstance(state, State)
     narrow = width if bounded else None
     for order, laws in enumerate(_models(model, better)):  # whose tangents lead to the layer
@@ -110,15 +110,15 @@ def estimate(
                 iteration = GlobalLocal(adjoint, layers)
                 one, weights = iteration.run(checked, values, known, narrow)
                 energy = None if model.linear or before else iteration.energy(given, one)
-                (last, inside), failed = iteration.states(one), None
+                (last, inside), failed = iteration.states(one), []
                 if iteration.is_near(one, values, known, narrow):
                     break
         except SolveError as error:
             if bounded:
                 raise
-            failed = error
+            failed = [error.with_traceback(None)]  # as in `Solver`
     if failed:
-        raise failed
+        raise failed.pop()
     total, errors = np.zeros(4), {}
     for name in chosen:
         squares = squares_of(given, last, model.layers[name], inside)

@@ -12,7 +12,6 @@ import numpy as np
 import ufl
 from dolfinx import fem, la
 from petsc4py import PETSc
-from ufl.algorithms import expand_derivatives
 
 from forms import work as forms
 from forms.base import Array, InputError, require
@@ -34,6 +33,7 @@ from thinlayer.output.surface import Surface
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.layer_alone import HeldLayers
 from thinlayer.surface.surface_mesh import SurfaceMesh
+from thinlayer.system.compat import expand_derivatives
 
 
 class Goal(ABC):

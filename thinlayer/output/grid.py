@@ -14,6 +14,7 @@ from geometry.joint import Joint
 from geometry.seam import BASE
 from geometry.topology import FACET_TYPES, IntArray, geometry_degree
 from thinlayer.discretisation.state import State
+from thinlayer.system.compat import interpolate
 
 MIRRORED = (1, 0, 2, 3, 4, 6, 5, 8, 7, 9)  # nodes of a tetrahedron of degree 2 in VTK's order; the first four: degree 1
 
@@ -67,7 +68,7 @@ def nodal_displacement(state: State) -> fem.Function:
     """The displacement by nodal values, a copy, or its interpolant where the element's unknowns are no nodal values."""
     V = state.model.space(2) if state.model.element.startswith("S") else state.u.function_space
     u = fem.Function(V, name="u")
-    u.interpolate(state.u)
+    interpolate(u, state.u)
     u.x.scatter_forward()
     return u
 

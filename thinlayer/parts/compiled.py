@@ -93,10 +93,6 @@ class CompiledPart(Part):
     def destroy(self) -> None:
         destroy(self.points, self._tangent)
 
-    @property
-    def comms(self) -> list[MPI.Intracomm]:
-        return [self.points.B.getComm().tompi4py()]
-
     # ---------------------------------------------------------------- a step
     def rest(self) -> Array:
         return self.points.rest()

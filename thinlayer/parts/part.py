@@ -189,7 +189,6 @@ class Part(ABC):
     - `add_work_in(z, out)`: adds the work of the last stresses in displacements z, spread over the nodes where it is done.
       Without it the forces of the part act at nodes.
     - `stress_width`: number of stress components that states keep at each point of the memory.
-    - `comms`: communicators of PETSc objects that belong to the part.
 
     Attributes:
         key: name of the part's memory, energy and unknowns, in states and in files.

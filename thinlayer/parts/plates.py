@@ -81,10 +81,10 @@ class RigidPlate(Addition):
         """Its nodes, which follow its motions. Collective."""
         d, size = model.joint.dim, model.domain.joint.size
         scale = np.where(np.arange(count(d)) < d, 1.0, size)
-        keys = self.motions_held(model)
-        held = {k: partial(lambda k, t: float(self.motions(model, t)[k] * scale[k]), k) for k in keys}
+        keys, given, at = self.motions_held(model), self._resultants(model), self._motions(model)
+        held = {k: partial(lambda k, t: float(at[k].at_time(t) * scale[k]) if k in at else 0.0, k) for k in keys}
         R = self._tie(model, self.point(model), size)
-        return Tied(self.key, motion_names(d), R, held, lambda t: self.resultants(model, t) / scale)
+        return Tied(self.key, motion_names(d), R, held, lambda t: self._at(t, given, keys, d) / scale)
 
     def motion_in(self, state: State) -> PlateMotion:
         """The plate's motion in a state. Collective."""
@@ -140,7 +140,7 @@ class RigidPlate(Addition):
         if self.about is not None:
             require_point(self.about, d)
         if not any(value.varies for value in [*self._resultants(model).values(), *self._motions(model).values()]):
-            self.resultants(model, 0.0)
+            self._at(0.0, self._resultants(model), self.motions_held(model), d)
 
     def _resultants(self, model: Host) -> dict[str, Given]:
         """The force and the moment, those that are given."""
@@ -157,23 +157,17 @@ class RigidPlate(Addition):
         """A value that is one for the whole plate."""
         return model.coordinates.given(value, f"{self.what}: {name}", shape).once("the whole plate")
 
-    def motions(self, model: Host, t: float) -> dict[int, float]:
-        """Number of a prescribed motion -> its value at a time; a plate of revolution moves along its axis alone."""
-        prevented = dict.fromkeys(self._prevented(model), 0.0)
-        return prevented | {k: float(value.at_time(t)) for k, value in self._motions(model).items()}
-
     @staticmethod
     def _prevented(model: Host) -> list[int]:
         """Numbers of the motions that kinematics do not have."""
         return [int(k) for k in np.flatnonzero(balanced_motions(model.kinematics, model.joint.dim) == 0)]
 
-    def resultants(self, model: Host, t: float) -> Array:
+    def _at(self, t: float, given: Mapping[str, Given], held: Sequence[int], d: int) -> Array:
         """Force and moment (k,) at a time; raises InputError if one of them is along a prescribed motion."""
-        d = model.joint.dim
         out, places = np.zeros(count(d)), {"force": slice(d), "moment": slice(d, None)}
-        for name, value in self._resultants(model).items():
+        for name, value in given.items():
             out[places[name]] = value.at_time(t)
-        for k in self.motions_held(model):
+        for k in held:
             if out[k]:
                 raise InputError(
                     f"{self.what}: the motion {motion_names(d)[k]!r} is prescribed, and {out[k]:g} is given for its force "
@@ -188,5 +182,5 @@ class RigidPlate(Addition):
         return on_centre(model.kinematics, centroid(model.domain, self.place))
 
     def motions_held(self, model: Host) -> list[int]:
-        """Numbers of the prescribed motions."""
+        """Numbers of the prescribed motions; a plate of revolution moves along its axis alone."""
         return sorted({*self._prevented(model), *(motion_names(model.joint.dim).index(name) for name in self.motion)})

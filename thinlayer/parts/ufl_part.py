@@ -8,7 +8,6 @@ from typing import Any
 
 import ufl
 from dolfinx import fem
-from ufl.algorithms import expand_derivatives
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
 
@@ -18,6 +17,7 @@ from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.measures import whole
 from thinlayer.parts.form_part import FormPart, matrix
 from thinlayer.parts.part import Outcome, PartTraits
+from thinlayer.system.compat import expand_derivatives, replaced, without_cycles
 
 ASYMMETRY = 1e-12  # norm of a matrix less its transpose, relative to its norm, that counts as rounding
 
@@ -80,7 +80,7 @@ class UflPart(Addition):
             return whole(self._given(model, u, v), model)
         unknown = fem.Function(model.V)
         energy = whole(self._given(model, unknown, v), model)
-        return ufl.replace(expand_derivatives(ufl.derivative(energy, unknown, v)), {unknown: u})
+        return replaced(expand_derivatives(ufl.derivative(energy, unknown, v)), {unknown: u})
 
     def is_linear(self, model: Host) -> bool:
         return has_arity(self.work(model, ufl.TrialFunction(model.V), ufl.TestFunction(model.V)))
@@ -114,6 +114,7 @@ class _OwnForms(FormPart):
         return found if self._has_energy else replace(found, before=nan, after=nan, remainder=nan)
 
 
+@without_cycles()
 def has_arity(form: Any) -> bool:
     """Whether a form is linear in each of its arguments, and each of its terms contains all of them."""
     try:

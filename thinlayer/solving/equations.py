@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.base import Array
@@ -383,9 +382,3 @@ class Equations(PartSum):
         """Free the matrices."""
         destroy(*self._own_parts)
         self._kept.give_back(self.model)
-
-    @property
-    def comms(self) -> list[MPI.Intracomm]:
-        """Communicators of the PETSc objects."""
-        V = self.model.V
-        return [self.comm, V.mesh.comm, V.dofmap.index_map.comm, *chain(*self.ask("comms"))]

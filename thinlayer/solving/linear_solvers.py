@@ -229,6 +229,8 @@ class Kept:
 
     def give_back(self, model: Model) -> None:
         """Leave all to the family if it has other models, else free it."""
+        for part in self.bodies:
+            vars(part).pop("interval", None)  # its state has a model of the family
         if model.family.several:
             model.family.kept = self
         else:

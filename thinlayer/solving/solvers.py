@@ -183,7 +183,7 @@ class Solver(AbstractContextManager["Solver"]):
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:  # an error may be that of one rank
-            collect(self.equations.comms)
+            collect(self.equations.comm)
         self.close()
 
     def _equilibrium(self) -> Equilibrium:
@@ -320,14 +320,13 @@ class Solver(AbstractContextManager["Solver"]):
                 if len(self._linear) > 1:
                     self._linear = [one for one in self._linear if one != attempt.linear]
                 else:
-                    errors.append(error)
+                    errors.append(error.with_traceback(None))  # which has this frame, that has the errors
             else:
                 return replace(found, iterations=found.iterations + sum(len(e.residuals) for e in errors)), solves
-        first, last = errors[0], errors[-1]
-        if isinstance(last, LooseBody) and last is not first:
-            last.residuals = (*first.residuals, *last.residuals)
-            raise last
-        raise first from (None if last is first else last)
+        if isinstance(errors[-1], LooseBody) and len(errors) > 1:
+            errors[-1].residuals = (*errors[0].residuals, *errors[-1].residuals)
+            raise errors.pop()
+        raise errors.pop(0) from (errors.pop() if errors else None)
 
     def _try(self, attempt: Attempt, start: PETSc.Vec | None = None) -> Found:
         """Result of an attempt, with our PETSc options and the user's, all of which must be read.

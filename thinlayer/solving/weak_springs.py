@@ -62,9 +62,9 @@ class WeakSprings:
             NoEquilibrium: displacements run away. SolveError: no equilibrium was found.
         """
         elastic = self._elastic_distance(rest, step)
-        failed = SolveError("weak springs have not led to an equilibrium")
+        failed = [SolveError("weak springs have not led to an equilibrium")]
         if not elastic:
-            raise failed
+            raise failed.pop()
         self.equations.begin(step)
         self.equations.put_state(step.old, self._x)
         self._x.array[self.equations.held] = self.equations.prescribed
@@ -89,13 +89,13 @@ class WeakSprings:
                 try:
                     return find(self._x)
                 except SolveError as error:
-                    failed = error
+                    failed = [error.with_traceback(None)]  # as in `Solver`
             self._stiffness /= softer
             if distance > math.sqrt(softer) * before > 0:  # as if displacements grew in proportion to 1/k
                 x = min(x, softer * x + (1 - softer) * self._start, key=self._residual)
         if distance >= RUN_AWAY * elastic and not settled:
             raise NoEquilibrium(distance / elastic, self._shares(x))
-        raise failed
+        raise failed.pop()
 
     # ---------------------------------------------------------------- the step
     def _elastic_distance(self, rest: State, step: Interval) -> float:

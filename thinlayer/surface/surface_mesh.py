@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import Any
+from weakref import proxy
 
 import basix
 import numpy as np
@@ -431,4 +432,5 @@ def surface_of(model: Model, seam: str) -> SurfaceMesh:
     kept: dict[str, SurfaceMesh] = vars(model).setdefault("surfaces", {})
     if seam not in kept:
         kept[seam] = SurfaceMesh(model, seam)
+        kept[seam].model = proxy(model)  # which has it
     return kept[seam]

@@ -5,7 +5,12 @@ They try the signatures of the releases in turn, and do not ask for the version.
 
 from __future__ import annotations
 
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
+from copy import copy
 from typing import Any
+from weakref import proxy
 
 import dolfinx.mesh
 import numpy as np
@@ -87,7 +92,10 @@ def compiled(form: ufl.Form, maps: Any = None) -> fem.Form:
         for one in some:  # UFL would join integrals of one density and metadata over several numbers
             metadata = {**one.metadata(), "part": str(ids)}
             integrals.append(one.reconstruct(subdomain_id=ids, subdomain_data=domain, metadata=metadata))
-    return fem.form(ufl.Form(integrals), entity_maps=maps)
+    own = copy(maps or {})  # which DOLFINx leaves in a cycle with the form
+    found = fem.form(ufl.Form(integrals), entity_maps=own)
+    own.clear()
+    return found
 
 
 def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
@@ -113,3 +121,23 @@ def belongs_to(bc: fem.DirichletBC, V: fem.FunctionSpace) -> bool:
     """Whether the degrees of freedom of a condition are those of a space, or of a component of it."""
     space = bc.function_space  # of C++ in DOLFINx 0.9
     return bool(V._cpp_object.contains(getattr(space, "_cpp_object", space)))
+
+
+# ---------------------------------------------------------------- cycles of references, which keep meshes until Python's
+# collector meets them: long runs would end at MPI's limit of communicators
+def interpolate(f: fem.Function, values: Any) -> None:
+    """Interpolate a function of places, an expression or a function; DOLFINx leaves f in a cycle."""
+    fem.Function.interpolate(proxy(f), values)
+
+
+@contextmanager
+def without_cycles() -> Iterator[None]:
+    """Free what a block leaves in cycles, as UFL's walkers over expressions do, which keep the functions in these."""
+    try:
+        yield
+    finally:
+        gc.collect(1)  # young objects alone, in less than a millisecond
+
+
+expand_derivatives = without_cycles()(ufl.algorithms.expand_derivatives)
+replaced = without_cycles()(ufl.replace)

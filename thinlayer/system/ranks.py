@@ -11,10 +11,10 @@ import sys
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
-from weakref import WeakKeyDictionary
+from weakref import ref
 
 import numpy as np
 import numpy.typing as npt
@@ -25,11 +25,13 @@ from geometry.parallel import world
 from thinlayer.system.identity import ALONE, MISSING, described, differences, digest
 
 if TYPE_CHECKING:
+    from dolfinx.fem import FunctionSpace
     from dolfinx.mesh import Mesh
 
 Array = npt.NDArray[Any]
 SAME = (MPI.IDENT, MPI.CONGRUENT)
-_COPIES: WeakKeyDictionary[Mesh, MPI.Intracomm] = WeakKeyDictionary()
+_COPIES: list[MPI.Intracomm] = []
+_SPACES: list[tuple[ref[Any], Any]] = []  # of several ranks, and their index maps, which keep their communicators
 GRACE = 5.0  # s for all ranks with an error to finish printing it, before they are ended
 STATUS = 1  # exit status if one rank alone has an error, as for any Python script; the command line has its own
 POLL = 1e-3  # s between two tests of a request
@@ -68,6 +70,7 @@ def on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
             raise _for_all(problem)
     finally:
         _DEPTH[key] -= 1
+        problem = None  # whose traceback has this frame
 
 
 def _texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, patience: float) -> list[str | None]:
@@ -133,21 +136,33 @@ def communicator(mesh: Mesh) -> MPI.Intracomm:
     The mesh's own communicator cannot be used: if it ever served a pickled collective, mpi4py 4.0 waits for itself when
     Python's garbage collector frees the mesh amid another one.
     """
-    for comm in (MPI.COMM_SELF, MPI.COMM_WORLD):
+    for comm in (MPI.COMM_SELF, MPI.COMM_WORLD, *_COPIES):
         if MPI.Comm.Compare(mesh.comm, comm) in SAME:
             return comm
-    if mesh not in _COPIES:
-        _COPIES[mesh] = mesh.comm.Dup()
-    return _COPIES[mesh]
+    _COPIES.append(mesh.comm.Dup())
+    return _COPIES[-1]
 
 
-def collect(comms: Iterable[MPI.Intracomm]) -> None:
-    """Free PETSc objects that Python has dropped: objects of several ranks need a collective call."""
+def collect(comm: MPI.Intracomm, used: FunctionSpace | None = None) -> None:
+    """Free PETSc objects that Python has dropped: objects of several ranks need a collective call.
+
+    Args:
+        comm: the ranks.
+        used: a space on whose communicator objects are made, as on that of all earlier ones; it may be dropped before them.
+    """
     from petsc4py import PETSc
 
-    for comm in comms:
-        if comm.size > 1:
-            PETSc.garbage_cleanup(comm)
+    if comm.size == 1:
+        return
+    if used is not None:
+        _SPACES.append((ref(used), used.dofmap.index_map))
+    ours = [one for one in _SPACES if MPI.Comm.Compare(one[1].comm, comm) in SAME]
+    alive = np.any(comm.allgather([space() is not None for space, _ in ours]), axis=0)
+    for each in (comm, MPI.COMM_WORLD, *_COPIES, *(imap.comm for _, imap in ours)):
+        if MPI.Comm.Compare(each, comm) in SAME:
+            PETSc.garbage_cleanup(each)
+    for k in np.flatnonzero(~alive):
+        _SPACES.remove(ours[k])
 
 
 def destroy(*things: Any) -> None:

@@ -150,7 +150,7 @@ class Controller(ABC):
                 try:
                     return attempt.make(length)
                 except SolveError as error:
-                    errors.append(error)
+                    errors.append(error.with_traceback(None))  # as in `Solver`
             shorter = self.shorter(length, errors[0])
             if shorter < max(self.smallest, np.finfo(float).tiny):
                 raise self.failure(length, errors) from errors[0]

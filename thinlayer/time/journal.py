@@ -111,7 +111,7 @@ class Journal:
                 kept[last - 1] = self.before
             self._files.write(self.history.table, kept, asdict(self.pace), self._written)
             self._written = len(self.history)
-        collect(self.equations.comms)
+        collect(self.equations.comm)
 
     def note(self, state: State) -> None:
         """Add a row and a state to the history; the next `accept` writes them."""
