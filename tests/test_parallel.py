@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import gc
 import re
+import sys
+import time
+import weakref
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mpi4py import MPI
 
-from forms import KelvinVoigt, LinearElastic
+import thinlayer
+from forms import KelvinVoigt, LinearElastic, VonMises
 from geometry import sandwich
+from studies.timing import status
 from tests.folders_run import raised
 from tests.mpirun import mpirun
 from tests.on_ranks import on_ranks
-from thinlayer import Structure, ThinLayer, compare, fields, march, solve, sweep
+from thinlayer import Structure, ThinLayer, compare, estimate, fields, goals, march, solve, sweep
 
 JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
 SUPPORTS = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}}
@@ -154,3 +162,71 @@ def fails_beside_a_model() -> list[str]:
 def test_an_error_of_one_rank_where_others_build_a_model(there):
     """They learn of it there, and all ranks go on together."""
     assert there == ["InputError: rank 1: one alone", "ValueError: one alone"]
+
+
+def estimated():
+    state = solve(model(law=LinearElastic(60.0, 40.0)))
+    return [state.model, state, estimate(state, goals=[goals.Compliance(), STRETCH])]
+
+
+def marched():
+    """In time, with all that varies in it, and a plate; of a load that its strength may not carry: an error."""
+    law, held = VonMises.young(60.0, 0.3, strength=0.2), {"BOTTOM": {"x": lambda x, t: 1e-3 * t * x[0], "y": 0.0}}
+    plate = thinlayer.RigidPlate("TOP", force=lambda x, t: (0.1 * t, -0.3 * t), motion={"rotation": 0.0})
+    yielding = model(law=law, supports=held, tractions={}, parts=[plate])
+    history = march(yielding, [0.5, 1.0])
+    with pytest.raises(thinlayer.SolveError):
+        solve(yielding, 40.0)
+    return [yielding, history]
+
+
+def family():
+    first = model(law=LinearElastic(60.0, 40.0))
+    other = first.with_layer(ThinLayer(LinearElastic(30.0, 20.0), 0.2))
+    return [first, other, *(solve(one) for one in (first, other, other.with_loads(tractions={"TOP": (0.3, 1.0)})))]
+
+
+STRETCH = goals.Functional("stretch", lambda u, model: u[0] * u[1] * model.dx)
+
+
+def left(runs: int = 3) -> dict[str, list[Any]]:
+    """Name -> communicators, memory and seconds after each of some runs, without Python's collector; what is there last."""
+    there, found = Counter[str](), dict[str, list[Any]]()
+    key = MPI.Comm.Create_keyval(lambda *_: there.update(comms=1), lambda *_: there.subtract(comms=1))
+    for comm in (COMM, MPI.COMM_SELF):
+        comm.Set_attr(key, None)
+    gc.disable()
+    for run in (estimated, marched, family):
+        rows, refs = [], list[Any]()
+        for _ in range(runs):
+            begin = time.perf_counter()
+            refs += [weakref.ref(one) for one in run()]
+            rows.append((there["comms"], status("VmRSS"), time.perf_counter() - begin))
+        found[run.__name__] = [*rows, sum(one() is not None for one in refs)]
+    gc.enable()
+    for comm in (COMM, MPI.COMM_SELF):
+        comm.Delete_attr(key)
+    return found
+
+
+@on_ranks(left, 2)
+@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
+def test_what_is_dropped_is_freed_with_its_communicators(there):
+    """MPICH ends a process that has some 2,000 of them; MPI tells when one is copied or freed."""
+    for name, (_, second, third, kept) in [*left().items(), *there.items()]:
+        assert (third[0], kept) == (second[0], 0), name
+
+
+def test_models_in_cycles_of_users_are_freed_later(monkeypatch):
+    monkeypatch.setattr("geometry.domain.FEW", 2)
+    kept = model()
+    kept.itself, gone = kept, weakref.ref(kept)
+    del kept
+    assert gone()
+    model(), model()
+    assert not gone()
+
+
+if __name__ == "__main__":  # python3 -m tests.test_parallel 1000: the first and the last of so many runs
+    for name, (*rows, _) in left(int(sys.argv[1])).items():
+        print(name, *(f"{n} communicators, {mb:.1f} MB, {s:.3f} s" for n, mb, s in (rows[1], rows[-1])), sep="\n  ")
