@@ -8,15 +8,15 @@ import pytest
 import scipy.sparse as sp
 import ufl
 
-from forms import IncrementalCoulomb, LinearElastic, Stack
+from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic, Stack
 from forms.base import InputError
-from geometry import bond_cell, periodic, sandwich
+from geometry import bond_cell, periodic, sandwich, wall
 from geometry.seam import Seam
 from tests.dry_walls import dry_wall, imbalance
 from tests.network_cases import BED, HEAD, square, three_bricks
 from tests.on_ranks import on_ranks
 from tests.refused import refused
-from thinlayer import Structure, Surface, ThinLayer, march, piecewise, solve
+from thinlayer import Springs, Structure, Surface, ThinLayer, march, piecewise, solve
 from thinlayer.errors import LimitLoad, LooseBody
 from thinlayer.solving.contact import condensation
 from thinlayer.solving.contact.condensation import Condensation
@@ -187,6 +187,28 @@ def test_a_brick_that_is_lifted_is_named(method):
     assert len(error.value.residuals) > 1
     refused(LooseBody, "'LEFT BRICK' can move and turn freely", lifted, method, 0.3, None)
     assert imbalance(lifted(method, -0.3, HEAD)) < 1e-12
+
+
+def test_a_neighbour_that_touches_by_rounding_holds_no_brick():
+    """Bricks without friction may slide. By multigrid two nodes of a head end with 1e-11 of the forces."""
+    law, springs = HolonomicCoulomb(1e3, 3e2, friction=0.0, gap=0.01), Springs("RIGHT", normal=2.0, tangential=1.0)
+    structure = Structure(
+        wall(2, 2, brick=(2, 1), h=0.5),
+        body=LinearElastic.young(100.0, 0.3),
+        supports={"BOTTOM": 0},
+        tractions={"TOP": (0.0, -0.6)},
+        element="Q1",
+        parts=[springs],
+        eigenstrain=2e-3,
+    )
+    for method in ("condensed", "multigrid", "newton"):
+        refused(
+            LooseBody,
+            r"'COURSE 2'.*along \(1, 0\)",
+            solve,
+            structure.interface({"BED": law, "HEAD": law}),
+            method=method,
+        )
 
 
 @pytest.mark.long

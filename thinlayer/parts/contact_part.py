@@ -69,10 +69,24 @@ class ContactPart(Part):
 
     def tangents(self, relative_residual: float) -> list[Block]:
         """As in `Part`. At rest the law has no tangent; the tangent of bonded springs is used instead."""
-        w = self._w
-        moved = self.nodes.comm.allreduce(int(self.nodes.jump(self._u.x.petsc_vec).any()))
-        C = self.now.tangent(w, self.slip) if moved else self.law.bonded(len(w), self.nodes.dim)
+        C = self.now.tangent(self._w, self.slip) if self._moved else self.law.bonded(len(self._w), self.nodes.dim)
         return [Block(self.nodes.stiffness(C))]
+
+    def resistance(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
+        """As in `Part`: by rounding alone a node touches or not, and sticks or slides."""
+        if not self._moved:
+            return self.tangents(relative_residual)
+        nodes, p, C = self.nodes, self.law.pressure(self._w), self.now.tangent(self._w, self.slip)
+        upper = rounding.array_r[nodes.dim * nodes.upper]
+        lower = np.where(nodes.pairs[:, 1] >= 0, nodes.lower_side(rounding)[:, 0], np.inf)
+        least = np.minimum(upper, lower)  # a force is known as well as on the side where it is known better
+        C[nodes.weights * p <= least, -1] = 0.0
+        C[nodes.weights * self.law.threshold(p) <= least, :-1] = 0.0
+        return [Block(nodes.stiffness(C))]
+
+    @property
+    def _moved(self) -> bool:
+        return bool(self.nodes.comm.allreduce(int(self.nodes.jump(self._u.x.petsc_vec).any())))
 
     def commit(self) -> Outcome:
         w, law, nodes = self._w, self.law, self.nodes

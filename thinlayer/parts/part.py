@@ -227,6 +227,10 @@ class Part(ABC):
             relative_residual: norm of the last residual divided by the forces; 0 unless a tangent may be singular.
         """
 
+    def resistance(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
+        """The tangents of what resists rigid motions; forces on a node up to `rounding` there are none."""
+        return self.tangents(relative_residual)
+
     @abstractmethod
     def commit(self) -> Outcome:
         """Energies and memory at the end of the step, for the last evaluation."""

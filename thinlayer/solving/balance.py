@@ -215,10 +215,14 @@ class PartSum:
         """Text that says which part failed in the last evaluation and where; "" if none did."""
         return next(filter(None, self.ask("failure")), "")
 
-    def blocks(self, relative_residual: float = 0.0, *, rigid: bool = False) -> list[Block]:
-        """Blocks of the tangent at the last evaluation; `rigid`: of the parts alone that resist rigid motions."""
-        parts = [part for part in self.parts if not (rigid and part.traits.inner)]
-        return [block for part in parts for block in part.tangents(relative_residual)]
+    def blocks(self, relative_residual: float = 0.0) -> list[Block]:
+        """Blocks of the tangent at the last evaluation."""
+        return [block for part in self.parts for block in part.tangents(relative_residual)]
+
+    def resistance(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
+        """Blocks of the parts that resist rigid motions, by more than forces that are `rounding` at their nodes."""
+        parts = [part for part in self.parts if not part.traits.inner]
+        return [block for part in parts for block in part.resistance(relative_residual, rounding)]
 
     @property
     def excess(self) -> float:

@@ -154,14 +154,18 @@ class Equations(PartSum):
             split(ksp.getPC(), A, self._layout, self.near_null)
 
     # ---------------------------------------------------------------- uniqueness
-    def require_unique(self) -> None:
+    def require_unique(self, r: PETSc.Vec | None = None) -> None:
         """Raise LooseBody if a connected piece of the bodies can move freely.
 
         The test uses tangents at the last u, of the parts that resist rigid motions. There is no test if a part may resist
-        less than its tangent does.
+        less than its tangent does. Forces at a node as small as solvers aim at, or as the residual r, do not resist.
         """
         if not self.traits.weakens:
-            self._rigid.require_resisted(self.blocks(self._relative_residual, rigid=True))
+            largest = self.comm.allreduce(float(np.abs(self.u.x.array).max(initial=0.0)), max)
+            of_blocks, rounding = self.scale.aim(largest), self.u.x.petsc_vec.duplicate()
+            of_blocks = of_blocks if r is None else np.maximum(of_blocks, self.residual_norms(r))
+            rounding.array[:] = of_blocks[self.block_of]
+            self._rigid.require_resisted(self.resistance(self._relative_residual, rounding))
 
     # ---------------------------------------------------------------- a step
     def rest(self, t: float) -> State:
@@ -308,7 +312,7 @@ class Equations(PartSum):
         self.residual(x, out)
         self.require_equilibrium(out)
         if self.traits.releases:
-            self.require_unique()
+            self.require_unique(out)
         self._require_bounded_jumps()
         self.put_state(self.interval.old, old)
         held, before = out.array_r[self.held], self.interval.old.u.x.array
