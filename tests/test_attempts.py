@@ -3,10 +3,13 @@
 import logging
 
 import numpy as np
+import pytest
 
-from forms import LinearElastic, MohrCoulomb
+from forms import IncrementalCoulomb, LinearElastic, MohrCoulomb
 from geometry import sandwich
+from tests.refused import refused
 from thinlayer import SolveError, Structure, ThinLayer, march, solve
+from thinlayer.solving.contact.methods import CONDENSED_UP_TO
 from thinlayer.solving.equilibrium import Equilibrium
 
 JOINT = sandwich(8, 2, 2, h=1.0, structured=True)
@@ -67,3 +70,20 @@ def test_shorter_steps_are_told(caplog, monkeypatch):
     assert "t = 0: a step of 1 is shortened to 0.5: it was told to" in lines
     assert [line.partition(":")[0] for line in lines] == ["t = 0", "t = 0", "t = 0.5", "t = 1"]
     assert history.last.t == 1.0
+
+
+def test_leaves_that_multigrid_does_not_solve_are_solved_by_newton(caplog, monkeypatch):
+    """Slender leaves part node by node. Who chose multigrid hears of the other method instead."""
+    joint = sandwich(60.0, 3.0, 3.0, h=1.5, structured=True, cell="quadrilateral")
+    load = {"supports": {"LEFT": 0}, "tractions": {"RIGHT/UPPER": (0, -2.0)}, "element": "Q1"}
+    law = IncrementalCoulomb(K_N=7e5, K_T=1.0, friction=0.0)
+    leaves = Structure(joint, body=LinearElastic.young(E=2e5, nu=0.0), **load).interface(law)
+    wanted = solve(leaves).u.x.array
+    refused(SolveError, "try method='newton'", solve, leaves, method="multigrid", options={"snes_max_it": 3})
+    monkeypatch.setitem(CONDENSED_UP_TO, 2, 0)
+    with caplog.at_level(logging.INFO, "thinlayer"):
+        found = solve(leaves)
+    assert found.report.method == "newton"
+    assert found.u.x.array == pytest.approx(wanted, abs=1e-8 * np.abs(wanted).max())
+    (told,) = messages(caplog, "thinlayer.solve")
+    assert told.startswith("t = 0: newton, lu is tried, as multigrid failed: Newton's method for contact failed after")

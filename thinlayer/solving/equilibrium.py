@@ -40,7 +40,7 @@ CRITICAL: dict[str, OptionValue] = {  # steps end where the forces do no work al
     "snes_linesearch_atol": 0,  # a work along the step: an absolute tolerance would depend on the units
 }
 SINGULAR: dict[str, OptionValue] = {**CRITICAL, "snes_max_it": 300}  # for singular tangents: of the least energy
-CONTACT: dict[str, OptionValue] = {"snes_linesearch_type": "basic", "snes_max_it": 40}  # residuals grow on good steps
+CONTACT: dict[str, OptionValue] = {"snes_linesearch_type": "basic", "snes_max_it": 300}  # residuals grow on good steps
 EASED_CONTACT: dict[str, OptionValue] = {**CRITICAL, "snes_max_it": 40, "snes_linesearch_rtol": 0.01, LONGEST: 1}
 STAGNATION_STEPS = 16  # number of steps in which the residual must fall by a tenth, for laws that yield
 RUN_AWAY = 1e6  # largest displacements, relative to those of the first step, for laws that yield

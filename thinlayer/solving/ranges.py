@@ -213,7 +213,10 @@ def _of_thickness(model: Model, one: SeamLayer, sublayers: list[Sublayer]) -> It
         what = f"{one} is {hardest / softest:.3g} times as hard as the softer body (moduli in the plane of S)"
         remedy = "use order=1, mesh the layer (structure.full), or check its parameters"
         yield "hard", f"{what}: its jump is less than what order 0 leaves out; {remedy}"
-    length, mean = float(np.ptp(one.sheet.joint.points[one.sheet.vertices], axis=(0, 1)).max()), np.mean(one.sheet.heights)
+    length, mean = (
+        float(np.ptp(one.sheet.joint.points[one.sheet.vertices], axis=(0, 1)).max()),
+        np.mean(one.sheet.heights),
+    )
     if len(one.sheet.heights) == 2 and one.sheet.planar and length > SLENDER * 2 * mean and softest > 0:
         # two beams of one height under a half-wave of load; as one the lever of their forces is mean, not mean + eps
         slip = 2 * stiffness_of_jumps(one)[1] * (length / math.pi) ** 2 / (softest * mean)

@@ -29,6 +29,7 @@ from thinlayer.solving.petsc import (
     chosen,
     faster_products,
     is_set,
+    options_set,
     require_all_read,
     value_of,
 )
@@ -43,6 +44,7 @@ SOFTENS = (
 )
 FIRST_DECREMENT, LEAST_DECREMENT = 0.5, 1 / 64  # decrements of the ease from one law to the next
 MOST_SOLVES = 30  # number of solves after which eased laws give up
+FAILS_SOON: dict[str, OptionValue] = {"snes_max_it": 30, "snes_max_linear_solve_fail": 1}  # if another method follows
 EASED_RUN_AWAY = 1e5  # displacements, relative to those of an elastic layer, at which no equilibrium is expected
 
 
@@ -112,19 +114,22 @@ def _check_like(model: Model, like: Any) -> None:
         raise InputError("like is a state of an interface model for another one, with the same element and bonds")
 
 
+Way = tuple[str, dict[str, OptionValue]]  # a method, and PETSc options of its linear solver
+
+
 @dataclass(frozen=True)
 class Attempt:
     """One try of a step, as data.
 
     Attributes:
         name: for the log.
-        linear: PETSc options of the linear solver, without prefix.
+        way: the method, and PETSc options of its linear solver, without prefix.
         options: PETSc options of Newton's method, without prefix.
         eased: whether eased laws are solved first, beginning with an elastic one.
     """
 
     name: str
-    linear: Options = field(default_factory=dict)
+    way: Way
     options: Options = field(default_factory=dict)
     eased: bool = False
 
@@ -161,15 +166,11 @@ class Solver(AbstractContextManager["Solver"]):
         traits = self.equations.traits
         self.yields, self.bounded = traits.bounded, traits.bounded or traits.releases
         self._warned = False  # whether the user was warned of a law that softens
-        self._linear: list[dict[str, OptionValue]] = [{}]  # without those that have failed
-        self._finder: Finder
-        if self.method in METHODS:
-            self._finder = FINDERS[self.method](self.equations, like)
-        else:
-            self._linear = linear_solvers(model, self.equations.parts, value_of("pc_type", self._given))
-            if is_set("ksp_type", self._given) or is_set("pc_type", self._given):
-                self._linear = self._linear[:1]
-            self._finder = self._equilibrium()
+        self._ways = self._ways_of(self.method)  # without those before one that has succeeded
+        if method is None and self.method == "multigrid" and not (self._given or options_set()):
+            self._ways += self._ways_of("newton")
+        self._finders = dict[str, Finder]()
+        self._finder = self._finder_of(self.method)
 
     def _check(self) -> None:
         """Raise an error unless the method suits the model."""
@@ -186,17 +187,34 @@ class Solver(AbstractContextManager["Solver"]):
             collect(self.equations.comm)
         self.close()
 
-    def _equilibrium(self) -> Equilibrium:
+    def _ways_of(self, method: str) -> list[Way]:
+        """A method with its linear solvers in turn."""
+        if method in METHODS:
+            return [(method, {})]
+        ways = [
+            (method, one) for one in linear_solvers(self.model, self.equations.parts, value_of("pc_type", self._given))
+        ]
+        return ways[:1] if is_set("ksp_type", self._given) or is_set("pc_type", self._given) else ways
+
+    def _finder_of(self, method: str) -> Finder:
+        """The finder of a method, made when it is first needed."""
+        if method not in self._finders:
+            made = FINDERS[method](self.equations, self._like) if method in METHODS else self._equilibrium(method)
+            self._finders[method] = made
+        return self._finders[method]
+
+    def _equilibrium(self, method: str) -> Equilibrium:
         own_test = not (is_set("snes_atol", self._given) or is_set("snes_rtol", self._given))
         advice = "a march from less (loads may have a limit)" if self.yields else f"-{PREFIX}snes_linesearch_type basic"
         if self.model.contact:
             advice = "another method, supports (is a body pulled off, or pushed harder than friction holds?)"
-        nonlinear, advice = self.method == "newton", f"a smaller step or load, {advice}"
+        nonlinear, advice = method == "newton", f"a smaller step or load, {advice}"
         return Equilibrium(self.equations, nonlinear=nonlinear, own_test=own_test, yields=self.yields, advice=advice)
 
     def close(self) -> None:
         """Free matrices and factors."""
-        self._finder.close()
+        for finder in self._finders.values():
+            finder.close()
         self.equations.destroy()
 
     def rest(self, t: float) -> State:
@@ -240,7 +258,7 @@ class Solver(AbstractContextManager["Solver"]):
         start = time.perf_counter()
         near = [attempt for attempt in self._attempts() if not attempt.eased]
         self._log.info("t = %g: weak springs at all nodes are tried", t)
-        linear = self._linear[0] or linear_solvers(self.model, self.equations.parts)[0]  # contact alone has none yet
+        linear = self._ways[0][1] or linear_solvers(self.model, self.equations.parts)[0]  # contact alone has none yet
         springs = WeakSprings(self.equations, {**linear, **self._given})
 
         def follow(end: float) -> Found:
@@ -283,33 +301,31 @@ class Solver(AbstractContextManager["Solver"]):
 
     # ---------------------------------------------------------------- attempts
     def _attempts(self) -> list[Attempt]:
-        """The attempts in turn: every linear solver, then eased laws."""
-        traits = self.equations.traits
-        options: dict[str, OptionValue] = {}
-        if self.method == "newton":
-            kind = YIELDING if self.yields else SINGULAR if traits.singular else {}
-            options = NEWTON | kind | (CONTACT if self.model.contact else {})
-        attempts = [
-            Attempt(", ".join(filter(None, (self.method, str(linear.get("pc_type", ""))))), linear, options)
-            for linear in self._linear
-        ]
+        """The attempts in turn: every way, then eased laws."""
+        traits, contact, attempts = self.equations.traits, CONTACT if self.model.contact else {}, list[Attempt]()
+        newton = NEWTON | (YIELDING if self.yields else SINGULAR if traits.singular else {}) | contact
+        for method, linear in self._ways:
+            name = ", ".join(filter(None, (method, str(linear.get("pc_type", "")))))
+            options = newton if method == "newton" else FAILS_SOON if len(self._ways) > 1 else {}
+            attempts.append(Attempt(name, (method, linear), options))
+        last = attempts[-1]
         if traits.eases and self._finder.eases:
-            options = {**options, **(EASED_CONTACT if self.model.contact else {})}
-            attempts.append(Attempt("eased laws", self._linear[-1], options, eased=True))
+            options = {**last.options, **(EASED_CONTACT if contact else {})}
+            attempts.append(replace(last, name="eased laws", options=options, eased=True))
         return attempts
 
     def _work_through(self, attempts: list[Attempt], start: PETSc.Vec | None = None) -> tuple[Found, int]:
         """Result of the first attempt that succeeds, with the iterations of all; number of solves with eased laws.
 
-        A linear solver that fails is dropped for this and all later steps, unless it is the last one.
+        Ways that fail are dropped for all later steps if a later one succeeds.
 
         Raises:
-            SolveError: all attempts failed; the error of the first attempt with the last linear solver, or of eased laws if
-                it names a body that nothing holds.
+            SolveError: all attempts failed; the error of the first attempt in the last way, or of eased laws if it names a
+                body that nothing holds.
         """
         why, errors = "", list[SolveError]()
         for attempt in attempts:
-            if attempt.linear not in self._linear:
+            if attempt.way not in self._ways:
                 continue
             if why:
                 self._log.info("t = %g: %s is tried, as %s", self.equations.interval.t, attempt.name, why)
@@ -317,11 +333,10 @@ class Solver(AbstractContextManager["Solver"]):
                 found, solves = self._through_eased_laws(attempt) if attempt.eased else (self._try(attempt, start), 0)
             except SolveError as error:
                 why = f"{attempt.name} failed: {error.reason}"
-                if len(self._linear) > 1:
-                    self._linear = [one for one in self._linear if one != attempt.linear]
-                else:
+                if attempt.way == self._ways[-1]:
                     errors.append(error.with_traceback(None))  # which has this frame, that has the errors
             else:
+                self.method, self._ways = attempt.way[0], self._ways[self._ways.index(attempt.way) :]
                 return replace(found, iterations=found.iterations + sum(len(e.residuals) for e in errors)), solves
         if isinstance(errors[-1], LooseBody) and len(errors) > 1:
             errors[-1].residuals = (*errors[0].residuals, *errors[-1].residuals)
@@ -333,13 +348,14 @@ class Solver(AbstractContextManager["Solver"]):
 
         If it fails with the factor of an earlier step, it is made again with a new one.
         """
-        began, ours = time.perf_counter(), {**attempt.linear, **attempt.options}
+        began, ours = time.perf_counter(), {**attempt.way[1], **attempt.options}
+        self._finder = self._finder_of(attempt.way[0])
         while True:
             try:
                 with chosen(ours, self._given), faster_products(serial=self.equations.comm.size == 1):
                     found = self._finder.find(start)
                     if not self._finder.reused:
-                        require_all_read(self.method, ours.keys() - self._given.keys())
+                        require_all_read(attempt.way[0], ours.keys() - self._given.keys())
             except SolveError as error:
                 self._log.debug("%s: failed after %d iterations: %s", attempt.name, len(error.residuals), error.reason)
                 if not self._finder.forget():

@@ -98,12 +98,13 @@ class MultigridContact(ContactFinder):
                 if reason > 0:
                     return len(newton.residuals) - 1, history[-1]
         last = history[-1] if history else math.nan
+        slow = "FGMRES is slow for slender bodies: " * (reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE)
         raise SolveError(
             f"Newton's method for contact failed after {max(len(history) - 2, 0)} steps: "
             f"{reason_name(PETSc.SNES.ConvergedReason, reason)}, residual {last:.1e} of the forces",
             residuals=tuple(history),
-            advice="a body that is pulled off S, or pushed harder than friction holds, needs supports; else try smaller "
-            f"steps of the load, or -{PREFIX}snes_monitor to watch it",
+            advice=f"{slow}try method='newton', smaller steps of the load, or supports (is a body pulled off S, or pushed "
+            f"harder than friction holds?); -{PREFIX}snes_monitor watches it",
         )
 
     def residual(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
