@@ -92,9 +92,9 @@ def compiled(form: ufl.Form, maps: Any = None) -> fem.Form:
         for one in some:  # UFL would join integrals of one density and metadata over several numbers
             metadata = {**one.metadata(), "part": str(ids)}
             integrals.append(one.reconstruct(subdomain_id=ids, subdomain_data=domain, metadata=metadata))
-    own = copy(maps or {})  # which DOLFINx leaves in a cycle with the form
-    found = fem.form(ufl.Form(integrals), entity_maps=own)
-    own.clear()
+    given: Any = copy(maps or {})  # which DOLFINx leaves in a cycle with the form
+    found = fem.form(ufl.Form(integrals), entity_maps=given)
+    given.clear()
     return found
 
 
