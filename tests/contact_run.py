@@ -7,7 +7,7 @@ from pathlib import Path
 from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic
 from geometry import block, sandwich
 from studies.problems import sliding_bar
-from tests.contact_bars import contact
+from tests.contact_bars import contact, coulomb, stacked
 from tests.on_ranks import alone
 from thinlayer import Structure, Surface, march, piecewise, solve
 
@@ -36,6 +36,8 @@ def reports():
     data = {"body": bodies, "supports": {"BOTTOM": 0.0}, "tractions": loads, "element": "P1"}
     model = Structure(joint, **data).interface(HolonomicCoulomb(7e4, 2e4, 0.9, 1.0))
     found["two bodies"] = solve(model)
+    joint, setup = stacked("triangle")
+    found["degree 2"] = solve(Structure(joint, **setup | {"element": "P2"}).interface(coulomb("middle")))
     found["to and fro"] = to_and_fro().last
     return {name: Surface(state.model).contact(state) for name, state in found.items()}
 

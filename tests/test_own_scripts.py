@@ -337,7 +337,8 @@ def test_refused_layers_parts_and_steps():
     refused(
         InputError, "no threshold", ContactPart, ContactLaw(1.0, 1.0), blocks.broken.contact_surface(LAYER, blocks.V)
     )
-    refused(InputError, "contact laws act at vertices", quadratic.broken.contact_surface, LAYER, V)
+    cubic = quadratic.broken.space(("Lagrange", 3, (2,)))
+    refused(InputError, "contact laws act at nodes", quadratic.broken.contact_surface, LAYER, cubic)
     (term,) = quadratic.broken.layer(LAYER, thin(law))
     springs = FormPart("springs", quadratic.u, F=ufl.inner(quadratic.u, quadratic.v) * ufl.ds)
     elsewhere = fem.functionspace(quadratic.grid, ("Lagrange", 1, (2,)))

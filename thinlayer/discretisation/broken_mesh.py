@@ -173,15 +173,16 @@ class BrokenMesh:
 
         Args:
             tag: of the facets.
-            V: space of the displacements, of `space`, Lagrange of degree 1: contact laws act at vertices.
+            V: space of the displacements, of `space`, Lagrange of degree 1 or, but for tetrahedra, 2.
 
         Raises:
             InputError: a tag that is not in S, another mesh or element.
         """
         self._require(tag)
-        element, wanted = V.ufl_element(), f"contact laws act at vertices: space(('Lagrange', 1, ({self._dim},)))"
-        good = V.mesh is self.mesh and element.reference_value_shape == (self._dim,) and element.degree == 1
-        require(good, "V", V, f"{wanted} of this mesh")
+        element, wanted = V.ufl_element(), f"contact laws act at nodes: space(('Lagrange', 1, ({self._dim},)))"
+        good = V.mesh is self.mesh and element.reference_value_shape == (self._dim,) and element.family_name == "P"
+        good = good and element.degree <= (1 if self.mesh.topology.cell_name() == "tetrahedron" else 2)
+        require(good, "V", V, f"{wanted} of this mesh, or but for tetrahedra of degree 2")
         facets = self._owned(tag)
         based = tag in self._bases
         upper, lower = (cells_of_facets(self.mesh, facets)[0], None) if based else self._sides[tag][:, [0, 2]].T

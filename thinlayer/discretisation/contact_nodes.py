@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import cpp, fem
+from dolfinx import fem
 from dolfinx.mesh import entities_to_geometry
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -27,12 +27,16 @@ from thinlayer.system.ranks import destroy, on_all, send
 NONE = np.empty(0, np.int32)
 
 
-def pairs_of(joint: Joint, seam: str, file_numbers: IntArray) -> IntArray:
-    """(n,) numbers of the pairs of bodies at nodes of a seam, which are given as `ContactNodes.file_numbers`."""
+def pairs_of(joint: Joint, seam: str, file_numbers: IntArray) -> tuple[IntArray, IntArray]:
+    """Pairs of bodies at the vertices beside nodes of a seam, one after the other: index of the node, number of the pair.
+
+    A node at a vertex has this one only. The nodes are given as `ContactNodes.file_numbers`.
+    """
     here = joint.seam_numbers == list(joint.seams).index(seam)
     rows, facets = joint.surface_rows[here], joint.pairs[here]
-    row, corner = np.divmod(file_numbers, facets.shape[1])
-    return np.asarray(facets[np.searchsorted(rows, row), corner])
+    k = facets.shape[1]
+    node, corner = np.nonzero((file_numbers[:, None] >> np.arange(k)) & 1)
+    return node, np.asarray(facets[np.searchsorted(rows, file_numbers[node] >> k), corner])
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +44,7 @@ class ContactSurface:
     """The facets of S that this rank owns, and the cells on their two sides.
 
     Attributes:
-        V: space of the displacements, P1 or Q1, broken across S.
+        V: space of the displacements, P1, Q1, Q2 or, in 2D, P2, broken across S.
         comm: communicator for messages.
         facets: (n,) local numbers, ascending.
         upper: (n,) local cells on the upper side.
@@ -72,12 +76,14 @@ class ContactNodes:
     """The nodes of S under a contact law. Collective.
 
     A node is a pair of an upper and a lower displacement; a rank has those whose upper displacement it owns. Quadrature is
-    at the vertices of S: the weight of a node is the area of S around it, and its normal is the mean normal there.
+    at the nodes: the trapezoidal rule, or Simpson's for elements of degree 2, which pass on a uniform pressure as such. The
+    weight of a node is the area of S around it, and its normal is the mean normal there.
 
     Attributes:
         surface: the facets.
         upper: (n,) local number of the node of V on the upper side.
-        file_numbers: (n,) a number for each, also where several share a vertex; the same on any number of ranks.
+        file_numbers: (n,) a number for each, also where several share a vertex; the same on any number of ranks. With the
+            k vertices of a facet in order, its last k bits are those beside the node, the others the facet's number.
         x: (n, d) places.
         weights: (n,) areas (lengths in 2D).
         frames: (n, d, d) rows are the axes of the node's frame: tangents as in `Surface.frame`, then the normal.
@@ -154,53 +160,68 @@ class ContactNodes:
     def lines(self) -> IntArray:
         """(m, 2) neighbours along S, on one rank; none in three dimensions."""
         number, node = self._corners_of
-        order = np.argsort(number)[: len(number) if self.dim == 2 else 0]
-        return node[order][np.flatnonzero(np.diff(number[order] // 2) == 0)[:, None] + [0, 1]]
+        along = np.array([0, 0, 2, 1])[number & 3]  # first end, second end, middle
+        order = np.lexsort((along, number >> 2))[: len(number) if self.dim == 2 else 0]
+        return node[order][np.flatnonzero(np.diff(number[order] >> 2) == 0)[:, None] + [0, 1]]
 
     def _global(self, local: npt.NDArray[Any]) -> Array:
         """Global numbers of local nodes, as floats, because they are sent together with areas."""
         return self.surface.V.dofmap.index_map.local_to_global(local.astype(np.int32)).astype(float)
 
     def _corners(self) -> Array:
-        """A row for each vertex of each facet of S that this rank owns.
+        """A row for each node of each facet of S that this rank owns.
 
         Columns: node on the upper side (local), node on the lower side (global; -1 on a rigid base), area, area times
-        normal (d), number of this vertex of this facet.
+        normal (d), number of this node of this facet.
         """
         V, facets, d = self.surface.V, self.surface.facets, self.dim
         upper, lower = self.surface.upper, self.surface.lower
         mesh, topology = V.mesh, V.mesh.topology
-        for a, b in ((d, 0), (d - 1, 0), (0, d)):
+        simpson = V.ufl_element().degree == 2
+        for a, b in ((d, 0), (d - 1, 0), (0, d), *([(d, d - 1), (d, 1), (2, 1), (1, 0)] if simpson else [])):
             topology.create_connectivity(a, b)
-        to_vertices = topology.connectivity(d - 1, 0)
-        vertices = to_vertices.array.reshape(to_vertices.num_nodes, -1)[facets]
+        vertices = self._entities(d - 1, 0)[facets]
         places = vertices  # DOLFINx does not accept an empty list
         if vertices.size:
             places = np.asarray(entities_to_geometry(mesh, 0, vertices.ravel())).reshape(vertices.shape)
         corners = mesh.geometry.x[places][..., :d]
         areas, normals = _vertex_areas(corners)
-        areas = self.surface.kinematics.node_areas(corners, areas)
         nodes = V.tabulate_dof_coordinates()[np.asarray(V.dofmap.list)[upper]]
         inside = nodes[..., :d].mean(axis=1) - corners.mean(axis=1)
         normals[np.einsum("fk,fk->f", normals, inside) < 0] *= -1  # n points from the lower to the upper side
-        above = self._nodes(upper, vertices).ravel()
-        below = np.full(above.size, -1.0) if lower is None else self._global(self._nodes(lower, vertices).ravel())
-        numbers = np.asarray(mesh.geometry.input_global_indices, np.int64)[places.ravel()]
-        vectors = (areas[:, :, None] * normals[:, None]).reshape(-1, d)
-        of_facet = numbers.reshape(vertices.shape).argsort(axis=1).argsort(axis=1)
-        if len(self.surface.rows):
-            of_facet += self.surface.rows[:, None] * vertices.shape[1]
-        rows = np.column_stack([above, below, areas.ravel(), vectors, of_facet.ravel()])
-        return np.asarray(rows[below != self._global(above)])  # at a tip of S there is no jump
+        numbers, kinematics = np.asarray(mesh.geometry.input_global_indices, np.int64)[places], self.surface.kinematics
+        bits, rows = 1 << numbers.argsort(axis=1).argsort(axis=1), list[Array]()
+        for e in range(d if simpson else 1):  # nodes at vertices, edges and facets
+            here = vertices if e == 0 else facets[:, None] if e == d - 1 else self._entities(d - 1, e)[facets]
+            ends = vertices[:, None] if e == d - 1 else self._entities(e, 0)[here] if e else vertices[..., None]
+            beside = (ends[..., None] == vertices[:, None, None]).any(axis=2)  # (n, nodes, k)
+            shares = beside / beside.sum(axis=2, keepdims=True)
+            around = kinematics.node_areas(corners, areas)
+            if simpson:
+                factors = 4**e / 3 ** (d - 1) * kinematics.factor_at(shares @ corners)
+                around = factors * np.einsum("fak,fk->fa", shares, areas)
+            above = self._nodes(upper, here, e).ravel()
+            below = np.full(above.size, -1.0) if lower is None else self._global(self._nodes(lower, here, e).ravel())
+            vectors = (around[:, :, None] * normals[:, None]).reshape(-1, d)
+            number = (beside * bits[:, None]).sum(axis=2)
+            if len(self.surface.rows):
+                number += self.surface.rows[:, None] << vertices.shape[1]
+            apart = (below != self._global(above)) & (around.ravel() > 0)  # at a tip of S there is no jump
+            rows.append(np.column_stack([above, below, around.ravel(), vectors, number.ravel()])[apart])
+        return np.concatenate(rows)
 
-    def _nodes(self, cells: Indices, vertices: Indices) -> Indices:
-        """Local nodes of V at vertices (n, k) of cells (n,)."""
-        V, topology = self.surface.V, self.surface.V.mesh.topology
-        to_vertices = topology.connectivity(self.dim, 0)
-        corners = to_vertices.array.reshape(-1, cpp.mesh.cell_num_vertices(topology.cell_type))[cells]
-        corner = (corners[:, None, :] == vertices[:, :, None]).argmax(axis=2)
-        places = np.array([V.dofmap.dof_layout.entity_dofs(0, k)[0] for k in range(corners.shape[1])])
-        return np.asarray(np.take_along_axis(np.asarray(V.dofmap.list)[cells], places[corner], axis=1), np.int32)
+    def _entities(self, a: int, b: int) -> Indices:
+        """(all, m) entities of dimension b of those of dimension a."""
+        found = self.surface.V.mesh.topology.connectivity(a, b)
+        return np.asarray(found.array.reshape(found.num_nodes, -1))
+
+    def _nodes(self, cells: Indices, entities: Indices, e: int) -> Indices:
+        """Local nodes of V at entities (n, k) of dimension e of cells (n,)."""
+        V = self.surface.V
+        of_cells = self._entities(self.dim, e)[cells]
+        which = (of_cells[:, None, :] == entities[:, :, None]).argmax(axis=2)
+        places = np.array([V.dofmap.dof_layout.entity_dofs(e, k)[0] for k in range(of_cells.shape[1])])
+        return np.asarray(np.take_along_axis(np.asarray(V.dofmap.list)[cells], places[which], axis=1), np.int32)
 
     # ---------------------------------------------------------------- supports
     def _note_held(self, held: Indices) -> None:

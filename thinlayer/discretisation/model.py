@@ -211,7 +211,7 @@ class Model(ABC):
         else:
             some = {f"{BODY} {name}": (name,) for name in names}
         cells = {key: self.dx(self.domain.cell_values(*here), **self._rule(self.dx)) for key, here in some.items()}
-        volume = self._volume(law)
+        volume = self.volume_degree(law)
         each = {key: forms.body(law, one, self.kinematics, volume) for key, one in cells.items()}
         return [placed(replace(term, key=key, given=given), self.V, self.origin) for key, term in each.items()]
 
@@ -411,7 +411,7 @@ class Model(ABC):
             return {}
         return {"metadata": {"quadrature_degree": quadrature_degree(self.V, measure) + self.kinematics.degree}}
 
-    def _volume(self, law: BulkLaw) -> int | None:
+    def volume_degree(self, law: BulkLaw) -> int | None:
         """Degree of the volume strain in each cell of a body that flows without a change of volume (`Term.volume`).
 
         It is one below that of the displacements, as on straight triangles and tetrahedra in any case. Other elements have

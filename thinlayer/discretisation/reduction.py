@@ -18,7 +18,7 @@ from forms.rubber import Rubber
 from forms.trace import across, is_isotropic, known_at_rest, tangent_at_rest
 from geometry.refusals import place
 from geometry.sheet import Rim, straight_ends
-from geometry.topology import BoolArray, FloatArray, is_tensor
+from geometry.topology import BoolArray, FloatArray
 from thinlayer.discretisation.boundary import is_across
 from thinlayer.discretisation.layer import LawOnS, SeamLayer, ThinLayer, real_law
 from thinlayer.discretisation.sides import SLIGHT, FacetWeights, held_directions, side_kinds
@@ -183,9 +183,12 @@ def _law(r: Reduction) -> Iterator[Refused]:
         yield Refused("no layer", f"the layer is {layer!r}", "give ThinLayer(law, eps), or a law of jumps or contact")
     one.law.check_dimension(setup.joint.dim)
     if one.contact:
-        linear = "Q1" if is_tensor(setup.joint.cell_type) else "P1"
-        if setup.element != linear:  # nodes in the middle of edges would carry most of the pressure, or none of it
-            yield Refused("element", f"a contact law acts at vertices, not in {setup.element}", f"element={linear!r}")
+        others = {"S2": ("unknowns have no places", "element='Q2'")}
+        if setup.joint.dim == 3:
+            others["P2"] = ("vertices bear no uniform pressure", "element='P1', or hexahedra with element='Q2'")
+        if setup.element in others:
+            reason, remedy = others[setup.element]
+            yield Refused("element", f"a contact law acts at nodes, and in {setup.element} {reason}", f"use {remedy}")
         one.contact.check_threshold()
         return
     if one.law.traits.constrained and setup.element not in ("P2", "Q2"):

@@ -83,7 +83,7 @@ class Setup:
             self.body_laws = self._laws_of(body)
             strains = by_body(eigenstrain, joint, "eigenstrain")
             self.eigenstrains = {name: given for name, given in strains.items() if given is not None}
-            for law, C in zip(self._bodies_with_numbers, self.bodies_at_rest, strict=True):
+            for law, C in zip(self.bodies_with_numbers, self.bodies_at_rest, strict=True):
                 require_stable(law, C, slots=self.kinematics.slots(joint.dim))
         self.mark = require_same(
             comm, joint=joint, body=body, supports=_ordered(supports), tractions=tractions, body_force=body_force,
@@ -117,10 +117,10 @@ class Setup:
     def bodies_at_rest(self) -> list[Array | None]:
         """Tangents of the bodies' laws at rest; None: not known."""
         n = self.sheet.mean_normal
-        return [known_at_rest(self.kinematics.law(law), n) for law in self._bodies_with_numbers]
+        return [known_at_rest(self.kinematics.law(law), n) for law in self.bodies_with_numbers]
 
     @cached_property
-    def _bodies_with_numbers(self) -> list[BulkLaw]:
+    def bodies_with_numbers(self) -> list[BulkLaw]:
         """The laws of the bodies; where parameters are functions, those at the cells where one is smallest or largest."""
         joint, found = self.joint, []
         for name, law in self.body_laws.items():
@@ -162,7 +162,7 @@ def require_body_law(name: str, law: Law) -> None:
     elif law.sublayers[0][1] is not law:
         reason = "its sublayers lie across the thickness of a layer; give regions laws of their own"
     elif traits.constrained:
-        reason = "its pressure is a field of its own; take a nearly incompressible law, with nu = 0.4999, say"
+        reason = "its pressure is a field of its own; take LinearElastic with nu = 0.4999, say, in elements of degree 2"
     elif traits.phases:
         reason = "its phases are those of a layer's columns"
     elif traits.compiled:  # others have none in a body, and say so

@@ -14,7 +14,7 @@ import ufl
 from forms.base import Array, InputError
 from forms.contact import Status
 from geometry.seam import S
-from geometry.topology import IntArray, connected
+from geometry.topology import IntArray, connected, sums
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, pairs_of
 from thinlayer.discretisation.state import State
 from thinlayer.output.nodal_forces import contact_forces, nodal_forces
@@ -60,7 +60,8 @@ class Contact:
         u_N: (m,) penetration, the upper side into the lower one, less the initial gap; negative where S is open.
         p: (m,) pressure >= 0 of the law; without meaning at pinned nodes, where the support exerts the force.
         t_T: (m, d - 1) tangential traction on the lower side; that on the upper side is opposite.
-        threshold: (m,) largest |t_T| at this pressure.
+        threshold: (m,) largest |t_T| at this pressure. With elements of degree 2, p, t_T and this are means over the nodes
+            from the middles on one side to those on the other, whose forces count half there.
         slip: (m, d - 1) slip that the law remembers; zero for laws without memory.
         areas: (m,) area of S around each node, as the law has it.
         frames: (m, d, d), rows are the tangential axes and the normal of S.
@@ -166,15 +167,21 @@ def at_contact(surface: SurfaceMesh, state: State) -> dict[str, Any]:
     if not parts:
         return {}
     found = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    at, m, values = surface.find(found.pop("number")), len(surface.numbers), {}
+    at, m, own, areas = (surface.find(found.pop("number")), len(surface.numbers), *map(found.pop, ("own", "areas")))
+    around = sums(at, areas, m)
+    values: dict[str, Any] = {"areas": around}
     for name, array in found.items():
+        if name in ("p", "t_T", "threshold"):  # vertices have the forces of nodes between them
+            values[name] = (sums(at, (array.T * areas).T, m).T / np.where(around > 0, around, 1.0)).T
+            continue
         values[name] = np.zeros((m, *array.shape[1:])) if name != "status" else np.full(m, NO_CONTACT)
-        values[name][at] = array
+        values[name][at] = array  # of a neighbour, where a vertex has no area: on the axis of a solid of revolution
+        values[name][at[own]] = array[own]
     return values
 
 
 def _of_rank(state: State, seam: str) -> dict[str, npt.NDArray[Any]]:
-    """What a contact law finds at its nodes of this rank, and the nodes' numbers."""
+    """What a contact law finds at its nodes of this rank, once for each vertex beside a node, and the vertices' numbers."""
     model, law = state.model, state.model.contacts[seam]
     nodes = ContactNodes(ContactSurface.of(model, seam), model.constraints.held, gap=law.gaps)
     w, slip = nodes.apart(state.u.x.petsc_vec), state.memory[model.layers[seam].key]
@@ -187,12 +194,14 @@ def _of_rank(state: State, seam: str) -> dict[str, npt.NDArray[Any]]:
     kind = np.where(p <= ROUNDING * largest, Status.SEPARATED, kind)
     status = np.array([NAMES[Status(int(one))] for one in kind], dtype="<U9")
     status[nodes.held.all(axis=1)] = PINNED
+    node, number = pairs_of(model.joint, seam, nodes.file_numbers)
+    beside = np.bincount(node, minlength=len(w))
     found: dict[str, npt.NDArray[Any]] = {
-        "number": pairs_of(model.joint, seam, nodes.file_numbers), "status": status, "u_T": w[:, :-1], "u_N": -w[:, -1],
-        "p": p, "t_T": t[:, :-1], "threshold": threshold, "slip": slip, "areas": nodes.weights, "frames": nodes.frames,
+        "own": beside == 1, "status": status, "u_T": w[:, :-1], "u_N": -w[:, -1], "p": p, "t_T": t[:, :-1],
+        "threshold": threshold, "slip": slip, "areas": nodes.weights / beside, "frames": nodes.frames,
     }  # fmt: skip
     nodes.destroy()
-    return found
+    return {"number": number} | {name: array[node] for name, array in found.items()}
 
 
 def _balance(state: State) -> tuple[float, float]:

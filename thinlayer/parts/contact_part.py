@@ -72,7 +72,7 @@ class ContactPart(Part):
         C = self.now.tangent(self._w, self.slip) if self._moved else self.law.bonded(len(self._w), self.nodes.dim)
         return [Block(self.nodes.stiffness(C))]
 
-    def resistance(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
+    def resisting(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
         """As in `Part`: by rounding alone a node touches or not, and sticks or slides."""
         if not self._moved:
             return self.tangents(relative_residual)

@@ -227,7 +227,7 @@ class Part(ABC):
             relative_residual: norm of the last residual divided by the forces; 0 unless a tangent may be singular.
         """
 
-    def resistance(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
+    def resisting(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
         """The tangents of what resists rigid motions; forces on a node up to `rounding` there are none."""
         return self.tangents(relative_residual)
 

@@ -219,10 +219,10 @@ class PartSum:
         """Blocks of the tangent at the last evaluation."""
         return [block for part in self.parts for block in part.tangents(relative_residual)]
 
-    def resistance(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
+    def resisting(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
         """Blocks of the parts that resist rigid motions, by more than forces that are `rounding` at their nodes."""
         parts = [part for part in self.parts if not part.traits.inner]
-        return [block for part in parts for block in part.resistance(relative_residual, rounding)]
+        return [block for part in parts for block in part.resisting(relative_residual, rounding)]
 
     @property
     def excess(self) -> float:

@@ -165,7 +165,7 @@ class Equations(PartSum):
             of_blocks, rounding = self.scale.aim(largest), self.u.x.petsc_vec.duplicate()
             of_blocks = of_blocks if r is None else np.maximum(of_blocks, self.residual_norms(r))
             rounding.array[:] = of_blocks[self.block_of]
-            self._rigid.require_resisted(self.resistance(self._relative_residual, rounding))
+            self._rigid.require_resisted(self.resisting(self._relative_residual, rounding))
 
     # ---------------------------------------------------------------- a step
     def rest(self, t: float) -> State:

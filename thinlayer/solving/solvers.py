@@ -72,8 +72,8 @@ def solve(
 
     Warns:
         RangeWarning: an interface model, or its result, is outside the range of its law; strains of bodies are not small;
-            a law relaxes (Maxwell), of which this is the answer to sudden loads just after they have come. Each is said
-            once of a model, or of its state at a time.
+            elements of bodies lock; a law relaxes (Maxwell), of which this is the answer to sudden loads just after they
+            have come. Each is said once of a model, or of its state at a time.
 
     Raises:
         SolveError: no convergence, or no unique solution; LooseBody if a body can be named that nothing holds.

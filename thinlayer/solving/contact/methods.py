@@ -28,7 +28,8 @@ def default_method(model: Model) -> str:
     """
     joint = model.joint
     both = len(np.unique(joint.surface)) * (1 if joint.rigid_base else 2)
-    narrow = (_most_vertices(model) if _is_network(model) else both) * joint.dim <= CONDENSED_UP_TO[joint.dim]
+    each = joint.dim * model.structure.degree ** (joint.dim - 1)
+    narrow = (_most_vertices(model) if _is_network(model) else both) * each <= CONDENSED_UP_TO[joint.dim]
     suited = (method for method in ("condensed", "multigrid") if not _unsuited(model, method))
     chosen = (method for method in suited if not model.layer_terms and (narrow or method != "condensed"))
     return next(chosen, "newton")
