@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -183,8 +185,12 @@ def test_a_plate_across_s_that_turns_has_the_thickness_for_an_arm():
 
 
 class Late(RigidPlate):
-    def check(self, model):
-        pass
+    def tied(self, model):
+        given = lambda t: model.coordinates.given(LATE, "force", (2,)).at_time(t)
+        return replace(super().tied(model), resultant=lambda t: np.append(given(t), 0.0))
+
+
+LATE = piecewise({0.0: (0.0, 0.0), 1.0: (0.0, -1.0), 2.0: (0.0, -3.0)})
 
 
 class Nothing(Addition):
@@ -193,9 +199,8 @@ class Nothing(Addition):
 
 def test_refused_additions():
     """One whose break times no step would meet, and one that does nothing."""
-    force = piecewise({0.0: (0.0, 0.0), 1.0: (0.0, -1.0), 2.0: (0.0, -3.0)})
     data, layer = {"body": LinearElastic.young(30.0, 0.3), "supports": {"BOTTOM": 0.0}}, ThinLayer(CREEP, EPS, at=1.0)
-    late = Structure(sandwich(1.0, 0.5, 0.5, 0.5), parts=[Late("TOP", force=force)], **data).interface(layer)
+    late = Structure(sandwich(1.0, 0.5, 0.5, 0.5), parts=[Late("TOP")], **data).interface(layer)
     refused(InputError, r"a part gives it in check\(model\)", lambda: march(late, [1.5, 2.0]))
     made = lambda: Structure(sandwich(1.0, 0.5, 0.5, 0.5), parts=[Nothing()], **data).bonded()
     refused(InputError, "'nothing' does nothing: it has neither part", made)
