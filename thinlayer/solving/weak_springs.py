@@ -19,6 +19,7 @@ from forms.base import Array
 from thinlayer.discretisation.state import State
 from thinlayer.errors import NoEquilibrium, SolveError
 from thinlayer.parts.part import Interval
+from thinlayer.solving.balance import TINY
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import Factor, mark
 from thinlayer.solving.petsc import Options, chosen, solve_linear
@@ -71,6 +72,8 @@ class WeakSprings:
         x = kept = self._start = self._x.array_r.copy()
         distance, softer, settled = 0.0, SOFTENING_FACTOR, False
         self._stiffness = FIRST_STIFFNESS * self._unit
+        self.equations.residual(self._x, self._r)
+        self._forces = np.maximum(self.equations.scale.forces, self.equations.residual_norms(self._r))
         while self._stiffness > LEAST_STIFFNESS * self._unit and distance < STOP_DISTANCE * elastic:
             found = self._solve(x)
             if found is None:
@@ -142,11 +145,19 @@ class WeakSprings:
 
     # ---------------------------------------------------------------- Newton's method
     def _residual(self, x: Array) -> float:
+        """Compute the residual with springs; its norm, each block's relative to the forces on it when the search began."""
+        equations = self.equations
         self._x.array[:] = x
-        self.equations.residual(self._x, self._r)
+        equations.residual(self._x, self._r)
         self._r.array[:] += self._stiffness * (x - self._start)
-        self._r.array[self.equations.held] = 0.0
-        return float(self._r.norm())
+        self._r.array[equations.held] = 0.0
+        self._norms = equations.norms(self._r.array_r)
+        return float(np.linalg.norm(self._norms[1:] / np.maximum(self._forces[1:], TINY)))
+
+    def _is_solved(self, x: Array) -> bool:
+        """Whether the residual is small against the forces of the springs on each block."""
+        springs = self._stiffness * self.equations.norms(x - self._start)
+        return bool((self._norms <= np.maximum(TOLERANCE * springs, self.equations.aim(self._x))).all())
 
     def _solve(self, x: Array) -> Array | None:
         """The equilibrium with springs, from x on; None: it was not found."""
@@ -158,7 +169,7 @@ class WeakSprings:
             self._solve_linear(A, self._r, self._d)
             x, size = self._search(x, -self._d.array_r, max(sizes[-COMPARED_RESIDUALS:]))
             sizes.append(size)
-            if size <= max(TOLERANCE * self._stiffness * self._distance(x), self.equations.aim(self._x)[0]):
+            if self._is_solved(x):
                 return x
         return None
 
