@@ -12,11 +12,21 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack
+from forms import (
+    Anisotropic,
+    IncrementalCoulomb,
+    LinearElastic,
+    MohrCoulomb,
+    MohrCoulombMonodirectional,
+    Stack,
+    VonMises,
+)
 from forms.traction import TractionLaw
+from geometry import sandwich
 from tests.limit_load_run import FULL, SLIDING, dragged, sheared
+from tests.own_laws import layer_of
 from tests.refused import refused
-from thinlayer import Adaptive, SolveError, Surface, march, solve
+from thinlayer import Adaptive, SolveError, Structure, Surface, ThinLayer, march, solve
 from thinlayer.errors import LimitLoad
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.running.cli import main as command
@@ -221,3 +231,43 @@ def test_eased_laws_leave_no_trace():
             assert (p.points.material.parameters == before).all()
         again = solver.step(solver.rest(0.3), 0.3)
     assert (again.u.x.array == expected.u.x.array).all()
+
+
+# ---------------------------------------------------------------- beside larger forces
+def pushed_along(law, ratio: float, **data):
+    """A light block, pressed and pushed along on a clamped one, which bears larger forces by a ratio; the limit is 1."""
+    joint, light = sandwich(1.0, 2.0, 0.5, h=0.5, h_S=0.25), LinearElastic.young(E=300.0, nu=0.0)
+    heavy = LinearElastic.young(E=300.0 * max(1.0, ratio / 1e3), nu=0.0)
+    tractions = {"RIGHT/UPPER": lambda x, t: (t * 0.05 / 0.5, 0), "TOP": (0, -0.1)}
+    data = {"body_force": {"LOWER": (0, -0.05 * ratio)}, "element": "P1", "tractions": tractions} | data
+    return Structure(joint, body={"LOWER": heavy, "UPPER": light}, supports={"BOTTOM": 0}, **data).interface(law)
+
+
+RUBS = MohrCoulombMonodirectional(0.0, 10.0, 0.0, friction_angle=np.degrees(np.arctan(0.5)), unilateral=True)
+PUSHED = {
+    "slides": layer_of(RUBS, 0.01),
+    "yields": layer_of(VonMises(0.0, 10.0, strength=0.05 * 3**0.5), 0.01),
+    "contact": IncrementalCoulomb(K_N=1e3, K_T=1e3, friction=0.5),
+}
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1e6])
+@pytest.mark.parametrize("law", PUSHED)
+def test_larger_forces_elsewhere_do_not_hide_a_limit(law, ratio):
+    """Residuals of a millionth of all forces were more than the force that was missing."""
+    error = limit(pushed_along(PUSHED[law], ratio), [0.5, 0.9, 1.1, 1.5])
+    assert error.t == pytest.approx(1.0, abs=0.01)
+    assert error.history.t[-1] <= 1.002
+
+
+def test_weak_springs_that_hold_stiff_bodies_are_right():
+    """A stiff wall on springs 1e7 times softer turns by the moment of its load; residuals are rounding of its stiffness."""
+    load, K, high = 0.02, 30.0, 8.0
+    body = LinearElastic.young(E=1e8, nu=0.2)
+    given = {"body": body, "supports": {"BOTTOM": 0}, "tractions": {"TOP": (load, 0.0)}}
+    made = Structure(sandwich(1.0, 0.5, high, h=0.5), **given)
+    state = solve(made.interface(ThinLayer(Anisotropic.springs(K, K / 3), 1.0)))
+    surface = Surface(state.model)
+    moment = surface.integral(surface.jump(state)[1] * (surface.x[0] - 0.5)) * K
+    assert abs(moment) == pytest.approx(load * high, rel=1e-5)
+    assert np.ptp(surface.nodal(surface.jump(state)[1])) == pytest.approx(12 * load * high / K, rel=1e-5)

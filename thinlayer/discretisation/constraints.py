@@ -362,6 +362,9 @@ class Constraints:
         along = np.isin(prescribed.entry, holders) * (prescribed.directions @ direction)
         along = np.append(along, [shifts[tie.key][k] for tie, k, _ in self._motions])
         g = np.zeros(self.n)
+        for tie in self.ties:  # of motions that are not prescribed: what balances their resultants
+            own, places = self._mine(self.slots[tie.key])
+            g[places] = shifts[tie.key][own]
         g[self._columns] = along[self._single] / self._coefficient
         for one, values in self._with_values(along):
             own, places = self._mine(one.columns)

@@ -136,9 +136,9 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             work = self.model.comm.allreduce(float(r.array_r[held] @ x.array_r[held]))
             here = replace(self.state, u=equations.u.copy(), reactions=equations.reactions(), prescribed_work=work)
             values.append(goal.value(here, self.model))
-            residuals.append(r.array_r[held])
+            residuals.append(r.array_r.copy())
         after, before = residuals
-        terms = np.concatenate([q.array_r * d.array_r, g.array_r[held] * (before - after)])
+        terms = np.concatenate([q.array_r * d.array_r, g.array_r * (before - after)])
         change, least = self.model.comm.allreduce(np.array([terms.sum(), np.abs(terms).sum()]))
         if not abs(values[0] - values[1] - change) <= DUAL * (least + abs(values[0]) + abs(values[1])):
             what = f"the goal {goal.name!r} changes by {values[0] - values[1]:.6g}, its weights say by {change:.6g}"

@@ -1,0 +1,120 @@
+"""Goals mean the same in all places: in states, in their weights, in bounds, beside springs, plates and other seams."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from forms import LinearElastic
+from geometry import block, sandwich, wall
+from tests.on_ranks import on_ranks
+from tests.own_scripts.inertia import Inertia
+from tests.refused import refused
+from thinlayer import (
+    Bond,
+    InputError,
+    RigidPlate,
+    Springs,
+    Structure,
+    Surface,
+    ThinLayer,
+    estimate,
+    goals,
+    march,
+    solve,
+)
+from thinlayer.estimating.goals import Displacement
+
+BODY, LAYER = LinearElastic.young(100.0, 0.3), ThinLayer(LinearElastic.young(1.3, 0.3), 0.1)
+RODS, WALL = sandwich(4.0, 1.5, 1.0, 0.5, cell="quadrilateral"), wall(2, 2, brick=(2.0, 1.0), h=0.25)
+BLOCK, LOAD = block(4.0, 1.5, h=0.5, cell="quadrilateral"), (0.3, -0.5)
+
+
+def structure(joint=RODS, **given):
+    return Structure(joint, **{"body": BODY, "supports": {"BOTTOM": 0}, "tractions": {"TOP": LOAD}} | given)
+
+
+SHARED = {"supports": {"BOTTOM": 0, "LEFT/LOWER": {"x": 0}}, "parts": [Springs("LEFT/UPPER", normal=5.0)]}
+ROLLER = {"supports": {"BOTTOM": 0, "TOP": {"x": 0}}, "tractions": {"RIGHT/UPPER": LOAD}}
+HOLDERS = {
+    "supports and springs": (SHARED, "LEFT", (1, 0)),
+    "a plate that is moved": (ROLLER | {"parts": [RigidPlate("TOP", motion={"y": 0.01})]}, "TOP", (0, 1)),
+    "a plate that is pushed": (ROLLER | {"parts": [RigidPlate("TOP", force=(0, -0.7))]}, "TOP", (0, 1)),
+    "revolution": ({"plane": "axisymmetric"}, "BOTTOM", (1, 1)),
+    "a vertex of S": (
+        {"supports": {(4.0, 0.0): 0}, "joint": block(4.0, 1.5, h=0.5, cell="quadrilateral")},
+        (4.0, 0.0),
+        (1, 0),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", HOLDERS)
+def test_a_reaction_is_of_all_that_holds_a_place(kind):
+    """Its better value, and so bounds, are those of the model whose layer is meshed between the same cells."""
+    given, place, direction = HOLDERS[kind]
+    made, goal = structure(**given), goals.Reaction(place, direction)
+    limit = solve(made.interface(LAYER))
+    told = estimate(limit, goals=[goal]).goals[goal.name]
+    meshed = goal.value(solve(made.full(LAYER)), limit.model)
+    assert meshed == pytest.approx(told.better, rel=1e-6)
+    assert told.lower <= meshed <= told.upper
+    if kind == "revolution":
+        assert meshed == pytest.approx(np.pi * 16 * 0.5 / np.sqrt(2), rel=1e-9)
+        refused(InputError, "radii", lambda: estimate(limit, goals=[goals.Reaction(place, (1, 0))]))
+
+
+@dataclass(frozen=True)
+class Doubled(Displacement):
+    """A goal whose value is not the one that it weighs."""
+
+    def value(self, state, model):
+        return 2.0 * super().value(state, model)
+
+
+def test_a_goal_with_two_definitions_is_refused():
+    state = solve(structure().interface(LAYER))
+    refused(InputError, "`value` and `dual`", lambda: estimate(state, goals=[Doubled((2.0, 1.0), (0, 1))]))
+
+
+def of_wall() -> list[float]:
+    """Mean tractions on the beds and all of S of a wall under a uniform stress, and bounds of the latter."""
+    state = solve(structure(WALL).interface({"BED": LAYER, "HEAD": ThinLayer(LinearElastic.young(2.0, 0.3), 0.1)}))
+    every = [goals.MeanTraction(d, seam) for d in ((0, 1), (1, 0)) for seam in ("BED", "S")]
+    found = estimate(state, goals=every).goals
+    surface = Surface(state.model)
+    whole = surface.integral(surface.traction(state)) / surface.integral(1.0)
+    last = found[every[1].name]
+    return [*(found[one.name].value for one in every), *whole, last.lower, last.upper]
+
+
+@on_ranks(of_wall, 2)
+def test_a_mean_traction_where_seams_meet(there):
+    """On beds equilibrium gives it; on all seams it is that of the law, to its accuracy near junctions."""
+    bed_y, all_y, bed_x, all_x, law_x, law_y, lower, upper = of_wall()
+    assert (bed_x, bed_y) == pytest.approx(LOAD, rel=1e-9)
+    assert (all_x, all_y) == pytest.approx((law_x, law_y), rel=5e-3)
+    assert lower <= upper
+    assert there == pytest.approx([bed_y, all_y, bed_x, all_x, law_x, law_y, lower, upper], rel=1e-6)
+
+
+def test_what_meets_a_layer_by_itself():
+    """Bricks beside an open or another seam would share a node of the layer's face."""
+    made = structure(WALL)
+    beside = solve(made.interface({"BED": LAYER, "HEAD": None}))
+    both = solve(made.interface({"BED": LAYER, "HEAD": LAYER}))
+    refused(InputError, "BED meets HEAD", lambda: estimate(beside))
+    refused(InputError, "BED meets HEAD", lambda: estimate(both, seam="BED"))
+    moving = march(structure(parts=[Inertia(1.0)]).interface(LAYER), [0.1, 0.2])
+    for given in (moving.last, moving):
+        refused(InputError, "'inertia' remembers steps beside the layers", lambda given=given: estimate(given))
+
+
+def test_tractions_of_a_layer_that_ends_at_bonds():
+    """Singular forces of the bonded bricks are not shared out to it; they were three times as large."""
+    state = solve(structure(WALL).interface({"BED": Bond(), "HEAD": LAYER}))
+    heads = Surface(state.model, "HEAD")
+    of_law, reaction = heads.traction(state), heads.reaction(state)
+    assert heads.norm(reaction - of_law) < 0.06 * heads.norm(of_law)
