@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
-from dolfinx import fem
 from petsc4py import PETSc
 from scipy.sparse.linalg import splu
 
@@ -125,20 +124,19 @@ class RigidMotions:
     def blocks(self) -> tuple[IntArray, int]:
         """(n,) numbers >= 1 of the blocks of this rank's displacements, for `ForceScale`, and 1 + the number of blocks.
 
-        A block is a piece of the bodies, or of meshed layers, but for its nodes on S; or these nodes, seam by seam.
+        A block is a piece of the bodies but for its nodes on S, or these nodes, seam by seam; or a piece of meshed layers,
+        with its nodes on the bodies, whose forces it bears: inside there are no others to compare residuals with.
         """
         model, V, joint = self.model, self.model.V, self.model.domain.joint
         pieces = (model.splitting if joint.band is None else cut_at_faces(joint)).pieces
-        of_cells, count = model.domain.on_cells(pieces), int(pieces.max()) + 1
+        of_cells, count, dofs = model.domain.on_cells(pieces), int(pieces.max()) + 1, np.asarray(V.dofmap.list)
         of = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, np.int64)
-        of[np.asarray(V.dofmap.list)] = of_cells[: len(V.dofmap.list), None]
-        if joint.band is None:
-            on_S = [[side.ravel() for side in nodes_of_sides(model, V, name)] for name in model.layers]
-        else:
-            faces = (model.domain.facets(name) for name in joint.band.faces)
-            on_S = [[fem.locate_dofs_topological(V, joint.dim - 1, facets)] for facets in faces]
-        for k, sides in enumerate(on_S, 1):
-            nodes = np.concatenate(sides)
+        in_layer = np.isin(joint.region, [joint.regions.index(name) for name in joint.band.regions] if joint.band else [])
+        for cells in (~in_layer, in_layer):
+            here = model.domain.on_cells(cells)[: len(dofs)]
+            of[dofs[here]] = of_cells[: len(dofs)][here, None]
+        for k, name in enumerate(model.layers if joint.band is None else (), 1):
+            nodes = np.concatenate([side.ravel() for side in nodes_of_sides(model, V, name)])
             of[nodes] = of[nodes] % count + k * count
         of = of.repeat(joint.dim)[: model.constraints.n]
         of[model.constraints.held] %= count
