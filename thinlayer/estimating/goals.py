@@ -216,8 +216,8 @@ class MeanTraction(Directed):
         if any(term.law.traits.compiled for term in model.bodies) and state.model is not model:
             raise InputError(f"{self.name} of bonded bodies: their laws are not linear")
         v, u = self._test(model), displacements_of(state, model)
-        given = state.bodies if state.model is model else model.bodies
-        works = [state.work(given, v)] if state.model.V is model.V else [forms.work(model.bodies, u, v)]
+        bodies = replace(state, model=model, u=u).bodies  # with what strains are given at its time
+        works = [state.work(bodies, v)] if state.model.V is model.V else [forms.work(bodies, u, v)]
         works += [-model.external_work(v, state.t), model.added_work(u, v)]
         return sum(state.model.comm.allreduce(fem.assemble_scalar(compiled(one))) for one in works if one.integrals())
 

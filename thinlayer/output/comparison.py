@@ -67,7 +67,7 @@ def compare(
     opened = ([name for name in one.joint.seams if name not in one.layers] for one in (meshed, limit))
     is_open = [", ".join(names) or "none" for names in opened]
     if is_open[0] != is_open[1]:
-        raise InputError(f"compare needs the same open joints, not {is_open[0]} and {is_open[1]}")
+        raise InputError(f"compare needs the same open or bonded joints, not {is_open[0]} and {is_open[1]}")
     for name, layer in limit.layers.items():
         thin, other = meshed.layers[name].thin, layer.thin
         if thin and other and thin.eps != other.eps:
