@@ -94,7 +94,8 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
                 remedy = "write linear = False in the class, or correct the stress"
                 raise InputError(f"{name} declares linear = True, but its stress is not affine in the strain; {remedy}")
             if law.traits.symmetric and (skew := _apart(C, C.T)):
-                raise InputError(NOT_SYMMETRIC.format(name, skew))
+                fed = f". The memory was random numbers: {', '.join(law.internal)}" * bool(law.internal)
+                raise InputError(NOT_SYMMETRIC.format(name, skew) + fed)
         slope, stress = (values(key, sample) if "slope" in asked else None for key in ("slope", method))
         if slope is not None and stress is not None and np.abs(slope).max() > TOLERANCE * np.abs(stress).max():
             raise InputError(

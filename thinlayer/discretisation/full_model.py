@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, Self
 
@@ -30,6 +30,7 @@ from thinlayer.discretisation.mesh_functions import director
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.supports import Place
+from thinlayer.errors import Refused
 from thinlayer.pointwise.integrals import quadrature_degree
 
 LARGEST_EPS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
@@ -163,6 +164,8 @@ class LayerModel(FullModel):
             at_ends *= min(float(layer.eps) for layer in layers.values())
         vars(given).pop("sheet", None)
         seams = {name: seam for name, seam in joint.seams.items() if name in layers}
+        if replace(joint, seams=seams).tip is not None and (refused := beside(joint, seams)):
+            raise refused.error()
         # fields on S of divided cells are not those of the model's facets: with other points they are refused
         points = joint.points if at_ends is None else joint.points.copy()
         given.joint = replace(joint, points=points, seams=seams)
@@ -196,3 +199,15 @@ class LayerModel(FullModel):
 
     def require_supported(self) -> None:
         """Nothing: the bodies would hold the layers."""
+
+
+def beside(joint: Joint, seams: Iterable[str]) -> Refused | None:
+    """Why layers on these seams are none by themselves, if they meet other seams, which are open or have layers."""
+    vertices = {name: joint.masters[joint.table.vertices[joint.rows_of(name)]] for name in joint.seams}
+    mine = np.concatenate([vertices[name].ravel() for name in seams])
+    others = [name for name in joint.seams if name not in seams and np.isin(vertices[name], mine).any()]
+    if not others:
+        return None
+    reason = f"{', '.join(seams)} meets {', '.join(others)}, where bodies part without a layer among these"
+    remedy = "take all seams that meet, or mesh the layers: structure.full, with a Gap in an open seam"
+    return Refused("beside", f"layers by themselves: {reason}", remedy)

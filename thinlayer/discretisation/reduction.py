@@ -340,6 +340,13 @@ def _by_itself(r: Reduction) -> Iterator[Refused]:
         yield Refused("closed", reason, "take Rubber with Poisson's ratio 0.4999")
 
 
+def _bonded(r: Reduction) -> Iterator[Refused]:
+    """Of bodies that are bonded where the layer was, which it moves apart in one piece."""
+    if r.bent:
+        remedy = "solve structure.full(layer, bodies='extended'), and compare goals: goal.value(state, model)"
+        yield Refused("moved", f"bonded bodies meet on S, where {r.one} {r.bent} leaves them in no place", remedy)
+
+
 def _at_once(r: Reduction) -> Iterator[Refused]:
     """Of a state that knows no rates."""
     if r.one.law.traits.rate:
@@ -370,6 +377,7 @@ QUESTIONS: dict[str, tuple[Ask, ...]] = {
     "interface law": (_law, _next_term),
     "ends": (_thickness, _corrected),
     "estimate": (_thickness, _held_alone, _by_itself),
+    "bonded": (_bonded,),
     "excess of pressure": (_thickness, _evens_out),
     "alone": (_thickness, _at_once, _by_itself),
     "corners": (_thickness, _at_once, _by_itself, _corners),

@@ -89,6 +89,8 @@ def estimate(
     chosen = [name for name in model.layers if seam in (S, name)]
     with on_all(model.comm):
         _require_alone(model, state, [model.layers[name] for name in chosen])
+        for name in given.model.bonds:
+            model.reductions[name].require("bonded", "estimate: ")
         for goal in checked.values():
             goal.check(model)
     better = {name: _of_order_1(model.reductions[name]) for name in chosen}

@@ -18,13 +18,13 @@ from forms.base import Array
 from geometry.joint import Joint
 from geometry.topology import IntArray, sub_entities
 from thinlayer.discretisation.constraints import aij_of, csr_of
-from thinlayer.discretisation.full_model import LayerModel
+from thinlayer.discretisation.full_model import LayerModel, beside
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import Configuration, Report, State
 from thinlayer.discretisation.supports import Place
-from thinlayer.errors import Refused, SolveError
+from thinlayer.errors import SolveError
 from thinlayer.parts.part import Interval
 from thinlayer.solving.equations import Equations
 from thinlayer.system.compat import interpolation_points
@@ -207,14 +207,8 @@ class LayerAlone(HeldLayers):
     def _require_pairs(self, interface: InterfaceModel) -> None:
         """Raise InputError if a displacement of the layers' faces is that of several bodies, which could not part there."""
         times = self._comm.allreduce(np.bincount(self._theirs, minlength=len(self.load)))
-        if (times > 1).any():
-            joint = interface.joint
-            vertices = {name: joint.masters[joint.table.vertices[joint.rows_of(name)]] for name in joint.seams}
-            mine = np.concatenate([vertices[name].ravel() for name in self.seams])
-            beside = [name for name in joint.seams if name not in self.seams and np.isin(vertices[name], mine).any()]
-            meet = f"{', '.join(self.seams)} meets {', '.join(beside)}, where bodies part without a layer among these"
-            remedy = "take all seams that meet, or mesh the layers: structure.full, with a Gap in an open seam"
-            raise Refused("beside", f"layers by themselves: {meet}", remedy).error()
+        if (times > 1).any() and (refused := beside(interface.joint, self.seams)):
+            raise refused.error()
 
     @cached_property
     def _neumann(self) -> _Factor:
