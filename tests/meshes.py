@@ -15,6 +15,8 @@ from geometry.seam import Seam
 from geometry.topology import FacetTable, geometry_degree, lagrange, node_jacobians
 
 CELLS = {"triangle": (2, False), "quadrilateral": (2, True), "tetrahedron": (3, False), "hexahedron": (3, True)}
+MESHIO = {"triangle": ("triangle", "line"), "quadrilateral": ("quad", "line"), "hexahedron": ("hexahedron", "quad")}
+ORDER = {"line": [0, 1], "triangle": [0, 1, 2], "quad": [0, 1, 3, 2], "hexahedron": [0, 1, 3, 2, 4, 5, 7, 6]}
 GRID = np.array([[x, y] for y in (-1.0, 0.0, 1.0) for x in (0.0, 1.0, 2.0)])
 QUADS = np.array([[0, 1, 4, 3], [1, 2, 5, 4], [3, 4, 7, 6], [4, 5, 8, 7]])
 LINES = np.array([[3, 4], [4, 5], [6, 7], [7, 8]])
@@ -116,11 +118,11 @@ def write(path, points, blocks, tags, names):
 
 
 def blocks_of(joint):
-    """Cells and sets of facets of a plane joint, as meshio has them, and the numbers of regions and of sets from 1 on."""
-    kind, order = ("triangle", [0, 1, 2]) if joint.cell_type == "triangle" else ("quad", [0, 1, 3, 2])
+    """Cells and sets of facets of a joint, as meshio has them, and the numbers of regions and of sets from 1 on."""
+    kind, side = MESHIO[joint.cell_type]
     sets = list(joint.facets.values())
     tags = [joint.region + 1, *(np.full(len(rows), k) for k, rows in enumerate(sets, 1))]
-    return [(kind, joint.corners[:, order]), *(("line", rows) for rows in sets)], tags
+    return [(kind, joint.corners[:, ORDER[kind]]), *((side, rows[:, ORDER[side]]) for rows in sets)], tags
 
 
 def squares(path, points=GRID, cells=QUADS, lines=LINES, regions=(1, 1, 2, 2), more=(), names=NAMES, kind="quad"):

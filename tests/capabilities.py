@@ -1,0 +1,181 @@
+"""Columns of the table of capabilities: small models, each of one trait, and what is known of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache, cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import ufl
+
+from forms import HolonomicCoulomb, KelvinVoigt, LinearElastic, Maxwell
+from geometry import fibre, periodic, ring, sandwich, wall
+from tests.meshes import blocks_of, write
+from tests.own_laws import AgeingSpring, Breaking, Cubic, Mises, Skew
+from tests.own_scripts.inertia import Inertia
+from thinlayer import Bond, Gap, Prestress, RigidPlate, Springs, Structure, ThinLayer, UflPart, march, solve
+from thinlayer.discretisation.state import State
+
+EPS, TIMES, LOAD = 0.05, (0.4, 1.0), (0.3, -0.5, 0.1)
+LMBDA, MU, E, NU = 3.0, 2.0, 100.0, 0.2  # of the layer, and of the bodies
+MESH = '{path = "column.msh", S = "S", upper = "UPPER"}'
+
+
+def glue(law: Any = None, eps: float = EPS, stress: float = 1.0, **data: Any) -> ThinLayer:
+    return ThinLayer(law or LinearElastic(LMBDA * stress, MU * stress), eps, **data)
+
+
+class Column:
+    """A structure with a trait, loaded by a traction up to t = 1, and what tests must know of it.
+
+    Attributes:
+        seam: through which all that loads the upper body goes.
+        held, loaded, beside: places that are held, loaded, and held along x.
+        at: a place in the upper body.
+        times: of a march in place of a solve; `past`: whether the layer, or a part, remembers.
+        length, stress: units.
+        unseen: force in regions that no reaction has.
+        toml: keys of its description that are not those of the plain one.
+        data: of `Structure`.
+    """
+
+    joint: Callable[..., Any] = staticmethod(partial(sandwich, 2.0, 0.6, 0.9, 0.5, cell="quadrilateral"))
+    layers, bodies, bonded, data, toml = glue(), "kept", False, {}, {}
+    seam, held, loaded, beside, at = "S", "BOTTOM", "TOP", "RIGHT/UPPER", (0.0, 0.9)
+    times, past, length, stress, unseen, statuses = (), False, 1.0, 1.0, None, {"elastic"}
+
+    def __init__(self, **known: Any) -> None:
+        vars(self).update(known)
+
+    def load(self, x: Any, t: Any) -> tuple[Any, ...]:
+        return tuple(c * self.stress * t for c in LOAD[: len(self.at)])
+
+    @cached_property
+    def structure(self) -> Structure:
+        supports = {self.held: 0.0} | ({self.beside: {"x": 0.0}} if self.beside else {})
+        given = {"supports": supports, "tractions": {self.loaded: self.load}} | self.data
+        return Structure(self.joint(), body=LinearElastic.young(E * self.stress, NU), **given)
+
+    @cached_property
+    def model(self) -> Any:
+        return self.interface(Bond() if self.bonded else self.layers)
+
+    def interface(self, layers: Any) -> Any:
+        return self.structure.interface(layers, bodies=self.bodies)
+
+    def meshed(self, layers: Any = None) -> State:
+        """The state with the layers meshed."""
+        return self.reach(self.structure.full(layers or self.layers, bodies=self.bodies))
+
+    def follow(self, model: Any, t: float = 1.0) -> Any:
+        """What an estimate takes: a history where the past counts, else a state."""
+        if not self.times:
+            return solve(model, t)
+        history = march(model, [t * one for one in self.times])
+        return history if self.past else history.last
+
+    def reach(self, model: Any, t: float = 1.0) -> State:
+        return getattr(found := self.follow(model, t), "last", found)
+
+    @cached_property
+    def state(self) -> State:
+        return self.reach(self.model)
+
+    def described(self, folder: Path) -> Path:
+        """A mesh file and a description."""
+        joint, path = self.structure.joint, folder / "column.toml"
+        sets = (joint.dim - 1, joint.facets), (joint.dim, joint.regions)
+        names = {name: (k, d) for d, of in sets for k, name in enumerate(of, 1)}
+        write(folder / "column.msh", joint.points, *blocks_of(joint), names)
+        held = f'{self.held} = 0, "{self.beside}" = {{x = 0}}' if self.beside else f"{self.held} = 0"
+        keys = {
+            "mesh": MESH, "supports": f"{{{held}}}", "tractions": f"{{{self.loaded} = {[*self.load(None, 1.0)]}}}",
+            "body": f"{{E = {E * self.stress}, nu = {NU}}}",
+            "layer": f"{{lmbda = {LMBDA * self.stress}, mu = {MU * self.stress}, eps = {EPS * self.length}}}",
+        } | self.toml  # fmt: skip
+        path.write_text("\n".join(f"{key} = {value}" for key, value in keys.items()))
+        return path
+
+
+def on_top(state: State, regions: tuple[str, ...]) -> Any:
+    """Force of the foundation that holds the top."""
+    ds = state.model.ds(state.model.domain.values("TOP"))
+    return -np.array([state.integral(7.0 * u * ds) for u in state.u]) * ("UPPER" in regions)
+
+
+def of_inertia(state: State, regions: tuple[str, ...]) -> Any:
+    dx = [state.model.dx(state.model.domain.cell_values(name)) for name in regions]
+    return -np.array([sum(state.integral(2.0 * c * one) for one in dx) for c in state.memory["inertia"]["a"]])
+
+
+def law(name: str, more: str = "") -> dict[str, str]:
+    return {"layer": f'{{law = "{name}", lmbda = {LMBDA}, mu = {MU}, eps = {EPS}{more}}}'}
+
+
+def moved(k: int, x: Any, t: Any) -> Any:
+    return (0.01, 0.006)[k] * t
+
+
+MARCHED = {"times": str([*TIMES]), "tractions": f"{{TOP = {{times = [0, 1], values = [[0, 0], {[*LOAD[:2]]}]}}}}"}
+OLD: dict[str, Any] = {"times": TIMES, "past": True}
+PARTS = {"parts": "[]"}
+SHIFT: dict[str, Any] = {"tractions": {},
+    "supports": {"BOTTOM": 0.0, "TOP": {"x": partial(moved, 0), "y": partial(moved, 1)}}}  # fmt: skip
+TOUCHING: dict[str, Any] = {"layers": HolonomicCoulomb(200.0, 80.0, 0.5), "statuses": {"stick", "sliding", "separated"},
+    "toml": law("HolonomicCoulomb")}  # fmt: skip
+WALL: dict[str, Any] = {"joint": partial(wall, 2, 2, (1.0, 0.5), 0.25), "seam": "BED", "beside": None, "at": (0.0, 1.0)}
+SEAMS = {"mesh": '{path = "column.msh", S = {BED = ["COURSE 1", "COURSE 2"], HEAD = [1, 0]}}'}
+RING: dict[str, Any] = {"held": "INSIDE", "loaded": "OUTSIDE", "beside": "START/OUTER", "at": (2.0, 0.0)}
+COLUMNS: dict[str, Callable[[], Column]] = {
+    "not symmetric": lambda: Column(layers=glue(Skew(MU, 0.7)), toml=law("Skew")),
+    "memory": lambda: Column(layers=glue(Maxwell(LMBDA, MU, t1=0.8)), **OLD, toml=law("Maxwell", ", t1 = 0.8") | MARCHED),
+    "rate": lambda: Column(layers=glue(KelvinVoigt(LMBDA, MU, 2.0, 1.5)), **OLD,
+        toml=law("KelvinVoigt", ", theta_lmbda = 2, theta_mu = 1.5") | MARCHED),
+    "softening": lambda: Column(layers=glue(Breaking(LMBDA, MU, 0.01, 6.0)), **OLD, toml=law("Breaking"), data=SHIFT),
+    "fields": lambda: Column(layers=glue(LinearElastic(LMBDA, lambda x: MU * (1 + 0.3 * x[0]))),
+        toml={"layer": f'{{lmbda = {LMBDA}, mu = "2 + 0.6 x", eps = {EPS}}}'}),
+    "in time": lambda: Column(layers=glue(AgeingSpring(MU, 0.5)), toml=law("AgeingSpring")),
+    "eigenstrain": lambda: Column(layers=glue(eigenstrain=0.02), data={"eigenstrain": 0.001},
+        toml=law("LinearElastic", ", eigenstrain = 0.02") | {"body": f"{{E = {E}, nu = {NU}, eigenstrain = 0.001}}"}),
+    "prestress": lambda: Column(data={"eigenstrain": Prestress([[0.2, 0.1], [0.1, -0.3]])},
+        toml={"body": f"{{E = {E}, nu = {NU}, eigenstrain = [0.2, 0.1]}}"}),
+    "plates": lambda: Column(beside=None, toml=PARTS,
+        data={"tractions": {}, "parts": [RigidPlate("TOP", force=(0.6, -1.0), moment=0.2)]}),
+    "springs": lambda: Column(toml=PARTS,
+        data={"supports": {"RIGHT/UPPER": {"x": 0}}, "parts": [Springs("BOTTOM", 20.0, 30.0)]}),
+    "own form": lambda: Column(unseen=on_top, toml=PARTS, data={"parts": [
+        UflPart(energy=lambda u, model: 3.5 * ufl.inner(u, u) * model.ds(model.domain.values("TOP")))]}),
+    "inertia": lambda: Column(data={"parts": [Inertia(2.0)]}, **OLD, unseen=of_inertia, toml=PARTS),
+    "law in UFL": lambda: Column(layers=glue(Cubic(2.0, 300.0)), toml=law("Cubic")),
+    "law in C": lambda: Column(layers=glue(Mises(LMBDA, MU, 0.5, 2.0)), toml=law("Mises")),
+    "contact 1": lambda: Column(data={"element": "Q1"}, **TOUCHING),
+    "contact 2": lambda: Column(**TOUCHING),
+    "gaps": lambda: Column(layers={"BED": glue(), "HEAD": Gap(0.03)}, **WALL, statuses={"elastic", "no layer"},
+        toml=SEAMS | {"layer": "{BED = {E = 5, nu = 0.3, eps = 0.05}}"}),
+    "bonds": lambda: Column(bonded=True, statuses={"bonded"}, toml={"bonded": "true"}),
+    "networks": lambda: Column(**WALL, toml=SEAMS),
+    "periodic": lambda: Column(beside=None, toml={"periodic": "1"},
+        joint=lambda: periodic(Column.joint(), ("LEFT", "RIGHT"))),
+    "cell": lambda: Column(joint=lambda: periodic(fibre(0.3, (1.0, 1.2), 0.2), ("LEFT", "RIGHT"), ("BOTTOM", "TOP")),
+        bodies="extended", beside=None, at=(0.1, 0.5), toml={"strain": "1"}, data={"supports": {}, "tractions": {},
+        "strain": lambda x, t: ((0.01 * t, 0.004 * t), (0.004 * t, -0.02 * t))}),
+    "revolution": lambda: Column(data={"plane": "axisymmetric"}, toml={"plane": '"axisymmetric"'}),
+    "curved": lambda: Column(joint=partial(ring, 1.0, 1.5, 2.0, 0.5, angle=1.2, cell="quadrilateral"), **RING,
+        bodies="extended", toml={"bodies": '"extended"', "mesh": MESH.replace("UPPER", "OUTER")}),
+    "tapered": lambda: Column(layers=glue(profile=lambda x: 1 + 0.3 * x[0]), bodies="extended",
+        toml=law("LinearElastic", ", profile = [1, 2]")),
+    "3D": lambda: Column(joint=partial(sandwich, 2.0, 0.6, 0.9, 0.5, depth=1.0, cell="hexahedron"), at=(0.0, 0.9, 1.0)),
+    "S2": lambda: Column(data={"element": "S2"}, toml={"element": '"S2"'}),
+    "units": lambda: Column(joint=lambda: replace(one := Column.joint(), points=1e3 * one.points),
+        layers=glue(eps=1e3 * EPS, stress=1e-3), at=(0.0, 900.0), length=1e3, stress=1e-3),
+    "march": lambda: Column(times=TIMES, toml=MARCHED),
+}  # fmt: skip
+
+
+@cache
+def column(name: str) -> Column:
+    """A column by its name; others are the plain one."""
+    return COLUMNS.get(name, Column)()

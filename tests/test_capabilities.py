@@ -1,0 +1,291 @@
+"""A table of what the package can do, by traits of models: each cell has an independent number, or its refusal."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista
+import ufl
+from scipy.spatial import cKDTree
+
+from geometry.parallel import on_root
+from tests.capabilities import COLUMNS, EPS, LOAD, TIMES, Column, column
+from tests.on_ranks import Asked
+from tests.refused import refused
+from thinlayer import (
+    Probe, RangeWarning, Surface, Zoom, compare, ensemble, estimate, fields, goals, march, solve, sweep, thin_enough,
+)  # fmt: skip
+from thinlayer.errors import ThinlayerError
+from thinlayer.running.case import Case
+from thinlayer.running.description import Description
+
+Numbers = list[tuple[float, int, int]]  # values, and their powers of length and of stress
+ROUNDING = 1e-8  # relative: of solves by MUMPS, and of Newton's method
+
+
+def near(a, b, rel=ROUNDING, size=0.0):
+    scale = max(np.abs(a).max(), np.abs(b).max(), size)
+    assert np.abs(np.asarray(a) - b).max() <= rel * scale, (a, b)
+
+
+def in_balance(c: Column, state) -> np.ndarray:
+    """Force of the place that holds the lower body, once all forces have been found to add up to zero."""
+    if not (forces := [one.force for one in state.reactions_by_place().values()]):
+        return np.zeros(2)
+    unseen = c.unseen(state, state.model.domain.joint.regions) if c.unseen else 0.0
+    near(sum(forces) + state.applied().force + unseen, 0.0, size=np.abs(forces).max())
+    return state.reaction(c.held).force
+
+
+def forces(c: Column, state) -> Numbers:
+    return [(value, len(c.at) - 1, 1) for value in in_balance(c, state)]
+
+
+# ---------------------------------------------------------------- rows
+def solved(c, folder):
+    """All forces add up to zero; in a periodic cell the mean stress works in the mean strain what is stored (Hill)."""
+    state = solve(c.model, 1.0)
+    if c.structure.strain:
+        size, stored = np.ptp(c.structure.joint.points, axis=0).prod(), state.energies()
+        near(2 * (stored["bodies"] + stored["layer"]), size * (state.mean_stress() * state.mean_strain()).sum())
+    return forces(c, state)
+
+
+def marched(c, folder):
+    """Energies balance at every step; without a past the last state is that of one solve."""
+    history = march(c.model, TIMES)
+    assert not (np.abs(history.table["imbalance"]) > ROUNDING).any()
+    if not c.past:
+        near(history.last.u.x.array, solve(c.model, 1.0).u.x.array)
+    return forces(c, history.last)
+
+
+def resumed(c, folder):
+    """A march that is broken off and resumed ends as one that is not."""
+    march(c.model, TIMES[:1], out=folder / "run")
+    resumed = march(c.model, TIMES, out=folder / "run", resume=True).last
+    near(resumed.u.x.array, march(c.model, TIMES).last.u.x.array)
+    return forces(c, resumed)
+
+
+def compared(c, folder):
+    """Law and mesh agree, roughly, and forces on the mesh add up to zero."""
+    meshed = c.meshed()
+    errors = [compare(meshed, c.state)[f"error_{name}"] for name in ("traction", "jump")]
+    assert 1e-6 < min(errors) < max(errors) < 0.25
+    return [*forces(c, meshed), *((one, 0, 0) for one in errors)]
+
+
+def estimated(goal: Callable[[Column], goals.Goal], powers, c, folder):
+    """A goal's bounds contain that of the structure with the same cells in its layer; its change is known to a tenth."""
+    asked = goal(c)
+    found = estimate(c.follow(c.model), c.layers if c.bonded else None, [asked])
+    one, rounding = found.goals[asked.name], 1e-6 * found.goals[asked.name].scale
+    meshed = asked.value(c.meshed({name: each.layer for name, each in found.layers.items()}), found.better.model)
+    assert not one.bounded or one.lower - rounding <= meshed <= one.upper + rounding
+    assert abs(one.better - meshed) <= max(0.1 * abs(meshed - one.value), rounding)
+    return [(value, *powers(len(c.at))) for value in (one.value, one.better)]
+
+
+GOALS = {
+    "Compliance": (lambda c: goals.Compliance(), lambda d: (d, 1)),
+    "Reaction": (lambda c: goals.Reaction(c.held, (1, 0.4, 0.1)[: len(c.at)]), lambda d: (d - 1, 1)),
+    "MeanTraction": (lambda c: goals.MeanTraction((1, 0.4, 0.1)[: len(c.at)], c.seam), lambda d: (0, 1)),
+    "Displacement": (lambda c: goals.Displacement(c.at, (0.3, 1, 0.1)[: len(c.at)]), lambda d: (1, 0)),
+    "Functional": (lambda c: goals.Functional("square", lambda u, model: ufl.inner(u, u)
+        * model.ds(model.domain.values(c.loaded))), lambda d: (d + 1, 0)),
+}  # fmt: skip
+
+
+def thin(c, folder):
+    """At the thickness found the meshed layer errs by the tolerance, and by no more."""
+    given = {"times": c.times or None, "bodies": c.bodies, "bonded": c.bonded}
+    seam = {"seam": c.seam} if isinstance(c.layers, dict) else {}
+    found, goal = thin_enough(c.structure, c.layers, 0.02, goals.Compliance(), t=1.0, **given, **seam), goals.Compliance()
+    layer = replace(c.layers, eps=found.eps)
+    state = c.state if c.bonded else c.reach(c.interface(layer))
+    error = abs(goal.value(state, state.model) / goal.value(c.meshed(layer), state.model) - 1)
+    assert error < 1.1 * 0.02
+    assert error > 0.8 * 0.02 or not found.found
+    return [(found.eps, 1, 0)]
+
+
+def zoomed(c, folder):
+    """The stress in the middle of the layer is that in the meshed one."""
+    x = Surface(c.model, c.seam).x[:, 1, 0]
+    found, meshed = (Zoom(one, c.seam).stress(x) for one in (c.state, c.meshed()))
+    near(found, meshed, 0.15)
+    return [(found[1, 1], 0, 1)]
+
+
+def probed(c, folder):
+    """The displacements on both sides of S differ by its jump."""
+    surface, sides = Surface(c.model), ("lower", "upper")
+    places = np.einsum("qa,sfad->sfqd", surface.shapes, surface.faces)[:, 1, 0]
+    lower, upper = (Probe(c.state).displacement(x, side=name) for x, name in zip(places, sides, strict=True))
+    near(upper - lower, surface.jump(c.state)[:, 1, 0], size=np.abs(upper).max())
+    return [(value, 1, 0) for value in upper]
+
+
+def crossed(field, c, folder):
+    """All that loads the upper body goes through S to the place that holds the lower one."""
+    surface = Surface(c.model, c.seam)
+    found = surface.integral(getattr(surface, field)(c.state))
+    if c.structure.plane == "axisymmetric":
+        found[0] = 0.0  # forces along radii add up to zero over the revolution
+    unseen = c.unseen(c.state, ("LOWER",)) if c.unseen else 0.0
+    near(found, -in_balance(c, c.state) - unseen, size=np.abs(LOAD).max() * c.stress)
+    return [(value, len(c.at) - 1, 1) for value in found]
+
+
+def opened(c, folder):
+    """What S opens by is what the bodies do not fill, by Gauss' theorem."""
+    model, joint, surface, u = c.model, c.structure.joint, Surface(c.model), c.state.u
+    n, x = ufl.FacetNormal(model.V.mesh), ufl.SpatialCoordinate(model.V.mesh)
+    divergence = ufl.div(u) + (u[0] / x[0] if c.structure.plane == "axisymmetric" else 0)
+    inner = [*joint.seams, *(joint.periods.names if joint.periods else ())]
+    sides = [model.ds(model.domain.values(name)) for name in joint.facets if name not in inner]
+    outside = sum(c.state.integral(ufl.inner(u, n) * ds) for ds in sides)
+    found = surface.integral((surface.jump(c.state) * surface.n).sum(axis=0))
+    rel = ROUNDING if c.bodies == "kept" else EPS  # others stand half a thickness away from S
+    near(found, outside - c.state.integral(divergence * model.dx), rel, abs(outside))
+    return [(found, joint.dim, 0)]
+
+
+def told(c, folder):
+    """Each facet has one of the statuses that its law can have, and shares of the areas add up to one."""
+    surface = Surface(c.model)
+    rows = surface.table(c.state).rows
+    assert {*surface.status(c.state).ravel()} <= c.statuses
+    near([sum(row.get(name) or 0.0 for name in c.statuses) for row in rows], 1.0)
+    near(sum(row["size"] for row in rows), surface.integral(1.0))
+    return [(row["size"], len(c.at) - 1, 0) for row in rows]
+
+
+def filed(c, folder):
+    """A file has the displacements that a probe finds at its points, and the tractions on S."""
+    fields.write(c.state, folder / "run.pvd")
+    blocks, surface, d = pyvista.read(next(folder.glob("run_pvd/*.vtm"))), Surface(c.model), len(c.at)
+    body, on_s = blocks["bodies"], blocks["S"]
+    off = cKDTree(on_s.points).query(body.points)[0] > 1e-6 * c.length
+    near(Probe(c.state).displacement(body.points[off, :d]), body["u"][off, :d])
+    middle = on_s["traction"].reshape(len(surface.rows), -1, 3)[:, : surface.corners.shape[1], :d].mean(axis=1)
+    near(middle.T, surface.traction(c.state).mean(axis=2), size=c.stress)
+    return [(np.abs(body["u"]).max(), 1, 0), (np.abs(middle).max(), 0, 1)]
+
+
+def in_ensemble(c, folder):
+    """Rows are those of single runs, in the table and in its file."""
+    run = lambda case: {"stored": c.reach(c.model, case["t"]).energies()["bodies"]}
+    table = ensemble(lambda: run, [{"t": 0.5}, {"t": 1.0}], folder / "runs.csv")
+    near(table["stored"][1], c.state.energies()["bodies"])
+    near(np.genfromtxt(folder / "runs.csv", delimiter=",", names=True)["stored"], table["stored"])
+    return [(value, len(c.at), 1) for value in table["stored"]]
+
+
+def swept(c, folder):
+    """The difference from the mesh falls with the thickness."""
+
+    def run(eps):
+        of = lambda one: replace(one, eps=eps, at=EPS * c.length) if hasattr(one, "law") else one
+        layers = {name: of(one) for name, one in c.layers.items()} if isinstance(c.layers, dict) else of(c.layers)
+        return compare(c.meshed(layers), c.reach(c.interface(layers)))
+
+    errors = sweep(run, [EPS * c.length, EPS / 2 * c.length])["error_traction"]
+    assert errors[1] < 0.75 * errors[0]
+    return [(value, 0, 0) for value in errors]
+
+
+def described(c, folder):
+    """A structure that a file describes has the same work of its loads."""
+    case = Case.of(Description.read(on_root(c.model.comm, lambda: c.described(folder))))
+    model, times = case.structure.bonded() if case.given.bonded else case.model(), case.given.times
+    found = march(model, times).last if times else solve(model)
+    near(found.load_work(), c.state.load_work())
+    return [(found.load_work(), len(c.at), 1)]
+
+
+ROWS = {
+    "solve": solved, "march": marched, "resume": resumed, "compare": compared,
+    **{f"estimate {name}": partial(estimated, *given) for name, given in GOALS.items()}, "thin_enough": thin,
+    "Zoom": zoomed, "Probe": probed, **{name: partial(crossed, name) for name in ("traction", "reaction")}, "jump": opened,
+    "status": told, "files": filed, "ensemble": in_ensemble, "sweep": swept, "TOML": described,
+}  # fmt: skip
+
+# ---------------------------------------------------------------- the table
+RANKS = "two ranks"
+ESTIMATES = [name for name in ROWS if name.startswith("estimate")]
+CONTACT, LAWS = ["contact 1", "contact 2"], ["not symmetric", "softening", "in time", "law in UFL", "law in C"]
+REFUSALS = [
+    (["solve"], ["rate", "inertia"], "depends on rates: no equilibrium without time"),
+    (["solve"], ["softening"], "falls as jumps grow, with several equilibria"),
+    (["Zoom"], ["memory"], "it remembers earlier steps"),
+    (["Zoom"], ["rate"], "has a rate, of which a state does not know"),
+    ([*ESTIMATES, "thin_enough", "Zoom"], ["softening"], "a stress that falls as strains grow"),
+    (["compare", *ESTIMATES, "Zoom", "sweep"], CONTACT, "a law on S, without a thickness"),
+    (["thin_enough"], CONTACT, "give a ThinLayer"),
+    ([*ESTIMATES, "thin_enough", "Zoom"], ["gaps"], "BED meets HEAD, where bodies part without a layer"),
+    ([*ESTIMATES, "thin_enough"], ["inertia"], "remembers steps beside the layers"),
+    (["compare"], ["bonds"], "the same open or bonded joints, not none and S"),
+    (["Zoom"], ["bonds"], "there is no layer on the seam 'S'"),
+    (["compare", *ESTIMATES, "thin_enough", "Zoom", "sweep"], ["periodic"], "S reaches one of the periodic sides"),
+    (["estimate Reaction"], ["cell"], "nothing holds 'BOTTOM'"),
+    (["thin_enough"], ["cell"], "compliance is zero, and so has no relative error"),
+    (["TOML"], [*LAWS, *CONTACT], "unknown law of strains"),
+    (["TOML"], ["plates", "springs", "own form", "inertia", "periodic", "cell"], "unknown key '"),
+    (["TOML"], ["tapered"], "unknown key of LinearElastic 'profile'"),
+    (["TOML"], ["fields", "prestress"], "number"),
+    (["TOML"], ["gaps"], "the seam 'HEAD' has no layer"),
+]
+REFUSED = {(row, name): words for rows, names, words in REFUSALS for row in rows for name in names}
+# with bodies="extended" State.mean_stress is over the bodies' volume, not that of the cell
+KNOWN_DEFECTS = {("solve", "cell")}
+
+
+def numbers(row: str, name: str, folder: Path) -> Numbers:
+    with warnings.catch_warnings(action="ignore", category=RangeWarning):
+        return [(float(value), *powers) for value, *powers in ROWS[row](column(name), folder)]
+
+
+@pytest.mark.few(16)
+@pytest.mark.parametrize(("row", "name"), [(row, name) for name in COLUMNS for row in ROWS])
+def test_a_cell(row, name, tmp_path):
+    """It has its independent number, or its refusal; units change no number, nor does a march of what has no past."""
+    if (row, name) in REFUSED:
+        refused(ThinlayerError, re.escape(REFUSED[row, name]), numbers, row, name, tmp_path)
+    elif (row, name) in KNOWN_DEFECTS:
+        refused(AssertionError, "", numbers, row, name, tmp_path)
+    else:
+        found, c = numbers(row, name, tmp_path), column(name)
+        if name in ("units", "march"):
+            (tmp_path / "plain").mkdir()
+            plain = numbers(row, "plain", tmp_path / "plain")
+            near([x for x, *_ in found], [x * c.length**a * c.stress**b for x, a, b in plain], 1e-6)
+
+
+for row in ROWS:  # for `Asked`, which finds functions by their names
+    globals()[f"two ranks {row}"] = partial(lambda row, folder: numbers(row, RANKS, folder), row)
+
+
+@pytest.mark.few(16)
+@pytest.mark.parametrize(
+    ("there", "row"), [(Asked(f"{__name__}:two ranks {row}", 2), row) for row in ROWS], indirect=["there"]
+)
+def test_a_cell_on_two_ranks(row, there, tmp_path):
+    near([x for x, *_ in there], [x for x, *_ in numbers(row, RANKS, tmp_path)], 1e-6)
+
+
+def test_every_pair_is_run_or_refused():
+    """A new row or column changes these counts, once its refusals are known."""
+    cells = {(row, name) for name in (*COLUMNS, RANKS) for row in ROWS}
+    assert {*REFUSED, *KNOWN_DEFECTS} <= cells
+    assert not {*REFUSED} & KNOWN_DEFECTS
+    counts = len(cells) - len(REFUSED) - len(KNOWN_DEFECTS), len(REFUSED), len(KNOWN_DEFECTS)
+    assert (counts, sum(counts)) == ((506, 73, 1), len(ROWS) * (len(COLUMNS) + 1))
