@@ -188,10 +188,11 @@ def _on_s(state: State, model: InterfaceModel, of_facets: Mapping[str, Array]) -
     if contact:
         slip = np.einsum("mk,mkj->mj", contact["slip"], contact["frames"][:, :-1])
         codes = np.array([CONTACT_CODES[one] for one in contact["status"]])
-        slip[codes < 0] = np.nan
         at_corners = lagrange(surface.kind, 1).tabulate(0, lagrange(surface.kind, degree).points)[0, :, :, 0]
         codes = codes[surface.nodes][:, at_corners.argmax(axis=1)]  # of nodes between corners, that of one of these
-        block.point_data.update({"contact": codes.ravel(), "slip": _in_space(at_corners @ slip[surface.nodes])})
+        slip = at_corners @ slip[surface.nodes]
+        slip[codes < 0] = np.nan
+        block.point_data.update({"contact": codes.ravel(), "slip": _in_space(slip)})
         block.field_data["contact codes"] = _legend(CONTACT_CODES)
     block.cell_data.update(of_facets)
     return block
