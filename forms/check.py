@@ -83,10 +83,9 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
         for key in found:
             tensor = values(key, sample)
             if tensor is not None and tensor.ndim == 2 and (skew := _apart(tensor, tensor.T)):
-                raise InputError(
-                    f"{name}.{key} is not symmetric: it differs from its transpose by {skew:.1e} of its size; "
-                    "use ufl.sym, or vectors (3,) as internal variables"
-                )
+                why = f"it differs from its transpose by {skew:.1e} of its size"
+                remedy = "use ufl.sym, or vectors (3,) as internal variables"
+                raise InputError(f"{name}.{key} is not symmetric: {why}; {remedy}")
         turned = [np.concatenate([change, sample[6:]]) for change in (e, -e, 3 * e[::-1])]
         tangents = [C for one in turned if (C := values("tangent", one)) is not None]
         for C in tangents:
@@ -98,11 +97,9 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
                 raise InputError(NOT_SYMMETRIC.format(name, skew) + fed)
         slope, stress = (values(key, sample) if "slope" in asked else None for key in ("slope", method))
         if slope is not None and stress is not None and np.abs(slope).max() > TOLERANCE * np.abs(stress).max():
-            raise InputError(
-                f"{name}: the derivative of the energy by the strain is not the stress, it is "
-                f"{np.abs(slope).max() / (np.abs(stress).max() or 1.0):.1e} of the stress away; correct one of them, or "
-                "write symmetric = False in the class if the stress has no energy"
-            )
+            away = f"it is {np.abs(slope).max() / (np.abs(stress).max() or 1.0):.1e} of the stress away"
+            remedy = "correct one of them, or write symmetric = False in the class if the stress has no energy"
+            raise InputError(f"{name}: the derivative of the energy by the strain is not the stress, {away}; {remedy}")
 
 
 def _computed(law: BulkLaw, step: Step) -> dict[str, Expr]:
@@ -153,10 +150,9 @@ def _require_no_decisions(law: BulkLaw, d: int | None, sample: Array, values: Ca
         for key, one in found.items():
             direct, traced = _evaluated(one), values(key, inputs)
             if direct is not None and traced is not None and _apart(direct, traced, least.get(key, 0.0)):
-                raise InputError(
-                    f"{type(law).__name__}.{key}: a parameter, or a value computed from it, is compared or used as a "
-                    "condition in Python; laws are traced once for all numbers: write ufl.conditional(ufl.eq(a, b), c, d)"
-                )
+                what = "a parameter, or a value computed from it, is compared or used as a condition in Python"
+                remedy = "laws are traced once for all numbers: write ufl.conditional(ufl.eq(a, b), c, d)"
+                raise InputError(f"{type(law).__name__}.{key}: {what}; {remedy}")
 
 
 def _apart(a: Array, b: Array, least: float = 0.0) -> float:

@@ -128,10 +128,9 @@ def _require_used(law: Any) -> None:
     defining = min(_place(kind, one) for one in ("source", "ignored"))
     for one in kind.ignored:
         if _own(kind, one) and _place(kind, one) < defining:
-            raise InputError(
-                f"{name} has a method {one} that is never called: the stress comes from the source, sublayers or "
-                f"the traction of {kind.__mro__[defining].__name__}; change those, or write a BulkLaw"
-            )
+            source = f"the source, sublayers or the traction of {kind.__mro__[defining].__name__}"
+            why = f"the stress comes from {source}; change those, or write a BulkLaw"
+            raise InputError(f"{name} has a method {one} that is never called: {why}")
     advancing = [one for one in ("advance", "evolve") if _own(kind, one)]
     if advancing and not law.internal:
         raise InputError(f"{name} has a method {advancing[0]} but no internal variables: internal = {{name: shape}}")
@@ -223,9 +222,8 @@ class Traits:
         """
         declared = {f.name: getattr(law, f.name, f.default) for f in fields(cls) if f.name not in of_methods}
         for name, value in declared.items():
-            require(
-                isinstance(value, bool | np.bool_), f"{type(law).__name__}: {name}", value, "a trait is True or False"
-            )
+            good = isinstance(value, bool | np.bool_)
+            require(good, f"{type(law).__name__}: {name}", value, "a trait is True or False")
         return cls(**{name: bool(value) for name, value in (declared | of_methods).items()})
 
     @classmethod

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, cached_property
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -237,10 +238,9 @@ class Law:
             said = str(error) if str(error)[:1].isalpha() and " is " in str(error) else f"{name} is {error}"
             raise InputError(f"{type(self).__name__}: {said}, at {place_of(x, error.k)}") from None
         except Exception as error:
-            raise InputError(
-                f"{type(self).__name__}: {name}(x) fails for x of shape {x.shape}: {type(error).__name__}: {error}; "
-                "it must be a numpy function of places (d, n) in the joint that gives n numbers"
-            ) from error
+            why = f"fails for x of shape {x.shape}: {type(error).__name__}: {error}"
+            needs = "it must be a numpy function of places (d, n) in the joint that gives n numbers"
+            raise InputError(f"{type(self).__name__}: {name}(x) {why}; {needs}") from error
 
     def at_places(self, x: Array) -> Iterator[Self]:
         """The law with numbers, unchecked, at each of the places x (d, n)."""
@@ -347,10 +347,8 @@ class BulkLaw(Law):
         if self.traits.softens:
             raise InputError(f"order=1 of {type(self).__name__}: its two stations would soften one by one; use order=0")
         if self.traits.plateau:
-            raise InputError(
-                f"order=1 of {self!r}: where phases mix in sheets parallel to S, strains are not uniform through the "
-                "layer, and the next term depends on where the sheets lie; use order=0"
-            )
+            why = "strains are not uniform through the layer, and the next term depends on where the sheets lie"
+            raise InputError(f"order=1 of {self!r}: where phases mix in sheets parallel to S, {why}; use order=0")
         return at_gauss_points(self)
 
     def elastic_moduli(self) -> tuple[Any, Any]:
@@ -359,11 +357,10 @@ class BulkLaw(Law):
         Raises:
             InputError: this is none.
         """
-        raise InputError(
-            f"order=1 of a Stack with the sublayer {type(self).__name__}: it is known for isotropic elastic sublayers "
-            "(LinearElastic), which share the jump in fixed proportions along S and across it; use order=0, or mesh the "
-            "layer (structure.full)"
-        )
+        known = "it is known for isotropic elastic sublayers (LinearElastic), which share the jump in fixed proportions"
+        remedy = "use order=0, or mesh the layer (structure.full)"
+        what = f"order=1 of a Stack with the sublayer {type(self).__name__}"
+        raise InputError(f"{what}: {known} along S and across it; {remedy}")
 
     def own_step(self, step: Step) -> Step:
         """The step as the law's methods get it: the strain at t + theta dt alone for laws without rate and memory."""
@@ -407,11 +404,10 @@ class BulkLaw(Law):
             InputError: a law with a pressure, or whose phases switch, that has no method plane_stress of its own.
         """
         if self.traits.constrained or self.traits.switches:
-            why = "its pressure" if self.traits.constrained else "its phases"
-            raise InputError(
-                f"plane stress is not defined for {type(self).__name__}, because {why} would need more than a strain out "
-                "of the plane at each point; use plane='strain', or write a method plane_stress beside its stress"
-            )
+            what = "its pressure" if self.traits.constrained else "its phases"
+            why = f"because {what} would need more than a strain out of the plane at each point"
+            remedy = "use plane='strain', or write a method plane_stress beside its stress"
+            raise InputError(f"plane stress is not defined for {type(self).__name__}, {why}; {remedy}")
         return PlaneStress(self)
 
     @property
@@ -428,6 +424,11 @@ class BulkLaw(Law):
         return self.mapped(lambda value, power: (value if is_field(value) else np.asarray(value, float)) * ratio**power)
 
 
+def _of_its_law(name: str) -> Any:
+    """Property of an `OfLaw` that is an attribute or a method of its law."""
+    return property(attrgetter(f"law.{name}"))
+
+
 @dataclass(frozen=True, eq=False)
 class OfLaw(BulkLaw):
     """A law that is another one in other words: it has the parameters and the memory of that one.
@@ -441,36 +442,9 @@ class OfLaw(BulkLaw):
     def __post_init__(self) -> None:
         """Nothing: the law has been checked."""
 
-    @property
-    def powers(self) -> Mapping[str, float]:  # type: ignore[override]
-        return self.law.powers
-
-    @property
-    def internal(self) -> Mapping[str, tuple[int, ...]]:  # type: ignore[override]
-        return self.law.internal
-
-    @property
-    def break_times(self) -> set[float]:
-        return self.law.break_times
-
-    @property
-    def fields(self) -> dict[str, Field]:
-        return self.law.fields
-
-    def fields_at(self, x: Array) -> dict[str, Array]:
-        return self.law.fields_at(x)
-
-    def check(self) -> None:
-        self.law.check()
-
-    def check_dimension(self, d: int) -> None:
-        self.law.check_dimension(d)
-
-    def at(self, x: Array, t: float) -> dict[str, Array]:
-        return self.law.at(x, t)
-
-    def parameters(self) -> dict[str, Any]:
-        return self.law.parameters()
+    powers, internal, break_times, fields = map(_of_its_law, ("powers", "internal", "break_times", "fields"))
+    fields_at, at, parameters = map(_of_its_law, ("fields_at", "at", "parameters"))
+    check, check_dimension = map(_of_its_law, ("check", "check_dimension"))
 
     def choices(self) -> tuple[tuple[str, Any], ...]:
         return ("law", type(self.law)), *self.law.choices()

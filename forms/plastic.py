@@ -78,11 +78,9 @@ class Plastic(BulkLaw):
         self.require(0 <= self.friction_angle < 90, "friction_angle", "0 <= friction_angle < 90 degrees")
         if 0 < self.friction_angle < LIKELY_RADIANS:
             angle = self.friction_angle
-            warn_of_range(
-                "friction angle",
-                f"{type(self).__name__}: friction_angle is {angle:g} degrees, almost no friction; angles are in degrees: "
-                f"{angle:g} radians would be friction_angle = {math.degrees(angle):.4g}",
-            )
+            hint = f"angles are in degrees: {angle:g} radians would be friction_angle = {math.degrees(angle):.4g}"
+            what = f"{type(self).__name__}: friction_angle is {angle:g} degrees, almost no friction"
+            warn_of_range("friction angle", f"{what}; {hint}")
         allowed = "> 0 where friction_angle = 0: nothing would resist shear"
         self.require(self.cohesion > 0 or self.friction_angle > 0, "cohesion", allowed)
         self.require(0 <= self.elastic_fraction < 1, "elastic_fraction", "0 <= elastic_fraction < 1")

@@ -199,10 +199,9 @@ class Stack(BulkLaw):
         if len(self.laws) == 1:
             return self.laws[0].stations()
         if self.fields:
-            raise InputError(
-                "order=1 of a Stack with parameters that are functions: the sublayers' shares of the jump would change "
-                "along S; use order=0, or mesh the layer (structure.full)"
-            )
+            why = "the sublayers' shares of the jump would change along S"
+            remedy = "use order=0, or mesh the layer (structure.full)"
+            raise InputError(f"order=1 of a Stack with parameters that are functions: {why}; {remedy}")
         return in_series(self.sublayers)
 
     def with_laws(self, laws: Sequence[BulkLaw]) -> Stack:

@@ -321,10 +321,9 @@ def require_stable(law: BulkLaw, C: Array | None, n: Array | None = None, slots:
     A, what = (C[np.ix_(slots, slots)], "(of C)") if n is None else (across(C, n), "across the layer (of n.C.n)")
     lowest, size = float(np.linalg.eigvals(A).real.min()), float(np.abs(C).max())
     if lowest < -NEGATIVE * size:
-        raise InputError(
-            f"{type(law).__name__}: the stiffness at rest is negative, the smallest eigenvalue {what} is {lowest:.4g}, the "
-            f"largest entry of C {size:.4g}; allowed: >= 0. Check the signs of the stress and of the parameters (real ones)"
-        )
+        known = f"the smallest eigenvalue {what} is {lowest:.4g}, the largest entry of C {size:.4g}; allowed: >= 0"
+        remedy = "Check the signs of the stress and of the parameters (real ones)"
+        raise InputError(f"{type(law).__name__}: the stiffness at rest is negative, {known}. {remedy}")
 
 
 def mandel(a: Array) -> Array:
