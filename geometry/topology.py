@@ -96,9 +96,8 @@ class FacetTable:
     def of(cls, corners: IntArray, cell_type: str) -> FacetTable:
         """The table of a mesh given by its cells' vertices; raises InputError if more than two cells share a facet."""
         short = corners.T.astype(np.int32)  # half the memory, and faster
-        columns = sorted_columns(
-            [np.concatenate(one) for one in zip(*(short[f] for f in local_facets(cell_type)), strict=True)]
-        )
+        facets = zip(*(short[f] for f in local_facets(cell_type)), strict=True)
+        columns = sorted_columns([np.concatenate(one) for one in facets])
         order = np.lexsort(columns[::-1])
         start = np.flatnonzero(_changes(columns, order))
         counts = np.diff(start, append=len(order))
@@ -194,12 +193,9 @@ def facet_normals(points: FloatArray, nodes: IntArray, cell_type: str) -> FloatA
     """Unit normals (either direction) at the nodes of facets, (n_facets, n_nodes, d); nodes in the facet's own order."""
     facet_type = FACET_TYPES[cell_type]
     element = lagrange(facet_type, geometry_degree(facet_type, nodes.shape[1]))
-    gradients = element.tabulate(1, element.points)[1:, :, :, 0]
+    gradients, plane = element.tabulate(1, element.points)[1:, :, :, 0], points.shape[1] == 2
     tangents = np.einsum("tqn,fnd->tfqd", gradients, points[nodes])
-    if points.shape[1] == 2:
-        normal = np.stack([-tangents[0, ..., 1], tangents[0, ..., 0]], axis=-1)
-    else:
-        normal = np.cross(tangents[0], tangents[1])
+    normal = np.stack([-tangents[0, ..., 1], tangents[0, ..., 0]], axis=-1) if plane else np.cross(*tangents)
     return np.asarray(normal / np.linalg.norm(normal, axis=-1, keepdims=True), float)
 
 

@@ -78,10 +78,9 @@ class Cells:
         own = points[used]
         height = own[:, dim:]
         if height.size and np.ptp(height) > CLOSE * np.ptp(own, axis=0).max():
-            raise InputError(
-                f"2D mesh in 3D: {what} at z = {height.min():g} to {height.max():g}, not in a plane z = const; "
-                "for a solid save the cells of the volume too (gmsh: name them with Physical Volume)"
-            )
+            where = f"at z = {height.min():g} to {height.max():g}, not in a plane z = const"
+            remedy = "for a solid save the cells of the volume too (gmsh: name them with Physical Volume)"
+            raise InputError(f"2D mesh in 3D: {what} {where}; {remedy}")
         return cls(own[:, :dim].copy(), numbers.reshape(nodes.shape), cell_type, used)
 
     @property
@@ -106,11 +105,10 @@ class Cells:
         pairs = cKDTree(self.points).query_pairs(CLOSE * np.ptp(self.points, axis=0).max(), output_type="ndarray")
         if len(pairs):
             x = self.points[pairs[pairs[:, 0].argmin(), 0]]
-            raise InputError(
-                f"{len(pairs)} pairs of nodes at the same place, the first at {place(x)}: the cells there are not "
-                "connected; let bodies share their nodes (gmsh: BooleanFragments or Coherence before meshing, "
-                f"removeDuplicateNodes after it), or draw gaps that stay unbonded wider than {CLOSE:g} of the mesh"
-            )
+            where = f"pairs of nodes at the same place, the first at {place(x)}: the cells there are not connected"
+            ways = "gmsh: BooleanFragments or Coherence before meshing, removeDuplicateNodes after it"
+            remedy = f"let bodies share their nodes ({ways}), or draw gaps that stay unbonded wider than {CLOSE:g}"
+            raise InputError(f"{len(pairs)} {where}; {remedy} of the mesh")
 
     def facets_among(self, vertices: IntArray) -> FacetTable:
         """Facets of the cells that have a whole facet among the given vertices; cells numbered as in `nodes`."""
@@ -142,10 +140,9 @@ class Sides:
             return cls(S, Seam(below, above, way))
         rules = dict(S) if isinstance(S, Mapping) else dict.fromkeys(S)
         if not rules or not all(isinstance(name, str) for name in rules):
-            raise InputError(
-                f"S is {S!r}; give the name of one set of facets (a group can have several parts), the names of several, "
-                "{name: its upper side}, or None for all facets between the regions lower and upper"
-            )
+            names = "the name of one set of facets (a group can have several parts), the names of several"
+            others = "{name: its upper side}, or None for all facets between the regions lower and upper"
+            raise InputError(f"S is {S!r}; give {names}, {others}")
         if above or below or way:
             raise InputError("S names several seams: give the sides of each there, as {name: (lower, upper)}")
         return cls(None, Seam(), {name: _seam(name, rule) for name, rule in rules.items()})
@@ -247,18 +244,16 @@ class Named:
         if (beside[:, 1] < 0).all() and not lower:
             other = [region for region in touched if region not in (upper or whole)]
             if other:
-                raise InputError(
-                    f"{name!r} lies on the outer boundary of {' and '.join(other)}, and {'+'.join(upper)}, named in upper, "
-                    f"does not touch it there; have both bodies the same nodes on {name!r}?"
-                )
+                where = f"{name!r} lies on the outer boundary of {' and '.join(other)}"
+                why = f"{'+'.join(upper)}, named in upper, does not touch it there"
+                raise InputError(f"{where}, and {why}; have both bodies the same nodes on {name!r}?")
             return facets, Seam((), upper or whole)
         if way is not None:
             return facets, Seam(lower or upper or whole, upper or lower or whole, way)
         if not upper:
-            raise InputError(
-                f"{name!r} lies inside {' and '.join(touched)}; name the regions above it in upper, or give the "
-                f"direction of the upper side if the same body is on both; {regions}"
-            )
+            where = f"{name!r} lies inside {' and '.join(touched)}"
+            remedy = "name the regions above it in upper, or give the direction of the upper side"
+            raise InputError(f"{where}; {remedy} if the same body is on both; {regions}")
         return facets, Seam(lower or tuple(region for region in whole if region not in upper), upper)
 
     def beside(self, name: str) -> IntArray:

@@ -162,11 +162,10 @@ def posts_of(joint: Joint, copies: Copies, heights: Sequence[FloatArray]) -> tup
     for (one, other, way), x in zip(cases, places, strict=True):
         own, beside = heights[one], 1 - heights[other][::-1] if way else heights[other]
         if len(own) != len(beside) or np.abs(own - beside).max() > SAME_HEIGHT:
-            continues = f"{names[one]!r} and {names[other]!r} continue one another"
-            raise InputError(
-                f"at {place(x)} {continues if one != other else 'the upper side changes'}, and their sublayers do not "
-                "meet: give them the same ones, and an upper side on the same body"
-            )
+            continued = f"{names[one]!r} and {names[other]!r} continue one another"
+            what = continued if one != other else "the upper side changes"
+            remedy = "give them the same ones, and an upper side on the same body"
+            raise InputError(f"at {place(x)} {what}, and their sublayers do not meet: {remedy}")
         if way and joint.dim == 3:
             raise InputError(f"the upper side of S changes at {place(x)}: in 3D each layer needs one on one side there")
     shape, nodes = joint.surface.shape, joint.surface.ravel()[first]

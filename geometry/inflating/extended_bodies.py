@@ -69,10 +69,9 @@ def face_motion(joint: Joint, copies: Copies, given_up: tuple[FloatArray, FloatA
     error = np.where(uniform[index].all(axis=1, keepdims=True), 0.0, np.abs(gap - 1))
     if error.max() > NO_CORNER:
         at = index.flat[error.argmax()]
-        raise InputError(
-            f"layers of different thickness, {thin[at]:g} and {thick[at]:g} on one side, meet nearly in line at "
-            f"{place(x[at])}: the body between them has no corner there; give them one thickness"
-        )
+        sizes = f"layers of different thickness, {thin[at]:g} and {thick[at]:g} on one side"
+        why = "the body between them has no corner there; give them one thickness"
+        raise InputError(f"{sizes}, meet nearly in line at {place(x[at])}: {why}")
     return known, motion
 
 

@@ -163,8 +163,7 @@ class Grading:
 
     def put(self, curve: int) -> None:
         """Prescribe the cells of a curve of the gmsh model."""
-        if self.symmetric and self.first != self.last:
-            law = ("Bump", self.first / self.last)
-        else:
-            law = ("Progression", 1 / self.growth if self.backwards else self.growth)
+        bump = self.symmetric and self.first != self.last
+        ratio = 1 / self.growth if self.backwards else self.growth
+        law = ("Bump", self.first / self.last) if bump else ("Progression", ratio)
         gmsh.model.mesh.setTransfiniteCurve(curve, self.n + 1, *law)
