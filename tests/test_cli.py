@@ -17,9 +17,8 @@ import dolfinx
 import pytest
 from petsc4py import PETSc
 
-from studies import GROUPS
 from thinlayer.running import cli
-from thinlayer.running.catalogue import duration
+from thinlayer.running.catalogue import GROUPS, duration
 from thinlayer.system.words import VERSION
 
 CLONE = Path(__file__).parent.parent

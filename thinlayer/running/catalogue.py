@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import ast
 import re
+import tomllib
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from textwrap import fill
 from typing import Any
 
-from studies import GROUPS
-
+STUDIES = Path(__file__).parents[2] / "studies"
+# group -> study -> seconds, see `Study`
+GROUPS: dict[str, dict[str, list[float]]] = tomllib.loads((STUDIES / "data/studies.toml").read_text(encoding="utf-8"))
 UNITS = {"h": 3600, "min": 60, "s": 1}
 
 
@@ -24,7 +26,7 @@ class Study:
         summary: first line of its docstring.
         options: name of a keyword argument of its `run` -> arguments of `ArgumentParser.add_argument` for it.
         drawn: whether it has pictures, which its `draw` makes of its tables; others have tables alone.
-        group: of `studies.GROUPS`.
+        group: of `GROUPS`.
         quick, full: seconds that it takes with --quick, and in full, roughly.
     """
 
@@ -40,10 +42,10 @@ class Study:
 @cache
 def studies() -> dict[str, Study]:
     """All studies by name, in the order of their groups."""
-    found, folder = {}, Path(__file__).parents[2] / "studies"
+    found = {}
     for group, members in GROUPS.items():
         for name, seconds in members.items():
-            tree = ast.parse((folder / f"{name}.py").read_text(encoding="utf-8"))
+            tree = ast.parse((STUDIES / f"{name}.py").read_text(encoding="utf-8"))
             functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
             run, summary = functions["run"], (ast.get_docstring(tree) or "").partition("\n")[0]
             options = {one.arg: _option(one, ast.get_docstring(run) or "") for one in run.args.kwonlyargs}
