@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from functools import partial
 from pathlib import Path
+from string import Template
 
 from geometry.importing.naming import Named
 from geometry.importing.reading import with_groups
@@ -36,20 +37,9 @@ def _filled(mesh: Path, named: Named) -> str:
     sides = [quoted(name) for name in named.facets if name not in inside]
     bodies = "\n\n".join(f"[body.{quoted(name)}]\n{moduli}" for name in named.regions)
     held, loaded = ("\n".join(f"{name} = {quoted(value)}" for name in sides) for value in ("?", vector))
-    return f"""# Fill in each "?", and delete what is not so: thinlayer/docs/reference/description.md has all keys.
-# {words}
-mesh = {{path = {quoted(str(mesh))}, {seam}}}
-units = "?"  # of lengths and of stresses, such as "mm, MPa"
-
-{bodies}
-
-{layers}
-
-[supports]  # what is held: 0, a displacement, or components such as {{x = 0}}
-{held}
-
-[tractions]  # what is loaded: components of a stress, or {{pressure = 5}}
-{loaded}"""
+    values = {"bodies": bodies, "layers": layers, "held": held, "loaded": loaded, "seam": seam, "words": words}
+    text = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8").rstrip()
+    return Template(text).substitute(values, path=quoted(str(mesh)))
 
 
 def _seam(inside: dict[str, list[str]], names: str) -> tuple[str, str]:
@@ -62,9 +52,7 @@ def _seam(inside: dict[str, list[str]], names: str) -> tuple[str, str]:
     if inside:
         pairs = {name: quoted(touched if len(touched) == 2 else "?") for name, touched in inside.items()}
         sides = ", ".join(f"{quoted(name)} = {pair}" for name, pair in pairs.items())
-        return (
-            f"S = {{{sides}}}",
-            "S has the facet sets inside the bodies: [lower region, upper region], or a vector upwards",
-        )
+        words = "S has the facet sets inside the bodies: [lower region, upper region], or a vector upwards"
+        return f"S = {{{sides}}}", words
     candidates = names or "none; with lower and upper alone S is all between these regions"
     return 'S = "?", upper = "?"', f"S is where the layer is, upper a region above it; facet sets: {candidates}"
