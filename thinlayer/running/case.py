@@ -74,24 +74,19 @@ class Case:
 
 
 def _structure(given: Description, joint: Joint) -> Structure:
-    tractions = {
-        name: Pressure(_timed(load["pressure"])) if isinstance(load, Mapping) else _timed(load)
-        for name, load in given.tractions.items()
-    }
-    supports: Any = {
-        place: {axis: _timed(value) for axis, value in one.items()} if isinstance(one, Mapping) else one
-        for place, one in given.supports.items()
-    }
+    supports, loads_on = _timed(given.supports), _timed(given.tractions).items()
+    tractions = {name: Pressure(one["pressure"]) if isinstance(one, Mapping) else one for name, one in loads_on}
     strains: Any = {name: one.eigenstrain for name, one in given.body.items() if one.eigenstrain is not None}
-    forces = [{**one, "force": _timed(one["force"])} for one in given.loads]
-    loads: list[Any] = [LineLoad(**one) if "first" in one else PointLoad(**one) for one in forces]
+    loads: list[Any] = [(LineLoad if "first" in one else PointLoad)(**_timed(one)) for one in given.loads]
     bodies = {"body": _by_name(given.body, lambda one: one.law), "eigenstrain": strains.get(None, strains) or None}
     loaded = {"supports": supports, "tractions": tractions, "body_force": given.body_force, "loads": loads}
     return Structure(joint, plane=given.plane or "strain", element=given.element, **bodies, **loaded)
 
 
 def _timed(value: Any) -> Any:
-    """A value, or the function of time that a history is."""
+    """A value, or the function of time that a history is, also in a table."""
+    if isinstance(value, Mapping):
+        return {name: _timed(one) for name, one in value.items()}
     return piecewise(value.values) if isinstance(value, History) else value
 
 

@@ -180,9 +180,8 @@ def _loads(section: Section, key: str) -> tuple[dict[str, Any], ...]:
 
 def _times(section: Section, key: str) -> tuple[float, ...]:
     wrong = "are no times; give numbers > 0 that grow, such as [0.5, 1]"
-    return tuple(
-        map(float, section.checked(key, lambda one: one and is_growing(one) and all(t > 0 for t in one), wrong))
-    )
+    times = section.checked(key, lambda one: one and is_growing(one) and all(t > 0 for t in one), wrong)
+    return tuple(map(float, times))
 
 
 def _goals(section: Section, key: str) -> dict[str, dict[str, Any]]:
