@@ -37,8 +37,7 @@ def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
     message = f"plane={kinematics.name!r}: x is the distance from the axis of revolution, and {{bad}} points have x < 0"
     refuse((r < 0) & ~on, joint.points, f"{message}, the first at {{at}}; allowed: x >= 0")
     for name in joint.seams if joint.band is None else ():
-        facets = joint.table.vertices[joint.rows_of(name)]
-        if on[facets].all(axis=1).any():
+        if on[joint.table.vertices[joint.rows_of(name)]].all(axis=1).any():
             raise InputError(f"plane={kinematics.name!r}: the seam {name!r} lies on the axis, where it has no area")
     if joint.periods:
         held = np.delete(joint.periods.vectors(joint.points), kinematics.translations(joint.dim), axis=1)

@@ -184,9 +184,8 @@ class LayerModel(FullModel):
             try:
                 self.divided = divided(layers, distance, self._at_ends)
             except InputError:
-                raise InputError(
-                    "cells at ends are so short that nodes are at one place; make at_ends larger"
-                ) from None
+                short = "cells at ends are so short that nodes are at one place"
+                raise InputError(f"{short}; make at_ends larger") from None
             layers = self.divided.joint
 
         def has(place: Place) -> bool:

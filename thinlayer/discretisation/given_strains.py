@@ -300,8 +300,7 @@ def given_strain(given: Any, matter: Matter) -> Expr | None:
         return None
     strains = (_negative(one.components(matter), matter) for one in eigenstrains(given))
     found = matter.kinematics.seen(summed(*strains))
-    zero = all(isinstance(found[i, j], ufl.classes.Zero) for i in range(3) for j in range(3))
-    return None if zero else found
+    return None if all(isinstance(found[i, j], ufl.classes.Zero) for i in range(3) for j in range(3)) else found
 
 
 class VaryingStrains:

@@ -352,14 +352,11 @@ def nodes_of_sides(model: Any, V: fem.FunctionSpace, name: str) -> tuple[IntArra
     On a rigid base there are none below. In a space of degree 1 the nodes of a facet face each other, column by column.
     """
     domain, mesh, d = model.domain, model.domain.mesh, model.joint.dim
-    if name in model.joint.base_seams:
-        entities = exterior_facet_entities(mesh, np.sort(domain.facets(name))).astype(np.int64)
-    else:
-        entities = seam_entities(domain, name).astype(np.int64)
-    layout = V.dofmap.dof_layout
-    closures = np.array(
-        [layout.entity_closure_dofs(d - 1, k) for k in range(int(entities[:, 1::2].max(initial=0)) + 1)]
-    )
+    based, layout = name in model.joint.base_seams, V.dofmap.dof_layout
+    rows = exterior_facet_entities(mesh, np.sort(domain.facets(name))) if based else seam_entities(domain, name)
+    entities = rows.astype(np.int64)
+    kinds = range(int(entities[:, 1::2].max(initial=0)) + 1)
+    closures = np.array([layout.entity_closure_dofs(d - 1, k) for k in kinds])
     vertices, sides = mesh.topology.connectivity(d, 0).array.reshape(len(V.dofmap.list), -1), []
     for side in (entities[:, :2], entities[:, 2:].reshape(-1, 2)):
         cells, local = side[:, :1], closures[side[:, 1]]

@@ -98,7 +98,7 @@ class _Means:
 
     def add(self, points: LawPoints, name: str, values: Array) -> None:
         """Add values (points, ...) to what is known of this name. Collective."""
-        means = points.quadrature.means(six(values) if values.ndim == 3 else values)
+        means = points.quadrature.means(values[:, *VTK_TENSOR] if values.ndim == 3 else values)
         pieces = self._comm.gather((points.entities, means), root=0)
         if pieces is None:
             return
@@ -106,11 +106,6 @@ class _Means:
         at = np.searchsorted(self._numbers, entities)
         known = self.found.setdefault(name, np.full((len(self._numbers), *means.shape[1:]), np.nan))
         known[at] = np.where(np.isnan(known[at]), means, known[at] + means)  # several laws may share cells of junctions
-
-
-def six(tensors: Array) -> Array:
-    """Symmetric tensors (n, 3, 3) as (n, 6): XX, YY, ZZ, XY, YZ, XZ."""
-    return tensors[:, *VTK_TENSOR]
 
 
 def von_mises(stress: Array) -> Array:

@@ -110,10 +110,9 @@ def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
     here = "kept" if interface.domain.joint.parted is None else "extended"
     assert band is not None
     if band.bodies != here and any(one.thin and one.thin.order for one in interface.layers.values()):
-        raise InputError(
-            f"compare, order=1: bodies are {band.bodies} in the full model and {here} in the interface model, which is a "
-            "difference of order 1 by itself; give both the same bodies='...'"
-        )
+        models = f"bodies are {band.bodies} in the full model and {here} in the interface model"
+        why = "which is a difference of order 1 by itself; give both the same bodies='...'"
+        raise InputError(f"compare, order=1: {models}, {why}")
 
 
 def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:

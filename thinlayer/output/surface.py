@@ -185,7 +185,6 @@ def _at_points(surface: SurfaceMesh, points: LawPoints, rows: IntArray) -> npt.N
     """(facets, q) statuses at the points of a layer's law, on the facets `rows` that are not -1. Collective."""
     model, q, sublayers = points.state.model, points.quadrature, points.term.law.sublayers
     (layer,) = (one for one in model.layers.values() if one.key == points.term.key)
-    assert layer.thin
     rule = surface.rule(q.degree)
     lower, upper = surface.sides(points.state.u, model, rule)[:, :, surface.seams == layer.name]
     opening = np.zeros(rule.weights.shape)

@@ -98,7 +98,6 @@ class Zoom:
         for name in [*model.layers] if model.joint.seams_meet else [self.seam]:
             what, thin = f"zoom into {model.layers[name]}: ", model.layers[name].thin
             model.reductions[name].require("alone", what)
-            assert thin
             if thin.law.traits.remembers and not state.sudden:
                 raise InputError(f"{what}it remembers earlier steps; mesh it (structure.full)")
             layers[name] = replace(thin, order=0, edges=None)
@@ -112,7 +111,6 @@ class Zoom:
     @property
     def eps(self) -> float:
         """The layer's thickness; where it varies the one that its profile multiplies."""
-        assert self._one.thin
         return float(self._one.thin.eps)
 
     @property
@@ -152,10 +150,9 @@ class Zoom:
             near = free.distance(self.state.model.joint.points, located.x) < AT_CORNER * self.eps
             near &= np.abs(y) > 0.5 - AT_CORNER
             if near.any():
-                raise InputError(
-                    f"the corner at {place(located.x[near.argmax()])}, height {y[near.argmax()]:g}, is nearer than cells "
-                    "can tell, and stresses are infinite there; their exponents and strengths are in `corners`"
-                )
+                corner = f"the corner at {place(located.x[near.argmax()])}, height {y[near.argmax()]:g}"
+                why = "is nearer than cells can tell, and stresses are infinite there"
+                raise InputError(f"{corner}, {why}; their exponents and strengths are in `corners`")
         found = self._probe.stress(self._surface.in_layer(located.x, y))
         return found if np.ndim(x) > 1 else found[0]
 

@@ -90,7 +90,6 @@ def acts_on_jumps(sublayers: list[Sublayer]) -> bool:
 
 def stiffness_of_jumps(one: SeamLayer) -> tuple[float, float]:
     """Normal and least tangential stiffness of the layer at rest, per area; zeros if they are not known."""
-    assert one.thin
     n, compliances = one.at_rest.n, np.zeros(2)
     for fraction, _, C in one.at_rest.sublayers:
         if C is None:
@@ -264,14 +263,11 @@ def beyond_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublaye
     if not layers or not len(rim.vertices):
         return
     if any(k.length == math.inf for sublayers in layers for k in sublayers):
-        yield (
-            "incompressible",
-            f"{one} is incompressible and S has free ends: its law holds the normal jump [u_N] at zero, as if these ends "
-            "were held; a layer with free ends is squeezed out; use order=1, mesh the layer (structure.full), or support "
-            "its sides if they are held",
-        )
+        held = "its law holds the normal jump [u_N] at zero, as if these ends were held"
+        remedy = "use order=1, mesh the layer (structure.full), or support its sides if they are held"
+        why = f"{one} is incompressible and S has free ends: {held}; a layer with free ends is squeezed out"
+        yield "incompressible", f"{why}; {remedy}"
         return
-    assert one.thin
     surface, eps = surface_of(model, one.name), one.thin.eps
     width = surface.integral(1.0) / surface.lengths(rim).sum()
     lengths = [pressure_length(sublayers, width / eps) for sublayers in layers]
@@ -280,13 +276,11 @@ def beyond_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublaye
     y = delta / width
     lost = 1 / (1 - math.tanh(1 / y) * y) - 1
     if lost > 1 / (1 - LEAST_ERROR) - 1:
-        yield (
-            "free ends",
-            f"{one} is nearly incompressible{worst.when}: its pressure falls to zero at the free ends of S over delta "
-            f"= {delta:.3g}, {y:.2g} of the area of S over the length of its free ends ({width:.3g}); between rigid bodies "
-            f"its law would be about {1 + lost:.3g} times too stiff against normal jumps; {_remedy(one)}, or support its "
-            "sides if they are held",
-        )
+        falls = f"its pressure falls to zero at the free ends of S over delta = {delta:.3g}"
+        part = f"{y:.2g} of the area of S over the length of its free ends ({width:.3g})"
+        stiff = f"between rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps"
+        remedy = f"{_remedy(one)}, or support its sides if they are held"
+        yield "free ends", f"{one} is nearly incompressible{worst.when}: {falls}, {part}; {stiff}; {remedy}"
 
 
 def pressure_length(sublayers: list[Sublayer], width: float) -> float:
@@ -334,12 +328,11 @@ def too_stiff(one: SeamLayer, states: Sequence[State], start: float | None) -> I
             told.append((pressure_excess(Faces.of(state, one), sublayers[0]).told, sublayers[0]))
     worst, layer = max(told, key=lambda pair: pair[0], default=(0.0, None))
     if layer and worst > LEAST_ERROR:
-        yield (
-            "too stiff",
-            f"{one}{layer.when} has lmbda/mu = {layer.lmbda / layer.mu:.4g}: with the jumps found, "
-            f"the layer alone is {1 + worst:.4g} times too stiff, as its interface law lets no material flow along S; the "
-            f"structure is off by less where the bodies are soft; {_remedy(one)}",
-        )
+        ratio = f"{one}{layer.when} has lmbda/mu = {layer.lmbda / layer.mu:.4g}"
+        stiff = f"with the jumps found, the layer alone is {1 + worst:.4g} times too stiff"
+        why = "as its interface law lets no material flow along S"
+        less = "the structure is off by less where the bodies are soft"
+        yield "too stiff", f"{ratio}: {stiff}, {why}; {less}; {_remedy(one)}"
 
 
 def _remedy(one: SeamLayer) -> str:

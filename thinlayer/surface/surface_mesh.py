@@ -250,10 +250,9 @@ class SurfaceMesh:
             return np.broadcast_to(values, (*values.shape[:-2], *self.weights.shape))
         except (TypeError, ValueError):
             what = f"an array {f.shape}" if isinstance(f, np.ndarray) and f.ndim else f"{f!r:.80}"
-            raise InputError(
-                f"{what} is no field on S; give an array (..., n, q) = (..., {str(self.weights.shape)[1:]}, "
-                "as surface.jump(state) or surface.x[0] is, (n, 1) of facets, or values at the nodes"
-            ) from None
+            shape = f"(..., n, q) = (..., {str(self.weights.shape)[1:]}, as surface.jump(state) or surface.x[0] is"
+            allowed = f"give an array {shape}, (n, 1) of facets, or values at the nodes"
+            raise InputError(f"{what} is no field on S; {allowed}") from None
 
     def where(self, part: Where | float) -> Array:
         """(n, q) weights of a part of S: of a field, or a numpy function of places x (d, n, q).

@@ -102,11 +102,8 @@ class Teller:
 
     def _tell(self, at_once: bool = False) -> None:
         now, stream = self._clock(), self._stream()
-        if (
-            (now < self._due and not at_once)
-            or MPI.COMM_WORLD.rank
-            or not logging.getLogger("thinlayer").isEnabledFor(logging.WARNING)
-        ):
+        quiet = MPI.COMM_WORLD.rank or not logging.getLogger("thinlayer").isEnabledFor(logging.WARNING)
+        if quiet or (now < self._due and not at_once):
             return
         self._due, self._shown = now + AGAIN[stream.isatty()], True
         words = [f"{work.what}: {work.now}" if work.now else work.what for work in self._open]
