@@ -23,13 +23,8 @@ E, NU = 100.0, 0.3  # of the blocks, MPa
 K_T, K_N = 40.0, 140.0  # stiffnesses of S, MPa/mm
 LOAD = (0.5, 1.0, 0.0)  # on the top, MPa
 CHOLESKY = {"ksp_type": "preonly", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps", "mat_mumps_icntl_7": 2}
-MULTIGRID = {
-    "ksp_type": "cg",
-    "ksp_rtol": 1e-10,
-    "pc_type": "gamg",
-    "mg_levels_pc_type": "jacobi",
-    "pc_gamg_threshold": 0.01,
-}
+LEVELS = {"mg_levels_pc_type": "jacobi", "pc_gamg_threshold": 0.01}
+MULTIGRID = {"ksp_type": "cg", "ksp_rtol": 1e-10, "pc_type": "gamg", **LEVELS}
 
 
 class TwoBlocks:

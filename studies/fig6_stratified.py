@@ -31,8 +31,7 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
         eps: thicknesses (mm) for the second part.
         quick: coarser mesh.
     """
-    sizes = (4.0, 0.5, 0.1) if quick else (2.0, 0.2, 0.02)
-    bar = StratifiedBar(record, *sizes)
+    bar = StratifiedBar(record, *((4.0, 0.5, 0.1) if quick else (2.0, 0.2, 0.02)))
     x, ratio_interface = bar.stiffness(bar.limit)
     full = bar.full(ThinLayer(GLUE, EPS))
     _, ratio_band = bar.stiffness(full)

@@ -28,14 +28,13 @@ def run(record: Record) -> None:
     Args:
         record: where to write.
     """
-    reports, states, counts = {}, {}, {}
+    reports = {}
     for n in (N, N + 1):
         joint, setup = sliding_bar(n)
         for pair in STIFFNESS:
             law = HolonomicCoulomb.of_layer(*pair, friction=FRICTION)
-            states[n, pair] = record.solved(solve(Structure(joint, **setup).interface(law)))
-            reports[n, pair] = Surface(states[n, pair].model).contact(states[n, pair])
-            counts[n, pair[0]] = reports[n, pair].counts
+            state = record.solved(solve(Structure(joint, **setup).interface(law)))
+            reports[n, pair] = Surface(state.model).contact(state)
     names = {"x_mm": "x", "u_T_mm": "u_T", "u_N_mm": "u_N", "p_MPa": "p", "t_MPa": "t_T", "status": "status"}
     table = Table(
         {"lmbda": lmbda, "mu": mu} | {column: row[name] for column, name in names.items()}
@@ -43,6 +42,7 @@ def run(record: Record) -> None:
         for row in reports[N, (lmbda, mu)].table.rows
     )
     record.write("table.csv", table)
+    counts = {(n, lmbda): report.counts for (n, (lmbda, _)), report in reports.items()}
     record.results["counts"] = [{"squares": n, "lmbda": lmbda, **found} for (n, lmbda), found in counts.items()]
     for (lmbda, mu), expected, u_a in zip(STIFFNESS, COUNTS, U_A, strict=True):
         report, stiffness = reports[N, (lmbda, mu)], label(lmbda, mu)

@@ -172,22 +172,17 @@ ARCH_RADIUS, MIDDLE = 1.15, 0.1  # m: joints are measured over the middle two th
 
 def glued_hub(h: float) -> tuple[Joint, dict[str, Any]]:
     """A hollow shaft, held inside, glued into a hub that is pushed down on its upper half; joint, data of its models."""
-    return ring(*RADII, h=h, cell="quadrilateral", degree=2), {
-        "body": {"INNER": STEEL, "OUTER": ALUMINIUM},
-        "supports": {"INSIDE": 0.0},
-        "tractions": {"OUTSIDE": lambda x, t: (0.0, -ufl.conditional(x[1] > 0, 10.0 * x[1] / RADII[2], 0.0))},
-    }
+    tractions = {"OUTSIDE": lambda x, t: (0.0, -ufl.conditional(x[1] > 0, 10.0 * x[1] / RADII[2], 0.0))}
+    setup = {"body": {"INNER": STEEL, "OUTER": ALUMINIUM}, "supports": {"INSIDE": 0.0}, "tractions": tractions}
+    return ring(*RADII, h=h, cell="quadrilateral", degree=2), setup
 
 
 def arch(element: str) -> tuple[Joint, dict[str, Any]]:
     """Five stones, from a mesh file, under their weight and a load on the right half; all four joints are one S."""
-    return read(MESH, S="JOINTS", lower="ODD STONES", upper="EVEN STONES"), {
-        "body": STONE,
-        "supports": {"SPRINGINGS": 0.0},
-        "tractions": {"EXTRADOS": lambda x, t: (0.0, ufl.conditional(x[0] > 0, -0.4, -0.1))},
-        "body_force": WEIGHT,
-        "element": element,
-    }
+    tractions = {"EXTRADOS": lambda x, t: (0.0, ufl.conditional(x[0] > 0, -0.4, -0.1))}
+    loaded = {"supports": {"SPRINGINGS": 0.0}, "tractions": tractions, "body_force": WEIGHT}
+    joint = read(MESH, S="JOINTS", lower="ODD STONES", upper="EVEN STONES")
+    return joint, {"body": STONE, "element": element, **loaded}
 
 
 def inside_joints(x: Any) -> Any:

@@ -27,11 +27,9 @@ def rods(sizes: tuple[float, float]) -> tuple[Joint, dict[str, Any]]:
     Bending opens one half of S as much as it closes the other: means over S and over the top are those of tension, which
     the section through the axis has too.
     """
-    return disc(RADIUS, HEIGHT, HEIGHT, sizes[0], h_S=sizes[1], cell="hexahedron", degree=2), {
-        "body": STEEL,
-        "supports": {"BOTTOM": 0.0},
-        "tractions": {"TOP": lambda x, t: (0.0, STRESS + BENDING * x[0] / RADIUS, 0.0)},
-    }
+    tractions = {"TOP": lambda x, t: (0.0, STRESS + BENDING * x[0] / RADIUS, 0.0)}
+    setup = {"body": STEEL, "supports": {"BOTTOM": 0.0}, "tractions": tractions}
+    return disc(RADIUS, HEIGHT, HEIGHT, sizes[0], h_S=sizes[1], cell="hexahedron", degree=2), setup
 
 
 def inside_rods(x: Any) -> Any:

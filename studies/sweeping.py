@@ -152,7 +152,6 @@ def last(solution: Solution) -> State:
 def layer_of(solution: Solution) -> ThinLayer:
     """The only layer of a model, with its thickness."""
     (layer,) = last(solution).model.layers.values()
-    assert layer.thin is not None, "a layer with a thickness"
     return layer.thin
 
 
