@@ -60,10 +60,8 @@ class Corner:
         first, second, third = z**power, power * z ** (power - 1), power * (power - 1) * z ** (power - 2)
         u = ((3 - 4 * self.nu) * a * first - z * np.conj(a * second) - np.conj(b * first)) / 2
         mean, other = 4 * (a * second).real, 2 * (np.conj(z) * a * third + b * second)
-        return (
-            np.stack([u.real, u.imag], axis=-1),
-            np.stack([(mean - other.real) / 2, (mean + other.real) / 2, other.imag / 2], axis=-1),
-        )
+        stress = np.stack([(mean - other.real) / 2, (mean + other.real) / 2, other.imag / 2], axis=-1)
+        return np.stack([u.real, u.imag], axis=-1), stress
 
     def _mode(self, power: float) -> Array:
         """Coefficients (4,) of the field that is zero on the face and free of tractions on the side."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
@@ -223,9 +224,6 @@ def cells_at(model: Model, x: Any, side: str | None = None, seam: str = S) -> Lo
 
 def _monomials(x: Array, degree: int) -> Array:
     """All monomials (n, k) of places (n, d) up to a total degree."""
-    columns: list[Array] = [np.ones(len(x))]
-    last: list[tuple[Array, int]] = [(columns[0], 0)]
-    for _ in range(degree):
-        last = [(column * x[:, k], k) for column, first in last for k in range(first, x.shape[1])]
-        columns += [column for column, _ in last]
-    return np.column_stack(columns)
+    axes = range(x.shape[1])
+    factors = [some for count in range(degree + 1) for some in combinations_with_replacement(axes, count)]
+    return np.column_stack([x[:, some].prod(axis=1) for some in factors])

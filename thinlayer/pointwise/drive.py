@@ -15,7 +15,7 @@ from forms.law import Law
 from forms.temperature import finite
 from forms.trace import numbers, takes_time
 from thinlayer.errors import SolveError
-from thinlayer.pointwise.material_point import COMPONENTS, MaterialPoint, MaterialPointState
+from thinlayer.pointwise.material_point import COMPONENTS, MaterialPoint
 from thinlayer.system.table import Table
 
 
@@ -110,7 +110,16 @@ def drive(
     parts: list[int] = []
 
     def history() -> PointHistory:
-        return _history(law, normal, point.material.memory, states, parts)
+        """The steps so far; `states` begin with the one at rest."""
+        rows: Any = states[1:]
+
+        def column(name: str, *shape: int) -> Array:
+            return np.array([getattr(row, name) for row in rows], float).reshape(len(rows), *shape)
+
+        w, traction, stress = column("w", len(normal)), column("traction", len(normal)), tensors(column("stress", 6))
+        energies = column("energies", 3) if law.traits.has_energy else np.full((len(rows), 3), np.nan)
+        memory = column("memory", point.material.memory)
+        return PointHistory(normal, column("t"), w, traction, stress, memory, energies, np.array(parts, int))
 
     for k, (jumps_given, goal) in enumerate(path):
         try:
@@ -157,18 +166,3 @@ def _lengths(dt: float | Sequence[float], count: int) -> Array:
     if (lengths := finite(dt, (), (count,))) is None or (lengths < 0).any():
         raise InputError(f"dt is {dt!r}; allowed: a number >= 0, or one for each of the {count} steps")
     return np.broadcast_to(lengths, count)
-
-
-def _history(law: Law, n: Array, memory: int, states: list[MaterialPointState], parts: list[int]) -> PointHistory:
-    """The steps so far; `states` begin with the one at rest."""
-    rows: Any = states[1:]
-    d = len(n)
-
-    def column(name: str, *shape: int) -> Array:
-        return np.array([getattr(row, name) for row in rows], float).reshape(len(rows), *shape)
-
-    energies = column("energies", 3) if law.traits.has_energy else np.full((len(rows), 3), np.nan)
-    return PointHistory(
-        n, column("t"), column("w", d), column("traction", d), tensors(column("stress", 6)),
-        column("memory", memory), energies, np.array(parts, int),
-    )  # fmt: skip

@@ -418,7 +418,6 @@ class SurfaceMesh:
     # ---------------------------------------------------------------- layers
     def thickness(self, one: SeamLayer, vertices: IntArray) -> Array:
         """(...) thickness of a layer with a law of strains at vertices (...) of the joint."""
-        assert one.thin
         return np.asarray(float(one.thin.eps) * self.joint.relative_thickness(one.thin.profile, one.name)[vertices])
 
     def lengths(self, rim: Rim) -> Array:
