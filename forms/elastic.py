@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -32,17 +32,22 @@ def lame(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
     return lmbda * ufl.tr(e) * ufl.Identity(3) + 2 * mu * e
 
 
-def require_moduli(law: BulkLaw, lmbda: float, mu: float) -> None:
-    """Raise InputError unless mu > 0 and lmbda + 2 mu/3 > 0."""
-    law.require(math.isfinite(mu) and mu > 0, "mu", "> 0", mu)
-    bound = -2 / 3 * mu
-    law.require(math.isfinite(lmbda) and lmbda > bound, "lmbda", f"> -2 mu/3 = {bound:g}", lmbda)
+@dataclass(frozen=True, eq=False)
+class IsotropicLaw(BulkLaw):
+    """A law that is isotropic at rest, with the Lame moduli lmbda and mu; mu > 0 and lmbda + 2 mu/3 > 0."""
 
+    lmbda: float
+    mu: float
+    powers: ClassVar[Mapping[str, float]] = {"lmbda": 1, "mu": 1}
 
-def isotropic_stiffness(law: BulkLaw, n: Array) -> Array:
-    """`BulkLaw.stiffness` for laws that are isotropic at rest with moduli lmbda and mu: (6, 6) in Mandel's order."""
-    named = law.parameters()
-    return isotropic(float(named["lmbda"]), float(named["mu"]))
+    def check(self) -> None:
+        self.require(math.isfinite(self.mu) and self.mu > 0, "mu", "> 0")
+        bound = -2 / 3 * self.mu
+        self.require(math.isfinite(self.lmbda) and self.lmbda > bound, "lmbda", f"> -2 mu/3 = {bound:g}")
+
+    def stiffness(self, n: Array) -> Array:
+        named = self.parameters()
+        return isotropic(float(named["lmbda"]), float(named["mu"]))
 
 
 def poisson_ratio(law: Any) -> float:
@@ -62,7 +67,7 @@ class LinearLaw(BulkLaw):
 
 
 @dataclass(frozen=True)
-class LinearElastic(LinearLaw):
+class LinearElastic(LinearLaw, IsotropicLaw):
     """Isotropic elasticity, stress = lmbda tr(e) I + 2 mu e.
 
     As a layer's law: t_T = mu/eps w_T, t_N = (lmbda + 2 mu)/eps w_N with the jump w, the elastic part of Eq. (16).
@@ -74,14 +79,6 @@ class LinearElastic(LinearLaw):
     Raises:
         InputError: a modulus out of range.
     """
-
-    lmbda: float
-    mu: float
-    powers: ClassVar = {"lmbda": 1, "mu": 1}
-    stiffness = isotropic_stiffness
-
-    def check(self) -> None:
-        require_moduli(self, self.lmbda, self.mu)
 
     def __new__(cls, *_: object, **named: object) -> Self:
         if {"E", "nu"} & {*named}:

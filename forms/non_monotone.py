@@ -11,9 +11,9 @@ import numpy as np
 import ufl
 
 from forms.base import Array, InputError, is_finite
-from forms.elastic import isotropic_stiffness, lame, require_moduli
+from forms.elastic import IsotropicLaw, lame
 from forms.kinematics import Expr, layer_frame, lift
-from forms.law import BulkLaw, Step
+from forms.law import Step
 from forms.temperature import Field, OfTemperature, evaluated, place, real, values_of
 from forms.viscous import isotropic_energy
 
@@ -38,7 +38,7 @@ def lamination_gain(lmbda: float, mu: float, chi: Array) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Phases(BulkLaw):
+class Phases(IsotropicLaw):
     """Base of the non-monotone laws: phases z = -1, 0, 1 of equal moduli.
 
     A phase has the energy e:C:e/2 - z alpha chi:e + C |z| per volume, stress C:e - z alpha chi; Eq. (39).
@@ -57,8 +57,6 @@ class Phases(BulkLaw):
         InputError: a parameter out of range, a function without a temperature.
     """
 
-    lmbda: float
-    mu: float
     alpha: float | OfTemperature
     transformation_energy: float | OfTemperature
     chi: Array
@@ -66,14 +64,13 @@ class Phases(BulkLaw):
     powers: ClassVar[Mapping[str, float]] = {"lmbda": 1, "mu": 1, "transformation_energy": -1}
     functions: ClassVar = ("alpha", "transformation_energy", "T")
     phases: ClassVar = True
-    stiffness = isotropic_stiffness
 
     def check(self) -> None:
         self._check_material()
         self._check_temperature()
 
     def _check_material(self) -> None:
-        require_moduli(self, self.lmbda, self.mu)
+        super().check()
         chi = np.array(self.chi, float)
         self.require(chi.shape in ((2, 2), (3, 3)), "shape of chi", "(2, 2) in plane strain, (3, 3) in 3D", chi.shape)
         self.require(bool(np.isfinite(chi).all()), "chi", "finite numbers", "not finite")

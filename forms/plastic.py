@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import ufl
 
 from forms.declarations import warn_of_range
-from forms.elastic import LinearElastic, isotropic_stiffness, lame, require_moduli
+from forms.elastic import IsotropicLaw, LinearElastic, lame
 from forms.kernel import KernelLaw
 from forms.kinematics import Expr, lift
 from forms.law import BulkLaw, Step, choice, positive
@@ -31,7 +31,7 @@ def require_hardening(law: BulkLaw, *names: str) -> None:
 
 
 @dataclass(frozen=True)
-class Plastic(BulkLaw):
+class Plastic(IsotropicLaw):
     """Base of the Mohr-Coulomb laws: isotropic elasticity, and a plastic strain that grows where shear reaches its bound.
 
     A fraction h, `elastic_fraction`, of the stiffness stays elastic, stress = (1 - h) stress_plastic +
@@ -57,8 +57,6 @@ class Plastic(BulkLaw):
         InputError: a parameter out of range.
     """
 
-    lmbda: float
-    mu: float
     cohesion: float
     friction_angle: float
     elastic_fraction: float = 0.0
@@ -70,10 +68,9 @@ class Plastic(BulkLaw):
     internal: ClassVar = {"plastic": (3, 3), "accumulated": ()}
     quadratic: ClassVar = True
     bounded: ClassVar = True
-    stiffness = isotropic_stiffness
 
     def check(self) -> None:
-        require_moduli(self, self.lmbda, self.mu)
+        super().check()
         self.require(math.isfinite(self.cohesion) and self.cohesion >= 0, "cohesion", ">= 0, finite")
         self.require(0 <= self.friction_angle < 90, "friction_angle", "0 <= friction_angle < 90 degrees")
         if 0 < self.friction_angle < LIKELY_RADIANS:
@@ -231,7 +228,7 @@ MOST_FRACTION = 1 - 1e-9  # of the stiffness that hardening leaves, in continuat
 
 
 @dataclass(frozen=True)
-class VonMises(KernelLaw):
+class VonMises(KernelLaw, IsotropicLaw):
     """Isotropic elasticity, and plastic flow along the deviator where the equivalent stress reaches the yield stress.
 
     sqrt(3/2) |s - 2/3 K e^p| <= Y + H p + Q (1 - exp(-p/p_0)), with the deviator s of the stress, the plastic strain e^p,
@@ -256,8 +253,6 @@ class VonMises(KernelLaw):
         InputError: a parameter out of range.
     """
 
-    lmbda: float
-    mu: float
     strength: float
     hardening: float = 0.0
     kinematic: float = 0.0
@@ -272,7 +267,6 @@ class VonMises(KernelLaw):
     bounded: ClassVar = True
     isochoric: ClassVar = True
     source: ClassVar = Path(__file__).with_name("von_mises.c")
-    stiffness = isotropic_stiffness
 
     @classmethod
     def young(cls, E: Parameter, nu: Parameter, strength: Parameter, **hardening: Any) -> VonMises:
@@ -281,7 +275,7 @@ class VonMises(KernelLaw):
         return cls(elastic.lmbda, elastic.mu, strength, **hardening)  # type: ignore[arg-type]
 
     def check(self) -> None:
-        require_moduli(self, self.lmbda, self.mu)
+        super().check()
         positive(self, "strength")
         require_hardening(self, "hardening", "kinematic", "saturation")
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from forms.base import Array
-from forms.elastic import LinearElastic, LinearLaw, isotropic_stiffness, lame, poisson_ratio
+from forms.elastic import IsotropicLaw, LinearElastic, LinearLaw, lame, poisson_ratio
 from forms.ends.constants import free_end
 from forms.ends.weights import EndWeights, Strips, of_pressure_at_ends
 from forms.kinematics import Expr, isotropic
@@ -68,7 +68,7 @@ class Incompressible(WithPressure):
 
 
 @dataclass(frozen=True)
-class Rubber(WithPressure):
+class Rubber(WithPressure, IsotropicLaw):
     """Isotropic elasticity with a pressure field: stress = 2 mu e + p I with p = lmbda tr e, for any lmbda/mu > 0.
 
     The same material as `LinearElastic`. Here a pressure of degree 1 controls the volume, in the meshed layer and on S, so
@@ -86,11 +86,6 @@ class Rubber(WithPressure):
     Raises:
         InputError: a modulus out of range.
     """
-
-    lmbda: float
-    mu: float
-    powers: ClassVar = {"lmbda": 1, "mu": 1}
-    stiffness = isotropic_stiffness
 
     @classmethod
     def young(cls, E: float, nu: float) -> Rubber:

@@ -9,9 +9,9 @@ from typing import ClassVar
 
 import ufl
 
-from forms.elastic import isotropic_stiffness, lame, require_moduli
+from forms.elastic import IsotropicLaw, lame
 from forms.kinematics import Expr
-from forms.law import BulkLaw, Step, positive
+from forms.law import Step, positive
 
 # Largest tangent of a power-law dashpot in a step, relative to its spring's modulus; a stiffer dashpot is taken as linear.
 MOST_STIFFNESS = 1e6
@@ -25,15 +25,11 @@ def isotropic_energy(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
     return lmbda * ufl.tr(e) ** 2 / 2 + mu * ufl.inner(e, e)
 
 
-@dataclass(frozen=True)
-class SpringBesideDashpot(BulkLaw):
-    """An elastic spring and a dashpot in parallel; subclasses have lmbda, mu and give the dashpot's stress."""
+class SpringBesideDashpot(IsotropicLaw):
+    """An elastic spring and a dashpot in parallel; subclasses give the dashpot's stress."""
 
-    lmbda: float
-    mu: float
     rate = True
     quadratic = True
-    stiffness = isotropic_stiffness
 
     def _viscous(self, step: Step) -> Expr:
         raise NotImplementedError
@@ -65,11 +61,10 @@ class KelvinVoigt(SpringBesideDashpot):
 
     theta_lmbda: float
     theta_mu: float
-    powers: ClassVar = {"lmbda": 1, "mu": 1}
     linear: ClassVar = True
 
     def check(self) -> None:
-        require_moduli(self, self.lmbda, self.mu)
+        super().check()
         positive(self, "theta_mu")
         bulk = self.lmbda * self.theta_lmbda + 2 / 3 * self.mu * self.theta_mu
         self.require(math.isfinite(bulk) and bulk >= 0, "theta_lmbda", "lmbda theta_lmbda + 2 mu theta_mu/3 >= 0")
@@ -84,15 +79,11 @@ class KelvinVoigt(SpringBesideDashpot):
         return lame(self.lmbda * self.theta_lmbda, self.mu * self.theta_mu, step.rate)
 
 
-@dataclass(frozen=True)
-class SpringBeforeDashpot(BulkLaw):
-    """An elastic spring and dashpots in series; subclasses have lmbda, mu and give the rates of relaxation in a step."""
+class SpringBeforeDashpot(IsotropicLaw):
+    """An elastic spring and dashpots in series; subclasses give the rates of relaxation in a step."""
 
-    lmbda: float
-    mu: float
     internal: ClassVar = {"stress": (3, 3)}
     quadratic = True
-    stiffness = isotropic_stiffness
 
     @property
     def _bulk(self) -> Expr:
@@ -153,7 +144,6 @@ class Maxwell(SpringBeforeDashpot):
 
     t1: float
     t2: float | None = None
-    powers: ClassVar = {"lmbda": 1, "mu": 1}
     linear: ClassVar = True
 
     def __post_init__(self) -> None:
@@ -162,7 +152,7 @@ class Maxwell(SpringBeforeDashpot):
         super().__post_init__()
 
     def check(self) -> None:
-        require_moduli(self, self.lmbda, self.mu)
+        super().check()
         positive(self, "t1")
         nu = self.lmbda / (2 * (self.lmbda + self.mu))
         bound = 3 * nu * self.t1 / (1 + nu)
@@ -220,7 +210,7 @@ class Norton(SpringBesideDashpot):
         return {"lmbda": 1, "mu": 1, "eta": self.p - 1, "rest": -1}
 
     def check(self) -> None:
-        require_moduli(self, self.lmbda, self.mu)
+        super().check()
         positive(self, "eta")
         self.require(math.isfinite(self.rest) and self.rest >= 0, "rest", ">= 0")
         self.require(math.isfinite(self.p) and self.p > 1, "p", "> 1")
@@ -257,7 +247,7 @@ class NortonCreep(SpringBeforeDashpot):
     powers: ClassVar = {"lmbda": 1, "mu": 1, "A": -1}
 
     def check(self) -> None:
-        require_moduli(self, self.lmbda, self.mu)
+        super().check()
         positive(self, "A")
         self.require(math.isfinite(self.n) and self.n >= 1, "n", ">= 1")
 
