@@ -71,9 +71,7 @@ def along(
         axes.set_xlabel(f"arc length{f' ({length})' if length else ''}")
     _legend(figure, rows, surface.joint.dim)
     figure.align_ylabels()
-    if title:
-        figure.suptitle(title, fontsize=11)
-    return finish(figure, save)
+    return finish(figure, save, title)
 
 
 def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, Mapping[str, np.ndarray]]:

@@ -142,9 +142,7 @@ def curves(
         figure.set_figheight(high + ROW * (rows - 1))
         ncols = math.ceil(len(drawn) / rows)
         figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=ncols, frameon=False)
-    if several and title:
-        figure.suptitle(title, fontsize=11)
-    return finish(figure, save)
+    return finish(figure, save, title if several else "")
 
 
 def fraction(x: float) -> str:

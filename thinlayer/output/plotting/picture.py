@@ -69,8 +69,10 @@ def symbols(text: str) -> str:
 F = TypeVar("F", bound=Figure)
 
 
-def finish(figure: F, save: str | Path | None) -> F:
-    """Save a picture, if asked to. Collective: rank 0 writes."""
+def finish(figure: F, save: str | Path | None, title: str = "") -> F:
+    """Give a picture its title and save it, if asked to. Collective: rank 0 writes."""
+    if title:
+        figure.suptitle(title, fontsize=11)
     if save is not None:
         on_root(None, lambda: put(figure, save))
     return figure
