@@ -20,7 +20,19 @@ from tests.capabilities import COLUMNS, EPS, LOAD, TIMES, Column, column
 from tests.on_ranks import Asked
 from tests.refused import refused
 from thinlayer import (
-    Probe, RangeWarning, Surface, Zoom, compare, ensemble, estimate, fields, goals, march, solve, sweep, thin_enough,
+    Probe,
+    RangeWarning,
+    Surface,
+    Zoom,
+    compare,
+    ensemble,
+    estimate,
+    fields,
+    goals,
+    march,
+    solve,
+    sweep,
+    thin_enough,
 )  # fmt: skip
 from thinlayer.errors import ThinlayerError
 from thinlayer.running.case import Case
@@ -108,7 +120,10 @@ def thin(c, folder):
     """At the thickness found the meshed layer errs by the tolerance, and by no more."""
     given = {"times": c.times or None, "bodies": c.bodies, "bonded": c.bonded}
     seam = {"seam": c.seam} if isinstance(c.layers, dict) else {}
-    found, goal = thin_enough(c.structure, c.layers, 0.02, goals.Compliance(), t=1.0, **given, **seam), goals.Compliance()
+    found, goal = (
+        thin_enough(c.structure, c.layers, 0.02, goals.Compliance(), t=1.0, **given, **seam),
+        goals.Compliance(),
+    )
     layer = replace(c.layers, eps=found.eps)
     state = c.state if c.bonded else c.reach(c.interface(layer))
     error = abs(goal.value(state, state.model) / goal.value(c.meshed(layer), state.model) - 1)

@@ -13,8 +13,17 @@ import pytest
 import ufl
 
 from forms import (
-    Anisotropic, BulkLaw, HolonomicCoulomb, Incompressible, KelvinVoigt, LinearElastic, Maxwell, NonMonotone,
-    NonMonotoneUnrelaxed, Rubber, Stack,
+    Anisotropic,
+    BulkLaw,
+    HolonomicCoulomb,
+    Incompressible,
+    KelvinVoigt,
+    LinearElastic,
+    Maxwell,
+    NonMonotone,
+    NonMonotoneUnrelaxed,
+    Rubber,
+    Stack,
 )  # fmt: skip
 from forms.base import InputError
 from geometry import disc, fibre, periodic, ring, sandwich, wall
@@ -22,8 +31,19 @@ from tests.documents import CLONE
 from tests.own_laws import Breaking, Cubic
 from tests.test_tips import in_one_body, partly
 from thinlayer import (
-    Bond, Gap, PointLoad, Probe, Structure, ThinLayer, Zoom, estimate, goals, homogenised_stiffness, march,
-    solve, thin_enough,
+    Bond,
+    Gap,
+    PointLoad,
+    Probe,
+    Structure,
+    ThinLayer,
+    Zoom,
+    estimate,
+    goals,
+    homogenised_stiffness,
+    march,
+    solve,
+    thin_enough,
 )  # fmt: skip
 from thinlayer.errors import RangeWarning
 

@@ -131,7 +131,9 @@ class RigidMotions:
         pieces = (model.splitting if joint.band is None else cut_at_faces(joint)).pieces
         of_cells, count, dofs = model.domain.on_cells(pieces), int(pieces.max()) + 1, np.asarray(V.dofmap.list)
         of = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, np.int64)
-        in_layer = np.isin(joint.region, [joint.regions.index(name) for name in joint.band.regions] if joint.band else [])
+        in_layer = np.isin(
+            joint.region, [joint.regions.index(name) for name in joint.band.regions] if joint.band else []
+        )
         for cells in (~in_layer, in_layer):
             here = model.domain.on_cells(cells)[: len(dofs)]
             of[dofs[here]] = of_cells[: len(dofs)][here, None]
