@@ -12,7 +12,7 @@ STIFF = 1e6  # N/mm
 def begun(stiffness=STIFF, cancelling=0.0, *, loads=0.0, prescribed=0.0, moved=0.0, stresses=()):
     scale = ForceScale(stiffness, cancelling)
     scale.begin(loads, prescribed, moved)
-    scale.see(*stresses)
+    scale.see(max(stresses, default=0.0))
     return scale
 
 

@@ -50,7 +50,7 @@ TABLE = {
     "interface law": [
         (None, thin(), {}),
         ("no layer", "glue", {}),
-        ("element", CONTACT, {}),
+        ("element", CONTACT, {"element": "S2", "joint": sandwich(4.0, 1.0, 1.0, 1.0, cell="quadrilateral")}),
         (None, CONTACT, {"element": "P1"}),
         ("element", thin(Incompressible(40.0), 0), {"element": "P1"}),
         ("element", thin(), {"element": "P1"}),

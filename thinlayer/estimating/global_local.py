@@ -203,7 +203,7 @@ class GlobalLocal:
         """Weights q (m,) of a goal at the displacements of this rank, and z."""
         q, g = goal.dual(self.adjoint)
         if self.model.linear and goal.is_linear(self.model):
-            self.adjoint.require_dual(goal, q, g)
+            self.adjoint.require_dual(goal, q, g, layers=bool(goal.in_layers(self.layers)[0].any()))
         loads = q.array_r[: self.n].copy()
         z = self.adjoint.weights(q, g).u.x.array[: self.n].copy()
         with self._transposed():

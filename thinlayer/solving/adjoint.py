@@ -25,6 +25,7 @@ from thinlayer.solving.balance import PartSum, TangentMatrix
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import factors_alone, linear_solvers, mark
 from thinlayer.solving.petsc import Options, defaults, solve_linear, value_of
+from thinlayer.system.ranks import destroy
 
 DUAL = 1e-6  # difference of changes of a goal, relative, that counts as rounding: forces of random motions are large
 SAME = 1e-12  # difference of two loads, relative, that counts as rounding
@@ -122,8 +123,11 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         g.array[: self.equations.n_displacements] = -dual
         return g
 
-    def require_dual(self, goal: Any, q: PETSc.Vec, g: PETSc.Vec) -> None:
-        """Raise InputError unless a linear goal of a linear model changes by q . d - g . r along a random motion d."""
+    def require_dual(self, goal: Any, q: PETSc.Vec, g: PETSc.Vec, *, layers: bool) -> None:
+        """Raise InputError unless a linear goal of a linear model changes by q . d - g . r along a random motion d.
+
+        Where the goal weighs the forces on `layers`, these are on S in the model, and beside q.
+        """
         equations, held = self.equations, self.equations.held
         d, residuals, values = equations.vector(), [], []
         size = float(self._x.norm(PETSc.NormType.INFINITY)) or 1.0
@@ -134,11 +138,15 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             x.axpy(share, d)
             equations.residual(x, r)
             work = self.model.comm.allreduce(float(r.array_r[held] @ x.array_r[held]))
-            here = replace(self.state, u=equations.u.copy(), reactions=equations.reactions(), prescribed_work=work)
+            here = replace(self.state, u=equations.u, reactions=equations.reactions(), prescribed_work=work)
             values.append(goal.value(here, self.model))
             residuals.append(r.array_r.copy())
+            destroy(x, r)
         after, before = residuals
-        terms = np.concatenate([q.array_r * d.array_r, g.array_r * (before - after)])
+        on_S = equations.vector()
+        on_S.array[: equations.n_displacements] = self.model.constraints.forces(self.of_layers) * layers
+        terms = np.concatenate([(q.array_r + on_S.array_r) * d.array_r, g.array_r * (before - after)])
+        destroy(d, on_S)
         change, least = self.model.comm.allreduce(np.array([terms.sum(), np.abs(terms).sum()]))
         if not abs(values[0] - values[1] - change) <= DUAL * (least + abs(values[0]) + abs(values[1])):
             what = f"the goal {goal.name!r} changes by {values[0] - values[1]:.6g}, its weights say by {change:.6g}"

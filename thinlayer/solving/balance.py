@@ -37,7 +37,8 @@ DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 class ForceScale:
     """The forces that the residuals of a step are compared with, in each block of the unknowns.
 
-    A block is what can lose its balance by itself: the whole model, each piece of the bodies, its nodes on each seam. Norms
+    A block is what can lose its balance by itself: the whole model, each piece of the bodies, and within it its nodes on
+    each seam. Norms
     (k,) of forces, stiffnesses and residuals are Euclidean, one for each block, that of the whole model first. Rules:
 
     1. Residuals in a block are relative to "the forces" on it: the largest of the loads, the forces of the stresses at the
@@ -55,6 +56,7 @@ class ForceScale:
     Args:
         stiffness: norms (k,) of the diagonal of the bodies' stiffness.
         cancelling: norm of the diagonal of the stiffness of springs that act on differences of displacements.
+        within: (k, k) sparse, the blocks that lie within each; forces on these have the rounding of those on the whole.
 
     Attributes:
         stiffness: the argument.
@@ -62,8 +64,8 @@ class ForceScale:
         displacement: largest displacement that is known: prescribed, of the state before, or of an elastic response.
     """
 
-    def __init__(self, stiffness: Array | float, cancelling: float = 0.0) -> None:
-        self.stiffness = np.atleast_1d(stiffness)
+    def __init__(self, stiffness: Array | float, cancelling: float = 0.0, within: Any = None) -> None:
+        self.stiffness, self._within = np.atleast_1d(stiffness), within
         self._largest_stiffness = np.maximum(self.stiffness, cancelling)
         self.begin(0.0, 0.0, 0.0)
 
@@ -95,7 +97,9 @@ class ForceScale:
         """Take norms of the forces of the stresses at a new residual."""
         rounding = ROUNDING_SHARE * self.stiffness * self.displacement
         self.least = np.maximum(np.maximum(self._loads, self._unbalanced), rounding / ALLOWED)
-        self.forces = np.maximum(self.least, stresses)
+        self.forces = np.fmax(self.least, stresses)
+        if self._within is not None:
+            self.forces = np.maximum(self.forces, ROUNDING_SHARE / ALLOWED * (self._within.T @ self.forces))
 
     def rounding(self, largest_displacement: float) -> Array:
         """Rounding of the forces (k,)."""
@@ -129,6 +133,7 @@ class PartSum:
             the equations of a step.
         block_of: (n,) number >= 1 of the block of each of the first unknowns of this rank, see `ForceScale`.
         n_blocks: number of blocks, the whole model's included.
+        within: (n_blocks, n_blocks) sparse, 1 for blocks that lie within another one, and for itself.
         last_body: the last of the parts that are bodies; the norms of their forces are `of_bodies`.
     """
 
@@ -137,6 +142,7 @@ class PartSum:
     scale: ForceScale
     block_of: npt.NDArray[Any] = np.empty(0, np.int64)
     n_blocks: int = 1
+    within: Any = None
     last_body: Part | None = None
     of_bodies: Array | float = 0.0
 
@@ -249,6 +255,7 @@ class PartSum:
         """Norms (k,) of forces on the unknowns of this rank: on all of them, then on each block."""
         squares = values * values
         sums = np.bincount(self.block_of, squares[: len(self.block_of)], self.n_blocks)
+        sums = sums if self.within is None else self.within @ sums
         sums[0] = squares.sum()
         return np.sqrt(self.comm.allreduce(sums))
 

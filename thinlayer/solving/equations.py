@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -76,8 +77,9 @@ class Equations(PartSum):
         self.held = self._prescribed(None)[0].astype(np.int32)
         diagonal = diagonal_at_rest(self.parts, self.u.x.petsc_vec.duplicate())
         self._rigid = RigidMotions(model, float(diagonal.norm()))
-        (self.block_of, self.n_blocks), self.last_body = self._rigid.blocks, [None, *kept.bodies][-1]
-        self.scale = ForceScale(self.norms(diagonal.array_r), max([0.0, *self.ask("cancelling")]))
+        (self.block_of, self.within), self.last_body = self._rigid.blocks, [None, *kept.bodies][-1]
+        self.n_blocks = self.within.shape[0]
+        self.scale = ForceScale(self.norms(diagonal.array_r), max([0.0, *self.ask("cancelling")]), self.within)
         self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
         self._reactions = ReactionSums(model, self.parts)
         self._forces, self.loads, self.external = (self.u.x.petsc_vec.duplicate() for _ in range(3))
@@ -166,6 +168,7 @@ class Equations(PartSum):
             of_blocks = of_blocks if r is None else np.maximum(of_blocks, self.residual_norms(r))
             rounding.array[:] = of_blocks[self.block_of]
             self._rigid.require_resisted(self.resisting(self._relative_residual, rounding))
+            destroy(rounding)
 
     # ---------------------------------------------------------------- a step
     def rest(self, t: float) -> State:
@@ -194,6 +197,8 @@ class Equations(PartSum):
             largest_displacement = max(largest_displacement, across)
         moved = float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))  # forces may end at zero where loads do
         moved = max([moved, *self.ask("distance")])
+        if self.mean_stiffness:  # about that of an elastic response
+            moved = max(moved, float(self.loads.norm()) / (self.mean_stiffness * math.sqrt(self.loads.getSize())))
         self.scale.begin(self.norms(self.loads.array_r), largest_displacement, moved)
         self.begin_parts(interval)
         self.external.set(0.0)
@@ -254,7 +259,9 @@ class Equations(PartSum):
         mid.axpy(1 - theta, self.interval.old.u.x.petsc_vec)
         self._mid.x.scatter_forward()
         of_parts = self.forces(self.u, self._mid, self._forces)
-        self.scale.see(np.maximum(self.of_bodies, np.eye(1, self.n_blocks)[0] * max(of_parts, default=0.0)))
+        of_all = np.zeros(self.n_blocks)
+        of_all[: None if self.model.strain or self.model.stress else 1] = max(of_parts, default=0.0)  # equal everywhere
+        self.scale.see(np.maximum(self.of_bodies, of_all))
         self._forces.axpy(-1.0, self.loads)
         rows = self._layout.split(out.array)
         rows[DISPLACEMENTS][:] = np.nan if self.failed else self._forces.array_r
@@ -339,7 +346,7 @@ class Equations(PartSum):
         Beyond a limit load displacements run away; then the rounding of forces grows until it hides what is out of balance.
         """
         size = self.model.joint.size
-        for part in self.parts:
+        for part in self.layers:
             if (part.traits.bounded or part.traits.releases) and isinstance(part, CompiledPart | ContactPart):
                 square = self.comm.allreduce(float((part.error_measure(self.u) ** 2).sum()))
                 if not square <= part.unit_jump_measure() * size**2:

@@ -163,7 +163,7 @@ class Equilibrium(Finder):
             raise SolveError("the tangent at the start of the step is singular", advice=advice)
         d.array[equations.held] = move.array_r[equations.held]
         x.axpy(1.0, d)
-        if equations.interval.old.at_rest:
+        if not self._yields and equations.interval.old.at_rest:
             equations.scale.move(_largest(x))
         equations.residual(x, r)
         self._retreat(x, r, d, move, forces)

@@ -121,29 +121,34 @@ class RigidMotions:
         return of
 
     @cached_property
-    def blocks(self) -> tuple[IntArray, int]:
-        """(n,) numbers >= 1 of the blocks of this rank's displacements, for `ForceScale`, and 1 + the number of blocks.
+    def blocks(self) -> tuple[IntArray, scipy.sparse.csr_matrix]:
+        """(n,) numbers >= 1 of the blocks of this rank's displacements, for `ForceScale`, and which are within others.
 
-        A block is a piece of the bodies but for its nodes on S, or these nodes, seam by seam; or a piece of meshed layers,
-        with its nodes on the bodies, whose forces it bears: inside there are no others to compare residuals with.
+        A block is a piece of the bodies, and within it its nodes on S, seam by seam; or all meshed layers with their nodes
+        on the bodies, whose forces they bear. They are within each piece, which may have no other forces.
         """
         model, V, joint = self.model, self.model.V, self.model.domain.joint
         pieces = (model.splitting if joint.band is None else cut_at_faces(joint)).pieces
-        of_cells, count, dofs = model.domain.on_cells(pieces), int(pieces.max()) + 1, np.asarray(V.dofmap.list)
+        count, dofs = int(pieces.max()) + 1, np.asarray(V.dofmap.list)
         of = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, np.int64)
         in_layer = np.isin(
             joint.region, [joint.regions.index(name) for name in joint.band.regions] if joint.band else []
         )
+        pieces = np.where(in_layer, pieces[in_layer].min(initial=count), pieces)  # layers that meet are one
+        of_cells = model.domain.on_cells(pieces)[: len(dofs)]
         for cells in (~in_layer, in_layer):
             here = model.domain.on_cells(cells)[: len(dofs)]
-            of[dofs[here]] = of_cells[: len(dofs)][here, None]
+            of[dofs[here]] = of_cells[here, None]
         for k, name in enumerate(model.layers if joint.band is None else (), 1):
             nodes = np.concatenate([side.ravel() for side in nodes_of_sides(model, V, name)])
             of[nodes] = of[nodes] % count + k * count
         of = of.repeat(joint.dim)[: model.constraints.n]
         of[model.constraints.held] %= count
         every = np.unique(np.concatenate(model.comm.allgather(np.unique(of))))
-        return 1 + np.searchsorted(every, of), 1 + len(every)
+        layers = np.isin(every, pieces[in_layer])
+        inside = (every[:, None] == every % count) | (layers & (every < count)[:, None])
+        np.fill_diagonal(inside, True)
+        return 1 + np.searchsorted(every, of), scipy.sparse.block_diag([1.0, inside], format="csr")
 
     def _motions(self, rows: npt.NDArray[Any]) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
         """Motions (n, c), sparse: those of pieces in turn, then of plates, with those parts that supports prevent left out.
