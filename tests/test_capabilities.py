@@ -198,6 +198,7 @@ def filed(c, folder):
 
 def in_ensemble(c, folder):
     """Rows are those of single runs, in the table and in its file."""
+    c.state.energies()  # before groups of ranks have models of their own
     run = lambda case: {"stored": c.reach(c.model, case["t"]).energies()["bodies"]}
     table = ensemble(lambda: run, [{"t": 0.5}, {"t": 1.0}], folder / "runs.csv")
     near(table["stored"][1], c.state.energies()["bodies"])

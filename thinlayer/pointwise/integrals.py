@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -280,7 +281,12 @@ class Quadrature:
 
 def matrix_of(form: fem.Form) -> PETSc.Mat:
     """The matrix of a bilinear form, without supports."""
-    A = dolfinx.fem.petsc.assemble_matrix(form)
+    pattern = fem.create_sparsity_pattern(form)
+    pattern.finalize()
+    made = dolfinx.cpp.la.petsc.create_matrix(communicator(form.mesh), pattern)
+    A = copy(made)
+    made.destroy()  # as DOLFINx has one reference too many to this one
+    dolfinx.fem.petsc.assemble_matrix(A, form)
     A.assemble()
     return A
 
