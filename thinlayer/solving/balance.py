@@ -38,8 +38,8 @@ class ForceScale:
     """The forces that the residuals of a step are compared with, in each block of the unknowns.
 
     A block is what can lose its balance by itself: the whole model, each piece of the bodies, and within it its nodes on
-    each seam. Norms
-    (k,) of forces, stiffnesses and residuals are Euclidean, one for each block, that of the whole model first. Rules:
+    each seam. Norms (k,) of forces, stiffnesses and residuals are Euclidean, one for each block, that of the whole model
+    first. Rules:
 
     1. Residuals in a block are relative to "the forces" on it: the largest of the loads, the forces of the stresses at the
        last residual, and the residual at the start of the step.
