@@ -188,11 +188,11 @@ class Sheet:
         for side in sides:
             inside = np.isin(pieces, side)
             away = distance[joint.corners[inside]].max()
-            found.append(min(_volume(joint, inside) / self.areas.sum(), away if self.planar else math.inf))
+            found.append(min(volume_of(joint, inside) / self.areas.sum(), away if self.planar else math.inf))
         return tuple(map(float, found))
 
 
-def _volume(joint: Joint, inside: BoolArray) -> float:
+def volume_of(joint: Joint, inside: BoolArray) -> float:
     """Volume of whole pieces of the bodies, given by their cells (n_cells,), from their faces by the divergence theorem."""
     rows = np.concatenate([joint.outer_rows, joint.surface_rows, joint.surface_rows])
     cells = np.concatenate([joint.table.cells[joint.outer_rows, 0], *joint.surface_cells.T])

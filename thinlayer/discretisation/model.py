@@ -22,6 +22,7 @@ from forms.law import BulkLaw
 from geometry.domain import Domain
 from geometry.inflating.layering import by_seam
 from geometry.joint import Joint
+from geometry.sheet import volume_of
 from geometry.topology import FloatArray, Indices, Splitting, is_tensor
 from thinlayer.discretisation.addition import check_additions
 from thinlayer.discretisation.constraints import Constraints
@@ -40,7 +41,7 @@ from thinlayer.discretisation.layer import (
     constants,
     loads_of_layers,
 )
-from thinlayer.discretisation.measures import compiled, compiled_terms, origin_of, placed
+from thinlayer.discretisation.measures import compiled, compiled_scalars, compiled_terms, origin_of, placed
 from thinlayer.discretisation.mesh_functions import cut_at_faces, vector_space
 from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms, check_loads
 from thinlayer.discretisation.reduction import Reduction
@@ -428,6 +429,14 @@ class Model(ABC):
     def solids(self) -> list[forms.Term]:
         """The terms of bodies and of meshed layers."""
         return self.bodies if self.broken else self.terms
+
+    @cached_property
+    def volume(self) -> float:
+        """Volume of bodies and meshed layers; of a periodic cell also what layers on S have taken of it. Collective."""
+        if self.joint.periods is not None and self.domain.joint.parted is not None:
+            return volume_of(self.joint, np.ones(len(self.joint.cells), bool))
+        size = sum(fem.Constant(self.domain.mesh, 1.0) * p.weight * p.measure for p in self.solids)
+        return float(self.comm.allreduce(sum(map(fem.assemble_scalar, compiled_scalars(size)))))
 
     @property
     def terms(self) -> list[forms.Term]:

@@ -320,17 +320,16 @@ class State(Configuration):
     def mean_stress(self) -> Array:
         """Mean stress (d, d) of the bodies and of meshed layers. Collective.
 
-        In a periodic cell with a layer on S, which has no volume, it is the stress of the cell as a whole.
+        In a periodic cell it is the stress of the cell as a whole, a layer on S included, see `Model.volume`.
         """
         model, d = self.model, self.model.joint.dim
         chosen = fem.Constant(model.domain.mesh, np.zeros(len(PAIRS[d])))
         terms = self.bodies if model.broken else [*self.bodies, *self.layers]
         unit = lift(of_components(chosen))
         works = sum(ufl.inner(s, unit) * p.weight * measure for p, s, measure in self._stressed(terms))
-        volume = self._sum(sum(fem.Constant(model.domain.mesh, 1.0) * p.weight * p.measure for p in terms))
         out = np.zeros((d, d))
         for (i, j), value in zip(PAIRS[d], per_unit(model.comm, works, chosen), strict=True):
-            out[i, j] = out[j, i] = value / volume
+            out[i, j] = out[j, i] = value / model.volume
         return out
 
     def _stored(self, points: Sequence[Term]) -> float:

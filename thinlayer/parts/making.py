@@ -30,7 +30,7 @@ def body_parts(model: Model) -> list[Part]:
     """
     parts: list[Part] = [LawForms("forms", model.V, model.bodies, model.layer_terms), *_compiled(model, model.bodies)]
     if model.stress:
-        parts.append(MeanStressPart(model.V, model.solids, model.stress, model.comm))
+        parts.append(MeanStressPart(model.V, model.solids, model.stress, model.volume, model.comm))
     return parts
 
 

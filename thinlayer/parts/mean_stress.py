@@ -33,14 +33,17 @@ class MeanStressPart(FieldPart):
         V: space of the displacements.
         bodies: terms of the bodies, of linear laws; their eigenstrains are strains given beside E.
         given: the mean stress.
+        volume: of the cell.
         comm: the domain's communicator.
     """
 
     key = MEAN_STRAIN
     traits = PartTraits(inner=True)  # the mean strain is none of the motions of one body
 
-    def __init__(self, V: fem.FunctionSpace, bodies: Sequence[Term], given: MeanStress, comm: MPI.Intracomm) -> None:
-        self._given, self.unit, mesh = given, 1 / given.size, V.mesh
+    def __init__(
+        self, V: fem.FunctionSpace, bodies: Sequence[Term], given: MeanStress, volume: float, comm: MPI.Intracomm
+    ) -> None:
+        self._given, self.unit, self._volume, mesh = given, 1 / given.size, volume, V.mesh
         whole = fem.functionspace(mesh, basix.ufl.element("DG", mesh.basix_cell(), 0, shape=(given.count,)))
         same = np.zeros(np.shape(whole.dofmap.list), np.int64)
         W = broken_space(comm, Keys(whole, same[:1, 0], same[:1, 0], same))
@@ -57,8 +60,6 @@ class MeanStressPart(FieldPart):
         stresses = [(p, p.law.stress(Step(self._over.now(p.given), p.n))) for p in of_given]
         own = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in stresses)
         self._own_of_given = fem.form(own) if of_given else None
-        size = sum(fem.Constant(mesh, 1.0) * p.weight * p.measure for p in bodies)
-        self._volume = float(comm.allreduce(fem.assemble_scalar(fem.form(size))))
         self._forces, self._own, self._more = self.B.createVecLeft(), self.D.createVecLeft(), self.D.createVecLeft()
         self._mid, self._old, self._change = (self.D.createVecRight() for _ in range(3))
 
