@@ -260,6 +260,14 @@ def test_larger_forces_elsewhere_do_not_hide_a_limit(law, ratio):
     assert error.history.t[-1] <= 1.002
 
 
+def test_pressure_does_not_hide_a_limit():
+    """A layer a million times weaker than the pressure on it: steps beyond its limit stalled at residuals below 1e-6."""
+    weak = layer_of(VonMises(0.0, 10.0, strength=1e-7 * 3**0.5), 0.01)
+    load = {"RIGHT/UPPER": lambda x, t: (2e-7 * t, 0.0), "TOP": (0.0, -0.1)}
+    error = limit(pushed_along(weak, 1.0, tractions=load), [0.5, 0.9, 1.1, 1.5, 3.0])
+    assert error.t == pytest.approx(1.0, abs=0.002)
+
+
 def test_weak_springs_that_hold_stiff_bodies_are_right():
     """A stiff wall on springs 1e7 times softer turns by the moment of its load; residuals are rounding of its stiffness."""
     load, K, high = 0.02, 30.0, 8.0

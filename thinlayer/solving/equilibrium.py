@@ -347,8 +347,12 @@ class Equilibrium(Finder):
             raise InputError(f"-{PREFIX}snes_type {snes.getType()} does not look at the residual; use another one")
         last = equations.relative(snes.getFunction()[0])
         ksp_reason = snes.getKSP().getConvergedReason()
+        stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < ALLOWED
+        if stalled:  # by rounding, or as no equilibrium is near: then another step would go far
+            solve_linear(snes.getKSP(), snes.getFunction()[0], d := self._vectors[2])
+            stalled = _largest(d) <= ROUNDED * self._displacements_at_play(x)
+            given_up = given_up or "no step reduces the residual"
         snes.destroy()
-        stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < ALLOWED  # rounding stops the line search
         stopped = self._own_test and reason >= 0 and not last < ALLOWED  # another test than ours ended the solve
         if stopped or (reason < 0 and not stalled):
             failed = f"; {equations.failure()}" if equations.failed else ""
