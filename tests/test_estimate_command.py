@@ -7,6 +7,7 @@ import math
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mpi4py import MPI
 
@@ -17,7 +18,7 @@ from tests.on_ranks import alone, on_ranks
 from tests.pictures import assert_drawn
 from tests.refused import refused
 from tests.test_cli import rows, thinlayer
-from thinlayer import estimate, solve
+from thinlayer import Surface, estimate, solve
 from thinlayer.estimating import goals
 from thinlayer.running.case import Case
 from thinlayer.running.description import Description
@@ -60,6 +61,10 @@ def test_description_and_script_agree_and_another_glue_does_not(lap, wanted, tmp
     for sentence in wanted.sentences:
         assert sentence.replace(PULL, "pull") in done.stdout
     assert done.stdout.startswith("lengths in mm, stresses in MPa\nMay you drop the layer's mesh")
+    surface, density = Surface(wanted.better.model), wanted.density("compliance")
+    near = 0.5 * np.ptp(surface.x[0]) - np.abs(surface.x[0] - 0.5 * (surface.x[0].min() + surface.x[0].max())) < 1.6
+    share = 100 * surface.integral(surface.at_points(density) * near) / wanted.goals["compliance"].change
+    assert f"  compliance: of its change {share:.2g} % within 1.6 of the ends of S and " in done.stdout
     assert f"written to {tmp_path / 'out'}" in done.stdout
     run = json.loads((tmp_path / "out" / "run.json").read_text())
     assert run["parameters"]["files"] == {str(path): hash_of(path) for path in (lap.with_suffix(".msh"), lap)}

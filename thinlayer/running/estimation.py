@@ -9,7 +9,9 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from forms.base import InputError
+import numpy as np
+
+from forms.base import Array, InputError
 from geometry.parallel import on_root, world
 from geometry.seam import S
 from thinlayer import plotting
@@ -29,6 +31,7 @@ from thinlayer.system.table import Table
 from thinlayer.time.marching import march
 
 LAW, BOND = "law", "bond"  # what is in place of the meshed layer
+NEAR = (4, 8)  # distances from the ends of S, in thicknesses, for which shares of the change are printed
 QUESTIONS = {
     LAW: "May you drop the layer's mesh, with its interface law instead?",
     BOND: "May you ignore the layer altogether, with its bodies bonded?",
@@ -98,7 +101,7 @@ def _thicknesses(record: Record, case: Case, name: str) -> list[dict[str, Any]]:
 
 
 def _draw(record: Record, case: Case, name: str, found: Estimate) -> None:
-    """A picture for each goal whose density on S is known."""
+    """A picture for each goal whose density on S is known, and how much of its change arises near the ends of S."""
     stems = list[str]()
     for goal in found.goals:
         try:
@@ -110,6 +113,8 @@ def _draw(record: Record, case: Case, name: str, found: Estimate) -> None:
         while stem in stems:  # as of "a b" and "a-b"
             stem += "_"
         stems.append(stem)
+        if shares := _near_ends(found, goal, density):
+            record.say(f"  {goal}: {shares}")
         path, length = record.path(f"{stem}.png"), case.given.units[0] if case.given.units else ""
         shown = goal.replace("$", r"\$")  # no mathematics
         quantity, surface = f"change of {shown}, per area of S", Surface(found.better.model)
@@ -117,3 +122,14 @@ def _draw(record: Record, case: Case, name: str, found: Estimate) -> None:
             plotting.along(surface, {quantity: density}, save=path, length=length, log=True)
         else:
             plotting.on_surface(found.better, density, plotting.View(scale=0.0), save=path, quantity=quantity, log=True)
+
+
+def _near_ends(found: Estimate, goal: str, density: Array) -> str:
+    """How much of the change of a goal arises near the ends of S, in words; "" if there are none, or no change."""
+    surface, error, shares = Surface(found.better.model), found.goals[goal], []
+    if error.zero or error.fixed or not np.isfinite(surface.distance_to_ends).any():
+        return ""
+    for distance in np.array(NEAR) * max(layer.layer.eps for layer in found.layers.values()):
+        near = surface.integral(surface.at_points(density) * (surface.distance_to_ends < distance))
+        shares.append(f"{100 * near / error.change:.2g} % within {distance:.3g} of the ends of S")
+    return f"of its change {' and '.join(shares)}"

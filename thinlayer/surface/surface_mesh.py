@@ -18,7 +18,7 @@ from forms.base import Array, InputError, require
 from geometry.joint import Joint
 from geometry.refusals import refuse, require_known
 from geometry.seam import BASE, S
-from geometry.sheet import Rim
+from geometry.sheet import Rim, Sheet
 from geometry.topology import FACET_TYPES, BoolArray, IntArray, along, by_place, lagrange, sums
 from thinlayer.discretisation.contact_nodes import frames_at
 from thinlayer.discretisation.full_model import FullModel
@@ -235,6 +235,13 @@ class SurfaceMesh:
                 shapes = at.shapes[0] if at.points.ndim == 2 else at.shapes[here]
                 if len(here):
                     yield side, here, cells[here], shapes @ geometry[corners]
+
+    @cached_property
+    def distance_to_ends(self) -> Array:
+        """(n, q) distances of the points from where S, or this seam of it, ends; infinite if it is closed."""
+        x = np.moveaxis(self.x, 0, -1)
+        rim = Sheet(self.joint, self.seam).rim
+        return rim.distance(self.joint.points, x.reshape(-1, len(self.x))).reshape(x.shape[:-1])
 
     # ---------------------------------------------------------------- integrals
     def _field(self, f: Any) -> Array:
