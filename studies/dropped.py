@@ -10,7 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from math import pi
 from typing import Any, ClassVar
 
@@ -56,28 +56,20 @@ Vector = tuple[float, ...]
 Layers = ThinLayer | dict[str, ThinLayer]
 
 
-# ---------------------------------------------------------------- structures, each with one mesh for a thickness
+# ---------------------------------------------------------------- structures; with `_` of a mesh for any thickness
 # fmt: off
 def loaded(joint: Joint, top: Any, *, body: Any = FOURIER_BODY, supports: Any = CLAMPED, **more: Any) -> Structure:
     """Bodies under a traction on top, clamped below."""
     return Structure(joint, body=body, supports=supports, tractions={"TOP": top}, **more)
 
 
-def of_any_thickness(make: Callable[[], Structure]) -> Callable[[float], Structure]:
-    """A structure with one mesh for layers of any thickness."""
-    once = cache(make)
-    return lambda eps: once()
-
-
-@of_any_thickness
-def rollers() -> Structure:
+def rollers(_: float) -> Structure:
     """Two blocks between rollers under one half-wave, `studies.problems.fourier`."""
     joint, setup = fourier(1 / 16, cell="quadrilateral")
     return Structure(joint, **setup)
 
 
-@of_any_thickness
-def box() -> Structure:
+def box(_: float) -> Structure:
     """A box between rollers on all four sides, under half a wave along x and a whole one along z."""
     joint = sandwich(1.0, 0.5, 0.5, 1 / 8, depth=0.5, cell="hexahedron", structured=True)
     k1, k3 = pi, 2 * pi
@@ -94,7 +86,6 @@ def _ends(eps: float) -> float:
     return min(eps / ENDS, ALONG)
 
 
-@cache
 def free(
     eps: float, load: Vector = (0.3, -1.0), heights: tuple[float, float] = (0.5, 0.5), *,
     lower: LinearElastic = FOURIER_BODY, upper: LinearElastic = FOURIER_BODY, **more: Any,
@@ -103,30 +94,26 @@ def free(
     return free_blocks(_ends(eps), load, heights, h_S=ALONG, body={"LOWER": lower, "UPPER": upper}, **more)
 
 
-@cache
 def displaced(eps: float) -> Structure:
     """Two stiff blocks with free sides, the upper one pressed down by 0.01."""
     pressed = CLAMPED | {"TOP": {"x": 0.0, "y": -0.01}}
     return free_blocks(_ends(eps), h_S=ALONG, body=STEEL, supports=pressed, tractions={})
 
 
-@cache
 def tilted(eps: float) -> Structure:
     """Two blocks of unequal heights with free sides, turned by `TILT`, under a traction that is not."""
     joint = sandwich(1.0, 0.4, 0.7, 1 / 8, h_S=ALONG, h_ends=_ends(eps), cell="quadrilateral")
     return loaded(joint.rotated(TILT), (-0.7, 0.4), body=young(E=150.0, nu=0.2))
 
 
-@of_any_thickness
-def channel() -> Structure:
+def channel(_: float) -> Structure:
     """Two unequal blocks between rollers, under a traction that is no wave."""
     joint = sandwich(WIDTH, 0.4, 0.6, 1 / 16, cell="quadrilateral", structured=True)
     body = {"LOWER": young(E=120.0, nu=0.25), "UPPER": young(E=80.0, nu=0.35)}
     return loaded(joint, lambda x, t: (x[0] * (WIDTH - x[0]), x[0] ** 2 - 0.3), body=body, supports=WALLS)
 
 
-@of_any_thickness
-def rings() -> Structure:
+def rings(_: float) -> Structure:
     """A ring around another one that is held inside, pushed down on its upper half."""
     joint = ring(1.0, 1.5, 2.2, 1 / 6, h_S=1 / 12, cell="quadrilateral", degree=2)
     body = {"INNER": young(E=200.0, nu=0.3), "OUTER": young(E=70.0, nu=0.33)}
@@ -134,49 +121,42 @@ def rings() -> Structure:
     return Structure(joint, body=body, supports={"INSIDE": 0.0}, tractions=loads)
 
 
-@cache
 def on_base(eps: float) -> Structure:
     """A block with free sides on a rigid base."""
     joint = block(1.0, 0.6, 1 / 8, h_S=ALONG, h_ends=_ends(eps), cell="quadrilateral")
     return loaded(joint, lambda x, t: (0.4, -0.5 - x[0]), body=young(E=90.0, nu=0.2), supports={})
 
 
-@of_any_thickness
-def tube() -> Structure:
+def tube(_: float) -> Structure:
     """Two tubes, one on the other, between smooth walls: a section from r = 0.4 to 1.4."""
     joint = sandwich(1.0, 0.5, 0.5, 1 / 12, cell="quadrilateral", structured=True).moved((0.4, 0.0))
     body = young(E=100.0, nu=0.25)
     return loaded(joint, lambda x, t: (0.0, 1 - x[0] ** 2), body=body, supports=WALLS, plane="axisymmetric")
 
 
-@cache
 def disc(eps: float) -> Structure:
     """Two round blocks with a free side, a section from the axis to r = 1, pressed most at the axis."""
     return free_blocks(_ends(eps), lambda x, t: (0.0, x[0] ** 2 - 1), h_S=ALONG, plane="axisymmetric")
 
 
-@cache
 def plated(eps: float) -> Structure:
     """Two blocks with free sides on springs, under a rigid plate that may turn."""
     parts = [Springs("BOTTOM", normal=300.0, tangential=200.0), RigidPlate("TOP", force=(0.3, -1.0), moment=0.1)]
     return free_blocks(_ends(eps), h_S=ALONG, supports={}, tractions={}, parts=parts)
 
 
-@cache
 def two_seams(eps: float) -> Structure:
     """Three blocks with free sides, one on the other."""
     cuts = {"LOW": ((-0.1, 0.4), (1.1, 0.4)), "HIGH": ((-0.1, 0.8), (1.1, 0.8))}
     return loaded(faults(1.0, 1.2, cuts, 1 / 8, h_S=ALONG, h_ends=_ends(eps)), (0.3, -1.0))
 
 
-@cache
 def heated(eps: float) -> Structure:
     """Two blocks with free sides, of which the upper one expands by a hundredth."""
     body = {"LOWER": FOURIER_BODY, "UPPER": young(E=80.0, nu=0.2)}
     return free_blocks(_ends(eps), h_S=ALONG, body=body, tractions={}, eigenstrain={"UPPER": 0.01})
 
 
-@cache
 def corner(eps: float) -> Structure:
     """A quarter of two plates, with two free sides that meet at a corner, pressed and sheared, in three dimensions."""
     joint = sandwich(1.0, 0.5, 0.5, 1 / 4, depth=DEPTH, h_S=1 / 6, h_ends=eps / 3, cell="hexahedron")
