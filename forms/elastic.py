@@ -225,8 +225,7 @@ class Anisotropic(LinearLaw):
         rows = np.array(VOIGT_PLACES)
         C = np.asarray(self.C, float)[rows[:, :, None, None], rows[None, None]]
         if self.frame == "layer":
-            axis = np.pad(n, (0, 3 - len(n)))
-            turn = Rotation.align_vectors(axis[None], [[0.0, 1.0, 0.0]])[0].as_matrix()
+            turn = Rotation.align_vectors([np.pad(n, (0, 3 - len(n)))], [[0.0, 1.0, 0.0]])[0].as_matrix()
             C = np.einsum("ia,jb,kc,ld,abcd->ijkl", turn, turn, turn, turn, C, optimize=True)
         first, second = np.array(MANDEL).T
         weight = np.where(first == second, 1.0, ROOT2)

@@ -49,8 +49,7 @@ def _entities(name: str, mesh: Any, entities: npt.NDArray[np.int32]) -> npt.NDAr
     connect(mesh, dim)
     given = getattr(fem.IntegralType, name), getattr(mesh.topology, "_cpp_object", mesh.topology), entities
     domains = cpp.fem.compute_integration_domains
-    found = first_that_fits(lambda: domains(*given), lambda: domains(*given, dim))
-    return np.array(found, dtype=np.int32)
+    return np.array(first_that_fits(lambda: domains(*given), lambda: domains(*given, dim)), dtype=np.int32)
 
 
 def by_domain(form: ufl.Form) -> dict[Any, list[Any]]:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import fcntl
 import functools
 import hashlib
-import importlib.util
 import inspect
 import os
 import re
@@ -20,8 +19,9 @@ import shutil
 import sysconfig
 import tempfile
 from collections.abc import Iterator
-from contextlib import chdir, contextmanager
-from importlib.machinery import EXTENSION_SUFFIXES
+from contextlib import chdir, contextmanager, suppress
+from importlib.machinery import EXTENSION_SUFFIXES, ExtensionFileLoader, ModuleSpec
+from importlib.util import module_from_spec
 from pathlib import Path
 from typing import Any
 
@@ -73,12 +73,10 @@ def release(folder: Path, name: str) -> None:
 def _lock(folder: Path, name: str, how: int) -> None:
     """Lock or free the byte of the folder's lock file that stands for the name."""
     byte = int(hashlib.sha256(name.encode()).hexdigest()[:15], 16)
-    try:
+    with suppress(OSError):  # a file system without locks: a library may be compiled twice, and the last one is kept
         if folder not in _LOCKS:
             _LOCKS[folder] = os.open(folder / ".thinlayer.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         fcntl.lockf(_LOCKS[folder], how, 1, byte)
-    except OSError:  # a file system without locks: a library may be compiled twice, and the last one is kept
-        pass
 
 
 @contextmanager
@@ -94,11 +92,8 @@ def workshop(folder: Path, name: str) -> Iterator[Path]:
 
 def keep(made: Path, file: Path) -> None:
     """Write a file to the disk and move it to where it is kept."""
-    descriptor = os.open(made, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+    with made.open("rb") as written:
+        os.fsync(written.fileno())
     made.replace(file)
 
 
@@ -108,11 +103,9 @@ def load(library: Path) -> Any:
     Raises:
         ImportError: a file that is no such library.
     """
-    spec = importlib.util.spec_from_file_location(library.name.split(".")[0], library)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    loader = ExtensionFileLoader(library.name.split(".")[0], str(library))
+    module = module_from_spec(ModuleSpec(loader.name, loader, origin=loader.path))
+    loader.exec_module(module)
     return module
 
 

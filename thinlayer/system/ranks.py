@@ -190,8 +190,7 @@ def ask(comm: MPI.Intracomm, rank: Array, questions: Array, answer: Callable[[Ar
     received = comm.alltoall([questions[rows] for rows in order])
     source = np.repeat(np.arange(comm.size), [len(rows) for rows in received])
     answers = answer(np.concatenate(received), source)
-    returned = comm.alltoall(np.split(answers, np.cumsum([len(rows) for rows in received])[:-1]))
-    back = np.concatenate(returned)
+    back = np.concatenate(comm.alltoall(np.split(answers, np.cumsum([len(rows) for rows in received])[:-1])))
     out = np.empty_like(back)
     out[np.concatenate(order)] = back
     return out
