@@ -187,8 +187,7 @@ class Column:
 
     def follow(self, model: Model, times: Sequence[float], theta: float = 0.5) -> Array:
         """Component along the load of the jump, or of the traction, at the ends of steps; S is 1 long."""
-        history, surface = march(model, times, theta=theta), Surface(self.models[INTERFACE])
-        self.record.solved(history.last)
+        history, surface = self.record.solved(march(model, times, theta=theta)), Surface(self.models[INTERFACE])
         field = surface.traction if self.case.relaxes else surface.jump
         return np.array([surface.integral(surface.frame(field(history.at(t)))[self.pull.axis]) for t in times])
 

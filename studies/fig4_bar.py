@@ -84,9 +84,7 @@ class Strip:
             "U": lambda state: self.surface.integral(self.surface.jump(state)[1]),
             "sigma": lambda state: state.reaction("TOP").force[1],
         }
-        history = march(model, times, observe=measured, keep="last")
-        self.record.solved(history.last)
-        return history
+        return self.record.solved(march(model, times, observe=measured, keep="last"))
 
     def rows(self, history: History) -> Table:
         """delta, U, sigma, energy, phase, and the energy lost in a snap that ends there, of all states."""

@@ -72,8 +72,7 @@ def punched(record: Record, cells: Sequence[int]) -> None:
     errors = []
     for n in cells:
         model = Structure(half_space(n), body=metal, supports=supports).bonded()
-        history = march(model, SUNK, keep="last", observe={"pressure": pressure})
-        record.solved(history.last)
+        history = record.solved(march(model, SUNK, keep="last", observe={"pressure": pressure}))
         over = history.table["pressure"] / limit
         table.extend(Table.of({"n": n, "sunk": history.t, "pressure": history.table["pressure"], "over": over}))
         errors.append(float(history.table["pressure"][-1]) / limit - 1)

@@ -66,11 +66,10 @@ def push_walls(record: Record, bricks: int, courses: int, cells: int, step: floa
         history, limit = pushed(model, step, 1.5 * STRENGTH)
         moved, steps = [shift(state) for state in history], [state.report.iterations for state in history]
         table.extend(Table.of({"wall": name, "shear_MPa": history.t, "shift_mm": moved, "iterations": steps}))
-        record.solved(history.last)
         record.check(f"{name}: limit over that of a bed that slides", limit / STRENGTH, low=0.995, high=1.0)
         shifts.append(np.interp(NEAR * STRENGTH, history.t, moved))
         near[name] = max((state for state in history if state.t <= NEAR * STRENGTH), key=lambda state: state.t)
-        last[name] = history.last
+        last[name] = record.solved(history.last)
         for state in (near[name], last[name]):
             for row in Surface(state.model).table(state):
                 joints.append({"wall": name, "shear_MPa": state.t} | {key: row.get(key, 0.0) for key in SHARES})
@@ -97,8 +96,7 @@ def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
     for eps in thicknesses:
         models[f"meshed, {eps:g} mm"] = structure.full(mortar(eps), cells_through=2, bodies="extended")
     for name, model in models.items():
-        history = march(model, list(SHIFTS))
-        record.solved(history.last)
+        history = record.solved(march(model, list(SHIFTS)))
         # steps that failed were parted: the models are compared at the times that they have in common
         forces[name] = [beds.integral(beds.reaction(history.at(t))[0]) / length for t in SHIFTS]
         table.extend(Table.of({"model": name, "shift_mm": SHIFTS, "shear_MPa": forces[name]}))

@@ -10,7 +10,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from forms.base import InputError
 from geometry.parallel import on_root, world
@@ -29,6 +29,7 @@ from thinlayer.system.words import reason, say
 from thinlayer.time.marching import march
 from thinlayer.time.plan import Adaptive
 
+Found = TypeVar("Found", State, History)
 LOG = logger("study")
 RUN, FORMAT = "run.json", 1  # the format is that of run.json
 PRINTED = 40  # most rows of a table that is printed
@@ -275,13 +276,14 @@ class Record:
                 self.solved(state)
         return history
 
-    def solved(self, state: State) -> State:
-        """Note for run.json how a state was found; returns the state."""
+    def solved(self, found: Found) -> Found:
+        """Note for run.json how a state, or the last one of a history, was found; returns what it is given."""
+        state = found if isinstance(found, State) else found.last
         thin = {name: one.thin.eps for name, one in state.model.layers.items() if one.thin}
         eps = thin if len(thin) > 1 else next(iter(thin.values()), None)
         self.solves.append({"model": repr(state.model), "eps": eps, "t": state.t} | asdict(state.report))
         LOG.info("%(model)s, eps = %(eps)s, t = %(t)g: %(method)s, %(iterations)d steps", self.solves[-1])
-        return state
+        return found
 
     def check(self, name: str, value: float, *, low: float | None = None, high: float | None = None) -> None:
         """Check that a number lies in a range; a failed check makes the run exit with status 1."""
