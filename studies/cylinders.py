@@ -211,11 +211,6 @@ def tubes(h: float, loads: dict[str, Any]) -> tuple[Joint, dict[str, Any]]:
     return flat.rotated(-np.pi / 2).moved((on_S, 0.0)), bodies | loads
 
 
-def inside_tubes(x: Any) -> Any:
-    """Away from the ends of the tubes."""
-    return abs(x[1] + HEIGHT / 2) < 0.3 * HEIGHT
-
-
 def against_lame(full: Solution, limit: Solution) -> dict[str, float]:
     """Relative differences from the closed form: of the bore's displacement, and of the mean traction on S."""
     eps, (bore, on_S, rim) = float(layer_of(limit).eps), RADII

@@ -17,6 +17,7 @@ from forms.kinematics import Expr
 from geometry import faults, grains, wall
 from geometry.joint import Joint
 from geometry.seam import JUNCTIONS, LAYER
+from studies.sweeping import difference
 from thinlayer import Structure, Surface, Table, ThinLayer, UflPart, plotting, solve
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
@@ -158,12 +159,14 @@ def compared(record: Record, name: str, sizes: Sequence[float]) -> list[dict[str
 
 def differences(case: Case, full: State, by_law: State) -> dict[str, float]:
     """Relative L2 differences on S, relative difference of the energies, and the share of junctions in the energy."""
-    surface, found = Surface(by_law.model), {}
+    surface = Surface(by_law.model)
     inner = far_from_junctions(surface, case.distance)
-    jump, traction = surface.jump, surface.traction
-    for name, field_of, part in (("jump", jump, 1), ("inner_jump", jump, inner), ("inner_traction", traction, inner)):
-        wanted = field_of(by_law)
-        found[name] = surface.norm(field_of(full) - wanted, part) / surface.norm(wanted, part)
+    fields = {
+        "jump": (Surface.jump, 1),
+        "inner_jump": (Surface.jump, inner),
+        "inner_traction": (Surface.traction, inner),
+    }
+    found = {name: difference(surface, field, full, by_law, part) for name, (field, part) in fields.items()}
     full_energy, limit_energy = (stored_in(state) for state in (full, by_law))
     energies = {"energy": abs(full_energy / limit_energy - 1), "in_junctions": in_junctions(case, full) / full_energy}
     return found | energies

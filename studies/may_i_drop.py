@@ -21,7 +21,7 @@ from studies.dropped import (
     random_case,
     unwarned,
 )
-from studies.sweeping import last
+from studies.sweeping import Field, last
 from thinlayer import Probe, Surface, estimate, march, plotting, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
@@ -95,9 +95,6 @@ def _at_random(record: Record, *, count: int) -> None:
 
 
 # ---------------------------------------------------------------- what is measured
-Field = Callable[[Surface, State], Array]
-
-
 @dataclass(frozen=True)
 class Dropped:
     """A case whose layers were dropped, and meshed.

@@ -125,11 +125,6 @@ def bar(sizes: tuple[float, float, float]) -> tuple[Joint, dict[str, Any]]:
     return fig3.meshed(sizes), setup
 
 
-def inside_bar(x: Any) -> Any:
-    """5 mm off the ends of S."""
-    return abs(x[0] - fig3.SIDE / 2) < 0.45 * fig3.SIDE
-
-
 def of_metal(h: float) -> tuple[Joint, dict[str, Any]]:
     """The blocks of `sheared`, of hardening metal; joint, data of its models."""
     joint, setup = sheared(h)
@@ -178,7 +173,7 @@ yields = partial(fine, problem=sheared, orders=(0.9, 1.3), times=SHEARED)
 rubs = partial(fine, of(bands.BAND), h=(1 / 128, 1 / 64), cells_through=1, more=bands.zones, along=bands.along_s)
 in_bar = partial(
     Row, problem=bar, h=((6.0, 3.0, 0.2), (8.0, 4.0, 0.4)), eps=(2.0, 1.0, 0.5, 0.25), orders=(0.9, 1.3), unit="mm",
-    where=inside_bar,
+    where=lambda x: abs(x[0] - fig3.SIDE / 2) < 0.45 * fig3.SIDE,  # 5 mm off the ends of S
 )
 at_once, to_and_fro = (partial(bands.blocks, path=path) for path in (bands.ONCE, TO_AND_FRO))
 
@@ -215,7 +210,7 @@ ROWS: dict[str, Row] = {
     ),
     "tubes push": tubes(
         of(cylinders.GLUE, cylinders.GLUE_EPS), "shaft pushed", partial(cylinders.tubes, loads=cylinders.PUSHED),
-        orders=(0.9, 1.25), where=cylinders.inside_tubes,
+        orders=(0.9, 1.25), where=lambda x: abs(x[1] + cylinders.HEIGHT / 2) < 0.3 * cylinders.HEIGHT,  # off their ends
     ),
     "own_mesh": Row(
         of(problems.JOINT, problems.JOINT_EPS), "", problems.arch, ("P2", "P1"), (0.04, 0.02, 0.01, 0.005), (0.9, 1.1),

@@ -25,6 +25,7 @@ from thinlayer.solving.history import Solution
 
 Floors = Mapping[str, tuple[float, float]]  # traction or jump -> range of the relative error that a wrong law leaves
 Tables = dict[str, Table]
+Field = Callable[[Surface, State], Array]
 Problem = Callable[[Any], tuple[Joint, dict[str, Any]]]
 ON_S = "interface law"
 
@@ -162,9 +163,14 @@ def last_order(table: Table, column: str) -> float:
 
 def by_reaction(full: Solution, limit: Solution, where: Where | None = None) -> dict[str, float]:
     """Error of the traction whose forces are the bodies' reactions; those of both laws' own nearly cancel the next term."""
-    surface, part = Surface(last(limit).model), where or 1.0
-    meshed, wanted = (surface.reaction(last(one)) for one in (full, limit))
-    return {"error_reaction": surface.norm(meshed - wanted, part) / surface.norm(wanted, part)}
+    surface = Surface(last(limit).model)
+    return {"error_reaction": difference(surface, Surface.reaction, last(full), last(limit), where or 1.0)}
+
+
+def difference(surface: Surface, field: Field, state: State, known: State, where: Any = 1.0) -> float:
+    """L2 norm on a part of S of the difference of a field in two states, over that of the field in the known one."""
+    wanted = field(surface, known)
+    return surface.norm(field(surface, state) - wanted, where) / surface.norm(wanted, where)
 
 
 def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: Floors) -> None:

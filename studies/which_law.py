@@ -17,6 +17,7 @@ from forms.base import Array
 from geometry.parallel import world
 from studies.maps import maps
 from studies.problems import FOURIER_BODY, Wave, fourier, free_blocks
+from studies.sweeping import difference
 from thinlayer import RangeWarning, Structure, Surface, Table, ThinLayer, solve
 from thinlayer.discretisation.state import State
 from thinlayer.output.plotting.curves import fraction
@@ -160,12 +161,10 @@ class FreeEnds:
         work = full.energies()["loads"]
 
         def errors(state: State) -> tuple[float, ...]:
-            surface, found = Surface(state.model), []
+            surface = Surface(state.model)
             inner = abs(surface.x[0] - 0.5) < INNER
-            for field in (surface.reaction, surface.jump):
-                meshed = field(full)
-                found.append(surface.norm(field(state) - meshed, inner) / surface.norm(meshed, inner))
-            return (*found, abs(state.energies()["loads"] / work - 1))
+            on_s = (difference(surface, field, state, full, inner) for field in (Surface.reaction, Surface.jump))
+            return (*on_s, abs(state.energies()["loads"] / work - 1))
 
         return errors
 
