@@ -35,6 +35,7 @@ SWEEPS = 4  # number of sweeps before each of the first Newton steps
 PATIENCE = 6  # number of Newton steps after which the sweeps double with every step, and steps may be shortened
 MOST_SWEEPS = 32  # largest number of sweeps before a Newton step
 MOST_STEPS = 30
+RUN_AWAY, MOST_LONG_STEPS = 1e5, 4  # length of steps, over the first displacements, so many of which in turn end the search
 TRIALS = 12  # largest number of trials of a step's length
 FLAT = 0.1  # work along a step at its end, relative to that at its beginning, that ends the search of its length
 
@@ -197,14 +198,14 @@ class CondensedSystem:
         self, u: Array, g: Array, relative: Callable[[Array, Array, Array], float], tolerance: float = TOLERANCE
     ) -> tuple[Array, tuple[float, ...]]:
         """Displacements, from u, and the residuals before each Newton step and after the last, relative to the forces."""
-        residuals, pairs = list[float](), self.pairs
+        residuals, pairs, long_steps, far = list[float](), self.pairs, 0, RUN_AWAY * np.abs(u).max(initial=0.0)
         while True:
             forces = pairs.forces(pairs.apart(u))
             r = self._stiffness @ u + forces - g
             residuals.append(relative(r, forces, u))
             if residuals[-1] <= tolerance or self._stalls(residuals, u, forces):
                 return u, tuple(residuals)
-            if len(residuals) > MOST_STEPS or not math.isfinite(residuals[-1]):
+            if len(residuals) > MOST_STEPS or long_steps > MOST_LONG_STEPS or not math.isfinite(residuals[-1]):
                 raise SolveError(
                     f"contact: residual {residuals[-1]:.1e} of the forces after {len(residuals) - 1} Newton steps",
                     residuals=tuple(residuals),
@@ -213,6 +214,7 @@ class CondensedSystem:
             u = u.copy()
             pairs.sweep(self._blocks, g, u, min(SWEEPS * 2 ** max(len(residuals) - PATIENCE, 0), MOST_SWEEPS))
             step = self._linear_solve(pairs.tangent(pairs.apart(u)), -self._residual(u, g))
+            long_steps = long_steps + 1 if 0 < far < np.abs(step).max() else 0
             u = u + (self._length(u, step, g) if len(residuals) > PATIENCE else 1.0) * step
 
     def _stalls(self, residuals: list[float], u: Array, forces: Array) -> bool:
