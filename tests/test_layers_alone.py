@@ -217,6 +217,23 @@ def test_weights_of_the_other_sign_contradict(monkeypatch):
         estimate(solve(structure.interface(layers)), goals=wanted)
 
 
+def test_a_very_thin_layer_between_plates_that_bend():
+    """Its better law leads to the value less far than order 0 did, whose bounds are as good on one side."""
+    supports, tractions = {"LEFT/LOWER": 0.0}, {"TOP": (2.0, -1.0)}
+    plates = Structure(sandwich(6.0, 1.7, 2.0, 1.5), body=BODY, supports=supports, tractions=tractions)
+    layer = ThinLayer(LinearElastic.young(1.8, 0.3), 6e-3)
+    state, full = solve(plates.interface(layer)), solve(plates.full(layer))
+    found, meshed = estimate(state).goals["compliance"], WORK.value(full, state.model)
+    assert found.lower <= meshed <= found.upper
+    assert found.lower <= found.better <= found.upper
+    assert found.better == pytest.approx(meshed, rel=1e-9)
+
+
+def test_layers_with_strains_without_stresses_move_by_themselves():
+    state = solve(CASES["free ends"][0].interface(ThinLayer(Anisotropic.springs(5.0, 2.0), EPS)))
+    refused(InputError, "Anisotropic has strains without stresses", estimate, state)
+
+
 # ---------------------------------------------------------------- random structures
 @pytest.mark.parametrize("seed", range(12))
 def test_random_structures(seed):

@@ -20,6 +20,7 @@ from geometry.refusals import place
 from geometry.sheet import Rim, straight_ends
 from geometry.topology import BoolArray, FloatArray
 from thinlayer.discretisation.boundary import is_across
+from thinlayer.discretisation.given_strains import SINGULAR
 from thinlayer.discretisation.layer import LawOnS, SeamLayer, ThinLayer, real_law
 from thinlayer.discretisation.sides import SLIGHT, FacetWeights, held_directions, side_kinds
 from thinlayer.errors import Refused
@@ -340,6 +341,18 @@ def _by_itself(r: Reduction) -> Iterator[Refused]:
         yield Refused("closed", reason, "take Rubber with Poisson's ratio 0.4999")
 
 
+def _resists(r: Reduction) -> Iterator[Refused]:
+    """Of the layer by itself, under forces on its faces: only the stresses of its strains bear them."""
+    slots = r.one.structure.kinematics.slots(r.one.structure.joint.dim)
+    for C in (C[np.ix_(slots, slots)] for s in r.one.samples for _, _, C in s.at_rest.sublayers if C is not None):
+        sizes = np.linalg.svd(C, compute_uv=False)
+        if sizes[-1] <= SINGULAR * sizes[0]:
+            reason = f"{r.one.kind} has strains without stresses, as springs have along S, and moves in itself"
+            yield Refused(
+                "no stress", reason, "solve structure.full(layer), and compare goals: goal.value(state, model)"
+            )
+
+
 def _bonded(r: Reduction) -> Iterator[Refused]:
     """Of bodies that are bonded where the layer was, which it moves apart in one piece."""
     if r.bent:
@@ -376,7 +389,7 @@ QUESTIONS: dict[str, tuple[Ask, ...]] = {
     "mean strain": (_under_mean_strain,),
     "interface law": (_law, _next_term),
     "ends": (_thickness, _corrected),
-    "estimate": (_thickness, _held_alone, _by_itself),
+    "estimate": (_thickness, _held_alone, _by_itself, _resists),
     "bonded": (_bonded,),
     "excess of pressure": (_thickness, _evens_out),
     "alone": (_thickness, _at_once, _by_itself),

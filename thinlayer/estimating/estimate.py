@@ -132,8 +132,8 @@ def estimate(
         scale = goal.scale(last, model)
         slack = ROUNDING * max(abs(values[name]), abs(at.told)) + at.rounding if bounded else math.nan
         found[name] = GoalError(values[name], at.told, scale, at.lower - slack, at.upper + slack)
-        if max(at.lower - at.told, at.told - at.upper) > slack + FIXED * scale:
-            contradiction = f"better {at.told:.9g} is not between {at.lower:.9g} and {at.upper:.9g}"
+        if at.lower - at.upper > slack + FIXED * scale:
+            contradiction = f"at least {at.lower:.9g}, and at most {at.upper:.9g}"
             raise SolveError(f"estimate: the bounds of {name} contradict each other: {contradiction}", advice=REMEDY)
     traction, jump = errors_of(total)
     seconds, by = time.perf_counter() - start, (first, theirs, weights)

@@ -94,8 +94,9 @@ class Bounds:
     rounding: float = 0.0
 
     def within(self, other: Bounds) -> Bounds:
-        """The intersection with earlier bounds."""
-        return replace(self, lower=max(self.lower, other.lower), upper=min(self.upper, other.upper))
+        """The intersection with earlier bounds, which may be so much better that the value moves into them."""
+        lower, upper = max(self.lower, other.lower), min(self.upper, other.upper)
+        return replace(self, told=min(max(self.told, lower), upper), lower=lower, upper=upper)
 
     def narrow(self, value: float, share: float) -> bool:
         """Whether they are apart by less than a share of the change from a value."""

@@ -35,7 +35,10 @@ SWEEPS = 4  # number of sweeps before each of the first Newton steps
 PATIENCE = 6  # number of Newton steps after which the sweeps double with every step, and steps may be shortened
 MOST_SWEEPS = 32  # largest number of sweeps before a Newton step
 MOST_STEPS = 30
-RUN_AWAY, MOST_LONG_STEPS = 1e5, 4  # length of steps, over the first displacements, so many of which in turn end the search
+RUN_AWAY, MOST_LONG_STEPS = (
+    1e5,
+    4,
+)  # length of steps, over the first displacements, so many of which in turn end the search
 TRIALS = 12  # largest number of trials of a step's length
 FLAT = 0.1  # work along a step at its end, relative to that at its beginning, that ends the search of its length
 
