@@ -12,8 +12,10 @@ from textwrap import fill
 from typing import Any
 
 STUDIES = Path(__file__).parents[2] / "studies"
+BENCHMARKS = STUDIES.parent / ".ci/benchmarks"  # of a clone alone
+LISTS = [path for path in (STUDIES / "data/studies.toml", BENCHMARKS / "studies.toml") if path.exists()]
 # group -> study -> seconds, see `Study`
-GROUPS: dict[str, dict[str, list[float]]] = tomllib.loads((STUDIES / "data/studies.toml").read_text(encoding="utf-8"))
+GROUPS: dict[str, dict[str, list[float]]] = tomllib.loads("\n".join(path.read_text(encoding="utf-8") for path in LISTS))
 UNITS = {"h": 3600, "min": 60, "s": 1}
 
 
@@ -45,7 +47,8 @@ def studies() -> dict[str, Study]:
     found = {}
     for group, members in GROUPS.items():
         for name, seconds in members.items():
-            tree = ast.parse((STUDIES / f"{name}.py").read_text(encoding="utf-8"))
+            folder = BENCHMARKS if group == "Benchmarks" else STUDIES
+            tree = ast.parse((folder / f"{name}.py").read_text(encoding="utf-8"))
             functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
             run, summary = functions["run"], (ast.get_docstring(tree) or "").partition("\n")[0]
             options = {one.arg: _option(one, ast.get_docstring(run) or "") for one in run.args.kwonlyargs}
